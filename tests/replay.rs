@@ -337,6 +337,16 @@ fn killed(dir: &Path, after: Duration) -> Option<PathBuf> {
     Some(dir.join("run.mcap")).filter(|path| path.exists())
 }
 
+/// Checks that `recover` writes a file that `validate` accepts.
+#[cfg(unix)]
+fn assert_recovered(killed: &Path, recovered: &Path) {
+    for (command, files) in [("recover", &[killed, recovered][..]), ("validate", &[recovered])] {
+        let ran = osteoflow_to_spawn().arg(command).args(files).output().unwrap();
+        assert!(ran.status.success(), "{command}: {}", String::from_utf8_lossy(&ran.stderr));
+    }
+    fs::remove_file(recovered).unwrap();
+}
+
 #[test]
 #[cfg(unix)]
 fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_last_chunk() {
@@ -352,6 +362,9 @@ fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_
                 n_read += 1;
                 n_items += recording.wires.values().map(|wire| wire.messages.len()).sum::<usize>();
                 assert!(!recording.graph.is_empty(), "the graph stands at the front");
+                if kill % 4 == 3 {
+                    assert_recovered(&path, &dir.path().join("recovered.mcap"));
+                }
                 if recording.wires.is_empty() || kill % 4 != 1 {
                     continue;
                 }
