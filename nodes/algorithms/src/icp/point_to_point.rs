@@ -64,8 +64,6 @@ struct Minimizer<'a> {
     equations: NormalEquations,
     /// Mean cost, mm².
     cost: f64,
-    /// The state of the lowest cost since the weights last changed.
-    best: Trial,
     anderson: Anderson,
     /// Whether only Kabsch's steps are taken.
     is_plain: bool,
@@ -90,7 +88,6 @@ struct Step {
 }
 
 /// A state, its normal equations and their mean cost.
-#[derive(Clone)]
 struct Trial {
     state: State,
     equations: NormalEquations,
@@ -115,9 +112,8 @@ impl<'a> Minimizer<'a> {
             state: start,
             correspondences,
             weights,
-            equations: equations.clone(),
+            equations,
             cost,
-            best: Trial { state: start, equations, cost, is_accelerated: false },
             anderson: Anderson::new(problem.params.acceleration),
             is_plain: problem.params.acceleration == 0,
             n_calm: 0,
@@ -199,16 +195,10 @@ impl<'a> Minimizer<'a> {
     }
 
     fn narrow_weights(&mut self, step_mm: f64) -> Result<(), IcpError> {
-        let before = self.weights;
         if !self.weights.is_settled(self.problem.params, step_mm) {
             self.equations = self.problem.linearize(&self.state, &mut self.correspondences, &mut self.weights, true)?;
         }
         self.cost = self.problem.mean_cost(&self.equations);
-        // Costs under other weights cannot be compared.
-        if self.weights != before || self.cost < self.best.cost {
-            let (state, equations, cost) = (self.state, self.equations.clone(), self.cost);
-            self.best = Trial { state, equations, cost, is_accelerated: false };
-        }
         Ok(())
     }
 
@@ -216,12 +206,7 @@ impl<'a> Minimizer<'a> {
     fn stalled(&self, step: &Step) -> LevelFit {
         let converged = step.remaining_mm <= self.problem.params.stop_step_mm;
         let reason = if converged { StopReason::Step } else { StopReason::Stalled };
-        LevelFit {
-            reason,
-            converged,
-            remaining_mm: Some(step.remaining_mm),
-            ..LevelFit::at(self.best.state, self.best.equations.clone(), self.weights)
-        }
+        LevelFit { converged, ..self.end(reason, step) }
     }
 
     fn end(&self, reason: StopReason, step: &Step) -> LevelFit {
