@@ -407,7 +407,7 @@ repeat = 0
 tile   = 3
 units  = ["nois", "trial"]
 pair   = [["noise", "short"]]
-limit   = { las = 2.0 }
+limit   = { las = 2.0, last = inf }
 compare = [{ factor = "noise", to = 3 }, { factor = "noise" }, { factor = "noises" }, 4]
 [sweep.factor]
 noise = { key = "last.noise", values = [false, true] }
@@ -419,6 +419,9 @@ run   = { key = "last.noise", values = [true] }
 [sweep.draw]
 d = { key = "last.sleep_us", uniform = [2.0, 1.0] }
 e = { key = "last.sleep_us" }
+turned = { key = "last.sleep_us", integers = [2, 1] }
+wide = { key = "last.sleep_us", integers = [-9223372036854775808, 9223372036854775807] }
+endless = { key = "last.sleep_us", uniform = [0.0, inf] }
 [sweep.columns]
 last = "values.last"
 [sweep.points]
@@ -438,6 +441,10 @@ all = { axes = ["x"] }
         "a column of the sweep cannot be called \"run\"",
         "draw \"d\": uniform takes two numbers, the smaller first",
         "draw \"e\" needs one distribution",
+        "draw \"turned\": integers takes two whole numbers, the smaller first",
+        "draw \"wide\": integers takes two whole numbers, the smaller first",
+        "draw \"endless\": uniform takes two numbers, the smaller first",
+        "limit of \"last\" takes a number above zero",
         "points \"all\" does not say its list",
         "factor \"noise\" has no value 3 to compare with",
         "factor \"noise\" is compared twice",
