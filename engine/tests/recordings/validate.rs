@@ -217,3 +217,23 @@ fn what_one_bad_chunk_takes_with_it_is_said_once() {
     assert!(lost[1].contains(&format!("missing with the damage: {n_lost} of {n} messages, 1 of ")), "{lost:#?}");
     assert!(lost[1].contains("wires that lack items: "), "{lost:#?}");
 }
+
+#[test]
+fn an_item_whose_log_time_comes_from_a_lost_one_is_sound_after_a_kill() {
+    let dir = tempfile::tempdir().unwrap();
+    let original = record(dir.path(), &[], 1);
+    let [whole, killed, recovered] = ["whole", "killed", "recovered"].map(|name| dir.path().join(name));
+    rewrite(&original, &whole, &SMALL, |topic, header, _| {
+        header.log_time = 5_000_000;
+        topic == "/exact/constant.wave" && header.sequence == 0
+    });
+    assert_says(&of(&whole), "wire constant.wave, item 0: it has no time of its own, and its log time 5000000");
+    let bytes = fs::read(&whole).unwrap();
+    let name = b"osteoflow.wires";
+    let counts = bytes.windows(name.len()).position(|window| window == name).unwrap();
+    fs::write(&killed, &bytes[..counts - 13]).unwrap();
+    recover(&killed, &recovered, &mut |_, _| {}).unwrap();
+    let report = of(&recovered);
+    assert!(report.is_sound(), "{:#?}", messages(&report));
+    assert_eq!(report.wires.iter().map(|wire| wire.n_items).sum::<u64>(), 1);
+}
