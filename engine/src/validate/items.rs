@@ -227,23 +227,21 @@ impl<'a> Items<'a> {
         for (payload, fault) in self.types.faults() {
             findings.add("schema", Finding::new(None, format!("the schema of {payload} is damaged: {fault}")));
         }
-        // What the log time was taken from may be missing where the end is.
-        if stored.is_some() && !recovered {
-            self.check_timeless(findings);
-        }
+        self.check_timeless(stored.is_some(), findings);
         if !self.unknown_payloads.is_empty() {
             let names: Vec<_> = self.unknown_payloads.iter().map(String::as_str).collect();
             notes.push(format!("payloads that are unknown here, so only their form was checked: {}", names.join(", ")));
         }
     }
 
-    /// Checks that each item without a time has a log time within the run.
-    fn check_timeless(&self, findings: &mut Findings) {
+    /// Checks that each item without a time has a log time within the run. The first of them have that of the first item with a
+    /// time, which is written after them and may be lost if the run did not end.
+    fn check_timeless(&self, has_end: bool, findings: &mut Findings) {
         let is_first = |log_time: u64| (1..=FIRST_NS as u64).contains(&log_time);
         for (&log_time, (wire, number, place)) in &self.timeless {
             let fits = match self.times {
                 Some((first, last)) => is_first(log_time) || (first as u64..=last as u64).contains(&log_time),
-                None => is_first(log_time),
+                None => !has_end || is_first(log_time),
             };
             if !fits {
                 let what = format!("it has no time of its own, and its log time {log_time} is no time of the run");

@@ -219,21 +219,34 @@ fn what_one_bad_chunk_takes_with_it_is_said_once() {
 }
 
 #[test]
-fn an_item_whose_log_time_comes_from_a_lost_one_is_sound_after_a_kill() {
+fn after_a_kill_the_item_that_a_log_time_comes_from_may_be_lost_but_no_other_log_time_is_taken() {
     let dir = tempfile::tempdir().unwrap();
     let original = record(dir.path(), &[], 1);
     let [whole, killed, recovered] = ["whole", "killed", "recovered"].map(|name| dir.path().join(name));
-    rewrite(&original, &whole, &SMALL, |topic, header, _| {
-        header.log_time = 5_000_000;
-        topic == "/exact/constant.wave" && header.sequence == 0
-    });
-    assert_says(&of(&whole), "wire constant.wave, item 0: it has no time of its own, and its log time 5000000");
-    let bytes = fs::read(&whole).unwrap();
-    let name = b"osteoflow.wires";
-    let counts = bytes.windows(name.len()).position(|window| window == name).unwrap();
-    fs::write(&killed, &bytes[..counts - 13]).unwrap();
-    recover(&killed, &recovered, &mut |_, _| {}).unwrap();
-    let report = of(&recovered);
-    assert!(report.is_sound(), "{:#?}", messages(&report));
-    assert_eq!(report.wires.iter().map(|wire| wire.n_items).sum::<u64>(), 1);
+    for (has_time, n_items) in [(false, 1), (true, 2)] {
+        rewrite(&original, &whole, &SMALL, |topic, header, _| match (topic, header.sequence) {
+            ("/exact/constant.wave", 0) => {
+                header.log_time = 5_000_000_000;
+                true
+            }
+            ("/exact/beat.wave", 1) => has_time,
+            _ => false,
+        });
+        let wrong = "wire constant.wave, item 0: it has no time of its own, and its log time 5000000000";
+        assert_says(&of(&whole), wrong);
+        let bytes = fs::read(&whole).unwrap();
+        let name = b"osteoflow.wires";
+        let counts = bytes.windows(name.len()).position(|window| window == name).unwrap();
+        // Before the name is the head of its record: a byte, and two lengths.
+        fs::write(&killed, &bytes[..counts - (1 + 8 + 4)]).unwrap();
+        recover(&killed, &recovered, &mut |_, _| {}).unwrap();
+        let report = of(&recovered);
+        assert_eq!(report.wires.iter().map(|wire| wire.n_items).sum::<u64>(), n_items);
+        if has_time {
+            assert_says(&report, wrong);
+        } else {
+            assert!(report.is_sound(), "{:#?}", messages(&report));
+        }
+        fs::remove_file(&recovered).unwrap();
+    }
 }
