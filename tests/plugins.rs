@@ -114,6 +114,8 @@ fn the_command_line_and_the_environment_also_name_plugins() {
     let library = format!("libtoy{DLL_SUFFIX}");
     folder.toy(&format!("far/{library}"), "1");
     assert_eq!(folder.sum(&["--plugin", "far/toy"]), json!({ "value": 43.0 }));
+    // It is listed though the graph does not name it.
+    assert_eq!(json(&folder.path("out/manifest.json"))["plugins"][0]["kinds"], json!(["toy.add", "toy.give"]));
     let mut by_path = folder.command(&["run", "graph.toml", "--force", "--out", "out"]);
     let (code, _, err) = folder.says(by_path.env("OSTEOFLOW_PLUGIN_PATH", folder.path("far")));
     assert_eq!(code, 0, "{err}");

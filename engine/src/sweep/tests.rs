@@ -358,6 +358,26 @@ fn paired_factors_go_together_and_others_are_crossed() {
 }
 
 #[test]
+fn a_range_is_evenly_spaced_and_ends_at_both_ends_exactly() {
+    let levels = |range: &str| {
+        let graph = JUDGED.split("[sweep").next().unwrap();
+        let factor = format!("[sweep.factor]\nx = {{ key = \"judge.doubtful_above\", {range} }}\n");
+        let factor = Desk::new(&format!("{graph}{factor}")).check().spec.factors.remove(0);
+        factor.levels.into_iter().map(|level| level.label.as_f64().unwrap()).collect::<Vec<_>>()
+    };
+    assert_eq!(levels("from = 0.5, to = 2.5, n = 5"), [0.5, 1.0, 1.5, 2.0, 2.5]);
+    assert_eq!(levels("from = 2, to = -2, n = 3"), [2.0, 0.0, -2.0]);
+    // In the logarithm, and back, 10 is 10.000000000000002, and 0.1 + 2 * 0.1 is not 0.3 either.
+    for (from, to) in [(1.0, 10.0), (10.0, 1.0), (0.3, 7.0)] {
+        let found = levels(&format!("from = {from}, to = {to}, n = 3, log = true"));
+        assert_eq!((found.len(), found[0], found[2]), (3, from, to));
+        assert!((found[1] / (from * to).sqrt() - 1.0).abs() < 1e-12, "{found:?}");
+    }
+    let found = levels("from = 0.1, to = 0.3, n = 8");
+    assert_eq!((found[0], found[7]), (0.1, 0.3));
+}
+
+#[test]
 fn draws_follow_their_distributions() {
     let draw = |distribution| Draw { name: "d".into(), keys: Vec::new(), distribution };
     let values = |distribution| {

@@ -172,6 +172,18 @@ fn a_module_is_checked_alone_and_described() {
 }
 
 #[test]
+fn a_parameter_of_a_module_has_the_default_of_the_node_that_it_sets() {
+    let path = Path::new("tests/broken/modules/register.toml");
+    let CheckedFile::Module(module) = check_file(path, &[], &stages::registry()).unwrap_or_else(|f| panic!("{f}"))
+    else {
+        panic!("a module")
+    };
+    let defaults: Vec<_> = module.description.params.iter().map(|p| (p.name.as_str(), p.default.clone())).collect();
+    let rounds = serde_json::json!([{ "n": 2, "step_mm": 0.5 }, { "n": 3, "step_mm": 0.5 }]);
+    assert_eq!(defaults, [("max_pair_distance_mm", Some(4.0.into())), ("rounds", Some(rounds))]);
+}
+
+#[test]
 fn only_the_graph_may_allow_loss_not_its_modules() {
     let lossy = |source: &str, header: &str| {
         let text = format!(

@@ -3,6 +3,7 @@ use osteoflow_engine::{
     Checked, check, check_recorded, check_text,
     plan::{Plan, Require},
 };
+use osteoflow_node::Registry;
 use osteoflow_toy::stages;
 use std::path::Path;
 
@@ -161,6 +162,46 @@ fn a_recorded_graph_needs_no_files() {
     let text = checked(GRAPH, &[]).plan.resolved.replace("surface.txt", "gone.txt");
     assert!(check_text(&text, Path::new("run.toml"), &[], &stages::registry()).is_err());
     check_recorded(&text, Path::new("run.toml"), &[], &stages::registry()).unwrap_or_else(|faults| panic!("{faults}"));
+}
+
+#[test]
+fn joins_that_may_be_fed_in_time_are_not_warned_of() {
+    let warnings = |text: &str, registry: Registry| {
+        let checked =
+            check_text(&format!("[graph]\nformat = 1\n{text}"), Path::new("tests/broken/x.toml"), &[], &registry);
+        let checked = checked.unwrap_or_else(|faults| panic!("{faults}"));
+        checked.warnings.iter().map(|warning| warning.to_string()).collect::<Vec<_>>()
+    };
+    // Each of several outputs of a live source may give a single item.
+    let live = "[node.live]\nkind = \"toy.live\"\n\
+        out = { p0 = { type = \"toy/Number\", calls = [] }, p1 = { type = \"toy/Number\", calls = [] } }\ncalls = []\n\
+        [node.add]\nkind = \"toy.add\"\nin = { a = \"live.p0\", b = { from = \"live.p1\", join = \"once\" } }\n";
+    assert_eq!(warnings(live, osteoflow_toy::registry()), [""; 0]);
+    let one_of_one = "[node.ct]\nkind = \"acquire.recording\"\npath = \"../data/recording.txt\"\n\
+        out = { scan = { type = \"toy/Cloud\", topic = \"/scan\" } }\n\
+        [node.first]\nkind = \"crop.box\"\nin = { cloud = { from = \"ct.scan\", join = \"once\" } }\n\
+        [node.all]\nkind = \"cloud.merge\"\nin = { clouds = { from = \"first.cloud\", n = 1 } }\n";
+    assert_eq!(warnings(one_of_one, stages::registry()), [""; 0]);
+}
+
+#[test]
+fn the_largest_whole_number_is_read_as_written() {
+    let plan = |us: &str| {
+        let text = format!(
+            "[graph]\nformat = 1\n[node.one]\nkind = \"toy.script\"\n\
+             out = {{ p0 = {{ type = \"toy/Number\", calls = [] }} }}\ncalls = []\n\
+             [node.add]\nkind = \"toy.add\"\nin = {{ a = \"one.p0\", b = \"one.p0\" }}\nsleep_us = {us}\n"
+        );
+        check_text(&text, Path::new("x.toml"), &[], &osteoflow_toy::registry()).map(|checked| checked.plan)
+    };
+    for us in [u64::MAX, i64::MAX as u64, 0] {
+        let plan = plan(&us.to_string()).unwrap_or_else(|faults| panic!("{faults}"));
+        let add = plan.nodes.iter().find(|node| &*node.name == "add").unwrap();
+        assert_eq!(add.params["sleep_us"].as_u64(), Some(us));
+    }
+    for us in ["-1", "18446744073709551616"] {
+        assert!(plan(us).is_err(), "{us}");
+    }
 }
 
 #[test]
