@@ -222,6 +222,17 @@ mod tests {
     }
 
     #[test]
+    fn the_spacing_is_that_along_the_slope() {
+        for (slant_deg, spacing_mm) in [(0.0, 0.23), (45.0, 0.23 * 2_f64.sqrt()), (60.0, 0.46)] {
+            let found = found(slant_deg, 9.0, disc).report.spacing_mm;
+            assert!(
+                (found / spacing_mm - 1.0).abs() < 0.1,
+                "{slant_deg} degrees: {found:.3} mm, {spacing_mm:.3} expected"
+            );
+        }
+    }
+
+    #[test]
     fn a_slanted_beam_that_the_silhouette_cuts_off_is_found_or_uncertain() {
         for (slant_deg, end_mm) in [(60.0, 1.0), (60.0, 0.5), (65.0, 0.7)] {
             let hole = found(slant_deg, end_mm, beam);

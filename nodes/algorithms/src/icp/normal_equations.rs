@@ -147,3 +147,28 @@ pub(super) fn jacobian_row(normal: &Vector3<f64>, source: &Vector3<f64>, lever_a
     let turn = source.cross(normal) / lever_arm_mm;
     Vector6::new(normal.x, normal.y, normal.z, turn.x, turn.y, turn.z)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3x6;
+
+    /// A block adds `JᵀΩJ` and `JᵀΩr` with `J = [I, -[source]x / lever arm]`, to what is there.
+    #[test]
+    fn a_block_adds_the_products_of_its_jacobian() {
+        let information = Matrix3::new(2.0, 0.5, -0.3, 0.5, 1.0, 0.2, -0.3, 0.2, 3.0);
+        let (mut found, mut h, mut b) = (NormalEquations::ZERO, Matrix6::zeros(), Vector6::zeros());
+        for (source, residual) in [([3.0, -7.0, 40.0], [0.1, 0.4, -0.2]), ([-5.0, 2.0, -31.0], [-0.3, 0.2, 0.6])]
+            .map(|(s, r)| (Vector3::from(s), Vector3::from(r)))
+        {
+            found.add_block(&information, &residual, &source, 25.0);
+            let mut jacobian = Matrix3x6::zeros();
+            jacobian.fixed_columns_mut::<3>(0).fill_with_identity();
+            jacobian.fixed_columns_mut::<3>(3).copy_from(&(-source.cross_matrix() / 25.0));
+            h += jacobian.transpose() * information * jacobian;
+            b += jacobian.transpose() * information * residual;
+        }
+        assert!((found.h - h).amax() < 1e-12, "{}", found.h - h);
+        assert!((found.b - b).amax() < 1e-12, "{}", found.b - b);
+    }
+}

@@ -161,6 +161,25 @@ fn a_slid_and_spun_start_comes_home_and_the_profile_is_lowest_there() {
 }
 
 #[test]
+fn the_change_of_the_residual_is_the_mean_of_both_ways() {
+    let bone = bone();
+    let case = case(&bone, 0.1);
+    let report = slid(&case, &off(&case.2, 0.5, 1.0)).report;
+    for (words, profile, one) in
+        [(&report.modes[0], &report.along, 1.0), (&report.modes[1], &report.around, 1_f64.to_radians())]
+    {
+        // The samples of the profile next to an offset, on whichever side.
+        let at = |offset: f64| {
+            let k = profile.offsets.iter().position(|x| *x >= offset).unwrap().max(1);
+            let share = (offset - profile.offsets[k - 1]) / (profile.offsets[k] - profile.offsets[k - 1]);
+            profile.excess_mm[k - 1] * (1.0 - share) + profile.excess_mm[k] * share
+        };
+        let mean = format!("changes the residual by {:.3} mm", (at(one) + at(-one)) / 2.0);
+        assert!(words.contains(&mean), "{words}; {mean}");
+    }
+}
+
+#[test]
 fn another_minimum_as_good_is_reported_as_such() {
     // Repeats every 20 mm.
     let case =

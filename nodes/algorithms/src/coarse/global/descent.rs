@@ -85,3 +85,28 @@ pub(crate) fn descend(map: &NearMap, scan: &Points<'_>, start: &Placed, reach_mm
     }
     placed
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::target::Target;
+    use nalgebra::Point3;
+    use osteoflow_geometry::SurfaceOrigin;
+
+    #[test]
+    fn distances_count_up_to_the_reach_and_points_beyond_as_the_reach() {
+        let plane: Vec<_> = (-50..=50)
+            .flat_map(|x| (-50..=50).map(move |y| Point3::new(f64::from(x) * 0.5, f64::from(y) * 0.5, 0.0)))
+            .collect();
+        let target =
+            Target::new("ct", SurfaceOrigin::Exact, plane.clone(), Some(vec![Vector3::z(); plane.len()].into()));
+        let map = NearMap::new(&target.unwrap());
+        // The last is out of the map.
+        let points = [0.0, 2.0, 4.0, 1000.0].map(|z| Vector3::new(1.0, 1.0, z) - map.centre().coords);
+        let rms = |points: &[Vector3<f64>]| score(&map, &Points { points, camera: None }, &Placed::identity(), 3.0);
+        for (i, distance) in [0.0, 2.0, 3.0, 3.0].into_iter().enumerate() {
+            assert!((rms(&points[i..=i]) - distance).abs() < 1e-12, "{i}: {}", rms(&points[i..=i]));
+        }
+        assert!((rms(&points) - f64::sqrt((4.0 + 9.0 + 9.0) / 4.0)).abs() < 1e-12);
+    }
+}
