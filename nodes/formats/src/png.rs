@@ -6,6 +6,9 @@ use std::io::Cursor;
 /// The largest image that is unpacked: a file of a few bytes can claim any size.
 const MAX_BYTES: usize = 1 << 29;
 
+/// The most bytes that a byte of deflated data becomes (RFC 1951: 258 bytes of two bits), rounded up.
+const MAX_RATIO: usize = 1032;
+
 /// An image without its camera.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Pixels {
@@ -30,6 +33,11 @@ pub(crate) fn read_png(data: &[u8]) -> Result<Pixels, String> {
     let mut reader = decoder.read_info().map_err(wrong)?;
     if reader.info().bit_depth == BitDepth::Sixteen {
         return Err("has 16 bits per channel; at most 8 are read".into());
+    }
+    let (width, height) = reader.info().size();
+    let n_packed = (reader.info().raw_row_length() - 1).checked_mul(height as usize);
+    if n_packed.is_none_or(|n| n > data.len().saturating_mul(MAX_RATIO)) {
+        return Err(format!("claims {width} x {height} pixels, more than {} bytes can hold", data.len()));
     }
     let n_bytes = reader.output_buffer_size().filter(|n| *n <= MAX_BYTES);
     let mut bytes = vec![0; n_bytes.ok_or("has too many pixels")?];
@@ -92,12 +100,36 @@ mod tests {
         assert!(read_png(b"\xff\xd8\xff\xe0").is_err(), "JPEG");
         let deep = written(ColorType::Rgb, BitDepth::Sixteen, &noise(7 * 11 * 6));
         assert_eq!(read_png(&deep), Err("has 16 bits per channel; at most 8 are read".into()));
-        // The header claims 4 GB.
-        let mut huge = good;
-        huge[16..24].copy_from_slice(&[0, 0, 127, 0, 0, 0, 127, 0]);
-        let mut crc = flate2::Crc::new();
-        crc.update(&huge[12..29]);
-        huge[29..33].copy_from_slice(&crc.sum().to_be_bytes());
-        assert!(read_png(&huge).is_err());
+    }
+
+    #[test]
+    fn a_header_that_claims_more_than_its_bytes_can_hold_is_refused_before_memory_is_taken() {
+        let good = written(ColorType::Rgb, BitDepth::Eight, &noise(7 * 11 * 3));
+        for (width, height) in
+            [(7_u32, 1 << 16), (1 << 12, 1 << 15), (1 << 15, 1 << 15), (u32::MAX >> 1, u32::MAX >> 1)]
+        {
+            let mut huge = good.clone();
+            huge[16..20].copy_from_slice(&width.to_be_bytes());
+            huge[20..24].copy_from_slice(&height.to_be_bytes());
+            let mut crc = flate2::Crc::new();
+            crc.update(&huge[12..29]);
+            huge[29..33].copy_from_slice(&crc.sum().to_be_bytes());
+            let error = read_png(&huge).unwrap_err();
+            let expected = format!("claims {width} x {height} pixels, more than {} bytes can hold", huge.len());
+            assert!(
+                error == expected || error.contains("limits are exceeded") || error == "has too many pixels",
+                "{error}"
+            );
+        }
+        // The most that deflate can do is not too much.
+        let white = vec![0; 7 * 11 * 3];
+        assert_eq!(read_png(&written(ColorType::Rgb, BitDepth::Eight, &white)).unwrap().bytes, white);
+        let mut file = Vec::new();
+        let mut encoder = Encoder::new(&mut file, 8000, 4000);
+        encoder.set_color(ColorType::Grayscale);
+        encoder.set_depth(BitDepth::One);
+        encoder.set_compression(png::Compression::High);
+        encoder.write_header().unwrap().write_image_data(&vec![0; 1000 * 4000]).unwrap();
+        assert_eq!(read_png(&file).unwrap().bytes.len(), 8000 * 4000, "in {} bytes", file.len());
     }
 }
