@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Bone, CLEAN, Noise, USUAL, apart, bones, displaced};
+use common::{Bone, CLEAN, Noise, USUAL, apart, bones, displaced, own_bone};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::coarse::{GlobalError, GlobalParams, global};
 use osteoflow_algorithms::hole::{self, Hole, HoleError, HoleParams};
@@ -71,24 +71,43 @@ fn a_slide_of_8_mm_along_the_bone_comes_back() {
     }
 }
 
+/// Start number `k`, turned about the bone at the scan's centroid and slid along it by up to 8 mm.
+fn turned_start(bone: &Bone, source: &Cloud, k: i32, turn_deg: f64) -> Isometry3<f64> {
+    let centre = middle(source).coords;
+    let about = UnitQuaternion::from_scaled_axis(bone.proximal * turn_deg.to_radians());
+    let slide = f64::from(k % 5 - 2) * 4.0;
+    Translation3::from(centre + bone.proximal * slide) * about * Translation3::from(-centre)
+}
+
+/// Without the Gauss-Newton steps, the two calm steps or the plain steps at the end, starts end 1.6 mm off and more on
+/// seeds 11 to 16, with them 0.9 mm, by which the limit was chosen; these seeds played no part in that.
+#[test]
+fn turned_starts_end_at_one_place_on_a_straight_stretch_of_the_own_bone() {
+    let bone = own_bone();
+    let target = bone.target(20_000);
+    for seed in 21..25 {
+        let source = bone.scan(&bone.camera(155.0), [120.0, 190.0], 0.5, &USUAL, None, seed);
+        for start in 0..12 {
+            let k = 2 * start + (start / 2 + seed as i32) % 2;
+            let init = turned_start(&bone, &source, k, f64::from(k % 2 * 2 - 1) * (6.0 + 1.5 * f64::from(k)));
+            let fit = point(&target, &source, &init, &IcpParams::default());
+            let left = error(&fit, &source);
+            assert!(left < 1.0, "seed {seed}, start {k}: {left:.2} mm off after {} steps", fit.report.iterations);
+        }
+    }
+}
+
 /// Few points at the start determine how far a scan is turned, but not how far it has slid: an extrapolated step along
 /// the bone must not lead to another stationary point.
 #[test]
 fn a_turned_start_does_not_send_points_away_along_the_bone() {
     for bone in bones("a_turned_start_does_not_send_points_away_along_the_bone") {
         let (source, target) = (shaft(&bone, &USUAL, 3), bone.target(60_000));
-        let centre = middle(&source);
-        let mut worst = 0.0_f64;
-        for k in 0..24 {
-            let turn = f64::from(k % 2 * 2 - 1) * (16.0 + f64::from(k)).to_radians();
-            let slide = f64::from(k % 5 - 2) * 4.0;
-            let about = UnitQuaternion::from_scaled_axis(bone.proximal * turn);
-            let init = Translation3::from(centre.coords) * about * Translation3::from(-centre.coords);
-            let init = Translation3::from(bone.proximal * slide) * init;
-            let fit = point(&target, &source, &init, &IcpParams::default());
-            let left = error(&fit, &source);
-            worst = worst.max(left);
-        }
+        let error = |k| {
+            let init = turned_start(&bone, &source, k, f64::from(k % 2 * 2 - 1) * (16.0 + f64::from(k)));
+            error(&point(&target, &source, &init, &IcpParams::default()), &source)
+        };
+        let worst = (0..24).map(error).fold(0.0, f64::max);
         // Four times the resolution that the last samples have here, and some.
         assert!(worst < 2.0, "{}: {worst:.2} mm", bone.name);
     }

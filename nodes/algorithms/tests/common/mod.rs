@@ -80,6 +80,22 @@ pub fn bones(test: &str) -> Vec<Bone> {
         .collect()
 }
 
+/// The simulated bone in the project's own test data, which every clone has; its directions are its principal axes.
+pub fn own_bone() -> Bone {
+    let mesh = stl(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/folder/bone.stl"), "ct");
+    let n = mesh.vertices().len() as f64;
+    let middle = mesh.vertices().iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
+    let scatter: Matrix3<f64> =
+        mesh.vertices().iter().map(|p| (p.coords - middle) * (p.coords - middle).transpose()).sum();
+    let eigen = scatter.symmetric_eigen();
+    let axis = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+    let proximal = axis * axis.z.signum();
+    let low = mesh.vertices().iter().map(|p| (p.coords - middle).dot(&proximal)).fold(f64::MAX, f64::min);
+    let lateral = proximal.cross(&Vector3::y()).normalize();
+    let (tip, posterior) = (Point3::from(middle + proximal * low), proximal.cross(&lateral));
+    Bone { name: "own", query: MeshQuery::new(&mesh), mesh, tip, proximal, lateral, posterior }
+}
+
 /// What spoils a scan.
 pub struct Noise {
     pub depth_mm: f64,
