@@ -13,9 +13,6 @@ const MIN_POINTS: usize = 200;
 /// Minimum ratio of length to width of a scan whose long axis can be laid along the bone.
 const MIN_ELONGATION: f64 = 1.5;
 
-/// Number of slices across the scan whose medians give its axis.
-const N_SLICES: usize = 12;
-
 /// Distance of the centroid of one face of a shaft from the shaft's axis, as a share of its mean radius.
 const FACE_OFFSET: f64 = 0.6;
 
@@ -40,7 +37,7 @@ impl Scan {
         if elongation < MIN_ELONGATION {
             return Err(GlobalError::NoDirection { elongation, needed: MIN_ELONGATION });
         }
-        let along = slice_axis(points, &middle, &axes[0]);
+        let along = axes[0];
         let across = |v: Vector3<f64>| (v - along * v.dot(&along)).try_normalize(1e-6);
         let camera = source.viewpoint.map(|t| t * Point3::origin());
         let seen = camera.and_then(|camera| across(camera - middle));
@@ -68,29 +65,6 @@ impl Scan {
         let to = map.centre().coords + placed.translation.vector;
         Isometry3::from_parts((to - placed.rotation * self.middle.coords).into(), placed.rotation)
     }
-}
-
-/// The direction of the line through the medians of slices across `axis`, which a wider or cut end does not bend.
-fn slice_axis(points: &[Point3<f64>], middle: &Point3<f64>, axis: &Vector3<f64>) -> Vector3<f64> {
-    let heights: Vec<f64> = points.iter().map(|p| (p - middle).dot(axis)).collect();
-    let (min, max) = heights.iter().fold((f64::MAX, f64::MIN), |(a, b), &h| (a.min(h), b.max(h)));
-    let step = (max - min) / N_SLICES as f64;
-    let mut slices: Vec<[Vec<f64>; 3]> = vec![Default::default(); N_SLICES];
-    for (p, h) in points.iter().zip(&heights) {
-        let slice = &mut slices[(((h - min) / step) as usize).min(N_SLICES - 1)];
-        (0..3).for_each(|k| slice[k].push(p[k]));
-    }
-    let median = |values: &mut Vec<f64>| {
-        let half = values.len() / 2;
-        *values.select_nth_unstable_by(half, f64::total_cmp).1
-    };
-    let filled = slices.iter_mut().filter(|slice| slice[0].len() >= 5);
-    let medians: Vec<Point3<f64>> = filled.map(|s| Point3::from(s.each_mut().map(median))).collect();
-    if medians.len() < 3 {
-        return *axis;
-    }
-    let (_, axes, _) = principal(&medians);
-    axes[0] * axes[0].dot(axis).signum()
 }
 
 /// Centroid, axes and variances of points, the longest first.
