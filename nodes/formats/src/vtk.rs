@@ -108,8 +108,8 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
                         _ => file.values(n, n_components, file.kind(kind)?)?,
                     };
                     if attributes.is_points() && n == shape.points.len() {
-                        if name.eq_ignore_ascii_case("normals") && n_components == 3 && shape.normals.is_none() {
-                            shape.normals = Some(vectors(&values));
+                        if name.eq_ignore_ascii_case("normals") && n_components == 3 {
+                            set_normals(&mut shape, &file, vectors(&values))?;
                         } else if n_components == 1 {
                             extras.push((name.to_owned(), values));
                         }
@@ -131,7 +131,7 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
                     match values {
                         Some((1, name, values)) if attributes.is_points() => extras.push((name, values)),
                         Some((_, _, values)) if attributes.is_points() && key == "NORMALS" => {
-                            shape.normals = Some(vectors(&values));
+                            set_normals(&mut shape, &file, vectors(&values))?;
                         }
                         _ => {}
                     }
@@ -153,6 +153,16 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
 
 fn vectors(values: &[f64]) -> Vec<Vector3<f64>> {
     values.chunks_exact(3).map(|v| Vector3::new(v[0], v[1], v[2])).collect()
+}
+
+/// Refuses normals that differ from those that the points have.
+fn set_normals(shape: &mut Shape, file: &Cursor<'_>, normals: Vec<Vector3<f64>>) -> Result<(), FileError> {
+    match shape.normals.replace(normals) {
+        Some(before) if shape.normals.as_ref() != Some(&before) => {
+            Err(file.fault("the points have other normals further up; keep one of the two".into()))
+        }
+        _ => Ok(()),
+    }
 }
 
 enum Attributes {
@@ -527,6 +537,18 @@ mod tests {
             (ascii("").replace("ASCII", "TEXT"), "line 3: \"TEXT\" is neither ASCII nor BINARY"),
             (ascii("").replace("float", "half"), "line 5: \"half\" is no type of numbers"),
             (ascii("POINT_DATA 3\n"), "POINT_DATA is for 3 points, but there are 4"),
+            (
+                ascii(
+                    "POINT_DATA 4\nNORMALS a float\n0 0 1 0 0 1 0 0 1 0 0 1\nNORMALS b float\n0 0 1 0 0 1 0 0 1 0 1 0\n",
+                ),
+                "line 13: the points have other normals further up; keep one of the two",
+            ),
+            (
+                ascii(
+                    "POINT_DATA 4\nFIELD f 1\nnormals 3 4 float\n0 0 1 0 0 1 0 0 1 0 0 1\nNORMALS b float\n0 0 1 0 0 1 0 0 1 0 0 -1\n",
+                ),
+                "the points have other normals further up; keep one of the two",
+            ),
             (ascii("").replace("POINTS", "POINT"), "\"POINT 4 float\" is no section of poly data"),
             ("# vtk DataFile Version 3.0\n".into(), "the file ends before the title"),
         ] {
