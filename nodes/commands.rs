@@ -54,7 +54,7 @@ pub(crate) mod verdict_lines;
 mod view;
 mod watch;
 
-pub(crate) use exit::{Exit, UsageError};
+pub(crate) use exit::{Exit, UsageError, with_causes};
 use graph_args::{GraphArgs, print_json};
 use plugins::PluginArgs;
 

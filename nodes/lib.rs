@@ -7,7 +7,7 @@ mod commands;
 pub mod library;
 
 use clap::Parser;
-use commands::{Cli, Exit, UsageError, terminal};
+use commands::{Cli, Exit, UsageError, terminal, with_causes};
 use std::{ffi::OsString, io::Write, process::ExitCode};
 
 /// Runs the command with these arguments, the program's name first.
@@ -36,7 +36,7 @@ pub fn code_of(arguments: Vec<OsString>) -> u8 {
         // A reader of stdout may stop reading, as `head` does.
         Err(error) if is_broken_pipe(&error) => Exit::Done,
         Err(error) => {
-            let _ = writeln!(terminal::stderr(), "{}: {error:#}", cli.global.paint_err("error", "1;31"));
+            let _ = writeln!(terminal::stderr(), "{}: {}", cli.global.paint_err("error", "1;31"), with_causes(&error));
             if error.chain().any(|cause| cause.is::<UsageError>()) { Exit::Usage } else { Exit::Failed }
         }
     };

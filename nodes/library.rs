@@ -14,7 +14,7 @@ use crate::commands::{
     plugins::HOST,
     progress::Progress,
     register::{self, align::Ended},
-    running, sweep, verdict_lines,
+    running, sweep, verdict_lines, with_causes,
 };
 use anyhow::anyhow;
 use clap::{Parser, error::ErrorKind};
@@ -26,6 +26,7 @@ use osteoflow_engine::{
     run::{Outcome, RunOptions},
     sweep::{Folder, FolderError, Shard, difference},
 };
+use osteoflow_formats::FileError;
 use osteoflow_geometry::nalgebra::Isometry3;
 use osteoflow_node::{Item, Registry};
 use serde_json::Value;
@@ -52,7 +53,14 @@ pub enum Error {
 impl From<anyhow::Error> for Error {
     fn from(error: anyhow::Error) -> Self {
         let is_usage = error.chain().any(|cause| cause.is::<UsageError>() || cause.is::<Faults>());
-        if is_usage { Self::Usage(format!("{error:#}")) } else { Self::Failed(format!("{error:#}")) }
+        let sentence = with_causes(&error);
+        if is_usage { Self::Usage(sentence) } else { Self::Failed(sentence) }
+    }
+}
+
+impl From<FileError> for Error {
+    fn from(error: FileError) -> Self {
+        anyhow::Error::from(error).into()
     }
 }
 

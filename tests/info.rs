@@ -106,8 +106,12 @@ fn runs_are_listed_with_verdict_and_error_and_a_broken_one_with_its_problem() {
     let run = osteoflow().args(["run", "graphs/fibula.toml", "--no-record", "-q", "--out"]).arg(&out).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     assert_eq!(found(&out)["verdict"], "trusted");
+    assert_eq!(found(&out)["use"], json!([format!("osteoflow report {}", out.display())]), "it was not recorded");
     fs::create_dir(dir.path().join("two")).unwrap();
     fs::write(dir.path().join("two/manifest.json"), "{").unwrap();
+    let two = found(&dir.path().join("two"));
+    assert_eq!(two["use"], json!([]), "{two}");
+    assert!(two["problems"].to_string().contains("manifest.json: EOF"), "{two}");
     let listed = osteoflow().arg("runs").arg(dir.path()).args(["--format", "json"]).output().unwrap();
     let rows: Value = serde_json::from_slice(&listed.stdout).unwrap();
     let row = |name: &str| rows.as_array().unwrap().iter().find(|row| row["folder"] == name).unwrap().clone();

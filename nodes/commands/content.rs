@@ -1,16 +1,10 @@
 //! What a file holds, where the readers do not tell: picked points, an image, or a surface or cloud.
 
-use anyhow::anyhow;
 use osteoflow_formats::{
     FileError, input,
     picked_points::{PickedPoints, parse_picked_points},
 };
 use std::{io::Read as _, path::Path};
-
-/// The error without its cause, which its message already names.
-pub(crate) fn without_cause(error: FileError) -> anyhow::Error {
-    anyhow!("{error}")
-}
 
 /// Nobody picks more points by hand; longer lists of numbers are clouds.
 const N_PICKED: usize = 1000;

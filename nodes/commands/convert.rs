@@ -1,6 +1,6 @@
 use super::{
     Exit, Global, UsageError,
-    content::{is_volume, picked_points, without_cause},
+    content::{is_volume, picked_points},
     terminal,
 };
 use anyhow::{Result, anyhow, bail};
@@ -70,9 +70,9 @@ impl Convert {
         if self.iso_hu.is_some() {
             return Err(UsageError(format!("{}: --iso-hu is for a CT", self.input.display())).into());
         }
-        let bytes = input::read(&self.input).map_err(without_cause)?;
+        let bytes = input::read(&self.input)?;
         let (done, notes) = match self.picked(&bytes) {
-            Some(picked) => self.points(picked.map_err(without_cause)?)?,
+            Some(picked) => self.points(picked?)?,
             None => self.shape(&bytes)?,
         };
         self.done(&done, &notes, global)
@@ -100,7 +100,7 @@ impl Convert {
         };
         let params = serde_json::from_value(json!({ "path": self.input, "threshold_hu": iso_hu }))?;
         let bone = read_bone(&params, NoThreshold::Refuse).map_err(|error| anyhow!("{error}"))?;
-        write_mesh(&self.output, &bone.mesh, Space::Lps).map_err(without_cause)?;
+        write_mesh(&self.output, &bone.mesh, Space::Lps)?;
         let (n_vertices, n_faces) = (bone.mesh.vertices().len(), bone.mesh.faces().len());
         Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(Space::Lps)), bone.notes))
     }
@@ -142,18 +142,18 @@ impl Convert {
                 return Err(UsageError(format!("{}: {message}", self.output.display())).into());
             }
         };
-        written.map_err(without_cause)?;
+        written?;
         Ok((format!("{} points{}", points.len(), in_space(space)), notes))
     }
 
     fn shape(&self, bytes: &[u8]) -> Result<(String, Vec<String>)> {
-        let read = read_mesh_or_cloud(&self.input, bytes, self.scale, "ct").map_err(without_cause)?;
+        let read = read_mesh_or_cloud(&self.input, bytes, self.scale, "ct")?;
         let ending = self.output.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default();
         match read {
             MeshOrCloud::Mesh(read) if ["ply", "stl", "obj"].contains(&ending.as_str()) => {
                 let (turn, space) = self.to_lps(read.space)?;
                 let mesh = read.mesh.transformed("ct", &Isometry3::from_parts(Translation3::identity(), turn));
-                write_mesh(&self.output, &mesh, space).map_err(without_cause)?;
+                write_mesh(&self.output, &mesh, space)?;
                 let (n_vertices, n_faces) = (mesh.vertices().len(), mesh.faces().len());
                 Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(space)), read.notes))
             }
@@ -163,7 +163,7 @@ impl Convert {
                 let cloud = read.cloud.transformed("ct", &Isometry3::from_parts(Translation3::identity(), turn));
                 // A comment before the heading would keep other programs from reading it.
                 let stated = if ending == "csv" { Space::Unknown } else { space };
-                write_cloud(&self.output, &cloud, stated).map_err(without_cause)?;
+                write_cloud(&self.output, &cloud, stated)?;
                 Ok((format!("{} points{}", cloud.len(), in_space(space)), notes))
             }
         }

@@ -68,3 +68,34 @@ impl fmt::Display for UsageError {
 }
 
 impl Error for UsageError {}
+
+/// The error and its causes as one sentence, without causes that a message before them contains.
+pub(crate) fn with_causes(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |all, cause| {
+        if all.is_empty() {
+            cause
+        } else if all.contains(&cause) {
+            all
+        } else {
+            format!("{all}: {cause}")
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io;
+
+    #[test]
+    fn a_cause_that_the_message_contains_is_said_once() {
+        let cause = || io::Error::other("no disk");
+        let repeated = anyhow::Error::new(cause()).context("cannot read a.mcap: no disk");
+        assert_eq!(with_causes(&repeated), "cannot read a.mcap: no disk");
+        assert_eq!(
+            with_causes(&anyhow::Error::new(cause()).context("cannot read a.mcap")),
+            "cannot read a.mcap: no disk"
+        );
+        assert_eq!(with_causes(&repeated.context("while comparing")), "while comparing: cannot read a.mcap: no disk");
+    }
+}

@@ -3,7 +3,7 @@
 use super::Error;
 use crate::commands::{
     UsageError,
-    content::{is_volume, picked_points, without_cause},
+    content::{is_volume, picked_points},
 };
 use anyhow::{Context, Result, anyhow};
 use osteoflow_formats::{
@@ -63,22 +63,22 @@ pub fn read(
             return Err(Error::Usage(format!("{option} is for a CT, and {} is none", file.display())));
         }
     }
-    let bytes = input::read(file).map_err(without_cause)?;
+    let bytes = input::read(file)?;
     if bytes.starts_with(b"\x89MCAP") {
         return Ok(Content::Recording);
     }
     if let Some(picked) = picked_points(file, &bytes) {
-        let mut picked = picked.map_err(without_cause)?;
+        let mut picked = picked?;
         if picked.space == Space::Unknown {
             picked.points.iter_mut().for_each(|point| point.position *= unit_mm);
         }
         return Ok(Content::Points(picked));
     }
     if may_be_a_pose(file, &bytes) {
-        let read = read_pose(file, unit_mm).map_err(without_cause)?;
+        let read = read_pose(file, unit_mm)?;
         return Ok(Content::Pose(read.isometry, read.notes));
     }
-    Ok(Content::Shape(read_mesh_or_cloud(file, &bytes, unit_mm, frame).map_err(without_cause)?))
+    Ok(Content::Shape(read_mesh_or_cloud(file, &bytes, unit_mm, frame)?))
 }
 
 /// Whether a file is a transform: an ITK file, JSON, or a text of four rows of four numbers that ends in 0 0 0 1.
@@ -127,7 +127,7 @@ fn check_new(file: &Path) -> Result<()> {
 /// [`Error`] if the file exists, has another ending, or cannot be written.
 pub fn write_mesh(file: &Path, mesh: &Mesh, space: Space) -> Result<(), Error> {
     check_new(file)?;
-    Ok(write::write_mesh(file, mesh, space).map_err(without_cause)?)
+    Ok(write::write_mesh(file, mesh, space)?)
 }
 
 /// Writes a cloud as PLY, PCD, VTK, OBJ or CSV, by the ending of the file; nothing is overwritten.
@@ -136,7 +136,7 @@ pub fn write_mesh(file: &Path, mesh: &Mesh, space: Space) -> Result<(), Error> {
 /// As [`write_mesh`].
 pub fn write_cloud(file: &Path, cloud: &Cloud, space: Space) -> Result<(), Error> {
     check_new(file)?;
-    Ok(write::write_cloud(file, cloud, space).map_err(without_cause)?)
+    Ok(write::write_cloud(file, cloud, space)?)
 }
 
 /// Writes named points as `.mrk.json`, `.fcsv` or `.csv`; nothing is overwritten.
@@ -159,7 +159,7 @@ pub fn write_points(file: &Path, points: &[NamedPoint], space: Space) -> Result<
             return Err(Error::Usage(format!("{}: {message}", file.display())));
         }
     };
-    Ok(written.map_err(without_cause)?)
+    Ok(written?)
 }
 
 /// Writes a rigid motion, the rows of its matrix, as `.txt` (these numbers), `.json` (these numbers under `T`) or `.tfm` (an ITK

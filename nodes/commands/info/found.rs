@@ -1,6 +1,6 @@
 //! What a file or folder is.
 
-use crate::commands::content::{is_volume, picked_points, without_cause};
+use crate::commands::content::{is_volume, picked_points};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     folder::ProcedureFolder,
@@ -131,7 +131,7 @@ pub(super) fn look(file: &Path) -> Result<Found> {
     if is_volume(file) {
         return volume(file);
     }
-    let bytes = input::read(file).map_err(without_cause)?;
+    let bytes = input::read(file)?;
     if bytes.is_empty() {
         bail!("{}: the file is empty", file.display());
     }
@@ -142,7 +142,7 @@ pub(super) fn look(file: &Path) -> Result<Found> {
         return pose(file);
     }
     if let Some(picked) = picked_points(file, &bytes) {
-        return Ok(points(file, picked.map_err(without_cause)?));
+        return Ok(points(file, picked?));
     }
     if bytes.trim_ascii_start().starts_with(b"{") {
         return json(file, &bytes);
@@ -165,7 +165,7 @@ fn is_matrix(bytes: &[u8]) -> bool {
 
 fn shape(file: &Path, bytes: &[u8]) -> Result<Found> {
     let name = file.display();
-    Ok(match read_mesh_or_cloud(file, bytes, 1.0, "file").map_err(without_cause)? {
+    Ok(match read_mesh_or_cloud(file, bytes, 1.0, "file")? {
         MeshOrCloud::Mesh(read) => Found {
             kind: "mesh",
             about: "a surface of triangles".into(),
@@ -223,7 +223,7 @@ fn points(file: &Path, read: PickedPoints) -> Found {
 }
 
 fn pose(file: &Path) -> Result<Found> {
-    let read = read_pose(file, 1.0).map_err(without_cause)?;
+    let read = read_pose(file, 1.0)?;
     Ok(Found {
         kind: "pose",
         about: "a rigid motion, the translation in mm".into(),
@@ -248,7 +248,7 @@ fn json(file: &Path, bytes: &[u8]) -> Result<Found> {
             ..Found::default()
         });
     }
-    let read = read_plan(file).map_err(without_cause)?;
+    let read = read_plan(file)?;
     let plan = read.plan;
     Ok(Found {
         kind: "plan",
@@ -335,7 +335,7 @@ fn frame(message: &Message) -> Option<String> {
 }
 
 fn volume(file: &Path) -> Result<Found> {
-    let read = read_volume(file, &VolumeOptions::default()).map_err(without_cause)?;
+    let read = read_volume(file, &VolumeOptions::default())?;
     let (volume, name) = (&read.volume, file.display());
     let m = &volume.t_lps_voxel;
     let edges: [f64; 3] = std::array::from_fn(|k| m.fixed_view::<3, 1>(0, k).norm());
@@ -369,8 +369,8 @@ fn volume(file: &Path) -> Result<Found> {
 fn folder(folder: &Path) -> Result<Found> {
     let name = folder.display();
     if folder.join("procedure.toml").is_file() {
-        let read = ProcedureFolder::open(folder).map_err(without_cause)?;
-        let streams = read.streams().map_err(without_cause)?;
+        let read = ProcedureFolder::open(folder)?;
+        let streams = read.streams()?;
         let mut roles: Vec<String> = streams.items.iter().map(|item| item.role.clone()).collect();
         roles.sort();
         roles.dedup();
@@ -383,8 +383,17 @@ fn folder(folder: &Path) -> Result<Found> {
         let results = fs::read(folder.join("results.json")).ok();
         let results: Option<Value> = results.and_then(|bytes| serde_json::from_slice(&bytes).ok());
         let verdict = results.as_ref().and_then(|results| results.pointer("/verdict/answer")).cloned();
-        let problems = if results.is_none() { vec!["there is no readable results.json".into()] } else { Vec::new() };
-        let used_by = vec![format!("osteoflow report {name}"), format!("osteoflow replay {name}/run.mcap")];
+        let mut problems =
+            if results.is_none() { vec!["there is no readable results.json".into()] } else { Vec::new() };
+        let manifest = fs::read(folder.join("manifest.json"))?;
+        let mut used_by = Vec::new();
+        match serde_json::from_slice::<Value>(&manifest) {
+            Ok(_) => used_by.push(format!("osteoflow report {name}")),
+            Err(error) => problems.push(format!("manifest.json: {error}")),
+        }
+        if folder.join("run.mcap").is_file() {
+            used_by.push(format!("osteoflow replay {name}/run.mcap"));
+        }
         return Ok(Found { kind: "run", about: "a run".into(), verdict, problems, used_by, ..Found::default() });
     }
     let is_recording = |entry: fs::DirEntry| entry.path().extension().is_some_and(|ending| ending == "mcap");

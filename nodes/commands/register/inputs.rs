@@ -7,10 +7,7 @@ use super::{
     method::Method,
     start::Start,
 };
-use crate::commands::{
-    UsageError,
-    content::{is_volume, without_cause},
-};
+use crate::commands::{UsageError, content::is_volume};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},
@@ -160,7 +157,7 @@ impl Inputs {
             }
             (Some(word), _) if word.as_os_str() == IDENTITY => Start::Pose(Isometry3::identity()),
             (Some(file), _) => {
-                let read = pose_file::read_pose(file, unit(asked.init_unit_mm)).map_err(without_cause)?;
+                let read = pose_file::read_pose(file, unit(asked.init_unit_mm))?;
                 notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.display())));
                 Start::Pose(read.isometry)
             }
@@ -181,7 +178,7 @@ impl Inputs {
 }
 
 fn bytes(file: &Path) -> Result<Vec<u8>> {
-    input::read(file).map_err(without_cause)
+    Ok(input::read(file)?)
 }
 
 /// The surface of the bone in a CT.
@@ -209,7 +206,7 @@ fn shape(
     which: &str,
     notes: &mut Vec<String>,
 ) -> Result<MeshOrCloud> {
-    let shape = read_mesh_or_cloud(file, bytes, unit_mm, Frame::from(frame)).map_err(without_cause)?;
+    let shape = read_mesh_or_cloud(file, bytes, unit_mm, Frame::from(frame))?;
     let found = match &shape {
         MeshOrCloud::Mesh(read) => &read.notes,
         MeshOrCloud::Cloud(_, notes) => notes,

@@ -1,7 +1,7 @@
 //! What the user changes on the page: settings on top of the graph file, until they are written into it.
 
 use super::write_back;
-use crate::commands::GraphArgs;
+use crate::commands::{GraphArgs, with_causes};
 use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plugin::Kinds};
 use serde_json::{Value, json};
 use std::{
@@ -101,7 +101,7 @@ impl Changes {
                     return Ok(self.describe_made(&made));
                 }
                 Err(Problem::Faults(faults)) => faults,
-                Err(Problem::Other(error)) => return Err(format!("{error:#}")),
+                Err(Problem::Other(error)) => return Err(with_causes(&error)),
             };
             let unknown: Option<Vec<String>> = errors(&faults).map(|fault| fault.removes.clone()).collect();
             let Some(unknown) = unknown.filter(|all| all.iter().all(|key| !trial.removed.contains(key))) else {
@@ -139,7 +139,7 @@ impl Changes {
         }
         let wanted = self.check_made(&made).map_err(|problem| problem.to_string())?.plan.resolved;
         let path = &self.graph.graph;
-        let kinds = self.kinds().map_err(|error| format!("{error:#}"))?;
+        let kinds = self.kinds().map_err(|error| with_causes(&error))?;
         let before =
             std::fs::read_to_string(path).map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
         let text = write_back::edited(&before, path, &made.values, &made.removed)?;
@@ -231,7 +231,7 @@ impl std::fmt::Display for Problem {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Faults(faults) => f.write_str(&sentence(faults)),
-            Self::Other(error) => write!(f, "{error:#}"),
+            Self::Other(error) => f.write_str(&with_causes(error)),
         }
     }
 }
