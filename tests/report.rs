@@ -34,7 +34,7 @@ fn check_page(browser: &mut Browser, page: &Path, n_drawings: usize) {
     }
     let words = "[...document.querySelectorAll('figure, table')].every((f) => /SIMULATED/.test(f.textContent) && /research use only/.test(f.textContent))";
     assert_eq!(browser.evaluate(words), true, "every figure and table says what it is");
-    assert_eq!(browser.complaints(page), Vec::<String>::new());
+    assert_eq!(browser.complaints(&format!("file://{}", page.display())), Vec::<String>::new());
     if let Some(to) = std::env::var_os("REPORT_SCREENSHOTS") {
         screenshot(browser, &Path::new(&to).join(page.parent().unwrap().file_name().unwrap()));
     }
@@ -109,7 +109,7 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
         browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
         assert_eq!(pixels(&mut browser, view), before, "view {view} comes back");
     }
-    assert_eq!(browser.complaints(&page), Vec::<String>::new());
+    assert_eq!(browser.complaints(&format!("file://{}", page.display())), Vec::<String>::new());
 }
 
 #[test]

@@ -100,7 +100,7 @@ fn compare(browser: &mut Browser, run: &Path, answer: &str) {
     assert_eq!(ours.len(), theirs.len());
     let off = ours.iter().zip(&theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(off < 0.006, "a residual differs by {off} mm; they have 8 bits, and positions 16");
-    assert_eq!(browser.complaints(&run.join("report.html")), Vec::<String>::new());
+    assert_eq!(browser.complaints(&format!("file://{}", run.join("report.html").display())), Vec::<String>::new());
     if let Some(to) = std::env::var_os("REPORT_SCREENSHOTS") {
         let shot = browser.call("Page.captureScreenshot", json!({ "format": "png" }));
         let to = Path::new(&to).join(format!("report-{answer}.png.base64"));

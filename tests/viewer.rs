@@ -379,12 +379,6 @@ fn open(browser: &mut Browser, served: &Served) {
     browser.wait_until("document.readyState === 'complete' && typeof osteoflow === 'object'");
 }
 
-fn complaints(browser: &mut Browser, served: &Served) -> Vec<String> {
-    let own = served.page.trim_start_matches("http://").to_owned();
-    let all = browser.complaints(Path::new("/none"));
-    all.into_iter().filter(|complaint| !complaint.contains(&own)).collect()
-}
-
 /// Where a frame lies in the scene, column by column, metres.
 fn place(browser: &mut Browser, frame: &str) -> Vec<f64> {
     let value = browser.evaluate(&format!("osteoflow.frames.toRoot({frame:?}).matrix.elements"));
@@ -423,6 +417,7 @@ fn the_page_shows_a_recording_as_it_ended_and_as_it_was_before() {
     browser.wait_until(
         "osteoflow.scene.drawn.get('to_bone.cloud').object.children[0].geometry.getAttribute('color') !== undefined",
     );
+    browser.screenshot("0-recorded");
 
     // The graph: each node with what it did, and its parameters.
     let of = |browser: &mut Browser, node: &str| {
@@ -453,7 +448,7 @@ fn the_page_shows_a_recording_as_it_ended_and_as_it_was_before() {
     browser.wait_until("osteoflow.scene.drawn.get('planes.planes')?.object.visible === true");
     let played = browser.evaluate("osteoflow.scene.drawn.get('planes.planes').object.children[0].position.toArray()");
     assert_eq!(played, first, "played to its end it is as it was opened");
-    assert_eq!(complaints(&mut browser, &served), Vec::<String>::new());
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }
 
 #[test]
@@ -471,6 +466,8 @@ fn planes_of_a_doubtful_answer_are_hatched_and_of_a_refused_one_not_drawn() {
     assert!(reasons[0].as_str().unwrap().starts_with(reason), "{reasons}");
     let hatched = "(() => { let n = 0; osteoflow.scene.drawn.get('planes.planes').object.traverse((part) => { if (part.userData.isPlane) n += part.userData.isHatched ? 1 : 100; }); return n; })()";
     browser.wait_until(&format!("{hatched} === 2"));
+    browser.screenshot("0-doubtful");
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 
     let (dir, results) = a_run(&[doubt, "results.require=trusted"]);
     assert_eq!(results["verdict"]["answer"], "refused");
@@ -480,6 +477,8 @@ fn planes_of_a_doubtful_answer_are_hatched_and_of_a_refused_one_not_drawn() {
     browser.wait_until(
         "osteoflow.scene.drawn.get('planes.planes')?.object.userData.why === 'the registration is refused'",
     );
+    browser.screenshot("0-refused");
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
     assert_eq!(browser.evaluate("[...osteoflow.scene.drawn.values()].some(({ payload, object }) => payload === 'geometry/Planes' && object.visible)"), false);
 }
 
@@ -565,13 +564,54 @@ fn a_bone_and_a_scan_are_registered_shown_and_the_pose_is_that_of_register() {
     assert!((median.as_f64().unwrap() - expected).abs() < 0.1 * expected, "{median} {expected}");
     browser.evaluate("document.getElementById('glass').click()");
     browser.wait_until("osteoflow.scene.drawn.get('bone.mesh').object.children[0].material.opacity < 1");
-    assert_eq!(complaints(&mut browser, &served), Vec::<String>::new());
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 
     let refused = osteoflow().args(["view", files[0], "--out", "x"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(2), "--out is for a registration");
     let missing = osteoflow().args(["view", files[0], "no-scan.ply"]).output().unwrap();
     let stderr = String::from_utf8_lossy(&missing.stderr).into_owned();
     assert!(missing.status.code() == Some(2) && stderr.contains("no-scan.ply"), "{stderr}");
+}
+
+/// The scripts say the types of what they take and give in their comments; a compiler checks that all calls fit them.
+#[test]
+fn the_scripts_of_the_page_pass_the_check_of_their_types() {
+    let dir = tempfile::tempdir().unwrap();
+    let node =
+        |program: &str, arguments: &[&str]| Command::new(program).args(arguments).current_dir(dir.path()).output();
+    let install = ["install", "--silent", "--no-audit", "--no-fund", "typescript@7.0.2", "@types/three@0.185.4"];
+    if !node("npm", &install).is_ok_and(|output| output.status.success()) {
+        eprintln!("skipped: the_scripts_of_the_page_pass_the_check_of_their_types: npm could not install typescript");
+        return;
+    }
+    let page = dir.path().join("page");
+    fs::create_dir_all(page.join("three")).unwrap();
+    let mut n = 0;
+    for folder in ["nodes/viewer/page", "nodes/report/page"] {
+        for file in fs::read_dir(common::root().join(folder)).unwrap().map(|entry| entry.unwrap().path()) {
+            // The loader is a script in the text of a report, without modules and types.
+            if file.extension().is_some_and(|ending| ending == "js") && !file.ends_with("loader.js") {
+                fs::copy(&file, page.join(file.file_name().unwrap())).unwrap();
+                n += 1;
+            }
+        }
+    }
+    assert!(n > 25, "{n} scripts");
+    let controls = "export * from 'three/examples/jsm/controls/OrbitControls.js';";
+    fs::write(page.join("three/OrbitControls.d.ts"), controls).unwrap();
+    let options = json!({
+        "allowJs": true, "checkJs": true, "noEmit": true, "strict": true, "skipLibCheck": true, "types": [],
+        "target": "es2022", "module": "es2022", "moduleResolution": "bundler", "lib": ["es2023", "dom", "dom.iterable"],
+        "paths": { "three": ["./node_modules/@types/three"] },
+    });
+    let config = json!({ "compilerOptions": options, "include": ["page/*.js"] });
+    fs::write(dir.path().join("tsconfig.json"), config.to_string()).unwrap();
+    let check = || node("node", &["node_modules/typescript/bin/tsc", "--project", "."]).unwrap();
+    let checked = check();
+    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
+    // A wrong call is found.
+    fs::write(page.join("wrong.js"), "import { post } from \"./request.js\";\npost(1, {});\n").unwrap();
+    assert!(!check().status.success());
 }
 
 #[test]

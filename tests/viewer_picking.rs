@@ -153,20 +153,6 @@ fn wait_for_text(browser: &mut Browser, id: &str, part: &str) {
     ));
 }
 
-fn complaints(browser: &mut Browser, served: &Served) -> Vec<String> {
-    let own = served.page.trim_start_matches("http://").to_owned();
-    let all = browser.complaints(Path::new("/none"));
-    all.into_iter().filter(|complaint| !complaint.contains(&own)).collect()
-}
-
-/// A folder for screenshots, if they are wanted.
-fn screenshot(browser: &mut Browser, name: &str) {
-    let Ok(folder) = std::env::var("SCREENSHOTS") else { return };
-    let shot = browser.call("Page.captureScreenshot", json!({ "format": "png" }));
-    // In base64.
-    fs::write(Path::new(&folder).join(format!("{name}.b64")), shot["data"].as_str().unwrap()).unwrap();
-}
-
 /// The landmarks of the plan as the page got them, and the surface they were planned on.
 fn planned(run: &Path) -> (Vec<NamedPoint>, MeshQuery) {
     (value::<Points>(run, "plan.landmarks").points.to_vec(), MeshQuery::new(&value::<Mesh>(run, "bone.mesh")))
@@ -192,7 +178,7 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
     press(browser, "#pick-plan");
     wait_for_focus(browser);
     assert_eq!(picked(browser, "landmarks"), plan, "picking begins with the plan that is shown");
-    screenshot(browser, "1-plan");
+    browser.screenshot("1-plan");
 
     // Nothing is mirrored: numbers are those of the CT, and from the front the patient's left is on the right.
     let [x, y, z]: [f64; 3] = plan[0].position.coords.into();
@@ -244,7 +230,7 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
     assert!(mm < ROUNDING_MM, "{mm} mm off the surface");
     // With three there is nothing that a stray click could set.
     assert_eq!(browser.evaluate("osteoflow.picking.armed"), Value::Null);
-    screenshot(browser, "2-clicked");
+    browser.screenshot("2-clicked");
 
     // Moved by a drag, along the surface; undone, done again, undone by keys.
     let clicked = picked(browser, "landmarks");
@@ -312,12 +298,12 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
     set(browser, "0", 12.0);
     set(browser, "1", -7.0);
     set(browser, "mm", 152.5);
-    screenshot(browser, "3-planes");
+    browser.screenshot("3-planes");
 
     // Saved by the button.
     press(browser, "#pick-save");
     wait_for_text(browser, "pick-saved", "3 landmarks, 5 assessment points and 2 planes are saved in");
-    screenshot(browser, "4-saved");
+    browser.screenshot("4-saved");
     let folder = picks.join("picks-1");
     let read = read_plan(&folder.join("plan.json")).unwrap();
     assert_eq!(read.notes, [""; 0]);
@@ -380,7 +366,7 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
     let origin = browser.evaluate("osteoflow.picking.history.now.planes[0].origin");
     let origin: [f64; 3] = serde_json::from_value(origin).unwrap();
     assert!((Vector3::from(origin) - plane.translation.vector).norm() < 1e-9);
-    assert_eq!(complaints(browser, &served), Vec::<String>::new());
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 
     // The saved plan in a run from the command line is what it says.
     let plan_file = folder.join("plan.json");
@@ -599,7 +585,7 @@ fn a_bone_without_a_plan_gets_one_with_a_picked_tip_and_says_what_it_lacks() {
     browser.key("z", true);
     // Without anatomy the angles are named after the axes of the CT.
     assert!(text(browser, "pick-planes").contains("leans to L") && text(browser, "pick-planes").contains("leans to P"));
-    screenshot(browser, "7-no-plan");
+    browser.screenshot("7-no-plan");
     press(browser, "#pick-save");
     wait_for_text(
         browser,
@@ -670,7 +656,7 @@ fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_l
         // Now the scan alone, in its own frame.
         browser.wait_until("osteoflow.picking.armed === 'scan' && osteoflow.scene.drawn.get('scan.cloud').object.visible && !osteoflow.scene.drawn.get('bone.mesh').object.visible");
         if k == 0 {
-            screenshot(browser, "5-scan");
+            browser.screenshot("5-scan");
             // Beside the scan there is no measured point.
             browser.click([40.0, 600.0]);
             wait_for_text(browser, "pick-problem", "there is no point of the scan under the pointer");
@@ -687,7 +673,13 @@ fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_l
         let mm = (point.position - mark).norm();
         assert!(mm < 1.0, "{} is {mm} mm from where it was clicked", point.name);
     }
-    screenshot(browser, "6-pairs");
+    // Back on the bone, seen as it was left.
+    browser.wait_until("osteoflow.scene.drawn.get('bone.mesh').object.visible && osteoflow.scene.isLookedAt");
+    let last = on_bone.last().unwrap().position;
+    let [x, y] = projected(browser, &last);
+    let size: [f64; 2] = serde_json::from_value(browser.evaluate("[innerWidth, innerHeight]")).unwrap();
+    assert!(x > 0.0 && y > 0.0 && x < size[0] && y < size[1], "the last point is out of sight, at {x:.0}, {y:.0}");
+    browser.screenshot("6-pairs");
     // A scan that is replaced takes its points with it.
     let other = "(() => { const { items } = osteoflow.picking.shown; const item = items.get('scan.cloud'); window.before = item; \
         const rows = item.columns.points.rows.map((x) => x + 1); \
@@ -698,7 +690,7 @@ fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_l
     browser.evaluate("osteoflow.picking.item('scan.cloud', 'geometry/Cloud', window.before)");
     press(browser, "#pick-save");
     wait_for_text(browser, "pick-saved", "3 pairs are saved in");
-    assert_eq!(complaints(browser, &served), Vec::<String>::new());
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
     let [bone_points, scan_points] =
         ["bone_points.mrk.json", "scan_points.mrk.json"].map(|f| picks.join("picks-1").join(f));
     assert_eq!(read_picked_points(&bone_points).unwrap().points, on_bone);
@@ -884,5 +876,5 @@ fn the_camera_is_drawn_where_the_frames_have_it_with_the_edges_of_what_it_has_se
     );
     browser.wait_until(&format!("{camera}.object.visible === false && {camera}.object.userData.why === 'lost'"));
     browser.wait_until(&format!("{axes}.children.filter((child) => !child.visible).length >= 2"));
-    assert_eq!(complaints(browser, &served), Vec::<String>::new());
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }

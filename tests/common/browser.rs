@@ -88,6 +88,15 @@ impl Browser {
         Some(browser)
     }
 
+    /// Saves a picture of the page in the folder `SCREENSHOTS`, if it is named, in base64.
+    #[allow(dead_code, reason = "not all tests use it")]
+    pub(crate) fn screenshot(&mut self, name: &str) {
+        let Some(folder) = std::env::var_os("SCREENSHOTS") else { return };
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+        let shot = self.call("Page.captureScreenshot", json!({ "format": "png" }));
+        std::fs::write(Path::new(&folder).join(format!("{name}.b64")), shot["data"].as_str().unwrap()).unwrap();
+    }
+
     /// Sends a command and waits for its answer.
     pub(crate) fn call(&mut self, method: &str, params: Value) -> Value {
         let id = self.next;
@@ -196,21 +205,24 @@ impl Browser {
     }
 
     #[allow(dead_code, reason = "not all tests look at them")]
-    /// Errors that the page has reported, and URLs that it has requested, except its own.
-    pub(crate) fn complaints(&mut self, file: &Path) -> Vec<String> {
+    /// Errors that the page has reported, and addresses that it has asked for, except those that begin with its own; refusals of its own
+    /// requests are shown on the page and are none.
+    pub(crate) fn complaints(&mut self, own: &str) -> Vec<String> {
         // Earlier events have arrived before this answer.
         self.evaluate("1");
-        let own = format!("file://{}", file.display());
         let fetched = |event: &Value| {
             let url = event["params"]["request"]["url"].as_str().unwrap_or_default().to_owned();
-            let inside = url == own || url.starts_with("data:") || url.starts_with("blob:");
+            let inside = url.starts_with(own) || url.starts_with("data:") || url.starts_with("blob:");
             (!inside).then(|| format!("it asked for {url}"))
         };
         let said = |event: &Value| match event["method"].as_str().unwrap_or_default() {
             "Runtime.exceptionThrown" => Some(event["params"]["exceptionDetails"].to_string()),
             "Runtime.consoleAPICalled" if event["params"]["type"] == "error" => Some(event["params"].to_string()),
-            "Log.entryAdded" if event["params"]["entry"]["level"] == "error" => {
-                Some(event["params"]["entry"].to_string())
+            "Log.entryAdded" => {
+                let entry = &event["params"]["entry"];
+                let is_refusal =
+                    entry["source"] == "network" && entry["url"].as_str().is_some_and(|url| url.starts_with(own));
+                (entry["level"] == "error" && !is_refusal).then(|| entry.to_string())
             }
             "Network.requestWillBeSent" => fetched(event),
             _ => None,

@@ -84,7 +84,7 @@ export class Aim {
     const cloud = this.shown.cloud();
     if (!cloud || !this.scene.drawn.get(cloud.wire)?.object.visible) return { why: "no scan is shown" };
     const rows = /** @type {Float64Array} */ (cloud.item.columns.points.rows);
-    const { camera } = this.scene;
+    const camera = this.scene.perspective();
     // Millimetres across at a distance of one, for a reach in pixels.
     const share = (px * 2 * Math.tan((camera.fov * Math.PI) / 360)) / this.rectangle().height;
     /** @type {{off: number, depth: number, at: number}[]} */

@@ -31,6 +31,7 @@ export function showChanges(holder, made, say) {
     entry.append(code, " ", button("take back", () => act(change(key, null))));
     list.append(entry);
   }
+  /** @type {HTMLElement[]} */
   const parts = [list];
   const line = (/** @type {string} */ text) => {
     const part = document.createElement("small");

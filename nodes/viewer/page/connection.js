@@ -50,7 +50,7 @@ export class Connection {
         // A subscription has the number of its channel.
         for (const channel of wanted) this.channels.set(channel.id, channel);
         if (wanted.length === 0) break;
-        const subscriptions = wanted.map(({ id }) => ({ id, channelId: id }));
+        const subscriptions = wanted.map((/** @type {{id: number}} */ { id }) => ({ id, channelId: id }));
         this.socket.send(JSON.stringify({ op: "subscribe", subscriptions }));
         break;
       }

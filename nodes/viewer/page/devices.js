@@ -107,6 +107,7 @@ function lines(ends, colour) {
 /** The camera's place and the edges of what it has seen: near, far and between. @param {number[]} seen */
 function pyramid([x0, x1, y0, y1, near, far]) {
   const at = (/** @type {number} */ z) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map(([x, y]) => [x * z, y * z, z]);
+  /** @type {number[][]} */
   const ends = [];
   for (const z of [near, far]) at(z).forEach((corner, k, all) => ends.push(corner, all[(k + 1) % 4]));
   at(far).forEach((corner) => ends.push([0, 0, 0], corner));

@@ -57,6 +57,7 @@ class Bytes {
  */
 export function readItem(view) {
   const bytes = new Bytes(view);
+  const buffer = /** @type {ArrayBuffer} */ (view.buffer);
   const magic = String.fromCharCode(...new Uint8Array(view.buffer, view.byteOffset + bytes.take(8), 8));
   if (magic !== MAGIC) throw new Error("a message is no recorded item");
   const stampNs = bytes.i64();
@@ -91,7 +92,7 @@ export function readItem(view) {
     if (!Rows || size % Rows.BYTES_PER_ELEMENT !== 0) throw new Error("a column is damaged");
     const length = size / Rows.BYTES_PER_ELEMENT;
     const aligned = at % Rows.BYTES_PER_ELEMENT === 0;
-    const rows = aligned ? new Rows(view.buffer, at, length) : new Rows(view.buffer.slice(at, at + size));
+    const rows = aligned ? new Rows(buffer, at, length) : new Rows(buffer.slice(at, at + size));
     item.columns[name] = { width, rows };
   }
   return item;

@@ -40,6 +40,8 @@ export class Panel {
   constructor(picking, holder) {
     this.picking = picking;
     const button = (/** @type {string} */ text, /** @type {() => void} */ onclick, title = "") => make("button", { textContent: text, onclick, title });
+    /** The planes whose rows are shown, and what names their angles. */
+    this.planeNames = "";
     this.plan = button("pick on the bone", () => picking.enter(picking.mode === "plan" ? null : "plan"), "key p");
     this.pairs = button("pick pairs", () => picking.enter(picking.mode === "pairs" ? null : "pairs"), "the same points on the bone and on the scan");
     this.plan.id = "pick-plan";

@@ -42,13 +42,14 @@ export function unshade(scene) {
     if (!(drawn instanceof THREE.Points) || !drawn.userData.isShaded) continue;
     drawn.userData.isShaded = false;
     drawn.material.size = 2;
-    scene.asked.delete(wire);
+    scene.colours.forget(wire);
   }
 }
 
 /** @param {Scene} scene @param {Vector} at mm @param {Vector} from a direction @param {number} mm what the view shows of it @param {Vector} up */
 export function lookFrom(scene, at, from, mm, up) {
-  const { camera, controls } = scene;
+  const { controls } = scene;
+  const camera = scene.perspective();
   const distance = (mm * MM) / 2 / Math.tan((camera.fov * Math.PI) / 360);
   camera.up.fromArray(Math.abs(dot(unit(up), from)) > 0.95 ? cross(from, [1, 0, 0]) : up);
   controls.target.fromArray(at).multiplyScalar(MM);

@@ -195,7 +195,8 @@ export class RegionTool {
   /** What the view shows inside these places. @param {number[][]} places @returns {Outline | null} */
   outline(places) {
     if (places.length < 3) return null;
-    const { camera, holder } = this.scene;
+    const { holder } = this.scene;
+    const camera = this.scene.perspective();
     camera.updateMatrixWorld();
     const axis = (/** @type {number} */ k) => new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, k).normalize().toArray();
     const eye = camera.position.toArray().map((c) => c / MM);
@@ -209,7 +210,8 @@ export class RegionTool {
   touched(place, limit = TOUCH_PX) {
     if (!this.on) return null;
     const { rows } = this.on;
-    const { camera, holder } = this.scene;
+    const { holder } = this.scene;
+    const camera = this.scene.perspective();
     camera.updateMatrixWorld();
     const matrix = new THREE.Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
     const at = new THREE.Vector3();

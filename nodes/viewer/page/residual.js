@@ -143,7 +143,7 @@ export function residuals(of, points, m) {
 }
 
 // As a worker: a surface, then clouds; each answer has the number of its question.
-if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScope) {
+if ("WorkerGlobalScope" in globalThis) {
   self.onmessage = ({ data }) => {
     if (data.vertices) surface = prepare(data.vertices, data.faces);
     else if (surface) {

@@ -57,6 +57,9 @@ export class ResidualColours {
     this.known.clear();
   }
 
+  /** Asks for the residuals of a cloud once more. @param {string} wire */
+  forget(wire) { this.asked.delete(wire); }
+
   /** Takes a surface to measure from. @param {string} wire @param {import("./message.js").Item} item */
   measureFrom(wire, item) {
     this.surface = wire;

@@ -313,13 +313,20 @@ export class Scene {
     return across.length() > 0 ? across.normalize() : null;
   }
 
+  /** The camera of a view that is picked or drawn on, which is never orthographic. */
+  perspective() {
+    if (this.camera instanceof THREE.PerspectiveCamera) return this.camera;
+    throw new Error("the view is orthographic");
+  }
+
   /**
    * Shows an object alone, in its own coordinates.
    * @param {THREE.Object3D} object
    * @returns {() => void} shows everything again, from where it was seen
    */
   alone(object) {
-    const { position, up, near, far, fov } = this.camera;
+    const camera = this.perspective();
+    const { position, up, near, far, fov } = camera;
     const before = { position: position.clone(), up: up.clone(), target: this.controls.target.clone(), near, far, fov };
     this.solo = object;
     this.scene.add(object);
@@ -327,10 +334,10 @@ export class Scene {
     return () => {
       this.scene.remove(object);
       this.solo = null;
-      Object.assign(this.camera, { near: before.near, far: before.far, fov: before.fov });
-      this.camera.position.copy(before.position);
-      this.camera.up.copy(before.up);
-      this.camera.updateProjectionMatrix();
+      Object.assign(camera, { near: before.near, far: before.far, fov: before.fov });
+      camera.position.copy(before.position);
+      camera.up.copy(before.up);
+      camera.updateProjectionMatrix();
       this.controls.target.copy(before.target);
       this.controls.update();
       this.redraw();
@@ -344,13 +351,14 @@ export class Scene {
    * @param {number} size of what is looked at
    */
   lookFrom(eye, target, up, size) {
+    const camera = this.perspective();
     // All of it, if the narrower side of the view is that of its breadth.
-    this.camera.fov = (360 / Math.PI) * Math.atan((0.55 * size) / eye.distanceTo(target) / Math.min(this.camera.aspect, 2));
-    this.camera.up.copy(up);
-    this.camera.position.copy(eye);
-    this.camera.near = size / 500;
-    this.camera.far = size * 40;
-    this.camera.updateProjectionMatrix();
+    camera.fov = (360 / Math.PI) * Math.atan((0.55 * size) / eye.distanceTo(target) / Math.min(camera.aspect, 2));
+    camera.up.copy(up);
+    camera.position.copy(eye);
+    camera.near = size / 500;
+    camera.far = size * 40;
+    camera.updateProjectionMatrix();
     this.controls.target.copy(target);
     this.controls.update();
     this.redraw();
