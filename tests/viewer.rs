@@ -499,6 +499,7 @@ fn a_damaged_recording_is_shown_as_far_as_it_goes_and_says_so_at_the_top() {
     open(&mut browser, &served);
     browser.wait_until("document.getElementById('problem').hidden === false");
     assert!(browser.evaluate("document.getElementById('problem').textContent").as_str().unwrap().contains("damaged"));
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }
 
 #[test]
@@ -525,6 +526,7 @@ fn a_live_run_shows_what_is_unknown_as_unknown_and_its_planes_once_it_is_trusted
         "osteoflow.verdict.answer === 'trusted' && osteoflow.scene.drawn.get('planes.planes').object.visible",
     );
     let ms = browser.evaluate("(() => { const all = [...osteoflow.frameTimes].sort((a, b) => a - b); return all[Math.floor(0.95 * all.length)]; })()");
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
     println!("the page's script took {ms} ms a frame at 95 %");
     // The page says when the program has gone, and draws no plane of a run that it does not hear any more.
     assert_eq!(served.interrupt().code(), Some(0));

@@ -424,6 +424,7 @@ fn the_page_asks_the_surface_what_the_program_asks() {
     }
     println!("{n_hit} of 500 rays hit, {worst_mm:e} mm between the page and the program");
     assert!(n_hit > 200 && worst_mm < ROUNDING_MM, "{n_hit} hits, {worst_mm} mm");
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }
 
 #[test]
@@ -526,6 +527,7 @@ fn what_cannot_be_picked_or_saved_says_why() {
         "osteoflow.scene.drawn.get('bone.mesh')?.object.visible && osteoflow.scene.drawn.has('picked on the bone')",
     );
     assert_eq!(picked(browser, "landmarks"), picked_now);
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }
 
 #[test]
@@ -617,6 +619,7 @@ fn a_bone_without_a_plan_gets_one_with_a_picked_tip_and_says_what_it_lacks() {
     press(browser, "#pick-save");
     wait_for_text(browser, "pick-problem", "not saved: the points lie on a line");
     assert!(!picks.join("picks-2").exists());
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }
 
 #[test]
