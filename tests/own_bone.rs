@@ -140,6 +140,15 @@ fn a_bone_that_is_open_or_too_short_and_a_plan_without_anatomy_are_refused() {
         let expected = format!("{given} is given, but {lacks} is not");
         assert!(ran.code != 0 && ran.stderr.contains(&expected), "{node}: {}", ran.stderr);
     }
+    // What would change nothing.
+    for node in ["recording", "plan", "bone"] {
+        let of_node = |param: &str, file: &Path| format!("{node}.{param}={}", file.display());
+        let (bone_file, plan_file) = (of_node("bone_file", &stl), of_node("plan_file", &plan));
+        let sets = ["--set", &bone_file, "--set", &plan_file, "--set", &format!("{node}.bone.girth=1.1")];
+        let ran = run("graphs/fibula.toml", &sets);
+        let expected = "it shapes the built-in bone and changes nothing of bone_file";
+        assert!(ran.code == 2 && ran.stderr.contains(expected), "{node}: {} {}", ran.code, ran.stderr);
+    }
 }
 
 #[test]

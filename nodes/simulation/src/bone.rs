@@ -66,6 +66,21 @@ impl Default for BoneParams {
 }
 
 impl BoneParams {
+    /// The first parameter that differs from its default and has no effect on a bone of the user's own.
+    pub fn of_built_in_only(&self) -> Option<&'static str> {
+        let default = Self::default();
+        [
+            ("bone.length_mm", self.length_mm != default.length_mm),
+            ("bone.girth", self.girth != default.girth),
+            ("bone.shape_seed", self.shape_seed != default.shape_seed),
+            ("bone.unevenness_mm", self.unevenness_mm != default.unevenness_mm),
+            ("bone.edge_mm", self.edge_mm != default.edge_mm),
+            ("bone.centre_mm", self.centre_mm != default.centre_mm),
+        ]
+        .into_iter()
+        .find_map(|(name, is_set)| is_set.then_some(name))
+    }
+
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
         check_rules([
             ("bone.length_mm", self.length_mm, self.length_mm >= 100.0, "at least 100"),

@@ -24,12 +24,17 @@ pub struct OwnBone {
 }
 
 impl OwnBone {
-    /// Refuses one file without the other.
-    pub(crate) fn checked(self) -> Result<Self, ParamError> {
+    /// Refuses one file without the other, and files with a parameter of the built-in bone, which would change nothing.
+    pub(crate) fn checked(self, bone: &BoneParams) -> Result<Self, ParamError> {
         let (given, lacks) = match (&self.bone_file, &self.plan_file) {
+            (None, None) => return Ok(self),
             (Some(_), None) => ("bone_file", "plan_file"),
             (None, Some(_)) => ("plan_file", "bone_file"),
-            _ => return Ok(self),
+            (Some(_), Some(_)) => {
+                let Some(name) = bone.of_built_in_only() else { return Ok(self) };
+                let said = "it shapes the built-in bone and changes nothing of bone_file; remove one of the two";
+                return Err(ParamError::new(name, said));
+            }
         };
         let said = format!("{given} is given, but {lacks} is not; a bone of your own needs both");
         Err(ParamError::new(lacks, said))

@@ -45,7 +45,7 @@ impl Source for Simulated {
     type Outputs = ProcedureOut;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        let params = Params { own: params.own.checked()?, ..params };
+        let params = Params { own: params.own.checked(&params.procedure.bone)?, ..params };
         Ok(Self { params, playback: None })
     }
 

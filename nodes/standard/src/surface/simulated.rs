@@ -52,7 +52,7 @@ impl Source for Simulated {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        let params = Params { own: params.own.checked()?, ..params };
+        let params = Params { own: params.own.checked(&params.bone)?, ..params };
         Ok(Self { params, done: false })
     }
 
