@@ -235,12 +235,12 @@ mod tests {
             tube(0.0, 360.0 * 40.0 / 41.0).iter().map(|p| p + Vector3::new(10.0, 20.0, 30.0)).collect();
         let target = Target::new("ct", SurfaceOrigin::Exact, points, None).unwrap();
         let map = NearMap::new(&target);
-        let found = stations(&map, 15.0, 12.0);
+        let found = stations(&map, 30.0, 12.0);
         // Of 100 mm: ten steps and one on, whose half of a scan still touches the end.
         assert_eq!(found.len(), 10);
         let down = found[0].along.z.signum();
         for (k, station) in found.iter().enumerate() {
-            // A piece at an end has its centroid 7.5 mm from it, but the station is where the scan's would be.
+            // A piece at an end has its centroid 15 mm from it, but the station is where the scan's would be.
             let off = station.middle + map.centre().coords - Vector3::new(10.0, 20.0, 30.0);
             let expected = (k as f64 * 12.0 - 50.0) * down;
             // Every fourth point is not quite even around the tube.
