@@ -52,7 +52,8 @@ fn side(target: &Target, noise_mm: f64) -> Cloud {
 fn a_shaft_without_shape_is_as_open_as_it_was_and_one_with_shape_as_closed() {
     let params = SlideParams { along_mm: 12.0, around_deg: 40.0, ..SlideParams::default() };
     let mut text = String::new();
-    let radii: [(&str, fn(f64, f64) -> f64); 4] = [
+    type Radius = fn(f64, f64) -> f64;
+    let radii: [(&str, Radius); 4] = [
         ("cylinder", |_, _| 7.0),
         ("prism", |_, turn| 7.0 + 0.6 * (3.0 * turn).cos()),
         ("cone", |z, _| 7.0 + 0.03 * z + 0.3 * (z / 6.0).sin()),
