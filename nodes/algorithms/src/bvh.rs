@@ -312,3 +312,6 @@ impl Bvh {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

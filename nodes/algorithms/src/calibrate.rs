@@ -14,6 +14,7 @@ pub use pivot::{PivotError, PivotReport, pivot};
 pub use report::{PhantomFit, PhantomReport};
 
 use crate::icp::{self, IcpError, IcpFit, IcpParams, Kernel, Source};
+use crate::kabsch::finite;
 use crate::mesh_query::MeshQuery;
 use crate::sample;
 use crate::target::Target;
@@ -156,6 +157,9 @@ pub fn phantom_icp(
     params: &PhantomParams,
 ) -> Result<PhantomFit, CalibrationError> {
     let target = visible(phantom, params.n_samples as usize)?;
+    if let Some(index) = scan.iter().position(|p| !finite(p)) {
+        return Err(IcpError::NotFinite { what: format!("source point {index}") }.into());
+    }
     let noise_mm = noise::noise_mm(scan).unwrap_or(0.0);
     let scan = Scan::new(scan);
     let start = t_camera_phantom_nominal.inverse();

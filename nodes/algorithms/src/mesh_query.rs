@@ -246,7 +246,7 @@ mod tests {
         for mesh in bone_and_box() {
             let (query, mut rng) = (MeshQuery::new(&mesh), ChaCha8Rng::seed_from_u64(1));
             let mut n_hit = 0;
-            for k in 0..1500 {
+            for k in 0..600 {
                 // Through faces, edges and corners, from outside, from inside, from a face, and from 10 m away.
                 let weights = [[0.2, 0.3], [0.4, 0.0], [0.0, 0.0]][k % 3];
                 let through = on_face(&mesh, &mut rng, weights);
@@ -257,7 +257,7 @@ mod tests {
                 check_ray(&query, &origin, &drawn(&mut rng, 1.0));
             }
             // A ray through a corner of the outline may miss by rounding.
-            assert!(n_hit > 1000, "{n_hit} of 1500 rays hit");
+            assert!(n_hit > 400, "{n_hit} of 600 rays hit");
         }
     }
 
@@ -286,7 +286,7 @@ mod tests {
     fn closest_points_are_those_of_a_search_of_all_faces() {
         for mesh in bone_and_box() {
             let (query, mut rng) = (MeshQuery::new(&mesh), ChaCha8Rng::seed_from_u64(3));
-            for k in 0..1500 {
+            for k in 0..600 {
                 let on = on_face(&mesh, &mut rng, [[0.2, 0.3], [0.4, 0.0], [0.0, 0.0]][k % 3]);
                 check_closest(&query, &on);
                 let reach = [0.01, 3.0, 50.0, 3000.0][k % 4];

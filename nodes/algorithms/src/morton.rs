@@ -94,4 +94,42 @@ mod tests {
         assert!(length < 2.0 * 4096.0, "walk of {length} mm through a 64 mm grid of 1 mm");
         assert_eq!(order(&[Point3::origin(); 3]).len(), 3);
     }
+
+    #[test]
+    fn a_code_interleaves_the_bits_of_its_cell() {
+        let code = |x: u32, y: u32, z: u32| code(&Vector3::new(f64::from(x), f64::from(y), f64::from(z)));
+        assert_eq!([code(1, 0, 0), code(0, 1, 0), code(0, 0, 1)], [0b001, 0b010, 0b100]);
+        assert_eq!(code(0b11_0101_1010, 0, 0), 0b001_001_000_001_000_001_001_000_001_000);
+        assert_eq!(
+            [code(1023, 0, 0) | code(0, 1023, 0) | code(0, 0, 1023), code(1023, 1023, 1023)],
+            [(1 << 30) - 1; 2]
+        );
+        for bit in 0..10 {
+            assert_eq!([code(1 << bit, 0, 0), code(0, 1 << bit, 0)], [1 << (3 * bit), 2 << (3 * bit)]);
+        }
+    }
+
+    #[test]
+    fn both_orders_are_along_the_curve_through_the_bounding_box_and_stable_within_a_cell() {
+        // In cells of an extent of 1023, so that each is one unit wide.
+        let cells: Vec<[u32; 3]> = (0..600_u32)
+            .map(|k| [k * 397 % 1024, k * 211 % 1023, k * k % 1021])
+            .chain([[0; 3], [1023, 5, 9]])
+            .collect();
+        let points: Vec<Point3<f64>> =
+            cells.iter().chain(&cells[..50]).map(|c| Point3::from(c.map(|c| f64::from(c) - 300.0))).collect();
+        let mut expected: Vec<(u32, u32)> =
+            points.iter().zip(0..).map(|(p, i)| (code(&(p.coords + Vector3::repeat(300.0))), i)).collect();
+        expected.sort_unstable();
+        let expected: Vec<u32> = expected.into_iter().map(|(_, i)| i).collect();
+        assert_eq!(order(&points), expected);
+        let vectors: Vec<Vector3<f64>> = points.iter().map(|p| p.coords).collect();
+        assert_eq!(order_by_index(&vectors), expected);
+        // Within a cell the first goes by coordinates, the second by index.
+        let close = [[0.5, 0.0, 0.0], [0.25, 0.5, 0.0], [0.25, 0.0, 0.5], [0.25, 0.0, 0.0], [1023.0; 3]];
+        assert_eq!(order(&close.map(Point3::from)), [3, 2, 1, 0, 4]);
+        assert_eq!(order_by_index(&close.map(Vector3::from)), [0, 1, 2, 3, 4]);
+        assert_eq!(order_by_index(&[Vector3::x(); 3]), [0, 1, 2]);
+        assert!(order(&[]).is_empty() && order_by_index(&[]).is_empty());
+    }
 }

@@ -274,3 +274,43 @@ fn refined(
     let fit = icp::register(method, target, source, start, &params, &mut |_| ControlFlow::Continue(()));
     fit.ok().map(|fit| fit.t_target_source)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::SurfaceOrigin;
+
+    #[test]
+    fn poses_no_closer_than_the_limit_to_an_earlier_one_are_distinct() {
+        let points: Vec<Vector3<f64>> = (0..9).map(|k| Vector3::new(f64::from(k), 0.0, 0.0)).collect();
+        let at = |score: f64, mm: f64| (score, Placed::translation(0.0, mm, 0.0));
+        let poses = vec![at(0.1, 0.0), at(0.2, 4.0), at(0.3, 4.1), at(0.4, -4.1), at(0.5, 8.2), at(0.6, 20.0)];
+        let scores = |n: usize| distinct(poses.clone(), &points, 4.0, n).iter().map(|p| p.0).collect::<Vec<_>>();
+        assert_eq!(scores(9), [0.1, 0.3, 0.4, 0.5, 0.6]);
+        assert_eq!(scores(3), [0.1, 0.3, 0.4]);
+        assert!(scores(0).is_empty());
+        // The points 0, 2, 4, 6 and 8 mm off the axis move by 2 mm RMS each at a turn of 0.4082 rad.
+        let turned = |rad: f64| (0.9, Placed::rotation(Vector3::z() * rad));
+        let n = |rad: f64| distinct(vec![at(0.1, 0.0), turned(rad)], &points, 2.0, 9).len();
+        let limit = 2.0 * (2.0 / 2.0 / 24.0_f64.sqrt()).asin();
+        assert_eq!([n(limit - 1e-6), n(limit + 1e-6)], [1, 2], "{limit} rad");
+    }
+
+    #[test]
+    fn points_are_thinned_evenly_and_scored_by_their_distance_along_the_normals_up_to_the_reach() {
+        let points: Vec<Point3<f64>> = (0..10).map(|k| Point3::new(f64::from(k), 0.0, 0.0)).collect();
+        let xs = |n: usize| thinned(&points, n).iter().map(|p| p.x).collect::<Vec<_>>();
+        assert_eq!((xs(3), xs(10).len(), xs(100).len()), (vec![0.0, 4.0, 8.0], 10, 10));
+        let up = Some(vec![Vector3::z(); 10].into());
+        let target = |normals| Target::new("ct", SurfaceOrigin::Exact, points.clone(), normals).unwrap();
+        let (with_normals, without) = (target(up), target(None));
+        // 0.3 mm aside and 0.4 above; 5 mm above is beyond the reach.
+        let scan = [Point3::new(3.0, 0.3, 0.4), Point3::new(3.0, 0.0, 5.0)];
+        let rms = |a: f64, b: f64| ((a * a + b * b) / 2.0).sqrt();
+        let t = Isometry3::translation(2.0, 0.0, 0.0);
+        assert!((score(&with_normals, &scan, &t, 2.0) - rms(0.4, 2.0)).abs() < 1e-12);
+        assert!((score(&without, &scan, &t, 2.0) - rms(0.5, 2.0)).abs() < 1e-12);
+        assert!((score(&without, &scan, &t, 6.0) - rms(0.5, 5.0)).abs() < 1e-12);
+        assert_eq!(score(&without, &[], &t, 6.0), 0.0);
+    }
+}

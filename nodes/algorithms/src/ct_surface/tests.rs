@@ -224,11 +224,12 @@ fn the_suggested_threshold_is_half_way_between_soft_tissue_and_bone() {
     assert!((found - 24.0).abs() < 0.1, "{found}");
 }
 
-/// Thirty million voxels as of a leg: prints the time, which other work on the machine lengthens.
+/// With `SLOW_TESTS` of thirty million voxels: prints the time, about a second in release.
 #[test]
-fn thirty_million_voxels_take_about_a_second() {
-    let size = [320, 320, 300];
-    let t = centred(size, grid([0.7, 0.7, 1.0], [0.0; 3], Vector3::zeros(), false));
+fn the_two_bones_of_a_leg_are_two_components_and_the_marrow_of_one_is_filled() {
+    let coarse = if std::env::var_os("SLOW_TESTS").is_some() { 1 } else { 2 };
+    let size = [320, 320, 300].map(|n| n / coarse);
+    let t = centred(size, grid([0.7, 0.7, 1.0].map(|mm| mm * coarse as f64), [0.0; 3], Vector3::zeros(), false));
     let shell = |p: Point3<f64>, x: f64, radius: f64| {
         let r = (p.x - x).hypot(p.y);
         edge(r - radius).min(edge(radius - 5.0 - r))
@@ -242,5 +243,4 @@ fn thirty_million_voxels_take_about_a_second() {
     let seconds = start.elapsed().as_secs_f64();
     println!("{} voxels, {} vertices: {seconds:.2} s", volume.voxels.len(), surface.vertices.len());
     assert_eq!((surface.n_components, surface.n_filled), (2, 1));
-    assert!(seconds < 15.0, "{seconds} s");
 }

@@ -141,13 +141,13 @@ fn the_normal_is_the_derivative_of_the_distance() {
 
 #[test]
 fn the_coarse_grid_points_towards_the_surface_from_far_off() {
-    let field = of_mesh(&shaft());
+    let (field, query) = (of_mesh(&shaft()), MeshQuery::new(&shaft()));
     for place in near(&drawn(&shaft(), 500, 9), 0.0, 9) {
         let away = (place - field.centre()).xy().push(0.0).normalize();
         let far = place + away * 12.0;
         let Some(found) = field.at(&far) else { panic!("nothing at {far}") };
         let foot = far - found.normal * found.distance_mm;
-        let exact = MeshQuery::new(&shaft()).closest_point(&foot).unwrap().distance_mm;
+        let exact = query.closest_point(&foot).unwrap().distance_mm;
         assert!(exact < 0.5, "{exact} mm from the surface after one step of {} mm", found.distance_mm);
     }
 }

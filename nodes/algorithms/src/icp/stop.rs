@@ -110,3 +110,46 @@ pub(super) fn rules(
         ),
     ]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_remaining_distance_is_the_sum_of_a_geometric_series() {
+        let mut rate = ConvergenceRate::default();
+        // Half a step follows each of an unknown rate.
+        assert_eq!(rate.remaining_mm(4.0), Some(8.0));
+        assert_eq!(rate.remaining_mm(1.0), Some(1.0 / 0.75));
+        assert_eq!(rate.remaining_after_mm(1.0), Some(1.0 / 0.75 * 0.25));
+        rate.at_least(0.5);
+        assert_eq!(rate.remaining_mm(0.25), Some(0.5), "no faster than told");
+        rate.at_least(0.99);
+        assert!((rate.remaining_mm(0.1).unwrap() - 1.0).abs() < 1e-12, "what is told counts up to 0.9");
+        assert_eq!(rate.remaining_mm(0.2), None, "steps grow");
+        assert_eq!(rate.remaining_mm(0.0), Some(0.0));
+        let mut rate = ConvergenceRate::default();
+        assert_eq!([rate.remaining_mm(0.0), rate.remaining_mm(1.0)], [Some(0.0), Some(2.0)], "no rate from nothing");
+        let mut slow = ConvergenceRate::default();
+        slow.remaining_mm(1.0);
+        assert!((slow.remaining_mm(0.9999).unwrap() - 999.9).abs() < 1e-6, "at most a thousand steps");
+    }
+
+    #[test]
+    fn rules_say_their_limit_the_last_value_and_whether_it_was_met() {
+        let params = IcpParams { stop_step_mm: 0.5, stop_step_rad: 0.25, max_iterations: 7, ..IcpParams::default() };
+        let met = |reason, iterations, remaining_mm, step_rad| {
+            let rules = rules(&params, reason, iterations, remaining_mm, step_rad, Some(0.125));
+            let names = ["stop_step_mm", "stop_step_rad", "stop_residual_mm", "stop_after_ms", "max_iterations"];
+            assert_eq!(rules.iter().map(|rule| rule.parameter.as_str()).collect::<Vec<_>>(), names);
+            assert_eq!(rules.iter().map(|rule| rule.limit).collect::<Vec<_>>(), [0.5, 0.25, 0.0, 0.0, 7.0]);
+            let last = [remaining_mm, Some(step_rad), Some(0.125), None, Some(f64::from(iterations))];
+            assert_eq!(rules.iter().map(|rule| rule.last).collect::<Vec<_>>(), last);
+            rules.iter().map(|rule| rule.met).collect::<Vec<_>>()
+        };
+        let [yes, no] = [true, false];
+        assert_eq!(met(StopReason::Step, 6, Some(0.5), 0.25), [yes, yes, no, no, no]);
+        assert_eq!(met(StopReason::Residual, 7, Some(0.51), 0.26), [no, no, yes, no, yes]);
+        assert_eq!(met(StopReason::Time, 8, None, 0.0), [no, yes, no, yes, yes]);
+    }
+}

@@ -317,7 +317,7 @@ fn variants() -> impl Iterator<Item = (Method, IcpParams, String)> {
 
 #[test]
 fn metres_and_kilometres_away_every_variant_gives_the_same_answer() {
-    let (mesh, source) = (shaft(), source(&shaft(), 3000));
+    let (mesh, source) = (shaft(), source(&shaft(), 1200));
     let here = whole_target(&mesh, 20_000);
     // The farther is just within the limit of coordinates.
     for (far_mm, tolerance_mm) in [(1e4, 1e-6), (9.99e6, 1e-4)] {
@@ -343,11 +343,10 @@ fn threads_change_no_bit_of_any_variant() {
     let (target, source) = (whole_target(&shaft(), 20_000), source(&shaft(), 3000));
     for (method, params, name) in variants() {
         let params = IcpParams { trim_fraction: 0.05, max_normal_angle_deg: 60.0, ..params };
-        let [one, two, eight] = [1, 2, 8].map(|n| {
+        let [one, eight] = [1, 8].map(|n| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
             pool.install(|| register(method, &target, &source, &start(), &params, &mut go_on).unwrap())
         });
-        assert_eq!(one, two, "{name}");
         assert_eq!(one, eight, "{name}");
     }
 }

@@ -154,6 +154,7 @@ mod tests {
         points.extend(sheet(400).iter().map(|p| Point3::from(p.coords * 0.02)));
         let cells = cells_of(&points);
         let (mut n_served, mut n_full) = (0, 0);
+        let (mut n_searches, mut n_kept, mut free_mm) = (0, 0, 0.0);
         for k in 0..400_usize {
             let query = points[k * 16].coords + Vector3::new(0.3, -0.2, 0.1) * (k % 3) as f64;
             for limit_mm in [0.2, 1.0, 50.0] {
@@ -161,6 +162,7 @@ mod tests {
                 let kept: Vec<u32> =
                     around.places[..around.n as usize].iter().map(|p| cells.items[*p as usize]).collect();
                 n_full += usize::from(kept.len() == MOST_KEPT);
+                (n_searches, n_kept, free_mm) = (n_searches + 1, n_kept + kept.len(), free_mm + around.free_mm);
                 let mut distances: Vec<(f64, u32)> =
                     points.iter().map(|p| (p.coords - query).norm()).zip(0..).collect();
                 distances.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -179,5 +181,8 @@ mod tests {
             }
         }
         assert!(n_served > 200 && n_full > 10, "{n_served} served, {n_full} full");
+        // Of the ball: a smaller one serves fewer queries, and more points take longer.
+        let means = [n_kept as f64, free_mm].map(|sum| sum / f64::from(n_searches));
+        assert_eq!(format!("{n_searches} {n_served} {n_full} {means:.4?}"), "400 310 16 [2.3500, 0.2186]");
     }
 }

@@ -126,3 +126,135 @@ pub(super) fn stations(map: &NearMap, half_length_mm: f64, slide_mm: f64) -> Vec
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::target::Target;
+    use osteoflow_geometry::SurfaceOrigin;
+
+    /// Points of a tube along z of radius 5 mm, from -50 to 50 mm, between two angles from x.
+    fn tube(from_deg: f64, to_deg: f64) -> Vec<Point3<f64>> {
+        (0..4141)
+            .map(|k| {
+                let (turn, z) = (f64::from(k % 41) / 40.0, f64::from(k / 41) - 50.0);
+                let (sin, cos) = (from_deg + turn * (to_deg - from_deg)).to_radians().sin_cos();
+                Point3::new(5.0 * cos, 5.0 * sin, z)
+            })
+            .collect()
+    }
+
+    fn cloud(points: Vec<Point3<f64>>) -> Cloud {
+        Cloud::new("scan", points).unwrap()
+    }
+
+    fn assert_near(found: &Vector3<f64>, expected: [f64; 3]) {
+        assert!((found - Vector3::from(expected)).norm() < 1e-9, "{found} is not {expected:?}");
+    }
+
+    #[test]
+    fn a_scan_lies_along_its_longest_side_and_its_outside_is_towards_the_camera_or_where_it_bulges() {
+        let points = tube(30.0, 150.0);
+        let bare = Scan::new(&cloud(points.clone())).unwrap();
+        assert_near(&(bare.along * bare.along.z), [0.0, 0.0, 1.0]);
+        assert_near(&bare.outward, [0.0, 1.0, 0.0]);
+        assert!((bare.half_length_mm - 50.0).abs() < 1e-9 && bare.camera.is_none());
+        assert_near(&bare.middle.coords, [0.0, centroid(&points).y, 0.0]);
+        // The other way round, the camera decides, not the bulge; what it has along the scan does not count.
+        for (camera, outward) in [([0.0, -90.0, 70.0], [0.0, -1.0, 0.0]), ([0.0, 90.0, -300.0], [0.0, 1.0, 0.0])] {
+            let seen = cloud(points.clone()).seen_from(Isometry3::translation(camera[0], camera[1], camera[2]));
+            let scan = Scan::new(&seen).unwrap();
+            assert_near(&scan.outward, outward);
+            assert_eq!(scan.camera, Some(Point3::from(camera)));
+            let about = scan.seen(&[]).camera.unwrap();
+            assert_near(&about, (Point3::from(camera) - scan.middle).into());
+        }
+        let hollow = Scan::new(&cloud(tube(210.0, 330.0))).unwrap();
+        assert_near(&hollow.outward, [0.0, -1.0, 0.0]);
+        let few = bare.thinned(&points, 1000);
+        assert_eq!(few.len(), 829, "every fifth of 4141");
+        assert_near(&few[1], (points[5] - bare.middle).into());
+        assert_eq!(bare.thinned(&points[..7], 1000).len(), 7);
+    }
+
+    #[test]
+    fn a_scan_of_few_points_or_hardly_longer_than_wide_is_refused() {
+        let sheet = |nx: u32, nz: u32| -> Cloud {
+            cloud((0..nx * nz).map(|k| Point3::new(f64::from(k % nx), 0.0, f64::from(k / nx))).collect())
+        };
+        assert_eq!(Scan::new(&sheet(1, 199)).err(), Some(GlobalError::TooFew { n: 199, needed: 200 }));
+        assert!(Scan::new(&sheet(4, 50)).is_ok());
+        // The variance of n points in a row is (n² - 1) / 12.
+        let elongation = ((29.0_f64 * 29.0 - 1.0) / (20.0 * 20.0 - 1.0)).sqrt();
+        match Scan::new(&sheet(20, 29)).err() {
+            Some(GlobalError::NoDirection { elongation: found, needed: 1.5 }) => {
+                assert!((found - elongation).abs() < 1e-9, "{found}");
+            }
+            other => panic!("{other:?}"),
+        }
+        assert!(Scan::new(&sheet(20, 31)).is_ok());
+    }
+
+    #[test]
+    fn axes_and_variances_of_points_come_the_longest_first() {
+        let points: Vec<Point3<f64>> = [[1.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0]]
+            .into_iter()
+            .flat_map(|p| [1.0, -1.0].map(|sign| Point3::from(Vector3::from(p) * sign + Vector3::new(7.0, 8.0, 9.0))))
+            .collect();
+        let (middle, axes, variances) = principal(&points);
+        assert_near(&middle.coords, [7.0, 8.0, 9.0]);
+        assert_near(&variances.into(), [3.0, 4.0 / 3.0, 1.0 / 3.0]);
+        assert_eq!(axes.map(|axis| axis.iamax()), [1, 2, 0]);
+    }
+
+    #[test]
+    fn a_scan_is_laid_along_a_station_and_turned_about_it_both_ways_round() {
+        let points = tube(30.0, 150.0);
+        let scan = Scan::new(&cloud(points)).unwrap();
+        let (middle, along, side) = (Vector3::new(1.0, 2.0, 3.0), Vector3::x(), Vector3::y());
+        let station = Station { middle, along, side, radius_mm: 4.0 };
+        // A quarter of a turn from y about x is z; the centroid is 0.6 of the radius off the axis.
+        for (turn, outward, along) in [
+            (0, Vector3::y(), 1.0),
+            (3, Vector3::z(), 1.0),
+            (6, -Vector3::y(), 1.0),
+            (11, Vector3::new(0.0, 0.75_f64.sqrt(), -0.5), 1.0),
+            (12, Vector3::y(), -1.0),
+            (15, Vector3::z(), -1.0),
+        ] {
+            let placed = station.place(&scan, turn, 12);
+            assert_near(&placed.translation.vector, (middle + outward * 2.4).into());
+            assert_near(&(placed.rotation * scan.outward), outward.into());
+            assert_near(&(placed.rotation * scan.along), [along, 0.0, 0.0]);
+        }
+    }
+
+    #[test]
+    fn stations_follow_the_axis_of_a_tube_from_end_to_end() {
+        let points: Vec<Point3<f64>> =
+            tube(0.0, 360.0 * 40.0 / 41.0).iter().map(|p| p + Vector3::new(10.0, 20.0, 30.0)).collect();
+        let target = Target::new("ct", SurfaceOrigin::Exact, points, None).unwrap();
+        let map = NearMap::new(&target);
+        let found = stations(&map, 30.0, 12.0);
+        // Of 100 mm: ten steps and one on, whose half of a scan still touches the end.
+        assert_eq!(found.len(), 10);
+        let down = found[0].along.z.signum();
+        for (k, station) in found.iter().enumerate() {
+            // A piece at an end has its centroid 15 mm from it, but the station is where the scan's would be.
+            let off = station.middle + map.centre().coords - Vector3::new(10.0, 20.0, 30.0);
+            let expected = (k as f64 * 12.0 - 50.0) * down;
+            // Every fourth point is not quite even around the tube.
+            assert!((off.z - expected).abs() < 0.4 && off.xy().norm() < 0.4, "station {k} is at {off}");
+            assert!((station.along.z * down - 1.0).abs() < 1e-3 && station.side.dot(&station.along).abs() < 1e-9);
+            assert!((station.radius_mm - 5.0).abs() < 0.1, "{} mm", station.radius_mm);
+        }
+        let scan = Scan::new(&cloud(tube(30.0, 150.0))).unwrap();
+        let placed = found[4].place(&scan, 5, 12);
+        let motion = scan.motion_of(&map, &placed);
+        assert_near(&(motion * scan.middle).coords, (map.centre().coords + placed.translation.vector).into());
+        assert_eq!(motion.rotation, placed.rotation);
+        let far = stations(&map, 0.3, 12.0);
+        // A ring of 41 points, every fourth of which is kept, is as wide as long: the axis is that of the tube.
+        assert!(far.iter().all(|s| (s.along.z.abs() - 1.0).abs() < 1e-3), "{} stations", far.len());
+    }
+}

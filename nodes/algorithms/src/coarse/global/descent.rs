@@ -109,4 +109,73 @@ mod tests {
         }
         assert!((rms(&points) - f64::sqrt((4.0 + 9.0 + 9.0) / 4.0)).abs() < 1e-12);
     }
+
+    /// A plate of 25 mm, 0.5 mm between samples, with edges of the heights of a bowl.
+    fn bowl() -> (NearMap, Vec<Vector3<f64>>) {
+        let at = |k: i32| (f64::from(k % 101 - 50) * 0.5, f64::from(k / 101 - 50) * 0.5);
+        let height = |x: f64, y: f64| 0.02 * x * x + 0.01 * y * y + 0.004 * x * y;
+        let points: Vec<Point3<f64>> = (0..101 * 101).map(at).map(|(x, y)| Point3::new(x, y, height(x, y))).collect();
+        let normals: Vec<Vector3<f64>> = (0..101 * 101)
+            .map(at)
+            .map(|(x, y)| Vector3::new(-0.04 * x - 0.004 * y, -0.02 * y - 0.004 * x, 1.0).normalize())
+            .collect();
+        let target = Target::new("ct", SurfaceOrigin::Exact, points.clone(), Some(normals.into())).unwrap();
+        let map = NearMap::new(&target);
+        let scan = points.iter().step_by(17).map(|p| p - map.centre()).filter(|p| p.xy().amax() < 15.0).collect();
+        (map, scan)
+    }
+
+    #[test]
+    fn a_step_is_the_minimum_of_the_linearised_cost_and_more_of_them_come_back() {
+        let (map, points) = bowl();
+        let scan = Points { points: &points, camera: None };
+        let start = Placed::new(Vector3::new(0.3, -0.2, 0.5), Vector3::new(0.02, -0.03, 0.01));
+        // Nothing is lowered by a step of another length along its direction.
+        let one = descend(&map, &scan, &start, 3.0, 1);
+        let along = |share: f64| {
+            let turn = (one.rotation * start.rotation.inverse()).scaled_axis() * share;
+            let shift = (one.translation.vector - start.translation.vector) * share;
+            Placed::from_parts((start.translation.vector + shift).into(), UnitQuaternion::new(turn) * start.rotation)
+        };
+        let scores = [0.0, 0.8, 1.0, 1.2].map(|share| score(&map, &scan, &along(share), 3.0));
+        assert!(scores[2] < 0.2 * scores[0] && scores[2] < scores[1] && scores[2] < scores[3], "{scores:?}");
+        let end = descend(&map, &scan, &start, 3.0, 30);
+        let off = (end.translation.vector.norm(), end.rotation.angle());
+        // The samples nearest on the map are up to a millimetre aside of the closest, on a bowl that hardly holds it sideways.
+        assert!(off.0 < 0.4 && off.1 < 0.01, "{off:?}");
+        assert_eq!(descend(&map, &scan, &start, 3.0, 0), start);
+        let text = format!(
+            "{:.6?} {:.6?}",
+            <[f64; 3]>::from(one.translation.vector),
+            <[f64; 3]>::from(one.rotation.scaled_axis())
+        );
+        assert_eq!(text, "[0.267242, -0.174015, -0.006467] [-0.002548, -0.011321, 0.001385]");
+    }
+
+    #[test]
+    fn eleven_pairs_are_too_few_for_a_step_and_those_beyond_the_reach_are_none() {
+        let (map, points) = bowl();
+        let start = Placed::translation(0.0, 0.0, 0.4);
+        let some = |n: usize| points.iter().step_by(points.len() / 12).take(n).copied().collect::<Vec<_>>();
+        let moves = |points: &[Vector3<f64>], reach_mm: f64, camera: Option<Vector3<f64>>| {
+            descend(&map, &Points { points, camera }, &start, reach_mm, 1) != start
+        };
+        assert!(!moves(&some(11), 3.0, None) && moves(&some(12), 3.0, None));
+        assert!(!moves(&points, 0.3, None) && moves(&points, 0.41, None));
+        // The far side of the plate is not seen by a camera below it.
+        let far = [Vector3::z() * 500.0, -Vector3::z() * 500.0].map(|camera| moves(&points, 3.0, Some(camera)));
+        assert_eq!(far, [true, false]);
+        let score = |z: f64| score(&map, &Points { points: &points, camera: Some(Vector3::z() * z) }, &start, 2.0);
+        assert!((score(-500.0) - 2.0).abs() < 1e-12 && score(500.0) < 0.41, "{} {}", score(-500.0), score(500.0));
+    }
+
+    #[test]
+    fn samples_without_normals_pull_along_the_distance_to_them() {
+        let points = vec![Point3::origin(), Point3::new(0.0, 0.0, 40.0)];
+        let map = NearMap::new(&Target::new("ct", SurfaceOrigin::Exact, points, None).unwrap());
+        let near = |x: f64, y: f64| residual(&map, &Vector3::new(x, y, -20.0), None, 5.0);
+        assert_eq!(near(3.0, 4.0), Some((Vector3::new(0.6, 0.8, 0.0), 5.0)));
+        assert_eq!(near(3.0, 4.01), None);
+        assert_eq!(near(0.0, 0.0), None);
+    }
 }

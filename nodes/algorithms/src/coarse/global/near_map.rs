@@ -35,6 +35,11 @@ pub(crate) struct Sample {
     pub(crate) normal: Vector3<f64>,
 }
 
+/// Edge of the voxels over this extent, mm.
+fn voxel_mm(extent: &Vector3<f64>) -> f64 {
+    VOXEL_MM.max((extent.product() / MAX_VOXELS).cbrt())
+}
+
 impl NearMap {
     pub(crate) fn new(target: &Target) -> Self {
         let centre = target.index().centre;
@@ -49,7 +54,7 @@ impl NearMap {
         let first = samples[0].point;
         let (min, max) = samples.iter().fold((first, first), |(a, b), s| (a.inf(&s.point), b.sup(&s.point)));
         let extent = (max - min).add_scalar(2.0 * MARGIN_MM);
-        let voxel_mm = VOXEL_MM.max((extent.product() / MAX_VOXELS).cbrt());
+        let voxel_mm = voxel_mm(&extent);
         let size: [usize; 3] = std::array::from_fn(|k| (extent[k] / voxel_mm).ceil() as usize + 1);
         let origin = min.add_scalar(-MARGIN_MM);
         let mut map = Self { origin, centre, voxel_mm, size, nearest: vec![NONE; size.iter().product()], samples };
@@ -137,5 +142,81 @@ impl NearMap {
     /// The mapped samples.
     pub(crate) fn samples(&self) -> &[Sample] {
         &self.samples
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::SurfaceOrigin;
+
+    fn map(points: Vec<Point3<f64>>, normals: Option<Vec<Vector3<f64>>>) -> NearMap {
+        NearMap::new(&Target::new("ct", SurfaceOrigin::Exact, points, normals.map(Into::into)).unwrap())
+    }
+
+    #[test]
+    fn each_voxel_has_a_sample_nearly_as_near_to_its_middle_as_the_nearest() {
+        let points: Vec<Point3<f64>> = (0..900_u32)
+            .map(|k| {
+                let (turn, z) = (f64::from(k) * 2.4, f64::from(k) * 0.05);
+                Point3::new(6.0 * turn.cos() + 100.0, 9.0 * turn.sin(), z)
+            })
+            .collect();
+        let map = map(points, None);
+        // 8 mm more on each side, in voxels of 2 mm, and one more.
+        assert_eq!((map.size, map.voxel_mm), ([15, 18, 32], 2.0));
+        let (mut worst, mut n_exact) = (0.0_f64, 0);
+        for voxel in 0..map.nearest.len() {
+            let middle = map.middle(voxel);
+            assert_eq!(map.voxel(&middle), Some(voxel));
+            let distance = |s: &Sample| (s.point - middle).norm();
+            let least = map.samples.iter().map(distance).fold(f64::INFINITY, f64::min);
+            let found = distance(map.near(&middle).unwrap());
+            worst = worst.max(found - least);
+            n_exact += usize::from(found == least);
+        }
+        // What a neighbour does not have is not offered; Danielsson's error is below a voxel.
+        assert!(worst < 2.0, "{worst} mm");
+        assert_eq!((n_exact, map.nearest.len()), (5030, 8640), "exact ones of all");
+        let corner = map.origin + Vector3::from(map.size.map(|n| n as f64)) * 2.0;
+        let inside = Vector3::repeat(1e-6);
+        assert_eq!(map.voxel(&map.origin), Some(0));
+        assert_eq!(map.voxel(&(corner - inside)), Some(map.nearest.len() - 1));
+        for axis in 0..3 {
+            let mut outside = [map.origin + inside, corner - inside];
+            outside[0][axis] -= 0.5;
+            outside[1][axis] += 0.5;
+            assert!(outside.iter().all(|p| map.voxel(p).is_none() && map.near(p).is_none()), "axis {axis}");
+        }
+    }
+
+    #[test]
+    fn the_neighbours_of_a_voxel_are_those_across_its_six_faces() {
+        let map = map(vec![Point3::origin(), Point3::new(4.0, 0.0, 8.0)], None);
+        let [nx, ny, nz] = map.size;
+        assert_eq!([nx, ny, nz], [11, 9, 13]);
+        let at = |x: usize, y: usize, z: usize| (x * ny + y) * nz + z;
+        let sorted = |voxel: usize| {
+            let mut found: Vec<usize> = map.neighbours(voxel).collect();
+            found.sort_unstable();
+            found
+        };
+        assert_eq!(sorted(at(5, 4, 6)), [at(4, 4, 6), at(5, 3, 6), at(5, 4, 5), at(5, 4, 7), at(5, 5, 6), at(6, 4, 6)]);
+        assert_eq!(sorted(0), [at(0, 0, 1), at(0, 1, 0), at(1, 0, 0)]);
+        assert_eq!(sorted(at(10, 8, 12)), [at(9, 8, 12), at(10, 7, 12), at(10, 8, 11)]);
+    }
+
+    #[test]
+    fn many_samples_are_thinned_keep_their_normals_and_make_a_large_surface_coarse() {
+        let points: Vec<Point3<f64>> = (0..40_001).map(|k| Point3::new(f64::from(k) * 0.01, 300.0, -50.0)).collect();
+        let normals = (0..40_001).map(|k| Vector3::new(f64::from(k), 0.0, 1.0)).collect();
+        let map = map(points.clone(), Some(normals));
+        assert_eq!(map.samples().len(), 13_334, "every third");
+        let third = map.samples()[1];
+        assert_eq!(third.normal, Vector3::new(3.0, 0.0, 1.0));
+        assert!((third.point + map.centre().coords - points[3].coords).norm() < 1e-9);
+        // 200 by 200 by 400 mm are two million voxels of 2 mm; eight times the volume makes them twice as wide.
+        assert_eq!(voxel_mm(&Vector3::new(30.0, 30.0, 400.0)), 2.0);
+        assert!((voxel_mm(&Vector3::new(400.0, 400.0, 800.0)) - 4.0).abs() < 1e-9);
     }
 }
