@@ -337,6 +337,11 @@ impl Port {
         self.spare = items;
     }
 
+    #[cfg(test)]
+    pub(crate) fn spare_capacity(&self) -> usize {
+        self.spare.capacity()
+    }
+
     /// Keeps the newest item not after `stamp_ns`, the earliest stamp that can still be asked for.
     pub(crate) fn advance(&mut self, stamp_ns: StampNs) {
         if self.is_sampler() {
