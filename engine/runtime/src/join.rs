@@ -384,20 +384,19 @@ impl Joiner {
         if self.fired {
             return Anchor::Ended;
         }
-        let mut constants = self.ports.iter().filter(|p| p.is_once());
+        let constants = self.ports.iter().filter(|p| p.is_once());
         if constants.clone().any(|p| p.kept.is_none() && !p.ended) {
             return Anchor::Wait;
         }
-        let stamp = constants.clone().filter_map(|p| p.kept.as_ref().map(|item| item.stamp_ns)).max();
-        let samplers_pending = constants.next().is_none() && self.ports.iter().any(|p| p.is_sampler() && !p.ended);
-        if samplers_pending { Anchor::Wait } else { Anchor::At(stamp.unwrap_or(0)) }
+        let stamp = constants.filter_map(|p| p.kept.as_ref().map(|item| item.stamp_ns)).max();
+        Anchor::At(stamp.unwrap_or(0))
     }
 
     /// Activation at `anchor`; `None` if more must be offered first.
     fn activate(&mut self, anchor: StampNs) -> Option<Activation> {
         let anchored = self.stamps_are_anchored();
         let mut stamp_ns = anchor.max(self.last_stamp);
-        for port in self.ports.iter_mut().filter(|p| p.is_stamp() && anchored(p)) {
+        for port in self.ports.iter_mut().filter(|p| anchored(p)) {
             match port.match_at(anchor) {
                 Match::Wait => return None,
                 Match::Head(at) => stamp_ns = stamp_ns.max(at),

@@ -42,8 +42,6 @@ pub(crate) struct Port {
     pub(crate) ended: bool,
     pub(crate) n_received: u64,
     pub(crate) unmatched: u64,
-    /// `collect` of all has been used.
-    done: bool,
     /// Buffer reused for the next collection.
     spare: Vec<Item>,
     /// Why a port never brings a value, if it does not.
@@ -91,19 +89,7 @@ impl Port {
         };
         let nothing = reason.filter(|_| role == Role::Nothing);
         let nothing = nothing.map(|reason| Arc::new(Empty { node: node.into(), reason: reason.into() }));
-        Self {
-            spec,
-            role,
-            queue,
-            kept: None,
-            progress,
-            ended,
-            n_received: 0,
-            unmatched: 0,
-            done: false,
-            spare: Vec::new(),
-            nothing,
-        }
+        Self { spec, role, queue, kept: None, progress, ended, n_received: 0, unmatched: 0, spare: Vec::new(), nothing }
     }
 
     fn wired(&self) -> bool {
@@ -219,7 +205,7 @@ impl Port {
 
     /// Whether the port has nothing left for any further activation.
     pub(crate) fn finished(&self) -> bool {
-        self.done || (self.ended && self.queue.is_empty())
+        self.ended && self.queue.is_empty()
     }
 
     /// Whether no further item comes at or before `stamp_ns`, apart from the waiting ones.
@@ -325,8 +311,7 @@ impl Port {
     /// What the trigger brings; consumes its items.
     pub(crate) fn take_trigger(&mut self, anchor: Option<StampNs>) -> Choice {
         let gap = self.trigger_gap(anchor);
-        if let Join::Collect { n } = self.spec.join {
-            self.done = n.is_none();
+        if let Join::Collect { .. } = self.spec.join {
             let mut items = std::mem::take(&mut self.spare);
             items.extend(self.queue.drain(..));
             return match gap {
@@ -350,6 +335,11 @@ impl Port {
     pub(crate) fn reuse(&mut self, mut items: Vec<Item>) {
         items.clear();
         self.spare = items;
+    }
+
+    #[cfg(test)]
+    pub(crate) fn spare_capacity(&self) -> usize {
+        self.spare.capacity()
     }
 
     /// Keeps the newest item not after `stamp_ns`, the earliest stamp that can still be asked for.

@@ -69,6 +69,20 @@ mod tests {
     }
 
     #[test]
+    fn a_reading_at_a_limit_is_within_it() {
+        let off = |mean_mm: f64| CheckReport { mean_mm, ..reading(0.3, SCANNED_NS) };
+        let answer = |mm: f64| check_reason(&[off(mm)], SCANNED_NS, 1.0).map(|reason| reason.answer);
+        assert_eq!((answer(1.0), answer(3.0)), (None, Some(Answer::Doubtful)));
+        assert!(is_checked(&[off(1.0)], SCANNED_NS, 1.0));
+        let reason = check_reason(&[off(1.26)], SCANNED_NS, 1.0).unwrap();
+        assert_eq!(
+            reason.reason,
+            "the camera reads the check piece 1.3 mm (mean) from where its marker has it, at the scan or after it; likely cause: \
+             the camera's marker was knocked after the calibration"
+        );
+    }
+
+    #[test]
     fn the_marker_is_checked_by_a_piece_read_with_the_scan_or_later_alone() {
         assert!(!is_checked(&[], SCANNED_NS, MAX_MM));
         assert!(!is_checked(&[reading(0.3, 99)], SCANNED_NS, MAX_MM));

@@ -76,3 +76,37 @@ pub(super) fn mirrored_support(registered: &Registered<'_>, noise_mm: f64) -> Op
     let pose = settled(&image, &fit.t_target_source)?;
     Some(support(&image, &pose, noise_mm))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::target::Target;
+    use nalgebra::Vector3;
+    use osteoflow_geometry::SurfaceOrigin;
+
+    #[test]
+    fn a_mirror_image_has_its_camera_mirrored_and_its_frame_kept() {
+        let scan = Cloud::new("scan", vec![Point3::new(1.0, 2.0, 3.0), Point3::new(-4.0, 5.0, 6.0)]).unwrap();
+        let image = mirrored(&scan);
+        assert_eq!(image.points(), [Point3::new(-1.0, 2.0, 3.0), Point3::new(4.0, 5.0, 6.0)]);
+        assert_eq!((image.frame.clone(), image.viewpoint), (scan.frame.clone(), None));
+        let turn = Vector3::y() * 0.3;
+        let seen = mirrored(&scan.seen_from(Isometry3::new(Vector3::new(200.0, -10.0, 50.0), turn)));
+        assert_eq!(seen.viewpoint, Some(Isometry3::new(Vector3::new(-200.0, -10.0, 50.0), turn)));
+    }
+
+    #[test]
+    fn support_is_the_share_within_three_times_the_noise_and_a_fifth_of_a_millimetre() {
+        let grid: Vec<Point3<f64>> = (0..121).map(|k| Point3::new(f64::from(k % 11), f64::from(k / 11), 0.0)).collect();
+        let normals = vec![Vector3::z(); grid.len()];
+        let target = Target::new("ct", SurfaceOrigin::Exact, grid, Some(normals.into())).unwrap();
+        // Above samples of the surface, at a limit, and 1 mm beyond its edge in its plane.
+        let scan = [[5.0, 5.0, 0.2], [5.0, 6.0, -0.2], [4.0, 5.0, 0.21], [4.0, 4.0, -0.61], [11.0, 5.0, 0.0]];
+        let source = Cloud::new("scan", scan.map(Point3::from).to_vec()).unwrap();
+        let pose = Isometry3::identity();
+        let registered = Registered { target: &target, source: &source, t_target_source: &pose, at: &[] };
+        assert_eq!(support(&registered, &pose, 0.05), 0.4);
+        assert_eq!(support(&registered, &pose, 0.08), 0.6);
+        assert_eq!(support(&registered, &pose, 0.21), 0.8 + 0.2 * f64::from(2.0 * 0.63 > 1.0));
+    }
+}

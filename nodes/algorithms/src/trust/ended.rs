@@ -80,6 +80,33 @@ mod tests {
     }
 
     #[test]
+    fn either_distance_that_is_at_most_0_05_mm_ends_a_registration() {
+        let at = |remaining_mm| Ended { converged: Some(false), remaining_mm, ..Ended::default() };
+        let is_short = |remaining_mm, unsettled_mm| ended_reason(&at(remaining_mm), unsettled_mm).is_some();
+        assert!(is_short(None, None) && is_short(Some(0.06), Some(0.06)) && is_short(Some(0.06), None));
+        assert!(!is_short(Some(0.05), Some(0.06)) && !is_short(Some(0.06), Some(0.05)));
+        let converged = Ended { converged: Some(true), remaining_mm: Some(0.3), ..Ended::default() };
+        assert_eq!(ended_reason(&converged, Some(0.3)), None);
+    }
+
+    #[test]
+    fn each_rule_by_which_it_stopped_is_named() {
+        for (stop, words) in [
+            (StopReason::Step, "its step"),
+            (StopReason::Residual, "stop_residual_mm"),
+            (StopReason::Iterations, "max_iterations"),
+            (StopReason::Time, "stop_after_ms"),
+            (StopReason::Stalled, "a step that does not lower the residual"),
+            (StopReason::Cancelled, "the user"),
+        ] {
+            let ended = Ended { converged: Some(false), stop_reason: Some(Stopped::By(stop)), remaining_mm: None };
+            let reason = ended_reason(&ended, None).unwrap();
+            assert_eq!(reason.reason, format!("the registration did not converge: it stopped by {words}"));
+            assert_eq!((reason.rule.as_str(), reason.answer), ("converged", Answer::Doubtful));
+        }
+    }
+
+    #[test]
     fn any_report_is_read_as_far_as_it_goes() {
         assert_eq!(reason(r#"{ "iterations": 7, "n_pairs": [1, 2] }"#), None);
         assert_eq!(reason(r#"{ "converged": true, "stop_reason": "residual" }"#), None);

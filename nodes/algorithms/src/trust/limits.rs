@@ -30,3 +30,16 @@ impl Limits {
         (tre_mm / self.max_tre_mm).max(offset_mm / self.max_offset_mm).max(tilt_deg / self.max_tilt_deg)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_of_error_over_limit_counts() {
+        let limits = Limits { max_tre_mm: 2.0, max_offset_mm: 4.0, max_tilt_deg: 0.5 };
+        assert_eq!(limits.times(3.0, 4.0, 0.25), 1.5);
+        assert_eq!(limits.times(1.0, 10.0, 0.25), 2.5);
+        assert_eq!(limits.times(1.0, 2.0, 1.75), 3.5);
+    }
+}

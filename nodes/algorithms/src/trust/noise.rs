@@ -28,7 +28,7 @@ pub fn sensor_noise_mm(points: &[Point3<f64>]) -> Option<f64> {
 
 fn patch_square(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>) -> Option<f64> {
     let near: Vec<Vector3<f64>> =
-        tree.nearest_n(place, N_NEIGHBOURS).into_iter().map(|(i, _)| points[i] - place).collect();
+        tree.nearest_n(place, N_NEIGHBOURS).into_iter().map(|(i, _)| points[i].coords).collect();
     let n = near.len();
     let mean = near.iter().sum::<Vector3<f64>>() / n as f64;
     let scatter: Matrix3<f64> = near.iter().map(|v| (v - mean) * (v - mean).transpose()).sum();
@@ -37,9 +37,8 @@ fn patch_square(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>) -> 
     let normal = eigen.eigenvectors.column(k).into_owned();
     let (x, y) =
         (eigen.eigenvectors.column((k + 1) % 3).into_owned(), eigen.eigenvectors.column((k + 2) % 3).into_owned());
-    let scale = near.iter().map(|v| v.norm()).fold(0.0, f64::max).max(1e-9);
     let a = DMatrix::from_fn(n, 6, |r, c| {
-        let (u, v) = ((near[r] - mean).dot(&x) / scale, (near[r] - mean).dot(&y) / scale);
+        let (u, v) = ((near[r] - mean).dot(&x), (near[r] - mean).dot(&y));
         [1.0, u, v, u * u, u * v, v * v][c]
     });
     let b = DVector::from_fn(n, |r, _| (near[r] - mean).dot(&normal));
@@ -47,4 +46,47 @@ fn patch_square(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>) -> 
     let x = h.cholesky()?.solve(&(a.transpose() * &b));
     let rest = a * x - b;
     Some(rest.norm_squared() / (n as f64 - 6.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Rotation3;
+    use rand::RngExt;
+    use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+    /// A curved, rough patch around (40, -30, 200), seeded.
+    fn patch(n: usize, rough_mm: f64) -> Vec<Point3<f64>> {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut draw = || rng.random_range(-1.0..1.0);
+        let point = |_| {
+            let (x, y): (f64, f64) = (4.0 * draw(), 3.0 * draw());
+            let z = 0.02 * x * x - 0.03 * x * y + 0.01 * y * y + rough_mm * draw();
+            Point3::new(40.0 + x, y - 30.0, 200.0 + z)
+        };
+        (0..n).map(point).collect()
+    }
+
+    #[test]
+    fn the_noise_of_a_patch_is_the_rms_of_what_a_quadric_leaves() {
+        // Of one patch, every place sees the same 30 points: residuals of a quadric over its plane, over n - 6.
+        let one = sensor_noise_mm(&patch(30, 0.1)).unwrap();
+        // The median of 400 / 2 places.
+        let many = sensor_noise_mm(&patch(400, 0.1)).unwrap();
+        crate::trust::tests::golden("noise.txt", &format!("{one:.9}\n{many:.9}"));
+        assert_eq!(sensor_noise_mm(&patch(29, 0.1)), None);
+    }
+
+    #[test]
+    fn the_noise_does_not_depend_on_the_pose() {
+        let points = patch(60, 0.1);
+        let noise = sensor_noise_mm(&points).unwrap();
+        for turn in [Vector3::x() * 1.6, Vector3::y() * 1.5, Vector3::new(1.0, 2.0, -0.5), Vector3::z() * 2.0] {
+            let turn = Rotation3::new(turn);
+            let turned: Vec<Point3<f64>> = points.iter().map(|p| turn * p).collect();
+            let found = sensor_noise_mm(&turned).unwrap();
+            // Rounding of coordinates of 200 mm alone: 1e-13 mm, times the condition of the fit.
+            assert!((found - noise).abs() < 1e-9, "{found} instead of {noise} mm");
+        }
+    }
 }

@@ -150,3 +150,90 @@ pub fn plan_faults(surface: &MeshQuery, points: &[NamedPoint], planes: Option<&P
     }
     faults
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::{Mesh, Plane, SurfaceOrigin};
+
+    fn named(name: &str, position: [f64; 3]) -> NamedPoint {
+        NamedPoint::new(name, Point3::from(position))
+    }
+
+    #[test]
+    fn landmarks_are_tried_in_every_order() {
+        let planned = [named("a", [0.0, 0.0, 0.0]), named("b", [40.0, 0.0, 0.0]), named("c", [0.0, 30.0, 0.0])];
+        let mut located = planned.to_vec();
+        // Located exactly, but b and c exchanged.
+        (located[1].position, located[2].position) = (planned[2].position, planned[1].position);
+        located.reverse();
+        let order = landmark_order(&planned, &located).unwrap();
+        assert_eq!(order.best_other, ["a", "c", "b"]);
+        assert!(order.best_other_fre_mm < 1e-9, "{order:?}");
+        // As named, the triangle turned over meets its mirror image. About the centroids, both have a sum of squares of 5000/3;
+        // their dot and cross products, 1600 and 700/3, give the best turn in the plane.
+        let left = 2.0 * (5000.0 / 3.0 - 1600.0_f64.hypot(700.0 / 3.0)) / 3.0;
+        assert!((order.fre_mm - left.sqrt()).abs() < 1e-9, "rounding alone: {order:?}");
+        assert_eq!(landmark_order(&planned[..2], &located), None);
+        assert_eq!(landmark_order(&planned, &located[1..]), None);
+        let many = |n: u8| -> Vec<NamedPoint> {
+            (0..n).map(|k| named(&k.to_string(), [f64::from(k * k), f64::from(k), f64::from(k * k * k)])).collect()
+        };
+        let six = landmark_order(&many(6), &many(6)).unwrap();
+        assert!(six.fre_mm < 1e-9 && six.best_other_fre_mm > 0.5, "{six:?}");
+        assert_eq!(landmark_order(&many(7), &many(7)), None);
+    }
+
+    #[test]
+    fn planes_that_are_unknown_at_the_end_are_doubtful() {
+        let known = Planes::new("world", vec![Plane::new("a", nalgebra::Isometry3::identity())]);
+        assert_eq!(planes_lost(&known), None);
+        let lost = planes_lost(&known.unknown("world", 5, "the marker is hidden")).unwrap();
+        assert_eq!((lost.rule.as_str(), lost.answer), ("planes_lost", Answer::Doubtful));
+        assert_eq!(lost.reason, "the cutting planes are unknown at the end: the marker is hidden");
+    }
+
+    /// A square of 100 mm in the plane z = 0, away from the origin.
+    fn square() -> MeshQuery {
+        let corners = [[100.0, 300.0, 0.0], [200.0, 300.0, 0.0], [200.0, 400.0, 0.0], [100.0, 400.0, 0.0]];
+        let faces = vec![[0, 1, 2], [0, 2, 3]];
+        MeshQuery::new(&Mesh::new("ct", SurfaceOrigin::Exact, corners.map(Point3::from).to_vec(), faces).unwrap())
+    }
+
+    #[test]
+    fn a_planned_point_may_be_3_mm_off_the_surface() {
+        let at = |z: f64| named("p", [150.0, 350.0, z]);
+        assert_eq!(plan_faults(&square(), &[at(3.0), at(-3.0)], None), []);
+        let faults = plan_faults(&square(), &[at(3.0), at(8.0), at(-4.0)], None);
+        assert_eq!(faults, [PlanFault::Off { n_off: 2, n: 3, largest_mm: 8.0, cause: None }]);
+    }
+
+    #[test]
+    fn each_change_of_coordinates_is_found() {
+        for (position, words) in [
+            ([-150.0, -350.0, 0.0], "one of both is in RAS, the other in LPS"),
+            ([-150.0, 350.0, 0.0], "one of both is mirrored in x"),
+            ([150.0, -350.0, 0.0], "one of both is mirrored in y"),
+            ([0.15, 0.35, 0.0], "the plan is in metres, the surface in millimetres"),
+            ([150_000.0, 350_000.0, 0.0], "the plan is in millimetres, the surface in metres"),
+        ] {
+            let faults = plan_faults(&square(), &[named("p", position)], None);
+            let [PlanFault::Off { cause, .. }] = &faults[..] else { panic!("{faults:?}") };
+            assert_eq!(*cause, Some(words));
+        }
+    }
+
+    #[test]
+    fn two_planes_in_the_wrong_order_are_reversed() {
+        let plane = |name: &str, x: f64| {
+            Plane::new(
+                name,
+                nalgebra::Isometry3::new(Vector3::new(x, 350.0, 0.0), Vector3::y() * std::f64::consts::FRAC_PI_2),
+            )
+        };
+        let faults = |planes: Vec<Plane>| plan_faults(&square(), &[], Some(&Planes::new("ct", planes)));
+        assert_eq!(faults(vec![plane("a", 120.0), plane("b", 150.0)]), []);
+        let reversed = PlanFault::Reversed { first: "b".into(), second: "a".into() };
+        assert_eq!(faults(vec![plane("b", 150.0), plane("a", 120.0)]), [reversed]);
+    }
+}

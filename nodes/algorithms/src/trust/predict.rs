@@ -336,3 +336,6 @@ fn mean_error(draws: &[Vector6<f64>], arms: &[Vector3<f64>]) -> Option<(f64, Int
     let at = |share: f64| scaled[((scaled.len() - 1) as f64 * share).round() as usize];
     Some((errors.iter().sum::<f64>() / errors.len() as f64, [at(TAIL), at(1.0 - TAIL)]))
 }
+
+#[cfg(test)]
+mod tests;

@@ -382,3 +382,6 @@ fn assumptions(case: &Case<'_>, rules: &RuleParams) -> Vec<String> {
     let note = case.slide.and_then(slide_note);
     all.into_iter().map(str::to_owned).chain(note).collect()
 }
+
+#[cfg(test)]
+mod tests;

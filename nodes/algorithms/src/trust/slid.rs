@@ -86,6 +86,11 @@ mod tests {
     #[test]
     fn a_far_movement_is_noted_with_its_length() {
         assert_eq!(slide_note(&report()), None);
+        let note =
+            |moved_along_mm, moved_turn_rad| slide_note(&SlideReport { moved_along_mm, moved_turn_rad, ..report() });
+        assert_eq!((note(NOTED_MM, NOTED_RAD), note(0.0, 1.9_f64.to_radians())), (None, None));
+        let turned = note(0.3, -2.1_f64.to_radians()).unwrap();
+        assert!(turned.ends_with("ended 0.3 mm along the bone and 2.1 degrees around it from there"), "{turned}");
         let note = slide_note(&SlideReport { moved_along_mm: -6.9, ..report() }).unwrap();
         assert!(note.contains("ended 6.9 mm along the bone and 0.6 degrees around it"), "{note}");
     }

@@ -124,3 +124,47 @@ impl Cell {
         self.rows += scan;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn diagonal(variances: [f64; 6]) -> Matrix6<f64> {
+        Matrix6::from_diagonal(&Vector6::from(variances))
+    }
+
+    #[test]
+    fn what_a_surface_adds_is_its_excess_in_each_direction() {
+        let centre = Point3::new(1.0, 2.0, 3.0);
+        let (covariance, bias) = (diagonal([4.0, 1.0, 1.0, 0.5, 2.0, 1.0]), diagonal([1.0, 1.0, 0.1, 0.25, 0.1, 0.5]));
+        let spread = Spread { covariance, centre, bias, n_cells: 9 };
+        // By an error of 3 mm: nine times the bias, less the covariance where that is smaller.
+        let excess = diagonal([5.0, 8.0, 0.0, 1.75, 0.0, 3.5]);
+        assert!((spread.beyond(3.0) - excess).norm() < 1e-12, "rounding alone: {}", spread.beyond(3.0));
+        // In a basis in which neither is diagonal, the same.
+        let turn =
+            Matrix6::from_fn(|r, c| [1.0, 0.3, -0.2, 0.5, 0.1, 0.7][(r + 2 * c) % 6] + f64::from(u8::from(r == c)));
+        let mixed = |m: &Matrix6<f64>| turn * m * turn.transpose();
+        let spread = Spread { covariance: mixed(&covariance), centre, bias: mixed(&bias), n_cells: 9 };
+        assert!((spread.beyond(3.0) - mixed(&excess)).norm() < 1e-9, "rounding alone");
+        let widened = spread.clone().widened(3.0);
+        assert!((widened.covariance - mixed(&(covariance + excess))).norm() < 1e-9, "rounding alone");
+        assert_eq!((widened.centre, widened.bias, widened.n_cells), (centre, spread.bias, 9));
+        // Without a spread of its own, all of it.
+        let exact = Spread { covariance: Matrix6::zeros(), ..spread };
+        assert_eq!(exact.beyond(2.0), exact.bias * 4.0);
+    }
+
+    #[test]
+    fn a_turn_moves_a_point_by_its_arm_from_the_centre() {
+        let centre = Point3::new(1.0, 2.0, 3.0);
+        let of = |covariance| Spread { covariance, centre, bias: Matrix6::zeros(), n_cells: 9 };
+        let shifted = of(diagonal([1.0, 2.0, 3.0, 0.0, 0.0, 0.0])).at(&Point3::new(50.0, 0.0, 0.0));
+        assert_eq!(shifted, Matrix3::from_diagonal(&Vector3::new(1.0, 2.0, 3.0)));
+        // A turn about z by a radian moves a point 10 mm along x by 10 mm along y; with a shift along y that goes with it, by 12.
+        let mut covariance = diagonal([0.0, 4.0, 0.0, 0.0, 0.0, 1.0]);
+        (covariance[(1, 5)], covariance[(5, 1)]) = (2.0, 2.0);
+        let turned = of(covariance).at(&Point3::new(11.0, 2.0, 3.0));
+        assert_eq!(turned, Matrix3::from_diagonal(&Vector3::new(0.0, 144.0, 0.0)));
+    }
+}

@@ -1,3 +1,5 @@
+mod whole;
+
 use super::*;
 use crate::mesh_query::MeshQuery;
 use crate::sample;
@@ -9,6 +11,16 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 
 const NOISE_MM: f64 = 0.05;
+
+/// Compares with the golden text, or writes it with `UPDATE=1`.
+pub(super) fn golden(name: &str, found: &str) {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/trust/tests").join(name);
+    let found = format!("{found}\n");
+    if std::env::var_os("UPDATE").is_some() {
+        std::fs::write(&path, &found).unwrap();
+    }
+    assert_eq!(std::fs::read_to_string(&path).unwrap_or_default(), found, "{name}: see the diff after UPDATE=1");
+}
 
 fn target_of(mesh: &Mesh) -> Target {
     let samples = sample::surface(mesh, 60_000, &mut ChaCha8Rng::seed_from_u64(1));
@@ -67,22 +79,27 @@ fn measured_by_stylus(
     located: &[NamedPoint],
     measured_tre_mm: Option<f64>,
 ) -> Verdict {
-    let (landmarks, assessment) = (marks(), marks());
-    let case = Case {
-        registered: Registered { target, source: scan, t_target_source: pose, at: &[] },
+    let marks = marks();
+    let case = Case { landmarks: &marks, located, assessment: &marks, measured_tre_mm, ..bare(target, scan, pose) };
+    judge(&case, &EvidenceParams::default(), &RuleParams::default(), &PredictParams::default())
+}
+
+/// A registration with nothing beside it.
+fn bare<'a>(target: &'a Target, source: &'a Cloud, t_target_source: &'a Isometry3<f64>) -> Case<'a> {
+    Case {
+        registered: Registered { target, source, t_target_source, at: &[] },
         icp: None,
-        landmarks: &landmarks,
-        located,
-        assessment: &assessment,
+        landmarks: &[],
+        located: &[],
+        assessment: &[],
         planes: None,
         tracking: None,
-        measured_tre_mm,
+        measured_tre_mm: None,
         slide: None,
         check: &[],
         start: None,
         reasons: &[],
-    };
-    judge(&case, &EvidenceParams::default(), &RuleParams::default(), &PredictParams::default())
+    }
 }
 
 fn rules(verdict: &Verdict) -> Vec<&str> {

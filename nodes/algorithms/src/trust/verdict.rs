@@ -66,6 +66,7 @@ impl Verdict {
             ([], Some(predicted)) => predicted.sentence(),
             ([], None) => "no sign against it was found".to_owned(),
             ([only], _) => only.reason.clone(),
+            ([first, _], _) => format!("{}, and 1 more reason", first.reason),
             ([first, others @ ..], _) => format!("{}, and {} more reasons", first.reason, others.len()),
         };
         Self { answer, sentence, reasons, assumptions, predicted, measured }

@@ -1,0 +1,163 @@
+use super::*;
+use nalgebra::UnitQuaternion;
+
+fn named(name: &str, position: [f64; 3]) -> NamedPoint {
+    NamedPoint::new(name, Point3::from(position))
+}
+
+fn diagonal(sd: [f64; 6]) -> Matrix6<f64> {
+    Matrix6::from_diagonal(&Vector6::from(sd).map(|sd| sd * sd))
+}
+
+fn cut(name: &str, position: [f64; 3]) -> Cut {
+    Cut { middle: named(name, position), normal: Vector3::z() }
+}
+
+fn spread(sd: [f64; 6]) -> Spread {
+    Spread {
+        covariance: diagonal(sd),
+        centre: Point3::new(10.0, 20.0, 60.0),
+        bias: diagonal([2.0, 0.1, 3.0, 0.01, 0.001, 0.04]),
+        n_cells: 20,
+    }
+}
+
+fn tracking() -> Tracking {
+    Tracking {
+        camera_marker: Point3::new(-150.0, 40.0, 300.0),
+        phantom_marker: Some(Point3::new(80.0, -30.0, 90.0)),
+        phantom_fit: Some((diagonal([0.02, 0.03, 0.01, 1e-4, 2e-4, 3e-4]), Point3::new(70.0, 0.0, 50.0))),
+    }
+}
+
+/// All errors of a seeded case.
+fn predicted() -> Predicted {
+    let points = [named("P1", [12.0, 20.0, 30.0]), named("P2", [10.0, 27.0, 95.0])];
+    let cuts = [cut("a", [9.0, 20.0, 40.0]), cut("b", [10.0, 21.0, 110.0]), cut("c", [10.0, 20.0, 60.0])];
+    let limited = points.each_ref().map(|p| p.position);
+    let at = Where { points: &points, cuts: &cuts, limited: &limited };
+    let to_settled = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.002, 0.001, -0.003));
+    let spread = spread([0.1, 0.2, 0.3, 0.002, 0.001, 0.004]);
+    let limits = Limits { max_tre_mm: 0.8, max_offset_mm: 0.9, max_tilt_deg: 0.4 };
+    predict(&spread, &to_settled, Some(&tracking()), &at, &limits, &PredictParams::default())
+}
+
+#[test]
+fn each_source_of_error_is_carried_to_the_points() {
+    // RMS over the points of s² + t² |arm|² for a shift of variance s² and a turn of t² about each axis, by hand.
+    let terms = predicted().terms;
+    let positions =
+        [[12.0, 20.0, 30.0], [10.0, 27.0, 95.0], [9.0, 20.0, 40.0], [10.0, 21.0, 110.0], [10.0, 20.0, 60.0]];
+    let rms = |square: &dyn Fn(Vector3<f64>) -> f64| {
+        (positions.iter().map(|p| square(Vector3::from(*p))).sum::<f64>() / 5.0).sqrt()
+    };
+    let isotropic = |about: [f64; 3], mm: f64, deg: f64| {
+        let about = Vector3::from(about);
+        rms(&|p| 3.0 * mm * mm + 2.0 * (deg.to_radians() * (p - about).norm()).powi(2))
+    };
+    let about = |sd: [f64; 6], about: [f64; 3]| {
+        rms(&|p| {
+            let arm = p - Vector3::from(about);
+            let turned: f64 = (0..3).map(|k| (Vector3::ith(k, sd[3 + k]).cross(&arm)).norm_squared()).sum();
+            sd[..3].iter().map(|sd| sd * sd).sum::<f64>() + turned
+        })
+    };
+    let centre = [10.0, 20.0, 60.0];
+    let axis = UnitQuaternion::new(Vector3::new(0.002, 0.001, -0.003));
+    let settled = rms(&|p| {
+        // The turn to first order.
+        let arm = p - Vector3::from(centre);
+        let shift = axis * Vector3::from(centre) - Vector3::from(centre) + Vector3::new(0.1, -0.2, 0.3);
+        (shift + Vector3::new(0.002, 0.001, -0.003).cross(&arm)).norm_squared()
+    });
+    let (camera, phantom) = ([-150.0, 40.0, 300.0], [80.0, -30.0, 90.0]);
+    // The bias of 0.1 mm exceeds the spread in x and z, and where it turns about y not at all: its excess is of variances
+    // 0.2² - 0.1², 0.3² - 0.3² = 0 and, of the turns, 0.004² - 0.004² = 0.
+    let expected = [
+        ("registration", about([0.1, 0.2, 0.3, 0.002, 0.001, 0.004], centre)),
+        ("camera marker at the scan", isotropic(camera, 0.06, 0.023)),
+        ("camera marker at the calibration", isotropic(camera, 0.06, 0.023)),
+        ("phantom marker", isotropic(phantom, 0.06, 0.023)),
+        ("phantom", isotropic(phantom, 0.05, 0.03)),
+        ("phantom's fit", about([0.02, 0.03, 0.01, 1e-4, 2e-4, 3e-4], [70.0, 0.0, 50.0])),
+        ("not settled", settled),
+        ("stated bias of the CT", 0.03_f64.sqrt()),
+    ];
+    assert_eq!(terms.len(), expected.len());
+    for (term, (name, tre_mm)) in terms.iter().zip(expected) {
+        assert_eq!(term.name, name);
+        assert!((term.tre_mm - tre_mm).abs() < 1e-9, "{name}: {} instead of {tre_mm} mm, rounding alone", term.tre_mm);
+    }
+}
+
+#[test]
+fn a_prediction_has_the_same_numbers_as_ever() {
+    let predicted = predicted();
+    let points = predicted.points.iter().chain(&predicted.cuts);
+    let mut text: Vec<String> = points
+        .map(|p| {
+            // The sign of an axis is arbitrary.
+            let directions = p.directions.map(|axis| axis.map(f64::abs));
+            format!("{} {:.8} {:.8?} {:.8?} {directions:.6?}", p.name, p.tre_mm, p.interval_mm, p.semi_axes_mm)
+        })
+        .collect();
+    for set in [predicted.assessment.as_ref().unwrap(), predicted.all_cuts.as_ref().unwrap()] {
+        let (mean, ct) = (set.mean_tre_mm, set.interval_with_ct_bias_mm);
+        text.push(format!("{mean:.8} {:.8?} {ct:.8?}", set.interval_mm));
+    }
+    text.push(format!("{:.5}", predicted.beyond_limits));
+    super::super::tests::golden("prediction.txt", &text.join("\n"));
+    let sentence = "predicted mean error 0.3 to 1.2 mm at the assessment points, 0.3 to 1.2 mm at the cuts (90 %)";
+    assert_eq!(predicted.sentence(), sentence);
+    assert_eq!(Predicted { all_cuts: None, assessment: None, ..predicted }.sentence(), "no sign against it was found");
+}
+
+#[test]
+fn the_mean_error_of_a_gaussian_shift_is_that_of_maxwell() {
+    // 4000 draws know a mean to 0.7 %, and a spread to 1.1 %: three standard deviations.
+    let place = [named("P", [10.0, 20.0, 60.0])];
+    let at = Where { points: &place, cuts: &[], limited: &[] };
+    let spread = Spread { bias: Matrix6::zeros(), ..spread([0.5, 0.5, 0.5, 0.0, 0.0, 0.0]) };
+    let predicted = predict(&spread, &Isometry3::identity(), None, &at, &Limits::default(), &PredictParams::default());
+    let set = predicted.assessment.unwrap();
+    let mean = 0.5 * (8.0 / std::f64::consts::PI).sqrt();
+    assert!((set.mean_tre_mm / mean - 1.0).abs() < 0.02, "{} instead of {mean} mm", set.mean_tre_mm);
+    let point = &predicted.points[0];
+    assert!((point.tre_mm - 0.75_f64.sqrt()).abs() < 1e-12, "rounding alone: {point:?}");
+    assert_eq!((set.interval_mm, point.interval_mm), (set.interval_with_ct_bias_mm, set.interval_mm));
+    assert_eq!(predicted.all_cuts, None);
+    // The share of a Maxwell distribution within 2.5003 standard deviations is 90 %.
+    assert!(point.semi_axes_mm.iter().all(|mm| (mm - 0.5 * ELLIPSOID_SIGMAS).abs() < 1e-12), "{point:?}");
+}
+
+#[test]
+fn the_ellipsoid_has_its_longest_axis_first() {
+    let (axes, directions) = ellipsoid(&Matrix3::from_diagonal(&Vector3::new(1.0, 9.0, 4.0)));
+    assert_eq!(axes, [3.0, 2.0, 1.0].map(|sd| ELLIPSOID_SIGMAS * sd));
+    assert_eq!(directions.map(|axis| axis.map(f64::abs)), [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]);
+}
+
+#[test]
+fn a_draw_is_beyond_the_limits_if_it_exceeds_one_of_them() {
+    let centre = Point3::new(1.0, 2.0, 3.0);
+    let cuts = [cut("a", [1.0, 2.0, 3.0]), cut("b", [3.0, 2.0, 3.0])];
+    let limited = [centre, Point3::new(3.0, 2.0, 3.0)];
+    let at = Where { points: &[], cuts: &cuts, limited: &limited };
+    let limits = Limits { max_tre_mm: 2.0, max_offset_mm: 1.0, max_tilt_deg: 60.0 };
+    let share = |draws: &[[f64; 6]]| {
+        let draws: Vec<Vector6<f64>> = draws.iter().map(|draw| Vector6::from(*draw)).collect();
+        beyond_limits(&draws, &centre, &at, &limits)
+    };
+    let shifted = |x: f64, z: f64| [x, 0.0, z, 0.0, 0.0, 0.0];
+    assert_eq!(share(&[shifted(2.0, 0.0), shifted(0.0, -1.0), shifted(0.0, 1.0)]), 0.0);
+    assert_eq!(share(&[shifted(2.5, 0.0), shifted(0.0, -1.25), shifted(2.0, 0.0), shifted(0.0, 0.5)]), 0.5);
+    // A turn of 0.5 rad about y moves the second cut by 1 mm along its normal, and one of 1.1 rad about x tilts both by 63
+    // degrees.
+    let turned = |x: f64, y: f64, z: f64| [0.0, 0.0, 0.0, x, y, z];
+    assert_eq!(share(&[turned(0.0, 0.5, 0.0), turned(1.0, 0.0, 0.0)]), 0.0);
+    assert_eq!(share(&[turned(0.0, -0.6, 0.0), turned(0.0, 0.5, 0.0)]), 0.5);
+    assert_eq!(share(&[turned(1.1, 0.0, 0.0), turned(0.0, 0.0, 2.0)]), 0.5);
+    // The mean error over both points is half the second's: 2 mm for a turn of 2 rad about z, at the limit, and 2.2 mm for 2.2.
+    assert_eq!(share(&[turned(0.0, 0.0, 2.0), turned(0.0, 0.0, 2.2)]), 0.5);
+    assert_eq!(share(&[]), 0.0);
+}

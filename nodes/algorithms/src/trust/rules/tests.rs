@@ -1,0 +1,185 @@
+use super::*;
+use crate::coarse::RunnerUp;
+use crate::trust::{Misfit, Scale, ShapeEvidence};
+
+/// The evidence of a right registration.
+fn evidence() -> Evidence {
+    Evidence {
+        noise_mm: 0.05,
+        median_mm: 0.04,
+        p90_mm: Some(0.1),
+        on_surface: 0.95,
+        inside: 0.0,
+        outside: 0.02,
+        misfit: Misfit { rms_mm: 0.05, inward_mm: 0.02 },
+        facing_away: Some(0.01),
+        scale: Some(Scale { ratio: 1.001, sd: 0.002 }),
+        spread_mm: Some(0.2),
+        unsettled_mm: Some(0.01),
+        shape: Some(shape(0.1, 0.9, 0.9, 0.6)),
+    }
+}
+
+fn shape(apart_mm: f64, support: f64, judged_support: f64, clearness: f64) -> ShapeEvidence {
+    ShapeEvidence { apart_mm, support, judged_support, clearness, mirrored_support: None }
+}
+
+/// The signs in evidence, as text.
+fn signs(evidence: &Evidence) -> Vec<String> {
+    let order = OrderEvidence { fre_mm: 3.5, best_other_fre_mm: 9.0, best_other: vec![] };
+    text(&data_reasons(evidence, Some(&order), &RuleParams::default()))
+}
+
+fn text(reasons: &[Reason]) -> Vec<String> {
+    reasons.iter().map(|r| format!("{} {:?}: {}", r.rule, r.answer, r.reason)).collect()
+}
+
+fn has(evidence: &Evidence, rule: &str) -> bool {
+    let reasons = data_reasons(evidence, None, &RuleParams::default());
+    reasons.iter().any(|reason| reason.rule == rule)
+}
+
+#[test]
+fn each_sign_in_the_data_is_told_with_its_numbers() {
+    assert_eq!(signs(&evidence()), Vec::<String>::new());
+    let all = Evidence {
+        on_surface: 0.25,
+        facing_away: Some(0.4),
+        misfit: Misfit { rms_mm: 0.5, inward_mm: 0.35 },
+        scale: Some(Scale { ratio: 0.95, sd: 0.01 }),
+        shape: Some(shape(12.0, 0.8, 0.5, 0.1)),
+        ..evidence()
+    };
+    let beside = Evidence {
+        misfit: Misfit { rms_mm: 0.2, inward_mm: 0.02 },
+        scale: Some(Scale { ratio: 1.03, sd: 0.002 }),
+        shape: Some(shape(12.0, 0.6, 0.5, 0.6)),
+        ..evidence()
+    };
+    let told = [signs(&all), signs(&beside)].concat().join("\n");
+    super::super::tests::golden("data_reasons.txt", &told);
+}
+
+#[test]
+fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
+    let with = |rms_mm, inward_mm| Evidence { misfit: Misfit { rms_mm, inward_mm }, noise_mm: 0.4, ..evidence() };
+    let limit = 0.12 + 0.15 * 0.4;
+    assert!(!has(&with(limit, 0.3), "misfit") && !has(&with(limit, 0.3), "inward_misfit"));
+    assert!(has(&with(0.19, 0.3), "misfit") && has(&with(limit, 0.31), "inward_misfit"));
+
+    let with = |ratio, sd| Evidence { scale: Some(Scale { ratio, sd }), ..evidence() };
+    let rules = RuleParams { max_scale_error: 0.25, ..RuleParams::default() };
+    let scale = |ratio, sd| !data_reasons(&with(ratio, sd), None, &rules).is_empty();
+    assert!(!scale(1.25, 0.01) && !scale(0.75, 0.01) && scale(1.26, 0.01) && scale(0.74, 0.01));
+    // Four standard deviations.
+    assert!(!scale(1.5, 0.125) && scale(1.5, 0.124) && !scale(1.3, 0.08));
+
+    let with = |on_surface, away| Evidence { on_surface, facing_away: Some(away), ..evidence() };
+    assert!(!has(&with(0.35, 0.2), "on_surface") && !has(&with(0.35, 0.2), "facing_away"));
+    assert!(has(&with(0.34, 0.2), "on_surface") && has(&with(0.35, 0.21), "facing_away"));
+}
+
+#[test]
+fn a_registration_by_shape_contradicts_if_it_fits_better_or_as_well_and_clearly() {
+    let answer = |apart_mm, support, judged, clearness| {
+        let evidence = Evidence { shape: Some(shape(apart_mm, support, judged, clearness)), ..evidence() };
+        data_reasons(&evidence, None, &RuleParams::default()).first().map(|reason| reason.answer)
+    };
+    assert_eq!(answer(1.5, 0.9, 0.5, 0.6), None);
+    assert_eq!(answer(1.6, 0.9, 0.5, 0.0), Some(Answer::Refused));
+    // Better by 0.1 at most: as well, if it is clear.
+    assert_eq!(answer(1.6, BETTER, 0.0, 0.3), Some(Answer::Doubtful));
+    assert_eq!(answer(1.6, 0.55, 0.5, 0.29), None);
+    // Worse by less than 0.1.
+    assert_eq!(answer(1.6, 0.45, 0.5, 0.3), Some(Answer::Doubtful));
+    assert_eq!(answer(1.6, 0.0, BETTER, 0.3), None);
+    assert_eq!(answer(1.6, 0.3, 0.5, 0.3), None);
+}
+
+#[test]
+fn landmarks_that_miss_the_plan_are_a_sign_where_the_shape_does_not_agree() {
+    let rules = RuleParams::default();
+    let told = |fre_mm, apart_mm| {
+        let order = OrderEvidence { fre_mm, best_other_fre_mm: 9.0, best_other: vec![] };
+        let evidence = Evidence { shape: Some(shape(apart_mm, 0.3, 0.5, 0.1)), ..evidence() };
+        text(&data_reasons(&evidence, Some(&order), &rules))
+    };
+    assert_eq!(told(3.1, 2.0), ["landmarks Doubtful: the landmarks miss the planned ones by 3.1 mm (RMS)"]);
+    assert!(told(3.0, 2.0).is_empty() && told(3.1, 1.0).is_empty());
+}
+
+#[test]
+fn another_order_of_landmarks_is_a_sign_only_if_it_fits_better() {
+    let reason = |best_other_fre_mm| {
+        let best_other = vec!["P1".to_owned(), "P3".to_owned(), "P2".to_owned()];
+        order_reason(&OrderEvidence { fre_mm: 2.5, best_other_fre_mm, best_other })
+    };
+    assert_eq!((reason(2.5), reason(2.6)), (None, None));
+    let words = "the landmarks fit better in another order: P1, P3, P2 by 0.4 mm (RMS), as named 2.5 mm";
+    assert_eq!(reason(0.4).unwrap().reason, words);
+}
+
+#[test]
+fn a_start_by_shape_is_doubtful_below_its_clearness() {
+    let runner_up = Some(RunnerUp { score_mm: 0.25, shift_mm: 31.0, turn_rad: 0.5 });
+    let start = GlobalReport { n_tried: 9, n_refined: 3, score_mm: 0.2, runner_up, clearness: 0.2 };
+    let words = "it started by shape alone, and the scan fits nearly as well 31 mm and 29 degrees away (0.25 mm RMS against 0.20 mm)";
+    assert_eq!(text(&start_reason(&start, 0.3).into_iter().collect::<Vec<_>>()), [format!("start Doubtful: {words}")]);
+    assert_eq!(start_reason(&start, 0.2), None);
+    assert_eq!(start_reason(&start, 0.1), None);
+    assert_eq!(start_reason(&GlobalReport { runner_up: None, ..start }, 0.3), None);
+}
+
+#[test]
+fn the_mirror_image_is_named_if_it_fits_better_by_a_tenth() {
+    let reason = |support, judged_support, mirrored_support| {
+        let shape = ShapeEvidence { mirrored_support, ..shape(5.0, support, judged_support, 0.5) };
+        mirror_reason(&Evidence { shape: Some(shape), ..evidence() }).map(|reason| (reason.answer, reason.reason))
+    };
+    let words = "the scan's mirror image fits better (80 % of it on the surface, against 50 %); likely cause: a mirrored CT, or the \
+                 other leg";
+    assert_eq!(reason(0.5, 0.4, Some(0.8)), Some((Answer::Refused, words.to_owned())));
+    assert!(reason(0.4, 0.5, Some(0.61)).is_some() && reason(0.4, 0.5, Some(0.59)).is_none());
+    assert_eq!((reason(0.0, 0.0, Some(BETTER)), reason(0.5, 0.4, None)), (None, None));
+}
+
+#[test]
+fn a_spread_is_a_sign_by_its_chance_and_named_by_the_larger_cause() {
+    let rules = RuleParams { max_beyond_limits: 0.25, ..RuleParams::default() };
+    let reason = |beyond_limits, unsettled_mm| {
+        let predicted =
+            Predicted { points: vec![], cuts: vec![], assessment: None, all_cuts: None, beyond_limits, terms: vec![] };
+        let evidence = Evidence { unsettled_mm, spread_mm: Some(0.5), ..evidence() };
+        spread_reason(Some(&predicted), &evidence, &rules).map(|reason| format!("{}: {}", reason.rule, reason.reason))
+    };
+    assert_eq!((reason(0.25, Some(2.0)), reason(0.1, None)), (None, None));
+    let spread = "spread: the residuals leave the assessment points and cuts uncertain by 0.50 mm (RMS): a chance of 40 % of an \
+                  error beyond the limits";
+    assert_eq!((reason(0.4, None).unwrap(), reason(0.4, Some(0.5)).unwrap()), (spread.to_owned(), spread.to_owned()));
+    let unsettled = "unsettled: the registration rests 0.6 mm from where the scan fits best nearby: a chance of 40 % of an error \
+                     beyond the limits";
+    assert_eq!(reason(0.4, Some(0.6)).unwrap(), unsettled);
+    let open = spread_reason(None, &evidence(), &rules).unwrap();
+    assert_eq!((open.rule.as_str(), open.answer), ("spread", Answer::Doubtful));
+    assert_eq!(open.reason, "the scan leaves a motion of the bone undetermined");
+}
+
+#[test]
+fn each_fault_of_a_plan_is_told() {
+    let (a, b) = (|| "a".to_owned(), || "b".to_owned());
+    let faults = [
+        PlanFault::Off { n_off: 2, n: 3, largest_mm: 41.6, cause: Some("the cause") },
+        PlanFault::Off { n_off: 1, n: 4, largest_mm: 5.0, cause: None },
+        PlanFault::MissesBone { name: a(), distance_mm: 99.6 },
+        PlanFault::Reversed { first: a(), second: b() },
+        PlanFault::NoPlanes,
+    ];
+    let expected = [
+        "plan Refused: 2 of 3 planned points lie off the surface, up to 42 mm; likely cause: the cause",
+        "plan Refused: 1 of 4 planned points lie off the surface, up to 5 mm; likely cause: the plan is of another surface",
+        "plan Refused: the planned plane a does not cut the bone, its origin is 100 mm away",
+        "plan Doubtful: the normals of a and b do not both point from a to b",
+        "plan Doubtful: the plan has no cutting planes",
+    ];
+    assert_eq!(text(&faults.map(plan_reason)), expected);
+}
