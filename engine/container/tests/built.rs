@@ -2,7 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_container::{
-    Damage, End, Location, MAGIC, MAX_RECORD_BYTES, ReadError, Reader, Record, Visitor, damage_message, op,
+    Damage, End, Location, MAGIC, MAX_RECORD_BYTES, MESSAGE_HEADER_BYTES, ReadError, Reader, Record, Visitor,
+    damage_message, op,
 };
 use std::{
     io::{self, Cursor, Read, Seek, SeekFrom},
@@ -16,6 +17,8 @@ struct Log {
     damages: Vec<Damage>,
     /// Stops at the line of this number.
     stop_at: Option<usize>,
+    /// Place and data of each message of the current chunk.
+    data: Vec<(u64, Vec<u8>)>,
 }
 
 impl Log {
@@ -31,7 +34,10 @@ impl Visitor for Log {
             Record::Header { .. } => return ControlFlow::Continue(()),
             Record::Schema { id, .. } => format!("schema {id}"),
             Record::Channel(channel) => format!("channel {} of schema {}", channel.id, channel.schema_id),
-            Record::Message(message) => format!("message {} of {} bytes", message.sequence, message.data.len()),
+            Record::Message(message) => {
+                self.data.extend(location.in_chunk.map(|at| (at + MESSAGE_HEADER_BYTES, message.data.to_vec())));
+                format!("message {} of {} bytes", message.sequence, message.data.len())
+            }
             Record::Chunk(header) => format!("chunk of {} bytes", header.n_unpacked),
             Record::Metadata { name, .. } => format!("metadata {name}"),
             Record::DataEnd { .. } => "data end".into(),
@@ -44,6 +50,16 @@ impl Visitor for Log {
     fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
         self.damages.push(damage.clone());
         self.add(damage.to_string())
+    }
+
+    fn chunk_end(&mut self, records: &mut Vec<u8>) {
+        for (at, data) in self.data.drain(..) {
+            assert_eq!(
+                records[at as usize..][..data.len()],
+                data,
+                "the data of a message are {at} bytes into the chunk"
+            );
+        }
     }
 }
 
@@ -215,6 +231,21 @@ fn a_message_outside_of_chunks_needs_a_record_behind_it() {
     let (lines, end) = truncated(&begun(&[message(1, 1, 4), vec![0; 30]]));
     assert_eq!(lines, [""; 0]);
     assert!(end.ends_with("message: no record follows its 26 bytes"), "{end}");
+}
+
+#[test]
+fn messages_behind_damage_are_searched_for_in_files_without_chunks_only() {
+    let damaged = |n_gap: usize| [vec![0; n_gap], message(1, 2, 0), message(1, 3, 0), metadata("a")].concat();
+    let first = [channel(1, 0), message(1, 1, 0), metadata("m")].concat();
+    let words = |records: &[Vec<u8>]| {
+        let (lines, _) = read(&whole(records, &[]));
+        lines.iter().map(|line| line.split(" at ").next().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    let found = words(&[first.clone(), damaged(20)]);
+    assert_eq!(found[4..], ["message 2 of 0 bytes", "message 3 of 0 bytes", "metadata a", "data end", "footer 0"]);
+    // They may be of a damaged chunk.
+    let found = words(&[first, chunk(&[message(1, 0, 0)]), damaged(20)]);
+    assert_eq!(found[6..], ["metadata a", "data end", "footer 0"], "{found:?}");
 }
 
 #[test]
@@ -453,7 +484,8 @@ impl Seek for Sparse {
 fn a_record_that_is_longer_than_any_is_passed_over_unread() {
     let length = MAX_RECORD_BYTES + 1;
     let start = begun(&[claimed(op::METADATA, length, &[])]);
-    let end = whole(&[metadata("b")], &[])[START as usize..].to_vec();
+    // A message that no search would find.
+    let end = whole(&[message(1, 7, 0)], &[])[START as usize..].to_vec();
     let n_bytes = start.len() as u64 + length + end.len() as u64;
     let mut log = Log::default();
     let ended = Reader::new(Sparse { start, end, n_bytes, at: 0 }, n_bytes).read(&mut log).unwrap();
@@ -465,7 +497,7 @@ fn a_record_that_is_longer_than_any_is_passed_over_unread() {
             format!(
                 "bytes {START} to {next}: metadata claims {length} bytes, but at most {MAX_RECORD_BYTES} are possible"
             ),
-            format!("metadata b at byte {next}"),
+            format!("message 7 of 0 bytes at byte {next}"),
         ]
     );
 }
