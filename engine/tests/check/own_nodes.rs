@@ -1,4 +1,5 @@
 //! Kinds whose ports join in every way and whose frames refer to each other in every way; checked, never run.
+#![allow(dead_code, reason = "the nodes are never run")]
 
 use osteoflow_node::{
     Context, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Registry, Source, Unused, schemars,
@@ -14,7 +15,7 @@ macro_rules! node {
     ($name:ident, $kind:literal, $params:ty, $inputs:ty, $outputs:ty) => {
         #[derive(Describe)]
         /// A node.
-        pub struct $name;
+        pub(crate) struct $name;
 
         impl Node for $name {
             const KIND: &'static str = $kind;
@@ -37,7 +38,7 @@ macro_rules! source {
     ($name:ident, $kind:literal, $live:literal, $constant:literal, $params:ty, $outputs:ty) => {
         #[derive(Describe)]
         /// A source.
-        pub struct $name;
+        pub(crate) struct $name;
 
         impl Source for $name {
             const KIND: &'static str = $kind;
@@ -58,12 +59,12 @@ macro_rules! source {
 }
 
 #[derive(Outputs)]
-pub struct One {
+pub(crate) struct One {
     out: Pose,
 }
 
 #[derive(Outputs)]
-pub struct Two {
+pub(crate) struct Two {
     out: Pose,
     other: Pose,
 }
@@ -76,13 +77,13 @@ source!(File, "from.file", false, false, NoParams, One);
 #[derive(Default, serde::Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "serde")]
 #[schemars(crate = "schemars")]
-pub struct ListedParams {
+pub(crate) struct ListedParams {
     list: Option<FilePath>,
 }
 
 /// A source of files that a list names.
 #[derive(Describe)]
-pub struct Listed(ListedParams);
+pub(crate) struct Listed(ListedParams);
 
 impl Source for Listed {
     const KIND: &'static str = "from.listed";
@@ -104,30 +105,30 @@ impl Source for Listed {
 }
 
 #[derive(Inputs)]
-pub struct PairIn {
+pub(crate) struct PairIn {
     a: Pose,
     b: Pose,
 }
 
 #[derive(Inputs)]
-pub struct MaybeIn {
+pub(crate) struct MaybeIn {
     a: Pose,
     b: Option<Pose>,
 }
 
 #[derive(Inputs)]
-pub struct ListIn {
+pub(crate) struct ListIn {
     list: Vec<Pose>,
 }
 
 #[derive(Inputs)]
-pub struct ListAndIn {
+pub(crate) struct ListAndIn {
     list: Vec<Pose>,
     b: Pose,
 }
 
 #[derive(Inputs)]
-pub struct SpareIn {
+pub(crate) struct SpareIn {
     a: Pose,
     spare: Unused<Pose>,
 }
@@ -141,14 +142,14 @@ node!(Spare, "to.spare", NoParams, SpareIn, One);
 #[derive(Default, serde::Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "serde")]
 #[schemars(crate = "schemars")]
-pub struct FrameParams {
+pub(crate) struct FrameParams {
     frame: String,
     to: String,
     from: String,
 }
 
 #[derive(Outputs)]
-pub struct FramedOut {
+pub(crate) struct FramedOut {
     #[port(frame = "$frame")]
     cloud: Cloud,
     #[port(to = "$to", from = "$from")]
@@ -159,7 +160,7 @@ pub struct FramedOut {
 source!(Framed, "frames.source", false, false, FrameParams, FramedOut);
 
 #[derive(Inputs)]
-pub struct MoveIn {
+pub(crate) struct MoveIn {
     #[port(frame = "pose.from")]
     cloud: Cloud,
     #[port(from = "cloud.frame")]
@@ -167,7 +168,7 @@ pub struct MoveIn {
 }
 
 #[derive(Outputs)]
-pub struct MoveOut {
+pub(crate) struct MoveOut {
     #[port(frame = "pose.to")]
     cloud: Cloud,
     #[port(to = "pose.from", from = "pose.to")]
@@ -179,7 +180,7 @@ node!(Move, "frames.move", NoParams, MoveIn, MoveOut);
 #[derive(serde::Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "serde")]
 #[schemars(crate = "schemars")]
-pub struct WantParams {
+pub(crate) struct WantParams {
     frame: String,
 }
 
@@ -190,7 +191,7 @@ impl Default for WantParams {
 }
 
 #[derive(Inputs)]
-pub struct WantIn {
+pub(crate) struct WantIn {
     #[port(frame = "$frame")]
     cloud: Cloud,
     #[port(to = "$frame", from = "@tool")]
@@ -198,7 +199,7 @@ pub struct WantIn {
 }
 
 #[derive(Outputs)]
-pub struct WantOut {
+pub(crate) struct WantOut {
     #[port(frame = "cloud")]
     cloud: Cloud,
     #[port(to = "pose.to", from = "pose.from")]
@@ -208,21 +209,21 @@ pub struct WantOut {
 node!(Want, "frames.want", WantParams, WantIn, WantOut);
 
 #[derive(Inputs)]
-pub struct OptionalIn {
+pub(crate) struct OptionalIn {
     b: Option<Pose>,
 }
 
 node!(Optional, "to.optional", NoParams, OptionalIn, One);
 
 #[derive(Inputs)]
-pub struct ReportIn {
+pub(crate) struct ReportIn {
     report: Report,
 }
 
 node!(WantReport, "to.report", NoParams, ReportIn, One);
 
 #[derive(Inputs)]
-pub struct RankedIn {
+pub(crate) struct RankedIn {
     /// Where it starts.
     ///
     /// And no more of it.
@@ -231,7 +232,7 @@ pub struct RankedIn {
 }
 
 #[derive(Outputs)]
-pub struct RankedOut {
+pub(crate) struct RankedOut {
     other: Pose,
     #[port(to = "@ct", from = "@tool")]
     end: Pose,
@@ -240,7 +241,7 @@ pub struct RankedOut {
 
 node!(Ranked, "frames.ranked", NoParams, RankedIn, RankedOut);
 
-pub fn registry() -> Registry {
+pub(crate) fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Cloud, _>().payload::<Pose, _>().payload::<Report, _>();
     registry.source::<Live>().source::<LiveTwo>().source::<Constant>().source::<File>().source::<Framed>();
