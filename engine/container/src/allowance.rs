@@ -94,6 +94,18 @@ mod tests {
     }
 
     #[test]
+    fn the_limit_may_be_taken_whole_and_is_named_in_megabytes() {
+        let mut allowance = Allowance::new((5 << 20) + Allowance::OVERHEAD);
+        assert!(allowance.take(5 << 20).is_continue() && allowance.exceeded().is_none());
+        assert!(allowance.take(0).is_break());
+        let expected = "its content takes more than 5 MB of memory; if this machine has more, set \
+                        OSTEOFLOW_MAX_RECORDING_MB to that many megabytes";
+        assert_eq!(allowance.exceeded().unwrap().to_string(), expected);
+        let set = std::env::var(SETTING).ok();
+        assert_eq!(Allowance::from_env().limit, Allowance::of(set.as_deref()).limit);
+    }
+
+    #[test]
     fn a_setting_that_is_no_number_allows_nothing_and_is_named() {
         assert_eq!(Allowance::of(None).limit, 4 << 30);
         assert_eq!(Allowance::of(Some("")).limit, 4 << 30);

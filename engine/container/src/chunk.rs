@@ -49,3 +49,23 @@ pub(crate) fn check_crc(header: &ChunkHeader, records: &[u8]) -> Result<Hasher, 
 fn cannot(header: &ChunkHeader, reason: String) -> Cause {
     Cause::Compression { name: header.compression.clone(), reason }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sizes_of_a_chunk_end_at_the_longest_record() {
+        let check = |n_packed: u64, n_unpacked: u64| {
+            let (compression, n_head, n_record) = (String::new(), 49, 49 + n_packed);
+            let header =
+                ChunkHeader { start_time: 0, end_time: 0, n_unpacked, crc: 0, compression, n_packed, n_head, n_record };
+            check_sizes(&header).map_err(|cause| cause.to_string())
+        };
+        let (most, more) = (MAX_RECORD_BYTES, MAX_RECORD_BYTES + 1);
+        assert_eq!(check(most, most), Ok(()));
+        let said = |what: &str| Err(format!("{what} claims {more} bytes, but at most {most} are possible"));
+        assert_eq!(check(more, most), said("the packed chunk"));
+        assert_eq!(check(most, more), said("the unpacked chunk"));
+    }
+}

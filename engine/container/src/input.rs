@@ -76,3 +76,6 @@ impl<R: Read + Seek> Input<R> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -97,7 +97,7 @@ pub struct Reader<R> {
     summary: Summary,
     /// Whether messages have been outside of chunks so far.
     is_unchunked: bool,
-    n_chunks: u64,
+    has_chunks: bool,
     section_crc: Option<SectionCrc>,
 }
 
@@ -172,7 +172,7 @@ impl<R: Read + Seek> Reader<R> {
             described: Descriptions::default(),
             summary: Summary::default(),
             is_unchunked: false,
-            n_chunks: 0,
+            has_chunks: false,
             section_crc: None,
         }
     }
@@ -244,7 +244,7 @@ impl<R: Read + Seek> Reader<R> {
         let (described, summary) = (&self.described, &self.summary);
         let has_channel = |id: u16| described.has_channel(id) || summary.channels.contains_key(&id);
         // Inside a damaged chunk nothing confirms a message.
-        let loose = self.is_unchunked && self.n_chunks == 0 && !is_chunk;
+        let loose = self.is_unchunked && !self.has_chunks && !is_chunk;
         resync::next_record(&mut self.input, at + 1, loose.then_some(&has_channel))
     }
 
@@ -386,7 +386,7 @@ impl<R: Read + Seek> Reader<R> {
 
     fn chunk(&mut self, at: u64, length: u64, visitor: &mut impl Visitor) -> Result<Step, ReadError> {
         let next = at + RECORD_HEAD + length;
-        self.n_chunks += 1;
+        self.has_chunks = true;
         let mut records = std::mem::take(&mut self.records);
         let unpacked = self.unpack(at, length, &mut records)?;
         let checked = unpacked.and_then(|header| {

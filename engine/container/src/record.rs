@@ -319,3 +319,6 @@ fn parse_chunk_header(bytes: &[u8], length: u64) -> Result<ChunkHeader, String> 
 pub(crate) fn check_crc(what: &'static str, stored: u32, computed: u32) -> Result<(), Cause> {
     if stored == 0 || stored == computed { Ok(()) } else { Err(Cause::Crc { what, stored, computed }) }
 }
+
+#[cfg(test)]
+mod tests;

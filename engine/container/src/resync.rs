@@ -68,14 +68,11 @@ pub(crate) fn is_plausible<R: Read + Seek>(input: &mut Input<R>, at: u64) -> io:
 /// Whether `n` plausible records, or the end of the file, follow the record at `at`.
 fn continues<R: Read + Seek>(input: &mut Input<R>, mut at: u64, n: usize) -> io::Result<bool> {
     for _ in 0..n {
-        if at + RECORD_HEAD > input.n_bytes() {
+        if at.saturating_add(RECORD_HEAD) > input.n_bytes() {
             return Ok(true);
         }
         let (_, length) = input.head(at)?;
         at = at.saturating_add(RECORD_HEAD).saturating_add(length);
-        if at > input.n_bytes() {
-            return Ok(true);
-        }
         if !is_plausible(input, at)? {
             return Ok(false);
         }
@@ -123,7 +120,7 @@ fn is_record(bytes: &[u8], left: u64) -> bool {
         op::MESSAGE_INDEX if length >= 6 + 32 && (length - 6).is_multiple_of(16) => {
             lengths.skip(2).and_then(Lengths::field::<4>)
         }
-        op::METADATA if length > 8 && content.get(..4).is_some_and(|n| n != [0; 4]) => {
+        op::METADATA if content.get(..4).is_some_and(|n| n != [0; 4]) => {
             lengths.field::<4>().and_then(Lengths::field::<4>)
         }
         op::ATTACHMENT => lengths
@@ -165,3 +162,6 @@ fn follows(content: &[u8], length: u64) -> bool {
     let next = usize::try_from(length).ok().and_then(|at| content.get(at));
     next.is_none_or(|opcode| *opcode != 0)
 }
+
+#[cfg(test)]
+mod tests;

@@ -131,4 +131,26 @@ mod tests {
             (1, (MIN_SEGMENT_BYTES - 1) as u8, 2, Some(&7))
         );
     }
+
+    #[test]
+    fn appended_bytes_keep_their_order_and_long_ones_their_place() {
+        let shared = |n: usize, byte: u8| std::sync::Arc::new(vec![byte; n]) as SharedBytes;
+        let mut other = Segments::from(vec![1; MIN_SEGMENT_BYTES]);
+        other.push_shared(&shared(MIN_SEGMENT_BYTES - 1, 2));
+        other.push_shared(&shared(MIN_SEGMENT_BYTES, 3));
+        other.push(vec![4; 5]);
+        let mut all = Segments::from(vec![0; 3]);
+        assert_eq!((all.len(), all.is_empty()), (3, false));
+        all.append(other);
+        let found: Vec<_> = all.slices().map(|slice| (slice[0], slice.len())).collect();
+        let n = MIN_SEGMENT_BYTES;
+        assert_eq!(found, [(0, 3), (1, n), (2, n - 1), (3, n), (4, 5)]);
+        assert_eq!(all.len(), 3 + n + n - 1 + n + 5);
+        all.end_tail();
+        all.end_tail();
+        assert_eq!((all.len(), all.slices().count(), all.tail().len()), (3 + n + n - 1 + n + 5, 5, 0));
+        let bytes = all.into_vec();
+        assert_eq!((bytes.len(), bytes[3], bytes[2 + n], bytes.last()), (3 + n + n - 1 + n + 5, 1, 1, Some(&4)));
+        assert_eq!(Segments::from(vec![7; 2]).into_vec(), [7, 7]);
+    }
 }

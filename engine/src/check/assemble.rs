@@ -152,3 +152,6 @@ impl Net<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -47,3 +47,6 @@ pub(super) fn sorted(mut faults: Vec<Fault>) -> Vec<Fault> {
     faults.sort_by_key(|fault| fault.at.as_ref().map(|(span, _)| span.key()));
     faults
 }
+
+#[cfg(test)]
+mod tests;

@@ -123,7 +123,7 @@ impl Check<'_> {
                     let modules = self.names.modules.iter().map(|module| module.node.as_str());
                     let near =
                         nearest::name(node, parsed_nodes.iter().map(|parsed_node| parsed_node.name).chain(modules))?;
-                    Some(format!("did you mean \"{near}.{rest}\"?"))
+                    (near != node).then(|| format!("did you mean \"{near}.{rest}\"?"))
                 });
                 self.faults.push(fault.at(&pattern.at, "fits no wire").help_if(help).follows());
             }

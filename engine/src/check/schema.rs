@@ -46,3 +46,6 @@ struct Quantity {
     name: String,
     doc: Option<String>,
 }
+
+#[cfg(test)]
+mod tests;

@@ -18,7 +18,7 @@ enum Count {
 #[derive(Clone, Copy)]
 struct Flow {
     count: Count,
-    /// Whether every item has stamp 0, because it is derived from constants only.
+    /// Whether every item has stamp 0, because it is derived from constants only; then there is at most one.
     timeless: bool,
 }
 
@@ -98,8 +98,8 @@ impl<'a> Node<'a, '_> {
     }
 
     fn warnings(&self) -> Vec<Fault> {
+        // Its stamps follow a clock, so they are not all 0.
         let stream = self.triggers().find(|(_, flow)| flow.count == Count::Stream);
-        let timed = self.triggers().find(|(_, flow)| !flow.timeless && self.follows_a_clock(flow));
         let mut faults = Vec::new();
         for (input, flow) in self.wired() {
             let (Some(at), Some(from)) = (&input.at, input.from) else { continue };
@@ -135,13 +135,13 @@ impl<'a> Node<'a, '_> {
                         .note(note)
                         .help(format!("write join = \"once\" for {port}: a constant is there at every firing"))
                 }),
-                Join::Stamp { .. } if flow.timeless => timed.map(|_| {
+                Join::Stamp { .. } if flow.timeless => stream.map(|_| {
                     warn(format!("input \"{port}\" joins by stamp, but \"{wire}\" is a constant without a time"))
                         .at(at, "its stamp is 0")
                         .note(format!("{never}: no item of a stream that follows a clock has that stamp"))
                         .help("write join = \"once\": a constant is there at every firing")
                 }),
-                Join::Interpolate { .. } if flow.timeless && flow.count == Count::One => timed.map(|_| {
+                Join::Interpolate { .. } if flow.timeless => stream.map(|_| {
                     warn(format!("input \"{port}\" joins by interpolate, but \"{wire}\" is a constant without a time"))
                         .at(at, "one sample, at stamp 0")
                         .note(format!("{never}: a constant has no neighbours to read between"))
@@ -151,10 +151,5 @@ impl<'a> Node<'a, '_> {
             });
         }
         faults
-    }
-
-    /// Whether items have stamps that are surely not all 0.
-    fn follows_a_clock(&self, flow: &Flow) -> bool {
-        flow.count == Count::Stream
     }
 }

@@ -5,6 +5,11 @@
 
 mod command_line_params;
 mod damage;
+mod frames;
 mod golden;
 mod modules;
+mod own_nodes;
 mod plans;
+mod producers;
+mod starvation;
+mod sweeps;

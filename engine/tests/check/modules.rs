@@ -201,3 +201,18 @@ fn only_the_graph_may_allow_loss_not_its_modules() {
         "{faults}"
     );
 }
+
+#[test]
+fn the_interface_of_each_module_matches_the_golden_text() {
+    let mut all = String::new();
+    for name in ["register", "nested", "described"] {
+        let path = format!("tests/broken/modules/{name}.toml");
+        let CheckedFile::Module(module) =
+            check_file(Path::new(&path), &[], &stages::registry()).unwrap_or_else(|faults| panic!("{faults}"))
+        else {
+            panic!("{name} is a module")
+        };
+        all += &format!("{}\n", serde_json::to_string_pretty(&module.description).unwrap());
+    }
+    crate::golden::compare(&all, Path::new("tests/check/modules.txt")).unwrap();
+}

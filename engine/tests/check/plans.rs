@@ -49,6 +49,16 @@ fn the_resolved_graph_matches_the_golden_text() {
 }
 
 #[test]
+fn every_setting_is_in_the_resolved_graph_and_is_read_again() {
+    let plan = checked("tests/graphs/settings.toml", &[]).plan;
+    compare(&plan.resolved, Path::new("tests/graphs/settings.resolved.txt")).unwrap();
+    let again = check_text(&plan.resolved, Path::new("elsewhere.toml"), &[], &stages::registry());
+    let again = again.unwrap_or_else(|faults| panic!("{faults}")).plan;
+    assert_eq!(again.resolved, plan.resolved);
+    assert_eq!(bare(again), bare(plan));
+}
+
+#[test]
 fn nodes_are_in_topological_order_with_ties_in_file_order() {
     let plan = checked(GRAPH, &[]).plan;
     for link in &plan.links {
@@ -240,4 +250,52 @@ fn a_missing_graph_file_is_reported_with_the_nearest_name() {
     assert!(text.contains("did you mean \"everything.toml\"?"), "{text}");
     let folder = check(Path::new("tests/graphs"), &[], &stages::registry()).unwrap_err().to_string();
     assert!(folder.contains("tests/graphs is a folder; a graph file is needed"), "{folder}");
+}
+
+#[test]
+fn the_files_that_a_list_names_are_inputs_of_the_run_too() {
+    let files = |parameter: &str| {
+        let text = format!("[graph]\nformat = 1\n[node.a]\nkind = \"from.listed\"\n{parameter}\n");
+        let checked = check_text(&text, Path::new("tests/data/x.toml"), &[], &crate::own_nodes::registry());
+        checked.unwrap_or_else(|faults| panic!("{faults}")).plan.input_files
+    };
+    let data = std::path::absolute("tests/data").unwrap();
+    let expected = ["of_the_list.txt", "surface.txt"].map(|name| data.join(name));
+    assert_eq!(files("list = \"surface.txt\""), expected, "each once, in order");
+    assert_eq!(files(""), [""; 0].map(std::path::PathBuf::from), "a source that reads no file has no list");
+}
+
+#[test]
+fn every_parameter_has_the_place_where_it_is_set() {
+    let plan = checked("tests/graphs/variants/plane.toml", &["crop.half_mm[0]=7"]).plan;
+    let crop = plan.nodes.iter().find(|node| &*node.name == "crop").unwrap();
+    let place = |key: &str| {
+        let location = &crop.param_places[key];
+        format!("{}:{}", location.file.file_name().unwrap().to_string_lossy(), location.line)
+    };
+    let text = std::fs::read_to_string(GRAPH).unwrap();
+    let line = |start: &str| text.lines().position(|line| line.starts_with(start)).unwrap() + 1;
+    assert_eq!(place("region"), format!("everything.toml:{}", line("region")));
+    assert_eq!(place("region.from_mm"), format!("everything.toml:{}", line("region")));
+    assert_eq!(place("offsets_mm.left side"), format!("everything.toml:{}", line("offsets_mm")));
+    assert!(!crop.param_places.contains_key("threshold"), "a default has no place");
+}
+
+#[test]
+fn the_command_line_may_swap_a_kind_and_add_a_node_whose_name_is_not_near_another() {
+    let swap = ["icp.kind=icp.point_to_plane", "remove=[\"node.icp.max_pair_distance_mm\"]"];
+    let plan = checked(GRAPH, &swap).plan;
+    let icp = plan.nodes.iter().find(|node| &*node.name == "icp").unwrap();
+    assert_eq!((icp.kind.as_str(), icp.location.file.as_path()), ("icp.point_to_plane", Path::new(GRAPH)));
+    let add = |name: &str, kind: &str| {
+        let sets = [format!("{name}.kind={kind}"), format!("{name}.in.cloud=transform.cloud")];
+        check(Path::new(GRAPH), &sets, &stages::registry()).map_err(|faults| faults.to_string())
+    };
+    let added = add("sphere", "crop.sphere").unwrap().plan;
+    assert!(added.nodes.iter().any(|node| &*node.name == "sphere"));
+    let near = add("crap", "crop.sphere").unwrap_err();
+    assert!(near.contains("there is no node \"crap\"") && near.contains("did you mean \"crop\"?"), "{near}");
+    let sets = ["sphere.half_mm=[1, 2, 3]".to_owned()];
+    let without = check(Path::new(GRAPH), &sets, &stages::registry()).unwrap_err().to_string();
+    assert!(without.contains("there is no node \"sphere\""), "{without}");
 }

@@ -94,11 +94,11 @@ impl Reader<'_> {
             }
         };
         let (from, to) = (number("from")?, number("to")?);
-        let n = table.get("n").and_then(|e| extract::whole(&e.value, "n", 2, MAX_LEVELS as u64, self.faults));
-        let Some(n) = n else {
+        let Some(n) = table.get("n") else {
             self.fault(&entry.key_at, format!("{owner} does not say how many values"), "no n", "add n = 5");
             return None;
         };
+        let n = extract::whole(&n.value, "n", 2, MAX_LEVELS as u64, self.faults)?;
         let log = table.get("log").and_then(|e| extract::boolean(&e.value, "log", self.faults)).unwrap_or(false);
         if log && (from <= 0.0 || to <= 0.0) {
             self.fault(

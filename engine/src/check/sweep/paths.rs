@@ -41,12 +41,15 @@ fn inside(outer: &str, path: &str) -> bool {
 
 /// The path with its first part replaced by the nearest known result.
 fn meant(path: &str, known: &[&str]) -> Option<String> {
-    let ends = path.match_indices('.').map(|(at, _)| at).chain([path.len()]);
-    ends.collect::<Vec<_>>().into_iter().rev().find_map(|end| {
-        let (front, rest) = path.split_at(end);
-        // Known names may contain dots; compare names with the same number of parts first.
-        let alike = known.iter().copied().filter(|key| key.matches('.').count() == front.matches('.').count());
-        let near = nearest::name(front, alike).or_else(|| nearest::name(front, known.iter().copied()))?;
-        Some(format!("{near}{rest}"))
-    })
+    let ends: Vec<_> = path.match_indices('.').map(|(at, _)| at).chain([path.len()]).collect();
+    let n_parts = |name: &str| name.matches('.').count();
+    let near = |is_alike: bool| {
+        ends.iter().rev().find_map(|end| {
+            let (front, rest) = path.split_at(*end);
+            let alike = known.iter().copied().filter(|key| !is_alike || n_parts(key) == n_parts(front));
+            Some(format!("{}{rest}", nearest::name(front, alike)?))
+        })
+    };
+    // Known names may contain dots; compare names with the same number of parts first.
+    near(true).or_else(|| near(false))
 }
