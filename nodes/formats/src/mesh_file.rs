@@ -304,6 +304,21 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_states_no_space_is_in_the_one_given_and_another_is_refused() {
+        let stated = |space| MeshRead { mesh: tetrahedron(), n_degenerate: 0, space, notes: vec![] };
+        let read = |from, given| stated(from).in_space(given).map(|read| (read.mesh.vertices()[1].x, read.space));
+        assert_eq!(read(Space::Unknown, Space::Lps), Ok((40.0, Space::Lps)));
+        assert_eq!(read(Space::Unknown, Space::Ras), Ok((-40.0, Space::Ras)));
+        // A surface that states its space is in LPS already.
+        assert_eq!(
+            (read(Space::Lps, Space::Lps), read(Space::Ras, Space::Ras)),
+            (Ok((40.0, Space::Lps)), Ok((40.0, Space::Ras)))
+        );
+        assert_eq!(read(Space::Ras, Space::Lps), Err("the file states SPACE=RAS".to_owned()));
+        assert_eq!(read(Space::Lps, Space::Unknown), Err("the file states SPACE=LPS".to_owned()));
+    }
+
+    #[test]
     fn a_binary_file_that_begins_with_solid_is_binary() {
         let mut bytes = binary();
         bytes[..24].copy_from_slice(b"solid made by a exporter");

@@ -41,3 +41,44 @@ pub(crate) fn unit_normals(mut normals: Vec<Vector3<f64>>) -> (Option<Vec<Vector
     });
     (Some(normals), note.into_iter().collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scaled(lengths: &[f64]) -> (Option<Vec<f64>>, Vec<String>) {
+        let along = Vector3::new(0.6, 0.0, -0.8);
+        let (normals, notes) = unit_normals(lengths.iter().map(|length| along * *length).collect());
+        let lengths = normals.map(|normals| {
+            assert!(
+                normals.iter().all(|n| (n.normalize() - along).norm() < 1e-15),
+                "a direction stays: rounding alone"
+            );
+            normals.iter().map(|n| n.norm()).collect()
+        });
+        (lengths, notes)
+    }
+
+    #[test]
+    fn normals_have_length_1_to_the_last_digit_and_only_what_rounding_does_not_explain_is_noted() {
+        let rounded = 0.9 * ROUNDED_ROTATION;
+        let (lengths, notes) = scaled(&[1.0, 1.0 + 4e-7, 1.0 - 4e-7, 1.0 + rounded, 1.0 - rounded]);
+        // 4e-16: two roundings of a length of 1.
+        assert!(lengths.as_ref().unwrap().iter().all(|length| (length - 1.0).abs() < 4e-16), "{lengths:?}");
+        assert_eq!(notes, [""; 0]);
+        let (lengths, notes) = scaled(&[1.0, 1.0 + 1.1 * ROUNDED_ROTATION, 0.25, 1e-3, 1.0]);
+        assert!(lengths.as_ref().unwrap().iter().all(|length| (length - 1.0).abs() < 4e-16), "{lengths:?}");
+        let longest = 1.0 + 1.1 * ROUNDED_ROTATION;
+        let expected = format!("3 of 5 normals have lengths from 1.000e-3 to {longest:.3e} and were scaled to 1");
+        assert_eq!(notes, [expected]);
+    }
+
+    #[test]
+    fn a_normal_without_a_direction_takes_all_away() {
+        let note =
+            |n: usize| vec![format!("{n} of 4 normals are zero or not finite, so the cloud goes without normals")];
+        assert_eq!(scaled(&[1.0, 0.0, 2.0, 1.0]), (None, note(1)));
+        assert_eq!(scaled(&[f64::NAN, 0.0, f64::INFINITY, 1.0]), (None, note(3)));
+        assert_eq!(scaled(&[]), (Some(vec![]), vec![]));
+    }
+}

@@ -87,37 +87,73 @@ mod tests {
         bytes
     }
 
+    const SURFACE: &str = "is not read; export the surface as STL, PLY or OBJ";
+    const POINTS: &str = "is not read; export the points as PLY, PCD or text";
+    const IMAGE: &str = "is an image, not a surface; segment the bone and export its surface as STL or PLY";
+    const MARKUPS: &str = "is not read; these are points, not a surface; export the bone's model as STL or PLY";
+
     #[test]
     fn each_kind_is_named_with_what_to_export() {
-        for (bytes, expected) in [
-            (vec![], "the file is empty; was it written to the end?"),
-            (at(0, b"glTF"), "GLB (binary glTF) is not read; export the surface as STL, PLY or OBJ"),
-            (br#"{"asset":{"version":"2.0"}}"#.into(), "glTF is not read; export the surface as STL, PLY or OBJ"),
-            (b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">".into(), "XML of VTK (.vtp, .vtu) is not read"),
-            (at(0, b"ASTM-E57"), "E57 is not read; export the points as PLY, PCD or text"),
-            (at(0, b"PK\x03\x04....[Content_Types].xml"), "3MF (a ZIP archive) is not read"),
-            (at(0, b"PK\x03\x04"), "a ZIP archive is not read; unpack it"),
-            (at(0, b"\x1f\x8b"), "gzip data is not read; unpack it; a .nii.gz"),
-            (at(344, b"n+1\0"), "NIfTI is an image, not a surface; segment the bone"),
-            (at(0, b"NRRD0005\n"), "NRRD is an image"),
-            (at(128, b"DICM"), "DICOM is an image"),
-            (at(0, b"\x89MCAP0\r\n"), "an MCAP recording is not read"),
+        for (bytes, kind, advice) in [
+            (at(0, b"glTF"), "GLB (binary glTF)", SURFACE),
+            (at(0, b"ASTM-E57"), "E57", POINTS),
+            (at(0, b"LASF"), "LAS or LAZ", POINTS),
+            (at(0, b"\x89HDF\r\n\x1a\n"), "HDF5", SURFACE),
+            (at(0, b"%PDF-1.7"), "a PDF document", SURFACE),
+            (at(0, b"\x89PNG"), "a picture", SURFACE),
+            (at(0, b"\xff\xd8\xff\xe0"), "a picture", SURFACE),
+            (at(0, b"GIF89a"), "a picture", SURFACE),
+            (at(0, b"Kaydara FBX Binary"), "FBX", SURFACE),
+            (at(0, b"BLENDER-v404"), "a Blender scene", SURFACE),
+            (at(0, b"ISO-10303-21;"), "STEP", SURFACE),
+            (at(0, b"\xff\xfe1\0"), "UTF-16 text", "is not read; save it as UTF-8"),
+            (at(0, b"\xfe\xff\x001"), "UTF-16 text", "is not read; save it as UTF-8"),
+            (at(0, b"\x89MCAP0\r\n"), "an MCAP recording", "is not read; give it to a node that reads recordings"),
+            (at(0, b"BZh9"), "compressed data", "is not read; unpack it"),
+            (at(0, b"\xfd7zXZ"), "compressed data", "is not read; unpack it"),
+            (at(0, b"\x28\xb5\x2f\xfd"), "compressed data", "is not read; unpack it"),
+            (at(0, b"7z\xbc\xaf"), "compressed data", "is not read; unpack it"),
             (
-                br#"{"@schema":"https://..markups-schema-v1.0.3.json#","markups":[]}"#.into(),
-                "these are points, not a surface",
+                at(0, b"\x1f\x8b"),
+                "gzip data",
+                "is not read; unpack it; a .nii.gz holds an image, of which the segmented surface is needed as STL or PLY",
             ),
-            (b"# Markups fiducial file version = 4.11\n".into(), "Slicer markups is not read"),
-            (at(0, b"\x89HDF\r\n\x1a\n"), "HDF5 is not read"),
-            (at(0, b"%PDF-1.7"), "a PDF document is not read"),
-            (at(0, b"\x89PNG"), "a picture is not read"),
-            (at(0, b"\xff\xd8\xff\xe0"), "a picture is not read"),
-            (at(0, b"LASF"), "LAS or LAZ is not read"),
-            (at(0, b"\xff\xfe1\0"), "UTF-16 text is not read; save it as UTF-8"),
+            (at(344, b"n+1\0"), "NIfTI", IMAGE),
+            (at(344, b"ni1\0"), "NIfTI", IMAGE),
+            (at(4, b"n+2\0"), "NIfTI", IMAGE),
+            (at(4, b"ni2\0"), "NIfTI", IMAGE),
+            (at(0, b"NRRD0005\n"), "NRRD", IMAGE),
+            (at(128, b"DICM"), "DICOM", IMAGE),
+            (at(0, b"ObjectType = Image\n"), "MetaImage", IMAGE),
+            (at(0, b"PK\x03\x04....3D/3dmodel.model"), "3MF (a ZIP archive)", SURFACE),
+            (at(0, b"PK\x03\x04....[Content_Types].xml"), "3MF (a ZIP archive)", SURFACE),
+            (at(0, b"PK\x03\x04....points.npy"), "NPZ (a ZIP archive)", POINTS),
+            (at(0, b"PK\x03\x04"), "a ZIP archive", "is not read; unpack it and give the file of the surface or cloud"),
+            (
+                b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">".into(),
+                "XML of VTK (.vtp, .vtu)",
+                "is not read; write the surface as legacy .vtk, PLY or STL",
+            ),
+            (
+                b"\xef\xbb\xbf <!DOCTYPE PickedPoints>\n<PickedPoints>".into(),
+                "a list of picked points (.pp)",
+                "is not read; a surface or a cloud is needed here",
+            ),
+            (b"<COLLADA version=\"1.4.1\">".into(), "COLLADA", SURFACE),
+            (b"<html>".into(), "XML or HTML", SURFACE),
+            (br#"{"markups":[]}"#.into(), "Slicer markups", MARKUPS),
+            (br#"{"@schema":"https://..markups-schema-v1.0.3.json#"}"#.into(), "Slicer markups", MARKUPS),
+            (b"# Markups fiducial file version = 4.11\n".into(), "Slicer markups", MARKUPS),
+            (br#"{"asset":{"version":"2.0"}}"#.into(), "glTF", SURFACE),
+            (br#"{"glTF":1}"#.into(), "glTF", SURFACE),
+            (br#"{"meshes":[]}"#.into(), "glTF", SURFACE),
+            (br#"{"points":[]}"#.into(), "JSON", SURFACE),
         ] {
-            let found = refusal(&bytes).unwrap_or_default();
-            assert!(found.contains(expected), "{expected}\n{found}");
+            assert_eq!(refusal(&bytes).unwrap_or_default(), format!("{kind} {advice}"));
         }
-        assert_eq!(refusal(b"1 2 3\n"), None);
-        assert_eq!(refusal(b"# a scan\n1 2 3\n"), None);
+        assert_eq!(refusal(b"").unwrap(), "the file is empty; was it written to the end?");
+        for read in ["1 2 3\n", "# a scan\n1 2 3\n", "Markups fiducial file", " \n", "v 1 2 3 # <COLLADA"] {
+            assert_eq!(refusal(read.as_bytes()), None, "{read}");
+        }
     }
 }

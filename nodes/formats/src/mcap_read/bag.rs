@@ -226,6 +226,13 @@ rosbag2_bagfile_information:
     }
 
     #[test]
+    fn an_alias_is_the_value_of_its_key_and_the_next_word_a_key() {
+        let text = "bag:\n  version: &v 5\n  other: *v\n  storage_identifier: mcap\n  relative_file_paths:\n    - *v\n    - a.mcap\n";
+        let found = Metadata::of(text).unwrap();
+        assert_eq!((found.storage.as_deref(), &found.files[..]), (Some("mcap"), &["a.mcap".to_owned()][..]));
+    }
+
+    #[test]
     fn nesting_and_aliases_cost_nothing() {
         let nested = format!("a:\n  b: {}1{}\n", "[".repeat(100_000), "]".repeat(100_000));
         let aliases: String =

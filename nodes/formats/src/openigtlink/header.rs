@@ -136,3 +136,45 @@ pub(super) fn find(bytes: &[u8]) -> Option<usize> {
         (header.n_body > 0 && TYPES.contains(&&*header.type_name)).then_some(at)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_type_has_the_bodies_that_its_content_allows() {
+        for (type_name, sizes, others) in [
+            ("TRANSFORM", vec![48], vec![0, 47, 49, 96]),
+            ("TDATA", vec![0, 70, 140], vec![69, 71]),
+            ("POSITION", vec![12, 24, 28, 152, 304], vec![11, 13, 25, 29, 151]),
+            ("POINT", vec![136, 272], vec![135]),
+            ("STATUS", vec![30, 30 + (1 << 16)], vec![29, 31 + (1 << 16)]),
+            ("STRING", vec![4, 4 + (1 << 16)], vec![3, 5 + (1 << 16)]),
+            ("IMAGE", vec![0, 7, MAX_BODY_BYTES], vec![MAX_BODY_BYTES + 1]),
+        ] {
+            assert!(sizes.iter().all(|&n| can_have(type_name, 1, n)), "{type_name}: {sizes:?}");
+            assert!(!others.iter().any(|&n| can_have(type_name, 1, n)), "{type_name}: {others:?}");
+        }
+        // With an extended header of 12 bytes or more, and up to 1 MiB of metadata where the content has a fixed size.
+        let most = (1 << 20) + (1 << 17);
+        for version in [2, 3] {
+            for type_name in ["TRANSFORM", "POSITION", "STATUS", "STRING"] {
+                let found = [11, 12, most, most + 1].map(|n| can_have(type_name, version, n));
+                assert_eq!(found, [false, true, true, false], "{type_name}");
+            }
+            assert_eq!([11, 12, 13, most + 1].map(|n| can_have("TDATA", version, n)), [false, true, true, true]);
+            assert!(!can_have("IMAGE", version, MAX_BODY_BYTES + 1));
+        }
+    }
+
+    #[test]
+    fn fractions_of_a_second_are_rounded_to_the_nearest_nanosecond() {
+        for (timestamp_of, ns) in
+            [(0, 0), (1 << 32, 1_000_000_000), (1 << 31, 500_000_000), (2, 0), (3, 1), (7 << 32 | 4, 7_000_000_001)]
+        {
+            assert_eq!(nanoseconds(timestamp_of), ns, "{timestamp_of}");
+        }
+        assert_eq!((timestamp(500_000_000), timestamp(1)), (Some(1 << 31), Some(4)));
+        assert_eq!((timestamp(2_000_000_000), timestamp(-1)), (Some(2 << 32), None));
+    }
+}
