@@ -25,9 +25,9 @@ pub struct PhantomReport {
     pub noise_mm: f64,
     /// RMS distance of the used points from their faces, mm.
     pub rms_mm: f64,
-    /// Median absolute distance of all points from the CAD's faces, mm.
+    /// Median absolute distance from the CAD's faces, of the points within `max_pair_distance_mm` of them, mm.
     pub median_mm: f64,
-    /// 95th percentile of the absolute distances, mm.
+    /// 95th percentile of these distances, mm.
     pub p95_mm: f64,
     /// RMS distance of the nearest four fifths of the points from the CAD's faces, mm. Noise alone gives 0.66 `noise_mm`.
     pub near_rms_mm: f64,
@@ -36,7 +36,7 @@ pub struct PhantomReport {
     /// The least `capped_rms_mm` of the scan's mirror image, registered from a few starts, mm. As small as that of the scan
     /// only where the seen faces are their own mirror image; none if no start led to a fit.
     pub mirrored_rms_mm: Option<f64>,
-    /// Share of the points that lie farther than `3 max_rms_mm` from the CAD's faces.
+    /// Share of the points within `max_pair_distance_mm` that lie farther than `3 max_rms_mm` from the CAD's faces.
     pub off_share: f64,
     /// Scale of the scan, estimated together with its pose: 1 if right, above 1 if the scan is too large. None if the seen
     /// faces do not determine it.

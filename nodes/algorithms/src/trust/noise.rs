@@ -37,8 +37,10 @@ fn patch_square(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>) -> 
     let normal = eigen.eigenvectors.column(k).into_owned();
     let (x, y) =
         (eigen.eigenvectors.column((k + 1) % 3).into_owned(), eigen.eigenvectors.column((k + 2) % 3).into_owned());
+    // Squares of small or large patches would spoil the conditioning of the normal equations.
+    let scale = near.iter().map(|v| (v - mean).norm()).fold(0.0, f64::max).max(1e-9);
     let a = DMatrix::from_fn(n, 6, |r, c| {
-        let (u, v) = ((near[r] - mean).dot(&x), (near[r] - mean).dot(&y));
+        let (u, v) = ((near[r] - mean).dot(&x) / scale, (near[r] - mean).dot(&y) / scale);
         [1.0, u, v, u * u, u * v, v * v][c]
     });
     let b = DVector::from_fn(n, |r, _| (near[r] - mean).dot(&normal));
@@ -65,6 +67,17 @@ mod tests {
             Point3::new(40.0 + x, y - 30.0, 200.0 + z)
         };
         (0..n).map(point).collect()
+    }
+
+    #[test]
+    fn a_scan_in_another_unit_has_its_noise_in_that_unit() {
+        let points = patch(400, 0.1);
+        let noise = sensor_noise_mm(&points).unwrap();
+        for unit in [1e-4, 1e4] {
+            let scaled: Vec<_> = points.iter().map(|p| p * unit).collect();
+            let ratio = sensor_noise_mm(&scaled).map(|scaled| scaled / unit / noise);
+            assert!(ratio.is_some_and(|ratio| (ratio - 1.0).abs() < 1e-6), "{unit}: {ratio:?}");
+        }
     }
 
     #[test]
