@@ -6,7 +6,7 @@ const ROUNDED_TO_SINGLE: f64 = 1e-6;
 
 /// Normals of any length, scaled to length 1, and what was done to them, one sentence each; none if one has no direction.
 ///
-/// A normal is a direction: scaling it moves nothing, so any length but zero is taken. Lengths that rounding does not explain
+/// A normal is a direction: scaling it moves nothing, so any length from 1e-6 on is taken. Lengths that rounding does not explain
 /// are reported.
 pub(crate) fn unit_normals(mut normals: Vec<Vector3<f64>>) -> (Option<Vec<Vector3<f64>>>, Vec<String>) {
     let (mut n_bad, mut n_scaled, mut shortest, mut longest) = (0, 0, f64::INFINITY, 0.0_f64);
