@@ -43,7 +43,26 @@ pub fn code_of(arguments: Vec<OsString>) -> u8 {
     exit.code()
 }
 
+/// Whether the reader of stdout has gone. A file that cannot be read or written is another matter.
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    if error.chain().any(|cause| cause.is::<osteoflow_formats::FileError>()) {
+        return false;
+    }
     let io = error.chain().find_map(|cause| cause.downcast_ref::<std::io::Error>());
     io.is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_formats::FileError;
+    use std::io::{Error, ErrorKind};
+
+    #[test]
+    fn a_broken_pipe_is_that_of_stdout_and_not_of_a_file() {
+        let broken = || Error::from(ErrorKind::BrokenPipe);
+        assert!(is_broken_pipe(&anyhow::Error::new(broken()).context("printing")));
+        let file = FileError::Io { path: "scan.ply".into(), action: "written", source: broken() };
+        assert!(!is_broken_pipe(&anyhow::Error::new(file).context("converting")));
+    }
 }

@@ -385,9 +385,10 @@ fn folder(folder: &Path) -> Result<Found> {
         let verdict = results.as_ref().and_then(|results| results.pointer("/verdict/answer")).cloned();
         let mut problems =
             if results.is_none() { vec!["there is no readable results.json".into()] } else { Vec::new() };
-        let manifest = fs::read(folder.join("manifest.json"))?;
+        let manifest = fs::read(folder.join("manifest.json")).map_err(|error| error.to_string());
+        let manifest = manifest.and_then(|bytes| serde_json::from_slice::<Value>(&bytes).map_err(|e| e.to_string()));
         let mut used_by = Vec::new();
-        match serde_json::from_slice::<Value>(&manifest) {
+        match manifest {
             Ok(_) => used_by.push(format!("osteoflow report {name}")),
             Err(error) => problems.push(format!("manifest.json: {error}")),
         }

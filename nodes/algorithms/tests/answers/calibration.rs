@@ -68,23 +68,29 @@ fn a_phantom_is_found_where_it_was_or_refused_in_the_same_words() {
     let seen = scan(&phantom, &truth, 0.05);
     let near = truth * Isometry3::new(Vector3::new(3.0, -4.0, 2.0), Vector3::new(0.03, 0.02, -0.03));
     let mut text = String::new();
-    let mut told =
+    let mut described =
         |name: &str, scan: &[Point3<f64>], phantom: &Mesh, nominal: &Isometry3<f64>, params: &PhantomParams| {
             let fit = phantom_icp(scan, phantom, nominal, params);
             text += &outcome(name, &fit.map(|fit| (motion(&fit.t_camera_phantom), fit.report)));
         };
-    told("usual", &seen, &phantom, &near, &params);
-    told("noise", &scan(&phantom, &truth, 0.15), &phantom, &near, &params);
-    told("no noise", &scan(&phantom, &truth, 0.0), &phantom, &near, &params);
-    told("few samples", &seen, &phantom, &near, &PhantomParams { n_samples: 900, max_iterations: 6, ..params.clone() });
-    told(
+    described("usual", &seen, &phantom, &near, &params);
+    described("noise", &scan(&phantom, &truth, 0.15), &phantom, &near, &params);
+    described("no noise", &scan(&phantom, &truth, 0.0), &phantom, &near, &params);
+    described(
+        "few samples",
+        &seen,
+        &phantom,
+        &near,
+        &PhantomParams { n_samples: 900, max_iterations: 6, ..params.clone() },
+    );
+    described(
         "smooth",
         &seen,
         &phantom,
         &near,
         &PhantomParams { smooth_mm: 0.0, working_distance_mm: 350.0, ..params.clone() },
     );
-    told(
+    described(
         "gate",
         &seen,
         &phantom,
@@ -93,33 +99,33 @@ fn a_phantom_is_found_where_it_was_or_refused_in_the_same_words() {
     );
     let mut around = seen.clone();
     around.extend((0..400).map(|k| Point3::new(f64::from(k % 20) - 10.0, f64::from(k / 20) + 30.0, 205.0)));
-    told("something else in view", &around, &phantom, &near, &params);
+    described("something else in view", &around, &phantom, &near, &params);
     let larger: Vec<Point3<f64>> = seen.iter().map(|p| p * 1.03).collect();
-    told("too large", &larger, &phantom, &near, &params);
-    told("a little too large", &seen.iter().map(|p| p * 1.008).collect::<Vec<_>>(), &phantom, &near, &params);
+    described("too large", &larger, &phantom, &near, &params);
+    described("a little too large", &seen.iter().map(|p| p * 1.008).collect::<Vec<_>>(), &phantom, &near, &params);
     let mirrored: Vec<Point3<f64>> = seen.iter().map(|p| Point3::new(-p.x, p.y, p.z)).collect();
-    told("mirrored", &mirrored, &phantom, &near, &params);
+    described("mirrored", &mirrored, &phantom, &near, &params);
     let far = truth * Isometry3::new(Vector3::new(8.0, -9.0, 7.0), Vector3::new(0.03, 0.1, -0.1));
-    told("far", &seen, &phantom, &far, &params);
+    described("far", &seen, &phantom, &far, &params);
     let turned = truth * Isometry3::new(Vector3::zeros(), Vector3::new(0.0, 0.2, 0.0));
-    told("turned", &seen, &phantom, &turned, &params);
-    told("beside", &seen, &phantom, &(truth * Isometry3::translation(90.0, 0.0, 0.0)), &params);
-    told("another phantom", &seen, &boxes(&[BLOCKS[0], BLOCKS[2]]), &near, &params);
-    told("a cube", &scan(&boxes(&[CUBE]), &truth, 0.05), &boxes(&[CUBE]), &near, &params);
+    described("turned", &seen, &phantom, &turned, &params);
+    described("beside", &seen, &phantom, &(truth * Isometry3::translation(90.0, 0.0, 0.0)), &params);
+    described("another phantom", &seen, &boxes(&[BLOCKS[0], BLOCKS[2]]), &near, &params);
+    described("a cube", &scan(&boxes(&[CUBE]), &truth, 0.05), &boxes(&[CUBE]), &near, &params);
     let flat =
         Isometry3::from_parts(Vector3::new(0.0, 0.0, 230.0).into(), UnitQuaternion::from_euler_angles(3.1, 0.0, 0.0));
-    told("one face", &scan(&boxes(&[CUBE]), &flat, 0.05), &boxes(&[CUBE]), &flat, &params);
-    told("strict", &seen, &phantom, &near, &PhantomParams { max_rms_mm: 0.03, ..params.clone() });
-    told("strict excess", &seen, &phantom, &near, &PhantomParams { max_excess_mm: 0.001, ..params.clone() });
-    told("strict move", &seen, &phantom, &near, &PhantomParams { max_moved_mm: 1.0, ..params.clone() });
-    told("strict turn", &seen, &phantom, &near, &PhantomParams { max_moved_deg: 1.0, ..params.clone() });
-    told("strict share", &around, &phantom, &near, &PhantomParams { max_off_share: 0.001, ..params.clone() });
-    told("strict scale", &seen, &phantom, &near, &PhantomParams { max_scale_error: 0.0, ..params.clone() });
-    told("few points", &seen[..9], &phantom, &near, &params);
-    told("no points", &[], &phantom, &near, &params);
+    described("one face", &scan(&boxes(&[CUBE]), &flat, 0.05), &boxes(&[CUBE]), &flat, &params);
+    described("strict", &seen, &phantom, &near, &PhantomParams { max_rms_mm: 0.03, ..params.clone() });
+    described("strict excess", &seen, &phantom, &near, &PhantomParams { max_excess_mm: 0.001, ..params.clone() });
+    described("strict move", &seen, &phantom, &near, &PhantomParams { max_moved_mm: 1.0, ..params.clone() });
+    described("strict turn", &seen, &phantom, &near, &PhantomParams { max_moved_deg: 1.0, ..params.clone() });
+    described("strict share", &around, &phantom, &near, &PhantomParams { max_off_share: 0.001, ..params.clone() });
+    described("strict scale", &seen, &phantom, &near, &PhantomParams { max_scale_error: 0.0, ..params.clone() });
+    described("few points", &seen[..9], &phantom, &near, &params);
+    described("no points", &[], &phantom, &near, &params);
     let mut broken = seen.clone();
     broken[5].z = f64::NAN;
-    told("not finite", &broken, &phantom, &near, &params);
+    described("not finite", &broken, &phantom, &near, &params);
     golden("phantom", &text);
 }
 

@@ -57,7 +57,7 @@ fn normals_and_samples_are_what_they_were() {
     let faces: Vec<usize> = drawn.faces.iter().map(|f| *f as usize).collect();
     text += &line("samples", &(points(&drawn.points), vectors(&drawn.normals), indices(&faces)));
     text += &outcome("of the surface", &of_surface(&drawn.points).as_deref().map(vectors));
-    // A shell of two walls 3 mm apart: which side is outside is told by the whole.
+    // A shell of two walls 3 mm apart: only the whole says which side is outside.
     let tube: Vec<Point3<f64>> = (0..4000)
         .map(|k| {
             let (turn, z) = (f64::from(k) * 0.618 * std::f64::consts::TAU, f64::from(k) * 0.01);

@@ -8,7 +8,7 @@ use osteoflow_algorithms::field::{ClosestPointField, FieldColumns, FieldParams};
 
 const COARSE: FieldParams = FieldParams { fine_mm: 1.5, band_mm: 3.0, coarse_mm: 5.0, reach_mm: 15.0 };
 
-fn told(field: &ClosestPointField) -> String {
+fn described(field: &ClosestPointField) -> String {
     let FieldColumns { head, index, nodes } = field.to_columns();
     let index: u64 = index.iter().enumerate().map(|(k, v)| (k as u64 % 97 + 1) * u64::from(v.wrapping_add(1))).sum();
     // Nodes without surface have 1e30.
@@ -34,12 +34,12 @@ fn told(field: &ClosestPointField) -> String {
 #[test]
 fn a_field_of_a_mesh_and_one_of_points_have_the_distances_they_had() {
     let of_mesh = ClosestPointField::of_mesh(&BONE.query, &COARSE).unwrap();
-    golden("field_mesh", &told(&of_mesh));
+    golden("field_mesh", &described(&of_mesh));
     let (points, normals) = (TARGET.points(), TARGET.normals().unwrap());
     let every: Vec<usize> = (0..points.len()).step_by(2).collect();
     let points: Vec<Point3<f64>> = every.iter().map(|&i| points[i]).collect();
     let normals: Vec<Vector3<f64>> = every.iter().map(|&i| normals[i]).collect();
-    golden("field_points", &told(&ClosestPointField::of_points(&points, &normals, &COARSE).unwrap()));
+    golden("field_points", &described(&ClosestPointField::of_points(&points, &normals, &COARSE).unwrap()));
 }
 
 #[test]

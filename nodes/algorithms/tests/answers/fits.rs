@@ -39,7 +39,7 @@ fn go_on() -> impl FnMut(&osteoflow_algorithms::icp::IcpStep) -> ControlFlow<Hal
 }
 
 /// The end of a registration, and its steps in short.
-fn told(name: &str, fit: &Result<IcpFit, IcpError>) -> String {
+fn described(name: &str, fit: &Result<IcpFit, IcpError>) -> String {
     let fit = match fit {
         Ok(fit) => fit,
         Err(error) => return format!("{name}: {error}\n"),
@@ -68,10 +68,10 @@ fn every_variant_and_every_parameter_of_an_icp_has_its_answer() {
     for method in Method::ALL {
         let by = |params: &IcpParams| register(method, &TARGET, &scan, &init, params, &mut go_on());
         let usual = by(&IcpParams::default());
-        text += &told(method.name(), &usual);
+        text += &described(method.name(), &usual);
         text += &line("    report", &usual.unwrap().report);
         let blind = register(method, &TARGET, &blind, &init, &IcpParams::default(), &mut go_on());
-        text += &told(&format!("{} blind", method.name()), &blind);
+        text += &described(&format!("{} blind", method.name()), &blind);
         let short = IcpParams { levels: vec![6], max_iterations: 60, ..IcpParams::default() };
         let cases = [
             ("huber", IcpParams { kernel: Kernel::Huber, ..short.clone() }),
@@ -90,12 +90,12 @@ fn every_variant_and_every_parameter_of_an_icp_has_its_answer() {
             ("short pairs", IcpParams { max_pair_distance_mm: 0.7, ..short.clone() }),
         ];
         for (name, params) in cases {
-            text += &told(&format!("{} {name}", method.name()), &by(&params));
+            text += &described(&format!("{} {name}", method.name()), &by(&params));
         }
         for field_exact in [true, false] {
             let params = IcpParams { pairing: PairingKind::Field, field_exact, ..short.clone() };
             let fit = register(method, &with_field, &scan, &init, &params, &mut go_on());
-            text += &told(&format!("{} field, exact {field_exact}", method.name()), &fit);
+            text += &described(&format!("{} field, exact {field_exact}", method.name()), &fit);
         }
     }
     golden("icp", &text);
@@ -109,7 +109,7 @@ fn a_start_beside_the_bone_ends_where_it_did() {
         let init = displaced(&scan.points()[7], mm, rad, seed);
         for method in Method::ALL {
             let fit = register(method, &TARGET, &scan, &init, &IcpParams::default(), &mut go_on());
-            text += &told(&format!("{} from {seed}", method.name()), &fit);
+            text += &described(&format!("{} from {seed}", method.name()), &fit);
         }
     }
     golden("icp_far", &text);
@@ -128,7 +128,7 @@ fn the_published_readings_stop_where_they_did() {
         let params =
             PublishedParams { reading, max_pair_distance_mm: 5.0, max_iterations, stop_after_ms: 0.0, min_pairs: 10 };
         let fit = register_published(&TARGET, &scan, &start(&scan), &params, &mut go_on());
-        text += &told(&format!("{reading:?}"), &fit);
+        text += &described(&format!("{reading:?}"), &fit);
     }
     golden("icp_published", &text);
 }
@@ -272,7 +272,7 @@ fn a_surface_that_leaves_motions_open_is_fitted_and_described_as_it_was() {
         for method in [Method::PointToPoint, Method::PointToPlane, Method::Symmetric, Method::Generalized] {
             let params = IcpParams { max_iterations: 40, ..IcpParams::default() };
             let fit = register(method, &target, &scan, &init, &params, &mut go_on());
-            text += &told(&format!("{name} {}", method.name()), &fit);
+            text += &described(&format!("{name} {}", method.name()), &fit);
             text += &line("    motions", &fit.unwrap().report.observability);
         }
     }

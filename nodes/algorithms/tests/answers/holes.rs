@@ -32,7 +32,7 @@ pub(crate) fn scan(
 }
 
 /// The answers of all detectors to a pair of scans.
-fn told(name: &str, reference: &Cloud, laser: &Cloud, params: &HoleParams) -> String {
+fn described(name: &str, reference: &Cloud, laser: &Cloud, params: &HoleParams) -> String {
     type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, HoleError>;
     let detectors: [(&str, Detector); 3] = [
         ("cloud_difference", cloud_difference),
@@ -52,7 +52,7 @@ fn a_spot_anywhere_on_the_bone_is_found_where_it_was() {
     for turn_deg in [-75.0, -60.0, -30.0, 0.0, 20.0, 45.0, 55.0, 65.0, 80.0] {
         let at = spot(146.0, turn_deg);
         let laser = scan(&moved, STEP_MM, &USUAL, &[(at, 2.0)], 22);
-        text += &told(&format!("turned {turn_deg} at {at:.3}"), &reference, &laser, &HoleParams::default());
+        text += &described(&format!("turned {turn_deg} at {at:.3}"), &reference, &laser, &HoleParams::default());
         let strict = HoleParams { min_confidence_agreeing: 1.0, ..HoleParams::default() };
         text += &outcome("    one tier", &cloud_difference(&reference, &laser, &strict));
         text += &outcome("    no viewpoint", &cloud_difference(&blind, &laser, &HoleParams::default()));
@@ -67,16 +67,16 @@ fn a_hole_of_another_size_or_at_the_end_of_the_scan_has_the_confidence_it_had() 
     let mut text = String::new();
     for radius_mm in [0.8, 1.2, 1.6, 2.5, 3.0, 4.0] {
         let laser = scan(&camera, STEP_MM, &CLEAN, &[(spot(150.0, 10.0), radius_mm)], 32);
-        text += &told(&format!("radius {radius_mm}"), &reference, &laser, &HoleParams::default());
+        text += &described(&format!("radius {radius_mm}"), &reference, &laser, &HoleParams::default());
     }
     for height_mm in [128.5, 130.5, 132.0, 134.0, 169.0] {
         let laser = scan(&camera, STEP_MM, &CLEAN, &[(spot(height_mm, 0.0), 2.0)], 33);
-        text += &told(&format!("height {height_mm}"), &reference, &laser, &HoleParams::default());
+        text += &described(&format!("height {height_mm}"), &reference, &laser, &HoleParams::default());
     }
     for spot_radius_mm in [1.2, 3.0] {
         let params = HoleParams { spot_radius_mm, min_confidence: 0.3, ..HoleParams::default() };
         let laser = scan(&camera, STEP_MM, &CLEAN, &[(spot(150.0, -20.0), spot_radius_mm)], 34);
-        text += &told(&format!("a spot of {spot_radius_mm}"), &reference, &laser, &params);
+        text += &described(&format!("a spot of {spot_radius_mm}"), &reference, &laser, &params);
     }
     golden("holes_sizes", &text);
 }
@@ -104,14 +104,14 @@ fn what_is_no_single_hole_is_refused_in_the_words_it_was() {
     for (name, laser) in
         [("two", &two), ("near", &near), ("three", &three), ("none", &none), ("half", &half), ("apart", &apart)]
     {
-        text += &told(name, &reference, laser, &params);
+        text += &described(name, &reference, laser, &params);
     }
-    text += &told("sparse", &sparse_reference(1.2), &sparse(1.2, 44), &params);
-    text += &told("a sparse laser scan", &reference, &sparse(0.9, 45), &params);
-    text += &told("a sparse reference", &sparse_reference(0.9), &one, &params);
-    text += &told("no laser scan", &reference, &empty, &params);
-    text += &told("no reference", &empty, &one, &params);
-    text += &told("no viewpoint", &reference, &blind, &params);
-    text += &told("six points", &reference, &one.selected(&[0, 1, 2, 3, 4, 5]), &params);
+    text += &described("sparse", &sparse_reference(1.2), &sparse(1.2, 44), &params);
+    text += &described("a sparse laser scan", &reference, &sparse(0.9, 45), &params);
+    text += &described("a sparse reference", &sparse_reference(0.9), &one, &params);
+    text += &described("no laser scan", &reference, &empty, &params);
+    text += &described("no reference", &empty, &one, &params);
+    text += &described("no viewpoint", &reference, &blind, &params);
+    text += &described("six points", &reference, &one.selected(&[0, 1, 2, 3, 4, 5]), &params);
     golden("holes_refused", &text);
 }

@@ -8,7 +8,7 @@ use osteoflow_algorithms::slide::{SlideFit, SlideParams, SlideProfile, slide};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
 
-fn told(name: &str, fit: &SlideFit) -> String {
+fn described(name: &str, fit: &SlideFit) -> String {
     let report = &fit.report;
     let profile = |p: &SlideProfile| {
         let each: Vec<Vector3<f64>> = (0..p.offsets.len())
@@ -69,7 +69,7 @@ fn a_shaft_without_shape_is_as_open_as_it_was_and_one_with_shape_as_closed() {
                 UnitQuaternion::from_rotation_matrix(&turn),
             );
             match slide(&target, &scan, &start, &params) {
-                Ok(fit) => text += &told(&format!("{name} off {along_mm} mm {turn_deg} deg"), &fit),
+                Ok(fit) => text += &described(&format!("{name} off {along_mm} mm {turn_deg} deg"), &fit),
                 Err(error) => text += &format!("{name}: {error}\n"),
             }
         }
@@ -88,7 +88,7 @@ fn a_scan_slid_along_the_own_bone_comes_back_to_where_it_did() {
     let params = SlideParams { along_mm: 15.0, around_deg: 30.0, ..SlideParams::default() };
     let mut text = String::new();
     for (mm, rad) in [(0.0, 0.0), (8.0, 0.2)] {
-        text += &told(&format!("off {mm} mm {rad} rad"), &slide(&TARGET, &scan, &off(mm, rad), &params).unwrap());
+        text += &described(&format!("off {mm} mm {rad} rad"), &slide(&TARGET, &scan, &off(mm, rad), &params).unwrap());
     }
     let mut refused = |name: &str, target: &Target, scan: &Cloud, start: &Isometry3<f64>, params: &SlideParams| {
         text += &outcome(name, &slide(target, scan, start, params).map(|fit| fit.report.n_cells));
@@ -108,6 +108,6 @@ fn a_scan_slid_along_the_own_bone_comes_back_to_where_it_did() {
         refused("open turn", &TARGET, &scan, &here, &SlideParams { undetermined_deg: bad, ..params.clone() });
     }
     let short = BONE.scan(&BONE.camera(20.0), [15.0, 25.0], 0.7, &CLEAN, None, 92);
-    text += &outcome("short", &slide(&TARGET, &short, &here, &params).map(|fit| told("", &fit)));
+    text += &outcome("short", &slide(&TARGET, &short, &here, &params).map(|fit| described("", &fit)));
     golden("slide_bone", &text);
 }

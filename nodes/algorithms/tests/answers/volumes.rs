@@ -34,7 +34,7 @@ fn faces(faces: &[[u32; 3]]) -> impl std::fmt::Debug + use<> {
     digest(faces.iter())
 }
 
-fn told(surface: &CtSurface) -> impl std::fmt::Debug + use<> {
+fn described(surface: &CtSurface) -> impl std::fmt::Debug + use<> {
     let count = |marks: &[bool]| {
         let at = marks.iter().enumerate().filter(|(_, m)| **m).map(|(k, _)| k % 97);
         (marks.iter().filter(|m| **m).count(), at.sum::<usize>())
@@ -80,7 +80,7 @@ fn the_surface_of_a_volume_is_what_it_was() {
     }
     for params in &cases {
         let surface = ct_surface(&view, params);
-        text += &outcome(format!("{params:?}"), &surface.as_ref().map(told));
+        text += &outcome(format!("{params:?}"), &surface.as_ref().map(described));
         if let Ok(open) = surface.and_then(|surface| surface.open_mesh("ct")) {
             text += &line("    open", &(points(open.vertices()), faces(open.faces())));
         }
