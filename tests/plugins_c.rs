@@ -29,7 +29,7 @@ mod common;
 
 use common::{build, root};
 
-const EXAMPLES: &str = "nodes/payloads/examples/c";
+const EXAMPLES: &str = "nodes/kinds/payloads/examples/c";
 
 /// The library of a C or C++ file; `None` if there is no compiler.
 fn library(file: &str) -> Option<PathBuf> {

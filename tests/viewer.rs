@@ -589,7 +589,7 @@ fn the_scripts_of_the_page_pass_the_check_of_their_types() {
     let page = dir.path().join("page");
     fs::create_dir_all(page.join("three")).unwrap();
     let mut n = 0;
-    for folder in ["nodes/viewer/page", "nodes/report/page"] {
+    for folder in ["nodes/pages/viewer/page", "nodes/pages/report/page"] {
         for file in fs::read_dir(common::root().join(folder)).unwrap().map(|entry| entry.unwrap().path()) {
             // The loader is a script in the text of a report, without modules and types.
             if file.extension().is_some_and(|ending| ending == "js") && !file.ends_with("loader.js") {
@@ -622,7 +622,7 @@ fn the_vendored_files_are_those_of_the_decision() {
     let decision =
         fs::read_to_string(root.join("docs/decisions/0032-viewers-are-served-by-a-small-server.md")).unwrap();
     let mut n = 0;
-    for entry in fs::read_dir(root.join("nodes/viewer/page/three")).unwrap() {
+    for entry in fs::read_dir(root.join("nodes/pages/viewer/page/three")).unwrap() {
         let file = entry.unwrap().path();
         let Ok(output) = Command::new("sha256sum").arg(&file).output() else {
             return println!("skipped: the vendored files: no sha256sum");

@@ -69,7 +69,7 @@ const FIBULA: File = ("graphs/fibula.toml", include_str!("../../graphs/fibula.to
 
 /// The dependency on `osteoflow-node` in the manifest of the template.
 const NODE_PATH: &str = "path = \"../../../engine/node\"";
-const PAYLOADS_PATH: &str = "path = \"../../payloads\"";
+const PAYLOADS_PATH: &str = "path = \"../../kinds/payloads\"";
 
 /// The line of that manifest that names one of the sources.
 const LIB_PATH: &str = "path = \"icp.rs\"\n";
@@ -231,7 +231,7 @@ impl Plugin {
                 let path = path.canonicalize().with_context(|| format!("{} cannot be read", path.display()))?;
                 Ok(format!("path = {:?}", path))
             };
-            let (node, payloads) = (crate_in("engine/node")?, crate_in("nodes/payloads")?);
+            let (node, payloads) = (crate_in("engine/node")?, crate_in("nodes/kinds/payloads")?);
             return Ok(Sdk { node, payloads, lock: fs::read_to_string(checkout.join("Cargo.lock")).ok(), note: None });
         }
         let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");

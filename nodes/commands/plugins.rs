@@ -47,7 +47,7 @@ pub(crate) struct PluginArgs {
 }
 
 /// What serves nodes in Python, passed to the interpreter.
-const PYTHON_HELPER: &str = include_str!("../payloads/python/osteoflow_node.py");
+const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow_node.py");
 
 impl PluginArgs {
     /// The libraries that the command line names.

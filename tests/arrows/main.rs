@@ -15,14 +15,14 @@ const ARROWS: [(&str, &str, &[&str]); 17] = [
     ("osteoflow-engine", "engine", &["osteoflow-container", "osteoflow-node", "osteoflow-runtime"]),
     ("osteoflow-draw", "engine/draw", &[]),
     ("osteoflow-toy", "engine/toy", &["osteoflow-node"]),
-    ("osteoflow-geometry", "nodes/geometry", &[]),
-    ("osteoflow-algorithms", "nodes/algorithms", &["osteoflow-geometry"]),
-    ("osteoflow-formats", "nodes/formats", &["osteoflow-container", "osteoflow-geometry"]),
-    ("osteoflow-simulation", "nodes/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
-    ("osteoflow-statistics", "nodes/statistics", &[]),
+    ("osteoflow-geometry", "nodes/bone/geometry", &[]),
+    ("osteoflow-algorithms", "nodes/bone/algorithms", &["osteoflow-geometry"]),
+    ("osteoflow-formats", "nodes/bone/formats", &["osteoflow-container", "osteoflow-geometry"]),
+    ("osteoflow-simulation", "nodes/bone/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
+    ("osteoflow-statistics", "nodes/bone/statistics", &[]),
     (
         "osteoflow-report",
-        "nodes/report",
+        "nodes/pages/report",
         &[
             "osteoflow-engine",
             "osteoflow-draw",
@@ -33,11 +33,11 @@ const ARROWS: [(&str, &str, &[&str]); 17] = [
             "osteoflow-viewer",
         ],
     ),
-    ("osteoflow-viewer", "nodes/viewer", &["osteoflow-container", "osteoflow-engine"]),
-    ("osteoflow-payloads", "nodes/payloads", &["osteoflow-node", "osteoflow-geometry", "osteoflow-algorithms"]),
+    ("osteoflow-viewer", "nodes/pages/viewer", &["osteoflow-container", "osteoflow-engine"]),
+    ("osteoflow-payloads", "nodes/kinds/payloads", &["osteoflow-node", "osteoflow-geometry", "osteoflow-algorithms"]),
     (
         "osteoflow-standard",
-        "nodes/standard",
+        "nodes/kinds/standard",
         &[
             "osteoflow-node",
             "osteoflow-payloads",
@@ -98,7 +98,7 @@ fn dependencies_point_one_way_only() {
 
 #[test]
 fn algorithms_know_no_engine_no_node_and_no_file() {
-    for folder in ["nodes/algorithms", "nodes/geometry", "nodes/statistics"] {
+    for folder in ["nodes/bone/algorithms", "nodes/bone/geometry", "nodes/bone/statistics"] {
         let found = dependencies(&manifest(folder), "dependencies");
         let beyond: Vec<_> = found.iter().filter(|d| NOT_FOR_ALGORITHMS.contains(&d.as_str())).collect();
         assert!(beyond.is_empty(), "{folder} depends on {beyond:?}");

@@ -19,7 +19,7 @@ pub(crate) fn compile(source: &Path, library: &Path, arguments: &[&str]) -> bool
     let compiled = Command::new(compiler)
         .current_dir(root())
         .args([standard, "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"])
-        .args(["-I", "engine/node/include", "-I", "nodes/payloads/include"])
+        .args(["-I", "engine/node/include", "-I", "nodes/kinds/payloads/include"])
         .arg(source)
         .arg("-o")
         .arg(library)

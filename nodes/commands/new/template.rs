@@ -72,7 +72,7 @@ impl Lang {
     fn files(self, like: Like) -> Vec<(&'static str, &'static str)> {
         const HEADER: (&str, &str) = ("osteoflow.h", include_str!("../../../engine/node/include/osteoflow.h"));
         const GEOMETRY: (&str, &str) =
-            ("osteoflow_geometry.h", include_str!("../../payloads/include/osteoflow_geometry.h"));
+            ("osteoflow_geometry.h", include_str!("../../kinds/payloads/include/osteoflow_geometry.h"));
         match self {
             Self::Rust => vec![
                 ("Cargo.toml", include_str!("../../template/rust/Cargo.toml")),

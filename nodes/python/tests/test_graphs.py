@@ -174,8 +174,8 @@ max_mm = [1000.0, 5.0, 1000.0]
 def test_a_plugin_in_c_is_looked_at_and_run_from_python(files, tmp_path):
     compiler = shutil.which("cc") or pytest.skip("there is no C compiler")
     library = tmp_path / "libcrop_box.so"
-    headers = ["-I", ROOT / "engine/node/include", "-I", ROOT / "nodes/payloads/include"]
-    source = ROOT / "nodes/payloads/examples/c/crop_box.c"
+    headers = ["-I", ROOT / "engine/node/include", "-I", ROOT / "nodes/kinds/payloads/include"]
+    source = ROOT / "nodes/kinds/payloads/examples/c/crop_box.c"
     subprocess.run([compiler, "-std=c11", "-O2", "-shared", "-fPIC", *headers, source, "-o", library], check=True)
 
     def graph(kind, plugins=()):

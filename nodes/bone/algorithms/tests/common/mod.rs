@@ -21,7 +21,7 @@ use std::path::PathBuf;
 pub fn data(test: &str, file: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("OSTEOFLOW_DATA")
         .map(PathBuf::from)
-        .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"));
+        .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data"));
     let path = folder.join(file);
     if !path.exists() {
         println!("skipped: {test}: no development data");
@@ -82,7 +82,7 @@ pub fn bones(test: &str) -> Vec<Bone> {
 
 /// The simulated bone in the project's own test data, which every clone has; its directions are its principal axes.
 pub fn own_bone() -> Bone {
-    let mesh = stl(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/folder/bone.stl"), "ct");
+    let mesh = stl(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../tests/data/folder/bone.stl"), "ct");
     let n = mesh.vertices().len() as f64;
     let middle = mesh.vertices().iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
     let scatter: Matrix3<f64> =

@@ -805,7 +805,7 @@ fn no_damaged_file_panics_or_names_the_patient() {
 }
 
 fn data(test: &str) -> Option<PathBuf> {
-    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../../shared/data");
     let folder =
         std::env::var_os("OSTEOFLOW_DATA").map_or_else(|| PathBuf::from(beside), PathBuf::from).join("medical");
     if !folder.is_dir() {

@@ -16,7 +16,7 @@ fn compare(found: &str, golden: &str) {
 #[test]
 fn the_diagram_of_the_calibration_graph_is_that_of_the_golden_text() {
     let registry = osteoflow_standard::registry();
-    let checked = osteoflow_engine::check(Path::new("../../graphs/calibration.toml"), &[], &registry);
+    let checked = osteoflow_engine::check(Path::new("../../../graphs/calibration.toml"), &[], &registry);
     let diagram = diagram::of_plan(&checked.unwrap_or_else(|faults| panic!("{faults}")).plan);
     compare(&mermaid(&diagram), "calibration.mermaid.txt");
     compare(&dot(&diagram), "calibration.dot.txt");

@@ -1,7 +1,7 @@
 //! One rule for all doors: numbers that are no rotation are refused with their place and value, wherever they come from.
 //!
 //! The doors that do not read files have their tests beside them: payloads of plugins, processes and exact recordings in
-//! `nodes/payloads`, live sources in `nodes/standard`.
+//! `nodes/kinds/payloads`, live sources in `nodes/kinds/standard`.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use foxglove::{

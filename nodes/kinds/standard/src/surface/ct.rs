@@ -370,7 +370,7 @@ mod tests {
     }
 
     fn data(test: &str) -> Option<PathBuf> {
-        let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+        let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../../shared/data");
         let folder = std::env::var_os("OSTEOFLOW_DATA").map_or_else(|| PathBuf::from(beside), PathBuf::from);
         if !folder.join("medical").is_dir() {
             println!("skipped: {test}: no development data");

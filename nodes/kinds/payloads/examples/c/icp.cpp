@@ -1,8 +1,8 @@
 /*
  * icp_cpp.point_to_point: point-to-point ICP in its plainest form, written in C++.
  *
- *   c++ -std=c++11 -O2 -shared -fPIC -I engine/node/include -I nodes/payloads/include \
- *       nodes/payloads/examples/c/icp.cpp -o libicp.so
+ *   c++ -std=c++11 -O2 -shared -fPIC -I engine/node/include -I nodes/kinds/payloads/include \
+ *       nodes/kinds/payloads/examples/c/icp.cpp -o libicp.so
  *
  * Every source point pairs with the nearest target point, the motion that fits the pairs best is taken, and so on until
  * no pair changes any more. The built-in icp.published does the same with reading = "iterations", and both

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 /// The folder of development data: `OSTEOFLOW_DATA`, else `../shared/data` beside the workspace.
 pub(crate) fn data_folder() -> Option<PathBuf> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
     let folder = std::env::var_os("OSTEOFLOW_DATA").map_or(beside, PathBuf::from);
     folder.is_dir().then_some(folder)
 }

@@ -122,7 +122,7 @@ fn the_header_names_every_payload_its_version_and_its_columns() {
 
 #[test]
 fn the_header_compiles_as_c11_and_as_cpp11_and_its_assertions_hold() {
-    let node = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../engine/node/include");
+    let node = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../engine/node/include");
     for (compiler, standard, language) in [("cc", "-std=c11", "c"), ("c++", "-std=c++11", "c++")] {
         let strict = ["-pedantic", "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "-x", language, "-I"];
         let compiled =

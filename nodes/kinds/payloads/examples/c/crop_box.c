@@ -1,8 +1,8 @@
 /*
  * crop_c.box: the built-in crop.box, written in C. It gives the same cloud to the last bit.
  *
- *   cc -std=c11 -O2 -shared -fPIC -I engine/node/include -I nodes/payloads/include \
- *      nodes/payloads/examples/c/crop_box.c -o libcrop_box.so
+ *   cc -std=c11 -O2 -shared -fPIC -I engine/node/include -I nodes/kinds/payloads/include \
+ *      nodes/kinds/payloads/examples/c/crop_box.c -o libcrop_box.so
  *
  * Read from the end, which describes the plugin and refers to the functions above.
  */

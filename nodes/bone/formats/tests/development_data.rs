@@ -16,7 +16,7 @@ use osteoflow_geometry::{StampNs, SurfaceOrigin};
 use std::path::PathBuf;
 
 fn data(test: &str) -> Option<PathBuf> {
-    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../../shared/data");
     let folder = std::env::var_os("OSTEOFLOW_DATA").map_or_else(|| PathBuf::from(beside), PathBuf::from);
     if !folder.join("recordings").is_dir() {
         println!("skipped: {test}: no development data");

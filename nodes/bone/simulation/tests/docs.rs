@@ -51,7 +51,7 @@ fn the_documented_error_terms_are_the_parameters_own_words() {
     ] {
         assert!(table.contains(&format!("| `{table_name}.")), "{table_name} has no row");
     }
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/simulation.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../docs/simulation.md");
     let page = std::fs::read_to_string(path).unwrap();
     let (before, rest) = page.split_once(BEGIN).expect("the page marks where the table begins");
     let (found, after) = rest.split_once(END).expect("the page marks where the table ends");
