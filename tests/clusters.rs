@@ -1,4 +1,4 @@
-//! docs/clusters.md: its scripts for Slurm, run with a queue of our own, give the tables of one machine.
+//! docs/use/clusters.md: its scripts for Slurm, run with a queue of our own, give the tables of one machine.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
@@ -53,9 +53,9 @@ shape = { key = "plan.bone.shape_seed", values = [1, 2, 3] }
 x_mm = "landmarks.P1.position_mm.0"
 "#;
 
-/// The blocks of docs/clusters.md for the shell.
+/// The blocks of docs/use/clusters.md for the shell.
 fn blocks() -> Vec<String> {
-    let page = fs::read_to_string(root().join("docs/clusters.md")).unwrap();
+    let page = fs::read_to_string(root().join("docs/use/clusters.md")).unwrap();
     let blocks = page.split("```sh\n").skip(1).map(|rest| rest.split("```").next().unwrap().to_owned());
     blocks.collect()
 }
@@ -73,7 +73,7 @@ impl Desk {
         for name in ["sweep.sbatch", "merge.sbatch"] {
             let begin = format!("#!/bin/bash\n# {name}: ");
             let of_name: Vec<_> = blocks().into_iter().filter(|block| block.starts_with(&begin)).collect();
-            assert_eq!(of_name.len(), 1, "docs/clusters.md has {name}");
+            assert_eq!(of_name.len(), 1, "docs/use/clusters.md has {name}");
             fs::write(desk.path(name), &of_name[0]).unwrap();
         }
         fs::write(desk.path("study.toml"), study).unwrap();

@@ -1,4 +1,4 @@
-//! docs/dependencies.md lists the libraries that the workspace names, and no others.
+//! docs/project/dependencies.md lists the libraries that the workspace names, and no others.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use std::{collections::BTreeSet, fs, path::Path};
@@ -11,7 +11,7 @@ fn each_dependency_has_its_reason_and_its_upkeep_on_one_page() {
     let named = named.filter(|(_, entry)| entry.get("path").is_none());
     let named: BTreeSet<String> =
         named.map(|(name, entry)| entry.get("package").and_then(|p| p.as_str()).unwrap_or(name).into()).collect();
-    let page = fs::read_to_string(root.join("docs/dependencies.md")).unwrap();
+    let page = fs::read_to_string(root.join("docs/project/dependencies.md")).unwrap();
     let rows: Vec<Vec<&str>> = page
         .lines()
         .filter(|line| line.starts_with("| `"))

@@ -1,4 +1,4 @@
-//! The paper's numbers, one test each, from the sweeps of docs/paper-reproduction.md, with fewer repeats and on real bones
+//! The paper's numbers, one test each, from the sweeps of docs/method/paper-reproduction.md, with fewer repeats and on real bones
 //! where the development data exist. Our numbers are compared with what does not depend on the paper's own setup: with those
 //! of an independent implementation of the method on real bones, and with what must hold.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
@@ -80,7 +80,7 @@ fn section_3_2_1_procedures_end_within_half_a_millimetre_along_every_axis() {
     let n = if is_slow_run() { 10 } else { 3 };
     let real = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().filter_map(|name| real(NAME, name));
     for bone in [built_in(&[1])].into_iter().chain(real) {
-        // Pairs by planes: points converge up to a millimetre away along TLEM2 (docs/icp.md).
+        // Pairs by planes: points converge up to a millimetre away along TLEM2 (docs/method/icp.md).
         let sets = vec![repeat(n), "bone.exact=true".into(), "icp.kind=\"icp.point_to_plane\"".into()];
         let summary = swept("accuracy_camera", &[sets, bone.to_vec()].concat());
         let all = &summary["groups"][0];

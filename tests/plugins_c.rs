@@ -523,7 +523,7 @@ fn the_page_about_plugins_shows_this_code() {
     let sources =
         [format!("{EXAMPLES}/crop_box.c"), format!("{EXAMPLES}/icp.cpp"), "tests/plugins/acme_spline.h".into()]
             .map(|path| text(&path));
-    let page = text("docs/writing-a-plugin.md");
+    let page = text("docs/extend/writing-a-plugin.md");
     let blocks = ["```c\n", "```cpp\n"].map(|fence| page.split(fence).skip(1).collect::<Vec<_>>()).concat();
     assert!(blocks.len() >= 6, "{} blocks of C and C++ on the page", blocks.len());
     for block in blocks {

@@ -252,7 +252,7 @@ fn a_process_that_is_killed_between_two_items_is_named_at_the_next() {
     assert!(left.dir.join("repro/dies-2").is_dir(), "the item is saved");
 }
 
-/// Ten times the limits of an idle machine (docs/performance.md): what exceeds them copies or waits, whatever the load.
+/// Ten times the limits of an idle machine (docs/project/performance.md): what exceeds them copies or waits, whatever the load.
 #[test]
 fn a_firing_apart_costs_at_most_ten_times_its_limit() {
     let limits = [Duration::from_millis(5), Duration::from_millis(1)];
@@ -275,5 +275,5 @@ fn the_worker_is_not_for_users() {
     let output = osteoflow_to_spawn().arg("worker").stdin(Stdio::null()).output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(!output.status.success() && said.contains("this command is run by others"), "{said}");
-    assert!(root().join("docs/processes.md").is_file());
+    assert!(root().join("docs/extend/processes.md").is_file());
 }

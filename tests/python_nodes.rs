@@ -284,7 +284,7 @@ fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
         assert!(failed.stderr.contains(expected), "{text}: {expected}: {}", failed.stderr);
     }
     // The example of the page.
-    let page = include_str!("../docs/python-nodes.md");
+    let page = include_str!("../docs/extend/python-nodes.md");
     let example = page.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
     folder.write("bad.py", &example.replace("half.first", "bad.relay"));
     let halves = folder.run("graph.toml", &[]);
@@ -348,7 +348,7 @@ fn a_saved_plugin_gives_new_numbers_at_once() {
     assert_eq!(next()["cloud"]["n_points"], 5_000);
     watch.kill().unwrap();
     watch.wait().unwrap();
-    assert!(root().join("docs/python-nodes.md").is_file());
+    assert!(root().join("docs/extend/python-nodes.md").is_file());
 }
 
 /// A registration that gives `POSE` for each pose it starts from, and says that it converged.

@@ -171,7 +171,7 @@ fn the_rate_changes_no_result_and_a_part_of_a_recording_is_played_and_not_compar
 #[test]
 fn a_range_plays_the_calibration_and_the_registration_that_do_not_change_and_computes_what_moves() {
     let (_ran, recording) = recorded();
-    // The range of docs/recording.md ends before the third laser scan, and the later one begins after all of them.
+    // The range of docs/use/recording.md ends before the third laser scan, and the later one begins after all of them.
     for range in [&["--start", "10", "--end", "20.5"][..], &["--start", "15"]] {
         let (code, answer, printed) = replay(&recording, range);
         assert_eq!(code, 0, "{range:?}: {printed}");

@@ -191,7 +191,7 @@ fn items_out_of_order_count_where_a_file_is_read_as_a_stream() {
     let mut writer = Writer::new(File::create(&path).unwrap(), WriteOptions::default()).unwrap();
     let channel = writer.add_channel(0, "/exact/scan.cloud", "osteoflow-view", &BTreeMap::new()).unwrap();
     for k in 0..20_000_u64 {
-        // An empty item, the number of which leaves a gap (docs/recording.md, "The layout of a message").
+        // An empty item, the number of which leaves a gap (docs/use/recording.md, "The layout of a message").
         let mut data = b"OSTEOVW1".to_vec();
         data.extend([1_u64.to_le_bytes(), (2 * k + 1).to_le_bytes()].concat());
         data.resize(64, 0);

@@ -1,6 +1,6 @@
 //! The page beside a camera of 20 clouds of 20,000 points a second: two minutes, or 30 with SLOW_TESTS.
 //!
-//! Memory of page and program, and messages lost, decide; times are printed for docs/viewing.md.
+//! Memory of page and program, and messages lost, decide; times are printed for docs/begin/viewing.md.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 #![cfg(unix)]
 
@@ -39,7 +39,7 @@ const HZ: u32 = 20;
 const N_POINTS: usize = 20_000;
 /// Growth of memory that is none: a garbage collector's slack, with room.
 const FLAT_BYTES: f64 = 48e6;
-/// What may wait for a viewer, as docs/viewing.md has it.
+/// What may wait for a viewer, as docs/begin/viewing.md has it.
 const WAITING_BYTES: f64 = 64e6;
 
 /// Clouds on the bone's surface, each with its own noise of 0.3 mm.

@@ -1,4 +1,4 @@
-//! The node of docs/writing-a-node.md. A test compares the code on the page with this file.
+//! The node of docs/extend/writing-a-node.md. A test compares the code on the page with this file.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_geometry::{
@@ -128,14 +128,14 @@ fn a_registry_with_the_node_describes_it() {
 #[test]
 fn the_page_shows_this_code() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-    let page = std::fs::read_to_string(root.join("docs/writing-a-node.md")).unwrap();
+    let page = std::fs::read_to_string(root.join("docs/extend/writing-a-node.md")).unwrap();
     let code = std::fs::read_to_string(root.join("tests/writing_a_node.rs")).unwrap();
     let blocks: Vec<_> = page.split("```rust\n").skip(1).map(|rest| rest.split("```").next().unwrap()).collect();
     assert!(blocks.len() >= 5, "{} blocks of Rust on the page", blocks.len());
     for block in blocks {
         assert!(
             code.contains(block),
-            "docs/writing-a-node.md shows code that is not in tests/writing_a_node.rs:\n{block}"
+            "docs/extend/writing-a-node.md shows code that is not in tests/writing_a_node.rs:\n{block}"
         );
     }
 }

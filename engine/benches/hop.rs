@@ -1,4 +1,4 @@
-//! Cost of the engine compared with bare channels of the same capacity. `docs/performance.md` explains the figures.
+//! Cost of the engine compared with bare channels of the same capacity. `docs/project/performance.md` explains the figures.
 
 #[allow(dead_code, reason = "the test that counts allocations uses the rest")]
 mod graph;

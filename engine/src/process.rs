@@ -5,7 +5,7 @@
 //! segments in the encoding of recordings, so that columns are read where they are. A segment is written by the process
 //! that made it; the other maps it for reading, and says with each message which of them it still uses.
 //!
-//! docs/processes.md has the protocol for authors of workers in other languages.
+//! docs/extend/processes.md has the protocol for authors of workers in other languages.
 
 #[cfg(unix)]
 pub(crate) mod child;

@@ -1,6 +1,6 @@
 //! Time of a firing in a process of its own, beside the same node in this one: the median of 1,000 firings.
 //!
-//! `cargo bench -p osteoflow --bench apart`. docs/performance.md has the figures.
+//! `cargo bench -p osteoflow --bench apart`. docs/project/performance.md has the figures.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed bench, with its line")]
 
 #[path = "../../tests/common/apart.rs"]

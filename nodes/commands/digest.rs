@@ -12,7 +12,7 @@ use std::{
 ///
 /// SHA-256 over each wire's items by number, then over the wires by name: independent of the order of messages in the file,
 /// of chunks, compression and log times. Equal digests mean equal bits on every recorded wire. The definition is in
-/// docs/recording.md. Exit code 0 only for complete recordings.
+/// docs/use/recording.md. Exit code 0 only for complete recordings.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

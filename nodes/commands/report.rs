@@ -18,7 +18,7 @@ use std::{
 Examples:
   osteoflow report runs/fibula-20260314-092653
   osteoflow report runs/sensitivity-20260314-101500 --out sensitivity.html
-What it shows: docs/report.md")]
+What it shows: docs/use/report.md")]
 pub(crate) struct Report {
     /// The folder of a run or of a sweep, or the run.mcap in it.
     #[arg(value_name = "RUN")]

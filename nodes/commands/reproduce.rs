@@ -32,13 +32,13 @@ use std::{
 const GRAPHS: &str = "graphs/paper";
 
 /// The page in the project.
-const PAGE: &str = "docs/paper-reproduction.md";
+const PAGE: &str = "docs/method/paper-reproduction.md";
 
 /// Run the paper's experiments, and write a page that compares our numbers with the paper's.
 ///
 /// Every graph of graphs/paper/ is swept into a folder of its own under --out. For each number of the paper the page has ours,
 /// its n and units, the command, and whether it is outside the paper's spread. In the project's folder the page is
-/// docs/paper-reproduction.md, otherwise paper-reproduction.md in --out. Each sweep's folder gets the page that
+/// docs/method/paper-reproduction.md, otherwise paper-reproduction.md in --out. Each sweep's folder gets the page that
 /// `osteoflow report` writes. An experiment without any result is listed with the first reason, a row without a number of
 /// ours with what it lacks, and the exit code is 3. A bone that `osteoflow simulate` refuses is refused before anything is run.
 #[derive(Debug, Args)]

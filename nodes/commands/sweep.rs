@@ -45,7 +45,7 @@ In a graph file:
   icp = { key = \"icp.kind\", values = [\"icp.point_to_point\", \"icp.point_to_plane\"] }
   [sweep.columns]
   tre_mm = \"metrics.tre_true_mm.mean_abs.norm\"        path in results.json
-All keys: docs/sweeps.md")]
+All keys: docs/use/sweeps.md")]
 pub(crate) struct Sweep {
     /// The graph file, with a table [sweep].
     #[arg(required_unless_present = "merge")]

@@ -1,4 +1,4 @@
-//! Allowed dependencies between crates, and between the modules of the engine: the arrows of docs/architecture.md, checked
+//! Allowed dependencies between crates, and between the modules of the engine: the arrows of docs/project/architecture.md, checked
 //! against the manifests and the sources.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
@@ -73,7 +73,7 @@ fn every_crate_of_the_workspace_has_its_arrows_written_down() {
     let mut known: Vec<_> = ARROWS.iter().map(|(_, folder, _)| *folder).collect();
     members.sort_unstable();
     known.sort_unstable();
-    assert_eq!(members, known, "a new crate gets a line in ARROWS and in docs/architecture.md");
+    assert_eq!(members, known, "a new crate gets a line in ARROWS and in docs/project/architecture.md");
     for (name, folder, _) in ARROWS {
         assert_eq!(manifest(folder)["package"]["name"].as_str(), Some(name), "{folder}");
     }
@@ -93,7 +93,7 @@ fn dependencies_point_one_way_only() {
             }
         }
     }
-    assert!(wrong.is_empty(), "arrows that docs/architecture.md does not have: {wrong:?}");
+    assert!(wrong.is_empty(), "arrows that docs/project/architecture.md does not have: {wrong:?}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Hostile bytes for every reader: a bounded number of mutated files from fixed seeds (docs/security.md).
+//! Hostile bytes for every reader: a bounded number of mutated files from fixed seeds (docs/use/security.md).
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 #[cfg(unix)]

@@ -28,7 +28,7 @@ NOTICE = b"research use only"
 
 
 def read_item(message):
-    """Fields and columns of an exact message; see docs/recording.md."""
+    """Fields and columns of an exact message; see docs/use/recording.md."""
     at = 40
     n_fields, n_columns = struct.unpack_from("<II", message, 28)
     assert message[:8] == b"OSTEOVW1" and message[24] == 0

@@ -15,7 +15,7 @@
  *
  * Compatibility: within one OSTEOFLOW_ABI_MAJOR structs only grow at their end and functions are only added. A library is
  * loaded if it has the major version of the program and its structs are at least as large as those of minor 0; fields that
- * an older library lacks have their default. See docs/writing-a-plugin.md.
+ * an older library lacks have their default. See docs/extend/writing-a-plugin.md.
  */
 #ifndef OSTEOFLOW_H
 #define OSTEOFLOW_H
@@ -324,7 +324,7 @@ typedef struct osteoflow_host {
 
 /* ---- The description of a plugin ----------------------------------------------------------------------------------- */
 
-/* How the items of a port are chosen for a firing; see docs/graph-file.md. */
+/* How the items of a port are chosen for a firing; see docs/use/graph-file.md. */
 enum {
     OSTEOFLOW_JOIN_EACH = 0,
     OSTEOFLOW_JOIN_STAMP = 1,
@@ -354,7 +354,7 @@ typedef struct osteoflow_input {
     /* STAMP: the tolerance. INTERPOLATE: the maximum gap; negative: unlimited. */
     int64_t join_ns;
     /* The expected frames, where known: "source" (the frame of that port), "@ct", "$frame"; see
-     * docs/writing-a-node.md. A pose has to and from, everything else frame. */
+     * docs/extend/writing-a-node.md. A pose has to and from, everything else frame. */
     osteoflow_text frame;
     osteoflow_text to;
     osteoflow_text from;
@@ -405,7 +405,7 @@ typedef struct osteoflow_kind {
     const osteoflow_output *outputs;
     uint64_t n_outputs;
     uint32_t role;
-    /* Whether answers are cached across runs, and what they depend on; see docs/writing-a-node.md. */
+    /* Whether answers are cached across runs, and what they depend on; see docs/extend/writing-a-node.md. */
     uint32_t kept;
     uint32_t flags;
     uint32_t reserved;

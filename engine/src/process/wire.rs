@@ -1,4 +1,4 @@
-//! The messages between the program and the process of a node. docs/processes.md describes them.
+//! The messages between the program and the process of a node. docs/extend/processes.md describes them.
 
 use osteoflow_node::{Empty, FiringDone, FiringSent, Join, StampNs, abi::schema::PayloadDescription};
 use serde::{Deserialize, Serialize};

@@ -391,7 +391,7 @@ mod tests {
 
     #[test]
     fn the_worked_example_of_the_docs_is_encoded_exactly() {
-        let page = include_str!("../../../docs/recording.md");
+        let page = include_str!("../../../docs/use/recording.md");
         let example = page.split("```hex\n").nth(1).unwrap().split("```").next().unwrap();
         let bytes = |line: &str| -> Vec<u8> {
             let hex = line.get(5..28.min(line.len())).unwrap().split_whitespace();

@@ -1,7 +1,7 @@
 //! Topics and metadata records of a recording, and their version.
 //!
 //! Each metadata record is a type; writer and readers share its keys through [`MetadataRecord`]. The format is
-//! described in `docs/recording.md`.
+//! described in `docs/use/recording.md`.
 
 mod messages;
 mod records;

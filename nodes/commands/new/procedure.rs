@@ -14,7 +14,7 @@ use std::{io::Write, path::PathBuf};
 Examples:
   osteoflow new procedure my_procedure
   cd my_procedure && osteoflow run run.toml
-The formats: docs/formats.md; `osteoflow schema --plan` writes the JSON Schema of plan.json.")]
+The formats: docs/use/formats.md; `osteoflow schema --plan` writes the JSON Schema of plan.json.")]
 pub(super) struct Procedure {
     /// The folder to write into, new or empty.
     dir: PathBuf,

@@ -355,8 +355,8 @@ def test_a_worker_of_dask_that_is_killed_in_the_middle_changes_nothing(registrat
 
 
 def examples():
-    """The Python of docs/clusters.md, by the first word of its comment."""
-    page = (ROOT / "docs/clusters.md").read_text()
+    """The Python of docs/use/clusters.md, by the first word of its comment."""
+    page = (ROOT / "docs/use/clusters.md").read_text()
     blocks = re.findall(r"^```python\n# (\w+)(.*?)^```", page, re.MULTILINE | re.DOTALL)
     return {name: f"# {name}{rest}" for name, rest in blocks}
 

@@ -1,4 +1,4 @@
-"""The Python of README.md and docs/python.md runs."""
+"""The Python of README.md and docs/use/python.md runs."""
 
 import re
 
@@ -11,7 +11,7 @@ def blocks(page):
     return re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/use/python.md"])
 def test_the_python_of_a_page_runs(page, monkeypatch):
     monkeypatch.chdir(ROOT)
     found = blocks(page)

@@ -30,7 +30,7 @@ pub struct BoneParams {
     /// procedures are on one bone.
     pub shape_seed: u64,
     /// Standard deviation of the unevenness drawn by `shape_seed`; 0 gives the smooth formula. 0.35 mm: assumed; with
-    /// it the bone's weakest mode lies between those of the two measured fibulas, see docs/simulation.md.
+    /// it the bone's weakest mode lies between those of the two measured fibulas, see docs/method/simulation.md.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub unevenness_mm: f64,
     /// Length of the mesh's edges along the bone, and about that around it. 1 mm: as a segmented clinical CT gives.

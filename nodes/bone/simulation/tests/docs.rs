@@ -1,4 +1,4 @@
-//! The table of error terms in docs/simulation.md is the parameters' own words. `UPDATE=1 cargo test` writes it anew.
+//! The table of error terms in docs/method/simulation.md is the parameters' own words. `UPDATE=1 cargo test` writes it anew.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -51,13 +51,13 @@ fn the_documented_error_terms_are_the_parameters_own_words() {
     ] {
         assert!(table.contains(&format!("| `{table_name}.")), "{table_name} has no row");
     }
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../docs/simulation.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../docs/method/simulation.md");
     let page = std::fs::read_to_string(path).unwrap();
     let (before, rest) = page.split_once(BEGIN).expect("the page marks where the table begins");
     let (found, after) = rest.split_once(END).expect("the page marks where the table ends");
     if std::env::var_os("UPDATE").is_some() {
         std::fs::write(path, format!("{before}{BEGIN}{table}{END}{after}")).unwrap();
     } else {
-        assert_eq!(found, table, "docs/simulation.md is stale; UPDATE=1 cargo test writes it anew");
+        assert_eq!(found, table, "docs/method/simulation.md is stale; UPDATE=1 cargo test writes it anew");
     }
 }

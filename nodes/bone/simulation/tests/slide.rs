@@ -1,7 +1,7 @@
 //! What a slide profile finds on built-in and measured bones.
 //!
 //! `SLOW_TESTS=1 cargo test --release -p osteoflow-simulation --test slide -- --nocapture` prints the tables of
-//! docs/sliding.md.
+//! docs/method/sliding.md.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 

@@ -1,7 +1,7 @@
 //! The weakest mode of the built-in bone beside those of measured ones.
 //!
 //! `cargo test --release -p osteoflow-simulation --test weakest_mode -- --nocapture` prints the table of
-//! docs/simulation.md.
+//! docs/method/simulation.md.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 

@@ -8,7 +8,7 @@
 
 The program hands this module to the interpreter; it needs numpy, and no package of Osteoflow. Lengths are millimetres, angles radians,
 times nanoseconds; a pose `t_a_b` takes coordinates in `b` to coordinates in `a`. Columns are numpy arrays on memory that the program
-shares: read-only, and valid as long as somebody holds them. docs/python-nodes.md describes everything.
+shares: read-only, and valid as long as somebody holds them. docs/extend/python-nodes.md describes everything.
 """
 
 import array
@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 PROTOCOL = 1
-"""The version of the protocol; docs/processes.md describes it."""
+"""The version of the protocol; docs/extend/processes.md describes it."""
 
 DTYPES = {"f64": np.dtype("<f8"), "f32": np.dtype("<f4"), "i64": np.dtype("<i8"), "u32": np.dtype("<u4"), "u8": np.dtype("u1")}
 CODES = {1: "f64", 2: "f32", 3: "i64", 4: "u32", 5: "u8"}
@@ -620,7 +620,7 @@ MAX_FDS = 64
 
 
 class Connection:
-    """Messages over the socket that is standard input; docs/processes.md."""
+    """Messages over the socket that is standard input; docs/extend/processes.md."""
 
     def __init__(self):
         self.socket = socket.socket(fileno=os.dup(0))
@@ -740,7 +740,7 @@ class Empty:
 
 
 def decode(memory, types, roots):
-    """The value of an item in the encoding of recordings (docs/recording.md)."""
+    """The value of an item in the encoding of recordings (docs/use/recording.md)."""
     magic, _, _, body, n_fields, n_columns, _ = HEAD.unpack_from(memory, 0)
     if magic != b"OSTEOVW1":
         raise NodeError("the program sent what is no item")

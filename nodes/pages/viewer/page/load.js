@@ -1,4 +1,4 @@
-// Regions and plans that were saved earlier, from their files (docs/formats.md).
+// Regions and plans that were saved earlier, from their files (docs/use/formats.md).
 
 import { Matrix4, Quaternion } from "three";
 

@@ -1,4 +1,4 @@
-// Messages of recordings: the exact ones (docs/recording.md), and transforms of viewers (protobuf foxglove.FrameTransform).
+// Messages of recordings: the exact ones (docs/use/recording.md), and transforms of viewers (protobuf foxglove.FrameTransform).
 
 /**
  * An item of a wire.

@@ -1,4 +1,4 @@
-// Regions drawn by hand: shapes in the coordinates of a cloud, mm, and which points they enclose (docs/formats.md).
+// Regions drawn by hand: shapes in the coordinates of a cloud, mm, and which points they enclose (docs/use/formats.md).
 
 /**
  * @typedef {{shape: "box", min: number[], max: number[]}} Box

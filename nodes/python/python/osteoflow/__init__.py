@@ -444,7 +444,7 @@ def sweep(
     out : folder to write into (runs.csv, points.csv, summary.json, ...). Default: a temporary one, which is removed.
     resume : go on with the sweep in `out`.
     executor : a `concurrent.futures.Executor` whose workers have this package and the files of the graph under the same
-        paths, such as of Dask (docs/clusters.md). The tables are byte for byte those of one machine. A task whose worker is lost
+        paths, such as of Dask (docs/use/clusters.md). The tables are byte for byte those of one machine. A task whose worker is lost
         is submitted at most three times.
     tasks : number of tasks for the executor, of adjacent runs each. Default: one for each run.
     """

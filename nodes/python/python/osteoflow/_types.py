@@ -105,7 +105,7 @@ class Mesh:
 
 
 class Item(Mapping):
-    """One item of a wire: a mapping of the payload's fields and columns, by the names that docs/payloads.md lists.
+    """One item of a wire: a mapping of the payload's fields and columns, by the names that `osteoflow inspect --payloads` lists.
 
     number : its number on the wire, from 0.
     stamp_ns : the time at which its content held, ns.

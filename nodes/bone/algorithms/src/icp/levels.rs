@@ -38,7 +38,7 @@ pub(super) struct LevelFit {
 }
 
 /// Number of steps along the normals after which the error that a `point_to_point` leaves is estimated: twice what
-/// `point_to_plane` takes from the starts of docs/icp.md.
+/// `point_to_plane` takes from the starts of docs/method/icp.md.
 const MAX_SETTLING: u32 = 100;
 
 impl LevelFit {

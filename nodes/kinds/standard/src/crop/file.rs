@@ -12,7 +12,7 @@ const WARNED_SHARE: f64 = 0.5;
 
 /// The points in a region that was drawn by hand, on the page of `osteoflow view` or elsewhere.
 ///
-/// The file is JSON in mm and states its frame, which must be the cloud's (docs/formats.md). It replaces the region of the recording.
+/// The file is JSON in mm and states its frame, which must be the cloud's (docs/use/formats.md). It replaces the region of the recording.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -11,7 +11,7 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, ParamError};
 /// through its rim on the scanned surface, which glare and the spot's own saturation leave where it is. Refused with the reason: no
 /// spot, several alike, one cut off by the silhouette, an image that is black or saturated, and one that contradicts the scan, whose
 /// points are missing where the laser is. A mirrored or wrongly calibrated image of a pen's mark cannot be told from a good one: see
-/// docs/frames-and-units.md.
+/// docs/begin/frames-and-units.md.
 #[derive(Describe)]
 #[describe(
     example = r#"

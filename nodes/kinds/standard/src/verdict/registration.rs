@@ -18,7 +18,7 @@ use osteoflow_node::{
 ///
 /// Signs against a registration are looked for in the scan and its residuals, in a second registration by shape alone, in the
 /// landmarks, in the plan and in the calibration. The pose itself is never changed. Wired to `verdict` in `[results]`, a refused
-/// answer ends the run without poses and planes. docs/trust.md has what each rule saw and missed.
+/// answer ends the run without poses and planes. docs/method/trust.md has what each rule saw and missed.
 #[derive(Describe)]
 #[describe(
     example = r#"
