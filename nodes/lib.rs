@@ -7,14 +7,21 @@ mod commands;
 pub mod library;
 
 use clap::Parser;
-use commands::{Cli, Exit, UsageError, terminal, with_causes};
+use commands::{
+    command_line::Cli,
+    common::{
+        crash,
+        exit::{Exit, UsageError, with_causes},
+        log, terminal,
+    },
+};
 use std::{ffi::OsString, io::Write, process::ExitCode};
 
 /// Runs the command with these arguments, the program's name first.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    commands::crash::install();
+    crash::install();
     let code = code_of(arguments.into_iter().collect());
-    commands::crash::leave();
+    crash::leave();
     code.into()
 }
 
@@ -29,7 +36,7 @@ pub fn code_of(arguments: Vec<OsString>) -> u8 {
         }
     };
     if !cli.command.is_worker() {
-        commands::log::start(&cli.global);
+        log::start(&cli.global);
     }
     let exit = match cli.command.execute(&cli.global) {
         Ok(exit) => exit,

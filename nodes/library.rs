@@ -10,11 +10,17 @@ pub use osteoflow_engine::given::Given;
 pub use osteoflow_formats::{Space, cloud_file::CloudFileRead, mesh_file::MeshRead, mesh_or_cloud::MeshOrCloud};
 
 use crate::commands::{
-    Cli, Colour, Command, Format, Global, UsageError,
-    plugins::HOST,
-    progress::Progress,
+    command_line::{Cli, Command},
+    common::{
+        exit::{UsageError, with_causes},
+        global::{Colour, Format, Global},
+        log, out_dir,
+        plugins::HOST,
+        progress::Progress,
+        running, verdict_lines,
+    },
     register::{self, align::Ended},
-    running, sweep, verdict_lines, with_causes,
+    sweep,
 };
 use anyhow::anyhow;
 use clap::{Parser, error::ErrorKind};
@@ -74,7 +80,7 @@ pub fn hosted_by(program: PathBuf, before: Vec<std::ffi::OsString>, library: Pat
 /// Reads the options of a subcommand.
 fn parsed(subcommand: &str, options: &[String]) -> Result<Command, Error> {
     static LOG: Once = Once::new();
-    LOG.call_once(|| crate::commands::log::start(&global(true)));
+    LOG.call_once(|| log::start(&global(true)));
     let words = ["osteoflow", subcommand].into_iter().map(String::from).chain(options.iter().cloned());
     Cli::try_parse_from(words).map(|cli| cli.command).map_err(|error| {
         debug_assert!(error.kind() != ErrorKind::DisplayHelp, "no caller asks for help");
@@ -199,7 +205,7 @@ impl Graph {
         let (plan, asked) = (self.plan(), &self.asked);
         let out_dir = match asked.leave.out.as_deref() {
             None => None,
-            out => Some(crate::commands::out_dir::make(out, &plan.name, asked.leave.force)?),
+            out => Some(out_dir::make(out, &plan.name, asked.leave.force)?),
         };
         let mut options = RunOptions {
             out_dir: out_dir.as_ref().map(|dir| dir.to_path_buf()),

@@ -1,4 +1,9 @@
-use super::{Exit, Format, Global, GraphArgs, print_json, terminal};
+use super::common::{
+    exit::Exit,
+    global::{Format, Global},
+    graph_args::GraphArgs,
+    terminal::{self, print_json},
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{CheckedFile, Faults};

@@ -1,4 +1,10 @@
-use super::{Exit, Format, Global, UsageError, print_json, summary_table, terminal, text_table::TextTable};
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global},
+    summary_table,
+    terminal::{self, print_json},
+    text_table::TextTable,
+};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{

@@ -1,6 +1,6 @@
-use super::{Cli, Exit, Global, terminal};
+use super::common::{exit::Exit, terminal};
 use anyhow::Result;
-use clap::{Args, CommandFactory};
+use clap::{Args, Command};
 use clap_complete::Shell;
 use std::io::Write;
 
@@ -16,9 +16,9 @@ pub(crate) struct Completions {
 }
 
 impl Completions {
-    pub(crate) fn execute(&self, _global: &Global) -> Result<Exit> {
+    pub(crate) fn execute(&self, mut command_line: Command) -> Result<Exit> {
         let mut script = Vec::new();
-        clap_complete::generate(self.shell, &mut Cli::command(), "osteoflow", &mut script);
+        clap_complete::generate(self.shell, &mut command_line, "osteoflow", &mut script);
         terminal::stdout().write_all(&script)?;
         Ok(Exit::Done)
     }

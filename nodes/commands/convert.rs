@@ -1,6 +1,8 @@
-use super::{
-    Exit, Global, UsageError,
+use super::common::{
     content::{is_volume, picked_points},
+    exit::{Exit, UsageError},
+    global::Global,
+    space::SpaceOption,
     terminal,
 };
 use anyhow::{Result, anyhow, bail};
@@ -53,7 +55,7 @@ pub(crate) struct Convert {
 
     /// The space of the numbers in IN, if IN does not state it; OUT is LPS then, as far as it can say so.
     #[arg(long, value_enum, ignore_case = true, value_name = "LPS|RAS")]
-    space: Option<super::register::SpaceOption>,
+    space: Option<SpaceOption>,
 }
 
 impl Convert {

@@ -1,5 +1,10 @@
-use super::{
-    Exit, Format, Global, UsageError, print_json, reading::Reading, run_path, terminal, text_table::TextTable,
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global},
+    reading::Reading,
+    run_path,
+    terminal::{self, print_json},
+    text_table::TextTable,
 };
 use anyhow::Result;
 use clap::Args;

@@ -1,4 +1,10 @@
-use super::{Exit, Global, GraphArgs, PluginArgs, UsageError, terminal};
+use super::common::{
+    exit::{Exit, UsageError},
+    global::Global,
+    graph_args::GraphArgs,
+    plugins::PluginArgs,
+    terminal,
+};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_draw::{Diagram, dot, mermaid, svg};

@@ -2,7 +2,12 @@
 
 mod found;
 
-use super::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
+use super::common::{
+    exit::Exit,
+    global::{Format, Global},
+    terminal::{self, print_json},
+    text_table::TextTable,
+};
 use anyhow::Result;
 use clap::Args;
 use found::{Found, Topic};

@@ -1,6 +1,12 @@
-use super::{
-    Exit, Format, Global, GraphArgs, PluginArgs, UsageError, module_docs, node_docs, plugins, print_json, registry,
-    terminal,
+mod module_docs;
+mod node_docs;
+
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global, registry},
+    graph_args::GraphArgs,
+    plugins::{self, PluginArgs},
+    terminal::{self, print_json},
 };
 use anyhow::{Context, Result};
 use clap::Args;

@@ -1,7 +1,11 @@
 mod procedure;
 mod template;
 
-use super::{Exit, Format, Global, UsageError, print_json, registry, terminal};
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global, registry},
+    terminal::{self, print_json},
+};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 use serde_json::json;

@@ -1,9 +1,12 @@
-use super::{
-    Exit, Format, Global, GraphArgs, UsageError, out_dir, print_json,
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global},
+    graph_args::GraphArgs,
+    out_dir,
     progress::Progress,
-    run::Keep,
+    run_args::Keep,
     running::{self, Ran},
-    terminal,
+    terminal::{self, print_json},
 };
 use anyhow::{Context, Result};
 use clap::Args;

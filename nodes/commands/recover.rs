@@ -1,4 +1,10 @@
-use super::{Exit, Format, Global, UsageError, print_json, reading::Reading, terminal, text_table::TextTable};
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global},
+    reading::Reading,
+    terminal::{self, print_json},
+    text_table::TextTable,
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::recover::{RecoverError, RecoverReport, RecoveredWire, recover};

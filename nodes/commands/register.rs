@@ -11,13 +11,14 @@ mod plugin;
 mod start;
 mod trace;
 
-use super::{
-    Exit, Format, Global, UsageError,
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global, registry},
     graph_args::print_faults,
     progress::Progress,
-    registry,
-    run::Keep,
+    run_args::Keep,
     running::{self, Ran},
+    space::SpaceOption,
     terminal,
 };
 use align::{Ended, Work};
@@ -31,7 +32,6 @@ use osteoflow_engine::{
     panics::mark_helper_thread,
     plugin::Kinds,
 };
-use osteoflow_formats::Space;
 use osteoflow_geometry::nalgebra::Point3;
 use osteoflow_node::Kind;
 use plugin::{ByPlugin, PluginMethod};
@@ -211,24 +211,6 @@ pub(crate) struct Register {
     /// Write every step into a CSV. Nothing is overwritten.
     #[arg(long, value_name = "FILE", conflicts_with = "plugins")]
     trace: Option<PathBuf>,
-}
-
-/// The anatomical space of coordinates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum SpaceOption {
-    /// Left, posterior, superior: DICOM's, and that of STL and PLY files in 3D Slicer.
-    Lps,
-    /// Right, anterior, superior: NIfTI's, and what 3D Slicer shows.
-    Ras,
-}
-
-impl From<SpaceOption> for Space {
-    fn from(space: SpaceOption) -> Self {
-        match space {
-            SpaceOption::Lps => Self::Lps,
-            SpaceOption::Ras => Self::Ras,
-        }
-    }
 }
 
 /// When to stop.

@@ -1,13 +1,19 @@
 use super::{
-    Exit, Format, Global, PluginArgs, UsageError, diff, out_dir, print_json,
-    progress::Progress,
-    result_table,
-    run::{self, Leave},
-    run_path, run_table,
-    running::{self, Ran},
-    terminal,
-    text_table::TextTable,
-    verdict_lines,
+    common::{
+        exit::{Exit, UsageError},
+        global::{Format, Global},
+        out_dir,
+        plugins::PluginArgs,
+        progress::Progress,
+        result_table,
+        run_args::Leave,
+        run_end, run_path, run_table,
+        running::{self, Ran},
+        terminal::{self, print_json},
+        text_table::TextTable,
+        verdict_lines,
+    },
+    diff,
 };
 use anyhow::Result;
 use clap::Args;
@@ -164,7 +170,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         table.row(&wire.wire, [wire.n_recorded.to_string(), wire.n_replayed.to_string(), comparison(wire)]);
     }
     writeln!(out, "{}", table.lines())?;
-    if run::has_table(&report.run) {
+    if run_end::has_table(&report.run) {
         writeln!(out, "{}", result_table::text(&report.run.results, global))?;
     }
     if let Some(wire) = report.first_divergence()

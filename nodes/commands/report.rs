@@ -1,4 +1,9 @@
-use super::{Exit, Format, Global, UsageError, print_json, run_path, terminal};
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global, registry},
+    run_path,
+    terminal::{self, print_json},
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{plugin::Kinds, run::files, sweep};
@@ -31,7 +36,7 @@ pub(crate) struct Report {
 
 impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let registry = super::registry();
+        let registry = registry();
         let dir = run_path::folder(&self.dir);
         let report = match Holds::of(&dir) {
             Holds::Sweep => osteoflow_report::of_sweep(&dir, &registry, &Kinds::from(&registry), true)?,

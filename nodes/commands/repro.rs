@@ -1,4 +1,11 @@
-use super::{Exit, Format, Global, PluginArgs, UsageError, print_json, running, terminal, text_table::TextTable};
+use super::common::{
+    exit::{Exit, UsageError},
+    global::{Format, Global},
+    plugins::PluginArgs,
+    running,
+    terminal::{self, print_json},
+    text_table::TextTable,
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{

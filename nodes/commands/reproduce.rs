@@ -1,6 +1,16 @@
 use super::{
-    Exit, Format, Global, UsageError, graph_args, plugins::PluginArgs, print_json, result_table::NOTICE, run::Keep,
-    running, sweep as sweep_command, terminal,
+    common::{
+        exit::{Exit, UsageError},
+        global::{Format, Global, registry},
+        graph_args,
+        plugins::PluginArgs,
+        progress::Progress,
+        result_table::NOTICE,
+        run_args::Keep,
+        running,
+        terminal::{self, print_json},
+    },
+    sweep as sweep_command,
 };
 use anyhow::{Context, Result};
 use clap::Args;
@@ -139,7 +149,7 @@ impl Reproduce {
         let jobs: Vec<_> = sweeps.into_iter().map(|(name, sweep)| (name.clone(), sweep)).collect();
         let bar = sweep_command::Bar::of(n_runs, &format!("reproducing {} experiments", jobs.len()), workers, global)?;
         let cancelled_too = cancelled.clone();
-        let ran = running::watch(super::progress::Progress::hidden(), cancelled, move |_| {
+        let ran = running::watch(Progress::hidden(), cancelled, move |_| {
             for ((name, sweep), folder) in jobs.iter().zip(&folders) {
                 bar.message(name);
                 sweep.run(folder, &options, &bar as &dyn Watcher)?;
@@ -216,7 +226,7 @@ impl Reproduce {
         let graph = self.graphs.join(format!("{experiment}.toml"));
         let sets: Vec<_> =
             self.sets.iter().cloned().chain(self.bone_sets()?.iter().flat_map(BoneSets::plain)).collect();
-        let registry = super::registry();
+        let registry = registry();
         let Ok(checked) = osteoflow_engine::check(&graph, &sets, &registry) else { return Ok(None) };
         let report = osteoflow_engine::run(&checked.plan, &registry, &RunOptions::default(), &())?;
         if report.outcome != Outcome::Complete {
@@ -301,7 +311,7 @@ fn quoted(word: &str) -> String {
 
 /// Writes the report of each experiment into its folder, and returns the paths of the pages.
 fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
-    let registry = super::registry();
+    let registry = registry();
     let kinds = PluginArgs::default().kinds_apart()?;
     let write = |(name, folder): &(String, Folder)| -> Result<String> {
         let maps = WITH_MAPS.contains(&name.as_str());

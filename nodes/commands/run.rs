@@ -1,25 +1,28 @@
-use super::{
-    Exit, Format, Global, GraphArgs, UsageError, out_dir, print_json,
+mod watch;
+
+use super::common::{
+    exit::{Exit, UsageError},
+    global::Global,
+    graph_args::GraphArgs,
+    out_dir,
     progress::Progress,
-    result_table, run_table,
+    run_args::{Keep, Leave},
+    run_end::print_end,
     running::{self, Ran},
     serve::{self, Admission, Serving},
-    terminal, verdict_lines, watch,
+    terminal,
 };
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
     plugin::check_lent_memory,
-    run::{Injection, Listener, Outcome, RunOptions, RunReport, files},
-    store::{Settings, Store},
+    run::{Injection, Listener, RunOptions},
 };
 use osteoflow_viewer::{Stream, Watched};
-use serde_json::Value;
 use std::{
     io::Write,
     net::SocketAddr,
     num::NonZeroUsize,
-    path::{Path, PathBuf},
     sync::{Arc, atomic::Ordering},
 };
 
@@ -86,40 +89,6 @@ pub(crate) struct Run {
     pub(crate) shuffle: Option<u64>,
 }
 
-/// Output folder and number of threads of a run.
-#[derive(Debug, Clone, Args)]
-pub(crate) struct Leave {
-    /// The folder to write the files into; refused if not empty.
-    #[arg(long, value_name = "DIR")]
-    pub(crate) out: Option<PathBuf>,
-
-    /// Write into a folder that is not empty, and replace the files of a run in it; other files stay.
-    #[arg(long)]
-    pub(crate) force: bool,
-
-    /// Number of threads that run nodes; the results do not depend on it. Default: the number of cores.
-    #[arg(long, value_name = "N")]
-    pub(crate) workers: Option<NonZeroUsize>,
-}
-
-/// Whether to cache answers between runs.
-#[derive(Debug, Clone, Default, Args)]
-pub(crate) struct Keep {
-    /// Compute everything: neither load answers from the store nor save them there. The results are the same with and
-    /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits its size (1 GiB).
-    #[arg(long)]
-    no_cache: bool,
-}
-
-impl Keep {
-    /// The store that the environment names, unless caching is disabled.
-    pub(crate) fn store(&self) -> Result<Option<Arc<Store>>> {
-        let settings =
-            if self.no_cache { None } else { Settings::from_env().map_err(|e| UsageError(e.to_string()))? };
-        Ok(settings.map(|settings| Arc::new(Store::open(settings))))
-    }
-}
-
 impl Run {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         if self.watch {
@@ -183,80 +152,4 @@ impl Run {
             }
         }
     }
-}
-
-/// Prints the end of a run: results on stdout, everything else on stderr.
-pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
-    let exit = print_warnings_and_failure(report, global)?;
-    match global.format {
-        Format::Json => print_json(&with_outcome(report, exit, dir))?,
-        Format::Text => print_text(report, &result_table::text(&report.results, global), dir, global)?,
-    }
-    Ok(exit)
-}
-
-/// Prints warnings, and the reason if there are no results, to stderr.
-pub(super) fn print_warnings_and_failure(report: &RunReport, global: &Global) -> Result<Exit> {
-    let exit = match &report.outcome {
-        Outcome::Complete => Exit::Done,
-        Outcome::Refused(_) => Exit::Refused,
-        Outcome::Interrupted => Exit::Interrupted,
-    };
-    let mut err = terminal::stderr().lock();
-    for warning in &report.warnings {
-        let word = global.paint_err("warning", "1;33");
-        writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
-    }
-    match &report.outcome {
-        Outcome::Refused(refusal) => {
-            let refusal = verdict_lines::refusal_in_short(refusal, &report.results);
-            writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?
-        }
-        Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
-        Outcome::Complete => {}
-    }
-    if !global.quiet {
-        print_repro_commands(&mut err, report)?;
-    }
-    Ok(exit)
-}
-
-/// Prints the commands that repeat the failures.
-fn print_repro_commands(err: &mut impl Write, report: &RunReport) -> Result<()> {
-    for bundle in &report.saved.bundles {
-        writeln!(err, "repeat it alone with: osteoflow repro {}", bundle.dir.display())?;
-    }
-    for (node, n) in &report.saved.more {
-        writeln!(err, "node \"{node}\" failed {n} more times; these failures are not saved")?;
-    }
-    Ok(())
-}
-
-/// Whether there is something to show: results, or a verdict that refuses them.
-pub(super) fn has_table(report: &RunReport) -> bool {
-    report.outcome == Outcome::Complete || verdict_lines::judged(&report.results).is_some()
-}
-
-/// Prints the tables and the paths of the files.
-pub(super) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &Global) -> Result<()> {
-    let mut out = terminal::stdout().lock();
-    if global.verbose > 0 {
-        writeln!(out, "{}", run_table::text(report))?;
-    }
-    if has_table(report) {
-        writeln!(out, "{table}")?;
-    }
-    let files = [files::RESULTS, files::MANIFEST, files::RECORDING].into_iter().filter(|f| dir.join(f).exists());
-    let files = files.collect::<Vec<_>>().join(", ");
-    writeln!(out, "{files} in {} after {:.2} s", dir.display(), report.elapsed.as_secs_f64())?;
-    Ok(())
-}
-
-/// The content of `results.json` with the outcome and the folder.
-pub(super) fn with_outcome(report: &RunReport, exit: Exit, dir: &Path) -> Value {
-    let mut outcome = exit.to_json();
-    outcome["out_dir"] = dir.display().to_string().into();
-    let mut all = serde_json::Map::from_iter([("outcome".to_owned(), outcome)]);
-    all.extend(report.results.as_object().cloned().unwrap_or_default());
-    Value::Object(all)
 }

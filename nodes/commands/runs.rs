@@ -1,4 +1,9 @@
-use super::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
+use super::common::{
+    exit::Exit,
+    global::{Format, Global},
+    terminal::{self, print_json},
+    text_table::TextTable,
+};
 use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;

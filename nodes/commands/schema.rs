@@ -1,4 +1,9 @@
-use super::{Exit, Global, PluginArgs, UsageError, plugins, terminal};
+use super::common::{
+    exit::{Exit, UsageError},
+    global::Global,
+    plugins::{self, PluginArgs},
+    terminal,
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::schema;

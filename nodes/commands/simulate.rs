@@ -1,6 +1,16 @@
-use super::{Exit, Global, UsageError, simulate_set::Settings, terminal};
+mod folder;
+mod openigtlink;
+mod set;
+
+use super::common::{
+    exit::{Exit, UsageError},
+    global::Global,
+    result_table::NOTICE,
+    terminal,
+};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
+use openigtlink::{ScanType, laser_number};
 use osteoflow_formats::{
     mcap_read::Attachment,
     mesh_file, plan_file,
@@ -10,6 +20,7 @@ use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
 use osteoflow_simulation::{BoneParams, CtParams, Procedure, Subject, ct_surface};
 use osteoflow_standard::own_bone;
 use serde_json::{Value, json};
+use set::Settings;
 use std::{
     collections::BTreeMap,
     fs,
@@ -88,15 +99,6 @@ enum StreamFormat {
     Folder,
 }
 
-/// The messages in which scans are sent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum ScanType {
-    /// POLYDATA: 12 bytes a point.
-    Polydata,
-    /// POINT: 136 bytes a point.
-    Point,
-}
-
 impl Simulate {
     /// The procedure of `osteoflow new procedure`: a folder of files.
     pub(crate) fn example(out: PathBuf) -> Self {
@@ -137,7 +139,7 @@ impl Simulate {
             }
         }
         if let Some(port) = self.openigtlink {
-            super::simulate_openigtlink::serve(&procedure, port, self.rate, self.scans, global)?;
+            openigtlink::serve(&procedure, port, self.rate, self.scans, global)?;
         }
         Ok(Exit::Done)
     }
@@ -156,7 +158,7 @@ impl Simulate {
     fn write_files(&self, dir: &Path, procedure: &Procedure, in_ct: &Subject, ct: &CtParams) -> Result<()> {
         match self.shape {
             StreamFormat::Mcap => write_streams(&dir.join("procedure.mcap"), procedure, self.seed)?,
-            StreamFormat::Folder => super::simulate_folder::write(dir, procedure)?,
+            StreamFormat::Folder => folder::write(dir, procedure)?,
         }
         let ct_surface = ct_surface(in_ct.bone(), ct, self.seed)?;
         mesh_file::write_stl(&dir.join("bone.stl"), &ct_surface)?;
@@ -212,19 +214,13 @@ impl Simulate {
              - `truth.json`: what really was, for scoring, never an input; `X_T_Y` takes coordinates in Y to X\n\n\
              SIMULATED: {}. Licence: {licence}.\n",
             env!("CARGO_PKG_VERSION"),
-            super::result_table::NOTICE
+            NOTICE
         )
     }
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {
     fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
-}
-
-/// The number of the landmark of a laser scan: a scan with another's label is in the other's stream.
-pub(super) fn laser_number(procedure: &Procedure, k: usize) -> usize {
-    let marks = &procedure.truth.laser_marks_ct.points;
-    marks.iter().position(|mark| procedure.laser[k].label.as_ref() == Some(&mark.name)).unwrap_or(k) + 1
 }
 
 fn rate(text: &str) -> Result<f64, String> {

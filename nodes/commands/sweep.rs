@@ -1,12 +1,15 @@
-use super::{
-    Exit, Format, Global, PluginArgs, UsageError,
+use super::common::{
+    exit::{Exit, UsageError},
     folder_lock::HOLDER,
+    global::{Format, Global},
     graph_args,
     out_dir::{self, OutDir},
-    print_json,
+    plugins::PluginArgs,
+    progress::Progress,
     result_table::NOTICE,
-    run::Keep,
-    running, summary_table, terminal,
+    run_args::Keep,
+    running, summary_table,
+    terminal::{self, print_json},
 };
 use anyhow::Result;
 use clap::Args;
@@ -132,7 +135,7 @@ impl Sweep {
         let began = Instant::now();
         let bar = Bar::begin(&sweep, &folder, &options, global)?;
         let of_thread = folder.clone();
-        let ran = running::watch(super::progress::Progress::hidden(), cancelled, move |_| {
+        let ran = running::watch(Progress::hidden(), cancelled, move |_| {
             let swept = sweep.run(&of_thread, &options, &bar)?;
             bar.end();
             Ok(swept)

@@ -1,4 +1,11 @@
-use super::{Exit, Format, Global, print_json, reading::Reading, run_path, terminal, text_table::TextTable};
+use super::common::{
+    exit::Exit,
+    global::{Format, Global, registry},
+    reading::Reading,
+    run_path,
+    terminal::{self, print_json},
+    text_table::TextTable,
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::validate::{Finding, ValidateReport, validate};
@@ -29,7 +36,7 @@ impl Validate {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let file = run_path::recording(&self.file)?;
         let mut reading = Reading::begin("checking", &file, global);
-        let report = validate(&file, &super::registry(), &mut |at, of| reading.at(at, of))?;
+        let report = validate(&file, &registry(), &mut |at, of| reading.at(at, of))?;
         drop(reading);
         let exit = if report.is_sound() { Exit::Done } else { Exit::Unsound };
         match global.format {

@@ -1,13 +1,16 @@
 mod played;
+mod steer;
 
-use super::{
-    Exit, Global, GraphArgs, PluginArgs, UsageError,
+use super::common::{
     content::is_volume,
+    exit::{Exit, UsageError},
+    global::Global,
+    graph_args::GraphArgs,
+    plugins::PluginArgs,
     progress::Progress,
     run_path,
     running::{self, Ran},
     serve::{self, Admission, known_plan, picks::Picks},
-    steer::{self, Steered, TwoFiles},
 };
 use anyhow::{Context, Result};
 use clap::Args;
@@ -19,6 +22,7 @@ use std::{
     path::{Path, PathBuf},
     sync::Arc,
 };
+use steer::{Steered, TwoFiles};
 
 /// Show a graph, a run or a recording in the browser, or register a scan onto a bone and show that.
 ///

@@ -1,9 +1,9 @@
 //! Files of clouds, surfaces, picked points, poses and CTs, each recognised by its content.
 
 use super::Error;
-use crate::commands::{
-    UsageError,
+use crate::commands::common::{
     content::{is_volume, picked_points},
+    exit::UsageError,
 };
 use anyhow::{Context, Result, anyhow};
 use osteoflow_formats::{

@@ -1,7 +1,6 @@
-//! The floors of the engine: a module imports lower floors only, and no circle of files is larger than a room may have.
+//! The floors of the crates: a module imports lower floors only, and no circle of files is larger than a room may have.
 //!
-//! Read from the `use` lines of `engine/src` and `engine/runtime/src`. Code for tests is left out: it may look at the
-//! whole engine.
+//! Read from the `use` lines of their sources. Code for tests is left out: it may look at the whole crate.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -11,8 +10,9 @@ use std::{
 
 type Floors = &'static [&'static [&'static str]];
 
-/// The sources of a crate, and its floors from the ground up; the modules of one floor do not know each other.
-const CRATES: [(&str, Floors); 2] = [
+/// The sources of a crate, and its floors from the ground up; the modules of one floor do not know each other. A module is on the
+/// floor of the longest path that names it or a module around it; `*` is each module of a folder.
+const CRATES: [(&str, Floors); 3] = [
     (
         "engine/runtime/src",
         &[
@@ -41,10 +41,52 @@ const CRATES: [(&str, Floors); 2] = [
             &["sweep"],
         ],
     ),
+    (
+        "nodes",
+        &[
+            &[
+                "commands::common::busy",
+                "commands::common::content",
+                "commands::common::exit",
+                "commands::common::global",
+                "commands::common::other_numbers",
+                "commands::common::space",
+                "commands::common::terminal",
+                "commands::common::text_table",
+            ],
+            &[
+                "commands::common::crash",
+                "commands::common::folder_lock",
+                "commands::common::log",
+                "commands::common::plugins",
+                "commands::common::progress",
+                "commands::common::reading",
+                "commands::common::run_path",
+                "commands::common::run_table",
+                "commands::common::summary_table",
+                "commands::common::verdict_lines",
+            ],
+            &[
+                "commands::common::graph_args",
+                "commands::common::out_dir",
+                "commands::common::result_table",
+                "commands::common::serve",
+            ],
+            &["commands::common::run_args", "commands::common::run_end", "commands::common::running"],
+            // A subcommand knows no other, but for those that the example of a procedure, replay and reproduce use.
+            &["commands", "commands::*"],
+            &["commands::new", "commands::replay", "commands::reproduce"],
+            &["commands::command_line"],
+            &["library"],
+        ],
+    ),
 ];
 
 /// Most files that may import each other in a circle.
 const MAX_CIRCLE: usize = 6;
+
+/// Larger circles that are yet to be taken apart.
+const LARGER_CIRCLES: [&str; 1] = ["commands::register"];
 
 type Module = Vec<String>;
 
@@ -57,14 +99,20 @@ struct File {
     exports: BTreeMap<String, Module>,
 }
 
-/// Every file of a crate by its module.
+/// Every file of a crate by its module: those of the modules that its root declares, as other crates may lie beside them.
 fn files(sources: &str) -> BTreeMap<Module, File> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join(sources);
+    let declared = fs::read_to_string(root.join("lib.rs")).unwrap();
+    let declared: BTreeSet<&str> =
+        declared.lines().filter_map(|line| line.rsplit_once("mod ")?.1.strip_suffix(';')).collect();
     let mut found = BTreeMap::new();
     let mut folders = vec![root.clone()];
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
             let stem = entry.file_stem().unwrap().to_string_lossy().into_owned();
+            if entry.parent() == Some(&root) && !declared.contains(&*stem) {
+                continue;
+            }
             if entry.is_dir() {
                 folders.push(entry);
             } else if !(stem == "lib" || stem == "plan_builder" || stem.ends_with("tests")) {
@@ -99,10 +147,13 @@ fn read(root: &Path, path: PathBuf, module: &Module, text: &str) -> File {
             }
         }
     }
-    // Paths in the code itself.
+    // Paths in the code itself; the groups of a `use` are read above.
     for (at, prefix) in code.match_indices("crate::") {
-        let path: String =
-            code[at + prefix.len()..].chars().take_while(|c| c.is_alphanumeric() || "_:".contains(*c)).collect();
+        let after = &code[at + prefix.len()..];
+        let path = after.split(|c: char| !c.is_alphanumeric() && !"_:".contains(c)).next().unwrap_or_default();
+        if after[path.len()..].starts_with('{') {
+            continue;
+        }
         let path: Module = path.split("::").filter(|name| !name.is_empty()).map(str::to_owned).collect();
         if !path.is_empty() {
             file.imports.push(path);
@@ -168,19 +219,29 @@ fn definition(files: &BTreeMap<Module, File>, path: &Module) -> Option<Module> {
     }
 }
 
+/// The floor of a path, and the path of the module that is there.
+fn room(floors: Floors, path: &Module) -> Option<(usize, Module)> {
+    (1..=path.len()).rev().find_map(|n| {
+        let (name, any) = (path[..n].join("::"), [&path[..n - 1], &["*".to_owned()]].concat().join("::"));
+        let floor = [name, any].iter().find_map(|name| floors.iter().position(|floor| floor.contains(&&**name)))?;
+        Some((floor, path[..n].to_vec()))
+    })
+}
+
 #[test]
-fn a_module_of_the_engine_imports_lower_floors_only() {
+fn a_module_imports_lower_floors_only() {
     let mut wrong = BTreeSet::new();
     let mut n_files = 0;
     for (sources, floors) in CRATES {
-        let floor = |module: &str| floors.iter().position(|floor| floor.contains(&module));
         let files = files(sources);
         n_files += files.len();
         for (module, file) in &files {
-            let own = floor(&module[0]).unwrap_or_else(|| panic!("{} is on no floor", file.path.display()));
-            for path in file.imports.iter().filter(|path| path[0] != module[0]) {
-                match floor(&path[0]) {
-                    Some(floor) if floor < own => {}
+            let (own, own_room) =
+                room(floors, module).unwrap_or_else(|| panic!("{} is on no floor", file.path.display()));
+            for path in &file.imports {
+                match room(floors, path) {
+                    Some((_, room)) if room == own_room => {}
+                    Some((floor, _)) if floor < own => {}
                     _ => drop(wrong.insert(format!("{} imports crate::{}", file.path.display(), path.join("::")))),
                 }
             }
@@ -192,10 +253,10 @@ fn a_module_of_the_engine_imports_lower_floors_only() {
 
 #[test]
 fn no_circle_of_files_is_larger_than_six() {
-    CRATES.iter().for_each(|(sources, _)| check_circles(&files(sources)));
+    CRATES.iter().for_each(|(sources, floors)| check_circles(&files(sources), floors));
 }
 
-fn check_circles(files: &BTreeMap<Module, File>) {
+fn check_circles(files: &BTreeMap<Module, File>, floors: Floors) {
     let arrows: BTreeMap<&Module, BTreeSet<Module>> = files
         .iter()
         .map(|(module, file)| {
@@ -215,10 +276,14 @@ fn check_circles(files: &BTreeMap<Module, File>) {
         seen
     };
     let all: BTreeMap<_, _> = files.keys().map(|module| (module, reached(module))).collect();
-    for module in files.keys() {
+    for module in files.keys().filter(|module| !LARGER_CIRCLES.iter().any(|room| module.join("::").starts_with(room))) {
         let circle: Vec<_> = all[module].iter().filter(|other| all[other].contains(module)).collect();
         let names: Vec<_> = circle.iter().map(|module| module.join("::")).collect();
         assert!(circle.len() <= MAX_CIRCLE, "a circle of {}: {}", circle.len(), names.join(", "));
-        assert!(circle.iter().all(|other| other[0] == module[0]), "a circle over rooms: {}", names.join(", "));
+        assert!(
+            circle.iter().all(|other| room(floors, other) == room(floors, module)),
+            "a circle over rooms: {}",
+            names.join(", ")
+        );
     }
 }

@@ -1,7 +1,14 @@
 //! The example folder of a procedure.
 
 use super::{FIBULA, File, empty_folder, without_schema, write};
-use crate::commands::{Exit, Format, Global, print_json, simulate::Simulate, terminal};
+use crate::commands::{
+    common::{
+        exit::Exit,
+        global::{Format, Global},
+        terminal::{self, print_json},
+    },
+    simulate::Simulate,
+};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;

@@ -11,8 +11,14 @@ use super::{
     start::OTHER_WAYS,
     trace, write_new,
 };
-use crate::commands::{
-    Exit, Format, Global, result_table::NOTICE, running::about_command, terminal, text_table::TextTable, verdict_lines,
+use crate::commands::common::{
+    exit::Exit,
+    global::{Format, Global},
+    result_table::NOTICE,
+    running::about_command,
+    terminal,
+    text_table::TextTable,
+    verdict_lines,
 };
 use anyhow::Result;
 use osteoflow_algorithms::{

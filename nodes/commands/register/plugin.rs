@@ -5,7 +5,7 @@ use super::{
     align::{Fit, NoFit, Report},
     inputs::{SOURCE, TARGET},
 };
-use crate::commands::{PluginArgs, progress::Progress, running, verdict_lines::refusal_in_short};
+use crate::commands::common::{plugins::PluginArgs, progress::Progress, running, verdict_lines::refusal_in_short};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_algorithms::target::Target;

@@ -1,6 +1,6 @@
 //! The steps of a registration as CSV and text.
 
-use crate::commands::text_table::TextTable;
+use crate::commands::common::text_table::TextTable;
 use osteoflow_algorithms::icp::IcpStep;
 use osteoflow_geometry::matrix_rows;
 use serde_json::{Map, Value};

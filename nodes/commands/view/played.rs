@@ -1,4 +1,4 @@
-use crate::commands::serve::picks::Picks;
+use crate::commands::common::serve::picks::Picks;
 use osteoflow_geometry::SurgicalPlan;
 use osteoflow_viewer::{Answer, App, Playback, PlaybackState};
 

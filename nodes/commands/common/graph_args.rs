@@ -1,4 +1,9 @@
-use super::{Exit, Format, Global, PluginArgs, terminal};
+use super::{
+    exit::Exit,
+    global::{Format, Global},
+    plugins::PluginArgs,
+    terminal::{self, print_json},
+};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{Checked, CheckedFile, Fault, Faults, Module};
@@ -54,7 +59,7 @@ impl GraphArgs {
 }
 
 /// Prints warnings about the graph.
-pub(super) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
+pub(crate) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
     if !warnings.is_empty() && !global.quiet && global.format == Format::Text {
         writeln!(terminal::stderr(), "{}\n", Faults(warnings.to_vec()).render(global.colour_err()))?;
     }
@@ -62,7 +67,7 @@ pub(super) fn warn(warnings: &[Fault], global: &Global) -> Result<()> {
 }
 
 /// Prints all faults: as text on stderr, or as JSON on stdout.
-pub(super) fn print_faults(faults: &Faults, global: &Global) -> Result<()> {
+pub(crate) fn print_faults(faults: &Faults, global: &Global) -> Result<()> {
     match global.format {
         Format::Text => writeln!(terminal::stderr(), "{}", faults.render(global.colour_err()))?,
         Format::Json => print_json(&as_json(faults))?,
@@ -71,12 +76,6 @@ pub(super) fn print_faults(faults: &Faults, global: &Global) -> Result<()> {
 }
 
 /// The faults as one JSON value.
-pub(super) fn as_json(faults: &Faults) -> Value {
+pub(crate) fn as_json(faults: &Faults) -> Value {
     json!({ "outcome": Exit::Usage.to_json(), "faults": faults.to_json() })
-}
-
-/// Prints the JSON value of a command.
-pub(crate) fn print_json(value: &Value) -> Result<()> {
-    writeln!(terminal::stdout(), "{}", serde_json::to_string_pretty(value)?)?;
-    Ok(())
 }

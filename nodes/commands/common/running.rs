@@ -1,8 +1,9 @@
 //! Runs a plan on another thread, while the main thread shows progress and handles Ctrl-C.
 
 use super::{
-    Global, UsageError,
     busy::{Busy, LOOK},
+    exit::UsageError,
+    global::Global,
     progress::Progress,
     terminal,
 };

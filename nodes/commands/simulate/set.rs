@@ -1,6 +1,6 @@
 //! Parameters of a simulated procedure from `--set` of the command line.
 
-use super::UsageError;
+use crate::commands::common::exit::UsageError;
 use anyhow::Result;
 use osteoflow_simulation::{BoneParams, CtParams, ProcedureParams};
 use serde::de::DeserializeOwned;

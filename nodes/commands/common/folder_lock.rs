@@ -1,6 +1,6 @@
 //! Exclusive use of an output folder by one process.
 
-use super::UsageError;
+use super::exit::UsageError;
 use anyhow::{Context, Result};
 use jiff::Timestamp;
 use serde_json::{Value, json};

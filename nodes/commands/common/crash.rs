@@ -17,7 +17,7 @@ pub(crate) fn leave() {}
 
 #[cfg(unix)]
 mod unix {
-    use crate::commands::Exit;
+    use crate::commands::common::exit::Exit;
     use osteoflow_engine::{
         activity::{self, Call, Doing},
         plugin::signal_name,

@@ -1,6 +1,10 @@
 //! Progress of a run: an updated line on a terminal, a few plain lines elsewhere.
 
-use super::{Format, Global, busy::Longest, terminal};
+use super::{
+    busy::Longest,
+    global::{Format, Global},
+    terminal,
+};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use osteoflow_engine::{
     plan::Plan,

@@ -1,12 +1,17 @@
 //! Plugins of a command: search, inspection and listing.
 
-use super::{Exit, Format, Global, UsageError, print_json, registry, terminal, text_table::TextTable};
+use super::{
+    exit::{Exit, UsageError},
+    global::{Format, Global, registry},
+    terminal::{self, print_json},
+    text_table::TextTable,
+};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
     Faults,
     fault::Severity,
-    plugin::{Finder, Kinds, Known, Launcher, Prober, Scripts, answer, serve},
+    plugin::{Finder, Kinds, Known, Launcher, Prober, Scripts},
     store::{Settings, Store},
 };
 use serde_json::{Value, json};
@@ -47,7 +52,7 @@ pub(crate) struct PluginArgs {
 }
 
 /// What serves nodes in Python, passed to the interpreter.
-const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow_node.py");
+const PYTHON_HELPER: &str = include_str!("../../kinds/payloads/python/osteoflow_node.py");
 
 impl PluginArgs {
     /// The libraries that the command line names.
@@ -121,32 +126,6 @@ fn prober() -> Result<Prober> {
     };
     let Launcher { program, arguments } = own("plugin-probe")?;
     Ok(Prober { program, arguments, timeout })
-}
-
-/// Inspect a library and print its description; run by other commands as a separate process.
-#[derive(Debug, Args)]
-#[command(hide = true)]
-pub(crate) struct PluginProbe {
-    file: PathBuf,
-}
-
-impl PluginProbe {
-    pub(crate) fn execute(&self) -> Result<Exit> {
-        std::io::stdout().write_all(answer(&self.file).as_bytes())?;
-        Ok(Exit::Done)
-    }
-}
-
-/// Build a node and fire it when asked, over the connection on standard input; run by other commands as a separate process.
-#[derive(Debug, Args)]
-#[command(hide = true)]
-pub(crate) struct Worker {}
-
-impl Worker {
-    pub(crate) fn execute(&self) -> Result<Exit> {
-        serve(registry()).context("this command is run by others, for a node with process = true")?;
-        Ok(Exit::Done)
-    }
 }
 
 /// Prints refused plugins on stderr; a plugin that was named explicitly is a fault.

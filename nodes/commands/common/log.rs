@@ -1,6 +1,6 @@
 //! Log lines go to stderr, because stdout carries results only.
 
-use super::{Global, terminal};
+use super::{global::Global, terminal};
 use tracing::level_filters::LevelFilter;
 
 /// The environment variable that names a level: `off`, `error`, `warn`, `info`, `debug` or `trace`.

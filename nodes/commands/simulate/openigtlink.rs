@@ -1,9 +1,8 @@
-use super::{
-    Global,
-    simulate::{ScanType, laser_number},
-    terminal,
-};
+//! A simulated procedure over OpenIGTLink, as a PLUS server would send it.
+
+use crate::commands::common::{global::Global, terminal};
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
 use osteoflow_formats::openigtlink::{Affine, Body, Fiducial, Message, Metadata, PolyData, Status, Text, device_name};
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
 use osteoflow_simulation::Procedure;
@@ -16,6 +15,15 @@ use std::{
 
 /// How long a client that has all may take to read it.
 const LAST_WORDS: Duration = Duration::from_secs(60);
+
+/// The messages in which scans are sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ScanType {
+    /// POLYDATA: 12 bytes a point.
+    Polydata,
+    /// POINT: 136 bytes a point.
+    Point,
+}
 
 /// Waits for one client at a port of the loopback and plays the procedure to it.
 pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, scans: ScanType, global: &Global) -> Result<()> {
@@ -119,4 +127,10 @@ fn touches(device: &str, points: &Points) -> Vec<Message> {
 
 fn single(point: &Point3<f64>) -> [f32; 3] {
     [0, 1, 2].map(|k| point[k] as f32)
+}
+
+/// The number of the landmark of a laser scan: a scan with another's label is in the other's stream.
+pub(super) fn laser_number(procedure: &Procedure, k: usize) -> usize {
+    let marks = &procedure.truth.laser_marks_ct.points;
+    marks.iter().position(|mark| procedure.laser[k].label.as_ref() == Some(&mark.name)).unwrap_or(k) + 1
 }

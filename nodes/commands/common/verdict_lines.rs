@@ -1,6 +1,6 @@
 //! The verdict on the results of a run as lines for a terminal.
 
-use super::Global;
+use super::global::Global;
 use osteoflow_engine::run::{Answer, Refusal, Verdict};
 use serde_json::Value;
 

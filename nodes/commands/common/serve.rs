@@ -4,7 +4,11 @@ mod graph;
 pub(crate) mod known_plan;
 pub(crate) mod picks;
 
-use super::{Global, UsageError, registry, terminal, verdict_lines};
+use super::{
+    exit::UsageError,
+    global::{Global, registry},
+    terminal, verdict_lines,
+};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
@@ -28,7 +32,7 @@ use std::{
 };
 
 /// The topic that the page reads first: what is shown, and how it ended.
-pub(super) const STATE: &str = "/viewer/state";
+pub(crate) const STATE: &str = "/viewer/state";
 /// The topic with the nodes of the graph.
 const GRAPH: &str = "/viewer/graph";
 /// Interval at which the end is looked for.
@@ -122,18 +126,18 @@ impl Serving {
     }
 
     /// Publishes something more about the run.
-    pub(super) fn add(&mut self, key: &str, value: Value) {
+    pub(crate) fn add(&mut self, key: &str, value: Value) {
         self.state[key] = value;
         self.stream.publish(STATE, &self.state);
     }
 
     /// The last state that was published.
-    pub(super) fn state(&self) -> &Value {
+    pub(crate) fn state(&self) -> &Value {
         &self.state
     }
 
     /// Says that the run gave nothing.
-    pub(super) fn failed(&mut self) {
+    pub(crate) fn failed(&mut self) {
         self.add("state", "failed".into());
     }
 
@@ -154,7 +158,7 @@ impl Serving {
 }
 
 /// The nodes of a plan as the page lists them.
-pub(super) fn graph_json(plan: &Plan, registry: &Registry) -> Value {
+pub(crate) fn graph_json(plan: &Plan, registry: &Registry) -> Value {
     graph::as_json(plan, registry)
 }
 

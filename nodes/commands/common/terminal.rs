@@ -4,6 +4,7 @@
 //! hide text; they are printed as escapes, such as `\u{1b}`, as are characters that reverse the direction of text. Only the
 //! colours that this program uses pass.
 
+use serde_json::Value;
 use std::{
     fmt,
     io::{self, Stderr, StderrLock, Stdout, StdoutLock, Write},
@@ -92,6 +93,12 @@ fn style(text: &str) -> Option<&str> {
 fn is_control(c: char) -> bool {
     c.is_control() && c != '\n' && c != '\t'
         || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// Prints the JSON value of a command.
+pub(crate) fn print_json(value: &Value) -> anyhow::Result<()> {
+    writeln!(stdout(), "{}", serde_json::to_string_pretty(value)?)?;
+    Ok(())
 }
 
 #[cfg(test)]

@@ -1,20 +1,22 @@
 //! `run --watch`: runs the graph again whenever one of its files has changed.
 
-use super::{
-    Exit, Format, Global, UsageError, graph_args,
-    out_dir::{self, OutDir},
-    progress::Progress,
-    result_table,
-    run::{self, Leave, Run},
-    running::{self, Ran},
-    terminal,
+use crate::commands::{
+    common::{
+        exit::{Exit, UsageError},
+        global::{Format, Global},
+        graph_args,
+        progress::Progress,
+        result_table, run_end,
+        running::{self, Ran},
+        terminal,
+    },
+    run::Run,
 };
 use anyhow::{Result, anyhow};
 use osteoflow_engine::{
     Checked, check,
     check::files,
     check_recorded,
-    plan::Plan,
     run::{Outcome, RunError, RunOptions, RunReport},
     watch::{Next, Session, Stamps},
 };
@@ -22,7 +24,7 @@ use serde_json::{Value, json};
 use std::{
     fs,
     io::Write,
-    path::{Path, PathBuf},
+    path::Path,
     sync::{Arc, atomic::Ordering},
     time::Instant,
 };
@@ -115,7 +117,7 @@ impl Watch {
             self.print_unchanged()?;
             return Ok(Looked::Files(files));
         }
-        let dir = folder(&self.run.leave, next.plan(), self.n_runs)?;
+        let dir = self.run.leave.folder(next.plan(), self.n_runs)?;
         let what = RerunNotice::of(&next, self.n_runs > 0);
         if self.global.format == Format::Text && !self.global.quiet {
             what.print_changes()?;
@@ -187,7 +189,7 @@ impl Watch {
     ) -> Result<Exit> {
         // Warnings of cached nodes were printed when they ran.
         report.warnings.retain(|warning| what.computed.contains(&warning.node));
-        let exit = run::print_warnings_and_failure(&report, &self.global)?;
+        let exit = run_end::print_warnings_and_failure(&report, &self.global)?;
         let complete = report.outcome == Outcome::Complete;
         let earlier = self.results.as_ref().filter(|_| complete);
         let differ: Option<Vec<_>> = earlier.map(|earlier| {
@@ -195,7 +197,7 @@ impl Watch {
         });
         match self.global.format {
             Format::Json => {
-                let mut all = run::with_outcome(&report, exit, dir);
+                let mut all = run_end::with_outcome(&report, exit, dir);
                 all["outcome"]["watch"] = json!({
                     "changes": what.changes,
                     "removed": what.removed,
@@ -212,7 +214,7 @@ impl Watch {
                     Some(earlier) => result_table::text_beside(&report.results, earlier, &self.global),
                     None => result_table::text(&report.results, &self.global),
                 };
-                run::print_text(&report, &table, dir, &self.global)?;
+                run_end::print_text(&report, &table, dir, &self.global)?;
                 let mut out = terminal::stdout().lock();
                 match differ.as_deref() {
                     Some([]) => writeln!(out, "no result differs from the previous run")?,
@@ -237,26 +239,6 @@ impl Watch {
         }
         Ok(exit)
     }
-}
-
-/// The folder of the next of several runs.
-pub(super) fn folder(leave: &Leave, plan: &Plan, n_runs: usize) -> Result<OutDir> {
-    let dir = match &leave.out {
-        Some(first) if n_runs > 0 => out_dir::make_after(first)?,
-        asked => out_dir::make(asked.as_deref(), &plan.name, leave.force)?,
-    };
-    let within = |file: &&PathBuf| match (dir.canonicalize(), file.canonicalize()) {
-        (Ok(dir), Ok(file)) => dir.starts_with(file),
-        _ => false,
-    };
-    if let Some(read) = plan.input_files.iter().find(within) {
-        let (dir, read) = (dir.display(), read.display());
-        let message = format!(
-            "{dir} is inside {read}, which the graph reads, so each run would start the next; name another folder with --out"
-        );
-        return Err(UsageError(message).into());
-    }
-    Ok(dir)
 }
 
 /// An observer that collects the announcements of a run.

@@ -9,16 +9,19 @@ mod write_back;
 
 pub(crate) use two_files::TwoFiles;
 
-use super::{
-    Exit, Global, GraphArgs, graph_args,
+use crate::commands::common::{
+    exit::Exit,
+    global::Global,
+    graph_args::{self, GraphArgs},
     progress::Progress,
-    run::{self, Keep, Leave},
+    run_args::{Keep, Leave},
+    run_end,
     running::{self, Ran},
     serve::{
         self, Admission, Serving, known_plan,
         picks::{self, Picks},
     },
-    terminal, watch,
+    terminal,
 };
 use anyhow::Result;
 use changes::{Changes, Problem};
@@ -329,7 +332,7 @@ impl Session {
                 node.name
             ));
         }
-        let dir = watch::folder(&self.leave, &plan, self.n_runs)?;
+        let dir = self.leave.folder(&plan, self.n_runs)?;
         let graph = serve::graph_json(&plan, &registry);
         *self.steering.plan.lock().unwrap_or_else(PoisonError::into_inner) = known_plan::of_graph(&plan);
         self.steering.graph.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&graph);
@@ -369,7 +372,7 @@ impl Session {
         serving.add("run", dir.file_name().map(|name| name.to_string_lossy()).into());
         serving.ended(&report);
         self.before = Some((serving.state().clone(), resolved));
-        run::print_end(&report, &dir, &self.global)?;
+        run_end::print_end(&report, &dir, &self.global)?;
         if first && !self.was_interrupted && !self.global.quiet {
             let again = format!("; {} is run again when it changes", changes.path().display());
             let again = if changes.is_fixed() { "" } else { &again };

@@ -1,7 +1,7 @@
 //! The folder that a run writes its files into: new or empty, except with `--force`, and of this process alone.
 
 use super::{
-    UsageError,
+    exit::UsageError,
     folder_lock::{FolderLock, HOLDER},
 };
 use anyhow::{Context, Result};

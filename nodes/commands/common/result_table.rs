@@ -1,6 +1,6 @@
 //! Tables of a run's results: the verdict, and the known keys of `results.json` in mm and degrees.
 
-use super::{Global, other_numbers, text_table::TextTable, verdict_lines};
+use super::{global::Global, other_numbers, text_table::TextTable, verdict_lines};
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
 use serde_json::Value;
 
@@ -167,7 +167,7 @@ fn some(table: TextTable) -> Option<TextTable> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::{Colour, Format};
+    use crate::commands::common::global::{Colour, Format};
     use serde_json::json;
 
     fn shown(results: &Value) -> String {

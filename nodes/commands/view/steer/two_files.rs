@@ -7,8 +7,8 @@ use std::{
 };
 use tempfile::TempDir;
 
-const BY_SHAPE: &str = include_str!("../../../graphs/two_files.toml");
-const FROM_PAIRS: &str = include_str!("../../../graphs/variants/two_files_picked.toml");
+const BY_SHAPE: &str = include_str!("../../../../graphs/two_files.toml");
+const FROM_PAIRS: &str = include_str!("../../../../graphs/variants/two_files_picked.toml");
 const BASE: &str = "two_files.toml";
 const GRAPH: &str = "graph.toml";
 

@@ -1,6 +1,6 @@
 //! Progress of reading a long file.
 
-use super::{Format, Global};
+use super::global::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::{
     io::IsTerminal,

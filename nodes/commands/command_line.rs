@@ -1,0 +1,116 @@
+//! The command line: parses and dispatches. Nothing below it imports it.
+
+use super::{
+    check,
+    common::{exit::Exit, global::Global},
+    compare, completions, convert, diff, digest, expand, graph, info, inspect, new, record, recover, register, replay,
+    report, repro, reproduce, run, runs, schema, simulate, sweep, validate, view, worker,
+};
+use anyhow::Result;
+use clap::{CommandFactory, Parser, Subcommand};
+
+/// Register a bone surface by running a graph of nodes.
+///
+/// A graph file names nodes (acquire, calibrate, crop, find the laser spots, fit, ICP, planes, metrics) and wires them.
+/// It is checked before anything runs; a run writes its results, their provenance, and a recording of its wires.
+#[derive(Debug, Parser)]
+#[command(
+    name = "osteoflow",
+    version,
+    max_term_width = 110,
+    after_help = "\
+Examples:
+  osteoflow run graphs/fibula.toml               a simulated procedure, from scan to cutting planes
+  osteoflow run graphs/fibula.toml --set icp.kind=icp.point_to_point --set graph.seed=7
+  osteoflow check graphs/fibula.toml             every fault at its line; nothing is run
+  osteoflow inspect icp.point_to_plane           what a node takes, gives and needs
+  osteoflow register bone.stl scan.ply           two files, no graph
+  osteoflow info FILE                            what a file holds, and the command that uses it
+
+Exit codes:
+    0  done
+    1  a file could not be read or written or is not sound, or there was an internal error
+    2  the command line or the graph has a fault; nothing was run
+    3  the run was refused or a node failed, or a registration has no answer; the reason is printed
+    4  a replay or a recording differs from another, or a repro from the original failure
+  130  interrupted; everything written until then is valid
+
+Research software, not a medical device."
+)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    pub(crate) global: Global,
+
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Run(run::Run),
+    Register(Box<register::Register>),
+    Info(info::Info),
+    Convert(convert::Convert),
+    Check(check::Check),
+    Expand(expand::Expand),
+    Inspect(inspect::Inspect),
+    Graph(graph::Graph),
+    Schema(schema::Schema),
+    Runs(runs::Runs),
+    Record(record::Record),
+    Replay(replay::Replay),
+    Digest(digest::Digest),
+    Diff(diff::Diff),
+    Validate(validate::Validate),
+    Recover(recover::Recover),
+    Repro(repro::Repro),
+    Sweep(sweep::Sweep),
+    Report(report::Report),
+    View(view::View),
+    Compare(compare::Compare),
+    Reproduce(reproduce::Reproduce),
+    Simulate(simulate::Simulate),
+    New(new::New),
+    Completions(completions::Completions),
+    PluginProbe(worker::PluginProbe),
+    Worker(worker::Worker),
+}
+
+impl Command {
+    /// Whether it serves another process, which logs for it.
+    pub(crate) fn is_worker(&self) -> bool {
+        matches!(self, Self::Worker(_))
+    }
+
+    pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        match self {
+            Self::Run(command) => command.execute(global),
+            Self::Register(command) => command.execute(global),
+            Self::Info(command) => command.execute(global),
+            Self::Convert(command) => command.execute(global),
+            Self::Runs(command) => command.execute(global),
+            Self::Record(command) => command.execute(global),
+            Self::Replay(command) => command.execute(global),
+            Self::Digest(command) => command.execute(global),
+            Self::Diff(command) => command.execute(global),
+            Self::Repro(command) => command.execute(global),
+            Self::Validate(command) => command.execute(global),
+            Self::Recover(command) => command.execute(global),
+            Self::Check(command) => command.execute(global),
+            Self::Expand(command) => command.execute(global),
+            Self::Inspect(command) => command.execute(global),
+            Self::Graph(command) => command.execute(global),
+            Self::Schema(command) => command.execute(global),
+            Self::Sweep(command) => command.execute(global),
+            Self::Report(command) => command.execute(global),
+            Self::View(command) => command.execute(global),
+            Self::Reproduce(command) => command.execute(global),
+            Self::Compare(command) => command.execute(global),
+            Self::Simulate(command) => command.execute(global),
+            Self::New(command) => command.execute(global),
+            Self::Completions(command) => command.execute(Cli::command()),
+            Self::PluginProbe(command) => command.execute(),
+            Self::Worker(command) => command.execute(),
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! The switches of every command, and the kinds of nodes that it knows.
+
+use clap::{ArgAction, Args, ValueEnum};
+use std::io::IsTerminal;
+
+/// Switches of every command.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct Global {
+    /// Format of the output on stdout.
+    #[arg(long, global = true, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
+    pub(crate) format: Format,
+
+    /// Print only results and errors.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub(crate) quiet: bool,
+
+    /// Print more: tables of nodes and wires, then (-vv, -vvv) log lines; OSTEOFLOW_LOG=debug sets a level.
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    pub(crate) verbose: u8,
+
+    /// When to use colours; auto: on a terminal, unless NO_COLOR is set.
+    #[arg(long, global = true, value_enum, default_value_t = Colour::Auto, value_name = "WHEN")]
+    pub(crate) color: Colour,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Format {
+    /// Text for people.
+    Text,
+    /// One JSON value on stdout, and nothing else there.
+    Json,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Colour {
+    Auto,
+    Always,
+    Never,
+}
+
+impl Global {
+    /// Whether to use colours on stderr.
+    pub(crate) fn colour_err(&self) -> bool {
+        self.color.allows(std::io::stderr().is_terminal())
+    }
+
+    /// `text` in an ANSI style such as `1;31`, if colours are used on stdout.
+    pub(crate) fn paint_out(&self, text: &str, style: &str) -> String {
+        paint(self.color.allows(std::io::stdout().is_terminal()), text, style)
+    }
+
+    /// `text` in an ANSI style such as `1;31`, if colours are used on stderr.
+    pub(crate) fn paint_err(&self, text: &str, style: &str) -> String {
+        paint(self.colour_err(), text, style)
+    }
+}
+
+impl Colour {
+    fn allows(self, terminal: bool) -> bool {
+        match self {
+            Self::Always => true,
+            Self::Never => false,
+            Self::Auto => terminal && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty()),
+        }
+    }
+}
+
+fn paint(coloured: bool, text: &str, style: &str) -> String {
+    if coloured { format!("\x1b[{style}m{text}\x1b[0m") } else { text.into() }
+}
+
+/// The built-in nodes and payloads.
+pub(crate) fn registry() -> osteoflow_node::Registry {
+    osteoflow_standard::registry()
+}

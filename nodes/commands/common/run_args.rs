@@ -1,0 +1,69 @@
+//! Switches that several commands share: where to write, how many threads, whether to cache.
+
+use super::{
+    exit::UsageError,
+    out_dir::{self, OutDir},
+};
+use anyhow::Result;
+use clap::Args;
+use osteoflow_engine::{
+    plan::Plan,
+    store::{Settings, Store},
+};
+use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
+
+/// Output folder and number of threads of a run.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct Leave {
+    /// The folder to write the files into; refused if not empty.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+
+    /// Write into a folder that is not empty, and replace the files of a run in it; other files stay.
+    #[arg(long)]
+    pub(crate) force: bool,
+
+    /// Number of threads that run nodes; the results do not depend on it. Default: the number of cores.
+    #[arg(long, value_name = "N")]
+    pub(crate) workers: Option<NonZeroUsize>,
+}
+
+impl Leave {
+    /// The folder of the next of several runs.
+    pub(crate) fn folder(&self, plan: &Plan, n_runs: usize) -> Result<OutDir> {
+        let dir = match &self.out {
+            Some(first) if n_runs > 0 => out_dir::make_after(first)?,
+            asked => out_dir::make(asked.as_deref(), &plan.name, self.force)?,
+        };
+        let within = |file: &&PathBuf| match (dir.canonicalize(), file.canonicalize()) {
+            (Ok(dir), Ok(file)) => dir.starts_with(file),
+            _ => false,
+        };
+        if let Some(read) = plan.input_files.iter().find(within) {
+            let (dir, read) = (dir.display(), read.display());
+            let message = format!(
+                "{dir} is inside {read}, which the graph reads, so each run would start the next; name another folder with --out"
+            );
+            return Err(UsageError(message).into());
+        }
+        Ok(dir)
+    }
+}
+
+/// Whether to cache answers between runs.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct Keep {
+    /// Compute everything: neither load answers from the store nor save them there. The results are the same with and
+    /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits its size (1 GiB).
+    #[arg(long)]
+    no_cache: bool,
+}
+
+impl Keep {
+    /// The store that the environment names, unless caching is disabled.
+    pub(crate) fn store(&self) -> Result<Option<Arc<Store>>> {
+        let settings =
+            if self.no_cache { None } else { Settings::from_env().map_err(|e| UsageError(e.to_string()))? };
+        Ok(settings.map(|settings| Arc::new(Store::open(settings))))
+    }
+}

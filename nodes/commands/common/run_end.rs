@@ -1,0 +1,89 @@
+//! What is printed at the end of a run.
+
+use super::{
+    exit::Exit,
+    global::{Format, Global},
+    result_table, run_table,
+    terminal::{self, print_json},
+    verdict_lines,
+};
+use anyhow::Result;
+use osteoflow_engine::run::{Outcome, RunReport, files};
+use serde_json::Value;
+use std::{io::Write, path::Path};
+
+/// Prints the end of a run: results on stdout, everything else on stderr.
+pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
+    let exit = print_warnings_and_failure(report, global)?;
+    match global.format {
+        Format::Json => print_json(&with_outcome(report, exit, dir))?,
+        Format::Text => print_text(report, &result_table::text(&report.results, global), dir, global)?,
+    }
+    Ok(exit)
+}
+
+/// Prints warnings, and the reason if there are no results, to stderr.
+pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) -> Result<Exit> {
+    let exit = match &report.outcome {
+        Outcome::Complete => Exit::Done,
+        Outcome::Refused(_) => Exit::Refused,
+        Outcome::Interrupted => Exit::Interrupted,
+    };
+    let mut err = terminal::stderr().lock();
+    for warning in &report.warnings {
+        let word = global.paint_err("warning", "1;33");
+        writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
+    }
+    match &report.outcome {
+        Outcome::Refused(refusal) => {
+            let refusal = verdict_lines::refusal_in_short(refusal, &report.results);
+            writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?
+        }
+        Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
+        Outcome::Complete => {}
+    }
+    if !global.quiet {
+        print_repro_commands(&mut err, report)?;
+    }
+    Ok(exit)
+}
+
+/// Prints the commands that repeat the failures.
+fn print_repro_commands(err: &mut impl Write, report: &RunReport) -> Result<()> {
+    for bundle in &report.saved.bundles {
+        writeln!(err, "repeat it alone with: osteoflow repro {}", bundle.dir.display())?;
+    }
+    for (node, n) in &report.saved.more {
+        writeln!(err, "node \"{node}\" failed {n} more times; these failures are not saved")?;
+    }
+    Ok(())
+}
+
+/// Whether there is something to show: results, or a verdict that refuses them.
+pub(crate) fn has_table(report: &RunReport) -> bool {
+    report.outcome == Outcome::Complete || verdict_lines::judged(&report.results).is_some()
+}
+
+/// Prints the tables and the paths of the files.
+pub(crate) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &Global) -> Result<()> {
+    let mut out = terminal::stdout().lock();
+    if global.verbose > 0 {
+        writeln!(out, "{}", run_table::text(report))?;
+    }
+    if has_table(report) {
+        writeln!(out, "{table}")?;
+    }
+    let files = [files::RESULTS, files::MANIFEST, files::RECORDING].into_iter().filter(|f| dir.join(f).exists());
+    let files = files.collect::<Vec<_>>().join(", ");
+    writeln!(out, "{files} in {} after {:.2} s", dir.display(), report.elapsed.as_secs_f64())?;
+    Ok(())
+}
+
+/// The content of `results.json` with the outcome and the folder.
+pub(crate) fn with_outcome(report: &RunReport, exit: Exit, dir: &Path) -> Value {
+    let mut outcome = exit.to_json();
+    outcome["out_dir"] = dir.display().to_string().into();
+    let mut all = serde_json::Map::from_iter([("outcome".to_owned(), outcome)]);
+    all.extend(report.results.as_object().cloned().unwrap_or_default());
+    Value::Object(all)
+}
