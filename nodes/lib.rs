@@ -1,21 +1,28 @@
 //! The command `osteoflow` as a library: its `main`, and what other programs call of it.
 //!
 //! `main` reads the command line, starts logging and turns the result into an exit code; each subcommand is a file in
-//! `commands/`. [`library`] does what the subcommands do with values in memory, for the Python package.
+//! `commands/`. [`app`] does what the subcommands ask for, also for the Python package.
 
+pub mod app;
 mod commands;
 pub mod library;
 
+/// Progress on a terminal, for programs that call [`app`].
+pub mod progress {
+    pub use crate::commands::common::progress::{Progress, SweepProgress};
+}
+
+use app::{UsageError, with_causes};
 use clap::Parser;
 use commands::{
     command_line::Cli,
-    common::{
-        crash,
-        exit::{Exit, UsageError, with_causes},
-        log, terminal,
-    },
+    common::{Exit, Format, Global, crash, global::Colour, log, terminal},
 };
-use std::{ffi::OsString, io::Write, process::ExitCode};
+use std::{
+    ffi::OsString,
+    io::{IsTerminal, Write},
+    process::ExitCode,
+};
 
 /// Runs the command with these arguments, the program's name first.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
@@ -48,6 +55,12 @@ pub fn code_of(arguments: Vec<OsString>) -> u8 {
         }
     };
     exit.code()
+}
+
+/// Starts logging to stderr for a program that calls [`app`]: warnings on a terminal, elsewhere errors.
+pub fn start_log() {
+    let quiet = !std::io::stderr().is_terminal();
+    log::start(&Global { format: Format::Text, quiet, verbose: 0, color: Colour::Auto });
 }
 
 /// Whether the reader of stdout has gone. A file that cannot be read or written is another matter.

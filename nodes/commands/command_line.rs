@@ -1,10 +1,9 @@
 //! The command line: parses and dispatches. Nothing below it imports it.
 
+use super::common::{Exit, Global};
 use super::{
-    check,
-    common::{exit::Exit, global::Global},
-    compare, completions, convert, diff, digest, expand, graph, info, inspect, new, record, recover, register, replay,
-    report, repro, reproduce, run, runs, schema, simulate, sweep, validate, view, worker,
+    check, compare, completions, convert, diff, digest, expand, graph, info, inspect, new, record, recover, register,
+    replay, report, repro, reproduce, run, runs, schema, simulate, sweep, validate, view, worker,
 };
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};

@@ -1,18 +1,14 @@
-//! What several subcommands need: their switches, the folders and ends of runs, tables and messages.
+//! What several subcommands need: their switches, the ends of runs, tables and messages.
 
 pub(crate) mod busy;
-pub(crate) mod content;
 pub(crate) mod crash;
 pub(crate) mod exit;
-pub(crate) mod folder_lock;
 pub(crate) mod global;
 pub(crate) mod graph_args;
 pub(crate) mod log;
 pub(crate) mod other_numbers;
-pub(crate) mod out_dir;
 pub(crate) mod plugins;
 pub(crate) mod progress;
-pub(crate) mod reading;
 pub(crate) mod result_table;
 pub(crate) mod run_args;
 pub(crate) mod run_end;
@@ -25,3 +21,7 @@ pub(crate) mod summary_table;
 pub(crate) mod terminal;
 pub(crate) mod text_table;
 pub(crate) mod verdict_lines;
+
+pub(crate) use exit::Exit;
+pub(crate) use global::{Format, Global};
+pub(crate) use terminal::print_json;

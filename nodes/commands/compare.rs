@@ -1,10 +1,5 @@
-use super::common::{
-    exit::{Exit, UsageError},
-    global::{Format, Global},
-    summary_table,
-    terminal::{self, print_json},
-    text_table::TextTable,
-};
+use super::common::{Exit, Format, Global, print_json, summary_table, terminal, text_table::TextTable};
+use crate::app::UsageError;
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{

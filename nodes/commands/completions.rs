@@ -1,4 +1,4 @@
-use super::common::{exit::Exit, terminal};
+use super::common::{Exit, terminal};
 use anyhow::Result;
 use clap::{Args, Command};
 use clap_complete::Shell;

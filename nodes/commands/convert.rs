@@ -1,9 +1,7 @@
-use super::common::{
-    content::{is_volume, picked_points},
-    exit::{Exit, UsageError},
-    global::Global,
-    space::SpaceOption,
-    terminal,
+use super::common::{Exit, Global, space::SpaceOption, terminal};
+use crate::app::{
+    UsageError,
+    files::{is_volume, picked_points},
 };
 use anyhow::{Result, anyhow, bail};
 use clap::Args;

@@ -1,11 +1,4 @@
-use super::common::{
-    exit::Exit,
-    global::{Format, Global},
-    reading::Reading,
-    run_path,
-    terminal::{self, print_json},
-    text_table::TextTable,
-};
+use super::common::{Exit, Format, Global, print_json, progress::Reading, run_path, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::recording::digest::{DigestReport, digest};

@@ -1,9 +1,4 @@
-use super::common::{
-    exit::Exit,
-    global::{Format, Global},
-    graph_args::GraphArgs,
-    terminal::{self, print_json},
-};
+use super::common::{Exit, Format, Global, graph_args::GraphArgs, print_json, terminal};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{Faults, plan::Plan};

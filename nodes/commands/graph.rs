@@ -1,10 +1,5 @@
-use super::common::{
-    exit::{Exit, UsageError},
-    global::Global,
-    graph_args::GraphArgs,
-    plugins::PluginArgs,
-    terminal,
-};
+use super::common::{Exit, Global, graph_args::GraphArgs, plugins::PluginArgs, terminal};
+use crate::app::UsageError;
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_draw::{Diagram, dot, mermaid, svg};

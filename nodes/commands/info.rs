@@ -2,12 +2,7 @@
 
 mod found;
 
-use super::common::{
-    exit::Exit,
-    global::{Format, Global},
-    terminal::{self, print_json},
-    text_table::TextTable,
-};
+use super::common::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use found::{Found, Topic};

@@ -2,12 +2,12 @@ mod module_docs;
 mod node_docs;
 
 use super::common::{
-    exit::{Exit, UsageError},
-    global::{Format, Global, registry},
+    Exit, Format, Global,
     graph_args::GraphArgs,
     plugins::{self, PluginArgs},
-    terminal::{self, print_json},
+    print_json, terminal,
 };
+use crate::app::{UsageError, registry};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{CheckedFile, plugin::Plugin};

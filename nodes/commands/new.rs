@@ -1,11 +1,8 @@
 mod procedure;
 mod template;
 
-use super::common::{
-    exit::{Exit, UsageError},
-    global::{Format, Global, registry},
-    terminal::{self, print_json},
-};
+use super::common::{Exit, Format, Global, print_json, terminal};
+use crate::app::{UsageError, out_dir, registry};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 use serde_json::json;
@@ -156,15 +153,6 @@ const NOT_FOR_CRATES: &[&str] = &[
 /// Names whose files would replace others: `graphs/fibula.toml`, and packages of Python.
 const WRITTEN_OR_IMPORTED: &[&str] = &["fibula", "numpy", "scipy"];
 
-/// Makes a folder, or takes one that is empty.
-fn empty_folder(dir: &Path, advice: &str) -> Result<()> {
-    fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
-    if fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?.next().is_some() {
-        return Err(UsageError(format!("{} is not empty; {advice}", dir.display())).into());
-    }
-    Ok(())
-}
-
 /// A graph without the line that names its schema, which editors find only beside the shipped graphs.
 fn without_schema(text: &'static str) -> &'static str {
     text.split_once('\n').filter(|(line, _)| line.starts_with("#:schema")).map_or(text, |(_, rest)| rest)
@@ -193,7 +181,7 @@ impl Plugin {
             }
             Lang::C | Lang::Cpp | Lang::Python => Sdk::default(),
         };
-        empty_folder(&dir, "name another folder with --out")?;
+        out_dir::make_plain(&dir, false, "name another folder with --out")?;
         for (path, mut text) in template::files(&self.name, self.lang, like) {
             if path == "Cargo.toml" {
                 text = text.replace(NODE_PATH, &sdk.node).replace(PAYLOADS_PATH, &sdk.payloads).replace(LIB_PATH, "")

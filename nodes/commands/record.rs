@@ -1,13 +1,13 @@
 use super::common::{
-    exit::{Exit, UsageError},
-    global::{Format, Global},
+    Exit, Format, Global,
     graph_args::GraphArgs,
-    out_dir,
+    print_json,
     progress::Progress,
     run_args::Keep,
     running::{self, Ran},
-    terminal::{self, print_json},
+    terminal,
 };
+use crate::app::{UsageError, out_dir, run_error};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::run::{Outcome, RunOptions, files};
@@ -75,7 +75,7 @@ impl Record {
         let progress = Progress::of_run(&plan, options.workers, global);
         let n_wires = plan.record.len();
         let ran = running::watch(progress, cancelled, move |progress| {
-            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(running::run_error)
+            osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(run_error)
         })?;
         let Ran::Ended(report) = ran else {
             running::print_left_files(&part, global);

@@ -12,8 +12,7 @@ mod start;
 mod trace;
 
 use super::common::{
-    exit::{Exit, UsageError},
-    global::{Format, Global, registry},
+    Exit, Format, Global,
     graph_args::print_faults,
     progress::Progress,
     run_args::Keep,
@@ -21,6 +20,7 @@ use super::common::{
     space::SpaceOption,
     terminal,
 };
+use crate::app::{UsageError, registry};
 use align::{Ended, Work};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum, builder::PossibleValuesParser};

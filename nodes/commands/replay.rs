@@ -1,20 +1,17 @@
-use super::{
-    common::{
-        exit::{Exit, UsageError},
-        global::{Format, Global},
-        out_dir,
-        plugins::PluginArgs,
-        progress::Progress,
-        result_table,
-        run_args::Leave,
-        run_end, run_path, run_table,
-        running::{self, Ran},
-        terminal::{self, print_json},
-        text_table::TextTable,
-        verdict_lines,
-    },
-    diff,
+use super::common::{
+    Exit, Format, Global,
+    plugins::PluginArgs,
+    print_json,
+    progress::Progress,
+    result_table,
+    run_args::Leave,
+    run_end, run_path, run_table,
+    running::{self, Ran},
+    terminal,
+    text_table::TextTable,
 };
+use super::diff;
+use crate::app::{UsageError, out_dir, refusal_in_short, run_error};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -154,7 +151,7 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         writeln!(err, "{word}: also computed, because their outputs were not recorded: {nodes}")?;
     }
     if let Outcome::Refused(refusal) = &report.run.outcome {
-        let refusal = verdict_lines::refusal_in_short(refusal, &report.run.results);
+        let refusal = refusal_in_short(refusal, &report.run.results);
         writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?;
     }
     if exit == Exit::Interrupted {
@@ -206,7 +203,7 @@ fn replay_error(error: ReplayError, colour: bool) -> anyhow::Error {
         | ReplayError::Payload { .. }
         | ReplayError::NoNode { .. }
         | ReplayError::NoEffect { .. } => UsageError(error.to_string()).into(),
-        ReplayError::Run(error) => running::run_error(error),
+        ReplayError::Run(error) => run_error(error),
         other => other.into(),
     }
 }

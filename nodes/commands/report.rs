@@ -1,9 +1,5 @@
-use super::common::{
-    exit::{Exit, UsageError},
-    global::{Format, Global, registry},
-    run_path,
-    terminal::{self, print_json},
-};
+use super::common::{Exit, Format, Global, print_json, run_path, terminal};
+use crate::app::{UsageError, registry};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{plugin::Kinds, run::files, sweep};

@@ -1,11 +1,5 @@
-use super::common::{
-    exit::{Exit, UsageError},
-    global::{Format, Global},
-    plugins::PluginArgs,
-    running,
-    terminal::{self, print_json},
-    text_table::TextTable,
-};
+use super::common::{Exit, Format, Global, plugins::PluginArgs, print_json, running, terminal, text_table::TextTable};
+use crate::app::UsageError;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{

@@ -1,16 +1,14 @@
-use super::{
-    common::{
-        exit::{Exit, UsageError},
-        global::{Format, Global, registry},
-        graph_args,
-        plugins::PluginArgs,
-        progress::Progress,
-        result_table::NOTICE,
-        run_args::Keep,
-        running,
-        terminal::{self, print_json},
-    },
-    sweep as sweep_command,
+use super::common::{
+    Exit, Format, Global, graph_args,
+    plugins::PluginArgs,
+    print_json,
+    progress::{Progress, SweepProgress},
+    run_args::Keep,
+    running, terminal,
+};
+use crate::app::{
+    NOTICE, UsageError, registry,
+    sweep::{folder_error, new_dir},
 };
 use anyhow::{Context, Result};
 use clap::Args;
@@ -115,7 +113,7 @@ impl Reproduce {
         let options = SweepOptions { workers, run, share: true, shard: None };
         let out = match (&self.out, self.resume) {
             (Some(dir), true) => dir.clone(),
-            (dir, _) => sweep_command::new_dir(dir.as_deref(), "reproduce")?.to_path_buf(),
+            (dir, _) => new_dir(dir.as_deref(), "reproduce")?.to_path_buf(),
         };
         let bone = self.bone_sets()?;
         let names: Vec<String> = match self.only.as_slice() {
@@ -140,14 +138,14 @@ impl Reproduce {
         for (name, sweep) in &sweeps {
             let dir = out.join(name.as_str());
             folders.push(match dir.join(sweep::DESIGN).is_file() {
-                true => sweep.resume(&dir, None).map_err(sweep_command::folder_error)?,
-                false => sweep.begin(&dir, &options).map_err(sweep_command::folder_error)?,
+                true => sweep.resume(&dir, None).map_err(folder_error)?,
+                false => sweep.begin(&dir, &options).map_err(folder_error)?,
             });
         }
         let all: Vec<_> = names.iter().cloned().zip(folders.iter().cloned()).collect();
         let n_runs: usize = sweeps.iter().map(|(_, sweep)| sweep.n_runs()).sum();
         let jobs: Vec<_> = sweeps.into_iter().map(|(name, sweep)| (name.clone(), sweep)).collect();
-        let bar = sweep_command::Bar::of(n_runs, &format!("reproducing {} experiments", jobs.len()), workers, global)?;
+        let bar = SweepProgress::begin(n_runs, &format!("reproducing {} experiments", jobs.len()), workers, global);
         let cancelled_too = cancelled.clone();
         let ran = running::watch(Progress::hidden(), cancelled, move |_| {
             for ((name, sweep), folder) in jobs.iter().zip(&folders) {

@@ -1,10 +1,8 @@
 mod watch;
 
 use super::common::{
-    exit::{Exit, UsageError},
-    global::Global,
-    graph_args::GraphArgs,
-    out_dir,
+    Exit, Global,
+    graph_args::{self, GraphArgs},
     progress::Progress,
     run_args::{Keep, Leave},
     run_end::print_end,
@@ -12,11 +10,12 @@ use super::common::{
     serve::{self, Admission, Serving},
     terminal,
 };
+use crate::app::{RunRequest, UsageError, out_dir, run_error};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
     plugin::check_lent_memory,
-    run::{Injection, Listener, RunOptions},
+    run::{Injection, Listener, RunOptions, run},
 };
 use osteoflow_viewer::{Stream, Watched};
 use std::{
@@ -90,26 +89,38 @@ pub(crate) struct Run {
 }
 
 impl Run {
+    /// What it asks for.
+    fn request(&self) -> RunRequest {
+        RunRequest {
+            out: self.leave.out.clone(),
+            force: self.leave.force,
+            record: !self.no_record,
+            workers: if self.check_plugins { Some(NonZeroUsize::MIN) } else { self.leave.workers },
+            // A cached answer would not show what the node does.
+            cache: self.keep.cache() && !self.check_plugins,
+            ..self.graph.request()
+        }
+    }
+
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         if self.watch {
             return watch::execute(self, global);
         }
-        let Some(checked) = self.graph.check(global)? else { return Ok(Exit::Usage) };
-        let (plan, registry) = (checked.plan, checked.registry);
-        let inject = self.inject.iter().map(|text| Injection::parse(text, &plan)).collect::<Result<_, _>>();
+        let Some(graph) = graph_args::check(self.request(), global)? else { return Ok(Exit::Usage) };
+        let plan = graph.plan();
+        let inject = self.inject.iter().map(|text| Injection::parse(text, plan)).collect::<Result<_, _>>();
         let inject = inject.map_err(|message| UsageError(format!("--inject: {message}")))?;
         let cancelled = Arc::default();
-        // A cached answer would not show what the node does.
-        let store = if self.check_plugins { None } else { self.keep.store()? };
-        let workers = if self.check_plugins { Some(NonZeroUsize::MIN) } else { self.leave.workers };
         if self.check_plugins {
             check_lent_memory();
         }
+        running::make_pool(graph.request.workers)?;
+        let options = graph.options(&cancelled)?;
         let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
         let stream = self.serve.map(|_| Arc::new(Stream::default()));
         // Before the first viewer can connect, so that each finds the channel of the state.
-        let graph = serve::graph_json(&plan, &registry);
-        let mut serving = stream.clone().map(|stream| Serving::begin(stream, &plan, &graph));
+        let nodes = serve::graph_json(plan, graph.registry());
+        let mut serving = stream.clone().map(|stream| Serving::begin(stream, plan, &nodes));
         let server = self
             .serve
             .zip(stream.clone())
@@ -118,19 +129,16 @@ impl Run {
         let options = RunOptions {
             out_dir: Some(dir.to_path_buf()),
             listener: stream.map(|stream| stream as Arc<dyn Listener>),
-            record: !self.no_record,
-            // A recorded run measures the time of every firing in any case.
-            latency: !self.no_record || global.verbose > 0,
+            latency: options.latency || global.verbose > 0,
             inject,
             shuffle: self.shuffle,
-            store,
-            ..running::options(workers, &cancelled)?
+            ..options
         };
-        let progress = Progress::of_run(&plan, options.workers, global);
+        let progress = Progress::of_run(plan, options.workers, global);
         let (of_run, folder) = (global.clone(), dir.to_path_buf());
         let ran = running::watch(progress, cancelled, move |progress| {
             let shown = running::WithSilence { progress, is_quiet: of_run.quiet };
-            let report = osteoflow_engine::run::run(&plan, &registry, &options, &shown).map_err(running::run_error)?;
+            let report = run(graph.plan(), graph.registry(), &options, &shown).map_err(run_error)?;
             progress.end();
             if let Some(serving) = &mut serving {
                 serving.ended(&report);

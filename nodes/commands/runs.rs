@@ -1,9 +1,4 @@
-use super::common::{
-    exit::Exit,
-    global::{Format, Global},
-    terminal::{self, print_json},
-    text_table::TextTable,
-};
+use super::common::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
 use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;

@@ -1,9 +1,9 @@
 use super::common::{
-    exit::{Exit, UsageError},
-    global::Global,
+    Exit, Global,
     plugins::{self, PluginArgs},
     terminal,
 };
+use crate::app::UsageError;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::schema;

@@ -1,29 +1,24 @@
 use super::common::{
-    exit::{Exit, UsageError},
-    folder_lock::HOLDER,
-    global::{Format, Global},
-    graph_args,
-    out_dir::{self, OutDir},
+    Exit, Format, Global, graph_args,
     plugins::PluginArgs,
-    progress::Progress,
-    result_table::NOTICE,
+    print_json,
+    progress::{Progress, SweepProgress},
     run_args::Keep,
-    running, summary_table,
-    terminal::{self, print_json},
+    running, summary_table, terminal,
+};
+use crate::app::{
+    SweepRequest,
+    sweep::{folder_error, merged, summary},
 };
 use anyhow::Result;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use osteoflow_engine::sweep::{
-    self, Done, Folder, FolderError, RUNS_DIR, Shard, Sweep as Checked, SweepCounts, SweepOptions, Watcher,
-};
+use osteoflow_engine::sweep::{Folder, RUNS_DIR, Shard, Sweep as Checked, SweepCounts};
 use serde_json::{Value, json};
 use std::{
-    fs,
-    io::{IsTerminal, Write},
+    io::Write,
     num::NonZeroUsize,
     path::{Path, PathBuf},
-    sync::{Arc, atomic::AtomicBool},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -103,162 +98,55 @@ fn shard(text: &str) -> Result<Shard, String> {
 }
 
 impl Sweep {
+    /// What it asks for; `None` if it merges shards.
+    fn request(&self) -> Option<SweepRequest> {
+        Some(SweepRequest {
+            graph: self.graph.clone()?,
+            settings: self.sets.clone().into(),
+            plugins: self.plugins.plugins(),
+            out: self.out.clone(),
+            resume: self.resume,
+            shard: self.shard,
+            workers: self.workers,
+            share: !self.no_share,
+            cache: self.keep.cache(),
+        })
+    }
+
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        match &self.graph {
-            None => self.merged(global),
-            Some(graph) => self.swept(graph, global),
+        match (self.request(), &self.out) {
+            (Some(request), _) => self.swept(&request, global),
+            (None, out) => {
+                let folder = merged(&self.merge, out.as_deref().unwrap_or(Path::new("")))?;
+                let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
+                print_end(&folder, &swept, Duration::ZERO, global)
+            }
         }
     }
 
-    fn merged(&self, global: &Global) -> Result<Exit> {
-        let folder = self.merged_folder()?;
-        let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
-        print_end(&folder, &swept, Duration::ZERO, global)
-    }
-
-    fn swept(&self, graph: &Path, global: &Global) -> Result<Exit> {
+    fn swept(&self, request: &SweepRequest, global: &Global) -> Result<Exit> {
         let cancelled = Arc::default();
-        let workers = running::options(self.workers, &cancelled)?.workers;
-        let sweep = match sweep::check(graph, &self.sets, self.plugins.kinds_apart()?, workers) {
-            Ok(sweep) => sweep,
-            Err(faults) => {
-                graph_args::print_faults(&faults, global)?;
-                return Ok(Exit::Usage);
-            }
-        };
+        running::make_pool(self.workers)?;
+        let Some(sweep) = graph_args::or_faults(request.checked(), global)? else { return Ok(Exit::Usage) };
         graph_args::warn(&sweep.warnings, global)?;
         if self.dry_run {
             return list(&sweep, self.shard, global);
         }
-        let options = self.options(&cancelled)?;
-        let folder = self.folder(&sweep, &options)?;
+        let run = Arc::new(request.folder(sweep, &cancelled)?);
         let began = Instant::now();
-        let bar = Bar::begin(&sweep, &folder, &options, global)?;
-        let of_thread = folder.clone();
+        let shard = self.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
+        let what = format!("sweeping {}{shard}", run.sweep.plan.name);
+        let bar = SweepProgress::begin(run.left()?, &what, run.options.workers, global);
+        let of_thread = run.clone();
         let ran = running::watch(Progress::hidden(), cancelled, move |_| {
-            let swept = sweep.run(&of_thread, &options, &bar)?;
+            let swept = of_thread.make(&bar)?;
             bar.end();
             Ok(swept)
         })?;
         match ran {
-            running::Ran::Ended(swept) => print_end(&folder, &swept, began.elapsed(), global),
+            running::Ran::Ended(swept) => print_end(&run.folder, &swept, began.elapsed(), global),
             running::Ran::Left => Ok(Exit::Interrupted),
         }
-    }
-}
-
-impl Sweep {
-    /// The graph and the settings for all runs.
-    pub(crate) fn graph(&self) -> Option<(&Path, &[String])> {
-        Some((self.graph.as_deref()?, &self.sets))
-    }
-
-    /// The folder of all shards.
-    pub(crate) fn merged_folder(&self) -> Result<Folder> {
-        let shards =
-            self.merge.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(folder_error)?;
-        sweep::merge(&shards, &new_dir(self.out.as_deref(), "")?).map_err(folder_error)
-    }
-
-    pub(crate) fn kinds(&self) -> Result<osteoflow_engine::plugin::Kinds> {
-        self.plugins.kinds_apart()
-    }
-
-    /// How many runs at a time, which store, and which part.
-    pub(crate) fn options(&self, cancelled: &Arc<AtomicBool>) -> Result<SweepOptions> {
-        let run = running::options_alone(self.workers, cancelled);
-        let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
-        Ok(SweepOptions { workers: run.workers, run, share: !self.no_share, shard: self.shard })
-    }
-
-    /// The new folder of a sweep, or the one to resume.
-    pub(crate) fn folder(&self, sweep: &Checked, options: &SweepOptions) -> Result<Folder> {
-        match (&self.out, self.resume) {
-            (Some(dir), true) => sweep.resume(dir, self.shard).map_err(folder_error),
-            (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, options).map_err(folder_error),
-        }
-    }
-}
-
-/// Converts an error: a wrong folder is a fault of the command line.
-pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
-    match error {
-        FolderError::NoSweep { .. }
-        | FolderError::Other { .. }
-        | FolderError::Part { .. }
-        | FolderError::Missing { .. } => UsageError(error.to_string()).into(),
-        other => other.into(),
-    }
-}
-
-/// Creates the folder, or takes an empty one; for a folder with a sweep the error suggests --resume.
-pub(crate) fn new_dir(asked: Option<&Path>, graph: &str) -> Result<OutDir> {
-    if let Some(dir) = asked.filter(|dir| dir.join(sweep::DESIGN).is_file()) {
-        let dir = dir.display();
-        let message = format!("{dir} holds a sweep already; continue it with --resume, or name another folder");
-        return Err(UsageError(message).into());
-    }
-    if let Some(dir) = asked.filter(|dir| {
-        fs::read_dir(dir)
-            .is_ok_and(|mut entries| entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)))
-    }) {
-        return Err(UsageError(format!("{} is not empty; name another folder", dir.display())).into());
-    }
-    out_dir::make(asked, graph, false)
-}
-
-/// Progress of a sweep and its remaining time.
-pub(crate) struct Bar(ProgressBar);
-
-impl Bar {
-    pub(crate) fn begin(sweep: &Checked, folder: &Folder, options: &SweepOptions, global: &Global) -> Result<Self> {
-        let there = folder.runs().map_err(folder_error)?.len();
-        let n = sweep.part(options.shard).count();
-        let shard = options.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
-        let what = format!("sweeping {}{shard}", sweep.plan.name);
-        Self::of(n.saturating_sub(there), &what, options.workers, global)
-    }
-
-    /// Begins to show the progress of `n_runs` runs.
-    pub(crate) fn of(n_runs: usize, what: &str, workers: usize, global: &Global) -> Result<Self> {
-        let shown = !global.quiet && global.format == Format::Text;
-        let terminal = std::io::stderr().is_terminal();
-        if shown && !terminal {
-            writeln!(terminal::stderr(), "{what}: {n_runs} runs, {workers} at a time")?;
-        }
-        let target = if shown && terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        let bar = ProgressBar::with_draw_target(Some(n_runs as u64), target);
-        let style =
-            ProgressStyle::with_template("{spinner} {bar:24} {pos}/{len} runs  {elapsed} gone, {eta} left  {msg}");
-        bar.set_style(style.expect("the template is fixed").progress_chars("=> "));
-        if shown && terminal {
-            bar.enable_steady_tick(Duration::from_millis(120));
-        }
-        Ok(Self(bar))
-    }
-
-    /// Shows the current step.
-    pub(crate) fn message(&self, what: &str) {
-        self.0.set_message(terminal::escape(what));
-    }
-
-    /// Counts runs that have ended on other machines.
-    pub(crate) fn ended_elsewhere(&self, n_runs: usize) {
-        self.0.inc(n_runs as u64);
-    }
-
-    /// Removes the line.
-    pub(crate) fn end(&self) {
-        self.0.finish_and_clear();
-    }
-}
-
-impl Watcher for Bar {
-    fn ended(&self, done: &Done) {
-        if let Some(reason) = &done.reason {
-            self.0.set_message(terminal::escape(&format!("run {}: {reason}", done.run)));
-        }
-        self.0.inc(1);
     }
 }
 
@@ -276,11 +164,6 @@ fn list(sweep: &Checked, shard: Option<Shard>, global: &Global) -> Result<Exit> 
         writeln!(out, "run {}: {}", row.run, row.sets.join(" "))?;
     }
     Ok(Exit::Done)
-}
-
-/// Writes the tables and returns the summary.
-pub(crate) fn summary(folder: &Folder) -> Result<Value> {
-    Ok(osteoflow_report::summary::write(folder, NOTICE)?)
 }
 
 /// Writes the tables, and prints how the sweep ended.

@@ -1,11 +1,5 @@
-use super::common::{
-    exit::Exit,
-    global::{Format, Global, registry},
-    reading::Reading,
-    run_path,
-    terminal::{self, print_json},
-    text_table::TextTable,
-};
+use super::common::{Exit, Format, Global, print_json, progress::Reading, run_path, terminal, text_table::TextTable};
+use crate::app::registry;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::validate::{Finding, ValidateReport, validate};

@@ -2,9 +2,7 @@ mod played;
 mod steer;
 
 use super::common::{
-    content::is_volume,
-    exit::{Exit, UsageError},
-    global::Global,
+    Exit, Global,
     graph_args::GraphArgs,
     plugins::PluginArgs,
     progress::Progress,
@@ -12,6 +10,7 @@ use super::common::{
     running::{self, Ran},
     serve::{self, Admission, known_plan, picks::Picks},
 };
+use crate::app::{UsageError, files::is_volume};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::Recording;

@@ -1,6 +1,7 @@
 //! Commands that other commands run as processes of their own: they inspect a plugin, and serve a node of one.
 
-use super::common::{exit::Exit, global::registry};
+use super::common::Exit;
+use crate::app::registry;
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::plugin::{answer, serve};

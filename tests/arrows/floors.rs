@@ -44,38 +44,40 @@ const CRATES: [(&str, Floors); 3] = [
     (
         "nodes",
         &[
+            // Typed requests, which know neither options nor a terminal.
+            &["app::error", "app::settings"],
+            &["app::files", "app::folder_lock", "app::program"],
+            &["app::out_dir", "app::plugins"],
+            &["app::run", "app::simulate", "app::sweep"],
+            &["app"],
+            // What subcommands share.
             &[
                 "commands::common::busy",
-                "commands::common::content",
                 "commands::common::exit",
                 "commands::common::global",
                 "commands::common::other_numbers",
+                "commands::common::run_path",
                 "commands::common::space",
                 "commands::common::terminal",
                 "commands::common::text_table",
             ],
             &[
                 "commands::common::crash",
-                "commands::common::folder_lock",
                 "commands::common::log",
                 "commands::common::plugins",
                 "commands::common::progress",
-                "commands::common::reading",
-                "commands::common::run_path",
+                "commands::common::run_args",
                 "commands::common::run_table",
+                "commands::common::serve",
                 "commands::common::summary_table",
                 "commands::common::verdict_lines",
             ],
-            &[
-                "commands::common::graph_args",
-                "commands::common::out_dir",
-                "commands::common::result_table",
-                "commands::common::serve",
-            ],
-            &["commands::common::run_args", "commands::common::run_end", "commands::common::running"],
-            // A subcommand knows no other, but for those that the example of a procedure, replay and reproduce use.
+            &["commands::common::graph_args", "commands::common::result_table", "commands::common::running"],
+            &["commands::common::run_end"],
+            &["commands::common"],
+            // A subcommand knows no other, but for the one that replay uses.
             &["commands", "commands::*"],
-            &["commands::new", "commands::replay", "commands::reproduce"],
+            &["commands::replay"],
             &["commands::command_line"],
             &["library"],
         ],

@@ -1,4 +1,4 @@
-use std::{error::Error, fmt, process::ExitCode};
+use std::process::ExitCode;
 
 /// The result of a command, which determines its exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,48 +54,5 @@ impl Exit {
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
         exit.code().into()
-    }
-}
-
-/// The request is impossible as stated; another command line is needed.
-#[derive(Debug)]
-pub(crate) struct UsageError(pub(crate) String);
-
-impl fmt::Display for UsageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl Error for UsageError {}
-
-/// The error and its causes as one sentence, without causes that a message before them contains.
-pub(crate) fn with_causes(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |all, cause| {
-        if all.is_empty() {
-            cause
-        } else if all.contains(&cause) {
-            all
-        } else {
-            format!("{all}: {cause}")
-        }
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::io;
-
-    #[test]
-    fn a_cause_that_the_message_contains_is_said_once() {
-        let cause = || io::Error::other("no disk");
-        let repeated = anyhow::Error::new(cause()).context("cannot read a.mcap: no disk");
-        assert_eq!(with_causes(&repeated), "cannot read a.mcap: no disk");
-        assert_eq!(
-            with_causes(&anyhow::Error::new(cause()).context("cannot read a.mcap")),
-            "cannot read a.mcap: no disk"
-        );
-        assert_eq!(with_causes(&repeated.context("while comparing")), "while comparing: cannot read a.mcap: no disk");
     }
 }

@@ -1,4 +1,4 @@
-//! The switches of every command, and the kinds of nodes that it knows.
+//! The switches of every command.
 
 use clap::{ArgAction, Args, ValueEnum};
 use std::io::IsTerminal;
@@ -67,9 +67,4 @@ impl Colour {
 
 fn paint(coloured: bool, text: &str, style: &str) -> String {
     if coloured { format!("\x1b[{style}m{text}\x1b[0m") } else { text.into() }
-}
-
-/// The built-in nodes and payloads.
-pub(crate) fn registry() -> osteoflow_node::Registry {
-    osteoflow_standard::registry()
 }

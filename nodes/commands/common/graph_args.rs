@@ -4,6 +4,7 @@ use super::{
     plugins::PluginArgs,
     terminal::{self, print_json},
 };
+use crate::app::{Graph, RunRequest};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{Checked, CheckedFile, Fault, Faults, Module};
@@ -25,36 +26,42 @@ pub(crate) struct GraphArgs {
 }
 
 impl GraphArgs {
+    /// A run of it.
+    pub(crate) fn request(&self) -> RunRequest {
+        let (settings, plugins) = (self.sets.clone().into(), self.plugins.plugins());
+        RunRequest { settings, plugins, ..RunRequest::new(&self.graph) }
+    }
+
     /// Checks the graph and prints its warnings; `None` if it has faults, which are printed.
     pub(crate) fn check(&self, global: &Global) -> Result<Option<Checked>> {
-        match osteoflow_engine::check(&self.graph, &self.sets, self.plugins.kinds()?) {
-            Ok(checked) => {
-                warn(&checked.warnings, global)?;
-                Ok(Some(checked))
-            }
-            Err(faults) => {
-                print_faults(&faults, global)?;
-                Ok(None)
-            }
+        Ok(check(self.request(), global)?.map(|graph| graph.checked))
+    }
+
+    /// As [`Self::check`], for a file that may be a module.
+    pub(crate) fn check_file(&self, global: &Global) -> Result<Option<CheckedFile>> {
+        let file = osteoflow_engine::check_file(&self.graph, &self.sets, self.plugins.kinds()?);
+        let file = or_faults(file.map_err(Into::into), global)?;
+        if let Some(CheckedFile::Graph(Checked { warnings, .. }) | CheckedFile::Module(Module { warnings, .. })) = &file
+        {
+            warn(warnings, global)?;
         }
+        Ok(file)
     }
 }
 
-impl GraphArgs {
-    /// As [`Self::check`], for a file that may be a module.
-    pub(crate) fn check_file(&self, global: &Global) -> Result<Option<CheckedFile>> {
-        match osteoflow_engine::check_file(&self.graph, &self.sets, self.plugins.kinds()?) {
-            Ok(file) => {
-                let (CheckedFile::Graph(Checked { warnings, .. }) | CheckedFile::Module(Module { warnings, .. })) =
-                    &file;
-                warn(warnings, global)?;
-                Ok(Some(file))
-            }
-            Err(faults) => {
-                print_faults(&faults, global)?;
-                Ok(None)
-            }
-        }
+/// Checks a graph and prints its warnings; `None` if it has faults, which are printed.
+pub(crate) fn check(request: RunRequest, global: &Global) -> Result<Option<Graph>> {
+    let graph = or_faults(request.checked(), global)?;
+    graph.iter().try_for_each(|graph| warn(&graph.checked.warnings, global))?;
+    Ok(graph)
+}
+
+/// What was checked; `None` if the graph has faults, which are printed.
+pub(crate) fn or_faults<T>(checked: Result<T>, global: &Global) -> Result<Option<T>> {
+    match checked.map_err(|error| error.downcast::<Faults>()) {
+        Ok(checked) => Ok(Some(checked)),
+        Err(Ok(faults)) => print_faults(&faults, global).map(|()| None),
+        Err(Err(error)) => Err(error),
     }
 }
 

@@ -1,11 +1,9 @@
 //! Tables of a run's results: the verdict, and the known keys of `results.json` in mm and degrees.
 
 use super::{global::Global, other_numbers, text_table::TextTable, verdict_lines};
+use crate::app::NOTICE;
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
 use serde_json::Value;
-
-/// The notice on every result, on the terminal and in files.
-pub(crate) const NOTICE: &str = "research use only, not for clinical use";
 
 /// The verdict, the tables of the known keys in `results`, and all other numbers.
 pub(crate) fn text(results: &Value, global: &Global) -> String {

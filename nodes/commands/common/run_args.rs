@@ -1,15 +1,13 @@
 //! Switches that several commands share: where to write, how many threads, whether to cache.
 
-use super::{
-    exit::UsageError,
+use crate::app::{
+    UsageError,
     out_dir::{self, OutDir},
+    program,
 };
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::{
-    plan::Plan,
-    store::{Settings, Store},
-};
+use osteoflow_engine::{plan::Plan, store::Store};
 use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
 
 /// Output folder and number of threads of a run.
@@ -60,10 +58,13 @@ pub(crate) struct Keep {
 }
 
 impl Keep {
+    /// Whether to cache answers.
+    pub(crate) fn cache(&self) -> bool {
+        !self.no_cache
+    }
+
     /// The store that the environment names, unless caching is disabled.
     pub(crate) fn store(&self) -> Result<Option<Arc<Store>>> {
-        let settings =
-            if self.no_cache { None } else { Settings::from_env().map_err(|e| UsageError(e.to_string()))? };
-        Ok(settings.map(|settings| Arc::new(Store::open(settings))))
+        Ok(program::store(self.cache())?)
     }
 }

@@ -5,8 +5,8 @@ use super::{
     global::{Format, Global},
     result_table, run_table,
     terminal::{self, print_json},
-    verdict_lines,
 };
+use crate::app::{judged, refusal_in_short};
 use anyhow::Result;
 use osteoflow_engine::run::{Outcome, RunReport, files};
 use serde_json::Value;
@@ -36,7 +36,7 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
     }
     match &report.outcome {
         Outcome::Refused(refusal) => {
-            let refusal = verdict_lines::refusal_in_short(refusal, &report.results);
+            let refusal = refusal_in_short(refusal, &report.results);
             writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?
         }
         Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
@@ -61,7 +61,7 @@ fn print_repro_commands(err: &mut impl Write, report: &RunReport) -> Result<()> 
 
 /// Whether there is something to show: results, or a verdict that refuses them.
 pub(crate) fn has_table(report: &RunReport) -> bool {
-    report.outcome == Outcome::Complete || verdict_lines::judged(&report.results).is_some()
+    report.outcome == Outcome::Complete || judged(&report.results).is_some()
 }
 
 /// Prints the tables and the paths of the files.

@@ -1,6 +1,6 @@
 //! A run by its folder or by its recording: commands that read runs take either.
 
-use super::exit::UsageError;
+use crate::app::UsageError;
 use osteoflow_engine::{run::files, sweep};
 use std::path::{Path, PathBuf};
 

@@ -2,17 +2,17 @@
 
 use super::{
     busy::{Busy, LOOK},
-    exit::UsageError,
     global::Global,
     progress::Progress,
     terminal,
 };
+use crate::app::program;
+pub(crate) use crate::app::program::check_workers;
 use anyhow::{Context, Result, anyhow};
 use osteoflow_engine::{
     panics::{self, mark_helper_thread},
-    run::{Event, Observer, RunError, RunOptions, files},
+    run::{Event, Observer, RunOptions, files},
 };
-use serde_json::json;
 use std::{
     num::NonZeroUsize,
     sync::{
@@ -36,72 +36,17 @@ enum News<T> {
     SecondInterrupt,
 }
 
-/// Most workers. The largest machines have some hundred cores, and each worker has a stack of 8 MiB.
-const MAX_WORKERS: usize = 1024;
-
-/// Refuses more than [`MAX_WORKERS`].
-pub(crate) fn check_workers(workers: Option<NonZeroUsize>) -> Result<(), UsageError> {
-    match workers.filter(|workers| workers.get() > MAX_WORKERS) {
-        Some(workers) => Err(UsageError(format!("--workers {workers}: at most {MAX_WORKERS} threads are started"))),
-        None => Ok(()),
-    }
+/// Creates the pool of `workers` threads for parallel algorithms.
+pub(crate) fn make_pool(workers: Option<NonZeroUsize>) -> Result<()> {
+    program::check_workers(workers)?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(program::n_workers(workers));
+    pool.start_handler(|_| mark_helper_thread()).build_global().context("no threads for the algorithms")
 }
 
-/// Options common to all runs. Creates the pool of `workers` threads for parallel algorithms.
+/// Options common to all runs, with [`make_pool`].
 pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
-    check_workers(workers)?;
-    let options = options_alone(workers, cancelled);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(options.workers).start_handler(|_| mark_helper_thread());
-    pool.build_global().context("no threads for the algorithms")?;
-    Ok(options)
-}
-
-/// Options common to all runs, for a process that has a pool of threads already.
-pub(crate) fn options_alone(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> RunOptions {
-    RunOptions {
-        workers: workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get),
-        fixed_results: vec![("notice".into(), super::result_table::NOTICE.into())],
-        cancelled: cancelled.clone(),
-        command: about_command(),
-        ..RunOptions::default()
-    }
-}
-
-/// The manifest's entries about program and machine; determinism is promised for equal CPU features.
-pub(crate) fn about_command() -> serde_json::Value {
-    let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
-    json!({
-        "name": "osteoflow",
-        "version": env!("CARGO_PKG_VERSION"),
-        "git_revision": if revision.is_empty() { serde_json::Value::Null } else { revision.into() },
-        "compiler": env!("OSTEOFLOW_BUILD_COMPILER"),
-        "target": env!("OSTEOFLOW_BUILD_TARGET"),
-        "target_features": env!("OSTEOFLOW_BUILD_TARGET_FEATURES"),
-        "rustflags": env!("OSTEOFLOW_BUILD_RUSTFLAGS"),
-        "opt_level": env!("OSTEOFLOW_BUILD_OPT_LEVEL"),
-        "profile": if cfg!(debug_assertions) { "debug" } else { "release" },
-        "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
-        "os": std::env::consts::OS,
-        "architecture": std::env::consts::ARCH,
-        "cpu_features": cpu_features(),
-        "cpus": thread::available_parallelism().map_or(1, NonZeroUsize::get),
-    })
-}
-
-#[cfg(target_arch = "x86_64")]
-fn cpu_features() -> Vec<&'static str> {
-    let known = [
-        ("avx", is_x86_feature_detected!("avx")),
-        ("avx2", is_x86_feature_detected!("avx2")),
-        ("fma", is_x86_feature_detected!("fma")),
-        ("avx512f", is_x86_feature_detected!("avx512f")),
-    ];
-    known.into_iter().filter_map(|(name, has)| has.then_some(name)).collect()
-}
-
-#[cfg(not(target_arch = "x86_64"))]
-fn cpu_features() -> Vec<&'static str> {
-    Vec::new()
+    make_pool(workers)?;
+    Ok(program::options(workers, cancelled))
 }
 
 /// Runs `work` on another thread until it ends or the user presses Ctrl-C twice.
@@ -178,14 +123,6 @@ impl Observer for WithSilence<'_> {
             self.progress.println(&format!("node \"{}\": {}", warning.node, warning.message));
         }
         self.progress.event(event);
-    }
-}
-
-/// Converts an error: a node that cannot be built from its parameters is a fault of the graph.
-pub(crate) fn run_error(error: RunError) -> anyhow::Error {
-    match error {
-        RunError::Build(_) | RunError::Inject(_) => UsageError(error.to_string()).into(),
-        other => other.into(),
     }
 }
 

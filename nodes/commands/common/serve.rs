@@ -4,11 +4,8 @@ mod graph;
 pub(crate) mod known_plan;
 pub(crate) mod picks;
 
-use super::{
-    exit::UsageError,
-    global::{Global, registry},
-    terminal, verdict_lines,
-};
+use super::{global::Global, terminal};
+use crate::app::{UsageError, refusal_in_short, registry};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
@@ -150,7 +147,7 @@ impl Serving {
         };
         self.state["state"] = status.into();
         if let Outcome::Refused(refusal) = &report.outcome {
-            self.state["refusal"] = verdict_lines::refusal_in_short(refusal, &report.results).into();
+            self.state["refusal"] = refusal_in_short(refusal, &report.results).into();
         }
         add_results(&mut self.state, &report.results);
         self.stream.publish(STATE, &self.state);

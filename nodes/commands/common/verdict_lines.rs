@@ -1,26 +1,14 @@
 //! The verdict on the results of a run as lines for a terminal.
 
 use super::global::Global;
-use osteoflow_engine::run::{Answer, Refusal, Verdict};
+use crate::app::judged;
+use osteoflow_engine::run::{Answer, Verdict};
 use serde_json::Value;
 
 /// The verdict of a node, with a line for each reason against the results; with --verbose also what it assumes. `None` if
 /// nothing judged the results.
 pub(crate) fn text(results: &Value, global: &Global) -> Option<String> {
     judged(results).map(|verdict| lines(&verdict, global.verbose > 0, |text, style| global.paint_out(text, style)))
-}
-
-/// The verdict, if a node judged the results; a run that failed has its reason on stderr.
-pub(crate) fn judged(results: &Value) -> Option<Verdict> {
-    Verdict::of(results).filter(Verdict::is_judged)
-}
-
-/// The refusal in one sentence: without the remedy that the verdict gives with its reason.
-pub(crate) fn refusal_in_short(refusal: &Refusal, results: &Value) -> String {
-    let (text, verdict) = (refusal.to_string(), judged(results));
-    let reasons = verdict.iter().flat_map(Verdict::reasons);
-    let short = reasons.filter_map(|reason| text.strip_suffix(&format!("; {}", reason.remedy))).next();
-    short.map(str::to_owned).unwrap_or(text)
 }
 
 fn lines(verdict: &Verdict, assumptions: bool, paint: impl Fn(&str, &str) -> String) -> String {

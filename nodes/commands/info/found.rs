@@ -1,6 +1,6 @@
 //! What a file or folder is.
 
-use crate::commands::common::content::{is_volume, picked_points};
+use crate::app::files::{is_volume, picked_points};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     folder::ProcedureFolder,

@@ -1,14 +1,8 @@
 //! The example folder of a procedure.
 
-use super::{FIBULA, File, empty_folder, without_schema, write};
-use crate::commands::{
-    common::{
-        exit::Exit,
-        global::{Format, Global},
-        terminal::{self, print_json},
-    },
-    simulate::Simulate,
-};
+use super::{FIBULA, File, without_schema, write};
+use crate::app::{SimulateRequest, StreamFormat, out_dir};
+use crate::commands::common::{Exit, Format, Global, print_json, terminal};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
@@ -82,9 +76,9 @@ by yours and run again; what does not fit is refused by name.
 impl Procedure {
     pub(super) fn execute(&self, global: &Global) -> Result<Exit> {
         let dir = &self.dir;
-        empty_folder(dir, "name another folder")?;
-        let quiet = Global { quiet: true, ..*global };
-        Simulate::example(dir.join("data")).execute(&quiet)?;
+        out_dir::make_plain(dir, false, "name another folder")?;
+        let example = SimulateRequest { n_points: 10_000, ..SimulateRequest::new(StreamFormat::Folder) };
+        example.simulate(Some(&dir.join("data")), &mut |_| {})?;
         for (path, text) in GRAPHS {
             write(dir, path, without_schema(text))?;
         }

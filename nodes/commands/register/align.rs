@@ -9,7 +9,7 @@ use super::{
     method::Method,
     start::Started,
 };
-use crate::commands::common::global::{Format, Global};
+use crate::commands::common::{Format, Global};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use osteoflow_algorithms::{
     icp::{Halt, IcpFit, IcpReport, IcpStep},

@@ -11,15 +11,8 @@ use super::{
     start::OTHER_WAYS,
     trace, write_new,
 };
-use crate::commands::common::{
-    exit::Exit,
-    global::{Format, Global},
-    result_table::NOTICE,
-    running::about_command,
-    terminal,
-    text_table::TextTable,
-    verdict_lines,
-};
+use crate::app::{NOTICE, program::about_command};
+use crate::commands::common::{Exit, Format, Global, terminal, text_table::TextTable, verdict_lines};
 use anyhow::Result;
 use osteoflow_algorithms::{
     coarse::CLEAR,

@@ -1,7 +1,7 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
 use super::{Register, SpaceOption, inputs::Inputs, refuse_existing, write_new};
-use crate::commands::common::exit::UsageError;
+use crate::app::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{Space, pose_file::itk_text, write::write_cloud};

@@ -7,7 +7,7 @@ use super::{
     method::Method,
     start::Start,
 };
-use crate::commands::common::{content::is_volume, exit::UsageError};
+use crate::app::{UsageError, files::is_volume};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     field::{ClosestPointField, FieldParams},

@@ -5,7 +5,8 @@ use super::{
     align::{Fit, NoFit, Report},
     inputs::{SOURCE, TARGET},
 };
-use crate::commands::common::{plugins::PluginArgs, progress::Progress, running, verdict_lines::refusal_in_short};
+use crate::app::{program, refusal_in_short};
+use crate::commands::common::{plugins::PluginArgs, progress::Progress};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_algorithms::target::Target;
@@ -168,7 +169,7 @@ impl PluginMethod {
             let items = value.map(|value| Item { number: 0, stamp_ns: 0, body: Body::Value(value) });
             output(plan, wire).and_then(|wire| given.add(plan, wire, items.into_iter().collect())).map_err(refused)?;
         }
-        let options = RunOptions { record: false, ..running::options_alone(self.workers, cancelled) };
+        let options = RunOptions { record: false, ..program::options(self.workers, cancelled) };
         let of_node = |wire: &str| wire.starts_with(NODE);
         let ran = run_given(plan, &self.checked.registry, &options, &Progress::hidden(), given, &of_node);
         let (report, wires) = ran.map_err(|error| refused(error.to_string()))?;

@@ -1,17 +1,14 @@
 //! `run --watch`: runs the graph again whenever one of its files has changed.
 
-use crate::commands::{
-    common::{
-        exit::{Exit, UsageError},
-        global::{Format, Global},
-        graph_args,
-        progress::Progress,
-        result_table, run_end,
-        running::{self, Ran},
-        terminal,
-    },
-    run::Run,
+use crate::app::{UsageError, run_error};
+use crate::commands::common::{
+    Exit, Format, Global, graph_args,
+    progress::Progress,
+    result_table, run_end,
+    running::{self, Ran},
+    terminal,
 };
+use crate::commands::run::Run;
 use anyhow::{Result, anyhow};
 use osteoflow_engine::{
     Checked, check,
@@ -145,7 +142,7 @@ impl Watch {
                 dir.remove_if_empty();
                 return self.refuse(error.to_string()).map(|()| Looked::Files(files));
             }
-            Err(error) => return Err(running::run_error(error)),
+            Err(error) => return Err(run_error(error)),
         };
         self.n_runs += 1;
         self.print_end(report, &what, &plan_results, &dir, seen)

@@ -1,6 +1,7 @@
 //! A simulated procedure over OpenIGTLink, as a PLUS server would send it.
 
-use crate::commands::common::{global::Global, terminal};
+use crate::app::simulate::laser_number;
+use crate::commands::common::{Global, terminal};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use osteoflow_formats::openigtlink::{Affine, Body, Fiducial, Message, Metadata, PolyData, Status, Text, device_name};
@@ -127,10 +128,4 @@ fn touches(device: &str, points: &Points) -> Vec<Message> {
 
 fn single(point: &Point3<f64>) -> [f32; 3] {
     [0, 1, 2].map(|k| point[k] as f32)
-}
-
-/// The number of the landmark of a laser scan: a scan with another's label is in the other's stream.
-pub(super) fn laser_number(procedure: &Procedure, k: usize) -> usize {
-    let marks = &procedure.truth.laser_marks_ct.points;
-    marks.iter().position(|mark| procedure.laser[k].label.as_ref() == Some(&mark.name)).unwrap_or(k) + 1
 }

@@ -9,9 +9,9 @@ mod write_back;
 
 pub(crate) use two_files::TwoFiles;
 
+use crate::app::run_error;
 use crate::commands::common::{
-    exit::Exit,
-    global::Global,
+    Exit, Global,
     graph_args::{self, GraphArgs},
     progress::Progress,
     run_args::{Keep, Leave},
@@ -355,7 +355,7 @@ impl Session {
             Err(error) => {
                 dir.remove_if_empty();
                 if self.n_runs == 0 {
-                    return Err(running::run_error(error));
+                    return Err(run_error(error));
                 }
                 serving.add("problem", format!("{error}").into());
                 serving.failed();

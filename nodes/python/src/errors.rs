@@ -1,10 +1,10 @@
 //! Errors as exceptions, with the words of the command.
 
-use osteoflow::library::Error;
+use osteoflow::app::Error;
 use pyo3::{create_exception, exceptions::PyException, prelude::*};
 use std::{
     sync::{
-        Arc,
+        Arc, Once,
         atomic::{AtomicBool, Ordering},
         mpsc::{RecvTimeoutError, sync_channel},
     },
@@ -77,6 +77,8 @@ pub(crate) fn watched<T: Send>(
     cancelled: &Arc<AtomicBool>,
     work: impl FnOnce() -> Result<T, Error> + Send,
 ) -> PyResult<T> {
+    static LOG: Once = Once::new();
+    LOG.call_once(osteoflow::start_log);
     let mut pressed = None;
     let ended = py.detach(|| {
         std::thread::scope(|scope| {

@@ -1,12 +1,17 @@
-//! The Python package `osteoflow`: thin functions over [`osteoflow::library`], which the files in `python/osteoflow` complete.
+//! The Python package `osteoflow`: thin functions over [`osteoflow::app`], which the files in `python/osteoflow` complete.
 
 mod errors;
 mod foreign;
+mod settings;
 mod shapes;
 mod views;
 
 use errors::{exception, watched};
-use osteoflow::library::{self, Given, MeshOrCloud, ShardFault};
+use osteoflow::{
+    app::{self, Given, MeshOrCloud, RunRequest, ShardFault, SimulateRequest, StreamFormat, SweepRequest},
+    library,
+    progress::{self, Progress},
+};
 use osteoflow_engine::Recording;
 use osteoflow_node::{Item, PortPayload};
 use pyo3::{
@@ -46,7 +51,7 @@ fn register(
 
 /// A checked graph.
 #[pyclass(frozen, module = "osteoflow._core")]
-struct Graph(library::Graph);
+struct Graph(app::Graph);
 
 /// Results, warnings, folder, and the wires of a run.
 type Ran = (String, Vec<String>, Option<PathBuf>, Wires);
@@ -54,9 +59,22 @@ type Ran = (String, Vec<String>, Option<PathBuf>, Wires);
 #[pymethods]
 impl Graph {
     #[new]
-    fn new(py: Python<'_>, options: Vec<String>) -> PyResult<Self> {
-        let cancelled = Arc::default();
-        watched(py, &cancelled, || library::graph(&options)).map(Self)
+    #[allow(clippy::too_many_arguments, reason = "named where they are given, in Python")]
+    fn new(
+        py: Python<'_>,
+        graph: PathBuf,
+        set: Option<Bound<'_, PyAny>>,
+        plugins: Vec<PathBuf>,
+        out: Option<PathBuf>,
+        force: bool,
+        record: bool,
+        workers: Option<usize>,
+        cache: bool,
+    ) -> PyResult<Self> {
+        let (settings, workers) = (settings::settings(set.as_ref())?, settings::workers(workers)?);
+        let plugins = settings::plugins(plugins);
+        let request = RunRequest { graph, settings, plugins, out, force, record, workers, cache };
+        watched(py, &Arc::default(), || request.check()).map(Self)
     }
 
     /// Warnings about the graph.
@@ -115,7 +133,12 @@ impl Graph {
         }
         let keeps = |wire: &str| keep.as_ref().is_none_or(|keep| keep.contains(wire));
         let cancelled = Arc::default();
-        let ran = watched(py, &cancelled, || self.0.run(given, &keeps, progress, &cancelled))?;
+        let ran = watched(py, &cancelled, || {
+            let progress = Progress::on_terminal(self.0.plan(), progress);
+            let ran = self.0.run(given, &keeps, &progress, &cancelled);
+            progress.end();
+            ran
+        })?;
         Ok((ran.results.to_string(), ran.warnings, ran.out_dir, Wires(Source::Run(ran.wires))))
     }
 }
@@ -135,7 +158,7 @@ impl Wires {
     #[staticmethod]
     fn open(py: Python<'_>, file: PathBuf) -> PyResult<Self> {
         let cancelled = Arc::default();
-        let recording = watched(py, &cancelled, || library::recording(&file))?;
+        let recording = watched(py, &cancelled, || app::recording(&file))?;
         Ok(Self(Source::File(Box::new(recording))))
     }
 
@@ -181,33 +204,102 @@ impl Wires {
     }
 }
 
-/// Simulates a procedure into a folder.
+/// Simulates a procedure into a folder; returns notes on the bone.
 #[pyfunction]
-fn simulate(py: Python<'_>, options: Vec<String>) -> PyResult<()> {
-    let cancelled = Arc::default();
-    watched(py, &cancelled, || library::simulate(&options))
+#[allow(clippy::too_many_arguments, reason = "named where they are given, in Python")]
+fn simulate(
+    py: Python<'_>,
+    out: PathBuf,
+    seed: u64,
+    n_points: u64,
+    bone: Option<PathBuf>,
+    plan: Option<PathBuf>,
+    set: Option<Bound<'_, PyAny>>,
+    shape: &str,
+    force: bool,
+) -> PyResult<Vec<String>> {
+    let format = match shape {
+        "mcap" => StreamFormat::Mcap,
+        "folder" => StreamFormat::Folder,
+        other => {
+            let message = format!("shape is \"{other}\", but must be \"mcap\" or \"folder\"");
+            return Err(errors::UsageError::new_err(message));
+        }
+    };
+    let own_bone = match (bone, plan) {
+        (Some(bone), Some(plan)) => Some((bone, plan)),
+        (None, None) => None,
+        _ => return Err(errors::UsageError::new_err("bone and plan belong together; give both, or neither")),
+    };
+    let settings = settings::settings(set.as_ref())?;
+    let request = SimulateRequest { seed, n_points, own_bone, settings, format, force };
+    watched(py, &Arc::default(), || {
+        let mut notes = Vec::new();
+        request.write(&out, &mut |note| notes.push(note.to_owned()))?;
+        Ok(notes)
+    })
 }
 
-/// Sweeps a graph, or merges shards; returns the folder and the summary as JSON.
-#[pyfunction]
-fn sweep(py: Python<'_>, options: Vec<String>, progress: bool) -> PyResult<(PathBuf, String)> {
-    let cancelled = Arc::default();
-    errors::check_threads()?;
-    let (folder, summary) = watched(py, &cancelled, || library::sweep(&options, progress, &cancelled))?;
-    Ok((folder, summary.to_string()))
+/// A sweep of a graph.
+#[pyclass(frozen, module = "osteoflow._core")]
+struct Sweep(SweepRequest);
+
+#[pymethods]
+impl Sweep {
+    #[new]
+    #[allow(clippy::too_many_arguments, reason = "named where they are given, in Python")]
+    fn new(
+        graph: PathBuf,
+        set: Option<Bound<'_, PyAny>>,
+        plugins: Vec<PathBuf>,
+        out: PathBuf,
+        resume: bool,
+        workers: Option<usize>,
+        share: bool,
+        cache: bool,
+    ) -> PyResult<Self> {
+        Ok(Self(SweepRequest {
+            graph,
+            settings: settings::settings(set.as_ref())?,
+            plugins: settings::plugins(plugins),
+            out: Some(out),
+            resume,
+            shard: None,
+            workers: settings::workers(workers)?,
+            share,
+            cache,
+        }))
+    }
+
+    /// Makes the runs.
+    fn run(&self, py: Python<'_>, progress: bool) -> PyResult<()> {
+        let cancelled = Arc::default();
+        errors::check_threads()?;
+        watched(py, &cancelled, || {
+            let run = self.0.begin(&cancelled)?;
+            let bar = progress::SweepProgress::on_terminal(run.n_left()?, progress);
+            let swept = run.run(&bar);
+            bar.end();
+            swept.map(drop)
+        })
+    }
+
+    /// Begins the folder of a sweep whose shards are run elsewhere; returns the numbers of the runs of each shard.
+    fn shards(&self, py: Python<'_>, n_shards: Option<usize>) -> PyResult<Vec<Vec<usize>>> {
+        watched(py, &Arc::default(), || self.0.shards(n_shards))
+    }
 }
 
-/// Begins the folder of a sweep whose shards are run elsewhere; returns the numbers of the runs of each shard.
+/// Merges the shards of a sweep.
 #[pyfunction]
-fn sweep_shards(py: Python<'_>, options: Vec<String>, n_shards: Option<usize>) -> PyResult<Vec<Vec<usize>>> {
-    let cancelled = Arc::default();
-    watched(py, &cancelled, || library::sweep_shards(&options, n_shards))
+fn merge(py: Python<'_>, shards: Vec<PathBuf>, out: PathBuf) -> PyResult<()> {
+    watched(py, &Arc::default(), || app::merge(&shards, &out).map(drop))
 }
 
 /// Checks the folder of a shard: UsageError if it is of another sweep, ValueError if it is damaged.
 #[pyfunction]
 fn check_shard(py: Python<'_>, sweep: PathBuf, shard: PathBuf, runs: Vec<usize>) -> PyResult<()> {
-    py.detach(|| library::check_shard(&sweep, &shard, &runs)).map_err(|fault| match fault {
+    py.detach(|| app::check_shard(&sweep, &shard, &runs)).map_err(|fault| match fault {
         ShardFault::Other(what) => errors::UsageError::new_err(what),
         ShardFault::Damaged(what) => PyValueError::new_err(what),
     })
@@ -215,18 +307,18 @@ fn check_shard(py: Python<'_>, sweep: PathBuf, shard: PathBuf, runs: Vec<usize>)
 
 /// The progress of a sweep whose runs end elsewhere.
 #[pyclass(frozen, module = "osteoflow._core")]
-struct SweepProgress(library::SweepProgress);
+struct SweepProgress(progress::SweepProgress);
 
 #[pymethods]
 impl SweepProgress {
     #[new]
-    fn new(py: Python<'_>, n_runs: usize, shown: bool) -> PyResult<Self> {
-        library::SweepProgress::begin(n_runs, shown).map(Self).map_err(|error| exception(py, error))
+    fn new(n_runs: usize, shown: bool) -> Self {
+        Self(progress::SweepProgress::on_terminal(n_runs, shown))
     }
 
     /// Counts runs that have ended.
     fn ended(&self, n_runs: usize) {
-        self.0.ended(n_runs);
+        self.0.ended_elsewhere(n_runs);
     }
 
     /// Shows a message.
@@ -249,7 +341,7 @@ fn command(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 /// Names the Python program and its arguments that run the command, and the file of this library.
 #[pyfunction]
 fn hosted_by(program: PathBuf, before: Vec<OsString>, library: PathBuf) {
-    library::hosted_by(program, before, library);
+    app::hosted_by(program, before, library);
 }
 
 #[pymodule]
@@ -260,13 +352,14 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("UsageError", py.get_type::<errors::UsageError>())?;
     module.add("Refused", py.get_type::<errors::Refused>())?;
     module.add_class::<Graph>()?;
+    module.add_class::<Sweep>()?;
     module.add_class::<Wires>()?;
     module.add_class::<SweepProgress>()?;
     for function in [
         wrap_pyfunction!(register, module)?,
         wrap_pyfunction!(simulate, module)?,
-        wrap_pyfunction!(sweep, module)?,
-        wrap_pyfunction!(sweep_shards, module)?,
+        wrap_pyfunction!(merge, module)?,
+        wrap_pyfunction!(settings::setting_texts, module)?,
         wrap_pyfunction!(check_shard, module)?,
         wrap_pyfunction!(command, module)?,
         wrap_pyfunction!(hosted_by, module)?,

@@ -5,7 +5,7 @@ use crate::{
     foreign, views,
 };
 use numpy::PyArrayDyn;
-use osteoflow::library::{self, CloudFileRead, Content, MeshOrCloud, MeshRead, Space};
+use osteoflow::app::{self, CloudFileRead, Content, MeshOrCloud, MeshRead, Space};
 use osteoflow_geometry::{
     Cloud, Mesh, NamedPoint, Pose, SurfaceOrigin, matrix_rows,
     nalgebra::{Isometry3, Matrix4, Point3, Vector3},
@@ -100,7 +100,7 @@ pub(crate) fn read<'py>(
     series: Option<&str>,
 ) -> PyResult<(&'static str, Bound<'py, PyAny>, &'static str, Vec<String>)> {
     let cancelled = Arc::default();
-    let content = watched(py, &cancelled, || library::read(&file, unit_mm, frame, threshold_hu, series))?;
+    let content = watched(py, &cancelled, || app::read(&file, unit_mm, frame, threshold_hu, series))?;
     let dicts = |view: &View| Ok::<_, PyErr>(views::dicts(py, view)?.into_pyobject(py)?.into_any());
     Ok(match content {
         Content::Recording => ("recording", py.None().into_bound(py), "", Vec::new()),
@@ -135,8 +135,8 @@ pub(crate) fn read<'py>(
 pub(crate) fn write_shape(py: Python<'_>, file: PathBuf, shape: Bound<'_, PyAny>) -> PyResult<()> {
     let cancelled = Arc::default();
     match given(&shape, "what is to be written")? {
-        MeshOrCloud::Mesh(read) => watched(py, &cancelled, || library::write_mesh(&file, &read.mesh, read.space)),
-        MeshOrCloud::Cloud(read, _) => watched(py, &cancelled, || library::write_cloud(&file, &read.cloud, read.space)),
+        MeshOrCloud::Mesh(read) => watched(py, &cancelled, || app::write_mesh(&file, &read.mesh, read.space)),
+        MeshOrCloud::Cloud(read, _) => watched(py, &cancelled, || app::write_cloud(&file, &read.cloud, read.space)),
     }
 }
 
@@ -150,13 +150,13 @@ pub(crate) fn write_points(
 ) -> PyResult<()> {
     let points: Vec<NamedPoint> =
         points.into_iter().map(|(name, xyz)| NamedPoint::new(name, Point3::from(xyz))).collect();
-    library::write_points(&file, &points, space_of(space)?).map_err(|error| exception(py, error))
+    app::write_points(&file, &points, space_of(space)?).map_err(|error| exception(py, error))
 }
 
 /// Writes a rigid motion.
 #[pyfunction]
 pub(crate) fn write_pose(py: Python<'_>, file: PathBuf, pose: [[f64; 4]; 4]) -> PyResult<()> {
-    library::write_pose(&file, &pose).map_err(|error| exception(py, error))
+    app::write_pose(&file, &pose).map_err(|error| exception(py, error))
 }
 
 /// A 4 x 4 matrix as the seven numbers of a pose payload.

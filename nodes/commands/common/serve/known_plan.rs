@@ -1,7 +1,7 @@
 //! The plan of a recorded run, with what its wires do not carry: the anatomy.
 
 use super::picks;
-use crate::commands::common::global::registry;
+use crate::app::registry;
 use anyhow::{Result, bail};
 use osteoflow_engine::{
     Recording, check_recorded,

@@ -1,7 +1,8 @@
 //! What the user changes on the page: settings on top of the graph file, until they are written into it.
 
 use super::write_back;
-use crate::commands::common::{exit::with_causes, graph_args::GraphArgs};
+use crate::app::with_causes;
+use crate::commands::common::graph_args::GraphArgs;
 use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plugin::Kinds};
 use serde_json::{Value, json};
 use std::{

@@ -61,32 +61,13 @@ def _options(**options: Any) -> list[str]:
     return words
 
 
-def _toml(value: Any) -> str:
-    """A value as TOML."""
-    if isinstance(value, _np.generic):
-        value = value.item()
-    if isinstance(value, _np.ndarray):
-        value = value.tolist()
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (int, float)):
-        return repr(value)
-    if isinstance(value, (str, _os.PathLike)):
-        return _json.dumps(_os.fspath(value), ensure_ascii=False)
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_json.dumps(str(k))} = {_toml(v)}" for k, v in value.items()) + " }"
-    raise TypeError(f"{value!r} is no value of a graph file; give a bool, number, text, list or dict")
-
-
 def _sets(settings: Union[Mapping[str, Any], Sequence[str], None]) -> list[str]:
-    """`--set` for each key; a sequence is taken as it is, each KEY=VALUE."""
-    if settings is None:
-        return []
-    if isinstance(settings, Mapping):
-        settings = [f"{key}={_toml(value)}" for key, value in settings.items()]
-    return [f"--set={setting}" for setting in settings]
+    """`--set` for each key."""
+    return [f"--set={setting}" for setting in _core.setting_texts(settings)]
+
+
+def _files(files: Sequence[Union[str, "_os.PathLike[str]"]]) -> list[str]:
+    return [_os.fspath(file) for file in files]
 
 
 def read(
@@ -303,19 +284,18 @@ class Graph:
 
     def __init__(self, path: Union[str, "_os.PathLike[str]"], *, plugins: Sequence[Union[str, "_os.PathLike[str]"]] = ()) -> None:
         self.path = _os.fspath(path)
-        self.plugins = [_os.fspath(plugin) for plugin in plugins]
+        self.plugins = _files(plugins)
 
-    def _checked(self, set: Any, options: Sequence[str]) -> Any:
-        plugins = [f"--plugin={plugin}" for plugin in self.plugins]
-        return _core.Graph([*_sets(set), *plugins, *options, "--", self.path])
+    def _checked(self, set: Any, out: Any = None, force: bool = False, record: bool = True, workers: Optional[int] = None, cache: bool = True) -> Any:
+        return _core.Graph(self.path, set, self.plugins, out, force, record, workers, cache)
 
     def check(self, set: Union[Mapping[str, Any], Sequence[str], None] = None) -> list[str]:
         """Check the graph: the warnings. Raises UsageError with every fault at its line."""
-        return self._checked(set, []).warnings()
+        return self._checked(set).warnings()
 
     def wires(self, set: Union[Mapping[str, Any], Sequence[str], None] = None) -> dict[str, Optional[str]]:
         """Every wire with its payload, such as "geometry/Cloud"; None if it carries any."""
-        return {name: about[0] for name, about in self._checked(set, []).wires().items()}
+        return {name: about[0] for name, about in self._checked(set).wires().items()}
 
     def run(
         self,
@@ -341,8 +321,7 @@ class Graph:
 
         Raises Refused if there are no results, with the reason; UsageError with all faults of the graph; KeyboardInterrupt.
         """
-        options = _options(out=out, force=force, no_record=not record, workers=workers, no_cache=not cache)
-        graph = self._checked(set, options)
+        graph = self._checked(set, out, force, record, workers, cache)
         _warn(graph.warnings())
         known = graph.wires()
         given = {}
@@ -392,8 +371,7 @@ def simulate(
     seed : of all that is random. points : of each cloud. bone, plan : your own bone (a closed surface, mm) and its plan.
     shape : "mcap" (one recording) or "folder" (plain files). truth.json in the folder holds the ground truth, mm.
     """
-    options = {"seed": seed, "points": points, "bone": bone, "plan": plan, "as": shape, "out": out, "force": force}
-    _core.simulate([*_options(**options), *_sets(set)])
+    _warn(_core.simulate(out, seed, points, bone, plan, set, shape, force))
     return _Path(out)
 
 
@@ -448,19 +426,22 @@ def sweep(
         is submitted at most three times.
     tasks : number of tasks for the executor, of adjacent runs each. Default: one for each run.
     """
-    common = [*_sets(set), *(f"--plugin={_os.fspath(plugin)}" for plugin in plugins), *_options(no_share=not share, no_cache=not cache)]
     graph = _os.fspath(path)
     if tasks is not None and executor is None:
         raise UsageError("tasks is for an executor; give one, or leave it out")
     with _tempfile.TemporaryDirectory(prefix="osteoflow-sweep-") as temporary:
         folder = _Path(temporary, "sweep") if out is None else _Path(out)
+
+        def request(out: _Path) -> Any:
+            return _core.Sweep(graph, set, _files(plugins), out, resume, workers, share, cache)
+
         if executor is None:
-            options = [*common, *_options(workers=workers, out=folder, resume=resume)]
-            _core.sweep([*options, "--", graph], progress)
+            request(folder).run(progress)
         else:
             from ._executor import sweep_on
 
             if resume:
                 raise UsageError("a sweep on an executor is not resumed; leave out resume, or the executor")
-            _warn(sweep_on(executor, graph, common, folder, _Path(temporary), tasks, progress))
+            words = [*_sets(set), *(f"--plugin={file}" for file in _files(plugins)), *_options(no_share=not share, no_cache=not cache)]
+            _warn(sweep_on(executor, request, [*words, "--", graph], folder, _Path(temporary), tasks, progress))
         return _table(folder / "runs.csv", table or "")

@@ -14,7 +14,7 @@ import tarfile
 import tempfile
 import uuid
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Callable, NamedTuple
 
 from . import _core
 
@@ -25,8 +25,8 @@ ATTEMPTS = 3
 class _Task(NamedTuple):
     """What a worker needs to know."""
 
-    graph: str
-    common: list[str]
+    #: Options of the command, and the graph.
+    words: list[str]
     folder: str
     index: int
     of: int
@@ -34,7 +34,7 @@ class _Task(NamedTuple):
     ticket: str
 
 
-def _run_shard(graph: str, common: list[str], folder: str, index: int, of: int, ticket: str) -> dict[str, Any]:
+def _run_shard(words: list[str], folder: str, index: int, of: int, ticket: str) -> dict[str, Any]:
     """One shard of a sweep, as the tar of its folder. Runs on a worker.
 
     An error of the sweep is an answer, too: whatever is raised is the loss of a worker.
@@ -45,9 +45,9 @@ def _run_shard(graph: str, common: list[str], folder: str, index: int, of: int, 
     with tempfile.TemporaryDirectory(prefix="osteoflow-shard-") as temporary:
         shard = os.path.join(temporary, "shard")
         # A process of its own: a worker may have been forked, which loses the threads of its parent.
-        words = [sys.executable, "-I", os.path.join(os.path.dirname(__file__), "_command.py"), "sweep", "--quiet", *common]
-        words += ["--workers=1", f"--shard={index}/{of}", f"--out={shard}", "--", graph]
-        ended = subprocess.run(words, capture_output=True, text=True, check=False, cwd=folder)
+        command = [sys.executable, "-I", os.path.join(os.path.dirname(__file__), "_command.py"), "sweep", "--quiet"]
+        command += ["--workers=1", f"--shard={index}/{of}", f"--out={shard}", *words]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
         if ended.returncode < 0:
             raise OSError(f"the process of task {index} of {of} was ended by signal {-ended.returncode}")
         # 3: no run has results, which are rows with their reasons.
@@ -103,7 +103,7 @@ def _cpu_features(folder: Path) -> Any:
 
 
 def sweep_on(
-    executor: Any, graph: str, common: list[str], folder: Path, temporary: Path, tasks: int | None, progress: bool
+    executor: Any, request: Callable[[Path], Any], words: list[str], folder: Path, temporary: Path, tasks: int | None, progress: bool
 ) -> list[str]:
     """Sweeps on `executor`, merges the shards in `folder`, and returns warnings.
 
@@ -114,7 +114,7 @@ def sweep_on(
     if folder.is_dir() and any(folder.iterdir()):
         raise _core.UsageError(f"{folder} is not empty; name another folder")
     design = temporary / "design"
-    runs = _core.sweep_shards([*common, f"--out={design}", "--", graph], tasks)
+    runs = request(design).shards(tasks)
     runs_of = dict(enumerate(runs, 1))
     attempts = dict.fromkeys(runs_of, 0)
     ended: queue.SimpleQueue = queue.SimpleQueue()
@@ -122,7 +122,7 @@ def sweep_on(
 
     def submit(index: int) -> None:
         attempts[index] += 1
-        task = _Task(graph, common, os.getcwd(), index, len(runs), uuid.uuid4().hex)
+        task = _Task(words, os.getcwd(), index, len(runs), uuid.uuid4().hex)
         try:
             future = executor.submit(_run_shard, *task)
         except Exception as closed:
@@ -161,7 +161,7 @@ def sweep_on(
         for future in waiting.values():
             future.cancel()
     shards = [str(temporary / f"shard-{index}-{attempts[index]}") for index in runs_of]
-    _core.sweep([f"--out={folder}", "--merge", *shards], False)
+    _core.merge(shards, folder)
     if not other_processors:
         return []
     return [

@@ -1,20 +1,20 @@
-//! Parameters of a simulated procedure from `--set` of the command line.
+//! Parameters of a simulated procedure from settings.
 
-use crate::commands::common::exit::UsageError;
+use crate::app::error::UsageError;
 use anyhow::Result;
 use osteoflow_simulation::{BoneParams, CtParams, ProcedureParams};
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
 /// The procedure, the CT, and the bone in the CT if it is not the scanned one.
-pub(super) struct Settings {
+pub(super) struct Parameters {
     pub(super) procedure: ProcedureParams,
     pub(super) ct: CtParams,
     pub(super) ct_bone: Option<BoneParams>,
 }
 
-impl Settings {
-    /// Settings with `n_points` in each cloud, changed by each `TABLE.PARAMETER=VALUE` in turn.
+impl Parameters {
+    /// Those with `n_points` in each cloud, changed by each `TABLE.PARAMETER=VALUE` in turn.
     pub(super) fn new(n_points: u64, sets: &[String]) -> Result<Self> {
         let mut tables = Table::new();
         put(&mut tables, &["camera", "n_points"], Value::Integer(i64::try_from(n_points)?));

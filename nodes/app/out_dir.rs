@@ -1,7 +1,7 @@
 //! The folder that a run writes its files into: new or empty, except with `--force`, and of this process alone.
 
 use super::{
-    exit::UsageError,
+    error::UsageError,
     folder_lock::{FolderLock, HOLDER},
 };
 use anyhow::{Context, Result};
@@ -39,6 +39,17 @@ impl Deref for OutDir {
     fn deref(&self) -> &Path {
         &self.path
     }
+}
+
+/// Creates a folder for other files than those of a run. One that is not empty is refused unless `force` is set, with the remedy in
+/// the message.
+pub(crate) fn make_plain(dir: &Path, force: bool, remedy: &str) -> Result<()> {
+    fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
+    let mut entries = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?;
+    if entries.next().is_some() && !force {
+        return Err(UsageError(format!("{} is not empty; {remedy}", dir.display())).into());
+    }
+    Ok(())
 }
 
 /// Creates the folder: `asked` if given, otherwise a new one under `runs/` in the current folder.

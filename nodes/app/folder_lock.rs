@@ -1,6 +1,6 @@
 //! Exclusive use of an output folder by one process.
 
-use super::exit::UsageError;
+use super::error::UsageError;
 use anyhow::{Context, Result};
 use jiff::Timestamp;
 use serde_json::{Value, json};

@@ -1,0 +1,40 @@
+//! What the program does, as typed requests: the ground of the command line and of the Python package.
+//!
+//! A request is a plain struct. It checks what it names, does the work and returns values; it parses no options and prints nothing.
+//! Progress goes to the observer that the caller hands over.
+
+mod error;
+pub(crate) mod files;
+pub(crate) mod folder_lock;
+pub(crate) mod out_dir;
+mod plugins;
+pub(crate) mod program;
+pub(crate) mod run;
+mod settings;
+pub(crate) mod simulate;
+pub(crate) mod sweep;
+
+pub use error::Error;
+pub use files::{Content, read, write_cloud, write_mesh, write_points, write_pose};
+pub use osteoflow_engine::given::Given;
+pub use osteoflow_formats::{Space, cloud_file::CloudFileRead, mesh_file::MeshRead, mesh_or_cloud::MeshOrCloud};
+pub use plugins::{Plugins, hosted_by};
+pub use run::{Graph, GraphRun, RunRequest};
+pub use settings::{SettingValue, Settings};
+pub use simulate::{SimulateRequest, StreamFormat};
+pub use sweep::{ShardFault, SweepRequest, SweepRun, check_shard, merge};
+
+pub(crate) use error::{UsageError, with_causes};
+pub(crate) use plugins::FOLDERS;
+pub(crate) use program::{NOTICE, registry, run_error};
+pub(crate) use run::{judged, refusal_in_short};
+
+use std::path::Path;
+
+/// A recording of a run.
+///
+/// # Errors
+/// [`Error::Failed`] if it cannot be read.
+pub fn recording(file: &Path) -> Result<osteoflow_engine::Recording, Error> {
+    osteoflow_engine::Recording::open(file).map_err(|error| anyhow::anyhow!("{error}").into())
+}

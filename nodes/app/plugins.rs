@@ -1,0 +1,115 @@
+//! Where the kinds of plugins come from: which libraries, which interpreter, and which program looks at them.
+
+use super::{error::UsageError, program::registry};
+use anyhow::{Context, Result};
+use osteoflow_engine::{
+    plugin::{Finder, Kinds, Launcher, Prober, Scripts},
+    store::{Settings, Store},
+};
+use std::{
+    env,
+    ffi::OsString,
+    path::PathBuf,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
+
+/// Environment variable with folders whose libraries are all inspected.
+pub(crate) const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
+/// Environment variable with the interpreter for plugins in Python.
+const PYTHON: &str = "OSTEOFLOW_PYTHON";
+/// Environment variable with the maximum time to load a library.
+const TIMEOUT: &str = "OSTEOFLOW_PLUGIN_TIMEOUT_S";
+
+/// The program that runs this library, and the arguments with which it runs a command, if it is not the command itself.
+static HOST: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
+
+/// What serves nodes in Python, passed to the interpreter.
+const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow_node.py");
+
+/// Plugins in addition to those of a graph.
+#[derive(Debug, Clone, Default)]
+pub struct Plugins {
+    /// Libraries, each in addition to those that the graph names, or instead of one with the same file name.
+    pub files: Vec<PathBuf>,
+    /// Whether no plugin is loaded, whatever the graph, the environment or a recording names.
+    pub none: bool,
+    /// The interpreter for plugins in Python; otherwise that of the environment.
+    pub python: Option<PathBuf>,
+}
+
+/// Names the program that runs this library, the arguments with which it runs [`crate::main`], and the file of the library:
+/// another process of it looks at plugins, and the file identifies the program of a sweep.
+pub fn hosted_by(program: PathBuf, before: Vec<OsString>, library: PathBuf) {
+    osteoflow_engine::hash::program::set_file(library);
+    let _ = HOST.set((program, before));
+}
+
+impl Plugins {
+    /// The kinds of this program and of all plugins that are found.
+    pub(crate) fn kinds(&self) -> Result<Kinds> {
+        self.kinds_of(false)
+    }
+
+    /// As [`Self::kinds`], for commands that run many times: kinds of plugins fire in processes of their own unless the graph
+    /// says otherwise, so that one that crashes costs a run and not the command.
+    pub(crate) fn kinds_apart(&self) -> Result<Kinds> {
+        self.kinds_of(true)
+    }
+
+    /// The interpreter of plugins in Python: the one asked for, that of the active environment, or the one that is found first.
+    fn interpreter(&self) -> PathBuf {
+        let of_environment = || env::var_os("VIRTUAL_ENV").map(|dir| PathBuf::from(dir).join("bin/python"));
+        let named = self.python.clone().or_else(|| env::var_os(PYTHON).filter(|name| !name.is_empty()).map(Into::into));
+        named.or_else(|| of_environment().filter(|python| python.is_file())).unwrap_or("python3".into())
+    }
+
+    fn kinds_of(&self, plugins_apart: bool) -> Result<Kinds> {
+        if self.none {
+            return Ok(Kinds::from(&registry()));
+        }
+        let folders = env::var_os(FOLDERS).map(|folders| env::split_paths(&folders).collect()).unwrap_or_default();
+        // A wrong setting of the store is reported by commands that use it.
+        let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
+        let prober = prober()?;
+        let launcher = Some(own("worker")?);
+        let asked = self.files.clone();
+        let interpreter = Launcher { program: self.interpreter(), arguments: vec!["-c".into(), PYTHON_HELPER.into()] };
+        let scripts = Some(Scripts { ending: "py", interpreter });
+        Ok(Kinds::new(
+            registry(),
+            Finder { prober, store, asked, folders, launcher, scripts, only: None, plugins_apart },
+        ))
+    }
+}
+
+/// This program with a subcommand, to be started as another process.
+fn own(subcommand: &str) -> Result<Launcher> {
+    let (program, mut arguments) = match HOST.get() {
+        Some((program, before)) => (program.clone(), before.clone()),
+        None => {
+            let own = env::current_exe().context("the path of this program is unknown")?;
+            // This is the running program even if its file was replaced since. Not under valgrind, where it is valgrind
+            // itself.
+            (if own.is_file() { own } else { "/proc/self/exe".into() }, Vec::new())
+        }
+    };
+    arguments.push(subcommand.into());
+    Ok(Launcher { program, arguments })
+}
+
+/// What inspects a library.
+fn prober() -> Result<Prober> {
+    let value = env::var(TIMEOUT).ok().filter(|value| !value.is_empty());
+    let timeout = match value.as_deref().map(str::parse::<f64>) {
+        None => Prober::TIMEOUT,
+        Some(Ok(seconds)) if seconds > 0.0 && seconds <= 86_400.0 => Duration::from_secs_f64(seconds),
+        Some(_) => {
+            let value = value.unwrap_or_default();
+            let message = format!("{TIMEOUT} is \"{value}\", but must be a number of seconds, such as 10");
+            return Err(UsageError(message).into());
+        }
+    };
+    let Launcher { program, arguments } = own("plugin-probe")?;
+    Ok(Prober { program, arguments, timeout })
+}

@@ -1,0 +1,99 @@
+//! What all runs have from the program: its kinds, its notice, what the manifest says about it, and the store.
+
+use super::error::UsageError;
+use osteoflow_engine::{
+    run::{RunError, RunOptions},
+    store::{Settings, Store},
+};
+use serde_json::json;
+use std::{
+    num::NonZeroUsize,
+    sync::{Arc, atomic::AtomicBool},
+    thread,
+};
+
+/// The notice on every result, on the terminal and in files.
+pub(crate) const NOTICE: &str = "research use only, not for clinical use";
+
+/// Most workers. The largest machines have some hundred cores, and each worker has a stack of 8 MiB.
+const MAX_WORKERS: usize = 1024;
+
+/// Refuses more than [`MAX_WORKERS`].
+pub(crate) fn check_workers(workers: Option<NonZeroUsize>) -> Result<(), UsageError> {
+    match workers.filter(|workers| workers.get() > MAX_WORKERS) {
+        Some(workers) => Err(UsageError(format!("--workers {workers}: at most {MAX_WORKERS} threads are started"))),
+        None => Ok(()),
+    }
+}
+
+/// The built-in nodes and payloads.
+pub(crate) fn registry() -> osteoflow_node::Registry {
+    osteoflow_standard::registry()
+}
+
+/// Number of threads: by default the number of cores.
+pub(crate) fn n_workers(workers: Option<NonZeroUsize>) -> usize {
+    workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get)
+}
+
+/// Options common to all runs. The pool of threads for parallel algorithms is that of the process.
+pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>) -> RunOptions {
+    RunOptions {
+        workers: n_workers(workers),
+        fixed_results: vec![("notice".into(), NOTICE.into())],
+        cancelled: cancelled.clone(),
+        command: about_command(),
+        ..RunOptions::default()
+    }
+}
+
+/// The manifest's entries about program and machine; determinism is promised for equal CPU features.
+pub(crate) fn about_command() -> serde_json::Value {
+    let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
+    json!({
+        "name": "osteoflow",
+        "version": env!("CARGO_PKG_VERSION"),
+        "git_revision": if revision.is_empty() { serde_json::Value::Null } else { revision.into() },
+        "compiler": env!("OSTEOFLOW_BUILD_COMPILER"),
+        "target": env!("OSTEOFLOW_BUILD_TARGET"),
+        "target_features": env!("OSTEOFLOW_BUILD_TARGET_FEATURES"),
+        "rustflags": env!("OSTEOFLOW_BUILD_RUSTFLAGS"),
+        "opt_level": env!("OSTEOFLOW_BUILD_OPT_LEVEL"),
+        "profile": if cfg!(debug_assertions) { "debug" } else { "release" },
+        "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
+        "os": std::env::consts::OS,
+        "architecture": std::env::consts::ARCH,
+        "cpu_features": cpu_features(),
+        "cpus": n_workers(None),
+    })
+}
+
+#[cfg(target_arch = "x86_64")]
+fn cpu_features() -> Vec<&'static str> {
+    let known = [
+        ("avx", is_x86_feature_detected!("avx")),
+        ("avx2", is_x86_feature_detected!("avx2")),
+        ("fma", is_x86_feature_detected!("fma")),
+        ("avx512f", is_x86_feature_detected!("avx512f")),
+    ];
+    known.into_iter().filter_map(|(name, has)| has.then_some(name)).collect()
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn cpu_features() -> Vec<&'static str> {
+    Vec::new()
+}
+
+/// The store that the environment names, if answers are to be cached.
+pub(crate) fn store(cache: bool) -> Result<Option<Arc<Store>>, UsageError> {
+    let settings = if cache { Settings::from_env().map_err(|e| UsageError(e.to_string()))? } else { None };
+    Ok(settings.map(|settings| Arc::new(Store::open(settings))))
+}
+
+/// Converts an error: a node that cannot be built from its parameters is a fault of the graph.
+pub(crate) fn run_error(error: RunError) -> anyhow::Error {
+    match error {
+        RunError::Build(_) | RunError::Inject(_) => UsageError(error.to_string()).into(),
+        other => other.into(),
+    }
+}

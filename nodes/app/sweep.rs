@@ -1,0 +1,194 @@
+//! Sweeps of a graph.
+
+use super::{
+    error::{Error, UsageError},
+    folder_lock::HOLDER,
+    out_dir::{self, OutDir},
+    plugins::Plugins,
+    program::{self, NOTICE},
+    settings::Settings,
+};
+use anyhow::Result;
+use osteoflow_engine::sweep::{
+    self, Folder, FolderError, Shard, Sweep, SweepCounts, SweepOptions, Watcher, difference,
+};
+use osteoflow_report::summary;
+use serde_json::Value;
+use std::{
+    fs,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    sync::{Arc, atomic::AtomicBool},
+};
+
+/// Many runs of a graph, as its table `[sweep]` says.
+#[derive(Debug, Clone)]
+pub struct SweepRequest {
+    /// The graph file.
+    pub graph: PathBuf,
+    /// Changes of its keys in all runs.
+    pub settings: Settings,
+    /// Plugins in addition to those of the graph.
+    pub plugins: Plugins,
+    /// The folder for the files; by default a new one under `runs/`.
+    pub out: Option<PathBuf>,
+    /// Whether the sweep in the folder is resumed.
+    pub resume: bool,
+    /// The part of the runs to make.
+    pub shard: Option<Shard>,
+    /// Number of runs at a time; by default the number of cores.
+    pub workers: Option<NonZeroUsize>,
+    /// Whether what several runs have in common is computed once.
+    pub share: bool,
+    /// Whether answers are loaded from the store and saved there.
+    pub cache: bool,
+}
+
+/// A checked sweep with its folder.
+pub struct SweepRun {
+    pub(crate) sweep: Sweep,
+    pub(crate) folder: Folder,
+    pub(crate) options: SweepOptions,
+}
+
+impl SweepRequest {
+    /// Checks the graph and begins the folder.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] with all faults of the graph and its sweep.
+    pub fn begin(&self, cancelled: &Arc<AtomicBool>) -> Result<SweepRun, Error> {
+        Ok(self.folder(self.checked()?, cancelled)?)
+    }
+
+    /// The checked sweep; the error holds the faults.
+    pub(crate) fn checked(&self) -> Result<Sweep> {
+        let workers = program::options(self.workers, &Arc::default()).workers;
+        Ok(sweep::check(&self.graph, self.settings.texts(), self.plugins.kinds_apart()?, workers)?)
+    }
+
+    /// A new folder for the sweep, or the one to resume.
+    pub(crate) fn folder(&self, sweep: Sweep, cancelled: &Arc<AtomicBool>) -> Result<SweepRun> {
+        let mut run = program::options(self.workers, cancelled);
+        run.store = program::store(self.cache)?;
+        let options = SweepOptions { workers: run.workers, run, share: self.share, shard: self.shard };
+        let folder = match (&self.out, self.resume) {
+            (Some(dir), true) => sweep.resume(dir, self.shard),
+            (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options),
+        };
+        Ok(SweepRun { folder: folder.map_err(folder_error)?, sweep, options })
+    }
+
+    /// Begins the empty folder of a sweep, whose shards are run elsewhere, and returns the numbers of the runs of each shard:
+    /// of `n_shards`, or of one for each run.
+    ///
+    /// # Errors
+    /// As [`Self::begin`].
+    pub fn shards(&self, n_shards: Option<usize>) -> Result<Vec<Vec<usize>>, Error> {
+        let SweepRun { sweep, .. } = self.begin(&Arc::default())?;
+        let of = n_shards.unwrap_or(usize::MAX).min(sweep.n_runs()).max(1);
+        let runs_of = |index| sweep.part(Some(Shard { index, of })).map(|row| row.run).collect();
+        Ok((1..=of).map(runs_of).collect())
+    }
+}
+
+impl SweepRun {
+    /// Number of runs that are not in the folder yet.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn n_left(&self) -> Result<usize, Error> {
+        Ok(self.left()?)
+    }
+
+    pub(crate) fn left(&self) -> Result<usize> {
+        let n_done = self.folder.runs().map_err(folder_error)?.len();
+        Ok(self.sweep.part(self.options.shard).count().saturating_sub(n_done))
+    }
+
+    pub(crate) fn make(&self, watcher: &dyn Watcher) -> Result<SweepCounts> {
+        self.sweep.run(&self.folder, &self.options, watcher).map_err(folder_error)
+    }
+
+    /// Makes the runs, and returns the folder and its summary.
+    ///
+    /// # Errors
+    /// [`Error`]; interrupted runs can be resumed in the folder.
+    pub fn run(&self, watcher: &dyn Watcher) -> Result<(PathBuf, Value), Error> {
+        match self.make(watcher)?.n_missing {
+            0 => Ok((self.folder.dir().to_owned(), summary(&self.folder)?)),
+            _ => Err(Error::Interrupted),
+        }
+    }
+}
+
+/// Combines the runs of shards in a new folder, and returns it and its summary.
+///
+/// # Errors
+/// [`Error`] if the shards are not those of one sweep.
+pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(PathBuf, Value), Error> {
+    let folder = merged(shards, out)?;
+    Ok((folder.dir().to_owned(), summary(&folder)?))
+}
+
+/// The folder of all shards.
+pub(crate) fn merged(shards: &[PathBuf], out: &Path) -> Result<Folder> {
+    let shards = shards.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(folder_error)?;
+    sweep::merge(&shards, &new_dir(Some(out), "")?).map_err(folder_error)
+}
+
+/// Writes the summary of the runs into their folder.
+pub(crate) fn summary(folder: &Folder) -> Result<Value> {
+    Ok(summary::write(folder, NOTICE)?)
+}
+
+/// Converts an error: a wrong folder is a fault of the command line.
+pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
+    match error {
+        FolderError::NoSweep { .. }
+        | FolderError::Other { .. }
+        | FolderError::Part { .. }
+        | FolderError::Missing { .. } => UsageError(error.to_string()).into(),
+        other => other.into(),
+    }
+}
+
+/// Creates the folder, or takes an empty one; for a folder with a sweep the error suggests --resume.
+pub(crate) fn new_dir(out: Option<&Path>, graph: &str) -> Result<OutDir> {
+    let Some(dir) = out else { return out_dir::make(None, graph, false) };
+    let shown = dir.display();
+    if dir.join(sweep::DESIGN).is_file() {
+        let message = format!("{shown} holds a sweep already; continue it with --resume, or name another folder");
+        return Err(UsageError(message).into());
+    }
+    let mut entries = fs::read_dir(dir).into_iter().flatten();
+    if entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)) {
+        return Err(UsageError(format!("{shown} is not empty; name another folder")).into());
+    }
+    out_dir::make(out, graph, false)
+}
+
+/// Why the folder of a shard cannot be used.
+#[derive(Debug)]
+pub enum ShardFault {
+    /// It is of another sweep, with what differs.
+    Other(String),
+    /// It is damaged, or has other runs.
+    Damaged(String),
+}
+
+/// Checks that the folder of a shard is of the sweep in `sweep`, and has exactly these runs, each readable.
+///
+/// # Errors
+/// [`ShardFault`].
+pub fn check_shard(sweep: &Path, shard: &Path, runs: &[usize]) -> Result<(), ShardFault> {
+    let damaged = |error: FolderError| ShardFault::Damaged(error.to_string());
+    let (sweep, folder) = (Folder::open(sweep).map_err(damaged)?, Folder::open(shard).map_err(damaged)?);
+    if let Some(what) = difference(&sweep, &folder) {
+        return Err(ShardFault::Other(what));
+    }
+    let present = folder.runs().map_err(damaged)?;
+    if present != runs {
+        return Err(ShardFault::Damaged(format!("it has the runs {present:?}, but was asked for {runs:?}")));
+    }
+    folder.done().map_err(damaged)?.try_for_each(|done| done.map(drop).map_err(damaged))
+}
