@@ -9,6 +9,7 @@ pub(crate) mod log;
 pub(crate) mod other_numbers;
 pub(crate) mod plugins;
 pub(crate) mod progress;
+pub(crate) mod rerun;
 pub(crate) mod result_table;
 pub(crate) mod run_args;
 pub(crate) mod run_end;

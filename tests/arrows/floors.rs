@@ -72,7 +72,12 @@ const CRATES: [(&str, Floors); 3] = [
                 "commands::common::summary_table",
                 "commands::common::verdict_lines",
             ],
-            &["commands::common::graph_args", "commands::common::result_table", "commands::common::running"],
+            &[
+                "commands::common::graph_args",
+                "commands::common::rerun",
+                "commands::common::result_table",
+                "commands::common::running",
+            ],
             &["commands::common::run_end"],
             &["commands::common"],
             // A subcommand knows no other, but for the one that replay uses.

@@ -1,13 +1,9 @@
 //! Switches that several commands share: where to write, how many threads, whether to cache.
 
-use crate::app::{
-    UsageError,
-    out_dir::{self, OutDir},
-    program,
-};
+use crate::app::program;
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::{plan::Plan, store::Store};
+use osteoflow_engine::store::Store;
 use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
 
 /// Output folder and number of threads of a run.
@@ -24,28 +20,6 @@ pub(crate) struct Leave {
     /// Number of threads that run nodes; the results do not depend on it. Default: the number of cores.
     #[arg(long, value_name = "N")]
     pub(crate) workers: Option<NonZeroUsize>,
-}
-
-impl Leave {
-    /// The folder of the next of several runs.
-    pub(crate) fn folder(&self, plan: &Plan, n_runs: usize) -> Result<OutDir> {
-        let dir = match &self.out {
-            Some(first) if n_runs > 0 => out_dir::make_after(first)?,
-            asked => out_dir::make(asked.as_deref(), &plan.name, self.force)?,
-        };
-        let within = |file: &&PathBuf| match (dir.canonicalize(), file.canonicalize()) {
-            (Ok(dir), Ok(file)) => dir.starts_with(file),
-            _ => false,
-        };
-        if let Some(read) = plan.input_files.iter().find(within) {
-            let (dir, read) = (dir.display(), read.display());
-            let message = format!(
-                "{dir} is inside {read}, which the graph reads, so each run would start the next; name another folder with --out"
-            );
-            return Err(UsageError(message).into());
-        }
-        Ok(dir)
-    }
 }
 
 /// Whether to cache answers between runs.

@@ -1,161 +1,120 @@
 //! `run --watch`: runs the graph again whenever one of its files has changed.
 
-use crate::app::{UsageError, run_error};
+use super::Run;
+use crate::app::{RunRequest, UsageError, run_error};
 use crate::commands::common::{
     Exit, Format, Global, graph_args,
     progress::Progress,
+    rerun::{Rerun, Runs, Turn, rerun},
     result_table, run_end,
     running::{self, Ran},
     terminal,
 };
-use crate::commands::run::Run;
 use anyhow::{Result, anyhow};
 use osteoflow_engine::{
-    Checked, check,
-    check::files,
-    check_recorded,
+    Checked, Faults,
     run::{Outcome, RunError, RunOptions, RunReport},
-    watch::{Next, Session, Stamps},
+    watch::{Next, Session},
 };
 use serde_json::{Value, json};
-use std::{
-    fs,
-    io::Write,
-    path::Path,
-    sync::{Arc, atomic::Ordering},
-    time::Instant,
-};
+use std::{io::Write, path::Path, sync::Arc, time::Instant};
 
-/// The state of a watch.
+/// A graph whose unchanged nodes keep their items from run to run.
 struct Watch {
     run: Run,
-    global: Global,
-    options: RunOptions,
+    runs: Runs,
     session: Session,
-    /// Number of runs.
-    n_runs: usize,
     /// The results of the last run that had any.
     results: Option<Value>,
-}
-
-/// How a check of the graph ended.
-enum Looked {
-    /// The files that parameters name, with their state when they were read.
-    Files(Stamps),
-    /// The user ended a run.
-    Interrupted,
 }
 
 /// Runs until the user ends it.
 pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
     let cancelled = Arc::default();
     let options = RunOptions {
+        record: !run.no_record,
+        latency: !run.no_record || global.verbose > 0,
         shuffle: run.shuffle,
         store: run.keep.store()?,
         ..running::options(run.leave.workers, &cancelled)?
     };
-    let (run, global) = (run.clone(), global.clone());
-    let mut watch = Watch { run, global, options, session: Session::default(), n_runs: 0, results: None };
+    if !run.graph.graph.exists() {
+        // Waits for a file to be fixed, but not for one with a misspelt name.
+        return Err(UsageError(format!("there is no graph file {}", run.graph.graph.display())).into());
+    }
+    let runs = Runs { options, global: global.clone(), leave: run.leave.clone(), n: 0 };
+    let mut watch = Watch { run: run.clone(), runs, session: Session::default(), results: None };
+    let until = Arc::clone(&cancelled);
     // The output shows each run.
-    match running::watch(Progress::hidden(), cancelled, move |_| watch.watch())? {
+    match running::watch(Progress::hidden(), cancelled, move |_| rerun(&mut watch, &until))? {
         Ran::Ended(exit) => Ok(exit),
         Ran::Left => Ok(Exit::Interrupted),
     }
 }
 
-impl Watch {
-    fn watch(&mut self) -> Result<Exit> {
-        if !self.run.graph.graph.exists() {
-            // Waits for a file to be fixed, but not for one with a misspelt name.
-            return Err(UsageError(format!("there is no graph file {}", self.run.graph.graph.display())).into());
-        }
-        let mut seen = Instant::now();
-        loop {
-            // Taken before the files are read: later saves count as changes.
-            let graph = &self.run.graph;
-            let graph = Stamps::of(files(&graph.graph, &graph.sets, graph.plugins.kinds_apart()?));
-            let stamps = match self.look(seen)? {
-                Looked::Files(files) => graph.and(&files),
-                Looked::Interrupted => return Ok(Exit::Interrupted),
-            };
-            match stamps.wait(&|| self.options.cancelled.load(Ordering::Relaxed)) {
-                Some(change) => seen = change,
-                None => return Ok(Exit::Done),
-            }
-        }
+impl Rerun for Watch {
+    fn request(&self) -> RunRequest {
+        self.run.graph.request()
     }
 
-    /// Checks the graph, and runs what has changed.
-    fn look(&mut self, seen: Instant) -> Result<Looked> {
-        let kinds = self.run.graph.plugins.kinds_apart()?;
-        let (path, sets) = (&self.run.graph.graph, &self.run.graph.sets);
-        let Checked { plan, warnings, registry, .. } = match check(path, sets, &kinds) {
-            Ok(checked) => checked,
-            Err(faults) => {
-                match self.global.format {
-                    Format::Text => graph_args::print_faults(&faults, &self.global)?,
-                    Format::Json => print_line(&graph_args::as_json(&faults))?,
-                }
-                // A missing file may be created.
-                let text = fs::read_to_string(path).unwrap_or_default();
-                let files = check_recorded(&text, path, sets, &kinds).map(|checked| Stamps::of_plan(&checked.plan));
-                return Ok(Looked::Files(files.unwrap_or_default()));
-            }
-        };
-        graph_args::warn(&warnings, &self.global)?;
+    fn show_faults(&mut self, faults: &Faults) -> Result<Option<Exit>> {
+        match self.runs.global.format {
+            Format::Text => graph_args::print_faults(faults, &self.runs.global)?,
+            Format::Json => print_line(&graph_args::as_json(faults))?,
+        }
+        Ok(None)
+    }
+
+    fn run(&mut self, checked: Checked, seen: Instant) -> Result<Turn> {
+        let Checked { plan, warnings, registry, .. } = checked;
+        let (n_before, global) = (self.runs.n, self.runs.global.clone());
+        graph_args::warn(&warnings, &global)?;
         let next = self.session.next(plan);
         let files = next.files().clone();
         if let Some(node) = next.live_source() {
             let message =
                 format!("node \"{node}\" is a live source, whose items cannot be repeated; watch a recording of it");
-            return self.refuse(message).map(|()| Looked::Files(files));
+            return self.refuse(message).map(|()| Turn::Wait(files));
         }
         if next.is_unchanged() {
-            self.print_unchanged()?;
-            return Ok(Looked::Files(files));
+            return self.print_unchanged().map(|()| Turn::Wait(files));
         }
-        let dir = self.run.leave.folder(next.plan(), self.n_runs)?;
-        let what = RerunNotice::of(&next, self.n_runs > 0);
-        if self.global.format == Format::Text && !self.global.quiet {
+        let dir = self.runs.folder(next.plan())?;
+        let what = RerunNotice::of(&next, n_before > 0);
+        if global.format == Format::Text && !global.quiet {
             what.print_changes()?;
         }
-        let options = RunOptions {
-            out_dir: Some(dir.to_path_buf()),
-            record: !self.run.no_record,
-            latency: !self.run.no_record || self.global.verbose > 0,
-            ..self.options.clone()
-        };
-        let progress = match self.n_runs {
-            0 => Progress::of_run(next.plan(), options.workers, &self.global),
+        let options = self.runs.options.clone();
+        let progress = match n_before {
+            0 => Progress::of_run(next.plan(), options.workers, &global),
             _ => {
                 let (computed, nodes) = (what.computed.len(), what.computed.len() + what.kept.len());
                 let message = format!("running {}: {computed} of {nodes} nodes", next.plan().name);
-                Progress::begin(&message, Some(nodes), &self.global)
+                Progress::begin(&message, Some(nodes), &global)
             }
         };
-        let plan_results: Vec<_> = next.plan().results.iter().map(|entry| entry.key.clone()).collect();
-        let ran = self.session.run(next, &registry, &options, &progress);
-        progress.end();
-        let report = match ran {
-            Ok(report) => report,
-            Err(error @ RunError::Build(_)) => {
-                dir.remove_if_empty();
-                return self.refuse(error.to_string()).map(|()| Looked::Files(files));
-            }
-            Err(error) => return Err(run_error(error)),
-        };
-        self.n_runs += 1;
-        self.print_end(report, &what, &plan_results, &dir, seen)
-            .map(|exit| if exit == Exit::Interrupted { Looked::Interrupted } else { Looked::Files(files) })
+        let keys: Vec<_> = next.plan().results.iter().map(|entry| entry.key.clone()).collect();
+        let session = &mut self.session;
+        let run = |options: &RunOptions| session.run(next, &registry, options, &progress);
+        match self.runs.run(dir, options, &progress, run) {
+            Ok((report, dir)) => match self.print_end(report, &what, &keys, &dir, seen)? {
+                Exit::Interrupted => Ok(Turn::End(Exit::Interrupted)),
+                _ => Ok(Turn::Wait(files)),
+            },
+            Err(error @ RunError::Build(_)) => self.refuse(error.to_string()).map(|()| Turn::Wait(files)),
+            Err(error) => Err(run_error(error)),
+        }
     }
+}
 
+impl Watch {
     /// Prints the faults of a graph; a later save may fix them. In the first look they are faults of the command line.
     fn refuse(&self, message: String) -> Result<()> {
-        if self.n_runs == 0 {
+        if self.runs.n == 0 {
             return Err(UsageError(message).into());
         }
-        match self.global.format {
-            Format::Text => writeln!(terminal::stderr(), "{}: {message}", self.global.paint_err("error", "1;31"))?,
+        match self.runs.global.format {
+            Format::Text => writeln!(terminal::stderr(), "{}: {message}", self.runs.global.paint_err("error", "1;31"))?,
             Format::Json => {
                 print_line(&json!({ "outcome": Exit::Usage.to_json(), "faults": [{ "message": message }] }))?
             }
@@ -164,8 +123,8 @@ impl Watch {
     }
 
     fn print_unchanged(&self) -> Result<()> {
-        match self.global.format {
-            Format::Text if self.global.quiet => {}
+        match self.runs.global.format {
+            Format::Text if self.runs.global.quiet => {}
             Format::Text => writeln!(terminal::stderr(), "no node has changed; nothing was run")?,
             Format::Json => {
                 let mut outcome = Exit::Done.to_json();
@@ -186,13 +145,13 @@ impl Watch {
     ) -> Result<Exit> {
         // Warnings of cached nodes were printed when they ran.
         report.warnings.retain(|warning| what.computed.contains(&warning.node));
-        let exit = run_end::print_warnings_and_failure(&report, &self.global)?;
+        let exit = run_end::print_warnings_and_failure(&report, &self.runs.global)?;
         let complete = report.outcome == Outcome::Complete;
         let earlier = self.results.as_ref().filter(|_| complete);
         let differ: Option<Vec<_>> = earlier.map(|earlier| {
             keys.iter().filter(|key| at(earlier, key) != at(&report.results, key)).map(String::as_str).collect()
         });
-        match self.global.format {
+        match self.runs.global.format {
             Format::Json => {
                 let mut all = run_end::with_outcome(&report, exit, dir);
                 all["outcome"]["watch"] = json!({
@@ -208,10 +167,10 @@ impl Watch {
             }
             Format::Text => {
                 let table = match earlier {
-                    Some(earlier) => result_table::text_beside(&report.results, earlier, &self.global),
-                    None => result_table::text(&report.results, &self.global),
+                    Some(earlier) => result_table::text_beside(&report.results, earlier, &self.runs.global),
+                    None => result_table::text(&report.results, &self.runs.global),
                 };
-                run_end::print_text(&report, &table, dir, &self.global)?;
+                run_end::print_text(&report, &table, dir, &self.runs.global)?;
                 let mut out = terminal::stdout().lock();
                 match differ.as_deref() {
                     Some([]) => writeln!(out, "no result differs from the previous run")?,
@@ -221,7 +180,7 @@ impl Watch {
                 let (computed, nodes) = (what.computed.len(), what.computed.len() + what.kept.len());
                 let seconds = seen.elapsed().as_secs_f64();
                 writeln!(out, "{computed} of {nodes} nodes computed, {seconds:.2} s after the change was seen\n")?;
-                if self.n_runs == 1 && !self.global.quiet {
+                if self.runs.n == 1 && !self.runs.global.quiet {
                     let mb = self.session.n_bytes() as f64 / 1e6;
                     writeln!(
                         terminal::stderr(),

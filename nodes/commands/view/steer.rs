@@ -9,11 +9,12 @@ mod write_back;
 
 pub(crate) use two_files::TwoFiles;
 
-use crate::app::run_error;
+use crate::app::{RunRequest, run_error};
 use crate::commands::common::{
     Exit, Global,
     graph_args::{self, GraphArgs},
     progress::Progress,
+    rerun::{Rerun, Runs, Turn, rerun},
     run_args::{Keep, Leave},
     run_end,
     running::{self, Ran},
@@ -24,24 +25,22 @@ use crate::commands::common::{
     terminal,
 };
 use anyhow::Result;
-use changes::{Changes, Problem};
+use changes::{Changes, sentence};
 use osteoflow_engine::{
-    Checked,
-    check::files,
-    check_recorded,
+    Checked, Faults,
     run::{Outcome, RunOptions, run as run_graph},
     watch::Stamps,
 };
 use osteoflow_geometry::SurgicalPlan;
 use osteoflow_node::Role;
-use osteoflow_viewer::{Answer, App, Server, Stream};
+use osteoflow_viewer::{Answer, App, Stream};
 use serde_json::{Value, json};
 use std::{
-    fs,
     io::Write,
     net::SocketAddr,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, PoisonError, atomic::Ordering},
+    sync::{Arc, Mutex, PoisonError},
+    time::Instant,
 };
 
 /// What the page may do to the graph.
@@ -217,7 +216,12 @@ impl App for Steering {
 /// Runs, shows and runs again until Ctrl-C.
 pub(crate) fn execute(steered: Steered, global: &Global) -> Result<Exit> {
     let cancelled = Arc::default();
-    let options = RunOptions { store: Keep::default().store()?, ..running::options(None, &cancelled)? };
+    let options = RunOptions {
+        store: Keep::default().store()?,
+        record: true,
+        latency: true,
+        ..running::options(None, &cancelled)?
+    };
     let stream = Arc::new(Stream::default());
     let built_in = steered.two_files.as_ref();
     let no_file = built_in.map(|_| "this graph is built in; show graphs/two_files.toml to change a file");
@@ -232,87 +236,59 @@ pub(crate) fn execute(steered: Steered, global: &Global) -> Result<Exit> {
     let name = steered.graph.graph.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let server = steered.admission.serve(steered.address, &name, stream.clone(), steering.clone(), global)?;
     let leave = Leave { out: steered.out, force: false, workers: None };
-    let mut session = Session {
-        steering,
-        stream,
-        options,
-        leave,
-        global: global.clone(),
-        n_runs: 0,
-        was_interrupted: false,
-        before: None,
-    };
-    match running::watch(Progress::hidden(), cancelled, move |_| session.run(server))? {
+    let runs = Runs { options, global: global.clone(), leave, n: 0 };
+    let mut session = Session { steering, stream, runs, before: None };
+    let (until, global) = (Arc::clone(&cancelled), global.clone());
+    let ran = running::watch(Progress::hidden(), cancelled, move |_| {
+        let exit = rerun(&mut session, &until)?;
+        if exit != Exit::Usage {
+            serve::wait(server, &until, &global)?;
+        }
+        Ok(exit)
+    })?;
+    match ran {
         Ran::Ended(exit) => Ok(exit),
         Ran::Left => Ok(Exit::Interrupted),
     }
 }
 
-/// The thread that runs the graph.
+/// A graph that the page shows, each run a whole one.
 struct Session {
     steering: Arc<Steering>,
     stream: Arc<Stream>,
-    options: RunOptions,
-    leave: Leave,
-    global: Global,
-    n_runs: usize,
-    was_interrupted: bool,
+    runs: Runs,
     /// The state that the page showed after the last run, and the graph of that run.
     before: Option<(Value, String)>,
 }
 
-impl Session {
-    fn run(&mut self, server: Server) -> Result<Exit> {
-        let cancelled = self.options.cancelled.clone();
-        loop {
-            // Both are taken before the graph is read: what changes later counts as a change.
-            let count = self.steering.changes.count();
-            let graph = Stamps::of(self.files()?);
-            let Some(files) = self.look()? else { return Ok(Exit::Usage) };
-            let stamps = graph.and(&files);
-            let is_asked = || cancelled.load(Ordering::Relaxed) || self.steering.changes.count() != count;
-            // The items of a live source cannot be repeated.
-            if !self.steering.changes.is_fixed() {
-                let _ = stamps.wait(&is_asked);
-            }
-            if self.steering.changes.is_fixed() || cancelled.load(Ordering::Relaxed) {
-                serve::wait(server, &cancelled, &self.global)?;
-                return Ok(if self.was_interrupted { Exit::Interrupted } else { Exit::Done });
-            }
+impl Rerun for Session {
+    fn request(&self) -> RunRequest {
+        self.steering.changes.request()
+    }
+
+    fn n_changes(&self) -> u64 {
+        self.steering.changes.count()
+    }
+
+    fn show_faults(&mut self, faults: &Faults) -> Result<Option<Exit>> {
+        graph_args::print_faults(faults, &self.runs.global)?;
+        let changes = &self.steering.changes;
+        // A graph of the user's may be mended; a file that was named wrongly on the command line is not.
+        if self.runs.n == 0 && (self.steering.two_files.is_some() || !changes.path().exists()) {
+            return Ok(Some(Exit::Usage));
         }
+        let mut state = self.before.as_ref().map_or(json!({}), |(state, _)| state.clone());
+        state["problem"] = format!("the graph has a fault and was not run: {}", sentence(faults)).into();
+        // What is shown is of the run before.
+        state["outdated"] = self.before.is_some().into();
+        state["changes"] = changes.describe();
+        self.stream.publish(serve::STATE, &state);
+        Ok(None)
     }
 
-    /// The files of the graph.
-    fn files(&self) -> Result<Vec<PathBuf>> {
-        let changes = &self.steering.changes;
-        Ok(files(changes.path(), &changes.sets(), changes.kinds()?))
-    }
-
-    /// Checks the graph and runs it if it has changed; returns the state of the files that it reads, `None` if
-    /// there is nothing to wait for.
-    fn look(&mut self) -> Result<Option<Stamps>> {
-        let changes = &self.steering.changes;
-        let Checked { plan, warnings, registry, .. } = match changes.check() {
-            Ok(checked) => checked,
-            Err(problem) => {
-                if let Problem::Faults(faults) = &problem {
-                    graph_args::print_faults(faults, &self.global)?;
-                }
-                // A graph of the user's may be mended; a file that was named wrongly on the command line is not.
-                if self.n_runs == 0 && (self.steering.two_files.is_some() || !changes.path().exists()) {
-                    return Ok(None);
-                }
-                let mut state = self.before.as_ref().map_or(json!({}), |(state, _)| state.clone());
-                state["problem"] = format!("the graph has a fault and was not run: {problem}").into();
-                // What is shown is of the run before.
-                state["outdated"] = self.before.is_some().into();
-                state["changes"] = changes.describe();
-                self.stream.publish(serve::STATE, &state);
-                let text = fs::read_to_string(changes.path()).unwrap_or_default();
-                let checked = check_recorded(&text, changes.path(), &changes.sets(), &changes.kinds()?);
-                return Ok(Some(checked.map(|checked| Stamps::of_plan(&checked.plan)).unwrap_or_default()));
-            }
-        };
+    fn run(&mut self, checked: Checked, _: Instant) -> Result<Turn> {
+        let Checked { plan, warnings, registry, .. } = checked;
+        let (changes, global) = (&self.steering.changes, self.runs.global.clone());
         let stamps = Stamps::of_plan(&plan);
         let resolved = format!("{}{stamps:?}", plan.resolved);
         if let Some((state, before)) = &mut self.before
@@ -323,16 +299,16 @@ impl Session {
                 state.remove("problem");
             }
             self.stream.publish(serve::STATE, state);
-            return Ok(Some(stamps));
+            return Ok(Turn::Wait(stamps));
         }
-        graph_args::warn(&warnings, &self.global)?;
+        graph_args::warn(&warnings, &global)?;
         if let Some(node) = plan.nodes.iter().find(|node| node.role == Role::LiveSource) {
             changes.fix(format!(
                 "node \"{}\" is a live source, whose items cannot be repeated; change the graph, and start again",
                 node.name
             ));
         }
-        let dir = self.leave.folder(&plan, self.n_runs)?;
+        let dir = self.runs.folder(&plan)?;
         let graph = serve::graph_json(&plan, &registry);
         *self.steering.plan.lock().unwrap_or_else(PoisonError::into_inner) = known_plan::of_graph(&plan);
         self.steering.graph.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&graph);
@@ -340,44 +316,42 @@ impl Session {
         self.stream.publish_parameters(&self.steering.parameters());
         let mut serving = Serving::begin(self.stream.clone(), &plan, &graph);
         serving.add("changes", changes.describe());
-        let options = RunOptions {
-            out_dir: Some(dir.to_path_buf()),
-            listener: Some(self.stream.clone()),
-            record: true,
-            latency: true,
-            ..self.options.clone()
-        };
-        let progress = Progress::of_run(&plan, options.workers, &self.global);
-        let ran = run_graph(&plan, &registry, &options, &progress);
-        progress.end();
-        let report = match ran {
-            Ok(report) => report,
+        let is_first = self.runs.n == 0;
+        let options = RunOptions { listener: Some(self.stream.clone()), ..self.runs.options.clone() };
+        let progress = Progress::of_run(&plan, options.workers, &global);
+        let run = |options: &RunOptions| run_graph(&plan, &registry, options, &progress);
+        let (report, dir) = match self.runs.run(dir, options, &progress, run) {
+            Ok(ran) => ran,
+            Err(error) if is_first => return Err(run_error(error)),
             Err(error) => {
-                dir.remove_if_empty();
-                if self.n_runs == 0 {
-                    return Err(run_error(error));
-                }
                 serving.add("problem", format!("{error}").into());
                 serving.failed();
                 self.before = None;
-                return Ok(Some(stamps));
+                return Ok(self.turn(stamps));
             }
         };
-        self.was_interrupted = report.outcome == Outcome::Interrupted;
-        let first = self.n_runs == 0;
-        self.n_runs += 1;
         let was =
             self.before.take().map(|(state, _)| json!({ "numbers": state["numbers"], "verdict": state["verdict"] }));
         serving.add("was", was.unwrap_or(Value::Null));
         serving.add("run", dir.file_name().map(|name| name.to_string_lossy()).into());
         serving.ended(&report);
         self.before = Some((serving.state().clone(), resolved));
-        run_end::print_end(&report, &dir, &self.global)?;
-        if first && !self.was_interrupted && !self.global.quiet {
+        run_end::print_end(&report, &dir, &global)?;
+        if report.outcome == Outcome::Interrupted {
+            return Ok(Turn::End(Exit::Interrupted));
+        }
+        if is_first && !global.quiet {
             let again = format!("; {} is run again when it changes", changes.path().display());
             let again = if changes.is_fixed() { "" } else { &again };
             writeln!(terminal::stderr(), "the page stays until Ctrl-C{again}")?;
         }
-        Ok(Some(stamps))
+        Ok(self.turn(stamps))
+    }
+}
+
+impl Session {
+    /// The items of a live source cannot be repeated.
+    fn turn(&self, stamps: Stamps) -> Turn {
+        if self.steering.changes.is_fixed() { Turn::End(Exit::Done) } else { Turn::Wait(stamps) }
     }
 }

@@ -1,9 +1,9 @@
 //! What the user changes on the page: settings on top of the graph file, until they are written into it.
 
 use super::write_back;
-use crate::app::with_causes;
+use crate::app::{RunRequest, with_causes};
 use crate::commands::common::graph_args::GraphArgs;
-use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plugin::Kinds};
+use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text};
 use serde_json::{Value, json};
 use std::{
     path::Path,
@@ -58,26 +58,21 @@ impl Changes {
         self.made().fixed.is_some()
     }
 
-    /// The settings of the command line and those of the page.
-    pub(super) fn sets(&self) -> Vec<String> {
-        self.sets_of(&self.made())
+    /// The graph as it is now, with the settings of the command line and those of the page.
+    pub(super) fn request(&self) -> RunRequest {
+        self.request_made(&self.made())
     }
 
-    fn sets_of(&self, made: &Made) -> Vec<String> {
-        self.graph.sets.iter().cloned().chain(made.sets()).collect()
-    }
-
-    /// The graph as it is now.
-    ///
-    /// # Errors
-    /// The faults of the graph file with the changes.
-    pub(super) fn check(&self) -> Result<Checked, Problem> {
-        self.check_made(&self.made())
+    fn request_made(&self, made: &Made) -> RunRequest {
+        let mut request = self.graph.request();
+        made.sets().for_each(|set| request.settings.set_text(set));
+        request
     }
 
     fn check_made(&self, made: &Made) -> Result<Checked, Problem> {
-        let kinds = self.kinds().map_err(Problem::Other)?;
-        check(&self.graph.graph, &self.sets_of(made), &kinds).map_err(Problem::Faults)
+        let RunRequest { graph, settings, plugins, .. } = self.request_made(made);
+        let kinds = plugins.kinds_apart().map_err(Problem::Other)?;
+        check(&graph, settings.texts(), &kinds).map_err(Problem::Faults)
     }
 
     /// Sets keys, all of them or none. A value of null takes a change back. Keys that a new kind does not have are taken away.
@@ -140,7 +135,7 @@ impl Changes {
         }
         let wanted = self.check_made(&made).map_err(|problem| problem.to_string())?.plan.resolved;
         let path = &self.graph.graph;
-        let kinds = self.kinds().map_err(|error| with_causes(&error))?;
+        let kinds = self.graph.plugins.kinds_apart().map_err(|error| with_causes(&error))?;
         let before =
             std::fs::read_to_string(path).map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
         let text = write_back::edited(&before, path, &made.values, &made.removed)?;
@@ -179,11 +174,6 @@ impl Changes {
             "no_file": self.no_file,
             "file": self.graph.graph.file_name().map(|name| name.to_string_lossy()),
         })
-    }
-
-    /// The kinds that the graph may use.
-    pub(super) fn kinds(&self) -> anyhow::Result<Kinds> {
-        self.graph.plugins.kinds_apart()
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -242,7 +232,7 @@ fn errors(faults: &Faults) -> impl Iterator<Item = &Fault> {
 }
 
 /// The errors without their places, which the page does not show.
-fn sentence(faults: &Faults) -> String {
+pub(super) fn sentence(faults: &Faults) -> String {
     let one = |fault: &Fault| {
         let more = fault.notes.iter().chain(&fault.help).map(|text| format!("; {text}"));
         fault.message.clone() + &more.collect::<String>()
