@@ -1,11 +1,11 @@
 //! `info`: what a file or folder holds.
 
-mod found;
+mod contents;
 
 use super::common::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
-use found::{Found, Topic};
+use contents::{Contents, Topic};
 use std::{io::Write, path::PathBuf};
 
 /// Say what a file or folder is, what it holds, and the command that would use it.
@@ -35,23 +35,23 @@ pub(crate) struct Info {
 
 impl Info {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let found = found::look(&self.file)?;
+        let contents = contents::of(&self.file)?;
         match global.format {
-            Format::Json => print_json(&serde_json::to_value(&found)?)?,
-            Format::Text => self.print_text(&found, global)?,
+            Format::Json => print_json(&contents.to_json())?,
+            Format::Text => self.print_text(&contents, global)?,
         }
         Ok(Exit::Done)
     }
 
-    fn print_text(&self, found: &Found, global: &Global) -> Result<()> {
+    fn print_text(&self, contents: &Contents, global: &Global) -> Result<()> {
         let mut out = terminal::stdout().lock();
-        writeln!(out, "{}: {}", self.file.display(), found.about)?;
-        for (name, value) in found.lines() {
+        writeln!(out, "{}: {}", self.file.display(), contents.about)?;
+        for (name, value) in &contents.lines {
             writeln!(out, "  {name:<11} {value}")?;
         }
-        if !found.topics.is_empty() {
+        if !contents.topics.is_empty() {
             let mut table = TextTable::new("topics", &["schema", "encoding", "messages", "per second", "frame"]);
-            for topic in &found.topics {
+            for topic in &contents.topics {
                 let Topic { name, schema, encoding, n_messages, rate_hz, frame, .. } = topic;
                 let rate = rate_hz.map_or_else(String::new, |hz| format!("{hz:.1}"));
                 let frame = frame.clone().unwrap_or_default();
@@ -59,15 +59,15 @@ impl Info {
             }
             write!(out, "\n{}", table.lines())?;
         }
-        for problem in &found.problems {
+        for problem in &contents.problems {
             writeln!(out, "{}: {problem}", global.paint_out("problem", "1;31"))?;
         }
-        for note in &found.notes {
+        for note in &contents.notes {
             writeln!(out, "note: {note}")?;
         }
-        if !global.quiet && !found.used_by.is_empty() {
+        if !global.quiet && !contents.used_by.is_empty() {
             writeln!(out, "\nuse it with")?;
-            found.used_by.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
+            contents.used_by.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
         }
         Ok(())
     }

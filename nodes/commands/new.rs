@@ -89,66 +89,11 @@ panic = \"unwind\"
 ";
 
 /// Names that a crate cannot have.
-const NOT_FOR_CRATES: &[&str] = &[
-    "abstract",
-    "alloc",
-    "as",
-    "async",
-    "await",
-    "become",
-    "box",
-    "break",
-    "const",
-    "continue",
-    "core",
-    "crate",
-    "do",
-    "dyn",
-    "else",
-    "enum",
-    "extern",
-    "false",
-    "final",
-    "fn",
-    "for",
-    "gen",
-    "if",
-    "impl",
-    "in",
-    "let",
-    "loop",
-    "macro",
-    "match",
-    "mod",
-    "move",
-    "mut",
-    "osteoflow_node",
-    "osteoflow_payloads",
-    "override",
-    "priv",
-    "proc_macro",
-    "pub",
-    "ref",
-    "return",
-    "self",
-    "static",
-    "std",
-    "struct",
-    "super",
-    "test",
-    "trait",
-    "true",
-    "try",
-    "type",
-    "typeof",
-    "unsafe",
-    "unsized",
-    "use",
-    "virtual",
-    "where",
-    "while",
-    "yield",
-];
+const NOT_FOR_CRATES: &str = "\
+    abstract alloc as async await become box break const continue core crate do dyn else enum extern \
+    false final fn for gen if impl in let loop macro match mod move mut osteoflow_node \
+    osteoflow_payloads override priv proc_macro pub ref return self static std struct super test trait \
+    true try type typeof unsafe unsized use virtual where while yield";
 
 /// Names whose files would replace others: `graphs/fibula.toml`, and packages of Python.
 const WRITTEN_OR_IMPORTED: &[&str] = &["fibula", "numpy", "scipy"];
@@ -269,7 +214,7 @@ fn check_name(name: &str) -> Result<()> {
         format!(
             "\"{name}\" is not in snake case, such as my_icp: a lowercase letter, then lowercase letters, digits and _"
         )
-    } else if NOT_FOR_CRATES.contains(&name) {
+    } else if NOT_FOR_CRATES.split_whitespace().any(|word| word == name) {
         format!("\"{name}\" is a keyword of Rust or an existing crate; choose another, such as my_{name}")
     } else if registry.kinds().any(|kind| is_stage(kind.description.kind)) {
         format!("\"{name}\" is a stage of built-in nodes; choose another name, such as my_{name}")

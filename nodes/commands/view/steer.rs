@@ -161,27 +161,16 @@ impl App for Steering {
 
     fn post(&self, path: &str, body: &[u8]) -> Option<Answer> {
         if let Some(what) = path.strip_prefix("save/") {
-            let known = self.plan();
-            let saved = match &known {
-                Some(plan) => self.picks.save_with(what, body, plan),
-                None => self.picks.save(what, body),
-            };
-            let used = saved.and_then(|mut saved| {
+            let saved = self.picks.save(what, body, self.plan().as_ref());
+            return Some(picks::reply(saved.and_then(|mut saved| {
                 let more = self.use_picks(what, &saved)?;
                 saved["message"] = format!("{}{more}", saved["message"].as_str().unwrap_or_default()).into();
                 Ok(saved)
-            });
-            return Some(match used {
-                Ok(saved) => Answer::json(&saved),
-                Err(message) => Answer::refused(422, &message),
-            });
+            })));
         }
         let action = ACTIONS.iter().find(|action| **action == path)?;
         let request = serde_json::from_slice(body).map_err(|error| format!("the request is no JSON: {error}"));
-        Some(match request.and_then(|request| self.act(action, &request)) {
-            Ok(answer) => Answer::json(&answer),
-            Err(message) => Answer::refused(422, &message),
-        })
+        Some(picks::reply(request.and_then(|request| self.act(action, &request))))
     }
 
     fn parameters(&self) -> Vec<(String, Value)> {

@@ -52,14 +52,7 @@ impl Picks {
     /// The answer to a request of the page, if it is one for picks: `save/plan` and `save/pairs`.
     pub(crate) fn post(&self, path: &str, body: &[u8], known: Option<&SurgicalPlan>) -> Option<Answer> {
         let what = path.strip_prefix("save/").filter(|what| ["plan", "pairs"].contains(what))?;
-        let saved = match known {
-            None => self.save(what, body),
-            Some(plan) => self.save_with(what, body, plan),
-        };
-        Some(match saved {
-            Ok(saved) => Answer::json(&saved),
-            Err(message) => Answer::refused(422, &message),
-        })
+        Some(reply(self.save(what, body, known)))
     }
 
     /// The answer to the page's question where picks are saved, and what is known of the plan that it does not see.
@@ -69,23 +62,12 @@ impl Picks {
         })
     }
 
-    /// Writes what was picked (`what` is `plan` or `pairs`) into a new folder.
+    /// Writes what was picked (`what` is `plan` or `pairs`) into a new folder. What the plan of the page lacks is taken from the
+    /// one that is known.
     ///
     /// # Errors
     /// A sentence for the user: what is wrong with the picks, or why they cannot be written.
-    pub(crate) fn save(&self, what: &str, body: &[u8]) -> Result<Value, String> {
-        self.write(what, body, None)
-    }
-
-    /// As [`save`](Self::save); what the plan of the page lacks is taken from the one that is known.
-    ///
-    /// # Errors
-    /// As [`save`](Self::save).
-    pub(crate) fn save_with(&self, what: &str, body: &[u8], known: &SurgicalPlan) -> Result<Value, String> {
-        self.write(what, body, Some(known))
-    }
-
-    fn write(&self, what: &str, body: &[u8], known: Option<&SurgicalPlan>) -> Result<Value, String> {
+    pub(crate) fn save(&self, what: &str, body: &[u8], known: Option<&SurgicalPlan>) -> Result<Value, String> {
         if body.len() > MAX_BYTES {
             return Err(format!("{} bytes are too long for picks; at most {MAX_BYTES} are taken", body.len()));
         }
@@ -238,6 +220,14 @@ impl Picks {
             return Err(message);
         }
         Ok(folder)
+    }
+}
+
+/// The reply to a request of the page.
+pub(crate) fn reply(outcome: Result<Value, String>) -> Answer {
+    match outcome {
+        Ok(value) => Answer::json(&value),
+        Err(message) => Answer::refused(422, &message),
     }
 }
 

@@ -33,7 +33,7 @@ fn known() -> SurgicalPlan {
 }
 
 fn save(picks: &Picks, what: &str, value: &Value) -> Result<Value, String> {
-    picks.save(what, value.to_string().as_bytes())
+    picks.save(what, value.to_string().as_bytes(), None)
 }
 
 #[test]
@@ -67,12 +67,12 @@ fn what_the_page_does_not_see_comes_from_the_known_plan_and_a_picked_tip_replace
     let dir = tempfile::tempdir().unwrap();
     let picks = Picks::new(dir.path());
     let read = |saved: Value| read_plan(Path::new(saved["plan"].as_str().unwrap())).unwrap().plan;
-    let whole = picks.save_with("plan", plan().to_string().as_bytes(), &known()).unwrap();
+    let whole = picks.save("plan", plan().to_string().as_bytes(), Some(&known())).unwrap();
     assert!(!whole["message"].as_str().unwrap().contains("anatomy"), "{whole}");
     assert_eq!(read(whole).anatomy, known().anatomy);
     let mut moved = plan();
     moved["malleolus_tip"] = json!([1.0, 0.0, -1001.0]);
-    let saved = read(picks.save_with("plan", moved.to_string().as_bytes(), &known()).unwrap());
+    let saved = read(picks.save("plan", moved.to_string().as_bytes(), Some(&known())).unwrap());
     let expected = Anatomy { malleolus_tip: Point3::new(1.0, 0.0, -1001.0), ..known().anatomy.unwrap() };
     assert_eq!(saved.anatomy, Some(expected));
     // A tip alone is kept in the file, and the message says that the anatomy is not whole.
@@ -119,10 +119,10 @@ fn wrong_plans_are_refused_with_the_reason_and_leave_nothing() {
         ("region", b"{}", "\"region\" cannot be saved"),
         ("pairs", b"[]", "these are no picked pairs"),
     ] {
-        let said = picks.save(what, body).unwrap_err();
+        let said = picks.save(what, body, None).unwrap_err();
         assert!(said.contains(expected), "{said} lacks {expected}");
     }
-    assert!(picks.save("plan", &vec![b' '; MAX_BYTES + 1]).unwrap_err().contains("are too long"));
+    assert!(picks.save("plan", &vec![b' '; MAX_BYTES + 1], None).unwrap_err().contains("are too long"));
     assert!(!folder.exists(), "nothing is left");
     // A folder that cannot be written: it is a file.
     fs::write(&folder, "").unwrap();

@@ -1,4 +1,4 @@
-//! What a file or folder is.
+//! What a file or folder holds.
 
 use crate::app::files::{is_volume, picked_points};
 use anyhow::{Result, anyhow, bail};
@@ -15,55 +15,26 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{NamedPoint, nalgebra::Point3};
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Map, Value, json};
 use std::{fs, path::Path};
 
 /// The bytes that an MCAP begins with.
 const MCAP: &[u8] = b"\x89MCAP0\r\n";
 
-/// The content of a file or folder. Keys that do not apply are left out.
-#[derive(Debug, Default, Serialize)]
-pub(super) struct Found {
-    pub(super) kind: &'static str,
+/// What a file or folder holds.
+#[derive(Debug, Default)]
+pub(super) struct Contents {
+    kind: &'static str,
     /// One line that says what it is.
     pub(super) about: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    n_points: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    n_faces: Option<usize>,
-    /// Points that are not finite.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    n_dropped: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    extent_mm: Option<[f64; 3]>,
-    /// The middle of the box around the points, mm.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    centre_mm: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    normals: Option<bool>,
-    /// Number of voxels along each axis.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    size: Option<[usize; 3]>,
-    /// LPS or RAS where the file states it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    space: Option<String>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    columns: Vec<String>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    labels: Vec<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    n_planes: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    matrix: Option<[[f64; 4]; 4]>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    frames: Vec<String>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    /// Keys of the JSON with their values, as far as they apply.
+    facts: Map<String, Value>,
+    /// Names and values for the text.
+    pub(super) lines: Vec<(&'static str, String)>,
     pub(super) topics: Vec<Topic>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    verdict: Option<Value>,
     pub(super) problems: Vec<String>,
     pub(super) notes: Vec<String>,
-    #[serde(rename = "use")]
+    /// Commands that would use it.
     pub(super) used_by: Vec<String>,
 }
 
@@ -82,49 +53,74 @@ pub(super) struct Topic {
     pub(super) frame: Option<String>,
 }
 
-impl Found {
-    /// Names and values for the text.
-    pub(super) fn lines(&self) -> Vec<(&'static str, String)> {
-        let edges = |[x, y, z]: [f64; 3]| format!("{x:.2} x {y:.2} x {z:.2} mm");
-        let mut lines = Vec::new();
-        lines.extend(self.n_points.map(|n| ("points", n.to_string())));
-        lines.extend(self.n_dropped.filter(|n| *n > 0).map(|n| ("dropped", format!("{n}, not finite"))));
-        lines.extend(self.n_faces.map(|n| ("faces", n.to_string())));
-        lines.extend(self.extent_mm.map(|mm| ("extent", edges(mm))));
-        lines.extend(self.centre_mm.map(|[x, y, z]| ("centre", format!("{x:.2}, {y:.2}, {z:.2} mm"))));
-        lines.extend(self.normals.map(|has| ("normals", if has { "yes" } else { "no" }.to_owned())));
-        lines.extend(self.space.clone().map(|space| ("space", space)));
-        lines.extend((!self.columns.is_empty()).then(|| ("columns", self.columns.join(", "))));
-        lines.extend((!self.labels.is_empty()).then(|| ("named", self.labels.join(", "))));
-        lines.extend(self.n_planes.map(|n| ("planes", n.to_string())));
-        lines.extend((!self.frames.is_empty()).then(|| ("frames", self.frames.join(", "))));
-        lines.extend(self.verdict.as_ref().and_then(Value::as_str).map(|verdict| ("verdict", verdict.to_owned())));
-        for row in self.matrix.iter().flatten() {
-            lines.push(("", row.map(|c| format!("{c:>14.8}")).join(" ")));
+impl Contents {
+    fn new(kind: &'static str, about: impl Into<String>) -> Self {
+        Self { kind, about: about.into(), ..Self::default() }
+    }
+
+    /// All of it as JSON.
+    pub(super) fn to_json(&self) -> Value {
+        let mut all = json!({ "kind": self.kind, "about": self.about });
+        let Some(keys) = all.as_object_mut() else { return all };
+        keys.extend(self.facts.clone());
+        keys.extend((!self.topics.is_empty()).then(|| ("topics".to_owned(), json!(self.topics))));
+        let lists = [("problems", &self.problems), ("notes", &self.notes), ("use", &self.used_by)];
+        keys.extend(lists.map(|(key, list)| (key.to_owned(), json!(list))));
+        all
+    }
+
+    /// Adds a fact: its key and value in the JSON, its name and value in the text.
+    fn with(mut self, key: &str, value: impl Serialize, name: &'static str, text: impl Into<String>) -> Self {
+        self.facts.insert(key.into(), json!(value));
+        self.lines.push((name, text.into()));
+        self
+    }
+
+    fn with_count(self, key: &str, n: usize, name: &'static str) -> Self {
+        self.with(key, n, name, n.to_string())
+    }
+
+    /// Adds a list, unless it is empty.
+    fn with_list(self, key: &str, list: Vec<String>, name: &'static str) -> Self {
+        if list.is_empty() { self } else { self.with(key, &list, name, list.join(", ")) }
+    }
+
+    fn with_space(self, space: impl ToString) -> Self {
+        self.with("space", space.to_string(), "space", space.to_string())
+    }
+
+    /// Adds the box around points: its edges, and its middle.
+    fn with_box(self, points: impl IntoIterator<Item = Point3<f64>>) -> Self {
+        let ends = points.into_iter().map(|p| (p, p)).reduce(|(a, b), (p, _)| (a.inf(&p), b.sup(&p)));
+        let Some((min, max)) = ends else { return self };
+        let (edges, centre) = (max - min, (min.coords + max.coords) * 0.5);
+        let [x, y, z]: [f64; 3] = edges.into();
+        let with_edges = self.with("extent_mm", [x, y, z], "extent", format!("{x:.2} x {y:.2} x {z:.2} mm"));
+        let [x, y, z]: [f64; 3] = centre.into();
+        with_edges.with("centre_mm", [x, y, z], "centre", format!("{x:.2}, {y:.2}, {z:.2} mm"))
+    }
+
+    fn with_verdict(self, results: &Value) -> Self {
+        match results.pointer("/verdict/answer").and_then(Value::as_str) {
+            Some(verdict) => self.with("verdict", verdict, "verdict", verdict),
+            None => self,
         }
-        lines
     }
 
-    fn with_points(mut self, points: &[Point3<f64>]) -> Self {
-        self.n_points = Some(points.len());
-        let Some(first) = points.first() else { return self };
-        let (min, max) = points.iter().fold((*first, *first), |(a, b), p| (a.inf(p), b.sup(p)));
-        self.extent_mm = Some((max - min).into());
-        self.centre_mm = Some(((min.coords + max.coords) * 0.5).into());
-        self
+    fn noted(self, notes: Vec<String>) -> Self {
+        Self { notes, ..self }
     }
 
-    fn with_names(mut self, points: &[NamedPoint]) -> Self {
-        self.labels.extend(points.iter().map(|point| point.name.to_string()));
-        self
+    fn used_by<const N: usize>(self, commands: [String; N]) -> Self {
+        Self { used_by: commands.into(), ..self }
     }
 }
 
-/// Finds out what a file or folder holds.
+/// The contents of a file or folder.
 ///
 /// # Errors
 /// It is missing, or none of the known formats, or too damaged to be read in part.
-pub(super) fn look(file: &Path) -> Result<Found> {
+pub(super) fn of(file: &Path) -> Result<Contents> {
     if file.is_dir() {
         return folder(file);
     }
@@ -145,7 +141,7 @@ pub(super) fn look(file: &Path) -> Result<Found> {
         return Ok(points(file, picked?));
     }
     if bytes.trim_ascii_start().starts_with(b"{") {
-        return json(file, &bytes);
+        return json_file(file, &bytes);
     }
     shape(file, &bytes)
 }
@@ -163,110 +159,99 @@ fn is_matrix(bytes: &[u8]) -> bool {
     words.len() == 16 && numbers.len() == 16 && numbers[12..] == [0.0, 0.0, 0.0, 1.0]
 }
 
-fn shape(file: &Path, bytes: &[u8]) -> Result<Found> {
+fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
     let name = file.display();
     Ok(match read_mesh_or_cloud(file, bytes, 1.0, "file")? {
-        MeshOrCloud::Mesh(read) => Found {
-            kind: "mesh",
-            about: "a surface of triangles".into(),
-            n_faces: Some(read.mesh.faces().len()),
-            space: Some(read.space.to_string()),
-            notes: read.notes,
-            used_by: vec![
+        MeshOrCloud::Mesh(read) => Contents::new("mesh", "a surface of triangles")
+            .with_count("n_points", read.mesh.vertices().len(), "points")
+            .with_count("n_faces", read.mesh.faces().len(), "faces")
+            .with_box(read.mesh.vertices().iter().copied())
+            .with_space(read.space)
+            .noted(read.notes)
+            .used_by([
                 format!("osteoflow register {name} SCAN"),
                 format!("osteoflow run graphs/two_files.toml --set bone.path={name} --set scan.path=SCAN"),
-            ],
-            ..Found::default()
+            ]),
+        MeshOrCloud::Cloud(read, notes) => {
+            let normals = read.cloud.normals().is_some();
+            let columns = read.cloud.extras().iter().map(|(column, _)| column.to_string()).collect();
+            let mut contents = Contents::new("cloud", "a cloud of points");
+            contents = contents.with_count("n_points", read.cloud.len(), "points");
+            match read.n_dropped {
+                0 => drop(contents.facts.insert("n_dropped".into(), 0.into())),
+                n => contents = contents.with("n_dropped", n, "dropped", format!("{n}, not finite")),
+            }
+            contents
+                .with_box(read.cloud.points().iter().copied())
+                .with("normals", normals, "normals", if normals { "yes" } else { "no" })
+                .with_space(read.space)
+                .with_list("columns", columns, "columns")
+                .noted(notes)
+                .used_by([
+                    format!("osteoflow register BONE {name}"),
+                    format!("osteoflow run graphs/two_files.toml --set bone.path=BONE --set scan.path={name}"),
+                ])
         }
-        .with_points(read.mesh.vertices()),
-        MeshOrCloud::Cloud(read, notes) => Found {
-            kind: "cloud",
-            about: "a cloud of points".into(),
-            n_dropped: Some(read.n_dropped),
-            normals: Some(read.cloud.normals().is_some()),
-            space: Some(read.space.to_string()),
-            columns: read.cloud.extras().iter().map(|(column, _)| column.to_string()).collect(),
-            notes,
-            used_by: vec![
-                format!("osteoflow register BONE {name}"),
-                format!("osteoflow run graphs/two_files.toml --set bone.path=BONE --set scan.path={name}"),
-            ],
-            ..Found::default()
-        }
-        .with_points(read.cloud.points()),
     })
 }
 
-fn points(file: &Path, read: PickedPoints) -> Found {
+fn points(file: &Path, read: PickedPoints) -> Contents {
     let name = file.display();
-    let positions: Vec<Point3<f64>> = read.points.iter().map(|point| point.position).collect();
     let mut notes = read.notes;
     if read.n_skipped > 0 {
         notes.push(format!("{} points are not placed or not active, and were passed over", read.n_skipped));
     }
     let planes = read.planes.iter().map(|plane| format!("plane {}", plane.name));
-    let labels = planes.chain(read.rois.iter().map(|roi| format!("box {}", roi.name))).collect();
-    Found {
-        kind: "points",
-        about: "picked points".into(),
-        labels,
-        space: Some(read.space.to_string()),
-        notes,
-        used_by: vec![
+    let labels = planes.chain(read.rois.iter().map(|roi| format!("box {}", roi.name))).chain(names(&read.points));
+    Contents::new("points", "picked points")
+        .with_count("n_points", read.points.len(), "points")
+        .with_box(read.points.iter().map(|point| point.position))
+        .with_space(read.space)
+        .with_list("labels", labels.collect(), "named")
+        .noted(notes)
+        .used_by([
             format!("osteoflow register BONE SCAN --landmarks {name} POINTS_IN_SCAN"),
             format!("osteoflow convert {name} points.csv"),
-        ],
-        ..Found::default()
-    }
-    .with_points(&positions)
-    .with_names(&read.points)
+        ])
 }
 
-fn pose(file: &Path) -> Result<Found> {
+fn names(points: &[NamedPoint]) -> impl Iterator<Item = String> {
+    points.iter().map(|point| point.name.to_string())
+}
+
+fn pose(file: &Path) -> Result<Contents> {
     let read = read_pose(file, 1.0)?;
-    Ok(Found {
-        kind: "pose",
-        about: "a rigid motion, the translation in mm".into(),
-        matrix: Some(osteoflow_geometry::matrix_rows(&read.isometry)),
-        notes: read.notes,
-        used_by: vec![format!("osteoflow register BONE SCAN --init {}", file.display())],
-        ..Found::default()
-    })
+    let rows = osteoflow_geometry::matrix_rows(&read.isometry);
+    let mut contents = Contents::new("pose", "a rigid motion, the translation in mm").noted(read.notes);
+    contents.facts.insert("matrix".into(), json!(rows));
+    contents.lines.extend(rows.map(|row| ("", row.map(|c| format!("{c:>14.8}")).join(" "))));
+    Ok(contents.used_by([format!("osteoflow register BONE SCAN --init {}", file.display())]))
 }
 
-fn json(file: &Path, bytes: &[u8]) -> Result<Found> {
+fn json_file(file: &Path, bytes: &[u8]) -> Result<Contents> {
     let value: Value = serde_json::from_slice(bytes)
         .map_err(|error| anyhow!("{}: line {}: no JSON: {error}", file.display(), error.line()))?;
     if ["T", "t_target_source", "matrix"].iter().any(|key| value.get(key).is_some()) {
         return pose(file);
     }
     if value.get("verdict").is_some() && value.get("notice").is_some() {
-        return Ok(Found {
-            kind: "results",
-            about: "results of a run".into(),
-            verdict: value.pointer("/verdict/answer").cloned(),
-            ..Found::default()
-        });
+        return Ok(Contents::new("results", "results of a run").with_verdict(&value));
     }
     let read = read_plan(file)?;
     let plan = read.plan;
-    Ok(Found {
-        kind: "plan",
-        about: "a surgical plan".into(),
-        n_planes: Some(plan.planes.planes.len()),
-        frames: vec![plan.landmarks.frame.to_string()],
-        notes: read.notes,
-        used_by: vec![format!("osteoflow run graphs/fibula_recorded.toml --set plan.path={}", file.display())],
-        ..Found::default()
-    }
-    .with_names(&plan.landmarks.points)
-    .with_names(&plan.assessment.points))
+    let labels = names(&plan.landmarks.points).chain(names(&plan.assessment.points));
+    Ok(Contents::new("plan", "a surgical plan")
+        .with_list("labels", labels.collect(), "named")
+        .with_count("n_planes", plan.planes.planes.len(), "planes")
+        .with_list("frames", vec![plan.landmarks.frame.to_string()], "frames")
+        .noted(read.notes)
+        .used_by([format!("osteoflow run graphs/fibula_recorded.toml --set plan.path={}", file.display())]))
 }
 
-fn recording(file: &Path) -> Result<Found> {
+fn recording(file: &Path) -> Result<Contents> {
     let (read, damaged) = match Recording::open(file, false) {
         Ok(read) => (read, None),
-        // What can be read of a damaged file is told, with what is wrong.
+        // What can be read of a damaged file is shown, with what is wrong.
         Err(error) => match Recording::open(file, true) {
             Ok(read) => (read, Some(error.to_string())),
             Err(error) => bail!("{error}"),
@@ -302,7 +287,8 @@ fn recording(file: &Path) -> Result<Found> {
     };
     let about =
         format!("{} with {n_messages} messages", if is_run { "a recording of a run" } else { "an MCAP recording" });
-    Ok(Found { kind: "recording", about, frames, topics, problems, notes, used_by, ..Found::default() })
+    let contents = Contents::new("recording", about).with_list("frames", frames, "frames");
+    Ok(Contents { topics, problems, notes, used_by, ..contents })
 }
 
 fn of_topic(read: &Recording, topic: &osteoflow_formats::mcap_read::Topic) -> Topic {
@@ -334,7 +320,7 @@ fn frame(message: &Message) -> Option<String> {
     read_pose_in_frame(message).ok().map(|tip| tip.frame.to_string())
 }
 
-fn volume(file: &Path) -> Result<Found> {
+fn volume(file: &Path) -> Result<Contents> {
     let read = read_volume(file, &VolumeOptions::default())?;
     let (volume, name) = (&read.volume, file.display());
     let m = &volume.t_lps_voxel;
@@ -343,30 +329,22 @@ fn volume(file: &Path) -> Result<Found> {
         let index = |k: usize| if corner >> k & 1 == 1 { volume.size[k] as f64 - 1.0 } else { 0.0 };
         m.transform_point(&Point3::new(index(0), index(1), index(2)))
     };
-    let (min, max) = (1..8).fold((at(0), at(0)), |(a, b), corner| (a.inf(&at(corner)), b.sup(&at(corner))));
     let unit = if volume.unit == VoxelUnit::Hu { "HU" } else { "unknown" };
     let [nx, ny, nz] = volume.size;
-    Ok(Found {
-        kind: "ct",
-        about: format!(
-            "an image of {nx} x {ny} x {nz} voxels of {:.3} x {:.3} x {:.3} mm, values in {unit}",
-            edges[0], edges[1], edges[2]
-        ),
-        extent_mm: Some((max - min).into()),
-        centre_mm: Some(((min.coords + max.coords) * 0.5).into()),
-        space: Some(if volume.is_oriented { "LPS" } else { "unknown" }.into()),
-        size: Some(volume.size),
-        notes: read.notes,
-        used_by: vec![
-            format!("osteoflow register {name} SCAN"),
-            format!("osteoflow convert {name} bone.stl --iso-hu HU"),
-            format!("osteoflow run GRAPH --set bone.kind=surface.ct --set bone.path={name} --set bone.threshold_hu=HU"),
-        ],
-        ..Found::default()
-    })
+    let about = format!(
+        "an image of {nx} x {ny} x {nz} voxels of {:.3} x {:.3} x {:.3} mm, values in {unit}",
+        edges[0], edges[1], edges[2]
+    );
+    let mut contents = Contents::new("ct", about).with_box((0..8).map(at));
+    contents.facts.insert("size".into(), json!(volume.size));
+    Ok(contents.with_space(if volume.is_oriented { "LPS" } else { "unknown" }).noted(read.notes.clone()).used_by([
+        format!("osteoflow register {name} SCAN"),
+        format!("osteoflow convert {name} bone.stl --iso-hu HU"),
+        format!("osteoflow run GRAPH --set bone.kind=surface.ct --set bone.path={name} --set bone.threshold_hu=HU"),
+    ]))
 }
 
-fn folder(folder: &Path) -> Result<Found> {
+fn folder(folder: &Path) -> Result<Contents> {
     let name = folder.display();
     if folder.join("procedure.toml").is_file() {
         let read = ProcedureFolder::open(folder)?;
@@ -375,16 +353,15 @@ fn folder(folder: &Path) -> Result<Found> {
         roles.sort();
         roles.dedup();
         let about = format!("a procedure in files, {} items", streams.items.len());
-        let used_by = vec![format!("osteoflow run graphs/fibula_folder.toml --set recording.path={name}")];
-        let notes = streams.notes;
-        return Ok(Found { kind: "procedure", about, labels: roles, notes, used_by, ..Found::default() });
+        return Ok(Contents::new("procedure", about)
+            .with_list("labels", roles, "named")
+            .noted(streams.notes)
+            .used_by([format!("osteoflow run graphs/fibula_folder.toml --set recording.path={name}")]));
     }
     if folder.join("manifest.json").is_file() {
         let results = fs::read(folder.join("results.json")).ok();
         let results: Option<Value> = results.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-        let verdict = results.as_ref().and_then(|results| results.pointer("/verdict/answer")).cloned();
-        let mut problems =
-            if results.is_none() { vec!["there is no readable results.json".into()] } else { Vec::new() };
+        let mut problems = Vec::from_iter(results.is_none().then(|| "there is no readable results.json".to_owned()));
         let manifest = fs::read(folder.join("manifest.json")).map_err(|error| error.to_string());
         let manifest = manifest.and_then(|bytes| serde_json::from_slice::<Value>(&bytes).map_err(|e| e.to_string()));
         let mut used_by = Vec::new();
@@ -395,7 +372,8 @@ fn folder(folder: &Path) -> Result<Found> {
         if folder.join("run.mcap").is_file() {
             used_by.push(format!("osteoflow replay {name}/run.mcap"));
         }
-        return Ok(Found { kind: "run", about: "a run".into(), verdict, problems, used_by, ..Found::default() });
+        let contents = Contents::new("run", "a run").with_verdict(&results.unwrap_or_default());
+        return Ok(Contents { problems, used_by, ..contents });
     }
     let is_recording = |entry: fs::DirEntry| entry.path().extension().is_some_and(|ending| ending == "mcap");
     if folder.join("metadata.yaml").is_file() || fs::read_dir(folder)?.flatten().any(is_recording) {
