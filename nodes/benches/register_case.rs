@@ -5,7 +5,10 @@
 //! ms, and its answer.
 
 use anyhow::{Context, Result, anyhow, bail};
-use osteoflow::library::{self, Content, RegisterInputs};
+use osteoflow::{
+    app::{Content, read},
+    library::{self, RegisterInputs},
+};
 use std::{
     env,
     io::{Write, stdin, stdout},
@@ -33,12 +36,12 @@ fn main() -> Result<()> {
     let arguments: Vec<String> = env::args().skip(1).collect();
     let [case, threads] = &arguments[..] else { bail!("register_case CASE THREADS") };
     let case = PathBuf::from(case);
-    let shape = |name: &str| match library::read(&case.join(name), 1.0, "file", None, None) {
+    let shape = |name: &str| match read(&case.join(name), 1.0, "file", None, None) {
         Ok(Content::Shape(shape)) => Ok(shape),
         other => Err(anyhow!("{name}: {other:?}")),
     };
     let (target, source) = (shape("target.ply")?, shape("source.ply")?);
-    let Ok(Content::Pose(init, _)) = library::read(&case.join("init.txt"), 1.0, "file", None, None) else {
+    let Ok(Content::Pose(init, _)) = read(&case.join("init.txt"), 1.0, "file", None, None) else {
         bail!("init.txt is no pose")
     };
     let options = options(threads);
