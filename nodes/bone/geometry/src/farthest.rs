@@ -1,6 +1,5 @@
 //! How large a coordinate from outside may be.
 
-use crate::rigid::first_not;
 use nalgebra::Point3;
 
 /// Largest coordinate that is taken for one, mm: 10 km.
@@ -41,6 +40,14 @@ impl TooFar {
 /// Whether a coordinate is finite and no farther than [`FARTHEST_MM`].
 fn is_near(coordinate_mm: f64) -> bool {
     coordinate_mm.abs() <= FARTHEST_MM
+}
+
+/// The index of the first item for which `is_fine` does not hold. Looked for by blocks, which a compiler checks without branches.
+pub(crate) fn first_not<T>(items: &[T], is_fine: impl Fn(&T) -> bool) -> Option<usize> {
+    const BLOCK: usize = 1024;
+    let k = items.chunks(BLOCK).position(|block| !block.iter().fold(true, |fine, item| fine & is_fine(item)))?;
+    let at = k * BLOCK;
+    items[at..].iter().position(|item| !is_fine(item)).map(|i| at + i)
 }
 
 #[cfg(test)]

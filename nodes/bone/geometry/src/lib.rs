@@ -29,6 +29,7 @@ mod points;
 mod pose;
 mod region;
 mod rigid;
+mod units;
 
 pub use axes::Axes;
 pub use cloud::{Cloud, CloudError};
@@ -48,9 +49,4 @@ pub use rigid::{
     check_rotation, direction, exact_isometry, first_not_unit, isometry_from_matrix, matrix_rows, nearest_isometry,
     nearest_rotation,
 };
-
-/// Nanoseconds since the Unix epoch; 0 for what has no time, such as a CT surface.
-pub type StampNs = i64;
-
-/// Millimetres in a metre, for readers, writers and views; everything else is in millimetres.
-pub const MM_PER_M: f64 = 1000.0;
+pub use units::{MM_PER_M, StampNs};

@@ -19,7 +19,7 @@
 //! A quaternion counts four times because `q v q*` scales the displacement `Rv − v` by `‖q‖²`, and the displacement is up
 //! to twice the distance.
 
-use crate::TooFar;
+use crate::farthest::{TooFar, first_not};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::fmt;
 
@@ -324,14 +324,6 @@ pub fn first_not_unit(normals: &[Vector3<f64>]) -> Option<(usize, f64)> {
     let is_unit = |n: &Vector3<f64>| (n.norm_squared() - 1.0).abs() <= 2.0 * EXACT_ROTATION;
     let index = first_not(normals, is_unit)?;
     Some((index, normals[index].norm()))
-}
-
-/// The index of the first item for which `is_fine` does not hold. Looked for by blocks, which a compiler checks without branches.
-pub(crate) fn first_not<T>(items: &[T], is_fine: impl Fn(&T) -> bool) -> Option<usize> {
-    const BLOCK: usize = 1024;
-    let k = items.chunks(BLOCK).position(|block| !block.iter().fold(true, |fine, item| fine & is_fine(item)))?;
-    let at = k * BLOCK;
-    items[at..].iter().position(|item| !is_fine(item)).map(|i| at + i)
 }
 
 /// The rows of the homogeneous matrix of `isometry`, as results and plans write it.

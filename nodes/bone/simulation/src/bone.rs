@@ -4,19 +4,19 @@
 //! Each section is a rounded triangle around a slightly bowed centre line, with three ridges that wander along the
 //! shaft and a seeded, smooth unevenness; malleolus and head are swellings that end in half ellipsoids.
 
-use crate::SimulationError;
 use crate::draws::normal;
-use crate::error::check_rules;
+use crate::error::SimulationError;
+use crate::ranges;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh, SurfaceOrigin};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 /// Shape and position of the built-in right fibula, and what makes another bone of it or of one of your own.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BoneParams {
     /// From malleolus tip to the top of the head. 350 mm: within the 336 to 360 mm of the two measured fibulas that the
@@ -82,13 +82,7 @@ impl BoneParams {
     }
 
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
-        check_rules([
-            ("bone.length_mm", self.length_mm, self.length_mm >= 100.0, "at least 100"),
-            ("bone.girth", self.girth, self.girth > 0.0, "more than 0"),
-            ("bone.edge_mm", self.edge_mm, self.edge_mm >= 0.1, "at least 0.1"),
-            ("bone.unevenness_mm", self.unevenness_mm, self.unevenness_mm >= 0.0, "0 or more"),
-            ("bone.warp_mm", self.warp_mm, self.warp_mm >= 0.0, "0 or more"),
-        ])
+        ranges::check("bone", self)
     }
 }
 

@@ -27,7 +27,7 @@ fn t_check_marker() -> Isometry3<f64> {
 }
 
 /// Time and place of a scan of the piece.
-pub(crate) struct Look {
+pub(crate) struct PieceScan {
     /// `calibration` or `working`, the prefix of the holes' names.
     pub(crate) name: &'static str,
     pub(crate) s: f64,
@@ -37,8 +37,8 @@ pub(crate) struct Look {
 }
 
 /// The holes of each scan as read from the cloud (frame `camera`) and as given by localiser and CAD (frame `world`).
-pub(crate) fn look_at(
-    looks: &[Look],
+pub(crate) fn read_holes(
+    scans: &[PieceScan],
     tracker: &Tracker<'_>,
     bias: &DepthBias,
     params: &CheckParams,
@@ -48,17 +48,17 @@ pub(crate) fn look_at(
     let mut print = stream(params.print_seed.unwrap_or(seed), Term::CheckPrint, 0);
     let printed: Vec<Point3<f64>> = holes().iter().map(|hole| hole + normal3(&mut print) * params.print_mm).collect();
     let burst_s = tracker.params.burst_s;
-    let look_at = |(place, look): (usize, &Look)| {
+    let read_scan = |(place, scan): (usize, &PieceScan)| {
         let mut rng = stream(seed, Term::CheckPlace, place as u64);
         let facing =
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let held = UnitQuaternion::from_scaled_axis(normal3(&mut rng) * view_spread_rad);
         let aside = normal3(&mut rng) * 4.0;
-        let t_camera_check = Translation3::from(Vector3::new(0.0, 0.0, look.distance_mm) + aside) * held * facing;
-        let stamp_ns: StampNs = tracker.stamp(look.s);
+        let t_camera_check = Translation3::from(Vector3::new(0.0, 0.0, scan.distance_mm) + aside) * held * facing;
+        let stamp_ns: StampNs = tracker.stamp(scan.s);
         let named = |k: usize, at: Point3<f64>| NamedPoint {
             stamp_ns,
-            ..NamedPoint::new(format!("{}_{}", look.name, k + 1), at)
+            ..NamedPoint::new(format!("{}_{}", scan.name, k + 1), at)
         };
         let mut reading = stream(seed, Term::CheckReading, place as u64);
         let read = printed.iter().enumerate().map(|(k, hole)| {
@@ -67,13 +67,13 @@ pub(crate) fn look_at(
             named(k, bent + normal3(&mut reading) * params.reading_mm)
         });
         // The mean of the marker's samples at this place.
-        let path = Path::resting(look.t_world_camera * t_camera_check);
+        let path = Path::resting(scan.t_world_camera * t_camera_check);
         let samples = tracker.samples_at_place(
             Marker::Check,
             place as u64,
             &path,
             |_| t_check_marker(),
-            &[(look.s - burst_s, look.s + burst_s)],
+            &[(scan.s - burst_s, scan.s + burst_s)],
         );
         let n = samples.len() as f64;
         let known = holes().into_iter().enumerate().map(|(k, hole)| {
@@ -84,7 +84,7 @@ pub(crate) fn look_at(
         let pair = (Points::new("camera", read.collect::<Vec<_>>()), Points::new("world", known.collect::<Vec<_>>()));
         (!samples.is_empty()).then_some(pair)
     };
-    looks.iter().enumerate().filter_map(look_at).collect()
+    scans.iter().enumerate().filter_map(read_scan).collect()
 }
 
 #[cfg(test)]
@@ -107,8 +107,8 @@ mod tests {
             let tracker = Tracker { params: &params, seed, start_ns: 1 };
             let camera = CameraParams { depth_bias_mm: 0.0, ..CameraParams::default() };
             let t_world_camera = Isometry3::new(Vector3::new(300.0, -80.0, 900.0), Vector3::new(0.4, 2.0, -0.3));
-            let look = Look { name: "working", s: 1.0, t_world_camera, distance_mm: 200.0 };
-            let pairs = look_at(&[look], &tracker, &DepthBias::new(&camera, seed), &CheckParams::default(), 0.05);
+            let scan = PieceScan { name: "working", s: 1.0, t_world_camera, distance_mm: 200.0 };
+            let pairs = read_holes(&[scan], &tracker, &DepthBias::new(&camera, seed), &CheckParams::default(), 0.05);
             let (read, known) = &pairs[0];
             assert_eq!((read.points.len(), &*read.points[11].name), (12, "working_12"));
             squares.extend(

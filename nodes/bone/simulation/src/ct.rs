@@ -1,8 +1,8 @@
 //! A simulated CT: the bone's surface after scanning and thresholding.
 
-use crate::SimulationError;
 use crate::draws::{Term, stream};
-use crate::error::check_rules;
+use crate::error::{SimulationError, check_rules};
+use crate::ranges;
 use crate::waves::Waves;
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::iso_surface::{iso_surface, make_well_composed};
@@ -13,10 +13,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// The scanner and the segmentation.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CtParams {
     /// Edge of the cubic voxels. 0.7 mm: a clinical CT of the leg.
@@ -75,19 +75,8 @@ impl Default for CtParams {
 
 impl CtParams {
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
+        ranges::check("ct", self)?;
         check_rules([
-            ("ct.voxel_mm", self.voxel_mm, self.voxel_mm >= 0.05, "at least 0.05"),
-            ("ct.blur_mm", self.blur_mm, (0.0..=10.0).contains(&self.blur_mm), "between 0 and 10"),
-            ("ct.noise_hu", self.noise_hu, self.noise_hu >= 0.0, "0 or more"),
-            (
-                "ct.noise_correlation_mm",
-                self.noise_correlation_mm,
-                (0.0..=10.0).contains(&self.noise_correlation_mm),
-                "between 0 and 10",
-            ),
-            ("ct.bumps_mm", self.bumps_mm, self.bumps_mm >= 0.0, "0 or more"),
-            ("ct.bumps_wavelength_mm", self.bumps_wavelength_mm, self.bumps_wavelength_mm > 0.0, "more than 0"),
-            ("ct.tissue_hu", self.tissue_hu, true, "finite"),
             ("ct.bone_hu", self.bone_hu, self.bone_hu > self.tissue_hu, "above tissue_hu"),
             (
                 "ct.threshold_hu",
@@ -494,12 +483,14 @@ mod tests {
     fn bones_and_parameters_without_a_ct_are_refused_with_the_reason() {
         let bone = fibula(&BoneParams { edge_mm: 3.0, ..BoneParams::default() });
         let open = Mesh::new("ct", SurfaceOrigin::User, bone.vertices().to_vec(), bone.faces()[1..].to_vec()).unwrap();
-        let said = ct_surface(&open, &CtParams::default(), 1).unwrap_err();
-        assert_eq!(said, SimulationError::NotClosed { n_open_edges: 3 });
-        let fine = CtParams { voxel_mm: 0.06, ..CtParams::default() };
-        assert!(matches!(ct_surface(&bone, &fine, 1), Err(SimulationError::CtTooLarge { .. })));
-        let coarse = CtParams { voxel_mm: 60.0, ..CtParams::default() };
-        assert!(matches!(ct_surface(&bone, &coarse, 1), Err(SimulationError::NoBoneInCt { .. })));
+        let error = ct_surface(&open, &CtParams::default(), 1).unwrap_err();
+        assert_eq!(error, SimulationError::NotClosed { n_open_edges: 3 });
+        let large = fibula(&BoneParams { edge_mm: 3.0, length_mm: 450.0, girth: 1.6, ..BoneParams::default() });
+        let fine = CtParams { voxel_mm: 0.2, ..CtParams::default() };
+        assert!(matches!(ct_surface(&large, &fine, 1), Err(SimulationError::CtTooLarge { .. })));
+        let blurred =
+            CtParams { voxel_mm: 3.0, blur_mm: 3.0, noise_hu: 0.0, threshold_hu: 1249.9, ..CtParams::default() };
+        assert!(matches!(ct_surface(&bone, &blurred, 1), Err(SimulationError::NoBoneInCt { .. })));
         let absurd = CtParams { threshold_hu: 5000.0, ..CtParams::default() };
         assert!(matches!(ct_surface(&bone, &absurd, 1), Err(SimulationError::Parameter { .. })));
     }

@@ -61,11 +61,11 @@ pub enum SimulationError {
     #[error("{name} is {value}, but must be {expected}")]
     Parameter {
         /// Its name, with its table.
-        name: &'static str,
-        /// Its value.
-        value: f64,
+        name: String,
+        /// Its value, or "not finite".
+        value: String,
         /// What it must be.
-        expected: &'static str,
+        expected: String,
     },
     /// The surface is open, so it has no inside.
     #[error(
@@ -116,7 +116,11 @@ pub(crate) type Rule = (&'static str, f64, bool, &'static str);
 /// The first rule that does not hold, as an error.
 pub(crate) fn check_rules(rules: impl IntoIterator<Item = Rule>) -> Result<(), SimulationError> {
     match rules.into_iter().find(|&(_, value, holds, _)| !(holds && value.is_finite())) {
-        Some((name, value, _, expected)) => Err(SimulationError::Parameter { name, value, expected }),
+        Some((name, value, _, expected)) => Err(SimulationError::Parameter {
+            name: name.to_owned(),
+            value: value.to_string(),
+            expected: expected.to_owned(),
+        }),
         None => Ok(()),
     }
 }

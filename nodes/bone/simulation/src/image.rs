@@ -27,7 +27,7 @@ const AT_RIM: f64 = 0.12;
 
 /// What the camera sees through one pixel.
 #[derive(Clone, Copy)]
-struct Seen {
+struct PixelSurface {
     /// Point, camera frame.
     point: Point3<f64>,
     reflectance: [f64; 3],
@@ -40,7 +40,7 @@ struct Seen {
 pub(crate) struct View {
     intrinsics: Intrinsics,
     size: [u32; 2],
-    seen: Vec<Option<Seen>>,
+    seen: Vec<Option<PixelSurface>>,
 }
 
 /// What is in one image.
@@ -123,7 +123,7 @@ impl View {
 }
 
 /// The first surface along a ray, whatever its slant.
-fn look(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, ray: Vector3<f64>) -> Option<Seen> {
+fn look(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, ray: Vector3<f64>) -> Option<PixelSurface> {
     let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
     let cast = |surface: &MeshQuery| surface.cast_ray(&origin, &along);
     let bone = cast(sight.object)
@@ -134,7 +134,7 @@ fn look(sight: &Sight<'_>, t_object_camera: &Isometry3<f64>, ray: Vector3<f64>) 
         bone.into_iter().chain(tissue).min_by(|(a, ..), (b, ..)| a.distance_mm.total_cmp(&b.distance_mm))?;
     let facing = (-along.dot(&hit.normal)).max(0.0);
     let shade = AMBIENT + (1.0 - AMBIENT) * facing;
-    Some(Seen { point: Point3::from(ray * hit.distance_mm), reflectance, shade, on_bone })
+    Some(PixelSurface { point: Point3::from(ray * hit.distance_mm), reflectance, shade, on_bone })
 }
 
 #[cfg(test)]

@@ -26,7 +26,9 @@ mod params;
 pub mod phantom;
 mod plan;
 pub mod procedure;
+mod ranges;
 mod scene;
+mod simulate;
 mod stylus;
 mod subject;
 mod surroundings;
@@ -42,8 +44,10 @@ pub use params::{
     CameraParams, CheckParams, ImageMark, ImageParams, LaserDisc, LaserParams, MotionParams, PeriosteumParams,
     PhantomParams, ProcedureParams, RulerParams, SlipsBefore, StylusParams, TissueParams, TrackerParams,
 };
+pub use phantom::t_camera_camera_marker_nominal;
 pub use plan::plan;
-pub use procedure::{Procedure, Truth, t_camera_camera_marker_nominal};
+pub use procedure::{Procedure, Truth};
+pub use ranges::without_table_defaults;
 pub use subject::Subject;
 pub use weakest_mode::{SmoothError, WeakestMode, visible_surface, weakest_mode};
 

@@ -3,14 +3,16 @@
 //! "Other simulator" means the noise model written beside the recording of the development data, made independently of
 //! this crate; "assumed" means not measured. A term is switched off by 0.
 
-use crate::error::check_rules;
-use crate::{BoneParams, SimulationError};
+use crate::bone::BoneParams;
+use crate::error::{SimulationError, check_rules};
+use crate::ranges::{self, without_table_defaults};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A simulated procedure: the bone and the errors of every device.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
+#[schemars(transform = without_table_defaults)]
 pub struct ProcedureParams {
     /// The built-in bone.
     pub bone: BoneParams,
@@ -39,7 +41,7 @@ pub struct ProcedureParams {
 }
 
 /// The structured-light camera and its view of the bone.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraParams {
     /// Points of each cloud. 20,000: the paper's.
@@ -145,7 +147,7 @@ impl Default for CameraParams {
 }
 
 /// The localiser, which measures the markers' poses in frame `world`.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackerParams {
     /// Samples per second. 20 Hz: other simulator.
@@ -195,7 +197,7 @@ impl Default for TrackerParams {
 }
 
 /// The laser pointer; its spot blinds the camera.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LaserParams {
     /// The radius of the disc around the spot where the camera measures nothing. 2 mm: the paper's hole.
@@ -258,7 +260,7 @@ impl Default for LaserParams {
 }
 
 /// The colour images that the camera takes at each scan with the laser. The paper's camera takes none.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ImageParams {
     /// Whether images are taken. false: the paper's camera has no colour.
@@ -329,7 +331,7 @@ impl Default for ImageParams {
 }
 
 /// The calibration phantom as printed, and the support that carries the camera's marker.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhantomParams {
     /// Standard deviation, per axis, of the printed phantom marker against its CAD. 0.05 mm: other simulator.
@@ -386,7 +388,7 @@ impl Default for PhantomParams {
 }
 
 /// A printed piece with twelve holes and a marker, which the camera sees at the places of the phantom and the bone.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CheckParams {
     /// Standard deviation, per axis, of a hole's position as read from the cloud. 0.1 mm: assumed, half the spacing of
@@ -408,7 +410,7 @@ impl Default for CheckParams {
 
 /// Errors of the marks on the bone, which are measured off from the malleolus with a ruler and moved back onto the
 /// surface. The laser, the holes and the stylus follow the marks.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RulerParams {
     /// Standard deviation, along the bone, of the origin of all measurements: the malleolus under the skin. 0: off,
@@ -424,7 +426,7 @@ pub struct RulerParams {
 }
 
 /// A patchy film on the bone, which the camera sees instead of the bone, always closer. The stylus pierces it.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PeriosteumParams {
     /// Maximum thickness, off the bone. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
@@ -448,7 +450,7 @@ impl Default for PeriosteumParams {
 
 /// Lumps of soft tissue on the stripped bone, none on a mark, in the same place in all clouds of a run. They hide what is
 /// behind them. The stylus pierces them.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TissueParams {
     /// The share of the bone that the camera sees, by number of pixels, covered by at least half the minimum thickness.
@@ -473,7 +475,7 @@ impl Default for TissueParams {
 }
 
 /// The tracked stylus: the reference of the assessment, and the baseline method.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StylusParams {
     /// Standard deviation, per axis, of the tip's constant error, left by its own calibration. 0.1 mm: other simulator.
@@ -519,7 +521,7 @@ impl Default for StylusParams {
 }
 
 /// Start of the procedure, and its motions.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionParams {
     /// Seconds since the Unix epoch at which the procedure begins. 1,750,000,000 (15 June 2025): never 0, which viewers
@@ -652,144 +654,17 @@ impl ProcedureParams {
         }
     }
 
-    /// Checks that every number can be used, whatever its source; the schema has narrower, recommended ranges.
+    /// Checks the declared range of every number, and what must hold between two of them.
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
-        let (camera, tracker, film) = (&self.camera, &self.tracker, &self.periosteum);
-        let tissue = &self.tissue;
+        ranges::check("", self)?;
+        let (camera, tissue) = (&self.camera, &self.tissue);
         let ([thinnest, thickest], [smallest, largest]) = (tissue.thickness_mm, tissue.patch_mm);
-        let not_negative = "0 or more";
-        let positive = "more than 0";
-        let share = "at least 0 and less than 1";
-        self.bone.check()?;
         check_rules([
-            ("camera.n_points", camera.n_points as f64, camera.n_points > 0, positive),
-            ("camera.working_distance_mm", camera.working_distance_mm, camera.working_distance_mm > 0.0, positive),
-            ("camera.scan_from_mm", camera.scan_from_mm, camera.scan_from_mm >= 0.0, not_negative),
             ("camera.scan_to_mm", camera.scan_to_mm, camera.scan_to_mm > camera.scan_from_mm, "beyond scan_from_mm"),
-            ("camera.view_azimuth_deg", camera.view_azimuth_deg, true, "finite"),
-            ("camera.view_spread_deg", camera.view_spread_deg, camera.view_spread_deg >= 0.0, not_negative),
-            ("camera.depth_noise_mm", camera.depth_noise_mm, camera.depth_noise_mm >= 0.0, not_negative),
-            ("camera.depth_noise_growth", camera.depth_noise_growth, camera.depth_noise_growth >= 0.0, not_negative),
-            (
-                "camera.max_incidence_deg",
-                camera.max_incidence_deg,
-                0.0 < camera.max_incidence_deg && camera.max_incidence_deg < 90.0,
-                "between 0 and 90",
-            ),
-            ("camera.dropout", camera.dropout, (0.0..1.0).contains(&camera.dropout), share),
-            ("camera.patch_radius_mm", camera.patch_radius_mm, camera.patch_radius_mm >= 0.0, not_negative),
-            ("camera.depth_bias_mm", camera.depth_bias_mm, camera.depth_bias_mm >= 0.0, not_negative),
-            (
-                "camera.depth_bias_wavelength_mm",
-                camera.depth_bias_wavelength_mm,
-                camera.depth_bias_wavelength_mm > 0.0,
-                positive,
-            ),
-            ("tracker.rate_hz", tracker.rate_hz, (1.0..=1000.0).contains(&tracker.rate_hz), "between 1 and 1000"),
-            ("tracker.lost", tracker.lost, (0.0..1.0).contains(&tracker.lost), share),
-            ("tracker.placement_mm", tracker.placement_mm, tracker.placement_mm >= 0.0, not_negative),
-            ("tracker.placement_deg", tracker.placement_deg, tracker.placement_deg >= 0.0, not_negative),
-            ("tracker.noise_mm", tracker.noise_mm, tracker.noise_mm >= 0.0, not_negative),
-            ("tracker.noise_deg", tracker.noise_deg, tracker.noise_deg >= 0.0, not_negative),
-            ("tracker.drift_mm_per_min", tracker.drift_mm_per_min, tracker.drift_mm_per_min >= 0.0, not_negative),
-            // Scans are 4 s apart and what moves between them does so in the middle 0.2 s.
-            ("tracker.burst_s", tracker.burst_s, 0.0 < tracker.burst_s && tracker.burst_s < 1.9, "between 0 and 1.9"),
-            ("laser.hole_radius_mm", self.laser.hole_radius_mm, self.laser.hole_radius_mm > 0.0, positive),
-            ("laser.aim_across_mm", self.laser.aim_across_mm, self.laser.aim_across_mm >= 0.0, not_negative),
-            ("laser.aim_along_mm", self.laser.aim_along_mm, self.laser.aim_along_mm >= 0.0, not_negative),
-            ("laser.max_attempts", self.laser.max_attempts as f64, self.laser.max_attempts >= 1, "1 or more"),
-            (
-                "image.width_px",
-                f64::from(self.image.width_px),
-                (1..=16_384).contains(&self.image.width_px),
-                "1 to 16384",
-            ),
-            (
-                "image.height_px",
-                f64::from(self.image.height_px),
-                (1..=16_384).contains(&self.image.height_px),
-                "1 to 16384",
-            ),
-            (
-                "image.field_deg",
-                self.image.field_deg,
-                0.0 < self.image.field_deg && self.image.field_deg < 180.0,
-                "between 0 and 180",
-            ),
-            ("image.pen_radius_mm", self.image.pen_radius_mm, self.image.pen_radius_mm > 0.0, positive),
-            ("image.exposure", self.image.exposure, self.image.exposure >= 0.0, not_negative),
-            ("image.laser_peak", self.image.laser_peak, self.image.laser_peak > 0.0, positive),
-            ("image.glare_radius_mm", self.image.glare_radius_mm, self.image.glare_radius_mm > 0.0, positive),
-            ("image.reflection", self.image.reflection, self.image.reflection >= 0.0, not_negative),
-            ("image.noise_levels", self.image.noise_levels, self.image.noise_levels >= 0.0, not_negative),
-            ("phantom.print_mm", self.phantom.print_mm, self.phantom.print_mm >= 0.0, not_negative),
-            ("phantom.print_deg", self.phantom.print_deg, self.phantom.print_deg >= 0.0, not_negative),
-            (
-                "phantom.distance_mm",
-                self.phantom.distance_mm.unwrap_or(1.0),
-                self.phantom.distance_mm.is_none_or(|mm| mm > 0.0),
-                positive,
-            ),
-            ("phantom.mounting_mm", self.phantom.mounting_mm, self.phantom.mounting_mm >= 0.0, not_negative),
-            ("phantom.mounting_deg", self.phantom.mounting_deg, self.phantom.mounting_deg >= 0.0, not_negative),
-            ("stylus.tip_mm", self.stylus.tip_mm, self.stylus.tip_mm >= 0.0, not_negative),
-            ("stylus.touch_mm", self.stylus.touch_mm, self.stylus.touch_mm >= 0.0, not_negative),
-            ("stylus.palpation_mm", self.stylus.palpation_mm, self.stylus.palpation_mm >= 0.0, not_negative),
-            (
-                "stylus.palpation_bias_mm",
-                self.stylus.palpation_bias_mm,
-                self.stylus.palpation_bias_mm >= 0.0,
-                not_negative,
-            ),
-            (
-                "stylus.pivot_deg",
-                self.stylus.pivot_deg,
-                0.0 < self.stylus.pivot_deg && self.stylus.pivot_deg < 90.0,
-                "between 0 and 90",
-            ),
-            ("stylus.dimple_mm", self.stylus.dimple_mm, self.stylus.dimple_mm >= 0.0, not_negative),
-            ("camera.pool_radius_mm", camera.pool_radius_mm, camera.pool_radius_mm >= 0.0, not_negative),
-            (
-                "camera.specular_dropout",
-                camera.specular_dropout,
-                (0.0..=1.0).contains(&camera.specular_dropout),
-                "between 0 and 1",
-            ),
-            ("camera.specular_deg", camera.specular_deg, camera.specular_deg >= 0.0, not_negative),
-            ("camera.projector_mm", camera.projector_mm, camera.projector_mm >= 0.0, not_negative),
-            ("laser.beam_deg", self.laser.beam_deg, self.laser.beam_deg >= 0.0, not_negative),
-            ("check.reading_mm", self.check.reading_mm, self.check.reading_mm >= 0.0, not_negative),
-            ("check.print_mm", self.check.print_mm, self.check.print_mm >= 0.0, not_negative),
-            ("ruler.shared_mm", self.ruler.shared_mm, self.ruler.shared_mm >= 0.0, not_negative),
-            ("ruler.each_mm", self.ruler.each_mm, self.ruler.each_mm >= 0.0, not_negative),
-            ("ruler.across_mm", self.ruler.across_mm, self.ruler.across_mm >= 0.0, not_negative),
-            ("periosteum.thickness_mm", film.thickness_mm, film.thickness_mm >= 0.0, not_negative),
-            ("periosteum.share", film.share, 0.0 < film.share && film.share < 1.0, "between 0 and 1"),
-            ("periosteum.patch_mm", film.patch_mm, film.patch_mm > 0.0, positive),
-            ("motion.marker_slip_mm", self.motion.marker_slip_mm, self.motion.marker_slip_mm >= 0.0, not_negative),
-            ("motion.marker_slip_deg", self.motion.marker_slip_deg, self.motion.marker_slip_deg >= 0.0, not_negative),
-            ("camera.unit_factor", camera.unit_factor, camera.unit_factor > 0.0, positive),
-            ("phantom.scan_scale", self.phantom.scan_scale, self.phantom.scan_scale > 0.0, positive),
-            (
-                "phantom.marker_cad_wrong_mm",
-                self.phantom.marker_cad_wrong_mm,
-                self.phantom.marker_cad_wrong_mm >= 0.0,
-                not_negative,
-            ),
-            (
-                "phantom.marker_cad_wrong_deg",
-                self.phantom.marker_cad_wrong_deg,
-                self.phantom.marker_cad_wrong_deg >= 0.0,
-                not_negative,
-            ),
-            ("tissue.share", tissue.share, (0.0..1.0).contains(&tissue.share), share),
-            ("the minimum of tissue.thickness_mm", thinnest, thinnest > 0.0, positive),
             ("the maximum of tissue.thickness_mm", thickest, thickest >= thinnest, "at least the minimum"),
-            ("the minimum of tissue.patch_mm", smallest, smallest > 0.0, positive),
             ("the maximum of tissue.patch_mm", largest, largest >= smallest, "at least the minimum"),
-            ("motion.knock_mm", self.motion.knock_mm, self.motion.knock_mm >= 0.0, not_negative),
-            ("motion.knock_deg", self.motion.knock_deg, self.motion.knock_deg >= 0.0, not_negative),
-            ("motion.start_s", f64::from(self.motion.start_s), self.motion.start_s > 0, positive),
+            // Left out, it has no value, as a NaN in JSON.
+            ("phantom.distance_mm", self.phantom.distance_mm.unwrap_or(0.0), true, "a finite number"),
         ])
     }
 }

@@ -1,4 +1,4 @@
-//! The calibration phantom: a cube with blocks, without rotational symmetry.
+//! The calibration phantom: a cube with blocks, without rotational symmetry; and the support of the camera's marker.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
@@ -77,6 +77,11 @@ pub fn mesh() -> Mesh {
 /// `t_phantom_phantom_marker` by design: the marker is on an arm beside the cube, out of the camera's view.
 pub fn t_phantom_phantom_marker() -> Isometry3<f64> {
     Isometry3::new(Vector3::new(-58.0, -44.0, 26.0), Vector3::new(0.35, -0.5, 0.8))
+}
+
+/// `t_camera_camera_marker` by design of the support: the marker is beside and behind the lens.
+pub fn t_camera_camera_marker_nominal() -> Isometry3<f64> {
+    Isometry3::new(Vector3::new(36.0, -58.0, -21.0), Vector3::new(-0.4, 0.3, 1.1))
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The surgical plan on the bone: landmarks, assessment points and two cuts, by distances from the malleolus tip.
 
-use crate::{SimulationError, phantom, t_camera_camera_marker_nominal};
+use crate::{SimulationError, phantom};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::landmarks::{self, RecipeParams};
 use osteoflow_algorithms::{axes, mesh_query::MeshQuery, section};
@@ -76,7 +76,7 @@ fn phantom_marker() -> Pose {
 }
 
 fn nominal_camera_marker() -> Pose {
-    Pose::new("camera", "camera_marker", t_camera_camera_marker_nominal())
+    Pose::new("camera", "camera_marker", phantom::t_camera_camera_marker_nominal())
 }
 
 /// Completes a user's plan: with all points and cuts if it is an anatomy alone (as [`plan`]); with the bone's axes;

@@ -1,9 +1,6 @@
-//! One whole procedure: calibration, scan, laser scans, stylus, and a motion of the bone afterwards.
+//! What a whole procedure leaves: calibration, scan, laser scans, stylus, and a motion of the bone afterwards.
 
-use crate::scene::Scene;
-use crate::{ProcedureParams, SimulationError, Subject, phantom};
-use nalgebra::{Isometry3, Point3, Vector3};
-use osteoflow_algorithms::mesh_query::MeshQuery;
+use nalgebra::Point3;
 use osteoflow_geometry::{Cloud, Image, Mesh, Planes, Points, Pose, Region, SurgicalPlan};
 
 /// The contents of a recording of a procedure, and separately the truth.
@@ -99,46 +96,4 @@ pub struct Truth {
     pub planes_world_at_scan: Planes,
     /// The planned planes at the end, frame `world`.
     pub planes_world_after_motion: Planes,
-}
-
-/// `t_camera_camera_marker` by design of the support: the marker is beside and behind the lens.
-pub fn t_camera_camera_marker_nominal() -> Isometry3<f64> {
-    Isometry3::new(Vector3::new(36.0, -58.0, -21.0), Vector3::new(-0.4, 0.3, 1.1))
-}
-
-impl Procedure {
-    /// A procedure on the built-in bone. The same parameters and seed give the same bits on any number of threads.
-    ///
-    /// # Errors
-    /// [`SimulationError`] if a parameter is out of range or nothing is visible.
-    pub fn simulate(params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
-        Self::simulate_for(&Subject::built_in(&params.bone)?, params, seed)
-    }
-
-    /// A procedure on a subject, which can be reused, calibrated with the built-in phantom. `params.bone` is not used.
-    ///
-    /// # Errors
-    /// As [`Procedure::simulate_on`].
-    pub fn simulate_for(subject: &Subject, params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
-        params.check()?;
-        Scene::new(&subject.surface, &subject.plan, &phantom::mesh(), params, seed)?.run()
-    }
-
-    /// A procedure on any closed bone surface with a plan, calibrated with any phantom. `params.bone` is not used.
-    ///
-    /// The built-in marker poses are used if the plan has none.
-    ///
-    /// # Errors
-    /// As [`Procedure::simulate`]; and if the plan has no anatomy, fewer than three landmarks or no assessment point,
-    /// or is in another frame than the bone.
-    pub fn simulate_on(
-        bone: &Mesh,
-        plan: &SurgicalPlan,
-        phantom: &Mesh,
-        params: &ProcedureParams,
-        seed: u64,
-    ) -> Result<Self, SimulationError> {
-        params.check()?;
-        Scene::new(&MeshQuery::new(bone), plan, phantom, params, seed)?.run()
-    }
 }

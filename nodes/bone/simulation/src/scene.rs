@@ -13,7 +13,7 @@ mod written;
 pub(crate) use places::scan_pose;
 
 use crate::camera::{DepthBias, Pixel};
-use crate::check_piece::{Look, look_at};
+use crate::check_piece::{PieceScan, read_holes};
 use crate::tracker::{Path, Tracker};
 use crate::{Procedure, ProcedureParams, SimulationError};
 use markers::Markers;
@@ -146,14 +146,14 @@ impl Scene<'_> {
     fn check(&self, tracker: &Tracker<'_>, bias: &DepthBias) -> Vec<(Points, Points)> {
         let params = self.params;
         let working_mm = params.camera.working_distance_mm;
-        let look = |name, s, distance_mm| Look { name, s, t_world_camera: self.camera.at(s), distance_mm };
-        let looks = [
-            look("calibration", CALIBRATION_S, params.phantom.distance_mm.unwrap_or(working_mm)),
-            look("working", SCAN_S, working_mm),
+        let scan = |name, s, distance_mm| PieceScan { name, s, t_world_camera: self.camera.at(s), distance_mm };
+        let scans = [
+            scan("calibration", CALIBRATION_S, params.phantom.distance_mm.unwrap_or(working_mm)),
+            scan("working", SCAN_S, working_mm),
         ];
         let spread_rad = params.camera.view_spread_deg.to_radians();
-        let looks = look_at(&looks, tracker, bias, &params.check, spread_rad).into_iter();
-        looks.map(|(read, known)| (self.holes_as_written(read), known)).collect()
+        let holes = read_holes(&scans, tracker, bias, &params.check, spread_rad).into_iter();
+        holes.map(|(read, known)| (self.holes_as_written(read), known)).collect()
     }
 }
 

@@ -55,9 +55,9 @@ impl<'a> Stylus<'a> {
             tracker.sample(Marker::Stylus, &with_tip_at(&at, rotation), 0, s, &mut noise)
         });
         let pivoting: Vec<Pose> = poses.collect();
-        let found = calibrate::pivot(&pivoting.iter().map(|pose| pose.isometry).collect::<Vec<_>>())?;
+        let pivot_fit = calibrate::pivot(&pivoting.iter().map(|pose| pose.isometry).collect::<Vec<_>>())?;
         let attitude = stream(tracker.seed, Term::StylusAttitude, 0);
-        Ok(Self { tracker, attitude, noise, n_touches: 0, tip: found.tip.into(), pivoting, touching: Vec::new() })
+        Ok(Self { tracker, attitude, noise, n_touches: 0, tip: pivot_fit.tip.into(), pivoting, touching: Vec::new() })
     }
 
     /// The measured position of the tip that truly is at `at` (world, without the localiser's drift), held roughly

@@ -94,9 +94,9 @@ impl<'a> Lumps<'a> {
             }
         }
         Err(SimulationError::Parameter {
-            name: "tissue.share",
-            value: params.share,
-            expected: "a share that can be covered without the marks; take a smaller one",
+            name: "tissue.share".into(),
+            value: params.share.to_string(),
+            expected: "a share that can be covered without the marks; take a smaller one".into(),
         })
     }
 

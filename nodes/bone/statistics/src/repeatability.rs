@@ -58,15 +58,15 @@ pub fn repeatability<G: Ord>(group_of: &[G], values: &[f64]) -> Result<Repeatabi
     StatisticsError::too_few("groups", groups.len(), 2)?;
     StatisticsError::too_few("rows beyond the first of their group", values.len() - groups.len(), 1)?;
     StatisticsError::constant("values", values)?;
-    let found = OneWay::of(&groups);
-    let (between, within, n0) = (found.mean_square_between, found.mean_square_within, found.n0);
+    let anova = OneWay::of(&groups);
+    let (between, within, n0) = (anova.mean_square_between, anova.mean_square_within, anova.n0);
     let sd_within = within.sqrt();
     Ok(Repeatability {
-        n: found.n,
-        n_groups: found.n_groups,
+        n: anova.n,
+        n_groups: anova.n_groups,
         n0,
         sd_within,
-        sd_between: found.variance_between().sqrt(),
+        sd_between: anova.variance_between().sqrt(),
         coefficient: NORMAL_95 * 2.0_f64.sqrt() * sd_within,
         icc: (between - within) / (between + (n0 - 1.0) * within),
     })

@@ -115,9 +115,9 @@ fn exact_p(ranks: &[f64], w_plus: f64, alternative: Alternative) -> f64 {
             shares[sum] = 0.5 * (shares[sum] + if sum >= rank { shares[sum - rank] } else { 0.0 });
         }
     }
-    let found = (2.0 * w_plus) as usize;
-    let less: f64 = shares[..=found].iter().sum();
-    let greater: f64 = shares[found..].iter().sum();
+    let doubled_w = (2.0 * w_plus) as usize;
+    let less: f64 = shares[..=doubled_w].iter().sum();
+    let greater: f64 = shares[doubled_w..].iter().sum();
     match alternative {
         Alternative::TwoSided => (2.0 * less.min(greater)).min(1.0),
         Alternative::Less => less,

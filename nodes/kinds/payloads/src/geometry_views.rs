@@ -1,16 +1,19 @@
 //! The payloads of `osteoflow-geometry`: millimetres and `f64`, bit for bit.
 
+#[cfg(feature = "viewer")]
+use crate::foxglove;
 use crate::{
     Table,
     columns::{from_column, to_column},
-    foxglove,
 };
 use osteoflow_geometry::{
     Axes, Cloud, Frame, Image, Intrinsics, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region,
     RigidError, SurfaceOrigin, TooFar, check_rotation, exact_isometry, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Vector3},
 };
-use osteoflow_node::{ColumnType, Display, DisplayContext, Payload, SchemaEntry, View, ViewError};
+use osteoflow_node::{ColumnType, Payload, SchemaEntry, View, ViewError};
+#[cfg(feature = "viewer")]
+use osteoflow_node::{Display, DisplayContext};
 use serde_json::{Value as Json, json};
 
 /// Separator of names in one text field; a name holds no line break.
@@ -117,14 +120,17 @@ impl Payload<Table> for Cloud {
         json!({ "frame": self.frame, "stamp_ns": self.stamp_ns, "label": self.label, "n_points": self.len() })
     }
 
+    #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
         foxglove::points_schema()
     }
 
+    #[cfg(feature = "viewer")]
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         foxglove::points(&self.frame, about.stamp_ns, self.points())
     }
 
+    #[cfg(feature = "viewer")]
     fn display_centre(&self) -> Option<[f64; 3]> {
         foxglove::centre(self.points())
     }
@@ -161,14 +167,17 @@ impl Payload<Table> for Mesh {
         json!({ "frame": self.frame, "n_vertices": self.vertices().len(), "n_faces": self.faces().len() })
     }
 
+    #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
         foxglove::scene_schema()
     }
 
+    #[cfg(feature = "viewer")]
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         foxglove::mesh(self, about)
     }
 
+    #[cfg(feature = "viewer")]
     fn display_centre(&self) -> Option<[f64; 3]> {
         foxglove::centre(self.vertices())
     }
@@ -216,10 +225,12 @@ impl Payload<Table> for Pose {
         Pose::interpolate(a, b, s)
     }
 
+    #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
         foxglove::transform_schema()
     }
 
+    #[cfg(feature = "viewer")]
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         foxglove::transform(self, about)
     }
@@ -289,10 +300,12 @@ impl Payload<Table> for Points {
         Json::Array(points.collect())
     }
 
+    #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
         foxglove::scene_schema()
     }
 
+    #[cfg(feature = "viewer")]
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         foxglove::named_points(self, about)
     }
@@ -367,10 +380,12 @@ impl Payload<Table> for Planes {
         Json::Array(planes.collect())
     }
 
+    #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
         Some(Display { answer: true, removal: foxglove::no_planes()?, ..foxglove::scene_schema()? })
     }
 
+    #[cfg(feature = "viewer")]
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         foxglove::planes(self, about)
     }
@@ -492,10 +507,12 @@ impl Payload<Table> for Image {
         })
     }
 
+    #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
         foxglove::image_schema()
     }
 
+    #[cfg(feature = "viewer")]
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         foxglove::image(self, about.stamp_ns)
     }

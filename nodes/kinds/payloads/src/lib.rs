@@ -17,13 +17,14 @@
 //! never a plugin) and `algorithms` (`algorithms/Target`, and the reports of algorithms).
 
 mod columns;
-#[cfg_attr(not(feature = "viewer"), path = "no_foxglove.rs")]
+#[cfg(feature = "viewer")]
 mod foxglove;
 mod geometry_views;
 mod metrics;
 mod plain_values;
 #[cfg(feature = "algorithms")]
 mod report;
+mod table;
 #[cfg(feature = "algorithms")]
 mod target;
 
@@ -32,11 +33,9 @@ pub use metrics::{Metric, Metrics, MetricsError};
 pub use osteoflow_algorithms as algorithms;
 pub use osteoflow_geometry as geometry;
 pub use plain_values::{Flag, Json, Text};
+pub use table::Table;
 
 use osteoflow_node::Registry;
-
-/// The mark of this table: `impl Payload<Table> for Cloud`.
-pub struct Table;
 
 /// Adds every payload type of the table to a registry.
 pub fn register(registry: &mut Registry) {

@@ -1,7 +1,8 @@
+#[cfg(feature = "viewer")]
+use crate::foxglove;
 use crate::{
     Table,
     columns::{from_column, to_column},
-    foxglove,
     geometry_views::{invalid, origin},
 };
 use osteoflow_algorithms::{
@@ -10,7 +11,9 @@ use osteoflow_algorithms::{
     target::{GridColumns, Target},
 };
 use osteoflow_geometry::{Column, Mesh, first_not_unit, nalgebra::Vector3};
-use osteoflow_node::{ColumnType, Display, DisplayContext, Payload, SchemaEntry, View, ViewError};
+use osteoflow_node::{ColumnType, Payload, SchemaEntry, View, ViewError};
+#[cfg(feature = "viewer")]
+use osteoflow_node::{Display, DisplayContext};
 use serde_json::{Value as Json, json};
 
 /// The head field that is present if the view has a grid.
@@ -118,10 +121,12 @@ impl Payload<Table> for Target {
         json!({ "frame": self.frame, "n_points": self.points().len(), "ct_surface": self.origin })
     }
 
+    #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
         foxglove::scene_schema()
     }
 
+    #[cfg(feature = "viewer")]
     fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         match self.mesh() {
             Some(mesh) => foxglove::mesh(mesh.mesh(), about),
@@ -129,6 +134,7 @@ impl Payload<Table> for Target {
         }
     }
 
+    #[cfg(feature = "viewer")]
     fn display_centre(&self) -> Option<[f64; 3]> {
         foxglove::centre(self.points())
     }
