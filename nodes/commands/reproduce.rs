@@ -20,7 +20,8 @@ use osteoflow_engine::{
 };
 use osteoflow_node::Role;
 use osteoflow_report::{
-    reproduction::{EXPERIMENTS, Reproduction, WITH_MAPS},
+    format::shell_word,
+    reproduction::{EXPERIMENTS, Reproduction, TIMED, WITH_MAPS},
     summary,
 };
 use osteoflow_simulation::{Procedure, ProcedureParams};
@@ -115,7 +116,6 @@ impl Reproduce {
             (Some(dir), true) => dir.clone(),
             (dir, _) => new_dir(dir.as_deref(), "reproduce")?.to_path_buf(),
         };
-        let bone = self.bone_sets()?;
         let names: Vec<String> = match self.only.as_slice() {
             [] => EXPERIMENTS.map(str::to_owned).to_vec(),
             only => only.to_vec(),
@@ -125,8 +125,7 @@ impl Reproduce {
         for name in &names {
             // Everything is checked before the first run of an experiment; an experiment's own faults stop it there.
             let graph = self.graphs.join(format!("{name}.toml"));
-            let sets: Vec<_> = self.sets.iter().cloned().chain(bone.iter().flat_map(|b| b.of(name))).collect();
-            match sweep::check(&graph, &sets, PluginArgs::default().kinds_apart()?, workers) {
+            match sweep::check(&graph, &self.sets_of(name)?, PluginArgs::default().kinds_apart()?, workers) {
                 Ok(sweep) => sweeps.push((name, sweep)),
                 Err(faults) => {
                     graph_args::print_faults(&faults, global)?;
@@ -171,15 +170,14 @@ impl Reproduce {
 
     /// Writes the pages, and prints their paths and the numbers outside the paper's spread.
     fn print_end(&self, sweeps: &[(String, Folder)], out: &Path, began: Instant, global: &Global) -> Result<Exit> {
-        let mut reproduction = Reproduction::new(sweeps)?;
-        for name in reproduction.timed() {
-            if let Some(nodes) = self.time(&name)? {
-                reproduction = reproduction.with_times(&name, nodes);
-            }
+        let reproduction = Reproduction::new(sweeps)?;
+        let mut times = Vec::new();
+        for (name, _) in sweeps.iter().filter(|(name, _)| TIMED.contains(&&**name)) {
+            times.extend(self.time(name)?.map(|nodes| (name.clone(), nodes)));
         }
         let path = self.page(out);
-        fs::write(&path, reproduction.page(&self.command(&self.only), &|name| self.command_of(name)))
-            .with_context(|| format!("{} cannot be written", path.display()))?;
+        let page = reproduction.page(&self.command(&self.only), &|name| self.command_of(name), &times)?;
+        fs::write(&path, page).with_context(|| format!("{} cannot be written", path.display()))?;
         let outside = reproduction.outside();
         let empty = reproduction.without_results();
         for line in &empty {
@@ -222,8 +220,8 @@ impl Reproduce {
     /// Times of the nodes that compute in one procedure of an experiment, or `None` if it is refused.
     fn time(&self, experiment: &str) -> Result<Option<Vec<NodeStats>>> {
         let graph = self.graphs.join(format!("{experiment}.toml"));
-        let sets: Vec<_> =
-            self.sets.iter().cloned().chain(self.bone_sets()?.iter().flat_map(BoneSets::plain)).collect();
+        let own = self.bone_keys()?.into_iter().map(|(key, file)| format!("{key}={file}"));
+        let sets: Vec<_> = self.sets.iter().cloned().chain(own).collect();
         let registry = registry();
         let Ok(checked) = osteoflow_engine::check(&graph, &sets, &registry) else { return Ok(None) };
         let report = osteoflow_engine::run(&checked.plan, &registry, &RunOptions::default(), &())?;
@@ -247,18 +245,18 @@ impl Reproduce {
     fn command(&self, only: &[String]) -> String {
         let mut command = "osteoflow reproduce".to_owned();
         if self.graphs != Path::new(GRAPHS) {
-            let _ = write!(command, " --graphs {}", quoted(&self.graphs.to_string_lossy()));
+            let _ = write!(command, " --graphs {}", shell_word(&self.graphs.to_string_lossy()));
         }
         for (option, path) in [("--bone", &self.bone), ("--plan", &self.plan)] {
             if let Some(path) = path {
-                let _ = write!(command, " {option} {}", quoted(&path.to_string_lossy()));
+                let _ = write!(command, " {option} {}", shell_word(&path.to_string_lossy()));
             }
         }
         if !only.is_empty() {
             let _ = write!(command, " --only {}", only.join(" "));
         }
         for set in &self.sets {
-            let _ = write!(command, " --set {}", quoted(set));
+            let _ = write!(command, " --set {}", shell_word(set));
         }
         command
     }
@@ -271,14 +269,30 @@ impl Reproduce {
         }
     }
 
-    fn bone_sets(&self) -> Result<Option<BoneSets>> {
-        let (Some(bone), Some(plan)) = (&self.bone, &self.plan) else { return Ok(None) };
-        let absolute = |path: &PathBuf| {
-            let there = fs::canonicalize(path).with_context(|| format!("{} cannot be read", path.display()))?;
-            Ok::<_, anyhow::Error>(there.to_string_lossy().into_owned())
-        };
-        let name = bone.file_stem().map_or_else(|| "bone".into(), |stem| stem.to_string_lossy().into_owned());
-        Ok(Some(BoneSets { name, bone: absolute(bone)?, plan: absolute(plan)? }))
+    /// The settings of the sweep of an experiment.
+    fn sets_of(&self, experiment: &str) -> Result<Vec<String>> {
+        let mut sets = self.sets.clone();
+        // The calibration has no bone.
+        if let Some(bone) = self.bone.as_ref().filter(|_| experiment != "calibration") {
+            let keys: Vec<_> = self.bone_keys()?.iter().map(|(key, file)| format!("{key} = {file}")).collect();
+            let name = bone.file_stem().map_or("bone".into(), |stem| stem.to_string_lossy());
+            sets.push(format!("sweep.factor.bone.values=[{{ {} }}]", keys.join(", ")));
+            sets.push(format!("sweep.factor.bone.labels=[{}]", Value::from(name)));
+        }
+        Ok(sets)
+    }
+
+    /// The keys that set a bone of the user's own instead of the built-in ones, with their values; none without --bone.
+    fn bone_keys(&self) -> Result<Vec<(String, String)>> {
+        let mut keys = Vec::new();
+        for node in ["recording", "plan", "bone", "real_bone"] {
+            for (key, file) in [("bone_file", &self.bone), ("plan_file", &self.plan)] {
+                let Some(path) = file else { continue };
+                let path = fs::canonicalize(path).with_context(|| format!("{} cannot be read", path.display()))?;
+                keys.push((format!("{node}.{key}"), Value::from(path.to_string_lossy()).to_string()));
+            }
+        }
+        Ok(keys)
     }
 }
 
@@ -299,14 +313,6 @@ fn check_bone(bone: &Path, plan: &Path, as_it_is: bool) -> Result<()> {
     Ok(())
 }
 
-/// Quotes a word for a shell.
-fn quoted(word: &str) -> String {
-    match !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "-_./=:,+@%".contains(c)) {
-        true => word.to_owned(),
-        false => format!("'{}'", word.replace('\'', "'\\''")),
-    }
-}
-
 /// Writes the report of each experiment into its folder, and returns the paths of the pages.
 fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
     let registry = registry();
@@ -318,36 +324,4 @@ fn reports(sweeps: &[(String, Folder)]) -> Result<Vec<String>> {
         Ok(page.display().to_string())
     };
     sweeps.iter().map(write).collect()
-}
-
-/// The settings for a user's bone instead of the built-in ones.
-struct BoneSets {
-    name: String,
-    bone: String,
-    plan: String,
-}
-
-impl BoneSets {
-    /// The settings of a single run.
-    fn plain(&self) -> Vec<String> {
-        let file = |path: &str| Value::from(path).to_string();
-        let of = |node: &str| {
-            [format!("{node}.bone_file={}", file(&self.bone)), format!("{node}.plan_file={}", file(&self.plan))]
-        };
-        ["recording", "plan", "bone", "real_bone"].iter().flat_map(|node| of(node)).collect()
-    }
-
-    fn of(&self, experiment: &str) -> Vec<String> {
-        if experiment == "calibration" {
-            // Experiments without a bone.
-            return Vec::new();
-        }
-        let text = |text: &str| Value::from(text).to_string();
-        let files = ["recording", "plan", "bone", "real_bone"]
-            .map(|node| format!("{node}.bone_file = {}, {node}.plan_file = {}", text(&self.bone), text(&self.plan)));
-        vec![
-            format!("sweep.factor.bone.values=[{{ {} }}]", files.join(", ")),
-            format!("sweep.factor.bone.labels=[{}]", text(&self.name)),
-        ]
-    }
 }

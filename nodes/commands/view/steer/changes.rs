@@ -4,6 +4,7 @@ use super::write_back;
 use crate::app::{RunRequest, with_causes};
 use crate::commands::common::graph_args::GraphArgs;
 use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text};
+use osteoflow_report::format::shell_word;
 use serde_json::{Value, json};
 use std::{
     path::Path,
@@ -165,7 +166,7 @@ impl Changes {
 
     fn describe_made(&self, made: &Made) -> Value {
         let values: Vec<_> = made.values.iter().map(|(key, value)| json!([key, value])).collect();
-        let sets = made.sets().map(|set| format!(" --set {}", quoted(&set))).collect::<String>();
+        let sets = made.sets().map(|set| format!(" --set {}", shell_word(&set))).collect::<String>();
         json!({
             "values": values,
             "removed": made.removed,
@@ -238,10 +239,4 @@ pub(super) fn sentence(faults: &Faults) -> String {
         fault.message.clone() + &more.collect::<String>()
     };
     errors(faults).map(one).collect::<Vec<_>>().join("\n")
-}
-
-/// An argument as a shell takes it.
-fn quoted(text: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-/=:+".contains(c);
-    if text.chars().all(is_plain) { text.into() } else { format!("'{}'", text.replace('\'', r"'\''")) }
 }

@@ -1,4 +1,4 @@
-//! Numbers as pages and terminals show them.
+//! Numbers and words as pages and terminals show them.
 
 /// Formats a number: integers in full, others with three or four significant digits.
 pub(crate) fn number(value: f64) -> String {
@@ -41,23 +41,31 @@ pub fn percent(share: f64) -> String {
     }
 }
 
+/// Quotes a word for a shell, where it needs quotes.
+pub fn shell_word(word: &str) -> String {
+    match !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c)) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn numbers_have_few_significant_digits() {
-        let found: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
+        let texts: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
         let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
-        assert_eq!(found, expected);
+        assert_eq!(texts, expected);
     }
 
     #[test]
     fn durations_and_shares_have_few_significant_digits() {
-        let found: Vec<_> = [0.0, 0.00012, 0.0123, 0.9994, 1.0, 12.345, 412.6, 999.7, 61_234.0].map(duration).into();
+        let texts: Vec<_> = [0.0, 0.00012, 0.0123, 0.9994, 1.0, 12.345, 412.6, 999.7, 61_234.0].map(duration).into();
         let expected =
             ["0 s", "120 ns", "12.3 \u{b5}s", "999 \u{b5}s", "1.00 ms", "12.3 ms", "413 ms", "1.00 s", "61.2 s"];
-        assert_eq!(found, expected);
+        assert_eq!(texts, expected);
         assert_eq!([0.0, 0.0004, 0.012, 0.2251, 1.0].map(percent), ["0 %", "< 0.1 %", "1.2 %", "23 %", "100 %"]);
     }
 }

@@ -1,6 +1,6 @@
 //! Provenance: program, machine, inputs with their licences, and the command that repeats the run.
 
-use crate::{cell::Cell, html::Page};
+use crate::{cell::Cell, format::shell_word, html::Page};
 use serde_json::Value as Json;
 use std::{
     fs,
@@ -15,20 +15,10 @@ pub(crate) fn folder_name(dir: &Path) -> String {
 
 /// The provenance of a run, from its manifest.
 pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
-    let graph = &manifest["graph"];
-    let mut rows = vec![
-        row("graph", word(&graph["name"])),
-        row("file", word(&graph["file"])),
-        row("seed", word(&graph["seed"])),
-        row("began", word(&manifest["began"])),
-        row("ended", word(&manifest["ended"])),
-        row("workers", word(&manifest["workers"])),
-    ];
-    rows.extend(program(&manifest["command"]));
-    rows.push(row("folder", folder_name(dir)));
-    page.table("Provenance of this run.", &["what".into(), "value".into()], &rows);
+    let keys = ["began", "ended", "workers"].map(|key| row(key, word(&manifest[key])));
+    page.table("Provenance of this run.", &heads(), &rows(dir, manifest, keys));
     again(page, &manifest["command"]);
-    let base = Path::new(graph["file"].as_str().unwrap_or_default()).parent().unwrap_or(Path::new(""));
+    let base = Path::new(manifest["graph"]["file"].as_str().unwrap_or_default()).parent().unwrap_or(Path::new(""));
     inputs(page, base, &manifest["inputs"], &manifest["plugins"]);
     if let Some(graph) = manifest["resolved_graph"].as_str() {
         page.folded("The graph as it ran, with every default", graph);
@@ -37,22 +27,25 @@ pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
 
 /// The provenance of a sweep, from its `sweep.json`.
 pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
-    let graph = &about["graph"];
-    let mut rows = vec![
-        row("graph", word(&graph["name"])),
-        row("file", word(&graph["file"])),
-        row("seed", word(&graph["seed"])),
-        row("hash of everything that determines the tables", word(&about["hash"])),
-        row("runs", word(&about["n_runs"])),
-    ];
-    rows.extend(program(&about["command"]));
-    rows.push(row("folder", folder_name(dir)));
-    page.table("Provenance of this sweep.", &["what".into(), "value".into()], &rows);
+    let hash = row("hash of everything that determines the tables", word(&about["hash"]));
+    page.table("Provenance of this sweep.", &heads(), &rows(dir, about, [hash, row("runs", word(&about["n_runs"]))]));
     again(page, &about["command"]);
     inputs(page, Path::new(""), &about["inputs"], &about["plugins"]);
     if let Ok(graph) = fs::read_to_string(dir.join(osteoflow_engine::sweep::GRAPH)) {
         page.folded("The frozen graph (sweep.toml), without the settings of any run", &graph);
     }
+}
+
+fn heads() -> [String; 2] {
+    ["what".into(), "value".into()]
+}
+
+/// Rows about the graph, what is `own` to a run or a sweep, the program and the folder.
+fn rows<const N: usize>(dir: &Path, about: &Json, own: [Vec<Cell>; N]) -> Vec<Vec<Cell>> {
+    let graph =
+        ["name", "file", "seed"].map(|key| row(if key == "name" { "graph" } else { key }, word(&about["graph"][key])));
+    let program = program(&about["command"]);
+    graph.into_iter().chain(own).chain(program).chain([row("folder", folder_name(dir))]).collect()
 }
 
 /// Rows about the program and the machine.
@@ -72,17 +65,12 @@ fn program(command: &Json) -> Vec<Vec<Cell>> {
 
 fn again(page: &mut Page, command: &Json) {
     let Some(arguments) = command["arguments"].as_array() else { return };
-    let quoted = |word: &str| match word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c)) {
-        true if !word.is_empty() => word.to_owned(),
-        _ => format!("'{}'", word.replace('\'', "'\\''")),
-    };
-    let words: Vec<_> = arguments.iter().filter_map(Json::as_str).map(quoted).collect();
+    let words: Vec<_> = arguments.iter().filter_map(Json::as_str).map(shell_word).collect();
     page.text("The command that made it; in another folder it gives the same numbers:");
     page.code(&format!("osteoflow {}", words.join(" ")));
 }
 
-/// A table of inputs and plugins with their hashes and licences.
-/// Inputs and plugins; relative paths are those of the graph's folder `base`.
+/// A table of inputs and plugins with their hashes and licences; relative paths are those of the graph's folder `base`.
 fn inputs(page: &mut Page, base: &Path, inputs: &Json, plugins: &Json) {
     let rows: Vec<_> = entries(inputs)
         .into_iter()

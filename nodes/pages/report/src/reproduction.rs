@@ -1,12 +1,12 @@
 //! The page that compares the paper's numbers with ours: each with its n, the command that computes it, and whether it is
 //! outside the paper's spread.
 //!
-//! `reproduction/published.toml` holds the paper's numbers and the paths of ours.
+//! `reproduction/page.md` is the page with a request in the place of each number of ours.
 
 mod ours;
 mod page;
-mod published;
 mod reasons;
+mod template;
 
 use crate::{
     ReportError,
@@ -14,10 +14,9 @@ use crate::{
 };
 use osteoflow_engine::{run::NodeStats, sweep::Folder};
 use ours::Ours;
-use published::{Judged, Published, PublishedNumber, Setting};
 use reasons::Reasons;
 use serde_json::Value;
-use std::collections::BTreeSet;
+use template::{Number, Pair, Row};
 
 /// The experiments: names of graphs in graphs/paper/, first those of the paper in its order, then ours.
 pub const EXPERIMENTS: [&str; 13] = [
@@ -40,22 +39,26 @@ pub const EXPERIMENTS: [&str; 13] = [
 /// would take most of a report's time.
 pub const WITH_MAPS: [&str; 2] = ["cutting", "sensitivity"];
 
-/// The experiments that were run.
+/// The experiments of which one procedure is timed, node by node, for the page.
+pub const TIMED: [&str; 2] = ["accuracy_camera", "accuracy_stylus"];
+
+/// The experiments that were run, in the order given.
 pub struct Reproduction {
-    published: Published,
-    /// In the order given.
     experiments: Vec<Experiment>,
-    /// The paired comparisons of each pair of experiments in `published` that was run, or the reason why there are none.
-    paired: Vec<(usize, Result<Vec<Value>, String>)>,
-    /// Computing times of one procedure, by experiment.
-    times: Vec<(String, Vec<NodeStats>)>,
 }
 
 /// An experiment that was run.
 struct Experiment {
     name: String,
+    folder: Folder,
     summary: Value,
     reasons: Reasons,
+}
+
+impl Experiment {
+    fn has_results(&self) -> bool {
+        self.summary["n_runs"].as_u64() != Some(self.reasons.n as u64)
+    }
 }
 
 impl Reproduction {
@@ -64,82 +67,74 @@ impl Reproduction {
     /// # Errors
     /// If a file of a sweep cannot be read.
     pub fn new(sweeps: &[(String, Folder)]) -> Result<Self, ReportError> {
-        let published = Published::new();
         let read = |(name, folder): &(String, Folder)| {
             let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
-            Ok(Experiment { name: name.clone(), summary: summary::read(folder)?, reasons: Reasons::of(&runs) })
+            let (summary, reasons) = (summary::read(folder)?, Reasons::of(&runs));
+            Ok(Experiment { name: name.clone(), folder: folder.clone(), summary, reasons })
         };
-        let experiments = sweeps.iter().map(read).collect::<Result<_, ReportError>>()?;
-        let mut paired = Vec::new();
-        for (index, pair) in published.pair.iter().enumerate() {
-            let folder = |of: &str| sweeps.iter().find(|(name, _)| name == of).map(|(_, folder)| folder);
-            let (Some(first), Some(second)) = (folder(&pair.first), folder(&pair.second)) else { continue };
-            let done = |folder: &Folder| folder.done()?.collect::<Result<Vec<_>, _>>();
-            let (mut spec, a, b) = (first.spec()?, done(first)?, done(second)?);
-            spec.columns.retain(|column| pair.columns.contains(&column.name));
-            let margins: Vec<_> = pair.columns.iter().map(|name| (name.clone(), pair.margin_mm)).collect();
-            let compared = between((&pair.first, &spec, &a), (&pair.second, &second.spec()?, &b), &margins);
-            paired.push((index, compared.map(with_holm).map_err(|none| none.to_string())));
-        }
-        Ok(Self { published, experiments, paired, times: Vec::new() })
-    }
-
-    /// The experiments of which one procedure is to be timed, node by node, for [`Reproduction::with_times`].
-    pub fn timed(&self) -> BTreeSet<String> {
-        let times = self.published.time.iter().map(|time| time.experiment.clone());
-        times.filter(|name| self.experiment(name).is_some()).collect()
-    }
-
-    /// Adds the times of the nodes that compute in one procedure of an experiment, without those that simulate or measure.
-    #[must_use]
-    pub fn with_times(mut self, experiment: &str, nodes: Vec<NodeStats>) -> Self {
-        self.times.push((experiment.to_owned(), nodes));
-        self
+        Ok(Self { experiments: sweeps.iter().map(read).collect::<Result<_, ReportError>>()? })
     }
 
     /// A line for each of our numbers that is outside the paper's spread.
     pub fn outside(&self) -> Vec<String> {
-        let line = |row: &PublishedNumber| {
-            let ours = self.of_row(row)?;
-            let Some(Judged::Outside(side)) = row.judged(ours.value?) else { return None };
-            Some(format!("{} ({}): paper {}, ours {}, {side}", row.what, row.section, row.theirs, ours.text))
+        let line = |row: Row| {
+            let ours = self.ours(&row.number)?;
+            let judgement = row.judgement(ours.value?).filter(|judgement| !judgement.is_within)?;
+            let Row { section, what, theirs, .. } = row;
+            Some(format!("{what} ({}): paper {theirs}, ours {}, {}", section?, ours.text, judgement.text))
         };
-        self.published.row.iter().filter_map(line).collect()
+        template::rows().filter_map(line).collect()
     }
 
     /// A line for each row whose experiment was run and has no such number.
     pub fn missing(&self) -> Vec<String> {
-        let rows = self.published.row.iter().chain(&self.published.independent);
-        let has_results = |of: &Experiment| of.summary["n_runs"].as_u64() != Some(of.reasons.n as u64);
-        let was_run = |row: &&PublishedNumber| self.experiment(&row.experiment).is_some_and(has_results);
-        let missing = rows.filter(was_run).filter(|row| self.of_row(row).is_none());
-        missing.map(|row| format!("{}: {} has no {}", row.what, row.experiment, row.ours)).collect()
+        let was_run = |row: &Row| self.experiment(&row.number.of).is_some_and(Experiment::has_results);
+        let missing = template::rows().filter(was_run).filter(|row| self.ours(&row.number).is_none());
+        missing.map(|row| format!("{}: {} has no {}", row.what, row.number.of, row.number.path)).collect()
     }
 
     /// A line for each experiment without any result, with the first reason.
     pub fn without_results(&self) -> Vec<String> {
         let line = |of: &Experiment| {
-            let (run, reason) = of.reasons.first.as_ref()?;
-            let none = of.summary["n_runs"].as_u64() == Some(of.reasons.n as u64);
-            none.then(|| format!("{}: none of its {} runs has results; run {run}: {reason}", of.name, of.reasons.n))
+            let (run, reason) = of.reasons.first.as_ref().filter(|_| !of.has_results())?;
+            Some(format!("{}: none of its {} runs has results; run {run}: {reason}", of.name, of.reasons.n))
         };
         self.experiments.iter().filter_map(line).collect()
     }
 
-    /// The page in Markdown; `command` made the page, `of_experiment` returns the command that computes an experiment's numbers.
-    pub fn page(&self, command: &str, of_experiment: &dyn Fn(&str) -> String) -> String {
-        page::text(self, command, of_experiment)
+    /// The page in Markdown; `command` made the page, `command_of` returns the command that computes an experiment's numbers.
+    /// `times` are those of the nodes that compute in one procedure of [`TIMED`] experiments, without those that simulate or
+    /// measure.
+    ///
+    /// # Errors
+    /// If a file of a sweep cannot be read.
+    pub fn page(
+        &self,
+        command: &str,
+        command_of: &dyn Fn(&str) -> String,
+        times: &[(String, Vec<NodeStats>)],
+    ) -> Result<String, ReportError> {
+        page::Page { reproduction: self, command, command_of, times }.text()
     }
 
-    fn of_row(&self, row: &PublishedNumber) -> Option<Ours> {
-        self.ours(&row.experiment, &row.ours, &row.setting, row.show.as_deref())
-    }
-
-    fn ours(&self, experiment: &str, path: &str, setting: &Setting, show: Option<&str>) -> Option<Ours> {
-        Ours::find(&self.experiment(experiment)?.summary, path, setting, show)
+    fn ours(&self, number: &Number) -> Option<Ours> {
+        Ours::find(&self.experiment(&number.of)?.summary, &number.path, &number.setting, number.show.as_deref())
     }
 
     fn experiment(&self, name: &str) -> Option<&Experiment> {
         self.experiments.iter().find(|of| of.name == name)
+    }
+
+    /// The paired comparisons of two experiments, or the reason why there are none.
+    fn compared(&self, pair: &Pair) -> Result<Result<Vec<Value>, String>, ReportError> {
+        let [Some(first), Some(second)] = [&pair.of, &pair.against].map(|name| self.experiment(name)) else {
+            return Ok(Err("one of them was not run".into()));
+        };
+        let (mut spec, other) = (first.folder.spec()?, second.folder.spec()?);
+        let [a, b] = [first, second].map(|of| of.folder.done().and_then(Iterator::collect::<Result<Vec<_>, _>>));
+        spec.columns.retain(|column| pair.columns.contains(&column.name));
+        let margins: Vec<_> = pair.columns.iter().map(|name| (name.clone(), pair.margin_mm)).collect();
+        let compared = between((&pair.of, &spec, &a?), (&pair.against, &other, &b?), &margins);
+        Ok(compared.map(with_holm).map_err(|none| none.to_string()))
     }
 }

@@ -1,6 +1,6 @@
 //! Finds a number of ours in the summary of a sweep.
 
-use super::published::Setting;
+use super::template::Setting;
 use crate::summary::{units, word};
 use osteoflow_statistics::counted;
 use serde_json::Value;
@@ -40,9 +40,9 @@ impl Ours {
         let parts: Vec<_> = path.split('.').collect();
         if let ["correlation", draw, column] = parts[..] {
             let all = group["correlations"].as_array()?;
-            let found = all.iter().find(|c| c["draw"] == draw && c["column"] == column)?;
-            let value = found["pearson"]["r"].as_f64()?;
-            let n = counted(found["n"].as_u64()? as usize, &word(&found["unit"]));
+            let correlation = all.iter().find(|c| c["draw"] == draw && c["column"] == column)?;
+            let value = correlation["pearson"]["r"].as_f64()?;
+            let n = counted(correlation["n"].as_u64()? as usize, &word(&correlation["unit"]));
             return Some(Self { value: Some(value), text: format!("{value:.3}"), n });
         }
         let mut at = group;

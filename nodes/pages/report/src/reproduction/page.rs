@@ -1,205 +1,153 @@
-//! The page of the paper's numbers and ours, as Markdown.
+//! Fills the template of the page.
 
 use super::{
-    Reproduction,
+    Experiment, Reproduction,
     ours::Ours,
-    published::{ExperimentPair, Judged, PublishedNumber, RULE, Table},
+    template::{Line, Number, Request, Table, Time, sections},
 };
 use crate::{
+    ReportError,
     cell::Cell,
     chart::axis_label,
     citations::paper_title,
     summary::{TableRow, comparison, under_heads, units, word},
 };
+use osteoflow_engine::run::NodeStats;
 use serde_json::Value;
 
-/// Returns the command that computes the numbers of an experiment.
-type Command<'a> = &'a dyn Fn(&str) -> String;
-
-/// The whole page.
-pub(super) fn text(reproduction: &Reproduction, command: &str, again: Command<'_>) -> String {
-    let mut out = Markdown::default();
-    out.line("# The paper's numbers and ours\n");
-    out.line(&format!("Written by `{command}`; not edited by hand.\n"));
-    out.line(
-        "**SIMULATED; research use only, not for clinical use.** Every number of ours comes from the simulated procedure \
-         ([simulation.md](simulation.md)), whose error terms were set from their sources and not from the numbers below. n \
-         counts units: starts on one scan of one bone are n = 1 bone. Values are mean ± SD (least to greatest); \
-         [statistics.md](statistics.md) has the formulas, and explains why an interval of two or three bones, as in each sweep's \
-         `summary.json`, says little.\n",
-    );
-    out.line(&format!(
-        "Sections, figures and tables are those of *{}*; its numbers and their definitions are here, its text is not.\n",
-        paper_title()
-    ));
-    out.line(&format!("{RULE}\n"));
-    rows(&mut out, reproduction, again);
-    out.line("\n## Outside the paper's spread\n");
-    match reproduction.outside().as_slice() {
-        [] => out.line("None."),
-        all => all.iter().for_each(|line| out.line(&format!("- {line}"))),
-    }
-    out.line("");
-    independent(&mut out, reproduction, again);
-    for (index, comparisons) in &reproduction.paired {
-        paired(&mut out, &reproduction.published.pair[*index], comparisons);
-    }
-    times(&mut out, reproduction);
-    commands(&mut out, reproduction, again);
-    readings(&mut out, reproduction);
-    for table in &reproduction.published.table {
-        if let Some(of) = reproduction.experiment(&table.experiment) {
-            out.line(&format!("## {}\n", table.title));
-            out.line(&format!("`graphs/paper/{}.toml`; SIMULATED; mean ± SD.\n", table.experiment));
-            settings(&mut out, table, &of.summary);
-            out.line("");
-        }
-    }
-    out.0.truncate(out.0.trim_end().len());
-    out.line("");
-    out.0
+/// The page, and how its numbers came about.
+pub(super) struct Page<'a> {
+    pub(super) reproduction: &'a Reproduction,
+    pub(super) command: &'a str,
+    pub(super) command_of: &'a dyn Fn(&str) -> String,
+    pub(super) times: &'a [(String, Vec<NodeStats>)],
 }
 
-fn rows(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
-    out.head(["section", "what", "paper", "ours", "n", "within the paper's spread", "command", "remark"]);
-    for row in &reproduction.published.row {
-        if reproduction.experiment(&row.experiment).is_none() {
-            continue;
-        }
-        let ours = reproduction.of_row(row).unwrap_or_else(|| Ours::none(&row.ours));
-        let (judged, command) = (judged(row, &ours), code(&again(&row.experiment)));
-        out.row([&row.section, &row.what, &row.theirs, &ours.text, &ours.n, &judged, &command, &row.remark]);
-    }
-}
-
-fn independent(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
-    out.line("## Another implementation's numbers and ours\n");
-    out.line(
-        "Computed by an independent implementation of the same method on real bones with an exact CT surface; for a bone of \
-         your own: `osteoflow reproduce --bone BONE.stl --plan PLAN.json`, and for an exact CT surface and plain steps where \
-         procedures are repeated, `--only accuracy_camera --set bone.exact=true --set \
-         icp.kind=icp.published --set icp.reading=mean_change_1e-5 --set icp.max_iterations=250 --set icp.max_pair_distance_mm=8`. Their text does not say by which number a fragment \
-         counts, its mean distance or its greatest: both of ours stand beside it.\n",
-    );
-    out.head(["what", "theirs", "ours", "n", "within their range", "command"]);
-    for row in &reproduction.published.independent {
-        if reproduction.experiment(&row.experiment).is_none() {
-            continue;
-        }
-        let ours = reproduction.of_row(row).unwrap_or_else(|| Ours::none(&row.ours));
-        let command = code(&again(&row.experiment));
-        out.row([&row.what, &row.theirs, &ours.text, &ours.n, &judged(row, &ours), &command]);
-    }
-    out.line("");
-}
-
-fn judged(row: &PublishedNumber, ours: &Ours) -> String {
-    match ours.value.and_then(|value| row.judged(value)) {
-        Some(Judged::Within(text) | Judged::Outside(text)) => text,
-        None => "-".into(),
-    }
-}
-
-/// The paired comparison of two experiments.
-fn paired(out: &mut Markdown, pair: &ExperimentPair, comparisons: &Result<Vec<Value>, String>) {
-    let ExperimentPair { first, second, margin_mm, margin_reason, .. } = pair;
-    out.line(&format!("## {} ({})\n", pair.title, pair.section));
-    out.line(&format!(
-        "`osteoflow compare OUT/{first} OUT/{second}`; SIMULATED. Procedures of the same bone and seed are a pair; first is \
-         {first}, second {second}, the difference second minus first, in mm. Limits of agreement by Bland and Altman, p by \
-         Wilcoxon's signed ranks, corrected by Holm over these rows, effect: rank-biserial; equivalent by two one-sided tests \
-         at 5 % on either side, within {margin_mm} mm ({margin_reason}).\n",
-    ));
-    match comparisons {
-        Err(none) => out.line(&format!("Not compared: {none}.")),
-        Ok(comparisons) => {
-            let row = |of: &Value| {
-                let mut row = TableRow::from([("measure".into(), Cell::word(axis_label(&word(&of["column"]))))]);
-                row.extend(comparison(of));
-                row
-            };
-            let (heads, cells) = under_heads(&comparisons.iter().map(row).collect::<Vec<_>>());
-            out.head(&heads);
-            cells.iter().for_each(|cells| out.row(cells.iter().map(Cell::plain)));
-        }
-    }
-    out.line("");
-}
-
-/// The paper's times with the share that computing has in them.
-fn times(out: &mut Markdown, reproduction: &Reproduction) {
-    let times = reproduction.published.time.iter();
-    let shown: Vec<_> = times.filter(|time| reproduction.experiment(&time.experiment).is_some()).collect();
-    if shown.is_empty() {
-        return;
-    }
-    out.line("## Times\n");
-    out.line(
-        "What the program computes in one simulated procedure on one thread, beside the time that the paper gives; the rest of \
-         that time is not software's. Computing times differ from machine to machine and run to run.\n",
-    );
-    out.head(["section", "what", "paper", "computing time of ours", "share of the paper's", "the rest"]);
-    for time in shown {
-        let Some(fact) = reproduction.published.fact(&time.fact) else { continue };
-        let nodes = reproduction.times.iter().find(|(name, _)| *name == time.experiment).map(|(_, nodes)| nodes);
-        let (ours, share) = match nodes.map(|nodes| time.computed_s(nodes)) {
-            Some(Some(ours_s)) => {
-                let share = time.seconds(fact).map(|paper_s| format!("{:.2} %", 100.0 * ours_s / paper_s));
-                (format!("{:.1} ms", 1e3 * ours_s), share.unwrap_or_else(|| "-".into()))
+impl Page<'_> {
+    /// The template with our numbers. Rows and sections about experiments that were not run are left out.
+    pub(super) fn text(&self) -> Result<String, ReportError> {
+        let was_run = |name: &str| self.reproduction.experiment(name).is_some();
+        let is_shown =
+            |line: &&Line| line.request.as_ref().is_none_or(|request| request.experiments().into_iter().all(was_run));
+        // An item of a list belongs to the prose above it.
+        let is_own = |line: &&Line| line.request.is_some() && !line.before.starts_with("- ");
+        let mut out = String::new();
+        for section in sections() {
+            let is_titled = section.first().is_some_and(|line| line.before.starts_with("## "));
+            let own: Vec<_> = section.iter().filter(is_own).collect();
+            if is_titled && !own.is_empty() && !own.iter().any(is_shown) {
+                continue;
             }
-            Some(None) => (format!("**none**: a node of {} is missing", time.nodes.join(", ")), "-".into()),
-            None => ("**none**: the procedure was refused".into(), "-".into()),
+            for line in section.iter().filter(is_shown) {
+                out += &match &line.request {
+                    None => self.prose(line.before),
+                    Some(request) => [line.before, &self.reply(line, request)?, line.after].concat(),
+                };
+                out.push('\n');
+            }
+        }
+        Ok(out.trim_end().to_owned() + "\n")
+    }
+
+    /// A line without a request. A word in braces stands for a list or a name.
+    fn prose(&self, line: &str) -> String {
+        match line {
+            "{outside}" => match self.reproduction.outside().as_slice() {
+                [] => "None.".into(),
+                all => format!("- {}", all.join("\n- ")),
+            },
+            "{commands}" => self.commands(),
+            line => line.replace("{command}", self.command).replace("{paper}", paper_title()),
+        }
+    }
+
+    fn reply(&self, line: &Line, request: &Request) -> Result<String, ReportError> {
+        Ok(match request {
+            Request::Number(number) => self.number(line, number),
+            Request::Time(time) => self.time(line, time),
+            Request::Pair(pair) => match self.reproduction.compared(pair)? {
+                Err(none) => format!("Not compared: {none}."),
+                Ok(comparisons) => comparison_table(&comparisons),
+            },
+            Request::Table(table) => {
+                self.reproduction.experiment(&table.of).map(|of| settings(table, &of.summary)).unwrap_or_default()
+            }
+        })
+    }
+
+    fn number(&self, line: &Line, number: &Number) -> String {
+        let ours = self.reproduction.ours(number).unwrap_or_else(|| Ours::none(&number.path));
+        if !line.before.starts_with('|') {
+            return format!("{}, n = {}", ours.text, ours.n);
+        }
+        let judgement = ours.value.and_then(|value| number.judgement(line.theirs(), value));
+        let within = judgement.map_or_else(|| "-".into(), |judgement| judgement.text);
+        cells([ours.text, ours.n, within, self.code_of(&number.of)])
+    }
+
+    /// What nodes took in one procedure, and its share of the time that the paper gives, such as `2.5 ± 0.4 min`.
+    fn time(&self, line: &Line, time: &Time) -> String {
+        let Some((_, nodes)) = self.times.iter().find(|(name, _)| *name == time.of) else {
+            return cells(["**none**: the procedure was refused", "-"]);
         };
-        out.row([&fact.section, &fact.what, &format!("{} {}", fact.text(0), fact.unit), &ours, &share, &time.rest]);
-    }
-    out.line("");
-}
-
-fn commands(out: &mut Markdown, reproduction: &Reproduction, again: Command<'_>) {
-    out.line("## The command of each experiment\n");
-    out.head(["experiment", "command", "runs", "without results"]);
-    for of in &reproduction.experiments {
-        let (runs, without) = (of.summary["n_runs"].to_string(), of.reasons.n.to_string());
-        out.row([&of.name, &code(&again(&of.name)), &runs, &without]);
-    }
-    out.line("");
-    let refusing: Vec<_> = reproduction.experiments.iter().filter(|of| of.reasons.n > 0).collect();
-    if refusing.is_empty() {
-        return;
-    }
-    out.line(
-        "A run without results is a procedure that was refused. The most frequent reasons; `runs.csv` of the experiment has \
-         all in full:\n",
-    );
-    refusing.iter().for_each(|of| out.line(&format!("- {}: {}", of.name, of.reasons.text())));
-    out.line("");
-}
-
-fn readings(out: &mut Markdown, reproduction: &Reproduction) {
-    out.line("## How we read the paper\n");
-    for reading in &reproduction.published.reading {
-        out.line(&format!("**{}** {}", reading.question, reading.reading));
-        for shown in &reading.shows {
-            if reproduction.experiment(&shown.experiment).is_some() {
-                let ours = reproduction.ours(&shown.experiment, &shown.ours, &shown.setting, None);
-                let ours = ours.unwrap_or_else(|| Ours::none(&shown.ours));
-                out.line(&format!("- {}: {}, n = {}", shown.name, ours.text, ours.n));
-            }
+        if !time.nodes.iter().all(|name| nodes.iter().any(|node| node.name == *name)) {
+            return cells([&*format!("**none**: a node of {} is missing", time.nodes.join(", ")), "-"]);
         }
-        out.line("");
+        let own = nodes.iter().filter(|node| time.nodes.is_empty() || time.nodes.contains(&node.name));
+        let ours_s: f64 = own.map(|node| node.busy.as_secs_f64()).sum();
+        let words: Vec<_> = line.theirs().split(' ').collect();
+        let unit_s = match words.last() {
+            Some(&"min") => 60.0,
+            Some(&"ms") => 1e-3,
+            _ => 1.0,
+        };
+        let share = match words[0].parse::<f64>() {
+            Ok(paper) => format!("{:.2} %", 100.0 * ours_s / (paper * unit_s)),
+            Err(_) => "-".into(),
+        };
+        cells([format!("{:.1} ms", 1e3 * ours_s), share])
     }
+
+    /// The command of each experiment, and the reasons for runs without results.
+    fn commands(&self) -> String {
+        let row = |of: &Experiment| {
+            [of.name.clone(), self.code_of(&of.name), of.summary["n_runs"].to_string(), of.reasons.n.to_string()]
+        };
+        let experiments = &self.reproduction.experiments;
+        let mut out = table(["experiment", "command", "runs", "without results"], experiments.iter().map(row));
+        let refused = experiments.iter().filter(|of| of.reasons.n > 0);
+        let refused: Vec<_> = refused.map(|of| format!("\n- {}: {}", of.name, of.reasons.text())).collect();
+        if !refused.is_empty() {
+            out += "\n\nA run without results is a procedure that was refused. The most frequent reasons; `runs.csv` of the \
+                    experiment has all in full:\n";
+            out += &refused.concat();
+        }
+        out
+    }
+
+    fn code_of(&self, experiment: &str) -> String {
+        format!("`{}`", (self.command_of)(experiment))
+    }
+}
+
+fn comparison_table(comparisons: &[Value]) -> String {
+    let row = |of: &Value| {
+        let mut row = TableRow::from([("measure".into(), Cell::word(axis_label(&word(&of["column"]))))]);
+        row.extend(comparison(of));
+        row
+    };
+    let (heads, rows) = under_heads(&comparisons.iter().map(row).collect::<Vec<_>>());
+    table(heads, rows.iter().map(|cells| cells.iter().map(Cell::plain)))
 }
 
 /// A table with a row for every setting of an experiment.
-fn settings(out: &mut Markdown, table: &Table, summary: &Value) {
+fn settings(of: &Table, summary: &Value) -> String {
     let groups = summary["groups"].as_array().map(Vec::as_slice).unwrap_or_default();
-    let names: Vec<_> =
+    let names: Vec<&String> =
         groups.first().and_then(|g| g["setting"].as_object()).into_iter().flat_map(|s| s.keys()).collect();
-    let head = names.iter().map(|name| name.as_str()).chain(table.columns.iter().map(String::as_str)).chain(["n"]);
-    out.head(head);
-    for group in groups {
+    let rows = groups.iter().map(|group| {
         let setting = names.iter().map(|name| word(&group["setting"][name.as_str()]));
-        let cells = table.columns.iter().map(|column| {
+        let means = of.columns.iter().map(|column| {
             let of = &group["columns"][column];
             match (of["mean"].as_f64(), of["sd"].as_f64()) {
                 (Some(mean), Some(sd)) => format!("{mean:.2} ± {sd:.2}"),
@@ -211,37 +159,27 @@ fn settings(out: &mut Markdown, table: &Table, summary: &Value) {
             0 => String::new(),
             n => format!("; {n} without results"),
         };
-        out.row(setting.chain(cells).chain([units(&group["units"]) + &without]));
-    }
+        setting.chain(means).chain([units(&group["units"]) + &without]).collect::<Vec<_>>()
+    });
+    let heads = names.iter().map(|name| name.as_str()).chain(of.columns.iter().map(String::as_str)).chain(["n"]);
+    table(heads, rows)
 }
 
-fn code(text: &str) -> String {
-    format!("`{text}`")
+/// A table in Markdown.
+fn table<H: AsRef<str>, C: AsRef<str>>(
+    heads: impl IntoIterator<Item = H>,
+    rows: impl IntoIterator<Item = impl IntoIterator<Item = C>>,
+) -> String {
+    let heads: Vec<H> = heads.into_iter().collect();
+    let mut lines = vec![format!("| {} |", cells(&heads)), format!("|{}", " --- |".repeat(heads.len()))];
+    lines.extend(rows.into_iter().map(|row| format!("| {} |", cells(row))));
+    lines.join("\n")
 }
 
-/// Markdown under construction.
-#[derive(Default)]
-struct Markdown(String);
-
-impl Markdown {
-    fn line(&mut self, text: &str) {
-        self.0.push_str(text);
-        self.0.push('\n');
-    }
-
-    fn head<T: AsRef<str>>(&mut self, heads: impl IntoIterator<Item = T>) {
-        let heads: Vec<T> = heads.into_iter().collect();
-        self.row(&heads);
-        self.line(&format!("|{}", " --- |".repeat(heads.len())));
-    }
-
-    /// Adds a row of a table.
-    fn row<T: AsRef<str>>(&mut self, cells: impl IntoIterator<Item = T>) {
-        // A bar would begin another cell, a line break another row.
-        let cells: Vec<_> =
-            cells.into_iter().map(|cell| cell.as_ref().replace('|', "\\|").replace('\n', " ")).collect();
-        self.line(&format!("| {} |", cells.join(" | ")));
-    }
+/// Cells of a row. A bar would begin another cell, a line break another row.
+fn cells<T: AsRef<str>>(cells: impl IntoIterator<Item = T>) -> String {
+    let cells = cells.into_iter().map(|cell| cell.as_ref().replace('|', "\\|").replace('\n', " "));
+    cells.collect::<Vec<_>>().join(" | ")
 }
 
 #[cfg(test)]
@@ -250,9 +188,18 @@ mod tests {
 
     #[test]
     fn a_bar_in_a_cell_begins_no_other_cell() {
-        let mut out = Markdown::default();
-        out.head(["mean |.|", "n"]);
-        out.row(["a\nb", "3"]);
-        assert_eq!(out.0, "| mean \\|.\\| | n |\n| --- | --- |\n| a b | 3 |\n");
+        let out = table(["mean |.|", "n"], [["a\nb", "3"]]);
+        assert_eq!(out, "| mean \\|.\\| | n |\n| --- | --- |\n| a b | 3 |");
+    }
+
+    #[test]
+    fn rows_and_sections_about_experiments_that_were_not_run_are_left_out() {
+        let page =
+            Reproduction { experiments: Vec::new() }.page("osteoflow reproduce", &|_| String::new(), &[]).unwrap();
+        let titles: Vec<_> = page.lines().filter_map(|line| line.strip_prefix("## ")).collect();
+        let expected = ["Outside the paper's spread", "The command of each experiment", "How we read the paper"];
+        assert_eq!(titles, expected);
+        assert!(page.contains("Written by `osteoflow reproduce`") && page.contains(paper_title()), "{page}");
+        assert!(page.contains("\nNone.\n") && !page.contains('{'), "{page}");
     }
 }
