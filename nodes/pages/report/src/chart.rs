@@ -73,6 +73,21 @@ pub(crate) enum Mark {
     Reach(Vec<(f64, f64)>),
 }
 
+impl Mark {
+    /// The places that the axes must reach.
+    fn places(&self) -> Vec<(f64, f64)> {
+        match self {
+            Self::Line(points) | Self::Reach(points) => points.clone(),
+            Self::Band(points) => points.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect(),
+            Self::Dots(points) => points.iter().map(|(x, y, _)| (*x, *y)).collect(),
+            Self::Box(at, width, tukey) => {
+                let values = tukey.values.iter().chain(&tukey.whiskers);
+                values.flat_map(|value| [(at - width, *value), (at + width, *value)]).collect()
+            }
+        }
+    }
+}
+
 /// Tukey's box: quartiles, and whiskers to the last values within 1.5 interquartile ranges.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tukey {
@@ -144,19 +159,17 @@ impl Chart {
 
     /// The elements of the chart with the plot's bottom at `bottom`, and its height.
     fn inside(&self, bottom: f64) -> (String, f64) {
-        let extent = |of: fn(&Mark) -> Vec<f64>| -> Vec<f64> {
-            self.series.iter().flat_map(|series| &series.marks).flat_map(of).collect()
-        };
-        let x = self.x.scale(&extent(across), LEFT, WIDTH - RIGHT);
-        let legend: Vec<&Series> = self.series.iter().filter(|series| !series.name.is_empty()).collect();
-        let top = 34.0 + if legend.is_empty() { 0.0 } else { legend_rows(&legend) * ROW };
+        let (across, along): (Vec<f64>, Vec<f64>) = self.places().into_iter().unzip();
+        let x = self.x.scale(&across, LEFT, WIDTH - RIGHT);
+        let legend = self.legend();
+        let top = legend.last().map_or(34.0, |(_, _, y)| y + ROW - 2.0);
         let words = self.x.categories();
         let wide = words.iter().map(|w| w.chars().count() as f64 * CHARACTER).fold(0.0, f64::max);
         let aslant = !words.is_empty() && wide > (WIDTH - LEFT - RIGHT) / words.len() as f64 - 6.0;
         let below = if aslant { (wide * 0.5 + 14.0).min(190.0) } else { ROW };
         let bottom = bottom + top - 34.0;
         let height = bottom + below + 2.0 * ROW + 8.0;
-        let y = self.y.scale(&extent(along), bottom, top);
+        let y = self.y.scale(&along, bottom, top);
         let mut out = String::new();
         let _ = writeln!(
             out,
@@ -170,7 +183,17 @@ impl Chart {
             WIDTH - RIGHT,
             height - 6.0
         );
-        self.draw_legend(&mut out, &legend);
+        for (series, x, y) in legend {
+            let _ = writeln!(
+                out,
+                "<rect class=\"box c{}\" x=\"{x:.1}\" y=\"{:.1}\" width=\"12\" height=\"9\"/><text x=\"{:.1}\" \
+                 y=\"{y:.1}\">{}</text>",
+                series.colour % N_COLOURS,
+                y - 9.0,
+                x + 17.0,
+                escape(&series.name)
+            );
+        }
         self.draw_axes(&mut out, (&x, &y), (top, bottom), aslant, height);
         for series in &self.series {
             for mark in &series.marks {
@@ -189,24 +212,23 @@ impl Chart {
         (out, height)
     }
 
-    fn draw_legend(&self, out: &mut String, legend: &[&Series]) {
+    fn places(&self) -> Vec<(f64, f64)> {
+        self.series.iter().flat_map(|series| &series.marks).flat_map(Mark::places).collect()
+    }
+
+    /// The series with names, each with the place of its entry in the legend.
+    fn legend(&self) -> Vec<(&Series, f64, f64)> {
         let (mut x, mut y) = (LEFT, 36.0);
-        for series in legend {
+        let mut places = Vec::new();
+        for series in self.series.iter().filter(|series| !series.name.is_empty()) {
             let width = 32.0 + series.name.chars().count() as f64 * CHARACTER;
             if x + width > WIDTH - RIGHT && x > LEFT {
                 (x, y) = (LEFT, y + ROW);
             }
-            let _ = writeln!(
-                out,
-                "<rect class=\"box c{}\" x=\"{x:.1}\" y=\"{:.1}\" width=\"12\" height=\"9\"/><text x=\"{:.1}\" \
-                 y=\"{y:.1}\">{}</text>",
-                series.colour % N_COLOURS,
-                y - 9.0,
-                x + 17.0,
-                escape(&series.name)
-            );
+            places.push((series, x, y));
             x += width;
         }
+        places
     }
 
     fn draw_axes(
@@ -267,6 +289,14 @@ impl Chart {
     }
 }
 
+/// Lets charts share their axes.
+pub(crate) fn share_axes(charts: &mut [Chart]) {
+    let all: Vec<_> = charts.iter().flat_map(Chart::places).collect();
+    for chart in charts {
+        chart.series.push(Series { name: String::new(), colour: 0, marks: vec![Mark::Reach(all.clone())] });
+    }
+}
+
 /// Draws charts below one another as one SVG file.
 pub(crate) fn panels(title: &str, about: &str, charts: &[Chart]) -> String {
     let (mut all, mut below) = (String::new(), 0.0);
@@ -286,38 +316,6 @@ fn whole(title: &str, about: &str, inside: &str, height: f64) -> String {
         escape(title),
         escape(about)
     )
-}
-
-fn legend_rows(legend: &[&Series]) -> f64 {
-    let (mut x, mut rows) = (LEFT, 1.0);
-    for series in legend {
-        let width = 32.0 + series.name.chars().count() as f64 * CHARACTER;
-        if x + width > WIDTH - RIGHT && x > LEFT {
-            (x, rows) = (LEFT, rows + 1.0);
-        }
-        x += width;
-    }
-    rows
-}
-
-fn across(mark: &Mark) -> Vec<f64> {
-    match mark {
-        Mark::Line(points) => points.iter().map(|p| p.0).collect(),
-        Mark::Band(points) => points.iter().map(|p| p.0).collect(),
-        Mark::Dots(points) => points.iter().map(|p| p.0).collect(),
-        Mark::Box(at, width, _) => vec![at - width, at + width],
-        Mark::Reach(points) => points.iter().map(|p| p.0).collect(),
-    }
-}
-
-fn along(mark: &Mark) -> Vec<f64> {
-    match mark {
-        Mark::Line(points) => points.iter().map(|p| p.1).collect(),
-        Mark::Band(points) => points.iter().flat_map(|p| [p.1, p.2]).collect(),
-        Mark::Dots(points) => points.iter().map(|p| p.1).collect(),
-        Mark::Box(_, _, tukey) => tukey.values.iter().chain(&tukey.whiskers).copied().collect(),
-        Mark::Reach(points) => points.iter().map(|p| p.1).collect(),
-    }
 }
 
 fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &axis::Scale) {

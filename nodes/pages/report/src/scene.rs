@@ -4,7 +4,7 @@ mod drawing;
 pub(crate) mod packed;
 
 use crate::format::number;
-use drawing::{Drawn, Solid, Tint};
+use drawing::{Drawable, Solid, Tint};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use osteoflow_draw::xml::escape;
 use osteoflow_geometry::Mesh;
@@ -27,7 +27,7 @@ pub(crate) struct Scene {
     /// Layers of the view; each has a name, by which it can be hidden.
     layers: Vec<Json>,
     /// The same content for the SVG drawing.
-    drawn: Vec<Drawn>,
+    drawn: Vec<Drawable>,
     legend: Vec<(String, String)>,
     ramp: Option<(String, f64)>,
     centre: Point3<f64>,
@@ -90,7 +90,7 @@ impl Scene {
 
     fn draw_mesh(&mut self, (vertices, faces): (&[Point3<f64>], &[[u32; 3]]), opacity: f64, tint: Tint) {
         let what = Solid::Mesh { vertices: vertices.to_vec(), faces: faces.to_vec(), opacity };
-        self.drawn.push(Drawn { what, tint });
+        self.drawn.push(Drawable { what, tint });
     }
 
     /// Adds planes with names, drawn as squares around their origins.
@@ -106,11 +106,11 @@ impl Scene {
             let corners = square(t);
             self.draw_mesh((&corners, &[[0, 1, 2], [0, 2, 3]]), 0.22, Tint::Plain(colour.into()));
             let edges = (0..4).flat_map(|k| [corners[k], corners[(k + 1) % 4]]).collect();
-            self.drawn.push(Drawn { what: Solid::Lines(edges), tint: Tint::Plain(colour.into()) });
+            self.drawn.push(Drawable { what: Solid::Lines(edges), tint: Tint::Plain(colour.into()) });
         }
         for (name, t) in planes.iter().filter(|(name, _)| !name.is_empty()) {
             let what = Solid::Tag(square(t)[0], (*name).into());
-            self.drawn.push(Drawn { what, tint: Tint::Plain(BONE.into()) });
+            self.drawn.push(Drawable { what, tint: Tint::Plain(BONE.into()) });
         }
     }
 
@@ -119,7 +119,7 @@ impl Scene {
         let own = positions(points);
         self.layers.push(json!({ "name": layer, "type": "balls", "own": own, "colour": colour, "radius": radius_mm }));
         let what = Solid::Points { points: points.to_vec(), radius_mm };
-        self.drawn.push(Drawn { what, tint: Tint::Plain(colour.into()) });
+        self.drawn.push(Drawable { what, tint: Tint::Plain(colour.into()) });
     }
 
     /// Adds points coloured by a signed value, clamped to `max`, to the drawing alone: the view has the clouds of the recording.
@@ -127,7 +127,7 @@ impl Scene {
         let every = points.len().div_ceil(MAX_POINTS).max(1);
         let points: Vec<_> = points.iter().copied().step_by(every).collect();
         let values: Vec<_> = values.iter().copied().step_by(every).collect();
-        self.drawn.push(Drawn { what: Solid::Points { points, radius_mm }, tint: Tint::Values(values, max) });
+        self.drawn.push(Drawable { what: Solid::Points { points, radius_mm }, tint: Tint::Values(values, max) });
     }
 
     /// Adds a surface to the drawing alone.
@@ -140,14 +140,14 @@ impl Scene {
         if !ends.is_empty() {
             let own = positions(ends);
             self.layers.push(json!({ "name": layer, "type": "lines", "own": own, "colour": colour }));
-            self.drawn.push(Drawn { what: Solid::Lines(ends.to_vec()), tint: Tint::Plain(colour.into()) });
+            self.drawn.push(Drawable { what: Solid::Lines(ends.to_vec()), tint: Tint::Plain(colour.into()) });
         }
     }
 
     /// Adds a label beside a point.
     pub(crate) fn tag(&mut self, layer: &str, at: &Point3<f64>, word: &str) {
         self.layers.push(json!({ "name": layer, "type": "tag", "at": [at.x, at.y, at.z], "word": word }));
-        self.drawn.push(Drawn { what: Solid::Tag(*at, word.into()), tint: Tint::Plain(BONE.into()) });
+        self.drawn.push(Drawable { what: Solid::Tag(*at, word.into()), tint: Tint::Plain(BONE.into()) });
     }
 
     /// Adds a colour to the legend.

@@ -19,7 +19,7 @@ use serde_json::{Map, Value as Json};
 use std::{collections::BTreeMap, path::Path};
 
 /// A sweep to report on.
-struct Swept {
+struct SweepResults {
     spec: Spec,
     about: Json,
     runs: Vec<Done>,
@@ -35,7 +35,7 @@ struct Swept {
 pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> Result<Report, ReportError> {
     let folder = Folder::open(dir)?;
     let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
-    let sweep = Swept { spec: folder.spec()?, about: folder.about.clone(), runs };
+    let sweep = SweepResults { spec: folder.spec()?, about: folder.about.clone(), runs };
     let name = sweep.about["graph"]["name"].as_str().unwrap_or("graph");
     let simulated = sweep.runs.iter().any(|run| run.results["simulated"] == true);
     let mut page = Page::new(&format!("Sweep of {name}"), simulated);
@@ -77,7 +77,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
     Ok(Report { html, figures, bibliography, fault: None })
 }
 
-impl Swept {
+impl SweepResults {
     /// The factors that distinguish settings in figures: those with several values that are not units or, if there are none,
     /// the units.
     fn varied(&self) -> Vec<&Factor> {
@@ -159,10 +159,10 @@ impl Swept {
             spec.repeat, spec.repeat_name
         ));
         words.push(format!("Units, from the highest level: {}.", spec.units.join(" > ")));
-        let asked = self.about["n_runs"].as_u64().unwrap_or(0);
+        let n_requested = self.about["n_runs"].as_u64().unwrap_or(0);
         let without = self.runs.iter().filter(|run| !run.is_complete()).count();
         words.push(format!(
-            "{} of {asked} runs are complete or refused, {without} of them have no results.",
+            "{} of {n_requested} runs are complete or refused, {without} of them have no results.",
             self.runs.len()
         ));
         words.join(" ")
@@ -236,7 +236,7 @@ fn distribution(of: &Distribution) -> String {
 }
 
 /// The number of runs with each verdict, under each setting.
-fn verdicts(page: &mut Page, sweep: &Swept) {
+fn verdicts(page: &mut Page, sweep: &SweepResults) {
     if sweep.runs.iter().all(|run| run.verdict().is_none()) {
         return;
     }
@@ -264,7 +264,7 @@ fn verdict_row(setting: &Map<String, Json>, runs: &[&Done]) -> summary::TableRow
 }
 
 /// A table of the reasons for runs without results.
-fn failures(page: &mut Page, sweep: &Swept) {
+fn failures(page: &mut Page, sweep: &SweepResults) {
     let mut reasons: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for run in sweep.runs.iter().filter(|run| !run.is_complete()) {
         reasons.entry(run.reason.as_deref().unwrap_or(&run.status)).or_default().push(run.run);

@@ -16,19 +16,19 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     let Some(results) = results.as_object() else {
         return page.missing("The results", "the run has no results.json");
     };
-    let mut found = ResultTables::default();
+    let mut tables = ResultTables::default();
     for (key, value) in results {
         match (key.as_str(), value) {
             // The head of the page shows the verdict.
             ("verdict", Json::Object(verdict)) => {
                 let others = verdict.iter().filter(|(key, _)| !VERDICT.contains(&key.as_str()));
-                others.for_each(|(key, value)| found.walk(&format!("verdict.{key}"), value));
+                others.for_each(|(key, value)| tables.walk(&format!("verdict.{key}"), value));
             }
-            _ => found.walk(key, value),
+            _ => tables.walk(key, value),
         }
     }
     let laser_points = named(results.get("laser_points"));
-    for (path, mut items) in found.lists {
+    for (path, mut items) in tables.lists {
         if path == "holes" && items.len() == laser_points.len() {
             // A hole's report has no name; the points of the same scans have, in the same order.
             items.iter_mut().zip(&laser_points).for_each(|(hole, point)| *hole = joined(point, hole));
@@ -36,17 +36,17 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }
     let heads = |heads: &[&str]| heads.iter().map(|head| (*head).to_owned()).collect::<Vec<_>>();
-    if !found.poses.is_empty() {
-        page.fold(&format!("Poses ({})", found.poses.len()));
+    if !tables.poses.is_empty() {
+        page.fold(&format!("Poses ({})", tables.poses.len()));
         let caption = "Every pose t_to_from by its path in results.json: the position of the origin of one frame in the other, \
                        and the rotation between their axes.";
         let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "rotation (deg)", "about"];
-        page.table(caption, &heads(&head), &found.poses);
+        page.table(caption, &heads(&head), &tables.poses);
         page.unfold();
     }
-    page.fold(&format!("All single results ({})", found.singles.len()));
+    page.fold(&format!("All single results ({})", tables.singles.len()));
     let caption = "Every result that is one number or word, by its path in results.json.";
-    page.table(caption, &heads(&["result", "value"]), &found.singles);
+    page.table(caption, &heads(&["result", "value"]), &tables.singles);
     page.unfold();
 }
 

@@ -33,7 +33,7 @@ pub(super) struct Picture {
 }
 
 /// The last item of a wire.
-struct Last {
+struct LastItem {
     wire: String,
     payload: String,
     data: Vec<u8>,
@@ -64,7 +64,7 @@ impl Picture {
                 let read = Transform::read(wire, &message.data);
                 transforms.push(read.ok_or_else(|| format!("the transform of the wire {wire} is damaged"))?);
             } else if let Some(wire) = topic.strip_prefix(EXACT) {
-                items.extend(Last::read(run, wire, &message.channel.schema_name, message.data)?);
+                items.extend(LastItem::read(run, wire, &message.channel.schema_name, message.data)?);
             }
         }
         if items.iter().all(|item| !item.is_drawn()) {
@@ -82,7 +82,7 @@ impl Picture {
     }
 }
 
-impl Last {
+impl LastItem {
     /// Reads the last item of a wire; `None` if the page shows nothing of it.
     fn read(run: &RunFolder, wire: &str, schema: &str, data: Vec<u8>) -> Result<Option<Self>, String> {
         let damaged = |why: String| format!("the last item of the wire {wire} cannot be read: {why}");

@@ -39,8 +39,8 @@ fn row(name: String, of: &Json) -> Option<TableRow> {
         ("interval with the bias of the CT (mm)", interval(&of["interval_with_ct_bias_mm"])),
         ("tilt (\u{b0})", single(&of["tilt_deg"])),
     ];
-    let found: TableRow = numbers.into_iter().filter_map(|(head, cell)| Some((head.to_owned(), cell?))).collect();
-    (!found.is_empty()).then(|| [("error of".to_owned(), Cell::word(name))].into_iter().chain(found).collect())
+    let cells: TableRow = numbers.into_iter().filter_map(|(head, cell)| Some((head.to_owned(), cell?))).collect();
+    (!cells.is_empty()).then(|| [("error of".to_owned(), Cell::word(name))].into_iter().chain(cells).collect())
 }
 
 fn single(value: &Json) -> Option<Cell> {

@@ -1,5 +1,6 @@
 //! Where frames are, by the transforms that a recording has for viewers (protobuf foxglove.FrameTransform; metres).
 
+use foxglove::{Decode, messages::FrameTransform};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde_json::{Value as Json, json};
 
@@ -17,24 +18,15 @@ pub(super) struct Transform {
 impl Transform {
     /// Reads the message of a wire; `None` if it is damaged.
     pub(super) fn read(wire: &str, data: &[u8]) -> Option<Self> {
-        let mut read = Self {
+        let read = FrameTransform::decode(data).ok()?;
+        let (v, q) = (read.translation.unwrap_or_default(), read.rotation.unwrap_or_default());
+        Some(Self {
             wire: wire.into(),
-            parent: String::new(),
-            child: String::new(),
-            translation_m: [0.0; 3],
-            rotation: [0.0; 4],
-        };
-        for (field, value) in fields(data)? {
-            let Field::Bytes(bytes) = value else { continue };
-            match field {
-                2 => read.parent = String::from_utf8(bytes.into()).ok()?,
-                3 => read.child = String::from_utf8(bytes.into()).ok()?,
-                4 => read.translation_m = doubles(bytes)?,
-                5 => read.rotation = doubles(bytes)?,
-                _ => {}
-            }
-        }
-        Some(read)
+            parent: read.parent_frame_id,
+            child: read.child_frame_id,
+            translation_m: [v.x, v.y, v.z],
+            rotation: [q.x, q.y, q.z, q.w],
+        })
     }
 
     pub(super) fn json(&self) -> Json {
@@ -65,63 +57,6 @@ pub(super) fn to_root(transforms: &[Transform], frame: &str) -> (String, Isometr
         at = &edge.parent;
     }
     (at.to_owned(), motion)
-}
-
-enum Field<'a> {
-    Double(f64),
-    Bytes(&'a [u8]),
-}
-
-/// The doubles and the bytes of a message, by field number; other fields are passed over. `None` if it is damaged.
-fn fields(mut data: &[u8]) -> Option<Vec<(u64, Field<'_>)>> {
-    let mut found = Vec::new();
-    while !data.is_empty() {
-        let key = varint(&mut data)?;
-        match key & 7 {
-            0 => {
-                varint(&mut data)?;
-            }
-            1 => found.push((key >> 3, Field::Double(f64::from_le_bytes(take(&mut data, 8)?.try_into().ok()?)))),
-            2 => {
-                let n = usize::try_from(varint(&mut data)?).ok()?;
-                found.push((key >> 3, Field::Bytes(take(&mut data, n)?)));
-            }
-            5 => {
-                take(&mut data, 4)?;
-            }
-            _ => return None,
-        }
-    }
-    Some(found)
-}
-
-/// The doubles of a message by their field numbers from 1; protobuf leaves out those that are zero.
-fn doubles<const N: usize>(data: &[u8]) -> Option<[f64; N]> {
-    let mut all = [0.0; N];
-    for (field, value) in fields(data)? {
-        if let (Field::Double(value), Some(slot)) = (value, all.get_mut((field as usize).wrapping_sub(1))) {
-            *slot = value;
-        }
-    }
-    Some(all)
-}
-
-fn take<'a>(data: &mut &'a [u8], n: usize) -> Option<&'a [u8]> {
-    let (front, rest) = data.split_at_checked(n)?;
-    *data = rest;
-    Some(front)
-}
-
-fn varint(data: &mut &[u8]) -> Option<u64> {
-    let mut value = 0;
-    for shift in (0..64).step_by(7) {
-        let [byte] = take(data, 1)? else { return None };
-        value |= u64::from(byte & 127) << shift;
-        if byte & 128 == 0 {
-            return Some(value);
-        }
-    }
-    None
 }
 
 #[cfg(test)]

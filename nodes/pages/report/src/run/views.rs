@@ -103,9 +103,9 @@ fn residuals(run: &RunFolder) -> Result<Scan, String> {
         let out = (p - at.point).dot(&at.normal);
         Some((at.distance_mm * out.signum(), at.normal))
     };
-    let found: Vec<_> = points.par_iter().map(signed).collect();
+    let distances: Vec<_> = points.par_iter().map(signed).collect();
     let (mut shown, mut values, mut facing) = (Vec::new(), Vec::new(), Vector3::zeros());
-    for (point, (value, normal)) in points.iter().zip(found).filter_map(|(p, found)| Some((*p, found?))) {
+    for (point, (value, normal)) in points.iter().zip(distances).filter_map(|(p, distance)| Some((*p, distance?))) {
         shown.push(point);
         values.push(value);
         facing += normal;

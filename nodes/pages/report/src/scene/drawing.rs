@@ -21,7 +21,7 @@ const NEARER_MM: f64 = 1.0;
 
 /// A solid with its colour.
 #[derive(Debug, Clone)]
-pub(super) struct Drawn {
+pub(super) struct Drawable {
     pub(super) what: Solid,
     pub(super) tint: Tint,
 }
@@ -130,7 +130,7 @@ impl Scene {
         [WIDTH / 2.0 + p.x * self.per_mm(), height / 2.0 - p.y * self.per_mm(), p.z]
     }
 
-    fn pieces(&self, drawn: &Drawn, height: f64) -> Vec<Piece> {
+    fn pieces(&self, drawn: &Drawable, height: f64) -> Vec<Piece> {
         let tint = &drawn.tint;
         match &drawn.what {
             Solid::Mesh { vertices, faces, opacity } if *opacity < 1.0 => {

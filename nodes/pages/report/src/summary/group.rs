@@ -47,15 +47,15 @@ fn points(spec: &Spec, runs: &[&Done]) -> Map<String, Value> {
     /// A run, the name of a point, and a value.
     type PointRow<'a> = (&'a Done, String, f64);
     // By measure and axis.
-    let mut found: BTreeMap<(String, String), Vec<PointRow<'_>>> = BTreeMap::new();
+    let mut by_axis: BTreeMap<(String, String), Vec<PointRow<'_>>> = BTreeMap::new();
     for &run in runs.iter().filter(|run| run.is_complete()) {
         for point in point_values(spec, run) {
             let key = (point.measure.to_owned(), point.axis.to_owned());
-            found.entry(key).or_default().push((run, point.point, point.value));
+            by_axis.entry(key).or_default().push((run, point.point, point.value));
         }
     }
     let mut out = Map::new();
-    for ((measure, axis), rows) in found {
+    for ((measure, axis), rows) in by_axis {
         let values: Vec<f64> = rows.iter().map(|(.., value)| *value).collect();
         let names: Vec<_> = spec.units.iter().map(String::as_str).chain(["point"]).collect();
         let path = |(run, point, _): &PointRow<'_>| {

@@ -1,6 +1,6 @@
 //! Repeats runs of a sweep, because a sweep's folder holds no surfaces to draw on.
 
-use super::{Swept, number_of};
+use super::{SweepResults, number_of};
 use crate::{
     diagram,
     format::number,
@@ -20,7 +20,7 @@ use osteoflow_engine::{
 use serde_json::Value as Json;
 
 /// The graph with the settings of the first run.
-pub(super) fn picture(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kinds) {
+pub(super) fn picture(page: &mut Page, sweep: &SweepResults, folder: &Folder, kinds: &Kinds) {
     let Some(first) = sweep.runs.first() else { return };
     let caption = format!(
         "The graph with the settings of run {}: nodes with kinds, wires with payloads. What a factor sets differs \
@@ -34,7 +34,7 @@ pub(super) fn picture(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &K
 }
 
 /// Maps of the fragments of the median run and the worst run, in the setting with the largest fragment error.
-pub(super) fn maps(page: &mut Page, sweep: &Swept, folder: &Folder, kinds: &Kinds) {
+pub(super) fn maps(page: &mut Page, sweep: &SweepResults, folder: &Folder, kinds: &Kinds) {
     let numeric = sweep.numeric();
     let names: Vec<_> = numeric.iter().map(|column| column.name.as_str()).collect();
     let Some(column) = mapped(&names).map(|at| numeric[at]) else { return };

@@ -1,8 +1,8 @@
 //! The figures of a sweep: lines over numeric factors, boxes over other factors, scatter plots over draws.
 
-use super::{Setting, Swept, label as quoted, number_of, setting_name};
+use super::{Setting, SweepResults, label as quoted, number_of, setting_name};
 use crate::{
-    chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, panels},
+    chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, panels, share_axes},
     format::number,
     html::Page,
 };
@@ -20,7 +20,7 @@ const MAX_PER_DRAW: usize = 6;
 const MAX_PANELS: usize = 6;
 
 /// A figure for each numeric column.
-pub(super) fn columns(page: &mut Page, sweep: &Swept) {
+pub(super) fn columns(page: &mut Page, sweep: &SweepResults) {
     let columns = sweep.numeric();
     let settings = sweep.settings();
     let layout = numeric_factor(sweep).and_then(|factor| Layout::of(sweep, factor, &settings));
@@ -45,7 +45,7 @@ pub(super) fn columns(page: &mut Page, sweep: &Swept) {
 }
 
 /// The numeric factor with the most values, at least three, that is not a unit; the number of a bone is a name.
-fn numeric_factor(sweep: &Swept) -> Option<&Factor> {
+fn numeric_factor(sweep: &SweepResults) -> Option<&Factor> {
     let numeric = sweep.varied().into_iter().filter(|factor| {
         factor.levels.len() >= 3
             && factor.levels.iter().all(|level| level.label.is_number())
@@ -70,7 +70,7 @@ type Line<'a> = (String, Vec<&'a Setting<'a>>);
 impl<'a> Layout<'a> {
     /// One line for each setting of the other factors if the colours suffice; otherwise one line for each value of another factor
     /// and one panel for each setting of the rest or, if there are too many panels, the rest pooled.
-    fn of(sweep: &Swept, x: &'a Factor, settings: &'a [Setting<'a>]) -> Option<Self> {
+    fn of(sweep: &SweepResults, x: &'a Factor, settings: &'a [Setting<'a>]) -> Option<Self> {
         let varied = sweep.varied();
         let others: Vec<&str> = varied.iter().map(|f| f.name.as_str()).filter(|name| *name != x.name).collect();
         let lines = by(settings.iter().collect(), &others);
@@ -118,24 +118,18 @@ fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String
         let lines = lines.iter().enumerate();
         lines.map(|(colour, (name, settings))| line(column, factor, name, settings, colour)).collect()
     };
-    let all: Vec<(&str, Vec<Series>)> = parts.iter().map(|(title, lines)| (title.as_str(), series(lines))).collect();
-    let reach = reach(all.iter().flat_map(|(_, series)| series));
     let (what, label) = (axis_label(&column.name), axis_label(&factor.name));
-    let charts: Vec<Chart> = all
-        .into_iter()
-        .map(|(title, mut series)| {
-            series.push(Series { name: String::new(), colour: 0, marks: vec![Mark::Reach(reach.clone())] });
-            Chart {
-                title: if title.is_empty() { format!("{what} against {label}") } else { title.to_owned() },
-                about: format!("Medians with quartiles of {} for each value of {}.", column.name, factor.name),
-                x: if is_logarithmic(factor) { Axis::Log(label.clone()) } else { Axis::Linear(label.clone()) },
-                y: Axis::Linear(what.clone()),
-                series,
-                note: if title.is_empty() { String::new() } else { format!("{what} against {label}") },
-                simulated: page.simulated(),
-            }
-        })
-        .collect();
+    let chart = |(title, lines): &(String, Vec<Line<'_>>)| Chart {
+        title: if title.is_empty() { format!("{what} against {label}") } else { title.clone() },
+        about: format!("Medians with quartiles of {} for each value of {}.", column.name, factor.name),
+        x: if is_logarithmic(factor) { Axis::Log(label.clone()) } else { Axis::Linear(label.clone()) },
+        y: Axis::Linear(what.clone()),
+        series: series(lines),
+        note: if title.is_empty() { String::new() } else { format!("{what} against {label}") },
+        simulated: page.simulated(),
+    };
+    let mut charts: Vec<Chart> = parts.iter().map(chart).collect();
+    share_axes(&mut charts);
     let mut caption = format!("{what} against {label}: median (line) and quartiles (band) over the runs");
     if !pooled.is_empty() {
         caption += &format!(" with all values of {} pooled", pooled.join(", "));
@@ -152,19 +146,6 @@ fn drawn(title: &str, charts: &[Chart]) -> String {
         [chart] => chart.svg(),
         charts => panels(title, charts.first().map_or("", |chart| &chart.about), charts),
     }
-}
-
-/// The extent of all marks of some series.
-fn reach<'a>(series: impl Iterator<Item = &'a Series>) -> Vec<(f64, f64)> {
-    let places = |mark: &Mark| -> Vec<(f64, f64)> {
-        match mark {
-            Mark::Line(points) | Mark::Reach(points) => points.clone(),
-            Mark::Band(points) => points.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect(),
-            Mark::Dots(points) => points.iter().map(|(x, y, _)| (*x, *y)).collect(),
-            Mark::Box(at, _, tukey) => tukey.values.iter().map(|value| (*at, *value)).collect(),
-        }
-    };
-    series.flat_map(|series| &series.marks).flat_map(places).collect()
 }
 
 /// Median and quartiles of these settings over a factor.
@@ -238,7 +219,7 @@ fn box_width(n: usize) -> f64 {
 }
 
 /// Boxes of the values at points by axis, with the settings side by side.
-pub(super) fn points(page: &mut Page, sweep: &Swept) {
+pub(super) fn points(page: &mut Page, sweep: &SweepResults) {
     let all = sweep.point_values();
     let settings = sweep.settings();
     for measure in sweep.spec.points.iter().take(MAX_FIGURES) {
@@ -292,7 +273,7 @@ pub(super) fn points(page: &mut Page, sweep: &Swept) {
 }
 
 /// Scatter plots of each drawn number against columns that it may affect.
-pub(super) fn draws(page: &mut Page, sweep: &Swept) {
+pub(super) fn draws(page: &mut Page, sweep: &SweepResults) {
     let numeric = sweep.numeric();
     let along: Vec<_> = numeric.iter().filter(|column| column.name.ends_with("_z_mm")).copied().collect();
     let columns = if along.is_empty() { numeric } else { along };
@@ -312,7 +293,7 @@ pub(super) fn draws(page: &mut Page, sweep: &Swept) {
 }
 
 /// A panel for each setting, with common axes: in one panel, dots would hide each other.
-fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
+fn scatter(page: &mut Page, sweep: &SweepResults, draw: &Draw, column: &Column) {
     let settings = sweep.settings();
     let groups: Vec<(String, Vec<_>)> = match settings.len() <= MAX_PANELS {
         true => settings.iter().map(|s| (s.name.clone(), s.runs.clone())).collect(),
@@ -322,7 +303,7 @@ fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
         }
     };
     let label = axis_label(&draw.name);
-    let (mut correlations, mut charts, mut all) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut correlations, mut charts) = (Vec::new(), Vec::new());
     let one = settings.len() <= 1;
     for (colour, (name, runs)) in groups.into_iter().enumerate() {
         let pairs: Vec<(f64, f64, String)> = runs
@@ -336,7 +317,6 @@ fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
             })
             .collect();
         let (x, y): (Vec<f64>, Vec<f64>) = pairs.iter().map(|(x, y, _)| (*x, *y)).unzip();
-        all.extend(x.iter().copied().zip(y.iter().copied()));
         let correlation = match pearson(&x, &y, 0.95) {
             Ok(found) => format!("r = {:.2}, n = {} runs", found.r, found.n).replace('-', "\u{2212}"),
             Err(why) => format!("no correlation: {why}"),
@@ -359,9 +339,7 @@ fn scatter(page: &mut Page, sweep: &Swept, draw: &Draw, column: &Column) {
             simulated: page.simulated(),
         });
     }
-    for chart in &mut charts {
-        chart.series.push(Series { name: String::new(), colour: 0, marks: vec![Mark::Reach(all.clone())] });
-    }
+    share_axes(&mut charts);
     let mut caption = format!(
         "{} of each run against the drawn {label}, with Pearson's correlation: {}. Runs on one {} are not independent, \
          so the correlation has no interval here.",
@@ -383,7 +361,7 @@ mod tests {
     use serde_json::json;
 
     /// A sweep over `n` words, `sides` sides and three numbers, with a column that grows with the number.
-    fn swept(n: usize, sides: usize) -> Swept {
+    fn swept(n: usize, sides: usize) -> SweepResults {
         let levels = |labels: Vec<Json>| -> Vec<Json> {
             labels.into_iter().map(|label| json!({ "label": label, "sets": ["a.b=1"] })).collect()
         };
@@ -415,7 +393,7 @@ mod tests {
             ],
             "columns": [{ "name": "tre_mm", "path": "tre_mm" }], "points": [], "limits": [], "compare": [],
         });
-        Swept { spec: serde_json::from_value(spec).unwrap(), about: Json::Null, runs }
+        SweepResults { spec: serde_json::from_value(spec).unwrap(), about: Json::Null, runs }
     }
 
     fn drawn(n: usize, sides: usize) -> (String, String) {

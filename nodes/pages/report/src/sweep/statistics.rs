@@ -1,6 +1,6 @@
 //! The statistics in `summary.json` as tables; every row has n and its units.
 
-use super::Swept;
+use super::SweepResults;
 use crate::{
     cell::Cell,
     chart::axis_label,
@@ -11,7 +11,7 @@ use osteoflow_statistics::counted;
 use serde_json::Value as Json;
 
 /// All tables of a summary.
-pub(super) fn tables(page: &mut Page, sweep: &Swept, summary: &Json) {
+pub(super) fn tables(page: &mut Page, sweep: &SweepResults, summary: &Json) {
     if let Some(about) = about_few(summary) {
         page.text(&about);
     }
@@ -120,7 +120,7 @@ mod tests {
             "notes": ["two runs were refused"],
         });
         let spec = serde_json::from_value(spec).unwrap();
-        let sweep = Swept { spec, about: Json::Null, runs: Vec::new() };
+        let sweep = SweepResults { spec, about: Json::Null, runs: Vec::new() };
         let mut page = Page::new("a sweep", false);
         tables(&mut page, &sweep, &summary);
         let (html, _) = page.finish("");
