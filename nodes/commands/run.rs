@@ -17,7 +17,7 @@ use osteoflow_engine::{
     plugin::check_lent_memory,
     run::{Injection, Listener, RunOptions, run},
 };
-use osteoflow_viewer::{Stream, Watched};
+use osteoflow_viewer::{NoApp, Stream};
 use std::{
     io::Write,
     net::SocketAddr,
@@ -124,7 +124,7 @@ impl Run {
         let server = self
             .serve
             .zip(stream.clone())
-            .map(|(address, stream)| self.admission.serve(address, &plan.name, stream, Arc::new(Watched), global));
+            .map(|(address, stream)| self.admission.serve(address, &plan.name, stream, Arc::new(NoApp), global));
         let server = server.transpose()?;
         let options = RunOptions {
             out_dir: Some(dir.to_path_buf()),

@@ -1,6 +1,6 @@
 use crate::commands::common::serve::picks::Picks;
 use osteoflow_geometry::SurgicalPlan;
-use osteoflow_viewer::{Answer, App, Playback, PlaybackState};
+use osteoflow_viewer::{App, Playback, PlaybackState, Response};
 
 /// A recording on the page: it is played, and what is picked on it is saved.
 pub(super) struct Played {
@@ -16,11 +16,11 @@ impl Played {
 }
 
 impl App for Played {
-    fn get(&self, path: &str) -> Option<Answer> {
+    fn get(&self, path: &str) -> Option<Response> {
         self.picks.get(path, self.plan.as_ref())
     }
 
-    fn post(&self, path: &str, body: &[u8]) -> Option<Answer> {
+    fn post(&self, path: &str, body: &[u8]) -> Option<Response> {
         self.picks.post(path, body, self.plan.as_ref())
     }
 

@@ -33,7 +33,7 @@ use osteoflow_engine::{
 };
 use osteoflow_geometry::SurgicalPlan;
 use osteoflow_node::Role;
-use osteoflow_viewer::{Answer, App, Stream};
+use osteoflow_viewer::{App, Response, Stream};
 use serde_json::{Value, json};
 use std::{
     io::Write,
@@ -155,11 +155,11 @@ impl Steering {
 }
 
 impl App for Steering {
-    fn get(&self, path: &str) -> Option<Answer> {
+    fn get(&self, path: &str) -> Option<Response> {
         self.picks.get(path, self.plan().as_ref())
     }
 
-    fn post(&self, path: &str, body: &[u8]) -> Option<Answer> {
+    fn post(&self, path: &str, body: &[u8]) -> Option<Response> {
         if let Some(what) = path.strip_prefix("save/") {
             let saved = self.picks.save(what, body, self.plan().as_ref());
             return Some(picks::reply(saved.and_then(|mut saved| {

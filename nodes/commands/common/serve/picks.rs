@@ -8,7 +8,7 @@ use osteoflow_formats::{
     region_file::{parse_region, write_region},
 };
 use osteoflow_geometry::{NamedPoint, Points, Shape, SurgicalPlan};
-use osteoflow_viewer::Answer;
+use osteoflow_viewer::Response;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use std::{
@@ -50,15 +50,15 @@ impl Picks {
     }
 
     /// The answer to a request of the page, if it is one for picks: `save/plan` and `save/pairs`.
-    pub(crate) fn post(&self, path: &str, body: &[u8], known: Option<&SurgicalPlan>) -> Option<Answer> {
+    pub(crate) fn post(&self, path: &str, body: &[u8], known: Option<&SurgicalPlan>) -> Option<Response> {
         let what = path.strip_prefix("save/").filter(|what| ["plan", "pairs"].contains(what))?;
         Some(reply(self.save(what, body, known)))
     }
 
     /// The answer to the page's question where picks are saved, and what is known of the plan that it does not see.
-    pub(crate) fn get(&self, path: &str, known: Option<&SurgicalPlan>) -> Option<Answer> {
+    pub(crate) fn get(&self, path: &str, known: Option<&SurgicalPlan>) -> Option<Response> {
         (path == "picks").then(|| {
-            Answer::json(&json!({ "folder": self.folder.display().to_string(), "plan": known.map(plan_json) }))
+            Response::json(&json!({ "folder": self.folder.display().to_string(), "plan": known.map(plan_json) }))
         })
     }
 
@@ -224,10 +224,10 @@ impl Picks {
 }
 
 /// The reply to a request of the page.
-pub(crate) fn reply(outcome: Result<Value, String>) -> Answer {
+pub(crate) fn reply(outcome: Result<Value, String>) -> Response {
     match outcome {
-        Ok(value) => Answer::json(&value),
-        Err(message) => Answer::refused(422, &message),
+        Ok(value) => Response::json(&value),
+        Err(message) => Response::refused(422, &message),
     }
 }
 

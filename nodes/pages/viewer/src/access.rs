@@ -15,9 +15,9 @@ pub(crate) struct Access {
     pub(crate) allowed_origins: Vec<String>,
 }
 
-/// The headers that decide.
+/// What a request says of its sender.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Asks<'a> {
+pub(crate) struct Credentials<'a> {
     /// The path, from `/`.
     pub(crate) path: &'a str,
     pub(crate) hosts: Vec<&'a str>,
@@ -26,32 +26,32 @@ pub(crate) struct Asks<'a> {
 
 /// Why a request is refused: status, and a sentence for its sender.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Denied(pub(crate) u16, pub(crate) String);
+pub(crate) struct Refusal(pub(crate) u16, pub(crate) String);
 
 impl Access {
     /// The path behind the token.
     ///
     /// # Errors
-    /// [`Denied`] if the host, the origin or the token is not right.
-    pub(crate) fn check<'a>(&self, asks: &Asks<'a>) -> Result<&'a str, Denied> {
-        let [host] = asks.hosts[..] else { return Err(Denied(400, "one Host is needed".into())) };
+    /// [`Refusal`] if the host, the origin or the token is not right.
+    pub(crate) fn check<'a>(&self, credentials: &Credentials<'a>) -> Result<&'a str, Refusal> {
+        let [host] = credentials.hosts[..] else { return Err(Refusal(400, "one Host is needed".into())) };
         if !self.is_own_host(host) {
-            return Err(Denied(403, "this server answers only to its own address".into()));
+            return Err(Refusal(403, "this server answers only to its own address".into()));
         }
-        match asks.origins[..] {
+        match credentials.origins[..] {
             // A program, or a page that the user opened by its address.
             [] => {}
             [origin] if self.is_own_origin(origin, host) => {}
             _ => {
-                let origin = asks.origins.join(", ");
+                let origin = credentials.origins.join(", ");
                 let remedy = format!("restart it with --allow-origin {origin} if you trust that page");
-                return Err(Denied(403, format!("pages of {origin} may not connect; {remedy}")));
+                return Err(Refusal(403, format!("pages of {origin} may not connect; {remedy}")));
             }
         }
-        let rest = asks.path.strip_prefix('/').unwrap_or_default();
+        let rest = credentials.path.strip_prefix('/').unwrap_or_default();
         let (token, rest) = rest.split_once('/').unwrap_or((rest, ""));
         if !is_same(token.as_bytes(), self.token.as_bytes()) {
-            return Err(Denied(403, "the address lacks the right token; use the one that the command printed".into()));
+            return Err(Refusal(403, "the address lacks the right token; use the one that the command printed".into()));
         }
         Ok(rest)
     }
@@ -97,8 +97,8 @@ mod tests {
         }
     }
 
-    fn asks<'a>(path: &'a str, host: &'a str, origin: Option<&'a str>) -> Asks<'a> {
-        Asks { path, hosts: vec![host], origins: origin.into_iter().collect() }
+    fn credentials<'a>(path: &'a str, host: &'a str, origin: Option<&'a str>) -> Credentials<'a> {
+        Credentials { path, hosts: vec![host], origins: origin.into_iter().collect() }
     }
 
     #[test]
@@ -106,10 +106,10 @@ mod tests {
         let access = access(HOST);
         for (path, rest) in [("/0123456789abcdef", ""), ("/0123456789abcdef/", ""), ("/0123456789abcdef/a/b", "a/b")] {
             for origin in [None, Some("http://127.0.0.1:8765"), Some("https://app.foxglove.dev")] {
-                assert_eq!(access.check(&asks(path, HOST, origin)), Ok(rest));
+                assert_eq!(access.check(&credentials(path, HOST, origin)), Ok(rest));
             }
         }
-        let by_name = asks("/0123456789abcdef", "localhost:8765", Some("http://localhost:8765"));
+        let by_name = credentials("/0123456789abcdef", "localhost:8765", Some("http://localhost:8765"));
         assert_eq!(access.check(&by_name), Ok(""));
     }
 
@@ -126,7 +126,7 @@ mod tests {
             "",
             "[::1]:8765",
         ] {
-            assert!(access.check(&asks(path, host, None)).is_err(), "{host}");
+            assert!(access.check(&credentials(path, host, None)).is_err(), "{host}");
         }
         for origin in [
             "http://evil.example",
@@ -139,17 +139,17 @@ mod tests {
             "https://app.foxglove.dev.evil.example",
             "http://app.foxglove.dev",
         ] {
-            let denied = access.check(&asks(path, HOST, Some(origin))).unwrap_err();
-            assert!(denied.0 == 403 && denied.1.contains("--allow-origin"), "{origin}: {denied:?}");
+            let refusal = access.check(&credentials(path, HOST, Some(origin))).unwrap_err();
+            assert!(refusal.0 == 403 && refusal.1.contains("--allow-origin"), "{origin}: {refusal:?}");
         }
         for token in
             ["/", "", "/0123456789abcde", "/0123456789abcdef0", "/x", "//0123456789abcdef", "/0123456789ABCDEF"]
         {
-            assert!(access.check(&asks(token, HOST, None)).is_err(), "{token}");
+            assert!(access.check(&credentials(token, HOST, None)).is_err(), "{token}");
         }
-        let twice = Asks { path, hosts: vec![HOST, HOST], origins: Vec::new() };
+        let twice = Credentials { path, hosts: vec![HOST, HOST], origins: Vec::new() };
         assert!(access.check(&twice).is_err());
-        let two_origins = Asks { path, hosts: vec![HOST], origins: vec!["http://127.0.0.1:8765"; 2] };
+        let two_origins = Credentials { path, hosts: vec![HOST], origins: vec!["http://127.0.0.1:8765"; 2] };
         assert!(access.check(&two_origins).is_err());
     }
 
@@ -157,7 +157,7 @@ mod tests {
     fn a_server_at_all_addresses_answers_to_addresses_but_not_to_names() {
         let access = access("0.0.0.0:8765");
         let path = "/0123456789abcdef";
-        assert!(access.check(&asks(path, "192.168.1.7:8765", Some("http://192.168.1.7:8765"))).is_ok());
-        assert!(access.check(&asks(path, "evil.example:8765", None)).is_err());
+        assert!(access.check(&credentials(path, "192.168.1.7:8765", Some("http://192.168.1.7:8765"))).is_ok());
+        assert!(access.check(&credentials(path, "evil.example:8765", None)).is_err());
     }
 }

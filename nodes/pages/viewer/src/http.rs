@@ -1,4 +1,4 @@
-//! Requests and answers of HTTP/1.1, as much of it as a page of its own needs: one request to a connection.
+//! Requests and responses of HTTP/1.1, as much of it as a page of its own needs: one request to a connection.
 
 use std::{
     io::{self, Read, Write},
@@ -96,9 +96,9 @@ fn read_more(from: &mut impl Read, bytes: &mut Vec<u8>) -> Result<(), Option<(u1
     }
 }
 
-/// An answer.
+/// A response.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Answer {
+pub struct Response {
     /// The status, such as 200.
     pub status: u16,
     /// The content type, such as `application/json`.
@@ -109,7 +109,7 @@ pub struct Answer {
     pub(crate) headers: String,
 }
 
-impl Answer {
+impl Response {
     /// JSON.
     pub fn json(value: &serde_json::Value) -> Self {
         Self::new(200, "application/json", value.to_string().into_bytes())

@@ -7,7 +7,7 @@
 
 mod access;
 mod http;
-mod opened;
+mod indexed;
 mod page;
 mod playback;
 mod protocol;
@@ -15,10 +15,10 @@ mod server;
 mod still;
 mod stream;
 
-pub use http::Answer;
+pub use http::Response;
 pub use page::{THREE_LICENSE, script};
 pub use playback::Playback;
 pub use protocol::PlaybackState;
-pub use server::{App, ServeOptions, Server, Watched};
+pub use server::{App, NoApp, ServeOptions, Server};
 pub use still::{LastMessage, last_messages};
 pub use stream::{Stream, Totals};

@@ -1,6 +1,6 @@
 //! The files of the page, which are part of the program.
 
-use crate::http::Answer;
+use crate::http::Response;
 
 /// A file: its path below the page, its content type and its content.
 type File = (&'static str, &'static str, &'static str);
@@ -59,22 +59,22 @@ pub fn script(path: &str) -> Option<&'static str> {
 pub const THREE_LICENSE: &str = include_str!("../page/three/LICENSE");
 
 /// The file at a path.
-pub(crate) fn file(path: &str) -> Option<Answer> {
+pub(crate) fn file(path: &str) -> Option<Response> {
     if path.is_empty() {
         return Some(index());
     }
     let (_, content_type, content) = FILES.iter().find(|(known, _, _)| *known == path)?;
-    Some(Answer::new(200, content_type, content.as_bytes().to_vec()))
+    Some(Response::new(200, content_type, content.as_bytes().to_vec()))
 }
 
 /// The page itself. It may load nothing but what this server has.
-fn index() -> Answer {
+fn index() -> Response {
     let mut bits = [0; 16];
     if getrandom::fill(&mut bits).is_err() {
-        return Answer::refused(500, "the system gives no random numbers");
+        return Response::refused(500, "the system gives no random numbers");
     }
     let nonce: String = bits.iter().map(|byte| format!("{byte:02x}")).collect();
-    let mut page = Answer::new(200, HTML, INDEX.replace(NONCE, &nonce).into_bytes());
+    let mut page = Response::new(200, HTML, INDEX.replace(NONCE, &nonce).into_bytes());
     page.headers = format!(
         "Content-Security-Policy: default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self'; img-src 'self' \
          data: blob:; connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n"

@@ -1,7 +1,7 @@
 //! A recording as a stream: at its own pace, stopped, or from any time.
 
 use crate::{
-    opened::{Entry, Messages, Opened, last_of_each},
+    indexed::{Entry, IndexedRecording, Messages, last_of_each},
     protocol::{self, PlaybackState},
     server::App,
     stream::{DROPS, FRAMES, Out, Stream, TIMING},
@@ -30,12 +30,12 @@ pub struct Playback {
 
 /// What the player's thread shares with the viewers' requests.
 struct Control {
-    asked: Mutex<Asked>,
+    state: Mutex<PlayerState>,
     changed: Condvar,
     stream: Arc<Stream>,
 }
 
-struct Asked {
+struct PlayerState {
     state: PlaybackState,
     /// Where to continue, if a viewer asked for a time.
     seek_ns: Option<u64>,
@@ -48,7 +48,7 @@ impl Playback {
     /// # Errors
     /// [`ReadError`] if it cannot be read at all; a recording without messages is [`ReadError::Empty`].
     pub fn open(path: &Path, stream: Arc<Stream>) -> Result<Self, ReadError> {
-        let Opened { messages, entries, channels, problem } = Opened::open(path)?;
+        let IndexedRecording { messages, entries, channels, problem } = IndexedRecording::open(path)?;
         let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Err(ReadError::Empty) };
         // Constants are logged with the first item, or at the beginning of all time; the transforms for viewers that read whole
         // files come just before everything else, and with them alone there is nothing to see.
@@ -60,8 +60,8 @@ impl Playback {
         let adds_up = adds.map(|channel| channel.id).collect();
         channels.into_values().for_each(|channel| stream.channel(channel));
         let state = PlaybackState { plays: false, ended: true, at_ns: range_ns.1, speed: 1.0 };
-        let asked = Asked { state, seek_ns: Some(range_ns.1), ends: false };
-        let control = Arc::new(Control { asked: Mutex::new(asked), changed: Condvar::new(), stream });
+        let player = PlayerState { state, seek_ns: Some(range_ns.1), ends: false };
+        let control = Arc::new(Control { state: Mutex::new(player), changed: Condvar::new(), stream });
         let player = Player { messages, entries, next: 0, control: control.clone(), range_ns, adds_up };
         thread::Builder::new().name("playback".into()).spawn(move || player.run())?;
         Ok(Self { control, range_ns, problem })
@@ -75,7 +75,7 @@ impl Playback {
 
 impl Drop for Playback {
     fn drop(&mut self) {
-        self.control.asked().ends = true;
+        self.control.lock().ends = true;
         self.control.changed.notify_one();
     }
 }
@@ -86,34 +86,34 @@ impl App for Playback {
     }
 
     fn play(&self, plays: bool, speed: f32, seek_ns: Option<u64>) -> Option<PlaybackState> {
-        let mut asked = self.control.asked();
-        if asked.ends {
-            return Some(asked.state);
+        let mut player = self.control.lock();
+        if player.ends {
+            return Some(player.state);
         }
         let (start, end) = self.range_ns;
         // From the end it plays from the start.
-        let again = (plays && asked.state.ended && seek_ns.is_none()).then_some(start);
+        let again = (plays && player.state.ended && seek_ns.is_none()).then_some(start);
         if let Some(seek) = seek_ns.or(again) {
             let seek = seek.clamp(start, end);
-            asked.seek_ns = Some(seek);
-            asked.state.at_ns = seek;
+            player.seek_ns = Some(seek);
+            player.state.at_ns = seek;
         }
-        let ended = asked.state.at_ns >= end;
-        asked.state = PlaybackState { plays: plays && !ended, ended, speed, ..asked.state };
-        let state = asked.state;
-        drop(asked);
+        let ended = player.state.at_ns >= end;
+        player.state = PlaybackState { plays: plays && !ended, ended, speed, ..player.state };
+        let state = player.state;
+        drop(player);
         self.control.changed.notify_one();
         Some(state)
     }
 
     fn playback(&self) -> Option<PlaybackState> {
-        Some(self.control.asked().state)
+        Some(self.control.lock().state)
     }
 }
 
 impl Control {
-    fn asked(&self) -> MutexGuard<'_, Asked> {
-        self.asked.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, PlayerState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -136,13 +136,13 @@ impl Player {
         let mut clock_sent = Instant::now();
         loop {
             let control = self.control.clone();
-            let mut asked = control.asked();
-            if asked.ends {
+            let mut player = control.lock();
+            if player.ends {
                 return;
             }
-            if let Some(seek) = asked.seek_ns.take() {
-                let state = asked.state;
-                drop(asked);
+            if let Some(seek) = player.seek_ns.take() {
+                let state = player.state;
+                drop(player);
                 // Viewers forget what they show, then get what is known at that time.
                 self.control.stream.forget();
                 self.send_state(&state, true);
@@ -152,22 +152,22 @@ impl Player {
                 since = (Instant::now(), seek);
                 continue;
             }
-            if !asked.state.plays {
-                drop(control.changed.wait_timeout(asked, Duration::from_secs(1)));
-                since = (Instant::now(), control.asked().state.at_ns);
+            if !player.state.plays {
+                drop(control.changed.wait_timeout(player, Duration::from_secs(1)));
+                since = (Instant::now(), control.lock().state.at_ns);
                 continue;
             }
             // A change of the speed does not move the past.
             let now = Instant::now();
-            let passed_ns = (now - since.0).as_nanos() as f64 * f64::from(asked.state.speed);
+            let passed_ns = (now - since.0).as_nanos() as f64 * f64::from(player.state.speed);
             let at_ns = since.1.saturating_add(passed_ns as u64).min(self.range_ns.1);
             since = (now, at_ns);
-            asked.state.at_ns = at_ns;
+            player.state.at_ns = at_ns;
             if at_ns >= self.range_ns.1 {
-                asked.state = PlaybackState { plays: false, ended: true, ..asked.state };
+                player.state = PlaybackState { plays: false, ended: true, ..player.state };
             }
-            let state = asked.state;
-            drop(asked);
+            let state = player.state;
+            drop(player);
             if let Err(error) = self.send_until(at_ns) {
                 return self.fail(&error);
             }
@@ -178,9 +178,9 @@ impl Player {
             if !state.ended {
                 let next_ns = self.entries.get(self.next).map_or(at_ns, |entry| entry.log_time_ns);
                 let wait = Duration::from_secs_f64(next_ns.saturating_sub(at_ns) as f64 / 1e9 / f64::from(state.speed));
-                let asked = control.asked();
-                if asked.seek_ns.is_none() && asked.state.plays {
-                    drop(control.changed.wait_timeout(asked, wait.min(STEP)));
+                let player = control.lock();
+                if player.seek_ns.is_none() && player.state.plays {
+                    drop(control.changed.wait_timeout(player, wait.min(STEP)));
                 }
             }
         }
@@ -218,10 +218,10 @@ impl Player {
 
     /// Stops for good: the file has changed or cannot be read any more.
     fn fail(&self, error: &io::Error) {
-        let mut asked = self.control.asked();
-        (asked.state.plays, asked.ends) = (false, true);
-        let state = asked.state;
-        drop(asked);
+        let mut player = self.control.lock();
+        (player.state.plays, player.ends) = (false, true);
+        let state = player.state;
+        drop(player);
         self.send_state(&state, false);
         tracing::error!("the recording cannot be played any more: {error}");
         let status = protocol::status(

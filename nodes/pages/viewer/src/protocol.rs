@@ -140,15 +140,15 @@ pub(crate) fn service_failure(call: &ServiceCall, message: &str) -> String {
         .to_string()
 }
 
-pub(crate) fn service_response(call: &ServiceCall, answer: &Value) -> Vec<u8> {
+pub(crate) fn service_response(call: &ServiceCall, reply: &Value) -> Vec<u8> {
     const ENCODING: &[u8] = b"json";
-    let answer = answer.to_string();
+    let reply = reply.to_string();
     let mut out = vec![SERVICE_RESPONSE];
     out.extend(call.service.to_le_bytes());
     out.extend(call.call.to_le_bytes());
     out.extend((ENCODING.len() as u32).to_le_bytes());
     out.extend(ENCODING);
-    out.extend(answer.as_bytes());
+    out.extend(reply.as_bytes());
     out
 }
 
@@ -300,8 +300,8 @@ mod tests {
         bytes.extend(b"json{\"a\":1}");
         let Ok(FromClient::Service(call)) = read_binary(&bytes) else { panic!("a call") };
         assert_eq!((call.service, call.call, &call.request["a"]), (7, 9, &json!(1)));
-        let answer = service_response(&call, &json!({ "b": 2 }));
-        assert_eq!(answer, [&[3, 7, 0, 0, 0, 9, 0, 0, 0, 4, 0, 0, 0], &b"json{\"b\":2}"[..]].concat());
+        let reply = service_response(&call, &json!({ "b": 2 }));
+        assert_eq!(reply, [&[3, 7, 0, 0, 0, 9, 0, 0, 0, 4, 0, 0, 0], &b"json{\"b\":2}"[..]].concat());
     }
 
     #[test]

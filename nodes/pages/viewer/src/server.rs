@@ -1,8 +1,8 @@
 //! The server: the page, and the stream to viewers, at one address.
 
 use crate::{
-    access::{Access, Asks, Denied},
-    http::{Answer, PATIENCE, Request},
+    access::{Access, Credentials, Refusal},
+    http::{PATIENCE, Request, Response},
     page,
     protocol::{self, FromClient, Level, PlaybackState, SUBPROTOCOLS},
     stream::{Out, Stream, Totals, Viewer},
@@ -56,13 +56,13 @@ impl ServeOptions {
 
 /// What is behind the page and the stream. All of it is optional.
 pub trait App: Send + Sync {
-    /// The answer to a request of the page for `path`.
-    fn get(&self, _path: &str) -> Option<Answer> {
+    /// The response to a request of the page for `path`.
+    fn get(&self, _path: &str) -> Option<Response> {
         None
     }
 
-    /// The answer to a request of the page that changes something.
-    fn post(&self, _path: &str, _body: &[u8]) -> Option<Answer> {
+    /// The response to a request of the page that changes something.
+    fn post(&self, _path: &str, _body: &[u8]) -> Option<Response> {
         None
     }
 
@@ -111,9 +111,9 @@ pub trait App: Send + Sync {
 
 /// An app without anything: a run that is only watched.
 #[derive(Debug, Clone, Copy)]
-pub struct Watched;
+pub struct NoApp;
 
-impl App for Watched {}
+impl App for NoApp {}
 
 /// A server that runs.
 pub struct Server {
@@ -230,12 +230,12 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
 }
 
 /// A connection that must have sent its request by a time.
-struct Until<'a>(&'a TcpStream, Instant);
+struct Deadline<'a>(&'a TcpStream, Instant);
 
-impl Read for Until<'_> {
+impl Read for Deadline<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let left = self.1.saturating_duration_since(Instant::now());
-        self.0.set_read_timeout(Some(left.max(Duration::from_millis(1))))?;
+        let remaining = self.1.saturating_duration_since(Instant::now());
+        self.0.set_read_timeout(Some(remaining.max(Duration::from_millis(1))))?;
         self.0.read(buffer)
     }
 }
@@ -243,21 +243,21 @@ impl Read for Until<'_> {
 fn serve(mut connection: TcpStream, shared: &Arc<Shared>) {
     let _ = connection.set_nodelay(true);
     let _ = connection.set_write_timeout(Some(STUCK));
-    let request = match Request::read(&mut Until(&connection, Instant::now() + PATIENCE)) {
+    let request = match Request::read(&mut Deadline(&connection, Instant::now() + PATIENCE)) {
         Ok(request) => request,
         Err(fault) => {
             if let Some((status, message)) = fault {
-                let _ = Answer::refused(status, message).write(&mut connection);
+                let _ = Response::refused(status, message).write(&mut connection);
             }
             return;
         }
     };
     let path = request.path.split('?').next().unwrap_or_default();
-    let asks = Asks { path, hosts: request.all("host"), origins: request.all("origin") };
-    let answer = match shared.access.check(&asks) {
-        Err(Denied(status, message)) => Answer::refused(status, &message),
+    let credentials = Credentials { path, hosts: request.all("host"), origins: request.all("origin") };
+    let response = match shared.access.check(&credentials) {
+        Err(Refusal(status, message)) => Response::refused(status, &message),
         Ok(_) if request.lists("upgrade", "websocket") => match upgrade(&request) {
-            Err(message) => Answer::refused(400, message),
+            Err(message) => Response::refused(400, message),
             Ok(head) => {
                 if connection.write_all(head.as_bytes()).is_ok() {
                     view(connection, shared);
@@ -265,24 +265,24 @@ fn serve(mut connection: TcpStream, shared: &Arc<Shared>) {
                 return;
             }
         },
-        Ok(rest) => answer(&request, rest, shared),
+        Ok(rest) => respond(&request, rest, shared),
     };
-    let _ = answer.write(&mut connection);
+    let _ = response.write(&mut connection);
 }
 
-fn answer(request: &Request, rest: &str, shared: &Shared) -> Answer {
-    let found = match &*request.method {
+fn respond(request: &Request, rest: &str, shared: &Shared) -> Response {
+    let response = match &*request.method {
         // Relative addresses of the page need the slash.
         "GET" if rest.is_empty() && !request.path.ends_with('/') => {
-            let mut moved = Answer::refused(308, "the page is one slash further");
+            let mut moved = Response::refused(308, "the page is one slash further");
             moved.headers = format!("Location: {}/\r\n", request.path);
             Some(moved)
         }
         "GET" => page::file(rest).or_else(|| shared.app.get(rest)),
         "POST" => shared.app.post(rest, &request.body),
-        _ => return Answer::refused(405, "GET and POST are served"),
+        _ => return Response::refused(405, "GET and POST are served"),
     };
-    found.unwrap_or_else(|| Answer::refused(404, "there is nothing at this address"))
+    response.unwrap_or_else(|| Response::refused(404, "there is nothing at this address"))
 }
 
 /// The head of the answer that makes a connection a WebSocket.
@@ -370,12 +370,12 @@ fn view(connection: TcpStream, shared: &Arc<Shared>) {
     });
     if started.is_ok() {
         while let Ok(message) = reader.read() {
-            let asked = match &message {
+            let request = match &message {
                 Message::Text(text) => protocol::read_text(text),
                 Message::Binary(bytes) => protocol::read_binary(bytes),
                 _ => continue,
             };
-            if let Err(fault) = asked.and_then(|asked| shared.answer(&viewer, asked)) {
+            if let Err(fault) = request.and_then(|request| shared.reply(&viewer, request)) {
                 viewer.send(Out::Text(protocol::status(Level::Error, &fault, "request")));
             }
         }
@@ -384,20 +384,20 @@ fn view(connection: TcpStream, shared: &Arc<Shared>) {
 }
 
 impl Shared {
-    /// Answers a message of a viewer.
+    /// Replies to a message of a viewer.
     ///
     /// # Errors
     /// A sentence for the viewer.
-    fn answer(&self, viewer: &Viewer, asked: FromClient) -> Result<(), String> {
-        match asked {
+    fn reply(&self, viewer: &Viewer, request: FromClient) -> Result<(), String> {
+        match request {
             FromClient::Subscribe(pairs) => {
                 pairs.into_iter().try_for_each(|(id, channel)| self.stream.subscribe(viewer, id, channel))?;
             }
             FromClient::Unsubscribe(ids) => ids.into_iter().for_each(|id| viewer.unsubscribe(id)),
             FromClient::GetParameters { names, id } => {
                 let all = self.app.parameters();
-                let asked = all.into_iter().filter(|(name, _)| names.is_empty() || names.contains(name));
-                let values: Vec<_> = asked.collect();
+                let requested = all.into_iter().filter(|(name, _)| names.is_empty() || names.contains(name));
+                let values: Vec<_> = requested.collect();
                 viewer.send(Out::Text(protocol::parameter_values(&values, id.as_deref())));
             }
             FromClient::SetParameters { values, id } => {
@@ -411,9 +411,9 @@ impl Shared {
             }
             FromClient::Service(call) => {
                 let named = (call.service as usize).checked_sub(1).and_then(|index| self.app.services().get(index));
-                let answer = named.ok_or("there is no such service".to_owned());
-                viewer.send(match answer.and_then(|name| self.app.call(name, &call.request)) {
-                    Ok(answer) => Out::Binary(protocol::service_response(&call, &answer)),
+                let name = named.ok_or("there is no such service".to_owned());
+                viewer.send(match name.and_then(|name| self.app.call(name, &call.request)) {
+                    Ok(reply) => Out::Binary(protocol::service_response(&call, &reply)),
                     Err(message) => Out::Text(protocol::service_failure(&call, &message)),
                 });
             }

@@ -1,6 +1,6 @@
 //! What viewers have of a recording that was played to its end: the last message of each channel.
 
-use crate::opened::{Opened, last_of_each};
+use crate::indexed::{IndexedRecording, last_of_each};
 use osteoflow_container::ReadError;
 use osteoflow_engine::run::ListenedChannel;
 use std::path::Path;
@@ -19,13 +19,13 @@ pub struct LastMessage {
 /// # Errors
 /// [`ReadError`] if the file cannot be read.
 pub fn last_messages(path: &Path, wants: impl Fn(&ListenedChannel) -> bool) -> Result<Vec<LastMessage>, ReadError> {
-    let mut opened = Opened::open(path)?;
-    let mut last: Vec<usize> = last_of_each(&opened.entries).into_values().collect();
+    let mut recording = IndexedRecording::open(path)?;
+    let mut last: Vec<usize> = last_of_each(&recording.entries).into_values().collect();
     last.sort_unstable();
-    let mut found = Vec::new();
-    for entry in last.into_iter().map(|at| opened.entries[at]) {
-        let Some(channel) = opened.channels.get(&entry.channel).filter(|channel| wants(channel)) else { continue };
-        found.push(LastMessage { channel: channel.clone(), data: opened.messages.data(entry)? });
+    let mut messages = Vec::new();
+    for entry in last.into_iter().map(|at| recording.entries[at]) {
+        let Some(channel) = recording.channels.get(&entry.channel).filter(|channel| wants(channel)) else { continue };
+        messages.push(LastMessage { channel: channel.clone(), data: recording.messages.data(entry)? });
     }
-    Ok(found)
+    Ok(messages)
 }

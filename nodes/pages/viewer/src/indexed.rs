@@ -15,7 +15,7 @@ pub(crate) struct Entry {
 }
 
 /// A recording with the places of its messages, in the order of their times.
-pub(crate) struct Opened {
+pub(crate) struct IndexedRecording {
     pub(crate) messages: Messages,
     pub(crate) entries: Vec<Entry>,
     pub(crate) channels: BTreeMap<u16, ListenedChannel>,
@@ -23,7 +23,7 @@ pub(crate) struct Opened {
     pub(crate) problem: Option<String>,
 }
 
-impl Opened {
+impl IndexedRecording {
     /// Reads where the messages are. What is damaged is left out.
     ///
     /// # Errors
