@@ -113,8 +113,8 @@ impl Source for Always {
     }
 
     fn next(&mut self, _: &mut Context) -> Result<Option<NumberOut>, NodeError> {
-        let said = std::mem::replace(&mut self.0, true);
-        Ok((!said).then_some(NumberOut { out: Number(0.5) }))
+        let is_over = std::mem::replace(&mut self.0, true);
+        Ok((!is_over).then_some(NumberOut { out: Number(0.5) }))
     }
 }
 

@@ -89,8 +89,8 @@ impl Node for Judge {
 
     fn process(&mut self, i: JudgeIn, ctx: &mut Context) -> Result<JudgeOut, NodeError> {
         let number = i.number.0;
-        let said = self.0.says.get(ctx.item() as usize).or(self.0.says.last());
-        let verdict = said.cloned().unwrap_or_else(|| self.0.judge(number));
+        let line = self.0.says.get(ctx.item() as usize).or(self.0.says.last());
+        let verdict = line.cloned().unwrap_or_else(|| self.0.judge(number));
         Ok(JudgeOut { verdict: Judgement(verdict), remark: Remark(json!({ "number": number })) })
     }
 }

@@ -64,7 +64,7 @@ mod tests {
             assert_eq!(TooFar::first(&points), Some((2500, TooFar { value_mm: far })));
         }
         assert!(TooFar::check(&[f64::NAN]).is_err(), "NaN compares as false");
-        let said = TooFar { value_mm: -1e45 }.to_string();
-        assert!(said.starts_with("the coordinate -1e45 mm is farther than 1e7 mm (10 km)"), "{said}");
+        let message = TooFar { value_mm: -1e45 }.to_string();
+        assert!(message.starts_with("the coordinate -1e45 mm is farther than 1e7 mm (10 km)"), "{message}");
     }
 }

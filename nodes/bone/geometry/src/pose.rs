@@ -105,9 +105,9 @@ mod tests {
     fn composing_poses_that_do_not_meet_names_all_four_frames() {
         let left = Pose::new("world", "camera", turn(0.1, 0.0));
         let right = Pose::new("phantom", "ct", turn(0.1, 0.0));
-        let said = left.compose(&right).unwrap_err().to_string();
+        let message = left.compose(&right).unwrap_err().to_string();
         for frame in ["world", "camera", "phantom", "ct"] {
-            assert!(said.contains(frame), "{said} does not name {frame}");
+            assert!(message.contains(frame), "{message} does not name {frame}");
         }
     }
 

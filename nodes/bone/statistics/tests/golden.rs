@@ -25,26 +25,26 @@ fn units(case: &Value) -> Units {
 }
 
 #[track_caller]
-fn check(found: f64, expected: &Value, what: &str) {
+fn check(result: f64, expected: &Value, what: &str) {
     let expected = expected.as_f64().unwrap();
     // Libraries sum in different orders, and a p-value loses digits in its quantile.
     let tolerance = 1e-14 + 1e-10 * expected.abs();
-    assert!((found - expected).abs() <= tolerance, "{what}: {found:e}, scipy says {expected:e}");
+    assert!((result - expected).abs() <= tolerance, "{what}: {result:e}, scipy says {expected:e}");
 }
 
 #[track_caller]
-fn check_interval(found: Interval, expected: &Value, what: &str) {
-    check(found.low, &expected[0], what);
-    check(found.high, &expected[1], what);
+fn check_interval(result: Interval, expected: &Value, what: &str) {
+    check(result.low, &expected[0], what);
+    check(result.high, &expected[1], what);
 }
 
 #[test]
 fn summaries_are_those_of_numpy() {
     for case in cases("summary") {
-        let found = Summary::of(&numbers(&case, "values")).unwrap();
-        let found = serde_json::to_value(found).unwrap();
-        assert_eq!(found["sd"].is_null(), case["sd"].is_null());
-        for (key, value) in found.as_object().unwrap().iter().filter(|(_, value)| !value.is_null()) {
+        let result = Summary::of(&numbers(&case, "values")).unwrap();
+        let result = serde_json::to_value(result).unwrap();
+        assert_eq!(result["sd"].is_null(), case["sd"].is_null());
+        for (key, value) in result.as_object().unwrap().iter().filter(|(_, value)| !value.is_null()) {
             check(value.as_f64().unwrap(), &case[key], key);
         }
     }
@@ -54,9 +54,9 @@ fn summaries_are_those_of_numpy() {
 fn wilsons_interval_is_that_of_statsmodels() {
     for case in cases("wilson") {
         let count = |key: &str| case[key].as_u64().unwrap() as usize;
-        let found = wilson(count("n_hits"), count("n"), case["level"].as_f64().unwrap()).unwrap().interval.unwrap();
-        check(found.low, &case["low"], "low");
-        check(found.high, &case["high"], "high");
+        let result = wilson(count("n_hits"), count("n"), case["level"].as_f64().unwrap()).unwrap().interval.unwrap();
+        check(result.low, &case["low"], "low");
+        check(result.high, &case["high"], "high");
     }
 }
 
@@ -64,9 +64,9 @@ fn wilsons_interval_is_that_of_statsmodels() {
 fn the_effective_sample_size_is_that_of_cluster_robust_least_squares() {
     for case in cases("wilson_clustered") {
         let hits: Vec<bool> = case["hits"].as_array().unwrap().iter().map(|v| v.as_bool().unwrap()).collect();
-        let found = wilson_clustered(&units(&case), &hits, case["level"].as_f64().unwrap()).unwrap();
-        check(found.n_effective, &case["n_effective"], "n_effective");
-        let interval = found.interval.unwrap();
+        let result = wilson_clustered(&units(&case), &hits, case["level"].as_f64().unwrap()).unwrap();
+        check(result.n_effective, &case["n_effective"], "n_effective");
+        let interval = result.interval.unwrap();
         check(interval.low, &case["low"], "low");
         check(interval.high, &case["high"], "high");
     }
@@ -86,14 +86,14 @@ fn the_signed_rank_test_is_that_of_scipy_with_ties_and_zeros_and_without() {
                 method: if test["method"] == "auto" { WilcoxonMethod::Auto } else { WilcoxonMethod::Normal },
                 continuity: test["continuity"].as_bool().unwrap(),
             };
-            let found = wilcoxon(&differences, &params).unwrap();
+            let result = wilcoxon(&differences, &params).unwrap();
             let what = format!("{test} of {differences:?}");
-            check(found.p, &test["p"], &what);
-            check(found.w_plus, &case["w_plus"], &what);
-            check(found.w_minus, &case["w_minus"], &what);
-            check(found.rank_biserial, &case["rank_biserial"], &what);
-            check(found.hodges_lehmann, &case["hodges_lehmann"], &what);
-            assert_eq!(found.n_zeros as u64, case["n_zeros"].as_u64().unwrap());
+            check(result.p, &test["p"], &what);
+            check(result.w_plus, &case["w_plus"], &what);
+            check(result.w_minus, &case["w_minus"], &what);
+            check(result.rank_biserial, &case["rank_biserial"], &what);
+            check(result.hodges_lehmann, &case["hodges_lehmann"], &what);
+            assert_eq!(result.n_zeros as u64, case["n_zeros"].as_u64().unwrap());
         }
     }
 }
@@ -101,9 +101,9 @@ fn the_signed_rank_test_is_that_of_scipy_with_ties_and_zeros_and_without() {
 #[test]
 fn holms_correction_is_that_of_statsmodels() {
     for case in cases("holm") {
-        let found = holm(&numbers(&case, "p")).unwrap();
-        for (found, expected) in found.iter().zip(case["corrected"].as_array().unwrap()) {
-            check(*found, expected, "corrected p");
+        let result = holm(&numbers(&case, "p")).unwrap();
+        for (result, expected) in result.iter().zip(case["corrected"].as_array().unwrap()) {
+            check(*result, expected, "corrected p");
         }
     }
 }
@@ -112,12 +112,12 @@ fn holms_correction_is_that_of_statsmodels() {
 fn equivalence_is_that_of_statsmodels() {
     for case in cases("tost") {
         let (margin, alpha) = (case["margin"].as_f64().unwrap(), case["alpha"].as_f64().unwrap());
-        let found = tost(&numbers(&case, "differences"), margin, alpha).unwrap();
-        check(found.p, &case["p"], "p");
-        check(found.p_lower, &case["p_lower"], "p_lower");
-        check(found.p_upper, &case["p_upper"], "p_upper");
-        check(found.interval.low, &case["low"], "low");
-        check(found.interval.high, &case["high"], "high");
+        let result = tost(&numbers(&case, "differences"), margin, alpha).unwrap();
+        check(result.p, &case["p"], "p");
+        check(result.p_lower, &case["p_lower"], "p_lower");
+        check(result.p_upper, &case["p_upper"], "p_upper");
+        check(result.interval.low, &case["low"], "low");
+        check(result.interval.high, &case["high"], "high");
     }
 }
 
@@ -126,21 +126,21 @@ fn limits_of_agreement_follow_their_formulas_with_scipys_quantiles() {
     for repeated in [false, true] {
         for case in cases(if repeated { "bland_altman_repeated" } else { "bland_altman" }) {
             let (differences, level) = (numbers(&case, "differences"), case["level"].as_f64().unwrap());
-            let found = if repeated {
+            let result = if repeated {
                 bland_altman_repeated(&units(&case), &differences, level).unwrap()
             } else {
                 bland_altman(&differences, level).unwrap()
             };
-            check(found.bias, &case["bias"], "bias");
-            check(found.sd, &case["sd"], "sd");
-            check(found.lower_limit, &case["lower"], "lower limit");
-            check(found.upper_limit, &case["upper"], "upper limit");
-            check_interval(found.bias_interval, &case["bias_interval"], "bias");
-            check_interval(found.lower_interval, &case["lower_interval"], "lower limit");
-            check_interval(found.upper_interval, &case["upper_interval"], "upper limit");
+            check(result.bias, &case["bias"], "bias");
+            check(result.sd, &case["sd"], "sd");
+            check(result.lower_limit, &case["lower"], "lower limit");
+            check(result.upper_limit, &case["upper"], "upper limit");
+            check_interval(result.bias_interval, &case["bias_interval"], "bias");
+            check_interval(result.lower_interval, &case["lower_interval"], "lower limit");
+            check_interval(result.upper_interval, &case["upper_interval"], "upper limit");
             if repeated {
-                check(found.sd_between.unwrap(), &case["sd_between"], "sd between");
-                check(found.sd_within.unwrap(), &case["sd_within"], "sd within");
+                check(result.sd_between.unwrap(), &case["sd_between"], "sd between");
+                check(result.sd_within.unwrap(), &case["sd_within"], "sd within");
             }
         }
     }
@@ -149,12 +149,12 @@ fn limits_of_agreement_follow_their_formulas_with_scipys_quantiles() {
 #[test]
 fn repeatability_is_that_of_statsmodels_analysis_of_variance() {
     for case in cases("repeatability") {
-        let found = repeatability(&texts(&case, "group"), &numbers(&case, "values")).unwrap();
-        check(found.n0, &case["n0"], "n0");
-        check(found.sd_within, &case["sd_within"], "sd within");
-        check(found.sd_between, &case["sd_between"], "sd between");
-        check(found.coefficient, &case["coefficient"], "coefficient");
-        check(found.icc, &case["icc"], "icc");
+        let result = repeatability(&texts(&case, "group"), &numbers(&case, "values")).unwrap();
+        check(result.n0, &case["n0"], "n0");
+        check(result.sd_within, &case["sd_within"], "sd within");
+        check(result.sd_between, &case["sd_between"], "sd between");
+        check(result.coefficient, &case["coefficient"], "coefficient");
+        check(result.icc, &case["icc"], "icc");
     }
 }
 
@@ -163,10 +163,10 @@ fn correlations_are_those_of_scipy() {
     for (name, correlate) in [("pearson", pearson as fn(&[f64], &[f64], f64) -> _), ("spearman", spearman)] {
         for case in cases(name) {
             let level = case["level"].as_f64().unwrap();
-            let found: Correlation = correlate(&numbers(&case, "x"), &numbers(&case, "y"), level).unwrap();
-            check(found.r, &case["r"], name);
-            check(found.p, &case["p"], name);
-            let interval = found.interval.unwrap();
+            let result: Correlation = correlate(&numbers(&case, "x"), &numbers(&case, "y"), level).unwrap();
+            check(result.r, &case["r"], name);
+            check(result.p, &case["p"], name);
+            let interval = result.interval.unwrap();
             check(interval.low, &case["low"], name);
             check(interval.high, &case["high"], name);
         }
@@ -180,15 +180,15 @@ fn bootstrap_intervals_lie_where_scipys_do() {
         let kind = if case["kind"] == "BCa" { BootstrapKind::BiasCorrected } else { BootstrapKind::Percentile };
         let params = BootstrapParams { kind, n_resamples: 100_000, ..Default::default() };
         let units = Units::each_row("bone", values.len());
-        let found = if case["statistic"] == "mean" {
+        let result = if case["statistic"] == "mean" {
             bootstrap_mean(&units, &values, &params).unwrap()
         } else {
             bootstrap(&units, &values, median, &params).unwrap()
         };
         let (low, high) = (case["low"].as_f64().unwrap(), case["high"].as_f64().unwrap());
-        let found = found.interval.unwrap();
-        let off = (found.low - low).abs().max((found.high - high).abs()) / (high - low);
+        let result = result.interval.unwrap();
+        let off = (result.low - low).abs().max((result.high - high).abs()) / (high - low);
         // Other random draws: an end of 100,000 resamples is known to about 1 % of the width.
-        assert!(off < 0.02, "{} {}: {found:?}, scipy says {low} to {high}", case["statistic"], case["kind"]);
+        assert!(off < 0.02, "{} {}: {result:?}, scipy says {low} to {high}", case["statistic"], case["kind"]);
     }
 }

@@ -574,7 +574,7 @@ mod tests {
             }
         }
         match T::from_view(&view) {
-            Err(ViewError::Invalid(said)) => said,
+            Err(ViewError::Invalid(message)) => message,
             _ => panic!("{name}[{at}] = {number} is taken for a payload"),
         }
     }
@@ -590,7 +590,7 @@ mod tests {
         let region = Region { frame: "camera".into(), min: Point3::origin(), max: Point3::new(1.0, 1.0, 1.0) };
         let axes = Axes { frame: "ct".into(), centre: Point3::origin(), columns: Matrix3::identity() };
         let target = "t_ct_world is no rigid motion: ";
-        for (said, expected) in [
+        for (message, expected) in [
             (refused(&pose, "isometry", 0, inf), format!("{target}the translation is not finite")),
             (refused(&pose, "isometry", 6, nan), format!("{target}the quaternion is not finite")),
             (refused(&pose, "isometry", 6, 3.0), format!("{target}the quaternion has length 3.0")),
@@ -610,7 +610,7 @@ mod tests {
             (refused(&axes, "columns", 8, 0.0), "columns: the upper left 3 x 3 is not a rotation".into()),
             (refused(&axes, "columns", 4, nan), "columns: the matrix is not finite".into()),
         ] {
-            assert!(said.starts_with(&expected) || said.ends_with(&expected), "{expected}\n{said}");
+            assert!(message.starts_with(&expected) || message.ends_with(&expected), "{expected}\n{message}");
         }
     }
 
@@ -618,8 +618,8 @@ mod tests {
     fn a_plane_of_zeros_is_no_plane_and_a_viewpoint_of_six_numbers_no_pose() {
         let mut view = Planes::new("ct", vec![Plane::new("distal", turn())]).to_view();
         view.columns[0].data = Arc::new(vec![0; 56]);
-        let said = Planes::from_view(&view).unwrap_err().to_string();
-        assert!(said.ends_with("plane 0 \"distal\": the quaternion is zero"), "{said}");
+        let message = Planes::from_view(&view).unwrap_err().to_string();
+        assert!(message.ends_with("plane 0 \"distal\": the quaternion is zero"), "{message}");
         let cloud = Cloud::new("camera", vec![Point3::origin()]).unwrap();
         let view = cloud.to_view().with("viewpoint", vec![0.0; 6]);
         assert!(Cloud::from_view(&view).is_err(), "it is not taken for a cloud without a viewpoint");

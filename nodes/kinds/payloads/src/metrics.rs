@@ -187,7 +187,7 @@ mod tests {
         let two_units = Metrics::new([("rms", 1.0, "mm")]).unwrap().to_view();
         let mut two_units = View { head: vec![], ..two_units };
         two_units = two_units.with("names", "rms").with("units", "mm\nmm");
-        let said = Metrics::from_view(&two_units).unwrap_err().to_string();
-        assert!(said.contains("1 names and 2 units of 1 values"), "{said}");
+        let message = Metrics::from_view(&two_units).unwrap_err().to_string();
+        assert!(message.contains("1 names and 2 units of 1 values"), "{message}");
     }
 }

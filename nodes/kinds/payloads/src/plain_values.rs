@@ -89,7 +89,7 @@ mod tests {
         let back = Json::from_view(&json.to_view()).unwrap();
         assert_eq!(back.to_result().to_string(), json.to_result().to_string());
         assert_eq!(back.0["z"][0].as_f64().map(f64::to_bits), Some(0.1_f64.to_bits()));
-        let said = Json::from_view(&View::new().with("json", "{")).unwrap_err().to_string();
-        assert!(said.starts_with("the view is not a valid payload"), "{said}");
+        let message = Json::from_view(&View::new().with("json", "{")).unwrap_err().to_string();
+        assert!(message.starts_with("the view is not a valid payload"), "{message}");
     }
 }

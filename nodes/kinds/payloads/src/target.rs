@@ -246,7 +246,7 @@ mod tests {
         let mut rows = normals.rows_of::<Vector3<f64>>().unwrap().into_owned();
         rows[7] *= 1.0005;
         normals.data = to_column("", ColumnType::F64, &Column::from(rows)).data;
-        let said = Target::from_view(&view).unwrap_err().to_string();
-        assert!(said.contains("normal 7 has length 1.0005"), "{said}");
+        let message = Target::from_view(&view).unwrap_err().to_string();
+        assert!(message.contains("normal 7 has length 1.0005"), "{message}");
     }
 }

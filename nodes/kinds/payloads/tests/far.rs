@@ -11,8 +11,8 @@ use osteoflow_node::Payload;
 use osteoflow_payloads::Table;
 use std::sync::Arc;
 
-/// What is said of a payload whose column has another number at a place.
-fn said<T: Payload<Table>>(payload: &T, column: &str, at: usize, number: f64) -> String {
+/// What is message of a payload whose column has another number at a place.
+fn message<T: Payload<Table>>(payload: &T, column: &str, at: usize, number: f64) -> String {
     let mut view = payload.to_view();
     let column = view.columns.iter_mut().find(|c| c.name == column).unwrap();
     let mut bytes = column.bytes().to_vec();
@@ -30,16 +30,16 @@ fn coordinates_beyond_ten_kilometres_are_refused_by_the_name_of_what_they_are() 
     let points = Points::new("ct", vec![NamedPoint::new("P1", Point3::origin())]);
     let planes = Planes::new("ct", vec![Plane::new("distal", Isometry3::identity())]);
     let far = "the coordinate 1e45 mm is farther than 1e7 mm (10 km)";
-    for (said, place) in [
-        (said(&cloud, "points", 5, 1e45), "point 1: "),
-        (said(&mesh, "vertices", 8, 1e45), "vertex 2: "),
-        (said(&target, "points", 0, 1e45), "target point 0: "),
-        (said(&points, "positions", 1, 1e45), "point 0 \"P1\": "),
-        (said(&planes, "isometries", 2, 1e45), "plane 0 \"distal\": the translation: "),
+    for (message, place) in [
+        (message(&cloud, "points", 5, 1e45), "point 1: "),
+        (message(&mesh, "vertices", 8, 1e45), "vertex 2: "),
+        (message(&target, "points", 0, 1e45), "target point 0: "),
+        (message(&points, "positions", 1, 1e45), "point 0 \"P1\": "),
+        (message(&planes, "isometries", 2, 1e45), "plane 0 \"distal\": the translation: "),
     ] {
-        assert!(said.contains(&format!("{place}{far}")), "{place}\n{said}");
+        assert!(message.contains(&format!("{place}{far}")), "{place}\n{message}");
     }
     let pose = Pose::new("world", "bone_marker", Isometry3::translation(0.0, 1e45, 0.0));
-    let said = Pose::from_view(&pose.to_view()).unwrap_err().to_string();
-    assert!(said.contains(&format!("t_world_bone_marker is no rigid motion: the translation: {far}")), "{said}");
+    let message = Pose::from_view(&pose.to_view()).unwrap_err().to_string();
+    assert!(message.contains(&format!("t_world_bone_marker is no rigid motion: the translation: {far}")), "{message}");
 }

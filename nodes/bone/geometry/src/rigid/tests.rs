@@ -50,11 +50,11 @@ fn a_matrix_that_is_no_rigid_motion_is_refused_by_name() {
         // A projection onto a plane.
         (changed([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), "off by 1.0e0"),
     ] {
-        let said = nearest_isometry(&matrix).unwrap_err().to_string();
-        assert!(said.contains(expected), "{expected}\n{said}");
+        let message = nearest_isometry(&matrix).unwrap_err().to_string();
+        assert!(message.contains(expected), "{expected}\n{message}");
     }
-    let said = isometry_from_matrix(&scaled(1.0005)).unwrap_err().to_string();
-    assert!(said.contains("off by 5.0e-4 where 1e-6 is allowed"), "{said}");
+    let message = isometry_from_matrix(&scaled(1.0005)).unwrap_err().to_string();
+    assert!(message.contains("off by 5.0e-4 where 1e-6 is allowed"), "{message}");
 }
 
 #[test]
@@ -69,14 +69,14 @@ fn a_quaternion_that_is_no_rotation_is_refused_by_name() {
         (quaternion(0.9989), "off by 1.1e-3"),
         (quaternion(1e200), "instead of 1"),
     ] {
-        let said = nearest_rotation(quaternion).unwrap_err().to_string();
-        assert!(said.contains(expected), "{expected}\n{said}");
+        let message = nearest_rotation(quaternion).unwrap_err().to_string();
+        assert!(message.contains(expected), "{expected}\n{message}");
         assert!(exact_isometry(Vector3::zeros(), quaternion).is_err());
     }
-    let said = exact_isometry(Vector3::zeros(), quaternion(1.0005)).unwrap_err().to_string();
+    let message = exact_isometry(Vector3::zeros(), quaternion(1.0005)).unwrap_err().to_string();
     assert!(
-        said.contains("off by 5.0e-4 where 1e-6 is allowed; it would move a point at 1 m by up to 2.0 mm"),
-        "{said}"
+        message.contains("off by 5.0e-4 where 1e-6 is allowed; it would move a point at 1 m by up to 2.0 mm"),
+        "{message}"
     );
     let wild = Vector3::new(0.0, f64::NEG_INFINITY, 0.0);
     assert_eq!(exact_isometry(wild, quaternion(1.0)), Err(RigidError::NotFinite { what: "translation" }));

@@ -55,8 +55,8 @@ fn the_papers_numbers_and_definitions_are_those_of_a_second_table_and_each_has_a
         );
         n += theirs.len();
     }
-    let given = |line: &&Line| matches!(line.before.split(" | ").count(), 4) && line.theirs() != "not given";
-    assert_eq!(n, lines.iter().filter(given).count(), "a number of the paper is not in the second table");
+    let is_papers = |line: &&Line| line.before.split(" | ").count() == 4 && line.theirs() != "not given";
+    assert_eq!(n, lines.iter().filter(is_papers).count(), "a number of the paper is not in the second table");
 }
 
 #[test]
