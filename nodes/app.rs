@@ -9,6 +9,7 @@ pub(crate) mod folder_lock;
 pub(crate) mod out_dir;
 mod plugins;
 pub(crate) mod program;
+pub(crate) mod register;
 pub(crate) mod run;
 mod settings;
 pub(crate) mod simulate;
@@ -19,6 +20,7 @@ pub use files::{Content, read, write_cloud, write_mesh, write_points, write_pose
 pub use osteoflow_engine::given::Given;
 pub use osteoflow_formats::{Space, cloud_file::CloudFileRead, mesh_file::MeshRead, mesh_or_cloud::MeshOrCloud};
 pub use plugins::{Plugins, hosted_by};
+pub use register::{Method, Register, RegisterFiles, RegisterInput, RegisterRequest, Registration, Start, Units};
 pub use run::{Graph, GraphRun, RunRequest};
 pub use settings::{SettingValue, Settings};
 pub use simulate::{SimulateRequest, StreamFormat};

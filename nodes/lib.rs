@@ -5,7 +5,6 @@
 
 pub mod app;
 mod commands;
-pub mod library;
 
 /// Progress on a terminal, for programs that call [`app`].
 pub mod progress {

@@ -444,7 +444,7 @@ fn register_believes_no_plugin() {
         ("t[:3, :3] = -t[:3, :3]", "pose", "scales, shears or mirrors"),
         ("t[:3, :3] = 1.05 * t[:3, :3]", "pose", "scales, shears or mirrors"),
         ("t[0, 3] = np.nan", "pose", "finite"),
-        ("to, from_ = from_, to", "pose", "source"),
+        ("to, from_ = from_, to", "pose", "a pose camera -> ct is needed here"),
         ("raise NodeError('no overlap')", "pose", "no overlap"),
         ("os._exit(0)", "pose", "exit code 0"),
         ("os.abort()", "pose", "SIGABRT"),
@@ -459,16 +459,21 @@ fn register_believes_no_plugin() {
         assert!(!answer.is_null() && !text.contains("POSE"), "{pose}: {stderr}");
         if what == "pose" {
             assert_eq!((code, &answer["T"]), (Some(3), &Value::Null), "{pose}: {answer}");
-            assert!(stderr.contains("node \"register\"") && stderr.contains(said), "{pose}: {stderr}");
+            assert!(stderr.contains("refused: ") && stderr.contains(said), "{pose}: {stderr}");
         }
     }
+    // Nor without a verdict on it.
+    let swapped = cases.iter().position(|(pose, ..)| pose.starts_with("to, from_")).unwrap();
+    let (code, answer, stderr) = folder.register(&files[swapped], &["--no-verdict"]);
+    assert_eq!((code, &answer["T"]), (Some(3), &Value::Null), "{answer}");
+    assert!(stderr.contains("refused: claims.fit: a pose camera -> ct is needed here"), "{stderr}");
     folder.write("two.py", &format!("{}{TWO}", texts[0]));
     let (code, _, stderr) = folder.register("two.py", &[]);
     assert!(code == Some(2) && stderr.contains("claims.fit, claims.other; name one with --kind"), "{stderr}");
     let (_, answer, stderr) = folder.register("two.py", &["--kind", "claims.other"]);
     assert_eq!((&answer["method"], &answer["converged"]), (&json!("claims.other"), &Value::Null), "{stderr}");
     let not_reported = answer["verdict"]["assumptions"].to_string();
-    assert!(not_reported.contains("it does not report whether it did"), "{not_reported}");
+    assert!(not_reported.contains("no report says whether it did"), "{not_reported}");
     folder.write("crop.py", "from osteoflow_node import Cloud, node\n@node(\"no.fit\")\ndef crop(cloud: Cloud) -> Cloud:\n    \"\"\"Crops.\"\"\"\n    return cloud\n");
     let (code, _, stderr) = folder.register("crop.py", &[]);
     assert!(code == Some(2) && stderr.contains("no kind of it is a registration"), "{stderr}");

@@ -129,7 +129,7 @@ fn a_sound_pose_is_trusted_by_every_method_and_the_verdict_comes_first() {
     assert!(text.starts_with("verdict  trusted: no sign against it was found\n"), "{text}");
     assert!(text.contains("\n  verdict  "), "the time that it took\n{text}");
     let verbose = String::from_utf8(case.register("bone.stl scan.ply --init init.txt -v").stdout).unwrap();
-    for assumed in ["the target shows the bone at its true size", "without --camera it was not examined"] {
+    for assumed in ["the CT shows the bone at its true size", "the scan does not say where the camera was"] {
         assert!(verbose.contains(&format!("  assumed: {assumed}")), "{assumed}\n{verbose}");
     }
     assert!(!verbose.contains("camera marker"), "{verbose}");
@@ -193,7 +193,7 @@ fn a_refused_pose_is_neither_printed_nor_written() {
     assert_eq!(output.status.code(), Some(3));
     assert!(text.starts_with("verdict  refused: parts of the scan lie inside the bone's surface"), "{text}");
     assert!(!text.contains("t_target_source") && text.contains("  converged  "), "{text}");
-    assert!(stderr.contains("refused: the pose is refused: parts of the scan lie inside"), "{stderr}");
+    assert!(stderr.contains("refused: the result is refused: parts of the scan lie inside"), "{stderr}");
     let mut written = ["pose.txt", "steps.csv"].into_iter().filter(|file| case.dir.path().join(file).exists());
     assert_eq!(written.next(), None);
 }
@@ -213,7 +213,10 @@ fn a_doubtful_pose_is_given_unless_a_trusted_one_is_required_and_none_is_judged_
     assert_eq!((code, answer_of(&answer), rules_of(&answer)[0]), (Some(3), "refused", "require"), "{answer}");
     assert!(answer.get("T").is_none());
     let reason = answer["refused"]["reason"].as_str().unwrap();
-    assert!(reason.starts_with("the pose is doubtful, and --require is trusted: the registration did not"), "{reason}");
+    assert!(
+        reason.starts_with("the result is doubtful, and [results] require = \"trusted\": the registration did not"),
+        "{reason}"
+    );
     let (code, answer) = case.json("mirrored.stl scan.ply --init init.txt --no-verdict");
     assert_eq!((code, answer.get("verdict"), answer["T"].is_array()), (Some(0), None, true));
     let both = case.register("bone.stl scan.ply --init init.txt --no-verdict --require trusted");

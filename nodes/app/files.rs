@@ -8,6 +8,7 @@ use osteoflow_formats::{
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
     pose_file::{itk_text, read_pose},
+    volume::is_volume,
     write,
 };
 use osteoflow_geometry::{
@@ -17,7 +18,7 @@ use osteoflow_geometry::{
 };
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
-use std::{fs, io::Read as _, path::Path};
+use std::{fs, path::Path};
 
 /// Nobody picks more points by hand; longer lists of numbers are clouds.
 const N_PICKED: usize = 1000;
@@ -54,7 +55,7 @@ pub fn read(
             format!("unit_mm is {unit_mm}, but must be between 1e-6 and 1e6: 1 for millimetres, 1000 for metres");
         return Err(Error::Usage(message));
     }
-    if file.is_dir() || is_volume(file) {
+    if is_volume(file) {
         return ct(file, unit_mm, frame, threshold_hu, series);
     }
     for (option, is_given) in [("threshold_hu", threshold_hu.is_some()), ("series", series.is_some())] {
@@ -205,14 +206,4 @@ pub(crate) fn picked_points(file: &Path, bytes: &[u8]) -> Option<Result<PickedPo
     };
     let is_indexed = head.lines().take(3).all(indexed);
     (read.points.len() <= N_PICKED && (has_names || is_indexed)).then_some(Ok(read))
-}
-
-/// Whether a file is an image in three dimensions: NIfTI, NRRD or DICOM.
-pub(crate) fn is_volume(file: &Path) -> bool {
-    let mut head = [0; 352];
-    let n = input::open(file).ok().and_then(|mut file| file.read(&mut head).ok()).unwrap_or(0);
-    let head = &head[..n];
-    let at = |from: usize, magic: &[&[u8]]| magic.iter().any(|m| head.get(from..from + m.len()) == Some(*m));
-    // NIfTI and its gzip, NRRD, DICOM.
-    at(0, &[b"\x1f\x8b", b"NRRD"]) || at(344, &[b"n+1", b"ni1"]) || at(4, &[b"n+2", b"ni2"]) || at(128, &[b"DICM"])
 }

@@ -1,14 +1,11 @@
-//! The time of [`osteoflow::library::register`] called from Rust, for `nodes/python/compare_speed.py`.
+//! The time of a [`RegisterRequest`] called from Rust, for `nodes/python/compare_speed.py`.
 //!
 //! `register_case CASE THREADS` reads `source.ply`, `target.ply` and `init.txt` of the folder CASE. For each line on stdin it
 //! registers once, with the options that the script gives to Python, and prints one line of JSON: the time of the call in
 //! ms, and its answer.
 
 use anyhow::{Context, Result, anyhow, bail};
-use osteoflow::{
-    app::{Content, read},
-    library::{self, RegisterInputs},
-};
+use osteoflow::app::{Content, RegisterInput, RegisterRequest, Start, read};
 use std::{
     env,
     io::{Write, stdin, stdout},
@@ -16,21 +13,6 @@ use std::{
     sync::Arc,
     time::Instant,
 };
-
-/// The options of `osteoflow.register(target, source, init, workers=THREADS, verdict=False, cache=False)`.
-fn options(threads: &str) -> Vec<String> {
-    let words = [
-        "--no-verdict",
-        "--no-cache",
-        "--target-points=150000",
-        "--unit-mm=1.0",
-        "--workers",
-        threads,
-        "target",
-        "source",
-    ];
-    words.map(String::from).into()
-}
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = env::args().skip(1).collect();
@@ -44,16 +26,26 @@ fn main() -> Result<()> {
     let Ok(Content::Pose(init, _)) = read(&case.join("init.txt"), 1.0, "file", None, None) else {
         bail!("init.txt is no pose")
     };
-    let options = options(threads);
+    let input = |content| RegisterInput { path: "memory".into(), content: Some(content) };
+    // `osteoflow.register(target, source, init, workers=THREADS, verdict=False, cache=False)`.
+    let request = RegisterRequest {
+        target: input(target),
+        source: input(source),
+        start: Start::Pose(init),
+        target_points: Some(150_000),
+        workers: Some(threads.parse().context("THREADS is a number")?),
+        is_judged: false,
+        cache: false,
+        ..RegisterRequest::new("target", "source")
+    };
     for line in stdin().lines() {
         line?;
         let began = Instant::now();
-        let inputs = RegisterInputs { target: Some(target.clone()), source: Some(source.clone()), init: Some(init) };
-        let told = library::register(&options, inputs, false, false, &Arc::default());
+        let answer = request.clone().check().and_then(|checked| checked.register(&(), &Arc::default(), false));
         let ms = began.elapsed().as_secs_f64() * 1e3;
-        let mut told = told.map_err(|error| anyhow!("{error:?}"))?;
-        told["whole_ms"] = ms.into();
-        writeln!(stdout(), "{told}").context("stdout is closed")?;
+        let mut answer = answer.map_err(|error| anyhow!("{error:?}"))?;
+        answer["whole_ms"] = ms.into();
+        writeln!(stdout(), "{answer}").context("stdout is closed")?;
     }
     Ok(())
 }

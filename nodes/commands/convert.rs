@@ -1,14 +1,12 @@
 use super::common::{Exit, Global, space::SpaceOption, terminal};
-use crate::app::{
-    UsageError,
-    files::{is_volume, picked_points},
-};
+use crate::app::{UsageError, files::picked_points};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use osteoflow_formats::{
     FileError, Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
+    volume::is_volume,
     write::{write_cloud, write_mesh},
 };
 use osteoflow_geometry::{
@@ -63,7 +61,7 @@ impl Convert {
                 format!("{} exists already; name another file, nothing is overwritten", self.output.display());
             return Err(UsageError(message).into());
         }
-        if self.input.is_dir() || is_volume(&self.input) {
+        if is_volume(&self.input) {
             let (done, notes) = self.ct()?;
             return self.done(&done, &notes, global);
         }

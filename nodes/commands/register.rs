@@ -1,50 +1,26 @@
-//! `register`: one file registered onto another, without a graph.
+//! `register`: two files to a pose and a verdict.
 
-pub(crate) mod align;
-pub(crate) mod answer;
-mod files;
-pub(crate) mod inputs;
-mod judge;
-mod landmarks;
-mod method;
-mod plugin;
-mod start;
-mod trace;
+mod text;
 
 use super::common::{
     Exit, Format, Global,
     graph_args::print_faults,
+    plugins::PluginArgs,
     progress::Progress,
     run_args::Keep,
     running::{self, Ran},
     space::SpaceOption,
     terminal,
 };
-use crate::app::{UsageError, registry};
-use align::{Ended, Work};
-use anyhow::{Context, Result};
-use clap::{Args, ValueEnum, builder::PossibleValuesParser};
-use inputs::{Given, Inputs};
-use method::{Method, MethodParams};
-use osteoflow_engine::{
-    Faults,
-    check::{CommandLineParam, parameters},
-    panics::mark_helper_thread,
-    plugin::Kinds,
+use crate::app::{Method, Register as Checked, RegisterFiles, RegisterRequest, Registration, Start, Units};
+use anyhow::Result;
+use clap::{
+    Args, ValueEnum,
+    builder::{PossibleValue, PossibleValuesParser},
 };
+use osteoflow_engine::Faults;
 use osteoflow_geometry::nalgebra::Point3;
-use osteoflow_node::Kind;
-use plugin::{ByPlugin, PluginMethod};
-use rayon::ThreadPool;
-use serde_json::Value;
-use std::{
-    fs,
-    io::Write,
-    num::NonZeroUsize,
-    path::{Path, PathBuf},
-    sync::{Arc, atomic::AtomicBool},
-    thread,
-};
+use std::{io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
 
 /// Register one file onto another, without a graph: the SOURCE moves, the TARGET stays.
 ///
@@ -73,8 +49,8 @@ Examples:
 The parameters for --set: osteoflow inspect icp.point_to_plane
 
 Timings:
-  load         reading and parsing the files, sampling a surface, or reading the prepared target from the store
-  prep_target  preparing the target once: estimated normals, trees, cells, fields
+  load         reading and parsing the files
+  prep_target  sampling a surface and preparing it: estimated normals, trees, cells; or reading it from the store
   start        finding the start by shape or from picked points, once
   prep_source  preparing the source
   align        the registration; cpu is its processor time
@@ -82,7 +58,7 @@ Timings:
 
 Exit codes:
     0  there is a pose; heed the verdict and the warnings
-    1  a file cannot be read or is damaged
+    1  a file is missing or cannot be written, or a file of the start is damaged
     2  a fault of the command line
     3  the pose is refused, or no registration is possible, with the reason
   130  interrupted")]
@@ -104,15 +80,19 @@ pub(crate) struct Register {
     landmarks: Option<Vec<PathBuf>>,
 
     /// The residual to minimise.
-    #[arg(long, default_value = method::DEFAULT, value_name = "METHOD", conflicts_with = "plugins",
-          value_parser = PossibleValuesParser::new(method::METHODS.iter().map(Method::possible_value)))]
+    #[arg(long, default_value = Method::BUILT_IN[0].0, value_name = "METHOD", conflicts_with = "plugins",
+          value_parser = PossibleValuesParser::new(Method::BUILT_IN.map(|(name, about)| PossibleValue::new(name).help(about))))]
     method: String,
 
     #[command(flatten)]
-    by_plugin: ByPlugin,
+    plugins: PluginArgs,
+
+    /// Which kind of --plugin registers, if it has several.
+    #[arg(long, value_name = "STAGE.KIND", requires = "plugins", conflicts_with = "method")]
+    kind: Option<String>,
 
     /// Correspondence search: cached (the nearest samples, kept while none can be nearer), tree (the nearest samples, searched
-    /// at every step), or field (a grid of closest points). Default: as the method's node.
+    /// at every step). Default: as the method's node.
     #[arg(long, value_name = "PAIRING")]
     pairing: Option<String>,
 
@@ -140,7 +120,8 @@ pub(crate) struct Register {
     #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN", conflicts_with = "plugins")]
     stop: Stop,
 
-    /// Bone is above this in a TARGET that is a CT, HU. Default: half-way between soft tissue and bone in the volume.
+    /// Bone is above this in a TARGET that is a CT, HU. Default: half-way between soft tissue and bone in the volume, which the
+    /// verdict names among its assumptions.
     #[arg(long, value_name = "HU", allow_hyphen_values = true)]
     threshold_hu: Option<f64>,
 
@@ -153,7 +134,7 @@ pub(crate) struct Register {
     target_points: u64,
 
     /// Seed of the sampling.
-    #[arg(long, default_value_t = 0, value_name = "SEED")]
+    #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
 
     /// The unit of all files in mm: 1000 for metres.
@@ -231,18 +212,9 @@ enum Require {
     Trusted,
 }
 
-impl Stop {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Converge => "converge",
-            Self::Fixed => "fixed",
-        }
-    }
-}
-
 impl Register {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let ready = match self.ready(Given::default()) {
+        let checked = match self.request().checked() {
             Err(error) => match error.downcast::<Faults>() {
                 Ok(faults) => {
                     print_faults(&faults, global)?;
@@ -250,155 +222,102 @@ impl Register {
                 }
                 Err(error) => return Err(error),
             },
-            Ok(ready) => ready,
+            Ok(checked) => Arc::new(checked),
         };
-        if global.format == Format::Text && !global.quiet {
-            for note in &ready.inputs.notes {
-                writeln!(terminal::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
-            }
-        }
+        running::make_pool(self.workers)?;
+        // Elsewhere than on a terminal nothing needs to say that a fraction of a second goes on.
+        let progress = Progress::on_terminal(checked.plan(), !global.quiet && global.format == Format::Text);
         let cancelled = Arc::default();
-        let (work, pool) = (ready.work(&cancelled, global), ready.pool.clone());
-        let ran = running::watch(Progress::hidden(), cancelled, move |_| Ok(pool.install(|| work.run())))?;
-        let ended = match ran {
-            Ran::Ended(ended) => ended,
-            Ran::Left => Ended::Interrupted,
-        };
-        ready.answer().write(&ended, global)
-    }
-
-    /// Checks the parameters and reads the files, except those that `given` replaces.
-    ///
-    /// # Errors
-    /// [`Faults`] of the parameters, a [`UsageError`], or a file that cannot be read.
-    pub(crate) fn ready(&self, given: Given) -> Result<Ready<'_>> {
-        let (method, params) = match self.by_plugin.find()? {
-            Some((kinds, known, kind)) => {
-                let kind = known.registry.kind(&kind).context("the kind was found")?;
-                (&method::OF_PLUGIN, self.params_of_plugin(&kinds, kind)?)
-            }
-            None => {
-                let method = method::named(&self.method);
-                (method, self.params(method)?)
-            }
-        };
-        let mut files = files::OutFiles::of(self)?;
-        self.trace.iter().try_for_each(|file| refuse_existing(file))?;
-        running::check_workers(self.workers)?;
-        let workers = self.workers.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(workers).start_handler(|_| mark_helper_thread());
-        let pool = Arc::new(pool.build().context("no threads for the registration")?);
-        let inputs = pool.install(|| Inputs::read(self, method, params.method.pairing(), given))?;
-        files.check_space(self, &inputs)?;
-        Ok(Ready { register: self, method, params, files, workers, pool, inputs: Arc::new(inputs) })
-    }
-
-    /// The options that set a parameter: option, key and value.
-    fn options(&self) -> Vec<(&'static str, &'static str, String)> {
-        let number = |value: Option<f64>| value.map(|value| format!("{value:?}"));
-        let options = [
-            ("pairing", "pairing", self.pairing.clone()),
-            ("max-pair-distance-mm", "max_pair_distance_mm", number(self.max_pair_distance_mm)),
-            ("max-iterations", "max_iterations", self.max_iterations.map(|n| n.to_string())),
-            ("step-mm", "stop_step_mm", number(self.step_mm)),
-            ("step-rad", "stop_step_rad", number(self.step_rad)),
-        ];
-        options.into_iter().filter_map(|(option, key, value)| Some((option, key, value?))).collect()
-    }
-
-    /// The parameters of a kind that were given, and the defaults of the others.
-    ///
-    /// # Errors
-    /// Their [`Faults`].
-    fn checked_params(&self, kind: &Kind, fixed: &[(&str, &str)]) -> Result<Value> {
-        let options = self.options();
-        let given = options.iter().map(|(option, key, value)| CommandLineParam::Option { option, key, value });
-        let fixed = fixed.iter().map(|&(key, value)| CommandLineParam::Option { option: "stop fixed", key, value });
-        let given: Vec<_> = given.chain(self.sets.iter().map(|set| CommandLineParam::Set(set))).chain(fixed).collect();
-        Ok(parameters(&kind.description, plugin::NODE, &given)?)
-    }
-
-    /// The method's parameters.
-    ///
-    /// # Errors
-    /// Their [`Faults`].
-    fn params(&self, method: &Method) -> Result<Params> {
-        let registry = registry();
-        let kind = registry.kind(method.kind).context("a method is a node, too")?;
-        let as_json = self.checked_params(kind, if self.stop == Stop::Fixed { method.fixed } else { &[] })?;
-        kind.build(&as_json, &osteoflow_node::BuildContext::detached(plugin::NODE))
-            .map_err(|error| UsageError(error.to_string()))?;
-        let params = method.params(as_json.clone()).context("the parameters of the node are not the method's")?;
-        Ok(Params { method: params, as_json })
-    }
-
-    /// The parameters of a plugin's kind.
-    ///
-    /// # Errors
-    /// Their [`Faults`], and those of its ports.
-    fn params_of_plugin(&self, kinds: &Kinds, kind: &Kind) -> Result<Params> {
-        let as_json = self.checked_params(kind, &[])?;
-        let options = self.options().into_iter().map(|(_, key, value)| format!("{key}={value}"));
-        let sets: Vec<String> = options.chain(self.sets.iter().cloned()).collect();
-        let method = PluginMethod::new(kinds, kind, &sets, self.seed, self.workers)?;
-        Ok(Params { method: MethodParams::Plugin(method), as_json })
-    }
-}
-
-/// A registration with its inputs.
-pub(crate) struct Ready<'a> {
-    register: &'a Register,
-    method: &'static Method,
-    params: Params,
-    files: files::OutFiles,
-    workers: usize,
-    pub(crate) pool: Arc<ThreadPool>,
-    pub(crate) inputs: Arc<Inputs>,
-}
-
-impl Ready<'_> {
-    /// What is to be computed.
-    pub(crate) fn work(&self, cancelled: &Arc<AtomicBool>, global: &Global) -> Work {
-        let asked = self.register;
-        let trusted_only = asked.require == Require::Trusted;
-        Work {
-            method: self.method,
-            params: self.params.clone(),
-            inputs: self.inputs.clone(),
-            repeat: asked.repeat,
-            judge: (!asked.no_verdict).then_some(judge::Judge { trusted_only, stop: asked.stop }),
-            moves_source: self.files.source.is_some(),
-            cancelled: cancelled.clone(),
-            progress: align::ProgressLine::new(asked.repeat, global),
+        let (work, until) = (checked.clone(), Arc::clone(&cancelled));
+        match running::watch(progress, cancelled, move |progress| work.run(progress, &until))? {
+            Ran::Ended(registration) => self.print(&registration, &checked, global),
+            Ran::Left => Ok(Exit::Interrupted),
         }
     }
 
-    /// What the answer is made of.
-    pub(crate) fn answer(&self) -> answer::Answer<'_> {
-        let Self { register, params, files, workers, inputs, .. } = self;
-        answer::Answer { register, params, inputs, files, workers: *workers }
+    fn request(&self) -> RegisterRequest {
+        let start = match (&self.init, self.landmarks.as_deref()) {
+            (None, Some([of_target, of_source])) => Start::Landmarks([of_target.clone(), of_source.clone()]),
+            (Some(file), _) => Start::file_or_identity(file.clone()),
+            (None, _) => Start::Shape,
+        };
+        let method = match self.plugins.files().is_empty() {
+            true => Method::BuiltIn(self.method.clone()),
+            false => Method::Plugin(self.plugins.plugins(), self.kind.clone()),
+        };
+        let unit = |of_file: Option<f64>| of_file.unwrap_or(self.unit_mm);
+        RegisterRequest {
+            start,
+            method,
+            pairing: self.pairing.clone(),
+            max_pair_distance_mm: self.max_pair_distance_mm,
+            max_iterations: self.max_iterations,
+            step_mm: self.step_mm,
+            step_rad: self.step_rad,
+            settings: self.sets.clone().into(),
+            is_fixed: self.stop == Stop::Fixed,
+            threshold_hu: self.threshold_hu,
+            series: self.series.clone(),
+            target_points: Some(self.target_points),
+            seed: Some(self.seed),
+            units: Units {
+                target_mm: unit(self.target_unit_mm),
+                source_mm: unit(self.source_unit_mm),
+                init_mm: unit(self.init_unit_mm),
+            },
+            camera: self.camera,
+            workers: self.workers,
+            cache: !self.keep.no_cache,
+            repeat: self.repeat,
+            is_judged: !self.no_verdict,
+            requires_trusted: self.require == Require::Trusted,
+            files: RegisterFiles {
+                out: self.out.clone(),
+                source: self.write_source.clone(),
+                trace: self.trace.clone(),
+            },
+            space: self.space.map(Into::into),
+            ..RegisterRequest::new(&self.target, &self.source)
+        }
     }
-}
 
-/// A method's parameters, and as JSON.
-#[derive(Debug, Clone)]
-struct Params {
-    method: MethodParams,
-    as_json: Value,
-}
-
-fn refuse_existing(file: &Path) -> Result<()> {
-    if !file.exists() {
-        return Ok(());
+    /// Prints the answer, and returns the exit code.
+    fn print(&self, registration: &Registration, checked: &Checked, global: &Global) -> Result<Exit> {
+        let exit = match registration.refusal() {
+            None => Exit::Done,
+            Some(_) if registration.is_interrupted() => Exit::Interrupted,
+            Some(_) => Exit::Refused,
+        };
+        let mut err = terminal::stderr().lock();
+        if !global.quiet {
+            if global.format == Format::Text {
+                for note in registration.notes(checked) {
+                    writeln!(err, "{}: {note}", global.paint_err("note", "1"))?;
+                }
+            }
+            for warning in registration.warnings(checked) {
+                writeln!(err, "{}: {warning}", global.paint_err("warning", "1;33"))?;
+            }
+        }
+        match (exit, registration.refusal_text(checked)) {
+            (Exit::Interrupted, _) => writeln!(err, "{}: there is no pose", global.paint_err("interrupted", "1;33"))?,
+            (_, Some(why)) => writeln!(err, "{}: {why}", global.paint_err("refused", "1;31"))?,
+            (_, None) => {}
+        }
+        drop(err);
+        let mut out = terminal::stdout().lock();
+        match global.format {
+            // One line, so that the last line is the answer wherever others print before it.
+            Format::Json => {
+                writeln!(out, "{}", registration.to_json(checked, exit.to_json(), global.verbose > 0))?;
+            }
+            Format::Text if registration.has_ended() => {
+                write!(out, "{}", text::text(registration, checked, global))?;
+            }
+            Format::Text => {}
+        }
+        Ok(exit)
     }
-    Err(UsageError(format!("{} exists already; name another file, nothing is overwritten", file.display())).into())
-}
-
-/// Writes a new file.
-fn write_new(file: &Path, text: &str) -> Result<()> {
-    let opened = fs::OpenOptions::new().write(true).create_new(true).open(file);
-    let written = opened.and_then(|mut file| file.write_all(text.as_bytes()));
-    written.with_context(|| format!("{} cannot be written", file.display()))
 }
 
 fn unit(text: &str) -> Result<f64, String> {

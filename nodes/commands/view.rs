@@ -10,7 +10,7 @@ use super::common::{
     running::{self, Ran},
     serve::{self, Admission, known_plan, picks::Picks},
 };
-use crate::app::{UsageError, files::is_volume};
+use crate::app::UsageError;
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::Recording;
@@ -94,15 +94,11 @@ impl View {
     }
 
     fn register(&self, scan: &Path, global: &Global) -> Result<Exit> {
-        let is_ct = self.what.is_dir() || is_volume(&self.what);
         let set = |key: &str, file: &Path| {
             let absolute = std::path::absolute(file).with_context(|| format!("{} has no path", file.display()))?;
             anyhow::Ok(format!("{key}={:?}", absolute.display().to_string()))
         };
         let mut sets = vec![set("bone.path", &self.what)?, set("scan.path", scan)?];
-        if is_ct {
-            sets.push("bone.kind=surface.ct".into());
-        }
         sets.extend(self.sets.iter().cloned());
         let two_files = TwoFiles::new()?;
         self.steer(two_files.graph(), sets, Some(two_files), global)

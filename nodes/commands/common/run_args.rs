@@ -28,7 +28,7 @@ pub(crate) struct Keep {
     /// Compute everything: neither load answers from the store nor save them there. The results are the same with and
     /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits its size (1 GiB).
     #[arg(long)]
-    no_cache: bool,
+    pub(crate) no_cache: bool,
 }
 
 impl Keep {

@@ -7,7 +7,6 @@ use super::{
     terminal,
 };
 use crate::app::program;
-pub(crate) use crate::app::program::check_workers;
 use anyhow::{Context, Result, anyhow};
 use osteoflow_engine::{
     panics::{self, mark_helper_thread},

@@ -1,6 +1,6 @@
 //! What a file or folder holds.
 
-use crate::app::files::{is_volume, picked_points};
+use crate::app::files::picked_points;
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     folder::ProcedureFolder,
@@ -11,6 +11,7 @@ use osteoflow_formats::{
     picked_points::PickedPoints,
     plan_file::read_plan,
     pose_file::read_pose,
+    volume::is_volume,
     volume::{VolumeOptions, VoxelUnit, read_volume},
 };
 use osteoflow_geometry::{NamedPoint, nalgebra::Point3};

@@ -8,11 +8,14 @@ mod views;
 
 use errors::{exception, watched};
 use osteoflow::{
-    app::{self, Given, MeshOrCloud, RunRequest, ShardFault, SimulateRequest, StreamFormat, SweepRequest},
-    library,
+    app::{
+        self, Given, Method, RegisterFiles, RegisterInput, RegisterRequest, RunRequest, Settings, ShardFault, SimulateRequest, Start,
+        StreamFormat, SweepRequest, Units,
+    },
     progress::{self, Progress},
 };
 use osteoflow_engine::Recording;
+use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_node::{Item, PortPayload};
 use pyo3::{
     exceptions::{PyKeyError, PyValueError},
@@ -26,26 +29,115 @@ use std::{
     sync::Arc,
 };
 
-/// Registers as the command does, and returns its JSON.
+/// The options of a registration, by the names that they have in Python.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct RegisterOptions {
+    init: Option<PathBuf>,
+    method: String,
+    landmarks: Option<[PathBuf; 2]>,
+    pairing: Option<String>,
+    max_pair_distance_mm: Option<f64>,
+    max_iterations: Option<u32>,
+    step_mm: Option<f64>,
+    step_rad: Option<f64>,
+    stop: String,
+    threshold_hu: Option<f64>,
+    series: Option<String>,
+    target_points: u64,
+    seed: u64,
+    unit_mm: f64,
+    target_unit_mm: Option<f64>,
+    source_unit_mm: Option<f64>,
+    init_unit_mm: Option<f64>,
+    camera: Option<[f64; 3]>,
+    workers: Option<usize>,
+    cache: bool,
+    repeat: u32,
+    verdict: bool,
+    require: String,
+    out: Option<PathBuf>,
+    write_source: Option<PathBuf>,
+    space: Option<String>,
+}
+
+impl RegisterOptions {
+    /// The request, for a start in memory or the one of the options.
+    fn request(self, target: RegisterInput, source: RegisterInput, init: Option<Isometry3<f64>>) -> PyResult<RegisterRequest> {
+        let start = match (init, self.init, self.landmarks) {
+            (_, Some(_), Some(_)) | (Some(_), _, Some(_)) => {
+                return Err(errors::UsageError::new_err("the start is given by init and by landmarks; leave one out"));
+            }
+            (Some(pose), ..) => Start::Pose(pose),
+            (None, Some(file), None) => Start::file_or_identity(file),
+            (None, None, Some(files)) => Start::Landmarks(files),
+            (None, None, None) => Start::Shape,
+        };
+        let unit = |of_file: Option<f64>| of_file.unwrap_or(self.unit_mm);
+        let units = Units {
+            target_mm: unit(self.target_unit_mm),
+            source_mm: unit(self.source_unit_mm),
+            init_mm: unit(self.init_unit_mm),
+        };
+        Ok(RegisterRequest {
+            target,
+            source,
+            start,
+            method: Method::BuiltIn(self.method),
+            pairing: self.pairing,
+            max_pair_distance_mm: self.max_pair_distance_mm,
+            max_iterations: self.max_iterations,
+            step_mm: self.step_mm,
+            step_rad: self.step_rad,
+            settings: Settings::default(),
+            is_fixed: settings::choice("stop", &self.stop, ["converge", "fixed"])? == 1,
+            threshold_hu: self.threshold_hu,
+            series: self.series,
+            target_points: Some(self.target_points),
+            seed: Some(self.seed),
+            units,
+            camera: self.camera.map(Point3::from),
+            workers: settings::workers(self.workers)?,
+            cache: self.cache,
+            repeat: self.repeat,
+            is_judged: self.verdict,
+            requires_trusted: settings::choice("require", &self.require, ["doubtful", "trusted"])? == 1,
+            files: RegisterFiles { out: self.out, source: self.write_source, trace: None },
+            space: self.space.as_deref().map(shapes::space_of).transpose()?,
+        })
+    }
+}
+
+/// Registers as the command does, and returns its JSON. `target` and `source` are a name and, if they are in memory, the content.
 #[pyfunction]
-#[pyo3(signature = (options, target, source, init, trace, progress))]
+#[pyo3(signature = (target, source, init, options, set, trace, progress))]
+#[allow(clippy::too_many_arguments, reason = "named where they are given, in Python")]
 fn register(
     py: Python<'_>,
-    options: Vec<String>,
-    target: Option<Bound<'_, PyAny>>,
-    source: Option<Bound<'_, PyAny>>,
+    target: (PathBuf, Option<Bound<'_, PyAny>>),
+    source: (PathBuf, Option<Bound<'_, PyAny>>),
     init: Option<[[f64; 4]; 4]>,
+    options: RegisterOptions,
+    set: Option<Bound<'_, PyAny>>,
     trace: bool,
     progress: bool,
 ) -> PyResult<String> {
-    let given = |shape: Option<Bound<'_, PyAny>>, what: &str| -> PyResult<Option<MeshOrCloud>> {
-        shape.map(|shape| shapes::given(&shape, what)).transpose()
+    errors::check_threads()?;
+    let input = |(path, content): (PathBuf, Option<Bound<'_, PyAny>>), what: &str| -> PyResult<RegisterInput> {
+        let content = content.map(|shape| shapes::given(&shape, what)).transpose()?;
+        Ok(RegisterInput { path, content })
     };
-    let (target, source) = (given(target, "target")?, given(source, "source")?);
+    let (target, source) = (input(target, "target")?, input(source, "source")?);
     let init = init.map(|rows| shapes::rigid(&rows, "init")).transpose()?;
-    let inputs = library::RegisterInputs { target, source, init };
+    let request = RegisterRequest { settings: settings::settings(set.as_ref())?, ..options.request(target, source, init)? };
     let cancelled = Arc::default();
-    let json = watched(py, &cancelled, || library::register(&options, inputs, trace, progress, &cancelled))?;
+    let json = watched(py, &cancelled, || {
+        let checked = request.check()?;
+        let progress = Progress::on_terminal(checked.plan(), progress);
+        let registration = checked.register(&progress, &cancelled, trace);
+        progress.end();
+        registration
+    })?;
     Ok(json.to_string())
 }
 

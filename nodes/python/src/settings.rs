@@ -82,3 +82,10 @@ pub(crate) fn workers(workers: Option<usize>) -> PyResult<Option<NonZeroUsize>> 
         |n| NonZeroUsize::new(n).ok_or_else(|| UsageError::new_err("workers is 0, but must be at least 1"));
     workers.map(at_least_one).transpose()
 }
+
+/// The position of a word in a list of choices.
+pub(crate) fn choice<const N: usize>(name: &str, word: &str, choices: [&str; N]) -> PyResult<usize> {
+    choices.iter().position(|choice| *choice == word).ok_or_else(|| {
+        UsageError::new_err(format!("{name} is \"{word}\", but must be one of {}", choices.join(", ")))
+    })
+}

@@ -28,7 +28,7 @@ enum Shape<'py> {
     Cloud(Array<'py, f64>, Option<Array<'py, f64>>, Bound<'py, PyDict>, String),
 }
 
-fn space_of(name: &str) -> PyResult<Space> {
+pub(crate) fn space_of(name: &str) -> PyResult<Space> {
     match name {
         "" => Ok(Space::Unknown),
         "LPS" => Ok(Space::Lps),

@@ -49,12 +49,6 @@ impl MeshRead {
             stated => Err(format!("the file states SPACE={stated}")),
         }
     }
-
-    /// A note, if the file states no space and is read into frame `ct`, which is LPS.
-    pub fn taken_for_lps(&self) -> Option<String> {
-        let is_taken = self.space == Space::Unknown && Space::of(&self.mesh.frame) == Space::Lps;
-        is_taken.then(|| "the file states no space: its numbers are taken for LPS, as 3D Slicer takes them".into())
-    }
 }
 
 /// Reads a surface from a file of any format of [`read_mesh_or_cloud`](crate::mesh_or_cloud::read_mesh_or_cloud).

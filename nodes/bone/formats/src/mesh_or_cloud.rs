@@ -14,7 +14,7 @@
 //! export instead.
 
 use crate::{
-    FileError,
+    FileError, Space,
     cloud_file::CloudFileRead,
     cloud_text,
     mesh_file::{self, MeshRead, size_note},
@@ -22,6 +22,7 @@ use crate::{
     shape::Shape,
     vtk,
 };
+use nalgebra::{Isometry3, Translation3};
 use osteoflow_geometry::{Cloud, Frame, SurfaceOrigin};
 use std::{borrow::Cow, path::Path};
 
@@ -35,6 +36,42 @@ pub enum MeshOrCloud {
 }
 
 impl MeshOrCloud {
+    /// What is suspicious, one sentence each.
+    pub fn notes(&self) -> &[String] {
+        match self {
+            Self::Mesh(read) => &read.notes,
+            Self::Cloud(_, notes) => notes,
+        }
+    }
+
+    /// The axes that the file states; the coordinates are LPS if it states any.
+    pub fn space(&self) -> Space {
+        match self {
+            Self::Mesh(read) => read.space,
+            Self::Cloud(read, _) => read.space,
+        }
+    }
+
+    /// The surface or the points, where `space` is that of a file that does not state one.
+    ///
+    /// # Errors
+    /// A message, if the file states another.
+    pub fn in_space(self, space: Space) -> Result<Self, String> {
+        match self {
+            Self::Mesh(read) => read.in_space(space).map(Self::Mesh),
+            Self::Cloud(mut read, notes) => match read.space {
+                stated if stated == space => Ok(Self::Cloud(read, notes)),
+                Space::Unknown => {
+                    let turn = Isometry3::from_parts(Translation3::identity(), space.turn());
+                    read.cloud = read.cloud.transformed(read.cloud.frame.clone(), &turn);
+                    read.space = space;
+                    Ok(Self::Cloud(read, notes))
+                }
+                stated => Err(format!("the file states SPACE={stated}")),
+            },
+        }
+    }
+
     /// The points, with the notes on them: those of a cloud, or the vertices of a surface, which is noted.
     pub fn into_cloud(self) -> (CloudFileRead, Vec<String>) {
         match self {
@@ -136,7 +173,6 @@ fn starts_with_word(bytes: &[u8], word: &[u8]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Space;
     use nalgebra::Point3;
 
     fn read(bytes: &[u8]) -> Result<MeshOrCloud, FileError> {

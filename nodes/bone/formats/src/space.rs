@@ -34,6 +34,15 @@ impl Space {
         if frame.as_str() == "ct" { Self::Lps } else { Self::Unknown }
     }
 
+    /// The beginning of the note of [`taken_for_lps`](Self::taken_for_lps).
+    pub const TAKEN_FOR_LPS: &str = "the file states no space: its numbers are taken for LPS, as 3D Slicer takes them";
+
+    /// A note, if a file states no space and is read into `frame`, which is LPS.
+    pub fn taken_for_lps(self, frame: &Frame) -> Option<String> {
+        let is_taken = self == Self::Unknown && Self::of(frame) == Self::Lps;
+        is_taken.then(|| Self::TAKEN_FOR_LPS.into())
+    }
+
     /// The rotation between coordinates in this space and LPS, in both directions; the identity if unknown.
     pub fn turn(self) -> UnitQuaternion<f64> {
         match self {

@@ -70,6 +70,15 @@ pub fn data_file(path: &Path) -> Option<PathBuf> {
     start_of(path).ok().filter(|start| start.starts_with(b"NRRD")).and_then(|_| nrrd::data_file(path))
 }
 
+/// Whether the path is a folder, as of a DICOM series, or a file that begins as NIfTI, gzip, NRRD or DICOM do.
+pub fn is_volume(path: &Path) -> bool {
+    path.is_dir() || start_of(path).is_ok_and(|start| is_volume_file(&start))
+}
+
+fn is_volume_file(start: &[u8]) -> bool {
+    start.starts_with(b"NRRD") || dicom::is_dicom(start) || start.starts_with(&[0x1f, 0x8b]) || nifti::is_nifti(start)
+}
+
 /// Reads the volume in a NIfTI, NRRD or DICOM file, recognised by its content, or the DICOM series in a folder.
 ///
 /// In a folder, files may have any name and order and lie in folders of it; others are ignored and counted. A single DICOM

@@ -125,6 +125,7 @@ fn verdict(target: &Target, scan: &Cloud, t_target_source: &Isometry3<f64>, repo
         check: &[],
         start: None,
         reasons: &[],
+        assumptions: &[],
     };
     judge(&case, &Default::default(), &Default::default(), &Default::default())
 }

@@ -35,6 +35,11 @@ impl In {
             region.frame.expect(&self.cloud.frame, "the region of interest")?;
             chosen.retain(|&i| region.contains(&self.cloud.points()[i]));
         }
+        if self.cloud.is_empty() {
+            return Err(NodeError::new(
+                "there are no points to crop; is the scan empty, or none of its points finite?",
+            ));
+        }
         if chosen.is_empty() {
             let (n, frame) = (self.cloud.len(), &self.cloud.frame);
             return Err(NodeError::new(format!(

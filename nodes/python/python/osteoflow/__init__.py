@@ -187,7 +187,7 @@ def register(
     threshold_hu: Optional[float] = None,
     series: Optional[str] = None,
     target_points: int = 150_000,
-    seed: int = 0,
+    seed: int = 1,
     unit_mm: float = 1.0,
     target_unit_mm: Optional[float] = None,
     source_unit_mm: Optional[float] = None,
@@ -235,21 +235,16 @@ def register(
         start = _np.asarray(init, dtype=_np.float64)
         if start.shape != (4, 4):
             raise ValueError(f"init has shape {start.shape}, but must be (4, 4)")
-        if landmarks is not None:
-            raise UsageError("the start is given by init and by landmarks; leave one out")
         init, start = None, start.tolist()
-    options = _options(
-        init=init, method=method, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm, max_iterations=max_iterations,
-        step_mm=step_mm, step_rad=step_rad, stop=stop, threshold_hu=threshold_hu, series=series, target_points=target_points,
-        seed=seed, unit_mm=float(unit_mm), target_unit_mm=target_unit_mm, source_unit_mm=source_unit_mm,
-        init_unit_mm=init_unit_mm, camera=None if camera is None else ",".join(repr(float(c)) for c in camera),
-        workers=workers, no_cache=not cache, repeat=repeat, no_verdict=not verdict,
-        require=require if verdict else None, out=out, write_source=write_source, space=space,
+    options = dict(
+        init=init, method=method, landmarks=landmarks, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm,
+        max_iterations=max_iterations, step_mm=step_mm, step_rad=step_rad, stop=stop, threshold_hu=threshold_hu, series=series,
+        target_points=target_points, seed=seed, unit_mm=unit_mm, target_unit_mm=target_unit_mm, source_unit_mm=source_unit_mm,
+        init_unit_mm=init_unit_mm, camera=camera, workers=workers, cache=cache, repeat=repeat, verdict=verdict, require=require,
+        out=out, write_source=write_source, space=space,
     )
-    if landmarks is not None:
-        options += ["--landmarks", *(_os.fspath(file) for file in landmarks)]
-    options += [*_sets(set), "--", target_name, source_name]
-    fit = Registration(_json.loads(_core.register(options, target, source, start, trace, progress)))
+    answer = _core.register((target_name, target), (source_name, source), start, options, set, trace, progress)
+    fit = Registration(_json.loads(answer))
     _warn(fit.report["warnings"])
     return fit
 

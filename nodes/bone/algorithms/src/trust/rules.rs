@@ -115,6 +115,8 @@ pub struct Case<'a> {
     pub start: Option<&'a GlobalReport>,
     /// Signs found elsewhere.
     pub reasons: &'a [Reason],
+    /// What was taken for granted elsewhere, one sentence each.
+    pub assumptions: &'a [&'a str],
 }
 
 /// The verdict on a registration.
@@ -141,7 +143,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
         reasons.extend(case.icp.and_then(|ended| ended_reason(ended, None)));
         let text = "the surface has no normals or the scan too few points, so nothing could be examined";
         reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
-        return Verdict::new(reasons, assumptions(case, rules), None, None);
+        return Verdict::new(reasons, assumptions(case, rules, false), None, None);
     };
     reasons.extend(case.icp.and_then(|ended| ended_reason(ended, evidence.unsettled_mm)));
     let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
@@ -159,7 +161,8 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     }
     // The error is told where points or cuts are planned.
     let predicted = predicted.filter(|_| !at.is_empty());
-    Verdict::new(reasons, assumptions(case, rules), predicted, Some(evidence))
+    let assumptions = assumptions(case, rules, predicted.is_some());
+    Verdict::new(reasons, assumptions, predicted, Some(evidence))
 }
 
 /// The rules on scan and surface.
@@ -363,8 +366,8 @@ fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
     })
 }
 
-/// What is taken for granted.
-fn assumptions(case: &Case<'_>, rules: &RuleParams) -> Vec<String> {
+/// What is taken for granted: one list for every way to a verdict. `is_predicted` says whether the verdict states an error.
+fn assumptions(case: &Case<'_>, rules: &RuleParams, is_predicted: bool) -> Vec<String> {
     let mut all = Vec::new();
     if case.tracking.is_some() {
         if !is_checked(case.check, case.registered.source.stamp_ns, rules.max_check_mm) {
@@ -376,8 +379,27 @@ fn assumptions(case: &Case<'_>, rules: &RuleParams) -> Vec<String> {
         all.push("the bone marker has not moved on the bone since the scan");
     }
     all.push("the CT shows the bone at its true size, and its surface is not swollen or shrunk as a whole");
+    all.extend(case.assumptions);
+    let is_planned = !case.assessment.is_empty() || case.planes.is_some();
+    if case.tracking.is_none() && !is_planned {
+        all.push("no plan or calibration was given, so only the scan and the surface were examined");
+    }
+    if case.registered.source.viewpoint.is_none() {
+        all.push(
+            "the scan does not say where the camera was, so it was not examined whether it lies on the side that the camera saw",
+        );
+    }
+    if case.icp.is_none_or(|ended| ended.converged.is_none()) {
+        all.push("the registration converged; no report says whether it did");
+    }
     if case.measured_tre_mm.is_none() {
-        all.push("no point on the bone was measured with a stylus, so the error is predicted, not measured");
+        all.push(match (is_predicted, is_planned) {
+            (true, _) => "no point on the bone was measured with a stylus, so the error is predicted, not measured",
+            (false, true) => "no point on the bone was measured with a stylus, and the error could not be predicted",
+            (false, false) => {
+                "no point on the bone was measured with a stylus and none is planned, so the error is neither measured nor predicted"
+            }
+        });
     }
     let note = case.slide.and_then(slide_note);
     all.into_iter().map(str::to_owned).chain(note).collect()

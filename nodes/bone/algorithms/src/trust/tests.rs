@@ -99,6 +99,7 @@ fn bare<'a>(target: &'a Target, source: &'a Cloud, t_target_source: &'a Isometry
         check: &[],
         start: None,
         reasons: &[],
+        assumptions: &[],
     }
 }
 

@@ -1,10 +1,16 @@
 //! The kind `acquire.cloud`.
 
-use osteoflow_formats::{input, mesh_or_cloud::read_mesh_or_cloud};
+use osteoflow_formats::{
+    input,
+    mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+};
 use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
 };
+use osteoflow_payloads::Json;
+use serde_json::json;
+use std::sync::Arc;
 
 /// A scan from a file of points, of any format that `register` reads; of a surface the vertices.
 ///
@@ -54,6 +60,29 @@ pub struct Out {
     /// The cloud, once.
     #[port(frame = "$frame")]
     cloud: Cloud,
+    /// What the file holds: `holds` (`points`, or `vertices` of a surface), `n_dropped` points that are not finite, and the
+    /// `space` of its coordinates.
+    report: Json,
+}
+
+impl Out {
+    /// The outputs for the content of a file, or for points in memory, seen from `camera` if it is known; with notes.
+    pub fn of(scan: MeshOrCloud, camera: Option<[f64; 3]>) -> (Self, Vec<String>) {
+        let holds = if matches!(scan, MeshOrCloud::Mesh(_)) { "vertices" } else { "points" };
+        let (read, notes) = scan.into_cloud();
+        let report = json!({ "holds": holds, "n_dropped": read.n_dropped, "space": read.space.to_string() });
+        let cloud = match camera {
+            // Only the camera's position is used.
+            Some([x, y, z]) => read.cloud.seen_from(Isometry3::translation(x, y, z)),
+            None => read.cloud,
+        };
+        (Self { cloud, report: Json(Arc::new(report)) }, notes)
+    }
+
+    /// The cloud and the report.
+    pub fn into_parts(self) -> (Cloud, Json) {
+        (self.cloud, self.report)
+    }
 }
 
 impl Source for CloudFile {
@@ -75,13 +104,9 @@ impl Source for CloudFile {
         }
         let Params { path, frame, unit_mm, camera } = &self.params;
         let bytes = input::read(path.as_ref())?;
-        let (read, notes) = read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())?.into_cloud();
+        let read = read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())?;
+        let (out, notes) = Out::of(read, *camera);
         notes.into_iter().for_each(|note| ctx.warn(note));
-        let cloud = match camera {
-            // Only the camera's position is used.
-            Some([x, y, z]) => read.cloud.seen_from(Isometry3::translation(*x, *y, *z)),
-            None => read.cloud,
-        };
-        Ok(Some(Out { cloud }))
+        Ok(Some(out))
     }
 }

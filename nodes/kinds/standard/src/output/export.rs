@@ -15,7 +15,8 @@ use std::path::PathBuf;
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
 /// node.
 ///
-/// `bone.stl`, `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and the plan; `scan.vtk` (drawn by 3D Slicer),
+/// `bone.stl` (of a bone that is known by points only `bone.ply`), `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and
+/// the plan; `scan.vtk` (drawn by 3D Slicer),
 /// `scan.ply` (for CloudCompare) and `scan_to_ct.tfm` the scan on the CT and the motion that takes it there. Of a refused
 /// registration, and where there is none, the last three are not written. Every file says that it is for research use only.
 #[derive(Describe)]
@@ -30,18 +31,21 @@ pub struct Export;
 pub struct In {
     /// The surface in the CT.
     #[port(join = "once", frame = "@ct")]
-    bone: Mesh,
+    bone: Option<Mesh>,
+    /// The points of a surface without faces.
+    #[port(join = "once", frame = "@ct")]
+    bone_points: Option<Cloud>,
     /// The scan, in its own frame; one folder for each.
     #[port(frame = "t_ct_scan.from")]
     scan: Option<Cloud>,
     /// Where the scan lies in the CT.
-    #[port(to = "bone", from = "scan")]
+    #[port(to = "@ct", from = "scan")]
     t_ct_scan: Option<Pose>,
     /// The planned landmarks.
-    #[port(join = "once", frame = "bone")]
+    #[port(join = "once", frame = "@ct")]
     landmarks: Option<Points>,
     /// The planned planes.
-    #[port(join = "once", frame = "bone")]
+    #[port(join = "once", frame = "@ct")]
     planes: Option<Planes>,
     /// The verdict on the registration. Unwired: the scan is written whatever the verdict.
     verdict: Option<Verdict>,
@@ -62,19 +66,32 @@ impl Node for Export {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let space = lps(&i.bone.frame, "the surface is", "name its frame ct")?;
+        let frame = match (&i.bone, &i.bone_points) {
+            (Some(mesh), _) => &mesh.frame,
+            (None, Some(points)) => &points.frame,
+            (None, None) => {
+                ctx.warn("nothing is written, since there is no bone");
+                return Ok(Out {});
+            }
+        };
+        let space = lps(frame, "the surface is", "name its frame ct")?;
         let Some(dir) = ctx.out_dir() else { return Ok(Out {}) };
         let number = if ctx.item() == 0 { String::new() } else { format!("-{}", ctx.item()) };
         let dir = not_a_link(dir.join(format!("{}{number}", ctx.node())))?;
         std::fs::create_dir_all(&dir)?;
         let file = |name: &str| not_a_link(dir.join(name));
-        write_mesh(&file("bone.stl")?, &i.bone, space)?;
+        match (&i.bone, &i.bone_points) {
+            (Some(mesh), _) => write_mesh(&file("bone.stl")?, mesh, space)?,
+            (None, points) => points
+                .iter()
+                .try_for_each(|points| write_cloud(&file("bone.ply")?, points, space).map_err(NodeError::from))?,
+        }
         if let Some(landmarks) = &i.landmarks {
-            landmarks.frame.expect(&i.bone.frame, "the landmarks")?;
+            landmarks.frame.expect(frame, "the landmarks")?;
             write_mrk_json(&file("landmarks.mrk.json")?, &landmarks.points, space)?;
         }
         if let Some(planes) = &i.planes {
-            planes.frame.expect(&i.bone.frame, "the planes")?;
+            planes.frame.expect(frame, "the planes")?;
             let known: Vec<_> = planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
             write_planes_mrk_json(&file("planes.mrk.json")?, &known)?;
         }
@@ -83,7 +100,7 @@ impl Node for Export {
             return Ok(Out {});
         };
         if !is_refused(i.verdict.as_ref(), ctx) {
-            write_scan(&file, scan, &t_ct_scan.clone().expect(&i.bone.frame, &scan.frame)?, space)?;
+            write_scan(&file, scan, &t_ct_scan.clone().expect(frame, &scan.frame)?, space)?;
         }
         Ok(Out {})
     }

@@ -55,7 +55,7 @@ pub struct Params {
     pub frame: String,
 }
 
-fn largest() -> String {
+pub(super) fn largest() -> String {
     "largest".into()
 }
 
@@ -78,6 +78,15 @@ pub struct Out {
 }
 
 impl Params {
+    /// Refuses a choice of parts or a threshold that no volume serves.
+    pub(super) fn check(&self) -> Result<(), ParamError> {
+        self.choice()?;
+        match self.threshold_hu.is_some_and(|t| !t.is_finite()) {
+            true => Err(ParamError::new("threshold_hu", "it is not finite")),
+            false => Ok(()),
+        }
+    }
+
     fn choice(&self) -> Result<ComponentChoice, ParamError> {
         match (&self.seed_mm, self.component.as_str()) {
             (Some(_), component) if component != "largest" => {
@@ -103,10 +112,7 @@ impl Source for Ct {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        params.choice()?;
-        if params.threshold_hu.is_some_and(|t| !t.is_finite()) {
-            return Err(ParamError::new("threshold_hu", "it is not finite"));
-        }
+        params.check()?;
         Ok(Self { params, done: false })
     }
 

@@ -50,6 +50,16 @@ pub enum SpaceName {
     Ras,
 }
 
+impl SpaceName {
+    /// The space of this name.
+    pub(super) fn space(self) -> Space {
+        match self {
+            Self::Lps => Space::Lps,
+            Self::Ras => Space::Ras,
+        }
+    }
+}
+
 fn ct() -> String {
     "ct".into()
 }
@@ -83,14 +93,11 @@ impl Source for File {
         let Params { path, frame, unit_mm, space } = &self.params;
         let mut read = read_mesh(path.as_ref(), *unit_mm, frame.as_str(), SurfaceOrigin::User)?;
         if let Some(name) = space {
-            let space = match name {
-                SpaceName::Lps => Space::Lps,
-                SpaceName::Ras => Space::Ras,
-            };
+            let space = name.space();
             let contradicts = |said| NodeError::new(format!("{said}, but space = \"{space}\"; leave space out"));
             read = read.in_space(space).map_err(contradicts)?;
         }
-        if let Some(note) = read.taken_for_lps() {
+        if let Some(note) = read.space.taken_for_lps(&read.mesh.frame) {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }
         read.notes.into_iter().for_each(|note| ctx.warn(note));

@@ -53,6 +53,19 @@ impl Default for Params {
 }
 
 impl Params {
+    /// Samples a surface and prepares it.
+    pub(super) fn prepare(&self, mesh: &Mesh, ctx: &mut Context) -> Result<Target, NodeError> {
+        let samples = sample::surface(mesh, self.n_points_on(mesh.area_mm2())?, &mut ctx.rng());
+        let target = Target::new(&mesh.frame, mesh.origin, samples.points, Some(samples.normals.into()))?;
+        let query = MeshQuery::new(mesh);
+        let mut target = target.with_mesh(query.clone());
+        if self.field {
+            target = target.with_field(ClosestPointField::of_mesh(&query, &FieldParams::default())?);
+        }
+        target.prepare();
+        Ok(target)
+    }
+
     /// Number of points on a surface of this area.
     fn n_points_on(&self, area_mm2: f64) -> Result<usize, NodeError> {
         if self.spacing_mm == 0.0 {
@@ -100,14 +113,7 @@ impl Node for Prepare {
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let samples = sample::surface(&i.mesh, self.0.n_points_on(i.mesh.area_mm2())?, &mut ctx.rng());
-        let target = Target::new(&i.mesh.frame, i.mesh.origin, samples.points, Some(samples.normals.into()))?;
-        let mesh = MeshQuery::new(&i.mesh);
-        let mut target = target.with_mesh(mesh.clone());
-        if self.0.field {
-            target = target.with_field(ClosestPointField::of_mesh(&mesh, &FieldParams::default())?);
-        }
-        target.prepare();
+        let target = self.0.prepare(&i.mesh, ctx)?;
         Ok(Out { target, ct_surface: Text(i.mesh.origin.to_string().into()) })
     }
 }

@@ -67,18 +67,25 @@ impl Node for PrepareCloud {
     }
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
-        let normals = match i.cloud.normal_column() {
-            Some(given) => given.clone(),
-            None => normals::of_surface(i.cloud.points())?.into(),
-        };
-        let field =
-            self.0.field.then(|| ClosestPointField::of_points(i.cloud.points(), &normals, &FieldParams::default()));
-        let origin = SurfaceOrigin::User;
-        let target = Target::new(&i.cloud.frame, origin, i.cloud.point_column().clone(), Some(normals))?;
-        let target = field.transpose()?.into_iter().fold(target, Target::with_field);
-        target.prepare();
-        Ok(Out { target, ct_surface: Text(origin.to_string().into()) })
+        let mut target = prepare(&i.cloud)?;
+        if let (true, Some(normals)) = (self.0.field, target.normals()) {
+            let field = ClosestPointField::of_points(i.cloud.points(), normals, &FieldParams::default())?;
+            target = target.with_field(field);
+            target.prepare();
+        }
+        Ok(Out { target, ct_surface: Text(SurfaceOrigin::User.to_string().into()) })
     }
+}
+
+/// Points of a surface, prepared; their normals are estimated where missing.
+pub(super) fn prepare(points: &Cloud) -> Result<Target, NodeError> {
+    let normals = match points.normal_column() {
+        Some(given) => given.clone(),
+        None => normals::of_surface(points.points())?.into(),
+    };
+    let target = Target::new(&points.frame, SurfaceOrigin::User, points.point_column().clone(), Some(normals))?;
+    target.prepare();
+    Ok(target)
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use osteoflow_geometry::{Cloud, NamedPoint, Plane, Planes, Points, Pose, nalgebr
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Value, schemars::JsonSchema, serde::Deserialize,
 };
+use osteoflow_payloads::Json;
 
 /// Judges a registration: trusted, doubtful or refused, with reasons, assumptions and the predicted error.
 ///
@@ -92,6 +93,9 @@ pub struct In {
     /// The report of the registration, of any kind: its `converged`, `remaining_mm` and `stop_reason` are used where it has
     /// them.
     icp: Option<Value>,
+    /// The report of the CT surface: each text in its list `assumptions` becomes one of the verdict.
+    #[port(join = "once")]
+    surface: Option<Json>,
     /// The report of the registration by shape alone that it started from, if it did: unclear ones make it doubtful.
     start: Option<GlobalReport>,
     /// The slide profile about the registration.
@@ -168,6 +172,9 @@ impl Node for Registration {
         let lost: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
         let check: Vec<CheckReport> = i.check.into_iter().flatten().collect();
         let ended = i.icp.map(|report| Ended::deserialize(report.to_result()).unwrap_or_default());
+        let assumed =
+            i.surface.as_ref().and_then(|report| report.0.get("assumptions")).and_then(|list| list.as_array());
+        let assumed: Vec<&str> = assumed.into_iter().flatten().filter_map(|text| text.as_str()).collect();
         let case = Case {
             registered: Registered { target: &i.target, source: &i.source, t_target_source: &t_target_source, at: &[] },
             icp: ended.as_ref(),
@@ -181,6 +188,7 @@ impl Node for Registration {
             check: &check,
             start: i.start.as_ref(),
             reasons: &lost,
+            assumptions: &assumed,
         };
         let Params { examine, rules, errors, .. } = &self.0;
         Ok(Out { verdict: trust::judge(&case, examine, rules, errors) })

@@ -1,6 +1,6 @@
 //! Points picked in target and source, matched by name.
 
-use super::{SpaceOption, files::space_of, start::Start};
+use super::files::space_of;
 use anyhow::{Result, anyhow};
 use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{
@@ -29,9 +29,9 @@ pub(super) struct Picked<'a> {
 pub(super) fn read(
     [target, source]: [Picked<'_>; 2],
     unit_mm: [f64; 2],
-    option: Option<SpaceOption>,
+    option: Option<Space>,
     notes: &mut Vec<String>,
-) -> Result<Start> {
+) -> Result<[Vec<NamedPoint>; 2]> {
     let files: [PathBuf; 2] = [target.file.into(), source.file.into()];
     let target = points(&target, unit_mm[0], option, notes)?;
     let source = points(&source, unit_mm[1], option, notes)?;
@@ -50,7 +50,7 @@ pub(super) fn read(
             ));
         }
         let source = in_both.iter().filter_map(|p| source.iter().find(|s| s.name == p.name)).cloned().collect();
-        return Ok(Start::Landmarks { target: in_both, source });
+        return Ok([in_both, source]);
     }
     if !in_both.is_empty() || target.len() != source.len() || target.len() < N_NEEDED {
         return Err(anyhow!(
@@ -66,14 +66,14 @@ pub(super) fn read(
     ));
     let renamed = source.iter().zip(&target).map(|(s, t)| NamedPoint { name: t.name.clone(), ..s.clone() });
     let source = renamed.collect();
-    Ok(Start::Landmarks { target, source })
+    Ok([target, source])
 }
 
 /// The points in the coordinates of the file in which they were picked, and whether they have names.
 fn points(
     picked: &Picked<'_>,
     unit_mm: f64,
-    option: Option<SpaceOption>,
+    option: Option<Space>,
     notes: &mut Vec<String>,
 ) -> Result<(Vec<NamedPoint>, bool)> {
     let PickedPoints { mut points, is_named, space, notes: found, n_skipped, .. } =

@@ -1,6 +1,6 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
-use super::{Register, SpaceOption, inputs::Inputs, refuse_existing, write_new};
+use super::RegisterFiles;
 use crate::app::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
@@ -11,6 +11,7 @@ use osteoflow_geometry::{
 };
 use std::{
     fs,
+    io::Write as _,
     path::{Path, PathBuf},
 };
 
@@ -32,54 +33,60 @@ pub(super) const RESIDUAL: &str = "residual_mm";
 const MOVED: [&str; 3] = ["ply", "pcd", "csv"];
 
 /// Files to write.
+#[derive(Debug, Clone)]
 pub(super) struct OutFiles {
     /// A folder to make first.
     folder: Option<PathBuf>,
-    pub(super) poses: Vec<(PathBuf, Form)>,
+    poses: Vec<(PathBuf, Form)>,
     /// The moved source.
     pub(super) source: Option<PathBuf>,
+    /// Every step.
+    trace: Option<PathBuf>,
 }
 
 impl OutFiles {
-    /// The files that `asked` names, none of which exists yet.
-    pub(super) fn of(asked: &Register) -> Result<Self> {
-        let mut files = Self { folder: None, poses: Vec::new(), source: asked.write_source.clone() };
-        if let Some(out) = &asked.out {
+    /// The files of a request, none of which exists yet.
+    pub(super) fn of(files: &RegisterFiles) -> Result<Self> {
+        let mut all =
+            Self { folder: None, poses: Vec::new(), source: files.source.clone(), trace: files.trace.clone() };
+        if let Some(out) = &files.out {
             match out.extension() {
-                Some(_) => files.poses.push((out.clone(), form_of(out)?)),
+                Some(_) => all.poses.push((out.clone(), form_of(out)?)),
                 None => {
-                    files.folder = Some(out.clone());
-                    files.poses.push((out.join("pose.txt"), Form::Text));
-                    files.poses.push((out.join("pose.json"), Form::Json));
-                    files.poses.push((out.join("pose.tfm"), Form::Itk));
-                    files.source.get_or_insert_with(|| out.join("source.ply"));
+                    all.folder = Some(out.clone());
+                    all.poses.push((out.join("pose.txt"), Form::Text));
+                    all.poses.push((out.join("pose.json"), Form::Json));
+                    all.poses.push((out.join("pose.tfm"), Form::Itk));
+                    all.source.get_or_insert_with(|| out.join("source.ply"));
                 }
             }
         }
-        if let Some(file) = files.source.as_deref().filter(|file| !MOVED.contains(&ending(file).as_str())) {
+        if let Some(file) = all.source.as_deref().filter(|file| !MOVED.contains(&ending(file).as_str())) {
             let message = format!("{} cannot be written: end it with .ply, .pcd or .csv", file.display());
             return Err(UsageError(format!("--write-source: {message}")).into());
         }
-        files.poses.iter().map(|(file, _)| file).chain(&files.source).try_for_each(|file| refuse_existing(file))?;
-        Ok(files)
+        if let Some(file) = all.all().find(|file| file.exists()) {
+            let message = "exists already; name another file, nothing is overwritten";
+            return Err(UsageError(format!("{} {message}", file.display())).into());
+        }
+        Ok(all)
     }
 
-    /// Leaves out the transform of a folder if the space of a file is not known.
+    /// The files that can be written: without the transform of a folder if the space of a file is not known.
     ///
     /// # Errors
     /// The transform was asked for by its name.
-    pub(super) fn check_space(&mut self, asked: &Register, inputs: &Inputs) -> Result<()> {
-        let spaces = inputs.spaces(asked.space);
-        let unknown = [(&asked.target, spaces[0]), (&asked.source, spaces[1])]
-            .map(|(file, space)| (space == Space::Unknown).then(|| file.display().to_string()));
-        let unknown: Vec<String> = unknown.into_iter().flatten().collect();
+    pub(super) fn with_known_spaces(&self, names: [&PathBuf; 2], spaces: [Space; 2]) -> Result<Self> {
+        let unknown = names.into_iter().zip(spaces).filter(|(_, space)| *space == Space::Unknown);
+        let unknown: Vec<String> = unknown.map(|(name, _)| name.display().to_string()).collect();
+        let mut files = self.clone();
         if unknown.is_empty() {
-            return Ok(());
+            return Ok(files);
         }
-        if self.folder.is_some() {
-            self.poses.retain(|(_, form)| *form != Form::Itk);
+        if files.folder.is_some() {
+            files.poses.retain(|(_, form)| *form != Form::Itk);
         }
-        let Some((file, _)) = self.poses.iter().find(|(_, form)| *form == Form::Itk) else { return Ok(()) };
+        let Some((file, _)) = files.poses.iter().find(|(_, form)| *form == Form::Itk) else { return Ok(files) };
         let message = format!(
             "{}: a .tfm is always LPS, and {}; give --space LPS, as 3D Slicer takes such files, or --space RAS",
             file.display(),
@@ -93,11 +100,16 @@ impl OutFiles {
 
     /// Every file, in the order in which they are written.
     pub(super) fn all(&self) -> impl Iterator<Item = &PathBuf> {
-        self.poses.iter().map(|(file, _)| file).chain(&self.source)
+        self.poses.iter().map(|(file, _)| file).chain(&self.source).chain(&self.trace)
     }
 
-    /// Writes the poses, each with the text that `text_of` gives, and the moved source.
-    pub(super) fn write(&self, text_of: impl Fn(Form) -> String, moved: Option<&Cloud>) -> Result<()> {
+    /// Writes the poses, each with the text that `text_of` gives, the moved source and the steps.
+    pub(super) fn write(
+        &self,
+        text_of: impl Fn(Form) -> String,
+        moved: Option<&Cloud>,
+        steps: impl Fn() -> String,
+    ) -> Result<()> {
         if let Some(folder) = &self.folder {
             fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
         }
@@ -107,8 +119,15 @@ impl OutFiles {
         if let (Some(file), Some(moved)) = (&self.source, moved) {
             write_cloud(file, moved, Space::Unknown)?;
         }
-        Ok(())
+        self.trace.iter().try_for_each(|file| write_new(file, &steps()))
     }
+}
+
+/// Writes a new file.
+fn write_new(file: &Path, text: &str) -> Result<()> {
+    let opened = fs::OpenOptions::new().write(true).create_new(true).open(file);
+    let written = opened.and_then(|mut file| file.write_all(text.as_bytes()));
+    written.with_context(|| format!("{} cannot be written", file.display()))
 }
 
 fn form_of(file: &Path) -> Result<Form> {
@@ -135,10 +154,10 @@ pub(super) fn itk_file(t_target_source: &Isometry3<f64>, spaces: [Space; 2], com
 }
 
 /// The space in which the numbers of a file are once read, LPS where the file states one; `option` is for those that do not.
-pub(super) fn space_of(stated: Space, option: Option<SpaceOption>) -> Space {
-    match (stated, option) {
-        (Space::Lps | Space::Ras, _) => Space::Lps,
-        (Space::Unknown, option) => option.map_or(Space::Unknown, Into::into),
+pub(super) fn space_of(stated: Space, option: Option<Space>) -> Space {
+    match stated {
+        Space::Lps | Space::Ras => Space::Lps,
+        Space::Unknown => option.unwrap_or_default(),
     }
 }
 

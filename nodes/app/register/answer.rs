@@ -1,0 +1,458 @@
+//! What a registration gives: the verdict, the pose, the reports of its nodes, and the files.
+
+use super::{
+    Method, ReadStart, Register, RegisterInput, Start,
+    files::{Form, itk_file, space_of},
+    steps,
+    words::{converged, describe, short, stop_reason},
+};
+use crate::app::{
+    Space, UsageError,
+    program::{NOTICE, about_command},
+};
+use anyhow::Result;
+use osteoflow_algorithms::{
+    icp::{IcpReport, IcpStep},
+    mesh_query::MeshQuery,
+    target::Target,
+    trust,
+};
+use osteoflow_engine::run::{Outcome, RunReport};
+use osteoflow_geometry::{Cloud, matrix_rows, nalgebra::Isometry3};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+use std::path::PathBuf;
+
+/// Error left by a `point_to_point` above which it is warned of, mm: the resolution of a tracker.
+const LEFT_MM: f64 = 0.1;
+
+/// Turn from the start above which it is warned of, degrees: a coarse fit is off by a few, and a bone that is nearly round has
+/// stationary points all around its axis.
+const TURNED_DEG: f64 = 30.0;
+
+/// How a registration ended, with everything that is known of it.
+pub struct Registration {
+    /// The pose, source to target, also if it is refused.
+    pub(super) pose: Option<Isometry3<f64>>,
+    /// Where the method started.
+    pub(super) init: Option<Isometry3<f64>>,
+    /// The report of the start, if there is one.
+    pub(super) start_report: Option<Value>,
+    /// The report of the method, if it has one, and as that of a built-in one.
+    pub(super) report: Option<Value>,
+    pub(super) icp_report: Option<IcpReport>,
+    /// The steps of a built-in method.
+    pub(super) steps: Vec<IcpStep>,
+    /// A doubt about the picked points.
+    pub(super) doubt: Option<String>,
+    pub(super) target: Option<Target>,
+    pub(super) source: Option<Cloud>,
+    /// The reports of the nodes `bone` and `scan`; null if they gave none.
+    pub(super) bone_report: Value,
+    pub(super) scan_report: Value,
+    pub(super) has_estimated_normals: bool,
+    /// Whether the prepared target is from the store.
+    pub(super) is_stored: bool,
+    /// The moved source with its residuals, if it is written.
+    pub(super) moved: Option<Cloud>,
+    /// The files that were written.
+    pub(super) written: Vec<PathBuf>,
+    pub(super) timings: Timings,
+    /// Whether all repeats gave the same bits.
+    pub(super) same_bits: bool,
+    pub(super) run: RunReport,
+}
+
+/// Times in ms: of reading once, of each repeat for the rest.
+#[derive(Debug, Default, Serialize)]
+pub(crate) struct Timings {
+    #[serde(skip)]
+    pub(crate) target_ms: f64,
+    #[serde(skip)]
+    pub(crate) source_ms: f64,
+    #[serde(skip)]
+    pub(crate) init_ms: f64,
+    #[serde(skip)]
+    pub(crate) start_ms: f64,
+    #[serde(skip)]
+    pub(crate) verdict_ms: f64,
+    pub(crate) prep_target_ms: Vec<f64>,
+    /// Zero: the methods sort the source and estimate its normals within `align_ms`.
+    pub(crate) prep_source_ms: Vec<f64>,
+    pub(crate) align_ms: Vec<f64>,
+    /// Processor time of `align_ms`, where the platform measures it.
+    pub(crate) cpu_ms: Vec<f64>,
+}
+
+impl Timings {
+    /// Adds the times of a run.
+    pub(super) fn add(&mut self, run: &RunReport, is_first: bool, cpu_ms: Option<f64>) {
+        let busy_ms = |name: &str| {
+            run.nodes.iter().find(|node| node.name == name).map_or(0.0, |node| node.busy.as_secs_f64() * 1e3)
+        };
+        if is_first {
+            self.target_ms = busy_ms("bone");
+            self.source_ms = busy_ms("scan");
+            self.start_ms = busy_ms("coarse");
+            self.verdict_ms = busy_ms("verdict");
+        }
+        self.prep_target_ms.push(busy_ms("ct_surface"));
+        self.prep_source_ms.push(0.0);
+        self.align_ms.push(busy_ms("icp"));
+        self.cpu_ms.extend(cpu_ms);
+    }
+
+    /// Time to read all files.
+    pub(crate) fn load_ms(&self) -> f64 {
+        self.target_ms + self.source_ms + self.init_ms
+    }
+}
+
+impl Registration {
+    /// The pose, source to target; `None` if there is none or it is refused.
+    pub fn pose(&self) -> Option<&Isometry3<f64>> {
+        self.pose.as_ref().filter(|_| self.run.outcome == Outcome::Complete)
+    }
+
+    /// Why there is no pose.
+    pub fn refusal(&self) -> Option<&str> {
+        match &self.run.outcome {
+            Outcome::Complete => None,
+            Outcome::Refused(refusal) => Some(&refusal.reason),
+            Outcome::Interrupted => Some("interrupted"),
+        }
+    }
+
+    /// The refusal for a terminal: that of a plugin begins with its kind.
+    pub(crate) fn refusal_text(&self, of: &Register) -> Option<String> {
+        let reason = self.refusal()?;
+        let by_plugin =
+            matches!(&self.run.outcome, Outcome::Refused(refusal) if refusal.node == "icp" && !of.is_built_in());
+        Some(if by_plugin { format!("{}: {reason}", of.kind_name) } else { reason.to_owned() })
+    }
+
+    /// The files that were written.
+    pub(crate) fn written(&self) -> &[PathBuf] {
+        &self.written
+    }
+
+    /// Whether the user stopped it.
+    pub fn is_interrupted(&self) -> bool {
+        self.run.outcome == Outcome::Interrupted
+    }
+
+    /// Whether the method ended, so that there is something to show beside a refusal.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.pose.is_some() && self.init.is_some() && !self.is_interrupted()
+    }
+
+    /// The content of `results.json`.
+    pub(crate) fn results(&self) -> &Value {
+        &self.run.results
+    }
+
+    pub(crate) fn timings(&self) -> &Timings {
+        &self.timings
+    }
+
+    pub(crate) fn steps(&self) -> &[IcpStep] {
+        &self.steps
+    }
+
+    pub(crate) fn start_report(&self) -> Option<&Value> {
+        self.start_report.as_ref()
+    }
+
+    /// The report of a built-in method.
+    pub(crate) fn icp_report(&self) -> Option<&IcpReport> {
+        self.icp_report.as_ref()
+    }
+
+    /// The report of the method, of any kind.
+    pub(crate) fn report(&self) -> Option<&Value> {
+        self.report.as_ref()
+    }
+
+    /// How the method ended, by its report.
+    pub(crate) fn ended(&self) -> trust::Ended {
+        self.report.clone().and_then(|report| serde_json::from_value(report).ok()).unwrap_or_default()
+    }
+
+    /// Millimetres RMS and degrees by which the method moved the source from the start.
+    pub(crate) fn moved_by(&self) -> Option<(f64, f64)> {
+        let (pose, init, source) = (self.pose?, self.init?, self.source.as_ref()?);
+        let sum: f64 = source.points().iter().map(|p| (pose * p - init * p).norm_squared()).sum();
+        let turn_deg = pose.rotation.angle_to(&init.rotation).to_degrees();
+        Some(((sum / source.len().max(1) as f64).sqrt(), turn_deg))
+    }
+
+    /// The target in a few words.
+    pub(crate) fn describe_target(&self) -> String {
+        let Some(target) = &self.target else { return "not prepared".into() };
+        let n = target.points().len();
+        let points = match target.mesh().map(MeshQuery::mesh) {
+            Some(mesh) => format!("{n} points sampled from {} faces", mesh.faces().len()),
+            None if self.has_estimated_normals => format!("{n} points, their normals estimated"),
+            None => format!("{n} points with normals"),
+        };
+        format!("{points}{}", if self.is_stored { ", prepared by an earlier run" } else { "" })
+    }
+
+    /// The source in a few words.
+    pub(crate) fn describe_source(&self) -> String {
+        let Some(source) = &self.source else { return "not read".into() };
+        let holds = self.scan_report["holds"].as_str().unwrap_or("points");
+        let normals = if source.normals().is_some() { " with normals" } else { "" };
+        format!("{} {holds}{normals}", source.len())
+    }
+
+    /// The spaces that the files state.
+    fn stated_spaces(&self) -> [Space; 2] {
+        [&self.bone_report, &self.scan_report].map(|report| match report["space"].as_str() {
+            Some("LPS") => Space::Lps,
+            Some("RAS") => Space::Ras,
+            _ => Space::Unknown,
+        })
+    }
+
+    /// Warnings and notes of a registration that ended, one sentence each.
+    pub(crate) fn warnings(&self, of: &Register) -> Vec<String> {
+        let mut warnings: Vec<String> = self.doubt.iter().cloned().collect();
+        let of_nodes = self.run.warnings.iter().filter(|warning| !FILES.contains(&warning.node.as_str()));
+        warnings.extend(of_nodes.map(|warning| match warning.node.as_str() {
+            "icp" => format!("{}: {}", of.method_name(), warning.message),
+            _ => warning.message.clone(),
+        }));
+        if !self.has_ended() {
+            return warnings;
+        }
+        match self.icp_report() {
+            Some(report) if of.is_built_in() => warnings.extend(report_warnings(report, of.request.is_fixed)),
+            _ if self.ended().converged == Some(false) => {
+                warnings.push(format!("not converged, by the report of {}", of.method_name()));
+            }
+            _ => {}
+        }
+        if let Some((_, turned_deg)) = self.moved_by().filter(|(_, deg)| *deg > TURNED_DEG) {
+            let turned = format!("it turned the source by {turned_deg:.0} degrees from the start");
+            warnings.push(format!("{turned}, so it may have converged to another minimum; is the start right?"));
+        }
+        if !self.same_bits {
+            warnings.push("the repeats gave different poses, which only a time limit should cause".into());
+        }
+        warnings
+    }
+
+    /// Notes on the files, one sentence each.
+    pub(crate) fn notes(&self, of: &Register) -> Vec<String> {
+        let of_file = |node: &str, input: &RegisterInput, option: &str| {
+            let of_node = self.run.warnings.iter().filter(|warning| warning.node == node);
+            // The readers name a parameter, which is an option here.
+            let note = |message: &str| {
+                format!("{}: {}", input.path.display(), message.replace("unit_mm = ", &format!("--{option}-unit-mm ")))
+            };
+            // The pose is in the numbers of the files; only a .tfm has a space, and asks for it.
+            let of_node = of_node.filter(|warning| !warning.message.starts_with(Space::TAKEN_FOR_LPS));
+            of_node.map(|warning| note(&warning.message)).collect::<Vec<_>>()
+        };
+        let request = &of.request;
+        [of.notes.clone(), of_file("bone", &request.target, "target"), of_file("scan", &request.source, "source")]
+            .concat()
+    }
+
+    /// Everything as JSON, with every step if `with_trace`.
+    pub(crate) fn to_json(&self, of: &Register, outcome: Value, with_trace: bool) -> Value {
+        let (request, results) = (&of.request, self.results());
+        let mut out = Map::new();
+        let mut put = |key: &str, value: Value| {
+            out.insert(key.into(), value);
+        };
+        if let Some(verdict) = results.get("verdict").filter(|_| request.is_judged) {
+            put("verdict", verdict.clone());
+        }
+        put("outcome", outcome);
+        if let Some(reason) = self.refusal() {
+            put("refused", json!({ "reason": reason }));
+        }
+        if let Some(pose) = self.pose() {
+            put("T", json!(matrix_rows(pose).concat()));
+        }
+        if self.has_ended() {
+            let report = self.report.clone().unwrap_or_default();
+            if of.is_built_in() {
+                put("undetermined", report["observability"]["undetermined"].clone());
+            }
+            for key in ["converged", "stop_reason", "iterations", "n_pairs", "rms_mm", "remaining_mm"] {
+                put(key, report.get(key).cloned().unwrap_or_default());
+            }
+            put("same_bits", self.same_bits.into());
+            if let Ok(Value::Object(timings)) = serde_json::to_value(&self.timings) {
+                timings.into_iter().for_each(|(key, value)| put(&key, value));
+            }
+            if request.is_judged {
+                put("verdict_ms", json!(self.timings.verdict_ms));
+            }
+            put("report", report);
+            if with_trace && self.pose().is_some() {
+                put("trace", json!(self.steps));
+            }
+        }
+        let Timings { target_ms, source_ms, init_ms, .. } = self.timings;
+        put("load_ms", json!(self.timings.load_ms()));
+        // A surface is sampled when it is prepared.
+        let load = json!({ "target_ms": target_ms, "sample_ms": 0.0, "source_ms": source_ms, "init_ms": init_ms });
+        put("load", load);
+        put("warnings", json!(self.warnings(of)));
+        put("notes", json!(self.notes(of)));
+        put("method", of.method_name().into());
+        if let Some(plugin) = of.checked.plan.plugins.first() {
+            put("plugin", json!(plugin));
+        }
+        put("pairing", of.pairing().into());
+        put("stop", if request.is_fixed { "fixed" } else { "converge" }.into());
+        put("params", of.params.clone());
+        put("target", self.target_json(&request.target));
+        put("source", self.source_json(&request.source));
+        if let Some(init) = self.init.filter(|_| self.has_ended()) {
+            let file = match &request.start {
+                Start::File(file) => Some(file.display().to_string()),
+                Start::Shape | Start::Pose(_) | Start::Landmarks(_) => None,
+            };
+            put("init", json!({ "file": file, "matrix": matrix_rows(&init) }));
+            put("start", self.start_json(of));
+        }
+        put("seed", of.checked.plan.seed.into());
+        put("workers", crate::app::program::n_workers(request.workers).into());
+        put("repeat", request.repeat.into());
+        put("units", "mm, rad".into());
+        put("notice", NOTICE.into());
+        put("command", about_command());
+        Value::Object(out)
+    }
+
+    fn start_json(&self, of: &Register) -> Value {
+        let by = match &of.start {
+            ReadStart::Pose(_) => return json!({ "by": "pose" }),
+            ReadStart::Shape => "shape",
+            ReadStart::Landmarks { .. } => "landmarks",
+        };
+        json!({ "by": by, "ms": self.timings.start_ms, "report": self.start_report })
+    }
+
+    fn target_json(&self, input: &RegisterInput) -> Value {
+        let mesh = self.target.as_ref().and_then(Target::mesh).map(MeshQuery::mesh);
+        json!({
+            "file": input.path.display().to_string(),
+            "n_points": self.target.as_ref().map(|target| target.points().len()),
+            "n_faces": mesh.map(|mesh| mesh.faces().len()),
+            "normals": self.target.as_ref().is_some_and(|target| target.normals().is_some()),
+            "normals_estimated": self.has_estimated_normals,
+            "from_store": self.is_stored,
+        })
+    }
+
+    fn source_json(&self, input: &RegisterInput) -> Value {
+        let source = self.source.as_ref();
+        json!({
+            "file": input.path.display().to_string(),
+            "n_points": source.map(Cloud::len),
+            "n_dropped": self.scan_report["n_dropped"],
+            "normals": source.is_some_and(|source| source.normals().is_some()),
+            "camera": source.and_then(|source| source.viewpoint).map(|view| view.translation.vector.as_slice().to_vec()),
+        })
+    }
+
+    /// Writes the files that the request names; none without a pose.
+    ///
+    /// # Errors
+    /// The space of a file has to be stated for a .tfm, or is stated twice; a file cannot be written.
+    pub(super) fn write(&mut self, of: &Register) -> Result<()> {
+        let (request, stated) = (&of.request, self.stated_spaces());
+        let Some(pose) = self.pose().copied() else { return Ok(()) };
+        let names = [&request.target.path, &request.source.path];
+        if request.space.is_some() && stated.iter().all(|space| *space != Space::Unknown) {
+            let names = names.map(|name| name.display().to_string()).join(" and ");
+            return Err(UsageError(format!("{names} state their space; leave out --space")).into());
+        }
+        let spaces = stated.map(|stated| space_of(stated, request.space));
+        let files = of.files.with_known_spaces(names, spaces)?;
+        let made_by = format!(
+            "osteoflow {}, {}: {}; {NOTICE}",
+            env!("CARGO_PKG_VERSION"),
+            of.method_name(),
+            match self.icp_report().filter(|_| of.is_built_in()) {
+                Some(report) => stop_reason(report.stop_reason),
+                None => converged(self.ended().converged),
+            }
+        );
+        let [target, source] =
+            names.map(|name| name.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()));
+        files.write(
+            |form| match form {
+                Form::Json => format!("{}\n", self.to_json(of, json!({ "status": "done", "exit_code": 0 }), false)),
+                Form::Text => {
+                    let rows = matrix_rows(&pose).map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat();
+                    format!("# takes {source} to {target}: 4 x 4, row by row, mm\n# {made_by}\n{rows}")
+                }
+                Form::Itk => {
+                    let motion =
+                        format!("moves {source} to {target}, mm, LPS; the parameters are those of the inverse");
+                    itk_file(&pose, spaces, &[motion, made_by.clone()])
+                }
+            },
+            self.moved.as_ref(),
+            || steps::csv(&self.steps),
+        )?;
+        self.written = files.all().cloned().collect();
+        Ok(())
+    }
+}
+
+/// The nodes that read the files.
+const FILES: [&str; 2] = ["bone", "scan"];
+
+impl Register {
+    /// The name of the built-in method, or the kind of the plugin.
+    pub(crate) fn method_name(&self) -> &str {
+        match &self.request.method {
+            Method::BuiltIn(name) => name,
+            Method::Plugin(..) => &self.kind_name,
+        }
+    }
+
+    /// What was asked for.
+    pub(crate) fn request(&self) -> &super::RegisterRequest {
+        &self.request
+    }
+
+    /// Largest distance of a pair, mm, if the method states one.
+    pub(crate) fn max_pair_distance_mm(&self) -> Option<f64> {
+        self.params.get("max_pair_distance_mm").and_then(Value::as_f64)
+    }
+
+    pub(crate) fn is_built_in(&self) -> bool {
+        matches!(self.request.method, Method::BuiltIn(_))
+    }
+
+    pub(crate) fn pairing(&self) -> &str {
+        self.params.get("pairing").and_then(Value::as_str).unwrap_or("cached")
+    }
+}
+
+/// Warnings about a built-in method.
+fn report_warnings(report: &IcpReport, is_fixed: bool) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if !report.converged && !is_fixed {
+        let left = report.remaining_mm.map_or_else(String::new, |mm| format!("; about {} mm remain", short(mm)));
+        warnings.push(format!("not converged: {}{left}", stop_reason(report.stop_reason)));
+    }
+    for motion in &report.observability.undetermined {
+        let motion = describe(motion);
+        warnings.push(format!("the surfaces leave {motion} undetermined: along it the pose is that of the start"));
+    }
+    if let Some(left_mm) = report.left_mm.filter(|mm| *mm > LEFT_MM) {
+        let left = format!("it stopped {left_mm:.2} mm from where point_to_plane ends that starts there");
+        warnings.push(format!("{left}; use --method point_to_plane"));
+    }
+    warnings
+}

@@ -1,0 +1,319 @@
+//! The runs of a registration, and what is taken from their wires.
+
+use super::{
+    FRAMES, ReadStart, Register, RegisterInput,
+    answer::{Registration, Timings},
+    files::moved_source,
+    landmarks::off_surface,
+    method::{POSE, REPORT},
+};
+use crate::app::{Error, Given, MeshOrCloud, program};
+use anyhow::{Context, anyhow};
+use osteoflow_algorithms::{icp::IcpTrace, target::Target};
+use osteoflow_engine::{
+    given::{output, run_given},
+    plan::Plan,
+    run::{Event, Observer, Outcome, Refusal, RunOptions, RunReport},
+};
+use osteoflow_geometry::{Cloud, NamedPoint, Points, Pose};
+use osteoflow_node::{Body, Empty, Item, Payload, Value};
+use osteoflow_payloads::{Json, Table};
+use osteoflow_standard::{
+    acquire::cloud,
+    surface::any::{Bone, Shape},
+};
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    sync::{Arc, Mutex, PoisonError, atomic::AtomicBool},
+};
+
+/// The node that registers.
+const NODE: &str = "icp";
+/// Wires of one run that the next is given, for registrations that are repeated.
+const FIRST: [&str; 3] = ["bone", "scan", "coarse"];
+
+type Wires = BTreeMap<String, Vec<Item>>;
+
+impl Register {
+    /// The plan of the run.
+    pub fn plan(&self) -> &Plan {
+        &self.checked.plan
+    }
+
+    /// As [`Self::run`], and gives the answer of the command as JSON, with every step if `with_trace`.
+    ///
+    /// # Errors
+    /// [`Error`]; refused if the pose is, or if there is none.
+    pub fn register(
+        &self,
+        observer: &dyn Observer,
+        cancelled: &Arc<AtomicBool>,
+        with_trace: bool,
+    ) -> Result<serde_json::Value, Error> {
+        let registration = self.run(observer, cancelled)?;
+        if registration.is_interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let (status, exit_code) = if registration.refusal().is_none() { ("done", 0) } else { ("refused", 3) };
+        let outcome = serde_json::json!({ "status": status, "exit_code": exit_code });
+        let answer = registration.to_json(self, outcome, with_trace);
+        match registration.refusal() {
+            Some(why) => Err(Error::Refused(why.to_owned(), answer)),
+            None => Ok(answer),
+        }
+    }
+
+    /// Registers, as often as the request says, and writes the files that it names.
+    ///
+    /// # Errors
+    /// A node cannot be built, or a file cannot be written. That there is no pose is part of the answer.
+    pub(crate) fn run(&self, observer: &dyn Observer, cancelled: &Arc<AtomicBool>) -> anyhow::Result<Registration> {
+        let request = &self.request;
+        let options =
+            RunOptions { store: program::store(request.cache)?, ..program::options(request.workers, cancelled) };
+        let mut timings = Timings { init_ms: self.init_ms, ..Timings::default() };
+        let mut inputs = self.inputs();
+        let mut first: Option<(RunReport, Wires)> = None;
+        let mut same_bits = true;
+        for _ in 0..request.repeat {
+            let cpu = CpuOf { node: NODE, observer, began_ms: Mutex::default(), took_ms: Mutex::default() };
+            let given = self.given(&inputs)?;
+            let ran = run_given(self.plan(), &self.checked.registry, &options, &cpu, given, &|_| true);
+            let (report, wires) = ran.map_err(program::run_error)?;
+            timings.add(&report, first.is_none(), cpu.took_ms.into_inner().unwrap_or_else(PoisonError::into_inner));
+            if report.outcome == Outcome::Interrupted {
+                first = Some((report, wires));
+                break;
+            }
+            let isometry = wires.pose().map(|pose| pose.isometry);
+            if let Some((_, first)) = &first {
+                same_bits &= first.pose().map(|pose| pose.isometry) == isometry;
+            }
+            if first.is_none() {
+                if request.repeat > 1 {
+                    inputs = wires
+                        .iter()
+                        .filter(|(wire, _)| FIRST.contains(&node_of(wire)))
+                        .map(|(wire, items)| (wire.clone(), items.clone()))
+                        .collect();
+                }
+                first = Some((report, wires));
+            }
+            if isometry.is_none() {
+                break;
+            }
+        }
+        let (mut report, wires) = first.context("at least one registration is asked for")?;
+        self.refuse_other_frames(&mut report, &wires);
+        for input in [&request.target, &request.source] {
+            name_as_stated(&mut report, &input.path);
+        }
+        let mut registration = self.registration(report, &wires, timings, same_bits)?;
+        registration.write(self)?;
+        Ok(registration)
+    }
+
+    /// Refuses a pose between other frames than those of the files, which nothing else notices where no verdict is asked for.
+    fn refuse_other_frames(&self, report: &mut RunReport, wires: &Wires) {
+        let Some(Err(error)) = wires.pose().map(|pose| pose.expect(&FRAMES[0].into(), &FRAMES[1].into())) else {
+            return;
+        };
+        let node = self.plan().nodes.iter().find(|node| *node.name == *NODE);
+        let location = node.map(|node| node.location.clone());
+        if let (Outcome::Complete, Some(location)) = (&report.outcome, location) {
+            let (node, kind, reason) = (NODE.to_owned(), self.kind_name.clone(), error.to_string());
+            report.outcome = Outcome::Refused(Refusal { node, kind, item: None, location, reason, panicked: false });
+        }
+    }
+
+    /// What replaces nodes: inputs in memory, a start that is given, and picked points.
+    fn inputs(&self) -> Wires {
+        let mut wires = Wires::new();
+        let mut put = |wire: &str, body: Body| {
+            wires.insert(wire.into(), vec![Item { number: 0, stamp_ns: 0, body }]);
+        };
+        let request = &self.request;
+        if let Some(content) = in_frame(&request.target, FRAMES[0]) {
+            let Bone { shape, report } = content.into();
+            let none =
+                || Body::Empty(Empty { node: "bone".into(), reason: "the bone is given otherwise".into() }.into());
+            let (mesh, points) = match shape {
+                Shape::Mesh(mesh) => (body(mesh), none()),
+                Shape::Points(points) => (none(), body(points)),
+            };
+            put("bone.mesh", mesh);
+            put("bone.points", points);
+            put("bone.report", body(report));
+        }
+        if let Some(content) = in_frame(&request.source, FRAMES[1]) {
+            let (out, _) = cloud::Out::of(content, request.camera.map(|camera| camera.coords.into()));
+            let (scan, report) = out.into_parts();
+            put("scan.cloud", body(scan));
+            put("scan.report", body(report));
+        }
+        match &self.start {
+            ReadStart::Shape => {}
+            ReadStart::Pose(pose) => put("coarse.t_target_source", body(Pose::new(FRAMES[0], FRAMES[1], *pose))),
+            ReadStart::Landmarks { target, source } => {
+                let points = |points: &[NamedPoint], frame: &str| body(Points::new(frame, points.to_vec()));
+                put("bone_points.points", points(target, FRAMES[0]));
+                put("scan_points.points", points(source, FRAMES[1]));
+            }
+        }
+        wires
+    }
+
+    fn given(&self, wires: &Wires) -> anyhow::Result<Given> {
+        let (plan, mut given) = (self.plan(), Given::default());
+        for (wire, items) in wires {
+            let added = output(plan, wire).and_then(|id| given.add(plan, id, items.clone()));
+            added.map_err(|message| anyhow!("{message}"))?;
+        }
+        Ok(given)
+    }
+
+    fn registration(
+        &self,
+        report: RunReport,
+        wires: &Wires,
+        timings: Timings,
+        same_bits: bool,
+    ) -> anyhow::Result<Registration> {
+        let target: Option<Target> = wires.value("ct_surface.target");
+        let source: Option<Cloud> = wires.value("scan.cloud");
+        let pose = wires.pose().map(|pose| pose.isometry);
+        let picked: &[NamedPoint] = match &self.start {
+            ReadStart::Landmarks { target, .. } => target,
+            ReadStart::Shape | ReadStart::Pose(_) => &[],
+        };
+        let is_done = report.outcome == Outcome::Complete;
+        let moved = match (&target, &source, &pose, &self.files.source) {
+            (Some(target), Some(source), Some(pose), Some(_)) if is_done => Some(moved_source(target, source, pose)?),
+            _ => None,
+        };
+        let [bone_report, scan_report] =
+            ["bone.report", "scan.report"].map(|wire| wires.value::<Json>(wire).map(|json| (*json.0).clone()));
+        Ok(Registration {
+            pose,
+            init: wires.value::<Pose>("coarse.t_target_source").map(|pose| pose.isometry),
+            start_report: wires.result("coarse.report"),
+            report: wires.result(&format!("{NODE}.{REPORT}")),
+            icp_report: wires.value(&format!("{NODE}.{REPORT}")),
+            steps: wires.value::<IcpTrace>("icp.trace").map(|trace| trace.steps).unwrap_or_default(),
+            doubt: target.as_ref().and_then(|target| off_surface(target, picked)),
+            has_estimated_normals: wires.value::<Cloud>("bone.points").is_some_and(|cloud| cloud.normals().is_none()),
+            is_stored: report.cached_answers.iter().any(|answer| answer.node == "ct_surface"),
+            target,
+            source,
+            bone_report: bone_report.unwrap_or_default(),
+            scan_report: scan_report.unwrap_or_default(),
+            moved,
+            written: Vec::new(),
+            timings,
+            same_bits,
+            run: report,
+        })
+    }
+}
+
+/// Names a file in messages as the request does: a node knows its absolute path.
+fn name_as_stated(report: &mut RunReport, path: &Path) {
+    let (Ok(absolute), stated) = (std::path::absolute(path), path.display().to_string()) else { return };
+    let absolute = absolute.display().to_string();
+    let renamed = |text: &mut String| *text = text.replace(&absolute, &stated);
+    report.warnings.iter_mut().for_each(|warning| renamed(&mut warning.message));
+    if let Outcome::Refused(refusal) = &mut report.outcome {
+        renamed(&mut refusal.reason);
+    }
+    rename_in(&mut report.results, &renamed);
+}
+
+fn rename_in(json: &mut serde_json::Value, renamed: &dyn Fn(&mut String)) {
+    match json {
+        serde_json::Value::String(text) => renamed(text),
+        serde_json::Value::Array(values) => values.iter_mut().for_each(|value| rename_in(value, renamed)),
+        serde_json::Value::Object(values) => values.values_mut().for_each(|value| rename_in(value, renamed)),
+        _ => {}
+    }
+}
+
+/// The content of a file in memory, in the frame that it has in the graph.
+fn in_frame(input: &RegisterInput, frame: &str) -> Option<MeshOrCloud> {
+    let mut content = input.content.clone()?;
+    match &mut content {
+        MeshOrCloud::Mesh(read) => read.mesh.frame = frame.into(),
+        MeshOrCloud::Cloud(read, _) => read.cloud.frame = frame.into(),
+    }
+    Some(content)
+}
+
+fn body<T: Payload<Table>>(value: T) -> Body {
+    Body::Value(Value::new::<T, Table>(value))
+}
+
+fn node_of(wire: &str) -> &str {
+    wire.split('.').next().unwrap_or(wire)
+}
+
+/// The last values of wires.
+trait LastValues {
+    fn last(&self, wire: &str) -> Option<&Value>;
+
+    fn value<T: Payload<Table> + Clone>(&self, wire: &str) -> Option<T> {
+        self.last(wire)?.get::<T>().cloned()
+    }
+
+    /// As in `results.json`.
+    fn result(&self, wire: &str) -> Option<serde_json::Value> {
+        self.last(wire).map(Value::to_result)
+    }
+
+    fn pose(&self) -> Option<Pose> {
+        self.value(&format!("{NODE}.{POSE}"))
+    }
+}
+
+impl LastValues for Wires {
+    fn last(&self, wire: &str) -> Option<&Value> {
+        match &self.get(wire)?.last()?.body {
+            Body::Value(value) => Some(value),
+            Body::Empty(_) => None,
+        }
+    }
+}
+
+/// Measures the processor time of a node's firing, in which nothing else runs, and hands all events on.
+struct CpuOf<'a> {
+    node: &'static str,
+    observer: &'a dyn Observer,
+    began_ms: Mutex<Option<f64>>,
+    took_ms: Mutex<Option<f64>>,
+}
+
+impl Observer for CpuOf<'_> {
+    fn event(&self, event: &Event<'_>) {
+        let set = |cell: &Mutex<Option<f64>>, ms| *cell.lock().unwrap_or_else(PoisonError::into_inner) = ms;
+        match event {
+            Event::Started { node } if *node == self.node => set(&self.began_ms, cpu_ms()),
+            Event::Fired { node, .. } if *node == self.node => {
+                let began_ms = *self.began_ms.lock().unwrap_or_else(PoisonError::into_inner);
+                set(&self.took_ms, cpu_ms().zip(began_ms).map(|(now, began)| now - began));
+            }
+            _ => {}
+        }
+        self.observer.event(event);
+    }
+}
+
+/// Processor time of the process, ms; `None` if the platform does not measure it.
+#[cfg(unix)]
+fn cpu_ms() -> Option<f64> {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Some(time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6)
+}
+
+#[cfg(not(unix))]
+fn cpu_ms() -> Option<f64> {
+    None
+}

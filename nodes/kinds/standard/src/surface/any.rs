@@ -1,0 +1,236 @@
+//! The kind `surface.any`.
+
+use super::{
+    ct::{self, CtBone, NoThreshold, read_bone},
+    file::SpaceName,
+};
+use osteoflow_formats::{
+    Space, input,
+    mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+    volume::{data_file, is_volume},
+};
+use osteoflow_geometry::{Cloud, Mesh};
+use osteoflow_node::{
+    Context, Describe, Emit, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+};
+use osteoflow_payloads::Json;
+use serde_json::json;
+use std::{path::PathBuf, sync::Arc};
+
+/// A bone from whatever file holds it: a surface, points of one, or a CT.
+///
+/// A surface is STL, PLY, OBJ, OFF or VTK; points are PLY, PCD, VTK or text; a CT is NIfTI, NRRD or the folder of a DICOM series,
+/// from which the surface is taken as by `surface.ct`. The format is recognised by the content. One of `mesh` and `points` has an
+/// item; `surface.prepare_any` takes either.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "surface.any"
+path = "bone.stl"
+"#,
+    literature = ["Gibson 1998"]
+)]
+pub struct Any {
+    params: Params,
+    is_ct: bool,
+    done: bool,
+}
+
+/// Parameters of [`Any`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct Params {
+    /// The file, or the folder of a DICOM series.
+    pub path: FilePath,
+    /// The frame of its coordinates. `ct`: the plan's.
+    #[serde(default = "ct_frame")]
+    pub frame: String,
+    /// Millimetres in the unit of a surface or of points. 1: files of bones are in millimetres; 1000 for a file in metres. A CT
+    /// states its unit.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1e-6, max = 1e6))]
+    pub unit_mm: f64,
+    /// The axes of the numbers of a surface or of points, where the file does not state them; RAS is turned to LPS. Unset: in
+    /// frame `ct` they are taken for LPS, as 3D Slicer takes them.
+    pub space: Option<SpaceName>,
+    /// Bone is above this in a CT, HU. Unset: half-way between soft tissue and bone in the volume, which the verdict names among
+    /// its assumptions; refused with a suggestion where the values are not HU.
+    pub threshold_hu: Option<f64>,
+    /// Which DICOM series of the folder: its number, or the ending of its identifier. Unset: the only one.
+    pub series: Option<String>,
+    /// Which connected part of a CT above the threshold is the bone: `"largest"`, or its rank by size, such as `"2"`. Unset: the
+    /// largest.
+    pub component: Option<String>,
+    /// A point in the bone's cortex, LPS, which chooses the part of a CT instead of `component`.
+    pub seed_mm: Option<[f64; 3]>,
+    /// Whether spaces enclosed by the bone in a CT count as bone. Unset: they do, since a camera sees only the outside.
+    pub fill_cavities: Option<bool>,
+}
+
+fn ct_frame() -> String {
+    "ct".into()
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// Outputs of [`Any`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The surface, once; empty if the file holds points.
+    #[port(frame = "$frame")]
+    mesh: Emit<Mesh>,
+    /// The points, once; empty if the file holds a surface or a CT.
+    #[port(frame = "$frame")]
+    points: Emit<Cloud>,
+    /// What the file holds: `holds` (`surface`, `points` or `ct`), the `space` of its coordinates, and the `assumptions` that a
+    /// registration onto it makes; of a CT also what `surface.ct` reports.
+    report: Json,
+}
+
+/// A bone as a surface or as points of it, with the report of [`Any`].
+pub struct Bone {
+    /// The surface or the points.
+    pub shape: Shape,
+    /// The port `report`.
+    pub report: Json,
+}
+
+/// A surface or points of it.
+pub enum Shape {
+    /// A surface.
+    Mesh(Mesh),
+    /// Points of it.
+    Points(Cloud),
+}
+
+impl From<MeshOrCloud> for Bone {
+    fn from(read: MeshOrCloud) -> Self {
+        let (shape, holds, space) = match read {
+            MeshOrCloud::Mesh(read) => (Shape::Mesh(read.mesh), "surface", read.space),
+            MeshOrCloud::Cloud(read, _) => (Shape::Points(read.cloud), "points", read.space),
+        };
+        let estimates = matches!(&shape, Shape::Points(cloud) if cloud.normals().is_none());
+        let assumptions: &[&str] = if estimates { &[ESTIMATED] } else { &[] };
+        let report = json!({ "holds": holds, "space": space.to_string(), "assumptions": assumptions });
+        Self { shape, report: Json(Arc::new(report)) }
+    }
+}
+
+impl From<Bone> for Out {
+    fn from(bone: Bone) -> Self {
+        let none = |holds: &str| format!("the file holds {holds}");
+        let (mesh, points) = match bone.shape {
+            Shape::Mesh(mesh) => (mesh.into(), Emit::Empty(none("a surface"))),
+            Shape::Points(points) => (Emit::Empty(none("points")), points.into()),
+        };
+        Self { mesh, points, report: bone.report }
+    }
+}
+
+const ESTIMATED: &str =
+    "the normals of the surface were estimated from its points; on an open surface their side is a guess";
+
+impl Params {
+    /// The parameters that only a CT has, by name, as far as they are given.
+    fn of_ct(&self) -> impl Iterator<Item = &'static str> {
+        let given = [
+            ("threshold_hu", self.threshold_hu.is_some()),
+            ("series", self.series.is_some()),
+            ("component", self.component.is_some()),
+            ("seed_mm", self.seed_mm.is_some()),
+            ("fill_cavities", self.fill_cavities.is_some()),
+        ];
+        given.into_iter().filter_map(|(name, is_given)| is_given.then_some(name))
+    }
+
+    fn ct(&self) -> ct::Params {
+        ct::Params {
+            path: self.path.clone(),
+            threshold_hu: self.threshold_hu,
+            component: self.component.clone().unwrap_or_else(ct::largest),
+            seed_mm: self.seed_mm,
+            series: self.series.clone(),
+            fill_cavities: self.fill_cavities.unwrap_or(true),
+            frame: self.frame.clone(),
+        }
+    }
+}
+
+impl Source for Any {
+    const KIND: &'static str = "surface.any";
+    const CONSTANT: bool = true;
+    type Params = Params;
+    type Outputs = Out;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        let (path, is_ct) = (params.path.as_ref(), is_volume(params.path.as_ref()));
+        if is_ct {
+            params.ct().check()?;
+            if params.unit_mm != 1.0 || params.space.is_some() {
+                let name = if params.space.is_some() { "space" } else { "unit_mm" };
+                return Err(ParamError::new(name, "a CT states its unit and its axes; leave it out"));
+            }
+        } else if let Some(name) = params.of_ct().next().filter(|_| path.exists()) {
+            let file = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+            return Err(ParamError::new(name, format!("{name} is for a CT, and {file} is none; leave it out")));
+        }
+        Ok(Self { params, is_ct, done: false })
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        data_file(self.params.path.as_ref()).into_iter().collect()
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
+        if std::mem::replace(&mut self.done, true) {
+            return Ok(None);
+        }
+        let bone = if self.is_ct { self.params.read_ct(ctx)? } else { self.params.read_shape(ctx)? };
+        Ok(Some(bone.into()))
+    }
+}
+
+impl Params {
+    fn read_ct(&self, ctx: &mut Context) -> Result<Bone, NodeError> {
+        let CtBone { mesh, notes, mut report } = read_bone(&self.ct(), NoThreshold::Suggest)?;
+        notes.into_iter().for_each(|note| ctx.warn(note));
+        let suggested_hu = report["threshold"].as_f64().filter(|_| self.threshold_hu.is_none());
+        let assumptions: Vec<String> = suggested_hu
+            .map(|hu| {
+                format!(
+                    "bone begins at {hu:.0} HU, which the volume suggests and nobody gave; the surface moves with it"
+                )
+            })
+            .into_iter()
+            .collect();
+        report["holds"] = "ct".into();
+        report["space"] = Space::Lps.to_string().into();
+        report["assumptions"] = assumptions.into();
+        Ok(Bone { shape: Shape::Mesh(mesh), report: Json(Arc::new(report)) })
+    }
+
+    fn read_shape(&self, ctx: &mut Context) -> Result<Bone, NodeError> {
+        let bytes = input::read(self.path.as_ref())?;
+        let mut read = read_mesh_or_cloud(self.path.as_ref(), &bytes, self.unit_mm, self.frame.as_str())?;
+        if let Some(name) = self.space {
+            let contradicts =
+                |stated| NodeError::new(format!("{stated}, but space = \"{}\"; leave space out", name.space()));
+            read = read.in_space(name.space()).map_err(contradicts)?;
+        }
+        if let Some(note) = read.space().taken_for_lps(&self.frame.as_str().into()) {
+            ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
+        }
+        read.notes().iter().for_each(|note| ctx.warn(note));
+        let bone = Bone::from(read);
+        if matches!(&bone.shape, Shape::Points(cloud) if cloud.normals().is_none()) {
+            ctx.warn(
+                "no normals; they are estimated from the points, outwards if the surface is closed; on an open one their side is a \
+                 guess, which matters only where the scan says where the camera was",
+            );
+        }
+        Ok(bone)
+    }
+}

@@ -1,0 +1,63 @@
+//! The kind `surface.prepare_any`.
+
+use super::{prepare, prepare_cloud};
+use osteoflow_algorithms::target::Target;
+use osteoflow_geometry::{Cloud, Mesh};
+use osteoflow_node::{CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+
+/// A surface or points of it, whichever there is, prepared for registration.
+///
+/// A surface as by `surface.prepare`, whose parameters these are; points as by `surface.prepare_cloud`: all of them, and their
+/// normals are estimated where missing.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "surface.prepare_any"
+in   = { mesh = "bone.mesh", points = "bone.points" }
+"#,
+    literature = ["Hoppe et al. 1992, sections 3.2 and 3.3"]
+)]
+pub struct PrepareAny(prepare::Params);
+
+/// Inputs of [`PrepareAny`].
+#[derive(Inputs)]
+pub struct In {
+    /// The surface.
+    #[port(join = "once", frame = "points")]
+    mesh: Option<Mesh>,
+    /// Points all over the surface.
+    #[port(join = "once", frame = "mesh")]
+    points: Option<Cloud>,
+}
+
+/// Outputs of [`PrepareAny`].
+#[derive(Outputs)]
+pub struct Out {
+    /// Points, normals, the grid that finds them, and the surface if there is one.
+    #[port(frame = "mesh")]
+    target: Target,
+}
+
+impl Node for PrepareAny {
+    const KIND: &'static str = "surface.prepare_any";
+    const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
+    type Params = prepare::Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn new(params: prepare::Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let target = match (&i.mesh, &i.points) {
+            (Some(mesh), None) => self.0.prepare(mesh, ctx)?,
+            (None, Some(points)) => prepare_cloud::prepare(points)?,
+            (None, None) => return Err(NodeError::new("there is neither a surface nor points of one")),
+            (Some(_), Some(_)) => {
+                return Err(NodeError::new("there are a surface and points of one; wire one of them"));
+            }
+        };
+        Ok(Out { target })
+    }
+}
