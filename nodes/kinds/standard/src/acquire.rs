@@ -8,10 +8,12 @@ pub mod mcap;
 mod mcap_events;
 pub mod mcap_live;
 mod mcap_ports;
+pub mod network;
 pub mod openigtlink;
 mod playback;
 pub mod points;
 mod procedure_ports;
 pub mod simulated;
+mod topics;
 
 pub use procedure_ports::{ProcedureOut, ProcedurePorts};

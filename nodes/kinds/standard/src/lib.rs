@@ -31,6 +31,7 @@ pub mod own_bone;
 mod params;
 pub use params::NoParams;
 
+use acquire::network::NetworkSource;
 use osteoflow_node::Registry;
 
 /// All built-in kinds and payload types.
@@ -40,10 +41,10 @@ pub fn registry() -> Registry {
     registry
         .source::<acquire::cloud::CloudFile>()
         .source::<acquire::folder::Folder>()
-        .source::<acquire::foxglove_ws::FoxgloveWs>()
+        .source::<NetworkSource<acquire::foxglove_ws::FoxgloveWs>>()
         .source::<acquire::mcap::Mcap>()
         .source::<acquire::mcap_live::McapLive>()
-        .source::<acquire::openigtlink::OpenIgtLink>()
+        .source::<NetworkSource<acquire::openigtlink::OpenIgtLink>>()
         .source::<acquire::points::PointsFile>()
         .source::<acquire::simulated::Simulated>()
         .source::<plan::file::File>()

@@ -1,32 +1,37 @@
 //! The kind `acquire.foxglove_ws`.
 
-mod connection;
 mod ports;
 mod protocol;
 
 pub use ports::PortParams;
 
-use connection::{Connection, Received};
-use osteoflow_formats::{message_read::Encoded, openigtlink::ClockOffset};
+use super::network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting};
+use osteoflow_formats::message_read::Encoded;
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, Declared, Describe, Emission, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
-    tracing,
+    Context, DeclaredPort, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize, tracing,
 };
-use osteoflow_payloads::Flag;
-use ports::Port;
-use protocol::{Channel, FromServer};
+use ports::{Content, TopicMessage};
+use protocol::{Channel, FromServer, SUBPROTOCOLS, shortened};
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
+    collections::BTreeMap,
+    net::TcpStream,
     time::{Duration, Instant},
 };
+use tungstenite::{
+    ClientRequestBuilder, Error, HandshakeError, Message, WebSocket, http::Uri, protocol::WebSocketConfig,
+};
 
-/// Warnings of each sort; more are counted.
-const N_WARNINGS: usize = 10;
+/// How long a server may take to answer the request for the protocol.
+const HANDSHAKE: Duration = Duration::from_secs(3);
+/// Largest message: eight times an uncompressed image of 1920 by 1440 pixels.
+const MAX_BYTES: usize = 64 << 20;
 /// Channels of a server that are kept; a server of this many topics is none of a procedure.
 const MAX_CHANNELS: usize = 10_000;
 /// Topics that a message names.
 const N_NAMED: usize = 20;
+/// Form of an address.
+const ADDRESS: &str = "ws://HOST:PORT, such as ws://127.0.0.1:8765";
 
 /// Topics of a running Foxglove bridge: clouds, transforms and points of a ROS 2 system.
 ///
@@ -42,18 +47,14 @@ out.scan        = { type = "geometry/Cloud", topic = "/camera/scan", frame = "ca
 out.bone_marker = { type = "geometry/Pose", topic = "/tf", parent = "world", child = "bone_marker", to = "world", from = "bone_marker" }
 "#)]
 pub struct FoxgloveWs {
-    params: Params,
-    connection: Connection,
-    clock: ClockOffset,
-    ports: Option<Vec<Port>>,
-    events: VecDeque<Event>,
+    socket: WebSocket<TcpStream>,
+    /// Frames of the server that have other names in the graph.
+    frames: BTreeMap<String, String>,
+    timeout_s: f64,
     channels: BTreeMap<u64, Channel>,
-    /// Topic, schema and encoding of each subscription.
+    /// The channel of each subscription.
     subscriptions: BTreeMap<u32, Channel>,
     next_subscription: u32,
-    seen: Seen,
-    /// Whether the connection has ended for good.
-    is_over: bool,
 }
 
 /// Parameters of [`FoxgloveWs`].
@@ -65,355 +66,125 @@ pub struct Params {
     pub address: String,
     /// Frames of the server that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
     pub frames: BTreeMap<String, String>,
-    /// Time to wait for the server and for the first of the topics, after which the run fails. 10 s: a bridge takes that long to start.
-    #[schemars(range(min = 0.1, max = 86_400.0))]
-    pub timeout_s: f64,
-    /// Whether to wait for the server again when the connection ends. false: the source ends with it.
-    pub reconnect: bool,
-    /// Time without an item after which the source is reported as silent. 5 s: longer than any camera's interval.
-    #[schemars(range(min = 0.01, max = 86_400.0))]
-    pub silent_after_s: f64,
-    /// Maximum delay of one topic against another; an item beyond it is late and replaced by an empty. Joins wait this much
-    /// longer. 0: sufficient where the server sends in the order of its stamps.
-    #[schemars(range(min = 0.0, max = 60_000.0))]
-    pub max_delay_ms: f64,
+    /// What every source over a network has.
+    #[serde(flatten)]
+    pub network: NetworkParams,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self {
-            address: "ws://127.0.0.1:8765".into(),
-            frames: BTreeMap::new(),
-            timeout_s: 10.0,
-            reconnect: true,
-            silent_after_s: osteoflow_node::SILENT_AFTER.as_secs_f64(),
-            max_delay_ms: 0.0,
-        }
+        let (frames, network) = Default::default();
+        Self { address: "ws://127.0.0.1:8765".into(), frames, network }
     }
 }
 
-struct Event {
-    stamp_ns: StampNs,
-    port: usize,
-    emission: Emission,
-}
-
-/// What came so far.
-#[derive(Default)]
-struct Seen {
-    newest_ns: StampNs,
-    n_items: u64,
-    n_warnings: BTreeMap<&'static str, usize>,
-    /// Topics that were subscribed to at some time.
-    topics: BTreeSet<String>,
-    /// Ports whose tool is lost by silence.
-    lost: BTreeSet<usize>,
-    /// When the connection began.
-    connected: Option<Instant>,
-    n_connections: u64,
-    looked_for_missing: bool,
-}
-
-impl Seen {
-    /// Warns, at most [`N_WARNINGS`] times of each sort.
-    fn warn(&mut self, sort: &'static str, message: String, ctx: &mut Context) {
-        let n = self.n_warnings.entry(sort).or_default();
-        *n += 1;
-        match *n {
-            n if n < N_WARNINGS => ctx.warn(message),
-            N_WARNINGS => ctx.warn(format!("{message}; more of these are not reported")),
-            _ => {}
+/// The address of a server.
+///
+/// # Errors
+/// What is wrong with it.
+fn uri(address: &str) -> Result<Uri, String> {
+    let uri: Uri = address.parse().map_err(|error| format!("\"{address}\" is no address: {error}"))?;
+    match (uri.scheme_str(), uri.host()) {
+        (Some("wss"), _) => {
+            Err("TLS (wss) is not supported; use ws:// in a network that you trust, or a tunnel".into())
         }
+        (Some("ws"), Some(_)) => Ok(uri),
+        _ => Err(format!("\"{address}\" is not {ADDRESS}")),
     }
 }
 
-impl Source for FoxgloveWs {
+impl Protocol for FoxgloveWs {
     const KIND: &'static str = "acquire.foxglove_ws";
-    const LIVE: bool = true;
+    const PEER: &'static str = "server";
+    const MISSING: &'static str = "was not advertised";
     type Params = Params;
-    type Outputs = Declared<PortParams>;
+    type PortParams = PortParams;
+    type Port = Content;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        let uri = connection::uri(&params.address).map_err(|message| ParamError::new("address", message))?;
-        Ok(Self {
-            connection: Connection::new(uri),
-            params,
-            clock: ClockOffset::default(),
-            ports: None,
-            events: VecDeque::new(),
-            channels: BTreeMap::new(),
-            subscriptions: BTreeMap::new(),
-            next_subscription: 1,
-            seen: Seen::default(),
-            is_over: false,
-        })
+    fn network(params: &Params) -> &NetworkParams {
+        &params.network
     }
 
-    fn max_delay_ns(&self) -> StampNs {
-        (self.params.max_delay_ms * 1e6).round() as StampNs
+    fn peer(params: &Params) -> Result<Peer, ParamError> {
+        let uri = uri(&params.address).map_err(|message| ParamError::new("address", message))?;
+        let (host, port) = (uri.host().unwrap_or_default(), uri.port_u16().unwrap_or(80));
+        // The path may be a token.
+        let (host_port, shown) = (format!("{host}:{port}"), params.address.splitn(4, '/').take(3).collect::<Vec<_>>());
+        Ok(Peer { role: Role::Client, host_port, shown: shown.join("/"), form: ADDRESS })
     }
 
-    fn silent_after(&self) -> Duration {
-        Duration::from_secs_f64(self.params.silent_after_s)
+    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Content>>, NodeError> {
+        declared.iter().map(Content::port).collect()
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
-        if self.ports.is_none() {
-            self.ports = Some(ctx.declared().iter().map(Port::new).collect::<Result<_, _>>()?);
-            self.connection.begin();
-        }
-        loop {
-            if let Some(Event { stamp_ns, port, emission }) = self.events.pop_front() {
-                ctx.set_stamp_ns(stamp_ns);
-                return Ok(Some(Declared::one(port, emission)));
-            }
-            if self.is_over || ctx.cancelled() {
-                return Ok(None);
-            }
-            match self.connection.receive(ctx)? {
-                Received::Text(text) => match FromServer::of_text(&text) {
-                    Ok(message) => self.message(message, ctx)?,
-                    Err(damage) => self.seen.warn("damage", damage, ctx),
-                },
-                Received::Binary(bytes) => match FromServer::of_binary(&bytes) {
-                    Ok(message) => self.message(message, ctx)?,
-                    Err(damage) => self.seen.warn("damage", damage, ctx),
-                },
-                Received::Connected => {
-                    tracing::info!(address = self.params.address, "connected");
-                    self.seen.n_connections += 1;
-                    self.seen.connected = Some(Instant::now());
-                    if self.seen.n_connections > 1 {
-                        ctx.warn("connected again".to_owned());
-                    }
+    fn open(stream: TcpStream, params: &Params, ctx: &Context) -> Result<Self, OpenError> {
+        let began = Instant::now();
+        let uri = uri(&params.address).map_err(OpenError::NotReady)?;
+        let request = ClientRequestBuilder::new(uri).with_header("Sec-WebSocket-Protocol", SUBPROTOCOLS);
+        let config = WebSocketConfig::default().max_message_size(Some(MAX_BYTES)).max_frame_size(Some(MAX_BYTES));
+        let mut shake = tungstenite::client::client_with_config(request, stream, Some(config));
+        let socket = loop {
+            match shake {
+                Ok((socket, _)) => break socket,
+                Err(HandshakeError::Interrupted(_)) if ctx.cancelled() => {
+                    return Err(OpenError::NotReady("the run was stopped".into()));
                 }
-                Received::Refused(answer) if self.seen.n_connections == 0 => {
-                    let address = without_path(&self.params.address);
-                    return Err(NodeError::new(format!("{address} refuses the connection: {answer}")));
+                Err(HandshakeError::Interrupted(_)) if began.elapsed() > HANDSHAKE => {
+                    let why = format!("it did not answer the request for a WebSocket within {HANDSHAKE:?}");
+                    return Err(OpenError::NotReady(why));
                 }
-                Received::Refused(answer) => {
-                    self.seen.warn("refused", format!("the server refuses the connection: {answer}"), ctx);
-                    ctx.wait_until(Instant::now() + Duration::from_millis(300));
+                Err(HandshakeError::Interrupted(next)) => shake = next.handshake(),
+                Err(HandshakeError::Failure(Error::Http(response))) => {
+                    let body = String::from_utf8_lossy(response.body().as_deref().unwrap_or_default()).into_owned();
+                    return Err(OpenError::Refused(format!("{} {}", response.status(), shortened(body.trim()))));
                 }
-                Received::Ended(why) => {
-                    self.end(&why, ctx);
-                    // An answer without items passes the warning on now.
-                    if self.events.is_empty() && !self.is_over {
-                        return Ok(Some(Declared::one(0, Emission::Silent)));
-                    }
-                }
-                Received::Nothing => {}
-            }
-            self.check_waiting(ctx)?;
-        }
-    }
-}
-
-impl FoxgloveWs {
-    fn message(&mut self, message: FromServer, ctx: &mut Context) -> Result<(), NodeError> {
-        match message {
-            FromServer::Info(name) => tracing::info!(name, "a server of the Foxglove WebSocket protocol"),
-            FromServer::Advertise(channels, n_unread) => {
-                if n_unread > 0 {
-                    let message = format!("{n_unread} advertised channels lack id, topic, encoding or schemaName");
-                    self.seen.warn("damage", message, ctx);
-                }
-                self.advertised(channels, ctx)?;
-            }
-            FromServer::Unadvertise(ids) => {
-                for id in ids {
-                    self.channels.remove(&id);
-                    let ended = self.subscriptions.extract_if(.., |_, channel| channel.id == id).map(|(_, c)| c.topic);
-                    for topic in ended.collect::<Vec<_>>() {
-                        let why = format!("{topic} is no longer advertised");
-                        self.lose(|port| port.topics.contains(&topic), &why);
-                        self.seen.warn("unadvertised", why, ctx);
-                    }
+                Err(HandshakeError::Failure(error)) => {
+                    let why = format!("it does not speak the protocol ({error}); is it a Foxglove WebSocket server?");
+                    return Err(OpenError::NotReady(why));
                 }
             }
-            FromServer::Status(0, message) => tracing::info!(message, "status of the server"),
-            FromServer::Status(level, message) => {
-                let level = if level == 1 { "warns" } else { "reports an error" };
-                self.seen.warn("status", format!("the server {level}: {message}"), ctx);
-            }
-            FromServer::Data { subscription, log_time_ns, data } => match self.subscriptions.get(&subscription) {
-                Some(channel) => {
-                    let channel = channel.clone();
-                    let message = Encoded {
-                        schema_name: &channel.schema_name,
-                        message_encoding: &channel.encoding,
-                        publish_time_ns: StampNs::try_from(log_time_ns).unwrap_or(0),
-                        data,
-                    };
-                    self.data(&channel.topic, &message, ctx);
-                }
-                None => {
-                    let message = format!("a message of subscription {subscription} came, which was not asked for");
-                    self.seen.warn("unknown subscription", message, ctx);
-                }
-            },
-            FromServer::Other => {}
-        }
-        Ok(())
-    }
-
-    /// Subscribes to the topics of ports.
-    fn advertised(&mut self, channels: Vec<Channel>, ctx: &mut Context) -> Result<(), NodeError> {
-        let mut wanted = Vec::new();
-        for channel in channels {
-            if self.channels.len() >= MAX_CHANNELS && !self.channels.contains_key(&channel.id) {
-                let message =
-                    format!("more than {MAX_CHANNELS} channels are advertised; {} is left out", channel.topic);
-                self.seen.warn("channels", message, ctx);
-                continue;
-            }
-            let readers = self.ports.iter().flatten().filter(|port| port.topics.contains(&channel.topic));
-            let checks: Vec<_> = readers.map(|port| port.check(&channel)).collect();
-            let is_known = self.channels.insert(channel.id, channel.clone()).is_some_and(|known| known == channel);
-            if checks.is_empty() || (is_known && self.subscriptions.values().any(|s| s.id == channel.id)) {
-                continue;
-            }
-            if let Some(fault) = checks.into_iter().find_map(Result::err) {
-                if self.seen.n_items == 0 {
-                    return Err(NodeError::new(format!("{fault}; {}", self.there())));
-                }
-                self.seen.warn("schema", fault, ctx);
-                continue;
-            }
-            if self.subscriptions.values().any(|s| s.topic == channel.topic && s.id != channel.id) {
-                let message = format!("{} is advertised twice; the first channel is read", channel.topic);
-                self.seen.warn("twice", message, ctx);
-                continue;
-            }
-            self.subscriptions.retain(|_, s| s.id != channel.id);
-            self.seen.topics.insert(channel.topic.clone());
-            wanted.push((self.next_subscription, channel.id));
-            self.subscriptions.insert(self.next_subscription, channel);
-            self.next_subscription = self.next_subscription.wrapping_add(1);
-        }
-        if !wanted.is_empty() {
-            self.connection.send(protocol::subscribe(&wanted));
-        }
-        Ok(())
-    }
-
-    /// The items of a message on a topic.
-    fn data(&mut self, topic: &str, message: &Encoded<'_>, ctx: &mut Context) {
-        let ports = self.ports.as_deref_mut().unwrap_or_default();
-        let mut events = Vec::new();
-        for (index, port) in ports.iter_mut().enumerate().filter(|(_, port)| port.topics.iter().any(|t| t == topic)) {
-            match port.give(topic, message.clone(), &self.params.frames) {
-                Ok(given) => {
-                    given.notes.into_iter().for_each(|note| self.seen.warn("content", note, ctx));
-                    if !given.items.is_empty() {
-                        self.seen.lost.remove(&index);
-                    }
-                    let event = |(stamp_ns, emission)| Event { stamp_ns, port: index, emission };
-                    events.extend(given.items.into_iter().map(event));
-                }
-                Err(error) => {
-                    let reason = format!("{topic}: {error}");
-                    self.seen.warn("content", reason.clone(), ctx);
-                    let stamp_ns = message.publish_time_ns.max(port.last_ns.unwrap_or(0));
-                    events.push(Event { stamp_ns, port: index, emission: Emission::Empty(reason) });
-                }
-            }
-        }
-        // Constants have no time.
-        let Some(newest_ns) = events.iter().map(|event| event.stamp_ns).filter(|ns| *ns > 0).max() else {
-            self.events.extend(events);
-            return;
         };
-        if let Some(note) = self.clock.add(newest_ns, ctx.clock_ns()) {
-            ctx.warn(format!("of the sender: {note}"));
-        }
-        let mut before = Vec::new();
-        for (index, port) in ports.iter().enumerate() {
-            if let Some(default) = port.default.filter(|_| self.seen.n_items == 0) {
-                let stamp_ns = events.iter().map(|event| event.stamp_ns).min().unwrap_or(newest_ns);
-                before.push(Event { stamp_ns, port: index, emission: Emission::value(Flag(default)) });
-            }
-            if let (Some(lost_after_ns), Some(last_ns)) = (port.lost_after_ns, port.last_ns) {
-                let lost_ns = last_ns.saturating_add(lost_after_ns);
-                if lost_ns < newest_ns && self.seen.lost.insert(index) {
-                    let seconds = lost_after_ns as f64 * 1e-9;
-                    let reason = format!("{} was not sent for {seconds:.2} s", port.topics.join(", "));
-                    before.push(Event { stamp_ns: lost_ns, port: index, emission: Emission::Empty(reason) });
-                }
-            }
-        }
-        self.seen.n_items += events.len() as u64;
-        self.seen.newest_ns = self.seen.newest_ns.max(newest_ns);
-        self.events.extend(before);
-        self.events.extend(events);
+        let (frames, timeout_s) = (params.frames.clone(), params.network.timeout_s);
+        let (channels, subscriptions) = Default::default();
+        Ok(Self { socket, frames, timeout_s, channels, subscriptions, next_subscription: 1 })
     }
 
-    /// The connection has ended.
-    fn end(&mut self, why: &str, ctx: &mut Context) {
-        self.channels.clear();
-        self.subscriptions.clear();
-        if !self.params.reconnect {
-            ctx.warn(why.to_owned());
-            self.check_missing(ctx);
-            self.is_over = true;
-            return;
-        }
-        ctx.warn(format!("{why}; waiting for the server again"));
-        self.lose(|_| true, why);
-    }
-
-    /// Where a tool is while nobody says is unknown.
-    fn lose(&mut self, is_lost: impl Fn(&Port) -> bool, why: &str) {
-        for (index, port) in self.ports.iter().flatten().enumerate() {
-            if port.payload == "geometry/Pose" && port.last_ns.is_some_and(|ns| ns > 0) && is_lost(port) {
-                let emission = Emission::Empty(format!("{}: {why}", port.topics.join(", ")));
-                self.events.push_back(Event { stamp_ns: self.seen.newest_ns, port: index, emission });
+    fn receive(&mut self, inbox: &mut Inbox<Content>, ctx: &mut Context) -> Result<Incoming, NodeError> {
+        let message = match self.socket.read() {
+            Ok(Message::Text(text)) => FromServer::of_text(&text),
+            Ok(Message::Binary(bytes)) => FromServer::of_binary(&bytes),
+            Ok(Message::Close(Some(frame))) if !frame.reason.is_empty() => {
+                return Ok(end(format!("the server closed the connection: {}", shortened(&frame.reason))));
             }
+            Ok(Message::Close(_)) | Err(Error::ConnectionClosed | Error::AlreadyClosed) => {
+                return Ok(end("the server closed the connection".into()));
+            }
+            Ok(_) => return Ok(Incoming::Nothing),
+            Err(Error::Io(error)) if is_waiting(&error) => return Ok(Incoming::Nothing),
+            Err(Error::Capacity(error)) => {
+                let size = format!("the server sent a message above {} MiB ({error})", MAX_BYTES >> 20);
+                return Ok(end(format!("{size}, and the connection was closed")));
+            }
+            Err(error) => return Ok(end(format!("the connection broke: {error}"))),
+        };
+        match message {
+            Ok(message) => self.message(message, inbox, ctx).map(|()| Incoming::Message),
+            Err(damage) => Ok(Incoming::Damage(damage)),
         }
     }
 
-    fn check_waiting(&mut self, ctx: &mut Context) -> Result<(), NodeError> {
-        let Params { address, timeout_s, silent_after_s, .. } = &self.params;
-        let waited = self.connection.waited().as_secs_f64();
-        if self.seen.n_connections == 0 {
-            if waited > *timeout_s {
-                let (address, why) = (without_path(address), self.connection.why());
-                return Err(NodeError::new(format!("no connection to {address} within {timeout_s} s: {why}")));
-            }
-            return Ok(());
+    fn is_useless(&self, inbox: &Inbox<Content>) -> Option<String> {
+        if inbox.ports.iter().any(|port| port.missing().len() < port.streams.len()) {
+            return None;
         }
-        let since = self.seen.connected.map_or(0.0, |at| at.elapsed().as_secs_f64());
-        if self.seen.topics.is_empty() && since > *timeout_s {
-            let topics: Vec<&str> =
-                self.ports.iter().flatten().flat_map(|p| p.topics.iter().map(String::as_str)).collect();
-            let (wanted, there) = (topics.join(", "), self.there());
-            return Err(NodeError::new(format!("none of {wanted} was advertised within {timeout_s} s; {there}")));
-        }
-        if since > *silent_after_s {
-            self.check_missing(ctx);
-        }
-        Ok(())
+        let topics: Vec<&str> = inbox.ports.iter().flat_map(Port::missing).collect();
+        let (wanted, timeout_s, others) = (topics.join(", "), self.timeout_s, self.others());
+        Some(format!("none of {wanted} was advertised within {timeout_s} s; {others}"))
     }
 
-    /// Reports, once, the topics that were not advertised.
-    fn check_missing(&mut self, ctx: &mut Context) {
-        if std::mem::replace(&mut self.seen.looked_for_missing, true) {
-            return;
-        }
-        let there = self.there();
-        for port in self.ports.iter().flatten() {
-            let missing: Vec<&str> =
-                port.topics.iter().filter(|t| !self.seen.topics.contains(*t)).map(String::as_str).collect();
-            if !missing.is_empty() {
-                ctx.warn(format!("port \"{}\": {} was not advertised; {there}", port.name, missing.join(", ")));
-            }
-        }
-    }
-
-    /// The topics that the server has.
-    fn there(&self) -> String {
-        let mut topics: Vec<String> =
-            self.channels.values().map(|c| protocol::shortened(&format!("{} ({})", c.topic, c.schema_name))).collect();
+    fn others(&self) -> String {
+        let described = |c: &Channel| shortened(&format!("{} ({})", c.topic, c.schema_name));
+        let mut topics: Vec<String> = self.channels.values().map(described).collect();
         topics.sort();
         match topics.len() {
             0 => "the server advertises no topic".into(),
@@ -423,10 +194,104 @@ impl FoxgloveWs {
     }
 }
 
-/// The address without what may be a token.
-fn without_path(address: &str) -> String {
-    let after = address.find("://").map_or(0, |at| at + 3);
-    address[after..].find('/').map_or(address, |at| &address[..after + at]).to_owned()
+fn end(reason: String) -> Incoming {
+    Incoming::End { reason, is_orderly: false }
+}
+
+impl FoxgloveWs {
+    fn message(&mut self, message: FromServer, inbox: &mut Inbox<Content>, ctx: &mut Context) -> Result<(), NodeError> {
+        match message {
+            FromServer::Info(name) => tracing::info!(name, "a server of the Foxglove WebSocket protocol"),
+            FromServer::Advertise(channels, n_unread) => {
+                if n_unread > 0 {
+                    let message = format!("{n_unread} advertised channels lack id, topic, encoding or schemaName");
+                    inbox.warn("damage", message, ctx);
+                }
+                self.subscribe(channels, inbox, ctx)?;
+            }
+            FromServer::Unadvertise(ids) => {
+                for id in ids {
+                    self.channels.remove(&id);
+                    let ended = self.subscriptions.extract_if(.., |_, channel| channel.id == id).map(|(_, c)| c.topic);
+                    for topic in ended.collect::<Vec<_>>() {
+                        let why = format!("{topic} is no longer advertised");
+                        inbox.lose(&why, |port| port.reads(&topic));
+                        inbox.warn("unadvertised", why, ctx);
+                    }
+                }
+            }
+            FromServer::Status(0, message) => tracing::info!(message, "status of the server"),
+            FromServer::Status(level, message) => {
+                let level = if level == 1 { "warns" } else { "reports an error" };
+                inbox.warn("status", format!("the server {level}: {message}"), ctx);
+            }
+            FromServer::Data { subscription, log_time_ns, data } => match self.subscriptions.get(&subscription) {
+                Some(Channel { topic, schema_name, encoding, .. }) => {
+                    let publish_time_ns = StampNs::try_from(log_time_ns).unwrap_or(0);
+                    let encoded = Encoded { schema_name, message_encoding: encoding, publish_time_ns, data };
+                    let message = TopicMessage { topic, encoded, frames: &self.frames };
+                    inbox.arrive(ctx);
+                    let newest_ns = inbox.offer(topic, ctx, |port| Some(port.read(&message)));
+                    // Constants have no time.
+                    if let Some(sent_ns) = newest_ns.filter(|ns| *ns > 0) {
+                        inbox.stamp(Some(sent_ns), ctx);
+                    }
+                }
+                None => {
+                    let message = format!("a message of subscription {subscription} came, which was not asked for");
+                    inbox.warn("unknown subscription", message, ctx);
+                }
+            },
+            FromServer::Other => {}
+        }
+        Ok(())
+    }
+
+    /// Subscribes to the topics of ports.
+    fn subscribe(
+        &mut self,
+        channels: Vec<Channel>,
+        inbox: &mut Inbox<Content>,
+        ctx: &mut Context,
+    ) -> Result<(), NodeError> {
+        let mut wanted = Vec::new();
+        for channel in channels {
+            if self.channels.len() >= MAX_CHANNELS && !self.channels.contains_key(&channel.id) {
+                let message =
+                    format!("more than {MAX_CHANNELS} channels are advertised; {} is left out", channel.topic);
+                inbox.warn("channels", message, ctx);
+                continue;
+            }
+            let readers = inbox.ports.iter().filter(|port| port.reads(&channel.topic));
+            let checks: Vec<_> = readers.map(|port| port.check(&channel)).collect();
+            let is_known = self.channels.insert(channel.id, channel.clone()).is_some_and(|known| known == channel);
+            if checks.is_empty() || (is_known && self.subscriptions.values().any(|s| s.id == channel.id)) {
+                continue;
+            }
+            if let Some(fault) = checks.into_iter().find_map(Result::err) {
+                if !inbox.has_items() {
+                    return Err(NodeError::new(format!("{fault}; {}", self.others())));
+                }
+                inbox.warn("schema", fault, ctx);
+                continue;
+            }
+            if self.subscriptions.values().any(|s| s.topic == channel.topic && s.id != channel.id) {
+                let message = format!("{} is advertised twice; the first channel is read", channel.topic);
+                inbox.warn("twice", message, ctx);
+                continue;
+            }
+            self.subscriptions.retain(|_, s| s.id != channel.id);
+            inbox.note_present(&channel.topic);
+            wanted.push((self.next_subscription, channel.id));
+            self.subscriptions.insert(self.next_subscription, channel);
+            self.next_subscription = self.next_subscription.wrapping_add(1);
+        }
+        if !wanted.is_empty() {
+            // A connection that breaks is found by the next read.
+            let _ = self.socket.send(Message::text(protocol::subscribe(&wanted)));
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

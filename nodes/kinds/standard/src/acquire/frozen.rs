@@ -1,6 +1,7 @@
 //! Trackers that repeat one pose although their stamps go on.
 
-use osteoflow_geometry::{StampNs, nalgebra::Isometry3};
+use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
+use osteoflow_node::Emission;
 use std::collections::BTreeMap;
 
 /// Default time for which equal poses are passed on, ms: forty samples of a slow tracker (20 Hz). A marker at rest jitters by
@@ -63,6 +64,17 @@ impl Frozen {
              {stamp_ns} ns; does the tracker still measure? For a constant set frozen_after_ms = 0"
         );
         Some(FrozenPose { reason, is_first: !std::mem::replace(&mut stream.is_reported, true) })
+    }
+
+    /// The pose of the marker called `what`, or an empty while it is frozen, which the first notes say.
+    pub(crate) fn emission(&mut self, what: &str, pose: Pose, notes: &mut Vec<String>) -> Emission {
+        match self.take(what, &pose.isometry, pose.stamp_ns) {
+            Some(FrozenPose { reason, is_first }) => {
+                notes.extend(is_first.then(|| reason.clone()));
+                Emission::Empty(reason)
+            }
+            None => Emission::value(pose),
+        }
     }
 }
 

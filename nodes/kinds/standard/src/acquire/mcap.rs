@@ -4,10 +4,11 @@ use super::{
     mcap_events::{Findings, Port},
     mcap_ports::PortParams,
     playback::{Event, Playback},
+    topics,
 };
 use osteoflow_formats::{
     mcap_read::{Message, Recording},
-    message_read::{Calibration, is_sensor_frame, read_cloud, read_image},
+    message_read::{Calibration, read_image},
 };
 use osteoflow_geometry::Frame;
 use osteoflow_node::{
@@ -53,7 +54,7 @@ pub struct Params {
 
 /// The body of an event. Clouds and images are decoded when they are due.
 pub(super) enum EventBody {
-    Cloud { message: Message, label: Option<Arc<str>>, frame: Option<Frame> },
+    Cloud { message: Message, label: Arc<str>, frame: Option<Frame> },
     Image { message: Message, calibration: Arc<Calibration>, label: Arc<str>, frame: Option<Frame> },
     Ready(Emission),
 }
@@ -93,7 +94,11 @@ impl Mcap {
         match event.body {
             EventBody::Ready(emission) => Ok(emission),
             EventBody::Cloud { message, label, frame } => {
-                cloud(&message, label, frame, &ctx.declared()[event.port].name, ctx)
+                let port = &ctx.declared()[event.port].name;
+                let (cloud, notes) = topics::cloud(&message, &label, |_| frame)
+                    .map_err(|error| NodeError::new(format!("port \"{port}\": {error}")))?;
+                notes.into_iter().for_each(|note| ctx.warn(format!("{label}: {note}")));
+                Ok(Emission::value(cloud))
             }
             EventBody::Image { message, calibration, label, frame } => {
                 let port = &ctx.declared()[event.port].name;
@@ -147,27 +152,4 @@ impl Mcap {
             None => Ok(events),
         }
     }
-}
-
-fn cloud(
-    message: &Message,
-    label: Option<Arc<str>>,
-    frame: Option<Frame>,
-    port: &str,
-    ctx: &mut Context,
-) -> Result<Emission, NodeError> {
-    let read = read_cloud(message).map_err(|error| NodeError::new(format!("port \"{port}\": {error}")))?;
-    let name = label.as_deref().unwrap_or(port);
-    if read.n_dropped > 0 {
-        let (dropped, all) = (read.n_dropped, read.n_points_in_message);
-        ctx.warn(format!("{name}: {dropped} of {all} points are NaN or infinite and were left out"));
-    }
-    read.notes.iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
-    let mut cloud = read.cloud;
-    cloud.label = label;
-    if let Some(frame) = frame {
-        cloud.viewpoint = cloud.viewpoint.filter(|_| is_sensor_frame(frame.as_str()));
-        cloud.frame = frame;
-    }
-    Ok(Emission::value(cloud))
 }

@@ -1,15 +1,21 @@
 //! The events of one declared port over a recording.
 
-use super::{frozen::Frozen, mcap::EventBody, mcap_ports::PortParams, playback::silences};
+use super::{
+    frozen::Frozen,
+    mcap::EventBody,
+    mcap_ports::PortParams,
+    playback::silences,
+    topics::{self, Constants, last_part},
+};
 use osteoflow_formats::{
     PoseError, StampOrder,
     mcap_read::{Message, Recording},
     message_read::{
-        Calibration, MessageError, MessageKind, procedure_region, read_calibration, read_cloud_head, read_image_head,
-        read_pose_in_frame, read_transforms,
+        Calibration, procedure_region, read_calibration, read_cloud_head, read_image_head, read_pose_in_frame,
+        read_transforms,
     },
 };
-use osteoflow_geometry::{Corrections, Frame, NamedPoint, Nearest, Points, Pose, StampNs};
+use osteoflow_geometry::{Corrections, Frame, Pose, StampNs};
 use osteoflow_node::{DeclaredPort, Emission, NodeError};
 use osteoflow_payloads::Flag;
 use std::{
@@ -91,7 +97,7 @@ impl Port<'_> {
             self.found.corrections.entry(topic.into()).or_default().add(head.correction);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
             let frame = self.renamed(&head.frame);
-            let body = EventBody::Cloud { message: message.clone(), label: Some(label.into()), frame };
+            let body = EventBody::Cloud { message: message.clone(), label: label.into(), frame };
             events.push((head.stamp_ns, body));
         }
         self.found.notes.extend(stamps.notes());
@@ -156,7 +162,7 @@ impl Port<'_> {
     }
 
     fn poses(&mut self, topic: &str, _label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        if last_part(topic) == "tf_static" {
+        if Constants::are_on(topic) {
             return self.static_poses(topic);
         }
         let (mut events, mut published_ns) = (Vec::new(), StampNs::MIN);
@@ -164,7 +170,7 @@ impl Port<'_> {
         let mut poses = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let n_before = events.len() + poses.len();
-            for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
+            for read in self.params.transforms.poses(topic, message).map_err(|error| self.at(topic, i, error))? {
                 let (to, from, stamp_ns) = match read {
                     Ok(pose) => {
                         let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
@@ -207,20 +213,14 @@ impl Port<'_> {
     /// The poses of a topic in the order of their stamps, with empties in place of those of a frozen tracker.
     fn unless_frozen(&mut self, topic: &str, mut poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
         poses.sort_by_key(|pose| pose.stamp_ns);
-        let mut frozen = Frozen::new(self.params.frozen_after_ms);
+        let (mut frozen, mut notes) = (Frozen::new(self.params.frozen_after_ms), Vec::new());
         let mut event = |pose: Pose| {
-            let stamp_ns = pose.stamp_ns;
-            let what = format!("t_{}_{}", pose.to, pose.from);
-            let emission = match frozen.take(&what, &pose.isometry, stamp_ns) {
-                Some(found) => {
-                    self.found.notes.extend(found.is_first.then(|| format!("topic {topic}: {}", found.reason)));
-                    Emission::Empty(found.reason)
-                }
-                None => Emission::value(pose),
-            };
-            (stamp_ns, EventBody::Ready(emission))
+            let (stamp_ns, what) = (pose.stamp_ns, format!("t_{}_{}", pose.to, pose.from));
+            (stamp_ns, EventBody::Ready(frozen.emission(&what, pose, &mut notes)))
         };
-        poses.into_iter().map(&mut event).collect()
+        let events = poses.into_iter().map(&mut event).collect();
+        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
+        events
     }
 
     /// The transforms that hold from the beginning, whenever they were sent: constants, without a stamp. One that is sent
@@ -229,45 +229,21 @@ impl Port<'_> {
         if self.params.lost_after_ms.is_some() {
             return Err(self.fault(format!("{topic} holds for good, so nothing on it is lost; remove lost_after_ms")));
         }
-        let mut held: Vec<Pose> = Vec::new();
+        let (mut events, mut constants, mut notes) = (Vec::new(), Constants::default(), Vec::new());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            for read in self.poses_of(topic, message).map_err(|error| self.at(topic, i, error))? {
+            for read in self.params.transforms.poses(topic, message).map_err(|error| self.at(topic, i, error))? {
                 let pose = read.map_err(|error| self.at(topic, i, error))?;
                 let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
                 self.rename(&mut pose.to, &mut pose.from);
-                match held.iter().rfind(|known| (&known.to, &known.from) == (&pose.to, &pose.from)) {
-                    None => pose.stamp_ns = 0,
-                    Some(known) if known.isometry == pose.isometry => continue,
-                    Some(_) => self.found.notes.push(format!(
-                        "topic {topic}: t_{}_{} changes at {} ns, though it is static",
-                        pose.to, pose.from, pose.stamp_ns
-                    )),
-                }
-                held.push(pose);
+                let constant = constants.take(pose, &mut notes);
+                events.extend(constant.map(|pose| (pose.stamp_ns, EventBody::Ready(Emission::value(pose)))));
             }
         }
-        if held.is_empty() {
+        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
+        if events.is_empty() {
             return Err(self.no_such_transform(topic));
         }
-        Ok(held.into_iter().map(|pose| (pose.stamp_ns, EventBody::Ready(Emission::value(pose)))).collect())
-    }
-
-    /// The poses of a message between the frames of the port.
-    fn poses_of(&self, topic: &str, message: &Message) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
-        if MessageKind::of(&message.schema_name) == Some(MessageKind::Pose) {
-            let child = self.params.child.as_deref().unwrap_or(last_part(topic));
-            return Ok(vec![read_pose_in_frame(message)?.pose(child)]);
-        }
-        let wanted = |to: &Frame, from: &Frame| {
-            self.params.parent.as_deref().is_none_or(|p| p == to.as_str())
-                && self.params.child.as_deref().is_none_or(|c| c == from.as_str())
-        };
-        let reads = read_transforms(message)?.into_iter().filter(|read| match read {
-            Ok(pose) => wanted(&pose.value.to, &pose.value.from),
-            Err(PoseError::Lost(lost)) => wanted(&lost.to, &lost.from),
-            Err(PoseError::NotRigid { to, from, .. }) => wanted(to, from),
-        });
-        Ok(reads.collect())
+        Ok(events)
     }
 
     fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
@@ -285,10 +261,8 @@ impl Port<'_> {
                 Some(label) => label.to_owned(),
                 None => format!("{}_{}", last_part(topic), i + 1),
             };
-            let mut point = NamedPoint::new(name, tip.position);
-            point.stamp_ns = tip.stamp_ns;
-            let frame = self.renamed(&tip.frame).unwrap_or(tip.frame);
-            (tip.stamp_ns, EventBody::Ready(Emission::value(Points::new(frame, vec![point]))))
+            let frame = self.renamed(&tip.frame).unwrap_or_else(|| tip.frame.clone());
+            (tip.stamp_ns, EventBody::Ready(Emission::value(topics::point(&tip, name, frame))))
         });
         Ok(events.collect())
     }
@@ -320,7 +294,7 @@ impl Port<'_> {
         let read = self.recording.messages(topic).iter().filter_map(|message| read_transforms(message).ok()).flatten();
         let there: BTreeSet<String> =
             read.filter_map(Result::ok).map(|t| format!("{} -> {}", t.value.from, t.value.to)).collect();
-        let (parent, child) = (self.params.parent.as_deref(), self.params.child.as_deref());
+        let (parent, child) = (self.params.transforms.parent.as_deref(), self.params.transforms.child.as_deref());
         let wanted = format!("{} -> {}", child.unwrap_or("any"), parent.unwrap_or("any"));
         let there: Vec<String> = there.into_iter().collect();
         self.fault(format!("{topic} has no transform {wanted}, but {}; set child and parent", there.join(", ")))
@@ -368,9 +342,4 @@ impl Stamps {
         }
         orders.iter().filter_map(|(what, order)| order.note(what)).collect()
     }
-}
-
-/// `camera_marker` of `/tracker/camera_marker`.
-fn last_part(topic: &str) -> &str {
-    topic.rsplit('/').next().unwrap_or(topic)
 }

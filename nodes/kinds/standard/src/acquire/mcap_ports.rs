@@ -1,3 +1,4 @@
+use super::topics::TransformFilter;
 use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
 /// The messages that one port of `acquire.mcap` and `acquire.mcap_live` reads; `type` is the payload it gives.
@@ -19,10 +20,9 @@ pub struct PortParams {
     pub labels: Vec<String>,
     /// Whether the topic may be missing, in which case the port gives one empty. false: a missing topic is an error.
     pub optional: bool,
-    /// Only transforms with this parent frame, where a topic carries several.
-    pub parent: Option<String>,
-    /// Only transforms with this child frame; for a pose in a frame, the name of the frame that moves.
-    pub child: Option<String>,
+    /// The transforms that the port takes.
+    #[serde(flatten)]
+    pub transforms: TransformFilter,
     /// Silence after which a tracked marker is lost and the port gives an empty; also at the end, up to the last message of the
     /// recording on any topic. Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]

@@ -2,7 +2,7 @@
 
 mod outlet;
 
-use crate::acquire::openigtlink::Role;
+use crate::acquire::network::Role;
 use osteoflow_algorithms::trust::{Answer, Verdict};
 use osteoflow_formats::{
     Space,

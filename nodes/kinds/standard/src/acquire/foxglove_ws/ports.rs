@@ -1,13 +1,15 @@
 //! Messages of topics to the payloads of declared ports.
 
-use super::{super::frozen::Frozen, protocol::Channel};
+use super::protocol::Channel;
+use crate::acquire::{
+    network::{Port, PortItems, StreamParams},
+    topics::{self, Constants, TransformFilter, last_part},
+};
 use osteoflow_formats::{
     PoseError,
-    message_read::{
-        Encoded, MessageError, MessageKind, is_sensor_frame, read_cloud, read_pose_in_frame, read_transforms,
-    },
+    message_read::{Encoded, MessageError, MessageKind, read_pose_in_frame},
 };
-use osteoflow_geometry::{Corrections, Frame, NamedPoint, Nearest, Points, Pose, StampNs};
+use osteoflow_geometry::{Frame, Nearest, ROTATION_NOISE};
 use osteoflow_node::{DeclaredPort, Emission, NodeError, schemars::JsonSchema, serde::Deserialize};
 use std::collections::BTreeMap;
 
@@ -28,89 +30,65 @@ pub struct PortParams {
     pub topic: Option<String>,
     /// Several topics, merged in the order of arrival.
     pub topics: Vec<String>,
-    /// Names: one for each of `topics`, or, with one topic, one for each message in order. Default: the last part of the topic's name.
-    pub labels: Vec<String>,
-    /// Only transforms with this parent frame, where a topic carries several.
-    pub parent: Option<String>,
-    /// Only transforms with this child frame; for a pose in a frame, the name of the frame that moves.
-    pub child: Option<String>,
-    /// Time of the sender without the tool, while other messages come, after which a pose is lost and the port gives an empty.
-    /// Unset: never.
-    #[schemars(range(min = 1.0, max = 3_600_000.0))]
-    pub lost_after_ms: Option<f64>,
-    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
-    /// jitters by noise. 0: never, for a constant that is sent again and again.
-    #[schemars(range(min = 0.0, max = 3_600_000.0))]
-    pub frozen_after_ms: Option<f64>,
-    /// What a `report/Flag` gives with the first item of another port: the protocol has no such message.
-    pub default: Option<bool>,
+    /// The transforms that the port takes.
+    #[serde(flatten)]
+    pub transforms: TransformFilter,
+    /// What a port of every source over a network has.
+    #[serde(flatten)]
+    pub stream: StreamParams,
 }
 
-/// A declared port.
-pub(super) struct Port {
-    pub(super) name: String,
-    pub(super) payload: &'static str,
-    pub(super) topics: Vec<String>,
-    pub(super) lost_after_ns: Option<StampNs>,
-    pub(super) default: Option<bool>,
-    /// The newest stamp.
-    pub(super) last_ns: Option<StampNs>,
-    labels: Vec<String>,
-    parent: Option<String>,
-    child: Option<String>,
-    /// Constants of `tf_static`.
-    held: Vec<Pose>,
-    frozen: Frozen,
-    /// Corrections of rotations.
-    pub(super) corrections: Corrections,
-    /// Items so far.
-    n: usize,
+/// A message on a topic.
+pub(super) struct TopicMessage<'a> {
+    pub(super) topic: &'a str,
+    pub(super) encoded: Encoded<'a>,
+    /// Frames of the server that have other names in the graph.
+    pub(super) frames: &'a BTreeMap<String, String>,
 }
 
-/// The items of a message, and what the user should know of it.
-#[derive(Default)]
-pub(super) struct Given {
-    pub(super) items: Vec<(StampNs, Emission)>,
-    pub(super) notes: Vec<String>,
-}
-
-impl Port {
-    pub(super) fn new(declared: &DeclaredPort) -> Result<Self, NodeError> {
-        let params: PortParams = declared.params()?;
-        let (name, payload) = (declared.name.clone(), declared.payload.name);
-        let fault = |message: String| Err(NodeError::new(format!("port \"{name}\": {message}")));
-        let topics = if let Some(topic) = params.topic { vec![topic] } else { params.topics };
-        match payload {
-            "report/Flag" if params.default.is_none() => {
-                return fault("default is not given, and no topic states a flag".into());
-            }
-            "report/Flag" => {}
-            "geometry/Cloud" | "geometry/Pose" | "geometry/Points" if topics.is_empty() => {
-                return fault("neither topic nor topics is given".into());
-            }
-            "geometry/Cloud" | "geometry/Pose" | "geometry/Points" => {}
-            other => {
-                return fault(format!("topics give geometry/Cloud, Pose, Points and report/Flag, but not {other}"));
-            }
-        }
-        Ok(Self {
-            payload,
-            topics,
-            lost_after_ns: params.lost_after_ms.map(|ms| (ms * 1e6) as StampNs),
-            default: params.default,
-            last_ns: None,
-            labels: params.labels,
-            parent: params.parent,
-            child: params.child,
-            held: Vec::new(),
-            frozen: Frozen::new(params.frozen_after_ms),
-            corrections: Corrections::default(),
-            n: 0,
-            name,
-        })
+impl TopicMessage<'_> {
+    fn renamed(&self, frame: &Frame) -> Option<Frame> {
+        self.frames.get(frame.as_str()).map(|name| name.as_str().into())
     }
 
+    fn rename(&self, frames: [&mut Frame; 2]) {
+        for frame in frames {
+            *frame = self.renamed(frame).unwrap_or_else(|| frame.clone());
+        }
+    }
+}
+
+/// What this protocol knows of a port.
+pub(crate) struct Content {
+    transforms: TransformFilter,
+    constants: Constants,
+}
+
+impl Content {
+    /// The port that a graph declares.
+    pub(super) fn port(declared: &DeclaredPort) -> Result<Port<Self>, NodeError> {
+        let params: PortParams = declared.params()?;
+        let fault = |message: &str| Err(NodeError::new(format!("port \"{}\": {message}", declared.name)));
+        let topics = if let Some(topic) = params.topic { vec![topic] } else { params.topics };
+        match declared.payload.name {
+            "report/Flag" if params.stream.default.is_none() => {
+                return fault("default is not given, and no topic states a flag");
+            }
+            "report/Flag" if !topics.is_empty() => return fault("no topic states a flag; remove it"),
+            "geometry/Cloud" | "geometry/Pose" | "geometry/Points" if topics.is_empty() => {
+                return fault("neither topic nor topics is given");
+            }
+            "report/Flag" | "geometry/Cloud" | "geometry/Pose" | "geometry/Points" => {}
+            other => {
+                return fault(&format!("topics give geometry/Cloud, Pose, Points and report/Flag, but not {other}"));
+            }
+        }
+        let content = Self { transforms: params.transforms, constants: Constants::default() };
+        Ok(Port::new(declared, params.stream, topics, content))
+    }
+}
+
+impl Port<Content> {
     /// Whether the messages of a channel can be read.
     ///
     /// # Errors
@@ -140,152 +118,64 @@ impl Port {
     }
 
     /// The items of a message.
-    ///
-    /// # Errors
-    /// Its bytes do not follow its schema.
-    pub(super) fn give(
-        &mut self,
-        topic: &str,
-        message: Encoded<'_>,
-        frames: &BTreeMap<String, String>,
-    ) -> Result<Given, MessageError> {
-        let mut given = match self.payload {
-            "geometry/Cloud" => self.cloud(topic, message, frames)?,
-            "geometry/Pose" => self.poses(topic, message, frames)?,
-            _ => self.point(topic, message, frames)?,
+    pub(super) fn read(&mut self, message: &TopicMessage<'_>) -> PortItems {
+        let mut out = PortItems::default();
+        let read = match self.payload {
+            "geometry/Cloud" => self.cloud(message, &mut out),
+            "geometry/Pose" => self.poses(message, &mut out),
+            _ => self.point(message, &mut out),
         };
-        given.items.iter().for_each(|(stamp_ns, _)| self.last_ns = self.last_ns.max(Some(*stamp_ns)));
-        self.n += given.items.len();
-        given.notes.iter_mut().for_each(|note| *note = format!("{topic}: {note}"));
-        Ok(given)
-    }
-
-    fn label(&self, topic: &str) -> Option<String> {
-        let index = if let [_] = self.topics[..] { Some(self.n) } else { self.topics.iter().position(|t| t == topic) };
-        self.labels.get(index?).cloned()
-    }
-
-    fn cloud(
-        &mut self,
-        topic: &str,
-        message: Encoded<'_>,
-        frames: &BTreeMap<String, String>,
-    ) -> Result<Given, MessageError> {
-        let read = read_cloud(message)?;
-        self.corrections.add(read.correction);
-        let mut notes = read.notes;
-        if read.n_dropped > 0 {
-            let (dropped, all) = (read.n_dropped, read.n_points_in_message);
-            notes.push(format!("{dropped} of {all} points are NaN or infinite and were left out"));
+        let topic = message.topic;
+        if let Err(error) = read {
+            let stamp_ns = self.not_before_last(message.encoded.publish_time_ns);
+            return PortItems::refused(stamp_ns, format!("{topic}: {error}"));
         }
-        let mut cloud = read.cloud.labelled(self.label(topic).unwrap_or_else(|| last_part(topic).into()));
-        if let Some(frame) = frames.get(cloud.frame.as_str()) {
-            cloud.frame = frame.as_str().into();
-            cloud.viewpoint = cloud.viewpoint.filter(|_| is_sensor_frame(frame));
-        }
-        Ok(Given { items: vec![(cloud.stamp_ns, Emission::value(cloud))], notes })
+        out.notes.iter_mut().for_each(|note| *note = format!("{topic}: {note}"));
+        out
     }
 
-    fn poses(
-        &mut self,
-        topic: &str,
-        message: Encoded<'_>,
-        frames: &BTreeMap<String, String>,
-    ) -> Result<Given, MessageError> {
-        let mut given = Given::default();
-        for read in self.poses_of(topic, message)? {
-            match read {
-                Ok(pose) => {
-                    let mut pose = self.corrections.take(pose);
-                    rename(frames, [&mut pose.to, &mut pose.from]);
-                    if last_part(topic) == "tf_static" {
-                        given.items.extend(self.constant(pose, &mut given.notes));
-                        continue;
+    fn cloud(&self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
+        let label = self.label(message.topic).unwrap_or(last_part(message.topic));
+        let renamed = |frame: &Frame| message.renamed(frame);
+        let (cloud, notes) = topics::cloud(message.encoded.clone(), label, renamed)?;
+        out.notes.extend(notes);
+        out.items.push((cloud.stamp_ns, Emission::value(cloud)));
+        Ok(())
+    }
+
+    fn poses(&mut self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
+        for pose in self.content.transforms.poses(message.topic, message.encoded.clone())? {
+            match pose {
+                Ok(Nearest { value: mut pose, correction }) => {
+                    message.rename([&mut pose.to, &mut pose.from]);
+                    if Constants::are_on(message.topic) {
+                        let constant = self.content.constants.take(pose, &mut out.notes);
+                        out.items.extend(constant.map(|pose| (pose.stamp_ns, Emission::value(pose))));
+                    } else {
+                        let what = format!("t_{}_{}", pose.to, pose.from);
+                        self.put_pose(&what, pose, correction, ROTATION_NOISE, out);
                     }
-                    let stamp_ns = pose.stamp_ns;
-                    let what = format!("t_{}_{}", pose.to, pose.from);
-                    let emission = match self.frozen.take(&what, &pose.isometry, stamp_ns) {
-                        Some(frozen) => {
-                            given.notes.extend(frozen.is_first.then(|| frozen.reason.clone()));
-                            Emission::Empty(frozen.reason)
-                        }
-                        None => Emission::value(pose),
-                    };
-                    given.items.push((stamp_ns, emission));
                 }
                 Err(PoseError::Lost(mut lost)) => {
-                    rename(frames, [&mut lost.to, &mut lost.from]);
-                    given.items.push((lost.stamp_ns, Emission::Empty(lost.to_string())));
+                    message.rename([&mut lost.to, &mut lost.from]);
+                    out.items.push((lost.stamp_ns, Emission::Empty(lost.to_string())));
                 }
                 Err(error @ PoseError::NotRigid { .. }) => {
-                    given.notes.push(error.to_string());
+                    out.notes.push(error.to_string());
                     // A message has no other time for it than its neighbours'.
-                    let stamp_ns = self.last_ns.unwrap_or(0);
-                    given.items.push((stamp_ns, Emission::Empty(error.to_string())));
+                    out.items.push((self.not_before_last(0), Emission::Empty(error.to_string())));
                 }
             }
         }
-        Ok(given)
+        Ok(())
     }
 
-    /// A pose that holds from the beginning; nothing where it is sent again.
-    fn constant(&mut self, mut pose: Pose, notes: &mut Vec<String>) -> Option<(StampNs, Emission)> {
-        match self.held.iter().rfind(|known| (&known.to, &known.from) == (&pose.to, &pose.from)) {
-            None => pose.stamp_ns = 0,
-            Some(known) if known.isometry == pose.isometry => return None,
-            Some(_) => notes.push(format!("t_{}_{} changes, though it is static", pose.to, pose.from)),
-        }
-        self.held.push(pose.clone());
-        Some((pose.stamp_ns, Emission::value(pose)))
+    fn point(&self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
+        let tip = read_pose_in_frame(message.encoded.clone())?;
+        let numbered = || format!("{}_{}", last_part(message.topic), self.n_messages + 1);
+        let name = self.label(message.topic).map_or_else(numbered, str::to_owned);
+        let frame = message.renamed(&tip.frame).unwrap_or_else(|| tip.frame.clone());
+        out.items.push((tip.stamp_ns, Emission::value(topics::point(&tip, name, frame))));
+        Ok(())
     }
-
-    /// The poses of a message between the frames of the port.
-    fn poses_of(
-        &self,
-        topic: &str,
-        message: Encoded<'_>,
-    ) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
-        if MessageKind::of(message.schema_name) == Some(MessageKind::Pose) {
-            let child = self.child.as_deref().unwrap_or(last_part(topic));
-            return Ok(vec![read_pose_in_frame(message)?.pose(child)]);
-        }
-        let wanted = |to: &Frame, from: &Frame| {
-            self.parent.as_deref().is_none_or(|p| p == to.as_str())
-                && self.child.as_deref().is_none_or(|c| c == from.as_str())
-        };
-        let reads = read_transforms(message)?.into_iter().filter(|read| match read {
-            Ok(pose) => wanted(&pose.value.to, &pose.value.from),
-            Err(PoseError::Lost(lost)) => wanted(&lost.to, &lost.from),
-            Err(PoseError::NotRigid { to, from, .. }) => wanted(to, from),
-        });
-        Ok(reads.collect())
-    }
-
-    fn point(
-        &mut self,
-        topic: &str,
-        message: Encoded<'_>,
-        frames: &BTreeMap<String, String>,
-    ) -> Result<Given, MessageError> {
-        let tip = read_pose_in_frame(message)?;
-        let name = self.label(topic).unwrap_or_else(|| format!("{}_{}", last_part(topic), self.n + 1));
-        let mut point = NamedPoint::new(name, tip.position);
-        point.stamp_ns = tip.stamp_ns;
-        let mut frame = tip.frame;
-        rename(frames, [&mut frame]);
-        Ok(Given { items: vec![(tip.stamp_ns, Emission::value(Points::new(frame, vec![point])))], notes: Vec::new() })
-    }
-}
-
-fn rename<const N: usize>(frames: &BTreeMap<String, String>, names: [&mut Frame; N]) {
-    for name in names {
-        if let Some(renamed) = frames.get(name.as_str()) {
-            *name = renamed.as_str().into();
-        }
-    }
-}
-
-/// `camera_marker` of `/tracker/camera_marker`.
-fn last_part(topic: &str) -> &str {
-    topic.rsplit('/').next().unwrap_or(topic)
 }

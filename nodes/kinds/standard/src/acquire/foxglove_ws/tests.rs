@@ -1,6 +1,10 @@
 use super::*;
-use osteoflow_geometry::{Cloud, Points, Pose};
-use osteoflow_node::{DeclaredPort, Outputs, Registry};
+use crate::acquire::network::{
+    NetworkSource,
+    tests::{self, MS, Outcome, PortSpec, STAMP, context, take_until},
+};
+use osteoflow_geometry::{Cloud, Points};
+use osteoflow_node::{Emission, Source};
 use serde_json::{Value, json};
 use std::{
     io::{Read, Write},
@@ -12,75 +16,16 @@ use tungstenite::{
     handshake::server::{Request, Response},
 };
 
-const STAMP: StampNs = 1_750_000_011_000_000_000;
-const MS: StampNs = 1_000_000;
-
-fn context(ports: &[(&str, &str, Value)]) -> Context {
-    let mut registry = Registry::default();
-    osteoflow_payloads::register(&mut registry);
-    let declared = ports.iter().map(|(name, ty, params)| DeclaredPort {
-        name: (*name).into(),
-        payload: registry.payload_type(ty).unwrap(),
-        params: params.clone(),
-    });
-    Context::new("bridge", 0, std::sync::Arc::default(), declared.collect::<Vec<_>>().into())
-}
-
 fn marker() -> (&'static str, &'static str, Value) {
     ("marker", "geometry/Pose", json!({ "topic": "/tf", "parent": "world", "child": "bone_marker" }))
 }
 
-/// What a source gave.
-#[derive(Default)]
-struct Ran {
-    items: Vec<(StampNs, usize, Emission)>,
-    warnings: Vec<String>,
-    error: Option<String>,
-}
-
-impl Ran {
-    fn poses(&self) -> Vec<(StampNs, Result<f64, &str>)> {
-        fn read(emission: &Emission) -> Result<f64, &str> {
-            match emission {
-                Emission::Value(value) => Ok(value.get::<Pose>().unwrap().isometry.translation.x),
-                Emission::Empty(reason) => Err(reason),
-                other => panic!("{other:?}"),
-            }
-        }
-        self.items.iter().filter(|item| item.1 == 0).map(|(stamp, _, emission)| (*stamp, read(emission))).collect()
-    }
-
-    #[track_caller]
-    fn warned(&self, of: &str) {
-        assert!(self.warnings.iter().any(|warning| warning.contains(of)), "no \"{of}\" in {:#?}", self.warnings);
-    }
-}
-
-/// Runs a source to its end, of at most a minute.
-fn take_all(address: &str, ports: &[(&str, &str, Value)], change: impl FnOnce(&mut Params)) -> Ran {
-    let mut params = Params { address: address.into(), reconnect: false, timeout_s: 5.0, ..Params::default() };
+/// Runs a source to its end.
+fn take_all(address: &str, ports: &[PortSpec], change: impl FnOnce(&mut Params)) -> Outcome {
+    let network = NetworkParams { reconnect: false, timeout_s: 5.0, ..NetworkParams::default() };
+    let mut params = Params { address: address.into(), network, ..Params::default() };
     change(&mut params);
-    let (mut source, mut ctx) = (FoxgloveWs::new(params).unwrap(), context(ports));
-    let (mut ran, began) = (Ran::default(), Instant::now());
-    loop {
-        assert!(began.elapsed() < Duration::from_secs(60), "the source does not end");
-        ctx.begin(0, 0);
-        let given = source.next(&mut ctx);
-        ran.warnings.extend(ctx.take_warnings());
-        let given = match given {
-            Err(error) => {
-                ran.error = Some(error.to_string());
-                return ran;
-            }
-            Ok(None) => return ran,
-            Ok(Some(given)) => given,
-        };
-        let mut out: Vec<Emission> = (0..ports.len()).map(|_| Emission::Silent).collect();
-        given.put(&mut out);
-        let stamp_ns = ctx.stamp_ns();
-        let items = out.into_iter().enumerate().filter(|(_, emission)| !matches!(emission, Emission::Silent));
-        ran.items.extend(items.map(|(port, emission)| (stamp_ns, port, emission)));
-    }
+    tests::take_all::<FoxgloveWs>(params, ports)
 }
 
 /// What a server does with a client.
@@ -191,7 +136,7 @@ fn poses_points_and_clouds_arrive_in_millimetres_from_the_topics_of_ports_alone(
     ];
     let ran = take_all(&address, &ports, |p| p.frames = BTreeMap::from([("depth".into(), "camera".into())]));
     assert_eq!(ran.error, None);
-    assert_eq!(ran.poses(), [(STAMP, Ok(500.0))]);
+    assert_eq!(ran.poses(0), [(STAMP, Ok(500.0))]);
     let value = |port: usize| ran.items.iter().find(|item| item.1 == port).map(|item| &item.2);
     let Some(Emission::Value(cloud)) = value(1) else { panic!("no cloud in {:?}", ran.warnings) };
     let cloud = cloud.get::<Cloud>().unwrap();
@@ -238,7 +183,7 @@ fn whatever_is_wrong_with_messages_is_said_and_the_rest_arrives() {
     ] {
         ran.warned(of);
     }
-    let poses = ran.poses();
+    let poses = ran.poses(0);
     assert_eq!(poses.len(), 4, "{poses:?}");
     assert!(poses[..3].iter().all(|(_, pose)| pose.is_err()), "{poses:?}");
     assert_eq!(poses[3], (STAMP + 2 * MS, Ok(200.0)));
@@ -264,7 +209,7 @@ fn random_messages_neither_crash_nor_stop_the_stream() {
         }
     });
     let ran = take_all(&address, &[marker()], |_| {});
-    let good: Vec<_> = ran.poses().into_iter().filter_map(|(stamp, pose)| Some((stamp, pose.ok()?))).collect();
+    let good: Vec<_> = ran.poses(0).into_iter().filter_map(|(stamp, pose)| Some((stamp, pose.ok()?))).collect();
     assert_eq!(good.len(), 1000);
     assert!(
         good.iter().enumerate().all(|(i, (stamp, x))| *stamp == STAMP + i as i64 * MS && (x - i as f64).abs() < 1e-6)
@@ -292,10 +237,10 @@ fn topics_that_are_never_advertised_are_named_with_those_that_are() {
         client.advertise(&[(1, "/rosout", "cdr", "rcl_interfaces/msg/Log")]);
         wait(client);
     });
-    let error = take_all(&address, &[marker()], |p| p.timeout_s = 0.5).error.unwrap();
+    let error = take_all(&address, &[marker()], |p| p.network.timeout_s = 0.5).error.unwrap();
     assert!(error.contains("none of /tf was advertised within 0.5 s; the server has /rosout"), "{error}");
     let silent = one(wait);
-    let error = take_all(&silent, &[marker()], |p| p.timeout_s = 0.5).error.unwrap();
+    let error = take_all(&silent, &[marker()], |p| p.network.timeout_s = 0.5).error.unwrap();
     assert!(error.contains("advertises no topic"), "{error}");
     // One of two: the run goes on.
     let address = one(|client| {
@@ -305,7 +250,7 @@ fn topics_that_are_never_advertised_are_named_with_those_that_are() {
     let ports = [marker(), ("scan", "geometry/Cloud", json!({ "topic": "/scan" }))];
     let ran = take_all(&address, &ports, |_| {});
     ran.warned("port \"scan\": /scan was not advertised");
-    assert_eq!(ran.poses(), [(STAMP, Ok(500.0))]);
+    assert_eq!(ran.poses(0), [(STAMP, Ok(500.0))]);
 }
 
 #[test]
@@ -331,13 +276,13 @@ fn a_server_that_does_not_answer_refuses_or_speaks_another_protocol_is_an_error(
         (b"SSH-2.0-OpenSSH_9.6\r\n\r\n", "does not speak the protocol"),
     ] {
         let began = Instant::now();
-        let error = take_all(&raw(answer), &[marker()], |p| p.timeout_s = 1.0).error.unwrap();
+        let error = take_all(&raw(answer), &[marker()], |p| p.network.timeout_s = 1.0).error.unwrap();
         assert!(error.contains(expected), "{error}");
         assert!(!error.contains("secret"), "the path may be a token: {error}");
         assert!(began.elapsed() < Duration::from_secs(6), "{:?}", began.elapsed());
     }
     let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let error = take_all(&format!("ws://{nobody}"), &[marker()], |p| p.timeout_s = 0.5).error.unwrap();
+    let error = take_all(&format!("ws://{nobody}"), &[marker()], |p| p.network.timeout_s = 0.5).error.unwrap();
     assert!(error.contains("no connection to") && error.contains("refused"), "{error}");
 }
 
@@ -357,7 +302,7 @@ fn a_message_that_is_announced_as_huge_ends_the_connection_and_many_channels_do_
     let ran = take_all(&address, &[marker()], |_| {});
     ran.warned("more than 10000 channels");
     ran.warned("a message above 64 MiB");
-    assert_eq!(ran.poses(), [(STAMP, Ok(500.0))]);
+    assert_eq!(ran.poses(0), [(STAMP, Ok(500.0))]);
 }
 
 #[test]
@@ -383,22 +328,14 @@ fn a_lost_tool_a_topic_that_ends_and_a_server_that_comes_back_are_said() {
     let mut lost = marker();
     lost.2["lost_after_ms"] = json!(500.0);
     let ports = [lost, ("other", "geometry/Pose", json!({ "topic": "/other" }))];
-    let params = Params { address: format!("ws://{address}"), timeout_s: 5.0, ..Params::default() };
-    let (mut source, mut ctx) = (FoxgloveWs::new(params).unwrap(), context(&ports));
-    let mut ran = Ran::default();
-    while !ran.items.iter().any(|item| item.0 == STAMP + 2000 * MS) {
-        ctx.begin(0, 0);
-        let given = source.next(&mut ctx).unwrap().unwrap();
-        ran.warnings.extend(ctx.take_warnings());
-        let mut out: Vec<Emission> = (0..2).map(|_| Emission::Silent).collect();
-        given.put(&mut out);
-        let items = out.into_iter().enumerate().filter(|(_, emission)| !matches!(emission, Emission::Silent));
-        ran.items.extend(items.map(|(port, emission)| (ctx.stamp_ns(), port, emission)));
-    }
+    let params = Params { address: format!("ws://{address}"), ..Params::default() };
+    let (mut source, mut ctx) = (NetworkSource::<FoxgloveWs>::new(params).unwrap(), context(&ports));
+    let is_last = |item: &(StampNs, usize, Emission)| item.0 == STAMP + 2000 * MS;
+    let ran = take_until(&mut source, &mut ctx, |ran| ran.items.iter().any(is_last));
     for of in ["/tf is no longer advertised", "waiting for the server again", "connected again"] {
         ran.warned(of);
     }
-    let poses = ran.poses();
+    let poses = ran.poses(0);
     assert_eq!(poses[0], (STAMP, Ok(100.0)));
     assert_eq!(poses[1], (STAMP + 500 * MS, Err("/tf was not sent for 0.50 s")));
     assert_eq!(poses[2], (STAMP + 1000 * MS, Ok(200.0)));
@@ -414,7 +351,7 @@ fn addresses_and_ports_that_cannot_be_read_are_refused() {
         ("http://127.0.0.1:8765", "is not ws://HOST:PORT"),
         ("ws://", "is no address"),
     ] {
-        let error = FoxgloveWs::new(Params { address: address.into(), ..Params::default() }).err().unwrap();
+        let error = FoxgloveWs::peer(&Params { address: address.into(), ..Params::default() }).err().unwrap();
         assert!(error.to_string().contains(expected), "{error}");
     }
     for (port, expected) in [

@@ -1,71 +1,39 @@
 use super::*;
+use crate::acquire::network::{
+    NetworkSource,
+    tests::{MS, Outcome, PortSpec, STAMP, context, take_until},
+};
 use osteoflow_formats::openigtlink::{
     Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool,
 };
 use osteoflow_geometry::{
-    Cloud, Mesh, Points, Pose, Region,
+    Cloud, Mesh, Points, Pose, Region, StampNs,
     nalgebra::{Isometry3, Point3, Vector3},
 };
-use osteoflow_node::{DeclaredPort, Outputs, Registry};
+use osteoflow_node::{Emission, Source};
 use osteoflow_payloads::{Flag, Text as TextPayload};
-use serde_json::{Value, json};
+use serde_json::json;
 use std::{
     io::Write,
     net::{SocketAddr, TcpListener, TcpStream},
     thread,
 };
 
-const STAMP: StampNs = 1_750_000_011_000_000_000;
-const MS: StampNs = 1_000_000;
-
-fn context(ports: &[(&str, &str, Value)]) -> Context {
-    let mut registry = Registry::default();
-    osteoflow_payloads::register(&mut registry);
-    let declared = ports.iter().map(|(name, ty, params)| DeclaredPort {
-        name: (*name).into(),
-        payload: registry.payload_type(ty).unwrap(),
-        params: params.clone(),
-    });
-    Context::new("tracker", 0, std::sync::Arc::default(), declared.collect::<Vec<_>>().into())
-}
-
-fn source(address: SocketAddr, change: impl FnOnce(&mut Params)) -> OpenIgtLink {
-    let mut params = Params { address: address.to_string(), reconnect: false, ..Params::default() };
+fn source(address: SocketAddr, change: impl FnOnce(&mut Params)) -> NetworkSource<OpenIgtLink> {
+    let network = NetworkParams { reconnect: false, ..NetworkParams::default() };
+    let mut params = Params { address: address.to_string(), network, ..Params::default() };
     change(&mut params);
-    OpenIgtLink::new(params).unwrap()
+    NetworkSource::new(params).unwrap()
 }
 
-/// What a source gave: stamp, port, value or reason.
-struct Ran {
-    items: Vec<(StampNs, usize, Emission)>,
-    warnings: Vec<String>,
-}
-
-impl Ran {
-    fn of_port(&self, port: usize) -> Vec<(StampNs, &Emission)> {
-        self.items.iter().filter(|item| item.1 == port).map(|(stamp, _, emission)| (*stamp, emission)).collect()
-    }
-}
-
-/// Takes all items until the source ends.
-fn take_all(source: &mut OpenIgtLink, ctx: &mut Context) -> Result<Ran, NodeError> {
-    let n_ports = ctx.declared().len();
-    let mut ran = Ran { items: Vec::new(), warnings: Vec::new() };
-    loop {
-        ctx.begin(0, 0);
-        let given = source.next(ctx)?;
-        ran.warnings.extend(ctx.take_warnings());
-        let Some(given) = given else { return Ok(ran) };
-        let mut out: Vec<Emission> = (0..n_ports).map(|_| Emission::Silent).collect();
-        given.put(&mut out);
-        let stamp_ns = ctx.stamp_ns();
-        let items = out.into_iter().enumerate().filter(|(_, emission)| !matches!(emission, Emission::Silent));
-        ran.items.extend(items.map(|(port, emission)| (stamp_ns, port, emission)));
-    }
+/// The items of a source to its end.
+fn take_all(source: &mut NetworkSource<OpenIgtLink>, ctx: &mut Context) -> Result<Outcome, String> {
+    let outcome = take_until(source, ctx, |_| false);
+    outcome.error.clone().map_or(Ok(outcome), Err)
 }
 
 /// Sends bytes to a source as one sender does, and closes.
-fn sent(bytes: Vec<u8>, ports: &[(&str, &str, Value)]) -> Ran {
+fn sent(bytes: Vec<u8>, ports: &[PortSpec]) -> Outcome {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let sender = thread::spawn(move || {
@@ -106,13 +74,13 @@ fn reason(emission: &Emission) -> &str {
     }
 }
 
-fn stylus() -> (&'static str, &'static str, Value) {
+fn stylus() -> PortSpec {
     ("stylus", "geometry/Pose", json!({ "device": "StylusToReference", "to": "world", "from": "stylus_marker" }))
 }
 
 /// The error of ports that cannot be read.
-fn fault(ports: &[(&str, &str, Value)]) -> String {
-    read_ports(&context(ports)).map(drop).unwrap_err().to_string()
+fn fault(ports: &[PortSpec]) -> String {
+    OpenIgtLink::ports(&context(ports).declared()).map(drop).unwrap_err().to_string()
 }
 
 #[test]
@@ -435,18 +403,9 @@ fn a_lost_connection_makes_poses_unknown_and_is_waited_for() {
             stream.write_all(&transform("StylusToReference", STAMP + i * MS, i as f64).to_bytes().unwrap()).unwrap();
         }
     });
-    let mut source = source(address, |params| params.reconnect = true);
-    let mut ctx = context(&[stylus()]);
-    let mut found = Vec::new();
-    let mut warnings = Vec::new();
-    while found.len() < 3 {
-        ctx.begin(0, 0);
-        let given = source.next(&mut ctx).unwrap().unwrap();
-        warnings.extend(ctx.take_warnings());
-        let mut out = vec![Emission::Silent];
-        given.put(&mut out);
-        found.extend(out.into_iter().filter(|emission| !matches!(emission, Emission::Silent)));
-    }
+    let mut source = source(address, |params| params.network.reconnect = true);
+    let ran = take_until(&mut source, &mut context(&[stylus()]), |ran| ran.items.len() == 3);
+    let (found, warnings): (Vec<_>, _) = (ran.items.into_iter().map(|(_, _, item)| item).collect(), ran.warnings);
     sender.join().unwrap();
     assert!(matches!(found[0], Emission::Value(_)) && matches!(found[2], Emission::Value(_)));
     let lost = reason(&found[1]);
@@ -481,9 +440,9 @@ fn a_source_says_that_it_reads_header_version_2_and_asks_for_tracking_data() {
 fn no_sender_within_the_timeout_is_an_error_that_names_the_address() {
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     for (role, part) in [(Role::Client, "is the server running there?"), (Role::Server, "no sender connected to")] {
-        let mut source = source(address, |params| (params.timeout_s, params.role) = (0.3, role));
-        let error = take_all(&mut source, &mut context(&[stylus()])).map(drop).unwrap_err().to_string();
+        let mut source = source(address, |params| (params.network.timeout_s, params.role) = (0.3, role));
+        let error = take_all(&mut source, &mut context(&[stylus()])).unwrap_err();
         assert!(error.contains(part) && error.contains(&address.to_string()), "{error}");
     }
-    assert!(OpenIgtLink::new(Params { address: "tracker".into(), ..Params::default() }).is_err());
+    assert!(OpenIgtLink::peer(&Params { address: "tracker".into(), ..Params::default() }).is_err());
 }

@@ -1,6 +1,6 @@
 //! The connections to receivers, on a thread of their own.
 
-use crate::acquire::openigtlink::Role;
+use crate::acquire::network::Role;
 use osteoflow_formats::openigtlink::{Body, Message, Metadata, Status};
 use osteoflow_node::tracing;
 use std::{

@@ -1,0 +1,269 @@
+//! The ports of a source over a network, and the items on their way to them.
+
+use crate::acquire::{frozen::Frozen, playback::Event};
+use osteoflow_formats::openigtlink::ClockOffset;
+use osteoflow_geometry::{Correction, Pose, StampNs};
+use osteoflow_node::{Context, DeclaredPort, Emission, Payload, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_payloads::Flag;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// Warnings of each sort; more are counted.
+const N_WARNINGS: usize = 10;
+
+/// Parameters of a port of every source over a network.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, crate = "osteoflow_node::serde")]
+#[schemars(crate = "osteoflow_node::schemars")]
+pub struct StreamParams {
+    /// Names of clouds and points: one for each of several devices or topics, or, with one, one for each message in order. Default:
+    /// the names in the message, else the device's name or the last part of the topic's.
+    pub labels: Vec<String>,
+    /// Time of the sender without the tool, while other messages come, after which a pose is lost and the port gives an empty.
+    /// Unset: never.
+    #[schemars(range(min = 1.0, max = 3_600_000.0))]
+    pub lost_after_ms: Option<f64>,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
+    /// jitters by noise. 0: never, for a constant that is sent again and again.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
+    /// What a `report/Flag` gives with the first item of another port, if no message gave it a value before. Unset: it waits for one.
+    pub default: Option<bool>,
+}
+
+/// A declared port of a source over a network; `T` is what its protocol knows of it.
+pub(crate) struct Port<T> {
+    pub(crate) name: String,
+    pub(crate) payload: &'static str,
+    /// The devices or topics that the port reads.
+    pub(crate) streams: Vec<String>,
+    pub(crate) default: Option<bool>,
+    pub(crate) content: T,
+    /// Number of messages so far.
+    pub(crate) n_messages: usize,
+    labels: Vec<String>,
+    frozen: Frozen,
+    lost_after_ns: Option<StampNs>,
+    /// The newest stamp of an item.
+    last_ns: Option<StampNs>,
+    /// Whether an item said that the tool was not sent.
+    is_lost: bool,
+    /// Those of `streams` that the peer has.
+    present: BTreeSet<String>,
+}
+
+/// The items of a message on one port, and what the user should know of it.
+#[derive(Default)]
+pub(crate) struct PortItems {
+    pub(crate) items: Vec<(StampNs, Emission)>,
+    pub(crate) notes: Vec<String>,
+}
+
+/// The ports, and their items in the order in which they are given.
+pub(crate) struct Inbox<T> {
+    pub(crate) ports: Vec<Port<T>>,
+    events: VecDeque<Event<Emission>>,
+    /// The items of the message that is read.
+    message: Vec<Event<Emission>>,
+    clock: ClockOffset,
+    arrived_ns: StampNs,
+    /// The newest stamp.
+    newest_ns: StampNs,
+    /// Number of warnings by sort.
+    n_warnings: BTreeMap<String, usize>,
+}
+
+impl PortItems {
+    /// A value.
+    pub(crate) fn value<V: Payload<By>, By: 'static>(stamp_ns: StampNs, value: V) -> Self {
+        Self { items: vec![(stamp_ns, Emission::value(value))], notes: Vec::new() }
+    }
+
+    /// An empty.
+    pub(crate) fn empty(stamp_ns: StampNs, reason: String) -> Self {
+        Self { items: vec![(stamp_ns, Emission::Empty(reason))], notes: Vec::new() }
+    }
+
+    /// An empty for a message that cannot be used, of which the user is told.
+    pub(crate) fn refused(stamp_ns: StampNs, reason: String) -> Self {
+        Self { notes: vec![reason.clone()], ..Self::empty(stamp_ns, reason) }
+    }
+}
+
+impl<T> Port<T> {
+    pub(crate) fn new(declared: &DeclaredPort, params: StreamParams, streams: Vec<String>, content: T) -> Self {
+        Self {
+            name: declared.name.clone(),
+            payload: declared.payload.name,
+            streams,
+            default: params.default,
+            content,
+            n_messages: 0,
+            labels: params.labels,
+            frozen: Frozen::new(params.frozen_after_ms),
+            lost_after_ns: params.lost_after_ms.map(|ms| (ms * 1e6).round() as StampNs),
+            last_ns: None,
+            is_lost: false,
+            present: BTreeSet::new(),
+        }
+    }
+
+    pub(crate) fn reads(&self, stream: &str) -> bool {
+        self.streams.iter().any(|known| known == stream)
+    }
+
+    /// The label of the message that is read.
+    pub(crate) fn label(&self, stream: &str) -> Option<&str> {
+        let index = match self.streams.len() {
+            1 => self.n_messages,
+            _ => self.streams.iter().position(|known| known == stream)?,
+        };
+        self.labels.get(index).map(String::as_str)
+    }
+
+    /// Adds a pose called `what`, unless the tracker is frozen; `correction` is reported if it is above `limit`.
+    pub(crate) fn put_pose(&mut self, what: &str, pose: Pose, correction: Correction, limit: f64, out: &mut PortItems) {
+        if correction.deviation > limit {
+            out.notes.push(format!("{what}: a rotation is rounded, and the nearest one is used: {correction}"));
+        }
+        out.items.push((pose.stamp_ns, self.frozen.emission(what, pose, &mut out.notes)));
+    }
+
+    /// The newest stamp, or a later one.
+    pub(crate) fn not_before_last(&self, stamp_ns: StampNs) -> StampNs {
+        stamp_ns.max(self.last_ns.unwrap_or(0))
+    }
+
+    /// Those of the port's devices or topics that the peer does not have.
+    pub(crate) fn missing(&self) -> Vec<&str> {
+        self.streams.iter().map(String::as_str).filter(|stream| !self.present.contains(*stream)).collect()
+    }
+}
+
+impl<T> Inbox<T> {
+    pub(super) fn new(ports: Vec<Port<T>>) -> Self {
+        Self {
+            ports,
+            events: VecDeque::new(),
+            message: Vec::new(),
+            clock: ClockOffset::default(),
+            arrived_ns: 0,
+            newest_ns: 0,
+            n_warnings: BTreeMap::new(),
+        }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.events.is_empty()
+    }
+
+    pub(super) fn pop(&mut self) -> Option<Event<Emission>> {
+        self.events.pop_front()
+    }
+
+    /// Whether an item with a stamp came.
+    pub(crate) fn has_items(&self) -> bool {
+        self.newest_ns > 0
+    }
+
+    /// Warns, at most [`N_WARNINGS`] times of each sort.
+    pub(crate) fn warn(&mut self, sort: &str, message: String, ctx: &mut Context) {
+        let n = self.n_warnings.entry(sort.into()).or_default();
+        *n += 1;
+        match *n {
+            n if n < N_WARNINGS => ctx.warn(message),
+            N_WARNINGS => ctx.warn(format!("{message}; more of these are not reported")),
+            _ => {}
+        }
+    }
+
+    /// Bytes have arrived now.
+    pub(crate) fn arrive(&mut self, ctx: &mut Context) {
+        self.arrived_ns = ctx.clock_ns();
+    }
+
+    /// The stamp of a message in this run, from the sender's stamp: the only place where one becomes the other.
+    ///
+    /// Stamps are taken as they are; the offset of the sender's clock is reported. Without a stamp it is the time of arrival.
+    pub(crate) fn stamp(&mut self, sent_ns: Option<StampNs>, ctx: &mut Context) -> StampNs {
+        let Some(sent_ns) = sent_ns else { return self.arrived_ns };
+        if let Some(note) = self.clock.add(sent_ns, self.arrived_ns) {
+            ctx.warn(format!("of the sender: {note}"));
+        }
+        sent_ns
+    }
+
+    /// The peer has this device or topic.
+    pub(crate) fn note_present(&mut self, stream: &str) {
+        for port in self.ports.iter_mut().filter(|port| port.reads(stream)) {
+            port.present.insert(stream.into());
+        }
+    }
+
+    /// Offers a message of a device or topic to the ports that read it; `read` gives `None` where the port does not read messages
+    /// of this type. Returns the newest stamp of the items if any port took it.
+    pub(crate) fn offer(
+        &mut self,
+        stream: &str,
+        ctx: &mut Context,
+        mut read: impl FnMut(&mut Port<T>) -> Option<PortItems>,
+    ) -> Option<StampNs> {
+        let (mut newest_ns, mut notes) = (None, Vec::new());
+        for (index, port) in self.ports.iter_mut().enumerate().filter(|(_, port)| port.reads(stream)) {
+            let Some(out) = read(port) else { continue };
+            newest_ns = newest_ns.max(out.items.iter().map(|(stamp_ns, _)| *stamp_ns).max().or(Some(0)));
+            port.n_messages += 1;
+            port.present.insert(stream.into());
+            notes.extend(out.notes);
+            for (stamp_ns, body) in out.items {
+                port.last_ns = port.last_ns.max(Some(stamp_ns));
+                port.is_lost = false;
+                self.message.push(Event { stamp_ns, port: index, body });
+            }
+        }
+        notes.into_iter().for_each(|note| self.warn(stream, note, ctx));
+        newest_ns
+    }
+
+    /// Hands the items of a message on; before them what it shows: flags that did not come, and tools that are lost by now.
+    pub(super) fn flush(&mut self) {
+        let message = std::mem::take(&mut self.message);
+        let stamps = message.iter().map(|event| event.stamp_ns);
+        // Constants have no time.
+        let newest_ns = stamps.clone().max().unwrap_or(0);
+        if newest_ns > 0 {
+            let first_ns = stamps.filter(|ns| *ns > 0).min().unwrap_or(newest_ns);
+            let has_item = message.iter().any(|event| self.ports[event.port].payload != "report/Flag");
+            let mut before = Vec::new();
+            for (index, port) in self.ports.iter_mut().enumerate() {
+                if let Some(default) = port.default.filter(|_| has_item && port.last_ns.is_none()) {
+                    port.last_ns = Some(first_ns);
+                    let body = Emission::value(Flag(default));
+                    before.push(Event { stamp_ns: first_ns, port: index, body });
+                }
+                let (Some(lost_after_ns), Some(last_ns)) = (port.lost_after_ns, port.last_ns) else { continue };
+                let lost_ns = last_ns.saturating_add(lost_after_ns);
+                if lost_ns < newest_ns && !std::mem::replace(&mut port.is_lost, true) {
+                    let (streams, seconds) = (port.streams.join(", "), lost_after_ns as f64 * 1e-9);
+                    let body = Emission::Empty(format!("{streams} was not sent for {seconds:.2} s"));
+                    before.push(Event { stamp_ns: lost_ns, port: index, body });
+                }
+            }
+            before.sort_by_key(|event| event.stamp_ns);
+            self.events.extend(before);
+            self.newest_ns = self.newest_ns.max(newest_ns);
+        }
+        self.events.extend(message);
+    }
+
+    /// Makes the poses of ports unknown: where a tool is while nobody says is unknown.
+    pub(crate) fn lose(&mut self, reason: &str, is_lost: impl Fn(&Port<T>) -> bool) {
+        for (index, port) in self.ports.iter().enumerate() {
+            let was_seen = port.last_ns.is_some_and(|ns| ns > 0);
+            if port.payload == "geometry/Pose" && was_seen && is_lost(port) {
+                let body = Emission::Empty(format!("{}: {reason}", port.streams.join(", ")));
+                self.events.push_back(Event { stamp_ns: self.newest_ns, port: index, body });
+            }
+        }
+    }
+}
