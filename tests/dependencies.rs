@@ -1,7 +1,8 @@
-//! docs/project/dependencies.md lists the libraries that the workspace names, and no others.
+//! docs/project/dependencies.md lists the libraries that the workspace names, and no others; the tests ask the program's libraries for no
+//! further features.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-use std::{collections::BTreeSet, fs, path::Path};
+use std::{collections::BTreeSet, fs, path::Path, process::Command};
 
 #[test]
 fn each_dependency_has_its_reason_and_its_upkeep_on_one_page() {
@@ -22,4 +23,26 @@ fn each_dependency_has_its_reason_and_its_upkeep_on_one_page() {
     for row in rows {
         assert!(row.len() == 7 && row[2..6].iter().all(|cell| !cell.is_empty()), "{row:?}");
     }
+}
+
+/// The libraries with their features that cargo compiles for a command.
+fn compiled(arguments: &[&str]) -> BTreeSet<String> {
+    let mut tree = Command::new(env!("CARGO"));
+    tree.args(["tree", "--locked", "--offline", "--prefix", "none", "--no-dedupe", "--format", "{p} [{f}]"])
+        .args(arguments);
+    let output = tree.current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap().lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect()
+}
+
+#[test]
+fn no_library_of_the_program_is_compiled_a_second_time_for_the_tests() {
+    let program = compiled(&["--edges", "normal,build"]);
+    let tests = compiled(&["--workspace", "--edges", "normal,build,dev"]);
+    let twice: Vec<&String> = program.difference(&tests).collect();
+    assert!(
+        twice.is_empty(),
+        "with the dependencies of the tests these libraries have more features, so that `cargo test` compiles them, and all that \
+         use them, once more; state the features in Cargo.toml: {twice:#?}"
+    );
 }
