@@ -1,6 +1,5 @@
 //! Every broken graph under tests/broken gives its exact text; every shipped graph has no fault. `UPDATE=1` rewrites the
 //! texts; read the diff.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{Faults, check, check_text};
 use std::{

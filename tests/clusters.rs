@@ -1,10 +1,6 @@
 //! docs/use/clusters.md: its scripts for Slurm, run with a queue of our own, give the tables of one machine.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{osteoflow, program, root};
+use crate::common::{osteoflow, program, root};
 use std::{
     collections::BTreeMap,
     fs,

@@ -1,9 +1,6 @@
 //! The command line: helps, exit codes, stdout and stderr.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::osteoflow;
+use crate::common::osteoflow;
 
 /// Every subcommand, with a word that its help must contain.
 const COMMANDS: &[(&str, &str)] = &[

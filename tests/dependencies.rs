@@ -1,6 +1,5 @@
 //! docs/project/dependencies.md lists the libraries that the workspace names, and no others; the tests ask the program's libraries for no
 //! further features.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use std::{collections::BTreeSet, fs, path::Path, process::Command};
 

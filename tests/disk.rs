@@ -1,10 +1,6 @@
 //! Two runs into one folder, a full and a failing disk, and what a power cut may leave.
-#![cfg(target_os = "linux")]
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::osteoflow_to_spawn;
+use crate::common::osteoflow_to_spawn;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -20,7 +16,7 @@ fn failing_disk() -> Option<&'static Path> {
         let compiler = Command::new("cc")
             .args(["-shared", "-fPIC", "-O1", "-o"])
             .arg(&library)
-            .arg(common::root().join("tests/disk/failing.c"))
+            .arg(crate::common::root().join("tests/disk/failing.c"))
             .arg("-ldl")
             .output();
         match compiler {
@@ -75,7 +71,7 @@ fn is_whole_as_far_as_it_goes(dir: &Path, said: &str) {
 
 #[test]
 fn of_two_runs_into_one_folder_one_is_refused_by_the_name_of_the_other() {
-    let n_pairs = if common::is_slow_run() { 80 } else { 10 };
+    let n_pairs = if crate::common::is_slow_run() { 80 } else { 10 };
     for _ in 0..n_pairs {
         let parent = tempfile::tempdir().unwrap();
         let dir = parent.path().join("run");
@@ -170,7 +166,7 @@ fn a_sweep_on_a_full_disk_goes_on_where_it_stopped() {
     let Some(library) = failing_disk() else { return };
     let parent = tempfile::tempdir().unwrap();
     let graph = parent.path().join("small.toml");
-    let base = common::root().join("graphs/fibula.toml");
+    let base = crate::common::root().join("graphs/fibula.toml");
     let sweep = "[sweep]\nrepeat = 3\n[sweep.columns]\nrms = \"icp.rms_mm\"\n";
     fs::write(&graph, format!("extends = {base:?}\n[graph]\nname = \"small\"\n{sweep}")).unwrap();
     let command = |dir: &str, resume: bool| {
@@ -192,12 +188,12 @@ fn a_sweep_on_a_full_disk_goes_on_where_it_stopped() {
 #[test]
 fn a_small_file_system_is_full_as_a_full_disk_is() {
     let parent = tempfile::tempdir().unwrap();
-    let program = common::program();
+    let program = crate::common::program();
     let script = format!(
         "mount -t tmpfs -o size=2m tmpfs {0} || exit 77; cd {1}; OSTEOFLOW_CACHE=off {2} run graphs/fibula.toml --quiet --out {0}/run > /dev/null; \
          code=$?; ls {0}/run; test -f {0}/run/results.json && cat {0}/run/results.json > /dev/null; exit $code",
         parent.path().display(),
-        common::root().display(),
+        crate::common::root().display(),
         program.display()
     );
     let output = Command::new("unshare").args(["--user", "--map-root-user", "--mount", "sh", "-c", &script]).output();

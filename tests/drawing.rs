@@ -1,9 +1,6 @@
 //! Drawings of graphs and of runs: well-formed, complete and without overlaps.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{json, osteoflow, run, shipped_graphs};
+use crate::common::{json, osteoflow, run, shipped_graphs};
 use roxmltree::{Document, Node};
 use std::path::Path;
 

@@ -1,9 +1,6 @@
 //! The ports and kinds of the experiments, in whole graphs.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, osteoflow, root, run};
+use crate::common::{Ran, osteoflow, root, run};
 use serde_json::Value;
 
 /// Runs a graph that extends graphs/fibula.toml.

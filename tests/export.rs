@@ -1,9 +1,6 @@
 //! Files for other programs from a run: what they hold, and that a refused run writes none of what is wrong.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{osteoflow, run_whole};
+use crate::common::{osteoflow, run_whole};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::{
     Space,
@@ -72,7 +69,7 @@ fn other_programs_read_the_folder_export_of_every_graph_with_a_ct_to_a_ten_thous
             assert!(bytes.windows(notice.len()).any(|part| part == notice), "{graph}: {file} is not marked");
         }
         let python = std::env::var("OSTEOFLOW_PYTHON").unwrap_or_else(|_| "python3".into());
-        let script = common::root().join("tests/python/check_export.py");
+        let script = crate::common::root().join("tests/python/check_export.py");
         let checked = match std::process::Command::new(&python).arg(script).arg(dir.path()).output() {
             Ok(checked) => checked,
             Err(error) => return eprintln!("skipped: export read by other programs: {python}: {error}"),
@@ -90,7 +87,7 @@ fn other_programs_read_the_folder_export_of_every_graph_with_a_ct_to_a_ten_thous
         let moved = first.parse::<f64>().unwrap() + 2e-4;
         fs::write(&scan, format!("{head}double\n{moved} {rest}")).unwrap();
         let checked = std::process::Command::new(&python)
-            .arg(common::root().join("tests/python/check_export.py"))
+            .arg(crate::common::root().join("tests/python/check_export.py"))
             .arg(dir.path())
             .output()
             .unwrap();
@@ -108,7 +105,7 @@ fn two_files_are_exported_without_a_plan_and_without_a_fit_only_the_bone() {
     names.sort();
     assert_eq!(names, ["bone.stl", "scan.ply", "scan.vtk", "scan_to_ct.tfm"]);
 
-    let ran = common::run("graphs/fibula.toml", &["--no-record", "--set", "icp.max_pair_distance_mm=0.000001"]);
+    let ran = crate::common::run("graphs/fibula.toml", &["--no-record", "--set", "icp.max_pair_distance_mm=0.000001"]);
     assert_eq!(ran.code, 3, "{}", ran.stderr);
     let export = ran.dir.path().join("export");
     assert!(["bone.stl", "landmarks.mrk.json", "planes.mrk.json"].iter().all(|name| export.join(name).exists()));
@@ -155,7 +152,7 @@ fn what_is_not_in_the_ct_is_not_written_as_if_it_were() {
 
 #[test]
 fn a_plan_that_is_written_and_read_has_no_unread_keys() {
-    let plan = read_plan(&common::root().join("tests/data/procedure/plan.json")).unwrap();
+    let plan = read_plan(&crate::common::root().join("tests/data/procedure/plan.json")).unwrap();
     assert_eq!(plan.notes, [""; 0]);
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("plan.json");

@@ -1,9 +1,6 @@
 //! A failing node is named, the rest of the graph finishes, and its item can be run again alone.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, json, osteoflow, run};
+use crate::common::{Ran, json, osteoflow, run};
 use osteoflow_engine::Recording;
 use serde_json::Value;
 use std::{

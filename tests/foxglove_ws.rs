@@ -1,9 +1,6 @@
 //! The Foxglove WebSocket protocol from the command line: the whole method from the topics of a server.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{isometry, root, run_whole};
+use crate::common::{isometry, root, run_whole};
 use osteoflow_formats::mcap_read::{Message, Recording};
 use osteoflow_formats::message_read::procedure_region;
 use serde_json::{Value, json};

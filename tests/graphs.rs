@@ -1,9 +1,6 @@
 //! Every shipped graph checks, and its plan (order, types, joins, frames) equals the golden text.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{assert_golden, osteoflow, root, shipped_graphs};
+use crate::common::{assert_golden, osteoflow, root, shipped_graphs};
 use osteoflow_engine::plan::{Plan, PlanOutput};
 use std::{fmt::Write, fs, path::Path};
 

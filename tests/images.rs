@@ -1,9 +1,6 @@
 //! Colour images in recordings: the same landmarks as from the simulated camera, and images that do not fit are refused by name.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, root, run, run_whole};
+use crate::common::{Ran, root, run, run_whole};
 use foxglove::{
     Encode,
     messages::{CameraCalibration, RawImage, Timestamp},

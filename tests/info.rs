@@ -1,9 +1,6 @@
 //! `osteoflow info` and `osteoflow runs`: what files and folders hold.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{osteoflow, root};
+use crate::common::{osteoflow, root};
 use serde_json::{Value, json};
 use std::{fs, path::Path, process::Output};
 

@@ -1,9 +1,6 @@
 //! Live sources from the command line: the shipped recording, played as if its devices sent it.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{json, osteoflow, run, run_whole};
+use crate::common::{json, osteoflow, run, run_whole};
 use serde_json::Value;
 
 const RECORDED: &str = "graphs/fibula_recorded.toml";

@@ -1,6 +1,5 @@
 //! A realistic tracker and camera: jitter, offset, gaps, lost samples, duplicates, late and out-of-order items. Every pair is
 //! compared with a model of ten lines, on any number of workers and in any order of events.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{Outcome, RunOptions, RunReport, run};
 use osteoflow_geometry::{

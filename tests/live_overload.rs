@@ -1,6 +1,5 @@
 //! A camera ten times as fast as its consumer: with every policy the accounting balances, memory stays constant, and the run
 //! ends. Two minutes each with `SLOW_TESTS`, or as many as `OVERLOAD_MINUTES` says; a second otherwise.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{Event, Observer, Outcome, RunOptions, RunReport, run};
 use osteoflow_geometry::{Cloud, nalgebra::Point3};

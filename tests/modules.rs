@@ -1,9 +1,6 @@
 //! Modules from the command line: checked alone, described by `inspect`, used by a shipped graph, and expanded.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{osteoflow, root, run_whole, shipped_graphs, shipped_modules};
+use crate::common::{osteoflow, root, run_whole, shipped_graphs, shipped_modules};
 use std::fs;
 
 const GRAPH: &str = "graphs/variants/fibula_modules.toml";

@@ -2,11 +2,8 @@
 //!
 //! The cold build of the crate alone takes longer than a minute on two cores, so it runs only with SLOW_TESTS; the same file is
 //! an example of this workspace, which is built with everything else.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, build, is_slow_run, isometry, osteoflow, osteoflow_to_spawn, root, run_whole};
+use crate::common::{Ran, build, is_slow_run, isometry, osteoflow, osteoflow_to_spawn, root, run_whole};
 use serde_json::Value;
 use std::{
     env::consts::{DLL_PREFIX, DLL_SUFFIX},

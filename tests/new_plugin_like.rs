@@ -2,11 +2,8 @@
 //! and gives what the built-in nodes give; what is wrong in its input is refused.
 //!
 //! The sources in Rust are examples of this workspace under the name of the template, which are built with everything else.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, build, is_slow_run, isometry, osteoflow, point, python::python, root, run, run_whole};
+use crate::common::{Ran, build, is_slow_run, isometry, osteoflow, point, python::python, root, run, run_whole};
 use osteoflow_geometry::nalgebra::Point3;
 use serde_json::Value;
 use std::{

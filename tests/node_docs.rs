@@ -1,9 +1,6 @@
 //! docs/nodes is generated from the nodes' descriptions; `UPDATE=1` rewrites it.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{osteoflow, root};
+use crate::common::{osteoflow, root};
 use std::{collections::BTreeMap, fs, path::Path};
 
 fn pages(folder: &Path) -> BTreeMap<String, String> {

@@ -1,9 +1,6 @@
 //! OpenIGTLink from the command line: the whole method from a simulated tracker and camera.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{isometry, osteoflow, root, run_whole};
+use crate::common::{isometry, osteoflow, root, run_whole};
 use osteoflow_formats::openigtlink::{Body, Decoder, Message};
 use serde_json::Value;
 use std::{
@@ -149,7 +146,7 @@ fn a_recorded_run_replays_without_rig_and_receivers() {
     let address = navigation.local_addr().unwrap();
     drop(navigation);
     let sets = [format!("recording.address={}", rig.address), format!("navigation.address={address}")];
-    let live = common::run(LIVE, &["--set", &sets[0], "--set", &sets[1]]);
+    let live = crate::common::run(LIVE, &["--set", &sets[0], "--set", &sets[1]]);
     drop(rig);
     // Nobody else may listen there if the replay did.
     let _taken = TcpListener::bind(address).unwrap();
@@ -168,7 +165,7 @@ fn a_rig_that_leaves_half_way_gives_no_planes_and_the_run_says_why() {
         drop(rig);
     });
     let arguments = ["--no-record", "--set", &address, "--set", &navigation];
-    let ran = common::run(LIVE, &arguments);
+    let ran = crate::common::run(LIVE, &arguments);
     process.join().unwrap();
     assert_ne!(ran.code, 0, "{}", ran.stderr);
     assert!(ran.stderr.contains("has not come"), "{}", ran.stderr);

@@ -1,9 +1,6 @@
 //! Messages exchanged with pyigtl, in both directions and both header versions.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::python::python;
+use crate::common::python::python;
 use osteoflow_formats::openigtlink::{
     Affine, Body, Cells, Decoder, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool,
 };

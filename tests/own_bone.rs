@@ -1,9 +1,6 @@
 //! Simulation on a user's bone: left or right, coarse or fine, anywhere in the CT.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{data, osteoflow, run};
+use crate::common::{data, osteoflow, run};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::mesh_file::write_stl;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};

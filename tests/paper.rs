@@ -1,11 +1,8 @@
 //! The paper's numbers, one test each, from the sweeps of docs/method/paper-reproduction.md, with fewer repeats and on real bones
 //! where the development data exist. Our numbers are compared with what does not depend on the paper's own setup: with those
 //! of an independent implementation of the method on real bones, and with what must hold.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{data, is_slow_run, osteoflow, root};
+use crate::common::{data, is_slow_run, osteoflow, root};
 use serde_json::Value;
 use std::fs;
 

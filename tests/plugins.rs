@@ -1,10 +1,6 @@
 //! Plugins: found, inspected, run, rebuilt, recorded and refused. The tests compile them from C.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-mod common;
-
-use common::{TOY_GRAPH as GRAPH, assert_golden, build, is_slow_run, json, osteoflow_to_spawn, root};
+use crate::common::{TOY_GRAPH as GRAPH, assert_golden, build, is_slow_run, json, osteoflow_to_spawn, root};
 use serde_json::{Value, json};
 use std::{
     env::consts::DLL_SUFFIX,

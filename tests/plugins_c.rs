@@ -1,7 +1,6 @@
 //! Plugins in C and C++, built by the system compiler with the two headers: the examples give the results of the built-in
 //! kinds, columns are not copied in either direction, and payloads unknown to the program pass between plugins and are
 //! recorded.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_engine::{
     Event, Observer, Outcome, ReplayOptions, RunOptions, RunReport, check, check_text,
@@ -25,9 +24,7 @@ use std::{
     sync::{Arc, Mutex, OnceLock},
 };
 
-mod common;
-
-use common::{build, root};
+use crate::common::{build, root};
 
 const EXAMPLES: &str = "nodes/kinds/payloads/examples/c";
 
@@ -294,8 +291,8 @@ fn the_icp_in_cpp_converges_to_the_pose_of_the_built_in_one_within_a_billionth_o
     };
     let built_in = ran(&["icp.kind=icp.published", "icp.reading=iterations", "icp.max_iterations=5000"]);
     let in_cpp = ran(&["icp.kind=icp_cpp.point_to_point", "icp.max_iterations=5000"]);
-    let [a, b] = [&built_in, &in_cpp].map(|results| common::isometry(&results["pose"]["matrix"]));
-    let centre = a.inverse() * common::point(&built_in["icp"]["centroid_mm"]);
+    let [a, b] = [&built_in, &in_cpp].map(|results| crate::common::isometry(&results["pose"]["matrix"]));
+    let centre = a.inverse() * crate::common::point(&built_in["icp"]["centroid_mm"]);
     let ends = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| centre + axis * 100.0);
     let off_mm = ends.iter().chain([&centre]).map(|p| (a * p - b * p).norm()).fold(0.0, f64::max);
     println!("{off_mm:.1e} mm apart; steps: {} and {}", built_in["icp"]["iterations"], in_cpp["icp"]["iterations"]);
@@ -331,15 +328,17 @@ fn a_graph_names_libraries_and_swaps_crop_and_icp_by_kind() {
     let base = root().join("graphs/fibula.toml");
     std::fs::write(&graph, format!("extends = {base:?}\nplugins = [{crop:?}, {icp:?}]\n")).unwrap();
     let graph = graph.to_str().unwrap();
-    let digest_of = |ran: &common::Ran| digest(&ran.dir.path().join("run.mcap"), &mut |_, _| {}).unwrap().digest;
+    let digest_of = |ran: &crate::common::Ran| digest(&ran.dir.path().join("run.mcap"), &mut |_, _| {}).unwrap().digest;
     let bounds = ["--set", "crop.max_mm=[1000.0, 1000.0, 206.0]"];
-    let built_in = common::run_whole(graph, &bounds);
-    let swapped = common::run_whole(graph, &[&bounds[..], &["--set", "crop.kind=crop_c.box"]].concat());
+    let built_in = crate::common::run_whole(graph, &bounds);
+    let swapped = crate::common::run_whole(graph, &[&bounds[..], &["--set", "crop.kind=crop_c.box"]].concat());
     assert_eq!(digest_of(&swapped), digest_of(&built_in), "no wire of the procedure differs by a bit");
     assert!(built_in.results["icp"]["n_source"].as_u64().unwrap() < 19_000, "something is cut off");
-    let in_cpp = common::run_whole(graph, &["--set", "icp.kind=icp_cpp.point_to_point"]);
+    let in_cpp = crate::common::run_whole(graph, &["--set", "icp.kind=icp_cpp.point_to_point"]);
     assert_eq!(in_cpp.results["icp"]["converged"], true);
-    assert!(common::json(&in_cpp.dir.path().join("manifest.json")).to_string().contains("icp_cpp.point_to_point"));
+    assert!(
+        crate::common::json(&in_cpp.dir.path().join("manifest.json")).to_string().contains("icp_cpp.point_to_point")
+    );
 }
 
 /// Collects the failures of a run.
@@ -497,7 +496,7 @@ fn a_payload_type_of_a_plugin_passes_to_another_plugin_and_is_recorded() {
     let both = registry(&[&give, &length]);
     let (first, again) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let recording = recorded(&plan(graph, &both), &both, first.path());
-    let results = common::json(&first.path().join("results.json"));
+    let results = crate::common::json(&first.path().join("results.json"));
     let lengths: Vec<_> = results["lengths"].as_array().unwrap().iter().map(|row| row["length_mm"].as_f64()).collect();
     assert_eq!(lengths, [5.0, 10.0, 15.0].map(Some));
     assert_eq!(results["lengths"][1]["n_knots"], 0.0, "a field may be missing: {results}");

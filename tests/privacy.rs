@@ -1,9 +1,6 @@
 //! What a run leaves names neither a patient nor a folder.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{json, osteoflow};
+use crate::common::{json, osteoflow};
 use std::{
     fs,
     path::{Path, PathBuf},

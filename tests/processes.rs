@@ -1,12 +1,6 @@
 //! Nodes in processes of their own: the same bits as in the program, and what goes wrong there stays there and is named.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-#[path = "common/apart.rs"]
-mod apart;
-mod common;
-
-use common::{build, osteoflow, osteoflow_to_spawn, root};
+use crate::common::{build, osteoflow, osteoflow_to_spawn, root};
 use serde_json::Value;
 use std::{
     fs,
@@ -258,7 +252,7 @@ fn a_firing_apart_costs_at_most_ten_times_its_limit() {
     let limits = [Duration::from_millis(5), Duration::from_millis(1)];
     let mut least = [Duration::MAX; 2];
     for _ in 0..3 {
-        let Some(cases) = apart::measure(100) else { return };
+        let Some(cases) = crate::common::apart::measure(100) else { return };
         for (least, case) in least.iter_mut().zip(&cases) {
             assert!(case.here < case.apart, "{}: {:?} apart, {:?} here", case.name, case.apart, case.here);
             *least = case.more().min(*least);

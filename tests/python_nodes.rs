@@ -1,10 +1,6 @@
 //! Nodes in Python: they agree with built-in ones, and what is wrong in them is said at its place.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-mod common;
-
-use common::{osteoflow, osteoflow_to_spawn, python::python, root};
+use crate::common::{osteoflow, osteoflow_to_spawn, python::python, root};
 use osteoflow_geometry::nalgebra::{Matrix4, Point3};
 use serde_json::{Value, json};
 use std::{

@@ -1,9 +1,6 @@
 //! The Python package: its tests, run by pytest in an environment under target/, and that it is built as the program is.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{program, root};
+use crate::common::{program, root};
 use std::{
     collections::BTreeMap,
     fs,

@@ -1,9 +1,6 @@
 //! README.md and .ci/run: both run the same two commands. The pages of docs/: what links to them, and what they list.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::root;
+use crate::common::root;
 use std::{fs, path::PathBuf, process::Command};
 
 fn text(name: &str) -> String {
@@ -36,7 +33,8 @@ fn the_numbers_of_the_icp_swap_are_those_of_this_program() {
     let table = icp_swap_table();
     assert_eq!(table.len(), 2, "{table:?}");
     for (kind, stated_mm) in table {
-        let ran = common::run_whole("graphs/fibula.toml", &["--no-record", "--set", &format!("icp.kind={kind}")]);
+        let ran =
+            crate::common::run_whole("graphs/fibula.toml", &["--no-record", "--set", &format!("icp.kind={kind}")]);
         let found_mm = ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap();
         // The README rounds to 0.01 mm; a change that moves results further is worth a new line there.
         assert!((found_mm - stated_mm).abs() < 0.02, "{kind}: README.md says {stated_mm} mm, it is {found_mm:.3} mm");

@@ -1,10 +1,7 @@
 //! Recordings compared with the truth: the shipped one, and the development recording if it exists.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::case::{Case, GRAPH};
-use common::{Ran, data, isometry, json, point, run};
+use crate::common::case::{Case, GRAPH};
+use crate::common::{Ran, data, isometry, json, point, run};
 use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
 use osteoflow_geometry::{
     Pose,

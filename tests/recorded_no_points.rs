@@ -1,9 +1,6 @@
 //! Recorded procedures registered by the shape of the bone alone, beside those with three points.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, case::Case, isometry};
+use crate::common::{Ran, case::Case, isometry};
 use osteoflow_formats::mcap_read::{Message, Recording, Topic};
 use osteoflow_formats::message_read::{read_cloud, read_transforms};
 use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};

@@ -1,9 +1,6 @@
 //! A procedure that cannot be completed ends with the reason and the place, and without a pose.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, run};
+use crate::common::{Ran, run};
 use osteoflow_formats::{
     mesh_file, plan_file,
     recording_write::{Layout, Stream, write_recording},

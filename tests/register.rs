@@ -1,9 +1,6 @@
 //! `osteoflow register`: two files, one registration.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::osteoflow;
+use crate::common::{self, osteoflow};
 use osteoflow_algorithms::sample;
 use osteoflow_formats::{
     Space,
@@ -937,6 +934,6 @@ fn the_readme_shows_what_the_command_prints() {
         let (a, b) = (words(a), words(b));
         a.len() != b.len() || !a.iter().zip(&b).all(|(a, b)| alike(a, b))
     });
-    let advice = "`UPDATE=1 cargo test --release --test register` writes it anew";
+    let advice = "`UPDATE=1 cargo test --release --test suite register::` writes it anew";
     assert!(differs.is_none() && readme.lines().count() == printed.lines().count(), "{advice}: {differs:?}\n{printed}");
 }

@@ -1,9 +1,6 @@
 //! The verdict of `osteoflow register`: a sound pose is trusted, and no wrong one is.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::osteoflow;
+use crate::common::osteoflow;
 use osteoflow_algorithms::sample;
 use osteoflow_formats::{cloud_file::write_ply, mesh_file::write_stl};
 use osteoflow_geometry::{

@@ -1,9 +1,6 @@
 //! Recordings: a run is repeated from its recording alone, in part or with changes, and a kill leaves it readable.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
+use crate::common::{is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
 use osteoflow_engine::{Recording, hash::Digest};
 use serde_json::Value;
 use std::{
@@ -37,7 +34,7 @@ fn part_of(answer: &Value, wire: &str) -> (String, Value) {
 }
 
 /// The recording of a run of the recorded procedure.
-fn recorded() -> (common::Ran, PathBuf) {
+fn recorded() -> (crate::common::Ran, PathBuf) {
     let ran = run_whole(RECORDED, &[]);
     let recording = ran.dir.path().join("run.mcap");
     (ran, recording)

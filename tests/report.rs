@@ -1,12 +1,7 @@
 //! The page of a run and of a sweep in a browser.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-#[path = "common/browser.rs"]
-mod browser;
-mod common;
-
-use browser::Browser;
-use common::{osteoflow, run_whole};
+use crate::common::browser::Browser;
+use crate::common::{osteoflow, run_whole};
 use osteoflow_formats::mesh_file::write_stl;
 use osteoflow_geometry::Mesh;
 use osteoflow_simulation::{BoneParams, bone};
@@ -118,7 +113,7 @@ fn a_run_that_gives_other_results_when_repeated_is_not_drawn() {
     let out = swept(dir.path());
     for run in fs::read_dir(out.join("runs")).unwrap() {
         let path = run.unwrap().path();
-        let mut run = common::json(&path);
+        let mut run = crate::common::json(&path);
         run["results"]["icp"]["iterations"] = 1.into();
         fs::write(path, run.to_string()).unwrap();
     }
@@ -150,7 +145,7 @@ fn a_folder_of_neither_a_run_nor_a_sweep_is_a_fault_of_the_command_line() {
 /// A small sweep, in a folder of its own.
 fn swept(dir: &Path) -> std::path::PathBuf {
     let graph = dir.join("sweep.toml");
-    let shipped = common::root().join("graphs/fibula.toml");
+    let shipped = crate::common::root().join("graphs/fibula.toml");
     let text = format!(
         r#"
         extends = "{}"
@@ -256,7 +251,7 @@ fn a_bone_that_cannot_be_simulated_on_is_refused_before_any_sweep_in_the_words_o
         (short, short_plan),
     ];
     let name = "a_bone_that_cannot_be_simulated_on_is_refused_before_any_sweep_in_the_words_of_simulate";
-    if let Some(jaw) = common::data(name, "bones/myosim_jaw.stl") {
+    if let Some(jaw) = crate::common::data(name, "bones/myosim_jaw.stl") {
         let anatomy = jaw.with_file_name("anatomy.json");
         pairs.push((jaw, anatomy));
     }
@@ -349,13 +344,14 @@ fn under<'a>(table: &'a [Vec<String>], head: &str, row: usize) -> &'a str {
 fn the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_readable_comparisons() {
     let dir = tempfile::tempdir().unwrap();
     let graph = dir.path().join("refusing.toml");
-    fs::write(&graph, REFUSING.replace("GRAPH", common::root().join("graphs/fibula.toml").to_str().unwrap())).unwrap();
+    fs::write(&graph, REFUSING.replace("GRAPH", crate::common::root().join("graphs/fibula.toml").to_str().unwrap()))
+        .unwrap();
     let out = dir.path().join("swept");
     osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
     let rows = fs::read_to_string(out.join("runs.csv")).unwrap();
     let n_complete = rows.lines().filter(|row| row.contains("point_to_point") && row.contains(",complete,")).count();
     assert!((4..8).contains(&n_complete), "some of 8 procedures are refused, on either bone the same:\n{rows}");
-    let summary = common::json(&out.join("summary.json"));
+    let summary = crate::common::json(&out.join("summary.json"));
     let page = report(&out);
     let Some(mut browser) = Browser::start(
         "the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_readable_comparisons",

@@ -1,17 +1,9 @@
 //! The pictures of a report are those of the live page, in a browser.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-#[path = "common/browser.rs"]
-mod browser;
-mod common;
-#[path = "common/served.rs"]
-mod served;
-
-use browser::Browser;
-use common::osteoflow;
+use crate::common::browser::Browser;
+use crate::common::osteoflow;
+use crate::common::served::Served;
 use serde_json::{Value, json};
-use served::Served;
 use std::path::{Path, PathBuf};
 
 /// A run of a graph, and its report.

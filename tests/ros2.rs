@@ -1,9 +1,6 @@
 //! A procedure as a bag of ROS 2: the same answer as from Foxglove's messages.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, case::Case, isometry, osteoflow, root, run};
+use crate::common::{Ran, case::Case, isometry, osteoflow, root, run};
 use osteoflow_formats::{
     mcap_read::Recording,
     message_read::{MessageKind, read_cloud, read_pose_in_frame, read_transforms},

@@ -1,9 +1,6 @@
 //! Files and folders of a run, refusals to overwrite, switches, Ctrl-C.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{json, osteoflow, osteoflow_to_spawn, root, run_whole};
+use crate::common::{json, osteoflow, osteoflow_to_spawn, root, run_whole};
 use serde_json::Value;
 use std::{
     fs,

@@ -1,9 +1,6 @@
 //! The schema for editors matches the nodes, every shipped graph fits it, and faulty graphs do not.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{assert_golden, osteoflow, root, shipped_graphs, shipped_modules};
+use crate::common::{assert_golden, osteoflow, root, shipped_graphs, shipped_modules};
 use jsonschema::Validator;
 use serde_json::Value;
 use std::fs;

@@ -1,9 +1,6 @@
 //! The built-in procedure as files for other programs, and as the data that the shipped graphs use.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{json, osteoflow, root, run_whole};
+use crate::common::{json, osteoflow, root, run_whole};
 use serde_json::Value;
 use std::{fs, path::Path};
 
@@ -98,11 +95,11 @@ fn the_data_that_ships_is_what_its_command_makes() {
 fn a_recording_and_a_folder_of_one_procedure_give_the_same_registration() {
     let poses = ["graphs/fibula_recorded.toml", "graphs/fibula_folder.toml"].map(|graph| {
         let ran = run_whole(graph, &["--no-record", "--set", "icp.kind=icp.point_to_plane"]);
-        common::isometry(&ran.results["poses"]["t_ct_world"]["matrix"])
+        crate::common::isometry(&ran.results["poses"]["t_ct_world"]["matrix"])
     });
     let truth = json(&root().join("tests/data/procedure/truth.json"));
     for spot in truth["assessment_W_true"].as_array().unwrap() {
-        let spot = common::point(spot);
+        let spot = crate::common::point(spot);
         let apart = (poses[0] * spot - poses[1] * spot).norm();
         // A recording holds coordinates as 32-bit floats, which moves points by 0.00002 mm; point-to-plane converges within its
         // stop rule of 0.01 mm from either side, and points beside the scan move up to twice as far.
@@ -172,7 +169,7 @@ fn a_recording_with_swapped_scans_has_each_in_the_topic_of_its_label() {
         ["P1", "P2", "P3"]
             .map(|name| {
                 let all = results["laser_points"].as_array().unwrap();
-                common::point(&all.iter().find(|spot| spot["name"] == name).unwrap()["position_mm"])
+                crate::common::point(&all.iter().find(|spot| spot["name"] == name).unwrap()["position_mm"])
             })
             .to_vec()
     };
@@ -192,9 +189,9 @@ fn a_new_procedure_runs_as_it_is_and_its_folder_is_not_overwritten() {
     assert!(printed.contains("SIMULATED") && printed.contains("osteoflow run run.toml"), "{printed}");
     let ran = osteoflow().current_dir(&folder).args(["run", "run.toml", "--out", "left"]).output().unwrap();
     assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
-    let results = common::json(&folder.join("left/results.json"));
+    let results = crate::common::json(&folder.join("left/results.json"));
     assert_eq!(results["verdict"]["answer"], "trusted", "{}", results["verdict"]);
-    let manifest = common::json(&folder.join("left/manifest.json"));
+    let manifest = crate::common::json(&folder.join("left/manifest.json"));
     let paths: Vec<_> = manifest["inputs"].as_array().unwrap().iter().map(|input| input["path"].clone()).collect();
     assert!(paths.contains(&"data/scan.ply".into()), "{paths:?}");
     // The README names every file of the example.

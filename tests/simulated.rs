@@ -1,9 +1,6 @@
 //! The simulated procedure as a whole: keys, accuracy over seeds, determinism, and effects of a swap.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{Ran, isometry, root, run, run_whole};
+use crate::common::{Ran, isometry, root, run, run_whole};
 use osteoflow_engine::{plan::Plan, recording::Recording};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -158,7 +155,7 @@ fn the_exact_ct_surface_is_a_variant_and_says_so() {
 #[test]
 fn on_every_wire_sent_is_received_plus_dropped() {
     let ran = run_whole(GRAPH, &[]);
-    let manifest = common::json(&ran.dir.path().join("manifest.json"));
+    let manifest = crate::common::json(&ran.dir.path().join("manifest.json"));
     let links = manifest["links"].as_array().unwrap();
     assert!(links.len() > 50);
     for link in links {

@@ -1,9 +1,6 @@
 //! The store of cached answers: cold and warm runs are the same to the last bit.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{json, osteoflow, osteoflow_to_spawn, program, root};
+use crate::common::{json, osteoflow, osteoflow_to_spawn, program, root};
 use serde_json::Value;
 use std::{
     fs,
@@ -250,5 +247,8 @@ fn no_test_runs_the_command_with_the_store_of_whoever_runs_it() {
         words.iter().any(|word| text.contains(word))
     };
     let found: Vec<_> = files.iter().filter(calls).collect();
-    assert!(found.is_empty(), "these call the program past common::osteoflow, which turns the store off: {found:?}");
+    assert!(
+        found.is_empty(),
+        "these call the program past crate::common::osteoflow, which turns the store off: {found:?}"
+    );
 }

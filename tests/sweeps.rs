@@ -1,9 +1,6 @@
 //! Sweeps from the command line: stopped and resumed, split and merged, compared, and on a user's bone.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{osteoflow, osteoflow_to_spawn, root};
+use crate::common::{osteoflow, osteoflow_to_spawn, root};
 use serde_json::Value;
 use std::{
     fs,

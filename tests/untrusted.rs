@@ -1,9 +1,6 @@
 //! Files of strangers: what they make a command load, print, write or unpack.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{TOY_GRAPH, build, json, osteoflow_to_spawn, root};
+use crate::common::{TOY_GRAPH, build, json, osteoflow_to_spawn, root};
 use osteoflow_container::{Compression, MessageHeader, WriteOptions, Writer};
 use std::{
     collections::BTreeMap,
@@ -164,7 +161,7 @@ fn bomb(path: &Path, topic: &str, n_messages: u32) -> u64 {
 #[test]
 fn a_small_file_that_unpacks_to_much_is_refused_with_limit_and_place() {
     let folder = Folder::new();
-    let n_messages = if common::is_slow_run() { 34_000_000 } else { 1_000_000 };
+    let n_messages = if crate::common::is_slow_run() { 34_000_000 } else { 1_000_000 };
     let n_bytes = bomb(&folder.path("bomb.mcap"), "/exact/scan.cloud", n_messages);
     assert!(n_bytes < u64::from(n_messages) / 50, "{n_bytes}");
     for command in [&["replay", "bomb.mcap"][..], &["info", "bomb.mcap"]] {
@@ -178,7 +175,7 @@ fn a_small_file_that_unpacks_to_much_is_refused_with_limit_and_place() {
     // Read as a stream, it takes a chunk.
     let (code, out, _) = folder.says(&["validate", "bomb.mcap", "--quiet"]);
     assert!(code == 1 && out.contains("not sound"), "{out}");
-    if common::is_slow_run() {
+    if crate::common::is_slow_run() {
         let (code, _, err) = folder.says(&["replay", "bomb.mcap"]);
         assert!(code == 1 && err.contains("4096 MB of memory"), "{err}");
     }

@@ -1,10 +1,6 @@
 //! The verdict on the results in every command that shows them. A plugin, compiled from C, gives the verdicts.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-mod common;
-
-use common::{build, json, osteoflow, root};
+use crate::common::{build, json, osteoflow, root};
 use serde_json::{Value, json};
 use std::{env::consts::DLL_SUFFIX, fs, path::Path, process::Command};
 
@@ -147,7 +143,7 @@ fn colours_assumptions_and_json_are_given_where_asked_for() {
     assert_eq!((printed.code, &answer["outcome"]["exit_code"]), (3, &3.into()));
     assert_eq!((&answer["verdict"], &answer["icp"]), (&results["verdict"], &results["icp"]));
     let remove = r#"remove=["node.verdict", "node.export", "results.verdict"]"#;
-    let unjudged = common::run("graphs/fibula.toml", &["--no-record", "--set", remove]);
+    let unjudged = crate::common::run("graphs/fibula.toml", &["--no-record", "--set", remove]);
     assert_eq!((unjudged.code, unjudged.results.get("verdict")), (0, None), "nothing judged it");
 }
 

@@ -1,15 +1,8 @@
 //! The page and the stream to viewers: who is let in, what is sent, and what the page shows of it in a browser.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-#[path = "common/browser.rs"]
-mod browser;
-mod common;
-#[path = "common/served.rs"]
-mod served;
-
-use browser::Browser;
-use common::osteoflow;
+use crate::common::browser::Browser;
+use crate::common::osteoflow;
+use crate::common::served::Served;
 use osteoflow_geometry::{
     isometry_from_matrix,
     nalgebra::{Matrix4, Point3},
@@ -19,7 +12,6 @@ use rand_chacha::{
     rand_core::{Rng, SeedableRng},
 };
 use serde_json::{Value, json};
-use served::Served;
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
@@ -590,7 +582,7 @@ fn the_scripts_of_the_page_pass_the_check_of_their_types() {
     fs::create_dir_all(page.join("three")).unwrap();
     let mut n = 0;
     for folder in ["nodes/pages/viewer/page", "nodes/pages/report/page"] {
-        for file in fs::read_dir(common::root().join(folder)).unwrap().map(|entry| entry.unwrap().path()) {
+        for file in fs::read_dir(crate::common::root().join(folder)).unwrap().map(|entry| entry.unwrap().path()) {
             // The loader is a script in the text of a report, without modules and types.
             if file.extension().is_some_and(|ending| ending == "js") && !file.ends_with("loader.js") {
                 fs::copy(&file, page.join(file.file_name().unwrap())).unwrap();
@@ -618,7 +610,7 @@ fn the_scripts_of_the_page_pass_the_check_of_their_types() {
 
 #[test]
 fn the_vendored_files_are_those_of_the_decision() {
-    let root = common::root();
+    let root = crate::common::root();
     let decision =
         fs::read_to_string(root.join("docs/decisions/0032-viewers-are-served-by-a-small-server.md")).unwrap();
     let mut n = 0;

@@ -1,16 +1,9 @@
 //! Picking by hand on the page, as a person does it: clicks, drags, keys and touches in a browser, and the files that come of it. Also the
 //! camera and the frames that the page draws.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-#[path = "common/browser.rs"]
-mod browser;
-mod common;
-#[path = "common/served.rs"]
-mod served;
-
-use browser::Browser;
-use common::{osteoflow, root};
+use crate::common::browser::Browser;
+use crate::common::served::Served;
+use crate::common::{osteoflow, root};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_engine::Recording;
 use osteoflow_formats::{picked_points::read_picked_points, plan_file::read_plan};
@@ -24,7 +17,6 @@ use rand_chacha::{
     rand_core::{Rng, SeedableRng},
 };
 use serde_json::{Value, json};
-use served::Served;
 use std::{
     fs,
     path::{Path, PathBuf},

@@ -1,16 +1,9 @@
 //! The page beside a camera of 20 clouds of 20,000 points a second: two minutes, or 30 with SLOW_TESTS.
 //!
 //! Memory of page and program, and messages lost, decide; times are printed for docs/begin/viewing.md.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-#[path = "common/browser.rs"]
-mod browser;
-mod common;
-#[path = "common/served.rs"]
-mod served;
-
-use browser::Browser;
+use crate::common::browser::Browser;
+use crate::common::served::Served;
 use osteoflow_formats::{
     mesh_file::read_mesh,
     openigtlink::{Affine, Body, Message, PolyData, device_name},
@@ -24,7 +17,6 @@ use rand_chacha::{
     rand_core::{Rng, SeedableRng},
 };
 use serde_json::{Value, json};
-use served::Served;
 use std::{
     fs,
     io::{ErrorKind, Read, Write},
@@ -188,7 +180,7 @@ fn beside_a_fast_camera_memory_stays_and_only_the_viewer_loses_messages() {
     let (address, sender) = camera(all.clone(), Duration::from_secs(20));
     let alone = folder.path().join("alone");
     let graph_file = graph(folder.path(), &address);
-    let ran = common::osteoflow().arg("run").arg(&graph_file).arg("--out").arg(&alone).output().unwrap();
+    let ran = crate::common::osteoflow().arg("run").arg(&graph_file).arg("--out").arg(&alone).output().unwrap();
     assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
     assert_eq!(sender.join().unwrap(), 20 * HZ);
     let (p50, p95, ..) = of_manifest(&alone);

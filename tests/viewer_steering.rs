@@ -1,17 +1,9 @@
 //! A graph that is changed on the page: parameters, kinds, the region of interest; what is refused, and what is written back.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-#![cfg(unix)]
 
-#[path = "common/browser.rs"]
-mod browser;
-mod common;
-#[path = "common/served.rs"]
-mod served;
-
-use browser::Browser;
-use common::osteoflow;
+use crate::common::browser::Browser;
+use crate::common::osteoflow;
+use crate::common::served::Served;
 use serde_json::{Value, json};
-use served::Served;
 use std::{
     fs,
     net::TcpStream,

@@ -1,9 +1,6 @@
 //! `run --watch`: a save runs the graph from the first changed node, and nothing upstream of it.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-mod common;
-
-use common::{json, osteoflow_to_spawn, root, run};
+use crate::common::{json, osteoflow_to_spawn, root, run};
 use serde_json::Value;
 use std::{
     fs,

@@ -1,5 +1,5 @@
 //! The node of docs/extend/writing-a-node.md. A test compares the code on the page with this file.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+#![allow(unreachable_pub, reason = "in a crate of nodes it is public")]
 
 use osteoflow_geometry::{
     Cloud,

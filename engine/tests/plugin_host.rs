@@ -1,10 +1,6 @@
 //! Host functions of plugins: the same nodes, loaded and built in, give the same answers, warnings, reasons and log lines.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-#[path = "plugins/build.rs"]
-#[allow(dead_code, reason = "other tests build in C, too")]
-mod build;
-
+use crate::plugins::build;
 use osteoflow_engine::{
     Recording, ReplayOptions, RunOptions, RunReport, check_text,
     plugin::{Library, provide},

@@ -1,7 +1,6 @@
 //! Loads and runs plugins built for these tests: in C by the system compiler, in Rust as examples of this crate.
 
-#[path = "plugins/build.rs"]
-mod build;
+pub(crate) mod build;
 #[path = "../benches/graph.rs"]
 #[allow(dead_code, reason = "the benches use the rest")]
 mod graph;

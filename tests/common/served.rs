@@ -1,6 +1,6 @@
 //! A command that serves a page, started by a test.
 
-use super::common::osteoflow_to_spawn;
+use super::osteoflow_to_spawn;
 use std::{
     io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
@@ -16,14 +16,12 @@ const LIMIT: Duration = Duration::from_secs(60);
 pub(crate) struct Served {
     child: Child,
     pub(crate) page: String,
-    #[allow(dead_code, reason = "not all tests speak the protocol")]
     pub(crate) stream: String,
     /// What it says after its addresses.
     rest: Option<JoinHandle<String>>,
 }
 
 impl Served {
-    #[allow(dead_code, reason = "not all tests use it")]
     pub(crate) fn start(arguments: &[&str]) -> Self {
         let mut command = osteoflow_to_spawn();
         let mut child = command.args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -44,19 +42,16 @@ impl Served {
     }
 
     /// `127.0.0.1:PORT` and the token.
-    #[allow(dead_code, reason = "not all tests use it")]
     pub(crate) fn parts(&self) -> (&str, &str) {
         self.page.strip_prefix("http://").unwrap().trim_end_matches('/').split_once('/').unwrap()
     }
 
-    #[allow(dead_code, reason = "not all tests use it")]
     /// Its memory, as the system counts it.
     pub(crate) fn resident_bytes(&self) -> f64 {
         let text = std::fs::read_to_string(format!("/proc/{}/statm", self.child.id())).unwrap_or_default();
         text.split(' ').nth(1).and_then(|pages| pages.parse::<f64>().ok()).unwrap_or(0.0) * 4096.0
     }
 
-    #[allow(dead_code, reason = "not all tests use it")]
     /// Interrupts it, and returns what it said.
     pub(crate) fn interrupt_and_read(mut self) -> String {
         let rest = self.rest.take().unwrap();
@@ -64,7 +59,6 @@ impl Served {
         rest.join().unwrap()
     }
 
-    #[allow(dead_code, reason = "not all tests use it")]
     pub(crate) fn interrupt(mut self) -> ExitStatus {
         let pid = self.child.id().to_string();
         assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
@@ -79,7 +73,6 @@ impl Served {
     }
 
     /// Sends bytes and returns all that comes back.
-    #[allow(dead_code, reason = "not all tests use it")]
     pub(crate) fn raw(&self, bytes: &[u8]) -> String {
         let mut connection = TcpStream::connect(self.parts().0).unwrap();
         connection.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
@@ -90,7 +83,6 @@ impl Served {
         String::from_utf8_lossy(&answer).into_owned()
     }
 
-    #[allow(dead_code, reason = "not all tests use it")]
     /// The answer to a request below the page's address, with its head.
     pub(crate) fn ask(&self, method: &str, path: &str, headers: &str, body: &str) -> String {
         let (host, token) = self.parts();
@@ -103,7 +95,6 @@ impl Served {
         )
     }
 
-    #[allow(dead_code, reason = "not all tests use it")]
     pub(crate) fn get(&self, path: &str, headers: &str) -> String {
         let (host, token) = self.parts();
         let host = if headers.contains("Host:") { String::new() } else { format!("Host: {host}\r\n") };

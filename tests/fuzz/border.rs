@@ -1,8 +1,8 @@
 //! Hostile bytes at the border of plugins and processes: what a plugin describes, what it gives, what a process sends.
 #![allow(unsafe_code, reason = "passes views through their C form")]
 
-use crate::seeds::MAX_SEED_BYTES;
-use crate::targets::REGISTRY;
+use super::seeds::MAX_SEED_BYTES;
+use super::targets::REGISTRY;
 use osteoflow_algorithms::target::Target;
 use osteoflow_engine::plugin::{
     InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription, hostile, provide,

@@ -1,8 +1,8 @@
 //! The files that hostile ones are made from.
 
 #[cfg(unix)]
-use crate::border;
-use crate::targets::{IMAGE_SIZE, MESSAGES, Target};
+use super::border;
+use super::targets::{IMAGE_SIZE, MESSAGES, Target};
 use foxglove::{
     Encode,
     messages::{CameraCalibration, CompressedImage, RawImage},

@@ -1,7 +1,7 @@
 //! What is given hostile bytes: each target reads them as a file of a stranger, and may refuse them, but not panic.
 
 #[cfg(unix)]
-use crate::border;
+use super::border;
 use osteoflow_engine::{Recording, check_text, recording::digest::digest, recover::recover, validate::validate};
 use osteoflow_formats::{
     folder::ProcedureFolder,

@@ -1,5 +1,4 @@
 //! Files built byte by byte: each boundary of what is a record, a damage and an end.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_container::{
     Damage, End, Location, MAGIC, MAX_RECORD_BYTES, MESSAGE_HEADER_BYTES, ReadError, Reader, Record, Visitor,

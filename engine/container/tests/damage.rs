@@ -1,5 +1,4 @@
 //! Damaged files: what is intact is read, what is not is named with its place, and nothing is taken for what it is not.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_container::{
     Attachment, Cause, Compression, Damage, End, Location, MAX_RECORD_BYTES, MessageHeader, ReadError, Reader, Record,

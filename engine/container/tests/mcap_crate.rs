@@ -1,5 +1,4 @@
 //! The `mcap` crate as the other side: it reads the files of [`Writer`], and [`Reader`] reads its files.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_container::{
     Attachment, Compression, Damage, End, Location, MessageHeader, Reader, Record, Visitor, WriteOptions, Writer,

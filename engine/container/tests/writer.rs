@@ -1,5 +1,4 @@
 //! What the writer refuses, when it writes, and what a sink that fails leaves.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_container::{
     Attachment, Compression, MAX_RECORD_BYTES, MESSAGE_HEADER_BYTES, MessageHeader, Segments, SharedBytes, Sink,

@@ -1,6 +1,6 @@
 //! Parameters from the command line alone.
 
-use crate::golden::compare;
+use super::golden::compare;
 use osteoflow_engine::check::{CommandLineParam, parameters};
 use osteoflow_toy::stages;
 use serde_json::json;

@@ -1,6 +1,6 @@
 //! Frames of ports that refer to parameters, to each other and to frames by name.
 
-use crate::{golden::compare, own_nodes::registry};
+use super::{golden::compare, own_nodes::registry};
 use osteoflow_engine::{check_text, plan::Plan};
 use std::{fmt::Write, path::Path};
 

@@ -214,5 +214,5 @@ fn the_interface_of_each_module_matches_the_golden_text() {
         };
         all += &format!("{}\n", serde_json::to_string_pretty(&module.description).unwrap());
     }
-    crate::golden::compare(&all, Path::new("tests/check/modules.txt")).unwrap();
+    super::golden::compare(&all, Path::new("tests/check/modules.txt")).unwrap();
 }

@@ -1,4 +1,4 @@
-use crate::golden::compare;
+use super::golden::compare;
 use osteoflow_engine::{
     Checked, check, check_recorded, check_text,
     plan::{Plan, Require},
@@ -256,7 +256,7 @@ fn a_missing_graph_file_is_reported_with_the_nearest_name() {
 fn the_files_that_a_list_names_are_inputs_of_the_run_too() {
     let files = |parameter: &str| {
         let text = format!("[graph]\nformat = 1\n[node.a]\nkind = \"from.listed\"\n{parameter}\n");
-        let checked = check_text(&text, Path::new("tests/data/x.toml"), &[], &crate::own_nodes::registry());
+        let checked = check_text(&text, Path::new("tests/data/x.toml"), &[], &super::own_nodes::registry());
         checked.unwrap_or_else(|faults| panic!("{faults}")).plan.input_files
     };
     let data = std::path::absolute("tests/data").unwrap();

@@ -1,6 +1,6 @@
 //! What is suggested for an input without a wire, and when a node without one never fires.
 
-use crate::own_nodes::registry;
+use super::own_nodes::registry;
 use osteoflow_engine::{Fault, check_text};
 use std::path::Path;
 

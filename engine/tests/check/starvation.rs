@@ -1,6 +1,6 @@
 //! Which joins are warned of because they never fire, or fire once on a stream.
 
-use crate::own_nodes::registry;
+use super::own_nodes::registry;
 use osteoflow_engine::check_text;
 use std::path::Path;
 

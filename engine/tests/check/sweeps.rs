@@ -1,6 +1,6 @@
 //! The contents of `[sweep]` as they are read.
 
-use crate::golden::compare;
+use super::golden::compare;
 use osteoflow_engine::check_text;
 use osteoflow_toy::stages;
 use std::path::Path;

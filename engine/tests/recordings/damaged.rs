@@ -1,7 +1,7 @@
 //! Readers of damaged files return a result or an error. They neither panic nor loop forever, and allocate memory in
 //! proportion to the size of the file.
 
-use crate::{
+use super::{
     rewrite::{Draw, Layout, copy},
     toy::{record, registry},
 };

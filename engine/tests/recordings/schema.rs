@@ -1,6 +1,6 @@
 //! Recordings with payloads that are unknown to the program; the file has their schemas.
 
-use crate::{
+use super::{
     rewrite::{Layout, rewrite, rewrite_about},
     toy::{checked, record, registry},
 };

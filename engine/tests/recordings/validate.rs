@@ -1,4 +1,4 @@
-use crate::{
+use super::{
     rewrite::{Layout, copy, rewrite},
     toy::{record, registry},
 };

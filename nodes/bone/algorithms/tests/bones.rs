@@ -1,10 +1,6 @@
 //! Registration and hole detection on real bones seen by one camera.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-
-mod common;
-
-use common::{Bone, CLEAN, Noise, USUAL, apart, bones, displaced, own_bone};
+use crate::common::{Bone, CLEAN, Noise, USUAL, apart, bones, displaced, own_bone};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::coarse::{GlobalError, GlobalParams, global};
 use osteoflow_algorithms::hole::{self, Hole, HoleError, HoleParams};
@@ -183,7 +179,7 @@ fn nearly_ten_kilometres_from_the_origin_the_answer_is_the_same() {
 #[test]
 fn the_recipe_finds_the_landmarks_of_the_development_plan() {
     let test = "the_recipe_finds_the_landmarks_of_the_development_plan";
-    let Some(path) = common::data(test, "recordings/procedure_dev.plan.json") else { return };
+    let Some(path) = crate::common::data(test, "recordings/procedure_dev.plan.json") else { return };
     let Some(bone) = bones(test).into_iter().next() else { return };
     let plan: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let anatomy = Anatomy {

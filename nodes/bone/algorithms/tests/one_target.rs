@@ -1,7 +1,5 @@
 //! One target, asked by many at once.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::SurfaceOrigin;

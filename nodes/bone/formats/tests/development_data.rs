@@ -1,5 +1,4 @@
 //! Reads files of other programs; each test is skipped if the development data is missing.
-#![allow(clippy::unwrap_used)]
 
 use nalgebra::{Point3, Vector3};
 use osteoflow_formats::{

@@ -1,5 +1,4 @@
 //! Each field of a NIfTI header changes the volume as it says, or is refused by its name.
-#![allow(clippy::unwrap_used)]
 
 use nalgebra::{Matrix4, Point3};
 use osteoflow_formats::volume::{VolumeOptions, VolumeRead, VoxelUnit, read_volume};

@@ -2,7 +2,6 @@
 //!
 //! The doors that do not read files have their tests beside them: payloads of plugins, processes and exact recordings in
 //! `nodes/kinds/payloads`, live sources in `nodes/kinds/standard`.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use foxglove::{
     Encode,

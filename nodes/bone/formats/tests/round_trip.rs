@@ -1,5 +1,4 @@
 //! A recording gives the same procedure in every layout.
-#![allow(clippy::unwrap_used)]
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_formats::{

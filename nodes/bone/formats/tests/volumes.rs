@@ -1,5 +1,4 @@
 //! Volumes written by the tests in every format give the same voxels at the same places; damaged ones are refused.
-#![allow(clippy::unwrap_used)]
 
 use flate2::{Compression, write::DeflateEncoder, write::GzEncoder};
 use nalgebra::{Matrix3, Matrix4, Point3, Rotation3, Vector3, Vector4};

@@ -1,7 +1,5 @@
 //! The terms that are off by default: what each does, and that it does nothing else.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Points, Pose};

@@ -4,10 +4,6 @@
 //! take other bones and seeds.
 //! With `SLOW_TESTS` they take more seeds.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use nalgebra::Point3;
 use osteoflow_algorithms::coarse::{CoarseError, DoubtParams, confirm, three_point};
 use osteoflow_algorithms::hole::{Hole, HoleError, HoleParams, cloud_difference, range_image};
@@ -28,7 +24,7 @@ fn subjects(test: &str) -> Vec<(String, Subject)> {
         (format!("built-in {shape_seed}"), Subject::built_in(&params.bone).unwrap())
     });
     let name = "MC22_fibula_r";
-    let measured = common::measured_bone(name).map(|(bone, anatomy)| {
+    let measured = crate::common::measured_bone(name).map(|(bone, anatomy)| {
         let plan = plan(&bone, &anatomy).unwrap();
         (name.to_owned(), Subject::of(bone, plan).unwrap())
     });

@@ -1,9 +1,5 @@
 //! Mistakes that a procedure can contain: what each does, and that it does nothing else.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Pose};
@@ -314,7 +310,7 @@ fn poses_of_camera_and_world_differ_from_seed_to_seed() {
 fn bumps_of_the_ct_have_their_size_on_the_built_in_bone_and_on_measured_ones() {
     let mut bones = vec![("built-in", Subject::built_in(&BoneParams::default()).unwrap().bone().clone())];
     for name in ["TLEM2_CT_fibula_r", "MC22_fibula_r"] {
-        match common::measured_bone(name) {
+        match crate::common::measured_bone(name) {
             Some((bone, _)) => bones.push((name, bone)),
             None => println!("skipped: {name}: no development data"),
         }

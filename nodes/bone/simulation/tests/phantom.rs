@@ -2,11 +2,7 @@
 //!
 //! Limits were chosen on scans of seeds 0 to 2; the tests take others. With `SLOW_TESTS` they take more of them.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
-use common::phantom_scan::{PhantomScan, PhantomShot, nominal};
+use crate::common::phantom_scan::{PhantomScan, PhantomShot, nominal};
 use osteoflow_algorithms::calibrate::{CalibrationError, PhantomFit, PhantomParams, phantom_icp};
 use osteoflow_geometry::Mesh;
 use osteoflow_geometry::nalgebra::{Matrix6, Point3, Vector6};
@@ -14,8 +10,8 @@ use osteoflow_simulation::phantom;
 
 /// The built-in phantom, and the one of the development data where it is at hand.
 fn phantoms(test: &str) -> Vec<(&'static str, Mesh)> {
-    let path = common::data_folder().map(|folder| folder.join("bones/calibration_phantom.stl"));
-    let own = path.and_then(|path| common::stl(&path, "phantom"));
+    let path = crate::common::data_folder().map(|folder| folder.join("bones/calibration_phantom.stl"));
+    let own = path.and_then(|path| crate::common::stl(&path, "phantom"));
     if own.is_none() {
         println!("skipped: {test} on the phantom of the development data");
     }

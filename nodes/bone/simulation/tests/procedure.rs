@@ -1,9 +1,5 @@
 //! What a simulated procedure promises, measured from its clouds and streams against the exact surface.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use osteoflow_algorithms::hole::{HoleParams, cloud_difference};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
@@ -320,7 +316,7 @@ fn with_surroundings_the_region_still_holds_the_bone_and_a_crop_takes_most_of_th
 fn a_measured_bone_and_another_phantom_can_be_simulated_on() {
     const NAME: &str = "a_measured_bone_and_another_phantom_can_be_simulated_on";
     for name in ["TLEM2_CT_fibula_r", "MC22_fibula_r"] {
-        let Some((bone, anatomy)) = common::measured_bone(name) else {
+        let Some((bone, anatomy)) = crate::common::measured_bone(name) else {
             println!("skipped: {NAME}: no development data");
             return;
         };

@@ -3,8 +3,6 @@
 //! The detector's limits were set before any run, and a fault of its fit was mended on seeds 100 and 101; the tests take other seeds.
 //! With `SLOW_TESTS` they take more.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
 use nalgebra::{Isometry3, Point3};
 use osteoflow_algorithms::hole::{
     Hole, HoleError, HoleParams, Mark, RgbSpotError, RgbSpotParams, boundary, cloud_difference, range_image, rgb_spot,

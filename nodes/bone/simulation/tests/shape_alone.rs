@@ -4,12 +4,8 @@
 //! and surface. No threshold was chosen on the built-in bones 2 and 4 and `myosim_fibula_r`; TLEM2 and MC22 were among the
 //! bones on which the verdict's were.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
-use common::bench::{built_in, measured, target_of};
-use common::{data_folder, stl};
+use crate::common::bench::{built_in, measured, target_of};
+use crate::common::{data_folder, stl};
 use osteoflow_algorithms::coarse::{CLEAR, GlobalParams, global};
 use osteoflow_algorithms::icp::{self, IcpFit, IcpParams, IcpReport, Method};
 use osteoflow_algorithms::target::Target;

@@ -1,13 +1,9 @@
 //! What a slide profile finds on built-in and measured bones.
 //!
-//! `SLOW_TESTS=1 cargo test --release -p osteoflow-simulation --test slide -- --nocapture` prints the tables of
+//! `SLOW_TESTS=1 cargo test --release -p osteoflow-simulation --test suite slide:: -- --nocapture` prints the tables of
 //! docs/method/sliding.md.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
-use common::bench::{Bench, built_in, measured};
+use crate::common::bench::{Bench, built_in, measured};
 use osteoflow_algorithms::icp::{self, IcpParams, Method, PublishedParams, PublishedReading, register_published};
 use osteoflow_algorithms::slide::{SlideFit, SlideParams, slide};
 use osteoflow_geometry::nalgebra::{Isometry3, Vector3};

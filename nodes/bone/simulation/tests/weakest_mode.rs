@@ -1,11 +1,7 @@
 //! The weakest mode of the built-in bone beside those of measured ones.
 //!
-//! `cargo test --release -p osteoflow-simulation --test weakest_mode -- --nocapture` prints the table of
+//! `cargo test --release -p osteoflow-simulation --test suite weakest_mode:: -- --nocapture` prints the table of
 //! docs/method/simulation.md.
-
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
 
 use osteoflow_geometry::nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh};
@@ -40,7 +36,7 @@ fn the_built_in_bones_weakest_mode_lies_in_the_range_of_the_measured_bones() {
     });
     let own: Vec<[f64; 3]> = own.collect();
     let measured = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().map(|name| {
-        let (bone, anatomy) = common::measured_bone(name)?;
+        let (bone, anatomy) = crate::common::measured_bone(name)?;
         Some(row(name, &bone, &anatomy))
     });
     let Some(measured) = measured.collect::<Option<Vec<[f64; 3]>>>() else {

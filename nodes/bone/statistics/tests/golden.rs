@@ -1,5 +1,4 @@
 //! Known answers of scipy, statsmodels and numpy for the same data, printed by `golden.py`.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_statistics::*;
 use serde_json::Value;

@@ -1,5 +1,4 @@
 //! Properties for any table: independence of the order of rows, effects of clustering, and coverage of intervals.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use std::time::Instant;
 

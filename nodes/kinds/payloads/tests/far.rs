@@ -1,6 +1,4 @@
 //! Coordinates beyond 10 km at the border of plugins, processes and exact recordings.
-#![cfg(feature = "algorithms")]
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{

@@ -1,8 +1,6 @@
 //! The heads of `osteoflow_geometry.h` lie as the schemas of the payloads say, in C and in C++: the golden file, and the
 //! assertions that the header makes with it. `UPDATE=1` rewrites the two texts; a changed line is a changed payload, whose
 //! version then rises.
-#![cfg(feature = "algorithms")]
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 use osteoflow_node::{ColumnType, EntryType, PayloadType, Registry, abi};
 use std::{fmt::Write, fs, path::Path, process::Command};

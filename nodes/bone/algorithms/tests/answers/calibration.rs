@@ -1,7 +1,7 @@
 //! Calibrations to a phantom of blocks, and pivots of a stylus.
 
-use super::common::displaced;
 use super::text::{golden, line, motion, outcome};
+use crate::common::displaced;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::calibrate::{PhantomParams, equation_1, nominal_t_camera_phantom, phantom_icp, pivot};
 use osteoflow_algorithms::mesh_query::MeshQuery;

@@ -1,8 +1,8 @@
 //! What prepares a cloud: selections, averages, normals.
 
 use super::BONE;
-use super::common::{USUAL, displaced};
 use super::text::{golden, indices, line, motion, outcome, points, vectors};
+use crate::common::{USUAL, displaced};
 use nalgebra::{Isometry3, Point2, Point3, Unit, Vector3};
 use osteoflow_algorithms::merge::merge;
 use osteoflow_algorithms::normals::{NormalParams, estimate, of_surface};

@@ -146,7 +146,7 @@ fn points_and_surfaces_have_the_errors_they_had() {
     text += &line("pose error", &metrics::pose_error(&slip(), &Point3::new(10.0, 20.0, -30.0)));
     text += &outcome("error at points", &error_at_points(&target, &source, &slip()).map(|t| motion(&t)));
     text += &outcome("at two points", &error_at_points(&target[..2], &source[..2], &slip()).map(|t| motion(&t)));
-    let scan = BONE.scan(&BONE.camera(150.0), [130.0, 170.0], 2.0, &super::common::USUAL, None, 3);
+    let scan = BONE.scan(&BONE.camera(150.0), [130.0, 170.0], 2.0, &crate::common::USUAL, None, 3);
     for mm in [0.3, 1.0, 5.0] {
         text += &outcome(format!("surface {mm}"), &metrics::surface_residual(&TARGET, scan.points(), &slip(), mm));
     }

@@ -1,8 +1,8 @@
 //! Closest-point fields of the own bone.
 
-use super::common::displaced;
 use super::text::{golden, line, outcome};
 use super::{BONE, TARGET};
+use crate::common::displaced;
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::field::{ClosestPointField, FieldColumns, FieldParams};
 

@@ -1,8 +1,8 @@
 //! Registrations of a scan of the own bone.
 
-use super::common::{Noise, USUAL, displaced};
 use super::text::{golden, line, motion, outcome, points};
 use super::{BONE, TARGET};
+use crate::common::{Noise, USUAL, displaced};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::coarse::{self, GlobalParams, global};
 use osteoflow_algorithms::field::{ClosestPointField, FieldParams};

@@ -1,8 +1,8 @@
 //! Laser holes in scans of the own bone.
 
 use super::BONE;
-use super::common::{CLEAN, Noise, USUAL, displaced};
 use super::text::{golden, outcome};
+use crate::common::{CLEAN, Noise, USUAL, displaced};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::hole::{Hole, HoleError, HoleParams, boundary, cloud_difference, range_image};
 use osteoflow_geometry::Cloud;

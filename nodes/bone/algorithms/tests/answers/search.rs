@@ -1,8 +1,8 @@
 //! Rays, closest points and nearest samples of the own bone.
 
-use super::common::displaced;
 use super::text::{golden, line, motion, outcome};
 use super::{BONE, TARGET};
+use crate::common::displaced;
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::mesh_topology::{largest_component, open_edges};
 use osteoflow_algorithms::nearest::Nearest;

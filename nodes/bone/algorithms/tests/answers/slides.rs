@@ -1,8 +1,8 @@
 //! Slide profiles of scans on shafts of more and less shape.
 
-use super::common::{CLEAN, USUAL, displaced};
 use super::text::{golden, line, motion, outcome, vectors};
 use super::{BONE, TARGET};
+use crate::common::{CLEAN, USUAL, displaced};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::slide::{SlideFit, SlideParams, SlideProfile, slide};
 use osteoflow_algorithms::target::Target;

@@ -1,9 +1,9 @@
 //! Laser spots and pen marks in colour images of the own bone.
 
 use super::BONE;
-use super::common::CLEAN;
 use super::holes::{scan, spot};
 use super::text::{golden, outcome};
+use crate::common::CLEAN;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::hole::{Mark, RgbSpotParams, rgb_spot};
 use osteoflow_geometry::{Image, Intrinsics};

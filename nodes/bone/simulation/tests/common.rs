@@ -1,9 +1,4 @@
 //! The development data, where they are at hand, and scans of a phantom.
-#![allow(
-    dead_code,
-    clippy::unwrap_used,
-    reason = "each test file uses some of it, and a failed unwrap is a failed test"
-)]
 
 pub(crate) mod bench;
 pub(crate) mod phantom_scan;

@@ -1,5 +1,4 @@
 //! Reading recordings: digests, validation, differences and recovery of damaged files.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod damaged;
 mod diff;

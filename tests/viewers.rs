@@ -1,11 +1,8 @@
 //! What a viewer makes of `run.mcap`: read with the libraries of viewers, not with ours.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-#[path = "../common/mod.rs"]
-mod common;
 mod file;
 
-use common::{isometry, json, point, run, run_whole};
+use crate::common::{isometry, json, point, run, run_whole};
 use file::{Edge, File, median};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{

@@ -3,12 +3,8 @@
 //! A changed line is a changed result, which the commit explains in numbers. The inputs are the project's own bone and analytic shapes,
 //! with noise from seeds. Numbers are printed to six digits, so the last bits of a machine's sines do not matter.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-
 mod calibration;
 mod clouds;
-#[path = "../common/mod.rs"]
-mod common;
 mod cuts;
 mod field;
 mod fits;
@@ -19,7 +15,7 @@ mod spots;
 mod text;
 mod volumes;
 
-use common::{Bone, own_bone};
+use crate::common::{Bone, own_bone};
 use osteoflow_algorithms::target::Target;
 use std::sync::LazyLock;
 

@@ -1,11 +1,4 @@
 //! Bones from files and what a camera sees of them.
-#![allow(
-    dead_code,
-    unreachable_pub,
-    missing_docs,
-    clippy::unwrap_used,
-    reason = "a helper of tests, each using its own part"
-)]
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
@@ -18,7 +11,7 @@ use rand_distr::{Distribution, Normal, UnitSphere};
 use std::path::PathBuf;
 
 /// The folder of development data, or a line saying that the test is skipped.
-pub fn data(test: &str, file: &str) -> Option<PathBuf> {
+pub(crate) fn data(test: &str, file: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("OSTEOFLOW_DATA")
         .map(PathBuf::from)
         .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data"));
@@ -31,7 +24,7 @@ pub fn data(test: &str, file: &str) -> Option<PathBuf> {
 }
 
 /// A binary STL in mm.
-pub fn stl(path: &PathBuf, frame: &str) -> Mesh {
+pub(crate) fn stl(path: &PathBuf, frame: &str) -> Mesh {
     let bytes = std::fs::read(path).unwrap();
     let n = u32::from_le_bytes(bytes[80..84].try_into().unwrap()) as usize;
     let number = |at: usize| f64::from(f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()));
@@ -45,18 +38,18 @@ pub fn stl(path: &PathBuf, frame: &str) -> Mesh {
 }
 
 /// A bone, where its malleolus tip is and how it lies.
-pub struct Bone {
-    pub name: &'static str,
-    pub mesh: Mesh,
-    pub query: MeshQuery,
-    pub tip: Point3<f64>,
-    pub proximal: Vector3<f64>,
-    pub lateral: Vector3<f64>,
-    pub posterior: Vector3<f64>,
+pub(crate) struct Bone {
+    pub(crate) name: &'static str,
+    pub(crate) mesh: Mesh,
+    pub(crate) query: MeshQuery,
+    pub(crate) tip: Point3<f64>,
+    pub(crate) proximal: Vector3<f64>,
+    pub(crate) lateral: Vector3<f64>,
+    pub(crate) posterior: Vector3<f64>,
 }
 
 /// The two finely described bones of the development data.
-pub fn bones(test: &str) -> Vec<Bone> {
+pub(crate) fn bones(test: &str) -> Vec<Bone> {
     ["TLEM2_CT_fibula_r", "MC22_fibula_r"]
         .into_iter()
         .filter_map(|name| {
@@ -81,7 +74,7 @@ pub fn bones(test: &str) -> Vec<Bone> {
 }
 
 /// The simulated bone in the project's own test data, which every clone has; its directions are its principal axes.
-pub fn own_bone() -> Bone {
+pub(crate) fn own_bone() -> Bone {
     let mesh = stl(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../tests/data/folder/bone.stl"), "ct");
     let n = mesh.vertices().len() as f64;
     let middle = mesh.vertices().iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
@@ -97,19 +90,19 @@ pub fn own_bone() -> Bone {
 }
 
 /// What spoils a scan.
-pub struct Noise {
-    pub depth_mm: f64,
-    pub dropout: f64,
-    pub n_patches: usize,
-    pub patch_radius_mm: f64,
+pub(crate) struct Noise {
+    pub(crate) depth_mm: f64,
+    pub(crate) dropout: f64,
+    pub(crate) n_patches: usize,
+    pub(crate) patch_radius_mm: f64,
 }
 
-pub const CLEAN: Noise = Noise { depth_mm: 0.0, dropout: 0.0, n_patches: 0, patch_radius_mm: 0.0 };
-pub const USUAL: Noise = Noise { depth_mm: 0.05, dropout: 0.02, n_patches: 3, patch_radius_mm: 1.2 };
+pub(crate) const CLEAN: Noise = Noise { depth_mm: 0.0, dropout: 0.0, n_patches: 0, patch_radius_mm: 0.0 };
+pub(crate) const USUAL: Noise = Noise { depth_mm: 0.05, dropout: 0.02, n_patches: 3, patch_radius_mm: 1.2 };
 
 impl Bone {
     /// The camera's pose 200 mm from the shaft, looking at a height above the tip between lateral and posterior.
-    pub fn camera(&self, height_mm: f64) -> Isometry3<f64> {
+    pub(crate) fn camera(&self, height_mm: f64) -> Isometry3<f64> {
         let at = self.tip + self.proximal * height_mm;
         let out = (self.lateral + self.posterior).normalize();
         let middle = self.query.cast_ray(&(at + out * 100.0), &-out).map_or(at, |hit| hit.point);
@@ -122,7 +115,7 @@ impl Bone {
 
     /// What the camera sees between two heights above the tip, on a grid of `step_mm` at 200 mm, in the CT frame; a
     /// laser spot leaves a disc out.
-    pub fn scan(
+    pub(crate) fn scan(
         &self,
         t_ct_camera: &Isometry3<f64>,
         heights_mm: [f64; 2],
@@ -164,14 +157,14 @@ impl Bone {
     }
 
     /// Samples of the whole surface, with normals.
-    pub fn target(&self, n: usize) -> Target {
+    pub(crate) fn target(&self, n: usize) -> Target {
         let samples = sample::surface(&self.mesh, n, &mut ChaCha8Rng::seed_from_u64(7));
         Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap()
     }
 }
 
 /// A motion about `centre` of the given size in a random direction.
-pub fn displaced(centre: &Point3<f64>, mm: f64, rad: f64, seed: u64) -> Isometry3<f64> {
+pub(crate) fn displaced(centre: &Point3<f64>, mm: f64, rad: f64, seed: u64) -> Isometry3<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut direction = || Vector3::from(UnitSphere.sample(&mut rng));
     let turn = UnitQuaternion::from_scaled_axis(direction() * rad);
@@ -180,6 +173,6 @@ pub fn displaced(centre: &Point3<f64>, mm: f64, rad: f64, seed: u64) -> Isometry
 }
 
 /// RMS distance between the points moved by two motions, mm.
-pub fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>, points: &[Point3<f64>]) -> f64 {
+pub(crate) fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>, points: &[Point3<f64>]) -> f64 {
     (points.iter().map(|p| (a * p - b * p).norm_squared()).sum::<f64>() / points.len() as f64).sqrt()
 }

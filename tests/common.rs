@@ -1,11 +1,15 @@
 //! Helpers of the tests of the command.
-#![allow(dead_code, reason = "each test file is a crate of its own and uses its part")]
+#![cfg_attr(not(unix), allow(dead_code, reason = "some serve tests for Unix alone"))]
 
+#[cfg(unix)]
+pub(crate) mod apart;
+pub(crate) mod browser;
 /// Builds plugins.
-#[path = "../../engine/tests/plugins/build.rs"]
+#[path = "../engine/tests/plugins/build.rs"]
 pub(crate) mod build;
 pub(crate) mod case;
 pub(crate) mod python;
+pub(crate) mod served;
 
 use assert_cmd::Command;
 use osteoflow_geometry::{

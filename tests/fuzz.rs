@@ -1,10 +1,7 @@
 //! Hostile bytes for every reader: a bounded number of mutated files from fixed seeds (docs/use/security.md).
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 #[cfg(unix)]
 mod border;
-#[path = "../common/mod.rs"]
-mod common;
 mod seeds;
 mod targets;
 
@@ -62,7 +59,7 @@ fn each_target_takes_what_is_sound() {
     let mut missing = Vec::new();
     for target in TARGETS {
         let folder = tempfile::tempdir().unwrap();
-        let seeds = seeds(target, common::root());
+        let seeds = seeds(target, crate::common::root());
         let taken = seeds.iter().filter(|(ending, bytes)| read_as(target, ending, bytes, folder.path()));
         let taken: Vec<_> = taken.map(|(ending, _)| &**ending).collect();
         println!("{}: {} of {} seeds are taken", target.name, taken.len(), seeds.len());
@@ -78,10 +75,10 @@ fn each_target_takes_what_is_sound() {
 
 #[test]
 fn no_reader_panics_on_hostile_bytes() {
-    let n_rounds = if common::is_slow_run() { 20_000 } else { 250 };
+    let n_rounds = if crate::common::is_slow_run() { 20_000 } else { 250 };
     for target in TARGETS {
         let folder = tempfile::tempdir().unwrap();
-        let seeds = seeds(target, common::root());
+        let seeds = seeds(target, crate::common::root());
         let mut rng = ChaCha8Rng::seed_from_u64(22);
         for round in 0..n_rounds {
             let (ending, seed) = &seeds[rng.random_range(0..seeds.len())];

@@ -1,10 +1,13 @@
 //! Allowed dependencies between crates, and between the modules of the engine: the arrows of docs/project/architecture.md, checked
 //! against the manifests and the sources.
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod floors;
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::Path,
+};
 
 /// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
 const ARROWS: [(&str, &str, &[&str]); 17] = [
@@ -111,4 +114,23 @@ fn the_engine_names_no_bone_point_or_frame() {
     let geometric = ["nalgebra", "kiddo", "wide", "foxglove"];
     let beyond: Vec<_> = found.iter().filter(|d| geometric.contains(&d.as_str())).collect();
     assert!(beyond.is_empty(), "engine depends on {beyond:?}");
+}
+
+/// Cargo finds no tests by itself where a crate has one program for all.
+#[test]
+fn every_file_of_tests_is_part_of_a_program_of_tests() {
+    for folder in ARROWS.map(|(_, folder, _)| folder).into_iter().chain(["."]) {
+        let tests = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder).join("tests");
+        let manifest = manifest(folder);
+        let Some(programs) = manifest.get("test").and_then(|tests| tests.as_array()) else { continue };
+        let programs = programs.iter().map(|program| program["name"].as_str().unwrap().to_owned());
+        let suite = fs::read_to_string(tests.join("suite.rs")).unwrap();
+        let modules = suite.lines().filter_map(|line| line.strip_prefix("mod ")?.strip_suffix(';').map(str::to_owned));
+        let known: BTreeSet<String> = programs.chain(modules).collect();
+        for file in fs::read_dir(&tests).unwrap().map(|entry| entry.unwrap().path()) {
+            let name = file.file_stem().unwrap().to_str().unwrap();
+            let is_known = file.extension().is_none_or(|extension| extension != "rs") || known.contains(name);
+            assert!(is_known, "{} never runs: {folder}/tests/suite.rs has no \"mod {name};\"", file.display());
+        }
+    }
 }

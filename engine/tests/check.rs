@@ -1,8 +1,5 @@
 //! Golden tests of `check`: the exact message of each fault, and the plans of valid graphs. `UPDATE=1` rewrites them.
 
-#![allow(missing_docs, reason = "a test has no readers of its docs")]
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
-
 mod command_line_params;
 mod damage;
 mod frames;

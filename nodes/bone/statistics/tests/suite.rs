@@ -1,0 +1,5 @@
+//! The tests of this crate, as one program.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod golden;
+mod properties;

@@ -1,0 +1,74 @@
+//! The tests of the command and of the shipped files, as one program: what they share is compiled and linked once.
+//!
+//! A file beside this one is a module here; `arrows` holds that none is left out.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
+
+mod arrows;
+mod broken_graphs;
+#[cfg(unix)]
+mod clusters;
+mod command_line;
+mod common;
+mod dependencies;
+#[cfg(target_os = "linux")]
+mod disk;
+mod drawing;
+mod experiments;
+mod export;
+mod failures;
+mod foxglove_ws;
+mod fuzz;
+mod graphs;
+mod images;
+mod info;
+mod live;
+mod live_joins;
+mod live_overload;
+mod modules;
+mod new_plugin;
+mod new_plugin_like;
+mod node_docs;
+mod openigtlink;
+mod openigtlink_python;
+mod own_bone;
+mod paper;
+#[cfg(unix)]
+mod plugins;
+mod plugins_c;
+mod privacy;
+#[cfg(unix)]
+mod processes;
+#[cfg(unix)]
+mod python_nodes;
+mod python_package;
+mod readme;
+mod recorded;
+mod recorded_no_points;
+mod refusals;
+mod register;
+mod register_verdict;
+mod replay;
+mod report;
+#[cfg(unix)]
+mod report_pictures;
+mod ros2;
+mod run_folder;
+mod schema;
+mod simulate;
+mod simulated;
+mod store;
+mod sweeps;
+mod untrusted;
+#[cfg(unix)]
+mod verdicts;
+#[cfg(unix)]
+mod viewer;
+#[cfg(unix)]
+mod viewer_picking;
+#[cfg(unix)]
+mod viewer_soak;
+#[cfg(unix)]
+mod viewer_steering;
+mod viewers;
+mod watch;
+mod writing_a_node;
