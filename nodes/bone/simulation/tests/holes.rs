@@ -70,19 +70,19 @@ fn is_confirmed(procedure: &Procedure, k: usize, hole: &Hole) -> bool {
 #[test]
 fn a_spot_at_the_silhouette_counts_where_the_plan_confirms_it() {
     const NAME: &str = "a_spot_at_the_silhouette_counts_where_the_plan_confirms_it";
-    for (detector, detect) in DETECTORS {
-        let (mut n, mut refused, mut second, mut unconfirmed) = (0, 0, 0, 0);
-        for (name, subject) in subjects(NAME) {
-            // From the side on which one landmark comes near the silhouette, and from the other.
-            for azimuth_deg in [30.0, 45.0] {
-                let mut params = ProcedureParams::default();
-                params.camera.view_azimuth_deg = azimuth_deg;
-                for procedure in procedures(&subject, &params) {
-                    let spots = spots(&procedure);
+    let mut tallies = [(0, 0, 0, 0); DETECTORS.len()];
+    for (name, subject) in subjects(NAME) {
+        // From the side on which one landmark comes near the silhouette, and from the other.
+        for azimuth_deg in [30.0, 45.0] {
+            let mut params = ProcedureParams::default();
+            params.camera.view_azimuth_deg = azimuth_deg;
+            for procedure in procedures(&subject, &params) {
+                let spots = spots(&procedure);
+                for ((detector, detect), (n, refused, second, unconfirmed)) in DETECTORS.iter().zip(&mut tallies) {
                     for (k, cloud) in procedure.laser.iter().enumerate() {
-                        n += 1;
+                        *n += 1;
                         let Ok(hole) = detect(&procedure.scan, cloud, &HoleParams::default()) else {
-                            refused += 1;
+                            *refused += 1;
                             continue;
                         };
                         if hole.report.tier == 1 {
@@ -95,13 +95,15 @@ fn a_spot_at_the_silhouette_counts_where_the_plan_confirms_it() {
                         assert!(mm < (uncertainty_mm + 0.5).max(0.8), "{what}: {mm:.2} mm from the spot");
                         let (least, enough) = (0.14, 0.4);
                         assert!((least..enough).contains(&hole.confidence), "{what}");
-                        second += 1;
+                        *second += 1;
                         // The laser was aimed more than 2 mm beside the mark.
-                        unconfirmed += usize::from(!is_confirmed(&procedure, k, &hole));
+                        *unconfirmed += usize::from(!is_confirmed(&procedure, k, &hole));
                     }
                 }
             }
         }
+    }
+    for ((detector, _), (n, refused, second, unconfirmed)) in DETECTORS.iter().zip(tallies) {
         println!(
             "{detector}: {n} spots, {second} of the second tier, {unconfirmed} not confirmed, {refused} not found"
         );
@@ -169,15 +171,15 @@ fn nearly_every_spot_that_the_screen_shows_is_found_and_none_is_off() {
         let mut params = ProcedureParams::default();
         params.laser.max_attempts = 3;
         change(&mut params);
-        for (detector, detect) in DETECTORS {
-            let (mut n, mut refused) = (0, 0);
-            for (name, subject) in subjects(NAME) {
-                for procedure in procedures(&subject, &params) {
-                    let (scan, spots) = (cropped(&procedure), spots(&procedure));
+        let mut tallies = [(0, 0); DETECTORS.len()];
+        for (name, subject) in subjects(NAME) {
+            for procedure in procedures(&subject, &params) {
+                let (scan, spots) = (cropped(&procedure), spots(&procedure));
+                for ((detector, detect), (n, refused)) in DETECTORS.iter().zip(&mut tallies) {
                     for (k, cloud) in procedure.laser.iter().enumerate() {
-                        n += 1;
+                        *n += 1;
                         let Ok(hole) = detect(&scan, cloud, &HoleParams::default()) else {
-                            refused += 1;
+                            *refused += 1;
                             continue;
                         };
                         // A film lifts the spot along the line of sight.
@@ -188,6 +190,8 @@ fn nearly_every_spot_that_the_screen_shows_is_found_and_none_is_off() {
                     }
                 }
             }
+        }
+        for ((detector, _), (n, refused)) in DETECTORS.iter().zip(tallies) {
             println!("{condition}, {detector}: {refused} of {n} are not found");
             assert!(n >= 30 && refused * 10 <= n, "{condition}, {detector}: {refused} of {n} are not found");
         }
@@ -200,17 +204,17 @@ fn spots_are_found_in_sparse_scans_as_far_as_the_detector_can() {
     for (n_points, least_share) in [(5000, 0.8), (3000, 0.5)] {
         let mut params = ProcedureParams::default();
         params.camera.n_points = n_points;
-        for (detector, detect) in DETECTORS {
-            let (mut n, mut n_confident, mut errors) = (0, 0, Vec::new());
-            for (name, subject) in subjects(NAME) {
-                for procedure in procedures(&subject, &params) {
-                    let spots = spots(&procedure);
+        let mut tallies = [const { (0, 0, Vec::new()) }; DETECTORS.len()];
+        for (name, subject) in subjects(NAME) {
+            for procedure in procedures(&subject, &params) {
+                let spots = spots(&procedure);
+                for ((_, detect), (n, n_confident, errors)) in DETECTORS.iter().zip(&mut tallies) {
                     for (k, cloud) in procedure.laser.iter().enumerate() {
-                        n += 1;
+                        *n += 1;
                         match detect(&procedure.scan, cloud, &HoleParams::default()) {
                             // Of the second tier only because few points do not tell a disc from a part of a beam.
                             Ok(hole) if hole.report.tier == 1 || hole.report.centre_uncertainty_mm > Some(0.0) => {
-                                n_confident += i32::from(hole.report.tier == 1);
+                                *n_confident += i32::from(hole.report.tier == 1);
                                 errors.push((hole.centre - spots[k].position).norm());
                                 let (grid_mm, surface_mm) = (hole.report.grid_mm.unwrap(), hole.report.spacing_mm);
                                 assert!(grid_mm < surface_mm, "{name}: {grid_mm} mm in the grid, {surface_mm} mm");
@@ -220,6 +224,8 @@ fn spots_are_found_in_sparse_scans_as_far_as_the_detector_can() {
                     }
                 }
             }
+        }
+        for ((detector, _), (n, n_confident, mut errors)) in DETECTORS.iter().zip(tallies) {
             errors.sort_by(f64::total_cmp);
             let (found, at) =
                 (errors.len() as f64 / f64::from(n), |share: f64| errors[((errors.len() - 1) as f64 * share) as usize]);
