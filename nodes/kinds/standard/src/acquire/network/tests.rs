@@ -63,9 +63,7 @@ impl Outcome {
     pub(crate) fn poses(&self, port: usize) -> Vec<(StampNs, Result<f64, &str>)> {
         fn x(emission: &Emission) -> Result<f64, &str> {
             match emission {
-                Emission::Value(value) => {
-                    Ok((value.get::<Pose>().unwrap().isometry.translation.x * 1e9).round() / 1e9)
-                }
+                Emission::Value(value) => Ok((value.get::<Pose>().unwrap().isometry.translation.x * 1e9).round() / 1e9),
                 Emission::Empty(reason) => Err(reason),
                 other => panic!("{other:?}"),
             }
