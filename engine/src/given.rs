@@ -6,7 +6,7 @@ use crate::{
     run::{RunError, RunOptions, RunReport, run_with},
     runtime::{Observer, Replayed, Tap, names::nearest},
 };
-use osteoflow_node::{Item, PortPayload, Registry};
+use osteoflow_node::{Item, Join, PortPayload, Registry};
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{Mutex, PoisonError},
@@ -109,9 +109,16 @@ pub fn run_given(
     reduced.input_files.retain(reads);
     let mut replayed = Replayed::default();
     for (node, ports) in given.ports {
+        // An optional input that is taken once has no value where its wire ends without one.
+        let needs = |link: &usize| {
+            let link = &reduced.links[*link];
+            let input = &reduced.nodes[link.to_node].inputs[link.to_port].port;
+            !(input.optional && input.join == Join::Once)
+        };
         let in_use = |port: usize| {
             let id = OutputId { node, port };
-            !reduced.nodes[node].outputs[port].links.is_empty() || plan.results.iter().any(|entry| entry.from == id)
+            reduced.nodes[node].outputs[port].links.iter().any(needs)
+                || plan.results.iter().any(|entry| entry.from == id)
         };
         if let Some(port) = (0..ports.len()).find(|&port| ports[port].is_none() && in_use(port)) {
             let wire = plan.wire_name(OutputId { node, port });

@@ -9,8 +9,8 @@ mod views;
 use errors::{exception, watched};
 use osteoflow::{
     app::{
-        self, Given, Method, RegisterFiles, RegisterInput, RegisterRequest, RunRequest, Settings, ShardFault, SimulateRequest, Start,
-        StreamFormat, SweepRequest, Units,
+        self, Given, Method, RegisterFiles, RegisterInput, RegisterRequest, RunRequest, Settings, ShardFault,
+        SimulateRequest, Start, StreamFormat, SweepRequest, Units,
     },
     progress::{self, Progress},
 };
@@ -63,7 +63,12 @@ struct RegisterOptions {
 
 impl RegisterOptions {
     /// The request, for a start in memory or the one of the options.
-    fn request(self, target: RegisterInput, source: RegisterInput, init: Option<Isometry3<f64>>) -> PyResult<RegisterRequest> {
+    fn request(
+        self,
+        target: RegisterInput,
+        source: RegisterInput,
+        init: Option<Isometry3<f64>>,
+    ) -> PyResult<RegisterRequest> {
         let start = match (init, self.init, self.landmarks) {
             (_, Some(_), Some(_)) | (Some(_), _, Some(_)) => {
                 return Err(errors::UsageError::new_err("the start is given by init and by landmarks; leave one out"));
@@ -129,7 +134,8 @@ fn register(
     };
     let (target, source) = (input(target, "target")?, input(source, "source")?);
     let init = init.map(|rows| shapes::rigid(&rows, "init")).transpose()?;
-    let request = RegisterRequest { settings: settings::settings(set.as_ref())?, ..options.request(target, source, init)? };
+    let request =
+        RegisterRequest { settings: settings::settings(set.as_ref())?, ..options.request(target, source, init)? };
     let cancelled = Arc::default();
     let json = watched(py, &cancelled, || {
         let checked = request.check()?;

@@ -85,7 +85,8 @@ pub(crate) fn workers(workers: Option<usize>) -> PyResult<Option<NonZeroUsize>> 
 
 /// The position of a word in a list of choices.
 pub(crate) fn choice<const N: usize>(name: &str, word: &str, choices: [&str; N]) -> PyResult<usize> {
-    choices.iter().position(|choice| *choice == word).ok_or_else(|| {
-        UsageError::new_err(format!("{name} is \"{word}\", but must be one of {}", choices.join(", ")))
-    })
+    choices
+        .iter()
+        .position(|choice| *choice == word)
+        .ok_or_else(|| UsageError::new_err(format!("{name} is \"{word}\", but must be one of {}", choices.join(", "))))
 }

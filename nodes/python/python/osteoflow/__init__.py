@@ -308,7 +308,7 @@ class Graph:
         """Run the graph: `osteoflow run` with its defaults.
 
         set : changes of the graph, {"icp.kind": "icp.point_to_point", "graph.seed": 7}.
-        inputs : by wire ("scan.cloud", or "scan" if the node has one output), what replaces the node's output: a `Cloud`, a
+        inputs : by wire ("scan.cloud", or "scan" if the node has one output of that payload), what replaces the node's output: a `Cloud`, a
             `Mesh`, an (n, 3) array in mm, a (4, 4) array (a pose), or a list of such, one item each. The node is not
             built, but its parameters are checked. A run with inputs writes no recording.
         wires : the wires to keep in memory: "all", some names, or None.
@@ -321,12 +321,25 @@ class Graph:
         known = graph.wires()
         given = {}
         for name, value in (inputs or {}).items():
-            wire = graph.wire(name)
+            wire = self._wire(graph, known, name, value)
             given[wire] = self._items(wire, known[wire], value)
         keep = None if wires == "all" else {graph.wire(name) for name in ([wires] if isinstance(wires, str) else wires or ())}
         run = GraphRun(graph.run(given, keep, progress))
         _warn(run.warnings)
         return run
+
+    @staticmethod
+    def _wire(graph: Any, known: Mapping[str, tuple], name: str, value: Any) -> str:
+        """The wire of this name, or the one of this node that carries what `value` is."""
+        first = value[0] if isinstance(value, (list, tuple)) and value and not _np.isscalar(value[0]) else value
+        is_pose = not isinstance(first, (Mesh, Cloud)) and _np.shape(first) == (4, 4)
+        payload = "geometry/Mesh" if isinstance(first, Mesh) else "geometry/Pose" if is_pose else "geometry/Cloud"
+        of_node = {wire: about[0] or "" for wire, about in known.items() if wire.rpartition(".")[0] == name}
+        fitting = [wire for wire, carried in of_node.items() if carried == payload]
+        # Reports are not what an array stands for.
+        others = [wire for wire, carried in of_node.items() if not carried.startswith("report/")]
+        chosen = fitting or others
+        return chosen[0] if len(chosen) == 1 else graph.wire(name)
 
     @staticmethod
     def _items(wire: str, about: tuple, value: Any) -> tuple:
@@ -438,5 +451,5 @@ def sweep(
             if resume:
                 raise UsageError("a sweep on an executor is not resumed; leave out resume, or the executor")
             words = [*_sets(set), *(f"--plugin={file}" for file in _files(plugins)), *_options(no_share=not share, no_cache=not cache)]
-            _warn(sweep_on(executor, request, [*words, "--", graph], folder, _Path(temporary), tasks, progress))
+            _warn(sweep_on(executor, request, graph, words, folder, _Path(temporary), tasks, progress))
         return _table(folder / "runs.csv", table or "")

@@ -25,8 +25,9 @@ ATTEMPTS = 3
 class _Task(NamedTuple):
     """What a worker needs to know."""
 
-    #: Options of the command, and the graph.
-    words: list[str]
+    graph: str
+    #: Options of the command.
+    common: list[str]
     folder: str
     index: int
     of: int
@@ -34,7 +35,7 @@ class _Task(NamedTuple):
     ticket: str
 
 
-def _run_shard(words: list[str], folder: str, index: int, of: int, ticket: str) -> dict[str, Any]:
+def _run_shard(graph: str, common: list[str], folder: str, index: int, of: int, ticket: str) -> dict[str, Any]:
     """One shard of a sweep, as the tar of its folder. Runs on a worker.
 
     An error of the sweep is an answer, too: whatever is raised is the loss of a worker.
@@ -46,7 +47,7 @@ def _run_shard(words: list[str], folder: str, index: int, of: int, ticket: str) 
         shard = os.path.join(temporary, "shard")
         # A process of its own: a worker may have been forked, which loses the threads of its parent.
         command = [sys.executable, "-I", os.path.join(os.path.dirname(__file__), "_command.py"), "sweep", "--quiet"]
-        command += ["--workers=1", f"--shard={index}/{of}", f"--out={shard}", *words]
+        command += ["--workers=1", f"--shard={index}/{of}", f"--out={shard}", *common, "--", graph]
         ended = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
         if ended.returncode < 0:
             raise OSError(f"the process of task {index} of {of} was ended by signal {-ended.returncode}")
@@ -103,7 +104,7 @@ def _cpu_features(folder: Path) -> Any:
 
 
 def sweep_on(
-    executor: Any, request: Callable[[Path], Any], words: list[str], folder: Path, temporary: Path, tasks: int | None, progress: bool
+    executor: Any, request: Callable[[Path], Any], graph: str, common: list[str], folder: Path, temporary: Path, tasks: int | None, progress: bool
 ) -> list[str]:
     """Sweeps on `executor`, merges the shards in `folder`, and returns warnings.
 
@@ -122,7 +123,7 @@ def sweep_on(
 
     def submit(index: int) -> None:
         attempts[index] += 1
-        task = _Task(words, os.getcwd(), index, len(runs), uuid.uuid4().hex)
+        task = _Task(graph, common, os.getcwd(), index, len(runs), uuid.uuid4().hex)
         try:
             future = executor.submit(_run_shard, *task)
         except Exception as closed:

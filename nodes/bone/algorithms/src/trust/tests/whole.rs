@@ -84,11 +84,22 @@ fn what_is_taken_for_granted_depends_on_what_is_known() {
         assert_eq!((verdict.predicted, verdict.measured), (None, None));
         verdict.assumptions.iter().map(|words| words.split(' ').take(3).collect::<Vec<_>>().join(" ")).collect()
     };
-    assert_eq!(first_words(&bare), ["the CT shows", "no point on"]);
-    assert_eq!(first_words(&Case { measured_tre_mm: Some(0.5), ..bare.clone() }), ["the CT shows"]);
-    let tracked = Case { tracking: Some(&tracking), measured_tre_mm: Some(0.5), ..bare };
-    assert_eq!(first_words(&tracked), ["the camera marker", "the bone marker", "the CT shows"]);
-    assert_eq!(first_words(&Case { check: &check, ..tracked }), ["the bone marker", "the CT shows"]);
+    let (plan, camera, ended) = ("no plan or", "the scan does", "the registration converged;");
+    assert_eq!(first_words(&bare), ["the CT shows", plan, camera, ended, "no point on"]);
+    let measured = Case { measured_tre_mm: Some(0.5), ..bare.clone() };
+    assert_eq!(first_words(&measured), ["the CT shows", plan, camera, ended]);
+    let planned = Case { assessment: &piece, assumptions: &["the threshold was suggested"], ..bare.clone() };
+    assert_eq!(first_words(&planned), ["the CT shows", "the threshold was", camera, ended, "no point on"]);
+    let converged = Ended { converged: Some(true), ..Ended::default() };
+    let seen = scan.clone().seen_from(pose);
+    let registered = Registered { source: &seen, ..bare.registered };
+    assert_eq!(
+        first_words(&Case { icp: Some(&converged), registered, ..bare.clone() }),
+        ["the CT shows", plan, "no point on"]
+    );
+    let tracked = Case { tracking: Some(&tracking), measured_tre_mm: Some(0.5), icp: Some(&converged), ..bare };
+    assert_eq!(first_words(&tracked), ["the camera marker", "the bone marker", "the CT shows", camera]);
+    assert_eq!(first_words(&Case { check: &check, ..tracked }), ["the bone marker", "the CT shows", camera]);
 }
 
 #[test]
