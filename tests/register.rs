@@ -867,13 +867,15 @@ fn a_prepared_target_is_read_from_the_store_and_gives_the_same_bits() {
         (answer["target"]["from_store"].as_bool().unwrap(), answer)
     };
     for target in ["bone.stl", "points.ply", "bare.ply"] {
-        let (cold, warm) = (answer(target, &[]), answer(target, &[]));
-        assert_eq!((cold.0, warm.0), (false, true), "{target}");
-        for key in ["T", "rms_mm", "n_pairs", "report", "notes"] {
-            assert_eq!(cold.1[key], warm.1[key], "{target}: {key}");
-        }
-        for key in ["n_points", "n_faces", "normals", "normals_estimated"] {
-            assert_eq!(cold.1["target"][key], warm.1["target"][key], "{target}: {key}");
+        for options in [&[][..], &["--pairing", "field"]] {
+            let (cold, warm) = (answer(target, options), answer(target, options));
+            assert_eq!((cold.0, warm.0), (false, true), "{target} {options:?}");
+            for key in ["T", "rms_mm", "n_pairs", "report", "notes"] {
+                assert_eq!(cold.1[key], warm.1[key], "{target} {options:?}: {key}");
+            }
+            for key in ["n_points", "n_faces", "normals", "normals_estimated"] {
+                assert_eq!(cold.1["target"][key], warm.1["target"][key], "{target} {options:?}: {key}");
+            }
         }
     }
     for (more, from_store, why) in [

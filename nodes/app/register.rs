@@ -293,6 +293,7 @@ impl RegisterRequest {
             ("scan.camera", self.camera.map(|camera| camera.coords.as_slice().to_vec().into())),
             ("ct_surface.n_points", self.target_points.map(|n| (n as i64).into())),
             ("graph.seed", self.seed.map(|seed| (seed as i64).into())),
+            ("ct_surface.field", (params.all["pairing"] == "field").then(|| true.into())),
             ("results.require", self.requires_trusted.then(|| "trusted".into())),
         ];
         for (key, value) in optional {

@@ -92,7 +92,7 @@ pub(crate) struct Register {
     kind: Option<String>,
 
     /// Correspondence search: cached (the nearest samples, kept while none can be nearer), tree (the nearest samples, searched
-    /// at every step). Default: as the method's node.
+    /// at every step), or field (a grid of closest points). Default: as the method's node.
     #[arg(long, value_name = "PAIRING")]
     pairing: Option<String>,
 

@@ -67,23 +67,20 @@ impl Node for PrepareCloud {
     }
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
-        let mut target = prepare(&i.cloud)?;
-        if let (true, Some(normals)) = (self.0.field, target.normals()) {
-            let field = ClosestPointField::of_points(i.cloud.points(), normals, &FieldParams::default())?;
-            target = target.with_field(field);
-            target.prepare();
-        }
+        let target = prepare(&i.cloud, self.0.field)?;
         Ok(Out { target, ct_surface: Text(SurfaceOrigin::User.to_string().into()) })
     }
 }
 
-/// Points of a surface, prepared; their normals are estimated where missing.
-pub(super) fn prepare(points: &Cloud) -> Result<Target, NodeError> {
+/// Points of a surface, prepared; their normals are estimated where missing. `with_field` adds a closest-point field.
+pub(super) fn prepare(points: &Cloud, with_field: bool) -> Result<Target, NodeError> {
     let normals = match points.normal_column() {
         Some(given) => given.clone(),
         None => normals::of_surface(points.points())?.into(),
     };
+    let field = with_field.then(|| ClosestPointField::of_points(points.points(), &normals, &FieldParams::default()));
     let target = Target::new(&points.frame, SurfaceOrigin::User, points.point_column().clone(), Some(normals))?;
+    let target = field.transpose()?.into_iter().fold(target, Target::with_field);
     target.prepare();
     Ok(target)
 }
