@@ -1,7 +1,7 @@
 //! The page that compares the paper's numbers with ours: each with its n, the command that computes it, and whether it is
 //! outside the paper's spread.
 //!
-//! `reproduction/page.md` is the page with a request in the place of each number of ours.
+//! `reproduction/page.md` is the page with a request instead of each number of ours.
 
 mod ours;
 mod page;

@@ -1,4 +1,4 @@
-//! `page.md`: the page's prose and the paper's numbers, with a request in the place of each number of ours.
+//! `page.md`: the page's prose and the paper's numbers, with a request instead of each number of ours.
 //!
 //! A request is an inline table of TOML. It names the experiment `of` which it asks for a number of its summary, for the time of
 //! its nodes, for a table of its settings, or for its comparison with another experiment.
