@@ -7,10 +7,11 @@ pub(crate) mod findings;
 pub mod format;
 pub(crate) mod number_set;
 mod read;
+pub(crate) mod scan;
 mod types;
 pub(crate) mod wires;
 
 pub use format::RecordedFailure;
 pub use read::{RecordedWire, Recording, RecordingError};
-pub(crate) use read::{known, run_record, too_large};
+pub(crate) use read::{run_record, too_large, typed};
 pub(crate) use types::RecordedTypes;

@@ -4,13 +4,13 @@ use crate::{
     hash::Digest,
     recording::{
         RecordingError, codec,
-        container::{Soundness, summary_of},
         format::{MetadataRecords, Recovered, RunRecord, WireCounts},
-        run_record, too_large,
-        wires::{Carries, Channels, Wire},
+        run_record,
+        scan::{Gather, Scanned, scan},
+        wires::{Carries, Wire},
     },
 };
-use osteoflow_container::{Allowance, Damage, Location, MESSAGE_HEADER_BYTES, Reader, Record, Visitor, damage_message};
+use osteoflow_container::{Allowance, Location, MESSAGE_HEADER_BYTES, Message, Reader};
 use std::{
     collections::{BTreeMap, VecDeque},
     fs::File,
@@ -51,26 +51,11 @@ pub(super) struct Index {
 
 impl Index {
     pub(super) fn of(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Self, RecordingError> {
-        let failed = |error| RecordingError::of(path, error);
-        let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?.with_section_crcs();
-        let mut pass = Pass {
-            wires: BTreeMap::new(),
-            channels: Channels::default(),
-            metadata: MetadataRecords::default(),
-            damages: Vec::new(),
-            soundness: Soundness::default(),
-            allowance: Allowance::from_env(),
-            full_at: None,
-            progress,
-        };
-        let end = reader.read(&mut pass).map_err(failed)?;
-        let Pass { mut wires, metadata, damages, soundness, allowance, full_at, .. } = pass;
-        too_large(path, &allowance, full_at, reader.n_bytes())?;
-        let mut incomplete = damage_message(&damages, &end).or_else(|| summary_of(&soundness.finish()));
-        if wires.is_empty() && !metadata.has::<RunRecord>() {
-            let reason = incomplete.unwrap_or_else(|| "it has no exact channel".into());
-            return Err(RecordingError::Foreign { path: path.into(), reason });
-        }
+        let mut wires = Wires::default();
+        let scanned = scan(path, &mut wires, progress)?;
+        scanned.refuse_foreign(path, !wires.0.is_empty())?;
+        let (Wires(mut wires), Scanned { reader, metadata, damage, unsound, .. }) = (wires, scanned);
+        let mut incomplete = damage.or(unsound);
         if incomplete.is_none() {
             incomplete = match metadata {
                 ref m if m.has::<Recovered>() => Some("it was recovered from a damaged file".into()),
@@ -126,54 +111,31 @@ impl Index {
     }
 }
 
-struct Pass<'a> {
-    channels: Channels,
-    wires: BTreeMap<String, Indexed>,
-    metadata: MetadataRecords,
-    damages: Vec<Damage>,
-    soundness: Soundness,
-    allowance: Allowance,
-    full_at: Option<Location>,
-    progress: &'a mut dyn FnMut(u64, u64),
-}
+#[derive(Default)]
+struct Wires(BTreeMap<String, Indexed>);
 
-impl Visitor for Pass<'_> {
-    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
-        self.soundness.record(place, &record);
-        match record {
-            Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
-            Record::Channel(channel) => {
-                if let Carries::Exact(wire) = self.channels.add(channel) {
-                    let indexed = || Indexed { about: wire.clone(), entries: Vec::new() };
-                    self.wires.entry(wire.name.clone()).or_insert_with(indexed);
-                }
-            }
-            Record::Message(message) => {
-                if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
-                    && let Some(indexed) = self.wires.get_mut(&wire.name)
-                    && let Some(number) = codec::number(message.data)
-                    && let Ok(n_bytes) = message.data.len().try_into()
-                {
-                    if self.allowance.take(size_of::<IndexEntry>()).is_break() {
-                        self.full_at = Some(place);
-                        return ControlFlow::Break(());
-                    }
-                    let digest = Digest::of(message.data);
-                    indexed.entries.push(IndexEntry { number, digest, place, n_bytes });
-                }
-            }
-            _ => {}
+impl Gather for Wires {
+    fn wire(&mut self, wire: &Wire) {
+        let indexed = || Indexed { about: wire.clone(), entries: Vec::new() };
+        self.0.entry(wire.name.clone()).or_insert_with(indexed);
+    }
+
+    fn message(
+        &mut self,
+        carries: &Carries,
+        message: &Message<'_>,
+        place: Location,
+        allowance: &mut Allowance,
+    ) -> ControlFlow<()> {
+        if let Carries::Exact(wire) = carries
+            && let Some(indexed) = self.0.get_mut(&wire.name)
+            && let Some(number) = codec::number(message.data)
+            && let Ok(n_bytes) = message.data.len().try_into()
+        {
+            allowance.take(size_of::<IndexEntry>())?;
+            let digest = Digest::of(message.data);
+            indexed.entries.push(IndexEntry { number, digest, place, n_bytes });
         }
         ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
-        self.soundness.damage(&damage);
-        self.damages.push(damage);
-        ControlFlow::Continue(())
-    }
-
-    fn progress(&mut self, at: u64, of: u64) {
-        (self.progress)(at, of);
     }
 }

@@ -10,14 +10,14 @@
 
 use super::{
     codec,
-    container::{Soundness, summary_of},
-    format::{MetadataRecords, Recovered, RunRecord, WireCounts},
+    format::{Recovered, WireCounts},
     number_set::NumberSet,
-    read::{RecordingError, too_large},
-    wires::{Carries, Channels, Wire},
+    read::RecordingError,
+    scan::{Gather, Scanned, scan},
+    wires::{Carries, Wire},
 };
 use crate::hash::Digest;
-use osteoflow_container::{Allowance, Damage, Location, Progress, Reader, Record, Visitor, damage_message};
+use osteoflow_container::{Allowance, Location, Message, Progress};
 use sha2::{Digest as _, Sha256};
 use std::{
     collections::BTreeMap,
@@ -144,19 +144,12 @@ pub struct DigestReport {
 /// # Errors
 /// [`RecordingError`] if the file cannot be read or holds no exact channel.
 pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, RecordingError> {
-    let reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
-    let mut reader = reader.with_section_crcs();
-    let failed = |error| RecordingError::of(path, error);
-    let mut hashing = Hashing::new(progress);
-    let end = reader.read(&mut hashing).map_err(failed)?;
-    let Hashing { wires, damages, metadata, n_unknown, n_no_items, soundness, allowance, full_at, .. } = hashing;
-    too_large(path, &allowance, full_at, reader.n_bytes())?;
-    let mut notes: Vec<String> = damage_message(&damages, &end).into_iter().collect();
-    notes.extend(summary_of(&soundness.finish()).filter(|_| notes.is_empty()));
-    if wires.is_empty() && !metadata.has::<RunRecord>() {
-        let reason = notes.pop().unwrap_or_else(|| "it has no exact channel".into());
-        return Err(RecordingError::Foreign { path: path.into(), reason });
-    }
+    let mut hashing = Hashing::default();
+    let scanned = scan(path, &mut hashing, progress)?;
+    scanned.refuse_foreign(path, !hashing.wires.is_empty())?;
+    let Scanned { reader, metadata, damage, unsound, n_unknown } = scanned;
+    let Hashing { wires, n_no_items } = hashing;
+    let mut notes: Vec<String> = damage.or(unsound).into_iter().collect();
     if n_unknown > 0 {
         notes.push(format!("{n_unknown} messages belong to channels that nothing in the file describes"));
     }
@@ -210,76 +203,38 @@ impl Hashed {
     }
 }
 
-struct Hashing<'a> {
-    channels: Channels,
+#[derive(Default)]
+struct Hashing {
     wires: BTreeMap<String, Hashed>,
-    metadata: MetadataRecords,
-    damages: Vec<Damage>,
-    n_unknown: u64,
     n_no_items: u64,
-    soundness: Soundness,
-    allowance: Allowance,
-    full_at: Option<Location>,
-    progress: Progress<'a>,
 }
 
-impl<'a> Hashing<'a> {
-    fn new(progress: Progress<'a>) -> Self {
-        Self {
-            channels: Channels::default(),
-            wires: BTreeMap::new(),
-            metadata: MetadataRecords::default(),
-            damages: Vec::new(),
-            n_unknown: 0,
-            n_no_items: 0,
-            soundness: Soundness::default(),
-            allowance: Allowance::from_env(),
-            full_at: None,
-            progress,
-        }
+impl Gather for Hashing {
+    fn wire(&mut self, wire: &Wire) {
+        let hashed = || Hashed { about: wire.clone(), hasher: WireHasher::default(), n_values: 0 };
+        self.wires.entry(wire.name.clone()).or_insert_with(hashed);
     }
-}
 
-impl Visitor for Hashing<'_> {
-    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
-        self.soundness.record(place, &record);
-        match record {
-            Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
-            Record::Channel(channel) => {
-                if let Carries::Exact(wire) = self.channels.add(channel) {
-                    let hashed = || Hashed { about: wire.clone(), hasher: WireHasher::default(), n_values: 0 };
-                    self.wires.entry(wire.name.clone()).or_insert_with(hashed);
+    fn message(
+        &mut self,
+        carries: &Carries,
+        message: &Message<'_>,
+        _: Location,
+        allowance: &mut Allowance,
+    ) -> ControlFlow<()> {
+        let Carries::Exact(wire) = carries else { return ControlFlow::Continue(()) };
+        match (codec::head(message.data), self.wires.get_mut(&wire.name)) {
+            (Some(head), Some(hashed)) => {
+                hashed.n_values += u64::from(!head.is_empty);
+                // Items out of order are kept until their turn.
+                if head.number > hashed.hasher.n_items() {
+                    allowance.take(0)?;
                 }
+                hashed.hasher.add(head.number, message.data);
             }
-            Record::Message(message) => match self.channels.get(message.channel_id) {
-                Some(Carries::Exact(wire)) => match (codec::head(message.data), self.wires.get_mut(&wire.name)) {
-                    (Some(head), Some(hashed)) => {
-                        hashed.n_values += u64::from(!head.is_empty);
-                        // Items out of order are kept until their turn.
-                        if head.number > hashed.hasher.n_items() && self.allowance.take(0).is_break() {
-                            self.full_at = Some(place);
-                            return ControlFlow::Break(());
-                        }
-                        hashed.hasher.add(head.number, message.data);
-                    }
-                    _ => self.n_no_items += 1,
-                },
-                Some(_) => {}
-                None => self.n_unknown += 1,
-            },
-            _ => {}
+            _ => self.n_no_items += 1,
         }
         ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
-        self.soundness.damage(&damage);
-        self.damages.push(damage);
-        ControlFlow::Continue(())
-    }
-
-    fn progress(&mut self, at: u64, of: u64) {
-        (self.progress)(at, of);
     }
 }
 

@@ -3,18 +3,16 @@
 use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
-    container::{Soundness, summary_of},
     format::{
         self, Drops, FORMAT_VERSION, InputHashes, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
         RecordedFailure, Recovered, RunRecord, WireCounts,
     },
-    wires::{Carries, Channels, Wire},
+    scan::{Gather, Scanned, scan},
+    wires::{Carries, Wire},
 };
 use crate::plan::{PlanPlugin, Sources};
-use osteoflow_container::{
-    Allowance, Damage, Location, Message, ReadError, Reader, Record, TooLarge, Visitor, damage_message,
-};
-use osteoflow_node::{Body, ClockReading, Item, PayloadType, Registry};
+use osteoflow_container::{Allowance, Location, Message, ReadError, TooLarge};
+use osteoflow_node::{Body, ClockReading, Item, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
     io,
@@ -189,9 +187,9 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the file is not a recording of a run, or numbers of a wire are missing.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let mut reading = Pass::new();
-        let (truncated, unsound) = reading.read(path)?;
-        let metadata = &reading.metadata;
+        let mut reading = Gathering::default();
+        let Scanned { metadata, damage: truncated, unsound, .. } = scan(path, &mut reading, &mut |_, _| {})?;
+        let metadata = &metadata;
         let run = run_record(path, metadata, truncated.as_deref())?;
         let recovered: Option<Recovered> = readable(path, metadata)?;
         let outcome: Option<Outcome> = readable(path, metadata)?;
@@ -247,44 +245,38 @@ impl Recording {
         let items = recorded.items().map_err(|(number, error)| fault(number, error.to_string()))?;
         let typed = items.into_iter().map(|item| {
             let number = item.number;
-            // An empty has no view, so on a wire that takes any payload it needs no type.
-            let named = item.payload.clone().unwrap_or((recorded.payload.clone(), recorded.version));
-            match &item.body {
-                Err(empty) => {
-                    let body = Body::Empty(Arc::new(empty.clone()));
-                    Ok(Item { number, stamp_ns: item.stamp_ns, body })
-                }
-                Ok(_) => {
-                    let ty = known(&named.0, named.1, registry).map_err(|reason| fault(number, reason))?;
-                    item.into_item(ty).map_err(|error| fault(number, error.to_string()))
-                }
-            }
+            typed(item, &recorded.payload, recorded.version, registry).map_err(|reason| fault(number, reason))
         });
         typed.collect()
     }
 }
 
-/// The payload with that name and version.
-pub(crate) fn known(name: &str, version: u32, registry: &Registry) -> Result<&'static PayloadType, String> {
-    let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
-    if ty.version != version {
-        return Err(format!("it holds version {version} of {name}, version {} is known here", ty.version));
-    }
-    Ok(ty)
+/// A recorded item with its payload: that of its wire, or the one that it names itself.
+///
+/// # Errors
+/// Why the payload is not known, or the item no value of it.
+pub(crate) fn typed(item: RecordedItem, payload: &str, version: u32, registry: &Registry) -> Result<Item, String> {
+    let body = match item.body {
+        // An empty has no view, so on a wire that takes any payload it needs no type.
+        Err(empty) => Body::Empty(Arc::new(empty)),
+        Ok(view) => {
+            let (name, version) = item.payload.as_ref().map_or((payload, version), |(name, version)| (name, *version));
+            let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
+            if ty.version != version {
+                return Err(format!("it holds version {version} of {name}, version {} is known here", ty.version));
+            }
+            Body::Value(ty.from_view(&view).map_err(|error| CodecError::from(error).to_string())?)
+        }
+    };
+    Ok(Item { number: item.number, stamp_ns: item.stamp_ns, body })
 }
 
-/// Collects the records of a file up to the first damage: later items may depend on lost ones.
-struct Pass {
-    channels: Channels,
-    metadata: MetadataRecords,
+/// What a replay needs of a file, up to the first damage: later items may depend on lost ones.
+#[derive(Default)]
+struct Gathering {
     wires: BTreeMap<String, Gathered>,
     drops: BTreeMap<(String, String), BTreeSet<u64>>,
     readings: BTreeMap<(String, u64), Vec<ClockReading>>,
-    damage: Option<Damage>,
-    soundness: Soundness,
-    allowance: Allowance,
-    /// Where the allowance was used up.
-    full_at: Option<Location>,
 }
 
 struct Gathered {
@@ -293,58 +285,43 @@ struct Gathered {
     messages: Vec<(Option<u64>, Vec<u8>)>,
 }
 
-impl Pass {
-    fn new() -> Self {
-        Self {
-            channels: Channels::default(),
-            metadata: MetadataRecords::default(),
-            wires: BTreeMap::new(),
-            drops: BTreeMap::new(),
-            readings: BTreeMap::new(),
-            damage: None,
-            soundness: Soundness::default(),
-            allowance: Allowance::from_env(),
-            full_at: None,
-        }
+impl Gather for Gathering {
+    const STOPS_AT_DAMAGE: bool = true;
+
+    fn wire(&mut self, wire: &Wire) {
+        let gathered = || Gathered { about: wire.clone(), messages: Vec::new() };
+        self.wires.entry(wire.name.clone()).or_insert_with(gathered);
     }
 
-    /// Reads the file; returns why it ends early, and what is not sound of one that does not.
-    fn read(&mut self, path: &Path) -> Result<(Option<String>, Option<String>), RecordingError> {
-        let opened = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source });
-        let mut reader = opened?.with_section_crcs();
-        let end = reader.read(self).map_err(|error| RecordingError::of(path, error))?;
-        too_large(path, &self.allowance, self.full_at, reader.n_bytes())?;
-        let damages: Vec<_> = self.damage.take().into_iter().collect();
-        let unsound = summary_of(&std::mem::take(&mut self.soundness).finish());
-        Ok(match damage_message(&damages, &end) {
-            Some(damage) => (Some(damage), None),
-            None => (None, unsound),
-        })
-    }
-
-    fn message(&mut self, message: &Message<'_>) -> ControlFlow<()> {
-        match self.channels.get(message.channel_id) {
-            Some(Carries::Exact(wire)) => {
-                self.allowance.take(message.data.len())?;
+    fn message(
+        &mut self,
+        carries: &Carries,
+        message: &Message<'_>,
+        _: Location,
+        allowance: &mut Allowance,
+    ) -> ControlFlow<()> {
+        match carries {
+            Carries::Exact(wire) => {
+                allowance.take(message.data.len())?;
                 if let Some(gathered) = self.wires.get_mut(&wire.name) {
                     gathered.messages.push((codec::number(message.data), message.data.to_vec()));
                 }
             }
-            Some(Carries::Drops) => {
-                self.allowance.take(message.data.len())?;
+            Carries::Drops => {
+                allowance.take(message.data.len())?;
                 let drops = serde_json::from_slice::<Drops>(message.data).map(|message| message.drops);
                 for (wire, input, number) in drops.unwrap_or_default() {
-                    self.allowance.take(0)?;
+                    allowance.take(0)?;
                     self.drops.entry((wire, input)).or_default().insert(number);
                 }
             }
-            Some(Carries::Live) => {
-                self.allowance.take(message.data.len())?;
+            Carries::Live => {
+                allowance.take(message.data.len())?;
                 if let Ok(Live { node, item, readings }) = serde_json::from_slice(message.data) {
                     self.readings.insert((node, item), readings);
                 }
             }
-            _ => {}
+            Carries::View(_) | Carries::Other => {}
         }
         ControlFlow::Continue(())
     }
@@ -360,36 +337,6 @@ pub(crate) fn too_large(
     match allowance.exceeded().zip(place) {
         Some((source, place)) => Err(RecordingError::TooLarge { path: path.into(), place, n_bytes, source }),
         None => Ok(()),
-    }
-}
-
-impl Visitor for Pass {
-    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
-        self.soundness.record(place, &record);
-        match record {
-            Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
-            Record::Channel(channel) => {
-                if let Carries::Exact(wire) = self.channels.add(channel) {
-                    let gathered = || Gathered { about: wire.clone(), messages: Vec::new() };
-                    self.wires.entry(wire.name.clone()).or_insert_with(gathered);
-                }
-            }
-            Record::Message(message) => {
-                let taken = self.message(&message);
-                if taken.is_break() {
-                    self.full_at = Some(place);
-                }
-                return taken;
-            }
-            _ => {}
-        }
-        ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
-        self.soundness.damage(&damage);
-        self.damage = Some(damage);
-        ControlFlow::Break(())
     }
 }
 

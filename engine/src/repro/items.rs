@@ -3,13 +3,11 @@
 use crate::recording::{
     RecordingError, codec,
     format::{EXACT_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
-    known, too_large,
-    wires::{Carries, Channels, Wire},
+    scan::{Gather, Scanned, scan},
+    typed,
+    wires::Carries,
 };
-use osteoflow_container::{
-    Allowance, Compression, Damage, Location, Message, MessageHeader, Reader, Record, Visitor, WriteOptions, Writer,
-    damage_message,
-};
+use osteoflow_container::{Allowance, Compression, Location, Message, MessageHeader, WriteOptions, Writer};
 use osteoflow_node::{Body, DisplayContext, FrameEdge, Item, PayloadType, PortPayload, Registry, StampNs};
 use std::{collections::BTreeMap, fs::File, io, ops::ControlFlow, path::Path};
 
@@ -93,93 +91,48 @@ fn unplanned(stamp_ns: StampNs) -> DisplayContext<'static> {
 /// # Errors
 /// [`RecordingError`] if the file is damaged or holds a payload that is unknown here.
 pub(super) fn read(path: &Path, registry: &Registry) -> Result<BTreeMap<String, Vec<Item>>, RecordingError> {
-    let mut reader = Reader::open(path).map_err(|source| RecordingError::Read { path: path.into(), source })?;
-    let mut pass = Pass {
-        registry,
-        channels: Channels::default(),
-        items: BTreeMap::new(),
-        damages: Vec::new(),
-        n_unknown: 0,
-        failed: None,
-        allowance: Allowance::from_env(),
-        full_at: None,
-    };
-    let end = reader.read(&mut pass).map_err(|error| RecordingError::of(path, error))?;
-    too_large(path, &pass.allowance, pass.full_at, reader.n_bytes())?;
-    if let Some(error) = pass.failed {
-        return Err(error);
+    let mut ports = Ports { registry, items: BTreeMap::new(), fault: None };
+    let Scanned { damage, n_unknown, .. } = scan(path, &mut ports, &mut |_, _| {})?;
+    if let Some(fault) = ports.fault {
+        return Err(fault);
     }
-    let unknown = (pass.n_unknown > 0)
-        .then(|| format!("{} messages belong to channels that nothing in the file describes", pass.n_unknown));
-    match damage_message(&pass.damages, &end).or(unknown) {
+    let unknown =
+        (n_unknown > 0).then(|| format!("{n_unknown} messages belong to channels that nothing in the file describes"));
+    match damage.or(unknown) {
         Some(reason) => Err(RecordingError::Foreign { path: path.into(), reason }),
-        None => Ok(pass.items),
+        None => Ok(ports.items),
     }
 }
 
-struct Pass<'a> {
+struct Ports<'a> {
     registry: &'a Registry,
-    channels: Channels,
     items: BTreeMap<String, Vec<Item>>,
-    damages: Vec<Damage>,
-    n_unknown: u64,
-    failed: Option<RecordingError>,
-    allowance: Allowance,
-    full_at: Option<Location>,
+    fault: Option<RecordingError>,
 }
 
-impl Pass<'_> {
-    fn item(&self, port: &Wire, message: &Message<'_>) -> Result<Item, RecordingError> {
-        let fault =
-            |reason: String| RecordingError::Item { wire: port.name.clone(), number: message.sequence.into(), reason };
-        let recorded = codec::decode(message.data).map_err(|error| fault(error.to_string()))?;
-        match recorded.body {
-            Err(empty) => {
-                Ok(Item { number: recorded.number, stamp_ns: recorded.stamp_ns, body: Body::Empty(empty.into()) })
-            }
-            Ok(_) => {
-                // On a port that takes any payload, each value names its own.
-                let named =
-                    recorded.payload.clone().unwrap_or_else(|| (port.header.payload.clone(), port.header.version));
-                let ty = known(&named.0, named.1, self.registry).map_err(fault)?;
-                recorded.into_item(ty).map_err(|error| fault(error.to_string()))
-            }
-        }
-    }
-}
+impl Gather for Ports<'_> {
+    const STOPS_AT_DAMAGE: bool = true;
 
-impl Visitor for Pass<'_> {
-    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
-        match record {
-            Record::Channel(channel) => drop(self.channels.add(channel)),
-            Record::Message(message) => {
-                let port = match self.channels.get(message.channel_id) {
-                    Some(Carries::Exact(port)) => port,
-                    Some(_) => return ControlFlow::Continue(()),
-                    None => {
-                        self.n_unknown += 1;
-                        return ControlFlow::Continue(());
-                    }
-                };
-                if self.allowance.take(message.data.len()).is_break() {
-                    self.full_at = Some(place);
-                    return ControlFlow::Break(());
-                }
-                match self.item(port, &message) {
-                    Ok(item) => self.items.entry(port.name.clone()).or_default().push(item),
-                    Err(error) => {
-                        self.failed = Some(error);
-                        return ControlFlow::Break(());
-                    }
-                }
+    fn message(
+        &mut self,
+        carries: &Carries,
+        message: &Message<'_>,
+        _: Location,
+        allowance: &mut Allowance,
+    ) -> ControlFlow<()> {
+        let Carries::Exact(port) = carries else { return ControlFlow::Continue(()) };
+        allowance.take(message.data.len())?;
+        // On a port that takes any payload, each value names its own.
+        let item = codec::decode(message.data).map_err(|error| error.to_string());
+        let item = item.and_then(|item| typed(item, &port.header.payload, port.header.version, self.registry));
+        match item {
+            Ok(item) => self.items.entry(port.name.clone()).or_default().push(item),
+            Err(reason) => {
+                let (wire, number) = (port.name.clone(), message.sequence.into());
+                self.fault = Some(RecordingError::Item { wire, number, reason });
+                return ControlFlow::Break(());
             }
-            _ => {}
         }
         ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
-        self.damages.push(damage);
-        ControlFlow::Break(())
     }
 }
