@@ -27,9 +27,9 @@ pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModulePar
 
 use crate::{
     fault::{Fault, Faults, Severity},
-    graph::{self, Graph, header},
+    graph::{self, Graph, Sets, header},
     plan::Plan,
-    plugin::{Kinds, Known},
+    plugin::Kinds,
 };
 use context::Check;
 use osteoflow_node::Registry;
@@ -72,34 +72,23 @@ pub enum CheckedFile {
 /// # Errors
 /// [`Faults`]: every fault of the file, of what it extends, of the modules it uses and of the settings.
 pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<Checked, Faults> {
-    let mut faults = Vec::new();
-    match graph::load(path, sets, &mut faults) {
-        Some(graph) => Check::new(&known(&graph, &kinds.into()), Files::Needed, faults).graph(&graph, path),
-        None => Err(Faults(faults)),
-    }
+    let (graph, faults) = load(path, &[Sets::command_line(sets)])?;
+    check_graph(&graph, path, &kinds.into(), Files::Needed, faults)
 }
 
 /// Checks the graph file of a sweep. The files that it names are those of no run if a factor replaces them, so they may be
 /// missing here; those of the runs are checked with each.
-pub(crate) fn check_sweep(path: &Path, sets: &[String], kinds: Kinds) -> Result<Checked, Faults> {
-    let mut faults = Vec::new();
-    match graph::load(path, sets, &mut faults) {
-        Some(graph) => Check::new(&known(&graph, &kinds), Files::Replaced, faults).graph(&graph, path),
-        None => Err(Faults(faults)),
-    }
+pub(crate) fn check_sweep(path: &Path, sets: &[String], kinds: &Kinds) -> Result<Checked, Faults> {
+    let (graph, faults) = load(path, &[Sets::command_line(sets)])?;
+    check_graph(&graph, path, kinds, Files::Replaced, faults)
 }
 
 /// Checks a graph file for one run of its sweep, with the settings of the run's row, which are relative to the graph
 /// file. Its `[sweep]` has been checked already.
-pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: Kinds) -> Result<Checked, Faults> {
-    let mut faults = Vec::new();
-    match graph::load_row(path, sets, row, &mut faults) {
-        Some(mut graph) => {
-            graph.table.remove("sweep");
-            Check::new(&known(&graph, &kinds), Files::Needed, faults).graph(&graph, path)
-        }
-        None => Err(Faults(faults)),
-    }
+pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: &Kinds) -> Result<Checked, Faults> {
+    let (mut graph, faults) = load(path, &[Sets::command_line(sets), Sets::row(row, path)])?;
+    graph.table.remove("sweep");
+    check_graph(&graph, path, kinds, Files::Needed, faults)
 }
 
 /// Checks the text of a sweep's frozen graph, originally at `path`, with the run's settings and `sets`.
@@ -111,8 +100,8 @@ pub(crate) fn check_frozen(
     kinds: &Kinds,
 ) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
-    let graph = graph::load_frozen(text, path, row, sets, &mut faults);
-    Check::new(&known(&graph, kinds), Files::Needed, faults).graph(&graph, path)
+    let graph = graph::load_text(text, path, &[Sets::row(row, path), Sets::command_line(sets)], &mut faults);
+    check_graph(&graph, path, kinds, Files::Needed, faults)
 }
 
 /// Checks the file at `path`, which may be a graph or a module.
@@ -120,19 +109,16 @@ pub(crate) fn check_frozen(
 /// # Errors
 /// [`Faults`]: every fault of the file, of what it extends, of the modules it uses and of the settings.
 pub fn check_file(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Result<CheckedFile, Faults> {
-    let mut faults = Vec::new();
-    match graph::load(path, sets, &mut faults) {
-        Some(graph) => Check::new(&known(&graph, &kinds.into()), Files::Needed, faults).run(&graph, path),
-        None => Err(Faults(faults)),
-    }
+    let (graph, faults) = load(path, &[Sets::command_line(sets)])?;
+    Check::new(&kinds.into().with(&graph.plugins), Files::Needed, faults).run(&graph, path)
 }
 
 /// The files of the graph: the graph file, the files it extends, the modules it uses and the libraries of plugins,
 /// whether or not they can be read.
 pub fn files(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Vec<PathBuf> {
-    let (kinds, loaded) = (kinds.into(), graph::load(path, sets, &mut Vec::new()));
-    let (mut files, plugins) = loaded.map_or_else(|| (vec![path.into()], Vec::new()), |g| (g.texts, g.plugins));
-    files.extend(kinds.files(&plugins));
+    let loaded = load(path, &[Sets::command_line(sets)]).ok();
+    let (mut files, plugins) = loaded.map_or_else(|| (vec![path.into()], Vec::new()), |(g, _)| (g.texts, g.plugins));
+    files.extend(kinds.into().files(&plugins));
     files
 }
 
@@ -146,7 +132,9 @@ pub fn check_text(
     sets: &[String],
     kinds: impl Into<Kinds>,
 ) -> Result<Checked, Faults> {
-    check_given(text, virtual_path, sets, &kinds.into(), Files::Needed)
+    let mut faults = Vec::new();
+    let graph = graph::load_text(text.into(), virtual_path, &[Sets::command_line(sets)], &mut faults);
+    check_graph(&graph, virtual_path, &kinds.into(), Files::Needed, faults)
 }
 
 /// Checks the text of a graph whose sources are replayed from a recording; the files it names need not exist.
@@ -159,17 +147,21 @@ pub fn check_recorded(
     sets: &[String],
     kinds: impl Into<Kinds>,
 ) -> Result<Checked, Faults> {
-    check_given(text, virtual_path, sets, &kinds.into(), Files::Replaced)
-}
-
-fn check_given(text: &str, path: &Path, sets: &[String], kinds: &Kinds, files: Files) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
-    let graph = graph::load_text(text.into(), path, sets, &mut faults);
-    Check::new(&known(&graph, kinds), files, faults).graph(&graph, path)
+    let graph = graph::load_text(text.into(), virtual_path, &[Sets::command_line(sets)], &mut faults);
+    check_graph(&graph, virtual_path, &kinds.into(), Files::Replaced, faults)
 }
 
-fn known(graph: &Graph, kinds: &Kinds) -> Known {
-    kinds.with(&graph.plugins)
+fn load(path: &Path, sets: &[Sets<'_>]) -> Result<(Graph, Vec<Fault>), Faults> {
+    let mut faults = Vec::new();
+    match graph::load(path, sets, &mut faults) {
+        Some(graph) => Ok((graph, faults)),
+        None => Err(Faults(faults)),
+    }
+}
+
+fn check_graph(graph: &Graph, path: &Path, kinds: &Kinds, files: Files, faults: Vec<Fault>) -> Result<Checked, Faults> {
+    Check::new(&kinds.with(&graph.plugins), files, faults).graph(graph, path)
 }
 
 impl Check<'_> {

@@ -22,7 +22,7 @@ pub(crate) use {
     interface::{InputDecl, Interface, OutputDecl, ParamDecl},
     modules::{KIND as MODULE, Module, no_results},
     remove::Removed,
-    set::{SetKey, keys_set, table_of},
+    set::{SetKey, Sets, keys_set, table_of},
     tree::{Entry, Spanned, Table, Value},
 };
 
@@ -64,8 +64,8 @@ impl Graph {
     }
 }
 
-/// Reads the graph file at `path`, the files it extends, the modules it uses, and the command line's settings.
-pub(crate) fn load(path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Option<Graph> {
+/// Reads the graph file at `path`, the files it extends, the modules it uses, and settings in their order.
+pub(crate) fn load(path: &Path, sets: &[Sets<'_>], faults: &mut Vec<Fault>) -> Option<Graph> {
     match extends::read(path) {
         Ok(text) => Some(load_text(text, path, sets, faults)),
         Err(fault) => {
@@ -75,34 +75,8 @@ pub(crate) fn load(path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Opt
     }
 }
 
-/// Reads the graph file at `path` for a run of a sweep, with the settings of its row.
-pub(crate) fn load_row(path: &Path, sets: &[String], row: &[String], faults: &mut Vec<Fault>) -> Option<Graph> {
-    match extends::read(path) {
-        Ok(text) => Some(load_with(text, path, &[set::Sets::command_line(sets), set::Sets::row(row, path)], faults)),
-        Err(fault) => {
-            faults.push(*fault);
-            None
-        }
-    }
-}
-
-/// Reads the frozen graph of a sweep for one of its runs; `sets` are applied after the run's own settings.
-pub(crate) fn load_frozen(
-    text: String,
-    path: &Path,
-    row: &[String],
-    sets: &[String],
-    faults: &mut Vec<Fault>,
-) -> Graph {
-    load_with(text, path, &[set::Sets::row(row, path), set::Sets::command_line(sets)], faults)
-}
-
 /// Reads a graph from the text of its graph file.
-pub(crate) fn load_text(text: String, path: &Path, sets: &[String], faults: &mut Vec<Fault>) -> Graph {
-    load_with(text, path, &[set::Sets::command_line(sets)], faults)
-}
-
-fn load_with(text: String, path: &Path, sets: &[set::Sets<'_>], faults: &mut Vec<Fault>) -> Graph {
+pub(crate) fn load_text(text: String, path: &Path, sets: &[Sets<'_>], faults: &mut Vec<Fault>) -> Graph {
     let mut removed = Removed::default();
     let mut chain = extends::Chain::new(path, &mut removed, faults);
     let (main, mut table) = chain.load(text);

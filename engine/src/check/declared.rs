@@ -6,15 +6,17 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Table, extract, header::Header},
+    graph::{
+        Entry,
+        extract::{self, Section},
+        grammar,
+        header::Header,
+    },
     names::nearest,
     plan::PortFrames,
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, PayloadType, PortPayload};
 use serde_json::Value as Json;
-
-/// The keys of a declared port that are not parameters.
-const RESERVED: [&str; 4] = ["type", "frame", "to", "from"];
 
 impl Check<'_> {
     /// Reads the outputs that a graph declares by `out`.
@@ -48,12 +50,13 @@ impl Check<'_> {
         }
         let owner = format!("node \"{node}\": out \"{name}\"");
         let Some(table) = extract::table(&entry.value, &owner, &mut self.faults) else { return output };
-        let payload = self.payload(&owner, table, entry);
+        let own = Section::known(table, &grammar::OUTPUT, owner.clone());
+        let payload = self.payload(&owner, &own, entry);
         output.payload = payload.map(PortPayload::Type);
         output.given = PortFrames {
-            frame: self.port_frame(&owner, table, "frame", header),
-            to: self.port_frame(&owner, table, "to", header),
-            from: self.port_frame(&owner, table, "from", header),
+            frame: self.port_frame(&owner, &own, "frame", header),
+            to: self.port_frame(&owner, &own, "to", header),
+            from: self.port_frame(&owner, &own, "from", header),
         };
         let mut walker = Walker {
             root: schema,
@@ -65,7 +68,8 @@ impl Check<'_> {
             faults: Vec::new(),
             input_files: Vec::new(),
         };
-        let mut params = walker.table(schema, table, &entry.key_at, "", &RESERVED);
+        let reserved: Vec<_> = grammar::names(&grammar::OUTPUT).collect();
+        let mut params = walker.table(schema, table, &entry.key_at, "", &reserved);
         // A kind whose messages name no frames asks for those of the port by parameters of the same names.
         let asked = |key: &str| schema.pointer(&format!("/properties/{key}")).is_some();
         let given = [("frame", &output.given.frame), ("to", &output.given.to), ("from", &output.given.from)];
@@ -82,14 +86,14 @@ impl Check<'_> {
         output
     }
 
-    fn payload(&mut self, owner: &str, table: &Table, entry: &Entry) -> Option<&'static PayloadType> {
+    fn payload(&mut self, owner: &str, table: &Section<'_>, entry: &Entry) -> Option<&'static PayloadType> {
         let Some(ty) = table.get("type") else {
             let fault = Fault::new(format!("{owner} does not say its type")).at(&entry.key_at, "no type here");
             let (_, list) = self.payloads("");
             self.faults.push(fault.help("add type = \"PAYLOAD\"").note_if(list).follows());
             return None;
         };
-        let found = extract::text(&ty.value, &format!("{owner}: type"), &mut self.faults)?;
+        let found = table.text("type", &mut self.faults)?;
         let known = self.known.registry.payload_type(found);
         if known.is_none() {
             let fault = Fault::new(format!("{owner}: there is no payload type \"{found}\""));
@@ -104,9 +108,9 @@ impl Check<'_> {
         nearest::hint(found, "payload types", names)
     }
 
-    fn port_frame(&mut self, owner: &str, table: &Table, key: &str, header: &Header) -> Option<String> {
+    fn port_frame(&mut self, owner: &str, table: &Section<'_>, key: &str, header: &Header) -> Option<String> {
         let entry = table.get(key)?;
-        let frame = extract::text(&entry.value, &format!("{owner}: {key}"), &mut self.faults)?;
+        let frame = table.text(key, &mut self.faults)?;
         let fault = frames::unknown(frame, &entry.value.at, owner, header);
         // An invalid frame is not propagated, to avoid a fault at every node downstream.
         let known = fault.is_none().then(|| frame.to_owned());

@@ -6,11 +6,13 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Spanned, Table, Value, extract, grammar, header::Header},
-    names::nearest,
+    graph::{Entry, Spanned, Value, extract::Section, grammar, header::Header},
     plan::Policy,
 };
 use osteoflow_node::{Join, PortPayload, Role};
+
+/// Most items that wait on a wire: queues count twice as many.
+const MAX_CAPACITY: u64 = (usize::MAX / 2) as u64;
 
 impl Check<'_> {
     /// Reads the settings of an input: join, capacity, policy.
@@ -23,27 +25,27 @@ impl Check<'_> {
         header: &Header,
     ) {
         let Value::Table(table) = &entry.value.value else { return };
-        extract::only(table, &grammar::INPUT, &format!("{owner}: an input"), &mut self.faults);
-        self.join(input, table, owner, parsed_nodes);
-        self.capacity(input, table, owner);
-        self.policy(input, table, owner, parsed_nodes, header);
+        let place = format!("{owner}: an input");
+        let table = Section::new(table, &grammar::INPUT, &place, owner, &mut self.faults);
+        self.join(input, &table, owner, parsed_nodes);
+        input.capacity = table.whole("capacity", MAX_CAPACITY, &mut self.faults).unwrap_or(input.capacity);
+        input.max_bytes = table.bytes("max_bytes", &mut self.faults).unwrap_or(input.max_bytes);
+        self.policy(input, &table, owner, parsed_nodes, header);
     }
 
-    fn join(&mut self, input: &mut Input, table: &Table, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {
+    fn join(&mut self, input: &mut Input, table: &Section<'_>, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {
         let declared = input.port.join;
         let mut join = declared;
         if let Some(entry) = table.get("join") {
-            let what = format!("{owner}: join");
-            let Some(found) = extract::text(&entry.value, &what, &mut self.faults) else { return };
-            join = match found {
+            let Some(word) = table.word("join", &mut self.faults) else { return };
+            join = match word {
                 "each" => Join::Each,
                 "latest" => Join::Latest,
                 "once" => Join::Once,
-                _ if found == declared.name() => declared,
+                _ if word == declared.name() => declared,
                 "stamp" => Join::Stamp { tolerance_ns: 0 },
                 "collect" => Join::Collect { n: None },
-                "interpolate" => Join::Interpolate { max_gap_ns: None },
-                _ => return self.faults.push(not_a_word(&what, &grammar::JOINS, found, &entry.value)),
+                _ => Join::Interpolate { max_gap_ns: None },
             };
             if let Some(fault) = refuse_join(input, join, owner, &entry.value, parsed_nodes) {
                 self.faults.push(fault);
@@ -51,97 +53,73 @@ impl Check<'_> {
             }
         }
         let stamps = matches!(join, Join::Stamp { .. });
-        if let Some(entry) = self.goes_with(table, "tolerance_ms", stamps, "stamp", owner, join)
-            && let Some(ns) = extract::milliseconds(&entry.value, &format!("{owner}: tolerance_ms"), &mut self.faults)
+        if self.goes_with(table, "tolerance_ms", stamps, "stamp", join)
+            && let Some(ns) = table.milliseconds("tolerance_ms", &mut self.faults)
         {
             join = Join::Stamp { tolerance_ns: ns };
         }
         let interpolates = matches!(join, Join::Interpolate { .. });
-        if let Some(entry) = self.goes_with(table, "max_gap_ms", interpolates, "interpolate", owner, join)
-            && let Some(ns) = extract::milliseconds(&entry.value, &format!("{owner}: max_gap_ms"), &mut self.faults)
+        if self.goes_with(table, "max_gap_ms", interpolates, "interpolate", join)
+            && let Some(ns) = table.milliseconds("max_gap_ms", &mut self.faults)
         {
             join = Join::Interpolate { max_gap_ns: Some(ns) };
         }
         let collects = matches!(join, Join::Collect { .. });
-        if let Some(entry) = self.goes_with(table, "n", collects, "collect", owner, join)
-            && let Some(n) = extract::whole(&entry.value, &format!("{owner}: n"), 1, u32::MAX.into(), &mut self.faults)
+        if self.goes_with(table, "n", collects, "collect", join)
+            && let Some(n) = table.whole("n", u32::MAX.into(), &mut self.faults)
         {
-            join = Join::Collect { n: u32::try_from(n).ok() };
+            join = Join::Collect { n: Some(n) };
         }
         input.port.join = join;
     }
 
-    /// The entry of a key that is valid with one join only.
-    fn goes_with<'t>(
-        &mut self,
-        table: &'t Table,
-        key: &str,
-        goes: bool,
-        with: &str,
-        owner: &str,
-        join: Join,
-    ) -> Option<&'t Entry> {
-        let entry = table.get(key)?;
-        if goes {
-            return Some(entry);
+    /// Whether a key that is valid with one join only goes with the join of the input; a fault if not.
+    fn goes_with(&mut self, table: &Section<'_>, key: &str, goes: bool, with: &str, join: Join) -> bool {
+        if let Some(entry) = table.get(key).filter(|_| !goes) {
+            let (what, join) = (table.what(key), join.name());
+            let message = format!("{what} goes with join = \"{with}\", but this input joins by {join}");
+            self.faults.push(Fault::new(message).at(&entry.key_at, format!("only with join = \"{with}\"")));
         }
-        let message = format!("{owner}: {key} goes with join = \"{with}\", but this input joins by {}", join.name());
-        self.faults.push(Fault::new(message).at(&entry.key_at, format!("only with join = \"{with}\"")));
-        None
-    }
-
-    fn capacity(&mut self, input: &mut Input, table: &Table, owner: &str) {
-        if let Some(entry) = table.get("capacity") {
-            let most = u64::try_from(usize::MAX / 2).unwrap_or(u64::MAX);
-            let n = extract::whole(&entry.value, &format!("{owner}: capacity"), 1, most, &mut self.faults);
-            input.capacity = n.and_then(|n| usize::try_from(n).ok()).unwrap_or(input.capacity);
-        }
-        if let Some(entry) = table.get("max_bytes") {
-            let n = extract::bytes(&entry.value, &format!("{owner}: max_bytes"), &mut self.faults);
-            input.max_bytes = n.unwrap_or(input.max_bytes);
-        }
+        goes
     }
 
     fn policy(
         &mut self,
         input: &mut Input,
-        table: &Table,
+        table: &Section<'_>,
         owner: &str,
         parsed_nodes: &[ParsedNode<'_>],
         header: &Header,
     ) {
         let every = table.get("every");
-        let named = table.get("policy");
-        let Some(entry) = named else {
-            if let Some(every) = every {
-                let message = format!("{owner}: every goes with policy = \"sample\", but this wire blocks");
-                self.faults.push(Fault::new(message).at(&every.key_at, "only with policy = \"sample\""));
-            }
+        let only_sample = |every: &Entry, but: &str| {
+            let message = format!("{} goes with policy = \"sample\", but {but}", table.what("every"));
+            Fault::new(message).at(&every.key_at, "only with policy = \"sample\"")
+        };
+        let Some(entry) = table.get("policy") else {
+            self.faults.extend(every.map(|every| only_sample(every, "this wire blocks")));
             return;
         };
-        let what = format!("{owner}: policy");
-        let Some(found) = extract::text(&entry.value, &what, &mut self.faults) else { return };
-        let n = every
-            .and_then(|e| extract::whole(&e.value, &format!("{owner}: every"), 1, u32::MAX.into(), &mut self.faults));
-        input.policy = match found {
+        let n = table.whole("every", u32::MAX.into(), &mut self.faults);
+        let Some(word) = table.word("policy", &mut self.faults) else { return };
+        input.policy = match word {
             "block" => Policy::Block,
             "drop_old" => Policy::DropOld,
             "drop_new" => Policy::DropNew,
             "fail" => Policy::Fail,
-            "sample" => {
+            _ => {
                 if every.is_none() {
+                    let what = table.what("policy");
                     let fault = Fault::new(format!("{what} = \"sample\" does not say how many are one too many"));
                     self.faults.push(
                         fault.at(&entry.value.at, "no every here").help("add every = 2 to keep every second item"),
                     );
                 }
-                Policy::Sample(n.and_then(|n| u32::try_from(n).ok()).unwrap_or(1))
+                Policy::Sample(n.unwrap_or(1))
             }
-            _ => return self.faults.push(not_a_word(&what, &grammar::POLICIES, found, &entry.value)),
         };
-        if let Some(every) = every.filter(|_| found != "sample") {
-            let message = format!("{owner}: every goes with policy = \"sample\", but the policy is \"{found}\"");
-            self.faults.push(Fault::new(message).at(&every.key_at, "only with policy = \"sample\""));
+        if let Some(every) = every.filter(|_| word != "sample") {
+            self.faults.push(only_sample(every, &format!("the policy is \"{word}\"")));
         }
         let Some(producer) = input.from.map(|(node, _)| &parsed_nodes[node]) else { return };
         let live = producer.role().is_none_or(|role| role == Role::LiveSource);
@@ -153,12 +131,6 @@ impl Check<'_> {
             self.faults.push(fault.note(note).help(help));
         }
     }
-}
-
-fn not_a_word(what: &str, words: &[&str], found: &str, value: &Spanned) -> Fault {
-    let list: Vec<_> = words.iter().map(|word| format!("\"{word}\"")).collect();
-    let fault = Fault::new(format!("{what} takes one of {}, found the text {found:?}", list.join(", ")));
-    fault.at(&value.at, "not one of them").help_if(nearest::help(found, words.iter().copied()))
 }
 
 /// The fault if the port or its producer does not support the join.

@@ -1,7 +1,12 @@
 use super::{context::Check, schema::Walker};
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Graph, MODULE, Table, Value, extract, grammar, header::Header},
+    graph::{
+        Entry, Graph, MODULE, Table, Value,
+        extract::{self, Section},
+        grammar,
+        header::Header,
+    },
     names::nearest,
     plan::{OnError, PortFrames},
 };
@@ -94,7 +99,7 @@ impl<'r> Check<'r> {
         if !extract::is_node_name(name) {
             let fault = Fault::new(format!("a node cannot be called {name:?}")).at(&entry.key_at, "no name");
             self.faults.push(fault.help("a name has letters, digits, _ and - only"));
-        } else if grammar::TOP.contains(&name) {
+        } else if grammar::has(&grammar::TOP, name) {
             let fault = Fault::new(format!("a node cannot be called \"{name}\"")).at(&entry.key_at, "taken");
             self.faults.push(fault.help("the name is a part of the graph file itself; choose another"));
         }
@@ -119,9 +124,10 @@ impl<'r> Check<'r> {
             input_files: Vec::new(),
             declared: Vec::new(),
             outputs: None,
-            on_error: self.on_error(name, table),
-            place: self.place(name, table),
+            on_error: OnError::default(),
+            place: Place::default(),
         };
+        self.behaviour(&mut parsed_node);
         if let Some(kind) = kind {
             self.params(&mut parsed_node, kind);
             self.outputs(&mut parsed_node, kind, header);
@@ -158,44 +164,30 @@ impl<'r> Check<'r> {
         known
     }
 
-    fn on_error(&mut self, name: &str, table: &Table) -> OnError {
-        let Some(entry) = table.get("on_error") else { return OnError::default() };
-        let what = format!("node \"{name}\": on_error");
-        match extract::text(&entry.value, &what, &mut self.faults) {
-            Some("skip") => OnError::Skip,
-            Some("stop") | None => OnError::Stop,
-            Some(found) => {
-                let fault = Fault::new(format!("{what} takes one of \"stop\", \"skip\", found the text {found:?}"));
-                let help = nearest::help(found, ["stop", "skip"]);
-                self.faults.push(fault.at(&entry.value.at, "not one of them").help_if(help));
-                OnError::Stop
-            }
+    /// Reads the keys that nodes of every kind have.
+    fn behaviour(&mut self, parsed_node: &mut ParsedNode<'_>) {
+        let table = Section::known(parsed_node.table, &grammar::NODE, format!("node \"{}\"", parsed_node.name));
+        if table.word("on_error", &mut self.faults) == Some("skip") {
+            parsed_node.on_error = OnError::Skip;
         }
-    }
-
-    fn place(&mut self, name: &str, table: &Table) -> Place {
-        let mut place = Place::default();
-        if let Some(entry) = table.get("process") {
-            let what = format!("node \"{name}\": process");
-            place.process = extract::boolean(&entry.value, &what, &mut self.faults);
-        }
+        let process = table.flag_if_set("process", &mut self.faults);
+        parsed_node.place.process = process;
         if let Some(entry) = table.get("stop_after_s") {
-            let what = format!("node \"{name}\": stop_after_s");
-            let limit = extract::seconds(&entry.value, &what, &mut self.faults).map(Duration::from_secs_f64);
-            if place.process == Some(false) {
+            let limit = table.seconds("stop_after_s", &mut self.faults).map(Duration::from_secs_f64);
+            if process == Some(false) {
+                let what = table.what("stop_after_s");
                 let fault = Fault::new(format!("{what} ends a process of the node, but process is false"));
                 self.faults.push(fault.at(&entry.value.at, "no process to end").help("take process = false out"));
             }
             // Only a process can be stopped from outside.
-            place = Place { process: Some(true), stop_after: limit };
+            parsed_node.place = Place { process: Some(true), stop_after: limit };
         }
-        place
     }
 
     fn params(&mut self, parsed_node: &mut ParsedNode<'_>, kind: &Kind) {
         let schema = &kind.description.params;
         let properties = schema.get("properties").and_then(Json::as_object).into_iter().flatten();
-        for (taken, _) in properties.filter(|(key, _)| grammar::NODE.contains(&key.as_str())) {
+        for (taken, _) in properties.filter(|(key, _)| grammar::has(&grammar::NODE, key)) {
             let message =
                 format!("kind {} has a parameter \"{taken}\", which is a key of every node", parsed_node.kind_name());
             let at = parsed_node.table.get("kind").map_or(parsed_node.name_at, |kind| &kind.value.at);
@@ -212,7 +204,8 @@ impl<'r> Check<'r> {
             faults: Vec::new(),
             input_files: Vec::new(),
         };
-        if let Some(params) = walker.table(schema, parsed_node.table, parsed_node.begins_at(), "", &grammar::NODE) {
+        let own: Vec<_> = grammar::names(&grammar::NODE).collect();
+        if let Some(params) = walker.table(schema, parsed_node.table, parsed_node.begins_at(), "", &own) {
             parsed_node.params = Json::Object(params);
         }
         self.faults.append(&mut walker.faults);

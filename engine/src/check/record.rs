@@ -5,7 +5,11 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Graph, Module, Value, extract, grammar},
+    graph::{
+        Graph, Module, Value,
+        extract::{self, Section},
+        grammar,
+    },
     names::{glob, nearest},
     plan::{RecordSettings, Sources},
 };
@@ -27,7 +31,7 @@ impl Check<'_> {
         let mut patterns = Vec::new();
         let table = graph.table.get("record").and_then(|e| extract::table(&e.value, "record", &mut self.faults));
         if let Some(table) = table {
-            extract::only(table, &grammar::RECORD, "[record]", &mut self.faults);
+            let table = Section::new(table, &grammar::RECORD, "[record]", "", &mut self.faults);
             if let Some(entry) = table.get("sources") {
                 match &entry.value.value {
                     Value::Bool(recorded) => sources = *recorded,
@@ -52,9 +56,7 @@ impl Check<'_> {
                     None => {}
                 }
             }
-            if let Some(entry) = table.get("views") {
-                settings.views = extract::boolean(&entry.value, "views", &mut self.faults).unwrap_or(true);
-            }
+            settings.views = table.flag("views", &mut self.faults);
             if let Some(entry) = table.get("wires") {
                 match &entry.value.value {
                     Value::Array(items) => patterns.extend(items),

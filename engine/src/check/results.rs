@@ -6,7 +6,8 @@ use super::{
 use crate::{
     fault::{Fault, Span},
     graph::{
-        Entry, Graph, Table, Value, extract,
+        Entry, Graph, Value,
+        extract::{self, Section},
         grammar::{self, REQUIRE, VERDICT},
     },
     plan::Require,
@@ -115,14 +116,11 @@ impl Check<'_> {
         let (mut all, mut optional) = (false, false);
         let from = match &entry.value.value {
             Value::Table(table) => {
-                extract::only(table, &grammar::RESULT, &owner, &mut self.faults);
+                let table = Section::new(table, &grammar::RESULT, &owner, &owner, &mut self.faults);
                 for (key, slot) in [("all", &mut all), ("optional", &mut optional)] {
-                    let value = table.get(key);
-                    let value =
-                        value.and_then(|e| extract::boolean(&e.value, &format!("{owner}: {key}"), &mut self.faults));
-                    *slot = value.unwrap_or(false);
+                    *slot = table.flag(key, &mut self.faults);
                     if *slot && entry.key == VERDICT {
-                        self.refuse_flag_of_verdict(key, table);
+                        self.refuse_flag_of_verdict(key, &table);
                     }
                 }
                 let Some(from) = table.get("from") else {
@@ -146,7 +144,7 @@ impl Check<'_> {
     }
 
     /// A fault for `all` or `optional` of the verdict.
-    fn refuse_flag_of_verdict(&mut self, key: &str, table: &Table) {
+    fn refuse_flag_of_verdict(&mut self, key: &str, table: &Section<'_>) {
         let Some(flag) = table.get(key) else { return };
         let (message, help) = match key {
             "all" => ("there is one verdict, the last value of its wire", "remove all"),

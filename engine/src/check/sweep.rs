@@ -10,7 +10,11 @@ pub use spec::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, 
 
 use crate::{
     fault::{Fault, Span},
-    graph::{Entry, Spanned, Table, Value, extract, grammar},
+    graph::{
+        Entry, Spanned, Table, Value,
+        extract::{self, Section},
+        grammar,
+    },
     names::nearest,
 };
 
@@ -21,7 +25,7 @@ const REPEAT: &str = "repeat";
 const OWN: [&str; 10] = ["run", "seed", "status", "verdict", "reason", "measure", "point", "axis", "value", "value_mm"];
 
 /// Maximum number of repeats, and of runs of a sweep.
-pub(super) const MAX_RUNS: usize = 1_000_000;
+const MAX_RUNS: u64 = 1_000_000;
 
 /// Reads `[sweep]` of a graph; `None` if it has none.
 pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
@@ -41,13 +45,9 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn spec(&mut self, table: &Table, mut results: Vec<String>) -> Option<Spec> {
         let before = self.faults.len();
-        extract::only(table, &grammar::SWEEP, "[sweep]", self.faults);
-        let repeat = table.get("repeat").map_or(Some(1), |entry| {
-            extract::whole(&entry.value, "repeat", 1, MAX_RUNS as u64, self.faults).map(|n| n as usize)
-        });
-        let same_seed =
-            table.get("same_seed").and_then(|entry| extract::boolean(&entry.value, "same_seed", self.faults));
-        let same_seed = same_seed.unwrap_or(false);
+        let own = Section::new(table, &grammar::SWEEP, "[sweep]", "", self.faults);
+        let repeat = own.whole("repeat", MAX_RUNS, self.faults).unwrap_or(1);
+        let same_seed = own.flag("same_seed", self.faults);
         let factors = self.tables(table, "factor", Self::factor);
         let draws = self.tables(table, "draw", Self::draw);
         let columns = self.tables(table, "columns", Self::column);
@@ -60,20 +60,9 @@ impl Reader<'_> {
         let limits = self.numbers(table.get("limit"), "limit", &columns);
         let compare = table.get("compare").map(|entry| self.comparisons(&entry.value, &factors, &columns));
         let compare = compare.unwrap_or_default();
-        let spec = Spec {
-            repeat: repeat?,
-            repeat_name,
-            same_seed,
-            factors,
-            pair,
-            draws,
-            units,
-            columns,
-            points,
-            limits,
-            compare,
-        };
-        if self.faults.len() == before && spec.n_runs().is_none_or(|n| n > MAX_RUNS) {
+        let spec =
+            Spec { repeat, repeat_name, same_seed, factors, pair, draws, units, columns, points, limits, compare };
+        if self.faults.len() == before && spec.n_runs().is_none_or(|n| n as u64 > MAX_RUNS) {
             let fault = Fault::new(format!("the sweep has more than {MAX_RUNS} runs")).at(self.at, "too many");
             self.faults.push(fault.help("take fewer values, or pair factors that go together"));
         }
@@ -112,14 +101,10 @@ impl Reader<'_> {
         }
     }
 
-    fn keys(&mut self, table: &Table, owner: &str, needed: bool) -> Vec<String> {
-        let (one, many) = (table.get("key"), table.get("keys"));
-        match (one, many) {
-            (Some(entry), None) => extract::text(&entry.value, &format!("{owner}: key"), self.faults)
-                .map(str::to_owned)
-                .into_iter()
-                .collect(),
-            (None, Some(entry)) => self.texts(&entry.value, &format!("{owner}: keys")),
+    fn keys(&mut self, table: &Section<'_>, owner: &str, needed: bool) -> Vec<String> {
+        match (table.get("key"), table.get("keys")) {
+            (Some(_), None) => table.text("key", self.faults).map(str::to_owned).into_iter().collect(),
+            (None, Some(entry)) => self.texts(&entry.value, &table.what("keys")),
             (Some(_), Some(second)) => {
                 self.fault(&second.key_at, format!("{owner} has key and keys"), "the second", "keep one of them");
                 Vec::new()
@@ -127,12 +112,8 @@ impl Reader<'_> {
             (None, None) => {
                 if needed {
                     let help = "add key = \"NODE.PARAMETER\", as --set takes it, or keys = [..] for several at once";
-                    self.fault(
-                        &table.0.first().map_or(self.at.clone(), |e| e.key_at.clone()),
-                        format!("{owner} does not say what it sets"),
-                        "no key here",
-                        help,
-                    );
+                    let at = table.first().map_or(self.at, |entry| &entry.key_at).clone();
+                    self.fault(&at, format!("{owner} does not say what it sets"), "no key here", help);
                 }
                 Vec::new()
             }
@@ -156,19 +137,19 @@ impl Reader<'_> {
     fn points(&mut self, entry: &Entry) -> Option<PointColumn> {
         let owner = format!("points \"{}\"", entry.key);
         let table = extract::table(&entry.value, &owner, self.faults)?;
-        extract::only(table, &grammar::POINTS, &owner, self.faults);
-        let Some(from) = table.get("from") else {
+        let table = Section::new(table, &grammar::POINTS, &owner, &*owner, self.faults);
+        if table.get("from").is_none() {
             let help = "add from = \"metrics.tre_true_mm.points\", a list in results.json";
             self.fault(&entry.key_at, format!("{owner} does not say its list"), "no from", help);
             return None;
-        };
-        let path = extract::text(&from.value, &format!("{owner}: from"), self.faults)?.to_owned();
+        }
+        let path = table.text("from", self.faults)?.to_owned();
         let label = match table.get("name") {
-            Some(entry) => extract::text(&entry.value, &format!("{owner}: name"), self.faults)?.to_owned(),
+            Some(_) => table.text("name", self.faults)?.to_owned(),
             None => "name".into(),
         };
         let axes = match table.get("axes") {
-            Some(entry) => self.texts(&entry.value, &format!("{owner}: axes")),
+            Some(entry) => self.texts(&entry.value, &table.what("axes")),
             None => ["x", "y", "z"].map(str::to_owned).to_vec(),
         };
         Some(PointColumn { name: entry.key.clone(), path, label, axes })
@@ -254,11 +235,7 @@ impl Reader<'_> {
         let Some(table) = extract::table(&entry.value, what, self.faults) else { return Vec::new() };
         let mut out = Vec::new();
         for entry in &table.0 {
-            let number = match entry.value.value {
-                Value::Int(n) => n as f64,
-                Value::Float(x) => x,
-                _ => f64::NAN,
-            };
+            let number = entry.value.as_number().unwrap_or(f64::NAN);
             if !columns.iter().any(|column| column.name == entry.key) {
                 let fault = Fault::new(format!("{what}: there is no column \"{}\"", entry.key));
                 let known: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
@@ -294,9 +271,9 @@ impl Reader<'_> {
 
     fn compare(&mut self, value: &Spanned, factors: &[Factor], columns: &[Column]) -> Option<Compare> {
         let table = extract::table(value, "compare", self.faults)?;
-        extract::only(table, &grammar::COMPARE, "sweep.compare", self.faults);
+        let table = Section::new(table, &grammar::COMPARE, "sweep.compare", "compare", self.faults);
         let margins = self.numbers(table.get("margin"), "margin", columns);
-        let name = table.get("factor").and_then(|e| extract::text(&e.value, "compare: factor", self.faults));
+        let name = table.text("factor", self.faults);
         let factor = name.and_then(|name| factors.iter().find(|factor| factor.name == name));
         let Some(factor) = factor else {
             self.fault(&value.at, "compare needs the name of a factor", "no factor", "add factor = \"icp\"");

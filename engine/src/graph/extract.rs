@@ -1,7 +1,117 @@
 //! Reads values of the graph file's own keys.
 
-use super::{Entry, Spanned, Table, Value};
+use super::{
+    Entry, Spanned, Table, Value,
+    grammar::{self, Keys},
+};
 use crate::{fault::Fault, names::nearest};
+use serde_json::Value as Json;
+
+/// A table of the graph file, read by the keys of the grammar.
+pub(crate) struct Section<'t> {
+    table: &'t Table,
+    keys: &'static Keys,
+    /// Begins the faults of its values, unless it is empty: `OWNER: KEY takes ..`.
+    owner: String,
+}
+
+impl<'t> Section<'t> {
+    /// Adds a fault for each unknown key, which says that `place` has no such key.
+    pub(crate) fn new(
+        table: &'t Table,
+        keys: &'static Keys,
+        place: &str,
+        owner: impl Into<String>,
+        faults: &mut Vec<Fault>,
+    ) -> Self {
+        for Entry { key, key_at, .. } in table.0.iter().filter(|entry| !grammar::has(keys, &entry.key)) {
+            let fault = Fault::new(format!("{place} has no key \"{key}\"")).at(key_at, "unknown");
+            let help = nearest::help(key, grammar::names(keys));
+            faults.push(fault.help_if(help).note_if(nearest::list("known here", grammar::names(keys))));
+        }
+        Self::known(table, keys, owner)
+    }
+
+    /// A table whose other keys are not of the grammar, such as the parameters of a node.
+    pub(crate) fn known(table: &'t Table, keys: &'static Keys, owner: impl Into<String>) -> Self {
+        Self { table, keys, owner: owner.into() }
+    }
+
+    /// The entry of a key.
+    pub(crate) fn get(&self, key: &str) -> Option<&'t Entry> {
+        self.table.get(key)
+    }
+
+    pub(crate) fn first(&self) -> Option<&'t Entry> {
+        self.table.0.first()
+    }
+
+    /// The name of a key in faults.
+    pub(crate) fn what(&self, key: &str) -> String {
+        if self.owner.is_empty() { key.into() } else { format!("{}: {key}", self.owner) }
+    }
+
+    /// The schema of a key.
+    ///
+    /// # Panics
+    /// If the grammar does not have the key, which is a bug of ours.
+    fn schema(&self, key: &str) -> &'static Json {
+        &self.keys[key]
+    }
+
+    pub(crate) fn text(&self, key: &str, faults: &mut Vec<Fault>) -> Option<&'t str> {
+        text(&self.get(key)?.value, &self.what(key), faults)
+    }
+
+    /// The flag of a key, or its default.
+    pub(crate) fn flag(&self, key: &str, faults: &mut Vec<Fault>) -> bool {
+        self.flag_if_set(key, faults).unwrap_or(self.schema(key)["default"] == true)
+    }
+
+    pub(crate) fn flag_if_set(&self, key: &str, faults: &mut Vec<Fault>) -> Option<bool> {
+        boolean(&self.get(key)?.value, &self.what(key), faults)
+    }
+
+    /// The whole number of a key, from what the grammar states to `max`.
+    pub(crate) fn whole<T: TryFrom<u64>>(&self, key: &str, max: u64, faults: &mut Vec<Fault>) -> Option<T> {
+        let min = self.schema(key)["minimum"].as_u64().unwrap_or(0);
+        T::try_from(whole(&self.get(key)?.value, &self.what(key), min, max, faults)?).ok()
+    }
+
+    /// The word of a key, one of those that the grammar lists.
+    pub(crate) fn word(&self, key: &str, faults: &mut Vec<Fault>) -> Option<&'static str> {
+        let words = || self.schema(key)["enum"].as_array().into_iter().flatten().filter_map(Json::as_str);
+        let (value, what) = (&self.get(key)?.value, self.what(key));
+        let given = text(value, &what, faults)?;
+        let word = words().find(|word| *word == given);
+        if word.is_none() {
+            let list: Vec<_> = words().map(|word| format!("\"{word}\"")).collect();
+            let fault = Fault::new(format!("{what} takes one of {}, found the text {given:?}", list.join(", ")));
+            let help = nearest::help(given, words());
+            faults.push(fault.at(&value.at, "not one of them").help_if(help));
+        }
+        word
+    }
+
+    /// The number of milliseconds of a key, in nanoseconds.
+    pub(crate) fn milliseconds(&self, key: &str, faults: &mut Vec<Fault>) -> Option<i64> {
+        milliseconds(&self.get(key)?.value, &self.what(key), faults)
+    }
+
+    pub(crate) fn bytes(&self, key: &str, faults: &mut Vec<Fault>) -> Option<u64> {
+        bytes(&self.get(key)?.value, &self.what(key), faults)
+    }
+
+    /// The number of seconds of a key, above 0 and at most what the grammar states.
+    pub(crate) fn seconds(&self, key: &str, faults: &mut Vec<Fault>) -> Option<f64> {
+        let (value, most) = (&self.get(key)?.value, &self.schema(key)["maximum"]);
+        let seconds = value.as_number().filter(|s| *s > 0.0 && most.as_f64().is_some_and(|most| *s <= most));
+        if seconds.is_none() {
+            faults.push(wrong(value, &self.what(key), &format!("a number of seconds above 0 and at most {most}")));
+        }
+        seconds
+    }
+}
 
 /// The text of an entry; a fault if it is something else.
 pub(crate) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a str> {
@@ -16,7 +126,7 @@ pub(crate) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) 
     text
 }
 
-pub(crate) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<bool> {
+fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<bool> {
     if let Value::Bool(value) = value.value {
         return Some(value);
     }
@@ -25,7 +135,7 @@ pub(crate) fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> O
 }
 
 /// A whole number from `min` to `max`.
-pub(crate) fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mut Vec<Fault>) -> Option<u64> {
+fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mut Vec<Fault>) -> Option<u64> {
     if let Value::Int(number) = value.value
         && let Some(number) = u64::try_from(number).ok().filter(|n| (min..=max).contains(n))
     {
@@ -41,7 +151,7 @@ pub(crate) fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mu
 }
 
 /// A number of bytes of at least 1: a whole number, or a text with a unit such as `64 MiB`.
-pub(crate) fn bytes(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<u64> {
+fn bytes(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<u64> {
     let n = match &value.value {
         Value::Int(number) => u64::try_from(*number).ok(),
         Value::Text(text) => bytes_of(text),
@@ -75,31 +185,12 @@ fn bytes_of(text: &str) -> Option<u64> {
 }
 
 /// A duration in milliseconds, at least 0; returns nanoseconds.
-pub(crate) fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
-    let ms = match value.value {
-        Value::Int(number) => number as f64,
-        Value::Float(number) => number,
-        _ => f64::NAN,
-    };
+fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
     // At most about a thousand years, so that nothing overflows.
-    if (0.0..3.2e13).contains(&ms) {
+    if let Some(ms) = value.as_number().filter(|ms| (0.0..3.2e13).contains(ms)) {
         return Some((ms * 1e6).round() as i64);
     }
     faults.push(wrong(value, what, "a number of milliseconds of at least 0"));
-    None
-}
-
-/// A number of seconds above 0 and at most a day.
-pub(crate) fn seconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<f64> {
-    let s = match value.value {
-        Value::Int(number) => number as f64,
-        Value::Float(number) => number,
-        _ => f64::NAN,
-    };
-    if s > 0.0 && s <= 86_400.0 {
-        return Some(s);
-    }
-    faults.push(wrong(value, what, "a number of seconds above 0 and at most 86400"));
     None
 }
 
@@ -114,15 +205,6 @@ pub(crate) fn table<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>)
 fn wrong(value: &Spanned, what: &str, takes: &str) -> Fault {
     let message = format!("{what} takes {takes}, found {}", value.found());
     Fault::new(message).at(&value.at, format!("{takes} is needed"))
-}
-
-/// Faults for unknown keys of a table.
-pub(crate) fn only(table: &Table, known: &[&str], place: &str, faults: &mut Vec<Fault>) {
-    for Entry { key, key_at, .. } in table.0.iter().filter(|entry| !known.contains(&entry.key.as_str())) {
-        let fault = Fault::new(format!("{place} has no key \"{key}\"")).at(key_at, "unknown");
-        let help = nearest::help(key, known.iter().copied());
-        faults.push(fault.help_if(help).note_if(nearest::list("known here", known.iter().copied())));
-    }
 }
 
 /// Whether the text is a valid node name: a name, or names joined by `/`, as for nodes of modules.

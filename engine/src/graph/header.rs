@@ -1,9 +1,13 @@
-use super::{Table, Value, extract, grammar};
+use super::{
+    Table, Value,
+    extract::{self, Section},
+    grammar,
+};
 use crate::fault::{Fault, SourceText, Span};
 use std::sync::Arc;
 
 /// The version of the graph format that this crate reads.
-const FORMAT: u64 = 1;
+pub(crate) const FORMAT: u64 = 1;
 
 /// The contents of `[graph]`.
 pub(crate) struct Header {
@@ -16,7 +20,7 @@ pub(crate) struct Header {
 
 /// Reads the top level and `[graph]` of a graph file or a module.
 pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault>) -> Header {
-    extract::only(table, &grammar::TOP, "a graph file", faults);
+    Section::new(table, &grammar::TOP, "a graph file", "", faults);
     let stem = main.name.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let mut header = Header { name: stem.unwrap_or_default(), seed: 0, frames: None, lossy: false };
     let Some(entry) = table.get("graph") else {
@@ -26,7 +30,7 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
         return header;
     };
     let Some(table) = extract::table(&entry.value, "graph", faults) else { return header };
-    extract::only(table, &grammar::GRAPH, "[graph]", faults);
+    let table = Section::new(table, &grammar::GRAPH, "[graph]", "", faults);
     match table.get("format") {
         None => {
             let fault = Fault::new("the graph file does not say its format").at(&entry.key_at, "no format here");
@@ -47,15 +51,11 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
             }
         },
     }
-    if let Some(name) = table.get("name").and_then(|e| extract::text(&e.value, "name", faults)) {
+    if let Some(name) = table.text("name", faults) {
         header.name = name.into();
     }
-    if let Some(seed) = table.get("seed").and_then(|e| extract::whole(&e.value, "seed", 0, u64::MAX, faults)) {
-        header.seed = seed;
-    }
-    if let Some(lossy) = table.get("lossy").and_then(|e| extract::boolean(&e.value, "lossy", faults)) {
-        header.lossy = lossy;
-    }
+    header.seed = table.whole("seed", u64::MAX, faults).unwrap_or(0);
+    header.lossy = table.flag("lossy", faults);
     if let Some(frames) = table.get("frames") {
         let Value::Array(items) = &frames.value.value else {
             let fault = Fault::new(format!("frames takes a list of names, found {}", frames.value.found()));

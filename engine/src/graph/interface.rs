@@ -1,7 +1,8 @@
 //! The interface of a module: its inputs, outputs and parameters.
 
 use super::{
-    extract, grammar,
+    extract::{self, Section},
+    grammar::{self, Keys},
     tree::{Entry, Spanned, Table, Value},
 };
 use crate::{
@@ -57,28 +58,28 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
     let mut interface =
         Interface { at, doc: String::new(), inputs: Vec::new(), outputs: Vec::new(), params: Vec::new() };
     let Some(module) = extract::table(&entry.value, "module", faults) else { return Some(interface) };
-    extract::only(module, &grammar::MODULE, "[module]", faults);
-    interface.doc = doc(module, "module", faults);
-    for entry in entries(module, "inputs", "an input", faults) {
+    let module = Section::new(module, &grammar::MODULE, "[module]", "module", faults);
+    interface.doc = doc(&module, faults);
+    for entry in entries(&module, "inputs", "an input", faults) {
         let owner = format!("module input \"{}\"", entry.key);
         let table = long(entry, "to");
-        let Some(table) = known(&table, &grammar::MODULE_INPUT, &owner, faults) else { continue };
+        let Some(table) = section(&table, &grammar::MODULE_INPUT, &owner, faults) else { continue };
         interface.inputs.push(InputDecl {
             name: entry.key.clone(),
             name_at: entry.key_at.clone(),
-            doc: doc(table, &owner, faults),
-            to: targets(table, entry, &owner, "node.port", faults),
-            optional: flag(table, "optional", &owner, faults),
+            doc: doc(&table, faults),
+            to: targets(&table, entry, &owner, "node.port", faults),
+            optional: table.flag("optional", faults),
         });
     }
-    for entry in entries(module, "outputs", "an output", faults) {
+    for entry in entries(&module, "outputs", "an output", faults) {
         let owner = format!("module output \"{}\"", entry.key);
         let table = long(entry, "from");
-        let Some(table) = known(&table, &grammar::MODULE_OUTPUT, &owner, faults) else { continue };
-        let doc = doc(table, &owner, faults);
+        let Some(table) = section(&table, &grammar::MODULE_OUTPUT, &owner, faults) else { continue };
+        let doc = doc(&table, faults);
         match table.get("from") {
             Some(from) => {
-                let Some(wire) = extract::text(&from.value, &format!("{owner}: from"), faults) else { continue };
+                let Some(wire) = table.text("from", faults) else { continue };
                 let (name, from_at) = (entry.key.clone(), from.value.at.clone());
                 interface.outputs.push(OutputDecl { name, doc, from: wire.into(), from_at });
             }
@@ -88,22 +89,22 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
             }
         }
     }
-    for entry in entries(module, "params", "a parameter", faults) {
+    for entry in entries(&module, "params", "a parameter", faults) {
         let owner = format!("module parameter \"{}\"", entry.key);
-        if grammar::NODE.iter().chain(&grammar::MODULE_NODE).any(|key| *key == entry.key) {
+        if grammar::has(&grammar::NODE, &entry.key) || grammar::has(&grammar::MODULE_NODE, &entry.key) {
             let fault = Fault::new(format!("a module's parameter cannot be called \"{}\"", entry.key));
             let fault = fault.at(&entry.key_at, "taken");
             faults.push(fault.help("it is a key of the node that uses the module; choose another name"));
             continue;
         }
         let table = long(entry, "to");
-        let Some(table) = known(&table, &grammar::MODULE_PARAM, &owner, faults) else { continue };
+        let Some(table) = section(&table, &grammar::MODULE_PARAM, &owner, faults) else { continue };
         let param_decl = ParamDecl {
             name: entry.key.clone(),
-            doc: doc(table, &owner, faults),
-            to: targets(table, entry, &owner, "node.parameter", faults),
+            doc: doc(&table, faults),
+            to: targets(&table, entry, &owner, "node.parameter", faults),
             default: table.get("default").map(|default| default.value.clone()),
-            required: flag(table, "required", &owner, faults),
+            required: table.flag("required", faults),
         };
         if let (Some(default), true) = (&param_decl.default, param_decl.required) {
             let fault = Fault::new(format!("{owner} is required, but has a default"));
@@ -114,7 +115,7 @@ pub(super) fn read(table: &mut Table, faults: &mut Vec<Fault>) -> Option<Interfa
     Some(interface)
 }
 
-fn entries<'t>(module: &'t Table, key: &str, what: &str, faults: &mut Vec<Fault>) -> &'t [Entry] {
+fn entries<'t>(module: &Section<'t>, key: &str, what: &str, faults: &mut Vec<Fault>) -> &'t [Entry] {
     let Some(entry) = module.get(key) else { return &[] };
     let Some(table) = extract::table(&entry.value, &format!("[module] {key}"), faults) else { return &[] };
     for entry in table.0.iter().filter(|entry| !extract::is_name(&entry.key)) {
@@ -135,23 +136,22 @@ fn long(entry: &Entry, key: &str) -> Spanned {
     }
 }
 
-fn known<'t>(value: &'t Spanned, keys: &[&str], owner: &str, faults: &mut Vec<Fault>) -> Option<&'t Table> {
+fn section<'t>(value: &'t Spanned, keys: &'static Keys, owner: &str, faults: &mut Vec<Fault>) -> Option<Section<'t>> {
     let table = extract::table(value, owner, faults)?;
-    extract::only(table, keys, owner, faults);
-    Some(table)
+    Some(Section::new(table, keys, owner, owner, faults))
 }
 
-fn doc(table: &Table, owner: &str, faults: &mut Vec<Fault>) -> String {
-    let entry = table.get("doc");
-    entry.and_then(|e| extract::text(&e.value, &format!("{owner}: doc"), faults)).unwrap_or_default().into()
+fn doc(table: &Section<'_>, faults: &mut Vec<Fault>) -> String {
+    table.text("doc", faults).unwrap_or_default().into()
 }
 
-fn flag(table: &Table, key: &str, owner: &str, faults: &mut Vec<Fault>) -> bool {
-    let entry = table.get(key);
-    entry.and_then(|e| extract::boolean(&e.value, &format!("{owner}: {key}"), faults)).unwrap_or(false)
-}
-
-fn targets(table: &Table, entry: &Entry, owner: &str, form: &str, faults: &mut Vec<Fault>) -> Vec<(String, Span)> {
+fn targets(
+    table: &Section<'_>,
+    entry: &Entry,
+    owner: &str,
+    form: &str,
+    faults: &mut Vec<Fault>,
+) -> Vec<(String, Span)> {
     let Some(to) = table.get("to") else {
         let fault = Fault::new(format!("{owner} leads nowhere")).at(&entry.key_at, "no to here");
         faults.push(fault.help(format!("add to = \"{form}\", or a list of such")).follows());

@@ -310,7 +310,7 @@ impl User<'_> {
             faults.push(fault.note_if(none));
         }
         let param_decls = || interface.params.iter().map(|param_decl| param_decl.name.as_str());
-        let is_known = |key: &str| grammar::MODULE_NODE.contains(&key) || param_decls().any(|name| name == key);
+        let is_known = |key: &str| grammar::has(&grammar::MODULE_NODE, key) || param_decls().any(|name| name == key);
         for entry in self.table.0.iter().filter(|entry| !is_known(&entry.key)) {
             let key = entry.key.as_str();
             let fault = Fault::new(format!("node \"{node}\": module {file} has no parameter \"{key}\""));

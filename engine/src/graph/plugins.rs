@@ -1,5 +1,6 @@
 use super::{
-    extract, grammar,
+    extract::Section,
+    grammar,
     tree::{Spanned, Table, Value},
 };
 use crate::fault::{Fault, Span};
@@ -46,10 +47,9 @@ fn plugin(item: &Spanned, faults: &mut Vec<Fault>) -> Option<NamedPlugin> {
         faults.push(fault.at(&item.at, "a text is needed"));
         return None;
     };
-    extract::only(table, &grammar::PLUGIN, "a plugin", faults);
-    let mut text = |key: &str| extract::text(&table.get(key)?.value, key, faults).map(str::to_owned);
-    let (file, interpreter) = (text("file"), text("interpreter"));
-    let Some(text) = file else {
+    let table = Section::new(table, &grammar::PLUGIN, "a plugin", "", faults);
+    let (file, interpreter) = (table.text("file", faults), table.text("interpreter", faults));
+    let Some(text) = file.map(str::to_owned) else {
         let fault = Fault::new("a plugin is named by the path of its file");
         faults.push(
             fault.at(&item.at, "no file").help("write { file = \"my_icp.py\", interpreter = \".venv/bin/python\" }"),

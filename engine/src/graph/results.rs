@@ -1,4 +1,7 @@
-use super::tree::{Entry, Table, Value};
+use super::{
+    grammar,
+    tree::{Entry, Table, Value},
+};
 use crate::fault::Fault;
 
 /// Writes nested tables under `[results]` as dotted keys: `[results.poses] a = ".."` is `"poses.a" = ".."`.
@@ -37,5 +40,5 @@ fn collect(table: Table, prefix: &str) -> Vec<Entry> {
 
 /// Whether a table under `[results]` is an entry, not a group of entries.
 fn is_entry(table: &Table) -> bool {
-    table.keys().any(|key| matches!(key, "from" | "all" | "optional")) || table.0.is_empty()
+    table.keys().any(|key| grammar::has(&grammar::RESULT, key)) || table.0.is_empty()
 }

@@ -5,6 +5,7 @@ pub(crate) use keys::{SetKey, keys_set};
 use super::{
     edit::{Edit, Step},
     extends::tidy,
+    grammar,
     merge::merge,
     parse::parse_value,
     remove::Removed,
@@ -17,11 +18,10 @@ use std::{
     sync::Arc,
 };
 
-const TOP: [&str; 7] = ["graph", "node", "record", "results", "remove", "module", "sweep"];
 const PREFIX: &str = "--set ";
 
 /// Settings, each `KEY=VALUE`, and where they are written.
-pub(super) struct Sets<'a> {
+pub(crate) struct Sets<'a> {
     sets: &'a [String],
     name: PathBuf,
     /// The folder that relative paths are relative to.
@@ -30,12 +30,12 @@ pub(super) struct Sets<'a> {
 
 impl<'a> Sets<'a> {
     /// Settings of the command line.
-    pub(super) fn command_line(sets: &'a [String]) -> Self {
+    pub(crate) fn command_line(sets: &'a [String]) -> Self {
         Self { sets, name: "command line".into(), dir: std::env::current_dir().unwrap_or_default() }
     }
 
     /// Settings of one run of the sweep in the graph file at `path`.
-    pub(super) fn row(sets: &'a [String], path: &Path) -> Self {
+    pub(crate) fn row(sets: &'a [String], path: &Path) -> Self {
         let dir = std::path::absolute(path).ok().and_then(|path| path.parent().map(Path::to_path_buf));
         Self { sets, name: format!("[sweep] of {}", tidy(path).display()).into(), dir: dir.unwrap_or_default() }
     }
@@ -174,7 +174,7 @@ impl Setting {
             let fault = Fault::new("plugins belongs in a graph file").at(&span, "not on the command line");
             return Err(Box::new(fault.help("name the library by --plugin FILE instead")));
         }
-        if graph.is_some() && !TOP.contains(&first.as_str()) {
+        if graph.is_some() && !grammar::has(&grammar::TOP, first) {
             // `icp.max_iterations` is short for `node.icp.max_iterations`.
             let key = ("node".into(), at.start..at.start);
             path.insert(0, (key, Vec::new()));
@@ -257,7 +257,7 @@ fn result_path(path: Vec<Key>, table: &Table) -> Vec<Key> {
     let there = |key: &str| table.get("results").and_then(|r| r.value.as_table()).is_some_and(|r| r.get(key).is_some());
     match path.as_slice() {
         [results, keys @ .., (last, at)]
-            if !keys.is_empty() && matches!(last.as_str(), "all" | "optional" | "from") && there(&join(keys).0) =>
+            if !keys.is_empty() && grammar::has(&grammar::RESULT, last) && there(&join(keys).0) =>
         {
             vec![results.clone(), join(keys), (last.clone(), at.clone())]
         }

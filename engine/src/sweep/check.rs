@@ -28,7 +28,7 @@ use std::{
 /// `[sweep]`.
 pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usize) -> Result<Sweep, Faults> {
     let kinds = kinds.into();
-    let Checked { plan, warnings, registry, sweep } = check::check_sweep(path, sets, kinds.clone())?;
+    let Checked { plan, warnings, registry, sweep } = check::check_sweep(path, sets, &kinds)?;
     let Some(spec) = sweep else {
         let fault = Fault::new(format!("{} has no table [sweep]", path.display()));
         let help = "say what is varied, such as [sweep] repeat = 10, and which numbers are wanted in [sweep.columns]";
@@ -103,7 +103,7 @@ fn check_rows(
             && let index = next.fetch_add(1, Ordering::Relaxed)
             && let Some(row) = rows.get(index)
         {
-            let checked = check::check_row(path, sets, &row.sets, kinds.clone());
+            let checked = check::check_row(path, sets, &row.sets, kinds);
             stop.fetch_or(checked.is_err(), Ordering::Relaxed);
             *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(checked);
         }

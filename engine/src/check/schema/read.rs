@@ -27,7 +27,7 @@ impl<'a> Walker<'a> {
             }
             (ValueType::Int(_), Value::Float(_)) => self.refuse(schema, value, what, "not a whole number"),
             (ValueType::Number(range), Value::Int(_) | Value::Float(_)) => {
-                let number = as_number(value)?;
+                let number = value.as_number()?;
                 if !number.is_finite() {
                     return self.refuse(schema, value, what, "not finite");
                 }
@@ -189,14 +189,6 @@ fn int(number: i128) -> Json {
         (Ok(number), _) => number.into(),
         (_, Ok(number)) => number.into(),
         _ => (number as f64).into(),
-    }
-}
-
-pub(super) fn as_number(value: &Spanned) -> Option<f64> {
-    match value.value {
-        Value::Int(number) => Some(number as f64),
-        Value::Float(number) => Some(number),
-        _ => None,
     }
 }
 

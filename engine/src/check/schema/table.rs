@@ -1,6 +1,5 @@
 use super::{
     Quantity, Walker,
-    read::as_number,
     value_type::{ValueType, describe, doc, value_type},
 };
 use crate::{
@@ -113,7 +112,7 @@ impl<'a> Walker<'a> {
         let fault = Fault::new(format!("{owner}: {kind} has no parameter \"{key}\"{inside}"));
         // Suggest only names that are not set already.
         let free = || known.iter().copied().filter(|name| table.get(name).is_none());
-        let value = as_number(&entry.value).filter(|v| v.is_finite());
+        let value = entry.value.as_number().filter(|v| v.is_finite());
         let fault = match unit::same_quantity(key, value, free()) {
             Some(other) => {
                 let fault = fault.at(&entry.key_at, format!("it is given in {}", other.unit));

@@ -1,5 +1,5 @@
 use super::*;
-use crate::graph::load_text;
+use crate::graph::{Sets, load_text};
 use serde_json::json;
 use std::path::Path;
 
@@ -8,7 +8,7 @@ fn read_table(schema: &Json, text: &str, sets: &[&str], files: Files) -> (String
     let sets: Vec<_> = sets.iter().map(|set| (*set).to_owned()).collect();
     let mut faults = Vec::new();
     let text = format!("[graph]\nformat = 1\n[node.x]\n{text}\n");
-    let graph = load_text(text, Path::new("src/check/x.toml"), &sets, &mut faults);
+    let graph = load_text(text, Path::new("src/check/x.toml"), &[Sets::command_line(&sets)], &mut faults);
     assert!(faults.is_empty(), "{faults:?}");
     let entry = graph.table.get("node").and_then(|nodes| nodes.value.as_table()?.get("x")).unwrap();
     let mut walker = Walker {

@@ -6,16 +6,20 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, extract, grammar},
+    graph::{
+        Entry,
+        extract::{self, Section},
+        grammar,
+    },
 };
 
 impl Reader<'_> {
     pub(super) fn draw(&mut self, entry: &Entry) -> Option<Draw> {
         let owner = format!("draw \"{}\"", entry.key);
         let table = extract::table(&entry.value, &owner, self.faults)?;
-        extract::only(table, &grammar::DRAW, &owner, self.faults);
-        let keys = self.keys(table, &owner, true);
-        let mut ways = grammar::DISTRIBUTIONS.iter().filter_map(|way| table.get(way));
+        let table = Section::new(table, &grammar::DRAW, &owner, &*owner, self.faults);
+        let keys = self.keys(&table, &owner, true);
+        let mut ways = grammar::names(&grammar::DISTRIBUTIONS).filter_map(|way| table.get(way));
         let (Some(way), None) = (ways.next(), ways.next()) else {
             let help = "add one of uniform = [FROM, TO], normal = [MEAN, SD], log_uniform = [FROM, TO], integers = [FROM, TO], choice = [..]";
             self.fault(&entry.key_at, format!("{owner} needs one distribution"), "none, or more than one", help);

@@ -6,21 +6,26 @@ use super::{
 };
 use crate::{
     fault::Fault,
-    graph::{Entry, Spanned, Table, Value, extract, grammar},
+    graph::{
+        Entry, Spanned, Table, Value,
+        extract::{self, Section},
+        grammar,
+    },
 };
 use serde_json::Value as Json;
 
 /// Most values of a factor: each is compared with all others, and is a row of the tables.
-const MAX_LEVELS: usize = 10_000;
+const MAX_LEVELS: u64 = 10_000;
 
 impl Reader<'_> {
     pub(super) fn factor(&mut self, entry: &Entry) -> Option<Factor> {
         let owner = format!("factor \"{}\"", entry.key);
         let table = extract::table(&entry.value, &owner, self.faults)?;
-        extract::only(table, &grammar::FACTOR, &owner, self.faults);
+        let section = Section::new(table, &grammar::FACTOR, &owner, &*owner, self.faults);
         let levels = match table.get("values") {
-            Some(values) => self.listed(table, values, &owner)?,
-            None => self.grid(table, entry, &owner)?,
+            Some(values) => self.listed(&section, values, &owner)?,
+            // Faults of the range do not name the factor.
+            None => self.grid(&section, &Section::known(table, &grammar::FACTOR, ""), entry, &owner)?,
         };
         if levels.is_empty() {
             self.fault(&entry.key_at, format!("{owner} has no value"), "empty", "give at least one value");
@@ -37,13 +42,13 @@ impl Reader<'_> {
     }
 
     /// `values = [..]`; a value that is a table sets the keys it names.
-    fn listed(&mut self, table: &Table, values: &Entry, owner: &str) -> Option<Vec<Level>> {
+    fn listed(&mut self, table: &Section<'_>, values: &Entry, owner: &str) -> Option<Vec<Level>> {
         let Value::Array(items) = &values.value.value else {
             let message = format!("{owner}: values takes a list, found {}", values.value.found());
             self.faults.push(Fault::new(message).at(&values.value.at, "a list is needed"));
             return None;
         };
-        if items.len() > MAX_LEVELS {
+        if items.len() as u64 > MAX_LEVELS {
             let message = format!("{owner} has {} values, at most {MAX_LEVELS} are possible", items.len());
             self.fault(&values.key_at, message, "too many", "split the sweep, or draw the values at random");
             return None;
@@ -53,7 +58,7 @@ impl Reader<'_> {
         let labels = match table.get("labels") {
             None => None,
             Some(labels) => {
-                let texts = self.texts(&labels.value, &format!("{owner}: labels"));
+                let texts = self.texts(&labels.value, &table.what("labels"));
                 if texts.len() != items.len() {
                     let message = format!("{owner} has {} values and {} labels", items.len(), texts.len());
                     self.fault(&labels.key_at, message, "one for each value", "give each value its label");
@@ -80,26 +85,26 @@ impl Reader<'_> {
     }
 
     /// `from = 0.0, to = 0.2, n = 5`: evenly spaced, or spaced in the logarithm with `log = true`.
-    fn grid(&mut self, table: &Table, entry: &Entry, owner: &str) -> Option<Vec<Level>> {
+    fn grid(&mut self, table: &Section<'_>, range: &Section<'_>, entry: &Entry, owner: &str) -> Option<Vec<Level>> {
         let keys = self.keys(table, owner, true);
-        let mut number = |key: &str| match table.get(key).map(|entry| (&entry.value.value, &entry.value)) {
-            Some((Value::Int(n), _)) => Some(*n as f64),
-            Some((Value::Float(x), _)) if x.is_finite() => Some(*x),
-            found => {
-                let at = found.map_or(&entry.key_at, |(_, value)| &value.at);
+        let mut number = |key: &str| {
+            let value = table.get(key).map(|entry| &entry.value);
+            let number = value.and_then(Spanned::as_number).filter(|number| number.is_finite());
+            if number.is_none() {
+                let at = value.map_or(&entry.key_at, |value| &value.at);
                 let fault = Fault::new(format!("{owner} needs values = [..], or from, to and n"));
-                self.faults
-                    .push(fault.at(at, format!("no number for {key}")).help("such as from = 0.0, to = 1.0, n = 5"));
-                None
+                let fault = fault.at(at, format!("no number for {key}"));
+                self.faults.push(fault.help("such as from = 0.0, to = 1.0, n = 5"));
             }
+            number
         };
         let (from, to) = (number("from")?, number("to")?);
-        let Some(n) = table.get("n") else {
+        if table.get("n").is_none() {
             self.fault(&entry.key_at, format!("{owner} does not say how many values"), "no n", "add n = 5");
             return None;
-        };
-        let n = extract::whole(&n.value, "n", 2, MAX_LEVELS as u64, self.faults)?;
-        let log = table.get("log").and_then(|e| extract::boolean(&e.value, "log", self.faults)).unwrap_or(false);
+        }
+        let n: u64 = range.whole("n", MAX_LEVELS, self.faults)?;
+        let log = range.flag("log", self.faults);
         if log && (from <= 0.0 || to <= 0.0) {
             self.fault(
                 &entry.key_at,
