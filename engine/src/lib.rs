@@ -13,16 +13,16 @@
 //! | what a run uses | [`plugin`], `answer_cache` (answers of the store instead of firings) |
 //! | input and output | [`check()`], `record`, [`repro`] |
 //! | whole tasks on files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
-//! | repeated runs | `partial`, [`given`], [`replay()`], [`watch`], [`sweep`] |
+//! | repeated runs | `partial`, [`inputs`], [`replay()`], [`watch`], [`sweep`] |
 
 mod answer_cache;
 pub mod check;
 pub mod diff;
 pub mod durable;
 pub mod fault;
-pub mod given;
 mod graph;
 pub mod hash;
+pub mod inputs;
 mod options;
 mod partial;
 #[cfg(test)]

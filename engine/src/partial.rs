@@ -6,7 +6,7 @@ mod run;
 pub(crate) use player::{Failing, Pace, Player};
 pub(crate) use run::{FinishedNode, PartialRun};
 
-use crate::plan::{Link, OutputId, Plan, ResultEntry};
+use crate::plan::{Link, OutputId, Plan, Policy, ResultEntry};
 use osteoflow_node::Role;
 
 /// What a partial run does with a node.
@@ -18,14 +18,6 @@ pub(crate) enum NodeMode {
     Played,
     /// It is left out: it is not needed, or has no items.
     LeftOut,
-}
-
-/// Marks all nodes downstream of marked ones.
-pub(crate) fn mark_downstream(plan: &Plan, marked: &mut [bool]) {
-    // Nodes are in topological order.
-    for index in 0..plan.nodes.len() {
-        marked[index] = marked[index] || sources_of(plan, index).any(|id| marked[id.node]);
-    }
 }
 
 /// Index of each node in the reduced plan; `None` for nodes left out.
@@ -70,16 +62,12 @@ pub(crate) fn reduce(plan: &Plan, parts: &[NodeMode]) -> Plan {
     reduced
 }
 
-/// The node's outputs.
-pub(crate) fn outputs(plan: &Plan, node: usize) -> impl Iterator<Item = OutputId> {
-    (0..plan.nodes[node].outputs.len()).map(move |port| OutputId { node, port })
-}
-
-/// Links that an output feeds.
-pub(crate) fn consumers(plan: &Plan, id: OutputId) -> impl Iterator<Item = &Link> {
-    plan.nodes[id.node].outputs[id.port].links.iter().map(|link| &plan.links[*link])
-}
-
-fn sources_of(plan: &Plan, node: usize) -> impl Iterator<Item = OutputId> + '_ {
-    plan.nodes[node].inputs.iter().filter_map(|input| Some(plan.links[input.link?].from))
+/// Like [`reduce`], for played items that are in memory already: their wires are unbounded in bytes.
+pub(crate) fn reduce_in_memory(plan: &Plan, parts: &[NodeMode]) -> Plan {
+    let mut reduced = reduce(plan, parts);
+    let played: Vec<_> =
+        parts.iter().filter(|part| **part != NodeMode::LeftOut).map(|part| *part == NodeMode::Played).collect();
+    let links = reduced.links.iter_mut().filter(|link| played[link.from.node] && link.policy == Policy::Block);
+    links.for_each(|link| link.max_bytes = u64::MAX);
+    reduced
 }

@@ -119,7 +119,7 @@ impl PlanBuilder {
 
     pub(crate) fn wire(&self, name: &str) -> OutputId {
         let (node, port) = name.split_once('.').unwrap();
-        let node = self.plan.nodes.iter().position(|n| &*n.name == node).unwrap();
+        let node = self.plan.node(node).unwrap();
         let port = self.plan.nodes[node].outputs.iter().position(|o| o.name == port).unwrap();
         OutputId { node, port }
     }
@@ -127,7 +127,7 @@ impl PlanBuilder {
     /// Changes the link into the node's port.
     pub(crate) fn link(mut self, to: &str, change: impl Fn(&mut Link)) -> Self {
         let (node, port) = to.split_once('.').unwrap();
-        let node = self.plan.nodes.iter().position(|n| &*n.name == node).unwrap();
+        let node = self.plan.node(node).unwrap();
         let input = self.plan.nodes[node].inputs.iter().find(|i| i.port.name == port).unwrap();
         change(&mut self.plan.links[input.link.unwrap()]);
         self

@@ -351,7 +351,7 @@ fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool +
 /// Outputs of the plan that were recorded.
 fn recorded_outputs(plan: &Plan, recording: &Recording) -> Result<BTreeSet<OutputId>, ReplayError> {
     let mut recorded = BTreeSet::new();
-    for id in (0..plan.nodes.len()).flat_map(|node| partial::outputs(plan, node)) {
+    for id in plan.all_outputs() {
         let name = plan.wire_name(id);
         let Some(wire) = recording.wires.get(&name) else { continue };
         if let PortPayload::Type(ty) = plan.nodes[id.node].outputs[id.port].payload
@@ -370,7 +370,7 @@ fn parts(
     changes: &ReplayOptions,
     recorded: &BTreeSet<OutputId>,
 ) -> Result<Vec<NodeMode>, ReplayError> {
-    let is_recorded = |index: usize| partial::outputs(plan, index).any(|id| recorded.contains(&id));
+    let is_recorded = |index: usize| plan.outputs(index).any(|id| recorded.contains(&id));
     if let Some(graph) = &changes.graph {
         let plays = |(index, node): (usize, &crate::plan::PlanNode)| node.role != Role::Node && is_recorded(index);
         if !plan.nodes.iter().enumerate().any(plays) && changes.from.is_none() {
@@ -387,7 +387,7 @@ fn parts(
     let parts = match &changes.from {
         None => select::all(plan, recorded, runs),
         Some(name) => {
-            let Some(node) = plan.nodes.iter().position(|node| *node.name == **name) else {
+            let Some(node) = plan.node(name) else {
                 let known = plan.nodes.iter().map(|node| &*node.name).collect::<Vec<_>>().join(", ");
                 return Err(ReplayError::NoNode { node: name.clone(), known });
             };
@@ -436,12 +436,12 @@ fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayE
 
 /// Nodes computed upstream of the requested one because their outputs were not recorded.
 fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Vec<String> {
-    let Some(from) = changes.from.as_ref().and_then(|name| plan.nodes.iter().position(|n| *n.name == **name)) else {
+    let Some(from) = changes.from.as_ref().and_then(|name| plan.node(name)) else {
         return Vec::new();
     };
     let mut follows = vec![false; plan.nodes.len()];
     follows[from] = true;
-    partial::mark_downstream(plan, &mut follows);
+    plan.mark_downstream(&mut follows);
     let nodes = plan.nodes.iter().enumerate();
     let too = nodes.filter(|(index, _)| parts[*index] == NodeMode::Computed && !follows[*index]);
     too.map(|(_, node)| node.name.to_string()).collect()
@@ -473,7 +473,7 @@ fn players(
     let start = changes.start.map_or(StampNs::MIN, |start| start.stamp(first_ns));
     let end = changes.end.map_or(StampNs::MAX, |end| end.stamp(first_ns));
     for (id, items) in &mut items {
-        let is_single_result = items.len() == 1 && partial::consumers(plan, *id).next().is_none();
+        let is_single_result = items.len() == 1 && plan.consumers(*id).next().is_none();
         if !is_constant(plan, *id) && !is_single_result && !unchanged.contains(&plan.nodes[id.node].name) {
             let before = items.iter().filter(|item| item.stamp_ns > 0 && item.stamp_ns < start);
             cut.insert(*id, before.count() as u64);
@@ -485,7 +485,7 @@ fn players(
     let pace = changes.rate.map(|rate| Arc::new(Pace { rate, first_ns, began: Default::default() }));
     let mut players = Substitutes::new();
     for (index, node) in plan.nodes.iter().enumerate().filter(|(index, _)| !is_computed(*index)) {
-        let ports = partial::outputs(plan, index).map(|id| items.remove(&id).unwrap_or_default());
+        let ports = plan.outputs(index).map(|id| items.remove(&id).unwrap_or_default());
         let mut ports: Vec<_> = ports.collect();
         let failed = recording.failures.iter().find(|failure| *failure.node == *node.name && !failure.skipped);
         let failure = failed.and_then(|failed| failing(&mut ports, &failed.node, &failed.reason));
@@ -511,8 +511,7 @@ fn failing(ports: &mut [Vec<Item>], node: &str, reason: &str) -> Option<Failing>
 fn drops(plan: &Plan, recording: &Recording, cut: &BTreeMap<OutputId, u64>) -> BTreeMap<usize, BTreeSet<u64>> {
     let of = |index: usize| {
         let link = &plan.links[index];
-        let to = &plan.nodes[link.to_node];
-        let ends = (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name));
+        let ends = plan.link_names(link);
         let n_cut = cut.get(&link.from).copied().unwrap_or(0);
         let numbers = recording.drops.get(&ends)?.iter().filter_map(|number| number.checked_sub(n_cut));
         Some((index, numbers.collect()))
@@ -522,9 +521,8 @@ fn drops(plan: &Plan, recording: &Recording, cut: &BTreeMap<OutputId, u64>) -> B
 
 /// Recorded clock readings, by the index of the node and the number of the firing.
 fn readings(plan: &Plan, recording: &Recording) -> BTreeMap<(usize, u64), Vec<ClockReading>> {
-    let place = |name: &str| plan.nodes.iter().position(|node| *node.name == *name);
     let all = recording.readings.iter();
-    all.filter_map(|((node, item), readings)| Some(((place(node)?, *item), readings.clone()))).collect()
+    all.filter_map(|((node, item), readings)| Some(((plan.node(node)?, *item), readings.clone()))).collect()
 }
 
 /// Comparison of each recorded wire, in the order of the plan.

@@ -21,6 +21,7 @@ pub use save::{FOLDER, Saved, SavedBundle};
 
 use crate::{
     activity::{self, Doing, Name},
+    durable::TemporaryFolder,
     graph::plugins::NamedPlugin,
     panics,
     plan::PlanPlugin,
@@ -103,8 +104,9 @@ pub fn repro(
     drop(under);
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
     // Files that the node writes go to a temporary folder.
-    let scratch = bundle.out_dir.as_ref().map(|_| Scratch::make()).transpose().map_err(ReproError::Scratch)?;
-    let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.0.as_path()));
+    let scratch = bundle.out_dir.as_ref().map(|_| TemporaryFolder::new("osteoflow-repro")).transpose();
+    let scratch = scratch.map_err(ReproError::Scratch)?;
+    let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.path()));
     let mut context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared).with_out_dir(out_dir);
     if backtrace {
         panics::show();
@@ -150,7 +152,7 @@ pub fn repro(
     let took = began.elapsed();
     let mut failed = failed;
     if let (Some(failed), Some(scratch), Some(out_dir)) = (&mut failed, &scratch, &bundle.out_dir) {
-        let (here, there) = (scratch.0.display().to_string(), out_dir.display().to_string());
+        let (here, there) = (scratch.path().display().to_string(), out_dir.display().to_string());
         failed.reason = failed.reason.replace(&here, &there);
     }
     let mut differences = bundle.program.differences(&program);
@@ -231,29 +233,5 @@ fn failure(
             });
             fault.map_or(Ok(()), |reason| Err(Failure { reason, panicked: false }))
         }
-    }
-}
-
-/// Temporary folder, removed on drop.
-struct Scratch(std::path::PathBuf);
-
-impl Scratch {
-    fn make() -> std::io::Result<Self> {
-        let parent = std::env::temp_dir();
-        for n in 0u32.. {
-            let dir = parent.join(format!("osteoflow-repro-{}-{n}", std::process::id()));
-            match std::fs::create_dir(&dir) {
-                Ok(()) => return Ok(Self(dir)),
-                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(error),
-            }
-        }
-        Err(std::io::Error::other("no name is left for a folder"))
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }

@@ -17,8 +17,8 @@ pub use files::Stamps;
 
 use crate::{
     options::RunOptions,
-    partial::{self, FinishedNode, PartialRun},
-    plan::{Link, Plan, PlanNode},
+    partial::{FinishedNode, PartialRun},
+    plan::{Plan, PlanNode},
     run::{Finished, RunError, RunReport},
     runtime::{LinkStats, Observer},
 };
@@ -80,7 +80,7 @@ impl Session {
             computed[index] = true;
             changes.push(change);
         }
-        partial::mark_downstream(&plan, &mut computed);
+        plan.mark_downstream(&mut computed);
         let differs = computed.contains(&true) || memory.plan.resolved != plan.resolved;
         if differs {
             // A node without outputs has effects outside the graph, such as a file in each run's folder.
@@ -189,12 +189,7 @@ impl Next {
         let before = last.map(|last| last.links.clone()).unwrap_or_default();
         let links = before.into_iter().chain(part);
         let mut links: BTreeMap<_, _> = links.map(|link| ((link.from.clone(), link.to.clone()), link)).collect();
-        let of_link = |link: &Link| {
-            let to = &self.plan.nodes[link.to_node];
-            let to = format!("{}.{}", to.name, to.inputs[link.to_port].port.name);
-            links.remove(&(self.plan.wire_name(link.from), to))
-        };
-        self.plan.links.iter().filter_map(of_link).collect()
+        self.plan.links.iter().filter_map(|link| links.remove(&self.plan.link_names(link))).collect()
     }
 
     fn remembered(&self, finished: &Finished, out_dir: Option<PathBuf>) -> Memory {
@@ -225,7 +220,6 @@ impl Next {
 
 impl Memory {
     fn left_of(&self, node: &str) -> Option<&Arc<FinishedNode>> {
-        let place = self.plan.nodes.iter().position(|before| *before.name == *node)?;
-        Some(&self.left[place])
+        Some(&self.left[self.plan.node(node)?])
     }
 }

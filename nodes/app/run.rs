@@ -10,7 +10,7 @@ use super::{
 use anyhow::Result;
 use osteoflow_engine::{
     check::{Checked, check},
-    given::{Given, output, run_given},
+    inputs::{WireInputs, output, run_with_inputs},
     plan::{OutputId, Plan},
     run::{Observer, Outcome, Refusal, RunOptions, Verdict},
 };
@@ -135,7 +135,7 @@ impl Graph {
     /// [`Error`]; refused if it has no results.
     pub fn run(
         &self,
-        given: Given,
+        given: WireInputs,
         keeps: &(dyn Fn(&str) -> bool + Sync),
         observer: &dyn Observer,
         cancelled: &Arc<AtomicBool>,
@@ -149,7 +149,8 @@ impl Graph {
         if !given.is_empty() {
             options.command["given_wires"] = given.wires(plan).into();
         }
-        let (report, wires) = run_given(plan, self.registry(), &options, observer, given, keeps).map_err(run_error)?;
+        let (report, wires) =
+            run_with_inputs(plan, self.registry(), &options, observer, given, keeps).map_err(run_error)?;
         let warnings = report.warnings.iter();
         let warnings = warnings.map(|w| format!("node \"{}\", item {}: {}", w.node, w.item, w.message)).collect();
         match &report.outcome {

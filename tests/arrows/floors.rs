@@ -37,7 +37,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["answer_cache", "check", "record", "repro"],
             &["diff", "recover", "run", "schema", "validate"],
             &["partial"],
-            &["given", "replay", "watch"],
+            &["inputs", "replay", "watch"],
             &["sweep"],
         ],
     ),

@@ -2,6 +2,7 @@
 
 use crate::{names::nearest, plan::Plan};
 use osteoflow_node::{AnyNode, AnySource, Built, Context, Emission, Joined, NodeError};
+use serde::{Deserialize, Serialize};
 use std::{
     fmt,
     sync::{
@@ -22,7 +23,8 @@ pub struct Injection {
 }
 
 /// The kind of an injected failure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Injected {
     /// The node panics.
     Panic,

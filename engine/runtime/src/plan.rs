@@ -280,4 +280,40 @@ impl Plan {
         let node = &self.nodes[id.node];
         format!("{}.{}", node.name, node.outputs[id.port].name)
     }
+
+    /// The index of the node with this name.
+    pub fn node(&self, name: &str) -> Option<usize> {
+        self.nodes.iter().position(|node| *node.name == *name)
+    }
+
+    /// The outputs of a node.
+    pub fn outputs(&self, node: usize) -> impl Iterator<Item = OutputId> + use<> {
+        (0..self.nodes[node].outputs.len()).map(move |port| OutputId { node, port })
+    }
+
+    /// The outputs of all nodes.
+    pub fn all_outputs(&self) -> impl Iterator<Item = OutputId> + Clone + '_ {
+        let outputs = |(node, of): (usize, &PlanNode)| (0..of.outputs.len()).map(move |port| OutputId { node, port });
+        self.nodes.iter().enumerate().flat_map(outputs)
+    }
+
+    /// The links that an output feeds.
+    pub fn consumers(&self, id: OutputId) -> impl Iterator<Item = &Link> {
+        self.nodes[id.node].outputs[id.port].links.iter().map(|link| &self.links[*link])
+    }
+
+    /// The names of the wire and of the input that a link joins: `node.port` each.
+    pub fn link_names(&self, link: &Link) -> (String, String) {
+        let to = &self.nodes[link.to_node];
+        (self.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
+    }
+
+    /// Marks all nodes downstream of marked ones.
+    pub fn mark_downstream(&self, marked: &mut [bool]) {
+        // Nodes are in topological order.
+        for (index, node) in self.nodes.iter().enumerate() {
+            let mut links = node.inputs.iter().filter_map(|input| Some(&self.links[input.link?]));
+            marked[index] = marked[index] || links.any(|link| marked[link.from.node]);
+        }
+    }
 }

@@ -197,3 +197,10 @@ pub struct Failure {
     /// Whether the node went on with the next item.
     pub skipped: bool,
 }
+
+impl Failure {
+    /// An error that ends the node.
+    pub(crate) fn error(node: usize, item: u64, reason: String) -> Self {
+        Self { node, item, reason, panicked: false, skipped: false }
+    }
+}

@@ -452,7 +452,7 @@ impl<'a> Runtime<'a> {
         let send = producer.outputs[link.from.port].links.iter_mut().find(|send| send.link == index)?;
         let recv = consumer.inputs.iter_mut().find(|input| input.recv.link == index)?;
         channel::enlarge(send, &mut recv.recv, after);
-        let (from, to) = link_names(self.plan, index);
+        let (from, to) = self.plan.link_names(&self.plan.links[index]);
         let enlargement = Enlargement { from, to, before, after };
         self.event(&Event::Enlarged(&enlargement));
         locked(&self.enlargements).push(enlargement);
@@ -468,7 +468,7 @@ impl<'a> Runtime<'a> {
             let state = &self.links[index];
             let look = |send: &SendEnd| (send.is_full(state), send.fill(), send.bytes(state));
             let Some((is_full, n_items, n_bytes)) = self.with_send(index, look) else { continue };
-            let (from, to) = link_names(self.plan, index);
+            let (from, to) = self.plan.link_names(&self.plan.links[index]);
             if is_full && state.is_blocked() {
                 full.push(format!("{from} -> {to} ({n_items} items, {n_bytes} bytes)"));
                 stuck.insert(link.to_node);
@@ -489,7 +489,7 @@ impl<'a> Runtime<'a> {
             list(full),
             list(empty)
         );
-        let failure = Failure { node: *first, item: 0, reason, panicked: false, skipped: false };
+        let failure = Failure::error(*first, 0, reason);
         self.event(&Event::Failed(&refusal(self.plan, &failure)));
         *locked(&self.stall) = Some(failure);
     }
@@ -566,19 +566,12 @@ fn missed_injection(injection: &Injection) -> Warning {
     Warning { node: injection.node.clone(), item: injection.item, message }
 }
 
-/// Names of the wire and the port that a link joins.
-fn link_names(plan: &Plan, link: usize) -> (String, String) {
-    let link = &plan.links[link];
-    let to = &plan.nodes[link.to_node];
-    (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
-}
-
 fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<LinkStats> {
     let link = &plan.links[index];
     let send: &SendEnd = cells[link.from.node].outputs[link.from.port].links.iter().find(|s| s.link == index)?;
     let consumer = &cells[link.to_node];
     let recv: &RecvEnd = &consumer.inputs.iter().find(|input| input.recv.link == index)?.recv;
-    let (from, to) = link_names(plan, index);
+    let (from, to) = plan.link_names(&plan.links[index]);
     Some(LinkStats {
         from,
         to,

@@ -1,9 +1,9 @@
 //! A partial run: plays the items of finished nodes and computes the others.
 
-use super::{NodeMode, Player, consumers, outputs, reduce, reduced_indices};
+use super::{NodeMode, Player, reduce_in_memory, reduced_indices};
 use crate::{
     options::RunOptions,
-    plan::{Plan, Policy},
+    plan::Plan,
     run::{Finished, FullRun, RunError, RunReport, WireItems, run_part},
     runtime::{Ended, Failure, NodeStats, Observer, Replayed, Substitutes, Warning},
 };
@@ -41,10 +41,8 @@ pub(crate) struct PartialRun<'a> {
 impl<'a> PartialRun<'a> {
     /// Computes the nodes that are not finished; a finished node is played if a computed node takes its items.
     pub(crate) fn new(plan: &'a Plan, left: &'a [Option<Arc<FinishedNode>>]) -> Self {
-        let feeds = |index| {
-            let mut links = outputs(plan, index).flat_map(|id| consumers(plan, id));
-            links.any(|link| left[link.to_node].is_none())
-        };
+        let feeds =
+            |index| plan.outputs(index).flat_map(|id| plan.consumers(id)).any(|link| left[link.to_node].is_none());
         let part = |index: usize| match &left[index] {
             None => NodeMode::Computed,
             Some(_) if feeds(index) => NodeMode::Played,
@@ -71,17 +69,7 @@ impl<'a> PartialRun<'a> {
         let replayed = Replayed { substitutes: self.players(), ..Replayed::default() };
         let mut complete = |part| finished(self.complete(part));
         let whole = FullRun { plan: self.plan, complete: &mut complete, about };
-        run_part(&self.reduced(), registry, options, observer, replayed, None, Some(whole))
-    }
-
-    /// The plan that runs. Wires of played nodes are unbounded in bytes, since their items are in memory already.
-    fn reduced(&self) -> Plan {
-        let mut reduced = reduce(self.plan, &self.parts);
-        let taking = self.parts.iter().filter(|part| **part != NodeMode::LeftOut);
-        let played: Vec<_> = taking.map(|part| *part == NodeMode::Played).collect();
-        let links = reduced.links.iter_mut().filter(|link| played[link.from.node] && link.policy == Policy::Block);
-        links.for_each(|link| link.max_bytes = u64::MAX);
-        reduced
+        run_part(&reduce_in_memory(self.plan, &self.parts), registry, options, observer, replayed, None, Some(whole))
     }
 
     /// Players of the items that computed nodes take.
@@ -89,8 +77,8 @@ impl<'a> PartialRun<'a> {
         let mut players = Substitutes::new();
         for (index, left) in self.left.iter().enumerate().filter(|(index, _)| self.parts[*index] == NodeMode::Played) {
             let (Some(left), Some(reduced_index)) = (left, self.reduced_indices[index]) else { continue };
-            let wanted = |id| consumers(self.plan, id).any(|link| self.parts[link.to_node] == NodeMode::Computed);
-            let ports = outputs(self.plan, index).zip(&left.outputs);
+            let wanted = |id| self.plan.consumers(id).any(|link| self.parts[link.to_node] == NodeMode::Computed);
+            let ports = self.plan.outputs(index).zip(&left.outputs);
             let ports = ports.map(|(id, kept)| if wanted(id) { kept.items.clone() } else { Vec::new() }.into());
             players.insert(reduced_index, Box::new(Player { ports: ports.collect(), failure: None, pace: None }));
         }
@@ -116,7 +104,7 @@ impl<'a> PartialRun<'a> {
         }
         let before = self.left.iter().flatten().flat_map(|left| &left.warnings).cloned();
         let mut warnings: Vec<_> = before.chain(part.warnings).collect();
-        warnings.sort_by_cached_key(|warning| self.plan.nodes.iter().position(|node| *node.name == *warning.node));
+        warnings.sort_by_cached_key(|warning| self.plan.node(&warning.node));
         let failures = part.failures.into_iter().map(moved).collect();
         let n_items = outputs.iter().map(|wires| wires.iter().map(|wire: &WireItems| wire.n_items).collect()).collect();
         let ended = Ended { n_items, nodes, warnings, failures, stall: part.stall.map(moved), ..part };

@@ -1,15 +1,12 @@
 //! Loads a plugin's library when the first of its nodes is built.
 
 use super::{Library, LibraryError, Plugin, Why};
-use crate::{hash::Digest, store};
+use crate::{durable::TemporaryFolder, hash::Digest, store};
 use std::{
     collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU32, Ordering},
-    },
+    sync::{Arc, Mutex, PoisonError},
 };
 
 /// Environment variable that loads libraries from their own path, for debuggers that read them later.
@@ -49,7 +46,7 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
     let needs_place = std::env::var_os(IN_PLACE).is_some_and(|value| !value.is_empty())
         || BESIDE.iter().any(|word| bytes.windows(word.len()).any(|window| window == *word));
     let library = match copy(path, &bytes).ok().filter(|_| !needs_place) {
-        Some(copy) => match open(&copy.file) {
+        Some((_folder, file)) => match open(&file) {
             // The folder of the copy may not allow execution.
             Err(error) if matches!(error.why, Why::Load(_)) => in_place(plugin, &mut loaded)?,
             library => library.map_err(|error| message(&error.why))?,
@@ -84,38 +81,10 @@ fn in_place(plugin: &Plugin, loaded: &mut Loaded) -> Result<Library, String> {
     Ok(library)
 }
 
-const PREFIX: &str = "osteoflow-plugin-";
-
-/// A file that is deleted on drop; its mapped pages stay valid.
-struct Copy {
-    dir: PathBuf,
-    file: PathBuf,
-}
-
-fn copy(path: &Path, bytes: &[u8]) -> io::Result<Copy> {
-    let mut builder = fs::DirBuilder::new();
-    // Only the owner may write to the folder.
-    #[cfg(unix)]
-    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    // The system would return the loaded library if a path were used again.
-    static N_MADE: AtomicU32 = AtomicU32::new(0);
-    loop {
-        let n = N_MADE.fetch_add(1, Ordering::Relaxed);
-        let dir = std::env::temp_dir().join(format!("{PREFIX}{}-{n}", std::process::id()));
-        match builder.create(&dir) {
-            Ok(()) => {
-                let copy = Copy { file: dir.join(path.file_name().unwrap_or_default()), dir };
-                fs::write(&copy.file, bytes)?;
-                return Ok(copy);
-            }
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-            Err(error) => return Err(error),
-        }
-    }
-}
-
-impl Drop for Copy {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.dir);
-    }
+/// A copy of the library in a folder that is deleted on drop; the mapped pages of the file stay valid.
+fn copy(path: &Path, bytes: &[u8]) -> io::Result<(TemporaryFolder, PathBuf)> {
+    let folder = TemporaryFolder::new("osteoflow-plugin")?;
+    let file = folder.path().join(path.file_name().unwrap_or_default());
+    fs::write(&file, bytes)?;
+    Ok((folder, file))
 }

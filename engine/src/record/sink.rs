@@ -124,10 +124,6 @@ impl Sink {
             wires.insert(id, WireChannels { node: id.node, name, exact, payload, count: WireCount::default() });
         }
         let pictures = Pictures::begin(&mut file, plan)?;
-        let link = |link: &crate::plan::Link| {
-            let to = &plan.nodes[link.to_node];
-            (plan.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
-        };
         Ok(Self {
             file,
             wires,
@@ -137,7 +133,7 @@ impl Sink {
             views: plan.recording.views,
             first_ns: u64::MAX,
             nodes: plan.nodes.iter().map(|node| node.name.to_string()).collect(),
-            links: plan.links.iter().map(link).collect(),
+            links: plan.links.iter().map(|link| plan.link_names(link)).collect(),
             time_ns: None,
             waiting: Vec::new(),
             n_waiting_bytes: 0,

@@ -2,7 +2,7 @@
 
 use super::{ReplayError, ReplayOptions, select, sets};
 use crate::{
-    partial::{self, NodeMode},
+    partial::NodeMode,
     plan::{OutputId, Plan},
     recording::Recording,
 };
@@ -34,16 +34,15 @@ pub(super) fn play_what_does_not_change(
     let start_ns = changes.start.map_or(StampNs::MIN, |start| start.stamp(first_ns.unwrap_or(0)));
     let mut changed: Vec<_> =
         plan.nodes.iter().map(|node| changes.sets.iter().any(|set| sets(set, &node.name))).collect();
-    partial::mark_downstream(plan, &mut changed);
+    plan.mark_downstream(&mut changed);
     for (index, node) in plan.nodes.iter().enumerate() {
-        let used: Vec<_> = partial::outputs(plan, index).filter(|id| select::is_used(plan, *id)).collect();
+        let used: Vec<_> = plan.outputs(index).filter(|id| select::is_used(plan, *id)).collect();
         let is_computed = parts[index] == NodeMode::Computed && node.role == Role::Node && !changed[index];
         if !is_computed || used.is_empty() || !used.iter().all(|id| recorded.contains(id)) {
             continue;
         }
         // What nothing but a result takes is decided by what has consumers.
-        let consumed: Vec<_> =
-            used.iter().copied().filter(|id| partial::consumers(plan, *id).next().is_some()).collect();
+        let consumed: Vec<_> = used.iter().copied().filter(|id| plan.consumers(*id).next().is_some()).collect();
         let (mut n_items, mut is_stream) = (0, false);
         for id in if consumed.is_empty() { used } else { consumed } {
             let stamps = stamps(id)?;
@@ -68,6 +67,6 @@ pub(super) fn is_constant(plan: &Plan, id: OutputId) -> bool {
 
 /// Whether the output has consumers, all of which take it so.
 fn is_taken(plan: &Plan, id: OutputId, so: impl Fn(&Join) -> bool) -> bool {
-    let mut links = partial::consumers(plan, id).peekable();
+    let mut links = plan.consumers(id).peekable();
     links.peek().is_some() && links.all(|link| so(&plan.nodes[link.to_node].inputs[link.to_port].port.join))
 }

@@ -1,7 +1,7 @@
 //! Selects the nodes to compute and the wires to play.
 
 use crate::{
-    partial::{NodeMode, consumers, mark_downstream, outputs},
+    partial::NodeMode,
     plan::{OutputId, Plan, PlanNode},
 };
 use osteoflow_node::Role;
@@ -20,12 +20,12 @@ pub(super) fn all(
         if node.role == Role::Node {
             return Ok(NodeMode::Computed);
         }
-        let missing = outputs(plan, index).find(|id| !recorded.contains(id));
+        let missing = plan.outputs(index).find(|id| !recorded.contains(id));
         match missing {
             None => Ok(NodeMode::Played),
             Some(_) if runs(index) => Ok(NodeMode::Computed),
             // An output without consumers is not missed.
-            Some(_) if outputs(plan, index).all(|id| recorded.contains(&id) || !is_used(plan, id)) => {
+            Some(_) if plan.outputs(index).all(|id| recorded.contains(&id) || !is_used(plan, id)) => {
                 Ok(NodeMode::Played)
             }
             Some(wire) => Err(wire),
@@ -47,9 +47,9 @@ pub(super) fn from(
 ) -> Result<Vec<NodeMode>, OutputId> {
     let mut computed = vec![false; plan.nodes.len()];
     computed[node] = true;
-    mark_downstream(plan, &mut computed);
+    plan.mark_downstream(&mut computed);
     for index in (0..plan.nodes.len()).rev().filter(|index| *index != node) {
-        let needed = || outputs(plan, index).filter(|id| consumers(plan, *id).any(|link| computed[link.to_node]));
+        let needed = || plan.outputs(index).filter(|id| plan.consumers(*id).any(|link| computed[link.to_node]));
         let Some(wire) = (!computed[index]).then(needed).and_then(|mut ids| ids.find(|id| !recorded.contains(id)))
         else {
             continue;
@@ -61,7 +61,7 @@ pub(super) fn from(
     }
     let part = |index: usize| match computed[index] {
         true => NodeMode::Computed,
-        false if outputs(plan, index).any(|id| recorded.contains(&id)) => NodeMode::Played,
+        false if plan.outputs(index).any(|id| recorded.contains(&id)) => NodeMode::Played,
         false => NodeMode::LeftOut,
     };
     Ok((0..plan.nodes.len()).map(part).collect())
@@ -69,5 +69,5 @@ pub(super) fn from(
 
 /// Whether a node or a result takes the output.
 pub(super) fn is_used(plan: &Plan, id: OutputId) -> bool {
-    consumers(plan, id).next().is_some() || plan.results.iter().any(|entry| entry.from == id)
+    plan.consumers(id).next().is_some() || plan.results.iter().any(|entry| entry.from == id)
 }

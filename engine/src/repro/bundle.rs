@@ -39,7 +39,7 @@ pub struct Bundle {
     /// How it failed.
     pub failure: Failure,
     /// How the failure was injected, if it was.
-    #[serde(default, with = "injected", skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub injected: Option<Injected>,
     /// The run's folder, if any: nodes that write files write them there.
     pub out_dir: Option<PathBuf>,
@@ -55,7 +55,6 @@ pub struct Node {
     /// Its kind.
     pub kind: String,
     /// Whether it is a source.
-    #[serde(with = "role")]
     pub role: Role,
     /// `stop` or `skip`.
     pub on_error: String,
@@ -314,37 +313,4 @@ pub enum ReproError {
     /// The folder for the node's files cannot be created.
     #[error("no folder can be made for what the node writes: {0}")]
     Scratch(std::io::Error),
-}
-
-mod role {
-    use osteoflow_node::Role;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-
-    pub(super) fn serialize<S: Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S::Error> {
-        role.serialize(serializer)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Role, D::Error> {
-        match String::deserialize(deserializer)?.as_str() {
-            "node" => Ok(Role::Node),
-            "source" => Ok(Role::Source),
-            "live_source" => Ok(Role::LiveSource),
-            other => Err(D::Error::custom(format!("\"{other}\" is no role; node, source and live_source are"))),
-        }
-    }
-}
-
-mod injected {
-    use crate::runtime::Injected;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-
-    pub(super) fn serialize<S: Serializer>(how: &Option<Injected>, serializer: S) -> Result<S::Ok, S::Error> {
-        how.map(Injected::name).serialize(serializer)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Injected>, D::Error> {
-        let Some(name) = Option::<String>::deserialize(deserializer)? else { return Ok(None) };
-        let how = Injected::from_name(&name);
-        how.map(Some).ok_or_else(|| D::Error::custom(format!("\"{name}\" is no injection; panic and error are")))
-    }
 }

@@ -11,7 +11,7 @@ pub(super) fn closing_log(
     results: &serde_json::Value,
 ) -> Vec<LogEntry> {
     let entry = |node: &str, item, level, message| {
-        let node = plan.nodes.iter().position(|of_plan| &*of_plan.name == node);
+        let node = plan.node(node);
         LogEntry { node, item, stamp_ns: None, level, message }
     };
     let warning = |w: &Warning| entry(&w.node, w.item, LogLevel::Warning, w.message.clone());

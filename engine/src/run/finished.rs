@@ -46,8 +46,7 @@ impl ItemKeeper {
             let keep = entries.map(|entry| if entry.all { Keep::All } else { Keep::Last }).max();
             (keep.map_or(least, |keep| keep.max(least)), Mutex::default())
         };
-        let outputs = |node: usize| (0..plan.nodes[node].outputs.len()).map(move |port| OutputId { node, port });
-        Self((0..plan.nodes.len()).map(|node| outputs(node).map(keep).collect()).collect())
+        Self((0..plan.nodes.len()).map(|node| plan.outputs(node).map(keep).collect()).collect())
     }
 
     /// Combines the outcome of the run with the kept items.

@@ -401,7 +401,7 @@ fn clock_readings_are_recorded_and_replayed() {
         let seen = Readings::default();
         let live = run_with(&plan, &registry(), &options(2), &(), Replayed::default(), Some(&seen)).unwrap();
         let readings = seen.0.into_inner().unwrap();
-        let timed = plan.nodes.iter().position(|node| &*node.name == "timed").unwrap();
+        let timed = plan.node("timed").unwrap();
         assert_eq!(readings.keys().copied().collect::<Vec<_>>(), (0..6).map(|i| (timed, i)).collect::<Vec<_>>());
         for readings in readings.values() {
             let [ClockReading::Budget { looks, over }, ClockReading::Clock { ns }] = readings[..] else {

@@ -177,12 +177,7 @@ fn refuses(plan: &Plan, failure: &Failure) -> bool {
     }
     let mut reached = vec![false; plan.nodes.len()];
     reached[failure.node] = true;
-    for node in failure.node..plan.nodes.len() {
-        if reached[node] {
-            let links = plan.nodes[node].outputs.iter().flat_map(|output| &output.links);
-            links.for_each(|link| reached[plan.links[*link].to_node] = true);
-        }
-    }
+    plan.mark_downstream(&mut reached);
     let mut fed = plan.results.iter().filter(|entry| reached[entry.from.node]).peekable();
     !failure.skipped && (fed.peek().is_none() || fed.any(|entry| !entry.optional))
 }
@@ -218,7 +213,7 @@ fn cause(plan: &Plan, run: &Finished, wire: OutputId) -> Refusal {
         let (node, reason) = silent_wire(plan, run, wire);
         return refusal_at(plan, node, None, reason);
     };
-    let origin = plan.nodes.iter().position(|node| *node.name == *empty.node).unwrap_or(wire.node);
+    let origin = plan.node(&empty.node).unwrap_or(wire.node);
     let failure = run.ended.failures.iter().find(|f| f.node == origin && f.reason == empty.reason);
     match failure {
         Some(failure) => refusal_of(plan, failure),

@@ -2,7 +2,7 @@
 
 use crate::{
     options::RunOptions,
-    partial::{self, FinishedNode, PartialRun},
+    partial::{FinishedNode, PartialRun},
     plan::Plan,
     run::{Finished, RunError, RunReport},
     runtime::Ended,
@@ -37,6 +37,6 @@ fn succeeded(plan: &Plan, ended: &Ended) -> Vec<bool> {
     let cut_short = ended.interrupted || ended.stall.is_some();
     let failed = |index| ended.failures.iter().any(|failure| failure.node == index);
     let mut affected: Vec<bool> = (0..plan.nodes.len()).map(|index| cut_short || failed(index)).collect();
-    partial::mark_downstream(plan, &mut affected);
+    plan.mark_downstream(&mut affected);
     affected.into_iter().map(|affected| !affected).collect()
 }

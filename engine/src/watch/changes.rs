@@ -26,7 +26,7 @@ pub(super) fn seed(before: u64, now: u64) -> Change {
 pub(super) fn of(memory: &Memory, plan: &Plan, files: &Stamps) -> Vec<(usize, Change)> {
     let old = &memory.plan;
     let change = |(index, node): (usize, &PlanNode)| {
-        let why = match old.nodes.iter().position(|before| before.name == node.name) {
+        let why = match old.node(&node.name) {
             None => vec!["new".into()],
             Some(before) => {
                 let mut why = differences(old, &old.nodes[before], plan, node);

@@ -95,7 +95,7 @@ fn variants() -> Vec<Variant> {
 /// Every item of every wire, encoded.
 fn wires(session: &Session) -> BTreeMap<String, Vec<Vec<u8>>> {
     let memory = session.memory.as_ref().unwrap();
-    let ids = (0..memory.plan.nodes.len()).flat_map(|node| partial::outputs(&memory.plan, node));
+    let ids = (0..memory.plan.nodes.len()).flat_map(|node| memory.plan.outputs(node));
     let items =
         |id: crate::plan::OutputId| memory.left[id.node].outputs[id.port].items.iter().map(codec::encode).collect();
     ids.map(|id| (memory.plan.wire_name(id), items(id))).collect()

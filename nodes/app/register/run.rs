@@ -7,11 +7,11 @@ use super::{
     landmarks::off_surface,
     method::{POSE, REPORT},
 };
-use crate::app::{Error, Given, MeshOrCloud, program};
+use crate::app::{Error, MeshOrCloud, WireInputs, program};
 use anyhow::{Context, anyhow};
 use osteoflow_algorithms::{icp::IcpTrace, target::Target};
 use osteoflow_engine::{
-    given::{output, run_given},
+    inputs::{output, run_with_inputs},
     plan::Plan,
     run::{Event, Observer, Outcome, Refusal, RunOptions, RunReport},
 };
@@ -79,7 +79,7 @@ impl Register {
         for _ in 0..request.repeat {
             let cpu = CpuOf { node: NODE, observer, began_ms: Mutex::default(), took_ms: Mutex::default() };
             let given = self.given(&inputs)?;
-            let ran = run_given(self.plan(), &self.checked.registry, &options, &cpu, given, &|_| true);
+            let ran = run_with_inputs(self.plan(), &self.checked.registry, &options, &cpu, given, &|_| true);
             let (report, wires) = ran.map_err(program::run_error)?;
             timings.add(&report, first.is_none(), cpu.took_ms.into_inner().unwrap_or_else(PoisonError::into_inner));
             if report.outcome == Outcome::Interrupted {
@@ -164,8 +164,8 @@ impl Register {
         wires
     }
 
-    fn given(&self, wires: &Wires) -> anyhow::Result<Given> {
-        let (plan, mut given) = (self.plan(), Given::default());
+    fn given(&self, wires: &Wires) -> anyhow::Result<WireInputs> {
+        let (plan, mut given) = (self.plan(), WireInputs::default());
         for (wire, items) in wires {
             let added = output(plan, wire).and_then(|id| given.add(plan, id, items.clone()));
             added.map_err(|message| anyhow!("{message}"))?;

@@ -9,8 +9,8 @@ mod views;
 use errors::{exception, watched};
 use osteoflow::{
     app::{
-        self, Given, Method, RegisterFiles, RegisterInput, RegisterRequest, RunRequest, Settings, ShardFault,
-        SimulateRequest, Start, StreamFormat, SweepRequest, Units,
+        self, Method, RegisterFiles, RegisterInput, RegisterRequest, RunRequest, Settings, ShardFault, SimulateRequest,
+        Start, StreamFormat, SweepRequest, Units, WireInputs,
     },
     progress::{self, Progress},
 };
@@ -211,7 +211,7 @@ impl Graph {
         progress: bool,
     ) -> PyResult<Ran> {
         errors::check_threads()?;
-        let mut given = Given::default();
+        let mut given = WireInputs::default();
         for (wire, items) in inputs.iter() {
             let id = self.0.output(&wire.extract::<String>()?).map_err(|error| exception(py, error))?;
             let (payload, items): (String, Bound<'_, PyList>) = items.extract()?;

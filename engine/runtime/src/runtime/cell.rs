@@ -76,6 +76,17 @@ impl Core {
     pub(crate) fn live(max_delay_ns: StampNs) -> Self {
         Self::Live(LiveCore { max_delay_ns, newest_ns: StampNs::MIN, waits: false })
     }
+
+    /// The node and its joins.
+    ///
+    /// # Panics
+    /// If it is a source, or has ended: only an open node is stepped.
+    fn node(&mut self) -> (&mut dyn AnyNode, &mut Joiner) {
+        match self {
+            Self::Node(node, joiner) => (node.as_mut(), joiner),
+            _ => unreachable!("only an open node is stepped"),
+        }
+    }
 }
 
 /// A completed firing.
@@ -203,10 +214,9 @@ impl Cell {
     }
 
     fn step_node(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
-        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
         // In lock step the node needs room only once all its items are there; blocking on room earlier would wake it
         // for nothing.
-        let in_lock_step = joiner.in_lock_step;
+        let in_lock_step = self.core.node().1.in_lock_step;
         if !in_lock_step && !self.has_room(run) {
             return Some(Stepped::Idle);
         }
@@ -215,11 +225,10 @@ impl Cell {
             self.end(run, turn);
             return None;
         }
-        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
-        if in_lock_step && !joiner.lacks_item() && !self.has_room(run) {
+        if in_lock_step && !self.core.node().1.lacks_item() && !self.has_room(run) {
             return Some(Stepped::Idle);
         }
-        let Core::Node(_, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        let (_, joiner) = self.core.node();
         match joiner.step() {
             Step::Activate(activation) => {
                 self.activate(activation, run, turn);
@@ -276,11 +285,10 @@ impl Cell {
                                  join it by \"latest\", or wire a constant",
                                 second.port
                             );
-                            let (node, item) = (self.index, second.number);
                             // The node goes on with the first item: the arrival time of the second is not
                             // deterministic.
                             self.failed += 1;
-                            run.fail(Failure { node, item, reason, panicked: false, skipped: false });
+                            run.fail(Failure::error(self.index, second.number, reason));
                         }
                         pulled = true;
                     }
@@ -317,12 +325,12 @@ impl Cell {
             return;
         }
         let began = self.begin(item, stamp_ns, run, turn);
-        let Core::Node(node, joiner) = &mut self.core else { unreachable!("an open cell has its node") };
+        let (node, joiner) = self.core.node();
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
         let answer_cache = run.answer_cache(self.index);
         let answered = call_node(self.name, Doing::Firing, item, context, |context| match answer_cache {
-            Some(answer_cache) => answer_cache.fire(self.index, node.as_mut(), joiner.joined_mut(), out, context),
+            Some(answer_cache) => answer_cache.fire(self.index, node, joiner.joined_mut(), out, context),
             None => node.fire(joiner.joined_mut(), out, context),
         });
         let timed = began.map(|began| (began, took_since(began, turn)));
@@ -431,7 +439,7 @@ impl Cell {
             Ok(()) => {
                 self.stamp_ns = self.stamp_ns.max(stamp_ns);
                 if let Err(reason) = self.send_all(stamp_ns, run, turn) {
-                    self.fail(item, reason, false, false, run);
+                    self.fail(Failure::error(self.index, item, reason), run);
                 }
             }
             Err((reason, panicked)) => {
@@ -456,9 +464,11 @@ impl Cell {
                     (Core::Node(..), true) => Some(run.rebuild(self.index)),
                     _ => None,
                 };
+                let index = self.index;
+                let failure = |reason| Failure { panicked, ..Failure::error(index, item, reason) };
                 match rebuilt {
                     Some(Ok(Built::Node(node))) => {
-                        self.fail(item, reason.clone(), panicked, true, run);
+                        self.fail(Failure { skipped: true, ..failure(reason.clone()) }, run);
                         if let Core::Node(old, _) = &mut self.core {
                             discard(self.name, Doing::Destroying, std::mem::replace(old, node));
                         }
@@ -466,10 +476,9 @@ impl Cell {
                         self.send_empties(empty, run, turn);
                     }
                     Some(Err(why)) => {
-                        let reason = format!("{reason}; and it cannot be built anew: {why}");
-                        self.fail(item, reason, panicked, false, run);
+                        self.fail(failure(format!("{reason}; and it cannot be built anew: {why}")), run);
                     }
-                    _ => self.fail(item, reason, panicked, false, run),
+                    _ => self.fail(failure(reason), run),
                 }
             }
         }
@@ -516,14 +525,10 @@ impl Cell {
         }
         full.map_err(|link| {
             let link = &run.plan.links[link];
-            let to = &run.plan.nodes[link.to_node];
+            let (from, to) = run.plan.link_names(link);
             format!(
-                "the link {} -> {}.{} is full at {} items or {} bytes, and its policy is to fail; let it hold more, or block",
-                run.plan.wire_name(link.from),
-                to.name,
-                to.inputs[link.to_port].port.name,
-                link.capacity,
-                link.max_bytes
+                "the link {from} -> {to} is full at {} items or {} bytes, and its policy is to fail; let it hold more, or block",
+                link.capacity, link.max_bytes
             )
         })
     }
@@ -540,12 +545,12 @@ impl Cell {
         }
     }
 
-    fn fail(&mut self, item: u64, reason: String, panicked: bool, skipped: bool, run: &Runtime<'_>) {
+    fn fail(&mut self, failure: Failure, run: &Runtime<'_>) {
         self.failed += 1;
-        if !skipped {
-            self.phase = Phase::Failing(self.empty(reason.clone()));
+        if !failure.skipped {
+            self.phase = Phase::Failing(self.empty(failure.reason.clone()));
         }
-        run.fail(Failure { node: self.index, item, reason, panicked, skipped });
+        run.fail(failure);
     }
 
     /// Ends the node: closes its outputs and drains its inputs.

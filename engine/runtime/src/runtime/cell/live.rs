@@ -8,7 +8,7 @@ use super::{
 use crate::{
     activity::{Doing, Name},
     plan::Plan,
-    report::Warning,
+    report::{Failure, Warning},
     runtime::Runtime,
     scheduler::Turn,
 };
@@ -112,9 +112,13 @@ impl Cell {
 
     /// Whether a live source can be asked for its next answer; ends it where it has to end.
     pub(crate) fn ask(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Asked {
-        let Core::Live(_) = self.core else { return Asked::Never };
-        if !self.has_room(run) {
-            let Core::Live(live) = &mut self.core else { unreachable!("it was live a moment ago") };
+        if !self.is_live() {
+            return Asked::Never;
+        }
+        let has_room = self.has_room(run);
+        if let Core::Live(live) = &mut self.core
+            && !has_room
+        {
             live.waits = true;
             return Asked::WhenThereIsRoom;
         }
@@ -145,7 +149,7 @@ impl Cell {
 
     /// Fails a live source that cannot be asked.
     pub(crate) fn fail_live(&mut self, reason: String, run: &Runtime<'_>) {
-        self.fail(self.item, reason, false, false, run);
+        self.fail(Failure::error(self.index, self.item, reason), run);
     }
 
     /// Replaces items that a live source gives later than promised by empties, stamped with the promise that they

@@ -1,20 +1,21 @@
-//! Runs a graph with items given in memory in place of nodes, and hands on the items of its wires.
+//! Runs a graph with inputs from memory in place of nodes, and returns the items of its wires.
 
 use crate::{
-    partial::{NodeMode, Player, reduce},
-    plan::{OutputId, Plan, Policy},
+    partial::{NodeMode, Player, reduce_in_memory},
+    plan::{Link, OutputId, Plan},
     run::{RunError, RunOptions, RunReport, run_with},
     runtime::{Observer, Replayed, Tap, names::nearest},
 };
-use osteoflow_node::{Item, Join, PortPayload, Registry};
+use osteoflow_node::{Body, Item, Join, PortPayload, Registry};
 use std::{
     collections::{BTreeMap, VecDeque},
+    path::PathBuf,
     sync::{Mutex, PoisonError},
 };
 
 /// Items that replace those of a node, by wire: `scan.cloud`.
 #[derive(Debug, Default)]
-pub struct Given {
+pub struct WireInputs {
     ports: BTreeMap<usize, Vec<Option<VecDeque<Item>>>>,
 }
 
@@ -23,38 +24,33 @@ pub struct Given {
 /// # Errors
 /// There is none; the message names the most similar one.
 pub fn output(plan: &Plan, name: &str) -> Result<OutputId, String> {
-    let outputs = |node: usize| (0..plan.nodes[node].outputs.len()).map(move |port| OutputId { node, port });
-    let mut all = (0..plan.nodes.len()).flat_map(outputs);
-    if let Some(id) = all.clone().find(|id| plan.wire_name(*id) == name) {
+    if let Some(id) = plan.all_outputs().find(|id| plan.wire_name(*id) == name) {
         return Ok(id);
     }
-    let of_node: Vec<_> = all.clone().filter(|id| *plan.nodes[id.node].name == *name).collect();
-    let wires = |ids: &[OutputId]| ids.iter().map(|id| plan.wire_name(*id)).collect::<Vec<_>>().join(", ");
+    let names = |ids: &[OutputId]| -> Vec<String> { ids.iter().map(|id| plan.wire_name(*id)).collect() };
+    let of_node: Vec<_> = plan.node(name).into_iter().flat_map(|node| plan.outputs(node)).collect();
     match of_node[..] {
         [id] => Ok(id),
         [] => {
-            let names: Vec<String> = all.by_ref().map(|id| plan.wire_name(id)).collect();
+            let names = names(&plan.all_outputs().collect::<Vec<_>>());
             let names = || names.iter().map(String::as_str);
             let help = nearest::help(name, names()).or_else(|| nearest::list("wires here", names()));
             Err(format!("there is no wire \"{name}\"{}", help.map(|help| format!("; {help}")).unwrap_or_default()))
         }
-        _ => Err(format!("node \"{name}\" has several outputs; name one of {}", wires(&of_node))),
+        _ => Err(format!("node \"{name}\" has several outputs; name one of {}", names(&of_node).join(", "))),
     }
 }
 
-impl Given {
-    /// Whether nothing is given.
+impl WireInputs {
+    /// Whether there are no inputs.
     pub fn is_empty(&self) -> bool {
         self.ports.is_empty()
     }
 
-    /// The wires that are given.
+    /// The wires that have inputs.
     pub fn wires(&self, plan: &Plan) -> Vec<String> {
-        let all = self
-            .ports
-            .iter()
-            .flat_map(|(&node, ports)| (0..ports.len()).map(move |port| (OutputId { node, port }, ports)));
-        all.filter(|(id, ports)| ports[id.port].is_some()).map(|(id, _)| plan.wire_name(id)).collect()
+        let has_inputs = |id: &OutputId| self.ports.get(&id.node).is_some_and(|ports| ports[id.port].is_some());
+        plan.all_outputs().filter(has_inputs).map(|id| plan.wire_name(id)).collect()
     }
 
     /// Adds the items of a wire, in order.
@@ -65,7 +61,7 @@ impl Given {
         let output = &plan.nodes[wire.node].outputs[wire.port];
         let name = || plan.wire_name(wire);
         for item in &items {
-            if let (PortPayload::Type(ty), osteoflow_node::Body::Value(value)) = (output.payload, &item.body)
+            if let (PortPayload::Type(ty), Body::Value(value)) = (output.payload, &item.body)
                 && value.ty().name != ty.name
             {
                 return Err(format!("wire \"{}\" carries {}, but {} was given", name(), ty.name, value.ty().name));
@@ -81,47 +77,40 @@ impl Given {
     }
 }
 
-/// Runs the graph as [`crate::run()`] does, with `given` items in place of what their nodes would give, and returns the items
-/// of the wires that `keeps` names. A run with given items writes no recording, as a replay would not have them.
+/// Runs the graph as [`crate::run()`] does, with `inputs` in place of what their nodes would give, and returns the items
+/// of the wires that `keeps` names. A run with inputs writes no recording, as a replay would not have them.
 ///
 /// # Errors
-/// As [`crate::run()`]; [`RunError::Inject`] if only some of a node's outputs that are in use are given.
-pub fn run_given(
+/// As [`crate::run()`]; [`RunError::Inject`] if only some of a node's outputs that are in use have inputs.
+pub fn run_with_inputs(
     plan: &Plan,
     registry: &Registry,
     options: &RunOptions,
     observer: &dyn Observer,
-    given: Given,
+    inputs: WireInputs,
     keeps: &(dyn Fn(&str) -> bool + Sync),
 ) -> Result<(RunReport, BTreeMap<String, Vec<Item>>), RunError> {
-    let is_given: Vec<bool> = (0..plan.nodes.len()).map(|node| given.ports.contains_key(&node)).collect();
-    let parts: Vec<_> = is_given.iter().map(|is| if *is { NodeMode::Played } else { NodeMode::Computed }).collect();
-    let mut reduced = reduce(plan, &parts);
-    for link in reduced.links.iter_mut().filter(|link| is_given[link.from.node] && link.policy == Policy::Block) {
-        // The items are in memory already.
-        link.max_bytes = u64::MAX;
-    }
-    let reads = |file: &std::path::PathBuf| {
-        let is_of =
-            |given: bool| plan.nodes.iter().zip(&is_given).any(|(node, is)| *is == given && node.files.contains(file));
-        is_of(false) || !is_of(true)
+    let is_played: Vec<bool> = (0..plan.nodes.len()).map(|node| inputs.ports.contains_key(&node)).collect();
+    let parts: Vec<_> = is_played.iter().map(|is| if *is { NodeMode::Played } else { NodeMode::Computed }).collect();
+    let mut reduced = reduce_in_memory(plan, &parts);
+    let reads = |file: &PathBuf| {
+        let of = |played: bool| {
+            plan.nodes.iter().zip(&is_played).any(|(node, is)| *is == played && node.files.contains(file))
+        };
+        of(false) || !of(true)
     };
     reduced.input_files.retain(reads);
     let mut replayed = Replayed::default();
-    for (node, ports) in given.ports {
+    for (node, ports) in inputs.ports {
         // An optional input that is taken once has no value where its wire ends without one.
-        let needs = |link: &usize| {
-            let link = &reduced.links[*link];
+        let needs = |link: &Link| {
             let input = &reduced.nodes[link.to_node].inputs[link.to_port].port;
             !(input.optional && input.join == Join::Once)
         };
-        let in_use = |port: usize| {
-            let id = OutputId { node, port };
-            reduced.nodes[node].outputs[port].links.iter().any(needs)
-                || plan.results.iter().any(|entry| entry.from == id)
-        };
-        if let Some(port) = (0..ports.len()).find(|&port| ports[port].is_none() && in_use(port)) {
-            let wire = plan.wire_name(OutputId { node, port });
+        let is_used =
+            |id: &OutputId| reduced.consumers(*id).any(needs) || plan.results.iter().any(|entry| entry.from == *id);
+        if let Some(id) = plan.outputs(node).find(|id| ports[id.port].is_none() && is_used(id)) {
+            let wire = plan.wire_name(id);
             let message =
                 format!("wire \"{wire}\" is in use, but only other outputs of its node are given; give it, too");
             return Err(RunError::Inject(message));
@@ -131,25 +120,15 @@ pub fn run_given(
     }
     let record = options.record && replayed.substitutes.is_empty();
     let options = RunOptions { record, ..options.clone() };
-    let kept = Kept::new(&reduced, keeps);
+    let kept =
+        Kept(reduced.all_outputs().filter(|id| keeps(&plan.wire_name(*id))).map(|id| (id, Mutex::default())).collect());
     let report = run_with(&reduced, registry, &options, observer, replayed, Some(&kept))?;
-    let wires = kept
-        .0
-        .into_iter()
-        .map(|(id, items)| (plan.wire_name(id), items.into_inner().unwrap_or_else(PoisonError::into_inner)));
-    Ok((report, wires.collect()))
+    let items = |items: Mutex<Vec<Item>>| items.into_inner().unwrap_or_else(PoisonError::into_inner);
+    Ok((report, kept.0.into_iter().map(|(id, kept)| (plan.wire_name(id), items(kept))).collect()))
 }
 
 /// Tap that keeps the items of some wires.
 struct Kept(BTreeMap<OutputId, Mutex<Vec<Item>>>);
-
-impl Kept {
-    fn new(plan: &Plan, keeps: &(dyn Fn(&str) -> bool + Sync)) -> Self {
-        let outputs = |node: usize| (0..plan.nodes[node].outputs.len()).map(move |port| OutputId { node, port });
-        let all = (0..plan.nodes.len()).flat_map(outputs);
-        Self(all.filter(|id| keeps(&plan.wire_name(*id))).map(|id| (id, Mutex::default())).collect())
-    }
-}
 
 impl Tap for Kept {
     fn listens(&self, wire: OutputId) -> bool {
