@@ -14,6 +14,33 @@ type Floors = &'static [&'static [&'static str]];
 /// floor of the longest path that names it or a module around it; `*` is each module of a folder.
 const CRATES: &[(&str, Floors)] = &[
     (
+        "engine/node/src",
+        &[
+            &["display", "error", "file", "intern", "log_forward"],
+            &["schema"],
+            &["view"],
+            &["payload"],
+            &["abi", "dynamic", "item", "port"],
+            &["build_context", "description", "host"],
+            &["clock"],
+            &["context"],
+            &["traits"],
+            &["declared", "erased"],
+            &["registry"],
+            &["plugin"],
+        ],
+    ),
+    (
+        "engine/container/src",
+        &[
+            &["allowance", "compression", "damage", "fields", "input", "op", "segments"],
+            &["record"],
+            &["chunk", "descriptions", "resync", "write"],
+            &["read"],
+        ],
+    ),
+    ("engine/draw/src", &[&["layout", "xml"], &["svg", "text"]]),
+    (
         "engine/runtime/src",
         &[
             &["activity", "histogram", "join", "names", "panics", "plan", "sync"],
@@ -190,6 +217,8 @@ fn files(sources: &str) -> BTreeMap<Module, File> {
                         path.splice(..1, full.iter().cloned());
                     }
                 }
+                // What the root itself defines is of no module.
+                file.imports.retain(|path| path.len() > 1 || declared.contains(&*path[0]));
                 found.insert(module.clone(), file);
             }
         }

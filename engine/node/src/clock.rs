@@ -1,6 +1,6 @@
 //! Clock readings of a node: recorded with the firing, and answered from the recording in a replay.
 
-use crate::{StampNs, plugin::HostBudget};
+use crate::{StampNs, host::HostBudget};
 use serde::{Deserialize, Serialize};
 use std::{
     collections::VecDeque,

@@ -1,7 +1,7 @@
 use crate::{
     Budget, CachePolicy, ClockReading, DeclaredPort, Empty, StampNs,
     clock::{NotRecorded, Readings},
-    plugin::Host,
+    host::Host,
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};

@@ -1,11 +1,10 @@
 //! Payload types defined at run time, by a plugin or a recording.
 
-use crate::{Column, ColumnType, Field, PayloadType, SchemaEntry, SchemaError, Value, View};
+use crate::{Column, ColumnType, Field, PayloadType, SchemaEntry, SchemaError, Value, View, intern::intern};
 use bytemuck::Pod;
 use serde_json::{Map, Value as Json};
 use std::{
     any::{Any, TypeId},
-    collections::BTreeSet,
     sync::{Arc, Mutex, PoisonError},
 };
 
@@ -36,8 +35,6 @@ impl DynamicPayload {
 
 /// All types made so far, one for each name, version and schema.
 static TYPES: Mutex<Vec<&'static PayloadType>> = Mutex::new(Vec::new());
-static INTERNED: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
-
 impl PayloadType {
     /// A payload type with this name, version and schema; its values are [`DynamicPayload`]s.
     ///
@@ -81,19 +78,6 @@ impl PayloadType {
 
 fn dynamic(any: &dyn Any) -> &DynamicPayload {
     any.downcast_ref().expect("a value carries its own type")
-}
-
-/// The text with a static lifetime; equal texts share one copy.
-pub(crate) fn intern(text: &str) -> &'static str {
-    let mut interned = INTERNED.lock().unwrap_or_else(PoisonError::into_inner);
-    match interned.get(text) {
-        Some(text) => text,
-        None => {
-            let text: &'static str = String::leak(text.to_owned());
-            interned.insert(text);
-            text
-        }
-    }
 }
 
 /// Head fields by name, then columns as lists of rows. NaN and infinities are `null`.

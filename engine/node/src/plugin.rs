@@ -4,12 +4,9 @@
 //! library, of this crate and of `tracing`; only the types of [`crate::abi`] cross the boundary.
 
 mod describe;
-mod host;
 mod instance;
 mod log;
 mod panic;
-
-pub(crate) use host::{Host, HostBudget};
 
 use crate::{Node, Registry, Source, abi};
 use std::{marker::PhantomData, sync::OnceLock};

@@ -1,9 +1,10 @@
 //! The schema of a payload type: the head fields and columns of its views.
 
-mod check;
+mod column_type;
 mod json;
 
-use crate::{ColumnType, Field};
+pub use column_type::ColumnType;
+
 use std::fmt;
 
 /// A head field or column of a payload's view. A schema is a list of entries, fields before columns:
@@ -187,7 +188,7 @@ impl SchemaEntry {
         pairs.into_iter().find(|(a, b)| a != b)
     }
 
-    fn matches_column(&self, column: &str) -> bool {
+    pub(crate) fn matches_column(&self, column: &str) -> bool {
         self.is_column() && (self.name == column || self.prefix().is_some_and(|prefix| column.starts_with(prefix)))
     }
 }
@@ -198,7 +199,7 @@ impl EntryType {
     }
 
     /// The noun that [`crate::ViewError::Missing`] uses.
-    fn noun(self) -> &'static str {
+    pub(crate) fn noun(self) -> &'static str {
         match self {
             Self::Bool => "boolean field",
             Self::Int => "integer field",
@@ -206,28 +207,6 @@ impl EntryType {
             Self::Floats(_) | Self::FloatList => "number list",
             Self::Text => "text field",
             Self::Column { .. } => "column",
-        }
-    }
-
-    fn accepts(self, field: &Field) -> bool {
-        match (self, field) {
-            (Self::Bool, Field::Bool(_))
-            | (Self::Int, Field::Int(_))
-            | (Self::Float, Field::Float(_))
-            | (Self::FloatList, Field::Floats(_))
-            | (Self::Text, Field::Text(_)) => true,
-            (Self::Floats(n), Field::Floats(values)) => values.len() == n as usize,
-            _ => false,
-        }
-    }
-
-    fn of(field: &Field) -> Self {
-        match field {
-            Field::Bool(_) => Self::Bool,
-            Field::Int(_) => Self::Int,
-            Field::Float(_) => Self::Float,
-            Field::Floats(values) => Self::Floats(values.len() as u32),
-            Field::Text(_) => Self::Text,
         }
     }
 }

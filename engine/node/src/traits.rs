@@ -136,6 +136,13 @@ impl<T> From<T> for Emit<T> {
     }
 }
 
+/// A silent port.
+impl<T> Default for Emit<T> {
+    fn default() -> Self {
+        Self::Silent
+    }
+}
+
 /// Writes the value of a `T` field to a place that is silent.
 #[inline]
 pub fn put_value(place: &mut Emission, value: Value) {

@@ -1,10 +1,10 @@
 //! Built nodes, called by the program.
 #![allow(unsafe_code, reason = "is called through pointers")]
 
-use super::{Host, panic};
+use super::panic;
 use crate::{
     AnyNode, Body, BuildContext, Built, Context, DeclaredPort, Emission, Empty, Item, Joined, Kind, NodeError,
-    OutputPorts, ParamError, PayloadType, PortPayload, Slot, Value, abi,
+    OutputPorts, ParamError, PayloadType, PortPayload, Slot, Value, abi, host::Host,
 };
 use std::{ffi::c_void, sync::Arc, time::Duration};
 

@@ -1,7 +1,7 @@
 //! Schema entries as JSON: in recordings, and in the descriptions of plugins.
 
 use super::{EntryType, SchemaEntry};
-use crate::{ColumnType, dynamic::intern};
+use crate::{ColumnType, intern::intern};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error, ser::SerializeMap};
 
 /// A field is `{"name", "field", "length"}` with field `bool`, `int`, `float`, `floats` or `text`, and a length only where

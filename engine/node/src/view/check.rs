@@ -1,7 +1,7 @@
 //! Checks a view against a schema.
 
-use super::{EntryType, SchemaEntry};
-use crate::{Column, ColumnType, View, ViewError};
+use super::{Column, Field, View, ViewError};
+use crate::{ColumnType, EntryType, SchemaEntry};
 
 /// The first duplicate, in alphabetical order.
 fn duplicate<'a>(names: impl Iterator<Item = &'a str>) -> Option<String> {
@@ -78,5 +78,29 @@ impl Column {
             return Err(ViewError::CutRow { name: name(), bytes, row });
         }
         Ok(())
+    }
+}
+
+impl EntryType {
+    fn accepts(self, field: &Field) -> bool {
+        match (self, field) {
+            (Self::Bool, Field::Bool(_))
+            | (Self::Int, Field::Int(_))
+            | (Self::Float, Field::Float(_))
+            | (Self::FloatList, Field::Floats(_))
+            | (Self::Text, Field::Text(_)) => true,
+            (Self::Floats(n), Field::Floats(values)) => values.len() == n as usize,
+            _ => false,
+        }
+    }
+
+    fn of(field: &Field) -> Self {
+        match field {
+            Field::Bool(_) => Self::Bool,
+            Field::Int(_) => Self::Int,
+            Field::Float(_) => Self::Float,
+            Field::Floats(values) => Self::Floats(values.len() as u32),
+            Field::Text(_) => Self::Text,
+        }
     }
 }

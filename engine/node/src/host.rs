@@ -20,7 +20,7 @@ unsafe impl Sync for Host {}
 impl Host {
     /// # Safety
     /// `firing` is an argument of the current call from the program, and the result is not used after that call.
-    pub(super) unsafe fn of(firing: &abi::Firing) -> Self {
+    pub(crate) unsafe fn of(firing: &abi::Firing) -> Self {
         // SAFETY: the host table lives as long as the program.
         Self { table: unsafe { &*firing.host }, run: firing.run }
     }
