@@ -18,7 +18,10 @@ pub(crate) mod sweep;
 pub use error::Error;
 pub use files::{Content, read, write_cloud, write_mesh, write_points, write_pose};
 pub use osteoflow_engine::inputs::WireInputs;
-pub use osteoflow_formats::{Space, cloud_file::CloudFileRead, mesh_file::MeshRead, mesh_or_cloud::MeshOrCloud};
+pub use osteoflow_formats::{
+    Space,
+    mesh_or_cloud::{CloudFileRead, MeshOrCloud, MeshRead},
+};
 pub use plugins::{Plugins, hosted_by};
 pub use register::{Method, Register, RegisterFiles, RegisterInput, RegisterRequest, Registration, Start, Units};
 pub use run::{Graph, GraphRun, RunRequest};

@@ -4,8 +4,7 @@ use crate::common::{osteoflow, run_whole};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::{
     Space,
-    cloud_file::read_cloud_ply,
-    mesh_file::read_mesh,
+    mesh_or_cloud::{read_cloud, read_mesh},
     picked_points::read_picked_points,
     plan_file::{plan_json, read_plan},
     pose_file::read_pose,
@@ -22,7 +21,7 @@ fn the_exported_files_lie_on_each_other_in_lps_and_hold_what_the_results_say() {
     let ran = run_whole(GRAPH, &["--no-record"]);
     let at = |name: &str| ran.dir.path().join(name);
     let bone = read_mesh(&at("export_bone.stl"), 1.0, "ct", SurfaceOrigin::User).unwrap();
-    let scan = read_cloud_ply(&at("export_scan.ply"), 1.0, "ct").unwrap();
+    let scan = read_cloud(&at("export_scan.ply"), 1.0, "ct").unwrap();
     assert_eq!((bone.space, scan.space), (Space::Lps, Space::Lps));
     let surface = MeshQuery::new(&bone.mesh);
     let mut off: Vec<f64> = scan.cloud.points().iter().map(|p| surface.closest_point(p).unwrap().distance_mm).collect();

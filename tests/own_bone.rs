@@ -2,7 +2,7 @@
 
 use crate::common::{data, osteoflow, run};
 use osteoflow_algorithms::mesh_query::MeshQuery;
-use osteoflow_formats::mesh_file::write_stl;
+use osteoflow_formats::write::write_stl;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh};
 use osteoflow_simulation::{BoneParams, CtParams, Procedure, ProcedureParams, bone, ct_surface};

@@ -2,8 +2,9 @@
 
 use crate::common::{Ran, run};
 use osteoflow_formats::{
-    mesh_file, plan_file,
+    plan_file,
     recording_write::{Layout, Stream, write_recording},
+    write::write_stl,
 };
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
 use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, ct_surface};
@@ -58,8 +59,8 @@ fn run_with(of: &Procedure, without: &[&str], more: Vec<(String, Stream)>, argum
     let streams = [streams(of, without), more].concat();
     write_recording(&at("r.mcap"), &streams, &metadata, &[], &Layout::default()).unwrap();
     let ct_surface = ct_surface(&of.truth.bone, &CtParams::default(), 1).unwrap();
-    mesh_file::write_stl(&at("bone.stl"), &ct_surface).unwrap();
-    mesh_file::write_stl(&at("phantom.stl"), &of.phantom).unwrap();
+    write_stl(&at("bone.stl"), &ct_surface).unwrap();
+    write_stl(&at("phantom.stl"), &of.phantom).unwrap();
     plan_file::write_plan(&at("plan.json"), &of.plan).unwrap();
     let files = [("recording", "r.mcap"), ("bone", "bone.stl"), ("phantom", "phantom.stl"), ("plan", "plan.json")];
     let sets = files.map(|(node, file)| format!("{node}.path={}", at(file).display()));

@@ -4,10 +4,10 @@ use crate::common::{self, osteoflow};
 use osteoflow_algorithms::sample;
 use osteoflow_formats::{
     Space,
-    cloud_file::{read_cloud_ply, write_ply},
-    mesh_file::{read_mesh, write_stl},
+    mesh_or_cloud::{read_cloud, read_mesh},
     picked_points::write_mrk_json,
     pose_file::read_pose,
+    write::{write_ply, write_stl},
 };
 use osteoflow_geometry::{
     Cloud, Mesh, NamedPoint, SurfaceOrigin, isometry_from_matrix, matrix_rows,
@@ -520,7 +520,7 @@ fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
     // RAS numbers of the scan turned to LPS, as the file must hold; the bone states LPS.
     let flip = Matrix4::from_diagonal(&Vector4::new(-1.0, -1.0, 1.0, 1.0));
     assert!((read("pose.tfm") - expected * flip).amax() < 1e-9);
-    let moved = read_cloud_ply(&found("source.ply"), 1.0, "target").unwrap().cloud;
+    let moved = read_cloud(&found("source.ply"), 1.0, "target").unwrap().cloud;
     let place = |k: usize| pose(&answer) * case.scan[k];
     assert!((0..moved.len()).all(|k| (moved.points()[k] - place(k)).norm() < 1e-9));
     let text = fs::read(found("source.ply")).unwrap();

@@ -2,7 +2,7 @@
 
 use crate::common::osteoflow;
 use osteoflow_algorithms::sample;
-use osteoflow_formats::{cloud_file::write_ply, mesh_file::write_stl};
+use osteoflow_formats::write::{write_ply, write_stl};
 use osteoflow_geometry::{
     Anatomy, Cloud, isometry_from_matrix, matrix_rows,
     nalgebra::{Isometry3, Matrix4, Point3, Translation3, UnitQuaternion, Vector3},

@@ -2,7 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::{osteoflow, run_whole};
-use osteoflow_formats::mesh_file::write_stl;
+use osteoflow_formats::write::write_stl;
 use osteoflow_geometry::Mesh;
 use osteoflow_simulation::{BoneParams, bone};
 use serde_json::{Value, json};

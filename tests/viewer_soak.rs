@@ -5,7 +5,7 @@
 use crate::common::browser::Browser;
 use crate::common::served::Served;
 use osteoflow_formats::{
-    mesh_file::read_mesh,
+    mesh_or_cloud::read_mesh,
     openigtlink::{Affine, Body, Message, PolyData, device_name},
 };
 use osteoflow_geometry::{

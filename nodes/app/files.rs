@@ -4,8 +4,7 @@ use super::error::{Error, UsageError};
 use anyhow::{Context, Result, anyhow};
 use osteoflow_formats::{
     FileError, Space, input,
-    mesh_file::MeshRead,
-    mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+    mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
     pose_file::{itk_text, read_pose},
     volume::is_volume,

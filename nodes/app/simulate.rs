@@ -7,8 +7,9 @@ use super::{error::Error, out_dir, program::NOTICE, settings::Settings};
 use anyhow::{Context, Result, anyhow};
 use osteoflow_formats::{
     mcap_read::Attachment,
-    mesh_file, plan_file,
+    plan_file,
     recording_write::{Layout, Stream, write_recording},
+    write::write_stl,
 };
 use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
 use osteoflow_simulation::{BoneParams, CtParams, Procedure, Subject, ct_surface};
@@ -94,8 +95,8 @@ impl SimulateRequest {
             StreamFormat::Folder => folder::write(dir, procedure)?,
         }
         let ct_surface = ct_surface(in_ct.bone(), ct, self.seed)?;
-        mesh_file::write_stl(&dir.join("bone.stl"), &ct_surface)?;
-        mesh_file::write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
+        write_stl(&dir.join("bone.stl"), &ct_surface)?;
+        write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
         plan_file::write_plan(&dir.join("plan.json"), &procedure.plan)?;
         write_text(&dir.join("truth.json"), &format!("{:#}\n", self.truth_json(procedure)))?;
         write_text(&dir.join("README.md"), &self.readme())

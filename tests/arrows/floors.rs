@@ -168,6 +168,27 @@ const CRATES: &[(&str, Floors)] = &[
         "nodes/pages/viewer/src",
         &[&["access", "http", "indexed", "protocol"], &["page", "still", "stream"], &["server"], &["playback"]],
     ),
+    (
+        "nodes/bone/formats/src",
+        &[
+            // Names that `lib.rs` hands on are on the floor of their module.
+            &["FileError", "LostPose", "PoseError", "Space", "StampOrder"],
+            &["error", "json", "lost", "normals", "png", "refused", "ros2", "scalar", "space", "stamp_order"],
+            &["cursor", "foxglove_json", "input", "shape"],
+            &["columns", "mcap_read", "obj", "off", "openigtlink", "pcd", "ply", "stl", "volume", "vtk", "write"],
+            &["cloud_text", "message_read", "table"],
+            &[
+                "mesh_or_cloud",
+                "picked_points",
+                "plan_file",
+                "pose_file",
+                "poses_csv",
+                "recording_write",
+                "region_file",
+            ],
+            &["folder"],
+        ],
+    ),
 ];
 
 /// Most files that may import each other in a circle.

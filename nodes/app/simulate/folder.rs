@@ -1,7 +1,7 @@
 //! The simulated procedure as a folder of plain files, for `acquire.folder`.
 
 use anyhow::{Context, Result};
-use osteoflow_formats::{cloud_file::write_ply, folder::FILE_NAME, poses_csv::write_poses};
+use osteoflow_formats::{folder::FILE_NAME, poses_csv::write_poses, write::write_ply};
 use osteoflow_geometry::{Cloud, Points};
 use osteoflow_simulation::Procedure;
 use std::{fmt::Write as _, fs, path::Path};

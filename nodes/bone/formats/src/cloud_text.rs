@@ -1,18 +1,16 @@
 //! Points as text: XYZ, ASC, PTS, CSV and TXT files.
 
 use crate::{
-    FileError, scalar,
+    FileError,
+    columns::{Heading, Lines, Row, Split, axes, has_words, heading_names, place, twice},
+    cursor::Cursor,
     shape::{Places, Shape, normal_columns},
-    space::StatedSpace,
 };
 use nalgebra::Vector3;
 use std::path::Path;
 
 /// Lengths of unit normals written with few digits.
 const UNIT: std::ops::Range<f64> = 0.99..1.01;
-
-/// Number of rows that are looked at to tell a separator from a decimal comma.
-const N_LOOKED_AT: usize = 100;
 
 /// Reads points from a text of one point a line.
 ///
@@ -26,269 +24,160 @@ const N_LOOKED_AT: usize = 100;
 /// # Errors
 /// [`FileError`], naming the line: a word instead of a number, a line with more or fewer columns than the first, a heading
 /// with one column twice, another count of points than the file states, decimal commas between commas.
-pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
-    let mut stated = StatedSpace::default();
-    let mut comment_heading = None;
-    let mut lines = text.trim_start_matches('\u{feff}').lines().zip(1..);
-    let mut rows: Vec<(&str, usize)> = Vec::new();
-    for (line, number) in lines.by_ref() {
-        let line = line.trim_matches(' ').trim_end();
-        match line.strip_prefix('#').or_else(|| line.strip_prefix("//")) {
-            Some(comment) => {
-                stated.take(comment).map_err(|message| fault(path, number, message))?;
-                // Only the count of points may precede it.
-                if is_heading(comment) && rows.iter().all(|(row, _)| row.parse::<usize>().is_ok()) {
-                    comment_heading = Some((comment.trim(), number));
-                }
-            }
-            None if line.is_empty() => {}
-            None => rows.push((line, number)),
-        }
-    }
-    drop(lines);
-    let mut rows = &rows[..];
-    let mut heading = comment_heading;
-    let mut count = None;
-    // The count of points comes before or behind the heading.
-    for may_be_heading in [true, false] {
-        if let [(first, number), rest @ ..] = rows
-            && count.is_none()
-            && let Ok(n) = first.trim().parse::<usize>()
-        {
-            (count, rows) = (Some((n, *number)), rest);
-        }
-        if let [(first, number), rest @ ..] = rows
-            && may_be_heading
-            && has_words(first)
-            // Below a heading in a comment words are labels.
-            && (comment_heading.is_none() || is_heading(first))
-        {
-            (heading, rows) = (Some((*first, *number)), rest);
-        }
-    }
-    let Some(&(first, first_number)) = rows.first() else {
-        return Err(FileError::content(
-            path,
-            format!("line {}", heading.map_or(1, |(_, n)| n)),
-            "there is no point in it",
-        ));
+pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let cursor = Cursor::text(path, bytes)?;
+    // Only the count of points may precede a heading.
+    let is_count = |(row, _): &Row| row.parse::<usize>().is_ok();
+    let lines = Lines::read(cursor, |_| false, |names, rows| is_heading(names) && rows.iter().all(is_count))?;
+    let Head { rows, heading, count } = Head::of(&lines);
+    let Some((first, first_line)) = rows.first() else {
+        return Err(cursor.fault_at(heading.map_or(1, |(_, line)| line), "there is no point in it"));
     };
-    let names = heading.map(|(text, number)| (heading_names(text), number));
-    let split = Split::of(rows, names.as_ref().map(|(names, _)| names.len()))
-        .map_err(|(number, message)| fault(path, number, message))?;
+    let split = Split::of(&cursor, rows, heading.as_ref().map(|(names, _)| names.len()))?;
     let mut cells = Vec::new();
     split.cells(first, &mut cells);
-    let width = cells.len();
-    let names = match names {
-        Some((names, number)) => {
-            if let Some((k, name)) = names
-                .iter()
-                .enumerate()
-                .find(|(k, name)| names[..*k].iter().any(|other| other.eq_ignore_ascii_case(name)))
-            {
-                return Err(fault(path, number, format!("column {} is called \"{name}\" as one before it is", k + 1)));
-            }
-            if names.len() != width {
-                let message =
-                    format!("the heading on line {number} names {} columns, this line has {width}", names.len());
-                return Err(fault(path, first_number, message));
-            }
-            names
-        }
-        None if width < 3 => {
-            return Err(fault(path, first_number, format!("a point has three numbers, this line has {width}")));
-        }
-        None => (1..=width).map(|k| ["x", "y", "z"].get(k - 1).map_or(format!("column_{k}"), |&s| s.into())).collect(),
-    };
-    let place = |name: &str| {
-        names.iter().position(|found| found.eq_ignore_ascii_case(name)).ok_or_else(|| {
-            let number = heading.map_or(first_number, |(_, number)| number);
-            fault(path, number, format!("no column is called \"{name}\"; there are: {}", names.join(", ")))
-        })
-    };
-    let places = [place("x")?, place("y")?, place("z")?];
-    let normals = normal_columns(|name| names.iter().position(|found| found.eq_ignore_ascii_case(name)));
-    let is_needed = |k: usize| places.contains(&k) || normals.is_some_and(|normals| normals.contains(&k));
-
-    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); width];
-    let mut words: Vec<Option<(usize, String)>> = vec![None; width];
-    for &(line, number) in rows {
-        split.cells(line, &mut cells);
-        if cells.len() != width {
-            let what = if heading.is_some() { "columns" } else { "numbers" };
-            return Err(fault(path, number, format!("{width} {what} are expected, this line has {}", cells.len())));
-        }
-        for (k, cell) in cells.iter().enumerate() {
-            let value = match split.number(cell) {
-                Some(value) => value,
-                None if cell.is_empty() && !is_needed(k) => f64::NAN,
-                None if is_needed(k) || heading.is_none() => {
-                    return Err(fault(path, number, format!("\"{cell}\" is not a number{}", split.advice(cell))));
-                }
-                None => {
-                    words[k].get_or_insert_with(|| (number, (*cell).to_owned()));
-                    f64::NAN
-                }
-            };
-            columns[k].push(value);
-        }
+    let (has_heading, (names, line)) =
+        (heading.is_some(), heading.unwrap_or_else(|| unnamed(cells.len(), *first_line)));
+    twice(&names, str::eq_ignore_ascii_case).map_err(|message| cursor.fault_at(line, message))?;
+    if names.len() != cells.len() {
+        let message =
+            format!("the heading on line {line} names {} columns, this line has {}", names.len(), cells.len());
+        return Err(cursor.fault_at(*first_line, message));
     }
-    if let Some((n, number)) = count
+    if !has_heading && cells.len() < 3 {
+        let message = format!("a point has three numbers, this line has {}", cells.len());
+        return Err(cursor.fault_at(*first_line, message));
+    }
+    let places = axes(&cursor, &names, line)?;
+    let normals = normal_columns(|name| place(&names, name));
+    let is_needed = |k: usize| places.contains(&k) || normals.is_some_and(|normals| normals.contains(&k));
+    let columns = columns(&cursor, rows, &split, has_heading, names.len(), is_needed)?;
+    if let Some((n, line)) = count
         && n != rows.len()
     {
         let message = format!("{n} points are stated, but {} follow; was the file cut short?", rows.len());
-        return Err(fault(path, number, message));
+        return Err(cursor.fault_at(line, message));
     }
-    let mut notes = Vec::new();
-    let mut named: Vec<(String, Vec<f64>)> = Vec::new();
-    let mut final_places = places;
-    for (k, (name, column)) in names.into_iter().zip(columns).enumerate() {
-        if let Some((number, word)) = &words[k] {
-            notes.push(format!("column \"{name}\" holds words (\"{word}\" on line {number}) and was left out"));
-            continue;
+    let (mut notes, mut named) = (Vec::new(), Vec::new());
+    for (name, column) in names.into_iter().zip(columns) {
+        match column.word {
+            None => named.push((name, column.values)),
+            Some((word, line)) => {
+                notes.push(format!("column \"{name}\" holds words (\"{word}\" on line {line}) and was left out"));
+            }
         }
-        if let Some(axis) = places.iter().position(|&place| place == k) {
-            final_places[axis] = named.len();
-        }
-        named.push((name, column));
     }
-    if heading.is_none() && width == 6 {
+    let places = ["x", "y", "z"].map(|axis| {
+        let is_axis = |(name, _): &(String, Vec<f64>)| name.eq_ignore_ascii_case(axis);
+        named.iter().position(is_axis).expect("coordinates are numbers")
+    });
+    if !has_heading && named.len() == 6 {
         let is_unit = |k: usize| UNIT.contains(&Vector3::new(named[3].1[k], named[4].1[k], named[5].1[k]).norm());
         if (0..rows.len()).filter(|&k| named[..3].iter().all(|(_, c)| c[k].is_finite())).all(is_unit) {
             named[3..].iter_mut().zip(["nx", "ny", "nz"]).for_each(|((name, _), normal)| *name = normal.into());
         }
     }
-    let places = Places::Lines(rows.iter().map(|(_, number)| *number).collect());
-    Ok(Shape { stated, notes, places, ..Shape::of_columns(named, final_places) })
+    let lines_of_points = Places::Lines(rows.iter().map(|(_, line)| *line).collect());
+    Ok(Shape { stated: lines.stated, notes, places: lines_of_points, ..Shape::of_columns(named, places) })
 }
 
-fn fault(path: &Path, line: usize, message: impl Into<String>) -> FileError {
-    FileError::content(path, format!("line {line}"), message)
+/// What precedes the points, and their rows.
+struct Head<'a> {
+    rows: &'a [Row<'a>],
+    heading: Option<Heading>,
+    /// The count of the points and its line.
+    count: Option<(usize, usize)>,
 }
 
-/// The words of a heading, with any separator.
-pub(crate) fn heading_names(heading: &str) -> Vec<String> {
-    let blank = |c: char| c.is_whitespace();
-    let separator = [';', ',', '\t'].into_iter().find(|&c| heading.contains(c));
-    let bare = |word: &str| word.trim().trim_matches('"').trim().to_owned();
-    match separator {
-        Some(c) => heading.trim_end_matches(c).split(c).map(bare).collect(),
-        None => heading.split(blank).filter(|word| !word.is_empty()).map(bare).collect(),
-    }
-}
-
-/// Whether a comment names columns: x, y and z come first, alone or with further words.
-fn is_heading(comment: &str) -> bool {
-    let names = heading_names(comment);
-    ["x", "y", "z"].iter().all(|axis| names.iter().take(3).any(|name| name.eq_ignore_ascii_case(axis)))
-}
-
-pub(crate) fn has_words(line: &str) -> bool {
-    let is_separator = |c: char| c.is_whitespace() || c == ',' || c == ';';
-    line.split(is_separator).filter(|word| !word.is_empty()).any(|word| scalar::number(word).is_none())
-}
-
-/// How lines are cut into numbers.
-pub(crate) struct Split {
-    /// None for blanks.
-    pub(crate) separator: Option<char>,
-    decimal_comma: bool,
-    /// Whether each line ends with a separator that begins no column.
-    pub(crate) trailing: bool,
-}
-
-impl Split {
-    /// The separator of the rows.
-    ///
-    /// # Errors
-    /// The line and a message, if commas are ambiguous.
-    pub(crate) fn of(rows: &[(&str, usize)], n_names: Option<usize>) -> Result<Self, (usize, String)> {
-        let looked_at = || rows.iter().take(N_LOOKED_AT).map(|(line, _)| *line);
-        let (first, _) = rows[0];
-        // Commas between digits, none at an end of a word, and at most one a word, are decimal.
-        let is_decimal = |word: &str| {
-            let mut parts = word.split(',');
-            let (whole, fraction, more) = (parts.next().unwrap_or_default(), parts.next(), parts.next());
-            let ends = whole.ends_with(|c: char| c.is_ascii_digit())
-                && fraction.is_some_and(|part| part.starts_with(|c: char| c.is_ascii_digit()));
-            more.is_none() && (fraction.is_none() || ends)
-        };
-        let blank_words = first.split_whitespace().count();
-        let separator = if first.contains(';') {
-            Some(';')
-        } else if first.contains('\t') && first.split('\t').filter(|cell| !cell.trim().is_empty()).count() >= 3 {
-            Some('\t')
-        } else if first.contains(',') && !(blank_words >= 3 && first.split_whitespace().all(is_decimal)) {
-            Some(',')
-        } else {
-            None
-        };
-        let decimal_comma = separator != Some(',') && looked_at().any(|line| line.contains(','));
-        if decimal_comma
-            && let Some((line, number)) = rows.iter().take(N_LOOKED_AT).find(|(line, _)| line.contains('.'))
-        {
-            let message = format!("\"{line}\" has decimal points, but other numbers have commas; write all alike");
-            return Err((*number, message));
-        }
-        // Points and commas are one when a program prints a decimal comma into a file of comma-separated values.
-        if separator == Some(',') && looked_at().all(|line| line.split(',').count() == 6 && !line.contains('.')) {
-            let digits = |line: &str, k: usize| {
-                let cell = line.split(',').nth(k).unwrap_or_default();
-                cell.bytes().all(|b| b.is_ascii_digit()).then_some(cell.len())
-            };
-            let is_fraction = |k: usize| {
-                looked_at().all(|line| digits(line, k).is_some()) && looked_at().any(|line| digits(line, k) >= Some(4))
-            };
-            if [1, 3, 5].into_iter().all(is_fraction) {
-                let message = "six whole numbers between commas look like three numbers with decimal commas; \
-                               separate the numbers by semicolons or write decimal points";
-                return Err((rows[0].1, message.into()));
+impl<'a> Head<'a> {
+    fn of(lines: &'a Lines) -> Self {
+        let mut head = Self { rows: &lines.rows, heading: lines.heading.clone(), count: None };
+        // The count of points comes before or behind the heading.
+        for may_be_heading in [true, false] {
+            if let [(first, line), rest @ ..] = head.rows
+                && head.count.is_none()
+                && let Ok(n) = first.trim().parse::<usize>()
+            {
+                (head.count, head.rows) = (Some((n, *line)), rest);
+            }
+            if let [(first, line), rest @ ..] = head.rows
+                && may_be_heading
+                && has_words(first)
+                // Below a heading in a comment words are labels.
+                && (lines.heading.is_none() || is_heading(&heading_names(first)))
+            {
+                (head.heading, head.rows) = (Some((heading_names(first), *line)), rest);
             }
         }
-        let trailing = separator.is_some_and(|c| first.ends_with(c) && n_names != Some(first.split(c).count()));
-        Ok(Self { separator, decimal_comma, trailing })
+        head
     }
+}
 
-    fn cells<'a>(&self, line: &'a str, cells: &mut Vec<&'a str>) {
-        cells.clear();
-        let Some(separator) = self.separator else {
-            cells.extend(line.split_ascii_whitespace());
-            return;
-        };
-        let line = if self.trailing { line.strip_suffix(separator).unwrap_or(line) } else { line };
-        cells.extend(line.split(separator).map(|cell| cell.trim().trim_matches('"')));
-    }
+/// The names of columns without a heading, for messages on the first of their lines.
+fn unnamed(width: usize, line: usize) -> Heading {
+    let name = |k: usize| ["x", "y", "z"].get(k - 1).map_or(format!("column_{k}"), |&axis| axis.into());
+    ((1..=width).map(name).collect(), line)
+}
 
-    pub(crate) fn number(&self, cell: &str) -> Option<f64> {
-        if !self.decimal_comma {
-            return scalar::number(cell);
-        }
-        if cell.contains('.') || cell.matches(',').count() > 1 {
-            return None;
-        }
-        scalar::number(&cell.replace(',', "."))
-    }
+/// Whether names are those of columns: x, y and z come first, alone or with further words.
+fn is_heading(names: &[String]) -> bool {
+    let first = &names[..names.len().min(3)];
+    ["x", "y", "z"].iter().all(|axis| place(first, axis).is_some())
+}
 
-    fn advice(&self, cell: &str) -> &'static str {
-        match self.separator {
-            Some(',') if cell.contains(char::is_whitespace) => "; are the numbers separated by blanks and commas?",
-            None if cell.contains(',') => "; are the numbers separated by blanks and commas?",
-            _ if self.decimal_comma && cell.contains('.') => "; other numbers have decimal commas",
-            _ => "",
+/// A column as it is read.
+#[derive(Clone, Default)]
+struct Column {
+    values: Vec<f64>,
+    /// The first word that is no number, and its line.
+    word: Option<(String, usize)>,
+}
+
+/// The columns of the rows. Only where a heading names the columns may those that are not needed hold words or nothing.
+fn columns(
+    cursor: &Cursor,
+    rows: &[Row],
+    split: &Split,
+    has_heading: bool,
+    width: usize,
+    is_needed: impl Fn(usize) -> bool,
+) -> Result<Vec<Column>, FileError> {
+    let (mut columns, mut cells) = (vec![Column::default(); width], Vec::new());
+    for (row, line) in rows {
+        split.cells(row, &mut cells);
+        if cells.len() != width {
+            let what = if has_heading { "columns" } else { "numbers" };
+            return Err(cursor.fault_at(*line, format!("{width} {what} are expected, this line has {}", cells.len())));
+        }
+        for (k, (cell, column)) in cells.iter().zip(&mut columns).enumerate() {
+            let value = match split.number(cell) {
+                Some(value) => value,
+                None if cell.is_empty() && !is_needed(k) => f64::NAN,
+                None if is_needed(k) || !has_heading => {
+                    let message = format!("\"{cell}\" is not a number{}", split.advice(cell));
+                    return Err(cursor.fault_at(*line, message));
+                }
+                None => {
+                    column.word.get_or_insert_with(|| ((*cell).to_owned(), *line));
+                    f64::NAN
+                }
+            };
+            column.values.push(value);
         }
     }
+    Ok(columns)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Space, cloud_file::CloudFileRead};
+    use crate::{Space, shape::CloudFileRead};
     use nalgebra::Point3;
     use osteoflow_geometry::Cloud;
 
     fn read(text: &str) -> Result<CloudFileRead, FileError> {
         let path = "cloud.csv".as_ref();
-        shape(path, text)?.into_cloud(path, 1.0, "camera".into())
+        shape(path, text.as_bytes())?.into_cloud(path, 1.0, "camera".into())
     }
 
     fn extra(cloud: &Cloud, k: usize) -> (&str, &[f64]) {
@@ -328,7 +217,7 @@ mod tests {
 
     #[test]
     fn points_without_depth_are_left_out_and_counted() {
-        let found = shape("a.xyz".as_ref(), "nan nan nan\n0 0 1\ninf 0 0\n").unwrap();
+        let found = shape("a.xyz".as_ref(), b"nan nan nan\n0 0 1\ninf 0 0\n").unwrap();
         let found = found.into_cloud("a.xyz".as_ref(), 1000.0, "camera".into()).unwrap();
         assert_eq!((found.n_points_in_file, found.n_dropped), (3, 2));
         assert_eq!(found.cloud.points(), [Point3::new(0.0, 0.0, 1000.0)]);

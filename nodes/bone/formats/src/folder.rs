@@ -59,10 +59,8 @@
 //! that is NaN is left out and counted in [`FolderStreams::notes`].
 
 use crate::{
-    FileError, LostPose, StampOrder,
-    cloud_file::read_cloud,
-    input,
-    mesh_file::{MeshRead, read_mesh},
+    FileError, LostPose, StampOrder, input,
+    mesh_or_cloud::{MeshRead, read_cloud, read_mesh},
     plan_file::{PlanRead, read_plan},
     poses_csv::read_poses,
 };
@@ -460,7 +458,11 @@ fn place_of(text: &str, at: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{cloud_file::write_ply, mesh_file::write_stl, plan_file::write_plan, poses_csv::write_poses};
+    use crate::{
+        plan_file::write_plan,
+        poses_csv::write_poses,
+        write::{write_ply, write_stl},
+    };
     use osteoflow_geometry::{Mesh, Planes, Points, SurgicalPlan};
 
     /// The example in the module's documentation.

@@ -9,8 +9,6 @@
 //! | [`message_read`] | point clouds, transforms and poses of Foxglove (protobuf, JSON) and ROS 2 (CDR) | |
 //! | [`recording_write`] | | recordings of Foxglove's messages or ROS 2's, in any layout |
 //! | [`mesh_or_cloud`] | a surface or a cloud: PLY, STL, PCD, OBJ, OFF, VTK, text | |
-//! | [`mesh_file`] | a surface in any of these | binary STL |
-//! | [`cloud_file`] | a cloud in any of these | binary PLY |
 //! | [`write`] | | surfaces and clouds: PLY, STL, PCD, OBJ, CSV |
 //! | [`picked_points`] | named points of 3D Slicer, MeshLab, CloudCompare, CSV | markups of 3D Slicer, CSV |
 //! | [`plan_file`] | surgical plans in JSON | surgical plans in JSON |
@@ -44,8 +42,9 @@
 //! # }
 //! ```
 
-pub mod cloud_file;
 mod cloud_text;
+mod columns;
+mod cursor;
 mod error;
 pub mod folder;
 mod foxglove_json;
@@ -53,7 +52,6 @@ pub mod input;
 mod json;
 mod lost;
 pub mod mcap_read;
-pub mod mesh_file;
 pub mod mesh_or_cloud;
 pub mod message_read;
 mod normals;
@@ -75,6 +73,7 @@ mod scalar;
 mod shape;
 pub mod space;
 mod stamp_order;
+mod stl;
 mod table;
 pub mod volume;
 mod vtk;

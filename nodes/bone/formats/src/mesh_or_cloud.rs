@@ -13,18 +13,18 @@
 //! The format is recognised by the content, never by the name. Files of other kinds are refused by name, with what to
 //! export instead.
 
+pub use crate::shape::{CloudFileRead, MeshRead};
+
 use crate::{
-    FileError, Space,
-    cloud_file::CloudFileRead,
-    cloud_text,
-    mesh_file::{self, MeshRead, size_note},
-    obj, off, pcd, ply, refused,
-    shape::Shape,
-    vtk,
+    FileError, Space, cloud_text,
+    cursor::is_text,
+    input, obj, off, pcd, ply, refused,
+    shape::{Shape, size_note},
+    stl, vtk,
 };
 use nalgebra::{Isometry3, Translation3};
 use osteoflow_geometry::{Cloud, Frame, SurfaceOrigin};
-use std::{borrow::Cow, path::Path};
+use std::path::Path;
 
 /// The content of a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -87,6 +87,68 @@ impl MeshOrCloud {
     }
 }
 
+/// Whether bytes are of a format, and its reader.
+type Format = (fn(&[u8]) -> bool, fn(&Path, &[u8]) -> Result<Shape, FileError>);
+
+/// The formats with a mark that no other kind of file has.
+const MARKED: [Format; 4] =
+    [(ply::is_ply, ply::shape), (stl::is_binary, stl::binary), (vtk::is_vtk, vtk::shape), (pcd::is_pcd, pcd::shape)];
+
+/// The others, in the order in which they are tried.
+const UNMARKED: [Format; 5] = [
+    (|bytes| !is_text(bytes), stl::binary),
+    (stl::is_ascii, stl::ascii),
+    (obj::is_obj, obj::shape),
+    (off::is_off, off::shape),
+    (|_| true, cloud_text::shape),
+];
+
+/// The content of a file in its own unit.
+fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let of = |formats: &[Format]| formats.iter().find(|(is_it, _)| is_it(bytes)).map(|(_, read)| *read);
+    match of(&MARKED) {
+        Some(read) => read(path, bytes),
+        None => match refused::refusal(bytes) {
+            Some(message) => Err(FileError::content(path, "byte 0", message)),
+            None => of(&UNMARKED).expect("any text may be of points")(path, bytes),
+        },
+    }
+}
+
+/// Reads a surface from a file of any of [these formats](self).
+///
+/// `unit_mm` is the file's unit in mm: 1 for millimetres, 1000 for metres. STL repeats the corners of each face; corners
+/// with equal bits become one vertex. Polygons are cut into fans. Faces without an area are left out and counted. If the
+/// file states RAS, the surface is turned to LPS. `O(n)`.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be read, is of no such format, is cut short, is a cloud, or holds no triangle or a
+/// coordinate that is not finite.
+pub fn read_mesh(
+    path: &Path,
+    unit_mm: f64,
+    frame: impl Into<Frame>,
+    origin: SurfaceOrigin,
+) -> Result<MeshRead, FileError> {
+    shape_of(path, &input::read(path)?)?.into_mesh(path, unit_mm, frame.into(), origin)
+}
+
+/// Reads points from a file of any of [these formats](self).
+///
+/// Of a surface the vertices are taken, with a note. `unit_mm` is the file's unit in mm: 1000 for metres. Points that are
+/// not finite are left out and counted; if the file states RAS, the points are turned to LPS. `O(n)`.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be read, is of no such format or is cut short.
+pub fn read_cloud(path: &Path, unit_mm: f64, frame: impl Into<Frame>) -> Result<CloudFileRead, FileError> {
+    let mut shape = shape_of(path, &input::read(path)?)?;
+    if let Some(faces) = &shape.faces {
+        let message = format!("the file is a surface of {} faces; its vertices are taken as points", faces.len());
+        shape.notes.push(message);
+    }
+    shape.into_cloud(path, unit_mm, frame.into())
+}
+
 /// Reads the bytes of a file of [these formats](self), recognised by its content; `path` is used in messages only.
 ///
 /// A file with faces is a surface, one without is a cloud. `unit_mm` is the file's unit in mm: 1000 for metres. A file that
@@ -101,11 +163,7 @@ pub fn read_mesh_or_cloud(
     unit_mm: f64,
     frame: impl Into<Frame>,
 ) -> Result<MeshOrCloud, FileError> {
-    read_in(path, bytes, unit_mm, frame.into())
-}
-
-fn read_in(path: &Path, bytes: &[u8], unit_mm: f64, frame: Frame) -> Result<MeshOrCloud, FileError> {
-    let shape = shape_of(path, bytes)?;
+    let (shape, frame) = (shape_of(path, bytes)?, frame.into());
     if shape.faces.is_some() {
         return shape.into_mesh(path, unit_mm, frame, SurfaceOrigin::User).map(MeshOrCloud::Mesh);
     }
@@ -116,58 +174,6 @@ fn read_in(path: &Path, bytes: &[u8], unit_mm: f64, frame: Frame) -> Result<Mesh
     notes.extend(read.notes.iter().cloned());
     notes.extend(size_note(read.cloud.points(), "points span"));
     Ok(MeshOrCloud::Cloud(read, notes))
-}
-
-/// The content of a file in its own unit.
-pub(crate) fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
-    if bytes.starts_with(b"ply") {
-        return ply::shape(path, bytes);
-    }
-    if mesh_file::is_binary_stl(bytes) {
-        return mesh_file::shape(path, bytes);
-    }
-    if bytes.starts_with(vtk::MARK) {
-        return vtk::shape(path, bytes);
-    }
-    if pcd::is_pcd(bytes) {
-        return pcd::shape(path, bytes);
-    }
-    if let Some(message) = refused::refusal(bytes) {
-        return Err(FileError::content(path, "byte 0", message));
-    }
-    if !is_text(bytes) || starts_with_word(bytes, b"solid") {
-        return mesh_file::shape(path, bytes);
-    }
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let text = text(path, bytes)?;
-    if obj::is_obj(bytes) {
-        return obj::shape(path, &text);
-    }
-    if off::is_off(bytes) {
-        return off::shape(path, &text);
-    }
-    cloud_text::shape(path, &text)
-}
-
-/// Whether the first kilobyte is text: a binary header is mostly zeros, and floats are not text.
-pub(crate) fn is_text(bytes: &[u8]) -> bool {
-    bytes.iter().take(1024).all(|&b| b >= b' ' || b.is_ascii_whitespace())
-}
-
-/// The whole as text; only comments may be in another encoding than UTF-8.
-///
-/// # Errors
-/// [`FileError`] if it is one line to us, but many to its writer.
-pub(crate) fn text<'a>(path: &Path, bytes: &'a [u8]) -> Result<Cow<'a, str>, FileError> {
-    if bytes.contains(&b'\r') && !bytes.contains(&b'\n') {
-        let message = "lines end with CR alone; save the file with LF or CR LF as line ends";
-        return Err(FileError::content(path, "byte 0", message));
-    }
-    Ok(String::from_utf8_lossy(bytes))
-}
-
-fn starts_with_word(bytes: &[u8], word: &[u8]) -> bool {
-    bytes.trim_ascii_start().get(..word.len()).is_some_and(|start| start.eq_ignore_ascii_case(word))
 }
 
 #[cfg(test)]
@@ -227,7 +233,7 @@ mod tests {
     fn a_ply_with_more_than_its_header_counts_is_refused_or_noted() {
         let said = |text: String| read(text.as_bytes()).unwrap_err().to_string();
         let more = ply("") + "\n1 2 3\n";
-        assert!(said(more.clone()).contains("line 11: more lines follow than the header counts"), "{}", said(more));
+        assert!(said(more.clone()).contains("line 12: more lines follow than the header counts"), "{}", said(more));
         let twice = ply("element vertex 1\nproperty float x\n");
         assert!(said(twice.clone()).contains("line 7: the header names element \"vertex\" twice"), "{}", said(twice));
         let twice = ply("property float x\n");

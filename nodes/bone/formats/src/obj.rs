@@ -1,8 +1,9 @@
 //! Wavefront OBJ.
 
 use crate::{
-    FileError, scalar,
-    shape::{Places, Shape, fan},
+    FileError,
+    cursor::{Cursor, first_line},
+    shape::{Places, Shape, fan, of_colours},
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
@@ -16,53 +17,96 @@ const PASSED_OVER: [&str; 16] = [
 
 /// Whether the first line that is no comment is one of an OBJ.
 pub(crate) fn is_obj(bytes: &[u8]) -> bool {
-    let mut lines = bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii);
-    let Some(line) = lines.find(|line| !(line.is_empty() || line.starts_with(b"#"))) else { return false };
-    let word = line.split(u8::is_ascii_whitespace).next().unwrap_or_default();
-    let word = std::str::from_utf8(word).unwrap_or_default();
-    word.len() < line.len() && (matches!(word, "v" | "vn" | "f") || PASSED_OVER.contains(&word))
-        || matches!(word, "g" | "o" | "s")
+    first_line(bytes, |line| {
+        let word = line.split(u8::is_ascii_whitespace).next().unwrap_or_default();
+        let word = std::str::from_utf8(word).unwrap_or_default();
+        word.len() < line.len() && (matches!(word, "v" | "vn" | "f") || PASSED_OVER.contains(&word))
+            || matches!(word, "g" | "o" | "s")
+    })
+}
+
+/// What the lines of an OBJ give.
+#[derive(Default)]
+struct Obj {
+    points: Vec<Point3<f64>>,
+    /// The line of each.
+    places: Vec<usize>,
+    normals: Vec<Vector3<f64>>,
+    colours: Vec<[f64; 3]>,
+    faces: Option<Vec<[u32; 3]>>,
+    corners: Vec<u32>,
+    /// The vertex farthest behind the end of those that precede it, and the line that names it.
+    farthest: (usize, usize),
+    n_lines_or_points: usize,
 }
 
 /// The surface in an OBJ file, or the cloud if it has no faces.
 ///
 /// Faces may name a corner as `a`, `a/b`, `a//c` or `a/b/c`, from the first vertex on or, negative, back from the last.
 /// Colours behind the coordinates are kept for a cloud; so are normals if there is one for each point.
-pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
+pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let mut cursor = Cursor::text(path, bytes)?;
     let mut stated = StatedSpace::default();
-    let (mut points, mut normals, mut faces) = (Vec::new(), Vec::<Vector3<f64>>::new(), Vec::new());
-    let mut colours: [Vec<f64>; 3] = Default::default();
-    let (mut n_lines_or_points, mut corners, mut places) = (0, Vec::new(), Vec::new());
-    // The vertex farthest behind the end of those that precede it, and the line that names it.
-    let mut farthest = (0, 0);
-    let mut has_faces = false;
-    let mut joined = String::new();
-    for (line, number) in text.trim_start_matches('\u{feff}').lines().zip(1..) {
-        let fault = |message: String| FileError::content(path, format!("line {number}"), message);
+    let (mut obj, mut joined) = (Obj::default(), String::new());
+    while let Some(line) = cursor.line() {
         // A backslash joins a line to the next.
         if let Some(start) = line.strip_suffix('\\') {
             joined.push_str(start);
             joined.push(' ');
             continue;
         }
-        let whole;
-        let line = if joined.is_empty() {
-            line
-        } else {
-            whole = std::mem::take(&mut joined) + line;
-            &whole
+        let line = if joined.is_empty() { line } else { (std::mem::take(&mut joined) + &line).into() };
+        let (content, comment) = line.split_once('#').unwrap_or((&line, ""));
+        stated.take(comment).map_err(|message| cursor.fault(message))?;
+        obj.take(&cursor, content)?;
+    }
+    let Obj { points, places, normals, colours, faces, farthest, n_lines_or_points, .. } = obj;
+    if !joined.is_empty() {
+        return Err(cursor.fault("the file ends behind a backslash; was it cut short?"));
+    }
+    if farthest.0 > points.len() {
+        let message = format!("the face names vertex {}, but there are {}", farthest.0, points.len());
+        return Err(cursor.fault_at(farthest.1, message));
+    }
+    if points.is_empty() {
+        return Err(cursor.fault("there is no vertex in it"));
+    }
+    let mut notes = Vec::new();
+    if n_lines_or_points > 0 {
+        notes.push(format!("{n_lines_or_points} elements \"l\" or \"p\" were left out"));
+    }
+    let mut shape = Shape { faces, stated, notes, places: Places::Lines(places), ..Shape::default() };
+    if shape.faces.is_none() {
+        let mut is_whole = |n: usize, what: &str| {
+            if n != 0 && n != points.len() {
+                shape.notes.push(format!("{n} {what} for {} points were left out", points.len()));
+            }
+            n == points.len()
         };
-        let (content, comment) = line.split_once('#').unwrap_or((line, ""));
-        stated.take(comment).map_err(&fault)?;
+        if is_whole(normals.len(), "normals") {
+            shape.normals = Some(normals);
+        }
+        if is_whole(colours.len(), "colours") {
+            shape.extras = of_colours(&colours);
+        }
+    }
+    shape.points = points;
+    Ok(shape)
+}
+
+impl Obj {
+    /// Takes a line without its comment.
+    fn take(&mut self, cursor: &Cursor, content: &str) -> Result<(), FileError> {
+        let fault = |message: String| Err(cursor.fault(message));
         let mut words = content.split_ascii_whitespace();
-        let Some(key) = words.next() else { continue };
+        let Some(key) = words.next() else { return Ok(()) };
         let mut numbers = [0.0; 8];
         let mut n = 0;
         if matches!(key, "v" | "vn") {
             for word in words.by_ref() {
-                let value = scalar::number(word).ok_or_else(|| fault(format!("\"{word}\" is not a number")))?;
+                let value = cursor.number(word)?;
                 if n == numbers.len() {
-                    return Err(fault(format!("more than {n} numbers follow \"{key}\"")));
+                    return fault(format!("more than {n} numbers follow \"{key}\""));
                 }
                 numbers[n] = value;
                 n += 1;
@@ -72,74 +116,44 @@ pub(crate) fn shape(path: &Path, text: &str) -> Result<Shape, FileError> {
         match (key, n) {
             ("v", 3 | 4 | 6 | 7) => {
                 if matches!(n, 4 | 7) && numbers[3] != 1.0 {
-                    return Err(fault(format!("the vertex has the weight {}; only 1 is read", numbers[3])));
+                    return fault(format!("the vertex has the weight {}; only 1 is read", numbers[3]));
                 }
-                points.push(Point3::new(x, y, z));
-                places.push(number);
+                self.points.push(Point3::new(x, y, z));
+                self.places.push(cursor.line);
                 if n >= 6 {
-                    colours.iter_mut().zip(&numbers[n - 3..]).for_each(|(column, &value)| column.push(value));
+                    self.colours.push([numbers[n - 3], numbers[n - 2], numbers[n - 1]]);
                 }
             }
-            ("v", _) => return Err(fault(format!("a vertex has three numbers, this one has {n}"))),
-            ("vn", 3) => normals.push(Vector3::new(x, y, z)),
-            ("vn", _) => return Err(fault(format!("a normal has three numbers, this one has {n}"))),
+            ("v", _) => return fault(format!("a vertex has three numbers, this one has {n}")),
+            ("vn", 3) => self.normals.push(Vector3::new(x, y, z)),
+            ("vn", _) => return fault(format!("a normal has three numbers, this one has {n}")),
             ("f", _) => {
-                has_faces = true;
-                corners.clear();
+                self.corners.clear();
                 for word in words {
-                    let corner = corner(word, points.len()).map_err(&fault)?;
-                    if corner > points.len() && corner > farthest.0 {
-                        farthest = (corner, number);
+                    let corner = corner(word, self.points.len()).map_err(|message| cursor.fault(message))?;
+                    if corner > self.points.len() && corner > self.farthest.0 {
+                        self.farthest = (corner, cursor.line);
                     }
-                    let index = u32::try_from(corner - 1).map_err(|_| fault(format!("vertex {corner} is too far")))?;
-                    corners.push(index);
+                    let Ok(index) = u32::try_from(corner - 1) else {
+                        return fault(format!("vertex {corner} is too far"));
+                    };
+                    self.corners.push(index);
                 }
-                if corners.len() < 3 {
-                    return Err(fault(format!("a face has three corners or more, this one has {}", corners.len())));
+                if self.corners.len() < 3 {
+                    let n = self.corners.len();
+                    return fault(format!("a face has three corners or more, this one has {n}"));
                 }
-                fan(&mut faces, &corners);
+                fan(self.faces.get_or_insert_default(), &self.corners);
             }
-            ("l" | "p", _) => n_lines_or_points += 1,
+            ("l" | "p", _) => self.n_lines_or_points += 1,
             (key, _) if PASSED_OVER.contains(&key) => {}
             ("cstype" | "deg" | "surf" | "curv" | "curv2" | "end", _) => {
-                return Err(fault("free-form surfaces are not read; export the surface as triangles".into()));
+                return fault("free-form surfaces are not read; export the surface as triangles".into());
             }
-            _ => return Err(fault(format!("\"{key}\" is no line of an OBJ"))),
+            _ => return fault(format!("\"{key}\" is no line of an OBJ")),
         }
+        Ok(())
     }
-    let last = |message: &str| FileError::content(path, format!("line {}", text.lines().count()), message);
-    if !joined.is_empty() {
-        return Err(last("the file ends behind a backslash; was it cut short?"));
-    }
-    if farthest.0 > points.len() {
-        let message = format!("the face names vertex {}, but there are {}", farthest.0, points.len());
-        return Err(FileError::content(path, format!("line {}", farthest.1), message));
-    }
-    if points.is_empty() {
-        return Err(last("there is no vertex in it"));
-    }
-    let mut notes = Vec::new();
-    if n_lines_or_points > 0 {
-        notes.push(format!("{n_lines_or_points} elements \"l\" or \"p\" were left out"));
-    }
-    let mut shape = Shape { stated, notes, places: Places::Lines(places), ..Shape::default() };
-    if has_faces {
-        shape.faces = Some(faces);
-    } else {
-        if normals.len() == points.len() {
-            shape.normals = Some(normals);
-        } else if !normals.is_empty() {
-            shape.notes.push(format!("{} normals for {} points were left out", normals.len(), points.len()));
-        }
-        let n = colours[0].len();
-        if n == points.len() {
-            shape.extras = ["red", "green", "blue"].into_iter().map(String::from).zip(colours).collect();
-        } else if n > 0 {
-            shape.notes.push(format!("{n} colours for {} points were left out", points.len()));
-        }
-    }
-    shape.points = points;
-    Ok(shape)
 }
 
 /// The vertex that a corner of a face names, counted from 1.
@@ -165,14 +179,14 @@ fn corner(word: &str, n_vertices: usize) -> Result<usize, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Space, mesh_file::MeshRead};
+    use crate::{Space, shape::MeshRead};
     use osteoflow_geometry::SurfaceOrigin;
 
     const SQUARE: &str = "mtllib a.mtl\no bone\nv 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nvt 0 0\nvn 0 0 1\n";
 
     fn mesh(text: &str) -> Result<MeshRead, FileError> {
         let path = "a.obj".as_ref();
-        shape(path, text)?.into_mesh(path, 1.0, "ct".into(), SurfaceOrigin::User)
+        shape(path, text.as_bytes())?.into_mesh(path, 1.0, "ct".into(), SurfaceOrigin::User)
     }
 
     #[test]
@@ -207,7 +221,7 @@ mod tests {
     fn vertices_alone_are_a_cloud_with_normals_and_colours() {
         let text = "v 1 2 3 0.5 0.25 1\nvn 0 0 1\nv nan 2 3 0 0 0\nvn 0 1 0\nv 4 5 6 1 0 0\nvn 1 0 0\n";
         let path = "a.obj".as_ref();
-        let read = |text| shape(path, text).unwrap().into_cloud(path, 1.0, "camera".into()).unwrap();
+        let read = |text: &str| shape(path, text.as_bytes()).unwrap().into_cloud(path, 1.0, "camera".into()).unwrap();
         let found = read(text);
         assert_eq!((found.cloud.len(), found.n_dropped), (2, 1));
         assert_eq!(found.cloud.normals().unwrap(), [Vector3::z(), Vector3::x()]);

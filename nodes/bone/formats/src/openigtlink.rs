@@ -40,20 +40,18 @@ mod header;
 mod metadata;
 mod poly_data;
 
+pub use bytes::EncodeError;
 pub use clock::{ClockNote, ClockOffset};
 pub use content::{Affine, Body, Fiducial, Position, Status, Text, TrackedTool};
 pub use crc::crc64;
 pub use decoder::{Damage, Decoder};
-pub use header::{HEADER_BYTES, HeaderError};
+pub use header::{HEADER_BYTES, HeaderError, MAX_BODY_BYTES};
 pub use metadata::{Extended, Metadata};
 pub use poly_data::{Attribute, Cells, PolyData};
 
 use bytes::{Reader, put_name};
 use header::Header;
 use osteoflow_geometry::StampNs;
-
-/// Longest body that is decoded or encoded: a POLYDATA of five million points.
-pub const MAX_BODY_BYTES: usize = 64 << 20;
 
 /// Longest name of a device.
 pub const MAX_DEVICE_BYTES: usize = 20;
@@ -70,27 +68,6 @@ pub struct Message {
     pub extended: Option<Extended>,
     /// The content.
     pub body: Body,
-}
-
-/// A message that cannot be written.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum EncodeError {
-    /// A name or text does not fit its field.
-    #[error("{what} \"{text}\" has {} bytes, and {limit} fit", .text.len())]
-    TooLong {
-        /// The field.
-        what: &'static str,
-        /// Its text.
-        text: String,
-        /// Its size.
-        limit: usize,
-    },
-    /// A stamp before 1970 or after 2106.
-    #[error("the stamp {0} ns does not fit a timestamp, which begins in 1970 and ends in 2106")]
-    Stamp(StampNs),
-    /// The content does not fit its type.
-    #[error("{0}")]
-    Content(String),
 }
 
 impl Message {

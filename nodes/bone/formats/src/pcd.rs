@@ -2,6 +2,7 @@
 
 use crate::{
     FileError,
+    cursor::Cursor,
     scalar::{self, Rows, Scalar},
     shape::{Places, Shape},
     space::StatedSpace,
@@ -25,6 +26,8 @@ struct Field {
     count: usize,
     /// Offset in a point, bytes.
     offset: usize,
+    /// Number of numbers before it in a point.
+    n_before: usize,
 }
 
 #[derive(Default)]
@@ -36,107 +39,73 @@ struct Header {
     data: String,
     stated: StatedSpace,
     notes: Vec<String>,
-    /// The line and byte behind the header.
-    line: usize,
-    at: usize,
 }
 
 /// The cloud in a PCD file.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
-    let mut header = header(path, bytes)?;
-    let at_byte = |message: String| FileError::content(path, format!("byte {}", header.at), message);
-    let body = &bytes[header.at..];
-    let n_bytes = header.n_points.checked_mul(header.stride).ok_or_else(|| {
-        at_byte(format!("{} points of {} bytes are more than a file can hold", header.n_points, header.stride))
-    })?;
-    let cut = |what: &str, expected: usize, found: usize| {
-        at_byte(format!("{what} needs {expected} bytes, but {found} are left; was the file cut short?"))
-    };
-    let (mut notes, mut places) = (Vec::new(), Places::Order);
-    let mut trailing = |n: usize, end: usize| {
-        if n > 0 {
-            let from = header.at + end;
-            notes.push(format!("{n} bytes follow the last point, from byte {from} on, and were not read"));
-        }
-    };
-    let columns = match header.data.as_str() {
-        "ascii" => ascii(path, &header, body, &mut places)?,
+    let mut cursor = Cursor::new(path, bytes);
+    let mut header = header(&mut cursor, bytes.len())?;
+    let (columns, places) = match header.data.as_str() {
+        "ascii" => ascii(&mut cursor, &header)?,
         "binary" => {
-            let points = body
-                .get(..n_bytes)
-                .ok_or_else(|| cut(&format!("the data of {} points", header.n_points), n_bytes, body.len()))?;
-            let n_left = body.len() - n_bytes;
-            if n_left > 0 && n_left.is_multiple_of(header.stride) {
-                let message = format!(
-                    "{} more points follow than the {} that the header counts; do header and data belong together?",
-                    n_left / header.stride,
-                    header.n_points
-                );
-                return Err(FileError::content(path, format!("byte {}", header.at + n_bytes), message));
-            }
-            trailing(n_left, n_bytes);
-            places = Places::Rows { first: header.at, stride: header.stride };
-            let rows = Rows { bytes: points, stride: header.stride, big: false };
-            columns(&header, |field, k| rows.column(field.scalar, field.offset + k * field.scalar.n_bytes()))
+            let first = cursor.at;
+            let n_bytes = header.n_bytes(&mut cursor)?;
+            let bytes = cursor.take(n_bytes, &format!("the data of {} points", header.n_points))?;
+            let rows = Rows { bytes, stride: header.stride, big: false };
+            let columns =
+                columns(&header, |field, k| rows.column(field.scalar, field.offset + k * field.scalar.n_bytes()));
+            (columns, Places::Rows { first, stride: header.stride })
         }
-        "binary_compressed" => {
-            let size = |k: usize| {
-                let size =
-                    body.get(4 * k..).and_then(|rest| rest.first_chunk()).map(|n| u32::from_le_bytes(*n) as usize);
-                size.ok_or_else(|| cut("the two sizes of compressed data", 8, body.len()))
-            };
-            let (n_packed, n_unpacked) = (size(0)?, size(1)?);
-            if n_unpacked != n_bytes {
-                return Err(at_byte(format!(
-                    "the data unpack to {n_unpacked} bytes, but {} points need {n_bytes}; is the header another file's?",
-                    header.n_points
-                )));
-            }
-            let packed =
-                body[8..].get(..n_packed).ok_or_else(|| cut("the compressed data", n_packed, body.len() - 8))?;
-            trailing(body.len() - 8 - n_packed, 8 + n_packed);
-            let unpacked = lzf(packed, n_unpacked).map_err(|(at, message)| {
-                FileError::content(
-                    path,
-                    format!("byte {}", header.at + 8 + at),
-                    format!("{message}; is the file damaged?"),
-                )
-            })?;
-            // Field after field, not point after point.
-            columns(&header, |field, k| {
-                let n = field.scalar.n_bytes();
-                let (start, stride) = (field.offset * header.n_points, field.count * n);
-                let bytes = &unpacked[start..start + stride * header.n_points];
-                Rows { bytes, stride, big: false }.column(field.scalar, k * n)
-            })
-        }
+        "binary_compressed" => (compressed(&mut cursor, &header)?, Places::Order),
         other => {
             let message = format!("DATA is \"{other}\"; ascii, binary or binary_compressed is expected");
-            return Err(FileError::content(path, format!("line {}", header.line), message));
+            return Err(cursor.fault(message));
         }
     };
+    let stride = Some(header.stride).filter(|_| header.data == "binary");
+    header.notes.extend(cursor.end("point", "points", stride)?);
     let place = |name: &str| {
         columns.iter().position(|(column, _)| column == name).ok_or_else(|| {
             let names: Vec<&str> = header.fields.iter().map(|field| field.name.as_str()).collect();
-            FileError::content(
-                path,
-                "header",
-                format!("no field is called \"{name}\"; there are: {}", names.join(", ")),
-            )
+            cursor.header_fault(format!("no field is called \"{name}\"; there are: {}", names.join(", ")))
         })
     };
     let columns_of_points = [place("x")?, place("y")?, place("z")?];
-    let mut shape = Shape::of_columns(columns, columns_of_points);
-    shape.places = places;
-    shape.stated = std::mem::take(&mut header.stated);
-    shape.notes = header.notes;
-    shape.notes.append(&mut notes);
-    Ok(shape)
+    let shape = Shape::of_columns(columns, columns_of_points);
+    Ok(Shape { places, stated: header.stated, notes: header.notes, ..shape })
+}
+
+type Columns = Vec<(String, Vec<f64>)>;
+
+/// The columns of compressed data: field after field, not point after point.
+fn compressed(cursor: &mut Cursor, header: &Header) -> Result<Columns, FileError> {
+    let n_bytes = header.n_bytes(cursor)?;
+    let start = *cursor;
+    let sizes = Rows { bytes: cursor.take(8, "the two sizes of compressed data")?, stride: 4, big: false };
+    let sizes = sizes.column(Scalar::U32, 0);
+    let (n_packed, n_unpacked) = (sizes[0] as usize, sizes[1] as usize);
+    if n_unpacked != n_bytes {
+        return Err(start.fault(format!(
+            "the data unpack to {n_unpacked} bytes, but {} points need {n_bytes}; is the header another file's?",
+            header.n_points
+        )));
+    }
+    let mut place = *cursor;
+    let unpacked = lzf(cursor.take(n_packed, "the compressed data")?, n_unpacked).map_err(|(at, message)| {
+        place.at += at;
+        place.fault(format!("{message}; is the file damaged?"))
+    })?;
+    Ok(columns(header, |field, k| {
+        let n = field.scalar.n_bytes();
+        let (start, stride) = (field.offset * header.n_points, field.count * n);
+        let bytes = &unpacked[start..start + stride * header.n_points];
+        Rows { bytes, stride, big: false }.column(field.scalar, k * n)
+    }))
 }
 
 /// The columns of all fields but padding; a field of several numbers gives `name_0`, `name_1` and so on, and a packed
 /// colour gives `red`, `green` and `blue`.
-fn columns(header: &Header, mut column: impl FnMut(&Field, usize) -> Vec<f64>) -> Vec<(String, Vec<f64>)> {
+fn columns(header: &Header, mut column: impl FnMut(&Field, usize) -> Vec<f64>) -> Columns {
     let mut columns = Vec::new();
     for field in header.fields.iter().filter(|field| field.name != "_") {
         let is_colour =
@@ -166,101 +135,92 @@ fn colour_bits(scalar: Scalar, value: f64) -> u32 {
     }
 }
 
-fn ascii(path: &Path, header: &Header, body: &[u8], places: &mut Places) -> Result<Vec<(String, Vec<f64>)>, FileError> {
-    let width: usize = header.fields.iter().map(|field| field.count).sum();
-    let fault = |line: usize, message: String| FileError::content(path, format!("line {line}"), message);
+/// The columns of data in ASCII, a point on each line, and the lines.
+fn ascii(cursor: &mut Cursor, header: &Header) -> Result<(Columns, Places), FileError> {
+    let (n_points, width) = (header.n_points, header.fields.iter().map(|field| field.count).sum::<usize>());
     // Each number takes a digit and a blank.
-    if header.n_points.saturating_mul(width) > body.len().div_ceil(2) {
-        let message = format!(
-            "{} points are promised, but {} bytes are left; was the file cut short?",
-            header.n_points,
-            body.len()
-        );
-        return Err(fault(header.line, message));
-    }
-    let mut values: Vec<Vec<f64>> = vec![Vec::with_capacity(header.n_points); width];
-    let (mut n_read, mut lines) = (0, Vec::with_capacity(header.n_points));
-    for (line, number) in body.split(|&b| b == b'\n').zip(header.line + 1..) {
-        let line = String::from_utf8_lossy(line);
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
+    cursor.promised(n_points, 2 * width, "points")?;
+    let mut values: Vec<Vec<f64>> = vec![Vec::with_capacity(n_points); width];
+    let mut lines = Vec::with_capacity(n_points);
+    while let Some(line) = cursor.filled_line() {
+        if line.trim_start().starts_with('#') {
             continue;
         }
-        if n_read == header.n_points {
-            return Err(fault(number, format!("more than the {n_read} points follow that the header counts")));
+        if lines.len() == n_points {
+            return Err(cursor.more("more lines"));
         }
-        n_read += 1;
-        lines.push(number);
+        lines.push(cursor.line);
         let mut words = line.split_ascii_whitespace();
         for (k, column) in values.iter_mut().enumerate() {
             let Some(word) = words.next() else {
-                return Err(fault(number, format!("{width} numbers are expected, this line has {k}")));
+                return Err(cursor.fault(format!("{width} numbers are expected, this line has {k}")));
             };
-            column.push(scalar::number(word).ok_or_else(|| fault(number, format!("\"{word}\" is not a number")))?);
+            column.push(cursor.number(word)?);
         }
         if let Some(word) = words.next() {
-            return Err(fault(number, format!("\"{word}\" follows the {width} numbers of a point")));
+            return Err(cursor.fault(format!("\"{word}\" follows the {width} numbers of a point")));
         }
     }
-    if n_read < header.n_points {
-        let line = header.line + body.split(|&b| b == b'\n').count();
-        return Err(fault(
-            line,
-            format!("the file ends after {n_read} of {} points; was it cut short?", header.n_points),
-        ));
+    if lines.len() < n_points {
+        return Err(cursor.ended(lines.len(), n_points, "points"));
     }
-    *places = Places::Lines(lines);
-    // The columns are taken in the order of the fields, padding as well.
-    let mut values = values.into_iter();
-    let mut by_field: Vec<Vec<Vec<f64>>> =
-        header.fields.iter().map(|field| values.by_ref().take(field.count).collect()).collect();
-    Ok(columns(header, |field, k| {
-        let place = header.fields.iter().position(|other| other.offset == field.offset).expect("it is one of them");
-        std::mem::take(&mut by_field[place][k])
-    }))
+    let columns = columns(header, |field, k| std::mem::take(&mut values[field.n_before + k]));
+    Ok((columns, Places::Lines(lines)))
 }
 
-fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
-    let mut header = Header::default();
-    let (mut sizes, mut types, mut counts) = (Vec::<usize>::new(), Vec::new(), None::<Vec<usize>>);
-    let (mut names, mut width, mut height, mut points) = (Vec::<String>::new(), None, None, None);
-    let mut seen: Vec<String> = Vec::new();
+impl Header {
+    /// Bytes of the points, which begin at the cursor.
+    fn n_bytes(&self, cursor: &mut Cursor) -> Result<usize, FileError> {
+        cursor.is_binary = true;
+        let Self { n_points, stride, .. } = self;
+        let fault = || cursor.fault(format!("{n_points} points of {stride} bytes are more than a file can hold"));
+        n_points.checked_mul(*stride).ok_or_else(fault)
+    }
+}
+
+/// The lines of a header, as they are written.
+#[derive(Default)]
+struct Lines {
+    names: Vec<String>,
+    sizes: Vec<usize>,
+    types: Vec<String>,
+    counts: Option<Vec<usize>>,
+    width: Option<usize>,
+    height: Option<usize>,
+    points: Option<usize>,
+}
+
+fn header(cursor: &mut Cursor, n_bytes: usize) -> Result<Header, FileError> {
+    let (mut header, mut lines, mut keys) = (Header::default(), Lines::default(), Vec::<String>::new());
     loop {
-        let rest = &bytes[header.at..];
-        header.line += 1;
-        let fault = |message: String| FileError::content(path, format!("line {}", header.line), message);
-        if rest.is_empty() {
-            return Err(fault("the header has no DATA line; was the file cut short?".into()));
-        }
-        let n = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
-        let line = String::from_utf8_lossy(&rest[..n]);
-        let line = line.trim();
-        let at = header.at + (n + 1).min(rest.len());
-        let mut words = line.split_ascii_whitespace();
-        let key = words.next().unwrap_or_default();
-        let words: Vec<&str> = words.collect();
-        let whole =
-            |word: &str| word.parse::<usize>().map_err(|_| fault(format!("\"{word}\" is not a count for {key}")));
-        let one = || match words[..] {
-            [word] => whole(word),
-            _ => Err(fault(format!("{key} has {} values, one is expected", words.len()))),
+        let Some(line) = cursor.line() else {
+            return Err(cursor.fault("the header has no DATA line; was the file cut short?"));
         };
-        if !key.is_empty() && !key.starts_with('#') {
-            if seen.iter().any(|before| before == key) {
-                return Err(fault(format!("the header has a second line {key}")));
-            }
-            seen.push(key.to_owned());
+        let line = line.trim();
+        let (key, values) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
+        if line.is_empty() || key.starts_with('#') {
+            header.stated.take(line).map_err(|message| cursor.fault(message))?;
+            continue;
         }
+        if keys.iter().any(|before| before == key) {
+            return Err(cursor.fault(format!("the header has a second line {key}")));
+        }
+        keys.push(key.to_owned());
+        let words: Vec<&str> = values.split_ascii_whitespace().collect();
+        let counts = || words.iter().map(|word| cursor.count(word)).collect::<Result<Vec<_>, _>>();
+        let one = || match counts()?[..] {
+            [count] => Ok(Some(count)),
+            _ => Err(cursor.fault(format!("{key} has {} values, one is expected", words.len()))),
+        };
         match key {
-            "" | "VERSION" => {}
-            _ if key.starts_with('#') => header.stated.take(line).map_err(&fault)?,
-            "FIELDS" | "COLUMNS" => names = words.iter().map(|&word| word.into()).collect(),
-            "SIZE" => sizes = words.iter().map(|word| whole(word)).collect::<Result<_, _>>()?,
-            "TYPE" => types = words.iter().map(|&word| word.to_owned()).collect(),
-            "COUNT" => counts = Some(words.iter().map(|word| whole(word)).collect::<Result<_, _>>()?),
-            "WIDTH" => width = Some(one()?),
-            "HEIGHT" => height = Some(one()?),
-            "POINTS" => points = Some(one()?),
+            "VERSION" => {}
+            "FIELDS" | "COLUMNS" => lines.names = words.iter().map(|&word| word.into()).collect(),
+            "SIZE" => lines.sizes = counts()?,
+            "TYPE" => lines.types = words.iter().map(|&word| word.into()).collect(),
+            "COUNT" => lines.counts = Some(counts()?),
+            "WIDTH" => lines.width = one()?,
+            "HEIGHT" => lines.height = one()?,
+            "POINTS" => lines.points = one()?,
             "VIEWPOINT" => {
                 let values: Option<Vec<f64>> = words.iter().map(|word| scalar::number(word)).collect();
                 match values.as_deref() {
@@ -269,78 +229,83 @@ fn header(path: &Path, bytes: &[u8]) -> Result<Header, FileError> {
                         "VIEWPOINT is {}, not the identity; it was not applied to the points",
                         words.join(" ")
                     )),
-                    _ => return Err(fault("VIEWPOINT needs seven numbers: a position and a quaternion".into())),
+                    _ => return Err(cursor.fault("VIEWPOINT needs seven numbers: a position and a quaternion")),
                 }
             }
             "DATA" => {
                 header.data = words.first().map_or_else(String::new, |word| word.to_ascii_lowercase());
-                header.at = at;
                 break;
             }
-            _ => return Err(fault(format!("\"{line}\" is no line of a PCD header"))),
-        }
-        header.at = at;
-    }
-    let fault = |message: String| FileError::content(path, format!("line {}", header.line), message);
-    if names.is_empty() {
-        return Err(fault("the header has no FIELDS".into()));
-    }
-    let counts = counts.unwrap_or_else(|| vec![1; names.len()]);
-    for (key, n) in [("SIZE", sizes.len()), ("TYPE", types.len()), ("COUNT", counts.len())] {
-        if n != names.len() {
-            return Err(fault(format!("{key} has {n} values for {} fields", names.len())));
+            _ => return Err(cursor.fault(format!("\"{line}\" is no line of a PCD header"))),
         }
     }
-    if let Some(name) =
-        names.iter().enumerate().find(|(k, name)| *name != "_" && names[..*k].contains(name)).map(|(_, n)| n)
-    {
-        return Err(fault(format!("FIELDS names \"{name}\" twice")));
-    }
-    let mut offset = 0_usize;
-    for (k, name) in names.into_iter().enumerate() {
-        let scalar = match (types[k].as_str(), sizes[k]) {
-            ("I", 1) => Scalar::I8,
-            ("I", 2) => Scalar::I16,
-            ("I", 4) => Scalar::I32,
-            ("I", 8) => Scalar::I64,
-            ("U", 1) => Scalar::U8,
-            ("U", 2) => Scalar::U16,
-            ("U", 4) => Scalar::U32,
-            ("U", 8) => Scalar::U64,
-            ("F", 4) => Scalar::F32,
-            ("F", 8) => Scalar::F64,
-            (kind, size) => {
-                return Err(fault(format!(
-                    "field \"{name}\" has TYPE {kind} and SIZE {size}; I or U of 1 to 8, F of 4 or 8 is expected"
-                )));
-            }
-        };
-        let count = counts[k];
-        // A field of more numbers than the file has bytes cannot be there.
-        if count == 0 || count > bytes.len() {
-            return Err(fault(format!("field \"{name}\" has COUNT {count}")));
-        }
-        header.fields.push(Field { name, scalar, count, offset });
-        offset = offset.saturating_add(count.saturating_mul(scalar.n_bytes()));
-    }
-    header.stride = offset;
-    header.n_points = match (width, height, points) {
-        (Some(w), h, p) => {
-            let of = usize::checked_mul(w, h.unwrap_or(1));
-            if p.is_some_and(|p| Some(p) != of) {
-                let message =
-                    format!("POINTS is {}, but WIDTH × HEIGHT is {w} × {}", p.unwrap_or_default(), h.unwrap_or(1));
-                return Err(fault(message));
-            }
-            of.ok_or_else(|| fault(format!("WIDTH × HEIGHT is {w} × {}, more than a file can hold", h.unwrap_or(1))))?
-        }
-        (None, _, Some(p)) => p,
-        (None, _, None) => return Err(fault("the header has neither WIDTH nor POINTS".into())),
-    };
-    if header.n_points == 0 {
-        return Err(fault("the header counts no point".into()));
-    }
+    header.n_points = lines.n_points().map_err(|message| cursor.fault(message))?;
+    lines.fields(n_bytes, &mut header).map_err(|message| cursor.fault(message))?;
     Ok(header)
+}
+
+impl Lines {
+    fn n_points(&self) -> Result<usize, String> {
+        let n_points = match (self.width, self.points) {
+            (Some(width), points) => {
+                let height = self.height.unwrap_or(1);
+                let n = width.checked_mul(height);
+                if let Some(points) = points.filter(|&points| Some(points) != n) {
+                    return Err(format!("POINTS is {points}, but WIDTH × HEIGHT is {width} × {height}"));
+                }
+                n.ok_or_else(|| format!("WIDTH × HEIGHT is {width} × {height}, more than a file can hold"))?
+            }
+            (None, Some(points)) => points,
+            (None, None) => return Err("the header has neither WIDTH nor POINTS".into()),
+        };
+        if n_points == 0 { Err("the header counts no point".into()) } else { Ok(n_points) }
+    }
+
+    /// Gives the header its fields and stride; the file has `n_bytes`.
+    fn fields(self, n_bytes: usize, header: &mut Header) -> Result<(), String> {
+        let Self { names, sizes, types, counts, .. } = self;
+        if names.is_empty() {
+            return Err("the header has no FIELDS".into());
+        }
+        let counts = counts.unwrap_or_else(|| vec![1; names.len()]);
+        for (key, n) in [("SIZE", sizes.len()), ("TYPE", types.len()), ("COUNT", counts.len())] {
+            if n != names.len() {
+                return Err(format!("{key} has {n} values for {} fields", names.len()));
+            }
+        }
+        if let Some((_, name)) = names.iter().enumerate().find(|(k, name)| *name != "_" && names[..*k].contains(name)) {
+            return Err(format!("FIELDS names \"{name}\" twice"));
+        }
+        let mut n_before = 0;
+        for (k, name) in names.into_iter().enumerate() {
+            let scalar = match (types[k].as_str(), sizes[k]) {
+                ("I", 1) => Scalar::I8,
+                ("I", 2) => Scalar::I16,
+                ("I", 4) => Scalar::I32,
+                ("I", 8) => Scalar::I64,
+                ("U", 1) => Scalar::U8,
+                ("U", 2) => Scalar::U16,
+                ("U", 4) => Scalar::U32,
+                ("U", 8) => Scalar::U64,
+                ("F", 4) => Scalar::F32,
+                ("F", 8) => Scalar::F64,
+                (kind, size) => {
+                    return Err(format!(
+                        "field \"{name}\" has TYPE {kind} and SIZE {size}; I or U of 1 to 8, F of 4 or 8 is expected"
+                    ));
+                }
+            };
+            let count = counts[k];
+            // A field of more numbers than the file has bytes cannot be there.
+            if count == 0 || count > n_bytes {
+                return Err(format!("field \"{name}\" has COUNT {count}"));
+            }
+            header.fields.push(Field { name, scalar, count, offset: header.stride, n_before });
+            n_before += count;
+            header.stride = header.stride.saturating_add(count.saturating_mul(scalar.n_bytes()));
+        }
+        Ok(())
+    }
 }
 
 /// Unpacks LZF data to exactly `n` bytes.
@@ -399,7 +364,7 @@ fn lzf(packed: &[u8], n: usize) -> Result<Vec<u8>, (usize, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cloud_file::CloudFileRead;
+    use crate::shape::CloudFileRead;
     use nalgebra::{Point3, Vector3};
 
     fn read(bytes: &[u8]) -> Result<CloudFileRead, FileError> {
@@ -501,10 +466,10 @@ mod tests {
                 ascii.clone() + "1 2 3 70 80 1 2 3 0 0 1\n1 2 3 7 8 1 2 3 0 0\n",
                 "line 13: 11 numbers are expected, this line has 10",
             ),
-            (ascii.clone() + &"1 2 3 7 8 1 2 3 0 0 1\n".repeat(3), "line 14: more than the 2 points follow"),
+            (ascii.clone() + &"1 2 3 7 8 1 2 3 0 0 1\n".repeat(3), "line 14: more lines follow than the header counts"),
             (
                 ascii.clone() + "1 2 3 7 8 1 2 3 0 0 1\n                      \n",
-                "line 14: the file ends after 1 of 2 points",
+                "line 13: the file ends after 1 of 2 points",
             ),
             (ascii.replace("POINTS 2", "POINTS 3"), "line 11: POINTS is 3, but WIDTH × HEIGHT is 2 × 1"),
             (ascii.replace("SIZE 4", "SIZE 3"), "line 11: field \"x\" has TYPE F and SIZE 3"),

@@ -5,19 +5,34 @@
 
 use crate::{
     FileError,
+    cursor::Cursor,
     scalar::{self, Rows, Scalar},
     shape::{Places, Shape, fan, normal_columns},
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
+
+/// Whether a file begins as a PLY.
+pub(crate) fn is_ply(bytes: &[u8]) -> bool {
+    bytes.starts_with(b"ply")
+}
 
 /// The content of a PLY file: a surface if it has faces, otherwise a cloud.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
-    let mut ply = Ply::parse(path, bytes)?;
-    let fault = |message: String| FileError::content(path, "header", message);
+    let mut cursor = Cursor::new(path, bytes);
+    let Header { encoding, mut elements, stated } = header(&mut cursor)?;
+    for element in &mut elements {
+        element.read(&mut cursor, encoding)?;
+    }
+    let stride = elements.last().and_then(|last| Some(last.rows?.stride));
+    let last = elements.last().map_or("", |last| &last.name);
+    let notes = cursor.end("element", &format!("elements \"{last}\""), stride)?.into_iter().collect();
+
+    let fault = |message: String| cursor.header_fault(message);
+    let element = |name: &str| elements.iter().find(|element| element.name == name);
     let vertex =
-        ply.element("vertex").ok_or_else(|| fault("there is no element \"vertex\", which holds the points".into()))?;
+        element("vertex").ok_or_else(|| fault("there is no element \"vertex\", which holds the points".into()))?;
     let place = |name: &str| {
         vertex
             .scalar(name)
@@ -28,12 +43,13 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut shape = Shape {
         points: vertex.triples::<Point3<f64>>(places),
         normals: normal_places.map(|places| vertex.triples::<Vector3<f64>>(places)),
+        stated,
         ..Shape::default()
     };
-    if ply.element("tristrips").is_some_and(|strips| strips.count > 0) {
+    if element("tristrips").is_some_and(|strips| strips.count > 0) {
         return Err(fault("element \"tristrips\" is not read; export the surface as triangles".into()));
     }
-    if let Some(face) = ply.element("face").filter(|face| face.count > 0) {
+    if let Some(face) = element("face").filter(|face| face.count > 0) {
         shape.faces = Some(faces(path, face, vertex.count)?);
     } else {
         for (k, property) in vertex.properties.iter().enumerate() {
@@ -41,17 +57,16 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
                 continue;
             }
             match property.kind {
-                Kind::Scalar(_) => shape.extras.push((property.name.clone(), vertex.column(k))),
+                Kind::Scalar(_) => shape.extras.push((property.name.clone(), vertex.column(k).into_owned())),
                 Kind::List(..) => {
                     shape.notes.push(format!("the list \"{}\" of the points was left out", property.name));
                 }
             }
         }
     }
-    shape.notes.append(&mut ply.notes);
-    shape.stated = std::mem::take(&mut ply.stated);
-    let vertex = ply.elements.iter_mut().find(|element| element.name == "vertex");
-    shape.places = vertex.map(|vertex| std::mem::take(&mut vertex.places)).unwrap_or_default();
+    shape.notes.extend::<Vec<_>>(notes);
+    let vertex = elements.into_iter().find(|element| element.name == "vertex");
+    shape.places = vertex.map(|vertex| vertex.places).unwrap_or_default();
     Ok(shape)
 }
 
@@ -73,13 +88,6 @@ fn faces(path: &Path, face: &Element, n_vertices: usize) -> Result<Vec<[u32; 3]>
         fan(&mut faces, &corners);
     }
     Ok(faces)
-}
-
-/// The elements of a file, in its order.
-struct Ply<'a> {
-    elements: Vec<Element<'a>>,
-    stated: StatedSpace,
-    notes: Vec<String>,
 }
 
 /// One kind of element.
@@ -116,43 +124,6 @@ enum Encoding {
     Big,
 }
 
-impl<'a> Ply<'a> {
-    fn parse(path: &'a Path, bytes: &'a [u8]) -> Result<Self, FileError> {
-        let mut lines = Lines { path, bytes, at: 0, line: 0 };
-        let Header { encoding, mut elements, stated } = header(&mut lines)?;
-        for element in &mut elements {
-            element.check_size(&lines, encoding)?;
-            match encoding {
-                Encoding::Ascii => element.read_ascii(&mut lines)?,
-                _ => element.read_binary(&mut lines, encoding == Encoding::Big)?,
-            }
-        }
-        let mut notes = Vec::new();
-        let left = &lines.bytes[lines.at..];
-        if !left.trim_ascii().is_empty() {
-            if encoding == Encoding::Ascii {
-                let message = "more lines follow than the header counts; do header and data belong together?";
-                return Err(FileError::content(path, format!("line {}", lines.line + 1), message));
-            }
-            let last = elements.last().and_then(|last| Some((&last.name, last.rows?.stride)));
-            if let Some((name, stride)) = last.filter(|(_, stride)| left.len().is_multiple_of(*stride)) {
-                let message = format!(
-                    "{} more elements \"{name}\" follow than the header counts; do header and data belong together?",
-                    left.len() / stride
-                );
-                return Err(FileError::content(path, format!("byte {}", lines.at), message));
-            }
-            let (n, at) = (left.len(), lines.at);
-            notes.push(format!("{n} bytes follow the last element, from byte {at} on, and were not read"));
-        }
-        Ok(Self { elements, stated, notes })
-    }
-
-    fn element(&self, name: &str) -> Option<&Element<'a>> {
-        self.elements.iter().find(|e| e.name == name)
-    }
-}
-
 impl<'a> Element<'a> {
     /// The place of a scalar property.
     fn scalar(&self, name: &str) -> Option<usize> {
@@ -160,11 +131,11 @@ impl<'a> Element<'a> {
     }
 
     /// The values of a scalar property, one for each element.
-    fn column(&self, place: usize) -> Vec<f64> {
+    fn column(&self, place: usize) -> Cow<'_, [f64]> {
         let property = &self.properties[place];
         match (self.rows, property.kind) {
-            (Some(rows), Kind::Scalar(scalar)) => rows.column(scalar, property.offset),
-            _ => property.values.clone(),
+            (Some(rows), Kind::Scalar(scalar)) => rows.column(scalar, property.offset).into(),
+            _ => (&property.values).into(),
         }
     }
 
@@ -194,137 +165,90 @@ impl<'a> Element<'a> {
         self.properties.iter().map(|p| p.name.as_str()).collect::<Vec<_>>().join(", ")
     }
 
-    /// Checks that the file is long enough for the elements that its header announces.
-    fn check_size(&self, lines: &Lines, encoding: Encoding) -> Result<(), FileError> {
-        if self.count > 0 && self.properties.is_empty() {
-            return Err(lines.fault(format!("the header gives element \"{}\" no properties", self.name)));
+    fn read(&mut self, cursor: &mut Cursor<'a>, encoding: Encoding) -> Result<(), FileError> {
+        let (count, name) = (self.count, self.name.clone());
+        if count > 0 && self.properties.is_empty() {
+            return Err(cursor.fault(format!("the header gives element \"{name}\" no properties")));
         }
-        let size = |t: Scalar| if encoding == Encoding::Ascii { 2 } else { t.n_bytes() };
-        let least: usize = self
-            .properties
-            .iter()
-            .map(|p| match p.kind {
-                Kind::Scalar(t) | Kind::List(t, _) => size(t),
-            })
-            .sum();
-        // The last line may lack its line break.
-        let left = (lines.bytes.len() - lines.at + 1) as u64;
-        if (self.count as u64).saturating_mul(least as u64) > left {
-            let message = format!(
-                "the header promises {} elements \"{}\" of at least {least} bytes, but {} bytes are left; \
-                 was the file cut short?",
-                self.count,
-                self.name,
-                left - 1
-            );
-            return Err(lines.fault(message));
+        let is_ascii = encoding == Encoding::Ascii;
+        let mut least = 0;
+        let mut is_fixed = !is_ascii;
+        for property in &mut self.properties {
+            let (Kind::Scalar(scalar) | Kind::List(scalar, _)) = property.kind;
+            is_fixed &= matches!(property.kind, Kind::Scalar(_));
+            property.offset = least;
+            // In a text a number takes a digit and a blank.
+            least += if is_ascii { 2 } else { scalar.n_bytes() };
         }
-        Ok(())
-    }
-
-    fn read_ascii(&mut self, lines: &mut Lines) -> Result<(), FileError> {
-        self.properties.iter_mut().for_each(|property| property.values.reserve(self.count));
-        let mut places = Vec::with_capacity(self.count);
-        for index in 0..self.count {
-            let text = loop {
-                match lines.next()? {
-                    Some(text) if text.trim().is_empty() => {}
-                    Some(text) => break text,
-                    None => {
-                        let message = format!(
-                            "the file ends after {index} of {} elements \"{}\"; was it cut short?",
-                            self.count, self.name
-                        );
-                        return Err(lines.fault(message));
-                    }
-                }
-            };
-            places.push(lines.line);
-            let mut words = text.split_ascii_whitespace();
-            let mut number = |name: &str| -> Result<f64, FileError> {
-                let word = words.next().ok_or_else(|| lines.fault(format!("no value for property \"{name}\"")))?;
-                scalar::number(word).ok_or_else(|| lines.fault(format!("\"{word}\" is not a number for \"{name}\"")))
-            };
-            for property in &mut self.properties {
-                match property.kind {
-                    Kind::Scalar(_) => property.values.push(number(&property.name)?),
-                    Kind::List(..) => {
-                        let n = number(&property.name)?;
-                        // More values than the line has characters cannot be there.
-                        if n.fract() != 0.0 || !(0.0..=text.len() as f64).contains(&n) {
-                            return Err(lines.fault(format!("list \"{}\" claims {n} values", property.name)));
-                        }
-                        for _ in 0..n as usize {
-                            property.values.push(number(&property.name)?);
-                        }
-                        property.ends.push(property.values.len());
-                    }
-                }
-            }
-            if let Some(word) = words.next() {
-                return Err(lines.fault(format!(
-                    "\"{word}\" follows the {} properties of element \"{}\"; do header and data belong together?",
-                    self.properties.len(),
-                    self.name
-                )));
-            }
-        }
-        self.places = Places::Lines(places);
-        Ok(())
-    }
-
-    fn read_binary(&mut self, lines: &mut Lines<'a>, big: bool) -> Result<(), FileError> {
-        let mut stride = 0;
-        let is_fixed = self.properties.iter_mut().all(|property| {
-            let Kind::Scalar(scalar) = property.kind else { return false };
-            property.offset = stride;
-            stride += scalar.n_bytes();
-            true
-        });
-        if is_fixed && stride > 0 {
-            // The size was checked, but for the one byte by which a text may be shorter.
-            let n = self.count * stride;
-            let bytes = lines.bytes.get(lines.at..lines.at + n).ok_or_else(|| {
-                lines.fault(format!("the file ends within the {} \"{}\"; was it cut short?", self.count, self.name))
-            })?;
-            lines.at += n;
-            self.rows = Some(Rows { bytes, stride, big });
-            self.places = Places::Rows { first: lines.at - n, stride };
+        cursor.is_binary = !is_ascii;
+        cursor.promised(count, least, &format!("elements \"{name}\" of at least {least} bytes"))?;
+        if is_fixed && least > 0 {
+            self.places = Places::Rows { first: cursor.at, stride: least };
+            let bytes = cursor.take(count * least, &format!("the data of {count} \"{name}\""))?;
+            self.rows = Some(Rows { bytes, stride: least, big: encoding == Encoding::Big });
             return Ok(());
         }
-        self.properties.iter_mut().for_each(|property| property.values.reserve(self.count));
-        let mut places = Vec::with_capacity(self.count);
-        for index in 0..self.count {
-            places.push(lines.at);
-            for property in &mut self.properties {
-                let cut = |lines: &Lines| {
-                    lines.fault(format!(
-                        "the file ends within element {index} of {} \"{}\"; was it cut short?",
-                        self.count, self.name
-                    ))
-                };
-                match property.kind {
-                    Kind::Scalar(t) => {
-                        property.values.push(lines.number(t, big).ok_or_else(|| cut(lines))?);
-                    }
-                    Kind::List(count, item) => {
-                        let n = lines.number(count, big).ok_or_else(|| cut(lines))?;
-                        let left = (lines.bytes.len() - lines.at) / item.n_bytes();
-                        if n.fract() != 0.0 || !(0.0..=left as f64).contains(&n) {
-                            let name = &property.name;
-                            return Err(lines.fault(format!("list \"{name}\" claims {n} values, {left} can follow")));
-                        }
-                        for _ in 0..n as usize {
-                            property.values.push(lines.number(item, big).ok_or_else(|| cut(lines))?);
-                        }
-                        property.ends.push(property.values.len());
-                    }
-                }
+        self.properties.iter_mut().for_each(|property| property.values.reserve(count));
+        let mut places = Vec::with_capacity(count);
+        for k in 0..count {
+            if is_ascii {
+                let text =
+                    cursor.filled_line().ok_or_else(|| cursor.ended(k, count, &format!("elements \"{name}\"")))?;
+                places.push(cursor.line);
+                self.read_text(cursor, &text)?;
+            } else {
+                places.push(cursor.at);
+                let is_big = encoding == Encoding::Big;
+                let ended = |at: &Cursor| at.ended(k, count, &format!("elements \"{name}\""));
+                read_values(&mut self.properties, cursor, |cursor, _, scalar| {
+                    cursor.binary_number(scalar, is_big).ok_or_else(|| ended(cursor))
+                })?;
             }
         }
-        self.places = Places::Bytes(places);
+        self.places = if is_ascii { Places::Lines(places) } else { Places::Bytes(places) };
         Ok(())
     }
+
+    /// One element on a line of its own.
+    fn read_text(&mut self, cursor: &mut Cursor, text: &str) -> Result<(), FileError> {
+        let mut words = text.split_ascii_whitespace();
+        read_values(&mut self.properties, cursor, |cursor, name, _| {
+            let word = words.next().ok_or_else(|| cursor.fault(format!("no value for property \"{name}\"")))?;
+            scalar::number(word).ok_or_else(|| cursor.fault(format!("\"{word}\" is not a number for \"{name}\"")))
+        })?;
+        match words.next() {
+            None => Ok(()),
+            Some(word) => Err(cursor.fault(format!(
+                "\"{word}\" follows the {} properties of element \"{}\"; do header and data belong together?",
+                self.properties.len(),
+                self.name
+            ))),
+        }
+    }
+}
+
+/// The values of one element; `number` gives the next of a property, which is of the type.
+fn read_values<'a>(
+    properties: &mut [Property],
+    cursor: &mut Cursor<'a>,
+    mut number: impl FnMut(&mut Cursor<'a>, &str, Scalar) -> Result<f64, FileError>,
+) -> Result<(), FileError> {
+    for Property { name, kind, values, ends, .. } in properties {
+        match *kind {
+            Kind::Scalar(scalar) => values.push(number(cursor, name, scalar)?),
+            Kind::List(count, item) => {
+                let n = number(cursor, name, count)?;
+                if n.fract() != 0.0 || !(0.0..f64::INFINITY).contains(&n) {
+                    return Err(cursor.fault(format!("list \"{name}\" claims {n} values")));
+                }
+                for _ in 0..n as usize {
+                    values.push(number(cursor, name, item)?);
+                }
+                ends.push(values.len());
+            }
+        }
+    }
+    Ok(())
 }
 
 struct Header<'a> {
@@ -333,36 +257,30 @@ struct Header<'a> {
     stated: StatedSpace,
 }
 
-fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, FileError> {
-    if lines.next()?.map(str::trim) != Some("ply") {
-        return Err(lines.fault("a PLY file begins with the line \"ply\"; is it another kind of file?".into()));
+fn header<'a>(cursor: &mut Cursor<'a>) -> Result<Header<'a>, FileError> {
+    if cursor.line().is_none_or(|line| line.trim() != "ply") {
+        return Err(cursor.fault("a PLY file begins with the line \"ply\"; is it another kind of file?"));
     }
     let (mut encoding, mut elements, mut stated) = (None, Vec::<Element>::new(), StatedSpace::default());
     loop {
-        let Some(text) = lines.next()? else {
-            return Err(lines.fault("the header has no \"end_header\"; was the file cut short?".into()));
+        let Some(text) = cursor.line() else {
+            return Err(cursor.fault("the header has no \"end_header\"; was the file cut short?"));
         };
+        let fault = |message: String| Err(cursor.fault(message));
         match text.split_ascii_whitespace().collect::<Vec<_>>()[..] {
             [] => {}
-            ["comment" | "obj_info", ..] => stated.take(text).map_err(|message| lines.fault(message))?,
-            ["format", ..] if encoding.is_some() => {
-                return Err(lines.fault("the header has a second line \"format\"".into()));
-            }
+            ["comment" | "obj_info", ..] => stated.take(&text).map_err(|message| cursor.fault(message))?,
+            ["format", ..] if encoding.is_some() => return fault("the header has a second line \"format\"".into()),
             ["format", "ascii", ..] => encoding = Some(Encoding::Ascii),
             ["format", "binary_little_endian", ..] => encoding = Some(Encoding::Little),
             ["format", "binary_big_endian", ..] => encoding = Some(Encoding::Big),
             ["element", name, count] => {
-                let count = count.parse().map_err(|_| lines.fault(format!("\"{count}\" is no count of elements")))?;
+                let count = cursor.count(count)?;
                 if elements.iter().any(|element| element.name == name) {
-                    return Err(lines.fault(format!("the header names element \"{name}\" twice")));
+                    return fault(format!("the header names element \"{name}\" twice"));
                 }
-                elements.push(Element {
-                    name: name.into(),
-                    count,
-                    properties: Vec::new(),
-                    rows: None,
-                    places: Places::Order,
-                });
+                let (name, properties, places) = (name.into(), Vec::new(), Places::Order);
+                elements.push(Element { name, count, properties, rows: None, places });
             }
             ["property", ref words @ .., name] => {
                 let kind = match *words {
@@ -370,22 +288,23 @@ fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, FileError> {
                     ["list", count, item] => named(count).zip(named(item)).map(|(c, i)| Kind::List(c, i)),
                     _ => None,
                 };
-                let kind =
-                    kind.ok_or_else(|| lines.fault(format!("\"{}\" is no known property type", words.join(" "))))?;
+                let Some(kind) = kind else {
+                    return fault(format!("\"{}\" is no known property type", words.join(" ")));
+                };
                 let Some(element) = elements.last_mut() else {
-                    return Err(lines.fault("a property precedes the first element".into()));
+                    return fault("a property precedes the first element".into());
                 };
                 if element.properties.iter().any(|property| property.name == name) {
-                    return Err(lines.fault(format!("element \"{}\" has two properties \"{name}\"", element.name)));
+                    return fault(format!("element \"{}\" has two properties \"{name}\"", element.name));
                 }
                 let name = name.into();
                 element.properties.push(Property { name, kind, offset: 0, values: Vec::new(), ends: Vec::new() });
             }
             ["end_header"] => break,
-            _ => return Err(lines.fault(format!("\"{}\" is no line of a PLY header", text.trim()))),
+            _ => return fault(format!("\"{}\" is no line of a PLY header", text.trim())),
         }
     }
-    let encoding = encoding.ok_or_else(|| lines.fault("the header has no \"format\" line".into()))?;
+    let encoding = encoding.ok_or_else(|| cursor.fault("the header has no \"format\" line"))?;
     Ok(Header { encoding, elements, stated })
 }
 
@@ -403,38 +322,104 @@ fn named(name: &str) -> Option<Scalar> {
     })
 }
 
-/// A place in a file: lines while it is text, bytes behind a binary header.
-struct Lines<'a> {
-    path: &'a Path,
-    bytes: &'a [u8],
-    at: usize,
-    line: usize,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        mesh_or_cloud::{CloudFileRead, read_cloud},
+        write::write_ply,
+    };
+    use osteoflow_geometry::Cloud;
 
-impl<'a> Lines<'a> {
-    /// The next line without its line break; none at the end.
-    fn next(&mut self) -> Result<Option<&'a str>, FileError> {
-        let rest = &self.bytes[self.at..];
-        if rest.is_empty() {
-            return Ok(None);
+    fn read(bytes: &[u8], unit_mm: f64) -> Result<CloudFileRead, FileError> {
+        let path = "a.ply".as_ref();
+        shape(path, bytes)?.into_cloud(path, unit_mm, "camera".into())
+    }
+
+    #[test]
+    fn a_cloud_survives_being_written_bit_for_bit() {
+        let points = vec![Point3::new(1.0 / 3.0, -2e-9, 210.123456789), Point3::new(-0.0, 5e3, 1.0)];
+        let normals = vec![Vector3::z(), Vector3::new(0.6, 0.0, -0.8)];
+        let cloud = Cloud::new("camera", points).unwrap();
+        for cloud in [cloud.clone(), cloud.with_normals(normals).unwrap()] {
+            let file = tempfile::NamedTempFile::new().unwrap();
+            write_ply(file.path(), &cloud, 1.0).unwrap();
+            let back = read_cloud(file.path(), 1.0, "camera").unwrap();
+            assert_eq!((back.cloud, back.n_points_in_file, back.n_dropped), (cloud.clone(), 2, 0));
+            write_ply(file.path(), &cloud, 1000.0).unwrap();
+            let back = read_cloud(file.path(), 1000.0, "camera").unwrap().cloud;
+            // Millimetres to metres and back is not exact in binary.
+            assert!(back.points().iter().zip(cloud.points()).all(|(a, b)| (a - b).norm() < 1e-9));
         }
-        self.line += 1;
-        let n = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
-        self.at += (n + 1).min(rest.len());
-        let text = std::str::from_utf8(&rest[..n]).or_else(|_| {
-            // Only comments may be in another encoding than ASCII.
-            if rest.starts_with(b"comment") || rest.starts_with(b"obj_info") { Ok("comment") } else { Err(()) }
-        });
-        text.map(|t| Some(t.trim_end_matches('\r'))).map_err(|()| self.fault("the line is no text".into()))
     }
 
-    fn number(&mut self, scalar: Scalar, big: bool) -> Option<f64> {
-        let value = scalar.first(&self.bytes[self.at..], big)?;
-        self.at += scalar.n_bytes();
-        Some(value)
+    #[test]
+    fn points_without_depth_are_left_out_and_counted() {
+        let text = "ply\nformat ascii 1.0\nobj_info scanner\nelement vertex 4\nproperty float z\nproperty float intensity\n\
+                    property float y\nproperty float x\nend_header\n.2 1 0 +.1\nnan 1 nan nan\n-inf 0 0 0\n1. 0 0 0\n";
+        let back = read(text.as_bytes(), 1000.0).unwrap();
+        assert_eq!((back.n_points_in_file, back.n_dropped), (4, 2));
+        assert_eq!(back.cloud.points(), [Point3::new(100.0, 0.0, 200.0), Point3::new(0.0, 0.0, 1000.0)]);
     }
 
-    fn fault(&self, message: String) -> FileError {
-        FileError::content(self.path, format!("line {}", self.line), message)
+    #[test]
+    fn normals_come_only_when_every_kept_point_has_one() {
+        let header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+                      property float nx\nproperty float ny\nproperty float nz\nend_header\n";
+        let all = read(format!("{header}0 0 0 0 0 2\n1 0 0 0 1 0\n").as_bytes(), 1.0).unwrap();
+        assert_eq!(all.cloud.normals(), Some(&[Vector3::z(), Vector3::y()][..]));
+        assert_eq!(all.notes, ["1 of 2 normals have lengths from 2.000e0 to 2.000e0 and were scaled to 1"]);
+        let some = read(format!("{header}0 0 0 0 0 2\n1 0 0 nan 1 0\n").as_bytes(), 1.0).unwrap();
+        assert_eq!((some.cloud.normals(), some.cloud.len()), (None, 2));
+        assert_eq!(some.notes, ["1 of 2 normals are zero or not finite, so the cloud goes without normals"]);
+    }
+
+    #[test]
+    fn a_surface_gives_its_vertices_with_a_note() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n").unwrap();
+        let read = read_cloud(file.path(), 1.0, "ct").unwrap();
+        assert_eq!(read.cloud.len(), 3);
+        assert_eq!(read.notes, ["the file is a surface of 1 faces; its vertices are taken as points"]);
+    }
+
+    #[test]
+    fn a_broken_file_names_its_line() {
+        let header = |n: usize| {
+            format!(
+                "ply\nformat ascii 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+            )
+        };
+        let said = |text: String| read(text.as_bytes(), 1.0).unwrap_err().to_string();
+        for (text, expected) in [
+            ("plain text".into(), "line 1: a PLY file begins with the line \"ply\""),
+            (header(2) + "0 0 0\n", "2 elements \"vertex\" of at least 6 bytes are promised, but 6 bytes are left"),
+            (header(2) + "0 0 0     \n      \n", "the file ends after 1 of 2 elements \"vertex\"; was it cut short?"),
+            (header(2) + "0 0 0\n0 0     \n", "line 9: no value for property \"z\""),
+            (header(1) + "0 0 0 7\n", "line 8: \"7\" follows the 3 properties"),
+            (header(1) + "0 zero 0\n", "line 8: \"zero\" is not a number for \"y\""),
+            (
+                header(1).replace("property float z\n", "") + "0 0\n",
+                "header: the points have no \"z\"; there are: x, y",
+            ),
+            (header(1).replace("float z", "half z"), "line 6: \"half\" is no known property type"),
+            (header(1).replace("end_header\n", ""), "the header has no \"end_header\""),
+            (
+                "ply\nformat ascii 1.0\nelement vertex 9\nend_header\n".into(),
+                "the header gives element \"vertex\" no properties",
+            ),
+            (header(usize::MAX), "bytes are left; was the file cut short?"),
+        ] {
+            assert!(said(text.clone()).contains(expected), "{expected}\n{}", said(text));
+        }
+        let mut cut =
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 3000000000\nproperty double x\nend_header\n"
+                .to_vec();
+        cut.extend([0; 64]);
+        let said = read(&cut, 1.0).unwrap_err().to_string();
+        assert!(
+            said.contains("3000000000 elements \"vertex\" of at least 8 bytes are promised, but 64 bytes are left"),
+            "{said}"
+        );
     }
 }

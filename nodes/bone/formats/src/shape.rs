@@ -1,15 +1,62 @@
-//! What every format holds: points, and where it has them normals, further columns and faces.
+//! What every format holds: points, and where it has them normals, further columns and faces; and the surface or cloud that
+//! this becomes.
 
-use crate::{
-    FileError, Space,
-    cloud_file::CloudFileRead,
-    mesh_file::{MeshRead, size_note},
-    normals::unit_normals,
-    space::StatedSpace,
-};
-use nalgebra::{Point3, Vector3};
+use crate::{FileError, Space, normals::unit_normals, space::StatedSpace};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use osteoflow_geometry::{Cloud, FARTHEST_MM, Frame, Mesh, MeshError, SurfaceOrigin, TooFar};
 use std::path::Path;
+
+/// A surface this small or this large (mm, the box's diagonal) is hardly a bone or a phantom: the unit is in doubt.
+const PLAUSIBLE_MM: std::ops::Range<f64> = 3.0..3000.0;
+
+/// A surface read from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeshRead {
+    /// The surface, mm.
+    pub mesh: Mesh,
+    /// How many faces without an area were left out.
+    pub n_degenerate: usize,
+    /// The axes that the file states; `mesh` is LPS if it states any.
+    pub space: Space,
+    /// Suspicious properties of the file, one sentence each, such as a size that suggests metres.
+    pub notes: Vec<String>,
+}
+
+impl MeshRead {
+    /// The surface, where `space` is that of a file that does not state one.
+    ///
+    /// # Errors
+    /// A message, if the file states another.
+    pub fn in_space(mut self, space: Space) -> Result<Self, String> {
+        match self.space {
+            Space::Unknown => {
+                if space == Space::Ras {
+                    let turn = Isometry3::from_parts(Translation3::identity(), space.turn());
+                    self.mesh = self.mesh.transformed(self.mesh.frame.clone(), &turn);
+                }
+                self.space = space;
+                Ok(self)
+            }
+            stated if stated == space => Ok(self),
+            stated => Err(format!("the file states SPACE={stated}")),
+        }
+    }
+}
+
+/// A cloud read from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CloudFileRead {
+    /// The finite points, mm, without stamp and viewpoint, which the format does not hold.
+    pub cloud: Cloud,
+    /// How many points the file has.
+    pub n_points_in_file: usize,
+    /// How many of them were NaN or infinite and were left out.
+    pub n_dropped: usize,
+    /// The axes that the file states; `cloud` is LPS if it states any.
+    pub space: Space,
+    /// Changes to the content and what was left out, one sentence each.
+    pub notes: Vec<String>,
+}
 
 /// The content of a file in its own unit and space, with points that may be NaN.
 #[derive(Debug, Default)]
@@ -208,4 +255,32 @@ pub(crate) fn fan(faces: &mut Vec<[u32; 3]>, corners: &[u32]) {
         &[a] | &[a, _] => faces.push([a; 3]),
         &[a, ref rest @ ..] => faces.extend(rest.windows(2).map(|w| [a, w[0], w[1]])),
     }
+}
+
+/// Columns of red, green and blue.
+pub(crate) fn of_colours(colours: &[[f64; 3]]) -> Vec<(String, Vec<f64>)> {
+    let column = |k: usize| colours.iter().map(|colour| colour[k]).collect();
+    if colours.is_empty() {
+        return Vec::new();
+    }
+    ["red", "green", "blue"].into_iter().enumerate().map(|(k, name)| (name.into(), column(k))).collect()
+}
+
+/// A note on an implausible size; `what` names the surface or cloud.
+pub(crate) fn size_note(points: &[Point3<f64>], what: &str) -> Option<String> {
+    let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for point in points {
+        // Coordinates are finite: plain comparisons take a fifth of the time of `f64::min`, which minds NaN.
+        for (k, &c) in point.iter().enumerate() {
+            min[k] = if c < min[k] { c } else { min[k] };
+            max[k] = if c > max[k] { c } else { max[k] };
+        }
+    }
+    let span_mm = Some((Point3::from(max) - Point3::from(min)).norm()).filter(|_| !points.is_empty())?;
+    let advice = match span_mm {
+        s if PLAUSIBLE_MM.contains(&s) => return None,
+        s if s < PLAUSIBLE_MM.start => "is the file in metres? then give unit_mm = 1000",
+        _ => "is the file in micrometres? then give unit_mm = 0.001",
+    };
+    Some(format!("the {what} {span_mm:.3} mm, which is no size of a bone or phantom; {advice}"))
 }

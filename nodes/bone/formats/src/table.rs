@@ -1,6 +1,6 @@
 //! CSV with a header; errors name line and column.
 
-use crate::FileError;
+use crate::{FileError, columns::twice};
 use std::path::Path;
 
 /// A CSV file: comma-separated, columns found by name, blank lines and lines that begin with `#` passed over.
@@ -33,11 +33,8 @@ impl<'a> Table<'a> {
             FileError::content(path, format!("line {line}"), message)
         };
         let header: Vec<String> = reader.headers().map_err(fault)?.iter().map(String::from).collect();
-        let mut named = header.iter().enumerate().filter(|(_, name)| !name.is_empty());
-        if let Some((k, name)) = named.find(|(k, name)| header[..*k].contains(name)) {
-            let message = format!("column {} is called \"{name}\" as one before it is", k + 1);
-            return Err(FileError::content(path, "line 1", message));
-        }
+        twice(&header, |a, b| a == b && !a.is_empty())
+            .map_err(|message| FileError::content(path, "line 1", message))?;
         let mut records = Vec::new();
         for record in reader.records() {
             let record = record.map_err(fault)?;

@@ -7,56 +7,20 @@
 //! patient is.
 
 mod dicom;
+mod grid;
 mod nifti;
 mod nrrd;
 mod numbers;
 
+pub use grid::{Volume, VolumeRead, VoxelUnit};
+
 use crate::{FileError, input};
-use flate2::read::MultiGzDecoder;
-use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
+use nalgebra::{Matrix3, Point3};
 use osteoflow_geometry::TooFar;
 use std::{
     io::Read,
     path::{Path, PathBuf},
 };
-
-/// The most that deflate can expand a byte.
-const MAX_EXPANSION: u64 = 1032;
-
-/// What the values of voxels mean.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum VoxelUnit {
-    /// Hounsfield units, by the file or by its values (then a note says so).
-    Hu,
-    /// Unknown: an MR, or values that were not scaled.
-    Unknown,
-}
-
-/// A regular grid of voxels.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Volume {
-    /// Number of voxels along x (fastest), y and z.
-    pub size: [usize; 3],
-    /// Their values after the file's slope and intercept, `x × y × z`, finite. Single precision: exact for 24 bits.
-    pub voxels: Vec<f32>,
-    /// From a voxel's index (its centre) to LPS, mm. It may be oblique, anisotropic, sheared and left-handed.
-    pub t_lps_voxel: Matrix4<f64>,
-    /// What the values mean.
-    pub unit: VoxelUnit,
-    /// Whether the file says how the volume lies in the patient. If not, its surface may be turned or mirrored.
-    pub is_oriented: bool,
-}
-
-/// A volume read from a file or a folder.
-#[derive(Debug, Clone, PartialEq)]
-pub struct VolumeRead {
-    /// The volume.
-    pub volume: Volume,
-    /// What was read, in a few words: format, modality, series.
-    pub source: String,
-    /// Suspicious properties of the files, one sentence each.
-    pub notes: Vec<String>,
-}
 
 /// Which volume of a folder.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -155,54 +119,4 @@ fn replace_non_finite(voxels: &mut [f32]) -> usize {
         voxels.iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = lowest);
     }
     n_bad
-}
-
-/// The map of voxels whose axes (per voxel) and first centre are given in a space that differs from LPS by `signs`.
-fn affine(axes: [[f64; 3]; 3], first: [f64; 3], signs: [f64; 3]) -> Matrix4<f64> {
-    let turn = Matrix3::from_diagonal(&Vector3::from(signs));
-    let mut t = (turn * Matrix3::from_columns(&axes.map(Vector3::from))).to_homogeneous();
-    t.fixed_view_mut::<3, 1>(0, 3).copy_from(&(turn * Vector3::from(first)));
-    t
-}
-
-/// Whether values without a stated unit look like Hounsfield units: air below, bone above, most of them between.
-fn looks_like_hu(voxels: &[f32]) -> bool {
-    let start = (f32::MAX, f32::MIN, 0usize);
-    let (low, high, n_tissue) = voxels
-        .iter()
-        .filter(|v| v.is_finite())
-        .fold(start, |(low, high, n), v| (low.min(*v), high.max(*v), n + usize::from((-1100.0..=3100.0).contains(v))));
-    (-10_000.0..=-500.0).contains(&low) && high >= 300.0 && 2 * n_tissue >= voxels.len()
-}
-
-/// The unit of values whose file states none, with a note.
-fn assumed_unit(voxels: &[f32], format: &str, notes: &mut Vec<String>) -> VoxelUnit {
-    if looks_like_hu(voxels) {
-        notes
-            .push(format!("{format} states no unit of its values; with air and bone among them they were taken as HU"));
-        VoxelUnit::Hu
-    } else {
-        VoxelUnit::Unknown
-    }
-}
-
-/// The number of voxels of a size, and of their bytes, if both can be counted.
-fn n_voxels_and_bytes(size: [usize; 3], bytes_each: usize) -> Option<(usize, u64)> {
-    let n = size.iter().try_fold(1usize, |n, s| n.checked_mul(*s))?;
-    Some((n, (n as u64).checked_mul(bytes_each as u64)?))
-}
-
-/// What a gzip stream of `compressed` bytes holds at most.
-fn gzip_limit(compressed: u64) -> u64 {
-    compressed.saturating_mul(MAX_EXPANSION).saturating_add(1024)
-}
-
-/// Reads at most `limit` bytes of what is left of a gzip stream, so that its checksum is verified; returns their number.
-fn drain(reader: &mut impl Read, limit: u64) -> std::io::Result<u64> {
-    std::io::copy(&mut reader.take(limit), &mut std::io::sink())
-}
-
-/// A decoder of gzip, also of several streams in a row.
-fn gunzip<R: Read>(reader: R) -> MultiGzDecoder<R> {
-    MultiGzDecoder::new(reader)
 }

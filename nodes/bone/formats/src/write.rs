@@ -66,6 +66,23 @@ pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space) -> Result<(), FileE
     std::fs::write(path, bytes).map_err(FileError::write(path))
 }
 
+/// Writes a surface as binary STL, mm, in single precision; in frame `ct` it states LPS.
+///
+/// # Errors
+/// [`FileError::Io`] if the file cannot be written.
+pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
+    std::fs::write(path, stl(mesh, Space::of(&mesh.frame), None)).map_err(FileError::write(path))
+}
+
+/// Writes a cloud's points, and its normals and further columns if it has them, as little-endian PLY in double precision, so
+/// that reading gives the same bits back for `unit_mm` = 1; 1000 writes metres (of the points, not of further columns).
+///
+/// # Errors
+/// [`FileError`] if the file cannot be written, or a further column has the name of a coordinate.
+pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileError> {
+    std::fs::write(path, cloud_ply(path, cloud, unit_mm, Space::Unknown, None)?).map_err(FileError::write(path))
+}
+
 const ANY_TEXT: &str = "a string takes any text";
 
 fn ending(path: &Path) -> String {
@@ -261,7 +278,7 @@ fn csv(path: &Path, cloud: &Cloud, space: Space) -> Result<String, FileError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{cloud_file::read_cloud, mesh_file::read_mesh};
+    use crate::mesh_or_cloud::{read_cloud, read_mesh};
     use osteoflow_geometry::SurfaceOrigin;
 
     const SPACES: [Space; 3] = [Space::Lps, Space::Ras, Space::Unknown];

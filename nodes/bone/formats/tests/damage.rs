@@ -5,12 +5,12 @@
 
 use nalgebra::Point3;
 use osteoflow_container::Cause;
-use osteoflow_formats::{cloud_file, mesh_file, plan_file, poses_csv};
 use osteoflow_formats::{
     mcap_read::{McapError, Recording},
     message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     recording_write::{Compression, Encoding, Layout, Stream, recording_bytes},
 };
+use osteoflow_formats::{mesh_or_cloud, plan_file, poses_csv};
 use osteoflow_geometry::Cloud;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -461,8 +461,8 @@ fn no_damage_to_a_file_makes_its_reader_panic_or_ask_for_absurd_memory() {
                 }
             }
             std::fs::write(path, &damaged).unwrap();
-            n_read += usize::from(mesh_file::read_mesh(path, 1.0, "ct", SurfaceOrigin::User).is_ok());
-            n_read += usize::from(cloud_file::read_cloud_ply(path, 1.0, "camera").is_ok());
+            n_read += usize::from(mesh_or_cloud::read_mesh(path, 1.0, "ct", SurfaceOrigin::User).is_ok());
+            n_read += usize::from(mesh_or_cloud::read_cloud(path, 1.0, "camera").is_ok());
             n_read += usize::from(poses_csv::read_poses(path, 1.0).is_ok());
             n_read += usize::from(plan_file::read_plan(path).is_ok());
         }
@@ -619,4 +619,54 @@ fn no_damage_to_picked_points_makes_their_reader_panic_or_ask_for_absurd_memory(
     }
     let largest = LARGEST.load(Ordering::Relaxed);
     assert!(largest <= 16 << 20, "{largest} bytes were asked for in one piece");
+}
+
+#[cfg(unix)]
+#[test]
+fn every_reader_refuses_devices_pipes_sockets_and_folders_by_name() {
+    use osteoflow_formats::{folder, mcap_read, picked_points, pose_file, region_file, volume};
+    use osteoflow_geometry::SurfaceOrigin;
+    use std::{
+        fs,
+        os::unix::net::UnixListener,
+        path::{Path, PathBuf},
+        process::Command,
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let (pipe, socket, folder) = (at("pipe"), at("socket"), at("folder"));
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let _listener = UnixListener::bind(&socket).unwrap();
+    fs::create_dir(&folder).unwrap();
+    type Reader = (&'static str, fn(&Path) -> Result<(), String>);
+    let readers: [Reader; 9] = [
+        ("cloud", |p| mesh_or_cloud::read_cloud(p, 1.0, "camera").map(drop).map_err(|e| e.to_string())),
+        ("mesh", |p| mesh_or_cloud::read_mesh(p, 1.0, "ct", SurfaceOrigin::User).map(drop).map_err(|e| e.to_string())),
+        ("points", |p| picked_points::read_picked_points(p).map(drop).map_err(|e| e.to_string())),
+        ("plan", |p| plan_file::read_plan(p).map(drop).map_err(|e| e.to_string())),
+        ("pose", |p| pose_file::read_pose(p, 1.0).map(drop).map_err(|e| e.to_string())),
+        ("poses", |p| poses_csv::read_poses(p, 1.0).map(drop).map_err(|e| e.to_string())),
+        ("region", |p| region_file::read_region(p).map(drop).map_err(|e| e.to_string())),
+        ("tips", |p| folder::read_tips(p, 1.0).map(drop).map_err(|e| e.to_string())),
+        ("plan of a bone", |p| plan_file::read_plan_of(p, "a").map(drop).map_err(|e| e.to_string())),
+    ];
+    let zero = PathBuf::from("/dev/zero");
+    let kinds = [(&zero, "a device"), (&pipe, "a pipe"), (&socket, "a socket"), (&folder, "a folder")];
+    for (name, reader) in readers {
+        for (path, kind) in kinds {
+            let said = reader(path).unwrap_err();
+            let expected = format!("{}: it is {kind}, but a regular file is needed", path.display());
+            assert!(said.starts_with(&expected), "{name}: {said}");
+        }
+    }
+    // These take a folder, too.
+    for (path, kind) in &kinds[..3] {
+        for said in [
+            volume::read_volume(path, &Default::default()).unwrap_err().to_string(),
+            mcap_read::Recording::open(path, false).unwrap_err().to_string(),
+            folder::ProcedureFolder::open(path).unwrap_err().to_string(),
+        ] {
+            assert!(said.contains(&format!("it is {kind}, but a regular file is needed")), "{said}");
+        }
+    }
 }

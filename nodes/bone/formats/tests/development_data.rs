@@ -3,9 +3,8 @@
 use nalgebra::{Point3, Vector3};
 use osteoflow_formats::{
     Space,
-    cloud_file::{read_cloud as read_cloud_file, read_cloud_ply},
     mcap_read::{McapError, Recording},
-    mesh_file::read_mesh,
+    mesh_or_cloud::{read_cloud as read_cloud_file, read_mesh},
     message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
     picked_points::read_picked_points,
     plan_file::{parse_plan, read_plan},
@@ -175,7 +174,7 @@ fn bones_are_closed_surfaces_of_their_size() {
 #[test]
 fn a_scanner_cloud_reads_in_metres() {
     let Some(data) = data("a scanner cloud") else { return };
-    let read = read_cloud_ply(&data.join("scans/small_gicp_source.ply"), 1000.0, "sensor").unwrap();
+    let read = read_cloud_file(&data.join("scans/small_gicp_source.ply"), 1000.0, "sensor").unwrap();
     assert_eq!((read.n_points_in_file, read.n_dropped), (69_792, 0));
     assert_near_mm(read.cloud.points()[0], [4.045109264552593, 2575.1945972442627, -1527.2173881530762], 1e-6);
 }

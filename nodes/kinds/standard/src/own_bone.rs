@@ -1,6 +1,6 @@
 //! A bone of the user's own, for the kinds that simulate.
 
-use osteoflow_formats::{input, mesh_file::read_mesh, plan_file::read_plan_of};
+use osteoflow_formats::{input, mesh_or_cloud::read_mesh, plan_file::read_plan_of};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node::{FilePath, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_simulation::{

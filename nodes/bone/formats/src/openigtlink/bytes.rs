@@ -1,6 +1,27 @@
 //! Big-endian numbers and texts of fixed size.
 
-use super::EncodeError;
+use osteoflow_geometry::StampNs;
+
+/// A message that cannot be written.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EncodeError {
+    /// A name or text does not fit its field.
+    #[error("{what} \"{text}\" has {} bytes, and {limit} fit", .text.len())]
+    TooLong {
+        /// The field.
+        what: &'static str,
+        /// Its text.
+        text: String,
+        /// Its size.
+        limit: usize,
+    },
+    /// A stamp before 1970 or after 2106.
+    #[error("the stamp {0} ns does not fit a timestamp, which begins in 1970 and ends in 2106")]
+    Stamp(StampNs),
+    /// The content does not fit its type.
+    #[error("{0}")]
+    Content(String),
+}
 
 /// Reads from the front of a slice; every length is checked before anything is allocated.
 pub(super) struct Reader<'a>(&'a [u8]);

@@ -1,8 +1,7 @@
 //! The content of each type of message.
 
 use super::{
-    EncodeError,
-    bytes::{Reader, put_floats, put_name},
+    bytes::{EncodeError, Reader, put_floats, put_name},
     metadata::encoding_of,
     poly_data::PolyData,
 };

@@ -1,10 +1,10 @@
 //! The header, and which bytes may be one.
 
-use super::{
-    MAX_BODY_BYTES,
-    bytes::{Reader, name_of},
-};
+use super::bytes::{Reader, name_of};
 use osteoflow_geometry::StampNs;
+
+/// Longest body that is decoded or encoded: a POLYDATA of five million points.
+pub const MAX_BODY_BYTES: usize = 64 << 20;
 
 /// Size of a header.
 pub const HEADER_BYTES: usize = 58;

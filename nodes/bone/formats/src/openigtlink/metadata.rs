@@ -1,6 +1,9 @@
 //! The extended header and the metadata of header version 2.
 
-use super::{EncodeError, bytes::Reader, header::EXTENDED_BYTES};
+use super::{
+    bytes::{EncodeError, Reader},
+    header::EXTENDED_BYTES,
+};
 
 /// MIBenum of US-ASCII.
 pub(super) const ASCII: u16 = 3;

@@ -1,9 +1,6 @@
 //! POLYDATA.
 
-use super::{
-    EncodeError,
-    bytes::{Reader, put_floats},
-};
+use super::bytes::{EncodeError, Reader, put_floats};
 
 /// Points with cells and attributes, as VTK has them.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -4,8 +4,11 @@
 //! The JSON schema "markups-schema-v1.0.3" of 3D Slicer, and its storage nodes for the fields that the schema leaves open:
 //! coordinate system 0 is RAS and 1 is LPS; position status 2 is defined.
 
-use super::{Collected, PickedPlane, PickedPoints, PickedRoi, to_lps};
-use crate::{FileError, Space, json, scalar};
+use super::{
+    collected::{Collected, PickedPlane, PickedPoints, PickedRoi, to_lps},
+    text,
+};
+use crate::{FileError, Space, columns::twice, cursor::Cursor, json, scalar};
 use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use osteoflow_geometry::{TooFar, direction, nearest_isometry};
 use serde_json::Value;
@@ -256,49 +259,40 @@ impl<'a> Item<'a> {
 const COLUMNS: &str = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID";
 
 /// The points in a `.fcsv` file.
-pub(super) fn fcsv(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
+pub(super) fn fcsv(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
+    let mut cursor = Cursor::text(path, bytes)?;
     let mut collected = Collected::default();
     let mut space = None;
     let mut columns: Vec<String> = COLUMNS.split(',').map(str::to_owned).collect();
-    for (line, number) in text.lines().zip(1..) {
-        let fault = |message: String| FileError::content(path, format!("line {number}"), message);
+    while let Some(line) = cursor.filled_line() {
+        let fault = |message: String| cursor.fault(message);
         if let Some(comment) = line.trim_start().strip_prefix('#') {
             match comment.split_once('=').map(|(key, value)| (key.trim(), value.trim())) {
                 Some(("CoordinateSystem", value)) => {
-                    let stated = space_of(value).map_err(&fault)?;
+                    let stated = space_of(value).map_err(fault)?;
                     if space.is_some_and(|space| space != stated) || !collected.points.is_empty() {
-                        return Err(fault("the coordinate system is stated once, before the points".into()));
+                        return Err(cursor.fault("the coordinate system is stated once, before the points"));
                     }
                     space = Some(stated);
                 }
                 Some(("columns", value)) => {
                     columns = value.split(',').map(|name| name.trim().to_owned()).collect();
-                    if let Some((k, name)) = columns.iter().enumerate().find(|(k, name)| columns[..*k].contains(name)) {
-                        return Err(fault(format!("column {} is called \"{name}\" as one before it is", k + 1)));
-                    }
+                    twice(&columns, |a, b| a == b).map_err(fault)?;
                 }
                 _ => {}
             }
             continue;
         }
-        if line.trim().is_empty() {
-            continue;
-        }
-        let cells = super::text::cells(line, ',');
-        let place = |name: &str| {
-            columns
-                .iter()
-                .position(|column| column == name)
-                .ok_or_else(|| fault(format!("\"# columns\" has no \"{name}\"")))
-        };
+        let cells = text::cells(&line, ',');
+        let wrong_width = || format!("{} columns are expected, this line has {}", columns.len(), cells.len());
         let cell = |name: &str| -> Result<&str, FileError> {
-            let k = place(name)?;
-            let cell = cells.get(k).map(|cell| cell.trim());
-            cell.ok_or_else(|| fault(format!("{} columns are expected, this line has {}", columns.len(), cells.len())))
+            let place = columns.iter().position(|column| column == name);
+            let place = place.ok_or_else(|| fault(format!("\"# columns\" has no \"{name}\"")))?;
+            Ok(cells.get(place).ok_or_else(|| fault(wrong_width()))?.trim())
         };
         // Newer versions add the status of the position and another number, without a name.
         if cells.len() > columns.len() + 2 {
-            return Err(fault(format!("{} columns are expected, this line has {}", columns.len(), cells.len())));
+            return Err(fault(wrong_width()));
         }
         let status = cells.get(columns.len()).map(|status| status.trim());
         if status.is_some_and(|status| !matches!(status, "2" | "")) {
@@ -310,7 +304,7 @@ pub(super) fn fcsv(path: &Path, text: &str) -> Result<PickedPoints, FileError> {
             scalar::number(cell).ok_or_else(|| fault(format!("{name} is \"{cell}\"; a number is expected")))
         };
         let position = [value("x")?, value("y")?, value("z")?];
-        collected.push(cell("label")?, position, space.unwrap_or_default()).map_err(&fault)?;
+        collected.push(cell("label")?, position, space.unwrap_or_default()).map_err(fault)?;
     }
     if space.is_none() {
         collected.notes.push(UNSTATED.into());

@@ -1,4 +1,6 @@
 use super::*;
+use crate::Space;
+use nalgebra::{Point3, Rotation3, Vector3};
 use osteoflow_geometry::NamedPoint;
 
 fn read(text: &str) -> Result<PickedPoints, FileError> {

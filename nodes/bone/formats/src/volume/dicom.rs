@@ -12,7 +12,7 @@ mod elements;
 mod image;
 mod series;
 
-use super::{Volume, VolumeRead, VoxelUnit};
+use super::grid::{Volume, VolumeRead, VoxelUnit, affine};
 use crate::{FileError, input};
 use image::Image;
 use nalgebra::{Matrix4, Vector3};
@@ -161,5 +161,5 @@ fn assemble(path: &Path, series: Series, mut notes: Vec<String>) -> Result<Volum
 fn matrix(image: &Image, step: Vector3<f64>) -> Matrix4<f64> {
     let [between_rows, between_columns] = image.spacing_mm;
     let axes = [image.row * between_columns, image.column * between_rows, step];
-    super::affine(axes.map(Into::into), image.position.into(), [1.0; 3])
+    affine(axes.map(Into::into), image.position.into(), [1.0; 3])
 }

@@ -4,8 +4,8 @@
 //! nifti1.h and nifti2.h of the NIfTI Data Format Working Group. The header is a table of 348 or 540 bytes, of which ten
 //! fields are needed; a crate would bring an array library along for them.
 
-use super::numbers::{Encoding, StreamError, fill, read_voxels};
-use super::{Volume, VolumeRead, affine, assumed_unit, drain, gunzip, gzip_limit, n_voxels_and_bytes};
+use super::grid::{Volume, VolumeRead, affine, assumed_unit, n_voxels_and_bytes};
+use super::numbers::{Encoding, StreamError, drain, fill, gunzip, gzip_limit, read_voxels};
 use crate::scalar::Scalar;
 use crate::{FileError, input};
 use nalgebra::{Matrix3, Matrix4, Quaternion, Vector4};

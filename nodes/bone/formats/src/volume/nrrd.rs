@@ -3,8 +3,8 @@
 //! # Source
 //! Kindlmann, "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html.
 
-use super::numbers::{Encoding, StreamError, read_voxels};
-use super::{Volume, VolumeRead, affine, assumed_unit, drain, gunzip, gzip_limit, n_voxels_and_bytes};
+use super::grid::{Volume, VolumeRead, affine, assumed_unit, n_voxels_and_bytes};
+use super::numbers::{Encoding, StreamError, drain, gunzip, gzip_limit, read_voxels};
 use crate::scalar::Scalar;
 use crate::{FileError, input};
 use std::{

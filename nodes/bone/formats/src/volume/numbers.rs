@@ -1,7 +1,11 @@
 //! Voxel values from bytes of any type and order.
 
 use crate::scalar::{Rows, Scalar};
+use flate2::read::MultiGzDecoder;
 use std::io::{ErrorKind, Read};
+
+/// The most that deflate can expand a byte.
+pub(super) const MAX_EXPANSION: u64 = 1032;
 
 /// How values are stored and scaled: `slope * stored + intercept`.
 #[derive(Debug, Clone, Copy)]
@@ -60,4 +64,19 @@ pub(super) fn fill(reader: &mut impl Read, buffer: &mut [u8]) -> (usize, Option<
         }
     }
     (filled, None)
+}
+
+/// What a gzip stream of `compressed` bytes holds at most.
+pub(super) fn gzip_limit(compressed: u64) -> u64 {
+    compressed.saturating_mul(MAX_EXPANSION).saturating_add(1024)
+}
+
+/// Reads at most `limit` bytes of what is left of a gzip stream, so that its checksum is verified; returns their number.
+pub(super) fn drain(reader: &mut impl Read, limit: u64) -> std::io::Result<u64> {
+    std::io::copy(&mut reader.take(limit), &mut std::io::sink())
+}
+
+/// A decoder of gzip, also of several streams in a row.
+pub(super) fn gunzip<R: Read>(reader: R) -> MultiGzDecoder<R> {
+    MultiGzDecoder::new(reader)
 }

@@ -388,7 +388,7 @@ mod tests {
     #[test]
     fn the_surface_of_a_ct_is_that_of_the_bone_it_was_made_of_in_each_format() {
         use osteoflow_algorithms::mesh_query::MeshQuery;
-        use osteoflow_formats::mesh_file::read_mesh;
+        use osteoflow_formats::mesh_or_cloud::read_mesh;
         use osteoflow_geometry::SurfaceOrigin;
         let Some(data) = data("a CT of a known bone") else { return };
         let bone = data.join("bones/TLEM2_CT_fibula_r.stl");

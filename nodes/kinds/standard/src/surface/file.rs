@@ -1,6 +1,6 @@
 //! The kind `surface.file`.
 
-use osteoflow_formats::{Space, mesh_file::read_mesh};
+use osteoflow_formats::{Space, mesh_or_cloud::read_mesh};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,

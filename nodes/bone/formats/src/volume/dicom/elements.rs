@@ -1,6 +1,6 @@
 //! The elements of a DICOM data set, in order, with those inside sequences passed over.
 
-use super::super::{MAX_EXPANSION, drain};
+use super::super::numbers::{MAX_EXPANSION, drain};
 use crate::FileError;
 use flate2::read::DeflateDecoder;
 use std::{borrow::Cow, io::Read, path::Path};

@@ -1,6 +1,6 @@
 //! One image: where it is, and its values.
 
-use super::super::VoxelUnit;
+use super::super::grid::VoxelUnit;
 use super::elements::{DataSet, Element, fragments, text};
 use crate::FileError;
 use nalgebra::{Point3, Vector3};

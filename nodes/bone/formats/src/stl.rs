@@ -1,162 +1,79 @@
-//! Triangle surfaces from STL and PLY files, and to STL.
+//! STL, binary and ASCII.
 
 use crate::{
-    FileError, Space, input,
-    mesh_or_cloud::{is_text, shape_of},
+    FileError,
+    cursor::Cursor,
     shape::{Places, Shape},
     space::StatedSpace,
-    write,
 };
-use nalgebra::{Isometry3, Point3, Translation3};
-use osteoflow_geometry::{Frame, Mesh, SurfaceOrigin};
+use nalgebra::Point3;
 use std::{collections::HashMap, path::Path};
 
-const STL_HEADER_BYTES: usize = 84;
-const STL_FACE_BYTES: usize = 50;
+const HEADER_BYTES: usize = 84;
+const FACE_BYTES: usize = 50;
 
-/// A surface this small or this large (mm, the box's diagonal) is hardly a bone or a phantom: the unit is in doubt.
-const PLAUSIBLE_MM: std::ops::Range<f64> = 3.0..3000.0;
-
-/// A surface read from a file.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MeshRead {
-    /// The surface, mm.
-    pub mesh: Mesh,
-    /// How many faces without an area were left out.
-    pub n_degenerate: usize,
-    /// The axes that the file states; `mesh` is LPS if it states any.
-    pub space: Space,
-    /// Suspicious properties of the file, one sentence each, such as a size that suggests metres.
-    pub notes: Vec<String>,
-}
-
-impl MeshRead {
-    /// The surface, where `space` is that of a file that does not state one.
-    ///
-    /// # Errors
-    /// A message, if the file states another.
-    pub fn in_space(mut self, space: Space) -> Result<Self, String> {
-        match self.space {
-            Space::Unknown => {
-                if space == Space::Ras {
-                    let turn = Isometry3::from_parts(Translation3::identity(), space.turn());
-                    self.mesh = self.mesh.transformed(self.mesh.frame.clone(), &turn);
-                }
-                self.space = space;
-                Ok(self)
-            }
-            stated if stated == space => Ok(self),
-            stated => Err(format!("the file states SPACE={stated}")),
-        }
-    }
-}
-
-/// Reads a surface from a file of any format of [`read_mesh_or_cloud`](crate::mesh_or_cloud::read_mesh_or_cloud).
-///
-/// `unit_mm` is the file's unit in mm: 1 for millimetres, 1000 for metres. STL repeats the corners of each face; corners
-/// with equal bits become one vertex. Polygons are cut into fans. Faces without an area are left out and counted. If the
-/// file states RAS, the surface is turned to LPS. `O(n)`.
-///
-/// # Errors
-/// [`FileError`] if the file cannot be read, is of no such format, is cut short, is a cloud, or holds no triangle or a
-/// coordinate that is not finite.
-pub fn read_mesh(
-    path: &Path,
-    unit_mm: f64,
-    frame: impl Into<Frame>,
-    origin: SurfaceOrigin,
-) -> Result<MeshRead, FileError> {
-    let bytes = input::read(path)?;
-    shape_of(path, &bytes)?.into_mesh(path, unit_mm, frame.into(), origin)
-}
-
-/// The surface in the bytes of an STL file.
-pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
-    let mut notes = Vec::new();
-    let (Corners { vertices: points, places, is_text, .. }, faces) = stl_faces(path, bytes, &mut notes)?;
-    let places = if is_text { Places::Lines(places) } else { Places::Bytes(places) };
-    // The header of a binary file, or the first line of a text.
-    let head = bytes[..bytes.len().min(80)].split(|&b| b == b'\n' || b == 0).next().unwrap_or_default();
-    let stated = StatedSpace::of(&String::from_utf8_lossy(head))
-        .map_err(|message| FileError::content(path, "header", message))?;
-    Ok(Shape { points, faces: Some(faces), stated, notes, places, ..Shape::default() })
-}
-
-/// Writes a surface as binary STL, mm, in single precision; in frame `ct` it states LPS.
-///
-/// # Errors
-/// [`FileError::Io`] if the file cannot be written.
-pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
-    std::fs::write(path, write::stl(mesh, Space::of(&mesh.frame), None)).map_err(FileError::write(path))
-}
-
-type Faces = (Corners, Vec<[u32; 3]>);
-
-/// A note on an implausible size; `what` names the surface or cloud.
-pub(crate) fn size_note(points: &[Point3<f64>], what: &str) -> Option<String> {
-    let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for point in points {
-        // Coordinates are finite: plain comparisons take a fifth of the time of `f64::min`, which minds NaN.
-        for (k, &c) in point.iter().enumerate() {
-            min[k] = if c < min[k] { c } else { min[k] };
-            max[k] = if c > max[k] { c } else { max[k] };
-        }
-    }
-    let span_mm = Some((Point3::from(max) - Point3::from(min)).norm()).filter(|_| !points.is_empty())?;
-    let advice = match span_mm {
-        s if PLAUSIBLE_MM.contains(&s) => return None,
-        s if s < PLAUSIBLE_MM.start => "is the file in metres? then give unit_mm = 1000",
-        _ => "is the file in micrometres? then give unit_mm = 0.001",
-    };
-    Some(format!("the {what} {span_mm:.3} mm, which is no size of a bone or phantom; {advice}"))
+/// The number of triangles that a binary header counts, and the bytes of a file that holds them.
+fn promised(bytes: &[u8]) -> Option<(u32, u64)> {
+    let n = u32::from_le_bytes(*bytes.get(80..)?.first_chunk()?);
+    Some((n, HEADER_BYTES as u64 + FACE_BYTES as u64 * u64::from(n)))
 }
 
 /// Whether the length is that of a binary STL with as many triangles as its header counts.
-pub(crate) fn is_binary_stl(bytes: &[u8]) -> bool {
-    let n = bytes.get(80..STL_HEADER_BYTES).map(|n| u32::from_le_bytes(n.try_into().expect("four bytes")));
-    n.is_some_and(|n| n > 0 && STL_HEADER_BYTES as u64 + STL_FACE_BYTES as u64 * u64::from(n) == bytes.len() as u64)
+pub(crate) fn is_binary(bytes: &[u8]) -> bool {
+    promised(bytes).is_some_and(|(n, expected)| n > 0 && expected == bytes.len() as u64)
 }
 
-fn stl_faces(path: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Faces, FileError> {
-    let n_promised = bytes.get(80..84).map(|n| u32::from_le_bytes(n.try_into().expect("four bytes")));
-    let n_expected = n_promised.map(|n| STL_HEADER_BYTES as u64 + STL_FACE_BYTES as u64 * u64::from(n));
-    // The length decides, since many binary files begin with the word that should mark text.
-    if n_expected == Some(bytes.len() as u64) {
-        return Ok(binary_stl(&bytes[STL_HEADER_BYTES..]));
+/// Whether a text begins as an ASCII STL. Many binary files do, too.
+pub(crate) fn is_ascii(bytes: &[u8]) -> bool {
+    bytes.trim_ascii_start().get(..5).is_some_and(|start| start.eq_ignore_ascii_case(b"solid"))
+}
+
+/// The surface in a binary STL file.
+pub(crate) fn binary(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let (end, note) = end_of_binary(path, bytes)?;
+    let mut corners = Corners::default();
+    let faces = bytes[HEADER_BYTES..end].chunks_exact(FACE_BYTES).enumerate().map(|(n, face)| {
+        let at = HEADER_BYTES + n * FACE_BYTES;
+        let float = |k: usize| f64::from(f32::from_le_bytes(face[4 * k..4 * k + 4].try_into().expect("four bytes")));
+        // The normal comes first; it follows from the corners and is not read.
+        [3, 6, 9].map(|k| corners.number([float(k), float(k + 1), float(k + 2)], at + 4 * k))
+    });
+    let (faces, notes) = (Some(faces.collect()), note.into_iter().collect());
+    let Corners { vertices: points, places, .. } = corners;
+    Ok(Shape { points, faces, stated: stated(path, bytes)?, notes, places: Places::Bytes(places), ..Shape::default() })
+}
+
+/// The surface in an ASCII STL file.
+pub(crate) fn ascii(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let mut corners = Corners::default();
+    let faces = Some(facets(Cursor::new(path, bytes), &mut corners)?);
+    let Corners { vertices: points, places, .. } = corners;
+    Ok(Shape { points, faces, stated: stated(path, bytes)?, places: Places::Lines(places), ..Shape::default() })
+}
+
+/// The space in the header of a binary file, or in the first line of a text.
+fn stated(path: &Path, bytes: &[u8]) -> Result<StatedSpace, FileError> {
+    let head = bytes[..bytes.len().min(80)].split(|&b| b == b'\n' || b == 0).next().unwrap_or_default();
+    StatedSpace::of(&String::from_utf8_lossy(head)).map_err(|message| FileError::content(path, "header", message))
+}
+
+/// Where the triangles end in a binary file that is longer than they are, with a note on what follows.
+fn end_of_binary(path: &Path, bytes: &[u8]) -> Result<(usize, Option<String>), FileError> {
+    let Some((n, expected)) = promised(bytes) else {
+        let message = format!("{} bytes are too few for a binary STL, and no other format is recognised", bytes.len());
+        return Err(FileError::content(path, "byte 0", message));
+    };
+    if (bytes.len() as u64) < expected {
+        let message = format!(
+            "no known format, or cut short: read as a binary STL, the header promises {n} triangles \
+             ({expected} bytes), but the file has {} bytes",
+            bytes.len()
+        );
+        return Err(FileError::content(path, "byte 80", message));
     }
-    let start = bytes.trim_ascii_start();
-    if start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid") && is_text(bytes) {
-        return ascii_stl(path, bytes);
-    }
-    match n_expected {
-        None => {
-            let message =
-                format!("{} bytes are too few for a binary STL, and no other format is recognised", bytes.len());
-            Err(FileError::content(path, "byte 0", message))
-        }
-        Some(expected) if (bytes.len() as u64) < expected => {
-            let message = format!(
-                "no known format, or cut short: read as a binary STL, the header promises {} triangles \
-                 ({expected} bytes), but the file has {} bytes",
-                n_promised.unwrap_or_default(),
-                bytes.len()
-            );
-            Err(FileError::content(path, "byte 80", message))
-        }
-        Some(expected) => {
-            let extra = bytes.len() as u64 - expected;
-            if extra.is_multiple_of(STL_FACE_BYTES as u64) {
-                let message = format!(
-                    "the header promises {} triangles, but {} more follow; is the header another file's?",
-                    n_promised.unwrap_or_default(),
-                    extra / STL_FACE_BYTES as u64
-                );
-                return Err(FileError::content(path, format!("byte {expected}"), message));
-            }
-            notes.push(format!("{extra} bytes follow the last triangle, from byte {expected} on, and were not read"));
-            Ok(binary_stl(&bytes[STL_HEADER_BYTES..expected as usize]))
-        }
-    }
+    let mut cursor = Cursor::new(path, bytes);
+    (cursor.is_binary, cursor.at) = (true, expected as usize);
+    Ok((cursor.at, cursor.end("triangle", "triangles", Some(FACE_BYTES))?))
 }
 
 /// Gives each place its number; places are equal when their bits are, with no difference between 0 and -0.
@@ -165,7 +82,6 @@ struct Corners {
     vertices: Vec<Point3<f64>>,
     /// The line or byte at which each vertex comes first.
     places: Vec<usize>,
-    is_text: bool,
     numbers: HashMap<[u64; 3], u32>,
 }
 
@@ -181,84 +97,67 @@ impl Corners {
     }
 }
 
-fn binary_stl(bytes: &[u8]) -> Faces {
-    let mut corners = Corners::default();
-    let faces = bytes.chunks_exact(STL_FACE_BYTES).enumerate().map(|(n, face)| {
-        let at = STL_HEADER_BYTES + n * STL_FACE_BYTES;
-        let float = |k: usize| f64::from(f32::from_le_bytes(face[4 * k..4 * k + 4].try_into().expect("four bytes")));
-        // The normal comes first; it follows from the corners and is not read.
-        [3, 6, 9].map(|k| corners.number([float(k), float(k + 1), float(k + 2)], at + 4 * k))
-    });
-    let faces = faces.collect();
-    (corners, faces)
-}
-
-fn ascii_stl(path: &Path, bytes: &[u8]) -> Result<Faces, FileError> {
-    let mut corners = Corners { is_text: true, ..Corners::default() };
+fn facets(mut cursor: Cursor, corners: &mut Corners) -> Result<Vec<[u32; 3]>, FileError> {
     let (mut faces, mut open, mut closed) = (Vec::new(), Vec::new(), true);
     // The line of the facet that is open, and how many loops it has.
     let mut facet: Option<(usize, usize)> = None;
-    for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
-        let fault = |message: String| FileError::content(path, format!("line {}", k + 1), message);
-        let text = String::from_utf8_lossy(line).to_ascii_lowercase();
+    while let Some(line) = cursor.line() {
+        let text = line.to_ascii_lowercase();
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
+        let fault = |message: String| Err(cursor.fault(message));
         if let (Some((line, _)), Some(word @ ("facet" | "endsolid" | "solid"))) = (facet, words.first().copied()) {
-            return Err(fault(format!("\"{word}\" comes before the \"endfacet\" of the facet on line {line}")));
+            return fault(format!("\"{word}\" comes before the \"endfacet\" of the facet on line {line}"));
         }
         if closed && !matches!(words[..], [] | ["solid", ..]) {
-            return Err(fault(format!("\"{}\" is not within \"solid\" and \"endsolid\"", text.trim())));
+            return fault(format!("\"{}\" is not within \"solid\" and \"endsolid\"", text.trim()));
         }
         match words[..] {
-            ["vertex", ..] if facet.is_none() => return Err(fault("a vertex is not within a facet".into())),
+            ["vertex", ..] if facet.is_none() => return fault("a vertex is not within a facet".into()),
             ["vertex", x, y, z] => {
-                let number = |word: &str| -> Result<f64, FileError> {
-                    word.parse().map_err(|_| fault(format!("\"{word}\" is not a coordinate")))
-                };
-                open.push(corners.number([number(x)?, number(y)?, number(z)?], k + 1));
+                let vertex = [cursor.number(x)?, cursor.number(y)?, cursor.number(z)?];
+                open.push(corners.number(vertex, cursor.line));
             }
-            ["vertex", ..] => {
-                return Err(fault(format!("a vertex has three numbers, this one has {}", words.len() - 1)));
-            }
+            ["vertex", ..] => return fault(format!("a vertex has three numbers, this one has {}", words.len() - 1)),
             ["endloop", ..] => match std::mem::take(&mut open)[..] {
                 [a, b, c] => {
                     faces.push([a, b, c]);
                     facet = facet.map(|(line, n_loops)| (line, n_loops + 1));
                 }
-                ref other => return Err(fault(format!("a facet has three corners, this one has {}", other.len()))),
+                ref other => return fault(format!("a facet has three corners, this one has {}", other.len())),
             },
             ["endfacet", ..] => match facet.take() {
                 Some((_, 1)) if open.is_empty() => {}
-                Some((_, 1..)) => return Err(fault("a facet has one loop of three corners, this one has more".into())),
-                Some((line, 0)) if open.is_empty() => {
-                    return Err(fault(format!("the facet on line {line} has no corners")));
-                }
-                Some((line, 0)) => {
-                    return Err(fault(format!("the loop of the facet on line {line} has no \"endloop\"")));
-                }
-                None => return Err(fault("\"endfacet\" ends no facet".into())),
+                Some((_, 1..)) => return fault("a facet has one loop of three corners, this one has more".into()),
+                Some((line, 0)) if open.is_empty() => return fault(format!("the facet on line {line} has no corners")),
+                Some((line, 0)) => return fault(format!("the loop of the facet on line {line} has no \"endloop\"")),
+                None => return fault("\"endfacet\" ends no facet".into()),
             },
             ["endsolid", ..] => closed = true,
             ["solid", ..] if closed => closed = false,
-            ["solid", ..] => return Err(fault("\"solid\" comes before the \"endsolid\" of the one before".into())),
-            ["facet", ..] => facet = Some((k + 1, 0)),
+            ["solid", ..] => return fault("\"solid\" comes before the \"endsolid\" of the one before".into()),
+            ["facet", ..] => facet = Some((cursor.line, 0)),
             [] | ["outer", ..] => {}
-            _ => return Err(fault(format!("\"{}\" is no line of an ASCII STL", text.trim()))),
+            _ => return fault(format!("\"{}\" is no line of an ASCII STL", text.trim())),
         }
     }
     if let Some((line, _)) = facet {
-        let message = "the facet has no \"endfacet\"; was the file cut short?";
-        return Err(FileError::content(path, format!("line {line}"), message));
+        return Err(cursor.fault_at(line, "the facet has no \"endfacet\"; was the file cut short?"));
     }
     if !closed {
-        let place = format!("line {}", bytes.split(|&b| b == b'\n').count());
-        return Err(FileError::content(path, place, "the file ends without \"endsolid\"; was it cut short?"));
+        return Err(cursor.fault("the file ends without \"endsolid\"; was it cut short?"));
     }
-    Ok((corners, faces))
+    Ok(faces)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        Space,
+        mesh_or_cloud::{MeshRead, read_mesh},
+        write::write_stl,
+    };
+    use osteoflow_geometry::{Mesh, SurfaceOrigin};
 
     /// A tetrahedron of 40 mm, closed, faces turning outwards.
     fn tetrahedron() -> Mesh {
@@ -415,7 +314,7 @@ mod tests {
         assert!(error_message(&nan).contains("vertex 0 is not finite"), "{}", error_message(&nan));
         let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1,5 0 0\n";
         assert!(
-            error_message(text.as_bytes()).contains("line 5: \"1,5\" is not a coordinate"),
+            error_message(text.as_bytes()).contains("line 5: \"1,5\" is not a number"),
             "{}",
             error_message(text.as_bytes())
         );
@@ -447,8 +346,8 @@ mod tests {
         bytes.extend([0; 7]);
         let back = read(&bytes).unwrap();
         assert_eq!(back.notes, ["7 bytes follow the last triangle, from byte 284 on, and were not read"]);
-        bytes.resize(284 + 2 * STL_FACE_BYTES, 0);
-        let expected = "byte 284: the header promises 4 triangles, but 2 more follow";
+        bytes.resize(284 + 2 * FACE_BYTES, 0);
+        let expected = "byte 284: 2 more triangles follow than the header counts";
         assert!(error_message(&bytes).contains(expected), "{}", error_message(&bytes));
     }
 

@@ -1,0 +1,102 @@
+//! The content of a file of picked points.
+
+use crate::Space;
+use nalgebra::{Point3, Rotation3, Unit, Vector3};
+use osteoflow_geometry::{NamedPoint, TooFar};
+use std::{collections::HashSet, sync::Arc};
+
+/// The points, planes and boxes of a file; mm, LPS if the file states its space.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PickedPoints {
+    /// The points, in the file's order.
+    pub points: Vec<NamedPoint>,
+    /// Whether the file names every point; those without a name are called by their place in the list, from "1" on.
+    pub is_named: bool,
+    /// Planes; only Slicer's JSON has them.
+    pub planes: Vec<PickedPlane>,
+    /// Boxes; only Slicer's JSON has them.
+    pub rois: Vec<PickedRoi>,
+    /// The space that the file states.
+    pub space: Space,
+    /// How many points were passed over because they are inactive, or their position was not set.
+    pub n_skipped: usize,
+    /// Changes to the content and what is doubtful, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// A plane by a point on it and its normal.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PickedPlane {
+    /// Its name; `plane_1` and so on if the file gives none.
+    pub name: Arc<str>,
+    /// A point on it, mm.
+    pub origin: Point3<f64>,
+    /// The direction of its normal.
+    pub normal: Unit<Vector3<f64>>,
+}
+
+/// A box, in general not along the axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PickedRoi {
+    /// Its name; `roi_1` and so on if the file gives none.
+    pub name: Arc<str>,
+    /// Its center, mm.
+    pub center: Point3<f64>,
+    /// Its axes, the columns of the rotation.
+    pub axes: Rotation3<f64>,
+    /// Its edges along its axes, mm.
+    pub size_mm: Vector3<f64>,
+}
+
+/// Points as they are read, with unique names.
+#[derive(Default)]
+pub(super) struct Collected {
+    pub(super) points: Vec<NamedPoint>,
+    names: HashSet<Arc<str>>,
+    n_unnamed: usize,
+    pub(super) n_skipped: usize,
+    pub(super) notes: Vec<String>,
+}
+
+impl Collected {
+    /// Adds a point; without a name it is called by its place in the list.
+    ///
+    /// # Errors
+    /// A message, if the name is there already or a number is not finite.
+    pub(super) fn push(&mut self, name: &str, position: [f64; 3], space: Space) -> Result<(), String> {
+        if !position.iter().all(|c| c.is_finite()) {
+            return Err(format!("point \"{name}\" is at {position:?}; three finite numbers are expected"));
+        }
+        TooFar::check(&position).map_err(|far| format!("point \"{name}\": {far}"))?;
+        let name: Arc<str> = match name.trim() {
+            "" => {
+                self.n_unnamed += 1;
+                (self.points.len() + 1).to_string().into()
+            }
+            name => name.into(),
+        };
+        if !self.names.insert(name.clone()) {
+            return Err(format!("label \"{name}\" is given twice; name each point once"));
+        }
+        self.points.push(NamedPoint::new(name, to_lps(position, space)));
+        Ok(())
+    }
+
+    pub(super) fn finish(mut self, space: Space) -> PickedPoints {
+        if self.n_unnamed > 0 && self.n_unnamed < self.points.len() {
+            let (n, of) = (self.n_unnamed, self.points.len());
+            self.notes.push(format!("{n} of {of} points have no name and are called by their place in the list"));
+        }
+        if space == Space::Ras {
+            self.notes.push("the file states RAS; x and y were negated, which gives LPS".into());
+        }
+        let is_named = self.n_unnamed == 0;
+        let Self { points, n_skipped, notes, .. } = self;
+        PickedPoints { points, is_named, planes: Vec::new(), rois: Vec::new(), space, n_skipped, notes }
+    }
+}
+
+pub(super) fn to_lps([x, y, z]: [f64; 3], space: Space) -> Point3<f64> {
+    let sign = space.x_y_sign();
+    Point3::new(sign * x, sign * y, z)
+}
