@@ -79,19 +79,23 @@ impl<'a> Cursor<'a> {
     }
 
     /// The error of a file that ends with item `k` of `n` items.
-    pub(crate) fn ended(&self, k: usize, n: usize, what: &str) -> FileError {
+    pub(crate) fn cut_short(&self, k: usize, n: usize, what: &str) -> FileError {
         self.fault(format!("the file ends after {k} of {n} {what}; was it cut short?"))
     }
 
-    /// The next word, as text, and its line; none at the end of the file. A word may be anywhere in a line.
-    pub(crate) fn word(&mut self) -> Option<(Cow<'a, str>, usize)> {
-        let rest = self.rest();
-        let blank = rest.iter().position(|b| !b.is_ascii_whitespace()).unwrap_or(rest.len());
+    /// The next word and its line; none at the end of the file. A word may be anywhere in a line.
+    #[inline]
+    pub(crate) fn word(&mut self) -> Option<(&'a [u8], usize)> {
+        let mut at = self.at;
         // The line that was read last is complete, so the word is on one behind it.
-        self.line += rest[..blank].iter().filter(|&&b| b == b'\n').count();
-        let n = rest[blank..].iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len() - blank);
-        self.at += blank + n;
-        (n > 0).then(|| (String::from_utf8_lossy(&rest[blank..blank + n]), self.line + 1))
+        while let Some(byte) = self.bytes.get(at).filter(|byte| byte.is_ascii_whitespace()) {
+            self.line += usize::from(*byte == b'\n');
+            at += 1;
+        }
+        let rest = &self.bytes[at..];
+        let n = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
+        self.at = at + n;
+        (n > 0).then(|| (&rest[..n], self.line + 1))
     }
 
     /// Passes over blanks and the end of the line behind a word.

@@ -83,7 +83,7 @@ pub struct ProcedureFolder {
     pub simulated: bool,
     /// The region of interest in the camera's frame, mm.
     pub region: Option<Region>,
-    written: Written,
+    manifest: Manifest,
 }
 
 /// The streams of a folder, in order of sensor time.
@@ -120,7 +120,7 @@ pub enum FolderBody {
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+struct Manifest {
     format: u32,
     #[serde(default = "yes")]
     tracker: bool,
@@ -136,7 +136,7 @@ struct Written {
     poses: Vec<PlainFile>,
     #[serde(default)]
     stylus: Vec<StylusFile>,
-    region: Option<WrittenRegion>,
+    region: Option<RegionEntry>,
     plan: Option<PlainFile>,
     bone: Option<PlainFile>,
     phantom: Option<PlainFile>,
@@ -188,7 +188,7 @@ enum StylusRole {
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct WrittenRegion {
+struct RegionEntry {
     min: [f64; 3],
     max: [f64; 3],
     unit: Option<Unit>,
@@ -231,40 +231,40 @@ impl ProcedureFolder {
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let path = if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() };
         let text = input::read_text(&path)?;
-        let written: Written = toml::from_str(&text).map_err(|error| {
+        let manifest: Manifest = toml::from_str(&text).map_err(|error| {
             let place = error.span().map_or_else(|| "line 1".into(), |span| place_of(&text, span.start));
             FileError::content(&path, place, error.message().trim())
         })?;
-        let folder = Self { tracked: written.tracker, simulated: written.simulated, region: None, path, written };
+        let folder = Self { tracked: manifest.tracker, simulated: manifest.simulated, region: None, path, manifest };
         folder.checked(&text)
     }
 
     fn checked(mut self, text: &str) -> Result<Self, FileError> {
-        if self.written.format != 1 {
-            let message = format!("format {} is not known, this reader knows 1", self.written.format);
+        if self.manifest.format != 1 {
+            let message = format!("format {} is not known, this reader knows 1", self.manifest.format);
             return Err(FileError::content(&self.path, "key \"format\"", message));
         }
         for file in self.files() {
             if !self.resolve(file).is_file() {
-                let written = file.display().to_string();
-                let place = text.find(&written).map_or_else(|| "files".into(), |at| place_of(text, at));
-                let message = format!("there is no file \"{written}\"; paths are relative to {}", self.path.display());
+                let name = file.display().to_string();
+                let place = text.find(&name).map_or_else(|| "files".into(), |at| place_of(text, at));
+                let message = format!("there is no file \"{name}\"; paths are relative to {}", self.path.display());
                 return Err(FileError::content(&self.path, place, message));
             }
         }
-        if !self.tracked && (!self.written.poses.is_empty() || self.written.phantom_scan.is_some()) {
+        if !self.tracked && (!self.manifest.poses.is_empty() || self.manifest.phantom_scan.is_some()) {
             let message =
                 "it is false, but [[poses]] or [phantom_scan] are given; set tracker = true or leave them out";
             return Err(FileError::content(&self.path, "key \"tracker\"", message));
         }
-        for (k, laser) in self.written.laser.iter().enumerate() {
-            if self.written.laser[..k].iter().any(|other| other.label == laser.label) {
+        for (k, laser) in self.manifest.laser.iter().enumerate() {
+            if self.manifest.laser[..k].iter().any(|other| other.label == laser.label) {
                 let message = format!("label \"{}\" is given twice; each laser scan has its own landmark", laser.label);
                 return Err(FileError::content(&self.path, format!("laser {}", k + 1), message));
             }
         }
-        if let Some(region) = &self.written.region {
-            let unit_mm = region.unit.unwrap_or(self.written.unit).mm();
+        if let Some(region) = &self.manifest.region {
+            let unit_mm = region.unit.unwrap_or(self.manifest.unit).mm();
             let (min, max) = (Point3::from(region.min) * unit_mm, Point3::from(region.max) * unit_mm);
             // A NaN compares as false, so it is refused here too.
             if !(0..3).all(|k| min[k] <= max[k]) {
@@ -286,7 +286,7 @@ impl ProcedureFolder {
     /// # Errors
     /// As [`read_plan`].
     pub fn plan(&self) -> Result<Option<PlanRead>, FileError> {
-        self.written.plan.as_ref().map(|plan| read_plan(&self.resolve(&plan.file))).transpose()
+        self.manifest.plan.as_ref().map(|plan| read_plan(&self.resolve(&plan.file))).transpose()
     }
 
     /// The bone's surface from CT, in frame `ct`, if the folder has one.
@@ -294,7 +294,7 @@ impl ProcedureFolder {
     /// # Errors
     /// As [`read_mesh`].
     pub fn bone(&self) -> Result<Option<MeshRead>, FileError> {
-        self.mesh(&self.written.bone, "ct")
+        self.mesh(&self.manifest.bone, "ct")
     }
 
     /// The phantom's surface in its own frame `phantom`, if the folder has one.
@@ -302,7 +302,7 @@ impl ProcedureFolder {
     /// # Errors
     /// As [`read_mesh`].
     pub fn phantom(&self) -> Result<Option<MeshRead>, FileError> {
-        self.mesh(&self.written.phantom, "phantom")
+        self.mesh(&self.manifest.phantom, "phantom")
     }
 
     fn mesh(&self, file: &Option<PlainFile>, frame: &str) -> Result<Option<MeshRead>, FileError> {
@@ -321,19 +321,19 @@ impl ProcedureFolder {
     /// [`FileError`] of the file that cannot be read.
     pub fn streams(&self) -> Result<FolderStreams, FileError> {
         let (mut items, mut notes) = (Vec::new(), Vec::new());
-        let written = &self.written;
-        if let Some(scan) = &written.phantom_scan {
+        let manifest = &self.manifest;
+        if let Some(scan) = &manifest.phantom_scan {
             items.push(self.scan("phantom_scan", scan, None, &mut notes)?);
         }
-        if let Some(scan) = &written.scan {
+        if let Some(scan) = &manifest.scan {
             items.push(self.scan("scan", scan, None, &mut notes)?);
         }
-        for laser in &written.laser {
+        for laser in &manifest.laser {
             let LaserFile { label, file, unit, stamp_s, stamp_ns } = laser.clone();
             let scan = ScanFile { file, unit, stamp_s, stamp_ns };
             items.push(self.scan("laser", &scan, Some(&label), &mut notes)?);
         }
-        for file in &written.poses {
+        for file in &manifest.poses {
             let mut corrections = Corrections::default();
             let read = read_poses(&self.resolve(&file.file), self.unit_mm(file.unit))?;
             notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.file.display())));
@@ -349,7 +349,7 @@ impl ProcedureFolder {
             }
             notes.extend(corrections.note().map(|note| format!("{}: {note}", file.file.display())));
         }
-        for file in &written.stylus {
+        for file in &manifest.stylus {
             let role = match file.role {
                 StylusRole::Init => "init",
                 StylusRole::Assessment => "assessment",
@@ -405,7 +405,7 @@ impl ProcedureFolder {
     }
 
     fn files(&self) -> impl Iterator<Item = &Path> {
-        let w = &self.written;
+        let w = &self.manifest;
         let scans = w.scan.iter().chain(&w.phantom_scan).map(|f| &f.file);
         let plain = w.poses.iter().chain(&w.plan).chain(&w.bone).chain(&w.phantom).map(|f| &f.file);
         let lasers = w.laser.iter().map(|f| &f.file);
@@ -417,7 +417,7 @@ impl ProcedureFolder {
     }
 
     fn unit_mm(&self, unit: Option<Unit>) -> f64 {
-        unit.unwrap_or(self.written.unit).mm()
+        unit.unwrap_or(self.manifest.unit).mm()
     }
 }
 

@@ -195,7 +195,7 @@ impl<'de> Deserialize<'de> for Time {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
         #[serde(untagged)]
-        enum Written {
+        enum Spelling {
             Text(String),
             Parts {
                 #[serde(alias = "seconds", alias = "secs", default)]
@@ -208,12 +208,12 @@ impl<'de> Deserialize<'de> for Time {
             let whole = |n: Number| (n.0.fract() == 0.0 && n.0.abs() < 9e9).then_some(n.0 as StampNs);
             Some(whole(sec)? * 1_000_000_000 + whole(nsec)?)
         };
-        match Option::<Written>::deserialize(deserializer)? {
+        match Option::<Spelling>::deserialize(deserializer)? {
             None => Ok(Self(None)),
-            Some(Written::Parts { sec, nsec }) => parts(sec, nsec)
+            Some(Spelling::Parts { sec, nsec }) => parts(sec, nsec)
                 .map(|ns| Self(Some(ns)))
                 .ok_or_else(|| serde::de::Error::custom("timestamp: sec and nsec must be whole numbers")),
-            Some(Written::Text(text)) => rfc3339(&text)
+            Some(Spelling::Text(text)) => rfc3339(&text)
                 .map(|ns| Self(Some(ns)))
                 .ok_or_else(|| serde::de::Error::custom(format!("timestamp \"{text}\" is no RFC 3339 time"))),
         }
@@ -233,41 +233,34 @@ impl<'de> Deserialize<'de> for Number {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
         #[serde(untagged)]
-        enum Written {
+        enum Spelling {
             Number(f64),
             Text(String),
         }
-        match Option::<Written>::deserialize(deserializer)? {
+        match Option::<Spelling>::deserialize(deserializer)? {
             None => Ok(Self(f64::NAN)),
-            Some(Written::Number(value)) => Ok(Self(value)),
-            Some(Written::Text(text)) => {
+            Some(Spelling::Number(value)) => Ok(Self(value)),
+            Some(Spelling::Text(text)) => {
                 text.parse().map(Self).map_err(|_| serde::de::Error::custom(format!("\"{text}\" is not a number")))
             }
         }
     }
 }
 
+/// The numbers of a vector or quaternion.
+#[derive(Deserialize, Default)]
+#[serde(default)]
+struct Numbers {
+    x: Number,
+    y: Number,
+    z: Number,
+    w: Number,
+}
+
 fn vector<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vector3>, D::Error> {
-    #[derive(Deserialize, Default)]
-    #[serde(default)]
-    struct Written {
-        x: Number,
-        y: Number,
-        z: Number,
-    }
-    let written = Option::<Written>::deserialize(deserializer)?;
-    Ok(written.map(|v| Vector3 { x: v.x.0, y: v.y.0, z: v.z.0 }))
+    Ok(Option::<Numbers>::deserialize(deserializer)?.map(|v| Vector3 { x: v.x.0, y: v.y.0, z: v.z.0 }))
 }
 
 fn quaternion<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Quaternion>, D::Error> {
-    #[derive(Deserialize, Default)]
-    #[serde(default)]
-    struct Written {
-        x: Number,
-        y: Number,
-        z: Number,
-        w: Number,
-    }
-    let written = Option::<Written>::deserialize(deserializer)?;
-    Ok(written.map(|q| Quaternion { x: q.x.0, y: q.y.0, z: q.z.0, w: q.w.0 }))
+    Ok(Option::<Numbers>::deserialize(deserializer)?.map(|q| Quaternion { x: q.x.0, y: q.y.0, z: q.z.0, w: q.w.0 }))
 }

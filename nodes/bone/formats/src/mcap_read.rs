@@ -125,12 +125,10 @@ impl Recording {
         for file in &files {
             joined.append(Self::open_topics(file, allow_truncated, keep)?);
         }
-        let n_found: usize = joined.topics.iter().map(|topic| topic.n_messages).sum();
-        if let Some(n) = n_messages.filter(|&n| n != n_found) {
+        let n_read: usize = joined.topics.iter().map(|topic| topic.n_messages).sum();
+        if let Some(n) = n_messages.filter(|&n| n != n_read) {
             let folder = folder.display();
-            joined
-                .notes
-                .push(format!("{folder}: metadata.yaml counts {n} messages, but its recordings hold {n_found}"));
+            joined.notes.push(format!("{folder}: metadata.yaml counts {n} messages, but its recordings hold {n_read}"));
         }
         Ok(joined)
     }

@@ -212,10 +212,7 @@ pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead,
 /// # Errors
 /// [`MessageError`], saying what is missing, which bytes do not add up, or that the pose is no rigid motion.
 pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, MessageError> {
-    cloud_of(message.into())
-}
-
-fn cloud_of(message: Encoded<'_>) -> Result<CloudRead, MessageError> {
+    let message = message.into();
     let (raw, big_endian) = match kind_and_encoding(&message)? {
         (MessageKind::Cloud, encoding) => raw_cloud(&message, encoding)?,
         _ => return Err(wrong_schema("a point cloud", &message)),
@@ -281,10 +278,7 @@ fn raw_cloud(message: &Encoded, encoding: Encoding) -> Result<(PointCloud, bool)
 pub fn read_transforms<'a>(
     message: impl Into<Encoded<'a>>,
 ) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
-    transforms_of(message.into())
-}
-
-fn transforms_of(message: Encoded<'_>) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
+    let message = message.into();
     Ok(raw_transforms(&message)?.into_iter().map(|t| pose_of(t, message.publish_time_ns)).collect())
 }
 
@@ -308,10 +302,7 @@ fn raw_transforms(message: &Encoded) -> Result<Vec<JsonTransform>, MessageError>
 /// [`MessageError::Pose`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
 /// or the bytes do not follow it.
 pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, MessageError> {
-    tip_of(message.into())
-}
-
-fn tip_of(message: Encoded<'_>) -> Result<TipRead, MessageError> {
+    let message = message.into();
     let read = raw_pose(&message)?;
     let lost = |reason: &str| MessageError::Pose { what: "located point", reason: format!("it has {reason}") };
     let pose = read.pose.ok_or_else(|| lost("no pose"))?;

@@ -23,7 +23,7 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut cursor = Cursor::text(path, bytes)?;
     let mut stated = StatedSpace::default();
     let mut next = |cursor: &mut Cursor, k: usize, n: usize, what: &str| {
-        cursor.uncommented_line(&mut stated)?.ok_or_else(|| cursor.ended(k, n, what))
+        cursor.uncommented_line(&mut stated)?.ok_or_else(|| cursor.cut_short(k, n, what))
     };
     let first = next(&mut cursor, 0, 2, "lines of its head")?;
     let (mark, counts) = first.split_once(char::is_whitespace).unwrap_or((&first, ""));

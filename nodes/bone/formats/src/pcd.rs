@@ -162,7 +162,7 @@ fn ascii(cursor: &mut Cursor, header: &Header) -> Result<(Columns, Places), File
         }
     }
     if lines.len() < n_points {
-        return Err(cursor.ended(lines.len(), n_points, "points"));
+        return Err(cursor.cut_short(lines.len(), n_points, "points"));
     }
     let columns = columns(header, |field, k| std::mem::take(&mut values[field.n_before + k]));
     Ok((columns, Places::Lines(lines)))

@@ -266,7 +266,7 @@ impl Keys<'_> {
 
     fn check_space(&self, key: &str, frame: &Value) -> Result<(), FileError> {
         let text = frame.as_str().unwrap_or_default().to_lowercase();
-        let has = |word: &str| text.split(|c: char| !c.is_alphanumeric()).any(|found| found == word);
+        let has = |word: &str| text.split(|c: char| !c.is_alphanumeric()).any(|other| other == word);
         if has("ras") {
             let message = format!("a plan is in LPS, found {frame}; negate x and y of its points and poses");
             return Err(self.fault(key, message));

@@ -193,15 +193,15 @@ impl<'a> Element<'a> {
         for k in 0..count {
             if is_ascii {
                 let text =
-                    cursor.filled_line().ok_or_else(|| cursor.ended(k, count, &format!("elements \"{name}\"")))?;
+                    cursor.filled_line().ok_or_else(|| cursor.cut_short(k, count, &format!("elements \"{name}\"")))?;
                 places.push(cursor.line);
                 self.read_text(cursor, &text)?;
             } else {
                 places.push(cursor.at);
                 let is_big = encoding == Encoding::Big;
-                let ended = |at: &Cursor| at.ended(k, count, &format!("elements \"{name}\""));
+                let cut_short = |at: &Cursor| at.cut_short(k, count, &format!("elements \"{name}\""));
                 read_values(&mut self.properties, cursor, |cursor, _, scalar| {
-                    cursor.binary_number(scalar, is_big).ok_or_else(|| ended(cursor))
+                    cursor.binary_number(scalar, is_big).ok_or_else(|| cut_short(cursor))
                 })?;
             }
         }

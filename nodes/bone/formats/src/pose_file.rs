@@ -49,13 +49,13 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
     let text = std::str::from_utf8(&bytes)
         .map_err(|error| fault(path, format!("byte {}", error.valid_up_to()), "no text; a 4 x 4 matrix is expected"))?;
     let text = text.trim_start_matches('\u{feff}');
-    let (mut notes, mut written) = (Vec::new(), Correction::default());
+    let (mut notes, mut stated) = (Vec::new(), Correction::default());
     let mut matrix = match text.trim_start() {
         itk if itk.starts_with(ITK_MARK) => {
             notes.push("an ITK transform leads from fixed to moving; its inverse is taken".into());
             let matrix = itk_matrix(path, itk)?;
             let nearest = rigid(path, &matrix.value)?;
-            written = if matrix.correction > nearest.correction { matrix.correction } else { nearest.correction };
+            stated = if matrix.correction > nearest.correction { matrix.correction } else { nearest.correction };
             nearest.value.inverse().to_homogeneous()
         }
         json if json.starts_with('{') => json_matrix(path, json)?,
@@ -69,7 +69,7 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
         matrix[(row, 3)] *= unit_mm;
     }
     let Nearest { value: isometry, correction } = rigid(path, &matrix)?;
-    let correction = if written > correction { written } else { correction };
+    let correction = if stated > correction { stated } else { correction };
     if !correction.is_noise() {
         notes
             .push(format!("the rotation is rounded, and the nearest rotation is used; the correction is {correction}"));
@@ -126,9 +126,9 @@ fn sixteen(path: &Path, numbers: &[f64]) -> Result<Matrix4<f64>, FileError> {
 fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
     let value: Value = json::parse(text)
         .map_err(|error| fault(path, format!("line {}", error.line()), format!("no JSON: {error}")))?;
-    let mut found = &value;
+    let mut matrix = &value;
     // `t_target_source` of a run's results is an object with `matrix` in it.
-    while let Some(object) = found.as_object() {
+    while let Some(object) = matrix.as_object() {
         let there: Vec<&str> = KEYS.into_iter().filter(|key| object.contains_key(*key)).collect();
         if let [first, second, ..] = there[..] {
             let message = format!("the keys {first} and {second} are both there; which of them is the pose?");
@@ -140,13 +140,13 @@ fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
             let message = format!("a pose in JSON is in \"mm\", found {unit}; convert its translation to mm");
             return Err(fault(path, format!("key \"{key}\""), message));
         }
-        found = KEYS.iter().find_map(|key| object.get(*key)).ok_or_else(|| {
+        matrix = KEYS.iter().find_map(|key| object.get(*key)).ok_or_else(|| {
             let keys: Vec<_> = object.keys().map(String::as_str).collect();
             let message = format!("none of the keys {} is there; there are: {}", KEYS.join(", "), keys.join(", "));
             fault(path, "object", message)
         })?;
     }
-    let rows = found.as_array().map(Vec::as_slice).unwrap_or_default();
+    let rows = matrix.as_array().map(Vec::as_slice).unwrap_or_default();
     let cells: Vec<&Value> = match rows {
         [first, ..] if first.is_array() => {
             if let Some(row) = rows.iter().position(|row| row.as_array().is_none_or(|row| row.len() != 4)) {
@@ -163,8 +163,8 @@ fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
 /// The matrix of an ITK transform as written, about its centre, with the correction of its versor, if it has one.
 fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileError> {
     let line_of = |key: &str| {
-        let mut found = text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix(':'));
-        (found.next().map(str::trim), found.next().is_some())
+        let mut lines = text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix(':'));
+        (lines.next().map(str::trim), lines.next().is_some())
     };
     let (Some(kind), more) = line_of("Transform") else {
         return Err(fault(path, "header", "there is no line \"Transform:\"; was the file cut short?"));
@@ -210,11 +210,11 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileErro
             correction = versor.correction;
             (versor.value.to_rotation_matrix().into_inner(), Vector3::new(x, y, z))
         }
-        ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", found) => {
-            return Err(fault(path, "Parameters", format!("12 numbers are expected, but there are {}", found.len())));
+        ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", numbers) => {
+            return Err(fault(path, "Parameters", format!("12 numbers are expected, but there are {}", numbers.len())));
         }
-        ("Euler3DTransform" | "VersorRigid3DTransform", found) => {
-            return Err(fault(path, "Parameters", format!("6 numbers are expected, but there are {}", found.len())));
+        ("Euler3DTransform" | "VersorRigid3DTransform", numbers) => {
+            return Err(fault(path, "Parameters", format!("6 numbers are expected, but there are {}", numbers.len())));
         }
         _ => {
             let message = format!("\"{kind}\" is no rigid transform in 3D; save a linear one");
@@ -224,8 +224,8 @@ fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileErro
     let centre = match &fixed[..] {
         [] => Vector3::zeros(),
         [x, y, z, ..] => Vector3::new(*x, *y, *z),
-        found => {
-            let message = format!("a centre has three numbers, but there are {}", found.len());
+        other => {
+            let message = format!("a centre has three numbers, but there are {}", other.len());
             return Err(fault(path, "FixedParameters", message));
         }
     };

@@ -14,7 +14,7 @@
 //! inside the corners, as [`Shape::Outline`] says; with `eye`, `right` and `down` as above it is the camera itself.
 
 use crate::{FileError, input};
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::Point3;
 use osteoflow_geometry::{DrawnOn, DrawnRegion, FARTHEST_MM, Shape, direction};
 use serde::{Deserialize, Serialize};
 use std::{fs, path::Path};
@@ -28,36 +28,20 @@ const MAX_PARTS: usize = 100_000;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+struct Document {
     format: String,
     version: u32,
     units: String,
     frame: String,
     #[serde(default)]
-    drawn_on: Option<WrittenDrawnOn>,
+    drawn_on: Option<DrawnOn>,
     #[serde(default)]
-    keep: Vec<WrittenShape>,
+    keep: Vec<Shape>,
     #[serde(default)]
-    cut: Vec<WrittenShape>,
+    cut: Vec<Shape>,
     #[serde(default, skip_serializing)]
     #[allow(dead_code, reason = "for people")]
     description: Option<String>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WrittenDrawnOn {
-    n_points: usize,
-    n_inside: usize,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(tag = "shape", rename_all = "lowercase", deny_unknown_fields)]
-enum WrittenShape {
-    Box { min: [f64; 3], max: [f64; 3] },
-    Slab { origin: [f64; 3], direction: [f64; 3], from: f64, to: f64 },
-    Brush { centres: Vec<[f64; 3]>, radius: f64 },
-    Outline { eye: [f64; 3], right: [f64; 3], down: [f64; 3], corners: Vec<[f64; 2]> },
 }
 
 /// Reads a region.
@@ -76,33 +60,33 @@ pub fn read_region(path: &Path) -> Result<DrawnRegion, FileError> {
 /// shape without an inside, image axes that are not perpendicular and of length 1, no shape at all.
 pub fn parse_region(path: &Path, text: &str) -> Result<DrawnRegion, FileError> {
     let fault = |place: String, message: String| FileError::content(path, place, message);
-    let written: Written = serde_json::from_str(text.trim_start_matches('\u{feff}'))
+    let region: Document = serde_json::from_str(text.trim_start_matches('\u{feff}'))
         .map_err(|error| fault(format!("line {}, column {}", error.line(), error.column()), error.to_string()))?;
-    if written.format != FORMAT || written.version != VERSION {
-        let found = format!("\"{}\" of version {}", written.format, written.version);
+    if region.format != FORMAT || region.version != VERSION {
+        let other = format!("\"{}\" of version {}", region.format, region.version);
         return Err(fault(
             "key \"format\"".into(),
-            format!("\"{FORMAT}\" of version {VERSION} is read, found {found}"),
+            format!("\"{FORMAT}\" of version {VERSION} is read, found {other}"),
         ));
     }
-    if written.units != "mm" {
-        return Err(fault("key \"units\"".into(), format!("a region is in \"mm\", found \"{}\"", written.units)));
+    if region.units != "mm" {
+        return Err(fault("key \"units\"".into(), format!("a region is in \"mm\", found \"{}\"", region.units)));
     }
-    if written.keep.is_empty() && written.cut.is_empty() {
+    if region.keep.is_empty() && region.cut.is_empty() {
         return Err(fault("key \"keep\"".into(), "neither keep nor cut has a shape".into()));
     }
-    if written.frame.trim().is_empty() {
+    if region.frame.trim().is_empty() {
         return Err(fault("key \"frame\"".into(), "the frame of the cloud is missing".into()));
     }
-    let shapes = |key: &str, shapes: Vec<WrittenShape>| {
-        let read = |(k, shape): (usize, WrittenShape)| shape.read().map_err(|why| fault(format!("{key}[{k}]"), why));
-        shapes.into_iter().enumerate().map(read).collect::<Result<Vec<_>, _>>()
+    let shapes = |key: &str, shapes: Vec<Shape>| {
+        let check = |(k, shape): (usize, Shape)| checked(shape).map_err(|why| fault(format!("{key}[{k}]"), why));
+        shapes.into_iter().enumerate().map(check).collect::<Result<Vec<_>, _>>()
     };
     Ok(DrawnRegion {
-        frame: written.frame.as_str().into(),
-        drawn_on: written.drawn_on.map(|on| DrawnOn { n_points: on.n_points, n_inside: on.n_inside }),
-        keep: shapes("keep", written.keep)?,
-        cut: shapes("cut", written.cut)?,
+        frame: region.frame.as_str().into(),
+        drawn_on: region.drawn_on,
+        keep: shapes("keep", region.keep)?,
+        cut: shapes("cut", region.cut)?,
     })
 }
 
@@ -111,98 +95,74 @@ pub fn parse_region(path: &Path, text: &str) -> Result<DrawnRegion, FileError> {
 /// # Errors
 /// [`FileError::Io`] if the file cannot be written.
 pub fn write_region(path: &Path, region: &DrawnRegion) -> Result<(), FileError> {
-    let shapes = |shapes: &[Shape]| shapes.iter().map(WrittenShape::of).collect();
-    let written = Written {
+    let document = Document {
         format: FORMAT.into(),
         version: VERSION,
         units: "mm".into(),
         frame: region.frame.as_str().into(),
-        drawn_on: region.drawn_on.map(|on| WrittenDrawnOn { n_points: on.n_points, n_inside: on.n_inside }),
-        keep: shapes(&region.keep),
-        cut: shapes(&region.cut),
+        drawn_on: region.drawn_on,
+        keep: region.keep.clone(),
+        cut: region.cut.clone(),
         description: None,
     };
-    let mut text = serde_json::to_string_pretty(&written).expect("a region is made of numbers and text");
+    let mut text = serde_json::to_string_pretty(&document).expect("a region is made of numbers and text");
     text.push('\n');
     fs::write(path, text).map_err(FileError::write(path))
 }
 
-impl WrittenShape {
-    fn of(shape: &Shape) -> Self {
-        let three = |v: &Vector3<f64>| [v.x, v.y, v.z];
-        match shape {
-            Shape::Box { min, max } => Self::Box { min: three(&min.coords), max: three(&max.coords) },
-            Shape::Slab { origin, direction, from, to } => {
-                Self::Slab { origin: three(&origin.coords), direction: three(direction), from: *from, to: *to }
+/// The shape with a direction of length 1.
+///
+/// # Errors
+/// What is wrong with the shape.
+fn checked(mut shape: Shape) -> Result<Shape, String> {
+    match &mut shape {
+        Shape::Box { min, max } => {
+            check_point("min", min)?;
+            check_point("max", max)?;
+            if (0..3).any(|k| min[k] >= max[k]) {
+                return Err(format!("min {min} is not below max {max}"));
             }
-            Shape::Brush { centres, radius } => {
-                Self::Brush { centres: centres.iter().map(|c| three(&c.coords)).collect(), radius: *radius }
-            }
-            Shape::Outline { eye, right, down, corners } => Self::Outline {
-                eye: three(&eye.coords),
-                right: three(right),
-                down: three(down),
-                corners: corners.iter().map(|c| [c.x, c.y]).collect(),
-            },
         }
-    }
-
-    /// # Errors
-    /// What is wrong with the shape.
-    fn read(self) -> Result<Shape, String> {
-        match self {
-            Self::Box { min, max } => {
-                let (min, max) = (point("min", min)?, point("max", max)?);
-                if (0..3).any(|k| min[k] >= max[k]) {
-                    return Err(format!("min {min} is not below max {max}"));
-                }
-                Ok(Shape::Box { min, max })
+        Shape::Slab { origin, direction: along, from, to } => {
+            check_point("origin", origin)?;
+            *along = direction(along.into_inner()).map_err(|error| format!("direction: {error}"))?;
+            if !(usable(*from) && usable(*to) && from < to) {
+                return Err(format!("from {from} is not below to {to}"));
             }
-            Self::Slab { origin, direction: along, from, to } => {
-                let origin = point("origin", origin)?;
-                let direction = direction(along.into()).map_err(|error| format!("direction: {error}"))?;
-                if !(usable(from) && usable(to) && from < to) {
-                    return Err(format!("from {from} is not below to {to}"));
-                }
-                Ok(Shape::Slab { origin, direction, from, to })
+        }
+        Shape::Brush { centres, radius } => {
+            if !(usable(*radius) && *radius > 0.0) {
+                return Err(format!("a radius of {radius} mm"));
             }
-            Self::Brush { centres, radius } => {
-                if !(usable(radius) && radius > 0.0) {
-                    return Err(format!("a radius of {radius} mm"));
-                }
-                if centres.is_empty() || centres.len() > MAX_PARTS {
-                    return Err(format!("{} centres, 1 to {MAX_PARTS} are read", centres.len()));
-                }
-                let centres = centres.into_iter().map(|centre| point("centres", centre));
-                Ok(Shape::Brush { centres: centres.collect::<Result<_, _>>()?, radius })
+            if centres.is_empty() || centres.len() > MAX_PARTS {
+                return Err(format!("{} centres, 1 to {MAX_PARTS} are read", centres.len()));
             }
-            Self::Outline { eye, right, down, corners } => {
-                let eye = point("eye", eye)?;
-                let (right, down) = (Vector3::from(right), Vector3::from(down));
-                let skew = [right.norm() - 1.0, down.norm() - 1.0, right.dot(&down)];
-                if !skew.iter().all(|s| s.abs() <= MAX_SKEW) {
-                    return Err("right and down are not perpendicular and of length 1".into());
-                }
-                if corners.len() < 3 || corners.len() > MAX_PARTS {
-                    return Err(format!("an outline has 3 to {MAX_PARTS} corners, found {}", corners.len()));
-                }
-                if !corners.iter().flatten().all(|c| usable(*c)) {
-                    return Err("a corner is no finite number".into());
-                }
-                let corners = corners.into_iter().map(Point2::from).collect();
-                Ok(Shape::Outline { eye, right, down, corners })
+            centres.iter().try_for_each(|centre| check_point("centres", centre))?;
+        }
+        Shape::Outline { eye, right, down, corners } => {
+            check_point("eye", eye)?;
+            let skew = [right.norm() - 1.0, down.norm() - 1.0, right.dot(down)];
+            if !skew.iter().all(|s| s.abs() <= MAX_SKEW) {
+                return Err("right and down are not perpendicular and of length 1".into());
+            }
+            if corners.len() < 3 || corners.len() > MAX_PARTS {
+                return Err(format!("an outline has 3 to {MAX_PARTS} corners, found {}", corners.len()));
+            }
+            if !corners.iter().all(|corner| usable(corner.x) && usable(corner.y)) {
+                return Err("a corner is no finite number".into());
             }
         }
     }
+    Ok(shape)
 }
 
 fn usable(number: f64) -> bool {
     number.abs() <= FARTHEST_MM
 }
 
-fn point(key: &str, at: [f64; 3]) -> Result<Point3<f64>, String> {
-    let is_usable = at.iter().all(|c| usable(*c));
-    is_usable.then(|| at.into()).ok_or_else(|| format!("{key} {at:?} is not finite, or beyond {FARTHEST_MM:e} mm"))
+fn check_point(key: &str, at: &Point3<f64>) -> Result<(), String> {
+    let message = || format!("{key} {:?} is not finite, or beyond {FARTHEST_MM:e} mm", at.coords.as_slice());
+    if at.iter().all(|c| usable(*c)) { Ok(()) } else { Err(message()) }
 }
 
 #[cfg(test)]

@@ -245,10 +245,11 @@ impl File<'_> {
         self.lines.clear();
         // A word at a time: many numbers are on a line, and a line may hold the end of one list and the next keyword.
         while values.len() < n_values {
-            let (word, line) = cursor.word().ok_or_else(|| cursor.ended(values.len(), n_values, "numbers"))?;
-            values.push(
-                scalar::number(&word).ok_or_else(|| cursor.fault_at(line, format!("\"{word}\" is not a number")))?,
-            );
+            let (word, line) = cursor.word().ok_or_else(|| cursor.cut_short(values.len(), n_values, "numbers"))?;
+            let value = std::str::from_utf8(word).ok().and_then(scalar::number).ok_or_else(|| {
+                cursor.fault_at(line, format!("\"{}\" is not a number", String::from_utf8_lossy(word)))
+            })?;
+            values.push(value);
             self.lines.push(line);
         }
         cursor.end_line();

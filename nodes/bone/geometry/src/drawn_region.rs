@@ -1,5 +1,6 @@
 use crate::Frame;
 use nalgebra::{Point2, Point3, Unit, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// A region of interest that a user drew on a cloud: what is in one of `keep` and in none of `cut`. Lengths in mm.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,7 +16,8 @@ pub struct DrawnRegion {
 }
 
 /// The cloud that a region was drawn on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct DrawnOn {
     /// Its number of points.
     pub n_points: usize,
@@ -24,7 +26,8 @@ pub struct DrawnOn {
 }
 
 /// A shape in the coordinates of a cloud.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "shape", rename_all = "lowercase", deny_unknown_fields)]
 pub enum Shape {
     /// A box along the axes.
     Box {

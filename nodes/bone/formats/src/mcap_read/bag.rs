@@ -67,7 +67,7 @@ impl Bag {
             let Some(name) = Path::new(file).file_name().and_then(|name| name.to_str()) else {
                 return Err(fault(format!("metadata.yaml names \"{file}\", which is no file")));
             };
-            if !there.iter().any(|found| found == name) {
+            if !there.iter().any(|other| other == name) {
                 return Err(fault(format!("{name} is missing, though metadata.yaml names it")));
             }
             if !name.ends_with(".mcap") {
@@ -112,10 +112,10 @@ impl Metadata {
         /// Depth of the keys below the one at the top.
         const DEPTH: usize = 2;
         let mut parser = Parser::new(text.chars());
-        let (mut found, mut depth, mut key) = (Self::default(), 0_usize, None::<String>);
+        let (mut metadata, mut depth, mut key) = (Self::default(), 0_usize, None::<String>);
         loop {
             match parser.next_token().map_err(|error| error.to_string())?.0 {
-                Event::StreamEnd => return Ok(found),
+                Event::StreamEnd => return Ok(metadata),
                 Event::MappingStart(..) | Event::SequenceStart(..) => {
                     depth += 1;
                     if depth <= DEPTH {
@@ -132,17 +132,17 @@ impl Metadata {
                     (DEPTH, None) => key = Some(value),
                     (DEPTH, Some(name)) => {
                         match name {
-                            "storage_identifier" => found.storage = Some(value),
-                            "compression_mode" => found.compression = Some(value),
+                            "storage_identifier" => metadata.storage = Some(value),
+                            "compression_mode" => metadata.compression = Some(value),
                             "message_count" => {
-                                found.n_messages =
+                                metadata.n_messages =
                                     Some(value.parse().map_err(|_| format!("message_count is \"{value}\""))?);
                             }
                             _ => {}
                         }
                         key = None;
                     }
-                    (depth, Some("relative_file_paths")) if depth == DEPTH + 1 => found.files.push(value),
+                    (depth, Some("relative_file_paths")) if depth == DEPTH + 1 => metadata.files.push(value),
                     _ => {}
                 },
                 Event::Alias(_) if depth == DEPTH => key = None,

@@ -36,9 +36,9 @@ pub(super) struct Pass<'a> {
     schemas: BTreeMap<u16, Schema>,
     channels: BTreeMap<u16, (Channel, Arc<str>)>,
     channel_order: Vec<u16>,
-    n_found: BTreeMap<u16, usize>,
-    found: Vec<PendingMessage>,
-    /// Index in `found` of the first message of the current chunk.
+    n_by_channel: BTreeMap<u16, usize>,
+    pending: Vec<PendingMessage>,
+    /// Index in `pending` of the first message of the current chunk.
     chunk_start: usize,
     statistics: Option<Statistics>,
     data_end: u64,
@@ -56,8 +56,8 @@ impl<'a> Pass<'a> {
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             channel_order: Vec::new(),
-            n_found: BTreeMap::new(),
-            found: Vec::new(),
+            n_by_channel: BTreeMap::new(),
+            pending: Vec::new(),
             chunk_start: 0,
             statistics: None,
             data_end: 0,
@@ -92,7 +92,7 @@ impl<'a> Pass<'a> {
     }
 
     fn n_messages(&self) -> usize {
-        self.n_found.values().sum()
+        self.n_by_channel.values().sum()
     }
 
     fn note(&self, damage: &Damage) -> String {
@@ -133,15 +133,15 @@ impl<'a> Pass<'a> {
         let Some(statistics) = self.statistics.take() else { return };
         let n_read = self.n_messages();
         if statistics.n_messages != n_read as u64 {
-            let said = statistics.n_messages;
-            self.recording.notes.push(format!("the summary counts {said} messages, but {n_read} could be read"));
+            let stated = statistics.n_messages;
+            self.recording.notes.push(format!("the summary counts {stated} messages, but {n_read} could be read"));
             return;
         }
-        for (id, said) in statistics.by_channel {
-            let n_read = self.n_found.get(&id).copied().unwrap_or(0);
-            if said != n_read as u64 {
+        for (id, stated) in statistics.by_channel {
+            let n_read = self.n_by_channel.get(&id).copied().unwrap_or(0);
+            if stated != n_read as u64 {
                 let topic = self.channels.get(&id).map_or("unknown", |(channel, _)| &channel.topic);
-                let note = format!("the summary counts {said} messages of \"{topic}\", but {n_read} could be read");
+                let note = format!("the summary counts {stated} messages of \"{topic}\", but {n_read} could be read");
                 self.recording.notes.push(note);
             }
         }
@@ -149,7 +149,7 @@ impl<'a> Pass<'a> {
 
     fn message(&mut self, location: Location, message: &osteoflow_container::Message<'_>) -> ControlFlow<()> {
         let channel_id = message.channel_id;
-        *self.n_found.entry(channel_id).or_default() += 1;
+        *self.n_by_channel.entry(channel_id).or_default() += 1;
         let last = &mut self.recording.last_publish_time_ns;
         *last = (*last).max(Some(stamp(message.publish_time)));
         if self.channels.get(&channel_id).is_some_and(|(channel, _)| !(self.keep)(&channel.topic)) {
@@ -160,7 +160,7 @@ impl<'a> Pass<'a> {
             self.failed = Some(McapError::TooLarge { path: self.path.into(), place: location, source });
             return taken;
         }
-        self.found.push(PendingMessage {
+        self.pending.push(PendingMessage {
             channel_id,
             location,
             sequence: message.sequence,
@@ -178,9 +178,9 @@ impl<'a> Pass<'a> {
     /// Sorts the messages by topic, now that all channels are known.
     fn finish(mut self) -> Result<Recording, McapError> {
         let mut n_unknown = 0;
-        for found in std::mem::take(&mut self.found) {
-            let Some((channel, message_encoding)) = self.channels.get(&found.channel_id) else {
-                let (path, location, channel) = (self.path.into(), found.location, found.channel_id);
+        for message in std::mem::take(&mut self.pending) {
+            let Some((channel, message_encoding)) = self.channels.get(&message.channel_id) else {
+                let (path, location, channel) = (self.path.into(), message.location, message.channel_id);
                 if !self.allow_truncated {
                     return Err(McapError::UnknownChannel { path, location, channel });
                 }
@@ -191,12 +191,12 @@ impl<'a> Pass<'a> {
                 continue;
             }
             let message = Message {
-                log_time_ns: stamp(found.log_time),
-                publish_time_ns: stamp(found.publish_time),
-                sequence: found.sequence,
+                log_time_ns: stamp(message.log_time),
+                publish_time_ns: stamp(message.publish_time),
+                sequence: message.sequence,
                 schema_name: self.schemas.get(&channel.schema_id).map_or_else(|| "".into(), |(name, _)| name.clone()),
                 message_encoding: message_encoding.clone(),
-                data: found.data,
+                data: message.data,
             };
             match self.recording.messages.get_mut(&channel.topic) {
                 Some(messages) => messages.push(message),
@@ -218,7 +218,7 @@ impl<'a> Pass<'a> {
                 schema_name: schema.map_or(String::new(), |(name, _)| name.to_string()),
                 schema_encoding: schema.map_or(String::new(), |(_, encoding)| encoding.to_string()),
                 message_encoding: channel.message_encoding.clone(),
-                n_messages: self.n_found.get(id).copied().unwrap_or(0),
+                n_messages: self.n_by_channel.get(id).copied().unwrap_or(0),
             };
             self.recording.add_topic(topic);
         }
@@ -241,7 +241,7 @@ impl Visitor for Pass<'_> {
                 }
             }
             Record::Message(message) => return self.message(location, &message),
-            Record::Chunk(_) => self.chunk_start = self.found.len(),
+            Record::Chunk(_) => self.chunk_start = self.pending.len(),
             Record::Attachment(attachment) => self.recording.attachments.push(Attachment {
                 name: attachment.name.into(),
                 media_type: attachment.media_type.into(),
@@ -264,21 +264,21 @@ impl Visitor for Pass<'_> {
     }
 
     fn chunk_end(&mut self, records: &mut Vec<u8>) {
-        let found = &mut self.found[self.chunk_start..];
-        let n_kept: usize = found.iter().map(|f| f.n_bytes).sum();
+        let pending = &mut self.pending[self.chunk_start..];
+        let n_kept: usize = pending.iter().map(|f| f.n_bytes).sum();
         let range = |f: &PendingMessage| {
             let start = (f.location.in_chunk.unwrap_or(0) + MESSAGE_HEADER_BYTES) as usize;
             start..start + f.n_bytes
         };
         if n_kept < records.len() / 2 {
             // Most of the chunk is not wanted, so it is not kept alive.
-            for found in found {
-                found.data = Bytes::copy_from_slice(&records[range(found)]);
+            for message in pending {
+                message.data = Bytes::copy_from_slice(&records[range(message)]);
             }
         } else {
             let records = Bytes::from(std::mem::take(records));
-            for found in found {
-                found.data = records.slice(range(found));
+            for message in pending {
+                message.data = records.slice(range(message));
             }
         }
     }

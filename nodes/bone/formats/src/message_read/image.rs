@@ -117,7 +117,7 @@ fn check(message: &Encoded, expected: &'static str, schemas: &[&str]) -> Result<
     }
     match message.message_encoding {
         "protobuf" => Ok(()),
-        found => Err(MessageError::Encoding { found: found.into(), schema: message.schema_name.into() }),
+        other => Err(MessageError::Encoding { found: other.into(), schema: message.schema_name.into() }),
     }
 }
 
@@ -134,9 +134,9 @@ fn raw_pixels(raw: &RawImage) -> Result<Pixels, String> {
         return Err(format!("{width} x {height} pixels in rows of {step} bytes (step); {row} or more are expected"));
     }
     // The last row needs no padding.
-    let (expected, found) = (u64::from(step) * u64::from(height - 1) + row, raw.data.len() as u64);
-    if found < expected || found > u64::from(step) * u64::from(height) {
-        return Err(format!("{found} bytes for {height} rows of {step} bytes (step); was the message cut short?"));
+    let (expected, n_bytes) = (u64::from(step) * u64::from(height - 1) + row, raw.data.len() as u64);
+    if n_bytes < expected || n_bytes > u64::from(step) * u64::from(height) {
+        return Err(format!("{n_bytes} bytes for {height} rows of {step} bytes (step); was the message cut short?"));
     }
     let mut bytes: Vec<u8> =
         raw.data.chunks(step as usize).flat_map(|line| line[..row as usize].iter().copied()).collect();

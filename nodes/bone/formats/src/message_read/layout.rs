@@ -1,37 +1,19 @@
-use super::MessageError;
+use super::fault::MessageError;
+use crate::scalar::Scalar;
 use foxglove::messages::{PointCloud, packed_element_field::NumericType};
 
 /// A number within a point.
 #[derive(Clone, Copy)]
 pub(super) struct Field {
     offset: usize,
-    kind: NumericType,
+    scalar: Scalar,
     big_endian: bool,
 }
 
 impl Field {
     /// The number in a point.
     pub(super) fn value(self, point: &[u8]) -> f64 {
-        match self.kind {
-            NumericType::Uint8 => point[self.offset].into(),
-            NumericType::Int8 => i8::from_le_bytes(self.little_endian(point)).into(),
-            NumericType::Uint16 => u16::from_le_bytes(self.little_endian(point)).into(),
-            NumericType::Int16 => i16::from_le_bytes(self.little_endian(point)).into(),
-            NumericType::Uint32 => u32::from_le_bytes(self.little_endian(point)).into(),
-            NumericType::Int32 => i32::from_le_bytes(self.little_endian(point)).into(),
-            NumericType::Float32 => f32::from_le_bytes(self.little_endian(point)).into(),
-            NumericType::Float64 => f64::from_le_bytes(self.little_endian(point)),
-            NumericType::Unknown => f64::NAN,
-        }
-    }
-
-    /// The bytes of the number, the least significant first.
-    fn little_endian<const N: usize>(self, point: &[u8]) -> [u8; N] {
-        let mut bytes: [u8; N] = std::array::from_fn(|k| point[self.offset + k]);
-        if self.big_endian {
-            bytes.reverse();
-        }
-        bytes
+        self.scalar.first(&point[self.offset..], self.big_endian).expect("a field is within its point")
     }
 }
 
@@ -66,21 +48,22 @@ impl Layout {
     /// The first field of that name.
     fn field(raw: &PointCloud, name: &str, big_endian: bool) -> Result<Option<Field>, MessageError> {
         let Some(field) = raw.fields.iter().find(|f| f.name == name) else { return Ok(None) };
-        let kind = NumericType::try_from(field.r#type).unwrap_or(NumericType::Unknown);
-        let n_bytes = match kind {
-            NumericType::Uint8 | NumericType::Int8 => 1,
-            NumericType::Uint16 | NumericType::Int16 => 2,
-            NumericType::Uint32 | NumericType::Int32 | NumericType::Float32 => 4,
-            NumericType::Float64 => 8,
-            NumericType::Unknown => {
-                return Err(MessageError::FieldType { field: name.into(), code: field.r#type });
-            }
+        let scalar = match NumericType::try_from(field.r#type).unwrap_or(NumericType::Unknown) {
+            NumericType::Uint8 => Scalar::U8,
+            NumericType::Int8 => Scalar::I8,
+            NumericType::Uint16 => Scalar::U16,
+            NumericType::Int16 => Scalar::I16,
+            NumericType::Uint32 => Scalar::U32,
+            NumericType::Int32 => Scalar::I32,
+            NumericType::Float32 => Scalar::F32,
+            NumericType::Float64 => Scalar::F64,
+            NumericType::Unknown => return Err(MessageError::FieldType { field: name.into(), code: field.r#type }),
         };
-        let end = u64::from(field.offset) + n_bytes;
+        let end = u64::from(field.offset) + scalar.n_bytes() as u64;
         if end > raw.point_stride.into() {
             return Err(MessageError::FieldEnd { field: name.into(), end, stride: raw.point_stride });
         }
-        Ok(Some(Field { offset: field.offset as usize, kind, big_endian }))
+        Ok(Some(Field { offset: field.offset as usize, scalar, big_endian }))
     }
 
     fn needed(raw: &PointCloud, missing: &'static str, field: Option<Field>) -> Result<Field, MessageError> {

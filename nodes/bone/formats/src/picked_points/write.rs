@@ -3,7 +3,7 @@
 use crate::{FileError, Space, write::NOTICE};
 use nalgebra::{Isometry3, Matrix4, Point3, Vector3};
 use osteoflow_geometry::NamedPoint;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::{fmt::Write as _, path::Path, sync::Arc};
 
 /// The schema that a JSON of markups names.
@@ -13,12 +13,17 @@ fn fault(path: &Path, place: impl Into<String>, message: &str) -> FileError {
     FileError::content(path, place, message)
 }
 
-/// The position in the space that the file states.
-fn stated(path: &Path, space: Space, point: &NamedPoint) -> Result<[f64; 3], FileError> {
+/// Checks that the space can be stated.
+fn check_stated(path: &Path, space: Space) -> Result<(), FileError> {
     if space == Space::Unknown {
         let message = "the format states LPS or RAS, but the space of the points is unknown; write CSV instead";
         return Err(fault(path, "space", message));
     }
+    Ok(())
+}
+
+/// The position in the space that the file states.
+fn stated(path: &Path, space: Space, point: &NamedPoint) -> Result<[f64; 3], FileError> {
     let sign = space.x_y_sign();
     let p = point.position;
     if !p.iter().all(|c| c.is_finite()) {
@@ -32,34 +37,12 @@ fn stated(path: &Path, space: Space, point: &NamedPoint) -> Result<[f64; 3], Fil
 /// # Errors
 /// [`FileError`] if the space is unknown, a point is not finite, or the file cannot be written.
 pub fn write_mrk_json(path: &Path, points: &[NamedPoint], space: Space) -> Result<(), FileError> {
-    let control_points = points.iter().enumerate().map(|(k, point)| {
-        Ok(json!({
-            "id": (k + 1).to_string(),
-            "label": &*point.name,
-            "description": NOTICE,
-            "associatedNodeID": "",
-            "position": stated(path, space, point)?,
-            "selected": true,
-            "locked": false,
-            "visibility": true,
-            "positionStatus": "defined",
-        }))
-    });
-    let control_points = control_points.collect::<Result<Vec<_>, FileError>>()?;
-    if space == Space::Unknown {
-        return Err(fault(path, "space", "the format states LPS or RAS, but the space of the points is unknown"));
-    }
-    let whole = json!({
-        "@schema": SCHEMA,
-        "markups": [{
-            "type": "Fiducial",
-            "coordinateSystem": space.to_string(),
-            "coordinateUnits": "mm",
-            "controlPoints": control_points,
-        }],
-    });
-    let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
-    std::fs::write(path, text).map_err(FileError::write(path))
+    check_stated(path, space)?;
+    let control_point = |(k, point): (usize, &NamedPoint)| {
+        Ok(control_point(k + 1, &point.name, json!({ "position": stated(path, space, point)? })))
+    };
+    let control_points = points.iter().enumerate().map(control_point).collect::<Result<Vec<_>, FileError>>()?;
+    write_markups(path, vec![markup("Fiducial", space, json!({ "controlPoints": control_points }))])
 }
 
 /// Writes a box along the axes as a region of interest of 3D Slicer in JSON; mm, called LPS.
@@ -68,33 +51,17 @@ pub fn write_mrk_json(path: &Path, points: &[NamedPoint], space: Space) -> Resul
 /// [`FileError`] if the file cannot be written.
 pub fn write_roi_mrk_json(path: &Path, name: &str, min: &Point3<f64>, max: &Point3<f64>) -> Result<(), FileError> {
     let center = nalgebra::center(min, max);
-    let whole = json!({
-        "@schema": SCHEMA,
-        "markups": [{
-            "type": "ROI",
-            "name": name,
-            "description": NOTICE,
-            "coordinateSystem": "LPS",
-            "coordinateUnits": "mm",
-            "roiType": "Box",
-            "center": center.coords.as_slice(),
-            "orientation": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-            "size": (max - min).as_slice(),
-            "insideOut": false,
-            "controlPoints": [{
-                "id": "1",
-                "label": name,
-                "description": NOTICE,
-                "position": center.coords.as_slice(),
-                "selected": true,
-                "locked": false,
-                "visibility": true,
-                "positionStatus": "defined",
-            }],
-        }],
+    let roi = json!({
+        "name": name,
+        "description": NOTICE,
+        "roiType": "Box",
+        "center": center.coords.as_slice(),
+        "orientation": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        "size": (max - min).as_slice(),
+        "insideOut": false,
+        "controlPoints": [control_point(1, name, json!({ "position": center.coords.as_slice() }))],
     });
-    let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
-    std::fs::write(path, text).map_err(FileError::write(path))
+    write_markups(path, vec![markup("ROI", Space::Lps, roi)])
 }
 
 /// The edge with which a plane is drawn, mm: wider than a fibula.
@@ -110,11 +77,8 @@ pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)])
     let markups = planes.iter().map(|(name, pose)| {
         let center = pose.translation.vector.as_slice();
         let rotation: Vec<f64> = pose.rotation.to_rotation_matrix().matrix().transpose().iter().copied().collect();
-        json!({
-            "type": "Plane",
+        let plane = json!({
             "name": &**name,
-            "coordinateSystem": "LPS",
-            "coordinateUnits": "mm",
             "planeType": "pointNormal",
             "sizeMode": "absolute",
             "autoScalingSizeFactor": 1.0,
@@ -125,20 +89,33 @@ pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)])
             "orientation": rotation,
             "size": [PLANE_MM, PLANE_MM],
             "planeBounds": [-half, half, -half, half],
-            "controlPoints": [{
-                "id": "1",
-                "label": &**name,
-                "description": NOTICE,
-                "position": center,
-                "orientation": rotation,
-                "selected": true,
-                "locked": false,
-                "visibility": true,
-                "positionStatus": "defined",
-            }],
-        })
+            "controlPoints": [control_point(1, name, json!({ "position": center, "orientation": rotation }))],
+        });
+        markup("Plane", Space::Lps, plane)
     });
-    let whole = json!({ "@schema": SCHEMA, "markups": markups.collect::<Vec<_>>() });
+    write_markups(path, markups.collect())
+}
+
+fn markup(kind: &str, space: Space, own: Value) -> Value {
+    merged(json!({ "type": kind, "coordinateSystem": space.to_string(), "coordinateUnits": "mm" }), own)
+}
+
+fn control_point(id: usize, label: &str, own: Value) -> Value {
+    let point = json!({ "id": id.to_string(), "label": label, "description": NOTICE, "associatedNodeID": "" });
+    let state = json!({ "selected": true, "locked": false, "visibility": true, "positionStatus": "defined" });
+    merged(merged(point, own), state)
+}
+
+/// An object with the keys of another behind its own.
+fn merged(mut object: Value, other: Value) -> Value {
+    if let (Value::Object(object), Value::Object(other)) = (&mut object, other) {
+        object.extend(other);
+    }
+    object
+}
+
+fn write_markups(path: &Path, markups: Vec<Value>) -> Result<(), FileError> {
+    let whole = json!({ "@schema": SCHEMA, "markups": markups });
     let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
     std::fs::write(path, text).map_err(FileError::write(path))
 }
@@ -148,9 +125,7 @@ pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)])
 /// # Errors
 /// [`FileError`] if the space is unknown, a point is not finite, a name holds a line break, or the file cannot be written.
 pub fn write_fcsv(path: &Path, points: &[NamedPoint], space: Space) -> Result<(), FileError> {
-    if space == Space::Unknown {
-        return Err(fault(path, "space", "the format states LPS or RAS, but the space of the points is unknown"));
-    }
+    check_stated(path, space)?;
     let mut text = format!(
         "# Markups fiducial file version = 4.11\n# CoordinateSystem = {space}\n# {NOTICE}\n\
          # columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"

@@ -5,7 +5,7 @@
 //! fields are needed; a crate would bring an array library along for them.
 
 use super::grid::{Volume, VolumeRead, affine, assumed_unit, n_voxels_and_bytes};
-use super::numbers::{Encoding, StreamError, drain, fill, gunzip, gzip_limit, read_voxels};
+use super::numbers::{Encoding, StreamError, drain, fill, gunzip, gzip_limit, read_all};
 use crate::scalar::Scalar;
 use crate::{FileError, input};
 use nalgebra::{Matrix3, Matrix4, Quaternion, Vector4};
@@ -124,79 +124,13 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
     let fault = |place: &str, message: String| FileError::content(path, place, message);
     let broken = |error: std::io::Error| fault("gzip", format!("{error}; copy the file again"));
     let mut bytes = [0u8; 540];
-    let n = fill(reader, &mut bytes[..4]).0;
-    let Some((version, is_big)) = version_and_order(&bytes[..n]) else {
-        let message =
-            "the first four bytes are not 348 or 540, the size of a NIfTI header; of gzip files only .nii.gz is read";
-        return Err(fault("byte 0", message.into()));
-    };
-    let header_bytes = if version == 1 { 348 } else { 540 };
-    let n = 4 + fill(reader, &mut bytes[4..header_bytes]).0;
-    if n < header_bytes {
-        return Err(fault("header", format!("the header has {header_bytes} bytes, but the file ends after {n}")));
-    }
-    let header = Header { bytes: &bytes, is_big, version };
-    let magic = if version == 1 { &bytes[344..348] } else { &bytes[4..8] };
-    if [b"ni1\0", b"ni2\0"].iter().any(|pair| magic == *pair) {
-        return Err(fault("magic", "this is the header of a pair .hdr/.img; convert the pair to one .nii file".into()));
-    }
-    if magic != if version == 1 { b"n+1\0" } else { b"n+2\0" } {
-        let message = "the magic is not \"n+1\" or \"n+2\"; an ANALYZE 7.5 header states no orientation: convert the DICOM to \
-                       NIfTI";
-        return Err(fault("magic", message.into()));
-    }
-
-    let n_dims = header.dim(0);
-    if !(1..=7).contains(&n_dims) {
-        return Err(fault("dim[0]", format!("{n_dims} dimensions; 1 to 7 are possible")));
-    }
-    let dims: [i64; 7] = std::array::from_fn(|k| if (k as i64) < n_dims { header.dim(k + 1) } else { 1 });
-    if let Some(k) = dims.iter().position(|d| *d < 1) {
-        return Err(fault(
-            &format!("dim[{}]", k + 1),
-            format!("{} voxels along this axis; at least 1 is needed", dims[k]),
-        ));
-    }
-    let [nx, ny, nz, ..] = dims;
-    if dims[3..].iter().any(|d| *d != 1) {
-        let n_frames = dims[3..].iter().fold(1i64, |n, d| n.saturating_mul(*d));
-        let message = format!(
-            "{n_dims} dimensions: {n_frames} frames of {nx} x {ny} x {nz} voxels; save the one frame that shows the bone as a \
-             volume of its own"
-        );
-        return Err(fault("dim", message));
-    }
-    let (datatype, bits) = header.datatype();
-    let scalar = number_type(datatype).map_err(|message| fault("datatype", message))?;
-    if bits != 8 * scalar.n_bytes() as i64 {
-        let message = format!("{bits} bits per voxel, but datatype {datatype} has {}", 8 * scalar.n_bytes());
-        return Err(fault("bitpix", message));
-    }
-    let size = [nx, ny, nz].map(|d| usize::try_from(d).unwrap_or(usize::MAX));
-    let offset = match version {
-        1 => header.float(108, 0),
-        _ => i64::from_le_bytes(header.ordered(168)) as f64,
-    };
-    if !(header_bytes as f64..1e12).contains(&offset) || offset.fract() != 0.0 {
-        let message = format!("voxels begin at byte {offset}, but the header has {header_bytes} bytes");
-        return Err(fault("vox_offset", message));
-    }
-    let offset = offset as u64;
-    let counted = n_voxels_and_bytes(size, scalar.n_bytes()).and_then(|(n, b)| Some((n, b, b.checked_add(offset)?)));
-    let Some((n, n_bytes, total)) = counted.filter(|c| c.2 <= limits.stream_bytes) else {
-        let found = if limits.is_gzip {
-            format!("{} bytes of gzip cannot hold them", limits.file_bytes)
-        } else {
-            format!("the file has {}", limits.file_bytes)
-        };
-        let needed = counted.map_or("more bytes than can be counted".into(), |c| format!("{} bytes", c.2));
-        let message = format!("cut short: {nx} x {ny} x {nz} voxels need {needed}, {found}; copy the file again");
-        return Err(fault("dim", message));
-    };
-    let skipped = drain(reader, offset - header_bytes as u64).map_err(broken)?;
-    if skipped < offset - header_bytes as u64 {
-        let message =
-            format!("cut short: the file ends after {} bytes, before its voxels", skipped + header_bytes as u64);
+    let header = Header::read(reader, &mut bytes).map_err(|(place, message)| fault(place, message))?;
+    let layout = header.layout(limits).map_err(|(place, message)| fault(&place, message))?;
+    let Layout { size: [nx, ny, nz], n, n_bytes, offset, scalar } = layout;
+    let n_header = header.n_bytes() as u64;
+    let n_skipped = drain(reader, offset - n_header).map_err(broken)?;
+    if n_skipped < offset - n_header {
+        let message = format!("cut short: the file ends after {} bytes, before its voxels", n_skipped + n_header);
         return Err(fault("vox_offset", message));
     }
 
@@ -208,27 +142,15 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
         }
         (slope, intercept) = (1.0, 0.0);
     }
-    // Version 1 has one byte, version 2 an integer.
-    let length_unit = if version == 1 { i64::from(bytes[123]) } else { header.i32(500) } & 7;
-    let unit_mm = match length_unit {
-        1 => 1000.0,
-        2 => 1.0,
-        3 => 0.001,
-        0 => {
-            notes.push("the unit of length is not stated (xyzt_units); millimetres were assumed".into());
-            1.0
-        }
-        other => {
-            return Err(fault("xyzt_units", format!("{other} is no unit of length; 1 (m), 2 (mm) and 3 (um) are")));
-        }
-    };
-    let (t_lps_voxel, is_oriented) = placement(&header, size, unit_mm, &mut notes).map_err(|(p, m)| fault(p, m))?;
+    let unit_mm = header.unit_mm(&mut notes).map_err(|message| fault("xyzt_units", message))?;
+    let placed = placement(&header, layout.size, unit_mm, &mut notes);
+    let (t_lps_voxel, is_oriented) = placed.map_err(|(place, message)| fault(place, message))?;
 
-    let encoding = Encoding { scalar, is_big, slope, intercept };
+    let encoding = Encoding { scalar, is_big: header.is_big, slope, intercept };
     let reserve = usize::try_from(limits.stream_bytes).unwrap_or(usize::MAX) / scalar.n_bytes();
-    let voxels = read_voxels(reader, n, reserve, &encoding).map_err(|error| match error {
-        StreamError::Short(found) => {
-            let there = found * scalar.n_bytes();
+    let (voxels, n_extra) = read_all(reader, n, reserve, &encoding).map_err(|error| match error {
+        StreamError::Short(n_there) => {
+            let there = n_there * scalar.n_bytes();
             let message = format!(
                 "cut short: {nx} x {ny} x {nz} voxels are {n_bytes} bytes, but only {there} are there; copy the file again"
             );
@@ -236,13 +158,134 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
         }
         StreamError::Io(error) => broken(error),
     })?;
-    match drain(reader, 1 << 20).map_err(broken)? {
-        0 => {}
-        n => notes.push(format!("{n} bytes or more follow the {total} bytes of the volume and were not read")),
+    if n_extra > 0 {
+        let total = offset + n_bytes;
+        notes.push(format!("{n_extra} bytes or more follow the {total} bytes of the volume and were not read"));
     }
     let unit = assumed_unit(&voxels, "NIfTI", &mut notes);
-    let volume = Volume { size, voxels, t_lps_voxel, unit, is_oriented };
-    Ok(VolumeRead { volume, source: format!("NIfTI-{version}"), notes })
+    let volume = Volume { size: layout.size, voxels, t_lps_voxel, unit, is_oriented };
+    Ok(VolumeRead { volume, source: format!("NIfTI-{}", header.version), notes })
+}
+
+/// Where the voxels are in the stream, and how they are stored.
+struct Layout {
+    size: [usize; 3],
+    /// Number of voxels.
+    n: usize,
+    /// Their bytes.
+    n_bytes: u64,
+    /// The byte at which they begin.
+    offset: u64,
+    scalar: Scalar,
+}
+
+impl<'a> Header<'a> {
+    /// Reads a header of either version into `bytes`.
+    ///
+    /// # Errors
+    /// The field and a message.
+    fn read(reader: &mut impl Read, bytes: &'a mut [u8; 540]) -> Result<Self, (&'static str, String)> {
+        let n = fill(reader, &mut bytes[..4]).0;
+        let (version, is_big) = version_and_order(&bytes[..n]).ok_or_else(|| {
+            let message =
+                "the first four bytes are not 348 or 540, the size of a NIfTI header; of gzip files only .nii.gz is read";
+            ("byte 0", message.to_owned())
+        })?;
+        let n_bytes = if version == 1 { 348 } else { 540 };
+        let n = 4 + fill(reader, &mut bytes[4..n_bytes]).0;
+        if n < n_bytes {
+            return Err(("header", format!("the header has {n_bytes} bytes, but the file ends after {n}")));
+        }
+        let (magic, expected) = if version == 1 { (&bytes[344..348], b"n+1\0") } else { (&bytes[4..8], b"n+2\0") };
+        if magic == b"ni1\0" || magic == b"ni2\0" {
+            let message = "this is the header of a pair .hdr/.img; convert the pair to one .nii file";
+            return Err(("magic", message.into()));
+        }
+        if magic != expected {
+            let message = "the magic is not \"n+1\" or \"n+2\"; an ANALYZE 7.5 header states no orientation: convert the DICOM \
+                           to NIfTI";
+            return Err(("magic", message.into()));
+        }
+        Ok(Self { bytes, is_big, version })
+    }
+
+    fn n_bytes(&self) -> usize {
+        if self.version == 1 { 348 } else { 540 }
+    }
+
+    /// Size and place of the voxels, which the file can hold.
+    ///
+    /// # Errors
+    /// The field and a message.
+    fn layout(&self, limits: &Limits) -> Result<Layout, (String, String)> {
+        let fault = |place: &str, message: String| Err((place.to_owned(), message));
+        let n_dims = self.dim(0);
+        if !(1..=7).contains(&n_dims) {
+            return fault("dim[0]", format!("{n_dims} dimensions; 1 to 7 are possible"));
+        }
+        let dims: [i64; 7] = std::array::from_fn(|k| if (k as i64) < n_dims { self.dim(k + 1) } else { 1 });
+        if let Some(k) = dims.iter().position(|d| *d < 1) {
+            let message = format!("{} voxels along this axis; at least 1 is needed", dims[k]);
+            return fault(&format!("dim[{}]", k + 1), message);
+        }
+        let [nx, ny, nz, ..] = dims;
+        if dims[3..].iter().any(|d| *d != 1) {
+            let n_frames = dims[3..].iter().fold(1i64, |n, d| n.saturating_mul(*d));
+            let message = format!(
+                "{n_dims} dimensions: {n_frames} frames of {nx} x {ny} x {nz} voxels; save the one frame that shows the bone as a \
+                 volume of its own"
+            );
+            return fault("dim", message);
+        }
+        let (datatype, bits) = self.datatype();
+        let scalar = number_type(datatype).map_err(|message| ("datatype".to_owned(), message))?;
+        if bits != 8 * scalar.n_bytes() as i64 {
+            let message = format!("{bits} bits per voxel, but datatype {datatype} has {}", 8 * scalar.n_bytes());
+            return fault("bitpix", message);
+        }
+        let size = [nx, ny, nz].map(|d| usize::try_from(d).unwrap_or(usize::MAX));
+        let offset = match self.version {
+            1 => self.float(108, 0),
+            _ => i64::from_le_bytes(self.ordered(168)) as f64,
+        };
+        let n_header = self.n_bytes();
+        if !(n_header as f64..1e12).contains(&offset) || offset.fract() != 0.0 {
+            let message = format!("voxels begin at byte {offset}, but the header has {n_header} bytes");
+            return fault("vox_offset", message);
+        }
+        let offset = offset as u64;
+        let counted = n_voxels_and_bytes(size, scalar.n_bytes());
+        let total = counted.and_then(|(_, n_bytes)| n_bytes.checked_add(offset));
+        match counted.filter(|_| total.is_some_and(|total| total <= limits.stream_bytes)) {
+            Some((n, n_bytes)) => Ok(Layout { size, n, n_bytes, offset, scalar }),
+            None => {
+                let there = match limits.is_gzip {
+                    true => format!("{} bytes of gzip cannot hold them", limits.file_bytes),
+                    false => format!("the file has {}", limits.file_bytes),
+                };
+                let needed = total.map_or("more bytes than can be counted".into(), |total| format!("{total} bytes"));
+                let message =
+                    format!("cut short: {nx} x {ny} x {nz} voxels need {needed}, {there}; copy the file again");
+                fault("dim", message)
+            }
+        }
+    }
+
+    /// The unit of length.
+    fn unit_mm(&self, notes: &mut Vec<String>) -> Result<f64, String> {
+        // Version 1 has one byte, version 2 an integer.
+        let unit = if self.version == 1 { i64::from(self.bytes[123]) } else { self.i32(500) } & 7;
+        Ok(match unit {
+            1 => 1000.0,
+            2 => 1.0,
+            3 => 0.001,
+            0 => {
+                notes.push("the unit of length is not stated (xyzt_units); millimetres were assumed".into());
+                1.0
+            }
+            other => return Err(format!("{other} is no unit of length; 1 (m), 2 (mm) and 3 (um) are")),
+        })
+    }
 }
 
 fn number_type(datatype: i64) -> Result<Scalar, String> {

@@ -4,9 +4,9 @@
 //! Kindlmann, "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html.
 
 use super::grid::{Volume, VolumeRead, affine, assumed_unit, n_voxels_and_bytes};
-use super::numbers::{Encoding, StreamError, drain, gunzip, gzip_limit, read_voxels};
+use super::numbers::{Encoding, StreamError, drain, gunzip, gzip_limit, read_all};
 use crate::scalar::Scalar;
-use crate::{FileError, input};
+use crate::{FileError, cursor::Cursor, input};
 use std::{
     collections::HashMap,
     fs::File,
@@ -18,7 +18,8 @@ use std::{
 const MAX_HEADER_BYTES: usize = 1 << 20;
 
 /// A header's fields by name, in lower case, with their lines.
-struct Header {
+struct Header<'a> {
+    path: &'a Path,
     fields: HashMap<String, (usize, String)>,
     /// Its length with the blank line.
     n_bytes: u64,
@@ -27,137 +28,52 @@ struct Header {
 /// The file that holds the data of a detached header; none if the data follow the header, or it cannot be read.
 pub(super) fn data_file(path: &Path) -> Option<PathBuf> {
     let mut reader = BufReader::new(input::open(path).ok()?);
-    Header::read(path, &mut reader).ok()?.data_path(path)
+    Header::read(path, &mut reader).ok()?.data_path()
 }
 
 /// Reads a .nrrd or .nhdr file.
 pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
-    let file = input::open(path)?;
-    let mut reader = BufReader::new(file);
+    let mut reader = BufReader::new(input::open(path)?);
     let header = Header::read(path, &mut reader)?;
     let mut notes = Vec::new();
-
-    let dimension: usize = header.numbers(path, "dimension")?.first().copied().unwrap_or(0.0) as usize;
-    if dimension != 3 {
-        let message = format!(
-            "{dimension} dimensions; 3 are read: save the one frame or channel that shows the bone as a volume of its own"
-        );
-        return Err(header.fault(path, "dimension", message));
-    }
-    let sizes = header.numbers(path, "sizes")?;
-    let [nx, ny, nz] = sizes[..] else {
-        return Err(header.fault(path, "sizes", format!("{} sizes for 3 dimensions", sizes.len())));
-    };
-    if sizes.iter().any(|s| s.fract() != 0.0 || !(1.0..1e9).contains(s)) {
-        return Err(header.fault(path, "sizes", format!("{nx} x {ny} x {nz} voxels; whole numbers from 1 are needed")));
-    }
-    let size = [nx as usize, ny as usize, nz as usize];
-    let type_name = header.text(path, "type")?.to_ascii_lowercase();
-    let scalar = match type_name.as_str() {
-        "signed char" | "int8" | "int8_t" => Scalar::I8,
-        "uchar" | "unsigned char" | "uint8" | "uint8_t" => Scalar::U8,
-        "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => Scalar::I16,
-        "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => Scalar::U16,
-        "int" | "signed int" | "int32" | "int32_t" => Scalar::I32,
-        "uint" | "unsigned int" | "uint32" | "uint32_t" => Scalar::U32,
-        "longlong"
-        | "long long"
-        | "long long int"
-        | "signed long long"
-        | "signed long long int"
-        | "int64"
-        | "int64_t" => Scalar::I64,
-        "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Scalar::U64,
-        "float" => Scalar::F32,
-        "double" => Scalar::F64,
-        other => {
-            let message = format!("type \"{other}\" is not read; save the volume as short or float");
-            return Err(header.fault(path, "type", message));
-        }
-    };
-    let (t_lps_voxel, is_oriented) = placement(path, &header, &mut notes)?;
-    let encoding_name = header.text(path, "encoding")?.to_ascii_lowercase();
+    let size = header.size()?;
+    let type_name = header.text("type")?.to_ascii_lowercase();
+    let scalar = header.scalar(&type_name)?;
+    let (t_lps_voxel, is_oriented) = placement(&header, &mut notes)?;
+    let encoding_name = header.text("encoding")?.to_ascii_lowercase();
+    let is_text = matches!(encoding_name.as_str(), "ascii" | "text" | "txt");
     let is_big = match header.get("endian").map(|(_, v)| v.to_ascii_lowercase()) {
         Some(order) if order == "little" => false,
         Some(order) if order == "big" => true,
-        Some(order) => return Err(header.fault(path, "endian", format!("\"{order}\" is neither little nor big"))),
-        None if scalar.n_bytes() == 1 || matches!(encoding_name.as_str(), "ascii" | "text" | "txt") => false,
+        Some(order) => return Err(header.fault("endian", format!("\"{order}\" is neither little nor big"))),
+        None if scalar.n_bytes() == 1 || is_text => false,
         None => {
             let message =
                 format!("no field \"endian\", which {type_name} needs; add \"endian: little\" or \"endian: big\"");
             return Err(FileError::content(path, "header", message));
         }
     };
-    let (data_path, mut data, data_bytes) = header.data(path, reader)?;
-    let fault = |place: String, message: String| FileError::content(&data_path, place, message);
+    let (data_path, reader, n_there) = header.data(reader)?;
+    let [nx, ny, nz] = size;
     let Some((n, n_bytes)) = n_voxels_and_bytes(size, scalar.n_bytes()) else {
-        return Err(header.fault(path, "sizes", format!("{nx} x {ny} x {nz} voxels are more than can be counted")));
+        return Err(header.fault("sizes", format!("{nx} x {ny} x {nz} voxels are more than can be counted")));
     };
-    let too_short = |found: String| {
-        let message =
-            format!("cut short: {nx} x {ny} x {nz} {type_name} are {n_bytes} bytes, {found}; copy the file again");
-        fault("data".into(), message)
-    };
-    let skip = |key: &str| -> Result<i64, FileError> {
-        let Some((_, text)) = header.get(key) else { return Ok(0) };
-        text.parse()
-            .ok()
-            .filter(|n| *n >= -1)
-            .ok_or_else(|| header.fault(path, key, format!("\"{text}\" is no number of them")))
-    };
-    let (n_lines, n_skipped) = (skip("line skip")?.max(0), skip("byte skip")?);
-    for _ in 0..n_lines {
-        let n = data.skip_until(b'\n').map_err(FileError::read(&data_path))?;
-        if n == 0 {
-            return Err(fault(
-                "data".into(),
-                format!("the file ends before the {n_lines} lines that \"line skip\" leaves out"),
-            ));
-        }
-    }
+    let promise = format!("{nx} x {ny} x {nz} {type_name} are {n_bytes} bytes");
     let encoding = Encoding { scalar, is_big, slope: 1.0, intercept: 0.0 };
-    let broken = |error: std::io::Error| fault("gzip".into(), format!("{error}; copy the file again"));
-    let short = |error: StreamError| match error {
-        StreamError::Short(found) => too_short(format!("but only {} are there", found * scalar.n_bytes())),
-        StreamError::Io(error) => broken(error),
-    };
+    let mut data = Data { path: data_path, reader, n_there, n, n_bytes, promise, encoding };
+    data.skip_lines(header.number_of("line skip")?.max(0))?;
+    let n_skipped = header.number_of("byte skip")?;
     let (voxels, n_extra) = match encoding_name.as_str() {
-        "raw" => {
-            if n_bytes > data_bytes {
-                return Err(too_short(format!("but only {data_bytes} are there")));
-            }
-            if n_skipped == -1 {
-                data.seek(SeekFrom::End(-(n_bytes as i64))).map_err(FileError::read(&data_path))?;
-            } else {
-                drain(&mut data, n_skipped as u64).map_err(FileError::read(&data_path))?;
-            }
-            let voxels = read_voxels(&mut data, n, n, &encoding).map_err(short)?;
-            (voxels, drain(&mut data, 1 << 20).map_err(FileError::read(&data_path))?)
+        "raw" => data.raw(n_skipped)?,
+        "gzip" | "gz" if n_skipped < 0 && n_bytes <= gzip_limit(n_there) => {
+            let message = "\"byte skip: -1\" is for raw data; write the number of bytes";
+            return Err(header.fault("byte skip", message));
         }
-        "gzip" | "gz" => {
-            if n_bytes > gzip_limit(data_bytes) {
-                return Err(too_short(format!("{data_bytes} bytes of gzip cannot hold them")));
-            }
-            if n_skipped == -1 {
-                let message = "\"byte skip: -1\" is for raw data; write the number of bytes".into();
-                return Err(header.fault(path, "byte skip", message));
-            }
-            let mut decoder = gunzip(data);
-            drain(&mut decoder, n_skipped as u64).map_err(broken)?;
-            let voxels = read_voxels(&mut decoder, n, n, &encoding).map_err(short)?;
-            (voxels, drain(&mut decoder, 1 << 20).map_err(broken)?)
-        }
-        "ascii" | "text" | "txt" => {
-            // Each number but the last takes two bytes.
-            if (n as u64).saturating_mul(2) > data_bytes.saturating_add(1) {
-                return Err(too_short(format!("{data_bytes} bytes of text cannot hold {n} numbers")));
-            }
-            drain(&mut data, n_skipped.max(0) as u64).map_err(FileError::read(&data_path))?;
-            text_voxels(&data_path, data, n)?
-        }
+        "gzip" | "gz" => data.gzip(n_skipped as u64)?,
+        _ if is_text => data.text(n_skipped.max(0) as u64)?,
         other => {
             let message = format!("encoding \"{other}\" is not read; save the volume as raw or gzip");
-            return Err(header.fault(path, "encoding", message));
+            return Err(header.fault("encoding", message));
         }
     };
     if n_extra > 0 {
@@ -168,29 +84,103 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     Ok(VolumeRead { volume, source: format!("NRRD, {encoding_name}"), notes })
 }
 
-/// `n` numbers as text, and the number of bytes behind them.
-fn text_voxels(path: &Path, mut data: BufReader<File>, n: usize) -> Result<(Vec<f32>, u64), FileError> {
-    let mut voxels = Vec::new();
-    let mut line = Vec::new();
-    let mut n_line = 0;
-    while voxels.len() < n {
-        line.clear();
-        n_line += 1;
-        let fault = |message: String| FileError::content(path, format!("line {n_line} of the data"), message);
-        if data.read_until(b'\n', &mut line).map_err(FileError::read(path))? == 0 {
-            return Err(fault(format!("cut short: {} of {n} numbers; copy the file again", voxels.len())));
-        }
-        for word in line.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|word| !word.is_empty()) {
-            let number = std::str::from_utf8(word).ok().and_then(|word| word.parse::<f32>().ok());
-            voxels.push(number.ok_or_else(|| fault(format!("\"{}\" is no number", shown(word))))?);
+/// The data of a volume, from their beginning on.
+struct Data {
+    path: PathBuf,
+    reader: BufReader<File>,
+    /// Bytes from there to the end of the file.
+    n_there: u64,
+    /// Number of voxels.
+    n: usize,
+    /// Bytes of the voxels.
+    n_bytes: u64,
+    /// What the header promises, for messages.
+    promise: String,
+    encoding: Encoding,
+}
+
+impl Data {
+    fn fault(&self, place: &str, message: impl Into<String>) -> FileError {
+        FileError::content(&self.path, place, message)
+    }
+
+    fn too_short(&self, there: &str) -> FileError {
+        self.fault("data", format!("cut short: {}, {there}; copy the file again", self.promise))
+    }
+
+    fn broken(&self, error: StreamError) -> FileError {
+        match error {
+            StreamError::Short(n) => {
+                self.too_short(&format!("but only {} are there", n * self.encoding.scalar.n_bytes()))
+            }
+            StreamError::Io(error) => self.fault("gzip", format!("{error}; copy the file again")),
         }
     }
-    if voxels.len() > n {
-        let message = format!("{} numbers, but the sizes promise {n}", voxels.len());
-        return Err(FileError::content(path, format!("line {n_line} of the data"), message));
+
+    fn skip_lines(&mut self, n_lines: i64) -> Result<(), FileError> {
+        for _ in 0..n_lines {
+            if self.reader.skip_until(b'\n').map_err(FileError::read(&self.path))? == 0 {
+                let message = format!("the file ends before the {n_lines} lines that \"line skip\" leaves out");
+                return Err(self.fault("data", message));
+            }
+        }
+        Ok(())
     }
-    let n_extra = drain(&mut data, 1 << 20).map_err(FileError::read(path))?;
-    Ok((voxels, n_extra))
+
+    /// The voxels of raw data, and the number of bytes behind them; those before them are skipped, -1 for all.
+    fn raw(mut self, n_skipped: i64) -> Result<(Vec<f32>, u64), FileError> {
+        if self.n_bytes > self.n_there {
+            return Err(self.too_short(&format!("but only {} are there", self.n_there)));
+        }
+        let skipped = match u64::try_from(n_skipped) {
+            Ok(n) => drain(&mut self.reader, n),
+            Err(_) => self.reader.seek(SeekFrom::End(-(self.n_bytes as i64))),
+        };
+        skipped.map_err(FileError::read(&self.path))?;
+        read_all(&mut self.reader, self.n, self.n, &self.encoding).map_err(|error| match error {
+            StreamError::Io(error) => FileError::read(&self.path)(error),
+            short => self.broken(short),
+        })
+    }
+
+    fn gzip(mut self, n_skipped: u64) -> Result<(Vec<f32>, u64), FileError> {
+        if self.n_bytes > gzip_limit(self.n_there) {
+            return Err(self.too_short(&format!("{} bytes of gzip cannot hold them", self.n_there)));
+        }
+        let mut decoder = gunzip(&mut self.reader);
+        let skipped = drain(&mut decoder, n_skipped).map_err(StreamError::Io);
+        let voxels = skipped.and_then(|_| read_all(&mut decoder, self.n, self.n, &self.encoding));
+        voxels.map_err(|error| self.broken(error))
+    }
+
+    /// The voxels of numbers as text, and the number of bytes behind them.
+    fn text(mut self, n_skipped: u64) -> Result<(Vec<f32>, u64), FileError> {
+        let n = self.n;
+        // Each number but the last takes two bytes.
+        if (n as u64).saturating_mul(2) > self.n_there.saturating_add(1) {
+            return Err(self.too_short(&format!("{} bytes of text cannot hold {n} numbers", self.n_there)));
+        }
+        drain(&mut self.reader, n_skipped).map_err(FileError::read(&self.path))?;
+        let (mut voxels, mut line, mut n_line) = (Vec::new(), Vec::new(), 0);
+        while voxels.len() < n {
+            line.clear();
+            n_line += 1;
+            let n_read = self.reader.read_until(b'\n', &mut line).map_err(FileError::read(&self.path))?;
+            let fault = |message: String| self.fault(&format!("line {n_line} of the data"), message);
+            if n_read == 0 {
+                return Err(fault(format!("cut short: {} of {n} numbers; copy the file again", voxels.len())));
+            }
+            for word in line.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|word| !word.is_empty()) {
+                let number = std::str::from_utf8(word).ok().and_then(|word| word.parse::<f32>().ok());
+                voxels.push(number.ok_or_else(|| fault(format!("\"{}\" is no number", shown(word))))?);
+            }
+            if voxels.len() > n {
+                return Err(fault(format!("{} numbers, but the sizes promise {n}", voxels.len())));
+            }
+        }
+        let n_extra = drain(&mut self.reader, 1 << 20).map_err(FileError::read(&self.path))?;
+        Ok((voxels, n_extra))
+    }
 }
 
 /// The beginning of a word that is no number.
@@ -198,87 +188,134 @@ fn shown(word: &[u8]) -> String {
     String::from_utf8_lossy(&word[..word.len().min(20)]).escape_default().to_string()
 }
 
-impl Header {
-    fn read(path: &Path, reader: &mut BufReader<File>) -> Result<Self, FileError> {
-        let mut fields: HashMap<String, (usize, String)> = HashMap::new();
-        let (mut n_bytes, mut n_line) = (0u64, 0);
-        let mut line = Vec::new();
+impl<'a> Header<'a> {
+    fn read(path: &'a Path, reader: &mut BufReader<File>) -> Result<Self, FileError> {
+        // A blank line ends the header; a detached one may end with its file.
+        let mut bytes = Vec::new();
         loop {
-            line.clear();
-            n_line += 1;
-            let fault = |message: String| FileError::content(path, format!("line {n_line}"), message);
-            let n = reader
-                .by_ref()
-                .take(MAX_HEADER_BYTES as u64)
-                .read_until(b'\n', &mut line)
-                .map_err(FileError::read(path))?;
-            n_bytes += n as u64;
-            if n_bytes >= MAX_HEADER_BYTES as u64 {
-                return Err(fault(format!(
-                    "the header has no end within {MAX_HEADER_BYTES} bytes; a blank line ends it"
-                )));
+            let start = bytes.len();
+            let left = (MAX_HEADER_BYTES - start) as u64;
+            reader.by_ref().take(left).read_until(b'\n', &mut bytes).map_err(FileError::read(path))?;
+            if bytes.len() == MAX_HEADER_BYTES {
+                let place = format!("line {}", bytes.split(|&b| b == b'\n').count());
+                let message = format!("the header has no end within {MAX_HEADER_BYTES} bytes; a blank line ends it");
+                return Err(FileError::content(path, place, message));
             }
-            let text = String::from_utf8_lossy(line.trim_ascii_end()).into_owned();
-            // A detached header may end with its file.
-            if n == 0 || text.is_empty() {
+            if bytes[start..].trim_ascii_end().is_empty() {
                 break;
             }
-            let is_version = n_line == 1 && text.len() == 8 && text.starts_with("NRRD000") && text.is_ascii();
-            if n_line == 1 {
-                if !is_version || !(b'1'..=b'5').contains(&text.as_bytes()[7]) {
-                    return Err(fault("the first line is not NRRD0001 to NRRD0005".into()));
+        }
+        let mut cursor = Cursor::new(path, &bytes);
+        let first = cursor.line().unwrap_or_default();
+        if !matches!(first.trim_end().as_bytes(), [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5']) {
+            return Err(cursor.fault("the first line is not NRRD0001 to NRRD0005"));
+        }
+        let mut fields: HashMap<String, (usize, String)> = HashMap::new();
+        while let Some(text) = cursor.filled_line() {
+            // Comments and "key:=value" say nothing about the volume, but may say who the patient is.
+            if text.starts_with('#') {
+                continue;
+            }
+            let text = text.trim_end();
+            match text.split_once(": ").or_else(|| text.strip_suffix(':').map(|key| (key, ""))) {
+                Some((key, _)) if key.contains(":=") => {}
+                None if text.contains(":=") => {}
+                Some((key, value)) => {
+                    let key = key.trim().to_ascii_lowercase();
+                    let key = if key == "datafile" { "data file".into() } else { key };
+                    let field = (cursor.line, value.trim().to_owned());
+                    if let Some((before, _)) = fields.insert(key.clone(), field) {
+                        let key = key.escape_default();
+                        return Err(cursor.fault(format!("field \"{key}\" is given once more; line {before} has it")));
+                    }
                 }
-            } else if let Some((key, value)) =
-                text.split_once(": ").or_else(|| text.strip_suffix(':').map(|key| (key, "")))
-            {
-                // Comments and "key:=value" say nothing about the volume, but may say who the patient is.
-                if text.starts_with('#') || key.contains(":=") {
-                    continue;
+                None => {
+                    let message =
+                        "neither \"field: value\", \"key:=value\" nor a comment; a blank line ends the header";
+                    return Err(cursor.fault(message));
                 }
-                let key = key.trim().to_ascii_lowercase();
-                let key = if key == "datafile" { "data file".into() } else { key };
-                let value = value.trim().to_string();
-                if let Some((before, _)) = fields.insert(key.clone(), (n_line, value)) {
-                    return Err(fault(format!(
-                        "field \"{}\" is given once more; line {before} has it",
-                        key.escape_default()
-                    )));
-                }
-            } else if !text.starts_with('#') && !text.contains(":=") {
-                return Err(fault(
-                    "neither \"field: value\", \"key:=value\" nor a comment; a blank line ends the header".into(),
-                ));
             }
         }
-        Ok(Self { fields, n_bytes })
+        Ok(Self { path, fields, n_bytes: bytes.len() as u64 })
+    }
+
+    /// Number of voxels along each axis.
+    fn size(&self) -> Result<[usize; 3], FileError> {
+        let dimension = self.numbers("dimension")?.first().copied().unwrap_or(0.0) as usize;
+        if dimension != 3 {
+            let message = format!(
+                "{dimension} dimensions; 3 are read: save the one frame or channel that shows the bone as a volume of its own"
+            );
+            return Err(self.fault("dimension", message));
+        }
+        let sizes = self.numbers("sizes")?;
+        let [nx, ny, nz] = sizes[..] else {
+            return Err(self.fault("sizes", format!("{} sizes for 3 dimensions", sizes.len())));
+        };
+        if sizes.iter().any(|s| s.fract() != 0.0 || !(1.0..1e9).contains(s)) {
+            return Err(self.fault("sizes", format!("{nx} x {ny} x {nz} voxels; whole numbers from 1 are needed")));
+        }
+        Ok([nx as usize, ny as usize, nz as usize])
+    }
+
+    fn scalar(&self, name: &str) -> Result<Scalar, FileError> {
+        Ok(match name {
+            "signed char" | "int8" | "int8_t" => Scalar::I8,
+            "uchar" | "unsigned char" | "uint8" | "uint8_t" => Scalar::U8,
+            "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => Scalar::I16,
+            "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => Scalar::U16,
+            "int" | "signed int" | "int32" | "int32_t" => Scalar::I32,
+            "uint" | "unsigned int" | "uint32" | "uint32_t" => Scalar::U32,
+            "longlong"
+            | "long long"
+            | "long long int"
+            | "signed long long"
+            | "signed long long int"
+            | "int64"
+            | "int64_t" => Scalar::I64,
+            "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Scalar::U64,
+            "float" => Scalar::F32,
+            "double" => Scalar::F64,
+            _ => {
+                let message = format!("type \"{name}\" is not read; save the volume as short or float");
+                return Err(self.fault("type", message));
+            }
+        })
+    }
+
+    /// A number of bytes or lines; 0 if the field is missing, -1 at least.
+    fn number_of(&self, key: &str) -> Result<i64, FileError> {
+        let Some((_, text)) = self.get(key) else { return Ok(0) };
+        let number = text.parse().ok().filter(|n| *n >= -1);
+        number.ok_or_else(|| self.fault(key, format!("\"{text}\" is no number of them")))
     }
 
     fn get(&self, key: &str) -> Option<(usize, &str)> {
         self.fields.get(key).map(|(line, value)| (*line, value.as_str()))
     }
 
-    fn fault(&self, path: &Path, key: &str, message: String) -> FileError {
+    fn fault(&self, key: &str, message: impl Into<String>) -> FileError {
         let place = self.get(key).map_or("header".into(), |(line, _)| format!("line {line} ({key})"));
-        FileError::content(path, place, message)
+        FileError::content(self.path, place, message)
     }
 
-    fn text(&self, path: &Path, key: &str) -> Result<&str, FileError> {
-        let missing = || FileError::content(path, "header", format!("no field \"{key}\"; write the volume again"));
+    fn text(&self, key: &str) -> Result<&str, FileError> {
+        let missing = || FileError::content(self.path, "header", format!("no field \"{key}\"; write the volume again"));
         self.get(key).map(|(_, value)| value).ok_or_else(missing)
     }
 
-    fn numbers(&self, path: &Path, key: &str) -> Result<Vec<f64>, FileError> {
+    fn numbers(&self, key: &str) -> Result<Vec<f64>, FileError> {
         let number = |word: &str| {
-            let fault = || self.fault(path, key, format!("\"{}\" is no number", shown(word.as_bytes())));
+            let fault = || self.fault(key, format!("\"{}\" is no number", shown(word.as_bytes())));
             word.parse::<f64>().map_err(|_| fault())
         };
-        self.text(path, key)?.split_ascii_whitespace().map(number).collect()
+        self.text(key)?.split_ascii_whitespace().map(number).collect()
     }
 
     /// Vectors such as `(1,0,0) (0,1,0) none`; `none` is left out.
-    fn vectors(&self, path: &Path, key: &str) -> Result<Vec<[f64; 3]>, FileError> {
-        let fault = || self.fault(path, key, "vectors are written (x,y,z), with three numbers each".into());
-        let mut rest = self.text(path, key)?.trim();
+    fn vectors(&self, key: &str) -> Result<Vec<[f64; 3]>, FileError> {
+        let fault = || self.fault(key, "vectors are written (x,y,z), with three numbers each");
+        let mut rest = self.text(key)?.trim();
         let mut vectors = Vec::new();
         while !rest.is_empty() {
             if let Some(after) = rest.strip_prefix("none") {
@@ -294,27 +331,31 @@ impl Header {
         Ok(vectors)
     }
 
+    fn folder(&self) -> &Path {
+        self.path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    }
+
     /// The path of the data of a detached header.
-    fn data_path(&self, path: &Path) -> Option<PathBuf> {
+    fn data_path(&self) -> Option<PathBuf> {
         let (_, name) = self.get("data file")?;
-        Some(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).join(name))
+        Some(self.folder().join(name))
     }
 
     /// The file with the data, at their beginning, and the number of bytes from there to its end.
-    fn data(&self, path: &Path, reader: BufReader<File>) -> Result<(PathBuf, BufReader<File>, u64), FileError> {
+    fn data(&self, reader: BufReader<File>) -> Result<(PathBuf, BufReader<File>, u64), FileError> {
         let length = |file: &File| file.metadata().map(|m| m.len());
         let Some((_, name)) = self.get("data file") else {
-            let all = length(reader.get_ref()).map_err(FileError::read(path))?;
-            return Ok((path.into(), reader, all.saturating_sub(self.n_bytes)));
+            let all = length(reader.get_ref()).map_err(FileError::read(self.path))?;
+            return Ok((self.path.into(), reader, all.saturating_sub(self.n_bytes)));
         };
-        let refused = |message: &str| Err(self.fault(path, "data file", message.into()));
+        let refused = |message: &str| Err(self.fault("data file", message));
         if name.starts_with("LIST") || name.contains('%') {
             return refused("the data are in several files; save the volume as one .nrrd file");
         }
         if name.is_empty() || name == "." || name == ".." || name.contains(['/', '\\', ':', '\0']) {
             return refused("the data must be in a file beside the header: a name without a folder");
         }
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = self.folder();
         let beside = folder.join(name);
         let real = std::fs::canonicalize(&beside).map_err(FileError::read(&beside))?;
         let real_folder = std::fs::canonicalize(folder).map_err(FileError::read(folder))?;
@@ -328,11 +369,7 @@ impl Header {
 }
 
 /// The map from voxels to LPS, mm, and whether the orientation is stated.
-fn placement(
-    path: &Path,
-    header: &Header,
-    notes: &mut Vec<String>,
-) -> Result<(nalgebra::Matrix4<f64>, bool), FileError> {
+fn placement(header: &Header, notes: &mut Vec<String>) -> Result<(nalgebra::Matrix4<f64>, bool), FileError> {
     let unit_mm = match header.get("space units") {
         None => 1.0,
         Some((line, text)) => {
@@ -350,8 +387,8 @@ fn placement(
             match units[..] {
                 [a, b, c] if a == b && b == c && one(a).is_some() => one(a).unwrap_or(1.0),
                 _ => {
-                    let message = "three equal units of length are needed, such as \"mm\" \"mm\" \"mm\"".into();
-                    return Err(header.fault(path, "space units", message));
+                    let message = "three equal units of length are needed, such as \"mm\" \"mm\" \"mm\"";
+                    return Err(header.fault("space units", message));
                 }
             }
         }
@@ -364,7 +401,7 @@ fn placement(
         Some("scanner-xyz" | "3d-right-handed" | "3d-left-handed") | None => None,
         Some(_) => {
             let message = "this space is not read; left-posterior-superior, right-anterior-superior and left-anterior-superior are";
-            return Err(header.fault(path, "space", message.into()));
+            return Err(header.fault("space", message));
         }
     };
     if signs.is_none() {
@@ -375,29 +412,29 @@ fn placement(
         );
     }
     let axes: [[f64; 3]; 3] = if header.get("space directions").is_some() {
-        header.vectors(path, "space directions")?.try_into().map_err(|found: Vec<_>| {
-            header.fault(path, "space directions", format!("{} directions for 3 axes", found.len()))
+        header.vectors("space directions")?.try_into().map_err(|other: Vec<_>| {
+            header.fault("space directions", format!("{} directions for 3 axes", other.len()))
         })?
     } else if signs.is_none() && header.get("spacings").is_some() {
-        let spacings = header.numbers(path, "spacings")?;
+        let spacings = header.numbers("spacings")?;
         if spacings.len() != 3 {
-            return Err(header.fault(path, "spacings", format!("{} spacings for 3 axes", spacings.len())));
+            return Err(header.fault("spacings", format!("{} spacings for 3 axes", spacings.len())));
         }
         std::array::from_fn(|k| std::array::from_fn(|r| if r == k { spacings[k] } else { 0.0 }))
     } else {
         let message = "no field \"space directions\" (nor \"spacings\" without a space), so the size of a voxel is unknown; export \
                        the volume with its geometry";
-        return Err(FileError::content(path, "header", message));
+        return Err(FileError::content(header.path, "header", message));
     };
     let first = match header.get("space origin") {
         None => {
             notes.push("no space origin is stated; the first voxel was placed at 0, 0, 0".into());
             [0.0; 3]
         }
-        Some(_) => match header.vectors(path, "space origin")?[..] {
+        Some(_) => match header.vectors("space origin")?[..] {
             [origin] => origin,
             ref other => {
-                return Err(header.fault(path, "space origin", format!("{} points; one is needed", other.len())));
+                return Err(header.fault("space origin", format!("{} points; one is needed", other.len())));
             }
         },
     };

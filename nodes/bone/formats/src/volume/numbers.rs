@@ -26,12 +26,7 @@ pub(super) enum StreamError {
 }
 
 /// Reads `n` voxels. At most `reserve` of them are allocated ahead of what the stream gives.
-pub(super) fn read_voxels(
-    reader: &mut impl Read,
-    n: usize,
-    reserve: usize,
-    encoding: &Encoding,
-) -> Result<Vec<f32>, StreamError> {
+fn read_voxels(reader: &mut impl Read, n: usize, reserve: usize, encoding: &Encoding) -> Result<Vec<f32>, StreamError> {
     const CHUNK: usize = 1 << 16;
     let Encoding { scalar, is_big, slope, intercept } = *encoding;
     let width = scalar.n_bytes();
@@ -50,6 +45,17 @@ pub(super) fn read_voxels(
         }
     }
     Ok(voxels)
+}
+
+/// Reads the `n` voxels of a stream as [`read_voxels`], and counts the bytes behind them, to a megabyte.
+pub(super) fn read_all(
+    reader: &mut impl Read,
+    n: usize,
+    reserve: usize,
+    encoding: &Encoding,
+) -> Result<(Vec<f32>, u64), StreamError> {
+    let voxels = read_voxels(reader, n, reserve, encoding)?;
+    Ok((voxels, drain(reader, 1 << 20).map_err(StreamError::Io)?))
 }
 
 /// Fills the buffer as far as the stream reaches; returns how far, and what stopped it if that is an error.

@@ -230,12 +230,12 @@ impl<'a> Reader<'a> {
 pub(super) fn fragments(value: &[u8]) -> Result<Vec<&[u8]>, String> {
     let syntax = Syntax { is_explicit: false, is_big: false, is_run_length: true };
     let mut reader = Reader { bytes: value, at: 0, syntax, is_unknown: false };
-    let mut found = Vec::new();
+    let mut fragments = Vec::new();
     while reader.at < value.len() {
         let (_, length, _) = reader.header()?;
-        found.push(reader.take(length as usize)?);
+        fragments.push(reader.take(length as usize)?);
     }
-    Ok(found.split_off(1.min(found.len())))
+    Ok(fragments.split_off(1.min(fragments.len())))
 }
 
 /// Text without the padding at its end; only of codes, numbers and unique identifiers.

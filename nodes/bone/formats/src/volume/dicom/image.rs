@@ -46,7 +46,7 @@ struct Bits {
 
 /// The values of the elements that are used.
 #[derive(Default)]
-struct Found {
+struct Elements {
     values: Vec<(u32, Vec<u8>)>,
     has_pixels: bool,
     has_frames: bool,
@@ -77,7 +77,7 @@ const USED: [u32; 22] = [
     0x0028_0301,
 ];
 
-impl Found {
+impl Elements {
     fn value(&self, tag: u32) -> Option<&[u8]> {
         self.values.iter().find(|(t, _)| *t == tag).map(|(_, v)| v.as_slice())
     }
@@ -124,7 +124,7 @@ impl Image {
     pub(super) fn read(path: &Path, file: &[u8]) -> Result<Option<Self>, FileError> {
         let set = DataSet::of_file(path, file)?;
         let is_big = set.syntax.is_big;
-        let mut found = Found::default();
+        let mut elements = Elements::default();
         let mut reader = set.reader();
         loop {
             let at = reader.at;
@@ -134,14 +134,14 @@ impl Image {
             let Some(Element { tag, value, is_items }) = next else { break };
             match tag {
                 // Functional groups of an enhanced image.
-                0x5200_9229 | 0x5200_9230 => found.has_frames = true,
-                0x7fe0_0008 | 0x7fe0_0009 | 0x7fe0_0010 => found.has_pixels = true,
+                0x5200_9229 | 0x5200_9230 => elements.has_frames = true,
+                0x7fe0_0008 | 0x7fe0_0009 | 0x7fe0_0010 => elements.has_pixels = true,
                 _ if USED.contains(&tag) && !is_items => {
-                    if found.value(tag).is_some() {
+                    if elements.value(tag).is_some() {
                         let message = format!("{} is given twice; export the image again", shown(tag));
                         return Err(FileError::content(path, format!("byte {}", set.start + at), message));
                     }
-                    found.values.push((tag, value[..value.len().min(256)].to_vec()))
+                    elements.values.push((tag, value[..value.len().min(256)].to_vec()))
                 }
                 _ => {}
             }
@@ -149,20 +149,20 @@ impl Image {
                 break;
             }
         }
-        let class = found.text(0x0008_0016).unwrap_or_default();
-        if !found.has_pixels || class == "1.2.840.10008.1.3.10" {
+        let class = elements.text(0x0008_0016).unwrap_or_default();
+        if !elements.has_pixels || class == "1.2.840.10008.1.3.10" {
             return Ok(None);
         }
-        Self::of(&found, &class, is_big).map(Some).map_err(|message| FileError::content(path, "data set", message))
+        Self::of(&elements, &class, is_big).map(Some).map_err(|message| FileError::content(path, "data set", message))
     }
 
-    fn of(found: &Found, class: &str, is_big: bool) -> Result<Self, String> {
-        let n_frames = found.decimal(0x0028_0008)?.unwrap_or(1.0);
+    fn of(elements: &Elements, class: &str, is_big: bool) -> Result<Self, String> {
+        let n_frames = elements.decimal(0x0028_0008)?.unwrap_or(1.0);
         let enhanced = match class {
             "1.2.840.10008.5.1.4.1.1.2.1" => Some("Enhanced CT Image"),
             "1.2.840.10008.5.1.4.1.1.2.2" => Some("Legacy Converted Enhanced CT Image"),
             "1.2.840.10008.5.1.4.1.1.4.1" => Some("Enhanced MR Image"),
-            _ if found.has_frames || n_frames > 1.0 => Some("a multi-frame image"),
+            _ if elements.has_frames || n_frames > 1.0 => Some("a multi-frame image"),
             _ => None,
         };
         if let Some(name) = enhanced {
@@ -175,9 +175,9 @@ impl Image {
         let code =
             |text: String| text.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b' ').then_some(text);
         let modality =
-            found.text(0x0008_0060).and_then(code).filter(|m| m.len() <= 16).unwrap_or_else(|| "unknown".into());
-        let photometric = found.text(0x0028_0004).and_then(code).unwrap_or_default();
-        let samples = found.u16(0x0028_0002, is_big).unwrap_or(1);
+            elements.text(0x0008_0060).and_then(code).filter(|m| m.len() <= 16).unwrap_or_else(|| "unknown".into());
+        let photometric = elements.text(0x0028_0004).and_then(code).unwrap_or_default();
+        let samples = elements.u16(0x0028_0002, is_big).unwrap_or(1);
         if samples != 1 || !photometric.starts_with("MONOCHROME") {
             return Err(format!(
                 "{samples} samples per pixel, photometric interpretation \"{photometric}\": a picture in colours holds no density; \
@@ -185,7 +185,7 @@ impl Image {
             ));
         }
         let needed = |tag: u32, name: &str| {
-            found
+            elements
                 .u16(tag, is_big)
                 .ok_or_else(|| format!("{} {name} is missing; is it an image of a scanner?", shown(tag)))
         };
@@ -194,8 +194,8 @@ impl Image {
             return Err(format!("{n_columns} columns and {n_rows} rows; at least one of each is needed"));
         }
         let allocated = u32::from(needed(0x0028_0100, "BitsAllocated")?);
-        let stored = found.u16(0x0028_0101, is_big).map_or(allocated, u32::from);
-        let high = found.u16(0x0028_0102, is_big).map_or(stored.saturating_sub(1), u32::from);
+        let stored = elements.u16(0x0028_0101, is_big).map_or(allocated, u32::from);
+        let high = elements.u16(0x0028_0102, is_big).map_or(stored.saturating_sub(1), u32::from);
         if !matches!(allocated, 8 | 16 | 32)
             || stored == 0
             || stored > allocated
@@ -204,10 +204,11 @@ impl Image {
         {
             return Err(format!("{stored} bits stored up to bit {high} of {allocated}: 8, 16 or 32 bits are read"));
         }
-        let is_signed = found.u16(0x0028_0103, is_big) == Some(1);
+        let is_signed = elements.u16(0x0028_0103, is_big) == Some(1);
         let mut bits = Bits { allocated, stored, high, is_signed, padding: None };
-        bits.padding = found.u16(0x0028_0120, is_big).filter(|_| allocated == 16).map(|raw| bits.value(u32::from(raw)));
-        let [rx, ry, rz, cx, cy, cz] = found.vector(0x0020_0037, "ImageOrientationPatient")?;
+        bits.padding =
+            elements.u16(0x0028_0120, is_big).filter(|_| allocated == 16).map(|raw| bits.value(u32::from(raw)));
+        let [rx, ry, rz, cx, cy, cz] = elements.vector(0x0020_0037, "ImageOrientationPatient")?;
         let (row, column) = (Vector3::new(rx, ry, rz), Vector3::new(cx, cy, cz));
         let off = (row.norm() - 1.0).abs().max((column.norm() - 1.0).abs()).max(row.dot(&column).abs());
         if off.is_nan() || off >= DIRECTION_TOLERANCE {
@@ -215,30 +216,30 @@ impl Image {
                 "(0020,0037) ImageOrientationPatient: the directions of rows and columns are {off:.4} off unit length or a right angle"
             ));
         }
-        let spacing_mm: [f64; 2] = found.vector(0x0028_0030, "PixelSpacing")?;
+        let spacing_mm: [f64; 2] = elements.vector(0x0028_0030, "PixelSpacing")?;
         if spacing_mm.iter().any(|s| *s <= 0.0) {
             return Err("(0028,0030) PixelSpacing is not positive".into());
         }
-        let (slope, intercept) = (found.decimal(0x0028_1053)?, found.decimal(0x0028_1052)?);
+        let (slope, intercept) = (elements.decimal(0x0028_1053)?, elements.decimal(0x0028_1052)?);
         if slope == Some(0.0) {
             return Err("(0028,1053) RescaleSlope is 0, which makes all values equal".into());
         }
-        let uid = found.text(0x0020_000e).unwrap_or_default();
+        let uid = elements.text(0x0020_000e).unwrap_or_default();
         Ok(Self {
             modality,
             series_uid: if uid.bytes().all(|b| b.is_ascii_digit() || b == b'.') { uid } else { String::new() },
-            series_number: found.text(0x0020_0011).and_then(|t| t.parse().ok()),
+            series_number: elements.text(0x0020_0011).and_then(|t| t.parse().ok()),
             n_rows: n_rows.into(),
             n_columns: n_columns.into(),
-            position: found.vector(0x0020_0032, "ImagePositionPatient")?.into(),
+            position: elements.vector(0x0020_0032, "ImagePositionPatient")?.into(),
             row: row.normalize(),
             column: column.normalize(),
             spacing_mm,
-            thickness_mm: found.decimal(0x0018_0050).ok().flatten(),
+            thickness_mm: elements.decimal(0x0018_0050).ok().flatten(),
             slope: slope.unwrap_or(1.0),
             intercept: intercept.unwrap_or(0.0),
             is_scaled: slope.is_some() && intercept.is_some(),
-            rescale_type: found.text(0x0028_1054).and_then(code),
+            rescale_type: elements.text(0x0028_1054).and_then(code),
             bits,
         })
     }

@@ -56,10 +56,10 @@ pub(super) fn choose(path: &Path, images: Vec<(PathBuf, Image)>, choice: Option<
     let by_number = |s: &Series| s.images[0].1.series_number.is_some_and(|n| n.to_string() == choice);
     let by_ending = |s: &Series| !choice.is_empty() && s.images[0].1.series_uid.ends_with(choice);
     let numbered: Vec<usize> = (0..all.len()).filter(|k| by_number(&all[*k])).collect();
-    let ended: Vec<usize> = (0..all.len()).filter(|k| by_ending(&all[*k])).collect();
+    let by_end: Vec<usize> = (0..all.len()).filter(|k| by_ending(&all[*k])).collect();
     // A number names a series by its number first: identifiers end in numbers too.
-    let taken = if numbered.is_empty() { ended } else { numbered };
-    match taken[..] {
+    let chosen = if numbered.is_empty() { by_end } else { numbered };
+    match chosen[..] {
         [one] => Ok(all.into_iter().nth(one).expect("it was found there")),
         [] => fault(format!(
             "no series has the number, or an identifier that ends in, \"{}\"; there are {}",
