@@ -36,9 +36,9 @@ pub fn code_of(arguments: Vec<OsString>) -> u8 {
     let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         // Help and version are results, anything else is a fault of the command line; clap formats both.
-        Err(said) => {
-            let _ = said.print();
-            return if said.use_stderr() { Exit::Usage } else { Exit::Done }.code();
+        Err(message) => {
+            let _ = message.print();
+            return if message.use_stderr() { Exit::Usage } else { Exit::Done }.code();
         }
     };
     if !cli.command.is_worker() {

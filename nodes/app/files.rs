@@ -113,7 +113,7 @@ fn ct(
 }
 
 /// Refuses to overwrite a file.
-fn check_new(file: &Path) -> Result<()> {
+pub(crate) fn check_new(file: &Path) -> Result<()> {
     if !file.exists() {
         return Ok(());
     }
@@ -144,18 +144,24 @@ pub fn write_cloud(file: &Path, cloud: &Cloud, space: Space) -> Result<(), Error
 /// As [`write_mesh`]; also if the format states a space and `space` is unknown.
 pub fn write_points(file: &Path, points: &[NamedPoint], space: Space) -> Result<(), Error> {
     check_new(file)?;
+    let no_space = format!("{}: the format to write claims a space; give space = \"LPS\" or \"RAS\"", file.display());
+    Ok(write_list(file, points, space, &no_space)?)
+}
+
+/// Writes a list of points; `no_space` is the message if the format states a space and theirs is unknown.
+pub(crate) fn write_list(file: &Path, points: &[NamedPoint], space: Space, no_space: &str) -> Result<()> {
     let name = file.to_string_lossy().to_lowercase();
     if !name.ends_with(".csv") && space == Space::Unknown {
-        let message = "the format to write claims a space; give space = \"LPS\" or \"RAS\"";
-        return Err(Error::Usage(format!("{}: {message}", file.display())));
+        return Err(UsageError(no_space.into()).into());
     }
     let written = match () {
         () if name.ends_with(".mrk.json") => write_mrk_json(file, points, space),
         () if name.ends_with(".fcsv") => write_fcsv(file, points, space),
+        // A comment before the heading would keep other programs from reading it.
         () if name.ends_with(".csv") => write_points_csv(file, points, Space::Unknown),
         () => {
             let message = "picked points are written as .csv, .mrk.json or .fcsv";
-            return Err(Error::Usage(format!("{}: {message}", file.display())));
+            return Err(UsageError(format!("{}: {message}", file.display())).into());
         }
     };
     Ok(written?)

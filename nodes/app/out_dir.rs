@@ -52,13 +52,13 @@ pub(crate) fn make_plain(dir: &Path, force: bool, remedy: &str) -> Result<()> {
     Ok(())
 }
 
-/// Creates the folder: `asked` if given, otherwise a new one under `runs/` in the current folder.
+/// Creates the folder: `out` if given, otherwise a new one under `runs/` in the current folder.
 ///
 /// # Errors
-/// If `asked` is a file, a folder that another process writes into, or a folder that is not empty and `force` is not set. With
+/// If `out` is a file, a folder that another process writes into, or a folder that is not empty and `force` is not set. With
 /// `force`, the files of an earlier run are removed and everything else stays.
-pub(crate) fn make(asked: Option<&Path>, graph: &str, force: bool) -> Result<OutDir> {
-    let Some(dir) = asked else { return make_new(Path::new(RUNS), graph, SystemTime::now()) };
+pub(crate) fn make(out: Option<&Path>, graph: &str, force: bool) -> Result<OutDir> {
+    let Some(dir) = out else { return make_new(Path::new(RUNS), graph, SystemTime::now()) };
     fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
     let lock = FolderLock::take(dir)?;
     let mut entries = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?;

@@ -118,8 +118,8 @@ impl Compare {
         }
         let mut comparisons = Vec::new();
         for (k, (other, done)) in sweeps.iter().enumerate().skip(1) {
-            let found = summary::between(("[1]", spec, first), (&format!("[{}]", k + 1), other, done), &margins);
-            comparisons.extend(found.map_err(|none| UsageError(none.to_string()))?);
+            let compared = summary::between(("[1]", spec, first), (&format!("[{}]", k + 1), other, done), &margins);
+            comparisons.extend(compared.map_err(|none| UsageError(none.to_string()))?);
         }
         if comparisons.is_empty() {
             let message = "no run of one sweep matches a run of another; they need the same factors, repeats and seeds, and a column of the same name";

@@ -1,11 +1,14 @@
 use super::common::{Exit, Global, space::SpaceOption, terminal};
-use crate::app::{UsageError, files::picked_points};
+use crate::app::{
+    UsageError,
+    files::{check_new, picked_points, write_list},
+};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use osteoflow_formats::{
     FileError, Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
-    picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
+    picked_points::{PickedPoints, parse_picked_points},
     volume::is_volume,
     write::{write_cloud, write_mesh},
 };
@@ -56,11 +59,7 @@ pub(crate) struct Convert {
 
 impl Convert {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        if self.output.exists() {
-            let message =
-                format!("{} exists already; name another file, nothing is overwritten", self.output.display());
-            return Err(UsageError(message).into());
-        }
+        check_new(&self.output)?;
         if is_volume(&self.input) {
             let (done, notes) = self.ct()?;
             return self.done(&done, &notes, global);
@@ -125,22 +124,8 @@ impl Convert {
         for NamedPoint { position, .. } in &mut points {
             *position = turn * *position * self.scale;
         }
-        let name = self.output.to_string_lossy().to_lowercase();
-        if !name.ends_with(".csv") && space == Space::Unknown {
-            let message = "states no space, and the format to write claims one; give --space LPS or --space RAS";
-            return Err(UsageError(format!("{} {message}", self.input.display())).into());
-        }
-        let written = match () {
-            () if name.ends_with(".mrk.json") => write_mrk_json(&self.output, &points, space),
-            () if name.ends_with(".fcsv") => write_fcsv(&self.output, &points, space),
-            // A comment before the heading would keep other programs from reading it.
-            () if name.ends_with(".csv") => write_points_csv(&self.output, &points, Space::Unknown),
-            () => {
-                let message = "picked points are written as .csv, .mrk.json or .fcsv";
-                return Err(UsageError(format!("{}: {message}", self.output.display())).into());
-            }
-        };
-        written?;
+        let message = "states no space, and the format to write claims one; give --space LPS or --space RAS";
+        write_list(&self.output, &points, space, &format!("{} {message}", self.input.display()))?;
         Ok((format!("{} points{}", points.len(), in_space(space)), notes))
     }
 

@@ -131,22 +131,17 @@ impl Inspect {
     /// The requested kinds, by stage.
     fn chosen<'r>(&self, registry: &'r Registry) -> Result<Vec<(&'r str, Vec<&'r osteoflow_node::Description>)>> {
         let all = node_docs::by_stage(registry);
-        let Some(asked) = &self.kind else { return Ok(all) };
-        let fits = |stage: &str, kind: &str| kind == asked || stage == asked;
+        let Some(name) = &self.kind else { return Ok(all) };
+        let fits = |stage: &str, kind: &str| kind == name || stage == name;
         let chosen = all.into_iter().filter_map(|(stage, kinds)| {
             let kinds: Vec<_> = kinds.into_iter().filter(|d| fits(stage, d.kind)).collect();
             (!kinds.is_empty()).then_some((stage, kinds))
         });
         let chosen: Vec<_> = chosen.collect();
         if chosen.is_empty() {
-            let kinds = registry.kinds().map(|kind| kind.description.kind);
-            let near = osteoflow_engine::names::nearest(
-                asked,
-                kinds.chain(node_docs::by_stage(registry).iter().map(|(s, _)| *s)),
-            );
-            let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
-            let message = format!("there is no node or stage \"{asked}\"; {near}`osteoflow inspect` lists them");
-            return Err(UsageError(message).into());
+            let names = registry.kinds().map(|kind| kind.description.kind);
+            let names = names.chain(node_docs::by_stage(registry).into_iter().map(|(stage, _)| stage));
+            return Err(plugins::unknown("node or stage", name, names).into());
         }
         Ok(chosen)
     }

@@ -7,8 +7,8 @@ use super::common::{
     running, terminal,
 };
 use crate::app::{
-    NOTICE, UsageError, registry,
-    sweep::{folder_error, new_dir},
+    Plugins, SweepRequest, UsageError, program, registry,
+    sweep::{new_dir, summary},
 };
 use anyhow::{Context, Result};
 use clap::Args;
@@ -16,13 +16,12 @@ use osteoflow_engine::{
     Outcome, RunOptions,
     plan::PlanNode,
     run::NodeStats,
-    sweep::{self, Folder, SweepOptions, Watcher},
+    sweep::{self, Folder},
 };
 use osteoflow_node::Role;
 use osteoflow_report::{
     format::shell_word,
     reproduction::{EXPERIMENTS, Reproduction, TIMED, WITH_MAPS},
-    summary,
 };
 use osteoflow_simulation::{Procedure, ProcedureParams};
 use osteoflow_standard::own_bone;
@@ -105,13 +104,10 @@ impl Reproduce {
         }
         let cancelled = Arc::default();
         // First, because the check of a bone uses several threads too.
-        let run = running::options(self.workers, &cancelled)?;
+        running::make_pool(self.workers)?;
         if let (Some(bone), Some(plan)) = (&self.bone, &self.plan) {
             check_bone(bone, plan, self.sets.is_empty())?;
         }
-        let workers = run.workers;
-        let run = osteoflow_engine::RunOptions { store: self.keep.store()?, ..run };
-        let options = SweepOptions { workers, run, share: true, shard: None };
         let out = match (&self.out, self.resume) {
             (Some(dir), true) => dir.clone(),
             (dir, _) => new_dir(dir.as_deref(), "reproduce")?.to_path_buf(),
@@ -122,38 +118,38 @@ impl Reproduce {
         };
         let began = Instant::now();
         let mut sweeps = Vec::new();
-        for name in &names {
+        for name in names {
             // Everything is checked before the first run of an experiment; an experiment's own faults stop it there.
-            let graph = self.graphs.join(format!("{name}.toml"));
-            match sweep::check(&graph, &self.sets_of(name)?, PluginArgs::default().kinds_apart()?, workers) {
-                Ok(sweep) => sweeps.push((name, sweep)),
-                Err(faults) => {
-                    graph_args::print_faults(&faults, global)?;
-                    return Ok(Exit::Usage);
-                }
-            }
+            let dir = out.join(&name);
+            let request = SweepRequest {
+                graph: self.graphs.join(format!("{name}.toml")),
+                settings: self.sets_of(&name)?.into(),
+                plugins: Plugins::default(),
+                resume: dir.join(sweep::DESIGN).is_file(),
+                out: Some(dir),
+                shard: None,
+                workers: self.workers,
+                share: true,
+                cache: self.keep.cache(),
+            };
+            let Some(sweep) = graph_args::or_faults(request.checked(), global)? else { return Ok(Exit::Usage) };
+            sweeps.push((name, request, sweep));
         }
-        let mut folders = Vec::new();
-        for (name, sweep) in &sweeps {
-            let dir = out.join(name.as_str());
-            folders.push(match dir.join(sweep::DESIGN).is_file() {
-                true => sweep.resume(&dir, None).map_err(folder_error)?,
-                false => sweep.begin(&dir, &options).map_err(folder_error)?,
-            });
-        }
-        let all: Vec<_> = names.iter().cloned().zip(folders.iter().cloned()).collect();
-        let n_runs: usize = sweeps.iter().map(|(_, sweep)| sweep.n_runs()).sum();
-        let jobs: Vec<_> = sweeps.into_iter().map(|(name, sweep)| (name.clone(), sweep)).collect();
-        let bar = SweepProgress::begin(n_runs, &format!("reproducing {} experiments", jobs.len()), workers, global);
+        let what = format!("reproducing {} experiments", sweeps.len());
+        let n_runs: usize = sweeps.iter().map(|(.., sweep)| sweep.n_runs()).sum();
+        let runs = sweeps.into_iter().map(|(name, request, sweep)| Ok((name, request.folder(sweep, &cancelled)?)));
+        let runs = runs.collect::<Result<Vec<_>>>()?;
+        let all: Vec<_> = runs.iter().map(|(name, run)| (name.clone(), run.folder.clone())).collect();
+        let bar = SweepProgress::begin(n_runs, &what, program::n_workers(self.workers), global);
         let cancelled_too = cancelled.clone();
         let ran = running::watch(Progress::hidden(), cancelled, move |_| {
-            for ((name, sweep), folder) in jobs.iter().zip(&folders) {
+            for (name, run) in &runs {
                 bar.message(name);
-                sweep.run(folder, &options, &bar as &dyn Watcher)?;
+                run.make(&bar)?;
                 if cancelled_too.load(Ordering::Relaxed) {
                     return Ok(false);
                 }
-                summary::write(folder, NOTICE)?;
+                summary(&run.folder)?;
             }
             bar.end();
             Ok(true)

@@ -3,7 +3,6 @@ use super::common::{
     plugins::{self, PluginArgs},
     terminal,
 };
-use crate::app::UsageError;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::schema;
@@ -46,12 +45,10 @@ impl Schema {
         let registry = known.registry;
         let schema = match &self.kind {
             None => schema::schema(&registry),
-            Some(kind) => schema::kind_schema(&registry, kind).ok_or_else(|| {
+            Some(kind) => {
                 let kinds = registry.kinds().map(|kind| kind.description.kind);
-                let near = osteoflow_engine::names::nearest(kind, kinds);
-                let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
-                UsageError(format!("there is no kind \"{kind}\"; {near}`osteoflow inspect` lists them"))
-            })?,
+                schema::kind_schema(&registry, kind).ok_or_else(|| plugins::unknown("kind", kind, kinds))?
+            }
         };
         writeln!(terminal::stdout(), "{}", serde_json::to_string_pretty(&schema)?)?;
         Ok(exit)

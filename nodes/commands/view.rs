@@ -1,4 +1,4 @@
-mod played;
+mod player;
 mod steer;
 
 use super::common::{
@@ -15,13 +15,13 @@ use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::Recording;
 use osteoflow_viewer::{Playback, Stream};
-use played::Played;
+use player::Player;
 use std::{
     net::SocketAddr,
     path::{Path, PathBuf},
     sync::Arc,
 };
-use steer::{Steered, TwoFiles};
+use steer::{SteerRequest, TwoFiles};
 
 /// Show a graph, a run or a recording in the browser, or register a scan onto a bone and show that.
 ///
@@ -108,7 +108,7 @@ impl View {
     fn steer(&self, graph: PathBuf, sets: Vec<String>, two_files: Option<TwoFiles>, global: &Global) -> Result<Exit> {
         let graph = GraphArgs { graph, sets, plugins: self.plugins.clone() };
         let (out, admission, picks) = (self.out.clone(), self.admission.clone(), Picks::new(&self.picks));
-        steer::execute(Steered { graph, out, address: self.address, admission, two_files, picks }, global)
+        steer::execute(SteerRequest { graph, out, address: self.address, admission, two_files, picks }, global)
     }
 
     fn play(&self, global: &Global) -> Result<Exit> {
@@ -125,8 +125,8 @@ impl View {
             Some(file) => Some(known_plan::given(file, recording.as_ref())?),
             None => recording.as_ref().and_then(known_plan::of),
         };
-        let played = Played::new(playback, Picks::new(&self.picks), plan);
-        let server = self.admission.serve(self.address, name, stream, Arc::new(played), global)?;
+        let player = Player::new(playback, Picks::new(&self.picks), plan);
+        let server = self.admission.serve(self.address, name, stream, Arc::new(player), global)?;
         let cancelled = Arc::default();
         let (until, global) = (Arc::clone(&cancelled), global.clone());
         match running::watch(Progress::hidden(), cancelled, move |_| serve::wait(server, &until, &global))? {

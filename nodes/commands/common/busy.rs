@@ -24,11 +24,11 @@ impl Busy {
         let now = Instant::now();
         // A live source that waits for its device is reported by the engine.
         let calls = activity::everywhere().filter(|(_, call)| call.doing != Doing::Waiting);
-        let seen = calls.map(|(thread, call)| {
+        let calls = calls.map(|(thread, call)| {
             let known = self.0.iter().find(|(other, before, _)| (*other, before) == (thread, &call));
             (thread, call, known.map_or(now, |(.., since)| *since))
         });
-        self.0 = seen.collect();
+        self.0 = calls.collect();
     }
 
     /// The call that has been under way for longest.

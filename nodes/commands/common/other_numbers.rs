@@ -14,18 +14,18 @@ const MAX_DEPTH: usize = 2;
 /// Numbers by the path of what holds them, wrapped; `None` if the tables show all. Numbers of long lists and of nested parts
 /// are counted, with the file that has them.
 pub(crate) fn text(results: &Value) -> Option<String> {
-    let mut found = Found::default();
+    let mut numbers = Numbers::default();
     for (key, value) in results.as_object()?.iter().filter(|(key, _)| !SHOWN.contains(&key.as_str())) {
-        found.add(key, value, 0);
+        numbers.add(key, value, 0);
     }
-    if found.rows.is_empty() && found.n_left_out == 0 {
+    if numbers.rows.is_empty() && numbers.n_left_out == 0 {
         return None;
     }
-    let width = found.rows.iter().map(|(path, _)| path.chars().count()).max().unwrap_or_default();
+    let width = numbers.rows.iter().map(|(path, _)| path.chars().count()).max().unwrap_or_default();
     let mut out = String::from("other results\n");
-    for (path, numbers) in &found.rows {
+    for (path, row) in &numbers.rows {
         let mut line = format!("  {path:width$}");
-        for number in numbers {
+        for number in row {
             if line.chars().count() + 2 + number.chars().count() > WIDTH && !line.ends_with("  ") {
                 out.push_str(line.trim_end());
                 out.push('\n');
@@ -37,19 +37,19 @@ pub(crate) fn text(results: &Value) -> Option<String> {
         out.push_str(line.trim_end());
         out.push('\n');
     }
-    if found.n_left_out > 0 {
-        out.push_str(&format!("  {} more numbers, of lists and nested parts, in results.json\n", found.n_left_out));
+    if numbers.n_left_out > 0 {
+        out.push_str(&format!("  {} more numbers, of lists and nested parts, in results.json\n", numbers.n_left_out));
     }
     Some(out)
 }
 
 #[derive(Default)]
-struct Found {
+struct Numbers {
     rows: Vec<(String, Vec<String>)>,
     n_left_out: usize,
 }
 
-impl Found {
+impl Numbers {
     fn add(&mut self, path: &str, value: &Value, depth: usize) {
         match value {
             Value::Number(_) => self.rows.push((path.into(), vec![shown(value)])),
@@ -135,8 +135,8 @@ mod tests {
         });
         let text = text(&results).unwrap();
         let line = |start: &str| {
-            let found = text.lines().find(|line| line.trim_start().starts_with(&format!("{start} ")));
-            found
+            let numbers = text.lines().find(|line| line.trim_start().starts_with(&format!("{start} ")));
+            numbers
                 .unwrap_or_else(|| panic!("no {start}: {text}"))
                 .split_whitespace()
                 .skip(1)

@@ -6,7 +6,7 @@ use super::{
     terminal::{self, print_json},
     text_table::TextTable,
 };
-use crate::app::{FOLDERS, Plugins};
+use crate::app::{FOLDERS, Plugins, UsageError};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -73,7 +73,7 @@ pub(crate) fn print_refused(known: &Known, global: &Global) -> Result<Exit> {
 /// Prints a table of the plugins.
 pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
     if global.format == Format::Json {
-        let found = known.plugins.iter().map(|plugin| {
+        let rows = known.plugins.iter().map(|plugin| {
             let description = &plugin.description;
             json!({
                 "name": description.name, "version": description.version, "abi": description.abi, "sdk": description.sdk,
@@ -83,7 +83,7 @@ pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
             })
         });
         let refused = known.refused.iter().map(|r| json!({ "file": r.path.to_string_lossy(), "why": r.why }));
-        print_json(&json!({ "plugins": found.collect::<Value>(), "refused": refused.collect::<Value>() }))?;
+        print_json(&json!({ "plugins": rows.collect::<Value>(), "refused": refused.collect::<Value>() }))?;
         return print_refused(known, &Global { quiet: true, ..global.clone() });
     }
     let mut out = terminal::stdout().lock();
@@ -105,4 +105,11 @@ pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
     }
     drop(out);
     print_refused(known, global)
+}
+
+/// The error of a kind or stage that is none of the known names.
+pub(crate) fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> UsageError {
+    let near = osteoflow_engine::names::nearest(name, known);
+    let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
+    UsageError(format!("there is no {what} \"{name}\"; {near}`osteoflow inspect` lists them"))
 }

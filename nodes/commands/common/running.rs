@@ -64,10 +64,10 @@ pub(crate) fn watch<T: Send + 'static>(
     let watched = progress.clone();
     let runner = thread::Builder::new().name("run".into()).spawn(move || {
         // The handler of Ctrl-C keeps a sender, so that a panic has to be sent as well: nothing else would end the wait.
-        let ended = panics::catch(|| work(&watched)).unwrap_or_else(|panic| {
+        let outcome = panics::catch(|| work(&watched)).unwrap_or_else(|panic| {
             Err(anyhow!("the engine {panic}; this is a bug, please report it with the command and its files"))
         });
-        let _ = sender.send(News::Ended(ended));
+        let _ = sender.send(News::Ended(outcome));
     });
     runner.context("no thread for the run")?;
     let news = loop {
@@ -82,7 +82,7 @@ pub(crate) fn watch<T: Send + 'static>(
     };
     progress.end();
     match news {
-        Ok(News::Ended(answer)) => Ok(Ran::Ended(answer?)),
+        Ok(News::Ended(outcome)) => Ok(Ran::Ended(outcome?)),
         Ok(News::SecondInterrupt) => Ok(Ran::Left),
         Err(_) => Err(anyhow!("the engine stopped without a result, which is a bug; its message is above")),
     }
@@ -142,14 +142,15 @@ mod tests {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| mark_helper_thread()).build();
         let pool = pool.expect("a pool");
         let work = move |_: &Progress| -> Result<()> { pool.install(|| panic!("no place at 1e45")) };
-        let said = watch(Progress::hidden(), Arc::default(), work).map(|_| ()).expect_err("it panics").to_string();
-        assert!(said.starts_with("the engine panicked at ") && said.contains("running.rs:"), "{said}");
-        assert!(said.contains(": no place at 1e45; this is a bug"), "{said}");
+        let message = watch(Progress::hidden(), Arc::default(), work).map(|_| ()).expect_err("it panics").to_string();
+        assert!(message.starts_with("the engine panicked at ") && message.contains("running.rs:"), "{message}");
+        assert!(message.contains(": no place at 1e45; this is a bug"), "{message}");
     }
 
     #[test]
     fn absurd_numbers_of_workers_are_refused_before_a_thread_starts() {
-        let said = options(NonZeroUsize::new(100_000), &Arc::default()).map(|_| ()).expect_err("too many").to_string();
-        assert_eq!(said, "--workers 100000: at most 1024 threads are started");
+        let message =
+            options(NonZeroUsize::new(100_000), &Arc::default()).map(|_| ()).expect_err("too many").to_string();
+        assert_eq!(message, "--workers 100000: at most 1024 threads are started");
     }
 }

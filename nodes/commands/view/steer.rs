@@ -47,7 +47,7 @@ use std::{
 const ACTIONS: [&str; 4] = ["set", "revert", "write", "region"];
 
 /// A graph to show and change.
-pub(crate) struct Steered {
+pub(crate) struct SteerRequest {
     pub(crate) graph: GraphArgs,
     pub(crate) out: Option<PathBuf>,
     pub(crate) address: SocketAddr,
@@ -203,7 +203,7 @@ impl App for Steering {
 }
 
 /// Runs, shows and runs again until Ctrl-C.
-pub(crate) fn execute(steered: Steered, global: &Global) -> Result<Exit> {
+pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
     let cancelled = Arc::default();
     let options = RunOptions {
         store: Keep::default().store()?,
@@ -212,19 +212,19 @@ pub(crate) fn execute(steered: Steered, global: &Global) -> Result<Exit> {
         ..running::options(None, &cancelled)?
     };
     let stream = Arc::new(Stream::default());
-    let built_in = steered.two_files.as_ref();
+    let built_in = request.two_files.as_ref();
     let no_file = built_in.map(|_| "this graph is built in; show graphs/two_files.toml to change a file");
-    let changes = Changes::new(steered.graph.clone(), no_file);
+    let changes = Changes::new(request.graph.clone(), no_file);
     let steering = Arc::new(Steering {
         changes,
         graph: Mutex::default(),
         plan: Mutex::default(),
-        picks: steered.picks,
-        two_files: steered.two_files,
+        picks: request.picks,
+        two_files: request.two_files,
     });
-    let name = steered.graph.graph.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let server = steered.admission.serve(steered.address, &name, stream.clone(), steering.clone(), global)?;
-    let leave = Leave { out: steered.out, force: false, workers: None };
+    let name = request.graph.graph.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let server = request.admission.serve(request.address, &name, stream.clone(), steering.clone(), global)?;
+    let leave = Leave { out: request.out, force: false, workers: None };
     let runs = Runs { options, global: global.clone(), leave, n: 0 };
     let mut session = Session { steering, stream, runs, before: None };
     let (until, global) = (Arc::clone(&cancelled), global.clone());

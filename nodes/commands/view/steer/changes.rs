@@ -20,11 +20,11 @@ pub(super) struct Changes {
     graph: GraphArgs,
     /// Why nothing can be written into the graph file.
     no_file: Option<&'static str>,
-    made: Mutex<Made>,
+    edits: Mutex<Edits>,
 }
 
 #[derive(Debug, Clone, Default)]
-struct Made {
+struct Edits {
     /// Values by key, such as `icp.max_iterations`, in the order in which they were first set.
     values: Vec<(String, toml::Value)>,
     /// Keys of the file that a changed kind does not have, as `remove` takes them.
@@ -37,41 +37,41 @@ struct Made {
 
 impl Changes {
     pub(super) fn new(graph: GraphArgs, no_file: Option<&'static str>) -> Self {
-        Self { graph, no_file, made: Mutex::default() }
+        Self { graph, no_file, edits: Mutex::default() }
     }
 
-    fn made(&self) -> MutexGuard<'_, Made> {
-        self.made.lock().unwrap_or_else(PoisonError::into_inner)
+    fn edits(&self) -> MutexGuard<'_, Edits> {
+        self.edits.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Increases with each change.
     pub(super) fn count(&self) -> u64 {
-        self.made().count
+        self.edits().count
     }
 
     /// Refuses all further changes.
     pub(super) fn fix(&self, why: String) {
-        self.made().fixed = Some(why);
+        self.edits().fixed = Some(why);
     }
 
     /// Whether nothing can be changed.
     pub(super) fn is_fixed(&self) -> bool {
-        self.made().fixed.is_some()
+        self.edits().fixed.is_some()
     }
 
     /// The graph as it is now, with the settings of the command line and those of the page.
     pub(super) fn request(&self) -> RunRequest {
-        self.request_made(&self.made())
+        self.request_with(&self.edits())
     }
 
-    fn request_made(&self, made: &Made) -> RunRequest {
+    fn request_with(&self, edits: &Edits) -> RunRequest {
         let mut request = self.graph.request();
-        made.sets().for_each(|set| request.settings.set_text(set));
+        edits.sets().for_each(|set| request.settings.set_text(set));
         request
     }
 
-    fn check_made(&self, made: &Made) -> Result<Checked, Problem> {
-        let RunRequest { graph, settings, plugins, .. } = self.request_made(made);
+    fn check_with(&self, edits: &Edits) -> Result<Checked, Problem> {
+        let RunRequest { graph, settings, plugins, .. } = self.request_with(edits);
         let kinds = plugins.kinds_apart().map_err(Problem::Other)?;
         check(&graph, settings.texts(), &kinds).map_err(Problem::Faults)
     }
@@ -81,21 +81,21 @@ impl Changes {
     /// # Errors
     /// A sentence for the user; nothing has changed then.
     pub(super) fn set(&self, values: &[(String, Value)]) -> Result<Value, String> {
-        let mut made = self.made();
-        if let Some(why) = &made.fixed {
+        let mut edits = self.edits();
+        if let Some(why) = &edits.fixed {
             return Err(why.clone());
         }
-        let mut trial = made.clone();
+        let mut trial = edits.clone();
         for (key, value) in values {
             trial.set(key, value)?;
         }
         trial.removed.clear();
         for _ in 0..MAX_ATTEMPTS {
-            let faults = match self.check_made(&trial) {
+            let faults = match self.check_with(&trial) {
                 Ok(_) => {
                     trial.count += 1;
-                    *made = trial;
-                    return Ok(self.describe_made(&made));
+                    *edits = trial;
+                    return Ok(self.describe_with(&edits));
                 }
                 Err(Problem::Faults(faults)) => faults,
                 Err(Problem::Other(error)) => return Err(with_causes(&error)),
@@ -114,12 +114,12 @@ impl Changes {
     /// # Errors
     /// A sentence for the user.
     pub(super) fn revert(&self) -> Result<Value, String> {
-        let mut made = self.made();
-        if let Some(why) = &made.fixed {
+        let mut edits = self.edits();
+        if let Some(why) = &edits.fixed {
             return Err(why.clone());
         }
-        *made = Made { count: made.count + 1, ..Made::default() };
-        Ok(self.describe_made(&made))
+        *edits = Edits { count: edits.count + 1, ..Edits::default() };
+        Ok(self.describe_with(&edits))
     }
 
     /// Writes the changes into the graph file, whose comments and order stay. The file must then say what the page shows.
@@ -127,19 +127,19 @@ impl Changes {
     /// # Errors
     /// A sentence for the user; the file is as it was.
     pub(super) fn write(&self) -> Result<Value, String> {
-        let mut made = self.made();
+        let mut edits = self.edits();
         if let Some(why) = self.no_file {
             return Err(why.into());
         }
-        if made.values.is_empty() {
+        if edits.values.is_empty() {
             return Err("nothing was changed".into());
         }
-        let wanted = self.check_made(&made).map_err(|problem| problem.to_string())?.plan.resolved;
+        let wanted = self.check_with(&edits).map_err(|problem| problem.to_string())?.plan.resolved;
         let path = &self.graph.graph;
         let kinds = self.graph.plugins.kinds_apart().map_err(|error| with_causes(&error))?;
         let before =
             std::fs::read_to_string(path).map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
-        let text = write_back::edited(&before, path, &made.values, &made.removed)?;
+        let text = write_back::edited(&before, path, &edits.values, &edits.removed)?;
         let written = check_text(&text, path, &self.graph.sets, &kinds);
         let written = written.map_err(|faults| format!("the file would have a fault: {}", sentence(&faults)))?;
         if written.plan.resolved != wanted {
@@ -147,13 +147,13 @@ impl Changes {
             return Err(format!("{message}; change {} by hand", path.display()));
         }
         write_back::replace(path, &before, &text)?;
-        *made = Made { count: made.count + 1, ..Made::default() };
-        Ok(self.describe_made(&made))
+        *edits = Edits { count: edits.count + 1, ..Edits::default() };
+        Ok(self.describe_with(&edits))
     }
 
     /// Replaces the values of keys that were changed.
     pub(super) fn overlay(&self, all: &mut [(String, Value)]) {
-        for (key, value) in &self.made().values {
+        for (key, value) in &self.edits().values {
             let known = all.iter_mut().find(|(name, _)| name == key);
             known.into_iter().for_each(|(_, old)| *old = json!(value));
         }
@@ -161,17 +161,17 @@ impl Changes {
 
     /// The changes for the page: keys with their values, and the command that makes the same run.
     pub(super) fn describe(&self) -> Value {
-        self.describe_made(&self.made())
+        self.describe_with(&self.edits())
     }
 
-    fn describe_made(&self, made: &Made) -> Value {
-        let values: Vec<_> = made.values.iter().map(|(key, value)| json!([key, value])).collect();
-        let sets = made.sets().map(|set| format!(" --set {}", shell_word(&set))).collect::<String>();
+    fn describe_with(&self, edits: &Edits) -> Value {
+        let values: Vec<_> = edits.values.iter().map(|(key, value)| json!([key, value])).collect();
+        let sets = edits.sets().map(|set| format!(" --set {}", shell_word(&set))).collect::<String>();
         json!({
             "values": values,
-            "removed": made.removed,
+            "removed": edits.removed,
             "settings": sets.trim_start(),
-            "fixed": made.fixed,
+            "fixed": edits.fixed,
             "no_file": self.no_file,
             "file": self.graph.graph.file_name().map(|name| name.to_string_lossy()),
         })
@@ -182,7 +182,7 @@ impl Changes {
     }
 }
 
-impl Made {
+impl Edits {
     /// The changes as `--set` takes them.
     fn sets(&self) -> impl Iterator<Item = String> {
         let removed = (!self.removed.is_empty()).then(|| {

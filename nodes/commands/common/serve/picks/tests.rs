@@ -109,8 +109,8 @@ fn wrong_plans_are_refused_with_the_reason_and_leave_nothing() {
         (with("/units", json!("m")), "key \"units\""),
         (unknown, "unknown keys: surgeon"),
     ] {
-        let said = save(&picks, "plan", &plan).unwrap_err();
-        assert!(said.contains(expected), "{said} lacks {expected}");
+        let message = save(&picks, "plan", &plan).unwrap_err();
+        assert!(message.contains(expected), "{message} lacks {expected}");
     }
     for (what, body, expected) in [
         ("plan", &b"{"[..], "this is no JSON"),
@@ -119,15 +119,15 @@ fn wrong_plans_are_refused_with_the_reason_and_leave_nothing() {
         ("region", b"{}", "\"region\" cannot be saved"),
         ("pairs", b"[]", "these are no picked pairs"),
     ] {
-        let said = picks.save(what, body, None).unwrap_err();
-        assert!(said.contains(expected), "{said} lacks {expected}");
+        let message = picks.save(what, body, None).unwrap_err();
+        assert!(message.contains(expected), "{message} lacks {expected}");
     }
     assert!(picks.save("plan", &vec![b' '; MAX_BYTES + 1], None).unwrap_err().contains("are too long"));
     assert!(!folder.exists(), "nothing is left");
     // A folder that cannot be written: it is a file.
     fs::write(&folder, "").unwrap();
-    let said = save(&picks, "plan", &plan()).unwrap_err();
-    assert!(said.contains("cannot be written") && said.contains("--picks DIR"), "{said}");
+    let message = save(&picks, "plan", &plan()).unwrap_err();
+    assert!(message.contains("cannot be written") && message.contains("--picks DIR"), "{message}");
 }
 
 #[test]
@@ -164,8 +164,8 @@ fn pairs_are_written_each_in_its_frame_and_those_that_do_not_fit_are_named() {
         (list(&bone), list(&[scan[0], scan[1], ("P3", scan[1].1)]), "P2 and P3 are at the same place"),
         (list(&[bone[0], bone[1], ("P3", [60.0, 0.1, 0.0])]), list(&scan), "the points on the bone lie"),
     ] {
-        let said = save(&picks, "pairs", &json!({ "bone": bone, "scan": scan })).unwrap_err();
-        assert!(said.contains(expected), "{said} lacks {expected}");
+        let message = save(&picks, "pairs", &json!({ "bone": bone, "scan": scan })).unwrap_err();
+        assert!(message.contains(expected), "{message} lacks {expected}");
     }
     let more = json!({ "bone": list(&bone), "scan": list(&scan), "more": 1 });
     assert!(save(&picks, "pairs", &more).unwrap_err().contains("unknown field `more`"));

@@ -3,19 +3,19 @@ use osteoflow_geometry::SurgicalPlan;
 use osteoflow_viewer::{App, Playback, PlaybackState, Response};
 
 /// A recording on the page: it is played, and what is picked on it is saved.
-pub(super) struct Played {
+pub(super) struct Player {
     playback: Playback,
     picks: Picks,
     plan: Option<SurgicalPlan>,
 }
 
-impl Played {
+impl Player {
     pub(super) fn new(playback: Playback, picks: Picks, plan: Option<SurgicalPlan>) -> Self {
         Self { playback, picks, plan }
     }
 }
 
-impl App for Played {
+impl App for Player {
     fn get(&self, path: &str) -> Option<Response> {
         self.picks.get(path, self.plan.as_ref())
     }
