@@ -13,13 +13,22 @@ pub use answer::Registration;
 pub use method::Method;
 pub(crate) use steps::{cells, plain};
 
-use super::{Error, MeshOrCloud, Settings, Space, UsageError, program};
+use super::{
+    error::{Error, UsageError},
+    program,
+    settings::Settings,
+};
 use anyhow::{Context, Result};
 use files::OutFiles;
 use landmarks::Picked;
 use method::{REPORT, has_output};
 use osteoflow_engine::check::{Checked, CommandLineParam, check_recorded, parameters};
-use osteoflow_formats::{input, mesh_or_cloud::read_mesh_or_cloud, pose_file, volume::is_volume};
+use osteoflow_formats::{
+    Space, input,
+    mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
+    pose_file,
+    volume::is_volume,
+};
 use osteoflow_geometry::{
     NamedPoint,
     nalgebra::{Isometry3, Point3},

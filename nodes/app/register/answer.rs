@@ -7,7 +7,7 @@ use super::{
     words::{converged, describe, short, stop_reason},
 };
 use crate::app::{
-    Space, UsageError,
+    error::UsageError,
     program::{NOTICE, about_command},
 };
 use anyhow::Result;
@@ -18,6 +18,7 @@ use osteoflow_algorithms::{
     trust,
 };
 use osteoflow_engine::run::{Outcome, RunReport};
+use osteoflow_formats::Space;
 use osteoflow_geometry::{Cloud, matrix_rows, nalgebra::Isometry3};
 use serde::Serialize;
 use serde_json::{Map, Value, json};

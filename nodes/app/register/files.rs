@@ -1,7 +1,7 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
 use super::RegisterFiles;
-use crate::app::UsageError;
+use crate::app::error::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{Space, pose_file::itk_text, write::write_cloud};

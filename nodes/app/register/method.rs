@@ -1,6 +1,6 @@
 //! The methods of a registration: the kinds `icp.*`, or a kind of a plugin.
 
-use crate::app::{Plugins, UsageError, program::registry};
+use crate::app::{error::UsageError, plugins::Plugins, program::registry};
 use anyhow::Result;
 use osteoflow_engine::plugin::Kinds;
 use osteoflow_node::{Kind, OutputPorts};

@@ -7,14 +7,15 @@ use super::{
     landmarks::off_surface,
     method::{POSE, REPORT},
 };
-use crate::app::{Error, MeshOrCloud, WireInputs, program};
+use crate::app::{error::Error, program};
 use anyhow::{Context, anyhow};
 use osteoflow_algorithms::{icp::IcpTrace, target::Target};
 use osteoflow_engine::{
-    inputs::{output, run_with_inputs},
+    inputs::{WireInputs, output, run_with_inputs},
     plan::Plan,
     run::{Event, Observer, Outcome, Refusal, RunOptions, RunReport},
 };
+use osteoflow_formats::mesh_or_cloud::MeshOrCloud;
 use osteoflow_geometry::{Cloud, NamedPoint, Points, Pose};
 use osteoflow_node::{Body, Empty, Item, Payload, Value};
 use osteoflow_payloads::{Json, Table};
