@@ -189,6 +189,34 @@ const CRATES: &[(&str, Floors)] = &[
             &["folder"],
         ],
     ),
+    (
+        "nodes/bone/algorithms/src",
+        &[
+            &[
+                "axes",
+                "bvh",
+                "downsample",
+                "iso_surface",
+                "kabsch",
+                "merge",
+                "point_grid",
+                "roi",
+                "sample",
+                "section",
+                "shapes",
+                "still_average",
+                "union_find",
+            ],
+            &["ct_surface", "mesh_topology", "morton", "nearest"],
+            &["fragment", "mesh_query", "point_blocks", "sensor_noise"],
+            &["field", "landmarks", "normals"],
+            &["hole", "target"],
+            &["icp", "metrics"],
+            &["calibrate", "coarse"],
+            &["slide"],
+            &["trust"],
+        ],
+    ),
 ];
 
 /// Most files that may import each other in a circle.
@@ -265,8 +293,8 @@ fn read(root: &Path, path: PathBuf, module: &Module, text: &str) -> File {
             }
         }
     }
-    // Paths in the code itself; the groups of a `use` are read above.
-    for (at, prefix) in code.match_indices("crate::") {
+    // Paths in the code itself; the groups of a `use` are read above, and a visibility is no import.
+    for (at, prefix) in code.match_indices("crate::").filter(|(at, _)| !code[..*at].ends_with("pub(in ")) {
         let after = &code[at + prefix.len()..];
         let path = after.split(|c: char| !c.is_alphanumeric() && !"_:".contains(c)).next().unwrap_or_default();
         if after[path.len()..].starts_with('{') {

@@ -30,6 +30,7 @@ fn lines(verdict: &Verdict, assumptions: bool, paint: impl Fn(&str, &str) -> Str
 #[cfg(test)]
 mod tests {
     use super::*;
+    use osteoflow_algorithms::trust;
     use serde_json::json;
 
     fn reason(rule: &str, answer: &str, remedy: &str) -> Value {
@@ -39,6 +40,18 @@ mod tests {
     fn shown(verdict: Value, assumptions: bool) -> String {
         let verdict = judged(&json!({ "verdict": verdict })).unwrap();
         lines(&verdict, assumptions, |text, style| format!("<{style}>{text}</>"))
+    }
+
+    #[test]
+    fn the_rules_and_the_engine_have_the_same_words_for_an_answer() {
+        for (rules, engine) in [
+            (trust::Answer::Trusted, Answer::Trusted),
+            (trust::Answer::Doubtful, Answer::Doubtful),
+            (trust::Answer::Refused, Answer::Refused),
+        ] {
+            assert_eq!((rules.name(), json!(rules)), (engine.name(), json!(engine.name())));
+        }
+        assert_eq!(Answer::ALL.len(), 3);
     }
 
     #[test]

@@ -5,7 +5,7 @@ mod global;
 
 pub use doubtful::{DoubtParams, confirm};
 pub use global::{CLEAR, GlobalError, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
-pub(crate) use global::{NearMap, Placed, Points, descend, map_score};
+pub(crate) use global::{Placed, Points, descend, map_score};
 
 use crate::kabsch::{FitError, centroid, kabsch};
 use nalgebra::{Isometry3, Matrix3, Point3};

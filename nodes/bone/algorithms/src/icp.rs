@@ -6,6 +6,7 @@
 //! `published` is the loop in its plainest form, as the paper may have run it.
 
 mod anderson;
+mod error;
 mod gauss_newton;
 mod levels;
 mod normal_equations;
@@ -26,6 +27,7 @@ mod tests;
 mod visible_surface;
 mod weights;
 
+pub use error::IcpError;
 pub use observability::{Observability, WeakDirection};
 pub use params::{IcpParams, Kernel, PairingKind, StepRule};
 pub use published::{PublishedParams, PublishedReading, register_published};
@@ -115,67 +117,4 @@ fn register_source(
         Method::Generalized => levels::by_planes::<residual::Generalized>(target, source, init, params, observer),
         Method::PointToMesh => levels::by_planes::<residual::PointToMesh>(target, source, init, params, observer),
     }
-}
-
-/// Why an ICP has no result.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum IcpError {
-    /// Too few source points are near the target.
-    #[error(
-        "{n_pairs} of {n_source} source points lie within {max_pair_distance_mm} mm of the target, {min_pairs} are \
-         needed; the nearest target point is {nearest_mm:.1} mm away: is init right, and are both in mm?"
-    )]
-    TooFewPairs {
-        /// Number of pairs found.
-        n_pairs: usize,
-        /// Number of pairs needed.
-        min_pairs: usize,
-        /// Number of source points.
-        n_source: usize,
-        /// Largest distance of a pair, mm.
-        max_pair_distance_mm: f64,
-        /// Distance of the source point nearest to the target, mm.
-        nearest_mm: f64,
-    },
-    /// There are too few source points.
-    #[error("{n_source} source points, {min_pairs} are needed; is the crop empty?")]
-    TooFewPoints {
-        /// Number of source points.
-        n_source: usize,
-        /// Number of points needed.
-        min_pairs: usize,
-    },
-    /// The variant needs normals, and the target has none.
-    #[error("the target has no normals, which this variant needs; sample it from a mesh or estimate them")]
-    NoNormals,
-    /// The variant needs a mesh, and the target has none.
-    #[error("the target has no triangles, which point_to_mesh needs; prepare it from a mesh")]
-    NoMesh,
-    /// The target was prepared without a closest-point field.
-    #[error("the target has no closest-point field, which pairing = \"field\" needs; prepare it with field = true")]
-    NoField,
-    /// The source's normals and points differ in number.
-    #[error("the source has {n_normals} normals for {n_points} points")]
-    SourceNormals {
-        /// Number of points.
-        n_points: usize,
-        /// Number of normals.
-        n_normals: usize,
-    },
-    /// A source point or the start is NaN or infinite.
-    #[error("{what} is not finite; drop such points before the registration")]
-    NotFinite {
-        /// What is not finite.
-        what: String,
-    },
-    /// A parameter is out of range.
-    #[error("{parameter} is {value}, but {expected}")]
-    Parameter {
-        /// Its name.
-        parameter: &'static str,
-        /// Its value.
-        value: f64,
-        /// The values it may have.
-        expected: &'static str,
-    },
 }

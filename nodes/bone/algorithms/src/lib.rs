@@ -66,6 +66,7 @@ mod point_grid;
 pub mod roi;
 pub mod sample;
 pub mod section;
+mod sensor_noise;
 #[cfg(test)]
 mod shapes;
 pub mod slide;

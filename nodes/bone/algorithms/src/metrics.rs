@@ -3,12 +3,14 @@
 mod check_points;
 mod cut_difference;
 mod cuts;
+mod error;
 mod fre;
 mod laser_spot;
+mod paired;
 mod pose_error;
+mod quantile;
 mod surface;
 mod tre;
-mod verdict;
 
 pub use check_points::{CheckReport, check_points};
 pub use cut_difference::{
@@ -16,97 +18,20 @@ pub use cut_difference::{
     PlannedFragment, cut_difference, error_at_points, signed_distances,
 };
 pub use cuts::{CutReport, CutsReport, SegmentReport, cuts};
+pub use error::MetricsError;
 pub use fre::{FrePoint, FreReport, fre};
 pub use laser_spot::{LaserSpotReport, laser_spot};
 pub use pose_error::{PoseErrorReport, pose_error};
 pub use surface::{SurfaceReport, surface_residual};
 pub use tre::{TrePoint, TreReport, TreSummary, tre};
-pub use verdict::{VerdictScore, VerdictScoreParams, verdict_score};
-
-use nalgebra::Point3;
-use osteoflow_geometry::NamedPoint;
-
-/// Errors of the metrics.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MetricsError {
-    /// Nothing to measure.
-    #[error("there is no {what}; nothing can be measured")]
-    Empty {
-        /// What is missing.
-        what: &'static str,
-    },
-    /// A point has no counterpart of the same name.
-    #[error("{name} is not among the {side} points ({found}); name both sets alike")]
-    Unpaired {
-        /// The name.
-        name: String,
-        /// Where it is missing.
-        side: &'static str,
-        /// The names found there.
-        found: String,
-    },
-    /// Planes lie in different frames, or differ from the axes' or the bone's.
-    #[error(transparent)]
-    Frame(#[from] osteoflow_geometry::FrameError),
-    /// No fragment can be cut out.
-    #[error(transparent)]
-    Fragment(#[from] crate::fragment::FragmentError),
-    /// The points do not determine a motion.
-    #[error(transparent)]
-    Fit(#[from] crate::kabsch::FitError),
-    /// A plane is unknown.
-    #[error("plane {name} is unknown: {reason}")]
-    UnknownPlane {
-        /// The plane.
-        name: String,
-        /// Why.
-        reason: String,
-    },
-    /// A number is NaN or infinite.
-    #[error("{what} is not finite; look at where it comes from")]
-    NotFinite {
-        /// What is not finite.
-        what: String,
-    },
-}
-
-/// Name, target and source position of a point.
-type PointPair = (String, Point3<f64>, Point3<f64>);
-
-/// The pair of each target point.
-fn paired(target: &[NamedPoint], source: &[NamedPoint]) -> Result<Vec<PointPair>, MetricsError> {
-    if target.is_empty() {
-        return Err(MetricsError::Empty { what: "point" });
-    }
-    target
-        .iter()
-        .map(|t| match source.iter().find(|s| s.name == t.name) {
-            Some(s) => Ok((t.name.to_string(), t.position, s.position)),
-            None => Err(MetricsError::Unpaired {
-                name: t.name.to_string(),
-                side: "measured",
-                found: source.iter().map(|s| &*s.name).collect::<Vec<_>>().join(", "),
-            }),
-        })
-        .collect()
-}
-
-/// Quantile of sorted values, linear between neighbours; `None` without values.
-fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
-    let last = sorted.len().checked_sub(1)?;
-    let place = share * last as f64;
-    let below = place.floor() as usize;
-    let above = (below + 1).min(last);
-    Some(sorted[below] + (sorted[above] - sorted[below]) * (place - below as f64))
-}
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::shapes::{cuboid, shaft};
     use crate::{sample, target::Target};
-    use nalgebra::{Isometry3, Matrix3, Vector3};
-    use osteoflow_geometry::{Axes, Plane, Planes, SurfaceOrigin};
+    use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+    use osteoflow_geometry::{Axes, NamedPoint, Plane, Planes, SurfaceOrigin};
     use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
     fn named(points: &[[f64; 3]]) -> Vec<NamedPoint> {

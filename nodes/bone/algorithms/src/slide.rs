@@ -16,8 +16,8 @@ mod tests;
 pub use report::{Other, SlideProfile, SlideReport};
 
 use crate::icp::IcpError;
+use crate::sensor_noise::sensor_noise_mm;
 use crate::target::Target;
-use crate::trust::sensor_noise_mm;
 use axis::LongAxis;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;

@@ -1,10 +1,11 @@
 //! A surface prepared for registration.
 
 mod columns;
+mod near_map;
 
 pub use crate::point_grid::GridColumns;
+pub(crate) use near_map::NearMap;
 
-use crate::coarse::NearMap;
 use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;

@@ -10,12 +10,12 @@ mod evidence;
 mod extent;
 mod limits;
 mod misfit;
-mod noise;
 mod planned;
 mod predict;
 mod residuals;
 mod rules;
 mod scale;
+mod score;
 mod slid;
 mod spread;
 #[cfg(test)]
@@ -27,7 +27,6 @@ pub use ended::{Ended, Stopped};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use limits::Limits;
 pub use misfit::Misfit;
-pub use noise::sensor_noise_mm;
 pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults, planes_lost};
 pub use predict::{
     Cut, Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Seen, Term, Tracking, Where, predict,
@@ -35,5 +34,6 @@ pub use predict::{
 pub use residuals::{Residual, Residuals};
 pub use rules::{Case, RuleParams, judge};
 pub use scale::Scale;
+pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
 pub use verdict::{Answer, Reason, Verdict};

@@ -52,6 +52,6 @@ reports! {
     "Slide" = osteoflow_algorithms::slide::SlideReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
-    "VerdictScore" = osteoflow_algorithms::metrics::VerdictScore;
+    "VerdictScore" = osteoflow_algorithms::trust::VerdictScore;
     "Verdict" = osteoflow_algorithms::trust::Verdict;
 }

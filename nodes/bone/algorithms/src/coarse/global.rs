@@ -2,13 +2,11 @@
 
 mod axis;
 mod descent;
-mod near_map;
 
 pub(crate) use descent::{Placed, Points, descend, score as map_score};
-pub(crate) use near_map::NearMap;
 
 use crate::icp::{self, IcpParams, Method, Source};
-use crate::target::Target;
+use crate::target::{NearMap, Target};
 use axis::{Scan, stations};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::Cloud;

@@ -4,9 +4,9 @@
 //! have the same centre where all of the footprint is in sight, and different ones where the silhouette cuts it off. The points
 //! of the surface, lost or not, decide between the two and between places, as far as they can.
 
-use super::HoleParams;
 use super::scene::Scene;
 use super::spot::Missing;
+use super::{Hole, HoleParams};
 use nalgebra::{Point3, Vector2};
 
 /// Tangent of the angle between beam and line of sight that is assumed besides 0. 15 degrees: a pointer held beside the camera, with
@@ -169,9 +169,27 @@ impl<'a> Footprint<'a> {
     }
 }
 
+impl Hole {
+    /// Moves the centre to the place that explains the footprint, and lowers the confidence to the share of the area in which the spot
+    /// may be that the spot has, but not below that of the second tier, if there is one.
+    pub(super) fn place(&mut self, footprint: &Footprint<'_>, params: &HoleParams) {
+        let radius_mm = params.spot_radius_mm;
+        if let Some(Place { centre, uncertainty_mm }) = footprint.place(self.centre) {
+            let share = (radius_mm / (radius_mm + uncertainty_mm)).powi(2);
+            let agreeing = params.min_confidence_agreeing;
+            let least = if agreeing < params.min_confidence { agreeing.min(self.confidence) } else { 0.0 };
+            self.centre = centre;
+            self.confidence = (self.confidence * share).max(least);
+            self.report.centre_uncertainty_mm = Some(uncertainty_mm);
+        }
+        self.report.confidence = self.confidence;
+        self.report.tier = if self.confidence < params.min_confidence { 2 } else { 1 };
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::{Hole, cloud_difference};
+    use super::super::cloud_difference;
     use super::*;
     use nalgebra::{Isometry3, Vector3};
     use osteoflow_geometry::Cloud;

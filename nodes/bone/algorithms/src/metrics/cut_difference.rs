@@ -1,4 +1,6 @@
-use super::{MetricsError, PoseErrorReport, paired, pose_error, quantile};
+use super::paired::paired;
+use super::quantile::quantile;
+use super::{MetricsError, PoseErrorReport, pose_error};
 use crate::fragment::{FaceKind, Fragment, FragmentError, HalfSpace, between, fragment};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;

@@ -1,4 +1,5 @@
-use super::{MetricsError, paired};
+use super::MetricsError;
+use super::paired::paired;
 use nalgebra::Isometry3;
 use osteoflow_geometry::NamedPoint;
 use serde::{Deserialize, Serialize};

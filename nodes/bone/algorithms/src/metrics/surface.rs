@@ -1,4 +1,5 @@
-use super::{MetricsError, quantile};
+use super::MetricsError;
+use super::quantile::quantile;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;

@@ -1,4 +1,6 @@
-use super::{MetricsError, paired, quantile};
+use super::MetricsError;
+use super::paired::paired;
+use super::quantile::quantile;
 use nalgebra::{Isometry3, Vector3};
 use osteoflow_geometry::{Axes, NamedPoint};
 use serde::{Deserialize, Serialize};

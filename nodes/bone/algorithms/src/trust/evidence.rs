@@ -1,6 +1,7 @@
 //! What the data of a registration say about it.
 
-use super::{Misfit, Residual, Residuals, Scale, ShapeEvidence, Spread, contrary, sensor_noise_mm};
+use super::{Misfit, Residual, Residuals, Scale, ShapeEvidence, Spread, contrary};
+use crate::sensor_noise::sensor_noise_mm;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;

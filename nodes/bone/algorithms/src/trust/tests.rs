@@ -3,6 +3,7 @@ mod whole;
 use super::*;
 use crate::mesh_query::MeshQuery;
 use crate::sample;
+use crate::sensor_noise::sensor_noise_mm;
 use crate::shapes::shaft;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3, Vector3};

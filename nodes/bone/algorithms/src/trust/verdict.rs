@@ -15,6 +15,17 @@ pub enum Answer {
     Refused,
 }
 
+impl Answer {
+    /// `trusted`, `doubtful` or `refused`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Trusted => "trusted",
+            Self::Doubtful => "doubtful",
+            Self::Refused => "refused",
+        }
+    }
+}
+
 /// One sign against a result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reason {

@@ -6,11 +6,9 @@ use nalgebra::{Isometry3, Point3, Rotation3, Unit, UnitQuaternion, Vector3};
 use osteoflow_algorithms::axes::{principal_axes, towards};
 use osteoflow_algorithms::fragment::{Fragment, between, fragment};
 use osteoflow_algorithms::landmarks::{RecipeParams, RulerErrors, ThirdFrom, paper_recipe, ruled};
-use osteoflow_algorithms::metrics::{
-    self, CutDifferenceParams, PlannedFragment, VerdictScoreParams, cut_difference, error_at_points, verdict_score,
-};
+use osteoflow_algorithms::metrics::{self, CutDifferenceParams, PlannedFragment, cut_difference, error_at_points};
 use osteoflow_algorithms::section;
-use osteoflow_algorithms::trust::{Answer, Limits, Reason, Verdict};
+use osteoflow_algorithms::trust::{Answer, Limits, Reason, Verdict, VerdictScoreParams, verdict_score};
 use osteoflow_geometry::{Anatomy, Axes, Mesh, NamedPoint, Plane, PlanePlace, Planes};
 use std::collections::HashMap;
 use std::sync::LazyLock;

@@ -1,7 +1,7 @@
 //! The kind `metrics.verdict`.
 
-use osteoflow_algorithms::metrics::{CutsReport, TreReport, VerdictScore, VerdictScoreParams, verdict_score};
-use osteoflow_algorithms::trust::Verdict as Judged;
+use osteoflow_algorithms::metrics::{CutsReport, TreReport};
+use osteoflow_algorithms::trust::{Verdict as Judged, VerdictScore, VerdictScoreParams, verdict_score};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
 use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
 

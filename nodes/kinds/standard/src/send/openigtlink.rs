@@ -234,15 +234,7 @@ fn withheld(verdict: Option<&Verdict>, send_doubtful: bool) -> Option<(u16, &'st
 }
 
 fn sentence(verdict: Option<&Verdict>) -> String {
-    verdict.map(|verdict| format!("{}: {}", answer(verdict), verdict.sentence)).unwrap_or_default()
-}
-
-fn answer(verdict: &Verdict) -> &'static str {
-    match verdict.answer {
-        Answer::Trusted => "trusted",
-        Answer::Doubtful => "doubtful",
-        Answer::Refused => "refused",
-    }
+    verdict.map(|verdict| format!("{}: {}", verdict.answer.name(), verdict.sentence)).unwrap_or_default()
 }
 
 /// Why planes are unknown, if any is.
@@ -267,7 +259,7 @@ fn transform(pose: &Pose, verdict: Option<&Verdict>) -> Result<Message, NodeErro
     let ((turn_to, to), (turn_from, from)) = (sent_frame(&pose.to), sent_frame(&pose.from));
     let isometry = turn_to * pose.isometry * turn_from.inverse();
     let mut metadata = vec![Metadata::new("TransformValid", "True"), Metadata::new("TransformStatus", "OK")];
-    metadata.extend(verdict.map(|verdict| Metadata::new("Verdict", answer(verdict))));
+    metadata.extend(verdict.map(|verdict| Metadata::new("Verdict", verdict.answer.name())));
     let message =
         Message::new(device_name(to.as_str(), from.as_str()), pose.stamp_ns, Body::Transform(Affine::of(&isometry)));
     checked(message.extended(0, metadata))

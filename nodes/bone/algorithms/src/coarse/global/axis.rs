@@ -2,8 +2,8 @@
 
 use super::GlobalError;
 use super::descent::{Placed, Points};
-use super::near_map::NearMap;
 use crate::kabsch::centroid;
+use crate::target::NearMap;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::Cloud;
 

@@ -1,6 +1,6 @@
 //! Point-to-plane steps on a [`NearMap`].
 
-use super::near_map::NearMap;
+use crate::target::NearMap;
 use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
 /// Cosine between a normal and the direction to the camera below which a sample is on the far side.

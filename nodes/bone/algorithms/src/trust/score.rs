@@ -1,5 +1,7 @@
-use super::{CutsReport, TreReport};
-use crate::trust::{Answer, Limits, Verdict};
+//! A verdict beside the true error.
+
+use super::{Answer, Limits, Verdict};
+use crate::metrics::{CutReport, CutsReport, TreReport};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -90,7 +92,7 @@ pub fn verdict_score(
     cut_errors_mm: &[f64],
     params: &VerdictScoreParams,
 ) -> VerdictScore {
-    let largest = |of: fn(&super::CutReport) -> f64| cuts.cuts.iter().map(|cut| of(cut).abs()).fold(0.0, f64::max);
+    let largest = |of: fn(&CutReport) -> f64| cuts.cuts.iter().map(|cut| of(cut).abs()).fold(0.0, f64::max);
     let (tre_mm, offset_mm) = (tre.mean_abs.norm, largest(|cut| cut.offset_mm));
     let tilt_deg = largest(|cut| cut.tilt_rad).to_degrees();
     let times_limit = params.limits.times(tre_mm, offset_mm, tilt_deg);

@@ -1,6 +1,6 @@
 //! Nearest samples of a surface by a map of voxels: approximate, in a few nanoseconds.
 
-use crate::target::Target;
+use super::Target;
 use nalgebra::{Point3, Vector3};
 
 /// Edge of a voxel, mm: within a third of a bone's radius the nearest samples of its points differ little.
