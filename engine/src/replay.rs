@@ -9,7 +9,7 @@ mod tests;
 use crate::{
     check::{check, check_recorded},
     diff,
-    fault::Faults,
+    fault::{Fault, Faults},
     graph::grammar::VERDICT,
     options::RunOptions,
     partial::{self, Failing, NodeMode, Pace, Player},
@@ -176,6 +176,8 @@ pub struct ReplayReport {
     pub computed_too: Vec<String>,
     /// How the libraries of plugins differ from those of the run.
     pub differences: Vec<String>,
+    /// Warnings about the graph.
+    pub warnings: Vec<Fault>,
 }
 
 /// How a replay treats a wire.
@@ -263,7 +265,8 @@ pub fn replay(
     };
     let recorded = changes.graph.is_none() && sets.is_empty();
     let checked = checked.map_err(|faults| ReplayError::Graph { faults, recorded })?;
-    replay_plan(&checked.plan, &recording, changes, &checked.registry, options, observer)
+    let report = replay_plan(&checked.plan, &recording, changes, &checked.registry, options, observer)?;
+    Ok(ReplayReport { warnings: checked.warnings, ..report })
 }
 
 /// Like [`replay()`], for a checked graph.
@@ -341,6 +344,7 @@ pub(crate) fn replay_plan(
         unsound: recording.unsound.clone(),
         computed_too,
         differences,
+        warnings: Vec::new(),
     })
 }
 

@@ -22,7 +22,10 @@ use anyhow::{Context, Result};
 use files::OutFiles;
 use landmarks::Picked;
 use method::{REPORT, has_output};
-use osteoflow_engine::check::{Checked, CommandLineParam, check_recorded, parameters};
+use osteoflow_engine::{
+    Fault,
+    check::{Checked, CommandLineParam, check_recorded, parameters},
+};
 use osteoflow_formats::{
     Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
@@ -209,8 +212,9 @@ impl RegisterRequest {
         let (kinds, kind_name) = self.method.kind()?;
         let known = kinds.known();
         let kind = known.registry.kind(&kind_name).context("the kind of the method was found")?;
-        let params = self.params(kind)?;
-        let (mut notes, began) = (Vec::new(), Instant::now());
+        let (params, warnings) = self.params(kind)?;
+        let mut notes: Vec<String> = warnings.into_iter().map(|warning| warning.message).collect();
+        let began = Instant::now();
         let start = self.read_start(&mut notes)?;
         let init_ms = ms_since(began);
         let removed = self.removed(&start, has_output(kind, REPORT));
@@ -233,20 +237,20 @@ impl RegisterRequest {
         options.into_iter().filter_map(|(option, key, value)| Some((option, key, value?))).collect()
     }
 
-    /// Reads the parameters of the method's kind. Settings outrank options.
-    fn params(&self, kind: &Kind) -> Result<Params> {
+    /// Reads the parameters of the method's kind, with warnings. Settings outrank options.
+    fn params(&self, kind: &Kind) -> Result<(Params, Vec<Fault>)> {
         let options = self.options();
         let options = options.iter().map(|(option, key, value)| CommandLineParam::Option { option, key, value });
         let fixed = if self.is_fixed { self.method.fixed() } else { &[] };
         let fixed = fixed.iter().map(|&(key, value)| CommandLineParam::Option { option: "stop fixed", key, value });
         let texts = self.settings.texts().iter().map(|text| CommandLineParam::Set(text));
         let set: Vec<_> = options.chain(texts).chain(fixed).collect();
-        let all = parameters(&kind.description, "register", &set)?;
+        let (all, warnings) = parameters(&kind.description, "register", &set)?;
         let key = |param: &CommandLineParam<'_>| match param {
             CommandLineParam::Option { key, .. } => (*key).to_owned(),
             CommandLineParam::Set(text) => text.split(['=', '.']).next().unwrap_or_default().trim().to_owned(),
         };
-        Ok(Params { set: set.iter().map(key).collect(), all })
+        Ok((Params { set: set.iter().map(key).collect(), all }, warnings))
     }
 
     fn read_start(&mut self, notes: &mut Vec<String>) -> Result<ReadStart> {
@@ -302,7 +306,6 @@ impl RegisterRequest {
             ("scan.camera", self.camera.map(|camera| camera.coords.as_slice().to_vec().into())),
             ("ct_surface.n_points", self.target_points.map(|n| (n as i64).into())),
             ("graph.seed", self.seed.map(|seed| (seed as i64).into())),
-            ("ct_surface.field", (params.all["pairing"] == "field").then(|| true.into())),
             ("results.require", self.requires_trusted.then(|| "trusted".into())),
         ];
         for (key, value) in optional {

@@ -5,12 +5,7 @@
 //! `OSTEOFLOW_BONE=fibula.stl cargo bench --bench prepared_target` measures on a bone (STL or PLY, mm), by default on the
 //! built-in one; `POINTS=20000` sets the number of points, by default 150 000.
 
-use osteoflow_algorithms::{
-    field::{ClosestPointField, FieldParams},
-    mesh_query::MeshQuery,
-    sample,
-    target::Target,
-};
+use osteoflow_algorithms::{mesh_query::MeshQuery, sample, target::Target};
 use osteoflow_engine::store::{Key, Settings, Store};
 use osteoflow_formats::mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud};
 use osteoflow_geometry::Mesh;
@@ -75,25 +70,19 @@ fn main() {
         target
     });
 
-    let field = shortest("closest-point field of the mesh", || {
-        ClosestPointField::of_mesh(&MeshQuery::new(&mesh), &FieldParams::default()).expect("a bone has a field")
-    });
-
     let dir = tempfile::tempdir().expect("a folder for the store");
     let store = Store::open(Settings::in_dir(dir.path()));
     shortest("key of the mesh", || Key::of("bench").value("mesh", &Value::new(mesh.clone())).done());
-    for (what, target) in [("target", target.clone()), ("target with field", target.with_field(field))] {
-        let key = Key::of("bench").text("what", what).done();
-        shortest(&format!("{what} kept in the store"), || store.save(&key, &target).expect("the store can be written"));
-        shortest("    read from the store, bytes alone", || store.get(&key).expect("it was kept"));
-        shortest("    read from the store", || store.load::<Target, Table>(&key).expect("it was kept"));
-        let back = shortest("    read from the store and ready to register onto", || {
-            let target: Target = store.load(&key).expect("it was kept");
-            target.prepare();
-            target
-        });
-        assert_eq!(back.to_view(), target.to_view(), "what is read is what was kept, to the bit");
-        let n_bytes: usize = back.to_view().columns.iter().map(|column| column.bytes().len()).sum();
-        println!("{:>8.2} MB in the store", n_bytes as f64 / 1e6);
-    }
+    let key = Key::of("bench").text("what", "target").done();
+    shortest("target kept in the store", || store.save(&key, &target).expect("the store can be written"));
+    shortest("    read from the store, bytes alone", || store.get(&key).expect("it was kept"));
+    shortest("    read from the store", || store.load::<Target, Table>(&key).expect("it was kept"));
+    let back = shortest("    read from the store and ready to register onto", || {
+        let target: Target = store.load(&key).expect("it was kept");
+        target.prepare();
+        target
+    });
+    assert_eq!(back.to_view(), target.to_view(), "what is read is what was kept, to the bit");
+    let n_bytes: usize = back.to_view().columns.iter().map(|column| column.bytes().len()).sum();
+    println!("{:>8.2} MB in the store", n_bytes as f64 / 1e6);
 }

@@ -91,8 +91,8 @@ pub(crate) struct Register {
     #[arg(long, value_name = "STAGE.KIND", requires = "plugins", conflicts_with = "method")]
     kind: Option<String>,
 
-    /// Correspondence search: cached (the nearest samples, kept while none can be nearer), tree (the nearest samples, searched
-    /// at every step), or field (a grid of closest points). Default: as the method's node.
+    /// Correspondence search: cached (the nearest samples, kept while none can be nearer), or tree (the nearest samples,
+    /// searched at every step). Default: as the method's node.
     #[arg(long, value_name = "PAIRING")]
     pairing: Option<String>,
 

@@ -1,5 +1,5 @@
 use super::common::{
-    Exit, Format, Global,
+    Exit, Format, Global, graph_args,
     plugins::PluginArgs,
     print_json,
     progress::Progress,
@@ -135,6 +135,7 @@ impl Replay {
 }
 
 fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> {
+    graph_args::warn(&report.warnings, global)?;
     let mut err = terminal::stderr().lock();
     if let Some(reason) = &report.truncated {
         let word = global.paint_err("warning", "1;33");

@@ -209,7 +209,7 @@ const CRATES: &[(&str, Floors)] = &[
             ],
             &["ct_surface", "mesh_topology", "morton", "nearest"],
             &["fragment", "mesh_query", "point_blocks", "sensor_noise"],
-            &["field", "landmarks", "normals"],
+            &["landmarks", "normals"],
             &["hole", "target"],
             &["icp", "metrics"],
             &["calibrate", "coarse"],

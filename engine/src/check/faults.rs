@@ -1,6 +1,6 @@
 //! Orders faults for display, and adds the places where modules are used.
 
-use crate::fault::{Fault, Use};
+use crate::fault::{Fault, Severity, Use};
 
 /// Adds to each fault inside a module the place where the module is used; a fault seen in several uses is listed once.
 pub(super) fn add_uses(faults: Vec<Fault>) -> Vec<Fault> {
@@ -36,7 +36,8 @@ fn is_same(a: &Fault, b: &Fault) -> bool {
         && bare(&a.message, a_use) == bare(&b.message, b_use)
 }
 
-/// Sorts faults by their place in the texts. After a syntax fault, possible consequences of it are left out.
+/// Sorts faults by their place in the texts. After a syntax fault, possible consequences of it are left out. A warning that is
+/// given at several places is listed once, with all of them.
 pub(super) fn sorted(mut faults: Vec<Fault>) -> Vec<Fault> {
     let hidden: Vec<_> = faults.iter().filter_map(|fault| fault.hides.clone()).collect();
     let consequence = |fault: &Fault| match &fault.at {
@@ -45,7 +46,17 @@ pub(super) fn sorted(mut faults: Vec<Fault>) -> Vec<Fault> {
     };
     faults.retain(|fault| hidden.is_empty() || fault.hides.is_some() || !consequence(fault));
     faults.sort_by_key(|fault| fault.at.as_ref().map(|(span, _)| span.key()));
-    faults
+    let mut out: Vec<Fault> = Vec::new();
+    for fault in faults {
+        let is_same = |other: &&mut Fault| {
+            [other.severity, fault.severity] == [Severity::Warning; 2] && other.message == fault.message
+        };
+        match out.iter_mut().find(is_same) {
+            Some(other) => other.also.extend(fault.at),
+            None => out.push(fault),
+        }
+    }
+    out
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ mod table;
 mod union;
 mod value_type;
 
-use crate::fault::{Fault, Span};
+use crate::fault::{Fault, Severity, Span};
 use serde_json::Value as Json;
 use std::path::PathBuf;
 
@@ -38,6 +38,13 @@ pub(crate) struct Walker<'a> {
     pub(crate) faults: Vec<Fault>,
     /// The files named, absolute.
     pub(crate) input_files: Vec<PathBuf>,
+}
+
+impl Walker<'_> {
+    /// Number of faults that are not only warnings.
+    pub(super) fn n_errors(&self) -> usize {
+        self.faults.iter().filter(|fault| fault.severity == Severity::Error).count()
+    }
 }
 
 /// The value being read: its name and its doc.

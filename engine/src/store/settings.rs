@@ -28,8 +28,7 @@ pub struct SettingsError {
 }
 
 impl Settings {
-    /// 1 GiB: a hundred prepared surfaces of 10 MB, or sixty with their closest-point fields, and less than a day of
-    /// recordings.
+    /// 1 GiB: a hundred prepared surfaces of 10 MB, and less than a day of recordings.
     pub const MAX_BYTES: u64 = 1 << 30;
 
     /// Settings for a folder with [`Settings::MAX_BYTES`].

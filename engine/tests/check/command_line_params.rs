@@ -13,7 +13,9 @@ fn option<'a>(option: &'a str, key: &'a str, value: &'a str) -> CommandLineParam
 fn read(given: &[CommandLineParam<'_>]) -> Result<serde_json::Value, String> {
     let registry = stages::registry();
     let kind = &registry.kind("icp.point_to_point").unwrap().description;
-    parameters(kind, "register", given).map_err(|faults| faults.render(false))
+    let (params, warnings) = parameters(kind, "register", given).map_err(|faults| faults.render(false))?;
+    assert!(warnings.is_empty(), "{warnings:?}");
+    Ok(params)
 }
 
 #[test]

@@ -77,3 +77,13 @@ fn faults_are_in_the_order_of_the_texts_and_consequences_of_a_syntax_fault_are_l
     }
     assert_eq!(messages(&sorted(broken)), ["nowhere", "syntax", "syntax", "third line", "base"]);
 }
+
+#[test]
+fn a_warning_at_several_places_is_listed_once_and_an_error_at_each() {
+    let graph = text("graph.toml", 0, None);
+    let fault = |start: usize| Fault::new("it is ignored").at(&at(&graph, start), "here");
+    let told = sorted(vec![fault(12).warning(), fault(0).warning(), fault(6), fault(7)]);
+    assert_eq!(messages(&told), ["it is ignored"; 3]);
+    let places: Vec<_> = told[0].at.iter().chain(&told[0].also).map(|(span, _)| span.range.start).collect();
+    assert_eq!(places, [0, 12]);
+}

@@ -10,7 +10,8 @@ use crate::{
 use serde_json::{Map, Value as Json};
 
 /// Extension of a struct's schema: parameters of earlier versions, each as `name: { default, help }`. The default is ignored,
-/// as recordings spell it out; any other value is refused with the help.
+/// as recordings spell it out; any other value is refused with the help. With `warning` instead of `help` it is ignored, too,
+/// with that warning.
 const REMOVED: &str = "x-removed";
 
 impl<'a> Walker<'a> {
@@ -23,7 +24,7 @@ impl<'a> Walker<'a> {
         prefix: &str,
         skip: &[&str],
     ) -> Option<Map<String, Json>> {
-        let before = self.faults.len();
+        let before = self.n_errors();
         let empty = Map::new();
         let properties = schema.get("properties").and_then(Json::as_object).unwrap_or(&empty);
         let more = schema.get("additionalProperties").filter(|more| **more != Json::Bool(false));
@@ -59,7 +60,7 @@ impl<'a> Walker<'a> {
                 None => self.unknown(entry, &known, prefix, table),
             }
         }
-        (self.faults.len() == before).then_some(out)
+        (self.n_errors() == before).then_some(out)
     }
 
     fn read_owned(&mut self, schema: &'a Json, name: &str, entry: &Entry, prefix: &str) -> Option<Json> {
@@ -99,6 +100,10 @@ impl<'a> Walker<'a> {
         let name = format!("{prefix}{}", entry.key);
         let value = self.any(&entry.value, &Quantity { name: name.clone(), doc: None });
         if value.as_ref() == removed.get("default") {
+            return;
+        }
+        if let Some(warning) = removed.get("warning").and_then(Json::as_str) {
+            self.faults.push(Fault::new(warning).at(&entry.key_at, "ignored").warning());
             return;
         }
         let fault = Fault::new(format!("{}: {} has no parameter \"{name}\" any more", self.owner, self.kind));

@@ -22,9 +22,10 @@ fn read_table(schema: &Json, text: &str, sets: &[&str], files: Files) -> (String
         input_files: Vec::new(),
     };
     let read = walker.table(schema, entry.value.as_table().unwrap(), &entry.key_at, "", &["skipped"]);
-    let faults: Vec<_> = walker.faults.iter().map(format_fault).collect();
-    assert_eq!(read.is_some(), faults.is_empty());
-    (read.map_or_else(|| faults.join("\n"), |read| Json::Object(read).to_string()), walker.input_files)
+    assert_eq!(read.is_some(), walker.n_errors() == 0);
+    let read = read.map(|read| Json::Object(read).to_string());
+    let lines: Vec<_> = read.into_iter().chain(walker.faults.iter().map(format_fault)).collect();
+    (lines.join("\n"), walker.input_files)
 }
 
 fn format_fault(fault: &Fault) -> String {
@@ -181,6 +182,14 @@ fn a_value_of_another_type_is_refused_with_what_is_taken() {
                     "x: v takes one of \"near\", \"far\", found the text \"nea\" [not one of them] help: did you mean \"near\"?",
                 ),
                 ("1", "x: v takes one of \"near\", \"far\", found 1 [of another type]"),
+            ],
+        ),
+        (
+            json!({ "enum": ["near", "far"], "x-replaced": { "close": { "by": "near", "warning": "close is near" } } }),
+            &[
+                ("\"near\"", "\"near\""),
+                ("\"close\"", "\"near\"}\nclose is near [of an earlier version]"),
+                ("\"clos\"", "x: v takes one of \"near\", \"far\", found the text \"clos\" [not one of them]"),
             ],
         ),
         (
@@ -372,7 +381,11 @@ fn a_table_has_its_defaults_its_required_parameters_and_no_others() {
             "skipped": { "type": "integer", "default": 1 },
         },
         "required": ["gap_mm"],
-        "x-removed": { "old": { "default": 1, "help": "it is always 1" }, "older": {} },
+        "x-removed": {
+            "old": { "default": 1, "help": "it is always 1" },
+            "older": {},
+            "idle": { "default": 1, "warning": "idle is ignored" },
+        },
         "additionalProperties": false,
     });
     let read = |text: &str| read_table(&schema, text, &[], Files::Replaced).0;
@@ -387,6 +400,8 @@ fn a_table_has_its_defaults_its_required_parameters_and_no_others() {
         ("gap_mm = 2\nold = 1", all.to_owned()),
         ("", missing.to_owned()),
         ("gap_mm = 2\nold = 2", "x: toy has no parameter \"old\" any more [removed] help: it is always 1".to_owned()),
+        ("gap_mm = 2\nidle = 1", all.to_owned()),
+        ("gap_mm = 2\nidle = 2", format!("{all}\nidle is ignored [ignored]")),
         ("gap_mm = 2\nolder = 2", "x: toy has no parameter \"older\" any more [removed]".to_owned()),
         ("skipped = 1\nother = 1", format!("{missing}\nx: toy has no parameter \"other\" [unknown] {known}")),
         // One fault for a misspelt name, or one in another unit.

@@ -47,7 +47,6 @@ pub mod calibrate;
 pub mod coarse;
 pub mod ct_surface;
 pub mod downsample;
-pub mod field;
 pub mod fragment;
 pub mod hole;
 pub mod icp;

@@ -11,9 +11,6 @@ pub(crate) const BLOCK_LEN: usize = WIDE;
 /// Coordinate of padding points, mm: far from all others, but its square is a finite `f32`.
 const PADDING: f32 = 1e15;
 
-/// Number of evenly spread points whose median is the typical radius.
-const MEASURED: usize = 500;
-
 /// Eight points relative to the first: for each axis four and four.
 pub(crate) struct PointBlock {
     pub(crate) first: Vector3<f64>,
@@ -35,12 +32,6 @@ pub(crate) fn halves(of: [f32; BLOCK_LEN]) -> [f32x4; 2] {
 }
 
 impl PointBlock {
-    /// The `k`-th point of the block.
-    #[inline]
-    pub(crate) fn place(&self, k: usize) -> Vector3<f64> {
-        self.first + Vector3::from(self.at.map(|halves| f64::from(halves[k / 4].as_array()[k % 4])))
-    }
-
     /// Vectors from `place` to the points.
     #[inline(always)]
     pub(crate) fn relative_to(&self, place: &Vector3<f64>) -> [[f32x4; 2]; 3] {
@@ -86,11 +77,6 @@ impl PointBlocks {
         self.order.len()
     }
 
-    /// The `which`-th point along the curve.
-    pub(crate) fn place(&self, which: u32) -> Vector3<f64> {
-        self.blocks[which as usize / BLOCK_LEN].place(which as usize % BLOCK_LEN)
-    }
-
     /// Fills `nearest` with the squared distances (mm²) and positions along the curve of the `n` points nearest to a place,
     /// nearest first, ties by position.
     pub(crate) fn nearest_n(&self, place: &Vector3<f64>, n: usize, nearest: &mut Vec<(f32, u32)>) {
@@ -111,20 +97,6 @@ impl PointBlocks {
             }
             if nearest.len() == n { f64::from(nearest[n - 1].0) } else { f64::INFINITY }
         });
-    }
-
-    /// Median radius that holds `n` points, mm.
-    pub(crate) fn typical_radius(&self, n: usize) -> f64 {
-        let mut nearest = Vec::new();
-        let mut radii: Vec<f32> = (0..self.len())
-            .step_by(self.len().div_ceil(MEASURED).max(1))
-            .map(|i| {
-                self.nearest_n(&self.place(i as u32), n, &mut nearest);
-                nearest.last().map_or(0.0, |(squared, _)| squared.sqrt())
-            })
-            .collect();
-        radii.sort_unstable_by(f32::total_cmp);
-        radii.get(radii.len() / 2).map_or(0.0, |&r| f64::from(r))
     }
 }
 
@@ -152,6 +124,5 @@ mod tests {
         }
         blocks.nearest_n(&places[0], 5000, &mut nearest);
         assert_eq!(nearest.len(), places.len());
-        assert_eq!(PointBlocks::new(&[]).typical_radius(3), 0.0);
     }
 }

@@ -6,7 +6,6 @@ mod near_map;
 pub use crate::point_grid::GridColumns;
 pub(crate) use near_map::NearMap;
 
-use crate::field::ClosestPointField;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::{Nearest, Threads};
@@ -26,8 +25,7 @@ const MIN_THINNED: usize = 2000;
 
 /// The surface that a scan is registered onto: points in mm, their unit normals where known, and an index for nearest points.
 ///
-/// May hold the mesh that the points were drawn from, and a closest-point field of it. A cheap handle: clones share
-/// everything. The index is built once, at the first search or by [`Target::prepare`].
+/// May hold the mesh that the points were drawn from. A cheap handle: clones share everything. The index is built once, at the first search or by [`Target::prepare`].
 #[derive(Clone)]
 pub struct Target {
     /// The frame of the points.
@@ -37,7 +35,6 @@ pub struct Target {
     points: Column<Point3<f64>>,
     normals: Option<Column<Vector3<f64>>>,
     mesh: Option<MeshQuery>,
-    field: Option<ClosestPointField>,
     index: Arc<OnceLock<Index>>,
 }
 
@@ -115,7 +112,7 @@ impl Target {
             return Err(TargetError::TooFar { index, far });
         }
         let index = Arc::new(OnceLock::new());
-        Ok(Self { frame, origin, points, normals, mesh: None, field: None, index })
+        Ok(Self { frame, origin, points, normals, mesh: None, index })
     }
 
     /// The target with the mesh that its points were drawn from, in the same frame.
@@ -126,16 +123,6 @@ impl Target {
     /// The mesh that the points were drawn from, if given.
     pub fn mesh(&self) -> Option<&MeshQuery> {
         self.mesh.as_ref()
-    }
-
-    /// The target with a closest-point field of the same surface, in the same frame.
-    pub fn with_field(self, field: ClosestPointField) -> Self {
-        Self { field: Some(field), ..self }
-    }
-
-    /// The closest-point field, if given.
-    pub fn field(&self) -> Option<&ClosestPointField> {
-        self.field.as_ref()
     }
 
     /// Builds the index for `pairing = "cached"`: the cells and the thinned target.

@@ -6,7 +6,6 @@
 mod calibration;
 mod clouds;
 mod cuts;
-mod field;
 mod fits;
 mod holes;
 mod search;

@@ -6,7 +6,6 @@ use crate::{
     geometry_views::{invalid, origin},
 };
 use osteoflow_algorithms::{
-    field::{ClosestPointField, FieldColumns},
     mesh_query::MeshQuery,
     target::{GridColumns, Target},
 };
@@ -24,7 +23,7 @@ fn has(view: &View, column: &str) -> bool {
 }
 
 /// The view holds all that a registration needs, so that one read back is ready: points, normals, the cells that they are
-/// found by, the mesh that they were drawn from, and its closest-point field. All but the points may be missing; cells
+/// found by, and the mesh that they were drawn from. All but the points may be missing; cells
 /// (`cell_mm` and three columns) are then built when they are needed.
 impl Payload<Table> for Target {
     const NAME: &'static str = "algorithms/Target";
@@ -40,6 +39,7 @@ impl Payload<Table> for Target {
         SchemaEntry::column("cells/items", ColumnType::U32, 1).optional(),
         SchemaEntry::column("mesh/vertices", ColumnType::F64, 3).optional().unit("mm"),
         SchemaEntry::column("mesh/faces", ColumnType::U32, 3).optional(),
+        // Of recordings by earlier versions, whose closest-point field is not read.
         SchemaEntry::column("field/head", ColumnType::F64, 1).optional(),
         SchemaEntry::column("field/index", ColumnType::U32, 1).optional(),
         SchemaEntry::column("field/nodes", ColumnType::F32, 1).optional(),
@@ -63,12 +63,6 @@ impl Payload<Table> for Target {
             view = view
                 .with_column(to_column("mesh/vertices", ColumnType::F64, mesh.vertex_column()))
                 .with_column(to_column("mesh/faces", ColumnType::U32, mesh.face_column()));
-        }
-        if let Some(field) = self.field().map(ClosestPointField::to_columns) {
-            view = view
-                .with_column(to_column("field/head", ColumnType::F64, &field.head))
-                .with_column(to_column("field/index", ColumnType::U32, &field.index))
-                .with_column(to_column("field/nodes", ColumnType::F32, &field.nodes));
         }
         view
     }
@@ -95,14 +89,6 @@ impl Payload<Table> for Target {
             let mesh = Mesh::new(frame, origin, vertices, faces).map_err(invalid)?;
             target = target.with_mesh(MeshQuery::new(&mesh));
         }
-        if has(view, "field/head") {
-            let field = FieldColumns {
-                head: from_column(view, "field/head")?,
-                index: from_column(view, "field/index")?,
-                nodes: from_column(view, "field/nodes")?,
-            };
-            target = target.with_field(ClosestPointField::from_columns(field).map_err(invalid)?);
-        }
         if view.field(CELL_MM).is_some() {
             target.prepare();
         }
@@ -112,9 +98,8 @@ impl Payload<Table> for Target {
     /// The cells hold each point and its normal once more.
     fn n_bytes(&self) -> usize {
         let mesh = self.mesh().map_or(0, |mesh| mesh.mesh().n_bytes());
-        let field = self.field().map_or(0, ClosestPointField::n_bytes);
         let normals = self.normals().map_or(0, size_of_val);
-        size_of::<Self>() + 2 * (size_of_val(self.points()) + normals) + mesh + field
+        size_of::<Self>() + 2 * (size_of_val(self.points()) + normals) + mesh
     }
 
     fn to_result(&self) -> Json {
@@ -143,10 +128,7 @@ impl Payload<Table> for Target {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_algorithms::{
-        field::FieldParams,
-        icp::{self, IcpParams, Method, PairingKind},
-    };
+    use osteoflow_algorithms::icp::{self, IcpParams, Method, PairingKind};
     use osteoflow_geometry::{
         SurfaceOrigin,
         nalgebra::{Isometry3, Point3},
@@ -179,10 +161,8 @@ mod tests {
         let middle = |face| Point3::from(mesh.corners(face).iter().map(|c| c.coords).sum::<Vector3<f64>>() / 3.0);
         let points: Vec<_> = faces.clone().map(middle).collect();
         let normals: Vec<_> = faces.map(|face| mesh.area_vector(face).normalize()).collect();
-        let query = MeshQuery::new(&mesh);
-        let field = ClosestPointField::of_mesh(&query, &FieldParams::default()).unwrap();
         let target = Target::new("ct", SurfaceOrigin::SimulatedCt, points, Some(normals.into()));
-        target.unwrap().with_mesh(query).with_field(field)
+        target.unwrap().with_mesh(MeshQuery::new(&mesh))
     }
 
     #[test]
@@ -197,7 +177,6 @@ mod tests {
         for (method, pairing) in [
             (Method::PointToPlane, PairingKind::Cached),
             (Method::PointToPlane, PairingKind::Tree),
-            (Method::PointToPlane, PairingKind::Field),
             (Method::PointToMesh, PairingKind::Cached),
         ] {
             let params = IcpParams { pairing, ..IcpParams::default() };
@@ -214,6 +193,15 @@ mod tests {
     }
 
     #[test]
+    fn a_recorded_target_with_a_closest_point_field_is_read_without_it() {
+        let view = target().to_view();
+        let field = Column::from(vec![1.0_f64; 4]);
+        let earlier = view.clone().with_column(to_column("field/head", ColumnType::F64, &field));
+        assert_eq!(earlier.check(Target::SCHEMA), Ok(()));
+        assert_eq!(Target::from_view(&earlier).unwrap().to_view(), view);
+    }
+
+    #[test]
     fn points_alone_make_a_target_and_what_is_damaged_makes_none() {
         let whole = target().to_view();
         let without = |ends: &[&str]| {
@@ -222,12 +210,12 @@ mod tests {
             view.columns.retain(|column| !ends.iter().any(|end| column.name.starts_with(end)));
             Target::from_view(&view).unwrap()
         };
-        let bare = without(&["normals", "cells", "mesh", "field"]);
+        let bare = without(&["normals", "cells", "mesh"]);
         assert_eq!(bare.to_view().check(Target::SCHEMA), Ok(()));
-        assert!(bare.normals().is_none() && bare.mesh().is_none() && bare.field().is_none());
+        assert!(bare.normals().is_none() && bare.mesh().is_none());
         assert_eq!(without(&["cells"]).to_view(), whole, "cells are built again, the same");
 
-        for name in ["cells/items", "mesh/faces", "field/index"] {
+        for name in ["cells/items", "mesh/faces"] {
             let mut view = whole.clone();
             let damaged = view.columns.iter_mut().find(|column| column.name == name).unwrap();
             let mut rows = damaged.rows_of::<[u32; 1]>().unwrap_or_default().concat();

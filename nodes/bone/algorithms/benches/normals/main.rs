@@ -1,9 +1,7 @@
 //! Cost and accuracy of estimated normals, beside those of a plane through the exact twenty nearest points of a kd-tree.
 //!
-//! Processor time, the fastest of some runs, on one thread; bone, samples and scan as in the bench of the field.
+//! Processor time, the fastest of some runs, on one thread.
 
-#[path = "../field/bone.rs"]
-#[allow(dead_code, reason = "the bench of the field uses the rest")]
 mod bone;
 
 use nalgebra::{Matrix3, Point3, Vector3};

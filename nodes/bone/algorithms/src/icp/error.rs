@@ -32,9 +32,6 @@ pub enum IcpError {
     /// The variant needs a mesh, and the target has none.
     #[error("the target has no triangles, which point_to_mesh needs; prepare it from a mesh")]
     NoMesh,
-    /// The target was prepared without a closest-point field.
-    #[error("the target has no closest-point field, which pairing = \"field\" needs; prepare it with field = true")]
-    NoField,
     /// The source's normals and points differ in number.
     #[error("the source has {n_normals} normals for {n_points} points")]
     SourceNormals {

@@ -2,7 +2,7 @@
 
 use super::normal_equations::NormalEquations;
 use super::observability::Observability;
-use super::pairing::{Cached, Field, Mesh, NeighbourLists, Pairing, Thinned, Tree};
+use super::pairing::{Cached, Mesh, NeighbourLists, Pairing, Thinned, Tree};
 use super::params::{IcpParams, PairingKind};
 use super::problem::Problem;
 use super::report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace, Observer};
@@ -131,7 +131,7 @@ fn run<R: Residual>(
     let steps_left = |observer: &Observer<'_>| params.max_iterations - observer.trace.steps.len() as u32;
     let mut halted = None;
     let is_one_sided = surface.outward().is_some() && one_sided == Some(true);
-    for (k, every) in subsets(params, all.points.len(), &pairings, is_one_sided).into_iter().enumerate() {
+    for (k, every) in subsets(params, all.points.len(), is_one_sided).into_iter().enumerate() {
         if k > 0 {
             weights.search_radius_mm = weights.search_radius_mm.min(params.max_pair_distance_mm);
         }
@@ -148,7 +148,7 @@ fn run<R: Residual>(
     }
 
     let mut weights = weights.for_last(params, 2.0 * surface.index.cell_mm());
-    let last = Problem::new(&surface, pairings.of_all::<R>(), params, 1, all, grid.as_ref());
+    let last = Problem::new(&surface, &*pairings.exact, params, 1, all, grid.as_ref());
     let mut end = match halted {
         Some(reason) => {
             let equations = last.linearize(&state, &mut last.correspondences(), &mut weights, false)?;
@@ -162,8 +162,7 @@ fn run<R: Residual>(
     }
     // Normals of the source, too, decide how far a symmetric or generalized step may go, but not what the surface determines.
     let h = (!R::SOURCE_NORMALS).then(|| end.equations.h / end.equations.weight);
-    let pairing = pairings.field().unwrap_or(last.pairing);
-    let observability = Observability::at(&surface, pairing, params, &last.source, &end.state, end.weights, h);
+    let observability = Observability::at(&surface, last.pairing, params, &last.source, &end.state, end.weights, h);
     let report = report(&last.source, params, &end, &observer.trace, observability);
     Ok(IcpFit { t_target_source: end.state.isometry(&last.source.centroid), report, trace: observer.trace })
 }
@@ -192,12 +191,11 @@ fn grid(source: &PreparedSource) -> PointGrid {
 }
 
 /// The subsets to register before all points: every n-th point for each.
-fn subsets(params: &IcpParams, n_points: usize, pairings: &Pairings<'_>, is_one_sided: bool) -> Vec<u32> {
+fn subsets(params: &IcpParams, n_points: usize, is_one_sided: bool) -> Vec<u32> {
     let is_large = |every: &u32| *every >= 2 && n_points / (*every as usize) >= MIN_SUBSET;
     let mut subsets: Vec<u32> = params.levels.iter().copied().filter(is_large).collect();
-    let on_field = pairings.field.is_some() && params.field_exact;
-    if subsets.is_empty() && (on_field || (is_one_sided && !params.levels.is_empty())) {
-        // All points start on the field, or with those outside counting less.
+    if subsets.is_empty() && is_one_sided && !params.levels.is_empty() {
+        // All points start with those outside counting less.
         subsets.push(1);
     }
     subsets
@@ -207,7 +205,6 @@ fn subsets(params: &IcpParams, n_points: usize, pairings: &Pairings<'_>, is_one_
 struct Pairings<'a> {
     params: &'a IcpParams,
     exact: Box<dyn Pairing + 'a>,
-    field: Option<Field<'a>>,
     thinned: Thinned<'a>,
 }
 
@@ -220,27 +217,13 @@ impl<'a> Pairings<'a> {
             (None, _) if !R::TARGET_NORMALS && params.acceleration == 0 => Box::new(NeighbourLists(Cached(surface))),
             (None, _) => Box::new(Cached(surface)),
         };
-        let field = target.field().filter(|_| params.pairing == PairingKind::Field);
-        Self { params, exact, field: field.map(|field| Field::new(surface, field)), thinned: Thinned(surface) }
-    }
-
-    fn field(&self) -> Option<&dyn Pairing> {
-        self.field.as_ref().map(|field| field as &dyn Pairing)
+        Self { params, exact, thinned: Thinned(surface) }
     }
 
     /// The search of the `k`-th subset.
     fn of_subset(&self, k: usize) -> &dyn Pairing {
-        match self.field() {
-            Some(field) => field,
-            // The start is far off, where a thinned target is accurate enough.
-            None if k == 0 && self.params.pairing == PairingKind::Cached => &self.thinned,
-            None => &*self.exact,
-        }
-    }
-
-    /// The search of the last level. Exact pairs of `point_to_point` would hold the source back among the samples.
-    fn of_all<R: Residual>(&self) -> &dyn Pairing {
-        self.field().filter(|_| !self.params.field_exact || !R::TARGET_NORMALS).unwrap_or(&*self.exact)
+        // The start is far off, where a thinned target is accurate enough.
+        if k == 0 && self.params.pairing == PairingKind::Cached { &self.thinned } else { &*self.exact }
     }
 }
 
@@ -256,9 +239,6 @@ fn check<R: Residual>(
     }
     if R::MESH && target.mesh().is_none() {
         return Err(IcpError::NoMesh);
-    }
-    if params.pairing == PairingKind::Field && target.field().is_none() {
-        return Err(IcpError::NoField);
     }
     let min_pairs = params.min_pairs.max(3) as usize;
     if source.points.len() < min_pairs {

@@ -1,13 +1,11 @@
 //! Correspondence search: one file for each method.
 
 mod cached;
-mod field;
 mod mesh;
 mod neighbour_lists;
 mod tree;
 
 pub(super) use cached::Cached;
-pub(super) use field::Field;
 pub(super) use mesh::Mesh;
 pub(super) use neighbour_lists::NeighbourLists;
 pub(super) use tree::{Thinned, Tree};

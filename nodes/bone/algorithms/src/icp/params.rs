@@ -4,13 +4,19 @@ use super::IcpError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// Said where a graph or a recording of an earlier version asks for the closest-point field.
+pub const NO_FIELD: &str = "there is no closest-point field any more: pairing = \"field\" is read as \"cached\", and field and field_exact are ignored";
+
 /// Parameters of pairing, weights, steps and stop rules, the same for every variant.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = { "published_reading": {
-    "default": "none",
-    "help": "the stop rules that the paper may have used are kind = \"icp.published\", whose reading takes this value",
-} }))]
+#[schemars(extend("x-removed" = {
+    "published_reading": {
+        "default": "none",
+        "help": "the stop rules that the paper may have used are kind = \"icp.published\", whose reading takes this value",
+    },
+    "field_exact": { "default": true, "warning": NO_FIELD },
+}))]
 pub struct IcpParams {
     /// Largest distance of a pair, mm. 5: twice the largest error of a three-point fit to laser holes, and less than half the
     /// thickness of a fibula, so that no point pairs with the far side.
@@ -18,13 +24,7 @@ pub struct IcpParams {
     pub max_pair_distance_mm: f64,
     /// Correspondence search. `cached`: the nearest samples, searched again only after a point has moved so far that another
     /// could be nearer; the pairs of `tree` in a fifth of its time. `tree`: the nearest samples, searched at every step.
-    /// `field`: the closest points of the surface from a grid that the target must have been prepared with, for registration
-    /// at camera rate.
     pub pairing: PairingKind,
-    /// With `field`: whether the last level, on all points, uses exact pairs. true: the result is that of exact pairs. false:
-    /// the field alone, in a third of the time; the result may differ by some hundredths of a millimetre. `point_to_point`
-    /// always ends on the field, as exact pairs would hold it back among the samples.
-    pub field_exact: bool,
     /// Whether a pair is used only if the source point is the nearest to its target point in turn. false: a scan covers a part
     /// of the bone, and each of its points has a target point.
     pub reciprocal: bool,
@@ -96,7 +96,6 @@ impl Default for IcpParams {
         Self {
             max_pair_distance_mm: 5.0,
             pairing: PairingKind::Cached,
-            field_exact: true,
             reciprocal: false,
             max_normal_angle_deg: 180.0,
             gate_sigmas: 5.0,
@@ -121,13 +120,12 @@ impl Default for IcpParams {
 /// Correspondence search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
+#[schemars(extend("x-replaced" = { "field": { "by": "cached", "warning": NO_FIELD } }))]
 pub enum PairingKind {
     /// The nearest samples, searched again only after a point has moved so far that another could be nearer.
     Cached,
     /// The nearest samples, searched at every step.
     Tree,
-    /// The closest points of the surface, from a grid.
-    Field,
 }
 
 /// Robust kernel.

@@ -1,5 +1,4 @@
 use super::*;
-use crate::field::{ClosestPointField, FieldParams};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
 use crate::sample;
@@ -191,16 +190,14 @@ fn a_report_survives_json_and_unknown_parameters_are_refused() {
 
 /// A target for every variant and every pairing.
 fn whole_target(mesh: &Mesh, n: usize) -> Target {
-    let query = MeshQuery::new(mesh);
-    let field = ClosestPointField::of_mesh(&query, &FieldParams::default()).unwrap();
-    target(mesh, n).with_mesh(query).with_field(field)
+    target(mesh, n).with_mesh(MeshQuery::new(mesh))
 }
 
 #[test]
 fn every_variant_finds_the_motion_by_every_pairing() {
     let (target, source) = (whole_target(&shaft(), 40_000), source(&shaft(), 5000));
     for method in Method::ALL {
-        for pairing in [PairingKind::Cached, PairingKind::Tree, PairingKind::Field] {
+        for pairing in [PairingKind::Cached, PairingKind::Tree] {
             let params = IcpParams { pairing, ..IcpParams::default() };
             let fit = register(method, &target, &source, &start(), &params, &mut go_on).unwrap();
             let limit = if method == Method::PointToPoint { 0.2 } else { 0.02 };
@@ -228,31 +225,19 @@ fn neighbour_lists_give_the_pairs_of_the_tree() {
 }
 
 #[test]
-fn cached_pairs_are_those_of_the_tree_and_the_field_ends_on_them_if_exact() {
+fn cached_pairs_are_those_of_the_tree() {
     let (target, source) = (whole_target(&shaft(), 40_000), source(&shaft(), 5000));
-    let run = |pairing, field_exact| {
+    let run = |pairing| {
         let tight = IcpParams { stop_step_mm: 1e-9, stop_step_rad: 1e-12, ..IcpParams::default() };
-        let loose = IcpParams { field_exact, ..IcpParams::default() };
-        let params = if pairing == PairingKind::Field { loose } else { tight };
-        let params = IcpParams { pairing, levels: vec![], ..params };
-        register(Method::PointToPlane, &target, &source, &start(), &params, &mut go_on).unwrap()
+        let params = IcpParams { pairing, levels: vec![], ..tight };
+        register(Method::PointToPlane, &target, &source, &start(), &params, &mut go_on).unwrap().t_target_source
     };
-    let tree = run(PairingKind::Tree, true);
-    assert_eq!(run(PairingKind::Cached, true).t_target_source, tree.t_target_source, "the same pairs, the same bits");
-    let (alone, ended) = (run(PairingKind::Field, false), run(PairingKind::Field, true));
-    let apart = |fit: &IcpFit| off(fit, &tree.t_target_source, &source);
-    assert!(apart(&ended) < 1e-3 && apart(&ended) < apart(&alone), "{} and {}", apart(&ended), apart(&alone));
-    assert!(alone.report.iterations < ended.report.iterations);
+    assert_eq!(run(PairingKind::Cached), run(PairingKind::Tree), "the same pairs, the same bits");
 }
 
 #[test]
-fn a_target_without_the_normals_mesh_or_field_needed_is_refused() {
+fn a_target_without_the_mesh_needed_is_refused() {
     let (target, source) = (target(&shaft(), 5000), source(&shaft(), 1000));
-    let field = IcpParams { pairing: PairingKind::Field, ..IcpParams::default() };
-    assert_eq!(
-        register(Method::PointToPlane, &target, &source, &start(), &field, &mut go_on).unwrap_err(),
-        IcpError::NoField
-    );
     let plain = IcpParams::default();
     assert_eq!(
         register(Method::PointToMesh, &target, &source, &start(), &plain, &mut go_on).unwrap_err(),
@@ -306,7 +291,7 @@ fn a_published_reading_takes_the_steps_of_brute_force_under_that_rule() {
 
 /// Every variant with every pairing, and its name.
 fn variants() -> impl Iterator<Item = (Method, IcpParams, String)> {
-    let pairings = [PairingKind::Cached, PairingKind::Tree, PairingKind::Field];
+    let pairings = [PairingKind::Cached, PairingKind::Tree];
     Method::ALL.into_iter().flat_map(move |method| {
         pairings.map(|pairing| {
             let params = IcpParams { pairing, ..IcpParams::default() };
@@ -324,10 +309,9 @@ fn metres_and_kilometres_away_every_variant_gives_the_same_answer() {
         let away = Isometry3::translation(far_mm, -far_mm, far_mm);
         let moved: Vec<_> = source.iter().map(|p| away * p).collect();
         let query = MeshQuery::new(&mesh.transformed("ct", &away));
-        let field = ClosestPointField::of_mesh(&query, &FieldParams::default()).unwrap();
         let points: Vec<_> = here.points().iter().map(|p| away * p).collect();
         let there = Target::new("ct", SurfaceOrigin::Exact, points, here.normal_column().cloned()).unwrap();
-        let there = there.with_mesh(query).with_field(field);
+        let there = there.with_mesh(query);
         for (method, params, name) in variants() {
             let expected = register(method, &here, &source, &start(), &params, &mut go_on).unwrap();
             let init = away * start() * away.inverse();

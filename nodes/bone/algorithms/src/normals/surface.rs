@@ -54,7 +54,7 @@ const CHUNK: usize = 512;
 /// on average in the vicinity. Signs are made consistent from point to point along the clearest pairs first. Each
 /// connected component is then flipped so that its normals point away from its centroid on the whole, as those of every
 /// closed surface do. A closed surface thus gets outward normals. The normals of an open one (a single view, a crop) are
-/// consistent, but their side is a guess: point-to-plane registration does not depend on it, a closest-point field does.
+/// consistent, but their side is a guess, on which point-to-plane registration does not depend.
 /// A closed surface within another, such as the wall of a marrow cavity, is a component of its own. Sheets closer to each
 /// other than twice the point spacing are not told apart.
 ///

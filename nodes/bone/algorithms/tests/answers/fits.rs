@@ -5,7 +5,6 @@ use super::{BONE, TARGET};
 use crate::common::{Noise, USUAL, displaced};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::coarse::{self, GlobalParams, global};
-use osteoflow_algorithms::field::{ClosestPointField, FieldParams};
 use osteoflow_algorithms::icp::{
     Halt, IcpError, IcpFit, IcpParams, Kernel, Method, PairingKind, PublishedParams, PublishedReading, Source,
     StepRule, register, register_published,
@@ -62,8 +61,6 @@ fn every_variant_and_every_parameter_of_an_icp_has_its_answer() {
     let (scan, _) = normals::estimate(&scan, &NormalParams::default()).unwrap();
     let init = start(&scan);
     let blind = Cloud::new("ct", scan.points().to_vec()).unwrap();
-    let field = ClosestPointField::of_mesh(&BONE.query, &FieldParams { fine_mm: 1.5, ..FieldParams::default() });
-    let with_field = TARGET.clone().with_field(field.unwrap());
     let mut text = String::new();
     for method in Method::ALL {
         let by = |params: &IcpParams| register(method, &TARGET, &scan, &init, params, &mut go_on());
@@ -91,11 +88,6 @@ fn every_variant_and_every_parameter_of_an_icp_has_its_answer() {
         ];
         for (name, params) in cases {
             text += &described(&format!("{} {name}", method.name()), &by(&params));
-        }
-        for field_exact in [true, false] {
-            let params = IcpParams { pairing: PairingKind::Field, field_exact, ..short.clone() };
-            let fit = register(method, &with_field, &scan, &init, &params, &mut go_on());
-            text += &described(&format!("{} field, exact {field_exact}", method.name()), &fit);
         }
     }
     golden("icp", &text);
@@ -145,8 +137,6 @@ fn what_no_icp_can_start_from_is_refused_with_the_reason() {
     let mut text = String::new();
     for method in Method::ALL {
         text += &outcome(method.name(), &run(&bare, Source::from(&scan), &init, method, &usual));
-        let field = IcpParams { pairing: PairingKind::Field, ..usual.clone() };
-        text += &outcome("no field", &run(&TARGET, Source::from(&scan), &init, method, &field));
     }
     let by_plane = |source: Source<'_>, init: &Isometry3<f64>, params: &IcpParams| {
         run(&TARGET, source, init, Method::PointToPlane, params)

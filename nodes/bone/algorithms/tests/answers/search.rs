@@ -86,7 +86,7 @@ fn a_target_is_its_frame_origin_points_and_normals_and_is_refused_if_they_do_not
     ] {
         assert_ne!(usual, other.unwrap());
     }
-    assert!(usual.mesh().is_none() && usual.field().is_none() && TARGET.mesh().is_some());
+    assert!(usual.mesh().is_none() && TARGET.mesh().is_some());
     assert_eq!((usual.point_column().len(), usual.normal_column().map(|n| n.len())), (5, Some(5)));
     // The last whose distance is the limit counts; ties go to the lowest index.
     assert_eq!(usual.nearest(&Point3::new(4.0, 3.0, 0.0), 3.0), Some((4, 3.0)));

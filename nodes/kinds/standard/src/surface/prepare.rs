@@ -1,11 +1,6 @@
 //! The kind `surface.prepare`.
 
-use osteoflow_algorithms::{
-    field::{ClosestPointField, FieldParams},
-    mesh_query::MeshQuery,
-    sample,
-    target::Target,
-};
+use osteoflow_algorithms::{icp::NO_FIELD, mesh_query::MeshQuery, sample, target::Target};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
     CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema,
@@ -32,7 +27,7 @@ const MAX_POINTS: usize = 10_000_000;
 /// Parameters of [`Prepare`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[schemars(crate = "osteoflow_node::schemars", extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct Params {
     /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
     #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]
@@ -41,14 +36,11 @@ pub struct Params {
     /// 0: `n_points` decides.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub spacing_mm: f64,
-    /// Whether a closest-point field of the surface is built, for registration with `pairing = "field"`. Off: it takes
-    /// about half a second and some megabytes, and is cached between runs.
-    pub field: bool,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { n_points: 150_000, spacing_mm: 0.0, field: false }
+        Self { n_points: 150_000, spacing_mm: 0.0 }
     }
 }
 
@@ -57,11 +49,7 @@ impl Params {
     pub(super) fn prepare(&self, mesh: &Mesh, ctx: &mut Context) -> Result<Target, NodeError> {
         let samples = sample::surface(mesh, self.n_points_on(mesh.area_mm2())?, &mut ctx.rng());
         let target = Target::new(&mesh.frame, mesh.origin, samples.points, Some(samples.normals.into()))?;
-        let query = MeshQuery::new(mesh);
-        let mut target = target.with_mesh(query.clone());
-        if self.field {
-            target = target.with_field(ClosestPointField::of_mesh(&query, &FieldParams::default())?);
-        }
+        let target = target.with_mesh(MeshQuery::new(mesh));
         target.prepare();
         Ok(target)
     }
@@ -94,7 +82,7 @@ pub struct In {
 /// Outputs of [`Prepare`].
 #[derive(Outputs)]
 pub struct Out {
-    /// Points, normals, the grid that finds them, the surface, and its closest-point field if `field` is set.
+    /// Points, normals, the grid that finds them, and the surface.
     #[port(frame = "mesh")]
     target: Target,
     /// Where the surface comes from: `exact`, `simulated_ct` or `user`.

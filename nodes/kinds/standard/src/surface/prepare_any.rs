@@ -52,7 +52,7 @@ impl Node for PrepareAny {
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let target = match (&i.mesh, &i.points) {
             (Some(mesh), None) => self.0.prepare(mesh, ctx)?,
-            (None, Some(points)) => prepare_cloud::prepare(points, self.0.field)?,
+            (None, Some(points)) => prepare_cloud::prepare(points)?,
             (None, None) => return Err(NodeError::new("there is neither a surface nor points of one")),
             (Some(_), Some(_)) => {
                 return Err(NodeError::new("there are a surface and points of one; wire one of them"));

@@ -1,10 +1,6 @@
 //! The kind `surface.prepare_cloud`.
 
-use osteoflow_algorithms::{
-    field::{ClosestPointField, FieldParams},
-    normals,
-    target::Target,
-};
+use osteoflow_algorithms::{icp::NO_FIELD, normals, target::Target};
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
 use osteoflow_node::{
     CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema,
@@ -25,17 +21,13 @@ in   = { cloud = "ct_points.cloud" }
 "#,
     literature = ["Hoppe et al. 1992, sections 3.2 and 3.3"]
 )]
-pub struct PrepareCloud(Params);
+pub struct PrepareCloud;
 
 /// Parameters of [`PrepareCloud`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
-pub struct Params {
-    /// Whether a closest-point field of the surface is built, for registration with `pairing = "field"`. Off: it takes
-    /// about half a second and some megabytes, and is cached between runs. It needs normals that point outwards.
-    pub field: bool,
-}
+#[schemars(crate = "osteoflow_node::schemars", extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
+pub struct Params {}
 
 /// Inputs of [`PrepareCloud`].
 #[derive(Inputs)]
@@ -62,25 +54,23 @@ impl Node for PrepareCloud {
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
+    fn new(_params: Params) -> Result<Self, ParamError> {
+        Ok(Self)
     }
 
     fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
-        let target = prepare(&i.cloud, self.0.field)?;
+        let target = prepare(&i.cloud)?;
         Ok(Out { target, ct_surface: Text(SurfaceOrigin::User.to_string().into()) })
     }
 }
 
-/// Points of a surface, prepared; their normals are estimated where missing. `with_field` adds a closest-point field.
-pub(super) fn prepare(points: &Cloud, with_field: bool) -> Result<Target, NodeError> {
+/// Points of a surface, prepared; their normals are estimated where missing.
+pub(super) fn prepare(points: &Cloud) -> Result<Target, NodeError> {
     let normals = match points.normal_column() {
         Some(given) => given.clone(),
         None => normals::of_surface(points.points())?.into(),
     };
-    let field = with_field.then(|| ClosestPointField::of_points(points.points(), &normals, &FieldParams::default()));
     let target = Target::new(&points.frame, SurfaceOrigin::User, points.point_column().clone(), Some(normals))?;
-    let target = field.transpose()?.into_iter().fold(target, Target::with_field);
     target.prepare();
     Ok(target)
 }
@@ -91,7 +81,7 @@ mod tests {
     use osteoflow_geometry::nalgebra::{Point3, Vector3};
 
     #[test]
-    fn a_cloud_without_normals_becomes_a_target_that_serves_every_pairing() {
+    fn a_cloud_without_normals_becomes_a_target_whose_normals_point_outwards() {
         // Points of a ball, evenly by the golden angle.
         let on_ball = |k: u32| {
             let (z, turn) = (1.0 - (f64::from(k) + 0.5) / 2000.0, 2.399_963 * f64::from(k));
@@ -99,12 +89,9 @@ mod tests {
             Point3::from(Vector3::new(across * turn.cos(), across * turn.sin(), z) * 20.0)
         };
         let cloud = Cloud::new("ct", (0..4000).map(on_ball).collect::<Vec<_>>()).expect("a cloud");
-        let mut node = PrepareCloud::new(Params { field: true }).expect("a node");
+        let mut node = PrepareCloud::new(Params {}).expect("a node");
         let made = node.process(In { cloud }, &mut Context::for_test("ct")).expect("a target");
         let normals = made.target.normals().expect("estimated");
         assert!(made.target.points().iter().zip(normals).all(|(p, n)| p.coords.dot(n) > 19.5), "outwards");
-        let field = made.target.field().expect("asked for");
-        let found = field.at(&Point3::new(0.0, 0.0, 22.0)).expect("near");
-        assert!((found.distance_mm - 2.0).abs() < 0.05, "{found:?}");
     }
 }
