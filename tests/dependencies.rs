@@ -1,5 +1,5 @@
-//! docs/project/dependencies.md lists the libraries that the workspace names, and no others; the tests ask the program's libraries for no
-//! further features.
+//! docs/project/dependencies.md lists the libraries that the workspace names, and no others; tests and Python package ask the program's
+//! libraries for no further features.
 
 use std::{collections::BTreeSet, fs, path::Path, process::Command};
 
@@ -35,13 +35,18 @@ fn compiled(arguments: &[&str]) -> BTreeSet<String> {
 }
 
 #[test]
-fn no_library_of_the_program_is_compiled_a_second_time_for_the_tests() {
+fn no_library_of_the_program_is_compiled_a_second_time_for_the_tests_or_the_python_package() {
     let program = compiled(&["--edges", "normal,build"]);
-    let tests = compiled(&["--workspace", "--edges", "normal,build,dev"]);
-    let twice: Vec<&String> = program.difference(&tests).collect();
-    assert!(
-        twice.is_empty(),
-        "with the dependencies of the tests these libraries have more features, so that `cargo test` compiles them, and all that \
-         use them, once more; state the features in Cargo.toml: {twice:#?}"
-    );
+    for (other, arguments) in [
+        ("the tests", &["--workspace", "--edges", "normal,build,dev"][..]),
+        ("the Python package", &["--package", "osteoflow-python", "--edges", "normal,build"]),
+    ] {
+        let other_tree = compiled(arguments);
+        let twice: Vec<_> = program.difference(&other_tree).collect();
+        assert!(
+            twice.is_empty(),
+            "with the dependencies of {other} these libraries have more features, so that they are compiled, and all that use \
+             them, once more; state the features in Cargo.toml: {twice:#?}"
+        );
+    }
 }

@@ -1,10 +1,8 @@
-//! The Python package: its tests, run by pytest in an environment under target/, and that it is built as the program is.
+//! The Python package: its tests, run by pytest in an environment under target/.
 
 use crate::common::{program, root};
 use std::{
-    collections::BTreeMap,
-    fs,
-    path::{Path, PathBuf},
+    path::PathBuf,
     process::{Command, Output},
 };
 
@@ -14,10 +12,6 @@ const PACKAGE: &str = "nodes/python";
 const NEEDED: [&str; 6] = ["maturin>=1.7,<2", "numpy", "pytest", "pandas", "matplotlib", "nbclient"];
 /// What single tests need, which are left out without it.
 const OPTIONAL: [&str; 2] = ["ipykernel", "dask[distributed]"];
-
-fn table(path: &str) -> toml::Table {
-    fs::read_to_string(root().join(path)).unwrap().parse().unwrap()
-}
 
 fn skip(why: &str) {
     eprintln!("skipped: python package: {why}");
@@ -99,32 +93,4 @@ fn the_package_gives_the_bits_of_the_command() {
     for line in text(&tested).lines().filter(|line| line.contains("skipped") || line.starts_with("SKIPPED")) {
         eprintln!("skipped: python package: {line}");
     }
-}
-
-#[test]
-fn the_package_is_compiled_as_the_program_is() {
-    let (ours, package) = (table("Cargo.toml"), table(&format!("{PACKAGE}/Cargo.toml")));
-    assert_eq!(ours["profile"], package["profile"], "the profile of {PACKAGE}/Cargo.toml is that of Cargo.toml");
-    assert_eq!(ours["workspace"]["package"]["version"], package["package"]["version"]);
-    let versions = |file: &str| -> BTreeMap<String, Vec<String>> {
-        let mut all = BTreeMap::<String, Vec<String>>::new();
-        for package in table(file)["package"].as_array().unwrap() {
-            let word = |key: &str| package[key].as_str().unwrap().to_owned();
-            all.entry(word("name")).or_default().push(word("version"));
-        }
-        all
-    };
-    let (ours, package) = (versions("Cargo.lock"), versions(&format!("{PACKAGE}/Cargo.lock")));
-    let known = |name: &&String| ours.contains_key(*name);
-    for name in package.keys().filter(known) {
-        let other: Vec<_> = package[name].iter().filter(|version| !ours[name].contains(version)).collect();
-        assert!(other.is_empty(), "{name} is {:?} in Cargo.lock, but also {other:?} in that of {PACKAGE}", ours[name]);
-    }
-}
-
-#[test]
-fn the_package_is_no_part_of_the_workspace() {
-    let members = table("Cargo.toml")["workspace"]["members"].as_array().unwrap().clone();
-    assert!(members.iter().all(|member| member.as_str() != Some(PACKAGE)));
-    assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(PACKAGE).join("pyproject.toml").exists());
 }

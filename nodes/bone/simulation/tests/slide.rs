@@ -68,7 +68,8 @@ fn ruled_starts_agree_at_the_cuts_after_any_variant() {
     let n = if is_slow() { 200 } else { 3 };
     let test = "ruled_starts_agree_at_the_cuts_after_any_variant";
     let built_in = if is_slow() { vec![built_in(1), built_in(2)] } else { vec![built_in(2)] };
-    let measured = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().filter_map(|name| measured(test, name));
+    let measured_bones: &[&str] = if is_slow() { &["TLEM2_CT_fibula_r", "MC22_fibula_r"] } else { &["MC22_fibula_r"] };
+    let measured = measured_bones.iter().filter_map(|name| measured(test, name));
     for bone in built_in.into_iter().chain(measured) {
         let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 1);
         starts_agree(&bench.thinned(5), n);
@@ -218,11 +219,13 @@ fn film_and_tissue_do_not_make_it_run_away() {
         let [before, after] = [made.largest(0), made.largest(1)];
         assert!(after < before.max(1.0) + 0.3, "{name}: {after} mm, before {before}");
     };
-    check("film 0.5 mm, 30 %", made(&[2], n_seeds(), film(0.5, 0.3)));
-    check("film 2 mm, 30 %", made(&[2], n_seeds(), film(2.0, 0.3)));
     check("film 2 mm, 50 %", made(&[2], n_seeds(), film(2.0, 0.5)));
-    check("tissue 20 %", made(&[2], n_seeds(), tissue(0.2)));
     check("tissue 50 %", made(&[2], n_seeds(), tissue(0.5)));
+    if is_slow() {
+        check("film 0.5 mm, 30 %", made(&[2], n_seeds(), film(0.5, 0.3)));
+        check("film 2 mm, 30 %", made(&[2], n_seeds(), film(2.0, 0.3)));
+        check("tissue 20 %", made(&[2], n_seeds(), tissue(0.2)));
+    }
 }
 
 #[test]
