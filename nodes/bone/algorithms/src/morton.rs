@@ -12,30 +12,26 @@ const CELLS: f64 = 1024.0;
 /// The result does not depend on the order in which the points are given, so sums along it do not either. Finite points
 /// only. `O(n log n)`.
 pub(crate) fn order(points: &[Point3<f64>]) -> Vec<u32> {
-    let Some(&first) = points.first() else { return Vec::new() };
-    let (min, max) = points.iter().fold((first, first), |(min, max), p| (min.inf(p), max.sup(p)));
-    let extent = (max - min).max().max(f64::MIN_POSITIVE);
-    let scale = (CELLS - 1.0) / extent;
-    let mut keyed: Vec<u64> =
-        (0_u64..).zip(points).map(|(i, p)| u64::from(code(&((p - min) * scale))) << 32 | i).collect();
-    keyed.sort_unstable();
-    let mut begin = 0;
-    let point = |key: &u64| &points[(key & 0xffff_ffff) as usize];
-    while begin < keyed.len() {
-        let cell = keyed[begin] >> 32;
-        let end = begin + keyed[begin..].iter().take_while(|key| *key >> 32 == cell).count();
-        keyed[begin..end].sort_by(|a, b| {
-            let (p, q) = (point(a), point(b));
+    let places: Vec<Vector3<f64>> = points.iter().map(|p| p.coords).collect();
+    let mut keyed = by_code(&places);
+    let place = |entry: &(u32, u32)| &places[entry.1 as usize];
+    for cell in keyed.chunk_by_mut(|a, b| a.0 == b.0) {
+        cell.sort_by(|a, b| {
+            let (p, q) = (place(a), place(b));
             p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(p.z.total_cmp(&q.z))
         });
-        begin = end;
     }
-    keyed.into_iter().map(|key| (key & 0xffff_ffff) as u32).collect()
+    keyed.into_iter().map(|(_, i)| i).collect()
 }
 
 /// Indices of the points along a Morton curve through their bounding box; within a cell by index. Finite points only.
 /// `O(n)`.
 pub(crate) fn order_by_index(points: &[Vector3<f64>]) -> Vec<u32> {
+    by_code(points).into_iter().map(|(_, i)| i).collect()
+}
+
+/// The Morton codes of the points and their indices, by code, then by index.
+fn by_code(points: &[Vector3<f64>]) -> Vec<(u32, u32)> {
     let bounds = Aabb::of(points);
     let scale = (CELLS - 1.0) / (bounds.max - bounds.min).max().max(f64::MIN_POSITIVE);
     let mut keyed: Vec<(u32, u32)> =
@@ -55,7 +51,7 @@ pub(crate) fn order_by_index(points: &[Vector3<f64>]) -> Vec<u32> {
         }
         std::mem::swap(&mut keyed, &mut sorted);
     }
-    keyed.into_iter().map(|(_, i)| i).collect()
+    keyed
 }
 
 /// The Morton code of a cell, coordinates rounded down.

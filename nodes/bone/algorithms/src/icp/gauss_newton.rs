@@ -237,7 +237,7 @@ impl<'a, R: Residual> Minimizer<'a, R> {
     fn narrow_weights(&mut self, step_mm: f64) -> Result<(), IcpError> {
         let before = self.weights;
         if !self.weights.is_settled(self.problem.params, step_mm) {
-            self.equations = self.problem.reweight(&self.state, &self.correspondences, &mut self.weights, true)?;
+            self.equations = self.problem.reweight(&self.state, &mut self.correspondences, &mut self.weights, true)?;
             if self.weights != before {
                 // Costs under other weights cannot be compared.
                 self.costs = vec![self.problem.mean_cost(&self.equations)];

@@ -18,6 +18,9 @@ use std::marker::PhantomData;
 /// Points summed by one task; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 512;
 
+/// Up to this many points, waking another thread takes longer than its share of the work.
+const MIN_PARALLEL: usize = 1024;
+
 /// The registration of one subset of the source.
 pub(super) struct Problem<'a, R> {
     pub(super) surface: &'a VisibleSurface<'a>,
@@ -80,24 +83,16 @@ impl<'a, R: Residual> Problem<'a, R> {
         let pose = LocalPose::new(state, self.surface);
         // Weights that depend on all residuals need a second pass.
         let two_passes = narrow || self.params.trim_fraction > 0.0;
-        let mut chunks: Vec<NormalEquations> = Vec::new();
-        correspondences
-            .pairs
-            .par_chunks_mut(CHUNK)
-            .zip(correspondences.squares.par_chunks_mut(CHUNK))
-            .enumerate()
-            .map(|(chunk, (pairs, squares))| {
-                let first = chunk * CHUNK;
-                for (k, (pair, square)) in pairs.iter_mut().zip(squares.iter_mut()).enumerate() {
-                    *square = self.find(&pose, first + k, weights.search_radius_mm, pair);
-                }
-                if two_passes { NormalEquations::ZERO } else { self.sum(&pose, first, pairs, squares, weights) }
-            })
-            .collect_into_vec(&mut chunks);
+        let equations = self.over_chunks(correspondences, |first, pairs, squares| {
+            for (k, (pair, square)) in pairs.iter_mut().zip(squares.iter_mut()).enumerate() {
+                *square = self.find(&pose, first + k, weights.search_radius_mm, pair);
+            }
+            if two_passes { NormalEquations::ZERO } else { self.sum(&pose, first, pairs, squares, weights) }
+        });
         if two_passes {
             return self.reweight(state, correspondences, weights, narrow);
         }
-        self.total(state, &chunks)
+        self.with_enough_pairs(state, equations)
     }
 
     /// Builds the normal equations of the correspondences that [`linearize`](Self::linearize) found at `state`. With
@@ -105,7 +100,7 @@ impl<'a, R: Residual> Problem<'a, R> {
     pub(super) fn reweight(
         &self,
         state: &State,
-        correspondences: &Correspondences,
+        correspondences: &mut Correspondences,
         weights: &mut Weights,
         narrow: bool,
     ) -> Result<NormalEquations, IcpError> {
@@ -114,19 +109,30 @@ impl<'a, R: Residual> Problem<'a, R> {
         }
         weights.trim_square = self.trim_square(&correspondences.squares);
         let pose = LocalPose::new(state, self.surface);
-        let mut chunks: Vec<NormalEquations> = Vec::new();
-        correspondences
-            .pairs
-            .par_chunks(CHUNK)
-            .zip(correspondences.squares.par_chunks(CHUNK))
-            .enumerate()
-            .map(|(chunk, (pairs, squares))| self.sum(&pose, chunk * CHUNK, pairs, squares, weights))
-            .collect_into_vec(&mut chunks);
-        self.total(state, &chunks)
+        let equations =
+            self.over_chunks(correspondences, |first, pairs, squares| self.sum(&pose, first, pairs, squares, weights));
+        self.with_enough_pairs(state, equations)
     }
 
-    fn total(&self, state: &State, chunks: &[NormalEquations]) -> Result<NormalEquations, IcpError> {
-        let total = chunks.iter().fold(NormalEquations::ZERO, NormalEquations::add);
+    /// The total over chunks of the correspondences, each given with the index of its first point.
+    fn over_chunks(
+        &self,
+        correspondences: &mut Correspondences,
+        sum: impl Fn(usize, &mut [Correspondence], &mut [f64]) -> NormalEquations + Sync,
+    ) -> NormalEquations {
+        let Correspondences { pairs, squares, .. } = correspondences;
+        let mut sums: Vec<NormalEquations> = Vec::new();
+        if pairs.len() <= MIN_PARALLEL {
+            let chunks = pairs.chunks_mut(CHUNK).zip(squares.chunks_mut(CHUNK)).enumerate();
+            sums.extend(chunks.map(|(k, (pairs, squares))| sum(k * CHUNK, pairs, squares)));
+        } else {
+            let chunks = pairs.par_chunks_mut(CHUNK).zip(squares.par_chunks_mut(CHUNK)).enumerate();
+            chunks.map(|(k, (pairs, squares))| sum(k * CHUNK, pairs, squares)).collect_into_vec(&mut sums);
+        }
+        sums.iter().fold(NormalEquations::ZERO, NormalEquations::add)
+    }
+
+    fn with_enough_pairs(&self, state: &State, total: NormalEquations) -> Result<NormalEquations, IcpError> {
         let min_pairs = self.params.min_pairs.max(3) as usize;
         if total.n_pairs < min_pairs {
             return Err(self.too_few_pairs(state, total.n_pairs, min_pairs));
