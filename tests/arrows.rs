@@ -10,7 +10,7 @@ use std::{
 };
 
 /// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 17] = [
+const ARROWS: [(&str, &str, &[&str]); 18] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),
@@ -49,6 +49,11 @@ const ARROWS: [(&str, &str, &[&str]); 17] = [
             "osteoflow-simulation",
             "osteoflow-geometry",
         ],
+    ),
+    (
+        "osteoflow-python",
+        "nodes/python",
+        &["osteoflow", "osteoflow-engine", "osteoflow-geometry", "osteoflow-node", "osteoflow-payloads"],
     ),
     // The template may depend on what every plugin may depend on.
     ("my_plugin", "nodes/template/rust", &["osteoflow-node", "osteoflow-payloads"]),
