@@ -19,7 +19,6 @@ pub(crate) mod register;
 mod replay;
 mod report;
 mod repro;
-mod reproduce;
 pub(crate) mod run;
 mod runs;
 mod schema;

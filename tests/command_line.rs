@@ -25,7 +25,6 @@ const COMMANDS: &[(&str, &str)] = &[
     ("info", "extent_mm"),
     ("convert", "--scale"),
     ("runs", "--format json"),
-    ("reproduce", "--bone"),
     ("simulate", "--seed"),
     ("new", "procedure"),
     ("completions", "bash"),

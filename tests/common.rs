@@ -58,6 +58,21 @@ pub(crate) fn program() -> PathBuf {
     assert_cmd::cargo::cargo_bin("osteoflow")
 }
 
+/// What the script of the paper's page prints and returns; prints a message and returns `None` without Python 3.9.
+pub(crate) fn reproduce(test: &str, args: &[&str]) -> Option<(String, String, i32)> {
+    let newer = "import sys; sys.exit(sys.version_info < (3, 9))";
+    if !std::process::Command::new("python3").args(["-c", newer]).status().is_ok_and(|status| status.success()) {
+        eprintln!("skipped: {test}: no Python 3.9 or newer");
+        return None;
+    }
+    let mut script = std::process::Command::new("python3");
+    script.arg("graphs/paper/reproduce.py").arg("--program").arg(program()).args(args);
+    script.current_dir(root()).env("NO_COLOR", "1").env("OSTEOFLOW_CACHE", "off").env("PYTHONDONTWRITEBYTECODE", "1");
+    let output = script.output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    Some((text(output.stdout), text(output.stderr), output.status.code().unwrap()))
+}
+
 /// The workspace's folder.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))

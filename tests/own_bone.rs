@@ -1,6 +1,6 @@
 //! Simulation on a user's bone: left or right, coarse or fine, anywhere in the CT.
 
-use crate::common::{data, osteoflow, run};
+use crate::common::{data, osteoflow, reproduce, run};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::write::write_stl;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
@@ -53,9 +53,11 @@ fn an_experiment_is_reproduced_on_a_bone_of_ones_own_as_it_is() {
     let dir = tempfile::tempdir().unwrap();
     let (stl, plan) = write(dir.path(), &bone::fibula(&BoneParams::default()), &bone::anatomy(&BoneParams::default()));
     let out = dir.path().join("out");
-    let mut reproduce = osteoflow();
-    reproduce.args(["reproduce", "--only", "accuracy_stylus", "--quiet"]);
-    reproduce.arg("--bone").arg(stl).arg("--plan").arg(plan).arg("--out").arg(&out).assert().success();
+    let name = "an_experiment_is_reproduced_on_a_bone_of_ones_own_as_it_is";
+    let [stl, plan, folder] = [&stl, &plan, &out].map(|path| path.to_str().unwrap());
+    let args = ["--only", "accuracy_stylus", "--quiet", "--bone", stl, "--plan", plan, "--out", folder];
+    let Some((_, err, code)) = reproduce(name, &args) else { return };
+    assert_eq!(code, 0, "{err}");
     let rows = fs::read_to_string(out.join("accuracy_stylus/runs.csv")).unwrap();
     assert_eq!(rows.matches(",complete,").count(), 10, "{rows}");
     let page = fs::read_to_string(out.join("paper-reproduction.md")).unwrap();

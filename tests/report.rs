@@ -1,7 +1,7 @@
 //! The page of a run and of a sweep in a browser.
 
 use crate::common::browser::Browser;
-use crate::common::{osteoflow, run_whole};
+use crate::common::{osteoflow, reproduce, run_whole};
 use osteoflow_formats::write::write_stl;
 use osteoflow_geometry::Mesh;
 use osteoflow_simulation::{BoneParams, bone};
@@ -260,8 +260,9 @@ fn a_bone_that_cannot_be_simulated_on_is_refused_before_any_sweep_in_the_words_o
         let pair = ["--bone", bone.to_str().unwrap(), "--plan", plan.to_str().unwrap(), "--out"];
         let simulated = at(&format!("simulated-{k}"));
         let expected = complaint(&[&["simulate"], &pair[..], &[simulated.to_str().unwrap()]].concat());
-        let found =
-            complaint(&[&["reproduce", "--only", "accuracy_camera"], &pair[..], &[out.to_str().unwrap()]].concat());
+        let args = [&["--quiet", "--only", "accuracy_camera"], &pair[..], &[out.to_str().unwrap()]].concat();
+        let Some((_, err, code)) = reproduce(name, &args) else { return };
+        let found = (err, code);
         assert_eq!(found, expected, "{} with {}", bone.display(), plan.display());
         assert!(found.1 != 0 && !out.exists(), "nothing is begun: {found:?}");
     }
@@ -272,13 +273,14 @@ fn an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_most_
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     let sets = ["--set", "sweep.repeat=1", "--set", "icp.max_pair_distance_mm=1e-6"];
-    let only = ["reproduce", "--only", "accuracy_camera", "--out", out.to_str().unwrap()];
-    let (err, code) = complaint(&[&only[..], &sets[..]].concat());
+    let name = "an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_most_frequent_reason";
+    let only = ["--quiet", "--only", "accuracy_camera", "--out", out.to_str().unwrap()];
+    let Some((_, err, code)) = reproduce(name, &[&only[..], &sets[..]].concat()) else { return };
     assert_eq!(code, 3, "{err}");
     assert!(err.contains("accuracy_camera: none of its 3 runs has results; run 0: "), "{err}");
     let page = fs::read_to_string(out.join("paper-reproduction.md")).unwrap();
     let command =
-        "`osteoflow reproduce --only accuracy_camera --set sweep.repeat=1 --set icp.max_pair_distance_mm=1e-6`";
+        "`graphs/paper/reproduce.py --only accuracy_camera --set sweep.repeat=1 --set icp.max_pair_distance_mm=1e-6`";
     assert!(page.contains(&format!("| accuracy_camera | {command} | 3 | 3 |")), "{page}");
     let reason = page.lines().find(|line| line.starts_with("- accuracy_camera: ")).unwrap();
     assert!(reason.ends_with("(3 runs)") && !reason.contains("node"), "{reason}");
@@ -290,8 +292,9 @@ fn a_row_without_a_number_of_ours_is_shown_and_listed_and_the_times_name_what_th
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     let sets = ["--set", "sweep.repeat=2", "--set", "sweep.columns.tre_x_mm=\"metrics.tre_measured_mm.mean_abs.w\""];
-    let only = ["reproduce", "--only", "accuracy_camera", "--out", out.to_str().unwrap()];
-    let (err, code) = complaint(&[&only[..], &sets[..]].concat());
+    let name = "a_row_without_a_number_of_ours_is_shown_and_listed_and_the_times_name_what_they_lack";
+    let only = ["--quiet", "--only", "accuracy_camera", "--out", out.to_str().unwrap()];
+    let Some((_, err, code)) = reproduce(name, &[&only[..], &sets[..]].concat()) else { return };
     assert_eq!(code, 3, "{err}");
     assert_eq!(err.matches("without a number: ").count(), 2, "of the paper and of the other implementation: {err}");
     let page = fs::read_to_string(out.join("paper-reproduction.md")).unwrap();

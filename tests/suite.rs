@@ -32,6 +32,7 @@ mod openigtlink;
 mod openigtlink_python;
 mod own_bone;
 mod paper;
+mod paper_page;
 #[cfg(unix)]
 mod plugins;
 mod plugins_c;

@@ -1,6 +1,6 @@
 //! Sweeps from the command line: stopped and resumed, split and merged, compared, and on a user's bone.
 
-use crate::common::{osteoflow, osteoflow_to_spawn, root};
+use crate::common::{osteoflow, osteoflow_to_spawn, reproduce, root};
 use serde_json::Value;
 use std::{
     fs,
@@ -224,13 +224,16 @@ fn the_experiments_run_on_a_users_bone_and_the_page_has_their_n() {
         (path(Path::new(&own), "bone.stl"), path(Path::new(&own), "plan.json"), path(dir.path(), "out"));
     let sets = ["--set", "sweep.repeat=2"];
     let own = ["--only", "accuracy_camera", "--bone", &bone, "--plan", &plan];
-    let (answer, err, code) = output(&[&["reproduce", "--out", &out], &own[..], &sets[..]].concat());
+    let name = "the_experiments_run_on_a_users_bone_and_the_page_has_their_n";
+    let args = [&["--quiet", "--out", &out], &own[..], &sets[..]].concat();
+    let Some((answer, err, code)) = reproduce(name, &args) else { return };
     assert_eq!(code, 0, "{answer}{err}");
     let page = fs::read_to_string(path(Path::new(&out), "paper-reproduction.md")).unwrap();
     assert!(page.contains("1 bone, 2 procedures") && page.contains("SIMULATED"), "{page}");
     let rows = fs::read_to_string(path(Path::new(&out), "accuracy_camera/runs.csv")).unwrap();
     assert!(rows.lines().nth(1).unwrap().starts_with("0,bone,0,1,complete,"), "{rows}");
-    let again = format!("osteoflow reproduce --bone {bone} --plan {plan} --only accuracy_camera --set sweep.repeat=2");
+    let again =
+        format!("graphs/paper/reproduce.py --bone {bone} --plan {plan} --only accuracy_camera --set sweep.repeat=2");
     let row = page.lines().find(|line| line.contains("registered by camera") && line.contains("axis z")).unwrap();
     assert!(row.contains(&format!("| `{again}` |")), "{again}: {row}");
     assert_eq!(page.matches("A run without results").count(), 0, "none was refused:\n{page}");

@@ -3,7 +3,7 @@
 use super::common::{Exit, Global};
 use super::{
     check, compare, completions, convert, diff, digest, expand, graph, info, inspect, new, record, recover, register,
-    replay, report, repro, reproduce, run, runs, schema, simulate, sweep, validate, view, worker,
+    replay, report, repro, run, runs, schema, simulate, sweep, validate, view, worker,
 };
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -67,7 +67,6 @@ pub(crate) enum Command {
     Report(report::Report),
     View(view::View),
     Compare(compare::Compare),
-    Reproduce(reproduce::Reproduce),
     Simulate(simulate::Simulate),
     New(new::New),
     Completions(completions::Completions),
@@ -103,7 +102,6 @@ impl Command {
             Self::Sweep(command) => command.execute(global),
             Self::Report(command) => command.execute(global),
             Self::View(command) => command.execute(global),
-            Self::Reproduce(command) => command.execute(global),
             Self::Compare(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
             Self::New(command) => command.execute(global),

@@ -35,7 +35,7 @@ impl Report {
         let registry = registry();
         let dir = run_path::folder(&self.dir);
         let report = match Holds::of(&dir) {
-            Holds::Sweep => osteoflow_report::of_sweep(&dir, &registry, &Kinds::from(&registry), true)?,
+            Holds::Sweep => osteoflow_report::of_sweep(&dir, &registry, &Kinds::from(&registry))?,
             Holds::Run => osteoflow_report::of_run(&dir, &registry)?,
             Holds::Neither => {
                 let message = format!(

@@ -160,7 +160,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["html"],
             &["citations", "methods", "provenance", "tables"],
             &["report"],
-            &["reproduction", "run"],
+            &["run"],
             &["sweep"],
         ],
     ),

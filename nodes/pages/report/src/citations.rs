@@ -31,7 +31,7 @@ fn entry_of(literature: &str) -> Option<&'static str> {
 }
 
 /// The title of the paper whose method the graphs follow.
-pub(crate) fn paper_title() -> &'static str {
+fn paper_title() -> &'static str {
     let title = entry_of(THE_PAPER).and_then(|entry| entry.split_once("title  = {")?.1.split_once("},\n"));
     title.map_or("the paper", |(title, _)| title)
 }

@@ -6,8 +6,8 @@
 //! such as a wire that was not recorded. Every figure and table is marked "research use only", and SIMULATED if no measured
 //! data was registered.
 //!
-//! [`summary`] computes the statistics of a sweep and formats them as rows for pages and terminals; [`reproduction`]
-//! compares the paper's numbers with those of its experiments; [`diagram`] converts plans and runs for `osteoflow-draw`.
+//! [`summary`] computes the statistics of a sweep and formats them as rows for pages and terminals;
+//! [`diagram`] converts plans and runs for `osteoflow-draw`.
 //!
 //! ```no_run
 //! let report = osteoflow_report::of_run("runs/fibula".as_ref(), &osteoflow_standard::registry())?;
@@ -26,7 +26,6 @@ mod methods;
 mod modules;
 mod provenance;
 mod report;
-pub mod reproduction;
 mod run;
 mod run_folder;
 mod scene;

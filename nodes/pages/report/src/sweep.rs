@@ -27,12 +27,12 @@ struct SweepResults {
 
 /// The report of a sweep, given its folder.
 ///
-/// The folder holds no surfaces. If `maps` are wanted, the median run and the worst run are repeated with `kinds` to map
-/// their fragments; if the results differ from the stored ones, the page says so and shows no map.
+/// The folder holds no surfaces. The median run and the worst run are repeated with `kinds` to map their
+/// fragments; if the results differ from the stored ones, the page says so and shows no map.
 ///
 /// # Errors
 /// If the folder holds no sweep or its files cannot be read.
-pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> Result<Report, ReportError> {
+pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report, ReportError> {
     let folder = Folder::open(dir)?;
     let runs = folder.done()?.collect::<Result<Vec<_>, _>>()?;
     let sweep = SweepResults { spec: folder.spec()?, about: folder.about.clone(), runs };
@@ -50,13 +50,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds, maps: bool) -> R
     figures::columns(&mut page, &sweep);
     figures::points(&mut page, &sweep);
     figures::draws(&mut page, &sweep);
-    match maps {
-        true => again::maps(&mut page, &sweep, &folder, kinds),
-        false => page.text(&format!(
-            "Maps of fragments need two further runs and were not requested; osteoflow report {} draws them.",
-            provenance::folder_name(dir)
-        )),
-    }
+    again::maps(&mut page, &sweep, &folder, kinds);
     page.section("Statistics");
     match dir.join(SUMMARY).is_file() {
         true => statistics::tables(&mut page, &sweep, &summary::read(&folder)?),

@@ -1,7 +1,9 @@
-use super::{
-    super::{EXPERIMENTS, TIMED},
-    *,
-};
+//! The page of the paper's numbers: its template has each number of the paper and asks for numbers that there are; what its script
+//! says of a number is what the script's own examples show.
+
+use crate::common::root;
+use serde_json::Value;
+use std::{fs, process::Command};
 
 /// The paper's numbers, typed a second time: section, words of the definition, numbers as shown.
 const FACTS: [(&str, &str, &[&str]); 23] = [
@@ -38,15 +40,36 @@ const FACTS: [(&str, &str, &[&str]); 23] = [
     ("4", "wanted by the field", &["at most 2"]),
 ];
 
+/// A line of the template with a request, and its cells before that.
+struct Line {
+    cells: Vec<String>,
+    request: Value,
+}
+
+impl Line {
+    /// What the paper gives.
+    fn theirs(&self) -> &str {
+        self.cells.last().unwrap()
+    }
+}
+
+fn lines() -> Vec<Line> {
+    let page = fs::read_to_string(root().join("graphs/paper/page.md")).unwrap();
+    let line = |line: &str| {
+        let (from, to) = line.find("{\"of\"").zip(line.rfind('}'))?;
+        let before = line[..from].trim_start_matches("| ").trim_end_matches(" | ");
+        let cells = before.split(" | ").map(str::to_owned).collect();
+        Some(Line { cells, request: serde_json::from_str(&line[from..=to]).unwrap() })
+    };
+    page.lines().filter_map(line).collect()
+}
+
 #[test]
 fn the_papers_numbers_and_definitions_are_those_of_a_second_table_and_each_has_a_row() {
-    let lines: Vec<_> = sections().flatten().filter(|line| line.request.is_some()).collect();
+    let lines = lines();
     let mut n = 0;
     for (section, words, numbers) in FACTS {
-        let of_fact = |line: &&Line| {
-            let cells: Vec<_> = line.before.split(" | ").collect();
-            cells[0] == format!("| {section}") && cells[1].contains(words)
-        };
+        let of_fact = |line: &&Line| line.cells[0] == section && line.cells[1].contains(words);
         let theirs: Vec<_> = lines.iter().filter(of_fact).map(Line::theirs).collect();
         assert!(!theirs.is_empty(), "{words} has no row");
         assert!(
@@ -55,41 +78,35 @@ fn the_papers_numbers_and_definitions_are_those_of_a_second_table_and_each_has_a
         );
         n += theirs.len();
     }
-    let is_papers = |line: &&Line| line.before.split(" | ").count() == 4 && line.theirs() != "not given";
+    let is_papers = |line: &&Line| line.cells.len() == 3 && line.theirs() != "not given";
     assert_eq!(n, lines.iter().filter(is_papers).count(), "a number of the paper is not in the second table");
 }
 
 #[test]
-fn every_request_names_an_experiment_and_every_row_has_a_sound_spread() {
-    for request in sections().flatten().filter_map(|line| line.request) {
-        assert!(request.experiments().iter().all(|name| EXPERIMENTS.contains(name)), "{request:?}");
-        assert!(!matches!(&request, Request::Time(time) if !TIMED.contains(&&*time.of)), "{request:?} is not timed");
-    }
-    for row in rows() {
-        let spread = row.number.within.or_else(|| spread(row.theirs));
-        assert!(spread.map_or(row.theirs == "not given", |[low, high]| low < high), "{}: {spread:?}", row.what);
-        assert!(!row.what.is_empty() && !row.number.path.contains('*'), "{}", row.what);
+fn every_request_names_an_experiment_and_every_number_has_one_path() {
+    for line in lines() {
+        for key in ["of", "against"] {
+            let Some(name) = line.request.get(key) else { continue };
+            let graph = root().join(format!("graphs/paper/{}.toml", name.as_str().unwrap()));
+            assert!(graph.is_file(), "{} is no experiment", graph.display());
+        }
+        let n_kinds =
+            ["path", "nodes", "columns", "margins"].iter().filter(|key| line.request.get(**key).is_some()).count();
+        assert_eq!(n_kinds, 1, "{}", line.request);
     }
     // Six counts, by three readings of the stop rule and by ours, carried back and in place.
-    let table_1: Vec<_> = rows().filter(|row| row.section == Some("4, Table 1")).collect();
+    let lines = lines();
+    let table_1: Vec<_> = lines.iter().filter(|line| line.cells[0] == "4, Table 1").collect();
     assert_eq!(table_1.len(), 48);
-    let setting = &table_1[0].number.setting;
-    assert_eq!((&setting["n_points"], &setting["registration"]), (&100.into(), &"mean below 1e-5".into()));
+    assert_eq!(table_1[0].request["setting"]["n_points"], 100);
 }
 
 #[test]
-fn a_number_outside_the_spread_is_shown_with_its_side() {
-    let judged = |number: &Number, theirs: &str, ours: f64| {
-        number.judgement(theirs, ours).map_or_else(|| "not judged".into(), |judgement| judgement.text)
+fn the_examples_of_the_script_hold() {
+    let script = root().join("graphs/paper/reproduce.py");
+    let Ok(output) = Command::new("python3").args(["-B", "-m", "doctest"]).arg(script).output() else {
+        eprintln!("skipped: the_examples_of_the_script_hold: no Python");
+        return;
     };
-    let plain = Number::default();
-    let texts = [0.3, 0.6, 0.05].map(|ours| judged(&plain, "0.3 ± 0.2 (0.1 to 0.8)", ours));
-    assert_eq!(texts, ["yes (0.1 to 0.5)", "**above** 0.1 to 0.5", "**below** 0.1 to 0.5"]);
-    let texts = [0.2, 0.5].map(|ours| judged(&plain, "0.9", ours));
-    assert_eq!(texts, ["**below** 0.45 to 1.35", "yes (0.45 to 1.35)"]);
-    assert_eq!(judged(&plain, "at most 2", 2.5), "**above** 0 to 2");
-    assert_eq!(judged(&plain, "1.9, 1.7, 3.6", 2.0), "yes (1.7 to 3.6)");
-    let size = Number { magnitude: true, within: Some([0.9, 1.0]), ..Number::default() };
-    assert_eq!(judged(&size, "0.98", -0.95), "yes (0.9 to 1)");
-    assert_eq!(judged(&plain, "not given", 1.0), "not judged");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
 }
