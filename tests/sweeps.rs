@@ -229,7 +229,8 @@ fn the_experiments_run_on_a_users_bone_and_the_page_has_their_n() {
     let Some((answer, err, code)) = reproduce(name, &args) else { return };
     assert_eq!(code, 0, "{answer}{err}");
     let page = fs::read_to_string(path(Path::new(&out), "paper-reproduction.md")).unwrap();
-    assert!(page.contains("1 bone, 2 procedures") && page.contains("SIMULATED"), "{page}");
+    assert!(page.contains("1 bone, 2 procedures") && page.contains("SIMULATED") && !page.contains('{'), "{page}");
+    assert!(page.contains("\nWritten by `graphs/paper/reproduce.py --bone "), "{page}");
     let rows = fs::read_to_string(path(Path::new(&out), "accuracy_camera/runs.csv")).unwrap();
     assert!(rows.lines().nth(1).unwrap().starts_with("0,bone,0,1,complete,"), "{rows}");
     let again =

@@ -326,24 +326,21 @@ class Page:
             own = [ran for line, ran in zip(section, was_run) if line.request and not line.before.startswith("- ")]
             if section[0].before.startswith("## ") and own and not any(own):
                 continue
-            out += [line.before + self.reply(line) + line.after for line, ran in zip(section, was_run) if ran]
+            for line in (line for line, ran in zip(section, was_run) if ran):
+                out.append(line.before + self.reply(line) + line.after if line.request else self.prose(line.before))
         return "\n".join(out).rstrip() + "\n"
 
+    def prose(self, line):
+        """A line without a request. A word in braces stands for a list or the command."""
+        if line == "{outside}":
+            return "\n".join(f"- {line}" for line in self.outside()) or "None."
+        return self.commands() if line == "{commands}" else line.replace("{command}", command(self.args, self.args.only))
+
     def reply(self, line):
-        if line.request is None:
-            words = {"{outside}": self.outside_text, "{commands}": self.commands}.get(line.before)
-            if words:
-                line.before = ""
-                return words()
-            line.before = line.before.replace("{command}", command(self.args, self.args.only))
-            return ""
         for key, reply in [("against", self.pair), ("path", self.number), ("nodes", self.time), ("columns", self.settings)]:
             if key in line.request:
                 return reply(line)
         raise ValueError(f"page.md asks for nothing: {line.request}")
-
-    def outside_text(self):
-        return "\n".join(f"- {line}" for line in self.outside()) or "None."
 
     def number(self, line):
         request = line.request
@@ -372,7 +369,8 @@ class Page:
     def pair(self, line):
         folders = [self.experiments[line.request[key]].folder for key in ("of", "against")]
         margins = [word for column, size in line.request["margins"].items() for word in ("--margin", f"{column}={size}")]
-        return f"```text\n{osteoflow(self.args, 'compare', *folders, *margins, '--color', 'never').rstrip()}\n```"
+        compared = osteoflow(self.args, "compare", *folders, *margins, "--color", "never").rstrip()
+        return f"```text\n{compared.replace(str(folders[0].parent), 'OUT')}\n```"
 
     def settings(self, line):
         """A table with a row for each setting."""
