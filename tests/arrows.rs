@@ -10,16 +10,21 @@ use std::{
 };
 
 /// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 18] = [
+const ARROWS: [(&str, &str, &[&str]); 19] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),
     ("osteoflow-runtime", "engine/runtime", &["osteoflow-container", "osteoflow-node"]),
-    ("osteoflow-engine", "engine", &["osteoflow-container", "osteoflow-node", "osteoflow-runtime"]),
+    ("osteoflow-verdict", "engine/verdict", &[]),
+    (
+        "osteoflow-engine",
+        "engine",
+        &["osteoflow-container", "osteoflow-node", "osteoflow-runtime", "osteoflow-verdict"],
+    ),
     ("osteoflow-draw", "engine/draw", &[]),
     ("osteoflow-toy", "engine/toy", &["osteoflow-node"]),
     ("osteoflow-geometry", "nodes/bone/geometry", &[]),
-    ("osteoflow-algorithms", "nodes/bone/algorithms", &["osteoflow-geometry"]),
+    ("osteoflow-algorithms", "nodes/bone/algorithms", &["osteoflow-geometry", "osteoflow-verdict"]),
     ("osteoflow-formats", "nodes/bone/formats", &["osteoflow-container", "osteoflow-geometry"]),
     ("osteoflow-simulation", "nodes/bone/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
     ("osteoflow-statistics", "nodes/bone/statistics", &[]),

@@ -41,6 +41,15 @@ const CRATES: &[(&str, Floors)] = &[
     ),
     ("engine/draw/src", &[&["layout", "xml"], &["svg", "text"]]),
     (
+        "engine/toy/src",
+        &[
+            &["NoParams", "camera", "context", "number", "samples"],
+            &["judge", "script", "stages", "stream", "wave"],
+            &["arithmetic"],
+            &["cached"],
+        ],
+    ),
+    (
         "engine/runtime/src",
         &[
             &["activity", "histogram", "join", "names", "panics", "plan", "sync"],
@@ -150,6 +159,15 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/kinds/payloads/src",
         &[&["table"], &["columns", "foxglove", "plain_values", "report"], &["geometry_views"], &["metrics", "target"]],
+    ),
+    (
+        "nodes/kinds/standard/src",
+        &[
+            &["own_bone", "params"],
+            &["calibrate", "crop", "hole", "icp", "output", "plane", "refine", "transform"],
+            &["acquire", "cloud", "coarse", "metrics", "plan", "surface", "verdict"],
+            &["landmarks", "send"],
+        ],
     ),
     (
         "nodes/pages/report/src",

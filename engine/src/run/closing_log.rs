@@ -34,7 +34,7 @@ pub(super) fn closing_log(
     if let Some(verdict) = Verdict::of(results) {
         log.push(entry("", 0, level(verdict.answer()), format!("verdict: {}", verdict.answer())));
         let reason = |r: &Reason| entry("", 0, level(r.answer), format!("{}: {r}", r.rule));
-        log.extend(verdict.reasons().iter().filter(|r| r.answer > Answer::Trusted).map(reason));
+        log.extend(verdict.against().map(reason));
     }
     log
 }

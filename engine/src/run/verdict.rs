@@ -1,7 +1,8 @@
 //! The verdict on the results of a run: whether they can be trusted, and why not.
 
+pub use osteoflow_verdict::{Answer, Reason};
+use serde::de::DeserializeOwned;
 use serde_json::{Map, Value as Json};
-use std::fmt;
 
 /// Rule of a reason that the engine gives: a node failed, a result is missing, or the graph was stuck.
 pub const FAILURE: &str = "failure";
@@ -10,36 +11,8 @@ pub const INTERRUPTED: &str = "interrupted";
 /// Rule of a reason that the engine gives: the results are doubtful, and the graph requires trusted ones.
 pub const REQUIRE: &str = "require";
 
-/// Answer of a verdict, or of one of its reasons; a greater one is worse.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Answer {
-    /// Nothing speaks against the results.
-    Trusted,
-    /// Something speaks against the results, but does not exclude them.
-    Doubtful,
-    /// The results must not be used.
-    Refused,
-}
-
-impl Answer {
-    /// Every answer, the best first.
-    pub const ALL: [Self; 3] = [Self::Trusted, Self::Doubtful, Self::Refused];
-
-    /// `trusted`, `doubtful` or `refused`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Trusted => "trusted",
-            Self::Doubtful => "doubtful",
-            Self::Refused => "refused",
-        }
-    }
-}
-
-impl fmt::Display for Answer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
+/// What an answer may be.
+const ANSWERS: &str = "\"trusted\", \"doubtful\" or \"refused\"";
 
 /// A verdict, as in the key `verdict` of `results.json`.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,26 +20,6 @@ pub struct Verdict {
     answer: Answer,
     reasons: Vec<Reason>,
     json: Map<String, Json>,
-}
-
-/// What one rule says about the results.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Reason {
-    /// Name of the rule.
-    pub rule: String,
-    /// Its answer.
-    pub answer: Answer,
-    /// What was found.
-    pub reason: String,
-    /// What to do about it; may be empty.
-    pub remedy: String,
-}
-
-impl fmt::Display for Reason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.reason)?;
-        if self.remedy.is_empty() { Ok(()) } else { write!(f, "; {}", self.remedy) }
-    }
 }
 
 impl Verdict {
@@ -78,34 +31,24 @@ impl Verdict {
         let Json::Object(object) = json else {
             return Err(format!("an object was expected, found {}", found(json)));
         };
-        let reasons = object.get("reasons").unwrap_or(&Json::Null);
-        let Json::Array(list) = reasons else {
-            return Err(format!("\"reasons\" must be a list, found {}", found(reasons)));
-        };
-        let answer = answer(object).map_err(|why| format!("its {why}"))?;
-        let reasons = list.iter().enumerate().map(|(index, reason)| {
-            Reason::read(reason).map_err(|why| format!("reason {} of {}: {why}", index + 1, list.len()))
-        });
-        let reasons = reasons.collect::<Result<Vec<_>, _>>()?;
-        match object.get("sentence") {
-            None | Some(Json::Null | Json::String(_)) => {}
-            Some(other) => return Err(format!("\"sentence\" must be a text, found {}", found(other))),
-        }
-        match object.get("assumptions") {
-            None | Some(Json::Null) => {}
-            Some(Json::Array(texts)) if texts.iter().all(Json::is_string) => {}
-            Some(other) => return Err(format!("\"assumptions\" must be a list of texts, found {}", found(other))),
-        }
+        let answer = key(object, "answer", ANSWERS).map_err(|why| format!("its {why}"))?;
+        let reasons: Vec<Json> = key(object, "reasons", "a list")?;
+        let read =
+            |(index, json)| reason(json).map_err(|why| format!("reason {} of {}: {why}", index + 1, reasons.len()));
+        let reasons = reasons.iter().enumerate().map(read).collect::<Result<Vec<_>, _>>()?;
+        key::<Option<String>>(object, "sentence", "a text")?;
+        key::<Option<Vec<String>>>(object, "assumptions", "a list of texts")?;
         if let Some(worse) = reasons.iter().find(|reason| reason.answer > answer) {
             return Err(format!(
                 "its answer is {answer}, but the answer of its rule \"{}\" is {}",
                 worse.rule, worse.answer
             ));
         }
-        if answer > Answer::Trusted && reasons.iter().all(|reason| reason.answer == Answer::Trusted) {
-            return Err(format!("its answer is {answer}, but it gives no reason for that"));
+        let verdict = Self { answer, reasons, json: object.clone() };
+        match verdict.answer > Answer::Trusted && verdict.against().next().is_none() {
+            true => Err(format!("its answer is {answer}, but it gives no reason for that")),
+            false => Ok(verdict),
         }
-        Ok(Self { answer, reasons, json: object.clone() })
     }
 
     /// The verdict in the content of a `results.json`; `None` if it has none that can be read.
@@ -122,11 +65,7 @@ impl Verdict {
     pub fn sentence(&self) -> String {
         match (self.json.get("sentence").and_then(Json::as_str), self.first()) {
             (Some(sentence), _) if !sentence.is_empty() => sentence.into(),
-            (_, Some(first)) => match self.reasons.iter().filter(|r| r.answer > Answer::Trusted).count() {
-                0 | 1 => first.reason.clone(),
-                2 => format!("{}, and 1 more reason", first.reason),
-                n => format!("{}, and {} more reasons", first.reason, n - 1),
-            },
+            (_, Some(first)) => first.sentence(self.against().count() - 1),
             _ => "nothing speaks against the results".into(),
         }
     }
@@ -139,8 +78,12 @@ impl Verdict {
     /// The first reason for the answer: with this answer, or else the first that is not "trusted"; `None` if the answer
     /// is "trusted".
     pub fn first(&self) -> Option<&Reason> {
-        let against = || self.reasons.iter().filter(|reason| reason.answer > Answer::Trusted);
-        against().find(|reason| reason.answer == self.answer).or_else(|| against().next())
+        self.against().find(|reason| reason.answer == self.answer).or_else(|| self.against().next())
+    }
+
+    /// The reasons that are not "trusted".
+    pub fn against(&self) -> impl Iterator<Item = &Reason> {
+        self.reasons.iter().filter(|reason| reason.answer > Answer::Trusted)
     }
 
     /// What the rules take for granted.
@@ -173,28 +116,24 @@ impl Verdict {
     }
 }
 
-impl Reason {
-    fn read(json: &Json) -> Result<Self, String> {
-        let Json::Object(object) = json else {
-            return Err(format!("an object was expected, found {}", found(json)));
-        };
-        let text = |key: &str| match object.get(key) {
-            Some(Json::String(text)) => Ok(text.clone()),
-            other => Err(format!("\"{key}\" must be a text, found {}", found(other.unwrap_or(&Json::Null)))),
-        };
-        let reason =
-            Self { rule: text("rule")?, answer: answer(object)?, reason: text("reason")?, remedy: text("remedy")? };
-        match reason.reason.is_empty() || reason.rule.is_empty() {
-            true => Err("\"rule\" and \"reason\" must not be empty".into()),
-            false => Ok(reason),
-        }
+/// Reads a reason.
+fn reason(json: &Json) -> Result<Reason, String> {
+    let Json::Object(object) = json else {
+        return Err(format!("an object was expected, found {}", found(json)));
+    };
+    let text = |name: &str| key::<String>(object, name, "a text");
+    let answer = key(object, "answer", ANSWERS)?;
+    let reason = Reason { rule: text("rule")?, answer, reason: text("reason")?, remedy: text("remedy")? };
+    match reason.reason.is_empty() || reason.rule.is_empty() {
+        true => Err("\"rule\" and \"reason\" must not be empty".into()),
+        false => Ok(reason),
     }
 }
 
-fn answer(of: &Map<String, Json>) -> Result<Answer, String> {
-    let given = of.get("answer").unwrap_or(&Json::Null);
-    let answer = Answer::ALL.into_iter().find(|answer| given.as_str() == Some(answer.name()));
-    answer.ok_or_else(|| format!("\"answer\" must be \"trusted\", \"doubtful\" or \"refused\", found {}", found(given)))
+/// The key of an object, null if it is missing.
+fn key<T: DeserializeOwned>(object: &Map<String, Json>, name: &str, expected: &str) -> Result<T, String> {
+    let json = object.get(name).unwrap_or(&Json::Null);
+    T::deserialize(json).map_err(|_| format!("\"{name}\" must be {expected}, found {}", found(json)))
 }
 
 /// Describes a value in a message.

@@ -27,6 +27,7 @@ pub use ended::{Ended, Stopped};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use limits::Limits;
 pub use misfit::Misfit;
+pub use osteoflow_verdict::{Answer, Reason};
 pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults, planes_lost};
 pub use predict::{
     Cut, Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Seen, Term, Tracking, Where, predict,
@@ -36,4 +37,4 @@ pub use rules::{Case, RuleParams, judge};
 pub use scale::Scale;
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
-pub use verdict::{Answer, Reason, Verdict};
+pub use verdict::Verdict;

@@ -107,7 +107,7 @@ impl Page {
              role=\"img\" aria-label=\"{name}\">{shape}</svg><b>{name}</b> {}</p>",
             escape(&verdict.sentence())
         );
-        let against: Vec<_> = verdict.reasons().iter().filter(|reason| reason.answer > Answer::Trusted).collect();
+        let against: Vec<_> = verdict.against().collect();
         if !against.is_empty() {
             self.body.push_str("<ul>");
             for reason in against {

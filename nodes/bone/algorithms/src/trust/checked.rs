@@ -1,8 +1,8 @@
 //! What a check piece says against a registration.
 
-use super::verdict::{Answer, Reason};
 use crate::metrics::CheckReport;
 use osteoflow_geometry::StampNs;
+use osteoflow_verdict::{Answer, Reason};
 
 /// Refused from this many times the largest error that raises no doubt.
 const REFUSED_FROM: f64 = 3.0;

@@ -1,7 +1,7 @@
 //! How the registration that is judged ended.
 
-use super::verdict::{Answer, Reason};
 use crate::icp::{IcpReport, StopReason};
+use osteoflow_verdict::{Answer, Reason};
 use serde::Deserialize;
 
 /// A registration that has not converged but is this close to its end is as good, mm.

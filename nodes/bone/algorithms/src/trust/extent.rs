@@ -1,7 +1,7 @@
 //! Whether a scan is large enough to say anything.
 
-use super::verdict::{Answer, Reason};
 use osteoflow_geometry::Cloud;
+use osteoflow_verdict::{Answer, Reason};
 
 /// A scan that spans less determines no pose of a bone, mm: the residuals of 10 mm are one draw, and a bone is that wide.
 const MIN_MM: f64 = 10.0;

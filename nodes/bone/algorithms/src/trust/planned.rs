@@ -1,11 +1,11 @@
 //! What the plan says about itself: the order of its landmarks, and whether it belongs to the surface.
 
-use super::verdict::{Answer, Reason};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
 use crate::section;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{NamedPoint, PlanePlace, Planes};
+use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of landmarks of which all orders are tried.

@@ -8,13 +8,14 @@ use super::limits::Limits;
 use super::planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
 use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
 use super::slid::{slide_note, slide_reasons};
-use super::verdict::{Answer, Reason, Verdict};
+use super::verdict::Verdict;
 use crate::coarse::{CLEAR, GlobalReport};
 use crate::metrics::CheckReport;
 use crate::section;
 use crate::slide::SlideReport;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{NamedPoint, Planes};
+use osteoflow_verdict::{Answer, Reason};
 use schemars::JsonSchema;
 use serde::Deserialize;
 

@@ -1,7 +1,7 @@
 //! What a slide profile says against a registration.
 
-use super::verdict::{Answer, Reason};
 use crate::slide::SlideReport;
+use osteoflow_verdict::{Answer, Reason};
 
 /// Movements by a slide that are noted: along the bone, mm, and around it, rad. More than point-to-point leaves of a sound start.
 const NOTED_MM: f64 = 1.5;
