@@ -71,7 +71,7 @@ fn is_whole_as_far_as_it_goes(dir: &Path, said: &str) {
 
 #[test]
 fn of_two_runs_into_one_folder_one_is_refused_by_the_name_of_the_other() {
-    let n_pairs = if crate::common::is_slow_run() { 80 } else { 10 };
+    let n_pairs = if crate::common::is_slow_run() { 80 } else { 3 };
     for _ in 0..n_pairs {
         let parent = tempfile::tempdir().unwrap();
         let dir = parent.path().join("run");
@@ -167,7 +167,7 @@ fn a_sweep_on_a_full_disk_goes_on_where_it_stopped() {
     let parent = tempfile::tempdir().unwrap();
     let graph = parent.path().join("small.toml");
     let base = crate::common::root().join("graphs/fibula.toml");
-    let sweep = "[sweep]\nrepeat = 3\n[sweep.columns]\nrms = \"icp.rms_mm\"\n";
+    let sweep = "[sweep]\nrepeat = 2\n[sweep.columns]\nrms = \"icp.rms_mm\"\n";
     fs::write(&graph, format!("extends = {base:?}\n[graph]\nname = \"small\"\n{sweep}")).unwrap();
     let command = |dir: &str, resume: bool| {
         let mut command = osteoflow_to_spawn();

@@ -111,7 +111,7 @@ fn section_3_2_2_a_fragment_is_cut_better_by_camera_than_by_stylus_and_its_measu
 #[test]
 fn section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps_stop_early() {
     const NAME: &str = "section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps_stop_early";
-    let n = if is_slow_run() { 200 } else { 8 };
+    let n = if is_slow_run() { 200 } else { 4 };
     let real = real(NAME, "TLEM2_CT_fibula_r").map(|bone| (bone, 0.9));
     for (bone, least) in either((built_in(&[1]), 0.8), real) {
         let summary = swept("sensitivity", &[vec![repeat(n)], bone.to_vec()].concat());
@@ -161,7 +161,7 @@ fn table_1_falls_with_the_number_of_points_where_an_icp_stops_early_from_a_start
 
 #[test]
 fn section_4_a_spot_is_located_better_than_it_is_aimed() {
-    let summary = swept("laser_spot", &[vec![repeat(4)], built_in(&[1, 2]).to_vec()].concat());
+    let summary = swept("laser_spot", &[vec![repeat(3)], built_in(&[1, 2]).to_vec()].concat());
     for disc in ["ball", "beam"] {
         let points = &group(&summary, &[("disc", disc.into())])["points"];
         let sd = |measure: &str, axis: &str| number(&points[measure][axis]["sd"]);

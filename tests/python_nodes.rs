@@ -58,6 +58,7 @@ format = 1
 
 [node.recording]
 kind = "acquire.simulated"
+camera.n_points = 1000
 "#;
 
 fn matrix(value: &Value) -> Matrix4<f64> {
@@ -284,7 +285,7 @@ fn what_is_wrong_in_a_plugin_is_said_at_its_line() {
     let example = page.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
     folder.write("bad.py", &example.replace("half.first", "bad.relay"));
     let halves = folder.run("graph.toml", &[]);
-    assert_eq!((halves.code, &halves.results["clouds"][2]["n_points"]), (Some(0), &10_000.into()), "{}", halves.stderr);
+    assert_eq!((halves.code, &halves.results["clouds"][2]["n_points"]), (Some(0), &500.into()), "{}", halves.stderr);
     // Parameters are checked at their character, as for any kind.
     let params = "from dataclasses import dataclass\nfrom osteoflow_node import *\n@dataclass\nclass P:\n    share: float = \
                   param(0.5, gt=0, le=1)\n@node(\"bad.relay\", output=\"cloud\")\ndef f(cloud: Cloud, params: P) -> Cloud:\n    \
@@ -339,9 +340,9 @@ fn a_saved_plugin_gives_new_numbers_at_once() {
     let next = || -> Value {
         serde_json::from_str(&lines.recv_timeout(Duration::from_secs(60)).expect("the watch answers")).unwrap()
     };
-    assert_eq!(next()["cloud"]["n_points"], 10_000);
+    assert_eq!(next()["cloud"]["n_points"], 500);
     folder.write("bad.py", &relay(0.25));
-    assert_eq!(next()["cloud"]["n_points"], 5_000);
+    assert_eq!(next()["cloud"]["n_points"], 250);
     watch.kill().unwrap();
     watch.wait().unwrap();
     assert!(root().join("docs/extend/python-nodes.md").is_file());

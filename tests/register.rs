@@ -1,6 +1,6 @@
 //! `osteoflow register`: two files, one registration.
 
-use crate::common::{self, osteoflow};
+use crate::common::{self, is_slow_run, osteoflow};
 use osteoflow_algorithms::sample;
 use osteoflow_formats::{
     Space,
@@ -262,7 +262,7 @@ fn every_method_finds_the_bone_with_every_pairing_and_the_same_bits_on_any_numbe
     let case = Case::new();
     for (method, tolerance_mm) in METHODS {
         for pairing in ["cached", "tree"] {
-            let answers = ["1", "2", "8"].map(|workers| {
+            let answers = ["1", "8"].map(|workers| {
                 let more = ["--workers", workers, "--method", method, "--pairing", pairing, "--target-points", "20000"];
                 case.answer("bone.stl", "scan.ply", &more)
             });
@@ -270,7 +270,7 @@ fn every_method_finds_the_bone_with_every_pairing_and_the_same_bits_on_any_numbe
             assert!(off_mm < tolerance_mm, "{method}, {pairing}: {off_mm} mm");
             assert_eq!((&answers[0]["method"], &answers[0]["pairing"]), (&method.into(), &pairing.into()));
             let poses = answers.map(|answer| answer["T"].to_string());
-            assert!(poses[0] == poses[1] && poses[0] == poses[2], "{method}, {pairing}: {poses:?}");
+            assert!(poses[0] == poses[1], "{method}, {pairing}: {poses:?}");
         }
     }
     let stderr = case.fault(3, &["points.ply", "scan.ply", "--init", "init.txt", "--method", "point_to_mesh"]);
@@ -763,7 +763,7 @@ fn register_and_the_graph_of_two_files_give_the_same_bits_reasons_and_assumption
         ("--max-iterations", "3", "icp.max_iterations=3"),
         ("--require", "trusted", "results.require=trusted"),
     ];
-    for n in 1..=more.len() {
+    for n in if is_slow_run() { (1..=more.len()).collect() } else { vec![3, more.len()] } {
         let both = the_same_both_ways(&case, ["bone.stl", "scan.ply"], &more[..n]);
         assert!(!both["verdict"]["assumptions"].to_string().contains("where the camera was"), "{both}");
     }

@@ -42,11 +42,11 @@ fn recorded() -> (crate::common::Ran, PathBuf) {
 
 #[test]
 fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
-    for (graph, n_runs) in [("graphs/fibula.toml", 3), (RECORDED, 2)] {
+    for (graph, n_runs) in [("graphs/fibula.toml", 2), (RECORDED, 2)] {
         let n_runs = if is_slow_run() { 1000 } else { n_runs };
         let mut first = None;
         for seed in 0..n_runs {
-            let (seed, workers) = (seed.to_string(), ["1", "2", "8"][seed % 3]);
+            let (seed, workers) = (seed.to_string(), ["8", "1", "2"][seed % 3]);
             let ran = run_whole(graph, &["--workers", workers, "--shuffle", &seed]);
             let recording = ran.dir.path().join("run.mcap");
             let found = digest(&recording);
@@ -347,7 +347,7 @@ fn assert_recovered(killed: &Path, recovered: &Path) {
 #[test]
 #[cfg(unix)]
 fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_last_chunk() {
-    let n_kills: u64 = if is_slow_run() { 1000 } else { 10 };
+    let n_kills: u64 = if is_slow_run() { 1000 } else { 6 };
     let dir = tempfile::tempdir().unwrap();
     let (mut n_read, mut n_items) = (0, 0);
     for kill in 0..n_kills {

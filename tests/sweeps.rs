@@ -14,6 +14,8 @@ use std::{
 const SMALL: &str = r#"extends = "GRAPH"
 [graph]
 name = "small"
+[node.recording]
+camera.n_points = 6000
 [node.bone]
 exact = true
 [sweep]

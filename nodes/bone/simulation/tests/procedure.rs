@@ -365,6 +365,7 @@ fn what_cannot_be_simulated_is_refused_with_the_reason() {
 
 #[test]
 fn a_surgeon_who_points_again_leaves_fewer_holes_that_cannot_be_found() {
+    let n_procedures = if std::env::var_os("SLOW_TESTS").is_some() { 30 } else { 10 };
     // Holes that are not found even where the plan may confirm them.
     let lost = |max_attempts| {
         let mut params = ProcedureParams::default();
@@ -375,9 +376,10 @@ fn a_surgeon_who_points_again_leaves_fewer_holes_that_cannot_be_found() {
             let Procedure { scan, laser, .. } = Procedure::simulate_for(&subject, &params, seed).unwrap();
             laser.iter().filter(|cloud| cloud_difference(&scan, cloud, &HoleParams::default()).is_err()).count()
         };
-        (1..=30).map(of_seed).sum::<usize>()
+        (1..=n_procedures).map(of_seed).sum::<usize>()
     };
     let (once, thrice) = (lost(1), lost(3));
-    assert!(once >= 5, "{once} of 90 holes are not found, so that there is something to mend");
-    assert!(thrice * 3 <= once * 2, "{thrice} of 90 holes are not found in three attempts, {once} in one");
+    let n_holes = 3 * n_procedures as usize;
+    assert!(once * 18 >= n_holes, "{once} of {n_holes} holes are not found, so that there is something to mend");
+    assert!(thrice * 3 <= once * 2, "{thrice} of {n_holes} holes are not found in three attempts, {once} in one");
 }

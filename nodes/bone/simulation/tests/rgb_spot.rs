@@ -150,7 +150,7 @@ fn a_slanted_beams_spot_is_within_its_radius_of_the_centre_or_has_a_low_confiden
     for disc in [LaserDisc::Beam, LaserDisc::Ball] {
         let mut tallies: [Tally; 4] = Default::default();
         let mut n_doubtful = 0;
-        for shape_seed in [2, 4, 6] {
+        for shape_seed in if n_seeds > 2 { vec![2, 4, 6] } else { vec![2, 6] } {
             let (subject, mut params) = (subject(shape_seed), params(shape_seed));
             params.laser.disc = disc;
             for seed in 300..300 + n_seeds {
