@@ -111,7 +111,7 @@ fn section_3_2_2_a_fragment_is_cut_better_by_camera_than_by_stylus_and_its_measu
 #[test]
 fn section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps_stop_early() {
     const NAME: &str = "section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps_stop_early";
-    let n = if is_slow_run() { 200 } else { 4 };
+    let n = if is_slow_run() { 200 } else { 8 };
     let real = real(NAME, "TLEM2_CT_fibula_r").map(|bone| (bone, 0.9));
     for (bone, least) in either((built_in(&[1]), 0.8), real) {
         let summary = swept("sensitivity", &[vec![repeat(n)], bone.to_vec()].concat());

@@ -92,7 +92,8 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
             .unwrap()
             .transform_point(&(scanned + osteoflow_geometry::nalgebra::Vector3::repeat(offset)));
         let off_mm = (here_fit.transform_point(&point) - there.transform_point(&point)).norm();
-        assert!(off_mm < 1e-6, "{off_mm} mm");
+        // Where points change between two samples there are several minima, closer than this (docs/decisions/0038).
+        assert!(off_mm < 1e-4, "{off_mm} mm");
     }
     let report = &here.results["icp"];
     assert_eq!((&report["n_pairs"], report["rms_mm"].as_f64().unwrap() < 0.1), (&20_000.into(), true), "{report}");

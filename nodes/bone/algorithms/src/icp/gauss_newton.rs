@@ -1,5 +1,5 @@
 //! The minimiser of all variants but `point_to_point`: Gauss-Newton or Levenberg-Marquardt, with a nonmonotone line search
-//! and Aitken extrapolation of slow steps.
+//! and pairs that are held where nothing but their changes moves the pose.
 
 use super::IcpError;
 use super::levels::LevelFit;
@@ -10,7 +10,7 @@ use super::report::Observer;
 use super::residual::Residual;
 use super::solve::{gauss_newton, levenberg_marquardt, sigma_mm};
 use super::state::State;
-use super::stop::{ConvergenceRate, StopReason};
+use super::stop::{Secant, StopReason};
 use super::weights::Weights;
 use nalgebra::Vector6;
 
@@ -21,20 +21,11 @@ const NONMONOTONE_WINDOW: usize = 3;
 /// Share of the cost by which changing pairs may raise it while the pose improves.
 const COST_TOLERANCE: f64 = 1e-3;
 
-/// Contraction rate above which pairs and with them normals change as fast as the pose.
-const SLOW_RATE: f64 = 0.5;
-
-/// Cosine above which two steps have the same direction.
-const SAME_DIRECTION: f64 = 0.9;
-
-/// Upper bound on the extrapolation of a step.
-const MAX_EXTRAPOLATION: f64 = 10.0;
-
-/// Plain steps between two extrapolated ones, which show the effect of the first.
-const PLAIN_BETWEEN: usize = 2;
-
 /// Steps without a new shortest one after which the iteration is in a cycle.
-const CYCLE: usize = 10;
+const CYCLE: u32 = 10;
+
+/// Distance to the minimum before the first step, in Gauss-Newton steps.
+const UNKNOWN_REMAINING: f64 = 2.0;
 
 /// Line search: shares of the step, tried in this order.
 const LINE_SEARCH: [f64; 4] = [1.0, 0.5, 0.25, 0.125];
@@ -49,8 +40,13 @@ const MIN_DAMPING: f64 = 1e-6;
 /// pairs is noise.
 const ROUGH_SIGMAS: f64 = 4.0;
 
-/// A level before the last ends at steps shorter than this many standard deviations of its minimum.
+/// A level before the last ends where the remaining distance is within the standard deviation of its minimum, or at steps
+/// shorter than this many of them for each step without a new shortest one.
 const LEVEL_SIGMAS: f64 = 0.5;
+
+/// The last level holds its pairs at steps shorter than this many standard deviations of the minimum for each step without a
+/// new shortest one: the cost jumps where a point changes from one sample to the next, so steps among them never end.
+const HELD_SIGMAS: f64 = 0.01;
 
 /// Minimises from `start` until the remaining distance is below `stop_step_mm`, no step lowers the cost, `max_steps` are used
 /// up, or the observer stops it. A level before the last ends as soon as its noise exceeds its steps.
@@ -64,7 +60,7 @@ pub(super) fn minimize<R: Residual>(
 ) -> Result<LevelFit, IcpError> {
     let mut minimizer = Minimizer::linearized_at(start, problem, weights)?;
     loop {
-        let step = minimizer.solve();
+        let step = minimizer.solve(is_last);
         if let Some(end) = minimizer.converged(&step, is_last, max_steps, observer) {
             return Ok(end);
         }
@@ -88,26 +84,33 @@ struct Minimizer<'a, R> {
     /// Mean costs since the weights last changed, mm².
     costs: Vec<f64>,
     damping: f64,
-    rate: ConvergenceRate,
-    previous: Option<Vector6<f64>>,
-    /// States before each step.
-    visited: Vec<State>,
+    /// The Gauss-Newton step at the state before, and the step taken from there.
+    previous: Option<(Vector6<f64>, Vector6<f64>)>,
     n_steps: u32,
-    n_plain: usize,
-    n_no_shorter: usize,
+    /// Number of Gauss-Newton steps since the shortest one.
+    n_no_shorter: u32,
     shortest_mm: f64,
 }
 
 /// A solution of the normal equations.
 struct Step {
     newton: Vector6<f64>,
-    /// The step to take: `newton`, extrapolated.
+    /// The step to take: `newton`, shortened where steps go to and fro.
     delta: Vector6<f64>,
     /// Distance to the minimum, mm; none while steps grow.
     remaining_mm: Option<f64>,
     /// Whether it is below the limits of the stop rule.
     is_short: bool,
+    /// Standard deviation of the minimum, mm.
+    sigma_mm: f64,
     is_cycling: bool,
+}
+
+impl Step {
+    /// Distance to the minimum after a step of this length, mm.
+    fn remaining_after_mm(&self, step_mm: f64) -> Option<f64> {
+        self.remaining_mm.map(|remaining| (remaining - step_mm).abs())
+    }
 }
 
 /// A state that the line search accepts.
@@ -129,47 +132,42 @@ impl<'a, R: Residual> Minimizer<'a, R> {
             costs: vec![problem.mean_cost(&equations)],
             equations,
             damping: MIN_DAMPING * 100.0,
-            rate: ConvergenceRate::default(),
             previous: None,
-            visited: Vec::new(),
             n_steps: 0,
-            n_plain: 0,
             n_no_shorter: 0,
             shortest_mm: f64::INFINITY,
         })
     }
 
-    /// Solves the normal equations; extrapolates the step if the cost hardly falls any more.
-    fn solve(&mut self) -> Step {
-        let (params, lever_arm_mm) = (self.problem.params, self.problem.source.lever_arm_mm);
+    /// Solves the normal equations for the next step.
+    fn solve(&mut self, is_last: bool) -> Step {
+        let params = self.problem.params;
         let newton = gauss_newton(&self.equations);
-        let stagnates = match self.costs.as_slice() {
-            [.., before, now] => *now > (1.0 - COST_TOLERANCE) * before,
-            _ => false,
-        };
-        let factor = match &self.previous {
-            Some(previous) if stagnates && params.step == StepRule::GaussNewton => {
-                aitken_factor(&newton, previous, self.n_plain)
-            }
-            _ => 1.0,
-        };
-        self.n_plain = if factor > 1.0 { 0 } else { self.n_plain + 1 };
-        if factor > 1.0 {
-            self.rate.at_least(1.0 - 1.0 / factor);
+        let (newton_mm, sigma_mm) = (newton.norm(), sigma_mm(&self.equations));
+        self.n_no_shorter = if newton_mm < self.shortest_mm { 0 } else { self.n_no_shorter + 1 };
+        self.shortest_mm = self.shortest_mm.min(newton_mm);
+        if is_last && newton_mm <= HELD_SIGMAS * f64::from(self.n_no_shorter) * sigma_mm {
+            self.correspondences.hold();
         }
-        self.previous = Some(newton);
-        let remaining_mm = self.rate.remaining_mm(newton.norm());
-        let turn_rad = newton.fixed_rows::<3>(3).norm() / lever_arm_mm;
-        self.n_no_shorter = if newton.norm() < self.shortest_mm { 0 } else { self.n_no_shorter + 1 };
-        self.shortest_mm = self.shortest_mm.min(newton.norm());
-        self.visited.push(self.state);
+        let secant = match &self.previous {
+            Some((before, taken)) => Secant::new(before, taken, &newton),
+            None => Secant { factor: 1.0, remaining_mm: Some(UNKNOWN_REMAINING * newton_mm) },
+        };
+        let turn_rad = newton.fixed_rows::<3>(3).norm() / self.problem.source.lever_arm_mm;
+        let is_near = secant.remaining_mm.is_some_and(|remaining| remaining <= params.stop_step_mm);
         Step {
             newton,
-            delta: newton * factor,
-            remaining_mm,
-            is_short: remaining_mm.is_some_and(|r| r <= params.stop_step_mm) && turn_rad <= params.stop_step_rad,
-            is_cycling: stagnates && self.n_no_shorter >= CYCLE,
+            delta: newton * if params.step == StepRule::GaussNewton { secant.factor } else { 1.0 },
+            remaining_mm: secant.remaining_mm,
+            is_short: is_near && turn_rad <= params.stop_step_rad,
+            sigma_mm,
+            is_cycling: self.n_no_shorter >= CYCLE && self.stagnates(),
         }
+    }
+
+    /// Whether the cost hardly falls any more.
+    fn stagnates(&self) -> bool {
+        matches!(self.costs.as_slice(), [.., before, now] if *now > (1.0 - COST_TOLERANCE) * before)
     }
 
     /// The convergence test; a short step is taken without a line search and ends the level.
@@ -177,18 +175,20 @@ impl<'a, R: Residual> Minimizer<'a, R> {
         if self.n_steps >= max_steps {
             return Some(self.end(StopReason::Iterations, step.is_short, step.remaining_mm));
         }
+        let newton_mm = step.newton.norm();
         if step.is_cycling && is_last {
             // Pairs change to and fro, and the minimum is within the cycle.
-            return Some(self.end_within(self.cycle_mm()));
+            let before_mm = self.previous.map_or(0.0, |(before, _)| before.norm());
+            return Some(self.end_within(newton_mm.max(before_mm)));
         }
-        let is_noise = !is_last && (step.is_cycling || step.newton.norm() <= LEVEL_SIGMAS * sigma_mm(&self.equations));
-        if !step.is_short && !is_noise {
+        let is_noise = step.is_cycling || newton_mm <= LEVEL_SIGMAS * step.sigma_mm;
+        if !step.is_short && (is_last || !is_noise) {
             return None;
         }
         let (next, step_mm) = (self.state.moved(&step.delta, self.problem.source.lever_arm_mm), step.delta.norm());
         let halted = self.observe(&next, step_mm, step, observer);
         let reason = halted.unwrap_or(StopReason::Step);
-        Some(LevelFit { state: next, ..self.end(reason, step.is_short, self.rate.remaining_after_mm(step_mm)) })
+        Some(LevelFit { state: next, ..self.end(reason, step.is_short, step.remaining_after_mm(step_mm)) })
     }
 
     /// The first share of the step, or the least damping, whose cost is not above the largest of the last few.
@@ -223,6 +223,7 @@ impl<'a, R: Residual> Minimizer<'a, R> {
     /// Takes the step; the end of the level if the observer or the rule on the residual says so.
     fn accept(&mut self, trial: Trial, step: &Step, observer: &mut Observer<'_>) -> Option<LevelFit> {
         let step_mm = trial.delta.norm();
+        self.previous = Some((step.newton, trial.delta));
         let halted = self.observe(&trial.state, step_mm, step, observer);
         let change_mm = (trial.equations.rms_mm() - self.equations.rms_mm()).abs();
         self.n_steps += 1;
@@ -230,8 +231,7 @@ impl<'a, R: Residual> Minimizer<'a, R> {
         self.costs.push(self.problem.mean_cost(&self.equations));
         let by_residual = (change_mm < self.problem.params.stop_residual_mm).then_some(StopReason::Residual);
         let reason = halted.or(by_residual)?;
-        let remaining_mm = self.rate.remaining_after_mm(step_mm);
-        Some(LevelFit { change_mm: Some(change_mm), ..self.end(reason, false, remaining_mm) })
+        Some(LevelFit { change_mm: Some(change_mm), ..self.end(reason, false, step.remaining_after_mm(step_mm)) })
     }
 
     fn narrow_weights(&mut self, step_mm: f64) -> Result<(), IcpError> {
@@ -262,29 +262,7 @@ impl<'a, R: Residual> Minimizer<'a, R> {
         LevelFit { reason, converged, remaining_mm, ..LevelFit::at(self.state, self.equations.clone(), self.weights) }
     }
 
-    fn cycle_mm(&self) -> f64 {
-        let recent = &self.visited[self.visited.len() - CYCLE..];
-        recent.iter().map(|v| v.since(&self.state, self.problem.source.lever_arm_mm).norm()).fold(0.0, f64::max)
-    }
-
     fn observe(&self, next: &State, step_mm: f64, step: &Step, observer: &mut Observer<'_>) -> Option<StopReason> {
         observer.observe(self.problem.step(&self.equations, &self.state, next, step_mm, step.remaining_mm))
-    }
-}
-
-/// Factor on a step for which two steps in one direction, or swinging to and fro, end at the limit of their geometric series.
-///
-/// Source: Aitken's delta-squared process.
-fn aitken_factor(newton: &Vector6<f64>, previous: &Vector6<f64>, n_plain: usize) -> f64 {
-    let rate = newton.norm() / previous.norm().max(f64::MIN_POSITIVE);
-    let cosine = newton.dot(previous) / (newton.norm() * previous.norm()).max(f64::MIN_POSITIVE);
-    if rate < SLOW_RATE {
-        1.0
-    } else if cosine < -SLOW_RATE {
-        1.0 / (1.0 + rate.min(1.0))
-    } else if cosine > SAME_DIRECTION && rate < 1.0 && n_plain >= PLAIN_BETWEEN {
-        (1.0 / (1.0 - rate)).min(MAX_EXTRAPOLATION)
-    } else {
-        1.0
     }
 }

@@ -24,7 +24,7 @@ const BONE_RADIUS_MM: f64 = 10.0;
 const PROBE_MM: f64 = 2.0;
 
 /// About this many source points are moved to probe.
-const PROBED: usize = 2500;
+const PROBED: usize = 1000;
 
 /// Eigenvalues of the normal matrix `JᵀJ` at the end, and the motions that the pairs leave undetermined.
 ///

@@ -41,9 +41,15 @@ pub(super) struct Correspondences {
     pairs: Vec<Correspondence>,
     /// Squared residuals, mm²; infinite for points without a pair.
     squares: Vec<f64>,
+    is_held: bool,
 }
 
 impl Correspondences {
+    /// Keeps the target points from now on, without further searches.
+    pub(super) fn hold(&mut self) {
+        self.is_held = true;
+    }
+
     /// Mean residual of the pairs, mm.
     pub(super) fn mean_mm(&self) -> f64 {
         let found = self.squares.iter().filter(|square| square.is_finite());
@@ -68,7 +74,7 @@ impl<'a, R: Residual> Problem<'a, R> {
     /// One empty correspondence for each source point.
     pub(super) fn correspondences(&self) -> Correspondences {
         let n = self.source.points.len();
-        Correspondences { pairs: vec![Correspondence::NONE; n], squares: vec![f64::INFINITY; n] }
+        Correspondences { pairs: vec![Correspondence::NONE; n], squares: vec![f64::INFINITY; n], is_held: false }
     }
 
     /// Finds the correspondences at `state` and builds the normal equations. With `narrow` the weights are first narrowed
@@ -83,9 +89,10 @@ impl<'a, R: Residual> Problem<'a, R> {
         let pose = LocalPose::new(state, self.surface);
         // Weights that depend on all residuals need a second pass.
         let two_passes = narrow || self.params.trim_fraction > 0.0;
+        let search = (!correspondences.is_held).then_some(self.pairing);
         let equations = self.over_chunks(correspondences, |first, pairs, squares| {
             for (k, (pair, square)) in pairs.iter_mut().zip(squares.iter_mut()).enumerate() {
-                *square = self.find(&pose, first + k, weights.search_radius_mm, pair);
+                *square = self.find(&pose, first + k, search, weights.search_radius_mm, pair);
             }
             if two_passes { NormalEquations::ZERO } else { self.sum(&pose, first, pairs, squares, weights) }
         });
@@ -167,12 +174,22 @@ impl<'a, R: Residual> Problem<'a, R> {
         equations.cost / self.source.points.len() as f64
     }
 
-    /// Finds the correspondence of a source point; its squared residual, infinite if there is none.
+    /// Finds the correspondence of a source point, or keeps it without a `search`; its squared residual, infinite if there is
+    /// none.
     #[inline]
-    fn find(&self, pose: &LocalPose, i: usize, radius_mm: f64, correspondence: &mut Correspondence) -> f64 {
+    fn find(
+        &self,
+        pose: &LocalPose,
+        i: usize,
+        search: Option<&dyn Pairing>,
+        radius_mm: f64,
+        correspondence: &mut Correspondence,
+    ) -> f64 {
         let source = pose.rotation * self.source.points[i];
         let moved = pose.centroid + source;
-        self.pairing.find(&moved, radius_mm, correspondence);
+        if let Some(pairing) = search {
+            pairing.find(&moved, radius_mm, correspondence);
+        }
         if !correspondence.is_some() {
             return f64::INFINITY;
         }

@@ -1,16 +1,11 @@
 //! Convergence tests.
 
 use super::params::IcpParams;
+use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
-/// Upper bound on the contraction rate: at most 1000 further steps of the last length are assumed.
-const MAX_RATE: f64 = 0.999;
-
-/// Upper bound on the contraction rate assumed after an extrapolated step.
-const MAX_EXTRAPOLATED_RATE: f64 = 0.9;
-
-/// Contraction rate assumed before there are two steps.
-const UNKNOWN_RATE: f64 = 0.5;
+/// Steps to and fro that shrink by less than this, and turn back by more than its arc cosine, are shortened.
+const SLOW_RATE: f64 = 0.5;
 
 /// Why an ICP stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -43,41 +38,29 @@ pub struct StopRule {
     pub met: bool,
 }
 
-/// Contraction rate of the steps, and the distance to the limit of their geometric series.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct ConvergenceRate {
-    last_mm: Option<f64>,
-    rate: Option<f64>,
-    /// Lower bound on the rate, from extrapolated steps.
-    least_rate: f64,
+/// How the Gauss-Newton step changes along the step taken, and where it would become zero.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Secant {
+    /// Length of the next step, in Gauss-Newton steps: 1, or less where steps go to and fro.
+    pub(super) factor: f64,
+    /// Remaining distance before it, mm; none while steps grow.
+    pub(super) remaining_mm: Option<f64>,
 }
 
-impl ConvergenceRate {
-    /// Sets a lower bound on the rate: steps shortened by an extrapolation do not show it.
-    pub(super) fn at_least(&mut self, rate: f64) {
-        self.least_rate = self.least_rate.max(rate.min(MAX_EXTRAPOLATED_RATE));
-    }
-
-    /// The remaining distance before a step of this length, `step / (1 - rate)`; `None` while steps grow.
-    pub(super) fn remaining_mm(&mut self, step_mm: f64) -> Option<f64> {
-        if let Some(last) = self.last_mm.replace(step_mm).filter(|l| *l > 0.0) {
-            self.rate = Some(step_mm / last);
+impl Secant {
+    /// From the Gauss-Newton step `before`, the step `taken` instead, and the Gauss-Newton step `now` after it.
+    ///
+    /// Source: Aitken's delta-squared process; Barzilai and Borwein 1988, eq. 5, for vectors.
+    pub(super) fn new(before: &Vector6<f64>, taken: &Vector6<f64>, now: &Vector6<f64>) -> Self {
+        let change = before - now;
+        let square = change.norm_squared().max(f64::MIN_POSITIVE);
+        let turns_back = now.dot(before) < -SLOW_RATE * now.norm() * before.norm();
+        let is_to_and_fro = turns_back && now.norm() > SLOW_RATE * before.norm();
+        let grows = now.dot(before) >= before.norm_squared() && now.norm() > 0.0;
+        Self {
+            factor: if is_to_and_fro { taken.dot(&change) / square } else { 1.0 },
+            remaining_mm: (!grows).then(|| now.norm() * taken.norm() / square.sqrt()),
         }
-        self.before_mm(step_mm)
-    }
-
-    /// The remaining distance after a step of this length.
-    pub(super) fn remaining_after_mm(&self, step_mm: f64) -> Option<f64> {
-        self.before_mm(step_mm).map(|remaining| remaining * self.rate())
-    }
-
-    fn before_mm(&self, step_mm: f64) -> Option<f64> {
-        let rate = self.rate();
-        (rate < 1.0 || step_mm == 0.0).then(|| if step_mm == 0.0 { 0.0 } else { step_mm / (1.0 - rate.min(MAX_RATE)) })
-    }
-
-    fn rate(&self) -> f64 {
-        self.rate.unwrap_or(UNKNOWN_RATE).max(self.least_rate)
     }
 }
 
@@ -116,23 +99,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_remaining_distance_is_the_sum_of_a_geometric_series() {
-        let mut rate = ConvergenceRate::default();
-        // Half a step follows each of an unknown rate.
-        assert_eq!(rate.remaining_mm(4.0), Some(8.0));
-        assert_eq!(rate.remaining_mm(1.0), Some(1.0 / 0.75));
-        assert_eq!(rate.remaining_after_mm(1.0), Some(1.0 / 0.75 * 0.25));
-        rate.at_least(0.5);
-        assert_eq!(rate.remaining_mm(0.25), Some(0.5), "no faster than told");
-        rate.at_least(0.99);
-        assert!((rate.remaining_mm(0.1).unwrap() - 1.0).abs() < 1e-12, "what is told counts up to 0.9");
-        assert_eq!(rate.remaining_mm(0.2), None, "steps grow");
-        assert_eq!(rate.remaining_mm(0.0), Some(0.0));
-        let mut rate = ConvergenceRate::default();
-        assert_eq!([rate.remaining_mm(0.0), rate.remaining_mm(1.0)], [Some(0.0), Some(2.0)], "no rate from nothing");
-        let mut slow = ConvergenceRate::default();
-        slow.remaining_mm(1.0);
-        assert!((slow.remaining_mm(0.9999).unwrap() - 999.9).abs() < 1e-6, "at most a thousand steps");
+    fn the_remaining_distance_is_where_the_secant_is_zero() {
+        let along = |length: f64| Vector6::x() * length;
+        let secant = |before: f64, taken: f64, now: f64| Secant::new(&along(before), &along(taken), &along(now));
+        // Steps of 1, 0.75, 0.5625 ..: 3 mm remain.
+        assert_eq!(secant(1.0, 1.0, 0.75), Secant { factor: 1.0, remaining_mm: Some(3.0) });
+        // Half of a step that halves them: as much again remains.
+        assert_eq!(secant(1.0, 0.5, 0.5).remaining_mm, Some(0.5));
+        // To and fro by one step: the limit is in the middle.
+        assert_eq!(secant(1.0, 1.0, -1.0), Secant { factor: 0.5, remaining_mm: Some(0.5) });
+        assert_eq!(secant(1.0, 1.0, -0.25), Secant { factor: 1.0, remaining_mm: Some(0.2) }, "it shrinks fast");
+        assert_eq!(secant(1.0, 1.0, 2.0), Secant { factor: 1.0, remaining_mm: None }, "steps grow");
+        assert_eq!(secant(1.0, 1.0, 1.0).remaining_mm, None, "steps stay");
+        assert_eq!(secant(1.0, 1.0, 0.0).remaining_mm, Some(0.0));
     }
 
     #[test]

@@ -458,3 +458,91 @@ fn what_a_point_to_point_leaves_is_all_of_its_error_even_if_it_stopped_far_along
     let fit = register(Method::PointToPoint, &with, &source, &start, &IcpParams::default(), &mut go_on).unwrap();
     assert!(fit.report.left_mm.unwrap() < 0.2, "{:?}", fit.report);
 }
+
+/// A strip of the shaft with noise, seen from +x, and a start some millimetres and degrees off.
+fn noisy_strip(seed: u64) -> (Vec<Point3<f64>>, Isometry3<f64>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let drawn = sample::surface(&shaft(), 60_000, &mut rng);
+    let seen = drawn.points.iter().zip(&drawn.normals).filter(|(p, n)| n.x > 0.2 && (20.0..95.0).contains(&p.z));
+    let source = seen.map(|(p, n)| p + n * (0.24 * (rng.random::<f64>() - 0.5))).collect();
+    let mut off = |size: f64| Vector3::from_fn(|_, _| size * (rng.random::<f64>() - 0.5));
+    let (shift, turn) = (off(5.0), off(0.1));
+    (source, Isometry3::new(shift, turn))
+}
+
+/// Number of full Gauss-Newton steps of point-to-plane from all points to their nearest samples, without weights, until one is
+/// shorter than `stop_mm` (RMS movement of the points), and the pose there; none where pairs change in a cycle.
+fn plain_gauss_newton(
+    target: &Target,
+    source: &[Point3<f64>],
+    init: &Isometry3<f64>,
+    stop_mm: f64,
+) -> Option<(u32, Isometry3<f64>)> {
+    let (normals, mut pose) = (target.normals().unwrap(), *init);
+    for n in 1..100 {
+        let moved: Vec<_> = source.iter().map(|p| pose * p).collect();
+        let centre = moved.iter().map(|p| p.coords).sum::<Vector3<f64>>() / moved.len() as f64;
+        let (mut h, mut b) = (nalgebra::Matrix6::<f64>::zeros(), nalgebra::Vector6::<f64>::zeros());
+        for p in &moved {
+            let Some((index, _)) = target.nearest(p, 5.0) else { continue };
+            let (normal, turn) = (normals[index], (p.coords - centre).cross(&normals[index]));
+            let row = nalgebra::Vector6::new(normal.x, normal.y, normal.z, turn.x, turn.y, turn.z);
+            h += row * row.transpose();
+            b += row * normal.dot(&(p - target.points()[index]));
+        }
+        let step = -h.cholesky().unwrap().solve(&b);
+        let (shift, turn) = (step.fixed_rows::<3>(0).into_owned(), step.fixed_rows::<3>(3).into_owned());
+        let rotation = UnitQuaternion::from_scaled_axis(turn);
+        let motion = Isometry3::from_parts((centre + shift - rotation * centre).into(), rotation);
+        let squares: f64 = moved.iter().map(|p| (motion * p - p).norm_squared()).sum();
+        pose = motion * pose;
+        if (squares / moved.len() as f64).sqrt() < stop_mm {
+            return Some((n, pose));
+        }
+    }
+    None
+}
+
+#[test]
+fn the_minimum_takes_at_most_two_steps_more_than_plain_gauss_newton() {
+    let target = target(&shaft(), 100_000);
+    for seed in 10..20 {
+        let (source, init) = noisy_strip(seed);
+        for stop_step_mm in [1e-3, 1e-6] {
+            let Some((n_plain, plain)) = plain_gauss_newton(&target, &source, &init, stop_step_mm) else { continue };
+            for pairing in [PairingKind::Cached, PairingKind::Tree] {
+                let run = |levels| {
+                    let stop_step_rad = stop_step_mm / 100.0;
+                    let params = IcpParams { pairing, levels, stop_step_mm, stop_step_rad, ..IcpParams::default() };
+                    register(Method::PointToPlane, &target, &source, &init, &params, &mut go_on).unwrap()
+                };
+                let (alone, with_levels) = (run(Vec::new()), run(IcpParams::default().levels));
+                let on_all = with_levels.trace.steps.iter().filter(|step| step.every == 1).count() as u32;
+                let what = format!("seed {seed}, {pairing:?}, {stop_step_mm} mm: {n_plain} plain steps");
+                for (fit, n) in [(&alone, alone.report.iterations), (&with_levels, on_all)] {
+                    let apart_mm = off(fit, &plain, &source);
+                    assert!(n <= n_plain + 2, "{what}, {n} of ours");
+                    assert!(apart_mm < 0.002, "{what}, {apart_mm} mm apart");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_tight_stop_converges_where_points_swing_between_two_samples() {
+    let target = target(&shaft(), 20_000);
+    // Without held pairs, those of the first two change in a cycle.
+    for seed in [18, 20, 10, 11] {
+        let (source, init) = noisy_strip(seed);
+        let at = |stop_step_mm: f64| {
+            let params = IcpParams { stop_step_mm, stop_step_rad: stop_step_mm / 100.0, ..IcpParams::default() };
+            register(Method::PointToPlane, &target, &source, &init, &params, &mut go_on).unwrap()
+        };
+        let (tight, usual) = (at(1e-9), at(1e-3));
+        assert_eq!((tight.report.stop_reason, tight.report.converged), (StopReason::Step, true), "seed {seed}");
+        let (apart_mm, n) = (off(&tight, &usual.t_target_source, &source), tight.report.iterations);
+        assert!(apart_mm < 1e-3, "seed {seed}: {apart_mm} mm from the result of the usual stop");
+        assert!(n <= 2 * usual.report.iterations, "seed {seed}: {n} steps, {} usually", usual.report.iterations);
+    }
+}
