@@ -124,7 +124,7 @@ impl<'a> StoredAnswers<'a> {
     }
 
     /// Decodes the answer in an entry; `None` if it is not an answer of this node.
-    fn read(&self, index: usize, entry: &StoreEntry) -> Option<Answer> {
+    fn read(&self, index: usize, entry: &StoreEntry) -> Option<CachedReply> {
         let outputs = &self.plan.nodes[index].outputs;
         let mut at = 0;
         let mut word = || -> Option<usize> {
@@ -146,7 +146,7 @@ impl<'a> StoredAnswers<'a> {
         let emissions = emissions.collect::<Option<Vec<_>>>()?;
         let text = |range: Option<Range<usize>>| String::from_utf8(entry.bytes().get(range?)?.to_vec()).ok();
         let warnings = ranges.map(text).collect::<Option<Vec<_>>>()?;
-        Some(Answer { emissions, warnings })
+        Some(CachedReply { emissions, warnings })
     }
 
     fn emission(&self, port: PortPayload, entry: &StoreEntry, range: Range<usize>) -> Option<Emission> {
@@ -200,7 +200,7 @@ impl AnswerCache for StoredAnswers<'_> {
     }
 }
 
-struct Answer {
+struct CachedReply {
     emissions: Vec<Emission>,
     warnings: Vec<String>,
 }

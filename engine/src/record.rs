@@ -119,7 +119,7 @@ pub(crate) struct Recorder {
     wires: BTreeSet<OutputId>,
     path: PathBuf,
     shared: Arc<Shared>,
-    writer: JoinHandle<Result<Written, Stopped>>,
+    writer: JoinHandle<Result<RecordingSummary, Stopped>>,
 }
 
 /// State shared by the tap and the writer.
@@ -141,7 +141,7 @@ enum QueueItem {
 }
 
 /// What the writer leaves.
-struct Written {
+struct RecordingSummary {
     counts: WireCounts,
     layout: Option<Json>,
 }
@@ -219,7 +219,7 @@ impl Recorder {
         let Ok(written) = self.writer.join() else {
             return Err(RecordError::Panicked { path: self.path, panic: "panicked".into() });
         };
-        let Written { counts, layout } = written.map_err(|stopped| stopped.into_error(&self.path))?;
+        let RecordingSummary { counts, layout } = written.map_err(|stopped| stopped.into_error(&self.path))?;
         let synced = durable::sync_folder_of(&self.path);
         synced.map_err(|source| RecordError::Write { path: self.path.clone(), source })?;
         if let Some(layout) = layout {
@@ -354,7 +354,7 @@ fn all_inputs(inputs: &[Json]) -> InputHashes {
 }
 
 /// Writer thread: runs until the queue is closed and empty, or writing fails.
-fn record(mut sink: Sink, shared: &Shared) -> Result<Written, Stopped> {
+fn record(mut sink: Sink, shared: &Shared) -> Result<RecordingSummary, Stopped> {
     let mut flushed = Instant::now();
     let began = flushed;
     let mut end = End::default();
@@ -396,5 +396,5 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<Written, Stopped> {
     end.metadata.iter().try_for_each(|(name, metadata)| sink.file.write_metadata(name, metadata))?;
     let file = sink.file.finish()?;
     file.sync_all()?;
-    Ok(Written { counts, layout: sink.pictures.layout() })
+    Ok(RecordingSummary { counts, layout: sink.pictures.layout() })
 }

@@ -4,7 +4,7 @@ use super::common::{
     print_json,
     progress::Progress,
     run_args::Keep,
-    running::{self, Ran},
+    running::{self, Completion},
     terminal,
 };
 use crate::app::{UsageError, out_dir, run_error};
@@ -77,7 +77,7 @@ impl Record {
         let ran = running::watch(progress, cancelled, move |progress| {
             osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(run_error)
         })?;
-        let Ran::Ended(report) = ran else {
+        let Completion::Ended(report) = ran else {
             running::print_left_files(&part, global);
             return Ok(Exit::Interrupted);
         };

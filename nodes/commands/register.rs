@@ -8,7 +8,7 @@ use super::common::{
     plugins::PluginArgs,
     progress::Progress,
     run_args::Keep,
-    running::{self, Ran},
+    running::{self, Completion},
     space::SpaceOption,
     terminal,
 };
@@ -230,8 +230,8 @@ impl Register {
         let cancelled = Arc::default();
         let (work, until) = (checked.clone(), Arc::clone(&cancelled));
         match running::watch(progress, cancelled, move |progress| work.run(progress, &until))? {
-            Ran::Ended(registration) => self.print(&registration, &checked, global),
-            Ran::Left => Ok(Exit::Interrupted),
+            Completion::Ended(registration) => self.print(&registration, &checked, global),
+            Completion::Left => Ok(Exit::Interrupted),
         }
     }
 

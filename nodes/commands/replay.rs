@@ -6,7 +6,7 @@ use super::common::{
     result_table,
     run_args::Leave,
     run_end, run_path, run_table,
-    running::{self, Ran},
+    running::{self, Completion},
     terminal,
     text_table::TextTable,
 };
@@ -112,8 +112,8 @@ impl Replay {
             replayed.map_err(|error| replay_error(error, colour))
         })?;
         let report = match ran {
-            Ran::Ended(report) => report,
-            Ran::Left => {
+            Completion::Ended(report) => report,
+            Completion::Left => {
                 if let Some(dir) = &dir {
                     running::print_left_files(dir, global);
                 }

@@ -6,7 +6,7 @@ use super::common::{
     progress::Progress,
     run_args::{Keep, Leave},
     run_end::print_end,
-    running::{self, Ran},
+    running::{self, Completion},
     serve::{self, Admission, Serving},
     terminal,
 };
@@ -153,8 +153,8 @@ impl Run {
             Ok(exit)
         })?;
         match ran {
-            Ran::Ended(exit) => Ok(exit),
-            Ran::Left => {
+            Completion::Ended(exit) => Ok(exit),
+            Completion::Left => {
                 running::print_left_files(&dir, global);
                 Ok(Exit::Interrupted)
             }

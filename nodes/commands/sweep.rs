@@ -144,8 +144,8 @@ impl Sweep {
             Ok(swept)
         })?;
         match ran {
-            running::Ran::Ended(swept) => print_end(&run.folder, &swept, began.elapsed(), global),
-            running::Ran::Left => Ok(Exit::Interrupted),
+            running::Completion::Ended(swept) => print_end(&run.folder, &swept, began.elapsed(), global),
+            running::Completion::Left => Ok(Exit::Interrupted),
         }
     }
 }

@@ -7,7 +7,7 @@ use super::common::{
     plugins::PluginArgs,
     progress::Progress,
     run_path,
-    running::{self, Ran},
+    running::{self, Completion},
     serve::{self, Admission, known_plan, picks::Picks},
 };
 use crate::app::UsageError;
@@ -130,7 +130,7 @@ impl View {
         let cancelled = Arc::default();
         let (until, global) = (Arc::clone(&cancelled), global.clone());
         match running::watch(Progress::hidden(), cancelled, move |_| serve::wait(server, &until, &global))? {
-            Ran::Ended(()) | Ran::Left => Ok(Exit::Done),
+            Completion::Ended(()) | Completion::Left => Ok(Exit::Done),
         }
     }
 }

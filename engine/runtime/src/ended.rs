@@ -7,7 +7,7 @@ use osteoflow_node::Built;
 use std::time::Duration;
 
 /// Outcome of a run, apart from the items that its taps have kept.
-pub struct Ended {
+pub struct RunOutcome {
     /// Whether a stop request cut the run short.
     pub interrupted: bool,
     /// Number of items, by node and output.

@@ -25,7 +25,7 @@ mod scheduler;
 mod sync;
 mod tap;
 
-pub use ended::Ended;
+pub use ended::RunOutcome;
 pub use histogram::Spread;
 pub use inject::{Injected, Injection, planned_failure};
 pub use latency::{Latency, LatencyStats};

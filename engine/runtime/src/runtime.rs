@@ -8,7 +8,7 @@ pub use cell::{emission_fault, stamp_or_zero};
 use crate::{
     activity::{self, Doing, Name},
     channel::{self, Limits, LinkState, RecvEnd, SendEnd},
-    ended::{Ended, Retired},
+    ended::{Retired, RunOutcome},
     inject::{Injection, Planned},
     join::{Joiner, PortSpec},
     messages::Messages,
@@ -264,7 +264,7 @@ impl<'a> Runtime<'a> {
     }
 
     /// Outcome of the run.
-    pub fn into_ended(self) -> Ended {
+    pub fn into_ended(self) -> RunOutcome {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let cells: Vec<Cell> =
             self.cells.into_iter().map(|cell| cell.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
@@ -291,7 +291,7 @@ impl<'a> Runtime<'a> {
             (node, Warning { node: self.plan.nodes[node].name.to_string(), item, message })
         }));
         warnings.sort_by_key(|(node, warning)| (*node, warning.item));
-        Ended {
+        RunOutcome {
             interrupted,
             nodes: cells.iter().map(|cell| cell.stats(&self.plan.nodes[cell.index].name)).collect(),
             links,

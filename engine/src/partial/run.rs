@@ -5,7 +5,7 @@ use crate::{
     options::RunOptions,
     plan::Plan,
     run::{Finished, FullRun, RunError, RunReport, WireItems, run_part},
-    runtime::{Ended, Failure, NodeStats, Observer, Replayed, Substitutes, Warning},
+    runtime::{Failure, NodeStats, Observer, Replayed, RunOutcome, Substitutes, Warning},
 };
 use osteoflow_node::Registry;
 use std::sync::Arc;
@@ -107,7 +107,7 @@ impl<'a> PartialRun<'a> {
         warnings.sort_by_cached_key(|warning| self.plan.node(&warning.node));
         let failures = part.failures.into_iter().map(moved).collect();
         let n_items = outputs.iter().map(|wires| wires.iter().map(|wire: &WireItems| wire.n_items).collect()).collect();
-        let ended = Ended { n_items, nodes, warnings, failures, stall: part.stall.map(moved), ..part };
+        let ended = RunOutcome { n_items, nodes, warnings, failures, stall: part.stall.map(moved), ..part };
         Finished { ended, outputs, saved }
     }
 }

@@ -8,7 +8,7 @@ use crate::{
         child::Child,
         segment::{Pool, StopPage, Views},
         socket::Received,
-        wire::{self, Answer, Emitted, Ended, Fire, FromWorker, Place, ToWorker},
+        wire::{self, Emitted, Fire, FiringOutcome, FromWorker, Place, Reply, ToWorker},
     },
 };
 use osteoflow_node::{
@@ -88,7 +88,7 @@ impl Launch for Processes {
                 context.declared.iter().map(|port| (port.name.clone(), PortPayload::Type(port.payload))).collect()
             }
         };
-        let mut node = Apart {
+        let mut node = OutOfProcess {
             child,
             stop_page,
             file: plugin.map(|plugin| plugin.path.clone()),
@@ -109,7 +109,7 @@ impl Launch for Processes {
             }
             Ok(FromWorker::Refused { parameter, message }) => return Err(ParamError::new(parameter, message)),
             Ok(_) => return Err(ParamError::new("", "its process answers something else than that the node is built")),
-            Err(Gone(message)) => return Err(ParamError::new("", message)),
+            Err(Disconnected(message)) => return Err(ParamError::new("", message)),
         }
         Ok(match kind.description.role {
             Role::Node => Built::Node(Box::new(node)),
@@ -148,7 +148,7 @@ fn library(plugin: &Plugin) -> wire::Library {
 type Sent = Option<(Value, Place)>;
 
 /// A node in a process of its own.
-struct Apart {
+struct OutOfProcess {
     child: Child,
     stop_page: StopPage,
     /// The library or program of its kind.
@@ -167,11 +167,15 @@ struct Apart {
 }
 
 /// The process is gone or does not keep to the protocol: why.
-struct Gone(String);
+struct Disconnected(String);
 
-impl Apart {
+impl OutOfProcess {
     /// The next message of the process but log lines.
-    fn reply(&mut self, limit: Option<Duration>, cancelled: &mut dyn FnMut() -> bool) -> Result<FromWorker, Gone> {
+    fn reply(
+        &mut self,
+        limit: Option<Duration>,
+        cancelled: &mut dyn FnMut() -> bool,
+    ) -> Result<FromWorker, Disconnected> {
         let began = Instant::now();
         let _ = self.child.socket.wait_at_most(Some(LOOK_INTERVAL));
         loop {
@@ -202,10 +206,10 @@ impl Apart {
         }
     }
 
-    fn gone(&mut self, how: String) -> Gone {
+    fn gone(&mut self, how: String) -> Disconnected {
         self.is_gone = true;
         let of = self.file.as_ref().map(|file| format!(", plugin {}", file.display())).unwrap_or_default();
-        Gone(format!("{how}{of}"))
+        Disconnected(format!("{how}{of}"))
     }
 
     /// Sends a firing, and takes its answer.
@@ -234,7 +238,7 @@ impl Apart {
                 return Err(NodeError::new(self.gone(message).0));
             }
             Ok(_) => return Err(NodeError::new("its process answers something else than a firing")),
-            Err(Gone(message)) => return Err(NodeError::new(message)),
+            Err(Disconnected(message)) => return Err(NodeError::new(message)),
         };
         self.take(answer, out, context).map_err(|message| NodeError::new(format!("its process {message}")))?
     }
@@ -256,7 +260,7 @@ impl Apart {
     /// Takes the answer over; the error says what is wrong with it.
     fn take(
         &mut self,
-        answer: Answer,
+        answer: Reply,
         out: &mut [Emission],
         context: &mut Context,
     ) -> Result<Result<bool, NodeError>, String> {
@@ -266,10 +270,10 @@ impl Apart {
         self.pool.answered(&answer.held);
         context.take_over(answer.context);
         match answer.ended {
-            Ended::Well => {}
-            Ended::End => return Ok(Ok(false)),
-            Ended::Failed(message) => return Ok(Err(NodeError::new(message))),
-            Ended::Panicked(message) => panics::resume_described(message),
+            FiringOutcome::Well => {}
+            FiringOutcome::End => return Ok(Ok(false)),
+            FiringOutcome::Failed(message) => return Ok(Err(NodeError::new(message))),
+            FiringOutcome::Panicked(message) => panics::resume_described(message),
         }
         if answer.outputs.len() != out.len() {
             return Err(format!("answers on {} outputs of {}", answer.outputs.len(), out.len()));
@@ -309,13 +313,13 @@ fn constant(pool: &mut Pool, sent: &mut Sent, item: &Item) -> io::Result<Place> 
     Ok(pool.put(item, false)?)
 }
 
-impl AnyNode for Apart {
+impl AnyNode for OutOfProcess {
     fn fire(&mut self, joined: &mut Joined, out: &mut [Emission], ctx: &mut Context) -> Result<(), NodeError> {
         self.call(joined, out, ctx).map(|_| ())
     }
 }
 
-impl AnySource for Apart {
+impl AnySource for OutOfProcess {
     fn next(&mut self, out: &mut [Emission], ctx: &mut Context) -> Result<bool, NodeError> {
         self.call(&Joined::default(), out, ctx)
     }

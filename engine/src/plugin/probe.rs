@@ -50,7 +50,7 @@ pub(super) enum ProbeError {
 /// The output of the process.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Answer {
+enum ProbeReply {
     Plugin(Box<PluginDescription>),
     Refused(String),
 }
@@ -67,8 +67,8 @@ const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
 /// Loads the library and returns the answer to be printed on stdout.
 pub fn answer(file: &Path) -> String {
     let answer = match Library::load(file) {
-        Ok(library) => Answer::Plugin(Box::new(library.description().clone())),
-        Err(error) => Answer::Refused(error.why.to_string()),
+        Ok(library) => ProbeReply::Plugin(Box::new(library.description().clone())),
+        Err(error) => ProbeReply::Refused(error.why.to_string()),
     };
     let json = serde_json::to_string(&answer).unwrap_or_else(|error| format!("{{\"refused\":\"{error}\"}}"));
     // Start a new line, whatever the library has printed.
@@ -98,8 +98,8 @@ pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginDescription, P
     let text = String::from_utf8_lossy(&out);
     let line = text.lines().rev().find_map(|line| line.strip_prefix(MARK));
     match line.and_then(|line| serde_json::from_str(line).ok()) {
-        Some(Answer::Plugin(description)) if status.success() => Ok(*description),
-        Some(Answer::Refused(why)) if status.success() => Err(ProbeError::Refused(why)),
+        Some(ProbeReply::Plugin(description)) if status.success() => Ok(*description),
+        Some(ProbeReply::Refused(why)) if status.success() => Err(ProbeError::Refused(why)),
         _ => {
             let code = status.code().map_or("none".into(), |code| code.to_string());
             Err(ProbeError::Ended(format!("exit code {code}{}", said())))

@@ -6,7 +6,7 @@ use crate::{
     process::{
         segment::{Pool, StopPage, Views},
         socket::{Received, Socket},
-        wire::{self, Answer, Emitted, Ended, Fire, FromWorker, Place, ToWorker},
+        wire::{self, Emitted, Fire, FiringOutcome, FromWorker, Place, Reply, ToWorker},
     },
 };
 use osteoflow_node::{
@@ -80,7 +80,7 @@ pub fn serve(mut registry: Registry) -> io::Result<()> {
                 server.pool.answered(&fire.held);
                 let answer = server.fire(*fire);
                 let (new, fds) = server.pool.news();
-                send(&socket, &FromWorker::Answer(Box::new(Answer { new, ..answer })), &fds)?;
+                send(&socket, &FromWorker::Answer(Box::new(Reply { new, ..answer })), &fds)?;
             }
             Received::Closed => return Ok(()),
             Received::Nothing | Received::Message(ToWorker::Build(_)) => {}
@@ -198,13 +198,13 @@ struct Server {
 }
 
 impl Server {
-    fn fire(&mut self, fire: Fire) -> Answer {
+    fn fire(&mut self, fire: Fire) -> Reply {
         let item = fire.context.item;
         let slots = fire.slots.into_iter().enumerate().map(|(port, slot)| self.slot(port, slot)).collect();
         self.context.receive(fire.context, &self.inputs);
         self.out.fill(Emission::Silent);
         let ended = match slots {
-            Err(message) => Ended::Failed(message),
+            Err(message) => FiringOutcome::Failed(message),
             Ok(slots) => {
                 let mut joined = Joined { slots, is_spent: true };
                 let (built, out, context) = (&mut self.built, &mut self.out, &mut self.context);
@@ -213,23 +213,23 @@ impl Server {
                     Built::Source(source) => source.next(out, context),
                 });
                 match fired {
-                    Ok(Ok(true)) => Ended::Well,
-                    Ok(Ok(false)) => Ended::End,
-                    Ok(Err(error)) => Ended::Failed(error.message),
-                    Err(panic) => Ended::Panicked(panic),
+                    Ok(Ok(true)) => FiringOutcome::Well,
+                    Ok(Ok(false)) => FiringOutcome::End,
+                    Ok(Err(error)) => FiringOutcome::Failed(error.message),
+                    Err(panic) => FiringOutcome::Panicked(panic),
                 }
             }
         };
         let emissions: Vec<Emission> = self.out.iter_mut().map(|e| std::mem::replace(e, Emission::Silent)).collect();
         let outputs = match ended {
-            Ended::Well => emissions.into_iter().map(|emission| self.emitted(emission)).collect(),
+            FiringOutcome::Well => emissions.into_iter().map(|emission| self.emitted(emission)).collect(),
             _ => Ok(Vec::new()),
         };
         let (ended, outputs) = match outputs {
             Ok(outputs) => (ended, outputs),
-            Err(error) => (Ended::Failed(format!("no memory to share: {error}")), Vec::new()),
+            Err(error) => (FiringOutcome::Failed(format!("no memory to share: {error}")), Vec::new()),
         };
-        Answer { item, ended, outputs, context: self.context.done(), new: Vec::new(), held: self.views.held() }
+        Reply { item, ended, outputs, context: self.context.done(), new: Vec::new(), held: self.views.held() }
     }
 
     fn slot(&mut self, port: usize, slot: wire::Slot) -> Result<Slot, String> {

@@ -3,7 +3,7 @@
 use super::{
     segment::{Pool, Views},
     socket::{Received, Socket},
-    wire::{Answer, Emitted, Ended, FromWorker},
+    wire::{Emitted, FiringOutcome, FromWorker, Reply},
 };
 use crate::recording::codec;
 use osteoflow_node::{Body, FiringDone, Item, PayloadType, PortPayload, Value, View};
@@ -70,9 +70,9 @@ pub fn messages_of(value: Value) -> io::Result<(Vec<u8>, Vec<u8>)> {
     let said = [
         FromWorker::Built { max_delay_ns: 0, silent_after_ns: None },
         FromWorker::Log { level: 3, target: "node".into(), message: "a line".into() },
-        FromWorker::Answer(Box::new(Answer {
+        FromWorker::Answer(Box::new(Reply {
             item: 0,
-            ended: Ended::Well,
+            ended: FiringOutcome::Well,
             outputs: vec![Emitted::Value(place), Emitted::Silent],
             context: FiringDone::default(),
             new,

@@ -111,15 +111,15 @@ pub(crate) enum FromWorker {
     /// A line for the log, at any time.
     Log { level: u32, target: String, message: String },
     /// The answer to a firing.
-    Answer(Box<Answer>),
+    Answer(Box<Reply>),
 }
 
 /// The answer to a firing.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Answer {
+pub(crate) struct Reply {
     /// The number of the firing: an answer to another one is refused.
     pub(crate) item: u64,
-    pub(crate) ended: Ended,
+    pub(crate) ended: FiringOutcome,
     /// One for each output; none unless it ended well.
     #[serde(default)]
     pub(crate) outputs: Vec<Emitted>,
@@ -134,7 +134,7 @@ pub(crate) struct Answer {
 /// How a firing ended.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Ended {
+pub(crate) enum FiringOutcome {
     Well,
     /// A source has no more items.
     End,

@@ -24,11 +24,11 @@ struct ComparedWire<'a> {
     payload: PortPayload,
     /// Whether the recording was cut short.
     partial: bool,
-    seen: Mutex<Seen>,
+    seen: Mutex<Tally>,
 }
 
 #[derive(Default)]
-struct Seen {
+struct Tally {
     n_items: u64,
     n_compared: u64,
     /// Later items cannot be compared.

@@ -3,14 +3,14 @@
 use crate::{
     plan::{OutputId, Plan},
     repro::Saved,
-    runtime::{Ended, Tap},
+    runtime::{RunOutcome, Tap},
 };
 use osteoflow_node::Item;
 use std::sync::{Mutex, PoisonError};
 
 /// A finished run.
 pub(crate) struct Finished {
-    pub(crate) ended: Ended,
+    pub(crate) ended: RunOutcome,
     /// By node and output.
     pub(crate) outputs: Vec<Vec<WireItems>>,
     /// Saved failed items.
@@ -50,7 +50,7 @@ impl ItemKeeper {
     }
 
     /// Combines the outcome of the run with the kept items.
-    pub(crate) fn finish(self, ended: Ended, saved: Saved) -> Finished {
+    pub(crate) fn finish(self, ended: RunOutcome, saved: Saved) -> Finished {
         let wire = |((_, items), n_items): ((Keep, Mutex<Vec<Item>>), &u64)| WireItems {
             n_items: *n_items,
             items: items.into_inner().unwrap_or_else(PoisonError::into_inner),

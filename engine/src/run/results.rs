@@ -22,7 +22,7 @@ pub(crate) fn collect(plan: &Plan, options: &RunOptions, run: &Finished) -> (Out
         return (Outcome::Interrupted, interrupted(options));
     }
     match ended(plan, run) {
-        Ok(Ended { verdict, refusal, values }) => {
+        Ok(Entries { verdict, refusal, values }) => {
             let mut results = begin(options, verdict);
             if let Some(refusal) = &refusal {
                 results.insert("refused".into(), refused(refusal));
@@ -99,7 +99,7 @@ fn refused(refusal: &Refusal) -> Json {
 }
 
 /// A run that ended without a failure.
-struct Ended<'a> {
+struct Entries<'a> {
     verdict: Option<Json>,
     /// Why the verdict refuses the results.
     refusal: Option<Refusal>,
@@ -108,7 +108,7 @@ struct Ended<'a> {
 }
 
 /// The verdict and every entry with its value, or why the whole run is refused.
-fn ended<'a>(plan: &'a Plan, run: &Finished) -> Result<Ended<'a>, Refusal> {
+fn ended<'a>(plan: &'a Plan, run: &Finished) -> Result<Entries<'a>, Refusal> {
     if let Some(failure) = run.ended.stall.iter().chain(&run.ended.failures).find(|failure| refuses(plan, failure)) {
         return Err(refusal_of(plan, failure));
     }
@@ -128,7 +128,7 @@ fn ended<'a>(plan: &'a Plan, run: &Finished) -> Result<Ended<'a>, Refusal> {
             None => return Err(cause(plan, run, entry.from)),
         }
     }
-    Ok(Ended { verdict, refusal, values })
+    Ok(Entries { verdict, refusal, values })
 }
 
 /// The verdict, and the refusal if it does not suffice.

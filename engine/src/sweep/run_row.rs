@@ -5,7 +5,7 @@ use crate::{
     partial::{FinishedNode, PartialRun},
     plan::Plan,
     run::{Finished, RunError, RunReport},
-    runtime::Ended,
+    runtime::RunOutcome,
 };
 use osteoflow_node::Registry;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(super) fn run(
 }
 
 /// Whether each node and all nodes upstream ended without failure.
-fn succeeded(plan: &Plan, ended: &Ended) -> Vec<bool> {
+fn succeeded(plan: &Plan, ended: &RunOutcome) -> Vec<bool> {
     let cut_short = ended.interrupted || ended.stall.is_some();
     let failed = |index| ended.failures.iter().any(|failure| failure.node == index);
     let mut affected: Vec<bool> = (0..plan.nodes.len()).map(|index| cut_short || failed(index)).collect();

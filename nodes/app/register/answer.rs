@@ -175,7 +175,7 @@ impl Registration {
     }
 
     /// How the method ended, by its report.
-    pub(crate) fn ended(&self) -> trust::Ended {
+    pub(crate) fn ended(&self) -> trust::Convergence {
         self.report.clone().and_then(|report| serde_json::from_value(report).ok()).unwrap_or_default()
     }
 

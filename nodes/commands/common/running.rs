@@ -23,7 +23,7 @@ use std::{
 };
 
 /// How the work ended.
-pub(crate) enum Ran<T> {
+pub(crate) enum Completion<T> {
     /// It finished, possibly because it was stopped.
     Ended(T),
     /// The user pressed Ctrl-C twice.
@@ -56,7 +56,7 @@ pub(crate) fn watch<T: Send + 'static>(
     progress: Progress,
     cancelled: Arc<AtomicBool>,
     work: impl FnOnce(&Progress) -> Result<T> + Send + 'static,
-) -> Result<Ran<T>> {
+) -> Result<Completion<T>> {
     let progress = Arc::new(progress);
     let (sender, receiver) = sync_channel(2);
     let busy = Arc::new(Mutex::new(Busy::default()));
@@ -82,8 +82,8 @@ pub(crate) fn watch<T: Send + 'static>(
     };
     progress.end();
     match news {
-        Ok(News::Ended(outcome)) => Ok(Ran::Ended(outcome?)),
-        Ok(News::SecondInterrupt) => Ok(Ran::Left),
+        Ok(News::Ended(outcome)) => Ok(Completion::Ended(outcome?)),
+        Ok(News::SecondInterrupt) => Ok(Completion::Left),
         Err(_) => Err(anyhow!("the engine stopped without a result, which is a bug; its message is above")),
     }
 }

@@ -7,7 +7,7 @@ use crate::commands::common::{
     progress::Progress,
     rerun::{Rerun, Runs, Turn, rerun},
     result_table, run_end,
-    running::{self, Ran},
+    running::{self, Completion},
     terminal,
 };
 use anyhow::{Result, anyhow};
@@ -47,8 +47,8 @@ pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
     let until = Arc::clone(&cancelled);
     // The output shows each run.
     match running::watch(Progress::hidden(), cancelled, move |_| rerun(&mut watch, &until))? {
-        Ran::Ended(exit) => Ok(exit),
-        Ran::Left => Ok(Exit::Interrupted),
+        Completion::Ended(exit) => Ok(exit),
+        Completion::Left => Ok(Exit::Interrupted),
     }
 }
 

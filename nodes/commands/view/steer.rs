@@ -17,7 +17,7 @@ use crate::commands::common::{
     rerun::{Rerun, Runs, Turn, rerun},
     run_args::{Keep, Leave},
     run_end,
-    running::{self, Ran},
+    running::{self, Completion},
     serve::{
         self, Admission, Serving, known_plan,
         picks::{self, Picks},
@@ -236,8 +236,8 @@ pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
         Ok(exit)
     })?;
     match ran {
-        Ran::Ended(exit) => Ok(exit),
-        Ran::Left => Ok(Exit::Interrupted),
+        Completion::Ended(exit) => Ok(exit),
+        Completion::Left => Ok(Exit::Interrupted),
     }
 }
 

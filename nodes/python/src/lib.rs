@@ -152,7 +152,7 @@ fn register(
 struct Graph(app::Graph);
 
 /// Results, warnings, folder, and the wires of a run.
-type Ran = (String, Vec<String>, Option<PathBuf>, Wires);
+type RunOutput = (String, Vec<String>, Option<PathBuf>, Wires);
 
 #[pymethods]
 impl Graph {
@@ -209,7 +209,7 @@ impl Graph {
         inputs: Bound<'_, PyDict>,
         keep: Option<BTreeSet<String>>,
         progress: bool,
-    ) -> PyResult<Ran> {
+    ) -> PyResult<RunOutput> {
         errors::check_threads()?;
         let mut given = WireInputs::default();
         for (wire, items) in inputs.iter() {

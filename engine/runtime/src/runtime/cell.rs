@@ -5,7 +5,7 @@ mod output;
 
 pub use output::emission_fault;
 pub(crate) use {
-    live::{Answer, Asked},
+    live::{NextRequest, Reply},
     output::Output,
 };
 

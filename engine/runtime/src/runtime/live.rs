@@ -7,7 +7,7 @@
 
 use super::{
     Runtime,
-    cell::{self, Answer, Asked},
+    cell::{self, NextRequest, Reply},
 };
 use crate::{
     activity::{Doing, Name},
@@ -44,7 +44,7 @@ pub(crate) struct Live {
 /// Messages to the thread that serves live sources.
 pub(crate) enum LiveMessage {
     /// A source has answered.
-    Answered(usize, Answer),
+    Answered(usize, Reply),
     /// An output may have room for the source's next answer; the source counts as pending since before this was sent.
     Room(usize),
     /// A source has been dropped on its thread.
@@ -169,7 +169,7 @@ impl Server<'_, '_> {
         self.devices.iter_mut().find(|device| device.node == node)
     }
 
-    fn answered(&mut self, node: usize, answer: Answer) {
+    fn answered(&mut self, node: usize, answer: Reply) {
         let _stepping = self.run.stepping(node);
         let Some(device) = self.device(node).filter(|device| device.asks.is_some()) else { return };
         let (asked, was_silent) = (device.asked.take(), std::mem::take(&mut device.reported_silent));
@@ -185,7 +185,7 @@ impl Server<'_, '_> {
     /// Asks a pending source for its next answer; if that fails, it is no longer pending.
     fn ask(&mut self, node: usize) {
         let asked = self.scheduler.outside(|turn| self.run.cell(node).ask(self.run, turn));
-        if let Asked::Next { item, stamp_ns } = asked {
+        if let NextRequest::Next { item, stamp_ns } = asked {
             if let Some(device) = self.device(node) {
                 device.asked = Some(Instant::now());
                 // A source whose thread has ended has sent its last answer before.
@@ -193,7 +193,7 @@ impl Server<'_, '_> {
             }
             return;
         }
-        if let (Asked::Never, Some(device)) = (asked, self.device(node)) {
+        if let (NextRequest::Never, Some(device)) = (asked, self.device(node)) {
             device.asks = None;
         }
         self.not_pending();
@@ -271,8 +271,8 @@ fn run_source(live: Live, asks: &Receiver<Ask>, answers: &Sender<LiveMessage>) {
     let name = Name::of(context.node());
     for Ask { item, stamp_ns } in asks {
         // The run waits for an answer to each request, so a panic outside of the source's own call is one, too.
-        let answer = panics::catch(|| Answer::of(name, &mut *source, &mut context, n_ports, item, stamp_ns))
-            .unwrap_or_else(|panic| Answer::of_panic(item, stamp_ns, n_ports, panic));
+        let answer = panics::catch(|| Reply::of(name, &mut *source, &mut context, n_ports, item, stamp_ns))
+            .unwrap_or_else(|panic| Reply::of_panic(item, stamp_ns, n_ports, panic));
         if answers.try_send(LiveMessage::Answered(node, answer)).is_err() {
             break;
         }

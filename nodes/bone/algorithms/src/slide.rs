@@ -25,7 +25,7 @@ use profile::Motion;
 use schemars::JsonSchema;
 use search::Minimum;
 use serde::Deserialize;
-use surface::{Loss, Seen};
+use surface::{Loss, Scene};
 
 /// Minimum number of scan points.
 const MIN_POINTS: usize = 200;
@@ -142,7 +142,7 @@ pub fn slide(
 ) -> Result<SlideFit, SlideError> {
     check(target, source, t_target_source, params)?;
     let sensor_mm = sensor_noise_mm(source.points()).unwrap_or(params.noise_mm);
-    let seen = Seen::new(target, source);
+    let seen = Scene::new(target, source);
     let start = search::settled(target, source, t_target_source, params).unwrap_or(*t_target_source);
     let axis = LongAxis::new(&seen, &start).ok_or_else(|| off_surface(target, source, t_target_source))?;
 
@@ -181,7 +181,7 @@ pub fn slide(
     let (axis, sigma_mm, [along, around]) = found;
     let is_open = along.is_undetermined && around.is_undetermined;
     let turn_is_told = is_open && profile::turn_is_told(&seen, &axis, &pose, &Loss::new(sigma_mm), params);
-    let report = report::report(&report::Found {
+    let report = report::report(&report::Parts {
         seen: &seen,
         axis: &axis,
         given: t_target_source,
@@ -225,7 +225,7 @@ fn check(
 }
 
 fn off_surface(target: &Target, source: &Cloud, t_target_source: &Isometry3<f64>) -> SlideError {
-    let seen = Seen::new(target, source);
+    let seen = Scene::new(target, source);
     let n_near = seen.n_near(t_target_source);
     let centroid: Point3<f64> = t_target_source * seen.centroid;
     let nearest_mm = target.nearest(&centroid, 1e9).map_or(f64::INFINITY, |(_, mm)| mm);

@@ -23,14 +23,14 @@ mod tests;
 mod verdict;
 
 pub use contrary::{ShapeEvidence, mirrored};
-pub use ended::{Ended, Stopped};
+pub use ended::{Convergence, StopCause};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use limits::Limits;
 pub use misfit::Misfit;
 pub use osteoflow_verdict::{Answer, Reason};
 pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults, planes_lost};
 pub use predict::{
-    Cut, Interval, PredictParams, Predicted, PredictedPoint, PredictedSet, Seen, Term, Tracking, Where, predict,
+    Cut, Interval, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking, Where, predict,
 };
 pub use residuals::{Residual, Residuals};
 pub use rules::{Case, RuleParams, judge};

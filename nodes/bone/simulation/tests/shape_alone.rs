@@ -9,7 +9,7 @@ use crate::common::{data_folder, stl};
 use osteoflow_algorithms::coarse::{CLEAR, GlobalParams, global};
 use osteoflow_algorithms::icp::{self, IcpFit, IcpParams, IcpReport, Method};
 use osteoflow_algorithms::target::Target;
-use osteoflow_algorithms::trust::{Answer, Case, Ended, Registered, Verdict, judge};
+use osteoflow_algorithms::trust::{Answer, Case, Convergence, Registered, Verdict, judge};
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Anatomy, Cloud, SurgicalPlan};
 use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_surface, plan};
@@ -107,7 +107,7 @@ fn cpu_ms() -> Option<f64> {
 }
 
 fn verdict(target: &Target, scan: &Cloud, t_target_source: &Isometry3<f64>, report: &IcpReport) -> Verdict {
-    let ended = Ended::from(report);
+    let ended = Convergence::from(report);
     let case = Case {
         registered: Registered { target, source: scan, t_target_source, at: &[] },
         icp: Some(&ended),

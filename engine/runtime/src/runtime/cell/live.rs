@@ -26,7 +26,7 @@ pub(crate) struct LiveCore {
 }
 
 /// An answer of a live source.
-pub(crate) struct Answer {
+pub(crate) struct Reply {
     firing: Firing,
     emissions: Vec<Emission>,
     warnings: Vec<String>,
@@ -34,7 +34,7 @@ pub(crate) struct Answer {
 }
 
 /// Whether a live source is asked for its next answer.
-pub(crate) enum Asked {
+pub(crate) enum NextRequest {
     Next {
         item: u64,
         stamp_ns: StampNs,
@@ -45,7 +45,7 @@ pub(crate) enum Asked {
     Never,
 }
 
-impl Answer {
+impl Reply {
     /// Number of the answer.
     pub(crate) fn item(&self) -> u64 {
         self.firing.item
@@ -94,7 +94,7 @@ impl Cell {
     }
 
     /// Sends an answer of a live source.
-    pub(crate) fn answered(&mut self, answer: Answer, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+    pub(crate) fn answered(&mut self, answer: Reply, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
         answer.warnings.into_iter().for_each(|warning| self.context.warn(warning));
         if matches!(answer.answered, Ok(Ok(false))) {
@@ -111,28 +111,30 @@ impl Cell {
     }
 
     /// Whether a live source can be asked for its next answer; ends it where it has to end.
-    pub(crate) fn ask(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Asked {
+    pub(crate) fn ask(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> NextRequest {
         if !self.is_live() {
-            return Asked::Never;
+            return NextRequest::Never;
         }
         let has_room = self.has_room(run);
         if let Core::Live(live) = &mut self.core
             && !has_room
         {
             live.waits = true;
-            return Asked::WhenThereIsRoom;
+            return NextRequest::WhenThereIsRoom;
         }
         match &self.phase {
             Phase::Failing(empty) => {
                 let empty = empty.clone();
                 self.send_empties(empty, run, turn);
                 self.end(run, turn);
-                Asked::Never
+                NextRequest::Never
             }
-            Phase::Open if !run.cancelled() => Asked::Next { item: self.item, stamp_ns: stamp_or_zero(self.stamp_ns) },
+            Phase::Open if !run.cancelled() => {
+                NextRequest::Next { item: self.item, stamp_ns: stamp_or_zero(self.stamp_ns) }
+            }
             _ => {
                 self.interrupt(run, turn);
-                Asked::Never
+                NextRequest::Never
             }
         }
     }

@@ -31,7 +31,7 @@ impl PointGrid {
             return None;
         }
         let n_cells = self.n_blocks.map(|n| f64::from(n * EDGE));
-        let mut seen = Seen::new(limit_mm, SPARE * h);
+        let mut seen = Candidates::new(limit_mm, SPARE * h);
         // Cells have integer edges; there are no points outside of the grid.
         let cells = |k: usize, reach: f64| {
             let (from, to) = ((u[k] - reach).max(0.0), (u[k] + reach).min(n_cells[k] - 0.5));
@@ -84,7 +84,7 @@ impl PointGrid {
 }
 
 /// Points seen by a search within a ball that shrinks as nearer points are seen.
-struct Seen {
+struct Candidates {
     /// Positions and squared distances.
     points: [(u32, f64); MOST_SEEN],
     n: usize,
@@ -94,7 +94,7 @@ struct Seen {
     spare_mm: f64,
 }
 
-impl Seen {
+impl Candidates {
     fn new(limit_mm: f64, spare_mm: f64) -> Self {
         let ball_square = (limit_mm + spare_mm).powi(2);
         Self { points: [(0, 0.0); MOST_SEEN], n: 0, ball_square, nearest_square: limit_mm * limit_mm, spare_mm }

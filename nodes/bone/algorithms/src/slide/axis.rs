@@ -1,6 +1,6 @@
 //! The long axis of the bone where the scan lies.
 
-use super::surface::Seen;
+use super::surface::Scene;
 use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
 
 /// Reciprocal of the minimum share of the points that must lie near the surface.
@@ -28,7 +28,7 @@ impl LongAxis {
     /// pass closest. `None` if too few points lie near the surface.
     ///
     /// Source: the translation that leaves a cylinder on itself, Gelfand and Guibas 2004.
-    pub(super) fn new(seen: &Seen<'_>, pose: &Isometry3<f64>) -> Option<Self> {
+    pub(super) fn new(seen: &Scene<'_>, pose: &Isometry3<f64>) -> Option<Self> {
         let beside = seen.all_beside(&seen.points, pose);
         let near: Vec<(Point3<f64>, Vector3<f64>)> = seen
             .points
@@ -74,7 +74,7 @@ impl LongAxis {
 
     /// How far along the axis (mm) and about it (rad) a pose lies from another: the shift of the scan's centroid, and the twist
     /// of the rotation.
-    pub(super) fn offset(&self, seen: &Seen<'_>, from: &Isometry3<f64>, pose: &Isometry3<f64>) -> [f64; 2] {
+    pub(super) fn offset(&self, seen: &Scene<'_>, from: &Isometry3<f64>, pose: &Isometry3<f64>) -> [f64; 2] {
         let along_mm = (pose * seen.centroid - from * seen.centroid).dot(&self.along);
         let turn = pose.rotation * from.rotation.inverse();
         let half = f64::atan2(turn.vector().dot(&self.along), turn.scalar());

@@ -5,7 +5,7 @@ use super::axis::LongAxis;
 use super::compare::{Cells, Difference};
 use super::report::SlideProfile;
 use super::search::Minimum;
-use super::surface::{Beside, Loss, Seen};
+use super::surface::{Beside, Loss, Scene};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
 
 /// Places of a profile as a share of its half length: close together where the minimum is.
@@ -55,7 +55,7 @@ struct Fit {
 
 /// The profile about `pose` over one motion.
 pub(super) fn along(
-    seen: &Seen<'_>,
+    seen: &Scene<'_>,
     axis: &LongAxis,
     pose: &Isometry3<f64>,
     motion: Motion,
@@ -116,7 +116,7 @@ pub(super) fn along(
 
 /// Whether the residuals tell a turn alone, without a slide, from none.
 pub(super) fn turn_is_told(
-    seen: &Seen<'_>,
+    seen: &Scene<'_>,
     axis: &LongAxis,
     pose: &Isometry3<f64>,
     loss: &Loss,
@@ -149,7 +149,7 @@ fn end(offsets: &[f64], differences: &[Difference], middle: usize, way: isize) -
 }
 
 struct Fitter<'a> {
-    seen: &'a Seen<'a>,
+    seen: &'a Scene<'a>,
     axis: &'a LongAxis,
     /// Whether the motion along the axis, and the one about it, are held.
     fixed: [bool; 2],

@@ -3,7 +3,7 @@
 use super::axis::LongAxis;
 use super::compare::Cells;
 use super::search::{Minimum, SAME_MM};
-use super::surface::{Loss, Seen};
+use super::surface::{Loss, Scene};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
@@ -139,8 +139,8 @@ impl Other {
 }
 
 /// The parts of a report.
-pub(super) struct Found<'a> {
-    pub(super) seen: &'a Seen<'a>,
+pub(super) struct Parts<'a> {
+    pub(super) seen: &'a Scene<'a>,
     pub(super) axis: &'a LongAxis,
     pub(super) given: &'a Isometry3<f64>,
     pub(super) pose: &'a Isometry3<f64>,
@@ -153,8 +153,8 @@ pub(super) struct Found<'a> {
     pub(super) turn_is_told: bool,
 }
 
-pub(super) fn report(found: &Found<'_>) -> SlideReport {
-    let Found { seen, axis, given, pose, minima, sigma_mm, sensor_mm, along, around, turn_is_told } = found;
+pub(super) fn report(found: &Parts<'_>) -> SlideReport {
+    let Parts { seen, axis, given, pose, minima, sigma_mm, sensor_mm, along, around, turn_is_told } = found;
     let loss = Loss::new(*sigma_mm);
     let cells = Cells::new(&seen.points, &seen.centroid);
     let best = seen.costs(pose, &loss);

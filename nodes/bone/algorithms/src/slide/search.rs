@@ -1,7 +1,7 @@
 //! The minima about a pose: a grid of starts on a coarse map, the better ones registered onto the surface.
 
 use super::axis::LongAxis;
-use super::surface::{Loss, Seen};
+use super::surface::{Loss, Scene};
 use super::{SlideError, SlideParams};
 use crate::coarse::{Placed, Points, descend, map_score};
 use crate::icp::{self, IcpError, IcpParams, Method, Source};
@@ -58,7 +58,7 @@ pub(super) struct Minimum {
 
 /// The minima within reach of a pose, best first; at least that of the pose itself.
 pub(super) fn minima(
-    seen: &Seen<'_>,
+    seen: &Scene<'_>,
     axis: &LongAxis,
     centre: &Isometry3<f64>,
     params: &SlideParams,
@@ -106,13 +106,13 @@ pub(super) fn minima(
 }
 
 impl Minimum {
-    fn new(seen: &Seen<'_>, pose: Isometry3<f64>) -> Self {
+    fn new(seen: &Scene<'_>, pose: Isometry3<f64>) -> Self {
         Self { pose, scale_mm: seen.scale_mm(&pose), cost: 0.0 }
     }
 }
 
 /// Sorts minima by the robust cost of one and the same scale, that of the closest fit among them.
-pub(super) fn sort(seen: &Seen<'_>, params: &SlideParams, minima: &mut [Minimum]) {
+pub(super) fn sort(seen: &Scene<'_>, params: &SlideParams, minima: &mut [Minimum]) {
     let scale_mm = minima.iter().map(|m| m.scale_mm).fold(f64::INFINITY, f64::min);
     let loss = Loss::new(scale_mm.max(params.noise_mm));
     for minimum in minima.iter_mut() {
@@ -123,7 +123,7 @@ pub(super) fn sort(seen: &Seen<'_>, params: &SlideParams, minima: &mut [Minimum]
 }
 
 /// The first of each group of minima that lie closer together than `apart_mm`.
-pub(super) fn distinct(seen: &Seen<'_>, sorted: Vec<Minimum>, apart_mm: f64) -> Vec<Minimum> {
+pub(super) fn distinct(seen: &Scene<'_>, sorted: Vec<Minimum>, apart_mm: f64) -> Vec<Minimum> {
     let mut kept: Vec<Minimum> = Vec::new();
     for minimum in sorted {
         if kept.iter().all(|other| seen.apart_mm(&other.pose, &minimum.pose) > apart_mm) {
@@ -171,7 +171,7 @@ pub(super) fn finished(
 
 /// The registration beside the start where a motion is undetermined: along the bone, around it, or both.
 pub(super) fn beside(
-    seen: &Seen<'_>,
+    seen: &Scene<'_>,
     axis: &LongAxis,
     start: &Isometry3<f64>,
     best: &Isometry3<f64>,
@@ -200,7 +200,7 @@ fn icp_params(params: &SlideParams) -> IcpParams {
 }
 
 /// Poses at which a grid of starts comes to rest on the map, best first.
-fn on_map(seen: &Seen<'_>, axis: &LongAxis, centre: &Isometry3<f64>, params: &SlideParams) -> Vec<Isometry3<f64>> {
+fn on_map(seen: &Scene<'_>, axis: &LongAxis, centre: &Isometry3<f64>, params: &SlideParams) -> Vec<Isometry3<f64>> {
     let map = seen.target.index().near_map(seen.target);
     let about = |points: Vec<Point3<f64>>| -> Vec<Vector3<f64>> { points.iter().map(|p| p - seen.centroid).collect() };
     let (few, some) = (about(thinned(&seen.points, N_SCORED)), about(thinned(&seen.points, N_MAPPED)));

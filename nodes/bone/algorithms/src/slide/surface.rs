@@ -25,7 +25,7 @@ const OUTSIDE_SIGMAS: f64 = 2.5;
 const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
 
 /// A scan before a surface with normals.
-pub(super) struct Seen<'a> {
+pub(super) struct Scene<'a> {
     pub(super) target: &'a Target,
     pub(super) source: &'a Cloud,
     normals: &'a [Vector3<f64>],
@@ -43,7 +43,7 @@ pub(super) struct Beside {
     pub(super) signed_mm: f64,
 }
 
-impl<'a> Seen<'a> {
+impl<'a> Scene<'a> {
     /// The target must have normals.
     pub(super) fn new(target: &'a Target, source: &'a Cloud) -> Self {
         let all = source.points();

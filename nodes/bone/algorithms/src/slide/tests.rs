@@ -66,7 +66,7 @@ fn axis_error_deg(report: &SlideReport) -> f64 {
 
 /// RMS distance of the scan at two poses, mm.
 fn apart_mm(case: &(Target, Cloud, Isometry3<f64>), a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
-    Seen::new(&case.0, &case.1).apart_mm(a, b)
+    Scene::new(&case.0, &case.1).apart_mm(a, b)
 }
 
 #[test]

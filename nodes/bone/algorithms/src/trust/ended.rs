@@ -10,38 +10,38 @@ const CLOSE_MM: f64 = 0.05;
 /// How an iterative registration ended, as far as its report has it. Other keys of a report are ignored.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub struct Ended {
+pub struct Convergence {
     /// Whether it converged.
     pub converged: Option<bool>,
     /// Remaining distance to where it would converge, mm.
     pub remaining_mm: Option<f64>,
     /// Why it stopped.
-    pub stop_reason: Option<Stopped>,
+    pub stop_reason: Option<StopCause>,
 }
 
 /// Why an iterative registration stopped.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(untagged)]
-pub enum Stopped {
+pub enum StopCause {
     /// By a rule of the built-in ICPs.
     By(StopReason),
     /// In the words of another ICP.
     Other(String),
 }
 
-impl From<&IcpReport> for Ended {
+impl From<&IcpReport> for Convergence {
     fn from(report: &IcpReport) -> Self {
         Self {
             converged: Some(report.converged),
             remaining_mm: report.remaining_mm,
-            stop_reason: Some(Stopped::By(report.stop_reason)),
+            stop_reason: Some(StopCause::By(report.stop_reason)),
         }
     }
 }
 
 /// The sign in a registration that stopped before its end; none if it rests `unsettled_mm` from where the scan fits best nearby,
 /// and that is close enough.
-pub(super) fn ended_reason(ended: &Ended, unsettled_mm: Option<f64>) -> Option<Reason> {
+pub(super) fn ended_reason(ended: &Convergence, unsettled_mm: Option<f64>) -> Option<Reason> {
     let is_far = |mm: f64| mm > CLOSE_MM;
     let is_short =
         ended.converged == Some(false) && ended.remaining_mm.is_none_or(is_far) && unsettled_mm.is_none_or(is_far);
@@ -52,15 +52,15 @@ pub(super) fn ended_reason(ended: &Ended, unsettled_mm: Option<f64>) -> Option<R
     })
 }
 
-fn words(stopped: &Stopped) -> &str {
+fn words(stopped: &StopCause) -> &str {
     match stopped {
-        Stopped::By(StopReason::Step) => "its step",
-        Stopped::By(StopReason::Residual) => "stop_residual_mm",
-        Stopped::By(StopReason::Iterations) => "max_iterations",
-        Stopped::By(StopReason::Time) => "stop_after_ms",
-        Stopped::By(StopReason::Stalled) => "a step that does not lower the residual",
-        Stopped::By(StopReason::Cancelled) => "the user",
-        Stopped::Other(words) => words,
+        StopCause::By(StopReason::Step) => "its step",
+        StopCause::By(StopReason::Residual) => "stop_residual_mm",
+        StopCause::By(StopReason::Iterations) => "max_iterations",
+        StopCause::By(StopReason::Time) => "stop_after_ms",
+        StopCause::By(StopReason::Stalled) => "a step that does not lower the residual",
+        StopCause::By(StopReason::Cancelled) => "the user",
+        StopCause::Other(words) => words,
     }
 }
 
@@ -74,18 +74,18 @@ mod tests {
 
     #[test]
     fn a_registration_that_rests_where_the_scan_fits_best_has_ended() {
-        let stopped = Ended { converged: Some(false), ..Ended::default() };
+        let stopped = Convergence { converged: Some(false), ..Convergence::default() };
         assert!(ended_reason(&stopped, None).is_some() && ended_reason(&stopped, Some(0.06)).is_some());
         assert_eq!(ended_reason(&stopped, Some(0.04)), None);
     }
 
     #[test]
     fn either_distance_that_is_at_most_0_05_mm_ends_a_registration() {
-        let at = |remaining_mm| Ended { converged: Some(false), remaining_mm, ..Ended::default() };
+        let at = |remaining_mm| Convergence { converged: Some(false), remaining_mm, ..Convergence::default() };
         let is_short = |remaining_mm, unsettled_mm| ended_reason(&at(remaining_mm), unsettled_mm).is_some();
         assert!(is_short(None, None) && is_short(Some(0.06), Some(0.06)) && is_short(Some(0.06), None));
         assert!(!is_short(Some(0.05), Some(0.06)) && !is_short(Some(0.06), Some(0.05)));
-        let converged = Ended { converged: Some(true), remaining_mm: Some(0.3), ..Ended::default() };
+        let converged = Convergence { converged: Some(true), remaining_mm: Some(0.3), ..Convergence::default() };
         assert_eq!(ended_reason(&converged, Some(0.3)), None);
     }
 
@@ -99,7 +99,8 @@ mod tests {
             (StopReason::Stalled, "a step that does not lower the residual"),
             (StopReason::Cancelled, "the user"),
         ] {
-            let ended = Ended { converged: Some(false), stop_reason: Some(Stopped::By(stop)), remaining_mm: None };
+            let ended =
+                Convergence { converged: Some(false), stop_reason: Some(StopCause::By(stop)), remaining_mm: None };
             let reason = ended_reason(&ended, None).unwrap();
             assert_eq!(reason.reason, format!("the registration did not converge: it stopped by {words}"));
             assert_eq!((reason.rule.as_str(), reason.answer), ("converged", Answer::Doubtful));

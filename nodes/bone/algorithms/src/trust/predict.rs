@@ -54,7 +54,7 @@ impl Default for PredictParams {
 
 /// The poses by which the markers' places are carried to the target.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Seen {
+pub struct MarkerPoses {
     /// The camera at the scan.
     pub t_target_camera: Isometry3<f64>,
     /// The camera's marker on the camera.
@@ -79,7 +79,7 @@ impl Tracking {
     ///
     /// An error of the calibration moves the scan as a rigid body with the camera, so the phantom's marker acts from where it
     /// was in the camera's frame.
-    pub fn new(seen: &Seen, calibration: Option<&PhantomReport>) -> Self {
+    pub fn new(seen: &MarkerPoses, calibration: Option<&PhantomReport>) -> Self {
         let t = &seen.t_target_camera;
         let phantom_fit = calibration.map(|report| {
             let covariance = Matrix6::from_fn(|row, column| report.covariance[row][column]);

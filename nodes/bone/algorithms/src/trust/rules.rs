@@ -1,7 +1,7 @@
 //! The rules of a verdict.
 
 use super::checked::{check_reason, is_checked};
-use super::ended::{Ended, ended_reason};
+use super::ended::{Convergence, ended_reason};
 use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::limits::Limits;
@@ -95,7 +95,7 @@ pub struct Case<'a> {
     /// The registered scan.
     pub registered: Registered<'a>,
     /// How the registration ended.
-    pub icp: Option<&'a Ended>,
+    pub icp: Option<&'a Convergence>,
     /// The planned landmarks.
     pub landmarks: &'a [NamedPoint],
     /// The landmarks as located.

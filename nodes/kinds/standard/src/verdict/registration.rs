@@ -7,7 +7,8 @@ use osteoflow_algorithms::metrics::{CheckReport, TreReport};
 use osteoflow_algorithms::slide::SlideReport;
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{
-    self, Case, Ended, EvidenceParams, PredictParams, Reason, Registered, RuleParams, Seen, Tracking, Verdict,
+    self, Case, Convergence, EvidenceParams, MarkerPoses, PredictParams, Reason, Registered, RuleParams, Tracking,
+    Verdict,
 };
 use osteoflow_geometry::{Cloud, NamedPoint, Plane, Planes, Points, Pose, nalgebra::Point3};
 use osteoflow_node::{
@@ -161,7 +162,7 @@ impl Node for Registration {
             points.as_ref().map(|points| points.points.to_vec()).unwrap_or_default()
         };
         let tracking = i.source.viewpoint.zip(i.t_camera_camera_marker.as_ref()).map(|(viewpoint, camera_marker)| {
-            let seen = Seen {
+            let seen = MarkerPoses {
                 t_target_camera: t_target_source * viewpoint,
                 t_camera_camera_marker: camera_marker.isometry,
                 t_camera_phantom_marker: i.t_camera_phantom_marker.as_ref().map(|pose| pose.isometry),
@@ -171,7 +172,7 @@ impl Node for Registration {
         let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
         let lost: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
         let check: Vec<CheckReport> = i.check.into_iter().flatten().collect();
-        let ended = i.icp.map(|report| Ended::deserialize(report.to_result()).unwrap_or_default());
+        let ended = i.icp.map(|report| Convergence::deserialize(report.to_result()).unwrap_or_default());
         let assumed =
             i.surface.as_ref().and_then(|report| report.0.get("assumptions")).and_then(|list| list.as_array());
         let assumed: Vec<&str> = assumed.into_iter().flatten().filter_map(|text| text.as_str()).collect();

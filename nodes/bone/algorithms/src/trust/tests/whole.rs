@@ -90,7 +90,7 @@ fn what_is_taken_for_granted_depends_on_what_is_known() {
     assert_eq!(first_words(&measured), ["the CT shows", plan, camera, ended]);
     let planned = Case { assessment: &piece, assumptions: &["the threshold was suggested"], ..bare.clone() };
     assert_eq!(first_words(&planned), ["the CT shows", "the threshold was", camera, ended, "no point on"]);
-    let converged = Ended { converged: Some(true), ..Ended::default() };
+    let converged = Convergence { converged: Some(true), ..Convergence::default() };
     let seen = scan.clone().seen_from(pose);
     let registered = Registered { source: &seen, ..bare.registered };
     assert_eq!(
