@@ -112,7 +112,7 @@ mod tests {
         assert_eq!(Allowance::of(Some(" 64 ")).limit, 64 << 20);
         let mut faulty = Allowance::of(Some("5 GB"));
         assert!(faulty.take(0).is_break());
-        let said = faulty.exceeded().unwrap().to_string();
-        assert_eq!(said, "OSTEOFLOW_MAX_RECORDING_MB is \"5 GB\", but a whole number of megabytes is expected");
+        let message = faulty.exceeded().unwrap().to_string();
+        assert_eq!(message, "OSTEOFLOW_MAX_RECORDING_MB is \"5 GB\", but a whole number of megabytes is expected");
     }
 }

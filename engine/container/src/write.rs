@@ -647,11 +647,11 @@ mod tests {
     #[test]
     fn identifiers_end_at_the_largest_and_records_at_the_longest() {
         assert_eq!((next_id(0, "schemas").unwrap(), next_id(65_534, "schemas").unwrap()), (1, 65_535));
-        let said = next_id(65_535, "schemas").unwrap_err().to_string();
-        assert_eq!(said, "an MCAP file holds at most 65535 schemas");
+        let message = next_id(65_535, "schemas").unwrap_err().to_string();
+        assert_eq!(message, "an MCAP file holds at most 65535 schemas");
         assert!(check_length("schema", MAX_RECORD_BYTES as usize).is_ok());
-        let said = check_length("schema", MAX_RECORD_BYTES as usize + 1).unwrap_err().to_string();
-        assert_eq!(said, "a schema of 1073741825 bytes; at most 1073741824 are written");
+        let message = check_length("schema", MAX_RECORD_BYTES as usize + 1).unwrap_err().to_string();
+        assert_eq!(message, "a schema of 1073741825 bytes; at most 1073741824 are written");
     }
 
     #[test]

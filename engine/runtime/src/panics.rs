@@ -118,8 +118,8 @@ pub fn describe(payload: Box<dyn Any + Send>) -> String {
 struct Described(String);
 
 /// Resumes unwinding with the description of a plugin's panic, which cannot cross the C interface.
-pub fn resume_described(said: String) -> ! {
-    std::panic::resume_unwind(Box::new(Described(said)))
+pub fn resume_described(message: String) -> ! {
+    std::panic::resume_unwind(Box::new(Described(message)))
 }
 
 fn message_of(payload: &(dyn Any + Send)) -> &str {
@@ -142,9 +142,9 @@ mod tests {
 
     #[test]
     fn a_panic_is_described_with_message_and_location() {
-        let said = catch(|| panic!("no {}", 42)).unwrap_err();
-        assert!(said.starts_with("panicked at ") && said.ends_with(": no 42"), "{said}");
-        assert!(said.contains("src/panics.rs:"), "{said}");
+        let message = catch(|| panic!("no {}", 42)).unwrap_err();
+        assert!(message.starts_with("panicked at ") && message.ends_with(": no 42"), "{message}");
+        assert!(message.contains("src/panics.rs:"), "{message}");
         assert_eq!(catch(|| 5), Ok(5));
     }
 
@@ -159,17 +159,17 @@ mod tests {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| mark_helper_thread()).build();
         let pool = pool.unwrap();
         let line = line!() + 1;
-        let said = catch(|| pool.install(|| panic!("from the pool"))).unwrap_err();
-        assert!(said.ends_with(&format!("src/panics.rs:{line}: from the pool")), "{said}");
+        let message = catch(|| pool.install(|| panic!("from the pool"))).unwrap_err();
+        assert!(message.ends_with(&format!("src/panics.rs:{line}: from the pool")), "{message}");
     }
 
     #[test]
     fn a_panic_caught_inside_does_not_affect_the_next_location() {
-        let said = catch(|| {
+        let message = catch(|| {
             let _ = std::panic::catch_unwind(|| panic!("the first"));
             std::panic::resume_unwind(Box::new("the second"))
         });
-        assert_eq!(said, Err::<(), _>("panicked: the second".into()));
+        assert_eq!(message, Err::<(), _>("panicked: the second".into()));
     }
 
     #[test]
@@ -180,9 +180,9 @@ mod tests {
                 panic!("while dropped");
             }
         }
-        let said = catch(|| std::panic::panic_any(Spiteful)).unwrap_err();
-        assert!(said.contains("src/panics.rs:") && said.ends_with(": without a message"), "{said}");
-        let said = catch(|| drop(Spiteful)).unwrap_err();
-        assert!(said.ends_with(": while dropped"), "{said}");
+        let message = catch(|| std::panic::panic_any(Spiteful)).unwrap_err();
+        assert!(message.contains("src/panics.rs:") && message.ends_with(": without a message"), "{message}");
+        let message = catch(|| drop(Spiteful)).unwrap_err();
+        assert!(message.ends_with(": while dropped"), "{message}");
     }
 }

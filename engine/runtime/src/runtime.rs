@@ -255,10 +255,10 @@ impl<'a> Runtime<'a> {
             false => live::run(self, &scheduler, sources),
         }));
         if let Err(payload) = ran {
-            let said = panics::describe(payload);
+            let message = panics::describe(payload);
             let node = self.panicked.load(Ordering::Relaxed).checked_sub(1);
             let node = node.map_or_else(String::new, |node| format!("node \"{}\": ", self.plan.nodes[node].name));
-            resume_unwind(Box::new(format!("{node}{said}")));
+            resume_unwind(Box::new(format!("{node}{message}")));
         }
         self.elapsed = self.began.elapsed();
     }

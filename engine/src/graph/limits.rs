@@ -82,9 +82,9 @@ mod tests {
             ),
             (format!("[graph]\nformat = 1\n[results]\n{long} = \"a.b\"\n"), "absurd.toml:4: a name has 100000 bytes"),
         ] {
-            let said = said(&text);
-            assert!(said[0].contains(what) && said[0].contains(start), "{:.300}", said[0]);
-            assert!(said.iter().all(|fault| fault.len() < 1000), "no fault repeats the text");
+            let faults = said(&text);
+            assert!(faults[0].contains(what) && faults[0].contains(start), "{:.300}", faults[0]);
+            assert!(faults.iter().all(|fault| fault.len() < 1000), "no fault repeats the text");
         }
     }
 
@@ -98,8 +98,8 @@ mod tests {
         let mut faults = Vec::new();
         graph::load(&file(0), &[], &mut faults);
         assert_eq!(faults.len(), 1);
-        let said = faults[0].render(false);
-        assert!(said.contains("more than 32 files extend each other") && said.contains("31.toml:1"), "{said}");
+        let message = faults[0].render(false);
+        assert!(message.contains("more than 32 files extend each other") && message.contains("31.toml:1"), "{message}");
     }
 
     #[test]
@@ -113,8 +113,8 @@ mod tests {
         }
         let mut faults = Vec::new();
         graph::load(&file(0), &[], &mut faults);
-        let said = faults[0].render(false);
-        assert!(said.contains("modules are nested more than 32 deep") && said.contains("32.toml:5"), "{said}");
+        let message = faults[0].render(false);
+        assert!(message.contains("modules are nested more than 32 deep") && message.contains("32.toml:5"), "{message}");
     }
 
     #[cfg(unix)]
@@ -126,8 +126,8 @@ mod tests {
         for (path, kind) in [("/dev/zero".as_ref(), "a device"), (pipe.as_path(), "a pipe")] {
             let mut faults = Vec::new();
             assert!(graph::load(path, &[], &mut faults).is_none());
-            let said = faults[0].render(false);
-            assert!(said.contains(&format!("{} is {kind}; a graph file is needed", path.display())), "{said}");
+            let message = faults[0].render(false);
+            assert!(message.contains(&format!("{} is {kind}; a graph file is needed", path.display())), "{message}");
         }
     }
 }

@@ -139,9 +139,9 @@ mod tests {
         assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
         let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
         let hashes = hashes(&["/dev/zero".into(), dir.path().into()]);
-        let said: Vec<_> = hashes.iter().map(|entry| entry["error"].as_str().unwrap_or_default()).collect();
+        let messages: Vec<_> = hashes.iter().map(|entry| entry["error"].as_str().unwrap_or_default()).collect();
         let needed = "but a regular file is needed";
         let expected = ["a device", "a pipe", "a socket"].map(|kind| format!("it is {kind}, {needed}"));
-        assert_eq!(said, expected);
+        assert_eq!(messages, expected);
     }
 }

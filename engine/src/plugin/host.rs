@@ -178,7 +178,7 @@ impl Run<'_> {
         let index = usize::try_from(port).ok().filter(|port| *port < self.out.len());
         let index = index.ok_or_else(|| format!("it answers on output {port}, but has {}", self.out.len()))?;
         let (name, payload) = &self.built.outputs.get(index).ok_or("its outputs are not known yet")?;
-        let named = |said: String| format!("output \"{name}\": {said}");
+        let named = |message: String| format!("output \"{name}\": {message}");
         if !matches!(self.out[index], Emission::Silent) {
             return Err(named("it is answered twice in one firing".into()));
         }
@@ -217,8 +217,8 @@ unsafe fn answer(run: *mut abi::Run, f: impl FnOnce(&mut Run<'_>) -> Result<(), 
     unsafe {
         with(run, status::FAILED, |run| match f(run) {
             Ok(()) => status::OK,
-            Err(said) => {
-                run.fail("", said);
+            Err(message) => {
+                run.fail("", message);
                 status::FAILED
             }
         })

@@ -77,7 +77,7 @@ pub fn provide(
         };
         let (load, types) = (load.clone(), types.clone());
         registry.add_kind(description, sha256.clone(), move |params, context| {
-            let library = load().map_err(|said| osteoflow_node::ParamError::new("", said))?;
+            let library = load().map_err(|message| osteoflow_node::ParamError::new("", message))?;
             node::build(library, index, &outputs, types.clone(), params, context)
         })?;
     }

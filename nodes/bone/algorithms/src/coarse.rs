@@ -356,8 +356,8 @@ mod tests {
         let three = triangle();
         let mut other = three.clone();
         other[1].name = "Q2".into();
-        let said = three_point(&three, &other).unwrap_err().to_string();
-        assert!(said.contains("Q2") && said.contains("P1, P2, P3"), "{said}");
+        let message = three_point(&three, &other).unwrap_err().to_string();
+        assert!(message.contains("Q2") && message.contains("P1, P2, P3"), "{message}");
         other[1].name = "P1".into();
         assert!(matches!(three_point(&three, &other), Err(CoarseError::Twice { side: "source", .. })));
         assert!(matches!(three_point(&three[..2], &three[..2]), Err(CoarseError::Fit(FitError::Pairing { .. }))));

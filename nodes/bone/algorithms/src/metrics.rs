@@ -72,8 +72,8 @@ mod tests {
         assert!((spot.x - 0.1).abs() < 1e-12 && (spot.z - 0.2).abs() < 1e-12 && (mark.z - 0.9).abs() < 1e-12);
         assert_eq!((report.to_spot.n, report.to_mark.n), (1, 1));
         let stray = vec![NamedPoint::new("P9", Point3::origin())];
-        let said = laser_spot(&stray, &spots, &marks, &moved, &axes()).unwrap_err().to_string();
-        assert_eq!(said, "P9 is not among the true points (M1, M2); name both sets alike");
+        let message = laser_spot(&stray, &spots, &marks, &moved, &axes()).unwrap_err().to_string();
+        assert_eq!(message, "P9 is not among the true points (M1, M2); name both sets alike");
     }
 
     #[test]

@@ -245,8 +245,8 @@ mod tests {
             ("f 1 2 3 \\\n", "line 9: the file ends behind a backslash"),
             ("", "surface: the file holds 4 points and no faces, but a surface is needed"),
         ] {
-            let said = mesh(&format!("{SQUARE}{rest}")).unwrap_err().to_string();
-            assert!(said.contains(expected), "{expected}\n{said}");
+            let message = mesh(&format!("{SQUARE}{rest}")).unwrap_err().to_string();
+            assert!(message.contains(expected), "{expected}\n{message}");
         }
     }
 }

@@ -153,8 +153,8 @@ mod tests {
             ("OFF\n1 1 0\n1 2 3\n3 0 0\n", "line 4: the face has no corner for each that it counts"),
             ("OFF\n1 x 0\n1 2 3\n3 0 0\n", "line 2: \"1 x 0\" is not the number of vertices"),
         ] {
-            let said = mesh(text).unwrap_err().to_string();
-            assert!(said.contains(expected), "{expected}\n{said}");
+            let message = mesh(text).unwrap_err().to_string();
+            assert!(message.contains(expected), "{expected}\n{message}");
         }
     }
 }

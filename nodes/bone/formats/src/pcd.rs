@@ -486,8 +486,8 @@ mod tests {
             (ascii.replace("DATA ascii", "DATA zip"), "line 11: DATA is \"zip\""),
             (HEAD.into(), "the header has no DATA line"),
         ] {
-            let said = said(text.as_bytes());
-            assert!(said.contains(expected), "{expected}\n{said}");
+            let message = said(text.as_bytes());
+            assert!(message.contains(expected), "{expected}\n{message}");
         }
         let mut sizes = compressed();
         let at = format!("{HEAD}DATA binary_compressed\n").len();

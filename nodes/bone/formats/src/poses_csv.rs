@@ -198,8 +198,8 @@ mod tests {
                 "line 3: the quaternion has length 1.0011 instead of 1, off by 1.1e-3 where 1e-3 is allowed",
             ),
         ] {
-            let said = read(&text).unwrap_err().to_string();
-            assert!(said.contains(expected), "{expected}\n{said}");
+            let message = read(&text).unwrap_err().to_string();
+            assert!(message.contains(expected), "{expected}\n{message}");
         }
     }
 }

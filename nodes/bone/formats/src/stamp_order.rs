@@ -50,10 +50,10 @@ mod tests {
             order.note("/tf")
         };
         assert_eq!(note(&[0, 5, 5, 6, 0, 7]), None, "equal stamps and constants are in order");
-        let said = note(&[5, 9, 7, 8, 6]).unwrap();
+        let message = note(&[5, 9, 7, 8, 6]).unwrap();
         assert!(
-            said.starts_with("/tf: stamps run backwards 2 times, first at line 2: 7 ns comes after 9 ns"),
-            "{said}"
+            message.starts_with("/tf: stamps run backwards 2 times, first at line 2: 7 ns comes after 9 ns"),
+            "{message}"
         );
     }
 }

@@ -466,11 +466,11 @@ mod tests {
             (ascii("").replace("POINTS", "POINT"), "\"POINT 4 float\" is no section of poly data"),
             ("# vtk DataFile Version 3.0\n".into(), "the file ends before the title"),
         ] {
-            let said = mesh(String::as_bytes(&bytes)).unwrap_err().to_string();
-            assert!(said.contains(expected), "{expected}\n{said}");
+            let message = mesh(String::as_bytes(&bytes)).unwrap_err().to_string();
+            assert!(message.contains(expected), "{expected}\n{message}");
         }
         let cut = binary(&[("POINTS 4 float", floats(&CORNERS[..5]))]);
-        let said = mesh(&cut).unwrap_err().to_string();
-        assert!(said.contains("byte 77: 4 times 3 numbers are promised, but 21 bytes are left"), "{said}");
+        let message = mesh(&cut).unwrap_err().to_string();
+        assert!(message.contains("byte 77: 4 times 3 numbers are promised, but 21 bytes are left"), "{message}");
     }
 }

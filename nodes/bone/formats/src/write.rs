@@ -298,8 +298,8 @@ mod tests {
             for cloud in [cloud(), with_normals.clone(), with_extras.clone()] {
                 for space in SPACES {
                     if ending == "obj" && !cloud.extras().is_empty() {
-                        let said = write_cloud(&path, &cloud, space).unwrap_err().to_string();
-                        assert!(said.contains("an OBJ cannot hold the column \"intensity\""), "{said}");
+                        let message = write_cloud(&path, &cloud, space).unwrap_err().to_string();
+                        assert!(message.contains("an OBJ cannot hold the column \"intensity\""), "{message}");
                         continue;
                     }
                     write_cloud(&path, &cloud, space).unwrap();
@@ -336,16 +336,16 @@ mod tests {
 
     #[test]
     fn an_unknown_ending_or_a_name_that_is_taken_is_refused() {
-        let said = write_cloud("a.xyzrgb".as_ref(), &cloud(), Space::Lps).unwrap_err().to_string();
+        let message = write_cloud("a.xyzrgb".as_ref(), &cloud(), Space::Lps).unwrap_err().to_string();
         assert_eq!(
-            said,
+            message,
             "a.xyzrgb: name: nothing is written as \".xyzrgb\"; a cloud is written as .ply, .pcd, .vtk, .obj or .csv"
         );
         let mesh = Mesh::new("ct", SurfaceOrigin::User, vec![Point3::origin(); 3], vec![[0, 1, 2]]).unwrap();
-        let said = write_mesh("a.pcd".as_ref(), &mesh, Space::Lps).unwrap_err().to_string();
-        assert_eq!(said, "a.pcd: name: nothing is written as \".pcd\"; a surface is written as .ply, .stl or .obj");
+        let message = write_mesh("a.pcd".as_ref(), &mesh, Space::Lps).unwrap_err().to_string();
+        assert_eq!(message, "a.pcd: name: nothing is written as \".pcd\"; a surface is written as .ply, .stl or .obj");
         let twice = cloud().with_extra("X", vec![0.0; 2]).unwrap();
-        let said = write_cloud("a.ply".as_ref(), &twice, Space::Lps).unwrap_err().to_string();
-        assert!(said.contains("columns: a further column is called \"X\", which is taken"), "{said}");
+        let message = write_cloud("a.ply".as_ref(), &twice, Space::Lps).unwrap_err().to_string();
+        assert!(message.contains("columns: a further column is called \"X\", which is taken"), "{message}");
     }
 }

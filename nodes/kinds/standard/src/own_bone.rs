@@ -32,12 +32,12 @@ impl OwnBone {
             (None, Some(_)) => ("plan_file", "bone_file"),
             (Some(_), Some(_)) => {
                 let Some(name) = bone.of_built_in_only() else { return Ok(self) };
-                let said = "it shapes the built-in bone and changes nothing of bone_file; remove one of the two";
-                return Err(ParamError::new(name, said));
+                let message = "it shapes the built-in bone and changes nothing of bone_file; remove one of the two";
+                return Err(ParamError::new(name, message));
             }
         };
-        let said = format!("{given} is given, but {lacks} is not; a bone of your own needs both");
-        Err(ParamError::new(lacks, said))
+        let message = format!("{given} is given, but {lacks} is not; a bone of your own needs both");
+        Err(ParamError::new(lacks, message))
     }
 
     /// The bone and its plan; `bone` where no files are given, and what makes another of it.

@@ -360,19 +360,19 @@ mod tests {
     fn without_a_threshold_one_is_suggested_and_wrong_choices_are_refused() {
         let file = two_balls(0.0, "space: LPS\n");
         let refused = |params: Params| run(params).err().unwrap();
-        let said = refused(Params { threshold_hu: None, ..params(file.path()) });
-        assert!(said.contains("is about 4") && said.contains("HU: look at the bone's outline"), "{said}");
+        let message = refused(Params { threshold_hu: None, ..params(file.path()) });
+        assert!(message.contains("is about 4") && message.contains("HU: look at the bone's outline"), "{message}");
         let unknown = two_balls(2000.0, "");
-        let said = refused(Params { threshold_hu: None, ..params(unknown.path()) });
-        assert!(said.contains("the values are not HU"), "{said}");
-        let said = refused(Params { component: "0".into(), ..params(file.path()) });
-        assert!(said.contains("\"0\" is neither \"largest\" nor a rank"), "{said}");
-        let said = refused(Params { component: "2".into(), seed_mm: Some([0.0; 3]), ..params(file.path()) });
-        assert!(said.contains("give one of them"), "{said}");
-        let said = refused(Params { component: "3".into(), ..params(file.path()) });
-        assert!(said.contains("component 3 was asked for, but 2 are above"), "{said}");
-        let said = refused(Params { threshold_hu: Some(9000.0), ..params(file.path()) });
-        assert!(said.contains("no voxel is above the threshold 9000"), "{said}");
+        let message = refused(Params { threshold_hu: None, ..params(unknown.path()) });
+        assert!(message.contains("the values are not HU"), "{message}");
+        let message = refused(Params { component: "0".into(), ..params(file.path()) });
+        assert!(message.contains("\"0\" is neither \"largest\" nor a rank"), "{message}");
+        let message = refused(Params { component: "2".into(), seed_mm: Some([0.0; 3]), ..params(file.path()) });
+        assert!(message.contains("give one of them"), "{message}");
+        let message = refused(Params { component: "3".into(), ..params(file.path()) });
+        assert!(message.contains("component 3 was asked for, but 2 are above"), "{message}");
+        let message = refused(Params { threshold_hu: Some(9000.0), ..params(file.path()) });
+        assert!(message.contains("no voxel is above the threshold 9000"), "{message}");
     }
 
     fn data(test: &str) -> Option<PathBuf> {
@@ -396,10 +396,10 @@ mod tests {
         // The slices of the DICOM series are twice as thick.
         let surfaces = ["tlem2r_distal_ct.nii.gz", "tlem2r_distal_ct_dicom"].map(|name| {
             let path = data.join("medical").join(name);
-            let said = run(Params { threshold_hu: None, ..params(&path) }).err().unwrap();
+            let message = run(Params { threshold_hu: None, ..params(&path) }).err().unwrap();
             let start = std::time::Instant::now();
             let (out, warnings) = run(Params { threshold_hu: Some(600.0), ..params(&path) }).unwrap();
-            println!("{name}: {:.2} s, {warnings:#?}\n{said}", start.elapsed().as_secs_f64());
+            println!("{name}: {:.2} s, {warnings:#?}\n{message}", start.elapsed().as_secs_f64());
             out.mesh
         });
         let top = |mesh: &Mesh| mesh.vertices().iter().map(|v| v.z).fold(f64::MIN, f64::max);

@@ -94,7 +94,7 @@ impl Source for File {
         let mut read = read_mesh(path.as_ref(), *unit_mm, frame.as_str(), SurfaceOrigin::User)?;
         if let Some(name) = space {
             let space = name.space();
-            let contradicts = |said| NodeError::new(format!("{said}, but space = \"{space}\"; leave space out"));
+            let contradicts = |message| NodeError::new(format!("{message}, but space = \"{space}\"; leave space out"));
             read = read.in_space(space).map_err(contradicts)?;
         }
         if let Some(note) = read.space.taken_for_lps(&read.mesh.frame) {

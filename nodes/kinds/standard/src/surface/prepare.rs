@@ -117,8 +117,8 @@ mod tests {
         assert_eq!(n(0.25, 2.0 * 14_309.0).unwrap(), 457_888);
         assert_eq!(n(0.0, 14_309.0).unwrap(), 150_000);
         for spacing in [0.01, 50.0] {
-            let said = n(spacing, 14_309.0).unwrap_err().to_string();
-            assert!(said.contains("mm2, 100 to 10000000 are possible"), "{said}");
+            let message = n(spacing, 14_309.0).unwrap_err().to_string();
+            assert!(message.contains("mm2, 100 to 10000000 are possible"), "{message}");
         }
     }
 }
