@@ -364,7 +364,7 @@ fn the_laser_blinds_a_disc_of_the_film_that_it_falls_on() {
 fn film_covers_its_share_and_is_as_thick_as_documented() {
     for share in [0.3, 0.5] {
         let (mut off, mut n) = (Vec::new(), 0);
-        for seed in 0..if std::env::var_os("SLOW_TESTS").is_some() { 40 } else { 12 } {
+        for seed in 0..40 {
             let params = with(exact(), |p| {
                 (p.periosteum.thickness_mm, p.periosteum.share, p.camera.n_points) = (2.0, share, 3000);
             });
