@@ -1,6 +1,6 @@
 //! Recordings: a run is repeated from its recording alone, in part or with changes, and a kill leaves it readable.
 
-use crate::common::{is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
+use crate::common::{build, is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
 use osteoflow_engine::{Recording, hash::Digest};
 use serde_json::Value;
 use std::{
@@ -87,6 +87,40 @@ fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
     let (code, answer, printed) = replay(&recording, &["--set", "icp.kind=icp.point_to_point"]);
     assert_eq!(code, 4, "{printed}");
     assert!(answer["first_divergence"]["wire"].as_str().unwrap().starts_with("icp."), "{}", answer["first_divergence"]);
+}
+
+#[test]
+fn a_kind_of_ones_own_takes_the_place_of_a_recorded_one_and_what_has_another_payload_is_not_comparable() {
+    let (ran, recording) = recorded();
+    let library = build::example("template_icp").display().to_string();
+    let own = ["--plugin", library.as_str(), "--set", "icp.kind=my_plugin.point_to_point"];
+    let (code, answer, printed) = replay(&recording, &own);
+    assert_eq!((code, &answer["equal"]), (4, &Value::Bool(false)), "{printed}");
+    let wires = answer["wires"].as_array().unwrap();
+    let not_comparable: Vec<_> = wires.iter().filter(|wire| wire["not_comparable"].is_string()).collect();
+    assert_eq!(not_comparable.len(), 1, "{not_comparable:?}");
+    let (wire, why) = (&not_comparable[0]["wire"], not_comparable[0]["not_comparable"].as_str().unwrap());
+    assert!(wire == "icp.report" && why == "report/Icp was recorded, report/Json is given now", "{wire}: {why}");
+    assert_eq!(part_of(&answer, "icp.report"), ("computed".into(), Value::Null));
+    assert_eq!(answer["first_divergence"]["wire"], "icp.t_target_source", "{}", answer["first_divergence"]);
+    assert_eq!(part_of(&answer, "to_bone.cloud"), ("computed".into(), Value::Null), "what is upstream is as it was");
+    assert!(answer["results"]["verdict"]["answer"].is_string(), "what follows reads the report of any kind");
+
+    // Defaults of the old kind are gone; what was written for it is a fault of the new one.
+    let written = run_whole(RECORDED, &["--set", "icp.trim_fraction=0.1"]);
+    let (code, _, printed) = replay(&written.dir.path().join("run.mcap"), &own);
+    assert!(code == 2 && printed.contains("\"trim_fraction\"") && printed.contains("1 error"), "{printed}");
+
+    // From the node on, and by a graph.
+    let (code, answer, printed) = replay(&recording, &[&own[..], &["--from", "icp"]].concat());
+    assert_eq!((code, part_of(&answer, "to_bone.cloud").0), (4, "played".into()), "{printed}");
+    let graph = ran.dir.path().join("own.toml");
+    let base = root().join(RECORDED);
+    let text =
+        format!("extends = {base:?}\nplugins = [{library:?}]\n[node.icp]\nkind = \"my_plugin.point_to_point\"\n");
+    fs::write(&graph, text).unwrap();
+    let (code, answer, printed) = replay(&recording, &["--graph", graph.to_str().unwrap(), "--from", "icp"]);
+    assert_eq!((code, part_of(&answer, "icp.report").0), (4, "computed".into()), "{printed}");
 }
 
 #[test]

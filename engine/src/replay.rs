@@ -1,6 +1,7 @@
 //! Runs a recording again: plays recorded wires, recomputes what follows from them and compares.
 
 mod compare;
+mod exchange;
 mod range;
 mod select;
 #[cfg(test)]
@@ -116,7 +117,7 @@ pub enum ReplayError {
         /// The recorded source wires.
         recorded: String,
     },
-    /// A recorded wire has another payload in the graph.
+    /// A recorded wire of a source has another payload in the graph.
     #[error("wire {wire} was recorded with {recorded}, and carries {found} in the graph")]
     Payload {
         /// The wire.
@@ -206,6 +207,8 @@ pub struct WireComparison {
     pub n_compared: u64,
     /// The first item that differs in any bit.
     pub first_difference: Option<Difference>,
+    /// Why its items cannot be compared: another kind gives another payload.
+    pub not_comparable: Option<String>,
 }
 
 /// First difference of a wire.
@@ -220,7 +223,8 @@ pub struct Difference {
 impl ReplayReport {
     /// Whether every wire and the results are bit for bit the recorded ones.
     pub fn is_equal(&self) -> bool {
-        self.first_divergence().is_none() && self.results_equal != Some(false)
+        let comparable = self.wires.iter().all(|wire| wire.not_comparable.is_none());
+        comparable && self.first_divergence().is_none() && self.results_equal != Some(false)
     }
 
     /// The wire that differs first in the topological order of the graph; of one node's wires, the one that differs at
@@ -261,7 +265,11 @@ pub fn replay(
             Ok(text) => check_recorded(&text, graph, sets, kinds),
             Err(_) => check(graph, sets, kinds),
         },
-        None => check_recorded(&recording.graph, &recording.graph_file, sets, kinds),
+        None => {
+            let exchanged = exchange::without_old_defaults(&recording.graph, &recording.graph_file, sets, kinds);
+            let text = exchanged.as_deref().unwrap_or(&recording.graph);
+            check_recorded(text, &recording.graph_file, sets, kinds)
+        }
     };
     let recorded = changes.graph.is_none() && sets.is_empty();
     let checked = checked.map_err(|faults| ReplayError::Graph { faults, recorded })?;
@@ -278,7 +286,11 @@ pub(crate) fn replay_plan(
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
-    let recorded = recorded_outputs(plan, recording)?;
+    let Recorded { outputs: recorded, other_payload } = recorded_outputs(plan, recording);
+    if let Some(wire) = other_payload.iter().find(|wire| plan.nodes[wire.node].role != Role::Node) {
+        let (wire, recorded, found) = (wire.name.clone(), wire.recorded.clone(), wire.found.into());
+        return Err(ReplayError::Payload { wire, recorded, found });
+    }
     let mut parts = parts(plan, recording, changes, &recorded)?;
     let unchanged = play_what_does_not_change(plan, recording, changes, registry, &recorded, &mut parts)?;
     sets_take_effect(plan, changes, &parts)?;
@@ -337,7 +349,7 @@ pub(crate) fn replay_plan(
         results_equal.map(|recorded| same_results(recorded, &report.results, is_computed_name(&computes)));
     Ok(ReplayReport {
         run: report,
-        wires: comparisons(&reduced, recording, changes, &compare, &computes),
+        wires: comparisons(&reduced, recording, changes, &compare, &computes, &other_payload),
         results_equal,
         not_compared,
         truncated: recording.truncated.clone(),
@@ -352,20 +364,36 @@ fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool +
     |name| computes.contains(name)
 }
 
-/// Outputs of the plan that were recorded.
-fn recorded_outputs(plan: &Plan, recording: &Recording) -> Result<BTreeSet<OutputId>, ReplayError> {
-    let mut recorded = BTreeSet::new();
+/// What the recording has of a plan.
+struct Recorded {
+    outputs: BTreeSet<OutputId>,
+    other_payload: Vec<OtherPayload>,
+}
+
+/// A wire whose payload is another one in the graph, so that it can be neither played nor compared.
+struct OtherPayload {
+    name: String,
+    /// Its node.
+    node: usize,
+    recorded: String,
+    found: &'static str,
+}
+
+fn recorded_outputs(plan: &Plan, recording: &Recording) -> Recorded {
+    let mut recorded = Recorded { outputs: BTreeSet::new(), other_payload: Vec::new() };
     for id in plan.all_outputs() {
         let name = plan.wire_name(id);
         let Some(wire) = recording.wires.get(&name) else { continue };
-        if let PortPayload::Type(ty) = plan.nodes[id.node].outputs[id.port].payload
-            && ty.name != wire.payload
-        {
-            return Err(ReplayError::Payload { wire: name, recorded: wire.payload.clone(), found: ty.name.into() });
+        match plan.nodes[id.node].outputs[id.port].payload {
+            PortPayload::Type(ty) if ty.name != wire.payload => {
+                let (node, recorded_with) = (id.node, wire.payload.clone());
+                let other = OtherPayload { name, node, recorded: recorded_with, found: ty.name };
+                recorded.other_payload.push(other);
+            }
+            _ => drop(recorded.outputs.insert(id)),
         }
-        recorded.insert(id);
     }
-    Ok(recorded)
+    recorded
 }
 
 fn parts(
@@ -536,6 +564,7 @@ fn comparisons(
     changes: &ReplayOptions,
     compare: &Compare<'_>,
     computes: &BTreeSet<&str>,
+    other_payload: &[OtherPayload],
 ) -> Vec<WireComparison> {
     let mut left: BTreeSet<_> = recording.wires.keys().map(String::as_str).collect();
     let mut wires = Vec::new();
@@ -548,7 +577,10 @@ fn comparisons(
     }
     for name in left {
         let mut wire = compare.of(name, recording, None, WirePart::Absent);
-        if changes.graph.is_none() && changes.sets.is_empty() {
+        if let Some(other) = other_payload.iter().find(|other| other.name == name) {
+            wire.part = WirePart::Computed;
+            wire.not_comparable = Some(format!("{} was recorded, {} is given now", other.recorded, other.found));
+        } else if changes.graph.is_none() && changes.sets.is_empty() {
             let what = diff::Difference::other("wire", "recorded", "not in the graph of this program");
             wire.first_difference = Some(Difference { item: 0, what });
         }

@@ -184,11 +184,15 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
         Some(false) => ", results differ",
         None => ", no recorded results to compare",
     };
+    let not_comparable = match report.wires.iter().filter(|wire| wire.not_comparable.is_some()).count() {
+        0 => String::new(),
+        n => format!(", {n} not comparable"),
+    };
     let (n_computed, n_played) = (count(WirePart::Computed), count(WirePart::Played));
     write!(out, "{n_played} wires played, {n_computed} computed anew")?;
     match &report.not_compared {
         Some(_) => writeln!(out, ", none compared")?,
-        None => writeln!(out, ", {n_different} differ{results}")?,
+        None => writeln!(out, ", {n_different} differ{not_comparable}{results}")?,
     }
     Ok(())
 }
@@ -217,6 +221,9 @@ fn format_difference(what: &osteoflow_engine::diff::Difference) -> String {
 }
 
 fn comparison(wire: &WireComparison) -> String {
+    if let Some(why) = &wire.not_comparable {
+        return format!("not comparable: {why}");
+    }
     match (&wire.first_difference, wire.part) {
         (Some(Difference { item, what }), _) => format!("differs first at item {item}, in {}", what.field),
         (None, WirePart::Played) => "played".into(),
@@ -245,6 +252,7 @@ fn as_json(report: &ReplayReport, exit: Exit) -> Value {
             "replayed": wire.n_replayed,
             "compared": wire.n_compared,
             "first_difference": difference(wire),
+            "not_comparable": wire.not_comparable,
         })
     });
     json!({

@@ -62,6 +62,7 @@ impl<'a> Compare<'a> {
             n_replayed: 0,
             n_compared: 0,
             first_difference: None,
+            not_comparable: None,
         };
         let Some(wire) = id.and_then(|id| self.wires.get(&id)) else { return comparison };
         let seen = wire.seen.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,0 +1,90 @@
+//! Another kind for a node of a recorded graph.
+//!
+//! A recorded graph states every parameter. Those that the user did not write go with their kind: a value that equals the default
+//! of the kind that the node had counts as not written.
+
+use crate::{graph, plugin::Kinds};
+use serde_json::Value as Json;
+use std::path::Path;
+use toml::{Table, Value};
+
+/// The recorded graph without the defaults of kinds that `sets` exchange; `None` if they exchange none.
+pub(super) fn without_old_defaults(text: &str, path: &Path, sets: &[String], kinds: &Kinds) -> Option<String> {
+    let mut graph: Table = text.parse().ok()?;
+    let nodes = graph.get_mut("node")?.as_table_mut()?;
+    let mut exchanged: Vec<_> =
+        nodes.iter_mut().filter(|(name, _)| sets.iter().any(|set| sets_kind(set, name))).collect();
+    if exchanged.is_empty() {
+        return None;
+    }
+    let plugins = graph::load_text(text.into(), path, &[], &mut Vec::new()).plugins;
+    let registry = kinds.with(&plugins).registry;
+    for (_, node) in &mut exchanged {
+        let schema = node.get("kind").and_then(Value::as_str).and_then(|kind| registry.kind(kind));
+        if let (Some(kind), Some(node)) = (schema, node.as_table_mut()) {
+            remove_defaults(node, &kind.description.params, &kind.description.params);
+        }
+    }
+    Some(graph.to_string())
+}
+
+/// Whether the setting is of this node's kind.
+fn sets_kind(set: &str, node: &str) -> bool {
+    let key = set.split('=').next().unwrap_or_default().trim();
+    key.strip_prefix("node.").unwrap_or(key) == format!("{node}.kind")
+}
+
+/// Removes the parameters that equal the defaults of their schema, and tables that become empty.
+fn remove_defaults(table: &mut Table, schema: &Json, root: &Json) {
+    table.retain(|key, value| {
+        let property = &schema["properties"][key];
+        let reference = property["$ref"].as_str().and_then(|path| root.pointer(path.trim_start_matches('#')));
+        let default = property.get("default");
+        let property = reference.unwrap_or(property);
+        match value {
+            Value::Table(inner) if property["properties"].is_object() => {
+                remove_defaults(inner, property, root);
+                !inner.is_empty()
+            }
+            _ => default.or(property.get("default")) != serde_json::to_value(&*value).ok().as_ref(),
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn only_what_equals_a_default_goes() {
+        let schema = json!({
+            "properties": {
+                "mm": { "type": "number", "default": 5.0 },
+                "levels": { "default": [32, 8] },
+                "n": { "type": "integer", "default": 3 },
+                "rules": { "$ref": "#/$defs/Rules" },
+                "other": { "$ref": "#/$defs/Rules" },
+            },
+            "$defs": { "Rules": { "properties": { "most": { "default": 1.5 }, "least": { "default": 0.0 } } } },
+        });
+        let mut node: Table =
+            "kind = \"a.b\"\nin = { a = \"c.d\" }\nmm = 5.0\nlevels = [32, 8]\nn = 4\nrules = { most = 1.5, \
+                               least = 0.1 }\nother = { most = 1.5, least = 0.0 }\n"
+                .parse()
+                .unwrap();
+        remove_defaults(&mut node, &schema, &schema);
+        let expected: Table = "kind = \"a.b\"\nin = { a = \"c.d\" }\nn = 4\nrules = { least = 0.1 }\n".parse().unwrap();
+        assert_eq!(node, expected);
+    }
+
+    #[test]
+    fn a_setting_of_a_kind_is_known_by_its_key() {
+        assert!(sets_kind("icp.kind=my.fit", "icp") && sets_kind(" node.icp.kind = \"my.fit\"", "icp"));
+        assert!(
+            !sets_kind("icp.kinds=1", "icp")
+                && !sets_kind("icp.kind=my.fit", "cp")
+                && !sets_kind("x.icp.kind=1", "icp")
+        );
+    }
+}
