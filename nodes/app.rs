@@ -1,35 +1,37 @@
 //! What the program does, as typed requests: the ground of the command line and of the Python package.
 //!
-//! A request is a plain struct. It checks what it names, does the work and returns values; it parses no options and prints nothing.
+//! A request is the one struct of its options, each with its help: the command line fills it in by clap, other programs by its fields.
+//! It checks what it names, does the work and returns values; it prints nothing.
 //! Progress goes to the observer that the caller hands over.
 
 mod error;
 pub(crate) mod files;
 pub(crate) mod folder_lock;
+mod options;
 pub(crate) mod out_dir;
 mod plugins;
 pub(crate) mod program;
 pub(crate) mod register;
 pub(crate) mod run;
-mod settings;
 pub(crate) mod simulate;
 pub(crate) mod sweep;
 
 pub use error::Error;
 pub use files::{Content, read, write_cloud, write_mesh, write_points, write_pose};
+pub use options::{GraphArgs, Keep, Leave, SettingValue};
 pub use osteoflow_engine::inputs::WireInputs;
 pub use osteoflow_formats::{
     Space,
     mesh_or_cloud::{CloudFileRead, MeshOrCloud, MeshRead},
 };
 pub use plugins::{Plugins, hosted_by};
-pub use register::{Method, Register, RegisterFiles, RegisterInput, RegisterRequest, Registration, Start, Units};
+pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};
 pub use run::{Graph, GraphRun, RunRequest};
-pub use settings::{SettingValue, Settings};
 pub use simulate::{SimulateRequest, StreamFormat};
 pub use sweep::{ShardFault, SweepRequest, SweepRun, check_shard, merge};
 
 pub(crate) use error::{UsageError, with_causes};
+pub(crate) use options::space;
 pub(crate) use plugins::FOLDERS;
 pub(crate) use program::{NOTICE, registry, run_error};
 pub(crate) use run::{judged, refusal_in_short};

@@ -2,6 +2,7 @@
 
 use super::{error::UsageError, program::registry};
 use anyhow::{Context, Result};
+use clap::Args;
 use osteoflow_engine::{
     plugin::{Finder, Kinds, Launcher, Prober, Scripts},
     store::{Settings, Store},
@@ -28,13 +29,19 @@ static HOST: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow_node.py");
 
 /// Plugins in addition to those of a graph.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Args)]
 pub struct Plugins {
-    /// Libraries, each in addition to those that the graph names, or instead of one with the same file name.
+    /// A library with kinds of nodes, in addition to those that the graph names, or instead of one with the same file name;
+    /// may be given again. OSTEOFLOW_PLUGIN_PATH names folders whose libraries are all loaded.
+    #[arg(id = "plugins", long = "plugin", value_name = "FILE")]
     pub files: Vec<PathBuf>,
-    /// Whether no plugin is loaded, whatever the graph, the environment or a recording names.
+
+    /// Load no plugins, whatever the graph, the environment or a recording names; kinds of plugins are then unknown.
+    #[arg(id = "no_plugins", long = "no-plugins", conflicts_with_all = ["plugins", "python"])]
     pub none: bool,
-    /// The interpreter for plugins in Python; otherwise that of the environment.
+
+    /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), or python3.
+    #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
 }
 

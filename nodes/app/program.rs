@@ -84,9 +84,9 @@ fn cpu_features() -> Vec<&'static str> {
     Vec::new()
 }
 
-/// The store that the environment names, if answers are to be cached.
-pub(crate) fn store(cache: bool) -> Result<Option<Arc<Store>>, UsageError> {
-    let settings = if cache { Settings::from_env().map_err(|e| UsageError(e.to_string()))? } else { None };
+/// The store that the environment names.
+pub(super) fn store() -> Result<Option<Arc<Store>>, UsageError> {
+    let settings = Settings::from_env().map_err(|e| UsageError(e.to_string()))?;
     Ok(settings.map(|settings| Arc::new(Store::open(settings))))
 }
 

@@ -10,15 +10,19 @@ pub(crate) mod two_files;
 pub(crate) mod words;
 
 pub use answer::Registration;
-pub use method::Method;
 pub(crate) use steps::{cells, plain};
 
 use super::{
     error::{Error, UsageError},
+    options::{Keep, space},
+    plugins::Plugins,
     program,
-    settings::Settings,
 };
 use anyhow::{Context, Result};
+use clap::{
+    Args, Command, FromArgMatches, ValueEnum,
+    builder::{PathBufValueParser, PossibleValue, PossibleValuesParser, TypedValueParser},
+};
 use files::OutFiles;
 use landmarks::Picked;
 use method::{REPORT, has_output};
@@ -45,60 +49,170 @@ use std::{
     time::Instant,
 };
 
+/// The word for a start at the identity.
+const IDENTITY: &str = "identity";
+
 /// Frames of target and source in the graph.
 const FRAMES: [&str; 2] = ["ct", "camera"];
 
 /// A registration of SOURCE, which moves, onto TARGET, which stays.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Args)]
 pub struct RegisterRequest {
-    /// The surface that stays, points of it, or a CT.
+    /// The surface that stays, or points of it.
+    #[arg(value_parser = PathBufValueParser::new().map(RegisterInput::from))]
     pub target: RegisterInput,
+
     /// The points that move, or a surface, whose vertices are taken.
+    #[arg(value_parser = PathBufValueParser::new().map(RegisterInput::from))]
     pub source: RegisterInput,
-    /// Where to start.
-    pub start: Start,
-    /// What registers.
-    pub method: Method,
-    /// Correspondence search, such as `cached`.
+
+    /// The start, source to target: 16 numbers row by row as text or JSON, an ITK transform (.tfm, whose inverse is taken, as
+    /// 3D Slicer shows it), a file of --out, or the word identity. Default: by the shape of the bone alone.
+    #[arg(long, value_name = "FILE")]
+    pub init: Option<PathBuf>,
+
+    /// A start in memory, source to target, mm.
+    #[arg(skip)]
+    pub init_pose: Option<Isometry3<f64>>,
+
+    /// Start from three or more points picked in TARGET and in SOURCE, matched by name: Slicer markups (.mrk.json, .fcsv), a
+    /// picking list of CloudCompare, MeshLab .pp, CSV (label,x,y,z) or text.
+    #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with = "init")]
+    pub landmarks: Option<Vec<PathBuf>>,
+
+    /// The residual to minimise.
+    #[arg(long, default_value = method::BUILT_IN[0].0, value_name = "METHOD", conflicts_with = "plugins",
+          value_parser = PossibleValuesParser::new(method::BUILT_IN.map(|(name, about)| PossibleValue::new(name).help(about))))]
+    pub method: String,
+
+    /// Plugins, of which one registers instead of a built-in method.
+    #[command(flatten)]
+    pub plugins: Plugins,
+
+    /// Which kind of --plugin registers, if it has several.
+    #[arg(long, value_name = "STAGE.KIND", requires = "plugins", conflicts_with = "method")]
+    pub kind: Option<String>,
+
+    /// Correspondence search: cached (the nearest samples, kept while none can be nearer), or tree (the nearest samples,
+    /// searched at every step). Default: as the method's node.
+    #[arg(long, value_name = "PAIRING")]
     pub pairing: Option<String>,
+
     /// Largest distance of a pair, mm.
+    #[arg(long, value_name = "MM")]
     pub max_pair_distance_mm: Option<f64>,
+
     /// Largest number of steps.
+    #[arg(long, value_name = "N")]
     pub max_iterations: Option<u32>,
+
     /// Converged if the remaining distance is below this, mm.
+    #[arg(long, value_name = "MM")]
     pub step_mm: Option<f64>,
+
     /// And if the last turn is below this, rad.
+    #[arg(long, value_name = "RAD")]
     pub step_rad: Option<f64>,
-    /// Further parameters of the method.
-    pub settings: Settings,
-    /// Whether `max_iterations` steps are taken on all points, instead of stopping at convergence.
-    pub is_fixed: bool,
-    /// Bone is above this in a CT, HU.
+
+    /// Any parameter of the method, as in a node's table: KEY=VALUE; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+
+    /// When to stop.
+    #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN", conflicts_with = "plugins")]
+    pub stop: Stop,
+
+    /// Bone is above this in a TARGET that is a CT, HU. Default: half-way between soft tissue and bone in the volume, which the
+    /// verdict names among its assumptions.
+    #[arg(long, value_name = "HU", allow_hyphen_values = true)]
     pub threshold_hu: Option<f64>,
-    /// Which DICOM series of a folder.
+
+    /// Which DICOM series of the folder TARGET: its number, or the ending of its identifier.
+    #[arg(long, value_name = "SERIES")]
     pub series: Option<String>,
-    /// Number of points sampled from a surface; by default that of the graph.
-    pub target_points: Option<u64>,
-    /// Seed of the run; by default that of the graph.
-    pub seed: Option<u64>,
-    /// The unit of a file in mm, of the translation of a start as well.
-    pub units: Units,
-    /// Position of the camera in the source's frame, mm.
+
+    /// Number of points sampled from a target that is a surface.
+    #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
+    pub target_points: u64,
+
+    /// Seed of the sampling.
+    #[arg(long, default_value_t = 1, value_name = "SEED")]
+    pub seed: u64,
+
+    /// The unit of all files in mm: 1000 for metres.
+    #[arg(long, default_value_t = 1.0, value_name = "MM", value_parser = unit)]
+    pub unit_mm: f64,
+
+    /// The unit of TARGET in mm, if it differs.
+    #[arg(long, value_name = "MM", value_parser = unit)]
+    pub target_unit_mm: Option<f64>,
+
+    /// The unit of SOURCE in mm, if it differs.
+    #[arg(long, value_name = "MM", value_parser = unit)]
+    pub source_unit_mm: Option<f64>,
+
+    /// The unit of the translation in --init in mm, if it differs; files of --out are always in mm.
+    #[arg(long, value_name = "MM", value_parser = unit)]
+    pub init_unit_mm: Option<f64>,
+
+    /// Position of the camera in the source's frame, mm; points then pair only with the side of the target that faces it.
+    #[arg(long, value_name = "X,Y,Z", value_parser = camera, allow_hyphen_values = true)]
     pub camera: Option<Point3<f64>>,
-    /// Number of threads; by default the number of cores.
+
+    /// Number of threads; the pose does not depend on it. Default: the number of cores.
+    #[arg(long, value_name = "N")]
     pub workers: Option<NonZeroUsize>,
-    /// Whether answers are loaded from the store and saved there.
-    pub cache: bool,
-    /// Number of registrations, for the timings.
+
+    /// Whether answers are cached.
+    #[command(flatten)]
+    pub keep: Keep,
+
+    /// Prepare and register this many times, for the timings.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub repeat: u32,
-    /// Whether the pose is judged.
-    pub is_judged: bool,
-    /// Whether a doubtful pose is refused.
-    pub requires_trusted: bool,
-    /// Files to write.
-    pub files: RegisterFiles,
-    /// The space of the numbers in TARGET and SOURCE where they do not state it.
+
+    /// Do not judge the pose, to save the time. Whether it can be trusted is then unknown.
+    #[arg(long)]
+    pub no_verdict: bool,
+
+    /// The worst verdict with which a pose is given.
+    #[arg(long, value_enum, default_value_t = Require::Doubtful, value_name = "ANSWER", conflicts_with = "no_verdict")]
+    pub require: Require,
+
+    /// Write the pose: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm (for 3D Slicer, with --space), or, without an
+    /// ending, a folder with all of them and the moved SOURCE. Nothing is overwritten.
+    #[arg(long, value_name = "FILE|DIR")]
+    pub out: Option<PathBuf>,
+
+    /// Write SOURCE as registered, with the distance of each point from the surface in the column residual_mm (.ply, .pcd, .csv).
+    #[arg(long, value_name = "FILE")]
+    pub write_source: Option<PathBuf>,
+
+    /// The space of the numbers in TARGET and SOURCE where they do not state it, for a .tfm, which is always LPS.
+    #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
     pub space: Option<Space>,
+
+    /// Write every step into a CSV. Nothing is overwritten.
+    #[arg(long, value_name = "FILE", conflicts_with = "plugins")]
+    pub trace: Option<PathBuf>,
+}
+
+/// When to stop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Stop {
+    /// At convergence.
+    Converge,
+    /// After --max-iterations steps on all points, for timings; earlier only if no step lowers the cost.
+    Fixed,
+}
+
+/// The worst verdict with which a pose is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Require {
+    /// A doubtful pose is given.
+    Doubtful,
+    /// A doubtful pose is refused.
+    Trusted,
 }
 
 /// A file, or its content in memory, in mm and named by `path`.
@@ -116,77 +230,26 @@ impl From<PathBuf> for RegisterInput {
     }
 }
 
-/// Where a registration starts.
-#[derive(Debug, Clone)]
-pub enum Start {
-    /// By the shape of the bone alone.
-    Shape,
-    /// At a pose, source to target.
-    Pose(Isometry3<f64>),
-    /// At the pose in a file.
-    File(PathBuf),
-    /// From points picked in target and source, matched by name.
-    Landmarks([PathBuf; 2]),
+fn unit(text: &str) -> Result<f64, String> {
+    let unit: f64 = text.parse().map_err(|_| "a number is expected: 1 for millimetres, 1000 for metres")?;
+    let usable = (1e-6..=1e6).contains(&unit);
+    usable.then_some(unit).ok_or_else(|| "it must be between 1e-6 and 1e6: 1 for millimetres, 1000 for metres".into())
 }
 
-impl Start {
-    /// The pose in a file, or the identity for the word `identity`.
-    pub fn file_or_identity(file: PathBuf) -> Self {
-        if file.as_os_str() == "identity" { Self::Pose(Isometry3::identity()) } else { Self::File(file) }
+fn camera(text: &str) -> Result<Point3<f64>, String> {
+    let cells: Option<Vec<f64>> = text.split(',').map(|cell| cell.trim().parse().ok()).collect();
+    match cells.as_deref() {
+        Some(&[x, y, z]) if [x, y, z].iter().all(|c| c.is_finite()) => Ok(Point3::new(x, y, z)),
+        _ => Err("three finite numbers are expected, such as 0,0,0".into()),
     }
-}
-
-/// The units of the files in mm: 1000 for metres.
-#[derive(Debug, Clone, Copy)]
-pub struct Units {
-    /// Of TARGET.
-    pub target_mm: f64,
-    /// Of SOURCE.
-    pub source_mm: f64,
-    /// Of the translation of a start from a file.
-    pub init_mm: f64,
-}
-
-/// Files that a registration writes; nothing is overwritten.
-#[derive(Debug, Clone, Default)]
-pub struct RegisterFiles {
-    /// The pose: .txt, .json or .tfm, or a folder with all of them and the moved source.
-    pub out: Option<PathBuf>,
-    /// The moved source.
-    pub source: Option<PathBuf>,
-    /// Every step as CSV.
-    pub trace: Option<PathBuf>,
 }
 
 impl RegisterRequest {
     /// A registration with every option at its default.
     pub fn new(target: impl Into<PathBuf>, source: impl Into<PathBuf>) -> Self {
-        Self {
-            target: target.into().into(),
-            source: source.into().into(),
-            start: Start::Shape,
-            method: Method::BuiltIn(Method::BUILT_IN[0].0.into()),
-            pairing: None,
-            max_pair_distance_mm: None,
-            max_iterations: None,
-            step_mm: None,
-            step_rad: None,
-            settings: Settings::default(),
-            is_fixed: false,
-            threshold_hu: None,
-            series: None,
-            target_points: None,
-            seed: None,
-            units: Units { target_mm: 1.0, source_mm: 1.0, init_mm: 1.0 },
-            camera: None,
-            workers: None,
-            cache: true,
-            repeat: 1,
-            is_judged: true,
-            requires_trusted: false,
-            files: RegisterFiles::default(),
-            space: None,
-        }
+        let arguments = ["register".into(), "--".into(), target.into(), source.into()];
+        let matches = Self::augment_args(Command::new("register")).get_matches_from(arguments);
+        Self::from_arg_matches(&matches).expect("every other option has a default")
     }
 
     /// Checks the request and reads the start.
@@ -203,13 +266,13 @@ impl RegisterRequest {
         if self.repeat == 0 {
             return Err(UsageError("repeat is 0, but must be at least 1".into()).into());
         }
-        let files = OutFiles::of(&self.files)?;
+        let files = OutFiles::of(&self)?;
         for input in [&self.target, &self.source].into_iter().filter(|input| input.content.is_none()) {
             if !input.path.is_dir() {
                 input::check(&input.path)?;
             }
         }
-        let (kinds, kind_name) = self.method.kind()?;
+        let (kinds, kind_name) = self.kind()?;
         let known = kinds.known();
         let kind = known.registry.kind(&kind_name).context("the kind of the method was found")?;
         let (params, warnings) = self.params(kind)?;
@@ -219,8 +282,8 @@ impl RegisterRequest {
         let init_ms = ms_since(began);
         let removed = self.removed(&start, has_output(kind, REPORT));
         let text = two_files::text(matches!(start, ReadStart::Landmarks { .. }), &removed)?;
-        let sets = self.graph_settings(&kind_name, &params);
-        let checked = check_recorded(&text, Path::new(two_files::NAME), sets.texts(), kinds)?;
+        let sets = self.graph_sets(&kind_name, &params);
+        let checked = check_recorded(&text, Path::new(two_files::NAME), &sets, kinds)?;
         Ok(Register { request: self, checked, kind_name, params: params.all, files, start, init_ms, notes })
     }
 
@@ -241,9 +304,9 @@ impl RegisterRequest {
     fn params(&self, kind: &Kind) -> Result<(Params, Vec<Fault>)> {
         let options = self.options();
         let options = options.iter().map(|(option, key, value)| CommandLineParam::Option { option, key, value });
-        let fixed = if self.is_fixed { self.method.fixed() } else { &[] };
+        let fixed = if self.stop == Stop::Fixed { self.fixed() } else { &[] };
         let fixed = fixed.iter().map(|&(key, value)| CommandLineParam::Option { option: "stop fixed", key, value });
-        let texts = self.settings.texts().iter().map(|text| CommandLineParam::Set(text));
+        let texts = self.sets.iter().map(|text| CommandLineParam::Set(text));
         let set: Vec<_> = options.chain(texts).chain(fixed).collect();
         let (all, warnings) = parameters(&kind.description, "register", &set)?;
         let key = |param: &CommandLineParam<'_>| match param {
@@ -254,22 +317,30 @@ impl RegisterRequest {
     }
 
     fn read_start(&mut self, notes: &mut Vec<String>) -> Result<ReadStart> {
-        Ok(match self.start.clone() {
-            Start::Shape => ReadStart::Shape,
-            Start::Pose(pose) => ReadStart::Pose(pose),
-            Start::File(file) => {
-                let read = pose_file::read_pose(&file, self.units.init_mm)?;
+        if let Some(pose) = self.init_pose {
+            return Ok(ReadStart::Pose(pose));
+        }
+        Ok(match (&self.init, self.landmarks.as_deref()) {
+            (Some(word), _) if word.as_os_str() == IDENTITY => ReadStart::Pose(Isometry3::identity()),
+            (Some(file), _) => {
+                let read = pose_file::read_pose(file, self.init_unit_mm.unwrap_or(self.unit_mm))?;
                 notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.display())));
                 ReadStart::Pose(read.isometry)
             }
-            Start::Landmarks([in_target, in_source]) => {
-                let units = [self.units.target_mm, self.units.source_mm];
-                let target = Picked { file: &in_target, stated: self.target.stated_space(units[0], FRAMES[0], notes)? };
-                let source = Picked { file: &in_source, stated: self.source.stated_space(units[1], FRAMES[1], notes)? };
+            (None, Some([in_target, in_source])) => {
+                let units = self.units_mm();
+                let target = Picked { file: in_target, stated: self.target.stated_space(units[0], FRAMES[0], notes)? };
+                let source = Picked { file: in_source, stated: self.source.stated_space(units[1], FRAMES[1], notes)? };
                 let [target, source] = landmarks::read([target, source], units, self.space, notes)?;
                 ReadStart::Landmarks { target, source }
             }
+            (None, _) => ReadStart::Shape,
         })
+    }
+
+    /// The units of TARGET and SOURCE in mm.
+    fn units_mm(&self) -> [f64; 2] {
+        [self.target_unit_mm, self.source_unit_mm].map(|unit_mm| unit_mm.unwrap_or(self.unit_mm))
     }
 
     /// What the graph lacks under this request.
@@ -281,42 +352,40 @@ impl RegisterRequest {
         }
         if !has_report {
             removed.extend(["node.verdict.in.icp", "results.icp"]);
-        } else if self.is_fixed {
+        } else if self.stop == Stop::Fixed {
             // A fixed number of steps need not converge.
             removed.push("node.verdict.in.icp");
         }
-        if !self.is_judged {
+        if self.no_verdict {
             removed.extend(["node.verdict", "results.verdict"]);
         }
         removed
     }
 
     /// The settings of the graph.
-    fn graph_settings(&self, kind: &str, params: &Params) -> Settings {
-        let mut settings = Settings::default();
-        let path = |path: &Path| path.display().to_string().into();
-        settings.set("bone.path", &path(&self.target.path));
-        settings.set("scan.path", &path(&self.source.path));
-        settings.set("icp.kind", &kind.into());
-        let optional = [
-            ("bone.unit_mm", Some(self.units.target_mm).filter(|mm| *mm != 1.0).map(Into::into)),
-            ("scan.unit_mm", Some(self.units.source_mm).filter(|mm| *mm != 1.0).map(Into::into)),
+    fn graph_sets(&self, kind: &str, params: &Params) -> Vec<String> {
+        let path = |path: &Path| Some(path.display().to_string().into());
+        let unit = |unit_mm: f64| (unit_mm != 1.0).then(|| unit_mm.into());
+        let [target_mm, source_mm] = self.units_mm();
+        let keys: [(&str, Option<toml::Value>); 11] = [
+            ("bone.path", path(&self.target.path)),
+            ("scan.path", path(&self.source.path)),
+            ("icp.kind", Some(kind.into())),
+            ("bone.unit_mm", unit(target_mm)),
+            ("scan.unit_mm", unit(source_mm)),
             ("bone.threshold_hu", self.threshold_hu.map(Into::into)),
             ("bone.series", self.series.clone().map(Into::into)),
             ("scan.camera", self.camera.map(|camera| camera.coords.as_slice().to_vec().into())),
-            ("ct_surface.n_points", self.target_points.map(|n| (n as i64).into())),
-            ("graph.seed", self.seed.map(|seed| (seed as i64).into())),
-            ("results.require", self.requires_trusted.then(|| "trusted".into())),
+            ("ct_surface.n_points", Some((self.target_points as i64).into())),
+            ("graph.seed", Some((self.seed as i64).into())),
+            ("results.require", (self.require == Require::Trusted).then(|| "trusted".into())),
         ];
-        for (key, value) in optional {
-            value.into_iter().for_each(|value| settings.set(key, &value));
-        }
-        let all = params.all.as_object();
-        for key in &params.set {
-            let value = all.and_then(|all| all.get(key)).and_then(|value| toml::Value::try_from(value).ok());
-            value.into_iter().for_each(|value| settings.set(format_args!("icp.{key}"), &value));
-        }
-        settings
+        let keys = keys.into_iter().filter_map(|(key, value)| Some(format!("{key}={}", value?)));
+        let of_method = params
+            .set
+            .iter()
+            .filter_map(|key| Some(format!("icp.{key}={}", toml::Value::try_from(params.all.get(key)?).ok()?)));
+        keys.chain(of_method).collect()
     }
 }
 
@@ -357,7 +426,7 @@ enum ReadStart {
 
 /// A checked registration.
 pub struct Register {
-    request: RegisterRequest,
+    pub(crate) request: RegisterRequest,
     checked: Checked,
     /// The kind that registers.
     kind_name: String,

@@ -2,14 +2,14 @@
 
 use super::{
     error::Error,
+    options::{GraphArgs, Keep, Leave},
     out_dir,
-    plugins::Plugins,
     program::{self, run_error},
-    settings::Settings,
 };
 use anyhow::Result;
+use clap::Args;
 use osteoflow_engine::{
-    check::{Checked, check},
+    check::Checked,
     inputs::{WireInputs, output, run_with_inputs},
     plan::{OutputId, Plan},
     run::{Observer, Outcome, Refusal, RunOptions, Verdict},
@@ -18,30 +18,28 @@ use osteoflow_node::{Item, Registry};
 use serde_json::Value;
 use std::{
     collections::BTreeMap,
-    num::NonZeroUsize,
     path::PathBuf,
     sync::{Arc, atomic::AtomicBool},
 };
 
 /// A run of a graph.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Args)]
 pub struct RunRequest {
-    /// The graph file.
-    pub graph: PathBuf,
-    /// Changes of its keys.
-    pub settings: Settings,
-    /// Plugins in addition to those of the graph.
-    pub plugins: Plugins,
-    /// The folder for the files of the run.
-    pub out: Option<PathBuf>,
-    /// Whether a folder that is not empty is written into, and the files of a run in it are replaced.
-    pub force: bool,
-    /// Whether a recording is written.
-    pub record: bool,
-    /// Number of threads that run nodes; by default the number of cores.
-    pub workers: Option<NonZeroUsize>,
-    /// Whether answers are loaded from the store and saved there.
-    pub cache: bool,
+    /// The graph.
+    #[command(flatten)]
+    pub graph: GraphArgs,
+
+    /// Where the files go, and the number of threads.
+    #[command(flatten)]
+    pub leave: Leave,
+
+    /// Whether answers are cached.
+    #[command(flatten)]
+    pub keep: Keep,
+
+    /// Do not write run.mcap.
+    #[arg(long)]
+    pub no_record: bool,
 }
 
 /// A checked graph.
@@ -65,20 +63,6 @@ pub struct GraphRun {
 }
 
 impl RunRequest {
-    /// A run of a graph as it is, which writes no files.
-    pub fn new(graph: impl Into<PathBuf>) -> Self {
-        Self {
-            graph: graph.into(),
-            settings: Settings::default(),
-            plugins: Plugins::default(),
-            out: None,
-            force: false,
-            record: true,
-            workers: None,
-            cache: true,
-        }
-    }
-
     /// Checks the graph.
     ///
     /// # Errors
@@ -89,8 +73,7 @@ impl RunRequest {
 
     /// As [`Self::check`]; the error holds the faults.
     pub(crate) fn checked(self) -> Result<Graph> {
-        let checked = check(&self.graph, self.settings.texts(), self.plugins.kinds()?)?;
-        Ok(Graph { checked, request: self })
+        Ok(Graph { checked: self.graph.checked()?, request: self })
     }
 }
 
@@ -121,11 +104,11 @@ impl Graph {
     /// The options of its run, which writes no files yet.
     pub(crate) fn options(&self, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
         Ok(RunOptions {
-            record: self.request.record,
+            record: !self.request.no_record,
             // A recorded run measures the time of every firing in any case.
-            latency: self.request.record,
-            store: program::store(self.request.cache)?,
-            ..program::options(self.request.workers, cancelled)
+            latency: !self.request.no_record,
+            store: self.request.keep.store()?,
+            ..program::options(self.request.leave.workers, cancelled)
         })
     }
 
@@ -140,10 +123,9 @@ impl Graph {
         observer: &dyn Observer,
         cancelled: &Arc<AtomicBool>,
     ) -> Result<GraphRun, Error> {
-        let (plan, request) = (self.plan(), &self.request);
-        let out = request.out.as_deref();
+        let (plan, Leave { out, force, .. }) = (self.plan(), &self.request.leave);
         let mut options = self.options(cancelled)?;
-        let dir = out.map(|out| out_dir::make(Some(out), &plan.name, request.force)).transpose()?;
+        let dir = out.as_deref().map(|out| out_dir::make(Some(out), &plan.name, *force)).transpose()?;
         options.out_dir = dir.as_ref().map(|dir| dir.to_path_buf());
         (options.record, options.latency) = (options.record && dir.is_some(), options.latency && dir.is_some());
         if !given.is_empty() {

@@ -3,8 +3,9 @@
 mod folder;
 mod set;
 
-use super::{error::Error, out_dir, program::NOTICE, settings::Settings};
+use super::{error::Error, out_dir, program::NOTICE};
 use anyhow::{Context, Result, anyhow};
+use clap::{Args, ValueEnum};
 use osteoflow_formats::{
     mcap_read::Attachment,
     plan_file,
@@ -24,10 +25,10 @@ use std::{
 };
 
 /// Number of points that a cloud may have.
-pub(crate) const N_POINTS: RangeInclusive<u64> = 100..=500_000;
+const N_POINTS: RangeInclusive<u64> = 100..=500_000;
 
 /// The format of the streams.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum StreamFormat {
     /// One recording, procedure.mcap.
     Mcap,
@@ -36,36 +37,47 @@ pub enum StreamFormat {
 }
 
 /// A simulated procedure.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Args)]
 pub struct SimulateRequest {
     /// The random seed.
+    #[arg(long, default_value_t = 42)]
     pub seed: u64,
+
     /// Points of each cloud.
-    pub n_points: u64,
-    /// A closed surface of a bone and its plan, instead of the built-in ones.
-    pub own_bone: Option<(PathBuf, PathBuf)>,
-    /// Changes of the parameters, TABLE.PARAMETER.
-    pub settings: Settings,
+    #[arg(long, default_value_t = 20_000, value_name = "N", value_parser = clap::value_parser!(u64).range(N_POINTS))]
+    pub points: u64,
+
+    /// Simulate on this bone: a closed surface, STL or PLY, mm, in the CT's coordinates. Needs --plan.
+    #[arg(long, value_name = "FILE", requires = "plan")]
+    pub bone: Option<PathBuf>,
+
+    /// Its plan, plan.json, or its anatomy alone, also under a key named after the bone's file.
+    #[arg(long, value_name = "FILE", requires = "bone")]
+    pub plan: Option<PathBuf>,
+
+    /// Change any parameter of `acquire.simulated`, TABLE.PARAMETER=VALUE; of the CT, `ct.PARAMETER`; or of the bone in CT
+    /// and plan alone, `ct_bone.PARAMETER`; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+
     /// The format of the streams.
+    #[arg(id = "as", long = "as", value_enum, default_value_t = StreamFormat::Mcap, value_name = "SHAPE")]
     pub format: StreamFormat,
-    /// Whether existing files are replaced.
+
+    /// Replace existing files.
+    #[arg(long)]
     pub force: bool,
 }
 
 impl SimulateRequest {
-    /// The built-in bone and its procedure, of the same numbers as the shipped one.
-    pub fn new(format: StreamFormat) -> Self {
-        Self { seed: 42, n_points: 20_000, own_bone: None, settings: Settings::default(), format, force: false }
-    }
-
     /// Simulates and writes the files into a folder. `warn` takes notes on the bone.
     ///
     /// # Errors
     /// [`Error`]; of usage if a parameter is wrong or the folder is not empty.
     pub fn write(&self, dir: &Path, warn: &mut dyn FnMut(&str)) -> Result<(), Error> {
-        if !N_POINTS.contains(&self.n_points) {
+        if !N_POINTS.contains(&self.points) {
             let (min, max) = (N_POINTS.start(), N_POINTS.end());
-            return Err(Error::Usage(format!("points is {}, but must be between {min} and {max}", self.n_points)));
+            return Err(Error::Usage(format!("points is {}, but must be between {min} and {max}", self.points)));
         }
         self.simulate(Some(dir), warn)?;
         Ok(())
@@ -73,7 +85,7 @@ impl SimulateRequest {
 
     /// Simulates, and writes the files if there is a folder for them.
     pub(crate) fn simulate(&self, dir: Option<&Path>, warn: &mut dyn FnMut(&str)) -> Result<Procedure> {
-        let Parameters { procedure: params, ct, ct_bone } = Parameters::new(self.n_points, self.settings.texts())?;
+        let Parameters { procedure: params, ct, ct_bone } = Parameters::new(self.points, &self.sets)?;
         if let Some(dir) = dir {
             out_dir::make_plain(dir, self.force, "name another folder, or replace what is in it with --force")?;
         }
@@ -102,9 +114,13 @@ impl SimulateRequest {
         write_text(&dir.join("README.md"), &self.readme())
     }
 
+    fn own_bone(&self) -> Option<(&Path, &Path)> {
+        self.bone.as_deref().zip(self.plan.as_deref())
+    }
+
     /// The bone and its plan, built in or from files.
     fn subject(&self, params: &BoneParams) -> Result<Subject> {
-        match &self.own_bone {
+        match self.own_bone() {
             Some((bone, plan)) => own_bone::read_altered(bone, plan, params).map_err(|error| anyhow!("{error}")),
             None => Ok(Subject::built_in(params)?),
         }
@@ -113,28 +129,28 @@ impl SimulateRequest {
     /// The ground truth, with the changed parameters.
     fn truth_json(&self, procedure: &Procedure) -> Value {
         let mut truth = truth_json(procedure, self.seed);
-        if !self.settings.texts().is_empty() {
-            truth["settings"] = json!(self.settings.texts());
+        if !self.sets.is_empty() {
+            truth["settings"] = json!(self.sets);
         }
         truth
     }
 
     fn readme(&self) -> String {
-        let (seed, points) = (self.seed, self.n_points);
+        let (seed, points) = (self.seed, self.points);
         let (streams, switch) = match self.format {
             StreamFormat::Mcap => ("`procedure.mcap`: the recording, Foxglove schemas in protobuf, metres inside", ""),
             StreamFormat::Folder => {
                 ("`procedure.toml` and what it names: PLY scans and `poses.csv`, millimetres", " --as folder")
             }
         };
-        let (own, licence) = match &self.own_bone {
+        let (own, licence) = match self.own_bone() {
             Some((bone, plan)) => (
                 format!(" --bone {} --plan {}", bone.display(), plan.display()),
                 "that of the bone, which these files show",
             ),
             None => (String::new(), "CC0"),
         };
-        let sets: String = self.settings.texts().iter().map(|set| format!(" --set '{set}'")).collect();
+        let sets: String = self.sets.iter().map(|set| format!(" --set '{set}'")).collect();
         format!(
             "# A simulated procedure\n\n\
              Made by osteoflow {} with\n\n\

@@ -3,12 +3,13 @@
 use super::{
     error::{Error, UsageError},
     folder_lock::HOLDER,
+    options::Keep,
     out_dir::{self, OutDir},
     plugins::Plugins,
     program::{self, NOTICE},
-    settings::Settings,
 };
 use anyhow::Result;
+use clap::Args;
 use osteoflow_engine::sweep::{
     self, Folder, FolderError, Shard, Sweep, SweepCounts, SweepOptions, Watcher, difference,
 };
@@ -22,26 +23,52 @@ use std::{
 };
 
 /// Many runs of a graph, as its table `[sweep]` says.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Args)]
 pub struct SweepRequest {
-    /// The graph file.
-    pub graph: PathBuf,
-    /// Changes of its keys in all runs.
-    pub settings: Settings,
+    /// The graph file, with a table [sweep].
+    #[arg(required_unless_present = "merge")]
+    pub graph: Option<PathBuf>,
+
+    /// Change any key of the graph in all runs, also of [sweep]: sweep.repeat=20; may be given again. Refused for a key that a
+    /// factor or a draw sets; change the factor instead: sweep.factor.NAME.values=[..].
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+
     /// Plugins in addition to those of the graph.
+    #[command(flatten)]
     pub plugins: Plugins,
-    /// The folder for the files; by default a new one under `runs/`.
+
+    /// The folder to write the files into; refused if not empty. Default: a new one under runs/.
+    #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Whether the sweep in the folder is resumed.
+
+    /// Resume the sweep in --out: finished runs stay. Refused if graph, inputs, plugins or the program have changed.
+    #[arg(long, requires = "out")]
     pub resume: bool,
-    /// The part of the runs to make.
+
+    /// Run the K-th of N parts of the sweep, from 1; --merge combines them.
+    #[arg(long, value_name = "K/N", value_parser = shard)]
     pub shard: Option<Shard>,
-    /// Number of runs at a time; by default the number of cores.
+
+    /// Number of runs at a time; the tables do not depend on it. Default: the number of cores.
+    #[arg(long, value_name = "N")]
     pub workers: Option<NonZeroUsize>,
-    /// Whether what several runs have in common is computed once.
-    pub share: bool,
-    /// Whether answers are loaded from the store and saved there.
-    pub cache: bool,
+
+    /// Compute what several runs have in common in each of them, instead of once for all. The tables are the same.
+    #[arg(long)]
+    pub no_share: bool,
+
+    /// Whether answers are cached.
+    #[command(flatten)]
+    pub keep: Keep,
+}
+
+fn shard(text: &str) -> Result<Shard, String> {
+    let parts = text.split_once('/').and_then(|(k, n)| Some((k.parse().ok()?, n.parse().ok()?)));
+    match parts {
+        Some((index, of)) if 1 <= index && index <= of => Ok(Shard { index, of }),
+        _ => Err("a shard must be K/N with K from 1 to N, such as 2/8".into()),
+    }
 }
 
 /// A checked sweep with its folder.
@@ -62,15 +89,15 @@ impl SweepRequest {
 
     /// The checked sweep; the error holds the faults.
     pub(crate) fn checked(&self) -> Result<Sweep> {
-        let workers = program::options(self.workers, &Arc::default()).workers;
-        Ok(sweep::check(&self.graph, self.settings.texts(), self.plugins.kinds_apart()?, workers)?)
+        let graph = self.graph.as_deref().ok_or_else(|| UsageError("a sweep needs a graph file".into()))?;
+        Ok(sweep::check(graph, &self.sets, self.plugins.kinds_apart()?, program::n_workers(self.workers))?)
     }
 
     /// A new folder for the sweep, or the one to resume.
     pub(crate) fn folder(&self, sweep: Sweep, cancelled: &Arc<AtomicBool>) -> Result<SweepRun> {
         let mut run = program::options(self.workers, cancelled);
-        run.store = program::store(self.cache)?;
-        let options = SweepOptions { workers: run.workers, run, share: self.share, shard: self.shard };
+        run.store = self.keep.store()?;
+        let options = SweepOptions { workers: run.workers, run, share: !self.no_share, shard: self.shard };
         let folder = match (&self.out, self.resume) {
             (Some(dir), true) => sweep.resume(dir, self.shard),
             (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options),

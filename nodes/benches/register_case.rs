@@ -5,7 +5,7 @@
 //! ms, and its answer.
 
 use anyhow::{Context, Result, anyhow, bail};
-use osteoflow::app::{Content, RegisterInput, RegisterRequest, Start, read};
+use osteoflow::app::{Content, Keep, RegisterInput, RegisterRequest, read};
 use std::{
     env,
     io::{Write, stdin, stdout},
@@ -31,11 +31,10 @@ fn main() -> Result<()> {
     let request = RegisterRequest {
         target: input(target),
         source: input(source),
-        start: Start::Pose(init),
-        target_points: Some(150_000),
+        init_pose: Some(init),
         workers: Some(threads.parse().context("THREADS is a number")?),
-        is_judged: false,
-        cache: false,
+        no_verdict: true,
+        keep: Keep { no_cache: true },
         ..RegisterRequest::new("target", "source")
     };
     for line in stdin().lines() {

@@ -1,4 +1,5 @@
-use super::common::{Exit, Format, Global, graph_args::GraphArgs, print_json, terminal};
+use super::common::{Exit, Format, Global, graph_args, print_json, terminal};
+use crate::app::GraphArgs;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{CheckedFile, Faults};
@@ -23,7 +24,7 @@ pub(crate) struct Check {
 
 impl Check {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let Some(file) = self.graph.check_file(global)? else { return Ok(Exit::Usage) };
+        let Some(file) = graph_args::check_file(&self.graph, global)? else { return Ok(Exit::Usage) };
         let (plan, warnings, is_module) = match file {
             CheckedFile::Graph(checked) => (checked.plan, checked.warnings, false),
             CheckedFile::Module(module) => (module.plan, module.warnings, true),

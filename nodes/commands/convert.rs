@@ -1,7 +1,8 @@
-use super::common::{Exit, Global, space::SpaceOption, terminal};
+use super::common::{Exit, Global, terminal};
 use crate::app::{
     UsageError,
     files::{check_new, picked_points, write_list},
+    space,
 };
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
@@ -53,8 +54,8 @@ pub(crate) struct Convert {
     iso_hu: Option<f64>,
 
     /// The space of the numbers in IN, if IN does not state it; OUT is LPS then, as far as it can say so.
-    #[arg(long, value_enum, ignore_case = true, value_name = "LPS|RAS")]
-    space: Option<SpaceOption>,
+    #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
+    space: Option<Space>,
 }
 
 impl Convert {
@@ -159,7 +160,7 @@ impl Convert {
     fn to_lps(&self, stated: Space) -> Result<(UnitQuaternion<f64>, Space)> {
         match (stated, self.space) {
             (Space::Unknown, None) => Ok((UnitQuaternion::identity(), Space::Unknown)),
-            (Space::Unknown, Some(space)) => Ok((Space::from(space).turn(), Space::Lps)),
+            (Space::Unknown, Some(space)) => Ok((space.turn(), Space::Lps)),
             // The reader has turned it.
             (_, None) => Ok((UnitQuaternion::identity(), Space::Lps)),
             (stated, Some(_)) => {

@@ -1,4 +1,5 @@
-use super::common::{Exit, Format, Global, graph_args::GraphArgs, print_json, terminal};
+use super::common::{Exit, Format, Global, graph_args, print_json, terminal};
+use crate::app::GraphArgs;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{Faults, plan::Plan};
@@ -22,7 +23,7 @@ pub(crate) struct Expand {
 
 impl Expand {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let Some(checked) = self.graph.check(global)? else { return Ok(Exit::Usage) };
+        let Some(checked) = graph_args::check(&self.graph, global)? else { return Ok(Exit::Usage) };
         let plan = &checked.plan;
         match global.format {
             Format::Json => print_json(&json!({

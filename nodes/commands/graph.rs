@@ -1,5 +1,5 @@
-use super::common::{Exit, Global, graph_args::GraphArgs, plugins::PluginArgs, terminal};
-use crate::app::UsageError;
+use super::common::{Exit, Global, graph_args, terminal};
+use crate::app::{GraphArgs, Plugins, UsageError};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use osteoflow_draw::{Diagram, dot, mermaid, svg};
@@ -31,7 +31,7 @@ pub(crate) struct Graph {
     sets: Vec<String>,
 
     #[command(flatten)]
-    plugins: PluginArgs,
+    plugins: Plugins,
 
     /// Draw this run instead: its folder, or its manifest.json.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["graph", "sets", "plugins"])]
@@ -58,7 +58,9 @@ impl Graph {
             (Some(run), _) => of_run(run)?,
             (None, Some(graph)) => {
                 let (graph, sets, plugins) = (graph.clone(), self.sets.clone(), self.plugins.clone());
-                let Some(checked) = (GraphArgs { graph, sets, plugins }).check(global)? else { return Ok(Exit::Usage) };
+                let Some(checked) = graph_args::check(&GraphArgs { graph, sets, plugins }, global)? else {
+                    return Ok(Exit::Usage);
+                };
                 diagram::of_plan(&checked.plan)
             }
             (None, None) => return Err(UsageError("name a graph file, or a run by --run".into()).into()),

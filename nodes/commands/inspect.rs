@@ -1,13 +1,8 @@
 mod module_docs;
 mod node_docs;
 
-use super::common::{
-    Exit, Format, Global,
-    graph_args::GraphArgs,
-    plugins::{self, PluginArgs},
-    print_json, terminal,
-};
-use crate::app::{UsageError, registry};
+use super::common::{Exit, Format, Global, graph_args, plugins, print_json, terminal};
+use crate::app::{GraphArgs, Plugins, UsageError, registry};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{CheckedFile, plugin::Plugin};
@@ -44,7 +39,7 @@ pub(crate) struct Inspect {
     list_plugins: bool,
 
     #[command(flatten)]
-    plugins: PluginArgs,
+    plugins: Plugins,
 
     /// Print Markdown, as in docs/nodes; also for a list of kinds.
     #[arg(long)]
@@ -115,7 +110,7 @@ impl Inspect {
     /// Describes a module.
     fn module(&self, file: &str, global: &Global) -> Result<Exit> {
         let graph = GraphArgs { graph: file.into(), sets: Vec::new(), plugins: self.plugins.clone() };
-        let Some(checked) = graph.check_file(global)? else { return Ok(Exit::Usage) };
+        let Some(checked) = graph_args::check_file(&graph, global)? else { return Ok(Exit::Usage) };
         let CheckedFile::Module(module) = checked else {
             let message =
                 format!("{file} is a graph, not a module; `osteoflow check` and `osteoflow graph` show graphs");

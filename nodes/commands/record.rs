@@ -1,13 +1,10 @@
 use super::common::{
-    Exit, Format, Global,
-    graph_args::GraphArgs,
-    print_json,
+    Exit, Format, Global, graph_args, print_json,
     progress::Progress,
-    run_args::Keep,
     running::{self, Completion},
     terminal,
 };
-use crate::app::{UsageError, out_dir, run_error};
+use crate::app::{GraphArgs, Keep, UsageError, out_dir, run_error};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::run::{Outcome, RunOptions, files};
@@ -57,7 +54,7 @@ impl Record {
         let mut sets = self.graph.sets.clone();
         sets.push(format!("record.wires={}", json!(self.wires)));
         let graph = GraphArgs { sets, ..self.graph.clone() };
-        let Some(checked) = graph.check(global)? else { return Ok(Exit::Usage) };
+        let Some(checked) = graph_args::check(&graph, global)? else { return Ok(Exit::Usage) };
         let (plan, registry) = (checked.plan, checked.registry);
 
         // A run writes into a folder; the complete recording is then moved out of it.

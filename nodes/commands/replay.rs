@@ -1,17 +1,13 @@
 use super::common::{
-    Exit, Format, Global, graph_args,
-    plugins::PluginArgs,
-    print_json,
+    Exit, Format, Global, graph_args, print_json,
     progress::Progress,
-    result_table,
-    run_args::Leave,
-    run_end, run_path, run_table,
+    result_table, run_end, run_path, run_table,
     running::{self, Completion},
     terminal,
     text_table::TextTable,
 };
 use super::diff;
-use crate::app::{UsageError, out_dir, refusal_in_short, run_error};
+use crate::app::{Leave, Plugins, UsageError, out_dir, refusal_in_short, run_error};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -67,7 +63,7 @@ pub(crate) struct Replay {
     end: Option<Moment>,
 
     #[command(flatten)]
-    plugins: PluginArgs,
+    plugins: Plugins,
 
     #[command(flatten)]
     leave: Leave,

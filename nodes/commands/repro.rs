@@ -1,5 +1,5 @@
-use super::common::{Exit, Format, Global, plugins::PluginArgs, print_json, running, terminal, text_table::TextTable};
-use crate::app::UsageError;
+use super::common::{Exit, Format, Global, print_json, running, terminal, text_table::TextTable};
+use crate::app::{Plugins, UsageError};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -35,7 +35,7 @@ pub(crate) struct Repro {
     workers: Option<NonZeroUsize>,
 
     #[command(flatten)]
-    plugins: PluginArgs,
+    plugins: Plugins,
 }
 
 impl Repro {

@@ -2,9 +2,8 @@ mod watch;
 
 use super::common::{
     Exit, Global,
-    graph_args::{self, GraphArgs},
+    graph_args::or_faults,
     progress::Progress,
-    run_args::{Keep, Leave},
     run_end::print_end,
     running::{self, Completion},
     serve::{self, Admission, Serving},
@@ -41,13 +40,7 @@ Examples:
   osteoflow run graphs/fibula.toml --format json --quiet | jq .metrics.tre_true_mm")]
 pub(crate) struct Run {
     #[command(flatten)]
-    pub(crate) graph: GraphArgs,
-
-    #[command(flatten)]
-    pub(crate) leave: Leave,
-
-    #[command(flatten)]
-    pub(crate) keep: Keep,
+    request: RunRequest,
 
     /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter, or
     /// when a plugin is rebuilt. A rerun starts from the first changed node; the outputs of all others are kept in memory. It
@@ -67,10 +60,6 @@ pub(crate) struct Run {
     #[command(flatten)]
     admission: Admission,
 
-    /// Do not write run.mcap.
-    #[arg(long)]
-    pub(crate) no_record: bool,
-
     /// For tests of failures: make a node panic, or return an error, instead of processing this item (default: 0); may be
     /// given again.
     #[arg(long, value_name = "NODE[@ITEM][=panic|error]")]
@@ -85,38 +74,30 @@ pub(crate) struct Run {
     /// For tests: delay threads, wake them without reason and reorder nodes, at random from this seed. The results are the
     /// same with any seed and without, on any number of workers.
     #[arg(long, value_name = "SEED")]
-    pub(crate) shuffle: Option<u64>,
+    shuffle: Option<u64>,
 }
 
 impl Run {
-    /// What it asks for.
-    fn request(&self) -> RunRequest {
-        RunRequest {
-            out: self.leave.out.clone(),
-            force: self.leave.force,
-            record: !self.no_record,
-            workers: if self.check_plugins { Some(NonZeroUsize::MIN) } else { self.leave.workers },
-            // A cached answer would not show what the node does.
-            cache: self.keep.cache() && !self.check_plugins,
-            ..self.graph.request()
-        }
-    }
-
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         if self.watch {
             return watch::execute(self, global);
         }
-        let Some(graph) = graph_args::check(self.request(), global)? else { return Ok(Exit::Usage) };
+        let mut request = self.request.clone();
+        if self.check_plugins {
+            check_lent_memory();
+            request.leave.workers = Some(NonZeroUsize::MIN);
+            // A cached answer would not show what the node does.
+            request.keep.no_cache = true;
+        }
+        let graph = or_faults(request.checked(), |graph| &graph.checked.warnings, global)?;
+        let Some(graph) = graph else { return Ok(Exit::Usage) };
         let plan = graph.plan();
         let inject = self.inject.iter().map(|text| Injection::parse(text, plan)).collect::<Result<_, _>>();
         let inject = inject.map_err(|message| UsageError(format!("--inject: {message}")))?;
         let cancelled = Arc::default();
-        if self.check_plugins {
-            check_lent_memory();
-        }
-        running::make_pool(graph.request.workers)?;
+        running::make_pool(graph.request.leave.workers)?;
         let options = graph.options(&cancelled)?;
-        let dir = out_dir::make(self.leave.out.as_deref(), &plan.name, self.leave.force)?;
+        let dir = out_dir::make(graph.request.leave.out.as_deref(), &plan.name, graph.request.leave.force)?;
         let stream = self.serve.map(|_| Arc::new(Stream::default()));
         // Before the first viewer can connect, so that each finds the channel of the state.
         let nodes = serve::graph_json(plan, graph.registry());

@@ -1,8 +1,5 @@
-use super::common::{
-    Exit, Global,
-    plugins::{self, PluginArgs},
-    terminal,
-};
+use super::common::{Exit, Global, plugins, terminal};
+use crate::app::Plugins;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::schema;
@@ -28,7 +25,7 @@ pub(crate) struct Schema {
     plan: bool,
 
     #[command(flatten)]
-    plugins: PluginArgs,
+    plugins: Plugins,
 }
 
 /// The schema of a plan.

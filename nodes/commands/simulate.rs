@@ -1,9 +1,9 @@
 mod openigtlink;
 
 use super::common::{Exit, Global, terminal};
-use crate::app::{SimulateRequest, StreamFormat, simulate::N_POINTS};
+use crate::app::SimulateRequest;
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use openigtlink::ScanType;
 use std::{io::Write, path::PathBuf};
 
@@ -23,30 +23,8 @@ Examples:
       --set bone.path=/tmp/procedure/bone.stl --set phantom.path=/tmp/procedure/phantom.stl \\
       --set plan.path=/tmp/procedure/plan.json")]
 pub(crate) struct Simulate {
-    /// The random seed.
-    #[arg(long, default_value_t = 42)]
-    seed: u64,
-
-    /// Points of each cloud.
-    #[arg(long, default_value_t = 20_000, value_name = "N", value_parser = clap::value_parser!(u64).range(N_POINTS))]
-    points: u64,
-
-    /// Simulate on this bone: a closed surface, STL or PLY, mm, in the CT's coordinates. Needs --plan.
-    #[arg(long, value_name = "FILE", requires = "plan")]
-    bone: Option<PathBuf>,
-
-    /// Its plan, plan.json, or its anatomy alone, also under a key named after the bone's file.
-    #[arg(long, value_name = "FILE", requires = "bone")]
-    plan: Option<PathBuf>,
-
-    /// Change any parameter of `acquire.simulated`, TABLE.PARAMETER=VALUE; of the CT, `ct.PARAMETER`; or of the bone in CT
-    /// and plan alone, `ct_bone.PARAMETER`; may be given again.
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    sets: Vec<String>,
-
-    /// The format of the streams.
-    #[arg(long = "as", value_enum, default_value_t = Shape::Mcap, value_name = "SHAPE")]
-    shape: Shape,
+    #[command(flatten)]
+    request: SimulateRequest,
 
     /// Play the procedure over OpenIGTLink, as a PLUS server would: wait at this port of 127.0.0.1 for one client, send, and end.
     /// 0 is a free port, which is printed.
@@ -64,51 +42,19 @@ pub(crate) struct Simulate {
     /// The folder to write into.
     #[arg(long, value_name = "DIR", required_unless_present = "openigtlink")]
     out: Option<PathBuf>,
-
-    /// Replace existing files.
-    #[arg(long)]
-    force: bool,
 }
 
 impl Simulate {
-    fn request(&self) -> SimulateRequest {
-        SimulateRequest {
-            seed: self.seed,
-            n_points: self.points,
-            own_bone: self.bone.clone().zip(self.plan.clone()),
-            settings: self.sets.clone().into(),
-            format: self.shape.into(),
-            force: self.force,
-        }
-    }
-
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let mut warn = |note: &str| drop(writeln!(terminal::stderr(), "warning: {note}"));
-        let procedure = self.request().simulate(self.out.as_deref(), &mut warn)?;
+        let procedure = self.request.simulate(self.out.as_deref(), &mut warn)?;
         if let Some(dir) = self.out.as_ref().filter(|_| !global.quiet) {
-            writeln!(terminal::stderr(), "SIMULATED procedure of seed {} in {}", self.seed, dir.display())?;
+            writeln!(terminal::stderr(), "SIMULATED procedure of seed {} in {}", self.request.seed, dir.display())?;
         }
         if let Some(port) = self.openigtlink {
             openigtlink::serve(&procedure, port, self.rate, self.scans, global)?;
         }
         Ok(Exit::Done)
-    }
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Shape {
-    /// One recording, procedure.mcap.
-    Mcap,
-    /// PLY scans, a CSV of poses, and procedure.toml that names them.
-    Folder,
-}
-
-impl From<Shape> for StreamFormat {
-    fn from(shape: Shape) -> Self {
-        match shape {
-            Shape::Mcap => Self::Mcap,
-            Shape::Folder => Self::Folder,
-        }
     }
 }
 

@@ -1,9 +1,8 @@
 use super::common::{
-    Exit, Format, Global, graph_args,
-    plugins::PluginArgs,
+    Exit, Format, Global,
+    graph_args::or_faults,
     print_json,
     progress::{Progress, SweepProgress},
-    run_args::Keep,
     running, summary_table, terminal,
 };
 use crate::app::{
@@ -16,8 +15,7 @@ use osteoflow_engine::sweep::{Folder, RUNS_DIR, Shard, Sweep as Checked, SweepCo
 use serde_json::{Value, json};
 use std::{
     io::Write,
-    num::NonZeroUsize,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -45,96 +43,36 @@ In a graph file:
   tre_mm = \"metrics.tre_true_mm.mean_abs.norm\"        path in results.json
 All keys: docs/use/sweeps.md")]
 pub(crate) struct Sweep {
-    /// The graph file, with a table [sweep].
-    #[arg(required_unless_present = "merge")]
-    graph: Option<PathBuf>,
-
-    /// Change any key of the graph in all runs, also of [sweep]: sweep.repeat=20; may be given again. Refused for a key that a
-    /// factor or a draw sets; change the factor instead: sweep.factor.NAME.values=[..].
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    sets: Vec<String>,
-
     #[command(flatten)]
-    plugins: PluginArgs,
-
-    /// The folder to write the files into; refused if not empty. Default: a new one under runs/.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-
-    /// Resume the sweep in --out: finished runs stay. Refused if graph, inputs, plugins or the program have changed.
-    #[arg(long, requires = "out")]
-    resume: bool,
-
-    /// Run the K-th of N parts of the sweep, from 1; --merge combines them.
-    #[arg(long, value_name = "K/N", value_parser = shard)]
-    shard: Option<Shard>,
+    request: SweepRequest,
 
     /// Combine the runs of shards in the folder of --out.
     #[arg(long, value_name = "DIR", num_args = 1.., requires = "out", conflicts_with_all = ["graph", "shard", "resume"])]
     merge: Vec<PathBuf>,
 
-    /// Number of runs at a time; the tables do not depend on it. Default: the number of cores.
-    #[arg(long, value_name = "N")]
-    workers: Option<NonZeroUsize>,
-
     /// List the runs, or those of --shard, with the keys that each sets; run nothing.
     #[arg(long)]
     dry_run: bool,
-
-    /// Compute what several runs have in common in each of them, instead of once for all. The tables are the same.
-    #[arg(long)]
-    no_share: bool,
-
-    #[command(flatten)]
-    keep: Keep,
-}
-
-fn shard(text: &str) -> Result<Shard, String> {
-    let parts = text.split_once('/').and_then(|(k, n)| Some((k.parse().ok()?, n.parse().ok()?)));
-    match parts {
-        Some((index, of)) if 1 <= index && index <= of => Ok(Shard { index, of }),
-        _ => Err("a shard must be K/N with K from 1 to N, such as 2/8".into()),
-    }
 }
 
 impl Sweep {
-    /// What it asks for; `None` if it merges shards.
-    fn request(&self) -> Option<SweepRequest> {
-        Some(SweepRequest {
-            graph: self.graph.clone()?,
-            settings: self.sets.clone().into(),
-            plugins: self.plugins.plugins(),
-            out: self.out.clone(),
-            resume: self.resume,
-            shard: self.shard,
-            workers: self.workers,
-            share: !self.no_share,
-            cache: self.keep.cache(),
-        })
-    }
-
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        match (self.request(), &self.out) {
-            (Some(request), _) => self.swept(&request, global),
-            (None, out) => {
-                let folder = merged(&self.merge, out.as_deref().unwrap_or(Path::new("")))?;
-                let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
-                print_end(&folder, &swept, Duration::ZERO, global)
-            }
+        let request = &self.request;
+        if let (None, Some(out)) = (&request.graph, &request.out) {
+            let folder = merged(&self.merge, out)?;
+            let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
+            return print_end(&folder, &swept, Duration::ZERO, global);
         }
-    }
-
-    fn swept(&self, request: &SweepRequest, global: &Global) -> Result<Exit> {
         let cancelled = Arc::default();
-        running::make_pool(self.workers)?;
-        let Some(sweep) = graph_args::or_faults(request.checked(), global)? else { return Ok(Exit::Usage) };
-        graph_args::warn(&sweep.warnings, global)?;
+        running::make_pool(request.workers)?;
+        let sweep = or_faults(request.checked(), |sweep| &sweep.warnings, global)?;
+        let Some(sweep) = sweep else { return Ok(Exit::Usage) };
         if self.dry_run {
-            return list(&sweep, self.shard, global);
+            return list(&sweep, request.shard, global);
         }
         let run = Arc::new(request.folder(sweep, &cancelled)?);
         let began = Instant::now();
-        let shard = self.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
+        let shard = request.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
         let what = format!("sweeping {}{shard}", run.sweep.plan.name);
         let bar = SweepProgress::begin(run.left()?, &what, run.options.workers, global);
         let of_thread = run.clone();

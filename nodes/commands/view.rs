@@ -3,14 +3,12 @@ mod steer;
 
 use super::common::{
     Exit, Global,
-    graph_args::GraphArgs,
-    plugins::PluginArgs,
     progress::Progress,
     run_path,
     running::{self, Completion},
     serve::{self, Admission, known_plan, picks::Picks},
 };
-use crate::app::UsageError;
+use crate::app::{GraphArgs, Plugins, UsageError};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::Recording;
@@ -74,7 +72,7 @@ pub(crate) struct View {
     admission: Admission,
 
     #[command(flatten)]
-    plugins: PluginArgs,
+    plugins: Plugins,
 }
 
 impl View {

@@ -80,10 +80,11 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes",
         &[
-            // Typed requests, which know neither options nor a terminal.
-            &["app::error", "app::settings"],
+            // Typed requests, which state their options and know no terminal.
+            &["app::error"],
             &["app::files", "app::folder_lock", "app::program"],
             &["app::out_dir", "app::plugins"],
+            &["app::options"],
             &["app::run", "app::simulate", "app::sweep"],
             &["app::register"],
             &["app"],
@@ -94,7 +95,6 @@ const CRATES: &[(&str, Floors)] = &[
                 "commands::common::global",
                 "commands::common::other_numbers",
                 "commands::common::run_path",
-                "commands::common::space",
                 "commands::common::terminal",
                 "commands::common::text_table",
             ],
@@ -103,7 +103,6 @@ const CRATES: &[(&str, Floors)] = &[
                 "commands::common::log",
                 "commands::common::plugins",
                 "commands::common::progress",
-                "commands::common::run_args",
                 "commands::common::run_table",
                 "commands::common::serve",
                 "commands::common::summary_table",

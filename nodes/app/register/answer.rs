@@ -1,7 +1,7 @@
 //! What a registration gives: the verdict, the pose, the reports of its nodes, and the files.
 
 use super::{
-    Method, ReadStart, Register, RegisterInput, Start,
+    IDENTITY, ReadStart, Register, RegisterInput, Stop,
     files::{Form, itk_file, space_of},
     steps,
     words::{converged, describe, short, stop_reason},
@@ -38,12 +38,12 @@ pub struct Registration {
     /// Where the method started.
     pub(super) init: Option<Isometry3<f64>>,
     /// The report of the start, if there is one.
-    pub(super) start_report: Option<Value>,
+    pub(crate) start_report: Option<Value>,
     /// The report of the method, if it has one, and as that of a built-in one.
-    pub(super) report: Option<Value>,
-    pub(super) icp_report: Option<IcpReport>,
+    pub(crate) report: Option<Value>,
+    pub(crate) icp_report: Option<IcpReport>,
     /// The steps of a built-in method.
-    pub(super) steps: Vec<IcpStep>,
+    pub(crate) steps: Vec<IcpStep>,
     /// A doubt about the picked points.
     pub(super) doubt: Option<String>,
     pub(super) target: Option<Target>,
@@ -57,11 +57,11 @@ pub struct Registration {
     /// The moved source with its residuals, if it is written.
     pub(super) moved: Option<Cloud>,
     /// The files that were written.
-    pub(super) written: Vec<PathBuf>,
-    pub(super) timings: Timings,
+    pub(crate) written: Vec<PathBuf>,
+    pub(crate) timings: Timings,
     /// Whether all repeats gave the same bits.
     pub(super) same_bits: bool,
-    pub(super) run: RunReport,
+    pub(crate) run: RunReport,
 }
 
 /// Times in ms: of reading once, of each repeat for the rest.
@@ -127,14 +127,8 @@ impl Registration {
     /// The refusal for a terminal: that of a plugin begins with its kind.
     pub(crate) fn refusal_text(&self, of: &Register) -> Option<String> {
         let reason = self.refusal()?;
-        let by_plugin =
-            matches!(&self.run.outcome, Outcome::Refused(refusal) if refusal.node == "icp" && !of.is_built_in());
+        let by_plugin = matches!(&self.run.outcome, Outcome::Refused(refusal) if refusal.node == "icp" && !of.request.is_built_in());
         Some(if by_plugin { format!("{}: {reason}", of.kind_name) } else { reason.to_owned() })
-    }
-
-    /// The files that were written.
-    pub(crate) fn written(&self) -> &[PathBuf] {
-        &self.written
     }
 
     /// Whether the user stopped it.
@@ -145,33 +139,6 @@ impl Registration {
     /// Whether the method ended, so that there is something to show beside a refusal.
     pub(crate) fn has_ended(&self) -> bool {
         self.pose.is_some() && self.init.is_some() && !self.is_interrupted()
-    }
-
-    /// The content of `results.json`.
-    pub(crate) fn results(&self) -> &Value {
-        &self.run.results
-    }
-
-    pub(crate) fn timings(&self) -> &Timings {
-        &self.timings
-    }
-
-    pub(crate) fn steps(&self) -> &[IcpStep] {
-        &self.steps
-    }
-
-    pub(crate) fn start_report(&self) -> Option<&Value> {
-        self.start_report.as_ref()
-    }
-
-    /// The report of a built-in method.
-    pub(crate) fn icp_report(&self) -> Option<&IcpReport> {
-        self.icp_report.as_ref()
-    }
-
-    /// The report of the method, of any kind.
-    pub(crate) fn report(&self) -> Option<&Value> {
-        self.report.as_ref()
     }
 
     /// How the method ended, by its report.
@@ -227,8 +194,8 @@ impl Registration {
         if !self.has_ended() {
             return warnings;
         }
-        match self.icp_report() {
-            Some(report) if of.is_built_in() => warnings.extend(report_warnings(report, of.request.is_fixed)),
+        match &self.icp_report {
+            Some(report) if of.request.is_built_in() => warnings.extend(report_warnings(report, of.request.stop)),
             _ if self.ended().converged == Some(false) => {
                 warnings.push(format!("not converged, by the report of {}", of.method_name()));
             }
@@ -263,12 +230,12 @@ impl Registration {
 
     /// Everything as JSON, with every step if `with_trace`.
     pub(crate) fn to_json(&self, of: &Register, outcome: Value, with_trace: bool) -> Value {
-        let (request, results) = (&of.request, self.results());
+        let (request, results) = (&of.request, &self.run.results);
         let mut out = Map::new();
         let mut put = |key: &str, value: Value| {
             out.insert(key.into(), value);
         };
-        if let Some(verdict) = results.get("verdict").filter(|_| request.is_judged) {
+        if let Some(verdict) = results.get("verdict").filter(|_| !request.no_verdict) {
             put("verdict", verdict.clone());
         }
         put("outcome", outcome);
@@ -280,7 +247,7 @@ impl Registration {
         }
         if self.has_ended() {
             let report = self.report.clone().unwrap_or_default();
-            if of.is_built_in() {
+            if of.request.is_built_in() {
                 put("undetermined", report["observability"]["undetermined"].clone());
             }
             for key in ["converged", "stop_reason", "iterations", "n_pairs", "rms_mm", "remaining_mm"] {
@@ -290,7 +257,7 @@ impl Registration {
             if let Ok(Value::Object(timings)) = serde_json::to_value(&self.timings) {
                 timings.into_iter().for_each(|(key, value)| put(&key, value));
             }
-            if request.is_judged {
+            if !request.no_verdict {
                 put("verdict_ms", json!(self.timings.verdict_ms));
             }
             put("report", report);
@@ -310,15 +277,13 @@ impl Registration {
             put("plugin", json!(plugin));
         }
         put("pairing", of.pairing().into());
-        put("stop", if request.is_fixed { "fixed" } else { "converge" }.into());
+        put("stop", if request.stop == Stop::Fixed { "fixed" } else { "converge" }.into());
         put("params", of.params.clone());
         put("target", self.target_json(&request.target));
         put("source", self.source_json(&request.source));
         if let Some(init) = self.init.filter(|_| self.has_ended()) {
-            let file = match &request.start {
-                Start::File(file) => Some(file.display().to_string()),
-                Start::Shape | Start::Pose(_) | Start::Landmarks(_) => None,
-            };
+            let file = request.init.as_ref().filter(|file| file.as_os_str() != IDENTITY);
+            let file = file.map(|file| file.display().to_string());
             put("init", json!({ "file": file, "matrix": matrix_rows(&init) }));
             put("start", self.start_json(of));
         }
@@ -381,7 +346,7 @@ impl Registration {
             "osteoflow {}, {}: {}; {NOTICE}",
             env!("CARGO_PKG_VERSION"),
             of.method_name(),
-            match self.icp_report().filter(|_| of.is_built_in()) {
+            match self.icp_report.as_ref().filter(|_| of.request.is_built_in()) {
                 Some(report) => stop_reason(report.stop_reason),
                 None => converged(self.ended().converged),
             }
@@ -415,24 +380,12 @@ const FILES: [&str; 2] = ["bone", "scan"];
 impl Register {
     /// The name of the built-in method, or the kind of the plugin.
     pub(crate) fn method_name(&self) -> &str {
-        match &self.request.method {
-            Method::BuiltIn(name) => name,
-            Method::Plugin(..) => &self.kind_name,
-        }
-    }
-
-    /// What was asked for.
-    pub(crate) fn request(&self) -> &super::RegisterRequest {
-        &self.request
+        if self.request.is_built_in() { &self.request.method } else { &self.kind_name }
     }
 
     /// Largest distance of a pair, mm, if the method states one.
     pub(crate) fn max_pair_distance_mm(&self) -> Option<f64> {
         self.params.get("max_pair_distance_mm").and_then(Value::as_f64)
-    }
-
-    pub(crate) fn is_built_in(&self) -> bool {
-        matches!(self.request.method, Method::BuiltIn(_))
     }
 
     pub(crate) fn pairing(&self) -> &str {
@@ -441,9 +394,9 @@ impl Register {
 }
 
 /// Warnings about a built-in method.
-fn report_warnings(report: &IcpReport, is_fixed: bool) -> Vec<String> {
+fn report_warnings(report: &IcpReport, stop: Stop) -> Vec<String> {
     let mut warnings = Vec::new();
-    if !report.converged && !is_fixed {
+    if !report.converged && stop == Stop::Converge {
         let left = report.remaining_mm.map_or_else(String::new, |mm| format!("; about {} mm remain", short(mm)));
         warnings.push(format!("not converged: {}{left}", stop_reason(report.stop_reason)));
     }

@@ -1,6 +1,6 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
-use super::RegisterFiles;
+use super::RegisterRequest;
 use crate::app::error::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
@@ -46,10 +46,10 @@ pub(super) struct OutFiles {
 
 impl OutFiles {
     /// The files of a request, none of which exists yet.
-    pub(super) fn of(files: &RegisterFiles) -> Result<Self> {
-        let mut all =
-            Self { folder: None, poses: Vec::new(), source: files.source.clone(), trace: files.trace.clone() };
-        if let Some(out) = &files.out {
+    pub(super) fn of(request: &RegisterRequest) -> Result<Self> {
+        let (source, trace) = (request.write_source.clone(), request.trace.clone());
+        let mut all = Self { folder: None, poses: Vec::new(), source, trace };
+        if let Some(out) = &request.out {
             match out.extension() {
                 Some(_) => all.poses.push((out.clone(), form_of(out)?)),
                 None => {

@@ -1,6 +1,7 @@
 //! The methods of a registration: the kinds `icp.*`, or a kind of a plugin.
 
-use crate::app::{error::UsageError, plugins::Plugins, program::registry};
+use super::RegisterRequest;
+use crate::app::{error::UsageError, program::registry};
 use anyhow::Result;
 use osteoflow_engine::plugin::Kinds;
 use osteoflow_node::{Kind, OutputPorts};
@@ -12,37 +13,31 @@ pub(super) const POSE: &str = "t_target_source";
 /// The output with the report, which a kind of a plugin may lack.
 pub(super) const REPORT: &str = "report";
 
-/// What registers.
-#[derive(Debug, Clone)]
-pub enum Method {
-    /// The built-in kind `icp.NAME`.
-    BuiltIn(String),
-    /// A kind of these plugins, by its name if several of them register.
-    Plugin(Plugins, Option<String>),
-}
+/// The built-in methods: what follows `icp.`, and a line about it.
+pub(super) const BUILT_IN: [(&str, &str); 6] = [
+    ("point_to_plane", "distances along the target's normals: few steps; the first choice"),
+    ("point_to_point", "distances between points: for targets without normals; slow along a bone"),
+    ("symmetric", "distances along the mean normal of both points: converges from farther away on curved bone"),
+    ("generalized", "Mahalanobis distances between planar Gaussians (GICP), for comparisons"),
+    (
+        "point_to_mesh",
+        "distances to the target's triangles: no sampling error, several times the cost; needs a surface",
+    ),
+    ("published", "plain point-to-point under a stop rule of the paper, which --set reading=.. names"),
+];
 
-impl Method {
-    /// The built-in methods: what follows `icp.`, and a line about it.
-    pub const BUILT_IN: [(&str, &str); 6] = [
-        ("point_to_plane", "distances along the target's normals: few steps; the first choice"),
-        ("point_to_point", "distances between points: for targets without normals; slow along a bone"),
-        ("symmetric", "distances along the mean normal of both points: converges from farther away on curved bone"),
-        ("generalized", "Mahalanobis distances between planar Gaussians (GICP), for comparisons"),
-        (
-            "point_to_mesh",
-            "distances to the target's triangles: no sampling error, several times the cost; needs a surface",
-        ),
-        ("published", "plain point-to-point under a stop rule of the paper, which --set reading=.. names"),
-    ];
+impl RegisterRequest {
+    /// Whether a built-in kind registers.
+    pub(crate) fn is_built_in(&self) -> bool {
+        self.plugins.files.is_empty()
+    }
 
-    /// The parameters with which it takes all its steps on all points.
+    /// The parameters with which the method takes all its steps on all points.
     pub(super) fn fixed(&self) -> &'static [(&'static str, &'static str)] {
-        match self {
-            Self::BuiltIn(name) if name == "published" => &[("reading", "\"iterations\"")],
-            Self::BuiltIn(_) => {
-                &[("stop_step_mm", "0.0"), ("stop_step_rad", "0.0"), ("stop_residual_mm", "0.0"), ("levels", "[]")]
-            }
-            Self::Plugin(..) => &[],
+        match &*self.method {
+            _ if !self.is_built_in() => &[],
+            "published" => &[("reading", "\"iterations\"")],
+            _ => &[("stop_step_mm", "0.0"), ("stop_step_rad", "0.0"), ("stop_residual_mm", "0.0"), ("levels", "[]")],
         }
     }
 
@@ -51,28 +46,25 @@ impl Method {
     /// # Errors
     /// [`UsageError`] if a library is refused, or has no registration, or several of which none is named.
     pub(super) fn kind(&self) -> Result<(Kinds, String)> {
-        let (plugins, name) = match self {
-            Self::BuiltIn(name) if Self::BUILT_IN.iter().any(|(known, _)| known == name) => {
-                return Ok((Kinds::from(&registry()), format!("icp.{name}")));
+        if self.is_built_in() {
+            if !BUILT_IN.iter().any(|(known, _)| *known == self.method) {
+                let known = BUILT_IN.map(|(known, _)| known).join(", ");
+                return Err(UsageError(format!("method \"{}\" is none of {known}", self.method)).into());
             }
-            Self::BuiltIn(name) => {
-                let known = Self::BUILT_IN.map(|(known, _)| known).join(", ");
-                return Err(UsageError(format!("method \"{name}\" is none of {known}")).into());
-            }
-            Self::Plugin(plugins, name) => (plugins, name),
-        };
-        let kinds = plugins.kinds_apart()?;
+            return Ok((Kinds::from(&registry()), format!("icp.{}", self.method)));
+        }
+        let kinds = self.plugins.kinds_apart()?;
         let known = kinds.known();
         if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
             return Err(UsageError(format!("{}: {}", refused.path.display(), refused.why)).into());
         }
         let of_plugins = known.registry.kinds().filter(|kind| known.of_kind(kind.description.kind).is_some());
-        let names = of_plugins.filter(|kind| match name {
+        let names = of_plugins.filter(|kind| match &self.kind {
             Some(name) => kind.description.kind == name.as_str(),
             None => registers(kind),
         });
         let names: Vec<&str> = names.map(|kind| kind.description.kind).collect();
-        let message = match (&names[..], name) {
+        let message = match (&names[..], &self.kind) {
             ([one], _) => {
                 let one = (*one).to_owned();
                 return Ok((kinds, one));
@@ -106,8 +98,8 @@ mod tests {
     fn every_built_in_method_is_a_kind_that_registers_and_the_other_way_round() {
         let registry = registry();
         let kinds: Vec<_> = registry.kinds().filter(|kind| kind.description.kind.starts_with("icp.")).collect();
-        assert_eq!(kinds.len(), Method::BUILT_IN.len());
-        for (name, _) in Method::BUILT_IN {
+        assert_eq!(kinds.len(), BUILT_IN.len());
+        for (name, _) in BUILT_IN {
             let kind = registry.kind(&format!("icp.{name}")).unwrap_or_else(|| panic!("no kind icp.{name}"));
             assert!(registers(kind) && has_output(kind, REPORT), "{name}");
         }

@@ -71,8 +71,7 @@ impl Register {
     /// A node cannot be built, or a file cannot be written. That there is no pose is part of the answer.
     pub(crate) fn run(&self, observer: &dyn Observer, cancelled: &Arc<AtomicBool>) -> anyhow::Result<Registration> {
         let request = &self.request;
-        let options =
-            RunOptions { store: program::store(request.cache)?, ..program::options(request.workers, cancelled) };
+        let options = RunOptions { store: request.keep.store()?, ..program::options(request.workers, cancelled) };
         let mut timings = Timings { init_ms: self.init_ms, ..Timings::default() };
         let mut inputs = self.inputs();
         let mut first: Option<(RunReport, Wires)> = None;

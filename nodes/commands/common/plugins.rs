@@ -1,4 +1,4 @@
-//! Plugins of a command: search, inspection and listing.
+//! Plugins of a command: inspection and listing.
 
 use super::{
     exit::Exit,
@@ -6,55 +6,11 @@ use super::{
     terminal::{self, print_json},
     text_table::TextTable,
 };
-use crate::app::{FOLDERS, Plugins, UsageError};
+use crate::app::{FOLDERS, UsageError};
 use anyhow::Result;
-use clap::Args;
-use osteoflow_engine::{
-    Faults,
-    fault::Severity,
-    plugin::{Kinds, Known},
-};
+use osteoflow_engine::{Faults, fault::Severity, plugin::Known};
 use serde_json::{Value, json};
-use std::{io::Write, path::PathBuf};
-
-/// Plugins in addition to those of the graph.
-#[derive(Debug, Clone, Default, Args)]
-pub(crate) struct PluginArgs {
-    /// A library with kinds of nodes, in addition to those that the graph names, or instead of one with the same file name;
-    /// may be given again. OSTEOFLOW_PLUGIN_PATH names folders whose libraries are all loaded.
-    #[arg(long = "plugin", value_name = "FILE")]
-    plugins: Vec<PathBuf>,
-
-    /// Load no plugins, whatever the graph, the environment or a recording names; kinds of plugins are then unknown.
-    #[arg(long, conflicts_with_all = ["plugins", "python"])]
-    no_plugins: bool,
-
-    /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), or python3.
-    #[arg(long, value_name = "FILE")]
-    python: Option<PathBuf>,
-}
-
-impl PluginArgs {
-    /// The libraries that the command line names.
-    pub(crate) fn files(&self) -> &[PathBuf] {
-        &self.plugins
-    }
-
-    /// As a request names them.
-    pub(crate) fn plugins(&self) -> Plugins {
-        Plugins { files: self.plugins.clone(), none: self.no_plugins, python: self.python.clone() }
-    }
-
-    /// As [`Plugins::kinds`].
-    pub(crate) fn kinds(&self) -> Result<Kinds> {
-        self.plugins().kinds()
-    }
-
-    /// As [`Plugins::kinds_apart`].
-    pub(crate) fn kinds_apart(&self) -> Result<Kinds> {
-        self.plugins().kinds_apart()
-    }
-}
+use std::io::Write;
 
 /// Prints refused plugins on stderr; a plugin that was named explicitly is a fault.
 pub(crate) fn print_refused(known: &Known, global: &Global) -> Result<Exit> {

@@ -1,8 +1,8 @@
 //! The loop that runs a graph again whenever it changes: of `run --watch` and of `view GRAPH`.
 
-use super::{exit::Exit, global::Global, progress::Progress, run_args::Leave};
+use super::{exit::Exit, global::Global, progress::Progress};
 use crate::app::{
-    RunRequest, UsageError,
+    GraphArgs, Leave, UsageError,
     out_dir::{self, OutDir},
 };
 use anyhow::Result;
@@ -24,7 +24,7 @@ use std::{
 /// A graph that is run again.
 pub(crate) trait Rerun {
     /// The graph as it is now.
-    fn request(&self) -> RunRequest;
+    fn graph(&self) -> GraphArgs;
 
     /// Increases with each change to it that is not one of its files.
     fn n_changes(&self) -> u64 {
@@ -53,17 +53,17 @@ pub(crate) fn rerun(graph: &mut impl Rerun, cancelled: &AtomicBool) -> Result<Ex
     loop {
         // Taken before the graph is read: what changes later counts as a change.
         let n_changes = graph.n_changes();
-        let RunRequest { graph: path, settings, plugins, .. } = graph.request();
-        let (sets, kinds) = (settings.texts(), plugins.kinds_apart()?);
-        let of_graph = Stamps::of(files(&path, sets, &kinds));
-        let turn = match check(&path, sets, &kinds) {
+        let GraphArgs { graph: path, sets, plugins } = graph.graph();
+        let kinds = plugins.kinds_apart()?;
+        let of_graph = Stamps::of(files(&path, &sets, &kinds));
+        let turn = match check(&path, &sets, &kinds) {
             Ok(checked) => graph.run(checked, seen)?,
             Err(faults) => match graph.show_faults(&faults)? {
                 Some(exit) => Turn::End(exit),
                 None => {
                     // A missing file may be created.
                     let text = fs::read_to_string(&path).unwrap_or_default();
-                    let checked = check_recorded(&text, &path, sets, &kinds);
+                    let checked = check_recorded(&text, &path, &sets, &kinds);
                     Turn::Wait(checked.map(|checked| Stamps::of_plan(&checked.plan)).unwrap_or_default())
                 }
             },

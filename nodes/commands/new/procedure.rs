@@ -77,7 +77,15 @@ impl Procedure {
     pub(super) fn execute(&self, global: &Global) -> Result<Exit> {
         let dir = &self.dir;
         out_dir::make_plain(dir, false, "name another folder")?;
-        let example = SimulateRequest { n_points: 10_000, ..SimulateRequest::new(StreamFormat::Folder) };
+        let example = SimulateRequest {
+            seed: 42,
+            points: 10_000,
+            bone: None,
+            plan: None,
+            sets: Vec::new(),
+            format: StreamFormat::Folder,
+            force: false,
+        };
         example.simulate(Some(&dir.join("data")), &mut |_| {})?;
         for (path, text) in GRAPHS {
             write(dir, path, without_schema(text))?;

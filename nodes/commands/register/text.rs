@@ -20,12 +20,12 @@ use std::fmt::Write as _;
 
 /// The verdict, the inputs, the pose if it is given, what the method reports, and the times.
 pub(super) fn text(registration: &Registration, checked: &Register, global: &Global) -> String {
-    let (mut out, request, timings) = (String::new(), checked.request(), registration.timings());
-    if let Some(lines) = verdict_lines::text(registration.results(), global) {
+    let (mut out, request, timings) = (String::new(), &checked.request, &registration.timings);
+    if let Some(lines) = verdict_lines::text(&registration.run.results, global) {
         out += &format!("{lines}\n");
     }
     if global.verbose > 0 && registration.pose().is_some() {
-        let _ = writeln!(out, "{}", steps(registration.steps()));
+        let _ = writeln!(out, "{}", steps(&registration.steps));
     }
     let _ = writeln!(out, "{NOTICE}\n");
     let _ = writeln!(out, "target  {}, {}", request.target.path.display(), registration.describe_target());
@@ -34,7 +34,7 @@ pub(super) fn text(registration: &Registration, checked: &Register, global: &Glo
         Some(plugin) => writeln!(out, "method  {}, {}", checked.method_name(), plugin.path.display()),
         None => writeln!(out, "method  {}, pairing {}", checked.method_name(), checked.pairing()),
     };
-    let start = registration.start_report().and_then(start);
+    let start = registration.start_report.as_ref().and_then(start);
     let _ = writeln!(out, "{}", start.as_ref().map_or_else(String::new, |start| format!("start   {start}\n")));
     if let Some(pose) = registration.pose() {
         let _ = writeln!(out, "t_target_source, mm");
@@ -62,11 +62,11 @@ pub(super) fn text(registration: &Registration, checked: &Register, global: &Glo
         let cells = [median(&ms), ms[0], ms[ms.len() - 1]];
         table.row(name, cells.iter().take(columns.len()).map(|ms| format!("{ms:.1}")));
     }
-    if request.is_judged {
+    if !request.no_verdict {
         table.row("verdict", [format!("{:.1}", timings.verdict_ms)]);
     }
     let _ = write!(out, "{}", table.lines());
-    for file in registration.written() {
+    for file in &registration.written {
         let _ = writeln!(out, "\n{} written", file.display());
     }
     out
@@ -94,10 +94,10 @@ fn result(registration: &Registration, checked: &Register) -> String {
     let moved = registration
         .moved_by()
         .map_or_else(String::new, |(rms_mm, turn_deg)| format!("{rms_mm:.3} mm RMS, {turn_deg:.3} deg"));
-    let lines = match registration.icp_report().filter(|_| checked.is_built_in()) {
+    let lines = match registration.icp_report.as_ref().filter(|_| checked.request.is_built_in()) {
         Some(report) => built_in_lines(report, checked, moved),
         None => {
-            let fields = registration.report().and_then(Value::as_object).into_iter().flatten();
+            let fields = registration.report.as_ref().and_then(Value::as_object).into_iter().flatten();
             let shown = fields.filter(|(key, value)| *key != "converged" && (value.is_number() || value.is_string()));
             let shown = shown.map(|(key, value)| (key.as_str(), plain(value)));
             let first = ("converged", converged(registration.ended().converged).to_owned());

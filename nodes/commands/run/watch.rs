@@ -1,7 +1,7 @@
 //! `run --watch`: runs the graph again whenever one of its files has changed.
 
 use super::Run;
-use crate::app::{RunRequest, UsageError, run_error};
+use crate::app::{GraphArgs, UsageError, run_error};
 use crate::commands::common::{
     Exit, Format, Global, graph_args,
     progress::Progress,
@@ -21,7 +21,7 @@ use std::{io::Write, path::Path, sync::Arc, time::Instant};
 
 /// A graph whose unchanged nodes keep their items from run to run.
 struct Watch {
-    run: Run,
+    graph: GraphArgs,
     runs: Runs,
     session: Session,
     /// The results of the last run that had any.
@@ -30,20 +30,21 @@ struct Watch {
 
 /// Runs until the user ends it.
 pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
-    let cancelled = Arc::default();
+    let (request, cancelled) = (&run.request, Arc::default());
     let options = RunOptions {
-        record: !run.no_record,
-        latency: !run.no_record || global.verbose > 0,
+        record: !request.no_record,
+        latency: !request.no_record || global.verbose > 0,
         shuffle: run.shuffle,
-        store: run.keep.store()?,
-        ..running::options(run.leave.workers, &cancelled)?
+        store: request.keep.store()?,
+        ..running::options(request.leave.workers, &cancelled)?
     };
-    if !run.graph.graph.exists() {
+    let graph = request.graph.clone();
+    if !graph.graph.exists() {
         // Waits for a file to be fixed, but not for one with a misspelt name.
-        return Err(UsageError(format!("there is no graph file {}", run.graph.graph.display())).into());
+        return Err(UsageError(format!("there is no graph file {}", graph.graph.display())).into());
     }
-    let runs = Runs { options, global: global.clone(), leave: run.leave.clone(), n: 0 };
-    let mut watch = Watch { run: run.clone(), runs, session: Session::default(), results: None };
+    let runs = Runs { options, global: global.clone(), leave: request.leave.clone(), n: 0 };
+    let mut watch = Watch { graph, runs, session: Session::default(), results: None };
     let until = Arc::clone(&cancelled);
     // The output shows each run.
     match running::watch(Progress::hidden(), cancelled, move |_| rerun(&mut watch, &until))? {
@@ -53,8 +54,8 @@ pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
 }
 
 impl Rerun for Watch {
-    fn request(&self) -> RunRequest {
-        self.run.graph.request()
+    fn graph(&self) -> GraphArgs {
+        self.graph.clone()
     }
 
     fn show_faults(&mut self, faults: &Faults) -> Result<Option<Exit>> {
@@ -185,7 +186,7 @@ impl Watch {
                     writeln!(
                         terminal::stderr(),
                         "watching {}, {mb:.1} MB kept; Ctrl-C ends it",
-                        self.run.graph.graph.display()
+                        self.graph.graph.display()
                     )?;
                 }
             }

@@ -9,13 +9,11 @@ mod write_back;
 
 pub(crate) use two_files::TwoFiles;
 
-use crate::app::{RunRequest, run_error};
+use crate::app::{GraphArgs, Keep, Leave, run_error};
 use crate::commands::common::{
-    Exit, Global,
-    graph_args::{self, GraphArgs},
+    Exit, Global, graph_args,
     progress::Progress,
     rerun::{Rerun, Runs, Turn, rerun},
-    run_args::{Keep, Leave},
     run_end,
     running::{self, Completion},
     serve::{
@@ -251,8 +249,8 @@ struct Session {
 }
 
 impl Rerun for Session {
-    fn request(&self) -> RunRequest {
-        self.steering.changes.request()
+    fn graph(&self) -> GraphArgs {
+        self.steering.changes.graph()
     }
 
     fn n_changes(&self) -> u64 {

@@ -9,8 +9,8 @@ mod views;
 use errors::{exception, watched};
 use osteoflow::{
     app::{
-        self, Method, RegisterFiles, RegisterInput, RegisterRequest, RunRequest, Settings, ShardFault, SimulateRequest,
-        Start, StreamFormat, SweepRequest, Units, WireInputs,
+        self, GraphArgs, Keep, Leave, RegisterInput, RegisterRequest, Require, RunRequest, ShardFault, SimulateRequest,
+        Stop, StreamFormat, SweepRequest, WireInputs,
     },
     progress::{self, Progress},
 };
@@ -69,46 +69,45 @@ impl RegisterOptions {
         source: RegisterInput,
         init: Option<Isometry3<f64>>,
     ) -> PyResult<RegisterRequest> {
-        let start = match (init, self.init, self.landmarks) {
-            (_, Some(_), Some(_)) | (Some(_), _, Some(_)) => {
-                return Err(errors::UsageError::new_err("the start is given by init and by landmarks; leave one out"));
-            }
-            (Some(pose), ..) => Start::Pose(pose),
-            (None, Some(file), None) => Start::file_or_identity(file),
-            (None, None, Some(files)) => Start::Landmarks(files),
-            (None, None, None) => Start::Shape,
-        };
-        let unit = |of_file: Option<f64>| of_file.unwrap_or(self.unit_mm);
-        let units = Units {
-            target_mm: unit(self.target_unit_mm),
-            source_mm: unit(self.source_unit_mm),
-            init_mm: unit(self.init_unit_mm),
-        };
+        if self.landmarks.is_some() && (init.is_some() || self.init.is_some()) {
+            return Err(errors::UsageError::new_err("the start is given by init and by landmarks; leave one out"));
+        }
+        let [target_path, source_path] = [&target, &source].map(|input| input.path.clone());
         Ok(RegisterRequest {
             target,
             source,
-            start,
-            method: Method::BuiltIn(self.method),
+            init: self.init,
+            init_pose: init,
+            landmarks: self.landmarks.map(Vec::from),
+            method: self.method,
             pairing: self.pairing,
             max_pair_distance_mm: self.max_pair_distance_mm,
             max_iterations: self.max_iterations,
             step_mm: self.step_mm,
             step_rad: self.step_rad,
-            settings: Settings::default(),
-            is_fixed: settings::choice("stop", &self.stop, ["converge", "fixed"])? == 1,
+            stop: settings::choice("stop", &self.stop, [("converge", Stop::Converge), ("fixed", Stop::Fixed)])?,
             threshold_hu: self.threshold_hu,
             series: self.series,
-            target_points: Some(self.target_points),
-            seed: Some(self.seed),
-            units,
+            target_points: self.target_points,
+            seed: self.seed,
+            unit_mm: self.unit_mm,
+            target_unit_mm: self.target_unit_mm,
+            source_unit_mm: self.source_unit_mm,
+            init_unit_mm: self.init_unit_mm,
             camera: self.camera.map(Point3::from),
             workers: settings::workers(self.workers)?,
-            cache: self.cache,
+            keep: Keep { no_cache: !self.cache },
             repeat: self.repeat,
-            is_judged: self.verdict,
-            requires_trusted: settings::choice("require", &self.require, ["doubtful", "trusted"])? == 1,
-            files: RegisterFiles { out: self.out, source: self.write_source, trace: None },
+            no_verdict: !self.verdict,
+            require: settings::choice(
+                "require",
+                &self.require,
+                [("doubtful", Require::Doubtful), ("trusted", Require::Trusted)],
+            )?,
+            out: self.out,
+            write_source: self.write_source,
             space: self.space.as_deref().map(shapes::space_of).transpose()?,
+            ..RegisterRequest::new(target_path, source_path)
         })
     }
 }
@@ -134,8 +133,7 @@ fn register(
     };
     let (target, source) = (input(target, "target")?, input(source, "source")?);
     let init = init.map(|rows| shapes::rigid(&rows, "init")).transpose()?;
-    let request =
-        RegisterRequest { settings: settings::settings(set.as_ref())?, ..options.request(target, source, init)? };
+    let request = RegisterRequest { sets: settings::settings(set.as_ref())?, ..options.request(target, source, init)? };
     let cancelled = Arc::default();
     let json = watched(py, &cancelled, || {
         let checked = request.check()?;
@@ -169,9 +167,13 @@ impl Graph {
         workers: Option<usize>,
         cache: bool,
     ) -> PyResult<Self> {
-        let (settings, workers) = (settings::settings(set.as_ref())?, settings::workers(workers)?);
-        let plugins = settings::plugins(plugins);
-        let request = RunRequest { graph, settings, plugins, out, force, record, workers, cache };
+        let (sets, workers) = (settings::settings(set.as_ref())?, settings::workers(workers)?);
+        let request = RunRequest {
+            graph: GraphArgs { graph, sets, plugins: settings::plugins(plugins) },
+            leave: Leave { out, force, workers },
+            keep: Keep { no_cache: !cache },
+            no_record: !record,
+        };
         watched(py, &Arc::default(), || request.check()).map(Self)
     }
 
@@ -316,21 +318,12 @@ fn simulate(
     shape: &str,
     force: bool,
 ) -> PyResult<Vec<String>> {
-    let format = match shape {
-        "mcap" => StreamFormat::Mcap,
-        "folder" => StreamFormat::Folder,
-        other => {
-            let message = format!("shape is \"{other}\", but must be \"mcap\" or \"folder\"");
-            return Err(errors::UsageError::new_err(message));
-        }
-    };
-    let own_bone = match (bone, plan) {
-        (Some(bone), Some(plan)) => Some((bone, plan)),
-        (None, None) => None,
-        _ => return Err(errors::UsageError::new_err("bone and plan belong together; give both, or neither")),
-    };
-    let settings = settings::settings(set.as_ref())?;
-    let request = SimulateRequest { seed, n_points, own_bone, settings, format, force };
+    let format = settings::choice("shape", shape, [("mcap", StreamFormat::Mcap), ("folder", StreamFormat::Folder)])?;
+    if bone.is_some() != plan.is_some() {
+        return Err(errors::UsageError::new_err("bone and plan belong together; give both, or neither"));
+    }
+    let sets = settings::settings(set.as_ref())?;
+    let request = SimulateRequest { seed, points: n_points, bone, plan, sets, format, force };
     watched(py, &Arc::default(), || {
         let mut notes = Vec::new();
         request.write(&out, &mut |note| notes.push(note.to_owned()))?;
@@ -357,15 +350,15 @@ impl Sweep {
         cache: bool,
     ) -> PyResult<Self> {
         Ok(Self(SweepRequest {
-            graph,
-            settings: settings::settings(set.as_ref())?,
+            graph: Some(graph),
+            sets: settings::settings(set.as_ref())?,
             plugins: settings::plugins(plugins),
             out: Some(out),
             resume,
             shard: None,
             workers: settings::workers(workers)?,
-            share,
-            cache,
+            no_share: !share,
+            keep: Keep { no_cache: !cache },
         }))
     }
 

@@ -1,7 +1,7 @@
 //! Values of Python as settings of a graph.
 
 use crate::errors::UsageError;
-use osteoflow::app::{Plugins, SettingValue, Settings};
+use osteoflow::app::{Plugins, SettingValue};
 use pyo3::{
     exceptions::PyTypeError,
     prelude::*,
@@ -10,19 +10,19 @@ use pyo3::{
 use std::{num::NonZeroUsize, path::PathBuf};
 
 /// Settings as Python gives them: a mapping of keys to values, or texts, each KEY=VALUE.
-pub(crate) fn settings(given: Option<&Bound<'_, PyAny>>) -> PyResult<Settings> {
-    let mut settings = Settings::default();
+pub(crate) fn settings(given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<String>> {
+    let mut settings = Vec::new();
     let Some(given) = given else { return Ok(settings) };
     match given.cast::<PyMapping>() {
         Ok(mapping) => {
             for pair in mapping.items()?.iter() {
                 let (key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>) = pair.extract()?;
-                settings.set(key.str()?, &value_of(&value)?);
+                settings.push(format!("{}={}", key.str()?, value_of(&value)?));
             }
         }
         Err(_) => {
             for text in given.try_iter()? {
-                settings.set_text(text?.str()?.to_string());
+                settings.push(text?.str()?.to_string());
             }
         }
     }
@@ -32,7 +32,7 @@ pub(crate) fn settings(given: Option<&Bound<'_, PyAny>>) -> PyResult<Settings> {
 /// Each setting as `--set` takes it, for a process on another machine.
 #[pyfunction]
 pub(crate) fn setting_texts(given: Option<Bound<'_, PyAny>>) -> PyResult<Vec<String>> {
-    Ok(settings(given.as_ref())?.texts().to_vec())
+    settings(given.as_ref())
 }
 
 fn value_of(value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
@@ -83,10 +83,11 @@ pub(crate) fn workers(workers: Option<usize>) -> PyResult<Option<NonZeroUsize>> 
     workers.map(at_least_one).transpose()
 }
 
-/// The position of a word in a list of choices.
-pub(crate) fn choice<const N: usize>(name: &str, word: &str, choices: [&str; N]) -> PyResult<usize> {
-    choices
-        .iter()
-        .position(|choice| *choice == word)
-        .ok_or_else(|| UsageError::new_err(format!("{name} is \"{word}\", but must be one of {}", choices.join(", "))))
+/// What a word means in a list of choices.
+pub(crate) fn choice<T: Copy, const N: usize>(name: &str, word: &str, choices: [(&str, T); N]) -> PyResult<T> {
+    let meaning = choices.iter().find(|(choice, _)| *choice == word).map(|(_, meaning)| *meaning);
+    meaning.ok_or_else(|| {
+        let words = choices.map(|(choice, _)| choice).join(", ");
+        UsageError::new_err(format!("{name} is \"{word}\", but must be one of {words}"))
+    })
 }

@@ -1,8 +1,7 @@
 //! What the user changes on the page: settings on top of the graph file, until they are written into it.
 
 use super::write_back;
-use crate::app::{RunRequest, with_causes};
-use crate::commands::common::graph_args::GraphArgs;
+use crate::app::{GraphArgs, with_causes};
 use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text};
 use osteoflow_report::format::shell_word;
 use serde_json::{Value, json};
@@ -60,20 +59,20 @@ impl Changes {
     }
 
     /// The graph as it is now, with the settings of the command line and those of the page.
-    pub(super) fn request(&self) -> RunRequest {
-        self.request_with(&self.edits())
+    pub(super) fn graph(&self) -> GraphArgs {
+        self.graph_with(&self.edits())
     }
 
-    fn request_with(&self, edits: &Edits) -> RunRequest {
-        let mut request = self.graph.request();
-        edits.sets().for_each(|set| request.settings.set_text(set));
-        request
+    fn graph_with(&self, edits: &Edits) -> GraphArgs {
+        let mut graph = self.graph.clone();
+        graph.sets.extend(edits.sets());
+        graph
     }
 
     fn check_with(&self, edits: &Edits) -> Result<Checked, Problem> {
-        let RunRequest { graph, settings, plugins, .. } = self.request_with(edits);
+        let GraphArgs { graph, sets, plugins } = self.graph_with(edits);
         let kinds = plugins.kinds_apart().map_err(Problem::Other)?;
-        check(&graph, settings.texts(), &kinds).map_err(Problem::Faults)
+        check(&graph, &sets, &kinds).map_err(Problem::Faults)
     }
 
     /// Sets keys, all of them or none. A value of null takes a change back. Keys that a new kind does not have are taken away.
