@@ -8,6 +8,9 @@ pub(crate) mod browser;
 #[path = "../engine/tests/plugins/build.rs"]
 pub(crate) mod build;
 pub(crate) mod case;
+/// Recordings in any layout.
+#[path = "../nodes/bone/formats/tests/layouts.rs"]
+pub(crate) mod layouts;
 pub(crate) mod python;
 pub(crate) mod served;
 

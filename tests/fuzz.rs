@@ -5,6 +5,7 @@ mod border;
 mod seeds;
 mod targets;
 
+use crate::common::layouts;
 use osteoflow_node::rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use seeds::seeds;

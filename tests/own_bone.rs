@@ -1,5 +1,8 @@
 //! Simulation on a user's bone: left or right, coarse or fine, anywhere in the CT.
 
+#[path = "../nodes/bone/simulation/tests/common/exact.rs"]
+mod exact;
+
 use crate::common::{data, osteoflow, reproduce, run};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::write::write_stl;
@@ -95,7 +98,7 @@ fn left_and_right_bones_coarse_and_fine_are_scanned_anywhere_in_the_ct() {
         let subject = own_bone::read(&stl, &plan).unwrap();
         // A mirrored mesh is inside out.
         assert_eq!(subject.notes.len(), usize::from(left), "{:?}", subject.notes);
-        let params = small().without_errors();
+        let params = exact::without_errors(small());
         let own = Procedure::simulate_for(&subject, &params, 1).unwrap();
         let truth = &own.truth;
         let t_ct_camera = truth.t_world_ct_at_scan.isometry.inverse() * truth.t_world_camera_at_scan.isometry;

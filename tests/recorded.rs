@@ -2,7 +2,7 @@
 
 use crate::common::case::{Case, GRAPH};
 use crate::common::{Ran, data, isometry, json, point, run};
-use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
+use osteoflow_formats::recording_write::{Stream, recording_bytes};
 use osteoflow_geometry::{
     Pose,
     nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3},
@@ -157,7 +157,7 @@ fn tracked(written: impl Fn(&UnitQuaternion<f64>) -> Quaternion<f64>) -> Vec<u8>
         ("/tracker/camera_marker", Stream::Transforms(poses("camera_marker").collect())),
         ("/tracker/bone_marker", Stream::Transforms(rounded.collect())),
     ];
-    recording_bytes(&streams, &Default::default(), &[], &Layout::default()).unwrap()
+    recording_bytes(&streams, &Default::default(), &[]).unwrap()
 }
 
 /// Runs a graph of nothing but such a recording.

@@ -3,7 +3,7 @@
 use crate::common::{Ran, case::Case, is_slow_run, isometry};
 use osteoflow_formats::mcap_read::{Message, Recording, Topic};
 use osteoflow_formats::message_read::{read_cloud, read_transforms};
-use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
+use osteoflow_formats::recording_write::{Stream, recording_bytes};
 use osteoflow_geometry::{
     Cloud,
     nalgebra::{Point3, Vector3},
@@ -59,7 +59,7 @@ fn with_scan(recording: &Path, scan: &[Point3<f64>], into: &Path) {
     };
     let streams: Vec<_> =
         read.topics().iter().filter_map(|topic| Some((topic.name.as_str(), stream(topic)?))).collect();
-    std::fs::write(into, recording_bytes(&streams, &read.metadata, &[], &Layout::default()).unwrap()).unwrap();
+    std::fs::write(into, recording_bytes(&streams, &read.metadata, &[]).unwrap()).unwrap();
 }
 
 /// The points of the only cloud of a topic.

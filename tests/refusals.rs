@@ -3,7 +3,7 @@
 use crate::common::{Ran, run};
 use osteoflow_formats::{
     plan_file,
-    recording_write::{Layout, Stream, write_recording},
+    recording_write::{Stream, recording_bytes},
     write::write_stl,
 };
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
@@ -57,7 +57,7 @@ fn run_with(of: &Procedure, without: &[&str], more: Vec<(String, Stream)>, argum
     ]);
     let metadata = BTreeMap::from([("procedure".to_owned(), about)]);
     let streams = [streams(of, without), more].concat();
-    write_recording(&at("r.mcap"), &streams, &metadata, &[], &Layout::default()).unwrap();
+    std::fs::write(at("r.mcap"), recording_bytes(&streams, &metadata, &[]).unwrap()).unwrap();
     let ct_surface = ct_surface(&of.truth.bone, &CtParams::default(), 1).unwrap();
     write_stl(&at("bone.stl"), &ct_surface).unwrap();
     write_stl(&at("phantom.stl"), &of.phantom).unwrap();

@@ -1,10 +1,16 @@
 //! A procedure as a bag of ROS 2: the same answer as from Foxglove's messages.
 
-use crate::common::{Ran, case::Case, isometry, osteoflow, root, run};
+use crate::common::{
+    Ran,
+    case::Case,
+    isometry,
+    layouts::{Compression, Encoding, Layout, PointType, recording_bytes},
+    osteoflow, root, run,
+};
 use osteoflow_formats::{
     mcap_read::Recording,
     message_read::{MessageKind, read_cloud, read_pose_in_frame, read_transforms},
-    recording_write::{Compression, Encoding, Layout, PointType, Stream, write_recording},
+    recording_write::Stream,
 };
 use osteoflow_geometry::{
     Frame, Pose, StampNs,
@@ -102,7 +108,7 @@ fn write_bag(recording: &Path, folder: &Path) {
             let streams: Vec<(String, Stream)> =
                 half.iter().map(|(topic, stream)| (topic.clone(), stream.clone())).collect();
             let file = folder.join(format!("bag_{k}.mcap"));
-            write_recording(&file, &streams, &read.metadata, &[], layout).unwrap();
+            fs::write(&file, recording_bytes(&streams, &read.metadata, &[], layout)).unwrap();
             Recording::open(&file, false).unwrap().topics().iter().map(|topic| topic.n_messages).sum::<usize>()
         })
         .sum();
@@ -194,7 +200,7 @@ fn a_static_transform_holds_from_the_beginning_and_a_changed_one_is_told() {
     let run_with = |poses: Vec<Pose>, more: &str| {
         let layout = Layout { encoding: Encoding::Cdr { big_endian: false }, ..Layout::default() };
         let streams = [("/tf_static", Stream::Transforms(poses))];
-        write_recording(&dir.path().join("static.mcap"), &streams, &BTreeMap::new(), &[], &layout).unwrap();
+        fs::write(dir.path().join("static.mcap"), recording_bytes(&streams, &BTreeMap::new(), &[], &layout)).unwrap();
         let graph = format!(
             "[graph]\nformat = 1\nframes = [\"world\", \"camera\"]\n[node.recording]\nkind = \"acquire.mcap\"\n\
              path = \"static.mcap\"\nframes = {{ base = \"world\" }}\nout.held = {{ type = \"geometry/Pose\", \

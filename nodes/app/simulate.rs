@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use osteoflow_formats::{
     mcap_read::Attachment,
     plan_file,
-    recording_write::{Layout, Stream, write_recording},
+    recording_write::{Stream, recording_bytes},
     write::write_stl,
 };
 use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
@@ -110,8 +110,8 @@ impl SimulateRequest {
         write_stl(&dir.join("bone.stl"), &ct_surface)?;
         write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
         plan_file::write_plan(&dir.join("plan.json"), &procedure.plan)?;
-        write_text(&dir.join("truth.json"), &format!("{:#}\n", self.truth_json(procedure)))?;
-        write_text(&dir.join("README.md"), &self.readme())
+        write_file(&dir.join("truth.json"), format!("{:#}\n", self.truth_json(procedure)))?;
+        write_file(&dir.join("README.md"), self.readme())
     }
 
     fn own_bone(&self) -> Option<(&Path, &Path)> {
@@ -167,8 +167,8 @@ impl SimulateRequest {
     }
 }
 
-fn write_text(path: &Path, text: &str) -> Result<()> {
-    fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
+    fs::write(path, content).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// The number of the landmark of a laser scan: a scan with another's label is in the other's stream.
@@ -210,7 +210,7 @@ fn write_streams(path: &Path, procedure: &Procedure, seed: u64) -> Result<()> {
     let attachment =
         Attachment { name: "plan.json".into(), media_type: "application/json".into(), data: plan.into_bytes().into() };
     let metadata = BTreeMap::from([("procedure".to_owned(), about)]);
-    Ok(write_recording(path, &streams, &metadata, &[attachment], &Layout::default())?)
+    write_file(path, recording_bytes(&streams, &metadata, &[attachment])?)
 }
 
 /// The ground truth, under the keys of the development recordings.

@@ -141,7 +141,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["camera", "subject", "surroundings", "tissue", "tracker"],
             &["check_piece", "image", "stylus"],
             &["scene"],
-            &["simulate", "weakest_mode"],
+            &["simulate"],
         ],
     ),
     (
@@ -220,7 +220,6 @@ const CRATES: &[(&str, Floors)] = &[
                 "roi",
                 "sample",
                 "section",
-                "shapes",
                 "still_average",
                 "union_find",
             ],

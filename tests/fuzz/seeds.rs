@@ -2,6 +2,7 @@
 
 #[cfg(unix)]
 use super::border;
+use super::layouts::{Encoding, Layout, recording_bytes};
 use super::targets::{IMAGE_SIZE, MESSAGES, Target};
 use foxglove::{
     Encode,
@@ -11,7 +12,7 @@ use osteoflow_formats::{
     mcap_read::Recording,
     message_read::{CAMERA_CALIBRATION, COMPRESSED_IMAGE, RAW_IMAGE},
     openigtlink::{Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool},
-    recording_write::{Encoding, Layout, Stream, recording_bytes},
+    recording_write::Stream,
 };
 use osteoflow_geometry::{
     Cloud, Pose,
@@ -202,7 +203,7 @@ fn messages_of_recordings() -> Vec<Vec<u8>> {
     for encoding in [Encoding::Protobuf, Encoding::Json, cdr(false), cdr(true)] {
         for transforms_per_message in [1, 2] {
             let layout = Layout { encoding, transforms_per_message, ..Layout::default() };
-            let bytes = recording_bytes(&streams, &Default::default(), &[], &layout).unwrap();
+            let bytes = recording_bytes(&streams, &Default::default(), &[], &layout);
             let recording = Recording::from_bytes("seed", &bytes, false).unwrap();
             for message in recording.topics().iter().flat_map(|topic| recording.messages(&topic.name)) {
                 all.push((

@@ -5,6 +5,8 @@
 
 #[path = "../border.rs"]
 mod border;
+#[path = "../../../nodes/bone/formats/tests/layouts.rs"]
+mod layouts;
 #[path = "../seeds.rs"]
 mod seeds;
 #[path = "../targets.rs"]

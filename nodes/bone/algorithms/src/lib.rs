@@ -67,6 +67,7 @@ pub mod sample;
 pub mod section;
 mod sensor_noise;
 #[cfg(test)]
+#[path = "../tests/common/shapes.rs"]
 mod shapes;
 pub mod slide;
 pub mod still_average;

@@ -18,11 +18,8 @@ pub struct Nearest {
 
 /// Threads that build a tree.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Threads {
-    /// The calling thread alone, as needed while a lock is held: a pool thread that waits for stolen work runs other jobs
-    /// meanwhile, and deadlocks if one of them takes the same lock.
+enum Threads {
     This,
-    /// The current pool.
     Pool,
 }
 
@@ -37,8 +34,11 @@ impl Nearest {
     }
 
     /// A tree of finite points relative to a centre; queries are relative to it, too.
-    pub(crate) fn about(centre: &Point3<f64>, points: impl Iterator<Item = Point3<f64>>, threads: Threads) -> Self {
-        Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin(), threads)
+    ///
+    /// Built by the calling thread alone, as needed while a lock is held: a pool thread that waits for stolen work runs other
+    /// jobs meanwhile, and deadlocks if one of them takes the same lock.
+    pub(crate) fn about(centre: &Point3<f64>, points: impl Iterator<Item = Point3<f64>>) -> Self {
+        Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin(), Threads::This)
     }
 
     fn of(points: impl Iterator<Item = (u32, Vector3<f64>)>, centre: Point3<f64>, threads: Threads) -> Self {

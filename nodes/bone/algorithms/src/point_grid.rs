@@ -108,17 +108,13 @@ impl Centred<'_> {
         self.points.len()
     }
 
-    fn get(&self, item: usize) -> Option<Vector3<f64>> {
-        self.points.get(item).map(|point| point - self.centre)
-    }
-
     fn iter(&self) -> impl Iterator<Item = Vector3<f64>> {
         self.points.iter().map(|point| point - self.centre)
     }
 
     /// The corners of the bounding box; zero without points.
     fn bounds(&self) -> (Vector3<f64>, Vector3<f64>) {
-        let first = self.get(0).unwrap_or_else(Vector3::zeros);
+        let first = self.iter().next().unwrap_or_else(Vector3::zeros);
         let (mut min, mut max) = (first, first);
         for p in self.iter() {
             for k in 0..3 {
@@ -157,11 +153,6 @@ fn large_enough(extent: &Vector3<f64>, mut cell_mm: f64) -> f64 {
 }
 
 impl PointGrid {
-    /// Sorts finite `points` into cells. `O(n)`.
-    pub(crate) fn new(points: &[Point3<f64>], centre: &Point3<f64>, cell_mm: f64) -> Self {
-        Self::sorted(&Centred { points, centre }, cell_mm)
-    }
-
     /// An empty grid around the points; cells are enlarged where they would be too many.
     fn without_points(points: &Centred<'_>, cell_mm: f64) -> Self {
         let (min, max) = points.bounds();
@@ -180,8 +171,10 @@ impl PointGrid {
         }
     }
 
-    fn sorted(points: &Centred<'_>, cell_mm: f64) -> Self {
-        let mut cells = Self::without_points(points, cell_mm);
+    /// Sorts finite `points` into cells. `O(n)`.
+    pub(crate) fn new(points: &[Point3<f64>], centre: &Point3<f64>, cell_mm: f64) -> Self {
+        let points = Centred { points, centre };
+        let mut cells = Self::without_points(&points, cell_mm);
         let places: Vec<(u32, u32)> = points.iter().map(|p| cells.place(&cells.cell_of(&p))).collect();
         for (block, _) in &places {
             cells.blocks[*block as usize] = 0;
@@ -222,54 +215,22 @@ impl PointGrid {
         }
     }
 
-    /// The grid of finite `points` from its columns; the error says why they do not belong to these points.
+    /// The grid of finite `points` with the cells of its columns; the error says why they do not belong to these points.
     ///
-    /// Every point is checked, so damaged columns never give a wrong neighbour. `O(n)`.
+    /// The points are sorted anew, so damaged columns never give a wrong neighbour. `O(n)`.
     pub(crate) fn from_columns(
         points: &[Point3<f64>],
         centre: &Point3<f64>,
         columns: &GridColumns,
     ) -> Result<Self, String> {
-        let points = &Centred { points, centre };
         let cell_mm = columns.cell_mm;
-        let (held, starts, items): (&[u32], &[u32], &[u32]) = (&columns.blocks, &columns.starts, &columns.items);
         if !(cell_mm > 0.0 && cell_mm.is_finite()) {
             return Err(format!("its cells are {cell_mm} mm large"));
         }
-        let mut cells = Self::without_points(points, cell_mm);
-        if cells.cell_mm != cell_mm {
-            return Err(format!("cells of {cell_mm} mm are too many for its points"));
+        let cells = Self::new(points, centre, cell_mm);
+        if cells.to_columns() != *columns {
+            return Err("its cells are not those of its points".into());
         }
-        if !held.is_sorted_by(|a, b| a < b) || held.last().is_some_and(|last| *last as usize >= cells.blocks.len()) {
-            return Err("its blocks of cells are not in order".into());
-        }
-        if starts.len() != held.len() * CELLS as usize + 1 || items.len() != points.len() {
-            return Err(format!("it has {} cells with {} points", starts.len().saturating_sub(1), items.len()));
-        }
-        if starts[0] != 0 || starts[starts.len() - 1] as usize != points.len() || !starts.is_sorted() {
-            return Err("the points of its cells are not in order".into());
-        }
-        for (number, block) in (0..).zip(held) {
-            cells.blocks[*block as usize] = number;
-        }
-        cells.points.reserve_exact(points.len());
-        let mut before = None;
-        for (at, &item) in (0..).zip(items) {
-            let point = points.get(item as usize);
-            let bounds = point.and_then(|point| {
-                let (block, cell) = cells.place(&cells.cell_of(&point));
-                let slot = cells.blocks[block as usize] as usize * CELLS as usize + cell as usize;
-                starts.get(slot..slot + 2)
-            });
-            let is_there = bounds.is_some_and(|b| b[0] <= at && at < b[1] && (at == b[0] || before < Some(item)));
-            let Some(point) = point.filter(|_| is_there) else {
-                return Err(format!("point {item} lies in another cell"));
-            };
-            cells.points.push(point);
-            before = Some(item);
-        }
-        cells.starts = starts.to_vec();
-        cells.items = items.to_vec();
         Ok(cells)
     }
 

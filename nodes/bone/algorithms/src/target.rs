@@ -1,6 +1,5 @@
 //! A surface prepared for registration.
 
-mod columns;
 mod near_map;
 
 pub use crate::point_grid::GridColumns;
@@ -8,7 +7,7 @@ pub(crate) use near_map::NearMap;
 
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
-use crate::nearest::{Nearest, Threads};
+use crate::nearest::Nearest;
 use crate::point_grid::{All, Nearby, PointGrid, cell_mm};
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Column, Frame, SurfaceOrigin, TooFar};
@@ -87,15 +86,7 @@ impl Target {
         points: impl Into<Column<Point3<f64>>>,
         normals: Option<Column<Vector3<f64>>>,
     ) -> Result<Self, TargetError> {
-        Self::checked(frame.into(), origin, points.into(), normals)
-    }
-
-    fn checked(
-        frame: Frame,
-        origin: SurfaceOrigin,
-        points: Column<Point3<f64>>,
-        normals: Option<Column<Vector3<f64>>>,
-    ) -> Result<Self, TargetError> {
+        let (frame, points) = (frame.into(), points.into());
         if points.is_empty() {
             return Err(TargetError::Empty);
         }
@@ -127,7 +118,7 @@ impl Target {
 
     /// Builds the index for `pairing = "cached"`: the cells and the thinned target.
     ///
-    /// `O(n)`. See also [`Target::prepare_tree`].
+    /// `O(n)`.
     pub fn prepare(&self) {
         let index = self.index();
         index.thinned();
@@ -172,15 +163,21 @@ impl Target {
         Some((found as usize, squared.sqrt()))
     }
 
-    /// Builds the kd-tree of all points, for `pairing = "tree"` and searches far from the surface.
+    /// The point grid as columns; built now if it was not.
+    pub fn grid_columns(&self) -> GridColumns {
+        self.index().cells().to_columns()
+    }
+
+    /// The target with the cells of these columns. `O(n)`.
     ///
-    /// `O(n log n)`, on all threads of the current pool.
-    pub fn prepare_tree(&self) {
-        let index = self.index();
-        if index.tree.get().is_none() {
-            // Built before the lock is taken; if another thread was faster, its tree is the same.
-            let _ = index.tree.set(index.new_tree(Threads::Pool));
-        }
+    /// # Errors
+    /// [`TargetError::Damaged`] if they are not the grid of these points.
+    pub fn with_grid_columns(self, columns: &GridColumns) -> Result<Self, TargetError> {
+        let index = Index::new(&self.points);
+        let grid = PointGrid::from_columns(&self.points, &index.centre, columns);
+        let cells = OnceLock::from(grid.map_err(|what| TargetError::Damaged { what })?);
+        let index = Index { cells, cell_mm: OnceLock::from(columns.cell_mm), ..index };
+        Ok(Self { index: Arc::new(OnceLock::from(index)), ..self })
     }
 }
 
@@ -201,7 +198,7 @@ impl fmt::Debug for Target {
 
 /// An index for nearest points. Positions are about the points' centroid, so that they are exact far from the origin.
 ///
-/// Each structure is built at its first use, by the one thread that asks first (see [`Threads::This`]).
+/// Each structure is built at its first use, by the one thread that asks first (see [`Nearest::about`]).
 pub(crate) struct Index {
     pub(crate) centre: Point3<f64>,
     points: Column<Point3<f64>>,
@@ -226,10 +223,6 @@ impl Index {
         Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thinned, tree, near_map }
     }
 
-    fn with_cells(self, cells: PointGrid, cell_mm: f64) -> Self {
-        Self { cells: OnceLock::from(cells), cell_mm: OnceLock::from(cell_mm), ..self }
-    }
-
     pub(crate) fn len(&self) -> usize {
         self.points.len()
     }
@@ -251,11 +244,7 @@ impl Index {
 
     /// The kd-tree of all points, about the centre.
     pub(crate) fn tree(&self) -> &Nearest {
-        self.tree.get_or_init(|| self.new_tree(Threads::This))
-    }
-
-    fn new_tree(&self, threads: Threads) -> Nearest {
-        Nearest::about(&self.centre, self.points.iter().copied(), threads)
+        self.tree.get_or_init(|| Nearest::about(&self.centre, self.points.iter().copied()))
     }
 
     /// The map of `target`, whose index this is, for registration by shape alone.
@@ -280,7 +269,7 @@ impl Index {
 
     /// A kd-tree of these points.
     pub(crate) fn subset(&self, items: Vec<u32>) -> Subset {
-        let tree = Nearest::about(&self.centre, items.iter().map(|&i| self.points[i as usize]), Threads::This);
+        let tree = Nearest::about(&self.centre, items.iter().map(|&i| self.points[i as usize]));
         Subset { items, tree }
     }
 }

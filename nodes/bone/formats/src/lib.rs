@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | [`mcap_read`] | MCAP recordings of any writer, also damaged ones, and the folders of ROS 2 bags | |
 //! | [`message_read`] | point clouds, transforms and poses of Foxglove (protobuf, JSON) and ROS 2 (CDR) | |
-//! | [`recording_write`] | | recordings of Foxglove's messages or ROS 2's, in any layout |
+//! | [`recording_write`] | | recordings of Foxglove's messages |
 //! | [`mesh_or_cloud`] | a surface or a cloud: PLY, STL, PCD, OBJ, OFF, VTK, text | |
 //! | [`write`] | | surfaces and clouds: PLY, STL, PCD, OBJ, CSV |
 //! | [`picked_points`] | named points of 3D Slicer, MeshLab, CloudCompare, CSV | markups of 3D Slicer, CSV |
@@ -22,17 +22,13 @@
 //! ```
 //! use nalgebra::Point3;
 //! use osteoflow_formats::{message_read::read_cloud, mcap_read::Recording};
-//! use osteoflow_formats::recording_write::{Layout, Stream, recording_bytes};
+//! use osteoflow_formats::recording_write::{Stream, recording_bytes};
 //! use osteoflow_geometry::Cloud;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let scan = Cloud::new("camera", vec![Point3::new(1.0, 2.0, 200.0)])?.at(1_750_000_011_000_000_000);
-//! let bytes = recording_bytes(
-//!     &[("/camera/scan", Stream::Clouds(vec![scan.clone()]))],
-//!     &Default::default(),
-//!     &[],
-//!     &Layout::default(),
-//! )?;
+//! let streams = [("/camera/scan", Stream::Clouds(vec![scan.clone()]))];
+//! let bytes = recording_bytes(&streams, &Default::default(), &[])?;
 //!
 //! let recording = Recording::from_bytes("example.mcap", &bytes, false)?;
 //! let read = read_cloud(&recording.messages("/camera/scan")[0])?;

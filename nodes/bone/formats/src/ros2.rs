@@ -1,4 +1,4 @@
-//! The messages of ROS 2 that are read and written, as CDR lays them out.
+//! The messages of ROS 2 that are read, as CDR lays them out.
 //!
 //! # Source
 //! The interface definitions of `builtin_interfaces`, `std_msgs`, `geometry_msgs`, `sensor_msgs` and `tf2_msgs`.

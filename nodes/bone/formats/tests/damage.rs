@@ -3,12 +3,15 @@
 // The counting allocator needs unsafe code.
 #![allow(clippy::unwrap_used, unsafe_code)]
 
+mod layouts;
+
+use layouts::{Compression, Encoding, Layout, recording_bytes};
 use nalgebra::Point3;
 use osteoflow_container::Cause;
 use osteoflow_formats::{
     mcap_read::{McapError, Recording},
     message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
-    recording_write::{Compression, Encoding, Layout, Stream, recording_bytes},
+    recording_write::Stream,
 };
 use osteoflow_formats::{mesh_or_cloud, plan_file, poses_csv};
 use osteoflow_geometry::Cloud;
@@ -59,7 +62,7 @@ fn recording(layout: &Layout) -> Vec<u8> {
     let streams = [("/scan", Stream::Clouds((0..6).map(cloud).collect())), ("/stylus", Stream::Tips(tips))];
     let roi = [("roi_camera_min_m", "0 0 0"), ("roi_camera_max_m", "1 1 1")];
     let metadata = [("procedure".into(), roi.map(|(k, v)| (k.to_owned(), v.to_owned())).into())].into();
-    recording_bytes(&streams, &metadata, &[], layout).unwrap()
+    recording_bytes(&streams, &metadata, &[], layout)
 }
 
 fn small_chunks(compression: Compression) -> Layout {

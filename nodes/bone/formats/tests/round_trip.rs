@@ -1,10 +1,11 @@
 //! A recording gives the same procedure in every layout.
 
+use crate::layouts::{Compression, Encoding, Layout, Order, PointType, recording_bytes};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_formats::{
     mcap_read::{Attachment, Message, Recording},
     message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
-    recording_write::{Compression, Encoding, Layout, Order, PointType, Stream, recording_bytes},
+    recording_write::{self, Stream},
 };
 use osteoflow_geometry::{Cloud, Pose, StampNs};
 use rand::{RngExt, SeedableRng};
@@ -78,7 +79,7 @@ fn by_sensor_time<'a>(recording: &'a Recording, topic: &str) -> Vec<&'a Message>
 
 fn check(streams: &[(&str, Stream)], layout: &Layout) {
     let plan = Attachment { name: "plan.json".into(), media_type: "application/json".into(), data: "{}".into() };
-    let bytes = recording_bytes(streams, &metadata(), std::slice::from_ref(&plan), layout).unwrap();
+    let bytes = recording_bytes(streams, &metadata(), std::slice::from_ref(&plan), layout);
     let recording = Recording::from_bytes("round trip", &bytes, false).unwrap();
     assert_eq!(recording.notes, [""; 0], "{layout:?}");
     assert_eq!(recording.attachments, [plan]);
@@ -140,10 +141,18 @@ fn every_layout_gives_the_same_procedure() {
 }
 
 #[test]
+fn a_recording_is_written_in_the_usual_layout() {
+    let streams = procedure(&mut ChaCha8Rng::seed_from_u64(42));
+    let plan = Attachment { name: "plan.json".into(), media_type: "application/json".into(), data: "{}".into() };
+    let written = recording_write::recording_bytes(&streams, &metadata(), std::slice::from_ref(&plan)).unwrap();
+    assert!(written == recording_bytes(&streams, &metadata(), &[plan], &Layout::default()));
+}
+
+#[test]
 fn topics_come_in_file_order_with_their_schemas_and_counts() {
     let streams = procedure(&mut ChaCha8Rng::seed_from_u64(1));
     let layout = Layout { order: Order::Topic, ..Layout::default() };
-    let bytes = recording_bytes(&streams, &BTreeMap::new(), &[], &layout).unwrap();
+    let bytes = recording_bytes(&streams, &BTreeMap::new(), &[], &layout);
     let recording = Recording::from_bytes("topics", &bytes, false).unwrap();
     let told: Vec<_> = recording.topics().iter().map(|t| (&*t.name, &*t.schema_name, t.n_messages)).collect();
     assert_eq!(
@@ -161,7 +170,7 @@ fn topics_come_in_file_order_with_their_schemas_and_counts() {
 fn topics_that_nobody_wants_are_counted_but_not_kept() {
     let streams = procedure(&mut ChaCha8Rng::seed_from_u64(1));
     let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), recording_bytes(&streams, &BTreeMap::new(), &[], &Layout::default()).unwrap()).unwrap();
+    std::fs::write(file.path(), recording_write::recording_bytes(&streams, &BTreeMap::new(), &[]).unwrap()).unwrap();
     let recording = Recording::open_topics(file.path(), false, |topic| topic == "/stylus/init").unwrap();
     assert_eq!(recording.messages("/stylus/init").len(), 4);
     assert!(recording.messages("/camera/scan").is_empty());
@@ -204,7 +213,7 @@ fn a_constant_pose_is_written_with_the_first_stamp() {
     let constant = Pose::new("phantom", "phantom_marker", Isometry3::translation(-55.0, -48.0, 30.0));
     let moving = Pose::new("world", "bone_marker", Isometry3::identity()).at(START_NS);
     let streams = [("/cad", Stream::Transforms(vec![constant])), ("/bone", Stream::Transforms(vec![moving]))];
-    let bytes = recording_bytes(&streams, &BTreeMap::new(), &[], &Layout::default()).unwrap();
+    let bytes = recording_write::recording_bytes(&streams, &BTreeMap::new(), &[]).unwrap();
     let recording = Recording::from_bytes("constant", &bytes, false).unwrap();
     let read = read_transforms(&recording.messages("/cad")[0]).unwrap().remove(0).unwrap().value;
     assert_eq!(read.stamp_ns, START_NS);
@@ -214,7 +223,7 @@ fn a_constant_pose_is_written_with_the_first_stamp() {
 #[test]
 fn a_stamp_that_foxglove_cannot_hold_is_refused() {
     let early = Pose::new("world", "bone_marker", Isometry3::identity()).at(-1);
-    let said =
-        recording_bytes(&[("/bone", Stream::Transforms(vec![early]))], &BTreeMap::new(), &[], &Layout::default());
-    assert!(said.unwrap_err().to_string().contains("stamp -1 ns is outside 1970 to 2106"));
+    let streams = [("/bone", Stream::Transforms(vec![early]))];
+    let refused = recording_write::recording_bytes(&streams, &BTreeMap::new(), &[]);
+    assert!(refused.unwrap_err().to_string().contains("stamp -1 ns is outside 1970 to 2106"));
 }

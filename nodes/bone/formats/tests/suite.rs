@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 mod development_data;
+mod layouts;
 mod nifti_fields;
 mod rotations;
 mod round_trip;

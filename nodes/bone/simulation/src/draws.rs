@@ -30,6 +30,7 @@ pub(crate) enum Term {
     MotionBetweenScans = 19,
     CtNoise = 20,
     CameraMotionBetweenScans = 21,
+    #[cfg(test)]
     SmoothError = 22,
     RulerShared = 23,
     RulerEach = 24,

@@ -35,7 +35,8 @@ mod surroundings;
 mod tissue;
 mod tracker;
 mod waves;
-mod weakest_mode;
+#[cfg(test)]
+mod weakest_mode_tests;
 
 pub use bone::BoneParams;
 pub use ct::{CtParams, ct_surface};
@@ -49,7 +50,6 @@ pub use plan::plan;
 pub use procedure::{Procedure, Truth};
 pub use ranges::without_table_defaults;
 pub use subject::Subject;
-pub use weakest_mode::{SmoothError, WeakestMode, visible_surface, weakest_mode};
 
 #[cfg(test)]
 fn assert_closed_and_outward(mesh: &osteoflow_geometry::Mesh) -> f64 {

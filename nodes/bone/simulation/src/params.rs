@@ -595,65 +595,6 @@ impl Default for MotionParams {
 }
 
 impl ProcedureParams {
-    /// The procedure without any error: no noise, nothing missing but the laser's hole, nothing mismounted. Intended
-    /// motions remain.
-    pub fn without_errors(self) -> Self {
-        Self {
-            bone: self.bone,
-            camera: CameraParams {
-                depth_noise_mm: 0.0,
-                dropout: 0.0,
-                n_patches: 0,
-                n_pools: 0,
-                specular_dropout: 0.0,
-                depth_bias_mm: 0.0,
-                unit_factor: 1.0,
-                ..self.camera
-            },
-            tracker: TrackerParams {
-                lost: 0.0,
-                placement_mm: 0.0,
-                placement_deg: 0.0,
-                noise_mm: 0.0,
-                noise_deg: 0.0,
-                drift_mm_per_min: 0.0,
-                ..self.tracker
-            },
-            laser: LaserParams { aim_across_mm: 0.0, aim_along_mm: 0.0, swap: Vec::new(), ..self.laser },
-            image: ImageParams { n_glare: 0, reflection: 0.0, noise_levels: 0.0, ..self.image },
-            phantom: PhantomParams {
-                print_mm: 0.0,
-                print_deg: 0.0,
-                mounting_mm: 0.0,
-                mounting_deg: 0.0,
-                scan_scale: 1.0,
-                scan_mirrored: false,
-                marker_cad_wrong_mm: 0.0,
-                marker_cad_wrong_deg: 0.0,
-                ..self.phantom
-            },
-            stylus: StylusParams {
-                tip_mm: 0.0,
-                touch_mm: 0.0,
-                palpation_bias_mm: 0.0,
-                palpation_mm: 0.0,
-                dimple_mm: 0.0,
-                ..self.stylus
-            },
-            check: CheckParams { reading_mm: 0.0, print_mm: 0.0, ..self.check },
-            ruler: RulerParams::default(),
-            periosteum: PeriosteumParams { thickness_mm: 0.0, ..self.periosteum },
-            tissue: TissueParams { share: 0.0, ..self.tissue },
-            motion: MotionParams {
-                marker_slip_mm: 0.0,
-                marker_slip_deg: 0.0,
-                knock_mm: 0.0,
-                knock_deg: 0.0,
-                ..self.motion
-            },
-        }
-    }
-
     /// Checks the declared range of every number, and what must hold between two of them.
     pub(crate) fn check(&self) -> Result<(), SimulationError> {
         ranges::check("", self)?;

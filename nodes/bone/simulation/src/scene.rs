@@ -10,6 +10,7 @@ mod touches;
 mod truth;
 mod written;
 
+#[cfg(test)]
 pub(crate) use places::scan_pose;
 
 use crate::camera::{DepthBias, Pixel};
@@ -158,6 +159,10 @@ impl Scene<'_> {
 }
 
 #[cfg(test)]
+#[path = "../tests/common/exact.rs"]
+mod exact;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::{bone, phantom, plan};
@@ -180,7 +185,7 @@ mod tests {
     }
 
     pub(super) fn small_and_exact() -> ProcedureParams {
-        let mut params = ProcedureParams::default().without_errors();
+        let mut params = exact::without_errors(ProcedureParams::default());
         params.camera.n_points = 500;
         params
     }

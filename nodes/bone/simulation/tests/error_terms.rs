@@ -1,5 +1,6 @@
 //! The terms that are off by default: what each does, and that it does nothing else.
 
+use crate::common::exact::without_errors;
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Points, Pose};
@@ -10,7 +11,7 @@ fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
 }
 
 fn exact() -> ProcedureParams {
-    ProcedureParams::default().without_errors()
+    without_errors(ProcedureParams::default())
 }
 
 fn t_ct_camera(procedure: &Procedure) -> Isometry3<f64> {

@@ -1,5 +1,6 @@
 //! Mistakes that a procedure can contain: what each does, and that it does nothing else.
 
+use crate::common::exact::without_errors;
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Pose};
@@ -10,7 +11,7 @@ fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
 }
 
 fn exact() -> ProcedureParams {
-    ProcedureParams::default().without_errors()
+    without_errors(ProcedureParams::default())
 }
 
 fn with(mut params: ProcedureParams, change: impl Fn(&mut ProcedureParams)) -> ProcedureParams {

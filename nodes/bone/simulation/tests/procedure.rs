@@ -14,7 +14,7 @@ fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
 }
 
 fn without_errors() -> ProcedureParams {
-    ProcedureParams::default().without_errors()
+    crate::common::exact::without_errors(ProcedureParams::default())
 }
 
 /// The pose of a stream at a moment, interpolated between its neighbours as a node would.

@@ -10,4 +10,3 @@ mod procedure;
 mod rgb_spot;
 mod shape_alone;
 mod slide;
-mod weakest_mode;

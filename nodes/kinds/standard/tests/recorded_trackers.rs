@@ -1,7 +1,11 @@
 //! Recorded trackers whose poses freeze, or whose stamps run backwards.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
-use osteoflow_formats::recording_write::{Layout, Order, Stream, recording_bytes};
+#[path = "../../../bone/formats/tests/layouts.rs"]
+mod layouts;
+
+use layouts::{Layout, Order, recording_bytes};
+use osteoflow_formats::recording_write::Stream;
 use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
 use osteoflow_node::{Context, DeclaredPort, Emission, FilePath, Outputs, Registry, Source, serde_json::json};
 use osteoflow_standard::acquire::mcap::{Mcap, Params};
@@ -18,7 +22,7 @@ fn played(
     let layout = Layout { order, ..Layout::default() };
     let bytes = recording_bytes(&[("/tracker/bone", Stream::Transforms(poses))], &Default::default(), &[], &layout);
     let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), bytes.unwrap()).unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
     let mut registry = Registry::default();
     osteoflow_payloads::register(&mut registry);
     let payload = registry.payload_type("geometry/Pose").unwrap();

@@ -67,17 +67,17 @@ fn a_grid_comes_back_from_its_columns_and_others_are_refused() {
         Column::from(values)
     };
     refused(&points, &|p| p.cell_mm = f64::NAN, "NaN mm large");
-    refused(&points, &|p| p.cell_mm = 1e-9, "too many");
-    refused(&points, &|p| p.cell_mm *= 1.5, "");
-    refused(&points, &|p| p.blocks = changed(&p.blocks, 0, u32::MAX), "not in order");
-    refused(&points, &|p| p.starts = changed(&p.starts, 5, u32::MAX), "not in order");
-    refused(&points, &|p| p.starts = p.starts[1..].to_vec().into(), "cells with 3000 points");
-    refused(&points, &|p| p.items = changed(&p.items, 7, p.items[8]), "another cell");
-    refused(&points, &|p| p.items = changed(&p.items, 7, u32::MAX), "another cell");
-    refused(&points[1..], &|_| {}, "3000 points");
+    refused(&points, &|p| p.cell_mm = 1e-9, "not those of its points");
+    refused(&points, &|p| p.cell_mm *= 1.5, "not those of its points");
+    refused(&points, &|p| p.blocks = changed(&p.blocks, 0, u32::MAX), "not those of its points");
+    refused(&points, &|p| p.starts = changed(&p.starts, 5, u32::MAX), "not those of its points");
+    refused(&points, &|p| p.starts = p.starts[1..].to_vec().into(), "not those of its points");
+    refused(&points, &|p| p.items = changed(&p.items, 7, p.items[8]), "not those of its points");
+    refused(&points, &|p| p.items = changed(&p.items, 7, u32::MAX), "not those of its points");
+    refused(&points[1..], &|_| {}, "not those of its points");
     let mut moved = points.clone();
     moved[40] += Vector3::repeat(2.0 * cells.cell_mm);
-    refused(&moved, &|_| {}, "another cell");
+    refused(&moved, &|_| {}, "not those of its points");
 }
 
 #[test]

@@ -1,9 +1,15 @@
-//! The weakest mode of a bone: how far a registration slides along it.
+//! The weakest mode of the built-in bone, which is how far a registration slides along it, beside those of measured ones.
+//!
+//! `cargo test --release -p osteoflow-simulation --lib weakest_mode -- --nocapture` prints the table of
+//! docs/method/simulation.md.
+
+#[path = "../tests/common/measured.rs"]
+mod measured;
 
 use crate::camera::{DepthBias, Sight, Stretch, view};
 use crate::params::{CameraParams, ProcedureParams};
 use crate::scene::scan_pose;
-use crate::{SimulationError, draws, plan::section_centre};
+use crate::{BoneParams, SimulationError, bone, draws, plan::section_centre};
 use nalgebra::{Matrix6, Point3, Unit, Vector3, Vector6};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{Anatomy, Cloud, Mesh};
@@ -11,13 +17,13 @@ use rand::RngExt;
 
 /// The smooth surface errors to be drawn.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SmoothError {
+struct SmoothError {
     /// RMS of the error along the normal, over the points, mm.
-    pub rms_mm: f64,
+    rms_mm: f64,
     /// Standard deviation of its Gaussian bumps, mm.
-    pub bump_mm: f64,
+    bump_mm: f64,
     /// Number of draws.
-    pub n_draws: usize,
+    n_draws: usize,
 }
 
 impl Default for SmoothError {
@@ -29,15 +35,15 @@ impl Default for SmoothError {
 
 /// The effect of smooth surface errors on a point-to-plane registration, over many draws.
 #[derive(Debug, Clone, PartialEq)]
-pub struct WeakestMode {
+struct WeakestMode {
     /// RMS of the slide along the bone, mm.
-    pub slide_mm: f64,
+    slide_mm: f64,
     /// RMS of the shift across the bone, mm.
-    pub across_mm: f64,
+    across_mm: f64,
     /// RMS of the rotation about the bone, radians.
-    pub spin_rad: f64,
+    spin_rad: f64,
     /// Number of points.
-    pub n_points: usize,
+    n_points: usize,
 }
 
 /// The response of point-to-plane along `axis` to smooth surface errors; `None` if the points do not determine the
@@ -46,7 +52,7 @@ pub struct WeakestMode {
 /// Linearised: with rows `[(p - c) x n, n]` the response to an error field e is the least-squares solution of `row . x
 /// = e`. The field is a sum of Gaussian bumps at points of the surface with random heights, scaled to the given RMS.
 /// Slide and shift are those of the points' centroid c. `O(n_draws * n)`.
-pub fn weakest_mode(
+fn weakest_mode(
     points: &[Point3<f64>],
     normals: &[Vector3<f64>],
     axis: &Unit<Vector3<f64>>,
@@ -116,7 +122,7 @@ pub fn weakest_mode(
 ///
 /// # Errors
 /// [`SimulationError::NothingVisible`] or [`SimulationError::NoSection`] if the stretch is not on the bone.
-pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) -> Result<Cloud, SimulationError> {
+fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) -> Result<Cloud, SimulationError> {
     let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
     let nothing = SimulationError::NothingVisible { what: "bone", hint };
     let params = ProcedureParams {
@@ -141,4 +147,80 @@ pub fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) ->
     }
     let (points, normals): (Vec<_>, Vec<_>) = pixels.iter().map(|p| (t_ct_camera * p.point(), p.normal)).unzip();
     Ok(Cloud::new(&bone.frame, points)?.with_normals(normals)?.seen_from(t_ct_camera))
+}
+
+fn mode(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams, bump_mm: f64) -> WeakestMode {
+    let seen = visible_surface(bone, anatomy, camera).unwrap();
+    // Every tenth point carries the same information; the error is smooth.
+    let points: Vec<_> = seen.points().iter().copied().step_by(10).collect();
+    let normals: Vec<_> = seen.normals().unwrap().iter().copied().step_by(10).collect();
+    let error = SmoothError { bump_mm, n_draws: 200, ..SmoothError::default() };
+    weakest_mode(&points, &normals, &anatomy.proximal, &error, 1).unwrap()
+}
+
+/// The slide along the bone for bumps of 4, 8 and 16 mm; prints a row of the table.
+fn row(name: &str, bone: &Mesh, anatomy: &Anatomy) -> [f64; 3] {
+    let camera = CameraParams::default();
+    let modes = [4.0, 8.0, 16.0].map(|bump_mm| mode(bone, anatomy, &camera, bump_mm));
+    let [a, b, c] = modes.each_ref().map(|m| m.slide_mm);
+    let (across, spin) = (modes[1].across_mm, modes[1].spin_rad.to_degrees());
+    println!("| {name} | {a:.2} | {b:.2} | {c:.2} | {across:.2} | {spin:.2} |");
+    [a, b, c]
+}
+
+#[test]
+fn the_built_in_bones_weakest_mode_lies_in_the_range_of_the_measured_bones() {
+    println!("| bone | slide mm, bumps of 4 mm | 8 mm | 16 mm | across mm, 8 mm | spin degrees, 8 mm |");
+    println!("| --- | --- | --- | --- | --- | --- |");
+    let own = (1..=5).map(|shape_seed| {
+        let params = BoneParams { shape_seed, ..BoneParams::default() };
+        row(&format!("built-in, shape_seed {shape_seed}"), &bone::fibula(&params), &bone::anatomy(&params))
+    });
+    let own: Vec<[f64; 3]> = own.collect();
+    let measured = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().map(|name| {
+        let (bone, anatomy) = measured::measured_bone(name)?;
+        Some(row(name, &bone, &anatomy))
+    });
+    let Some(measured) = measured.collect::<Option<Vec<[f64; 3]>>>() else {
+        println!(
+            "skipped: the_built_in_bones_weakest_mode_lies_in_the_range_of_the_measured_bones: no development data"
+        );
+        return;
+    };
+    for k in 0..3 {
+        let low = measured.iter().map(|m| m[k]).fold(f64::MAX, f64::min);
+        let high = measured.iter().map(|m| m[k]).fold(0.0, f64::max);
+        // The default bone; the others show what shape_seed does.
+        assert!((low..=high).contains(&own[0][k]), "{} mm is not between {low} and {high} mm", own[0][k]);
+    }
+}
+
+/// A cone's surface from a half angle, of radius 6 mm at its middle and 60 mm long.
+fn cone(half_angle: f64) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>) {
+    let (sin, cos) = half_angle.sin_cos();
+    let at = |k: usize| {
+        let (z, angle) = ((k / 60) as f64 - 30.0, (k % 60) as f64 * std::f64::consts::TAU / 60.0);
+        let radius = 6.0 + z * half_angle.tan();
+        let out = Vector3::new(angle.cos(), angle.sin(), 0.0);
+        (Point3::from(out * radius + Vector3::z() * z), out * cos - Vector3::z() * sin)
+    };
+    (0..3600).map(at).unzip()
+}
+
+#[test]
+fn blunter_cones_slide_less_and_a_round_cone_has_no_answer() {
+    let axis = Vector3::z_axis();
+    let squashed = |half_angle: f64| {
+        let (points, normals) = cone(half_angle);
+        // Squashing makes the section oval, which determines the rotation; normals transform by the inverse.
+        let points: Vec<_> = points.iter().map(|p| Point3::new(1.6 * p.x, p.y, p.z)).collect();
+        let normals: Vec<_> = normals.iter().map(|n| Vector3::new(n.x / 1.6, n.y, n.z).normalize()).collect();
+        weakest_mode(&points, &normals, &axis, &SmoothError { n_draws: 100, ..SmoothError::default() }, 1)
+            .unwrap()
+            .slide_mm
+    };
+    let slides = [0.05, 0.1, 0.2].map(squashed);
+    assert!(slides[0] > 1.8 * slides[1] && slides[1] > 1.8 * slides[2], "slides {slides:?} mm");
+    let (points, normals) = cone(0.1);
+    assert_eq!(weakest_mode(&points, &normals, &axis, &SmoothError::default(), 1), None, "a round cone spins freely");
 }
