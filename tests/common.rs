@@ -20,7 +20,13 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Matrix4, Point3},
 };
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    sync::{LazyLock, Mutex, OnceLock},
+};
+use tempfile::TempDir;
 
 /// A graph of the kinds of tests/plugins/toy.c, without the plugin's name.
 pub(crate) const TOY_GRAPH: &str = r#"
@@ -100,11 +106,11 @@ pub(crate) fn is_slow_run() -> bool {
 /// Asserts that generated text equals a file of the repository; `UPDATE=1` rewrites the file.
 pub(crate) fn assert_golden(path: &Path, text: &str) {
     if std::env::var_os("UPDATE").is_some() {
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, text).unwrap();
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
         return;
     }
-    let golden = std::fs::read_to_string(path).unwrap_or_default();
+    let golden = fs::read_to_string(path).unwrap_or_default();
     let line = golden.lines().zip(text.lines()).position(|(a, b)| a != b).map_or(0, |at| at + 1);
     assert!(
         golden == text,
@@ -129,7 +135,7 @@ fn shipped_files() -> Vec<String> {
     let mut folders = vec![root().join("graphs")];
     let mut found = Vec::new();
     while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
+        for entry in fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
             if path.is_dir() {
                 folders.push(path);
@@ -147,14 +153,24 @@ pub(crate) struct Ran {
     pub(crate) code: i32,
     pub(crate) stderr: String,
     pub(crate) results: Value,
-    pub(crate) dir: tempfile::TempDir,
+    pub(crate) dir: TempDir,
+}
+
+impl Ran {
+    /// A file in its folder.
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
 }
 
 /// Runs a graph into a new folder.
 pub(crate) fn run(graph: &str, arguments: &[&str]) -> Ran {
-    let dir = tempfile::tempdir().unwrap();
+    run_into(tempfile::tempdir().unwrap(), graph, arguments)
+}
+
+fn run_into(dir: TempDir, graph: &str, arguments: &[&str]) -> Ran {
     let output = osteoflow().args(["run", graph, "--out"]).arg(dir.path()).args(arguments).output().unwrap();
-    let results = std::fs::read(dir.path().join("results.json")).unwrap_or_default();
+    let results = fs::read(dir.path().join("results.json")).unwrap_or_default();
     Ran {
         code: output.status.code().unwrap(),
         stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
@@ -165,10 +181,58 @@ pub(crate) fn run(graph: &str, arguments: &[&str]) -> Ran {
 
 /// Runs a graph into a new folder; the run must succeed.
 pub(crate) fn run_whole(graph: &str, arguments: &[&str]) -> Ran {
-    let ran = run(graph, arguments);
+    whole(run(graph, arguments), graph, arguments)
+}
+
+fn whole(ran: Ran, graph: &str, arguments: &[&str]) -> Ran {
     assert_eq!(ran.code, 0, "{graph} {arguments:?}: {}", ran.stderr);
     ran
 }
+
+/// A run that must succeed, made once for all tests of this program that only read its folder.
+pub(crate) fn shared_run(graph: &str, arguments: &[&str]) -> &'static Ran {
+    static RUNS: Mutex<BTreeMap<String, &OnceLock<Ran>>> = Mutex::new(BTreeMap::new());
+    let key = format!("{graph} {arguments:?}");
+    let ran: &'static OnceLock<Ran> = RUNS.lock().unwrap().entry(key).or_insert_with(|| Box::leak(Box::default()));
+    ran.get_or_init(|| {
+        let dir = tempfile::tempdir_in(&*SHARED).unwrap();
+        whole(run_into(dir, graph, arguments), graph, arguments)
+    })
+}
+
+/// A copy of a [`shared_run`] in the folder `run`, for tests that change it.
+pub(crate) fn copied_run(graph: &str, arguments: &[&str]) -> (TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    copy_folder(shared_run(graph, arguments).dir.path(), &run);
+    (dir, run)
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    fs::create_dir(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let to = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy_folder(&entry.path(), &to);
+        } else {
+            fs::copy(entry.path(), to).unwrap();
+        }
+    }
+}
+
+/// The folder of the shared runs of this process; where the system lists its processes, those of ended ones are removed.
+static SHARED: LazyLock<PathBuf> = LazyLock::new(|| {
+    let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("shared_runs");
+    let own = all.join(std::process::id().to_string());
+    fs::create_dir_all(&own).unwrap();
+    let processes = Path::new("/proc");
+    for entry in fs::read_dir(&all).unwrap().map_while(Result::ok) {
+        if processes.join("self").exists() && !processes.join(entry.file_name()).exists() {
+            let _ = fs::remove_dir_all(entry.path());
+        }
+    }
+    own
+});
 
 /// A pose as in results and truths: rows of a 4 x 4 matrix, mm.
 pub(crate) fn isometry(rows: &Value) -> Isometry3<f64> {
@@ -183,5 +247,5 @@ pub(crate) fn point(xyz: &Value) -> Point3<f64> {
 
 /// A JSON file.
 pub(crate) fn json(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))).unwrap()
+    serde_json::from_slice(&fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))).unwrap()
 }

@@ -135,9 +135,8 @@ fn the_recording_is_synced_before_results_and_manifest_which_are_renamed_from_sy
 fn a_disk_that_is_full_anywhere_leaves_whole_files_and_the_message_says_what_is_missing() {
     let Some(library) = failing_disk() else { return };
     let parent = tempfile::tempdir().unwrap();
-    let whole = parent.path().join("whole");
-    assert!(run_into(&whole).status().unwrap().success());
-    let size = |name: &str| fs::metadata(whole.join(name)).unwrap().len();
+    let whole = crate::common::shared_run("graphs/fibula.toml", &[]);
+    let size = |name: &str| fs::metadata(whole.path(name)).unwrap().len();
     let recording = size("run.mcap");
     let mut n_named = 0;
     for limit in [0, 300, 20_000, recording / 2, recording - 100_000, recording + size("layout.json") + 10_000] {
@@ -167,7 +166,8 @@ fn a_sweep_on_a_full_disk_goes_on_where_it_stopped() {
     let parent = tempfile::tempdir().unwrap();
     let graph = parent.path().join("small.toml");
     let base = crate::common::root().join("graphs/fibula.toml");
-    let sweep = "[sweep]\nrepeat = 2\n[sweep.columns]\nrms = \"icp.rms_mm\"\n";
+    let n_runs = if crate::common::is_slow_run() { 3 } else { 2 };
+    let sweep = format!("[sweep]\nrepeat = {n_runs}\n[sweep.columns]\nrms = \"icp.rms_mm\"\n");
     fs::write(&graph, format!("extends = {base:?}\n[graph]\nname = \"small\"\n{sweep}")).unwrap();
     let command = |dir: &str, resume: bool| {
         let mut command = osteoflow_to_spawn();

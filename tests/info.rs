@@ -1,6 +1,6 @@
 //! `osteoflow info` and `osteoflow runs`: what files and folders hold.
 
-use crate::common::{osteoflow, root};
+use crate::common::{copied_run, osteoflow, root, shared_run};
 use serde_json::{Value, json};
 use std::{fs, path::Path, process::Output};
 
@@ -56,10 +56,7 @@ fn points_that_are_not_finite_are_counted_and_a_matrix_is_no_cloud() {
 #[test]
 fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("run");
-    let run = osteoflow().args(["run", "graphs/fibula.toml", "-q", "--out"]).arg(&out).output().unwrap();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let bytes = fs::read(out.join("run.mcap")).unwrap();
+    let bytes = fs::read(shared_run("graphs/fibula.toml", &[]).path("run.mcap")).unwrap();
     let cut = dir.path().join("cut.mcap");
     fs::write(&cut, &bytes[..bytes.len() - 3000]).unwrap();
     let found = found(&cut);
@@ -98,10 +95,9 @@ fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_r
 
 #[test]
 fn runs_are_listed_with_verdict_and_error_and_a_broken_one_with_its_problem() {
-    let dir = tempfile::tempdir().unwrap();
+    let (dir, run) = copied_run("graphs/fibula.toml", &["--no-record"]);
     let out = dir.path().join("one");
-    let run = osteoflow().args(["run", "graphs/fibula.toml", "--no-record", "-q", "--out"]).arg(&out).output().unwrap();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    fs::rename(run, &out).unwrap();
     assert_eq!(found(&out)["verdict"], "trusted");
     assert_eq!(found(&out)["use"], json!([format!("osteoflow report {}", out.display())]), "it was not recorded");
     fs::create_dir(dir.path().join("two")).unwrap();

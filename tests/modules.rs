@@ -1,6 +1,6 @@
 //! Modules from the command line: checked alone, described by `inspect`, used by a shipped graph, and expanded.
 
-use crate::common::{osteoflow, root, run_whole, shipped_graphs, shipped_modules};
+use crate::common::{osteoflow, root, run_whole, shared_run, shipped_graphs, shipped_modules};
 use std::fs;
 
 const GRAPH: &str = "graphs/variants/fibula_modules.toml";
@@ -13,7 +13,7 @@ fn printed(arguments: &[&str]) -> String {
 #[test]
 fn a_graph_with_a_module_gives_the_results_of_the_flat_one() {
     // No node inside uses random numbers, so its longer name changes nothing.
-    let (flat, modules) = (run_whole("graphs/fibula.toml", &[]), run_whole(GRAPH, &[]));
+    let (flat, modules) = (shared_run("graphs/fibula.toml", &[]), run_whole(GRAPH, &[]));
     assert!(flat.results["metrics"].is_object(), "{}", flat.results);
     assert_eq!(modules.results, flat.results);
 }

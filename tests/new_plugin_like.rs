@@ -3,7 +3,9 @@
 //!
 //! The sources in Rust are examples of this workspace under the name of the template, which are built with everything else.
 
-use crate::common::{Ran, build, is_slow_run, isometry, osteoflow, point, python::python, root, run, run_whole};
+use crate::common::{
+    Ran, build, is_slow_run, isometry, osteoflow, point, python::python, root, run, run_whole, shared_run,
+};
 use osteoflow_geometry::nalgebra::Point3;
 use serde_json::Value;
 use std::{
@@ -11,7 +13,6 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::Command,
-    sync::OnceLock,
 };
 
 const LANGUAGES: [&str; 4] = ["rust", "c", "cpp", "python"];
@@ -19,6 +20,9 @@ const KINDS: [&str; 6] = ["icp", "hole", "crop", "metric", "source", "sink"];
 
 /// The name of the plugin in the templates, since the examples in Rust have it.
 const NAME: &str = "my_plugin";
+
+/// Settings of a procedure that takes less time.
+const SMALL: [&str; 4] = ["--set", "recording.camera.n_points=8000", "--set", "bone.exact=true"];
 
 /// A plugin in its folder, ready to run.
 struct Plugin {
@@ -90,7 +94,7 @@ impl Plugin {
 
     /// Runs the graph of the plugin.
     fn run(&self, more: &[&str]) -> Ran {
-        run_whole(self.path("my_plugin.toml").to_str().unwrap(), &self.arguments(more))
+        run_whole(self.path("my_plugin.toml").to_str().unwrap(), &self.arguments(&[&SMALL[..], more].concat()))
     }
 
     /// A graph of the source alone, which reads a text, and its answer as digest, or the error.
@@ -118,8 +122,7 @@ impl Plugin {
 
 /// The results of the built-in procedure.
 fn built_in() -> &'static Value {
-    static RESULTS: OnceLock<Value> = OnceLock::new();
-    RESULTS.get_or_init(|| run_whole("graphs/fibula.toml", &["--no-record"]).results)
+    &shared_run("graphs/fibula.toml", &[&["--no-record"], &SMALL[..]].concat()).results
 }
 
 /// The laser points of a run, in the world.
@@ -178,7 +181,8 @@ fn a_hole_detector_of_each_language_finds_the_spots_of_the_built_in_one() {
         }
         assert_eq!(results["verdict"]["answer"], "trusted", "{lang}");
         let graph = plugin.path("my_plugin.toml");
-        let refused = run(graph.to_str().unwrap(), &plugin.arguments(&["--set", "hole.min_points=100000"]));
+        let strict = [&SMALL[..], &["--set", "hole.min_points=100000"]].concat();
+        let refused = run(graph.to_str().unwrap(), &plugin.arguments(&strict));
         assert!(refused.code != 0 && refused.stderr.contains("100000 are needed"), "{lang}: {}", refused.stderr);
     }
 }
@@ -188,7 +192,7 @@ fn a_crop_of_each_language_keeps_the_points_of_the_built_in_sphere() {
     let more = ["--set", "results.given=recording.scan", "--set", "results.kept=crop.cloud"];
     let sphere =
         ["--set", "crop.kind=crop.sphere", "--set", "crop.centre_mm=[0.0, 0.0, 250.0]", "--set", "crop.radius_mm=60.0"];
-    let known = run_whole("graphs/fibula.toml", &[&["--no-record"], &more[..], &sphere].concat()).results;
+    let known = run_whole("graphs/fibula.toml", &[&["--no-record"], &SMALL[..], &more, &sphere].concat()).results;
     for lang in LANGUAGES {
         let Some(plugin) = Plugin::new(lang, "crop") else { continue };
         let own = plugin.run(&more).results;
@@ -196,9 +200,10 @@ fn a_crop_of_each_language_keeps_the_points_of_the_built_in_sphere() {
         assert!(n_given > n_kept && n_kept > 1000.0, "{lang}: {n_kept} of {n_given} points");
         assert_eq!((&own["kept"], &own["poses"]), (&known["kept"], &known["poses"]), "{lang}");
         let graph = plugin.path("my_plugin.toml");
-        let refused = run(graph.to_str().unwrap(), &plugin.arguments(&["--set", "crop.radius_mm=0.001"]));
+        let tiny = [&SMALL[..], &["--set", "crop.radius_mm=0.001"]].concat();
+        let refused = run(graph.to_str().unwrap(), &plugin.arguments(&tiny));
         assert!(
-            refused.code != 0 && refused.stderr.contains("none of 20000 points is within 0.001"),
+            refused.code != 0 && refused.stderr.contains("none of 8000 points is within 0.001"),
             "{}",
             refused.stderr
         );
@@ -209,11 +214,11 @@ fn a_crop_of_each_language_keeps_the_points_of_the_built_in_sphere() {
 fn a_metric_of_each_language_is_the_built_in_error_of_the_points() {
     for lang in LANGUAGES {
         let Some(plugin) = Plugin::new(lang, "metric") else { continue };
-        let results = plugin.run(&["--set", "own_tre.limit_mm=0.13"]).results;
+        let results = plugin.run(&["--set", "own_tre.limit_mm=0.16"]).results;
         let points = results["metrics"]["tre_true_mm"]["points"].as_array().unwrap();
         let off_mm: Vec<f64> = points.iter().map(|point| number(&point["norm"])).collect();
         let n = off_mm.len() as f64;
-        let n_good = off_mm.iter().filter(|&&off_mm| off_mm <= 0.13).count() as f64;
+        let n_good = off_mm.iter().filter(|&&off_mm| off_mm <= 0.16).count() as f64;
         assert!(n_good > 0.0 && n_good < n, "the limit divides the points: {off_mm:?}");
         let expected = [off_mm.iter().sum::<f64>() / n, off_mm.iter().copied().fold(0.0, f64::max), n_good / n];
         for (name, expected) in ["mean_mm", "max_mm", "share_good"].iter().zip(expected) {

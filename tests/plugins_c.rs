@@ -20,6 +20,7 @@ use osteoflow_node::{
 use osteoflow_payloads::Text;
 use serde_json::Value;
 use std::{
+    collections::BTreeMap,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, OnceLock},
 };
@@ -30,11 +31,22 @@ const EXAMPLES: &str = "nodes/kinds/payloads/examples/c";
 
 /// The library of a C or C++ file; `None` if there is no compiler.
 fn library(file: &str) -> Option<PathBuf> {
+    static BUILT: Mutex<BTreeMap<String, Option<PathBuf>>> = Mutex::new(BTreeMap::new());
     let name = Path::new(file).file_stem().unwrap().to_str().unwrap();
+    let at = |name: &str| Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}.so"));
+    let built = BUILT
+        .lock()
+        .unwrap()
+        .entry(file.to_owned())
+        .or_insert_with(|| {
+            let library = at(name);
+            build::compile(Path::new(file), &library, &[]).then_some(library)
+        })
+        .clone()?;
     // Each test has its own library, because it counts the clouds it gave.
-    let test = std::thread::current().name().unwrap().to_owned();
-    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{name}_{test}.so"));
-    build::compile(Path::new(file), &library, &[]).then_some(library)
+    let own = at(&format!("{name}_{}", std::thread::current().name().unwrap()));
+    std::fs::copy(built, &own).unwrap();
+    Some(own)
 }
 
 /// The built-in kinds, those of this file, and those of `libraries`.

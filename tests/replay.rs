@@ -1,6 +1,8 @@
 //! Recordings: a run is repeated from its recording alone, in part or with changes, and a kill leaves it readable.
 
-use crate::common::{build, is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole};
+use crate::common::{
+    build, copied_run, is_slow_run, json, osteoflow, osteoflow_to_spawn, program, root, run, run_whole, shared_run,
+};
 use osteoflow_engine::{Recording, hash::Digest};
 use serde_json::Value;
 use std::{
@@ -33,11 +35,9 @@ fn part_of(answer: &Value, wire: &str) -> (String, Value) {
     (found["part"].as_str().unwrap().to_owned(), found["first_difference"].clone())
 }
 
-/// The recording of a run of the recorded procedure.
-fn recorded() -> (crate::common::Ran, PathBuf) {
-    let ran = run_whole(RECORDED, &[]);
-    let recording = ran.dir.path().join("run.mcap");
-    (ran, recording)
+/// The recording of a run of the recorded procedure, and an empty folder.
+fn recorded() -> (tempfile::TempDir, PathBuf) {
+    (tempfile::tempdir().unwrap(), shared_run(RECORDED, &[]).path("run.mcap"))
 }
 
 #[test]
@@ -67,7 +67,7 @@ fn shuffled_runs_on_any_number_of_workers_give_one_digest_and_replay_exactly() {
 
 #[test]
 fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
-    let (_ran, recording) = recorded();
+    let (_, recording) = recorded();
     let (code, answer, printed) = replay(&recording, &["--set", "icp.max_pair_distance_mm=1"]);
     assert_eq!(code, 4, "{printed}");
     let first = &answer["first_divergence"];
@@ -91,7 +91,7 @@ fn one_changed_parameter_diverges_first_at_its_node_and_nowhere_upstream() {
 
 #[test]
 fn a_kind_of_ones_own_takes_the_place_of_a_recorded_one_and_what_has_another_payload_is_not_comparable() {
-    let (ran, recording) = recorded();
+    let (dir, recording) = recorded();
     let library = build::example("template_icp").display().to_string();
     let own = ["--plugin", library.as_str(), "--set", "icp.kind=my_plugin.point_to_point"];
     let (code, answer, printed) = replay(&recording, &own);
@@ -114,7 +114,7 @@ fn a_kind_of_ones_own_takes_the_place_of_a_recorded_one_and_what_has_another_pay
     // From the node on, and by a graph.
     let (code, answer, printed) = replay(&recording, &[&own[..], &["--from", "icp"]].concat());
     assert_eq!((code, part_of(&answer, "to_bone.cloud").0), (4, "played".into()), "{printed}");
-    let graph = ran.dir.path().join("own.toml");
+    let graph = dir.path().join("own.toml");
     let base = root().join(RECORDED);
     let text =
         format!("extends = {base:?}\nplugins = [{library:?}]\n[node.icp]\nkind = \"my_plugin.point_to_point\"\n");
@@ -125,8 +125,8 @@ fn a_kind_of_ones_own_takes_the_place_of_a_recorded_one_and_what_has_another_pay
 
 #[test]
 fn from_a_node_on_only_what_follows_is_computed_and_the_rest_is_played() {
-    let (ran, recording) = recorded();
-    let again = ran.dir.path().join("again");
+    let (dir, recording) = recorded();
+    let again = dir.path().join("again");
     let (code, answer, printed) = replay(&recording, &["--from", "icp", "--out", again.to_str().unwrap()]);
     assert_eq!((code, answer["equal"].as_bool()), (0, Some(true)), "{printed}{answer:#}");
     for (wire, part) in [
@@ -160,7 +160,7 @@ fn from_a_node_on_only_what_follows_is_computed_and_the_rest_is_played() {
 
 #[test]
 fn recorded_streams_play_into_another_graph_that_has_their_wires() {
-    let (ran, recording) = recorded();
+    let (dir, recording) = recorded();
     let other = "graphs/variants/fibula_recorded_point_to_point.toml";
     let (code, answer, printed) = replay(&recording, &["--graph", other]);
     assert_eq!(code, 4, "{printed}");
@@ -168,7 +168,7 @@ fn recorded_streams_play_into_another_graph_that_has_their_wires() {
     let straight = run_whole(other, &["--no-record"]);
     assert_eq!(answer["results"]["poses"], straight.results["poses"], "as if it had run on the file itself");
 
-    let foreign = ran.dir.path().join("foreign.toml");
+    let foreign = dir.path().join("foreign.toml");
     fs::write(
         &foreign,
         "[graph]\nformat = 1\n[node.other]\nkind = \"surface.simulated\"\n[results]\nmesh = \"other.mesh\"\n",
@@ -180,7 +180,7 @@ fn recorded_streams_play_into_another_graph_that_has_their_wires() {
 
 #[test]
 fn the_rate_changes_no_result_and_a_part_of_a_recording_is_played_and_not_compared() {
-    let (_ran, recording) = recorded();
+    let (_, recording) = recorded();
     // Fifty seconds in a quarter of a second.
     let (code, answer, printed) = replay(&recording, &["--rate", "200", "--workers", "1"]);
     assert_eq!((code, answer["equal"].as_bool()), (0, Some(true)), "{printed}");
@@ -201,7 +201,7 @@ fn the_rate_changes_no_result_and_a_part_of_a_recording_is_played_and_not_compar
 
 #[test]
 fn a_range_plays_the_calibration_and_the_registration_that_do_not_change_and_computes_what_moves() {
-    let (_ran, recording) = recorded();
+    let (_, recording) = recorded();
     // The range of docs/use/recording.md ends before the third laser scan, and the later one begins after all of them.
     for range in [&["--start", "10", "--end", "20.5"][..], &["--start", "15"]] {
         let (code, answer, printed) = replay(&recording, range);
@@ -262,8 +262,8 @@ fn files_that_a_procedure_names_outside_of_its_folder_are_in_the_manifest_and_ma
 
 #[test]
 fn a_run_is_named_by_its_folder_or_by_its_recording() {
-    let (ran, recording) = recorded();
-    let folder = ran.dir.path();
+    let (_dir, folder) = copied_run(RECORDED, &[]);
+    let (folder, recording) = (folder.as_path(), folder.join("run.mcap"));
     assert_eq!(replay(folder, &[]).0, 0);
     let output = |arguments: &[&Path], command: &str| {
         let output = osteoflow().arg(command).args(arguments).output().unwrap();

@@ -1,7 +1,7 @@
 //! The page of a run and of a sweep in a browser.
 
 use crate::common::browser::Browser;
-use crate::common::{osteoflow, reproduce, run_whole};
+use crate::common::{copied_run, osteoflow, reproduce, run_whole};
 use osteoflow_formats::write::write_stl;
 use osteoflow_geometry::Mesh;
 use osteoflow_simulation::{BoneParams, bone};
@@ -58,18 +58,18 @@ fn pixels(browser: &mut Browser, view: usize) -> Value {
 
 #[test]
 fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
-    let ran = run_whole("graphs/fibula.toml", &[]);
-    let page = report(ran.dir.path());
+    let (_dir, run) = copied_run("graphs/fibula.toml", &[]);
+    let page = report(&run);
     assert!(fs::metadata(&page).unwrap().len() < 10_000_000, "a page that can be mailed");
     for file in ["graph", "convergence", "tre-measured", "view-residuals", "view-cuts", "view-fragment-aligned"] {
-        assert!(ran.dir.path().join(format!("figures/{file}.svg")).is_file(), "{file} is missing");
+        assert!(run.join(format!("figures/{file}.svg")).is_file(), "{file} is missing");
     }
-    let bibliography = fs::read_to_string(ran.dir.path().join("citations.bib")).unwrap();
+    let bibliography = fs::read_to_string(run.join("citations.bib")).unwrap();
     assert!(
         bibliography.contains("@article{chen1992") && !bibliography.contains("segal2009"),
         "what was used: {bibliography}"
     );
-    for figure in fs::read_dir(ran.dir.path().join("figures")).unwrap() {
+    for figure in fs::read_dir(run.join("figures")).unwrap() {
         let path = figure.unwrap().path();
         let text = fs::read_to_string(&path).unwrap();
         roxmltree::Document::parse(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
@@ -129,8 +129,8 @@ fn a_wire_that_was_not_recorded_is_named_with_what_to_record() {
     let printed = "the wire to_bone.cloud was not recorded; add &quot;to_bone.cloud&quot; to wires in [record]";
     assert!(html.contains(printed), "{printed}");
     assert!(html.contains("icp.trace was not recorded"));
-    let bare = run_whole("graphs/fibula.toml", &["--no-record"]);
-    let html = fs::read_to_string(report(bare.dir.path())).unwrap();
+    let (_dir, bare) = copied_run("graphs/fibula.toml", &["--no-record"]);
+    let html = fs::read_to_string(report(&bare)).unwrap();
     assert!(html.contains("the run was not recorded") && html.contains("Results"));
 }
 

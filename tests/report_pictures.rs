@@ -1,21 +1,30 @@
 //! The pictures of a report are those of the live page, in a browser.
 
 use crate::common::browser::Browser;
-use crate::common::osteoflow;
 use crate::common::served::Served;
+use crate::common::{copied_run, osteoflow};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// A run of a graph, and its report.
-fn reported(graph: &str, sets: &[&str]) -> (tempfile::TempDir, PathBuf) {
+const GRAPH: &str = "graphs/fibula.toml";
+
+/// A run with these settings, and its report.
+fn reported(sets: &[&str]) -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
     let mut command = osteoflow();
-    command.args(["run", graph, "--quiet", "--out"]).arg(&run);
+    command.args(["run", GRAPH, "--quiet", "--out"]).arg(&run);
     sets.iter().for_each(|set| {
         command.args(["--set", set]);
     });
     command.output().unwrap();
+    osteoflow().arg("report").arg(&run).assert().success();
+    (dir, run)
+}
+
+/// A run without settings, and its report.
+fn reported_as_it_is() -> (tempfile::TempDir, PathBuf) {
+    let (dir, run) = copied_run(GRAPH, &[]);
     osteoflow().arg("report").arg(&run).assert().success();
     (dir, run)
 }
@@ -106,7 +115,7 @@ fn a_report_shows_the_layers_the_verdict_and_the_residuals_of_the_live_page() {
     else {
         return;
     };
-    let (_dir, run) = reported("graphs/fibula.toml", &[]);
+    let (_dir, run) = reported_as_it_is();
     compare(&mut browser, &run, "trusted");
     let planes = "osteoflow.views[0].scene.drawn.get('planes.planes').object.visible";
     assert_eq!(browser.evaluate(planes), true);
@@ -132,12 +141,12 @@ fn a_report_hatches_planes_of_a_doubtful_answer_and_draws_none_of_a_refused_one(
         return;
     };
     let doubt = "verdict.rules.max_misfit_mm=0.001";
-    let (_dir, run) = reported("graphs/fibula.toml", &[doubt]);
+    let (_dir, run) = reported(&[doubt]);
     compare(&mut browser, &run, "doubtful");
     let layers_of = layers(&mut browser, "osteoflow.views[0].scene");
     let planes = layers_of.as_array().unwrap().iter().find(|layer| layer["wire"] == "planes.planes").unwrap();
     assert_eq!([&planes["nPlanes"], &planes["nHatched"], &planes["visible"]], [&json!(2), &json!(2), &json!(true)]);
-    let (_dir, run) = reported("graphs/fibula.toml", &[doubt, "results.require=trusted"]);
+    let (_dir, run) = reported(&[doubt, "results.require=trusted"]);
     compare(&mut browser, &run, "refused");
     let drawn = layers(&mut browser, "osteoflow.views[0].scene");
     let of_planes: Vec<_> =
@@ -149,7 +158,7 @@ fn a_report_hatches_planes_of_a_doubtful_answer_and_draws_none_of_a_refused_one(
 #[test]
 fn a_browser_without_webgl_is_named_in_place_of_each_view() {
     let Some(mut browser) = Browser::start("a_browser_without_webgl_is_named_in_place_of_each_view") else { return };
-    let (_dir, run) = reported("graphs/fibula.toml", &[]);
+    let (_dir, run) = reported_as_it_is();
     let none = "HTMLCanvasElement.prototype.getContext = () => null";
     browser.call("Page.addScriptToEvaluateOnNewDocument", json!({ "source": none }));
     open_report(&mut browser, &run);

@@ -1,6 +1,6 @@
 //! Files and folders of a run, refusals to overwrite, switches, Ctrl-C.
 
-use crate::common::{json, osteoflow, osteoflow_to_spawn, root, run_whole};
+use crate::common::{json, osteoflow, osteoflow_to_spawn, root, shared_run};
 use serde_json::Value;
 use std::{
     fs,
@@ -93,8 +93,7 @@ fn verbose_shows_where_the_time_went_and_what_the_wires_carried_and_quiet_shows_
 
 #[test]
 fn a_recorded_run_can_be_replayed_from_its_recording_alone() {
-    let ran = run_whole("graphs/fibula_recorded.toml", &[]);
-    let recording = ran.dir.path().join("run.mcap");
+    let recording = shared_run("graphs/fibula_recorded.toml", &[]).path("run.mcap");
     for workers in ["1", "3"] {
         let output =
             osteoflow().args(["replay", "--format", "json", "--workers", workers]).arg(&recording).output().unwrap();

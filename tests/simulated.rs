@@ -1,6 +1,6 @@
 //! The simulated procedure as a whole: keys, accuracy over seeds, determinism, and effects of a swap.
 
-use crate::common::{Ran, isometry, root, run, run_whole};
+use crate::common::{Ran, isometry, root, run, run_whole, shared_run};
 use osteoflow_engine::{plan::Plan, recording::Recording};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,7 +13,7 @@ fn number(value: &Value) -> f64 {
 
 #[test]
 fn results_hold_the_keys_that_the_book_promises() {
-    let Ran { results, dir, .. } = run_whole(GRAPH, &[]);
+    let Ran { results, dir, .. } = shared_run(GRAPH, &[]);
     for (key, to, from) in [("t_camera_camera_marker", "camera", "camera_marker"), ("t_ct_world", "ct", "world")] {
         let pose = &results["poses"][key];
         assert_eq!((pose["to"].as_str(), pose["from"].as_str()), (Some(to), Some(from)), "{key}");
@@ -69,35 +69,39 @@ fn procedures_of_further_seeds_end_within_the_bands() {
     }
 }
 
-/// Asserts that two runs write the same bytes of `results.json`.
-fn assert_same_bytes(first: &[&str], second: &[&str]) {
-    let [a, b] = [first, second].map(|arguments| {
-        let ran = run_whole(GRAPH, arguments);
-        std::fs::read(ran.dir.path().join("results.json")).unwrap()
-    });
-    assert!(
-        a == b,
-        "{first:?} and {second:?} differ:\n{}\n{}",
-        String::from_utf8_lossy(&a),
-        String::from_utf8_lossy(&b)
-    );
+/// Asserts that two runs wrote the same bytes of `results.json`.
+fn assert_same_bytes(first: &Ran, second: &Ran) {
+    let [a, b] = [first, second].map(|ran| std::fs::read_to_string(ran.path("results.json")).unwrap());
+    assert!(a == b, "they differ:\n{a}\n{b}");
 }
 
 #[test]
 fn the_same_graph_twice_gives_the_same_results_byte_for_byte() {
-    assert_same_bytes(&["--no-record"], &["--no-record"]);
+    assert_same_bytes(shared_run(GRAPH, &["--no-record"]), &run_whole(GRAPH, &["--no-record"]));
 }
 
 #[test]
 fn neither_workers_nor_recording_nor_where_it_is_called_from_change_the_results() {
-    assert_same_bytes(&["--no-record", "--workers", "1"], &["--workers", "8"]);
+    assert_same_bytes(&run_whole(GRAPH, &["--no-record", "--workers", "1"]), &run_whole(GRAPH, &["--workers", "8"]));
 }
 
+/// Settings that record every wire.
+const ALL_WIRES: [&str; 2] = ["--set", r#"record.wires=["*"]"#];
+
 /// The recorded items of every wire, as written.
-fn wires(arguments: &[&str]) -> BTreeMap<String, Vec<Vec<u8>>> {
-    let ran = run_whole(GRAPH, &[&["--set", r#"record.wires=["*"]"#], arguments].concat());
-    let recording = Recording::open(&ran.dir.path().join("run.mcap")).unwrap();
+fn wires(ran: &Ran) -> BTreeMap<String, Vec<Vec<u8>>> {
+    let recording = Recording::open(&ran.path("run.mcap")).unwrap();
     recording.wires.into_iter().map(|(name, wire)| (name, wire.messages)).collect()
+}
+
+/// The recorded items of the graph as it is.
+fn usual_wires() -> BTreeMap<String, Vec<Vec<u8>>> {
+    wires(shared_run(GRAPH, &ALL_WIRES))
+}
+
+/// The recorded items of the graph with a setting.
+fn wires_with(set: &str) -> BTreeMap<String, Vec<Vec<u8>>> {
+    wires(&run_whole(GRAPH, &[&ALL_WIRES[..], &["--set", set]].concat()))
 }
 
 fn different(a: &BTreeMap<String, Vec<Vec<u8>>>, b: &BTreeMap<String, Vec<Vec<u8>>>) -> BTreeSet<String> {
@@ -124,14 +128,14 @@ fn downstream(of: &str) -> BTreeSet<String> {
 
 #[test]
 fn another_seed_changes_the_scan_and_the_same_seed_does_not() {
-    let (first, again, other) = (wires(&[]), wires(&[]), wires(&["--set", "graph.seed=43"]));
+    let (first, again, other) = (usual_wires(), wires(&run_whole(GRAPH, &ALL_WIRES)), wires_with("graph.seed=43"));
     assert_eq!(different(&first, &again), BTreeSet::new());
     assert!(different(&first, &other).contains("recording.scan"));
 }
 
 #[test]
 fn swapping_the_icp_changes_only_what_lies_downstream_of_it() {
-    let changed = different(&wires(&[]), &wires(&["--set", "icp.kind=icp.point_to_point"]));
+    let changed = different(&usual_wires(), &wires_with("icp.kind=icp.point_to_point"));
     assert!(changed.contains("icp.t_target_source"), "{changed:?}");
     let beyond: Vec<_> = changed.difference(&downstream("icp")).cloned().collect();
     assert!(beyond.is_empty(), "changed, though upstream of icp: {beyond:?}");
@@ -139,7 +143,7 @@ fn swapping_the_icp_changes_only_what_lies_downstream_of_it() {
 
 #[test]
 fn swapping_the_hole_detector_changes_only_what_lies_downstream_of_it() {
-    let changed = different(&wires(&[]), &wires(&["--set", "hole.kind=hole.range_image"]));
+    let changed = different(&usual_wires(), &wires_with("hole.kind=hole.range_image"));
     assert!(changed.contains("hole.report"), "{changed:?}");
     let beyond: Vec<_> = changed.difference(&downstream("hole")).cloned().collect();
     assert!(beyond.is_empty(), "changed, though upstream of hole: {beyond:?}");
@@ -154,7 +158,7 @@ fn the_exact_ct_surface_is_a_variant_and_says_so() {
 
 #[test]
 fn on_every_wire_sent_is_received_plus_dropped() {
-    let ran = run_whole(GRAPH, &[]);
+    let ran = shared_run(GRAPH, &[]);
     let manifest = crate::common::json(&ran.dir.path().join("manifest.json"));
     let links = manifest["links"].as_array().unwrap();
     assert!(links.len() > 50);

@@ -1,8 +1,8 @@
 //! The page and the stream to viewers: who is let in, what is sent, and what the page shows of it in a browser.
 
 use crate::common::browser::Browser;
-use crate::common::osteoflow;
 use crate::common::served::Served;
+use crate::common::{copied_run, osteoflow, shared_run};
 use osteoflow_geometry::{
     isometry_from_matrix,
     nalgebra::{Matrix4, Point3},
@@ -113,11 +113,13 @@ impl Viewer {
     }
 }
 
-/// A run of the built-in procedure.
+const GRAPH: &str = "graphs/fibula.toml";
+
+/// A run of the built-in procedure with these settings, in the folder `run`, and its results.
 fn a_run(sets: &[&str]) -> (tempfile::TempDir, Value) {
     let dir = tempfile::tempdir().unwrap();
     let mut command = osteoflow();
-    command.args(["run", "graphs/fibula.toml", "--quiet", "--out"]).arg(dir.path().join("run"));
+    command.args(["run", GRAPH, "--quiet", "--out"]).arg(dir.path().join("run"));
     sets.iter().for_each(|set| {
         command.args(["--set", set]);
     });
@@ -138,9 +140,9 @@ fn digest(recording: &Path) -> String {
 
 #[test]
 fn nobody_without_the_token_or_from_another_origin_is_let_in() {
-    let (dir, _) = a_run(&[]);
+    let run = shared_run(GRAPH, &[]);
     let allowed = "https://lichtblick.example";
-    let served = Served::start(&["view", path(&dir).to_str().unwrap(), "--allow-origin", allowed]);
+    let served = Served::start(&["view", run.dir.path().to_str().unwrap(), "--allow-origin", allowed]);
     let (host, token) = served.parts();
     assert!(host.starts_with("127.0.0.1:") && token.len() == 32, "{host} {token}");
 
@@ -186,15 +188,14 @@ fn nobody_without_the_token_or_from_another_origin_is_let_in() {
 
 #[test]
 fn other_addresses_than_the_loopback_need_a_word_more() {
-    let (dir, _) = a_run(&[]);
-    let run = path(&dir);
+    let run = shared_run(GRAPH, &[]).dir.path();
     for (arguments, said) in [
         (&["--address", "0.0.0.0:0"][..], "add --serve-public"),
         (&["--address", "example.org:80"], "an address is HOST:PORT"),
         (&["--allow-origin", "*"], "an origin is a scheme and a host"),
         (&["--allow-origin", "https://a.example/page"], "an origin is a scheme and a host"),
     ] {
-        let output = osteoflow().arg("view").arg(&run).args(arguments).output().unwrap();
+        let output = osteoflow().arg("view").arg(run).args(arguments).output().unwrap();
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.code() == Some(2) && stderr.contains(said), "{arguments:?}: {stderr}");
     }
@@ -204,8 +205,8 @@ fn other_addresses_than_the_loopback_need_a_word_more() {
 
 #[test]
 fn a_thousand_broken_requests_neither_stop_the_server_nor_reach_the_run() {
-    let (dir, _) = a_run(&[]);
-    let served = Served::start(&["view", path(&dir).to_str().unwrap()]);
+    let run = shared_run(GRAPH, &[]);
+    let served = Served::start(&["view", run.dir.path().to_str().unwrap()]);
     let mut rng = ChaCha8Rng::seed_from_u64(21);
     let (host, token) = served.parts();
     let whole = format!("GET /{token}/ HTTP/1.1\r\nHost: {host}\r\nContent-Length: 4\r\n\r\nabcd").into_bytes();
@@ -289,7 +290,7 @@ fn a_viewer_gets_every_channel_with_its_schema_and_who_comes_late_the_last_of_ea
     assert_eq!((numbers("/exact/planes.planes"), numbers("/exact/bone.mesh")), (601, 0));
     // Serving changes nothing.
     assert_eq!(served.interrupt().code(), Some(0));
-    assert_eq!(digest(&run), digest(&path(&a_run(&[]).0)));
+    assert_eq!(digest(&run), digest(shared_run(GRAPH, &[]).dir.path()));
 }
 
 #[test]
@@ -379,8 +380,9 @@ fn place(browser: &mut Browser, frame: &str) -> Vec<f64> {
 
 #[test]
 fn the_page_shows_a_recording_as_it_ended_and_as_it_was_before() {
-    let (dir, results) = a_run(&[]);
-    let served = Served::start(&["view", path(&dir).to_str().unwrap()]);
+    let run = shared_run(GRAPH, &[]);
+    let results = &run.results;
+    let served = Served::start(&["view", run.dir.path().to_str().unwrap()]);
     let Some(mut browser) = Browser::start("the_page_shows_a_recording") else { return };
     open(&mut browser, &served);
     browser.wait_until("osteoflow.scene.drawn.get('planes.planes')?.object.visible === true");
@@ -476,8 +478,8 @@ fn planes_of_a_doubtful_answer_are_hatched_and_of_a_refused_one_not_drawn() {
 
 #[test]
 fn a_damaged_recording_is_shown_as_far_as_it_goes_and_says_so_at_the_top() {
-    let (dir, _) = a_run(&[]);
-    let file = path(&dir).join("run.mcap");
+    let (_dir, run) = copied_run(GRAPH, &[]);
+    let file = run.join("run.mcap");
     let bytes = fs::read(&file).unwrap();
     fs::write(&file, &bytes[..bytes.len() * 6 / 10]).unwrap();
     let served = Served::start(&["view", file.to_str().unwrap()]);

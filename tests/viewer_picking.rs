@@ -3,7 +3,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::served::Served;
-use crate::common::{osteoflow, root};
+use crate::common::{osteoflow, root, shared_run};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_engine::Recording;
 use osteoflow_formats::{picked_points::read_picked_points, plan_file::read_plan};
@@ -160,12 +160,12 @@ fn click_place(browser: &mut Browser, bone: &MeshQuery, place: &Point3<f64>) {
 #[test]
 fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_from_the_command_line() {
     let dir = tempfile::tempdir().unwrap();
-    let run_dir = run(dir.path(), "graphs/fibula.toml", &[]);
+    let run_dir = shared_run("graphs/fibula.toml", &[]).dir.path();
     let picks = dir.path().join("picks");
-    let served = view(&run_dir, &picks);
+    let served = view(run_dir, &picks);
     let Some(mut browser) = Browser::start("landmarks_clicked_where_the_plan_has_them") else { return };
     let browser = &mut browser;
-    let (plan, bone) = planned(&run_dir);
+    let (plan, bone) = planned(run_dir);
     open(browser, &served, "bone.mesh");
     press(browser, "#pick-plan");
     wait_for_focus(browser);
@@ -308,7 +308,7 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
     // The anatomy and the poses are those of the plan that was shown.
     let anatomy = saved.anatomy.unwrap();
     assert!(saved.t_phantom_phantom_marker.is_some() && saved.t_camera_camera_marker_nominal.is_some());
-    let axes = value::<osteoflow_geometry::Axes>(&run_dir, "plan.axes").columns;
+    let axes = value::<osteoflow_geometry::Axes>(run_dir, "plan.axes").columns;
     let off = (saved.axes.unwrap().columns - axes).amax();
     assert!(off < 1e-12, "the axes are off by {off}");
     // The plane is where its numbers say: 152.5 mm above the tip, leaning 12 degrees lateral and -7 posterior.
@@ -380,11 +380,11 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
 #[test]
 fn the_page_asks_the_surface_what_the_program_asks() {
     let dir = tempfile::tempdir().unwrap();
-    let run_dir = run(dir.path(), "graphs/two_files.toml", &[]);
-    let served = view(&run_dir, &dir.path().join("picks"));
+    let run_dir = shared_run("graphs/two_files.toml", &[]).dir.path();
+    let served = view(run_dir, &dir.path().join("picks"));
     let Some(mut browser) = Browser::start("the_page_asks_the_surface") else { return };
     let browser = &mut browser;
-    let bone = MeshQuery::new(&value::<Mesh>(&run_dir, "bone.mesh"));
+    let bone = MeshQuery::new(&value::<Mesh>(run_dir, "bone.mesh"));
     open(browser, &served, "bone.mesh");
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let mut number = |low: f64, high: f64| low + (high - low) * f64::from(rng.next_u32()) / f64::from(u32::MAX);
@@ -422,14 +422,14 @@ fn the_page_asks_the_surface_what_the_program_asks() {
 #[test]
 fn what_cannot_be_picked_or_saved_says_why() {
     let dir = tempfile::tempdir().unwrap();
-    let run_dir = run(dir.path(), "graphs/fibula.toml", &[]);
+    let run_dir = shared_run("graphs/fibula.toml", &[]).dir.path();
     // A file, where the folder should be.
     let picks = dir.path().join("picks");
     fs::write(&picks, "").unwrap();
-    let served = view(&run_dir, &picks);
+    let served = view(run_dir, &picks);
     let Some(mut browser) = Browser::start("what_cannot_be_picked") else { return };
     let browser = &mut browser;
-    let (plan, bone) = planned(&run_dir);
+    let (plan, bone) = planned(run_dir);
     open(browser, &served, "bone.mesh");
     // Outside the mode a click picks nothing.
     browser.click([400.0, 400.0]);
@@ -525,12 +525,12 @@ fn what_cannot_be_picked_or_saved_says_why() {
 #[test]
 fn a_bone_without_a_plan_gets_one_with_a_picked_tip_and_says_what_it_lacks() {
     let dir = tempfile::tempdir().unwrap();
-    let run_dir = run(dir.path(), "graphs/two_files.toml", &[]);
+    let run_dir = shared_run("graphs/two_files.toml", &[]).dir.path();
     let picks = dir.path().join("picks");
-    let served = view(&run_dir, &picks);
+    let served = view(run_dir, &picks);
     let Some(mut browser) = Browser::start("a_bone_without_a_plan") else { return };
     let browser = &mut browser;
-    let bone = MeshQuery::new(&value::<Mesh>(&run_dir, "bone.mesh"));
+    let bone = MeshQuery::new(&value::<Mesh>(run_dir, "bone.mesh"));
     open(browser, &served, "bone.mesh");
     press(browser, "#pick-plan");
     wait_for_focus(browser);
@@ -617,13 +617,13 @@ fn a_bone_without_a_plan_gets_one_with_a_picked_tip_and_says_what_it_lacks() {
 #[test]
 fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_line() {
     let dir = tempfile::tempdir().unwrap();
-    let run_dir = run(dir.path(), "graphs/two_files.toml", &[]);
+    let run_dir = shared_run("graphs/two_files.toml", &[]).dir.path();
     let picks = dir.path().join("picks");
-    let served = view(&run_dir, &picks);
+    let served = view(run_dir, &picks);
     let Some(mut browser) = Browser::start("three_pairs_picked") else { return };
     let browser = &mut browser;
-    let bone = MeshQuery::new(&value::<Mesh>(&run_dir, "bone.mesh"));
-    let scan = value::<Cloud>(&run_dir, "scan.cloud");
+    let bone = MeshQuery::new(&value::<Mesh>(run_dir, "bone.mesh"));
+    let scan = value::<Cloud>(run_dir, "scan.cloud");
     // Three places that the scan shows, by the registration of the run: this is what a person recognises on both.
     let results =
         |run: &Path| -> Value { serde_json::from_slice(&fs::read(run.join("results.json")).unwrap()).unwrap() };
@@ -631,7 +631,7 @@ fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_l
         let rows: Vec<Vec<f64>> = serde_json::from_value(value["matrix"].clone()).unwrap();
         isometry_from_matrix(&Matrix4::from_row_slice(&rows.concat())).unwrap()
     };
-    let truth = pose(&results(&run_dir)["t_ct_camera"]);
+    let truth = pose(&results(run_dir)["t_ct_camera"]);
     let mut along: Vec<Point3<f64>> = scan.points().to_vec();
     along.sort_by(|a, b| (truth * a).z.total_cmp(&(truth * b).z));
     let n = along.len();
@@ -818,8 +818,8 @@ fn the_anatomy_is_that_of_the_plan_as_it_was_and_nobody_else_saves_anything() {
 #[test]
 fn the_camera_is_drawn_where_the_frames_have_it_with_the_edges_of_what_it_has_seen() {
     let dir = tempfile::tempdir().unwrap();
-    let run_dir = run(dir.path(), "graphs/fibula.toml", &[]);
-    let served = view(&run_dir, &dir.path().join("picks"));
+    let run_dir = shared_run("graphs/fibula.toml", &[]).dir.path();
+    let served = view(run_dir, &dir.path().join("picks"));
     let Some(mut browser) = Browser::start("the_camera_is_drawn") else { return };
     let browser = &mut browser;
     open(browser, &served, "bone.mesh");
@@ -837,7 +837,7 @@ fn the_camera_is_drawn_where_the_frames_have_it_with_the_edges_of_what_it_has_se
     let bounds = |wires: &[&str]| {
         let mut all = [f64::INFINITY, f64::NEG_INFINITY].repeat(3);
         for wire in wires {
-            for p in value::<Cloud>(&run_dir, wire).points() {
+            for p in value::<Cloud>(run_dir, wire).points() {
                 for (k, c) in [p.x / p.z, p.y / p.z, p.z].into_iter().enumerate() {
                     all[2 * k] = f64::min(all[2 * k], c);
                     all[2 * k + 1] = f64::max(all[2 * k + 1], c);

@@ -2,7 +2,7 @@
 
 mod file;
 
-use crate::common::{isometry, json, point, run, run_whole};
+use crate::common::{isometry, json, point, run, run_whole, shared_run};
 use file::{Edge, File, median};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{
@@ -38,7 +38,7 @@ fn landing_mm(file: &File) -> f64 {
 
 #[test]
 fn the_frames_of_a_run_are_one_tree_below_the_tracker_known_before_the_first_cloud() {
-    let ran = run_whole(GRAPH, &[]);
+    let ran = shared_run(GRAPH, &[]);
     let file = File::read(&ran.dir.path().join("run.mcap"));
     assert_eq!(file.faults("world"), Vec::<String>::new());
     let first_cloud = file.first_time(|schema| ["foxglove.PointCloud", "foxglove.SceneUpdate"].contains(&schema));
@@ -77,7 +77,7 @@ fn the_frames_of_a_run_are_one_tree_below_the_tracker_known_before_the_first_clo
 
 #[test]
 fn the_raw_scan_lands_on_the_bone_and_a_broken_tree_is_seen() {
-    let ran = run_whole(GRAPH, &[]);
+    let ran = shared_run(GRAPH, &[]);
     let mut file = File::read(&ran.dir.path().join("run.mcap"));
     let mesh = bone(&file);
     let (min, max) =
@@ -119,7 +119,7 @@ fn every_kind_of_graph_leaves_one_tree() {
         ("graphs/variants/fibula_stylus.toml", "world"),
         ("graphs/variants/fibula_modules.toml", "world"),
     ] {
-        let ran = run_whole(graph, &[]);
+        let ran = shared_run(graph, &[]);
         let file = File::read(&ran.dir.path().join("run.mcap"));
         assert_eq!(file.faults(root), Vec::<String>::new(), "{graph}");
         assert!(file.edges.len() > 1, "{graph}: no transforms");
@@ -128,7 +128,7 @@ fn every_kind_of_graph_leaves_one_tree() {
 
 #[test]
 fn planes_and_laser_points_are_entities_where_the_results_have_them() {
-    let ran = run_whole(GRAPH, &[]);
+    let ran = shared_run(GRAPH, &[]);
     let file = File::read(&ran.dir.path().join("run.mcap"));
     let (_, scene) = file.scenes("/view/planes_at_scan.planes").pop().unwrap();
     let planes = ran.results["planes_at_scan"].as_array().unwrap();

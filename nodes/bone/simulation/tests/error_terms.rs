@@ -1,14 +1,11 @@
 //! The terms that are off by default: what each does, and that it does nothing else.
 
 use crate::common::exact::without_errors;
+use crate::common::shared::simulate;
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Points, Pose};
 use osteoflow_simulation::{CtParams, LaserDisc, Procedure, ProcedureParams, ct_surface};
-
-fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
-    Procedure::simulate(params, seed).unwrap()
-}
 
 fn exact() -> ProcedureParams {
     without_errors(ProcedureParams::default())
@@ -175,7 +172,7 @@ fn a_beam_hides_a_disc_across_itself_and_at_the_silhouette_only_what_is_seen_of_
             camera: osteoflow_simulation::CameraParams { view_azimuth_deg: azimuth_deg, ..params.camera.clone() },
             ..params.clone()
         };
-        let gone = hidden(&Procedure::simulate(&params, 4).ok()?, 1);
+        let gone = hidden(&Procedure::simulate_for(crate::common::shared::built_in(&params.bone), &params, 4).ok()?, 1);
         let mean = gone.iter().sum::<Vector3<f64>>() / gone.len() as f64;
         println!(
             "from {azimuth_deg} degrees {} points are hidden, {:.2} mm off the spot",

@@ -4,11 +4,12 @@
 //! take other bones and seeds.
 //! With `SLOW_TESTS` they take more seeds.
 
+use crate::common::bench::{built_in, measured};
 use nalgebra::Point3;
 use osteoflow_algorithms::coarse::{CoarseError, DoubtParams, confirm, three_point};
 use osteoflow_algorithms::hole::{Hole, HoleError, HoleParams, cloud_difference, range_image};
 use osteoflow_geometry::{Cloud, NamedPoint};
-use osteoflow_simulation::{Procedure, ProcedureParams, Subject, plan};
+use osteoflow_simulation::{Procedure, ProcedureParams, Subject};
 
 type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, HoleError>;
 
@@ -17,21 +18,8 @@ const DETECTORS: [(&str, Detector); 2] = [("cloud_difference", cloud_difference)
 /// As `coarse.three_point` has them.
 const DOUBT: DoubtParams = DoubtParams { min_confidence: 0.4, max_side_difference_mm: 3.0 };
 
-fn subjects(test: &str) -> Vec<(String, Subject)> {
-    let built_in = [2, 4].map(|shape_seed| {
-        let mut params = ProcedureParams::default();
-        params.bone.shape_seed = shape_seed;
-        (format!("built-in {shape_seed}"), Subject::built_in(&params.bone).unwrap())
-    });
-    let name = "MC22_fibula_r";
-    let measured = crate::common::measured_bone(name).map(|(bone, anatomy)| {
-        let plan = plan(&bone, &anatomy).unwrap();
-        (name.to_owned(), Subject::of(bone, plan).unwrap())
-    });
-    if measured.is_none() {
-        println!("skipped: {test} on {name}: no development data");
-    }
-    built_in.into_iter().chain(measured).collect()
+fn subjects(test: &str) -> Vec<(String, &'static Subject)> {
+    [2, 4].map(built_in).into_iter().chain(measured(test, "MC22_fibula_r")).collect()
 }
 
 fn is_slow() -> bool {
@@ -80,7 +68,7 @@ fn a_spot_at_the_silhouette_counts_where_the_plan_confirms_it() {
         for azimuth_deg in [30.0, 45.0] {
             let mut params = ProcedureParams::default();
             params.camera.view_azimuth_deg = azimuth_deg;
-            for procedure in procedures(&subject, &params) {
+            for procedure in procedures(subject, &params) {
                 let spots = spots(&procedure);
                 for ((detector, detect), (n, refused, second, unconfirmed)) in DETECTORS.iter().zip(&mut tallies) {
                     for (k, cloud) in procedure.laser.iter().enumerate() {
@@ -143,7 +131,7 @@ fn no_lost_patch_counts_as_a_spot_where_the_laser_is_off() {
                 params.camera.n_patches = n_patches;
                 // As good as off: a few points are missing.
                 params.laser.hole_radius_mm = 0.35;
-                for procedure in procedures(&subject, &params) {
+                for procedure in procedures(subject, &params) {
                     let scan = cropped(&procedure);
                     for (k, cloud) in procedure.laser.iter().enumerate() {
                         n += 1;
@@ -177,7 +165,7 @@ fn nearly_every_spot_that_the_screen_shows_is_found_and_none_is_off() {
         change(&mut params);
         let mut tallies = [(0, 0); DETECTORS.len()];
         for (name, subject) in subjects(NAME) {
-            for procedure in procedures(&subject, &params) {
+            for procedure in procedures(subject, &params) {
                 let (scan, spots) = (cropped(&procedure), spots(&procedure));
                 for ((detector, detect), (n, refused)) in DETECTORS.iter().zip(&mut tallies) {
                     for (k, cloud) in procedure.laser.iter().enumerate() {
@@ -210,7 +198,7 @@ fn spots_are_found_in_sparse_scans_as_far_as_the_detector_can() {
         params.camera.n_points = n_points;
         let mut tallies = [const { (0, 0, Vec::new()) }; DETECTORS.len()];
         for (name, subject) in subjects(NAME) {
-            for procedure in procedures(&subject, &params) {
+            for procedure in procedures(subject, &params) {
                 let spots = spots(&procedure);
                 for ((_, detect), (n, n_confident, errors)) in DETECTORS.iter().zip(&mut tallies) {
                     for (k, cloud) in procedure.laser.iter().enumerate() {
@@ -266,7 +254,7 @@ fn aiming_errors_change_the_distances_between_landmarks_by_less_than_the_limit()
     let mut worst = Vec::new();
     for (_, subject) in subjects("aiming_errors_change_the_distances_between_landmarks_by_less_than_the_limit") {
         for seed in 200..260 {
-            let Ok(procedure) = Procedure::simulate_for(&subject, &params, seed) else { continue };
+            let Ok(procedure) = Procedure::simulate_for(subject, &params, seed) else { continue };
             let report = three_point(&procedure.plan.landmarks.points, &spots(&procedure)).unwrap().report;
             for name in ["P1", "P2", "P3"] {
                 let sides = report.sides.iter().filter(|s| s.from == name || s.to == name);

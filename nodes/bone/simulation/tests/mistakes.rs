@@ -1,14 +1,13 @@
 //! Mistakes that a procedure can contain: what each does, and that it does nothing else.
 
+use crate::common::bench::{built_in, measured};
 use crate::common::exact::without_errors;
+use crate::common::shared::simulate;
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Pose};
-use osteoflow_simulation::{BoneParams, CtParams, Procedure, ProcedureParams, SlipsBefore, Subject, ct_surface};
-
-fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
-    Procedure::simulate(params, seed).unwrap()
-}
+use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, SlipsBefore, ct_surface};
+use std::iter;
 
 fn exact() -> ProcedureParams {
     without_errors(ProcedureParams::default())
@@ -309,18 +308,14 @@ fn poses_of_camera_and_world_differ_from_seed_to_seed() {
 
 #[test]
 fn bumps_of_the_ct_have_their_size_on_the_built_in_bone_and_on_measured_ones() {
-    let mut bones = vec![("built-in", Subject::built_in(&BoneParams::default()).unwrap().bone().clone())];
-    for name in ["TLEM2_CT_fibula_r", "MC22_fibula_r"] {
-        match crate::common::measured_bone(name) {
-            Some((bone, _)) => bones.push((name, bone)),
-            None => println!("skipped: {name}: no development data"),
-        }
-    }
-    for (name, bone) in bones {
+    const TEST: &str = "bumps_of_the_ct_have_their_size_on_the_built_in_bone_and_on_measured_ones";
+    let measured = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().filter_map(|name| measured(TEST, name));
+    for (name, subject) in iter::once(built_in(1)).chain(measured) {
+        let bone = subject.bone();
         let mut squares = 0.0;
         for scan_seed in 1..=4 {
             let ct = |bumps_mm| {
-                ct_surface(&bone, &CtParams { bumps_mm, scan_seed: Some(scan_seed), ..CtParams::default() }, 1).unwrap()
+                ct_surface(bone, &CtParams { bumps_mm, scan_seed: Some(scan_seed), ..CtParams::default() }, 1).unwrap()
             };
             let (smooth, bumpy) = (ct(0.0), ct(0.3));
             let moved = smooth.vertices().iter().zip(bumpy.vertices()).map(|(a, b)| (a - b).norm_squared());

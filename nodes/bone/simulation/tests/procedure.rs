@@ -1,17 +1,13 @@
 //! What a simulated procedure promises, measured from its clouds and streams against the exact surface.
 
+use crate::common::shared::simulate;
 use osteoflow_algorithms::hole::{HoleParams, cloud_difference};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Mesh, Pose, StampNs, SurfaceOrigin};
 use osteoflow_simulation::{
-    CameraParams, CtParams, Procedure, ProcedureParams, SimulationError, Subject, TrackerParams, ct_surface, phantom,
-    plan,
+    CameraParams, CtParams, Procedure, ProcedureParams, SimulationError, TrackerParams, ct_surface, phantom, plan,
 };
-
-fn simulate(params: &ProcedureParams, seed: u64) -> Procedure {
-    Procedure::simulate(params, seed).unwrap()
-}
 
 fn without_errors() -> ProcedureParams {
     crate::common::exact::without_errors(ProcedureParams::default())
@@ -182,7 +178,7 @@ fn depth_bias_is_smooth_belongs_to_the_camera_and_is_as_large_as_asked_for() {
 fn the_same_seed_gives_the_same_bits_on_any_number_of_threads() {
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| simulate(&ProcedureParams::default(), 42))
+        pool.install(|| Procedure::simulate(&ProcedureParams::default(), 42).unwrap())
     };
     let (one, five) = (on(1), on(5));
     assert_eq!(one, five);
@@ -190,7 +186,7 @@ fn the_same_seed_gives_the_same_bits_on_any_number_of_threads() {
 
 #[test]
 fn another_seed_is_another_procedure_on_the_same_bone() {
-    let (one, other) = (simulate(&ProcedureParams::default(), 1), simulate(&ProcedureParams::default(), 2));
+    let [one, other] = [1, 2].map(|seed| Procedure::simulate(&ProcedureParams::default(), seed).unwrap());
     assert_ne!(one.scan, other.scan);
     assert_ne!(one.truth.t_world_ct_at_scan, other.truth.t_world_ct_at_scan);
     assert_eq!(one.truth.bone, other.truth.bone);
@@ -371,9 +367,9 @@ fn a_surgeon_who_points_again_leaves_fewer_holes_that_cannot_be_found() {
         let mut params = ProcedureParams::default();
         params.bone.shape_seed = 3;
         params.laser.max_attempts = max_attempts;
-        let subject = Subject::built_in(&params.bone).unwrap();
+        let subject = crate::common::shared::built_in(&params.bone);
         let of_seed = |seed| {
-            let Procedure { scan, laser, .. } = Procedure::simulate_for(&subject, &params, seed).unwrap();
+            let Procedure { scan, laser, .. } = Procedure::simulate_for(subject, &params, seed).unwrap();
             laser.iter().filter(|cloud| cloud_difference(&scan, cloud, &HoleParams::default()).is_err()).count()
         };
         (1..=n_procedures).map(of_seed).sum::<usize>()

@@ -17,8 +17,8 @@ fn params(shape_seed: u64) -> ProcedureParams {
     params
 }
 
-fn subject(shape_seed: u64) -> Subject {
-    Subject::built_in(&params(shape_seed).bone).unwrap()
+fn subject(shape_seed: u64) -> &'static Subject {
+    crate::common::shared::built_in(&params(shape_seed).bone)
 }
 
 /// Procedures on the built-in bones 2 and 4.
@@ -27,7 +27,7 @@ fn procedures(n: u64, change: impl Fn(&mut ProcedureParams)) -> Vec<Procedure> {
     let of_bone = |shape_seed| {
         let (subject, mut params) = (subject(shape_seed), params(shape_seed));
         change(&mut params);
-        (200..200 + n).filter_map(move |seed| Procedure::simulate_for(&subject, &params, seed).ok())
+        (200..200 + n).filter_map(move |seed| Procedure::simulate_for(subject, &params, seed).ok())
     };
     [2, 4].into_iter().flat_map(of_bone).collect()
 }
@@ -154,7 +154,7 @@ fn a_slanted_beams_spot_is_within_its_radius_of_the_centre_or_has_a_low_confiden
             let (subject, mut params) = (subject(shape_seed), params(shape_seed));
             params.laser.disc = disc;
             for seed in 300..300 + n_seeds {
-                let Ok(procedure) = Procedure::simulate_for(&subject, &params, seed) else { continue };
+                let Ok(procedure) = Procedure::simulate_for(subject, &params, seed) else { continue };
                 for (k, spot) in spots(&procedure, ImageMark::Laser).iter().enumerate() {
                     for ((name, found), tally) in all_four(&procedure, k).into_iter().zip(&mut tallies) {
                         let Some(hole) = found else {
@@ -412,10 +412,10 @@ fn a_mark_of_a_pen_is_found_and_two_are_refused() {
 #[test]
 fn images_change_nothing_else_of_a_procedure_and_are_the_same_again() {
     let subject = subject(2);
-    let without = Procedure::simulate_for(&subject, &ProcedureParams::default(), 7).unwrap();
-    let with = Procedure::simulate_for(&subject, &params(2), 7).unwrap();
+    let without = Procedure::simulate_for(subject, &ProcedureParams::default(), 7).unwrap();
+    let with = Procedure::simulate_for(subject, &params(2), 7).unwrap();
     assert_eq!((without.images.len(), with.images.len()), (0, 3));
-    assert_eq!(with, Procedure::simulate_for(&subject, &params(2), 7).unwrap());
+    assert_eq!(with, Procedure::simulate_for(subject, &params(2), 7).unwrap());
     let stamps = |p: &Procedure| p.laser.iter().map(|c| (c.stamp_ns, c.label.clone())).collect::<Vec<_>>();
     assert_eq!(stamps(&with), with.images.iter().map(|i| (i.stamp_ns, i.label.clone())).collect::<Vec<_>>());
     assert_eq!(Procedure { images: Vec::new(), ..with }, without);

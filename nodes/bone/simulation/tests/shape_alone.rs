@@ -16,7 +16,7 @@ use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_sur
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};
-use std::ops::ControlFlow;
+use std::{cell::LazyCell, ops::ControlFlow, sync::LazyLock};
 
 /// Mean error of the scan's points of a right registration, mm.
 const RIGHT_MM: f64 = 1.5;
@@ -205,7 +205,7 @@ impl Counted {
 }
 
 /// A low-polygon fibula; its axes are those of its model: forward, upward and to the right.
-fn myosim() -> Option<(String, Subject)> {
+fn myosim() -> Option<Subject> {
     let mesh = stl(&data_folder()?.join("bones").join(format!("{MYOSIM}.stl")), "ct")?;
     let tip = *mesh.vertices().iter().min_by(|a, b| a.y.total_cmp(&b.y)).unwrap();
     let anatomy = Anatomy {
@@ -215,16 +215,17 @@ fn myosim() -> Option<(String, Subject)> {
         posterior: -Vector3::x_axis(),
     };
     let plan = plan(&mesh, &anatomy).unwrap();
-    let subject = Subject::of(mesh, SurgicalPlan { anatomy: Some(anatomy), ..plan }).unwrap();
-    Some((MYOSIM.to_owned(), subject))
+    Some(Subject::of(mesh, SurgicalPlan { anatomy: Some(anatomy), ..plan }).unwrap())
 }
 
-fn bones(test: &str) -> Vec<(String, Subject)> {
+fn bones(test: &str) -> Vec<(String, &'static Subject)> {
     if !is_slow() {
         return [Some(built_in(4)), measured(test, "TLEM2_CT_fibula_r")].into_iter().flatten().collect();
     }
     let measured = ["TLEM2_CT_fibula_r", "MC22_fibula_r"].into_iter().filter_map(|name| measured(test, name));
-    [built_in(2), built_in(4)].into_iter().chain(measured).chain(myosim()).collect()
+    static MYOSIM_SUBJECT: LazyLock<Option<Subject>> = LazyLock::new(myosim);
+    let low_polygon = MYOSIM_SUBJECT.as_ref().map(|subject| (MYOSIM.to_owned(), subject));
+    [built_in(2), built_in(4)].into_iter().chain(measured).chain(low_polygon).collect()
 }
 
 /// Registers windows on every bone, on one thread so that its CPU time is that of the call.
@@ -232,13 +233,13 @@ fn counted(test: &str, target: impl Fn(&Subject, u64) -> Option<Target> + Send +
     let n = if is_slow() { 100 } else { 3 };
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     println!("{}", Counted::HEAD);
-    let on_bone = |(name, subject): (String, Subject)| {
-        let exact = target_of(subject.bone(), 1);
+    let on_bone = |(name, subject): (String, &Subject)| {
+        let exact = LazyCell::new(|| target_of(subject.bone(), 1));
         let mut counted = Counted { name, ..Counted::default() };
         for seed in 0..n {
-            let window = Window::new(&subject, seed);
-            let own = target(&subject, seed);
-            let target = own.as_ref().unwrap_or(&exact);
+            let window = Window::new(subject, seed);
+            let own = target(subject, seed);
+            let target = own.as_ref().unwrap_or_else(|| &exact);
             if own.is_some() || seed == 0 {
                 // Makes what is kept with the surface, which is no part of the time of one scan.
                 let _ = global(target, &window.scan.selected(&(0..300).collect::<Vec<_>>()), &GlobalParams::default());

@@ -1,21 +1,22 @@
 //! A bone with one scan of it, the CT's surface, and starts with the ruler errors of section 3.2.3 of the paper.
 
-use super::measured_bone;
+use super::shared::{Shared, shared};
 use osteoflow_algorithms::coarse::three_point;
 use osteoflow_algorithms::landmarks::{RulerErrors, ruled};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::{sample, section};
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Unit, Vector3};
-use osteoflow_geometry::{Cloud, Mesh, NamedPoint, SurgicalPlan};
+use osteoflow_geometry::{Cloud, Mesh, NamedPoint};
 use osteoflow_simulation::{BoneParams, CtParams, Procedure, ProcedureParams, Subject, ct_surface};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::{collections::BTreeMap, sync::Mutex};
 
 /// One scan of one bone.
 pub(crate) struct Bench {
     pub(crate) name: String,
-    pub(crate) subject: Subject,
+    pub(crate) subject: &'static Subject,
     pub(crate) source: Cloud,
     pub(crate) target: Target,
     pub(crate) truth: Isometry3<f64>,
@@ -23,21 +24,15 @@ pub(crate) struct Bench {
     pub(crate) cuts: Vec<Point3<f64>>,
 }
 
-/// A built-in bone.
-pub(crate) fn built_in(shape_seed: u64) -> (String, Subject) {
+/// A built-in bone with its name.
+pub(crate) fn built_in(shape_seed: u64) -> (String, &'static Subject) {
     let params = BoneParams { shape_seed, ..BoneParams::default() };
-    (format!("built-in {shape_seed}"), Subject::built_in(&params).unwrap())
+    (format!("built-in {shape_seed}"), super::shared::built_in(&params))
 }
 
-/// A measured bone; `None`, and a line, without the development data.
-pub(crate) fn measured(test: &str, name: &str) -> Option<(String, Subject)> {
-    let Some((mesh, anatomy)) = measured_bone(name) else {
-        println!("skipped: {test}: no development data");
-        return None;
-    };
-    let plan = osteoflow_simulation::plan(&mesh, &anatomy).unwrap();
-    let plan = SurgicalPlan { anatomy: Some(anatomy), ..plan };
-    Some((name.to_owned(), Subject::of(mesh, plan).unwrap()))
+/// A measured bone with its name; `None`, and a line, without the development data.
+pub(crate) fn measured(test: &str, name: &str) -> Option<(String, &'static Subject)> {
+    super::shared::measured(test, name).map(|subject| (name.to_owned(), subject))
 }
 
 /// A target as `surface.prepare` makes it.
@@ -50,9 +45,16 @@ pub(crate) fn target_of(mesh: &Mesh, seed: u64) -> Target {
 }
 
 impl Bench {
-    pub(crate) fn new((name, subject): (String, Subject), params: &ProcedureParams, ct: &CtParams, seed: u64) -> Self {
-        let procedure = Procedure::simulate_for(&subject, params, seed).unwrap();
-        let target = target_of(&ct_surface(subject.bone(), ct, seed).unwrap(), seed);
+    pub(crate) fn new(
+        (name, subject): (String, &'static Subject),
+        params: &ProcedureParams,
+        ct: &CtParams,
+        seed: u64,
+    ) -> Self {
+        static TARGETS: Shared<Target> = Mutex::new(BTreeMap::new());
+        let procedure = Procedure::simulate_for(subject, params, seed).unwrap();
+        let target = || target_of(&ct_surface(subject.bone(), ct, seed).unwrap(), seed);
+        let target = shared(&TARGETS, format!("{name}, {ct:?}, {seed}"), target).clone();
         let truth =
             procedure.truth.t_world_ct_at_scan.isometry.inverse() * procedure.truth.t_world_camera_at_scan.isometry;
         let plane = |t: Isometry3<f64>| section::middle(subject.bone(), &t, None).unwrap();
