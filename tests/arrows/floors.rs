@@ -209,6 +209,8 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/bone/algorithms/src",
         &[
+            // A name that `lib.rs` hands on is on the floor of its module.
+            &["Refusal", "refusal"],
             &[
                 "axes",
                 "bvh",

@@ -1,7 +1,7 @@
 //! Calibration of the camera to its marker, from one scan of a phantom of known shape; and of a stylus' tip.
 
 mod align;
-mod error;
+mod contradiction;
 mod mirror;
 mod noise;
 mod pairs;
@@ -9,17 +9,17 @@ mod pivot;
 mod report;
 mod spread;
 
-pub use error::CalibrationError;
-pub use pivot::{PivotError, PivotReport, pivot};
+pub use pivot::{PivotReport, pivot};
 pub use report::{PhantomFit, PhantomReport};
 
+use crate::Refusal;
 use crate::icp::{self, IcpError, IcpFit, IcpParams, Kernel, Source};
 use crate::kabsch::finite;
 use crate::mesh_query::MeshQuery;
 use crate::sample;
 use crate::target::Target;
 use align::{Steps, align};
-use error::Misfit;
+use contradiction::Misfit;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Column, Mesh};
 use pairs::{Faces, Pair, Scan, agreeing, capped_rms_mm, distances, near_rms_mm, on_faces};
@@ -146,7 +146,8 @@ impl Default for PhantomParams {
 /// residuals is added from `smooth_mm`.
 ///
 /// # Errors
-/// [`CalibrationError`]
+/// [`Refusal`] if the registration has no result, leaves part of the pose free, or contradicts the phantom, the noise or the
+/// nominal pose.
 ///
 /// # Source
 /// Section 2.2 of the paper. For the clustered covariance: Liang and Zeger 1986.
@@ -155,19 +156,21 @@ pub fn phantom_icp(
     phantom: &Mesh,
     t_camera_phantom_nominal: &Isometry3<f64>,
     params: &PhantomParams,
-) -> Result<PhantomFit, CalibrationError> {
+) -> Result<PhantomFit, Refusal> {
     let target = visible(phantom, params.n_samples as usize)?;
     if let Some(index) = scan.iter().position(|p| !finite(p)) {
-        return Err(IcpError::NotFinite { what: format!("source point {index}") }.into());
+        return Err(no_fit(IcpError::NotFinite { what: format!("source point {index}") }));
     }
     let noise_mm = noise::noise_mm(scan).unwrap_or(0.0);
     let scan = Scan::new(scan);
     let start = t_camera_phantom_nominal.inverse();
-    let fit = fitted(&target, &scan, &start, noise_mm, params)?;
+    let fit = fitted(&target, &scan, &start, noise_mm, params).map_err(no_fit)?;
     let held = |eigenvalue: &&f64| eigenvalue.sqrt() >= MIN_HOLD_PER_MM;
     let n_free = 6 - fit.report.observability.eigenvalues.iter().filter(held).count();
     if n_free > 0 {
-        return Err(CalibrationError::Undetermined { n_free });
+        return Err(Refusal::of(format!(
+            "the scan of the phantom leaves {n_free} of 6 motions free; show at least three of its faces to the camera"
+        )));
     }
 
     let max_mm = params.max_pair_distance_mm;
@@ -220,7 +223,7 @@ pub fn phantom_icp(
             capped_rms_mm: capped_rms_mm(&distances, s.scan.points.len(), off_mm),
         }
     });
-    match error::contradiction(&report, scaled, params) {
+    match contradiction::contradiction(&report, scaled, params) {
         Some(error) => Err(error),
         None => Ok(PhantomFit { t_camera_phantom, report }),
     }
@@ -258,8 +261,12 @@ fn fitted(
     register(scan, &few.t_target_source, &last)
 }
 
+fn no_fit(error: IcpError) -> Refusal {
+    Refusal::of(format!("the phantom's scan onto its CAD: {error}"))
+}
+
 /// Samples of the faces that are not buried in another part of the body.
-fn visible(phantom: &Mesh, n: usize) -> Result<Target, CalibrationError> {
+fn visible(phantom: &Mesh, n: usize) -> Result<Target, Refusal> {
     let query = MeshQuery::new(phantom);
     let samples = sample::surface(phantom, n, &mut ChaCha8Rng::seed_from_u64(0));
     let seen: Vec<bool> = samples
@@ -271,11 +278,13 @@ fn visible(phantom: &Mesh, n: usize) -> Result<Target, CalibrationError> {
     let kept = |i: &usize| seen[*i];
     let indices: Vec<usize> = (0..seen.len()).filter(kept).collect();
     if indices.is_empty() {
-        return Err(CalibrationError::NoSurface);
+        let reason = "no face of the phantom's CAD can be seen from outside; do its faces turn inside out?";
+        return Err(Refusal::of(reason));
     }
     let points: Vec<Point3<f64>> = indices.iter().map(|&i| samples.points[i]).collect();
     let normals: Column<Vector3<f64>> = indices.iter().map(|&i| samples.normals[i]).collect();
-    Ok(Target::new(&phantom.frame, phantom.origin, points, Some(normals))?)
+    Target::new(&phantom.frame, phantom.origin, points, Some(normals))
+        .map_err(|error| Refusal::of(format!("the phantom's CAD: {error}")))
 }
 
 /// `t_c_mc = t_c_p * t_p_mp * t_mp_w * t_w_mc`: the pose of the camera marker in the camera's frame.
@@ -374,26 +383,25 @@ mod tests {
         let round = shaft().transformed("ct", &Isometry3::translation(0.0, 30.0, -40.0));
         let wrong = phantom_icp(&scan(&round, &truth), &phantom(), &truth, &PhantomParams::default());
         // A cylinder fitted as well as possible: the residual is too large, or the turn about its axis is free.
-        let refused = matches!(
-            wrong,
-            Err(CalibrationError::Residual { .. }
-                | CalibrationError::Off { .. }
-                | CalibrationError::BeyondNoise { .. }
-                | CalibrationError::Undetermined { .. })
+        let message = |fit: Result<PhantomFit, Refusal>| fit.unwrap_err().to_string();
+        let wrong = message(wrong);
+        assert!(
+            ["(RMS) from its CAD", " from its CAD, ", "motions free"].iter().any(|part| wrong.contains(part)),
+            "{wrong}"
         );
-        assert!(refused, "{wrong:?}");
         // Half of the seen points lie in front of the phantom.
         let mut crowded = scan(&phantom(), &truth);
         let covered: Vec<Point3<f64>> = crowded.iter().map(|p| p + Vector3::new(0.0, 0.0, -8.0)).collect();
         crowded.extend(covered);
         let crowded = phantom_icp(&crowded, &phantom(), &truth, &PhantomParams::default());
-        assert!(matches!(crowded, Err(CalibrationError::Off { .. })), "{crowded:?}");
+        let crowded = message(crowded);
+        assert!(crowded.contains("% of the phantom's scan lies more than"), "{crowded}");
         let cube = cuboid([-30.0; 3], [30.0; 3]);
         let facing = Isometry3::translation(0.0, 0.0, 230.0);
         let one_face = phantom_icp(&scan(&cube, &facing), &cube, &facing, &PhantomParams::default());
-        assert!(matches!(one_face, Err(CalibrationError::Undetermined { n_free: 3 })), "{one_face:?}");
+        assert!(message(one_face).contains("leaves 3 of 6 motions free"));
         let nowhere = phantom_icp(&[], &cube, &facing, &PhantomParams::default());
-        assert!(matches!(nowhere, Err(CalibrationError::Icp(IcpError::TooFewPoints { .. }))));
+        assert!(message(nowhere).starts_with("the phantom's scan onto its CAD: "));
     }
 
     #[test]

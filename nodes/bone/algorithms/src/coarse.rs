@@ -4,10 +4,11 @@ mod doubtful;
 mod global;
 
 pub use doubtful::{DoubtParams, confirm};
-pub use global::{CLEAR, GlobalError, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
+pub use global::{CLEAR, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
 pub(crate) use global::{Placed, Points, descend, map_score};
 
-use crate::kabsch::{FitError, centroid, kabsch};
+use crate::Refusal;
+use crate::kabsch::{centroid, kabsch};
 use nalgebra::{Isometry3, Matrix3, Point3};
 use osteoflow_geometry::NamedPoint;
 use serde::{Deserialize, Serialize};
@@ -90,82 +91,26 @@ pub struct Permutation {
     pub fre_mm: f64,
 }
 
-/// Errors of [`three_point`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CoarseError {
-    /// A target or source point has no point of the same name on the other side.
-    #[error(
-        "{what} has no point of that name on the other side; the target has {target}, the source has {source_names}"
-    )]
-    Name {
-        /// The point without a counterpart.
-        what: String,
-        /// The target's names.
-        target: String,
-        /// The source's names.
-        source_names: String,
-    },
-    /// Two points share a name.
-    #[error("{name} is there twice among the {side} points; name each point once")]
-    Twice {
-        /// The name.
-        name: String,
-        /// `target` or `source`.
-        side: &'static str,
-    },
-    /// The points lie on a line, or nearly so.
-    #[error(
-        "the {side} points lie {off_line_mm:.2} mm (RMS) off a line, {needed_mm} mm is needed to fix the turn about it; \
-         choose landmarks off the line"
-    )]
-    NearlyCollinear {
-        /// `target` or `source`.
-        side: &'static str,
-        /// RMS distance from the line found.
-        off_line_mm: f64,
-        /// RMS distance needed.
-        needed_mm: f64,
-    },
-    /// A point of low confidence is not where the others and the plan say it should be.
-    #[error(
-        "{name} was located with a confidence of {confidence:.2} only ({min_confidence} counts by itself), and the plan does \
-         not confirm it: {sides}, {limit_mm} mm more or less is allowed; is the laser on, and its spot away from the \
-         silhouette and from other gaps?"
-    )]
-    Doubtful {
-        /// The name of the point.
-        name: String,
-        /// Its confidence.
-        confidence: f64,
-        /// Confidence needed without confirmation.
-        min_confidence: f64,
-        /// Its distances to the other points that disagree.
-        sides: String,
-        /// Difference allowed.
-        limit_mm: f64,
-    },
-    /// The points do not determine a motion.
-    #[error(transparent)]
-    Fit(#[from] FitError),
-}
-
 /// Rigid motion from three or more points located both in the target (planned on the CT) and in the source (laser holes
 /// or stylus), paired by name; their order does not matter.
 ///
 /// # Errors
-/// [`CoarseError`] if names do not pair, there are fewer than three pairs, or the points lie close to a line.
+/// [`Refusal`] if names do not pair, there are fewer than three pairs, or the points lie close to a line.
 ///
 /// # Source
 /// Section 2.3 of the paper. That FRE does not predict TRE: Fitzpatrick 2009.
-pub fn three_point(target: &[NamedPoint], source: &[NamedPoint]) -> Result<CoarseFit, CoarseError> {
+pub fn three_point(target: &[NamedPoint], source: &[NamedPoint]) -> Result<CoarseFit, Refusal> {
     let source = paired(target, source)?;
     let t: Vec<Point3<f64>> = target.iter().map(|p| p.position).collect();
     let s: Vec<Point3<f64>> = source.iter().map(|p| p.position).collect();
-    let t_target_source = kabsch(&t, &s)?;
+    let t_target_source = kabsch(&t, &s).map_err(Refusal::of)?;
     let (target_off_line_mm, source_off_line_mm) = (off_line_mm(&t), off_line_mm(&s));
     for (side, off_line_mm) in [("target", target_off_line_mm), ("source", source_off_line_mm)] {
         if off_line_mm < MIN_OFF_LINE_MM {
-            return Err(CoarseError::NearlyCollinear { side, off_line_mm, needed_mm: MIN_OFF_LINE_MM });
+            return Err(Refusal::of(format!(
+                "the {side} points lie {off_line_mm:.2} mm (RMS) off a line, {MIN_OFF_LINE_MM} mm is needed to fix the turn about \
+                 it; choose landmarks off the line"
+            )));
         }
     }
     let pairs: Vec<CoarsePair> = target
@@ -190,19 +135,24 @@ pub fn three_point(target: &[NamedPoint], source: &[NamedPoint]) -> Result<Coars
 }
 
 /// The source points in the order of the target's names.
-fn paired<'a>(target: &[NamedPoint], source: &'a [NamedPoint]) -> Result<Vec<&'a NamedPoint>, CoarseError> {
+fn paired<'a>(target: &[NamedPoint], source: &'a [NamedPoint]) -> Result<Vec<&'a NamedPoint>, Refusal> {
     for (side, points) in [("target", target), ("source", source)] {
         for (k, point) in points.iter().enumerate() {
             if points[..k].iter().any(|p| p.name == point.name) {
-                return Err(CoarseError::Twice { name: point.name.to_string(), side });
+                let name = &point.name;
+                return Err(Refusal::of(format!(
+                    "{name} is there twice among the {side} points; name each point once"
+                )));
             }
         }
     }
     let names = |points: &[NamedPoint]| points.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", ");
-    let lonely = |side: &str, name: &str| CoarseError::Name {
-        what: format!("{side} point {name}"),
-        target: names(target),
-        source_names: names(source),
+    let lonely = |side: &str, name: &str| {
+        Refusal::of(format!(
+            "{side} point {name} has no point of that name on the other side; the target has {}, the source has {}",
+            names(target),
+            names(source)
+        ))
     };
     if let Some(extra) = source.iter().find(|s| target.iter().all(|t| t.name != s.name)) {
         return Err(lonely("source", &extra.name));
@@ -278,6 +228,7 @@ pub(crate) fn permutations(n: usize, visit: &mut dyn FnMut(&[usize])) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kabsch::FitError;
     use nalgebra::Vector3;
 
     fn named(points: &[[f64; 3]]) -> Vec<NamedPoint> {
@@ -343,8 +294,7 @@ mod tests {
     fn collinearity_is_judged_in_millimetres() {
         let nearly = named(&[[0.0, 0.0, 0.0], [0.0, 0.8, 15.0], [0.0, 0.0, 30.0]]);
         let error = three_point(&nearly, &nearly).unwrap_err();
-        assert!(matches!(error, CoarseError::NearlyCollinear { side: "target", .. }), "{error}");
-        assert!(error.to_string().contains("0.38 mm"), "{error}");
+        assert!(error.to_string().starts_with("the target points lie 0.38 mm"), "{error}");
         // An apex 9 mm off a base lies 6 mm off the best line, the base 3 mm: √((36 + 9 + 9) / 3).
         let apex = named(&[[0.0, 0.0, 0.0], [0.0, 9.0, 15.0], [0.0, 0.0, 30.0]]);
         let report = three_point(&apex, &apex).unwrap().report;
@@ -359,7 +309,8 @@ mod tests {
         let message = three_point(&three, &other).unwrap_err().to_string();
         assert!(message.contains("Q2") && message.contains("P1, P2, P3"), "{message}");
         other[1].name = "P1".into();
-        assert!(matches!(three_point(&three, &other), Err(CoarseError::Twice { side: "source", .. })));
-        assert!(matches!(three_point(&three[..2], &three[..2]), Err(CoarseError::Fit(FitError::Pairing { .. }))));
+        assert!(three_point(&three, &other).unwrap_err().to_string().contains("twice among the source points"));
+        let two = three_point(&three[..2], &three[..2]).unwrap_err().to_string();
+        assert_eq!(two, FitError::Pairing { n_target: 2, n_source: 2 }.to_string());
     }
 }

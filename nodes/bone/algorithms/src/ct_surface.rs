@@ -34,9 +34,10 @@ mod threshold;
 
 pub use threshold::suggested_threshold;
 
+use crate::Refusal;
 use crate::iso_surface::{iso_surface, make_well_composed};
 use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
-use osteoflow_geometry::{Frame, Mesh, MeshError, SurfaceOrigin};
+use osteoflow_geometry::{Frame, Mesh, SurfaceOrigin};
 use rayon::prelude::*;
 use regions::{Neighbours, Region, regions};
 use serde::{Deserialize, Serialize};
@@ -135,82 +136,8 @@ pub struct CtSurface {
     pub shift_p95_mm_per_50: f64,
 }
 
-/// Errors of [`ct_surface()`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CtSurfaceError {
-    /// A single layer has no surface.
-    #[error("the volume has {} x {} x {} voxels; a surface needs two or more along each axis: give the whole series", size[0], size[1], size[2])]
-    TooThin {
-        /// Number of voxels along each axis.
-        size: [usize; 3],
-    },
-    /// The number of voxels is not the product of the size.
-    #[error("{n} voxels were given for {} x {} x {}", size[0], size[1], size[2])]
-    Length {
-        /// Number of voxels along each axis.
-        size: [usize; 3],
-        /// Number of values.
-        n: usize,
-    },
-    /// The matrix does not place voxels in space.
-    #[error("the matrix from voxels to millimetres is singular, or not finite")]
-    Matrix,
-    /// Nothing is above.
-    #[error("no voxel is above the threshold {threshold}; the highest value is {highest}: set a lower threshold")]
-    NothingAbove {
-        /// The threshold.
-        threshold: f64,
-        /// The highest value.
-        highest: f64,
-    },
-    /// All is above.
-    #[error("all voxels are above the threshold {threshold}; the lowest value is {lowest}: set a higher threshold")]
-    AllAbove {
-        /// The threshold.
-        threshold: f64,
-        /// The lowest value.
-        lowest: f64,
-    },
-    /// There is no component of this rank.
-    #[error("component {rank} was asked for, but {n} are above the threshold; take 1 to {n}")]
-    Rank {
-        /// The rank.
-        rank: usize,
-        /// Number of components.
-        n: usize,
-    },
-    /// The seed is not in the volume.
-    #[error("the seed ({:.1}, {:.1}, {:.1}) mm is outside the volume, which spans {}", seed[0], seed[1], seed[2], span(min_mm, max_mm))]
-    SeedOutside {
-        /// The seed, LPS, mm.
-        seed: [f64; 3],
-        /// The volume's lowest coordinates, LPS, mm.
-        min_mm: [f64; 3],
-        /// Its highest.
-        max_mm: [f64; 3],
-    },
-    /// The seed is not in bone.
-    #[error(
-        "the voxel at the seed ({:.1}, {:.1}, {:.1}) mm is {value}, not above the threshold {threshold}; place the seed in the \
-         bone's cortex", seed[0], seed[1], seed[2]
-    )]
-    SeedBelow {
-        /// The seed, LPS, mm.
-        seed: [f64; 3],
-        /// The value there.
-        value: f64,
-        /// The threshold.
-        threshold: f64,
-    },
-    /// All of the surface is at the border.
-    #[error("all of the surface lies at the volume's border; is the threshold below the soft tissue?")]
-    OnlyBorder,
-    /// More voxels than can be numbered.
-    #[error("the volume is too large or too noisy at this threshold; crop it to the bone")]
-    TooLarge,
-    /// No surface can be made of the faces.
-    #[error(transparent)]
-    Mesh(#[from] MeshError),
+fn too_large() -> Refusal {
+    Refusal::of("the volume is too large or too noisy at this threshold; crop it to the bone")
 }
 
 fn span(min: &[f64; 3], max: &[f64; 3]) -> String {
@@ -226,35 +153,47 @@ fn span(min: &[f64; 3], max: &[f64; 3]) -> String {
 /// meet it on one side or two opposite ones, as a marrow canal that is cut does.
 ///
 /// # Errors
-/// [`CtSurfaceError`] if nothing or all is above the threshold, the choice names no component, or the volume is no volume.
-pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<CtSurface, CtSurfaceError> {
+/// [`Refusal`] if nothing or all is above the threshold, the choice names no component, or the volume is no volume.
+pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<CtSurface, Refusal> {
     let VolumeView { size, voxels, t_lps_voxel } = *volume;
     let n = size.iter().try_fold(1usize, |n, s| n.checked_mul(*s));
     if n != Some(voxels.len()) {
-        return Err(CtSurfaceError::Length { size, n: voxels.len() });
+        let ([nx, ny, nz], n) = (size, voxels.len());
+        return Err(Refusal::of(format!("{n} voxels were given for {nx} x {ny} x {nz}")));
     }
     if size.iter().any(|s| *s < 2) {
-        return Err(CtSurfaceError::TooThin { size });
+        let [nx, ny, nz] = size;
+        return Err(Refusal::of(format!(
+            "the volume has {nx} x {ny} x {nz} voxels; a surface needs two or more along each axis: give the whole series"
+        )));
     }
     if size.iter().any(|s| *s > 1 << 30) || size[1].checked_mul(size[2]).is_none_or(|n| n >= u32::MAX as usize) {
-        return Err(CtSurfaceError::TooLarge);
+        return Err(too_large());
     }
     let linear: Matrix3<f64> = t_lps_voxel.fixed_view::<3, 3>(0, 0).into();
     let voxel_mm3 = linear.determinant().abs();
-    let inverse = linear.try_inverse().filter(|m| m.iter().all(|c| c.is_finite())).ok_or(CtSurfaceError::Matrix)?;
+    let no_place = || Refusal::of("the matrix from voxels to millimetres is singular, or not finite");
+    let inverse = linear.try_inverse().filter(|m| m.iter().all(|c| c.is_finite())).ok_or_else(no_place)?;
     if !t_lps_voxel.iter().all(|c| c.is_finite()) || voxel_mm3 == 0.0 {
-        return Err(CtSurfaceError::Matrix);
+        return Err(no_place());
     }
     let origin = Vector3::new(t_lps_voxel[(0, 3)], t_lps_voxel[(1, 3)], t_lps_voxel[(2, 3)]);
     let level = params.threshold as f32;
 
-    let found = regions(voxels, size, Neighbours::TwentySix, |v| v > level).ok_or(CtSurfaceError::TooLarge)?;
+    let found = regions(voxels, size, Neighbours::TwentySix, |v| v > level).ok_or_else(too_large)?;
     let extreme = |worse: fn(f32, f32) -> f32| f64::from(voxels.iter().copied().reduce(worse).unwrap_or_default());
+    let threshold = params.threshold;
     if found.regions.is_empty() {
-        return Err(CtSurfaceError::NothingAbove { threshold: params.threshold, highest: extreme(f32::max) });
+        let highest = extreme(f32::max);
+        return Err(Refusal::of(format!(
+            "no voxel is above the threshold {threshold}; the highest value is {highest}: set a lower threshold"
+        )));
     }
     if found.regions[0].n_voxels == voxels.len() as u64 {
-        return Err(CtSurfaceError::AllAbove { threshold: params.threshold, lowest: extreme(f32::min) });
+        let lowest = extreme(f32::min);
+        return Err(Refusal::of(format!(
+            "all voxels are above the threshold {threshold}; the lowest value is {lowest}: set a higher threshold"
+        )));
     }
     let mut by_size: Vec<usize> = (0..found.regions.len()).collect();
     // A stable sort: of equal ones, the one that comes first.
@@ -275,14 +214,20 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
     };
     let place = match params.component {
         ComponentChoice::Rank(rank) if (1..=by_size.len()).contains(&rank) => rank - 1,
-        ComponentChoice::Rank(rank) => return Err(CtSurfaceError::Rank { rank, n: by_size.len() }),
+        ComponentChoice::Rank(rank) => {
+            let n = by_size.len();
+            return Err(Refusal::of(format!(
+                "component {rank} was asked for, but {n} are above the threshold; take 1 to {n}"
+            )));
+        }
         ComponentChoice::Seed(seed) => {
             let at = inverse * (seed.coords - origin);
             let nearest: [f64; 3] = std::array::from_fn(|k| at[k].round());
-            let seed = seed.coords.into();
+            let place = format!("the seed ({:.1}, {:.1}, {:.1}) mm", seed.x, seed.y, seed.z);
             if !(0..3).all(|k| (0.0..size[k] as f64).contains(&nearest[k])) {
                 let (min_mm, max_mm) = bounds([0; 3], size.map(|s| s - 1), &linear, &origin);
-                return Err(CtSurfaceError::SeedOutside { seed, min_mm, max_mm });
+                let span = span(&min_mm, &max_mm);
+                return Err(Refusal::of(format!("{place} is outside the volume, which spans {span}")));
             }
             let [x, y, z] = nearest.map(|c| c as usize);
             let row = (z * size[1] + y) as u32;
@@ -291,7 +236,9 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
             let run = after.checked_sub(1).filter(|r| found.runs[*r].row == row && (x as u32) < found.runs[*r].to);
             let Some(run) = run else {
                 let value = f64::from(voxels[(z * size[1] + y) * size[0] + x]);
-                return Err(CtSurfaceError::SeedBelow { seed, value, threshold: params.threshold });
+                return Err(Refusal::of(format!(
+                    "the voxel at {place} is {value}, not above the threshold {threshold}; place the seed in the bone's cortex"
+                )));
             };
             let region = found.labels[run] as usize;
             by_size.iter().position(|r| *r == region).expect("every region has its place")
@@ -304,7 +251,7 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
         crop.lower(run, size[1]);
     }
     let (n_filled, n_filled_voxels) =
-        if params.fill_cavities { crop.fill_cavities(size).ok_or(CtSurfaceError::TooLarge)? } else { (0, 0) };
+        if params.fill_cavities { crop.fill_cavities(size).ok_or_else(too_large)? } else { (0, 0) };
     let n_raised = make_well_composed(&mut crop.voxels, crop.size, level);
     let (places, mut faces) = iso_surface(&crop.voxels, crop.size, level, Point3::from);
     if linear.determinant() < 0.0 {
@@ -328,9 +275,11 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
         .collect();
     shifts.sort_unstable_by(f64::total_cmp);
     let share = |share: f64| shifts.get((shifts.len() as f64 * share) as usize).copied();
-    let shift_mm_per_50 = share(0.5).ok_or(CtSurfaceError::OnlyBorder)?;
+    let only_border =
+        || Refusal::of("all of the surface lies at the volume's border; is the threshold below the soft tissue?");
+    let shift_mm_per_50 = share(0.5).ok_or_else(only_border)?;
     if face_is_on_border.iter().all(|on| *on) {
-        return Err(CtSurfaceError::OnlyBorder);
+        return Err(only_border());
     }
     Ok(CtSurface {
         vertices,
@@ -352,17 +301,17 @@ impl CtSurface {
     /// The closed surface, lids included.
     ///
     /// # Errors
-    /// [`CtSurfaceError::Mesh`]; a vertex is not finite if coordinates overflow.
-    pub fn closed_mesh(&self, frame: impl Into<Frame>) -> Result<Mesh, CtSurfaceError> {
-        Ok(Mesh::new(frame, SurfaceOrigin::User, self.vertices.clone(), self.faces.clone())?)
+    /// [`Refusal`]; a vertex is not finite if coordinates overflow.
+    pub fn closed_mesh(&self, frame: impl Into<Frame>) -> Result<Mesh, Refusal> {
+        Mesh::new(frame, SurfaceOrigin::User, self.vertices.clone(), self.faces.clone()).map_err(Refusal::of)
     }
 
     /// The surface without the faces on the border: open where the volume's border cuts the bone, so that nothing is
     /// registered to, or judged by, a face that no bone has.
     ///
     /// # Errors
-    /// [`CtSurfaceError::Mesh`]; a vertex is not finite if coordinates overflow.
-    pub fn open_mesh(&self, frame: impl Into<Frame>) -> Result<Mesh, CtSurfaceError> {
+    /// [`Refusal`]; a vertex is not finite if coordinates overflow.
+    pub fn open_mesh(&self, frame: impl Into<Frame>) -> Result<Mesh, Refusal> {
         let own = |&(_, on_border): &(&[u32; 3], &bool)| !on_border;
         let faces: Vec<[u32; 3]> =
             self.faces.iter().zip(&self.face_is_on_border).filter(own).map(|(f, _)| *f).collect();
@@ -374,7 +323,7 @@ impl CtSurface {
             vertices.push(self.vertices[v]);
         }
         let faces: Vec<[u32; 3]> = faces.into_iter().map(|face| face.map(|v| new_index[v as usize])).collect();
-        Ok(Mesh::new(frame, SurfaceOrigin::User, vertices, faces)?)
+        Mesh::new(frame, SurfaceOrigin::User, vertices, faces).map_err(Refusal::of)
     }
 
     /// Number of faces on the border.

@@ -3,6 +3,7 @@
 mod outline;
 mod triangulate;
 
+use crate::Refusal;
 use crate::{mesh_topology, section};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Mesh, Plane, PlanePlace, Planes, SurfaceOrigin};
@@ -46,52 +47,6 @@ pub struct HalfSpace {
     pub inward: Vector3<f64>,
 }
 
-/// Errors of [`between`] and [`fragment()`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum FragmentError {
-    /// There are not two planes.
-    #[error("a fragment lies between two planes, but there are {n}; give the plan two")]
-    TwoPlanes {
-        /// Number of planes.
-        n: usize,
-    },
-    /// A plane is unknown.
-    #[error("plane {name} is unknown: {reason}")]
-    Unknown {
-        /// The plane.
-        name: String,
-        /// Why.
-        reason: String,
-    },
-    /// The planes meet the bone in one place.
-    #[error("{first} and {second} cut the bone in one place, so nothing lies between them; are they the same plane?")]
-    OnePlace {
-        /// The first plane.
-        first: String,
-        /// The second plane.
-        second: String,
-    },
-    /// A plane does not cut the bone where the fragment is.
-    #[error(
-        "{name} does not cut the bone within {reach_mm} mm of its origin; is the plane in the bone's frame, or is the \
-         registration far off?"
-    )]
-    Misses {
-        /// The plane.
-        name: String,
-        /// Distance searched.
-        reach_mm: f64,
-    },
-    /// The bone has holes at the cut.
-    #[error("the bone's surface is open where {name} cuts it ({n_edges} loose ends); close the mesh first")]
-    Open {
-        /// The plane.
-        name: String,
-        /// Number of loose ends of the outline.
-        n_edges: usize,
-    },
-}
-
 impl HalfSpace {
     /// The half space moved by `motion`.
     pub fn moved(&self, motion: &Isometry3<f64>) -> Self {
@@ -108,16 +63,17 @@ impl HalfSpace {
 /// the other one cuts the bone. The points are the centres of the bone's outlines. `O(m)`.
 ///
 /// # Errors
-/// [`FragmentError`] if there are not two known planes, one misses the bone, or both cut it in one place.
-pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], FragmentError> {
-    let [first, second] = &*planes.planes else { return Err(FragmentError::TwoPlanes { n: planes.planes.len() }) };
+/// [`Refusal`] if there are not two known planes, one misses the bone, or both cut it in one place.
+pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], Refusal> {
+    let [first, second] = &*planes.planes else {
+        let n = planes.planes.len();
+        return Err(Refusal::of(format!("a fragment lies between two planes, but there are {n}; give the plan two")));
+    };
     let cut = |plane: &Plane| match &plane.place {
-        PlanePlace::Unknown(reason) => {
-            Err(FragmentError::Unknown { name: plane.name.to_string(), reason: reason.to_string() })
-        }
+        PlanePlace::Unknown(reason) => Err(Refusal::of(format!("plane {} is unknown: {reason}", plane.name))),
         PlanePlace::Known(t) => match section::middle(bone, t, Some(REACH_MM)) {
             Some(middle) => Ok((middle, t * Vector3::z())),
-            None => Err(FragmentError::Misses { name: plane.name.to_string(), reach_mm: REACH_MM }),
+            None => Err(misses(&plane.name)),
         },
     };
     let cuts = [cut(first)?, cut(second)?];
@@ -129,8 +85,18 @@ pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], FragmentE
     };
     match (side(first, 0), side(second, 1)) {
         (Some(a), Some(b)) => Ok([a, b]),
-        _ => Err(FragmentError::OnePlace { first: first.name.to_string(), second: second.name.to_string() }),
+        _ => Err(Refusal::of(format!(
+            "{} and {} cut the bone in one place, so nothing lies between them; are they the same plane?",
+            first.name, second.name
+        ))),
     }
+}
+
+fn misses(name: &str) -> Refusal {
+    Refusal::of(format!(
+        "{name} does not cut the bone within {REACH_MM} mm of its origin; is the plane in the bone's frame, or is the \
+         registration far off?"
+    ))
 }
 
 /// The piece of `bone` inside both half spaces, closed by a face at each cut, in the bone's frame.
@@ -141,11 +107,11 @@ pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], FragmentE
 /// cut to cut nearest to the half spaces' points, with the cavities inside it. `O(m log m)`.
 ///
 /// # Errors
-/// [`FragmentError`] if a plane misses the bone or the bone is open where it is cut.
+/// [`Refusal`] if a plane misses the bone or the bone is open where it is cut.
 ///
 /// # Source
 /// Sutherland and Hodgman 1974 for the faces; Chew 1989 for the constrained Delaunay triangulation of the cut faces.
-pub fn fragment(bone: &Mesh, cuts: &[HalfSpace; 2]) -> Result<Fragment, FragmentError> {
+pub fn fragment(bone: &Mesh, cuts: &[HalfSpace; 2]) -> Result<Fragment, Refusal> {
     let mut piece = Piece {
         vertices: bone.vertices().to_vec(),
         faces: bone.faces().to_vec(),
@@ -154,10 +120,7 @@ pub fn fragment(bone: &Mesh, cuts: &[HalfSpace; 2]) -> Result<Fragment, Fragment
     for (index, cut) in cuts.iter().enumerate() {
         piece = piece.clipped(cut, index)?;
     }
-    piece
-        .nearest(cuts)?
-        .into_fragment(bone.frame.clone(), bone.origin)
-        .ok_or_else(|| FragmentError::Misses { name: cuts[0].name.clone(), reach_mm: REACH_MM })
+    piece.nearest(cuts)?.into_fragment(bone.frame.clone(), bone.origin).ok_or_else(|| misses(&cuts[0].name))
 }
 
 impl Fragment {
@@ -224,7 +187,7 @@ impl ClippedVertices<'_> {
 
 impl Piece {
     /// The part inside the half space, closed at the plane by faces of cap `index`.
-    fn clipped(&self, cut: &HalfSpace, index: usize) -> Result<Self, FragmentError> {
+    fn clipped(&self, cut: &HalfSpace, index: usize) -> Result<Self, Refusal> {
         let snap = |height: f64| if height.abs() <= ON_PLANE_MM { 0.0 } else { height };
         let heights: Vec<f64> = self.vertices.iter().map(|v| snap(cut.height_mm(v))).collect();
         let mut clipped = ClippedVertices {
@@ -284,7 +247,12 @@ impl Piece {
             face_kinds.resize(faces.len(), *kind);
         }
         let vertices = clipped.vertices;
-        let loops = outline::loops(&rim).map_err(|n_edges| FragmentError::Open { name: cut.name.clone(), n_edges })?;
+        let loops = outline::loops(&rim).map_err(|n_edges| {
+            let name = &cut.name;
+            Refusal::of(format!(
+                "the bone's surface is open where {name} cuts it ({n_edges} loose ends); close the mesh first"
+            ))
+        })?;
         // Seen from outside, so that faces are counter-clockwise.
         let u = cut.inward.cross(&Vector3::ith(cut.inward.iamin(), 1.0)).normalize();
         let v = u.cross(&cut.inward);
@@ -298,7 +266,7 @@ impl Piece {
     }
 
     /// The component that extends from cut to cut nearest to the points of both, with the cavities inside it.
-    fn nearest(self, cuts: &[HalfSpace; 2]) -> Result<Self, FragmentError> {
+    fn nearest(self, cuts: &[HalfSpace; 2]) -> Result<Self, Refusal> {
         let (component, n) = mesh_topology::components(self.vertices.len(), &self.faces);
         let mut known = vec![Component::default(); n];
         for (face, kind) in self.faces.iter().zip(&self.face_kinds) {
@@ -313,7 +281,7 @@ impl Piece {
         }
         for (k, cut) in cuts.iter().enumerate() {
             if known.iter().all(|c| c.reach[k] > REACH_MM) {
-                return Err(FragmentError::Misses { name: cut.name.clone(), reach_mm: REACH_MM });
+                return Err(misses(&cut.name));
             }
         }
         let span = |c: &Component| c.reach[0] + c.reach[1];
@@ -321,7 +289,7 @@ impl Piece {
             .min_by(|&a, &b| span(&known[a]).total_cmp(&span(&known[b])))
             .filter(|&c| span(&known[c]).is_finite());
         let Some(main) = main else {
-            return Err(FragmentError::Misses { name: cuts[1].name.clone(), reach_mm: REACH_MM });
+            return Err(misses(&cuts[1].name));
         };
         let (min, max) = (known[main].min, known[main].max);
         let within = |c: &Component| (c.min - min).min() >= 0.0 && (max - c.max).min() >= 0.0;

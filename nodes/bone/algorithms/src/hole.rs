@@ -8,7 +8,6 @@
 mod blobs;
 mod boundary;
 mod cloud_difference;
-mod error;
 mod footprint;
 mod image;
 mod params;
@@ -22,8 +21,7 @@ mod spot;
 
 pub use boundary::boundary;
 pub use cloud_difference::cloud_difference;
-pub use error::HoleError;
 pub use params::HoleParams;
 pub use range_image::range_image;
 pub use report::{Hole, HoleReport};
-pub use rgb_spot::{Mark, RgbSpotError, RgbSpotParams, rgb_spot};
+pub use rgb_spot::{Mark, RgbSpotParams, rgb_spot};

@@ -62,6 +62,7 @@ pub mod nearest;
 pub mod normals;
 mod point_blocks;
 mod point_grid;
+mod refusal;
 pub mod roi;
 pub mod sample;
 pub mod section;
@@ -74,3 +75,5 @@ pub mod still_average;
 pub mod target;
 pub mod trust;
 mod union_find;
+
+pub use refusal::Refusal;

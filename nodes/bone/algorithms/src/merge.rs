@@ -1,49 +1,32 @@
 //! Merging several views of one bone into one cloud.
 
+use crate::Refusal;
 use nalgebra::{Point3, Vector3};
-use osteoflow_geometry::{Cloud, CloudError, Frame};
-
-/// Clouds that cannot be merged.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MergeError {
-    /// There is no cloud.
-    #[error("there is no cloud to merge; wire at least one")]
-    None,
-    /// The clouds lie in different frames.
-    #[error("cloud {index} is in {found}, but the first is in {expected}; bring all into the bone's frame first")]
-    Frames {
-        /// Index of the cloud.
-        index: usize,
-        /// The first cloud's frame.
-        expected: Frame,
-        /// Its frame.
-        found: Frame,
-    },
-    /// The columns do not fit together.
-    #[error(transparent)]
-    Cloud(#[from] CloudError),
-}
+use osteoflow_geometry::Cloud;
 
 /// All points of `clouds` in order, stamped with the latest of their times.
 ///
 /// Normals and extra columns are kept if every cloud has them, the viewpoint if all clouds share it.
 ///
 /// # Errors
-/// [`MergeError`] if there is no cloud or the frames differ.
-pub fn merge(clouds: &[Cloud]) -> Result<Cloud, MergeError> {
-    let first = clouds.first().ok_or(MergeError::None)?;
+/// [`Refusal`] if there is no cloud or the frames differ.
+pub fn merge(clouds: &[Cloud]) -> Result<Cloud, Refusal> {
+    let first = clouds.first().ok_or_else(|| Refusal::of("there is no cloud to merge; wire at least one"))?;
     if let Some((index, other)) = clouds.iter().enumerate().find(|(_, c)| c.frame != first.frame) {
-        return Err(MergeError::Frames { index, expected: first.frame.clone(), found: other.frame.clone() });
+        let (found, expected) = (&other.frame, &first.frame);
+        return Err(Refusal::of(format!(
+            "cloud {index} is in {found}, but the first is in {expected}; bring all into the bone's frame first"
+        )));
     }
     let points: Vec<Point3<f64>> = clouds.iter().flat_map(|c| c.points()).copied().collect();
-    let mut merged = Cloud::new(&first.frame, points)?;
+    let mut merged = Cloud::new(&first.frame, points).map_err(Refusal::of)?;
     if let Some(normals) = clouds.iter().map(Cloud::normals).collect::<Option<Vec<_>>>() {
-        merged = merged.with_normals(normals.concat::<Vector3<f64>>())?;
+        merged = merged.with_normals(normals.concat::<Vector3<f64>>()).map_err(Refusal::of)?;
     }
     for (name, _) in first.extras() {
         let column = |c: &Cloud| c.extras().iter().find(|(n, _)| n == name).map(|(_, values)| values.to_vec());
         if let Some(values) = clouds.iter().map(column).collect::<Option<Vec<_>>>() {
-            merged = merged.with_extra(name.clone(), values.concat())?;
+            merged = merged.with_extra(name.clone(), values.concat()).map_err(Refusal::of)?;
         }
     }
     merged.stamp_ns = clouds.iter().map(|c| c.stamp_ns).max().unwrap_or(0);
@@ -75,6 +58,6 @@ mod tests {
     fn clouds_in_different_frames_are_refused_by_name() {
         let error = merge(&[cloud("bone_marker", 1.0), cloud("camera", 2.0)]).unwrap_err().to_string();
         assert!(error.contains("bone_marker") && error.contains("camera"), "{error}");
-        assert_eq!(merge(&[]), Err(MergeError::None));
+        assert!(merge(&[]).unwrap_err().to_string().starts_with("there is no cloud to merge"));
     }
 }

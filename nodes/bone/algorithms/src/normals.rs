@@ -5,10 +5,11 @@ mod surface;
 pub use surface::of_surface;
 pub(crate) use surface::without_side;
 
+use crate::Refusal;
 use crate::kabsch::centroid;
 use crate::nearest::Nearest;
 use nalgebra::{Matrix3, Point3, Vector3};
-use osteoflow_geometry::{Cloud, CloudError};
+use osteoflow_geometry::Cloud;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -31,53 +32,33 @@ impl Default for NormalParams {
     }
 }
 
-/// Errors of the estimation of normals.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum NormalError {
-    /// The cloud has no viewpoint, so outside cannot be told from inside.
-    #[error("the cloud has no viewpoint, so which side of the surface is outside is unknown; set it where it is read")]
-    NoViewpoint,
-    /// No point has enough neighbours.
-    #[error("no point has two neighbours within {max_distance_mm} mm; is the cloud in mm, or too sparse?")]
-    TooSparse {
-        /// The limit.
-        max_distance_mm: f64,
-    },
-    /// A point is NaN or infinite.
-    #[error("point {index} is not finite; drop it before normals are estimated")]
-    NotFinite {
-        /// The first such point.
-        index: usize,
-    },
-    /// A point and its neighbours do not determine a plane.
-    #[error("point {index} and its nearest lie on a line or in one place, so there is no normal; is this a surface?")]
-    NoPlane {
-        /// The first such point, along the order of the search.
-        index: usize,
-    },
-    /// The normals do not fit the cloud.
-    #[error(transparent)]
-    Cloud(#[from] CloudError),
-}
-
 /// The cloud with unit normals, each of the plane fitted to a point's neighbours, turned towards the camera.
 ///
 /// Points without two neighbours off a line have no normal and are dropped; the second value is their number.
 /// `O(n log n)`.
 ///
 /// # Errors
-/// [`NormalError`] if the cloud has no viewpoint, or no point has neighbours.
-pub fn estimate(cloud: &Cloud, params: &NormalParams) -> Result<(Cloud, usize), NormalError> {
-    let camera = Point3::from(cloud.viewpoint.ok_or(NormalError::NoViewpoint)?.translation.vector);
+/// [`Refusal`] if the cloud has no viewpoint, or no point has neighbours.
+pub fn estimate(cloud: &Cloud, params: &NormalParams) -> Result<(Cloud, usize), Refusal> {
+    let t_cloud_camera = cloud.viewpoint.ok_or_else(|| {
+        Refusal::of(
+            "the cloud has no viewpoint, so which side of the surface is outside is unknown; set it where it is read",
+        )
+    })?;
+    let camera = Point3::from(t_cloud_camera.translation.vector);
     let tree = Nearest::new(cloud.points());
     let normals: Vec<Option<Vector3<f64>>> =
         cloud.points().par_iter().map(|point| normal(cloud.points(), &tree, point, &camera, params)).collect();
     let kept: Vec<usize> = (0..normals.len()).filter(|&i| normals[i].is_some()).collect();
     if kept.is_empty() {
-        return Err(NormalError::TooSparse { max_distance_mm: params.max_distance_mm });
+        return Err(Refusal::of(format!(
+            "no point has two neighbours within {} mm; is the cloud in mm, or too sparse?",
+            params.max_distance_mm
+        )));
     }
     let n_dropped = normals.len() - kept.len();
-    Ok((cloud.selected(&kept).with_normals(normals.into_iter().flatten().collect::<Vec<_>>())?, n_dropped))
+    let normals: Vec<Vector3<f64>> = normals.into_iter().flatten().collect();
+    Ok((cloud.selected(&kept).with_normals(normals).map_err(Refusal::of)?, n_dropped))
 }
 
 fn normal(
@@ -139,8 +120,9 @@ mod tests {
     #[test]
     fn a_cloud_too_sparse_or_without_a_camera_is_refused() {
         let cloud = Cloud::new("camera", vec![Point3::origin(), Point3::new(100.0, 0.0, 0.0)]).unwrap();
-        assert_eq!(estimate(&cloud, &NormalParams::default()), Err(NormalError::NoViewpoint));
+        let message = |cloud: &Cloud| estimate(cloud, &NormalParams::default()).unwrap_err().to_string();
+        assert!(message(&cloud).starts_with("the cloud has no viewpoint"));
         let seen = cloud.seen_from(Isometry3::identity());
-        assert!(matches!(estimate(&seen, &NormalParams::default()), Err(NormalError::TooSparse { .. })));
+        assert!(message(&seen).starts_with("no point has two neighbours within 3 mm"));
     }
 }

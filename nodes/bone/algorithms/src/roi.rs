@@ -1,21 +1,8 @@
 //! Points of a cloud in a region of interest, as indices in the cloud's order.
 
+use crate::Refusal;
 use nalgebra::{Point2, Point3, Unit, Vector3};
 use osteoflow_geometry::{Cloud, Region, encloses};
-
-/// A region that cannot be applied.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RegionError {
-    /// The cloud has no viewpoint.
-    #[error("the cloud has no viewpoint, so what its camera saw is unknown; crop it where its reader set one")]
-    NoViewpoint,
-    /// A polygon needs three corners.
-    #[error("the polygon has {n} corners, at least 3 are needed")]
-    TooFewCorners {
-        /// The number of corners.
-        n: usize,
-    },
-}
 
 /// Points inside `region` or on its boundary; both in one frame.
 pub fn in_box(cloud: &Cloud, region: &Region) -> Vec<usize> {
@@ -44,12 +31,15 @@ pub fn in_slab(
 /// viewpoint sees them, in order around the region; the even-odd rule decides where the outline crosses itself.
 ///
 /// # Errors
-/// [`RegionError`] if the cloud has no viewpoint or the polygon fewer than three corners.
-pub fn in_polygon(cloud: &Cloud, polygon: &[Point2<f64>]) -> Result<Vec<usize>, RegionError> {
+/// [`Refusal`] if the cloud has no viewpoint or the polygon fewer than three corners.
+pub fn in_polygon(cloud: &Cloud, polygon: &[Point2<f64>]) -> Result<Vec<usize>, Refusal> {
     if polygon.len() < 3 {
-        return Err(RegionError::TooFewCorners { n: polygon.len() });
+        return Err(Refusal::of(format!("the polygon has {} corners, at least 3 are needed", polygon.len())));
     }
-    let t_camera_cloud = cloud.viewpoint.ok_or(RegionError::NoViewpoint)?.inverse();
+    let t_cloud_camera = cloud.viewpoint.ok_or_else(|| {
+        Refusal::of("the cloud has no viewpoint, so what its camera saw is unknown; crop it where its reader set one")
+    })?;
+    let t_camera_cloud = t_cloud_camera.inverse();
     Ok(select(cloud, |p| {
         let seen = t_camera_cloud * p;
         seen.z > 0.0 && encloses(polygon, seen.x / seen.z, seen.y / seen.z)
@@ -83,7 +73,7 @@ mod tests {
     #[test]
     fn a_polygon_follows_the_camera_that_took_the_cloud() {
         let square = [(-0.025, -1.0), (0.025, -1.0), (0.025, 1.0), (-0.025, 1.0)].map(|(x, y)| Point2::new(x, y));
-        assert_eq!(in_polygon(&grid(), &square), Err(RegionError::NoViewpoint));
+        assert!(in_polygon(&grid(), &square).unwrap_err().to_string().starts_with("the cloud has no viewpoint"));
         let seen = grid().seen_from(Isometry3::identity());
         assert_eq!(in_polygon(&seen, &square).unwrap(), [3, 4, 5, 6, 7]);
         let moved =
@@ -91,6 +81,6 @@ mod tests {
         assert_eq!(in_polygon(&moved, &square).unwrap(), [3, 4, 5, 6, 7]);
         let behind = seen.seen_from(Isometry3::translation(0.0, 0.0, 200.0));
         assert!(in_polygon(&behind, &square).unwrap().is_empty());
-        assert_eq!(in_polygon(&behind, &square[..2]), Err(RegionError::TooFewCorners { n: 2 }));
+        assert!(in_polygon(&behind, &square[..2]).unwrap_err().to_string().contains("2 corners"));
     }
 }

@@ -15,7 +15,7 @@ mod tests;
 
 pub use report::{Other, SlideProfile, SlideReport};
 
-use crate::icp::IcpError;
+use crate::Refusal;
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::Target;
 use axis::LongAxis;
@@ -75,48 +75,6 @@ pub struct SlideFit {
     pub report: SlideReport,
 }
 
-/// Why there is no slide profile.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum SlideError {
-    /// The scan is too small.
-    #[error(
-        "the scan has {n} points, {MIN_POINTS} are needed for a profile; is the region of interest around the bone?"
-    )]
-    TooFew {
-        /// Number of points found.
-        n: usize,
-    },
-    /// The surface has no normals.
-    #[error("the target has no normals, which the profile needs; sample it from a mesh or estimate them")]
-    NoNormals,
-    /// The scan is not on the surface.
-    #[error(
-        "{n_near} of {n} scan points lie within {reach_mm:.0} mm of the surface, {needed} are needed; the scan's centroid is \
-         {nearest_mm:.0} mm away from it: is t_target_source right, and are both in mm?"
-    )]
-    OffSurface {
-        /// Number of points near the surface.
-        n_near: usize,
-        /// Number of points looked at.
-        n: usize,
-        /// Number of points needed.
-        needed: usize,
-        /// Reach, mm.
-        reach_mm: f64,
-        /// Distance of the scan's centroid from the nearest point of the surface, mm.
-        nearest_mm: f64,
-    },
-    /// A parameter or the pose is out of range.
-    #[error("{what}")]
-    Invalid {
-        /// What is wrong.
-        what: String,
-    },
-    /// No registration ended on the surface.
-    #[error(transparent)]
-    Icp(#[from] IcpError),
-}
-
 /// Registers a scan at its best place along and around a bone, and measures how well its residuals determine that place.
 ///
 /// The minima within `along_mm` and `around_deg` of `t_target_source` are looked for from a grid of starts on a coarse map; each is
@@ -127,7 +85,7 @@ pub enum SlideError {
 /// one core.
 ///
 /// # Errors
-/// [`SlideError`] if the scan is too small or away from the surface, or the surface has no normals.
+/// [`Refusal`] if the scan is too small or away from the surface, or the surface has no normals.
 ///
 /// # Source
 /// Profiles of a cost over one unknown with the others fitted: as profile likelihoods. Two places are told apart by the mean
@@ -139,7 +97,7 @@ pub fn slide(
     source: &Cloud,
     t_target_source: &Isometry3<f64>,
     params: &SlideParams,
-) -> Result<SlideFit, SlideError> {
+) -> Result<SlideFit, Refusal> {
     check(target, source, t_target_source, params)?;
     let sensor_mm = sensor_noise_mm(source.points()).unwrap_or(params.noise_mm);
     let seen = Scene::new(target, source);
@@ -201,7 +159,7 @@ fn check(
     source: &Cloud,
     t_target_source: &Isometry3<f64>,
     params: &SlideParams,
-) -> Result<(), SlideError> {
+) -> Result<(), Refusal> {
     let positive = [
         ("along_mm", params.along_mm),
         ("around_deg", params.around_deg),
@@ -211,24 +169,34 @@ fn check(
     ];
     for (name, value) in positive {
         if !(value.is_finite() && value > 0.0) {
-            return Err(SlideError::Invalid { what: format!("{name} is {value}, but it must be a positive number") });
+            return Err(Refusal::of(format!("{name} is {value}, but it must be a positive number")));
         }
     }
     if !t_target_source.to_homogeneous().iter().all(|c| c.is_finite()) {
-        return Err(SlideError::Invalid { what: "the pose to begin with is not finite".into() });
+        return Err(Refusal::of("the pose to begin with is not finite"));
     }
     if target.normals().is_none() {
-        return Err(SlideError::NoNormals);
+        let reason = "the target has no normals, which the profile needs; sample it from a mesh or estimate them";
+        return Err(Refusal::of(reason));
     }
     let n = source.points().len();
-    if n < MIN_POINTS { Err(SlideError::TooFew { n }) } else { Ok(()) }
+    if n < MIN_POINTS {
+        return Err(Refusal::of(format!(
+            "the scan has {n} points, {MIN_POINTS} are needed for a profile; is the region of interest around the bone?"
+        )));
+    }
+    Ok(())
 }
 
-fn off_surface(target: &Target, source: &Cloud, t_target_source: &Isometry3<f64>) -> SlideError {
+fn off_surface(target: &Target, source: &Cloud, t_target_source: &Isometry3<f64>) -> Refusal {
     let seen = Scene::new(target, source);
     let n_near = seen.n_near(t_target_source);
     let centroid: Point3<f64> = t_target_source * seen.centroid;
     let nearest_mm = target.nearest(&centroid, 1e9).map_or(f64::INFINITY, |(_, mm)| mm);
     let (n, needed) = (seen.n(), seen.n() / axis::MIN_NEAR_PART);
-    SlideError::OffSurface { n_near, n, needed, reach_mm: surface::REACH_MM, nearest_mm }
+    Refusal::of(format!(
+        "{n_near} of {n} scan points lie within {:.0} mm of the surface, {needed} are needed; the scan's centroid is \
+         {nearest_mm:.0} mm away from it: is t_target_source right, and are both in mm?",
+        surface::REACH_MM
+    ))
 }

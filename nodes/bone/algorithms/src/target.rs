@@ -5,6 +5,7 @@ mod near_map;
 pub use crate::point_grid::GridColumns;
 pub(crate) use near_map::NearMap;
 
+use crate::Refusal;
 use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
@@ -37,70 +38,38 @@ pub struct Target {
     index: Arc<OnceLock<Index>>,
 }
 
-/// Why points make no target.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum TargetError {
-    /// There is no point.
-    #[error("the target has no points; is the surface empty, or was nothing sampled from it?")]
-    Empty,
-    /// Normals and points differ in number.
-    #[error("the target has {n_normals} normals for {n_points} points")]
-    Normals {
-        /// Number of points.
-        n_points: usize,
-        /// Number of normals.
-        n_normals: usize,
-    },
-    /// A point or normal is NaN or infinite.
-    #[error("target point {index} is not finite; drop it before the target is prepared")]
-    NotFinite {
-        /// Index of the first such point.
-        index: usize,
-    },
-    /// A coordinate is beyond [`FARTHEST_MM`](osteoflow_geometry::FARTHEST_MM).
-    #[error("target point {index}: {far}")]
-    TooFar {
-        /// Index of the first such point.
-        index: usize,
-        /// Its coordinate.
-        far: TooFar,
-    },
-    /// A stored index is not that of the points.
-    #[error("the target's stored index is damaged: {what}; prepare the target again")]
-    Damaged {
-        /// What is wrong.
-        what: String,
-    },
-}
-
 impl Target {
     /// A target of `points` in `frame`, with one unit normal for each point where they are known.
     ///
     /// `O(n)`.
     ///
     /// # Errors
-    /// [`TargetError`] if there are no points, a number is not finite, or normals and points differ in number.
+    /// [`Refusal`] if there are no points, a number is not finite, or normals and points differ in number.
     pub fn new(
         frame: impl Into<Frame>,
         origin: SurfaceOrigin,
         points: impl Into<Column<Point3<f64>>>,
         normals: Option<Column<Vector3<f64>>>,
-    ) -> Result<Self, TargetError> {
+    ) -> Result<Self, Refusal> {
         let (frame, points) = (frame.into(), points.into());
         if points.is_empty() {
-            return Err(TargetError::Empty);
+            let reason = "the target has no points; is the surface empty, or was nothing sampled from it?";
+            return Err(Refusal::of(reason));
         }
         if let Some(normals) = normals.as_ref().filter(|n| n.len() != points.len()) {
-            return Err(TargetError::Normals { n_points: points.len(), n_normals: normals.len() });
+            let (n_points, n_normals) = (points.len(), normals.len());
+            return Err(Refusal::of(format!("the target has {n_normals} normals for {n_points} points")));
         }
         let wild = |v: &Vector3<f64>| !v.iter().all(|c| c.is_finite());
         let wild_point = points.iter().position(|p| wild(&p.coords));
         let wild_normal = normals.as_ref().and_then(|n| n.iter().position(wild));
         if let Some(index) = wild_point.or(wild_normal) {
-            return Err(TargetError::NotFinite { index });
+            return Err(Refusal::of(format!(
+                "target point {index} is not finite; drop it before the target is prepared"
+            )));
         }
         if let Some((index, far)) = TooFar::first(&points) {
-            return Err(TargetError::TooFar { index, far });
+            return Err(Refusal::of(format!("target point {index}: {far}")));
         }
         let index = Arc::new(OnceLock::new());
         Ok(Self { frame, origin, points, normals, mesh: None, index })
@@ -171,11 +140,13 @@ impl Target {
     /// The target with the cells of these columns. `O(n)`.
     ///
     /// # Errors
-    /// [`TargetError::Damaged`] if they are not the grid of these points.
-    pub fn with_grid_columns(self, columns: &GridColumns) -> Result<Self, TargetError> {
+    /// [`Refusal`] if they are not the grid of these points.
+    pub fn with_grid_columns(self, columns: &GridColumns) -> Result<Self, Refusal> {
         let index = Index::new(&self.points);
         let grid = PointGrid::from_columns(&self.points, &index.centre, columns);
-        let cells = OnceLock::from(grid.map_err(|what| TargetError::Damaged { what })?);
+        let cells = OnceLock::from(grid.map_err(|what| {
+            Refusal::of(format!("the target's stored index is damaged: {what}; prepare the target again"))
+        })?);
         let index = Index { cells, cell_mm: OnceLock::from(columns.cell_mm), ..index };
         Ok(Self { index: Arc::new(OnceLock::from(index)), ..self })
     }

@@ -2,8 +2,9 @@
 
 use crate::common::{Bone, CLEAN, Noise, USUAL, apart, bones, displaced, own_bone};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use osteoflow_algorithms::coarse::{GlobalError, GlobalParams, global};
-use osteoflow_algorithms::hole::{self, Hole, HoleError, HoleParams};
+use osteoflow_algorithms::Refusal;
+use osteoflow_algorithms::coarse::{GlobalParams, global};
+use osteoflow_algorithms::hole::{self, Hole, HoleParams};
 use osteoflow_algorithms::icp::{self, IcpFit, IcpParams, StopReason};
 use osteoflow_algorithms::landmarks::{RecipeParams, paper_recipe};
 use osteoflow_algorithms::section;
@@ -199,7 +200,15 @@ fn the_recipe_finds_the_landmarks_of_the_development_plan() {
     }
 }
 
-type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, HoleError>;
+/// How the refusal of a scan without a hole begins.
+const NO_HOLE: &str = "no hole of ";
+
+fn assert_refused(hole: Result<Hole, Refusal>, reason: &str) {
+    let message = hole.unwrap_err().to_string();
+    assert!(message.contains(reason), "{reason}: {message}");
+}
+
+type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, Refusal>;
 
 const DETECTORS: [(&str, Detector); 2] =
     [("cloud_difference", hole::cloud_difference), ("range_image", hole::range_image)];
@@ -260,33 +269,25 @@ fn what_is_no_single_hole_is_refused_with_the_reason() {
     let empty = Cloud::new("ct", Vec::new()).unwrap().seen_from(camera);
     for (name, detect) in DETECTORS {
         assert!(detect(&reference, &one, &params).is_ok(), "{name}");
-        assert!(
-            matches!(detect(&reference, &two, &params), Err(HoleError::Several { n: 2, .. })),
-            "{name} {:?}",
-            detect(&reference, &two, &params)
-        );
-        assert!(matches!(detect(&reference, &none, &params), Err(HoleError::None { .. })), "{name}");
-        assert!(matches!(detect(&reference, &half, &params), Err(HoleError::None { .. })), "{name}");
-        assert!(
-            matches!(detect(&reference, &apart, &params), Err(HoleError::ScansApart { .. })),
-            "{name} {:?}",
-            detect(&reference, &apart, &params)
-        );
-        assert!(
-            matches!(detect(&sparse.0, &sparse.1, &params), Err(HoleError::TooSparse { .. })),
-            "{name} {:?}",
-            detect(&sparse.0, &sparse.1, &params)
-        );
-        assert!(matches!(detect(&reference, &empty, &params), Err(HoleError::Empty { what: "laser" })), "{name}");
+        for (reference, scan, reason) in [
+            (&reference, &two, "2 holes look alike"),
+            (&reference, &none, NO_HOLE),
+            (&reference, &half, NO_HOLE),
+            (&reference, &apart, "mm (median) from the reference scan"),
+            (&sparse.0, &sparse.1, "mm apart on the surface"),
+            (&reference, &empty, "the laser scan has no points"),
+        ] {
+            assert_refused(detect(reference, scan, &params), reason);
+        }
     }
     let blind = Cloud::new("ct", one.points().to_vec()).unwrap();
     assert!(hole::cloud_difference(&reference, &blind, &params).is_ok());
-    assert_eq!(hole::range_image(&reference, &blind, &params), Err(HoleError::NoViewpoint));
+    assert_refused(hole::range_image(&reference, &blind, &params), "the laser scan has no viewpoint");
     assert!(hole::boundary(&one, &params).is_ok());
-    assert!(matches!(hole::boundary(&two, &params), Err(HoleError::Several { n: 2, .. })));
-    assert!(matches!(hole::boundary(&none, &params), Err(HoleError::None { .. })));
-    assert_eq!(hole::boundary(&empty, &params), Err(HoleError::Empty { what: "laser" }));
-    assert_eq!(hole::boundary(&blind, &params), Err(HoleError::NoViewpoint));
+    assert_refused(hole::boundary(&two, &params), "2 holes look alike");
+    assert_refused(hole::boundary(&none, &params), NO_HOLE);
+    assert_refused(hole::boundary(&empty, &params), "the laser scan has no points");
+    assert_refused(hole::boundary(&blind, &params), "the laser scan has no viewpoint");
 }
 
 #[test]
@@ -298,7 +299,7 @@ fn a_gap_in_one_scan_is_found_without_a_reference_where_scan_lies_all_around_it(
             match hole::boundary(&laser, &HoleParams::default()) {
                 Ok(hole) => errors.push((hole.centre - spot).norm()),
                 // At the silhouette, which is open on one side.
-                Err(HoleError::None { .. }) => refused += 1,
+                Err(error) if error.to_string().starts_with(NO_HOLE) => refused += 1,
                 Err(error) => panic!("{} spot {k}: {error}", bone.name),
             }
         }
@@ -328,6 +329,6 @@ fn a_long_scan_finds_its_place_by_shape_alone_and_a_short_one_says_that_it_may_n
         }
         let few = shaft(&bone, &CLEAN, 1).selected(&[0, 1, 2]);
         let error = global(&target, &few, &GlobalParams::default());
-        assert_eq!(error, Err(GlobalError::TooFew { n: 3, needed: 200 }));
+        assert!(error.unwrap_err().to_string().starts_with("the scan has 3 points, 200 are needed"));
     }
 }

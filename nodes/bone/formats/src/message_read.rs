@@ -228,10 +228,8 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
         }
         let point = Point3::from(Vector3::from(at_m) * MM_PER_M);
         let point = pose.map_or(point, |t| t * point);
-        TooFar::check(point.coords.as_slice()).map_err(|far| MessageError::Point {
-            number: k + 1,
-            byte: k * layout.stride,
-            far,
+        TooFar::check(point.coords.as_slice()).map_err(|far| {
+            MessageError(format!("point {}, at byte {} of the data: {far}", k + 1, k * layout.stride))
         })?;
         points.push(point);
         if let Some(fields) = layout.normal {
@@ -299,12 +297,12 @@ fn raw_transforms(message: &Encoded) -> Result<Vec<JsonTransform>, MessageError>
 /// The point in a `foxglove.PoseInFrame` or `geometry_msgs/msg/PoseStamped`, mm, such as a stylus tip; its orientation may be missing.
 ///
 /// # Errors
-/// [`MessageError::Pose`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
+/// [`MessageError`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
 /// or the bytes do not follow it.
 pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, MessageError> {
     let message = message.into();
     let read = raw_pose(&message)?;
-    let lost = |reason: &str| MessageError::Pose { what: "located point", reason: format!("it has {reason}") };
+    let lost = |reason: &str| MessageError(format!("the located point cannot be used: it has {reason}"));
     let pose = read.pose.ok_or_else(|| lost("no pose"))?;
     let position = translation(&pose.position.unwrap_or_default()).map_err(|reason| lost(&reason))?;
     let orientation = pose.orientation.map(|q| rotation(&q));
@@ -325,11 +323,15 @@ fn raw_pose(message: &Encoded) -> Result<JsonPoseInFrame, MessageError> {
 /// `roi_camera_max_m`, three numbers in metres each, in the camera's frame; mm here.
 ///
 /// # Errors
-/// [`MessageError::Region`] if only one of both is there, it does not hold three finite numbers, or min lies above max.
+/// [`MessageError`] if only one of both is there, it does not hold three finite numbers, or min lies above max.
 pub fn procedure_region(recording: &Recording) -> Result<Option<Region>, MessageError> {
     const KEYS: [&str; 2] = ["roi_camera_min_m", "roi_camera_max_m"];
     let Some(record) = recording.metadata.get("procedure") else { return Ok(None) };
-    let fault = |key: &str, reason: String| MessageError::Region { key: key.into(), reason };
+    let fault = |key: &str, reason: String| {
+        MessageError(format!(
+            "metadata \"procedure\", key \"{key}\": {reason}; write three numbers in metres, such as \"-0.1 -0.1 0.2\""
+        ))
+    };
     let corners = match KEYS.map(|key| record.get(key)) {
         [None, None] => return Ok(None),
         [Some(min), Some(max)] => [min, max],
@@ -373,17 +375,25 @@ fn kind_and_encoding(message: &Encoded) -> Result<(MessageKind, Encoding), Messa
         ("protobuf", true) => Ok((kind, Protobuf)),
         ("json", true) => Ok((kind, Json)),
         ("cdr", false) => Ok((kind, Cdr)),
-        (found, _) => Err(MessageError::Encoding { found: found.into(), schema: message.schema_name.into() }),
+        _ => Err(wrong_encoding(message)),
     }
 }
 
-fn wrong_schema(expected: &'static str, message: &Encoded) -> MessageError {
+fn wrong_schema(expected: &str, message: &Encoded) -> MessageError {
     let found = if message.schema_name.is_empty() { "messages without a schema" } else { message.schema_name };
-    MessageError::Schema { expected, found: found.into() }
+    MessageError(format!("{expected} is needed here, but the topic carries {found}; name another topic"))
+}
+
+fn wrong_encoding(message: &Encoded) -> MessageError {
+    let Encoded { schema_name, message_encoding, .. } = message;
+    MessageError(format!(
+        "a {schema_name} written as \"{message_encoding}\" is not read; foxglove.* in protobuf and json are, those of ROS 2 in \
+         cdr"
+    ))
 }
 
 fn no_such(message: &Encoded, reason: impl ToString) -> MessageError {
-    MessageError::Decode { schema: message.schema_name.into(), reason: reason.to_string() }
+    MessageError(format!("the message is no {}: {}", message.schema_name, reason.to_string()))
 }
 
 fn decode<T: Decode>(message: &Encoded) -> Result<T, MessageError> {
@@ -427,7 +437,7 @@ fn no_pose(to: &Frame, from: &Frame, stamp_ns: StampNs, error: RigidError) -> Po
 /// The pose of a cloud; `None` if it is unset or the identity, so that coordinates are unchanged.
 fn cloud_pose(pose: Option<&FoxglovePose>) -> Result<Nearest<Option<Isometry3<f64>>>, MessageError> {
     let Some(pose) = pose else { return Ok(Nearest { value: None, correction: Correction::default() }) };
-    let fault = |reason| MessageError::Pose { what: "cloud's pose", reason };
+    let fault = |reason: String| MessageError(format!("the cloud's pose cannot be used: {reason}"));
     let translation =
         translation(&pose.position.unwrap_or_default()).map_err(|reason| fault(format!("it has {reason}")))?;
     let unset = Nearest { value: UnitQuaternion::identity(), correction: Correction::default() };

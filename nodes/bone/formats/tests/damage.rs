@@ -99,15 +99,14 @@ fn n_messages(recording: &Recording) -> usize {
 #[test]
 fn an_empty_file_is_named_as_such() {
     let error = Recording::from_bytes("a.mcap", &[], true).unwrap_err();
-    assert!(matches!(error, McapError::Empty { .. }));
     assert!(error.to_string().starts_with("a.mcap: the file is empty"), "{error}");
 }
 
 #[test]
 fn another_kind_of_file_is_named_as_such() {
     let error = Recording::from_bytes("a.mcap", b"#ROSBAG V2.0\n", true).unwrap_err();
-    assert!(matches!(error, McapError::WrongMagic { .. }));
-    assert!(error.to_string().contains("ROS 1 bag"), "{error}");
+    let begins = "a.mcap: byte 0: an MCAP begins with 89 4D 43 41 50 30 0D 0A, but this file begins with 23 52 4F 53";
+    assert!(error.to_string().starts_with(begins) && error.to_string().contains("ROS 1 bag"), "{error}");
     let error = Recording::from_bytes("a.mcap", b"\x89MCA", false).unwrap_err();
     assert!(error.to_string().contains("cut short in its first bytes"), "{error}");
 }
@@ -323,7 +322,7 @@ fn a_message_without_its_channel_is_named() {
     let end = records(&without).into_iter().find(|r| r.0 == 15).unwrap();
     without[end.2 - 4..end.2].fill(0);
     let error = Recording::from_bytes("a", &without, false).unwrap_err();
-    assert!(matches!(error, McapError::UnknownChannel { .. }), "{error}");
+    assert!(error.to_string().contains("which the file does not describe"), "{error}");
     let part = Recording::from_bytes("a", &without, true).unwrap();
     assert!(part.notes.iter().any(|note| note.starts_with("6 messages were left out")), "{:?}", part.notes);
     assert_eq!(part.messages("/stylus").len(), 6);

@@ -50,56 +50,10 @@ pub struct Image {
     pixels: Column<u8>,
 }
 
-/// An invalid image.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum ImageError {
-    /// A side is 0, or too large.
-    #[error("the image is {width} x {height} pixels; 1 to 16384 each are expected")]
-    Side {
-        /// Width found.
-        width: u32,
-        /// Height found.
-        height: u32,
-    },
-    /// Neither grey nor colour.
-    #[error("a pixel has {channels} channels; 1 (grey) or 3 (red, green, blue) are expected")]
-    Channels {
-        /// Number found.
-        channels: u32,
-    },
-    /// The bytes do not fill the image.
-    #[error("{found} bytes for {width} x {height} pixels of {channels} bytes; {expected} are expected")]
-    Bytes {
-        /// Width.
-        width: u32,
-        /// Height.
-        height: u32,
-        /// Bytes of a pixel.
-        channels: u32,
-        /// Number expected.
-        expected: usize,
-        /// Number found.
-        found: usize,
-    },
-    /// A focal length is not positive, or a number not finite.
-    #[error("intrinsics fx {0}, fy {1}, cx {2}, cy {3}: finite numbers and positive focal lengths are expected")]
-    Intrinsics(f64, f64, f64, f64),
-    /// The principal point is outside, which is what a calibration at twice the resolution gives.
-    #[error(
-        "the principal point ({cx:.1}, {cy:.1}) is outside of the image of {width} x {height} pixels; do the intrinsics belong \
-         to another resolution?"
-    )]
-    PrincipalPoint {
-        /// Principal point, x.
-        cx: f64,
-        /// Principal point, y.
-        cy: f64,
-        /// Width.
-        width: u32,
-        /// Height.
-        height: u32,
-    },
-}
+/// An invalid image: what was expected, and what was found.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct ImageError(String);
 
 impl Image {
     /// An image in the frame of its camera; `pixels` are row by row from the top left, each of `channels` bytes, 1 (grey) or
@@ -116,22 +70,31 @@ impl Image {
     ) -> Result<Self, ImageError> {
         let pixels = pixels.into();
         let Intrinsics { fx, fy, cx, cy } = intrinsics;
+        let refused = |message: String| Err(ImageError(message));
         if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) {
-            return Err(ImageError::Side { width, height });
+            return refused(format!("the image is {width} x {height} pixels; 1 to 16384 each are expected"));
         }
         if channels != 1 && channels != 3 {
-            return Err(ImageError::Channels { channels });
+            return refused(format!("a pixel has {channels} channels; 1 (grey) or 3 (red, green, blue) are expected"));
         }
         let expected = width as usize * height as usize * channels as usize;
         if pixels.len() != expected {
-            return Err(ImageError::Bytes { width, height, channels, expected, found: pixels.len() });
+            let found = pixels.len();
+            return refused(format!(
+                "{found} bytes for {width} x {height} pixels of {channels} bytes; {expected} are expected"
+            ));
         }
         if ![fx, fy, cx, cy].iter().all(|c| c.is_finite()) || fx <= 0.0 || fy <= 0.0 {
-            return Err(ImageError::Intrinsics(fx, fy, cx, cy));
+            return refused(format!(
+                "intrinsics fx {fx}, fy {fy}, cx {cx}, cy {cy}: finite numbers and positive focal lengths are expected"
+            ));
         }
         let inside = |c: f64, side: u32| (0.0..=f64::from(side - 1)).contains(&c);
         if !inside(cx, width) || !inside(cy, height) {
-            return Err(ImageError::PrincipalPoint { cx, cy, width, height });
+            return refused(format!(
+                "the principal point ({cx:.1}, {cy:.1}) is outside of the image of {width} x {height} pixels; do the intrinsics \
+                 belong to another resolution?"
+            ));
         }
         Ok(Self { frame: frame.into(), stamp_ns: 0, label: None, width, height, channels, intrinsics, pixels })
     }

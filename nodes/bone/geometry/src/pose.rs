@@ -38,15 +38,14 @@ impl Pose {
     /// `t_a_b * t_b_c = t_a_c`, valid at the later of both times.
     ///
     /// # Errors
-    /// [`FrameError::Compose`] if the inner frames differ, naming all four.
+    /// [`FrameError`] if the inner frames differ, naming all four.
     pub fn compose(&self, right: &Pose) -> Result<Pose, FrameError> {
         if self.from != right.to {
-            return Err(FrameError::Compose {
-                left_to: self.to.clone(),
-                left_from: self.from.clone(),
-                right_to: right.to.clone(),
-                right_from: right.from.clone(),
-            });
+            let (inner, other) = (&self.from, &right.to);
+            return Err(FrameError(format!(
+                "t_{}_{inner} cannot be followed by t_{other}_{}: {inner} is not {other}; wire a pose from {inner}",
+                self.to, right.from
+            )));
         }
         Ok(Pose {
             to: self.to.clone(),
@@ -59,17 +58,12 @@ impl Pose {
     /// The motion, if this pose is `t_to_from`; a node checks the frames of a pose by this call.
     ///
     /// # Errors
-    /// [`FrameError::Pose`] if it leads between other frames.
+    /// [`FrameError`] if it leads between other frames.
     pub fn expect(&self, to: &Frame, from: &Frame) -> Result<Isometry3<f64>, FrameError> {
         if self.to == *to && self.from == *from {
             return Ok(self.isometry);
         }
-        Err(FrameError::Pose {
-            to: to.clone(),
-            from: from.clone(),
-            found_to: self.to.clone(),
-            found_from: self.from.clone(),
-        })
+        Err(FrameError(format!("a pose {from} -> {to} is needed here, but this one maps {} -> {}", self.from, self.to)))
     }
 
     /// The pose between `a` (`s` = 0) and `b` (`s` = 1): linear in the origin of `from`, SLERP in the rotation.

@@ -108,15 +108,14 @@ const MAX_VOXELS: u64 = 64_000_000;
 /// for slanted ones. `O(voxels)`; a fibula takes about a tenth of a second.
 ///
 /// # Errors
-/// [`SimulationError::NotClosed`] if the surface has open edges; [`SimulationError::CtTooLarge`] and
-/// [`SimulationError::NoBoneInCt`] if the voxels do not suit the bone; [`SimulationError::Parameter`].
+/// [`SimulationError`] if the surface has open edges, the voxels do not suit the bone, or a parameter is out of range.
 pub fn ct_surface(bone: &Mesh, params: &CtParams, seed: u64) -> Result<Mesh, SimulationError> {
     params.check()?;
     let seed = params.scan_seed.unwrap_or(seed);
     let rng = &mut stream(seed, Term::CtNoise, 0);
     match open_edges(bone) {
         0 => {}
-        n_open_edges => return Err(SimulationError::NotClosed { n_open_edges }),
+        n_open_edges => return Err(SimulationError::not_closed(n_open_edges)),
     }
     let h = params.voxel_mm;
     let offset: [f64; 3] = std::array::from_fn(|_| rng.random());
@@ -128,7 +127,9 @@ pub fn ct_surface(bone: &Mesh, params: &CtParams, seed: u64) -> Result<Mesh, Sim
     let size: [usize; 3] = std::array::from_fn(|k| ((max[k] - origin[k]) / h + margin).ceil() as usize + 1);
     let n_voxels = size.iter().try_fold(1u64, |n, &s| n.checked_mul(s as u64)).unwrap_or(u64::MAX);
     if n_voxels > MAX_VOXELS {
-        return Err(SimulationError::CtTooLarge { n_voxels, limit: MAX_VOXELS });
+        return Err(SimulationError::Unsuitable(format!(
+            "the simulated CT would hold {n_voxels} voxels, at most {MAX_VOXELS} are allowed; take larger voxels"
+        )));
     }
     let grid = Grid { origin, spacing_mm: h, size };
 
@@ -145,7 +146,9 @@ pub fn ct_surface(bone: &Mesh, params: &CtParams, seed: u64) -> Result<Mesh, Sim
     let (vertices, faces) = iso_surface(&volume, size, level, |at| grid.origin + at * grid.spacing_mm);
     let (mut vertices, faces) = largest_component(vertices, &faces);
     if faces.is_empty() {
-        return Err(SimulationError::NoBoneInCt { voxel_mm: h });
+        return Err(SimulationError::Unsuitable(format!(
+            "the simulated CT shows no bone; is a voxel of {h} mm too coarse for it?"
+        )));
     }
     smooth(&mut vertices, &faces, params.smoothing);
     if params.bumps_mm > 0.0 {
@@ -483,15 +486,18 @@ mod tests {
     fn bones_and_parameters_without_a_ct_are_refused_with_the_reason() {
         let bone = fibula(&BoneParams { edge_mm: 3.0, ..BoneParams::default() });
         let open = Mesh::new("ct", SurfaceOrigin::User, bone.vertices().to_vec(), bone.faces()[1..].to_vec()).unwrap();
-        let error = ct_surface(&open, &CtParams::default(), 1).unwrap_err();
-        assert_eq!(error, SimulationError::NotClosed { n_open_edges: 3 });
+        let refused = |bone: &Mesh, params: &CtParams, reason: &str| {
+            let error = ct_surface(bone, params, 1).unwrap_err().to_string();
+            assert!(error.contains(reason), "{error}");
+        };
+        refused(&open, &CtParams::default(), "3 edges of the bone's surface are open");
         let large = fibula(&BoneParams { edge_mm: 3.0, length_mm: 450.0, girth: 1.6, ..BoneParams::default() });
         let fine = CtParams { voxel_mm: 0.2, ..CtParams::default() };
-        assert!(matches!(ct_surface(&large, &fine, 1), Err(SimulationError::CtTooLarge { .. })));
+        refused(&large, &fine, "voxels, at most");
         let blurred =
             CtParams { voxel_mm: 3.0, blur_mm: 3.0, noise_hu: 0.0, threshold_hu: 1249.9, ..CtParams::default() };
-        assert!(matches!(ct_surface(&bone, &blurred, 1), Err(SimulationError::NoBoneInCt { .. })));
+        refused(&bone, &blurred, "the simulated CT shows no bone");
         let absurd = CtParams { threshold_hu: 5000.0, ..CtParams::default() };
-        assert!(matches!(ct_surface(&bone, &absurd, 1), Err(SimulationError::Parameter { .. })));
+        refused(&bone, &absurd, "ct.threshold_hu is 5000, but must be");
     }
 }

@@ -32,7 +32,7 @@ const CUTS: [(&str, f64, f64, f64); 2] = [("plane_1", 180.0, -0.05, 0.24), ("pla
 /// face. `O(n)` in the number of faces for each point.
 ///
 /// # Errors
-/// [`SimulationError::NoSection`] if the bone does not reach as far as a point or cut.
+/// [`SimulationError`] if the bone does not reach as far as a point or cut.
 pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationError> {
     plan_on(&MeshQuery::new(bone), anatomy)
 }
@@ -41,7 +41,7 @@ pub fn plan(bone: &Mesh, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationEr
 pub(crate) fn plan_on(surface: &MeshQuery, anatomy: &Anatomy) -> Result<SurgicalPlan, SimulationError> {
     let bone = surface.mesh();
     let place = |&(name, height_mm, face): &(&str, f64, Face)| -> Result<NamedPoint, SimulationError> {
-        let centre = section_centre(bone, anatomy, height_mm).ok_or(SimulationError::NoSection { height_mm })?;
+        let centre = section_centre(bone, anatomy, height_mm)?;
         let way = match face {
             Face::Lateral => anatomy.lateral,
             Face::Posterior => anatomy.posterior,
@@ -49,13 +49,13 @@ pub(crate) fn plan_on(surface: &MeshQuery, anatomy: &Anatomy) -> Result<Surgical
         // From outside, so that the wall of the marrow cavity is never hit.
         const OUTSIDE_MM: f64 = 60.0;
         let from = centre + way.into_inner() * OUTSIDE_MM;
-        let hit = surface.cast_ray(&from, &-way.into_inner()).ok_or(SimulationError::NoSection { height_mm })?;
+        let hit = surface.cast_ray(&from, &-way.into_inner()).ok_or_else(|| SimulationError::no_section(height_mm))?;
         Ok(NamedPoint::new(name, hit.point))
     };
     let landmarks = landmarks::paper_recipe(surface, anatomy, &RecipeParams::default())?;
     let assessment = ASSESSMENT.iter().map(place).collect::<Result<Vec<_>, _>>()?;
     let planes = CUTS.iter().map(|&(name, height_mm, to_lateral, to_posterior)| {
-        let centre = section_centre(bone, anatomy, height_mm).ok_or(SimulationError::NoSection { height_mm })?;
+        let centre = section_centre(bone, anatomy, height_mm)?;
         let normal = *anatomy.proximal + *anatomy.lateral * to_lateral + *anatomy.posterior * to_posterior;
         Ok(Plane::new(name, Isometry3::from_parts(centre.into(), frame_along(&normal, &anatomy.posterior))))
     });
@@ -83,9 +83,9 @@ fn nominal_camera_marker() -> Pose {
 /// with the marker poses of the built-in phantom and support.
 ///
 /// # Errors
-/// As [`plan`]; and [`SimulationError::NoAnatomy`], since without one no camera can be placed.
+/// As [`plan`]; and if there is no anatomy, since without one no camera can be placed.
 pub(crate) fn complete(plan: SurgicalPlan, surface: &MeshQuery) -> Result<SurgicalPlan, SimulationError> {
-    let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
+    let anatomy = plan.anatomy.as_ref().ok_or_else(SimulationError::no_anatomy)?;
     if plan.landmarks.points.is_empty() && plan.assessment.points.is_empty() && plan.planes.planes.is_empty() {
         return plan_on(surface, anatomy);
     }
@@ -107,12 +107,12 @@ pub(crate) fn frame_along(z: &Vector3<f64>, about_y: &Vector3<f64>) -> UnitQuate
 }
 
 /// The centre of the bone's outline at a height above the malleolus tip; `None` if the bone does not reach it.
-pub(crate) fn section_centre(bone: &Mesh, anatomy: &Anatomy, height_mm: f64) -> Option<Point3<f64>> {
+pub(crate) fn section_centre(bone: &Mesh, anatomy: &Anatomy, height_mm: f64) -> Result<Point3<f64>, SimulationError> {
     // Farther sections belong to another bone of the same file.
     const REACH_MM: f64 = 60.0;
     let at = anatomy.malleolus_tip + *anatomy.proximal * height_mm;
     let across = Isometry3::from_parts(at.into(), frame_along(&anatomy.proximal, &anatomy.posterior));
-    section::middle(bone, &across, Some(REACH_MM))
+    section::middle(bone, &across, Some(REACH_MM)).ok_or_else(|| SimulationError::no_section(height_mm))
 }
 
 #[cfg(test)]
@@ -149,6 +149,6 @@ mod tests {
         let params = BoneParams::default();
         let bone = fibula(&BoneParams { length_mm: 150.0, ..params.clone() });
         let axes = anatomy(&BoneParams { length_mm: 150.0, ..params });
-        assert_eq!(plan(&bone, &axes), Err(SimulationError::NoSection { height_mm: 155.0 }));
+        assert_eq!(plan(&bone, &axes), Err(SimulationError::no_section(155.0)));
     }
 }

@@ -38,7 +38,7 @@ impl Subject {
     /// mirrored bone, is turned inside out.
     ///
     /// # Errors
-    /// [`SimulationError::NotClosed`]; and as [`crate::plan`], or [`SimulationError::NoAnatomy`].
+    /// [`SimulationError`] if the surface is open; as [`crate::plan`]; or if the plan has no anatomy.
     pub fn of(bone: Mesh, plan: SurgicalPlan) -> Result<Self, SimulationError> {
         Self::altered(bone, plan, &BoneParams::default())
     }
@@ -52,7 +52,7 @@ impl Subject {
         params.check()?;
         let n_open_edges = open_edges(&bone);
         if n_open_edges > 0 {
-            return Err(SimulationError::NotClosed { n_open_edges });
+            return Err(SimulationError::not_closed(n_open_edges));
         }
         let mut notes = Vec::new();
         let bone = if bone.volume_mm3() < 0.0 {
@@ -62,7 +62,7 @@ impl Subject {
         } else {
             bone
         };
-        let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
+        let anatomy = plan.anatomy.as_ref().ok_or_else(SimulationError::no_anatomy)?;
         let (bone, plan) = match OtherBone::new(params, &bone, anatomy) {
             Some(other) => (other.mesh(&bone)?, other.plan(&plan)),
             None => (bone, plan),

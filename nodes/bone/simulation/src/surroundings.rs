@@ -33,7 +33,7 @@ pub(crate) fn surroundings(
     let n_across = (2.0 * HALF_WIDTH_MM / STEP_MM).round() as usize + 1;
     let n_along = ((to_mm - from_mm + 2.0 * BEYOND_MM) / STEP_MM).ceil() as usize + 1;
     // The centre line of the stripped stretch, straight between its ends.
-    let (first, last) = (section_centre(bone, anatomy, from_mm)?, section_centre(bone, anatomy, to_mm)?);
+    let (first, last) = (section_centre(bone, anatomy, from_mm).ok()?, section_centre(bone, anatomy, to_mm).ok()?);
     let mut vertices = Vec::with_capacity(n_along * n_across);
     for i in 0..n_along {
         let height_mm = from_mm - BEYOND_MM + i as f64 * STEP_MM;

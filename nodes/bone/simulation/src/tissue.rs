@@ -93,11 +93,8 @@ impl<'a> Lumps<'a> {
                 lumps.lumps.pop();
             }
         }
-        Err(SimulationError::Parameter {
-            name: "tissue.share".into(),
-            value: params.share.to_string(),
-            expected: "a share that can be covered without the marks; take a smaller one".into(),
-        })
+        let expected = "a share that can be covered without the marks; take a smaller one";
+        Err(SimulationError::parameter("tissue.share", params.share, expected))
     }
 
     /// A lump of random place and size on the side of the camera; `None` beside the bone.
@@ -112,7 +109,7 @@ impl<'a> Lumps<'a> {
         let out = Unit::try_new(towards_camera * turn.cos() + around * turn.sin(), 1e-6)?;
         // From outside, so that the wall of the marrow cavity is never hit.
         const OUTSIDE_MM: f64 = 60.0;
-        let from = section_centre(bone.mesh(), anatomy, height_mm)? + out.into_inner() * OUTSIDE_MM;
+        let from = section_centre(bone.mesh(), anatomy, height_mm).ok()? + out.into_inner() * OUTSIDE_MM;
         let centre = bone.cast_ray(&from, &-out.into_inner())?.point;
         Some(Lump { centre, radius_mm, thickness_mm })
     }

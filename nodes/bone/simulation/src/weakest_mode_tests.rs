@@ -121,10 +121,10 @@ fn weakest_mode(
 /// The stripped bone as seen by the camera without errors: points and outward normals in the frame of `bone`.
 ///
 /// # Errors
-/// [`SimulationError::NothingVisible`] or [`SimulationError::NoSection`] if the stretch is not on the bone.
+/// [`SimulationError`] if the stretch is not on the bone.
 fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) -> Result<Cloud, SimulationError> {
     let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
-    let nothing = SimulationError::NothingVisible { what: "bone", hint };
+    let nothing = SimulationError::nothing_visible("bone", hint);
     let params = ProcedureParams {
         camera: CameraParams { view_spread_deg: 0.0, ..camera.clone() },
         ..ProcedureParams::default()
@@ -132,7 +132,7 @@ fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) -> Res
     params.check()?;
     let surface = MeshQuery::new(bone);
     let middle_mm = (camera.scan_from_mm + camera.scan_to_mm) / 2.0;
-    let focus = section_centre(bone, anatomy, middle_mm).ok_or(SimulationError::NoSection { height_mm: middle_mm })?;
+    let focus = section_centre(bone, anatomy, middle_mm)?;
     let t_ct_camera = scan_pose(&surface, anatomy, &focus, &params, 0).ok_or(nothing.clone())?;
     let stretch = Stretch {
         from: anatomy.malleolus_tip,

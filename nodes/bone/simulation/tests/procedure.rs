@@ -337,11 +337,11 @@ fn what_cannot_be_simulated_is_refused_with_the_reason() {
         Procedure::simulate(&params, 1).unwrap_err()
     };
     let hidden = refused(|p| p.camera.view_azimuth_deg = -90.0);
-    assert_eq!(hidden, SimulationError::SpotHidden { name: "P1".into() });
+    assert!(hidden.to_string().starts_with("the laser spot on P1 is hidden from the camera"), "{hidden}");
     let away = refused(|p| (p.camera.scan_from_mm, p.camera.scan_to_mm) = (400.0, 440.0));
-    assert_eq!(away, SimulationError::NoSection { height_mm: 420.0 });
+    assert!(away.to_string().starts_with("the bone has no section 420 mm from the malleolus tip"), "{away}");
     let wrong = refused(|p| p.camera.dropout = f64::NAN);
-    assert!(matches!(&wrong, SimulationError::Parameter { name, .. } if name == "camera.dropout"), "{wrong}");
+    assert!(wrong.to_string().starts_with("camera.dropout is not finite"), "{wrong}");
     let wrong = refused(|p| p.tracker = TrackerParams { burst_s: 3.0, ..TrackerParams::default() });
     assert_eq!(wrong.to_string(), "tracker.burst_s is 3, but must be between 0.1 and 1.9");
 
@@ -353,10 +353,10 @@ fn what_cannot_be_simulated_is_refused_with_the_reason() {
         change(&mut plan);
         Procedure::simulate_on(&good.truth.bone, &plan, &phantom::mesh(), &params, 1).unwrap_err()
     };
-    assert_eq!(on(|p| p.anatomy = None), SimulationError::NoAnatomy);
+    assert!(on(|p| p.anatomy = None).to_string().starts_with("the plan has no anatomy"));
     assert!(matches!(on(|p| p.landmarks.frame = "world".into()), SimulationError::Frame(_)));
     let two = on(|p| p.landmarks.points = p.landmarks.points[..2].to_vec().into());
-    assert_eq!(two, SimulationError::TooFewPoints { what: "landmarks", found: 2, needed: 3 });
+    assert!(two.to_string().starts_with("the plan has 2 landmarks, but at least 3 are needed"), "{two}");
 }
 
 #[test]

@@ -163,7 +163,10 @@ fn draw_units(
     let n_units = all.len();
     let estimate = statistic(&all);
     if !estimate.is_finite() {
-        return Err(StatisticsError::Statistic { n_rows: units.n_rows(), value: estimate });
+        return Err(StatisticsError(format!(
+            "the statistic of all {} rows is {estimate}; can it be computed from so few or such equal values?",
+            units.n_rows()
+        )));
     }
 
     let interval = if n_units < 2 {

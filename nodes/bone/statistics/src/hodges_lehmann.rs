@@ -8,7 +8,7 @@ use crate::StatisticsError;
 /// counted but never listed.
 ///
 /// # Errors
-/// [`StatisticsError::TooFew`] without values, [`StatisticsError::NotFinite`] if a value is NaN or infinite.
+/// [`StatisticsError`] without values, or if a value is NaN or infinite.
 ///
 /// # Source
 /// Hodges & Lehmann 1963, Annals of Mathematical Statistics 34:598-611.

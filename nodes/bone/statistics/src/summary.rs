@@ -31,7 +31,7 @@ impl Summary {
     /// Summary of a column; independent of the order of its rows to the last bit. `O(n log n)`.
     ///
     /// # Errors
-    /// [`StatisticsError::TooFew`] if it is empty, [`StatisticsError::NotFinite`] if a value is NaN or infinite.
+    /// [`StatisticsError`] if it is empty, or a value is NaN or infinite.
     pub fn of(values: &[f64]) -> Result<Self, StatisticsError> {
         StatisticsError::too_few("values", values.len(), 1)?;
         StatisticsError::not_finite(values)?;
@@ -79,9 +79,9 @@ mod tests {
 
     #[test]
     fn nothing_and_no_number_are_refused() {
-        assert!(matches!(Summary::of(&[]), Err(StatisticsError::TooFew { found: 0, needed: 1, .. })));
+        assert!(Summary::of(&[]).unwrap_err().to_string().starts_with("0 values, at least 1 needed"));
         let refused = Summary::of(&[1.0, f64::NAN]).unwrap_err();
-        assert!(matches!(refused, StatisticsError::NotFinite { index: 1, value } if value.is_nan()));
-        assert!(matches!(Summary::of(&[f64::INFINITY]), Err(StatisticsError::NotFinite { index: 0, .. })));
+        assert!(refused.to_string().starts_with("value 1 is NaN"));
+        assert!(Summary::of(&[f64::INFINITY]).unwrap_err().to_string().starts_with("value 0 is inf"));
     }
 }

@@ -40,9 +40,8 @@ pub struct Tost {
 /// Assumes independent differences: use [`crate::unit_means`] first if they repeat within units.
 ///
 /// # Errors
-/// [`StatisticsError::TooFew`] with fewer than two differences, [`StatisticsError::NotFinite`],
-/// [`StatisticsError::Margin`] if the margin is not above 0, [`StatisticsError::OutOfRange`] if alpha is not between 0 and
-/// 0.5, [`StatisticsError::Constant`] if all differences are equal.
+/// [`StatisticsError`] with fewer than two differences, one that is not finite, a margin not above 0, an alpha not between 0
+/// and 0.5, or if all differences are equal.
 ///
 /// # Source
 /// Schuirmann 1987, Journal of Pharmacokinetics and Biopharmaceutics 15:657-680.
@@ -52,7 +51,9 @@ pub fn tost(differences: &[f64], margin: f64, alpha: f64) -> Result<Tost, Statis
     StatisticsError::not_finite(differences)?;
     StatisticsError::out_of_range("alpha", alpha, 0.5)?;
     if !(margin > 0.0 && margin.is_finite()) {
-        return Err(StatisticsError::Margin(margin));
+        return Err(StatisticsError(format!(
+            "the margin of equivalence is {margin}; state the largest difference that does not matter, above 0"
+        )));
     }
     StatisticsError::constant("differences", differences)?;
     let mut differences = differences.to_vec();
@@ -86,10 +87,10 @@ mod tests {
 
     #[test]
     fn what_cannot_be_tested_is_refused() {
-        assert!(matches!(tost(&[1.0], 0.1, 0.05), Err(StatisticsError::TooFew { .. })));
-        assert_eq!(tost(&[1.0, 2.0], 0.0, 0.05), Err(StatisticsError::Margin(0.0)));
-        assert!(matches!(tost(&[1.0, f64::NAN], 0.1, 0.05), Err(StatisticsError::NotFinite { index: 1, .. })));
-        assert!(matches!(tost(&[1.0, 2.0], 0.1, 0.6), Err(StatisticsError::OutOfRange { .. })));
+        assert!(tost(&[1.0], 0.1, 0.05).unwrap_err().to_string().contains("needed; measure more"));
+        assert!(tost(&[1.0, 2.0], 0.0, 0.05).unwrap_err().to_string().contains("the margin of equivalence is 0;"));
+        assert!(tost(&[1.0, f64::NAN], 0.1, 0.05).unwrap_err().to_string().contains("value 1 is NaN"));
+        assert!(tost(&[1.0, 2.0], 0.1, 0.6).unwrap_err().to_string().contains("but must lie between 0 and"));
         assert_eq!(
             tost(&[0.0, 0.0], 0.1, 0.05).unwrap_err().to_string(),
             "all 2 differences are 0, without any spread; state that instead of a test"

@@ -29,17 +29,21 @@ impl Units {
     /// Units from the names of the levels and the path of each row, with one label per level. `O(n log n)`.
     ///
     /// # Errors
-    /// [`StatisticsError::NoLevel`] without a level, [`StatisticsError::Path`] if a row does not have one label per level.
+    /// [`StatisticsError`] without a level, or if a row does not have one label per level.
     pub fn new<N: AsRef<str>, L: AsRef<str>, P: AsRef<[L]>>(names: &[N], paths: &[P]) -> Result<Self, StatisticsError> {
         let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
         if names.is_empty() {
-            return Err(StatisticsError::NoLevel);
+            let message = "no level of units is named; name at least the highest, such as \"bone\"";
+            return Err(StatisticsError(message.into()));
         }
         let mut rows: Vec<Vec<&str>> = Vec::with_capacity(paths.len());
         for (row, path) in paths.iter().enumerate() {
             let path: Vec<&str> = path.as_ref().iter().map(AsRef::as_ref).collect();
             if path.len() != names.len() {
-                return Err(StatisticsError::Path { row, found: path.len(), levels: names.join(" > ") });
+                let (n, levels) = (path.len(), names.join(" > "));
+                return Err(StatisticsError(format!(
+                    "row {row} names {n} units for the levels {levels}; give one label for each level"
+                )));
             }
             rows.push(path);
         }
@@ -133,7 +137,7 @@ pub struct UnitMeans {
 /// For paired rows, average the differences, so that the pairs are kept.
 ///
 /// # Errors
-/// [`StatisticsError::Lengths`] or [`StatisticsError::NotFinite`].
+/// [`StatisticsError`] if the lengths differ, or a value is not finite.
 pub fn unit_means(units: &Units, values: &[f64]) -> Result<UnitMeans, StatisticsError> {
     let means = units.split_sorted(values)?.iter().map(|part| mean(part)).collect();
     let labels = units.labels().map(String::from).collect();
@@ -169,12 +173,17 @@ mod tests {
             refused.to_string(),
             "row 1 names 1 units for the levels bone > procedure; give one label for each level"
         );
-        assert_eq!(Units::new::<&str, &str, [&str; 0]>(&[], &[]), Err(StatisticsError::NoLevel));
+        assert!(
+            Units::new::<&str, &str, [&str; 0]>(&[], &[])
+                .unwrap_err()
+                .to_string()
+                .contains("no level of units is named")
+        );
     }
 
     #[test]
     fn a_column_of_another_length_is_refused() {
         let units = Units::each_row("run", 3);
-        assert_eq!(unit_means(&units, &[1.0]), Err(StatisticsError::Lengths { left: 3, right: 1 }));
+        assert!(unit_means(&units, &[1.0]).unwrap_err().to_string().contains("one column has 3 rows, the other 1"));
     }
 }

@@ -73,8 +73,7 @@ pub struct Wilcoxon {
 /// Assumes independent differences: if they repeat within units, test [`crate::unit_means`].
 ///
 /// # Errors
-/// [`StatisticsError::TooFew`] without differences, [`StatisticsError::NotFinite`], [`StatisticsError::Constant`] if all
-/// are zero.
+/// [`StatisticsError`] without differences, if one is not finite, or if all are zero.
 ///
 /// # Source
 /// Wilcoxon 1945, Biometrics Bulletin 1:80-83. Effect size: Kerby 2014, Comprehensive Psychology 3:11.IT.3.1. The exact test
@@ -84,7 +83,7 @@ pub fn wilcoxon(differences: &[f64], params: &WilcoxonParams) -> Result<Wilcoxon
     let signed: Vec<f64> = differences.iter().copied().filter(|d| *d != 0.0).collect();
     let (n, n_zeros) = (differences.len(), differences.len() - signed.len());
     if signed.is_empty() {
-        return Err(StatisticsError::Constant { what: "differences", n, value: 0.0 });
+        return Err(StatisticsError::without_spread("differences", n, 0.0));
     }
     let (ranks, ties) = ranks(&signed.iter().map(|d| d.abs()).collect::<Vec<_>>());
     // Ranks are multiples of one half, so these sums are exact in any order.
@@ -159,10 +158,15 @@ mod tests {
     #[test]
     fn differences_that_are_all_zero_are_refused_and_the_others_counted() {
         let refused = wilcoxon(&[0.0, -0.0], &WilcoxonParams::default());
-        assert_eq!(refused, Err(StatisticsError::Constant { what: "differences", n: 2, value: 0.0 }));
+        assert!(refused.unwrap_err().to_string().starts_with("all 2 differences are 0, without any spread"));
         let test = wilcoxon(&[0.0, 1.0, 2.0], &WilcoxonParams::default()).unwrap();
         assert_eq!((test.n, test.n_zeros, test.w_plus, test.hodges_lehmann), (3, 1, 3.0, 1.0));
-        assert!(matches!(wilcoxon(&[f64::NAN], &WilcoxonParams::default()), Err(StatisticsError::NotFinite { .. })));
+        assert!(
+            wilcoxon(&[f64::NAN], &WilcoxonParams::default())
+                .unwrap_err()
+                .to_string()
+                .contains("leave rows without a number out")
+        );
     }
 
     #[test]

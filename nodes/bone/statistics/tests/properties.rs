@@ -138,10 +138,15 @@ fn a_statistic_that_fails_in_a_resample_has_no_interval_and_one_that_fails_on_al
     let found = bootstrap(&units, &values, spread_of_none, &params).unwrap();
     assert!(matches!(found.interval, Err(NoInterval::NotFinite { n_failed: 1.., n_resamples: 10_000 })));
     let refused = bootstrap(&units, &values, |_| f64::NAN, &params);
-    assert!(matches!(refused, Err(StatisticsError::Statistic { n_rows: 3, .. })));
-    assert!(matches!(bootstrap_mean(&units, &[1.0, f64::NAN, 2.0], &params), Err(StatisticsError::NotFinite { .. })));
+    assert!(refused.unwrap_err().to_string().contains("the statistic of all 3 rows is"));
+    assert!(
+        bootstrap_mean(&units, &[1.0, f64::NAN, 2.0], &params)
+            .unwrap_err()
+            .to_string()
+            .contains("leave rows without a number out")
+    );
     let none = bootstrap_mean(&Units::each_row("bone", 0), &[], &params);
-    assert!(matches!(none, Err(StatisticsError::TooFew { found: 0, .. })));
+    assert!(none.unwrap_err().to_string().starts_with("0 rows, at least 1 needed"));
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Pivot calibration: the tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 
+use crate::Refusal;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
@@ -26,47 +27,23 @@ pub struct PivotReport {
     pub pivot: [f64; 3],
 }
 
-/// Errors of [`pivot()`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum PivotError {
-    /// Too few poses.
-    #[error("{n} poses of the stylus, at least 3 are needed; turn it about its tip for some seconds")]
-    TooFew {
-        /// Number of poses.
-        n: usize,
-    },
-    /// A pose is NaN or infinite.
-    #[error("pose {index} of the stylus is not finite; drop it before calibrating")]
-    NotFinite {
-        /// The first such pose.
-        index: usize,
-    },
-    /// The poses are turned about one axis, or hardly at all.
-    #[error(
-        "the poses leave the tip open (condition {condition:.0}, at most {MAX_CONDITION} is allowed); tilt the stylus \
-         farther, in all directions"
-    )]
-    Undetermined {
-        /// Condition number found.
-        condition: f64,
-    },
-}
-
 /// The tip `t` of a stylus in its marker's frame and the pivot `p`, from `R_i t + x_i = p` for all poses, in the
 /// least-squares sense; `O(n)`.
 ///
 /// # Errors
-/// [`PivotError`] if there are fewer than three poses, one is not finite, or they do not determine the tip.
+/// [`Refusal`] if there are fewer than three poses, one is not finite, or they do not determine the tip.
 ///
 /// # Source
 /// Yaniv 2015, "Which pivot calibration?", Proc. SPIE 9415: the algebraic one-step method.
-pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, PivotError> {
+pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, Refusal> {
     let n = t_world_marker.len();
     if n < 3 {
-        return Err(PivotError::TooFew { n });
+        return Err(Refusal::of(format!(
+            "{n} poses of the stylus, at least 3 are needed; turn it about its tip for some seconds"
+        )));
     }
     if let Some(index) = t_world_marker.iter().position(|t| !t.to_homogeneous().iter().all(|x| x.is_finite())) {
-        return Err(PivotError::NotFinite { index });
+        return Err(Refusal::of(format!("pose {index} of the stylus is not finite; drop it before calibrating")));
     }
     // Relative to the first marker, so that a distant world origin costs no digits.
     let first = t_world_marker[0].translation.vector;
@@ -81,7 +58,10 @@ pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, PivotErro
     let (largest, smallest) = (svd.singular_values.max(), svd.singular_values.min());
     let condition = largest / smallest;
     if condition.is_nan() || condition > MAX_CONDITION {
-        return Err(PivotError::Undetermined { condition });
+        return Err(Refusal::of(format!(
+            "the poses leave the tip open (condition {condition:.0}, at most {MAX_CONDITION} is allowed); tilt the stylus \
+             farther, in all directions"
+        )));
     }
     let solution = svd.solve(&right, 0.0).expect("both factors were asked for");
     let tip = Point3::new(solution[0], solution[1], solution[2]);
@@ -153,12 +133,13 @@ mod tests {
 
     #[test]
     fn poses_turned_too_little_or_about_one_axis_are_refused() {
-        assert_eq!(pivot(&poses(2, 30.0, 0.0, 1)), Err(PivotError::TooFew { n: 2 }));
-        assert!(matches!(pivot(&poses(30, 0.5, 0.05, 1)), Err(PivotError::Undetermined { .. })));
+        let message = |poses: &[Isometry3<f64>]| pivot(poses).unwrap_err().to_string();
+        assert!(message(&poses(2, 30.0, 0.0, 1)).starts_with("2 poses of the stylus"));
+        assert!(message(&poses(30, 0.5, 0.05, 1)).starts_with("the poses leave the tip open"));
         let spun: Vec<_> = (0..30).map(|k| Isometry3::rotation(Vector3::z() * f64::from(k) * 0.1)).collect();
-        assert!(matches!(pivot(&spun), Err(PivotError::Undetermined { .. })));
+        assert!(message(&spun).starts_with("the poses leave the tip open"));
         let mut broken = poses(5, 30.0, 0.0, 1);
         broken[3].translation.vector.x = f64::NAN;
-        assert_eq!(pivot(&broken), Err(PivotError::NotFinite { index: 3 }));
+        assert!(message(&broken).starts_with("pose 3 of the stylus is not finite"));
     }
 }

@@ -1,6 +1,7 @@
 //! Points of low confidence, confirmed by their distances to the others.
 
-use super::{CoarseError, CoarseSide};
+use super::CoarseSide;
+use crate::Refusal;
 use osteoflow_geometry::NamedPoint;
 
 /// Parameters of [`confirm`].
@@ -18,8 +19,8 @@ pub struct DoubtParams {
 /// landmarks along a bone change little with it.
 ///
 /// # Errors
-/// [`CoarseError::Doubtful`] with the first point that is not confirmed.
-pub fn confirm(source: &[NamedPoint], sides: &[CoarseSide], params: &DoubtParams) -> Result<(), CoarseError> {
+/// [`Refusal`] with the first point that is not confirmed.
+pub fn confirm(source: &[NamedPoint], sides: &[CoarseSide], params: &DoubtParams) -> Result<(), Refusal> {
     for point in source {
         let Some(confidence) = point.confidence.filter(|c| *c < params.min_confidence) else { continue };
         let disagrees = |side: &&CoarseSide| {
@@ -35,13 +36,15 @@ pub fn confirm(source: &[NamedPoint], sides: &[CoarseSide], params: &DoubtParams
             })
             .collect();
         if !off.is_empty() {
-            return Err(CoarseError::Doubtful {
-                name: point.name.to_string(),
-                confidence,
-                min_confidence: params.min_confidence,
-                sides: off.join(", "),
-                limit_mm: params.max_side_difference_mm,
-            });
+            return Err(Refusal::of(format!(
+                "{} was located with a confidence of {confidence:.2} only ({} counts by itself), and the plan does not confirm \
+                 it: {}, {} mm more or less is allowed; is the laser on, and its spot away from the silhouette and from other \
+                 gaps?",
+                point.name,
+                params.min_confidence,
+                off.join(", "),
+                params.max_side_difference_mm
+            )));
         }
     }
     Ok(())
@@ -61,7 +64,7 @@ mod tests {
     }
 
     /// Checks the planned points, the second one moved along the bone and located with this confidence.
-    fn check(moved_mm: f64, confidence: Option<f64>) -> Result<(), CoarseError> {
+    fn check(moved_mm: f64, confidence: Option<f64>) -> Result<(), Refusal> {
         let mut source = planned();
         let motion = Isometry3::new(Vector3::new(3.0, 4.0, 5.0), Vector3::new(0.1, 2.0, -0.4));
         source[1].position.z += moved_mm;
@@ -75,7 +78,7 @@ mod tests {
     fn a_point_of_low_confidence_passes_only_where_its_distances_are_as_planned() {
         assert_eq!(check(2.0, Some(0.25)), Ok(()));
         let error = check(8.0, Some(0.25)).unwrap_err();
-        assert!(matches!(&error, CoarseError::Doubtful { name, .. } if name == "P2"), "{error}");
+        assert!(error.to_string().starts_with("P2 was located with a confidence of 0.25 only"), "{error}");
         assert!(error.to_string().contains("P1-P2 is 39.5 mm in the scan and 31.9 mm in the plan"), "{error}");
     }
 

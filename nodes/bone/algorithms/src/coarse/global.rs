@@ -5,6 +5,7 @@ mod descent;
 
 pub(crate) use descent::{Placed, Points, descend, score as map_score};
 
+use crate::Refusal;
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::target::{NearMap, Target};
 use axis::{Scan, stations};
@@ -106,38 +107,6 @@ pub struct RunnerUp {
     pub turn_rad: f64,
 }
 
-/// Errors of [`global()`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum GlobalError {
-    /// The scan is too small.
-    #[error(
-        "the scan has {n} points, {needed} are needed to tell its shape; is the region of interest around the bone?"
-    )]
-    TooFew {
-        /// Points found.
-        n: usize,
-        /// Points needed.
-        needed: usize,
-    },
-    /// The scan has no long axis.
-    #[error(
-        "the scan is {elongation:.1} times as long as wide, {needed} is needed to lay it along the bone; scan more of the \
-         shaft, or use landmarks (coarse.three_point)"
-    )]
-    NoDirection {
-        /// Ratio of length to width found.
-        elongation: f64,
-        /// Ratio needed.
-        needed: f64,
-    },
-    /// No start reached the surface.
-    #[error("none of {n_tried} starts came to lie on the surface; are scan and surface of the same bone, both in mm?")]
-    Nowhere {
-        /// Number of starts tried.
-        n_tried: usize,
-    },
-}
-
 /// Registers a scan of a long bone to its surface by shape alone.
 ///
 /// The scan's long axis is laid along the bone's centre line both ways, in steps along it and in turns about it. Starts
@@ -147,11 +116,11 @@ pub enum GlobalError {
 /// not depend on the number of threads.
 ///
 /// # Errors
-/// [`GlobalError`] if the scan is too small or as wide as long, or nothing fits anywhere.
+/// [`Refusal`] if the scan is too small or as wide as long, or nothing fits anywhere.
 ///
 /// # Source
 /// Multi-start ICP, as Besl and McKay 1992, section IV-B, with starts along the principal axes.
-pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<GlobalFit, GlobalError> {
+pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<GlobalFit, Refusal> {
     let scan = Scan::new(source)?;
     let map = target.index().near_map(target);
     let stations = stations(map, scan.half_length_mm, params.slide_mm);
@@ -183,7 +152,10 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
         .collect();
     ends.sort_by(|a, b| a.0.total_cmp(&b.0));
     let Some(&(score_mm, t_target_source)) = ends.first() else {
-        return Err(GlobalError::Nowhere { n_tried: starts.len() });
+        let n_tried = starts.len();
+        return Err(Refusal::of(format!(
+            "none of {n_tried} starts came to lie on the surface; are scan and surface of the same bone, both in mm?"
+        )));
     };
     let apart = |other: &Isometry3<f64>| {
         let squares: f64 = registered.iter().map(|p| (other * p - t_target_source * p).norm_squared()).sum();

@@ -190,15 +190,18 @@ fn volumes_and_thresholds_without_a_surface_are_refused() {
         ct_surface(&VolumeView { size, voxels, t_lps_voxel: t }, &CtSurfaceParams::at(threshold)).unwrap_err()
     };
     let ramp: Vec<f32> = (0..27).map(|k| k as f32).collect();
-    assert_eq!(refused([3, 9, 1], &ramp, &t, 5.0), CtSurfaceError::TooThin { size: [3, 9, 1] });
-    assert_eq!(refused([3, 3, 4], &ramp, &t, 5.0), CtSurfaceError::Length { size: [3, 3, 4], n: 27 });
-    let none = CtSurfaceError::NothingAbove { threshold: 26.0, highest: 26.0 };
-    assert_eq!(refused([3; 3], &ramp, &t, 26.0), none);
-    assert_eq!(refused([3; 3], &ramp, &t, -1.0), CtSurfaceError::AllAbove { threshold: -1.0, lowest: 0.0 });
-    assert_eq!(refused([3; 3], &ramp, &Matrix4::zeros(), 5.0), CtSurfaceError::Matrix);
-    assert_eq!(refused([3; 3], &ramp, &Matrix4::repeat(f64::NAN), 5.0), CtSurfaceError::Matrix);
-    let huge = refused([usize::MAX, usize::MAX, 2], &ramp, &t, 5.0);
-    assert!(matches!(huge, CtSurfaceError::Length { .. }), "{huge}");
+    for (size, t, threshold, expected) in [
+        ([3, 9, 1], t, 5.0, "the volume has 3 x 9 x 1 voxels"),
+        ([3, 3, 4], t, 5.0, "27 voxels were given for 3 x 3 x 4"),
+        ([3; 3], t, 26.0, "no voxel is above the threshold 26; the highest value is 26"),
+        ([3; 3], t, -1.0, "all voxels are above the threshold -1; the lowest value is 0"),
+        ([3; 3], Matrix4::zeros(), 5.0, "the matrix from voxels to millimetres is singular"),
+        ([3; 3], Matrix4::repeat(f64::NAN), 5.0, "the matrix from voxels to millimetres is singular"),
+        ([usize::MAX, usize::MAX, 2], t, 5.0, "27 voxels were given for"),
+    ] {
+        let error = refused(size, &ramp, &t, threshold).to_string();
+        assert!(error.starts_with(expected), "{error}");
+    }
 }
 
 #[test]

@@ -38,7 +38,7 @@ pub(crate) fn planes(places: [Isometry3<f64>; 2]) -> Planes {
     Planes::new("ct", vec![Plane::new("plane_1", a), Plane::new("plane_2", b)])
 }
 
-fn cut(bone: &Mesh, places: [Isometry3<f64>; 2]) -> Result<Fragment, FragmentError> {
+fn cut(bone: &Mesh, places: [Isometry3<f64>; 2]) -> Result<Fragment, Refusal> {
     fragment(bone, &between(bone, &planes(places))?)
 }
 
@@ -146,14 +146,14 @@ fn planes_that_cannot_cut_are_refused() {
     assert!(error([tilted(40.0, 0.0), tilted(140.0, 0.0)]).starts_with("plane_2 does not cut the bone"));
     assert!(error([tilted(40.0, 0.0), tilted(40.0, 0.0)]).contains("in one place"));
     let one = Planes::new("ct", vec![Plane::new("plane_1", tilted(40.0, 0.0))]);
-    assert_eq!(between(&bone, &one), Err(FragmentError::TwoPlanes { n: 1 }));
+    assert!(between(&bone, &one).unwrap_err().to_string().contains("there are 1; give the plan two"));
     let lost = planes([tilted(40.0, 0.0), tilted(60.0, 0.0)]).unknown("ct", 0, "marker lost");
     assert!(between(&bone, &lost).unwrap_err().to_string().contains("marker lost"));
     let open = Mesh::new("ct", bone.origin, bone.vertices().to_vec(), bone.faces()[..11].to_vec()).unwrap();
     let error = cut(&open, [tilted(40.0, 0.1), tilted(60.0, 0.0)]).unwrap_err();
-    assert!(matches!(error, FragmentError::Open { n_edges: 2, .. }), "{error}");
+    assert!(error.to_string().contains("cuts it (2 loose ends)"), "{error}");
     // Cuts that a bad registration carries beyond the bone's end.
     let halves = between(&bone, &planes([tilted(40.0, 0.1), tilted(60.0, 0.0)])).unwrap();
     let gone = halves.map(|h| h.moved(&Isometry3::translation(0.0, 0.0, 300.0)));
-    assert!(matches!(fragment(&bone, &gone), Err(FragmentError::Misses { .. })));
+    assert!(fragment(&bone, &gone).unwrap_err().to_string().contains("does not cut the bone within"));
 }

@@ -1,7 +1,8 @@
 use super::image::{Grid, seen};
-use super::scene::Scene;
+use super::scene::{Scene, no_points, no_viewpoint};
 use super::spot::{Missing, find};
-use super::{Hole, HoleError, HoleParams};
+use super::{Hole, HoleParams};
+use crate::Refusal;
 use crate::nearest::Nearest;
 use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use osteoflow_geometry::Cloud;
@@ -39,19 +40,19 @@ const MIN_AROUND: usize = 24;
 /// `O(n log n)`.
 ///
 /// # Errors
-/// [`HoleError`]: no hole, more than one, too sparse to resolve it, or a scan without a viewpoint.
+/// [`Refusal`]: no hole, more than one, too sparse to resolve it, or a scan without a viewpoint.
 ///
 /// # Source
 /// Holes as closed loops of the boundary of a point set: Bendels, Schnabel and Klein 2006, whose angle criterion the
 /// camera's image replaces.
-pub fn boundary(cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
-    let t_cloud_camera = cloud.viewpoint.ok_or(HoleError::NoViewpoint)?;
+pub fn boundary(cloud: &Cloud, params: &HoleParams) -> Result<Hole, Refusal> {
+    let t_cloud_camera = cloud.viewpoint.ok_or_else(no_viewpoint)?;
     let fill = fill(cloud, &t_cloud_camera, params)?;
     let n_seen = cloud.len();
     let margin_mm = fill.margin_mm;
     let points: Vec<Point3<f64>> = cloud.points().iter().copied().chain(fill.points).collect();
     let indices = (n_seen..points.len()).collect();
-    let reference = Cloud::new(cloud.frame.clone(), points).map_err(|_| HoleError::NoViewpoint)?;
+    let reference = Cloud::new(cloud.frame.clone(), points).map_err(|_| no_viewpoint())?;
     find(&Scene::new(&reference, cloud, params)?, &Missing { indices, margin_mm, alone_is_enough: false }, params)
 }
 
@@ -61,14 +62,14 @@ struct Fill {
     margin_mm: f64,
 }
 
-fn fill(cloud: &Cloud, t_cloud_camera: &Isometry3<f64>, params: &HoleParams) -> Result<Fill, HoleError> {
+fn fill(cloud: &Cloud, t_cloud_camera: &Isometry3<f64>, params: &HoleParams) -> Result<Fill, Refusal> {
     let t_camera_cloud = t_cloud_camera.inverse();
     let in_camera: Vec<Point3<f64>> = cloud.points().iter().map(|p| t_camera_cloud * p).filter(|p| p.z > 0.0).collect();
     let flat: Vec<Point3<f64>> = in_camera.iter().filter_map(seen).collect();
     if flat.is_empty() {
-        return Err(HoleError::Empty { what: "laser" });
+        return Err(no_points("laser"));
     }
-    let grid = Grid::over(&flat).ok_or(HoleError::NoViewpoint)?;
+    let grid = Grid::over(&flat).ok_or_else(no_viewpoint)?;
     let tree = Nearest::new(&flat);
     // As dense as the scan.
     let step = grid.cell * (grid.n_filled() as f64 / flat.len() as f64).sqrt();

@@ -1,6 +1,7 @@
 use super::scene::Scene;
 use super::spot::{Missing, find};
-use super::{Hole, HoleError, HoleParams};
+use super::{Hole, HoleParams};
+use crate::Refusal;
 use osteoflow_geometry::Cloud;
 use rayon::prelude::*;
 
@@ -27,11 +28,11 @@ const NARROWEST: f64 = 1.0;
 /// Both clouds are in one frame. `O(n log n)`.
 ///
 /// # Errors
-/// [`HoleError`]: no hole, more than one, too sparse to resolve it, or scans that do not coincide.
+/// [`Refusal`]: no hole, more than one, too sparse to resolve it, or scans that do not coincide.
 ///
 /// # Source
 /// Section 2.3 of the paper, which takes the centre of the largest cluster of missing points.
-pub fn cloud_difference(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
+pub fn cloud_difference(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, Refusal> {
     let scene = Scene::new(reference, cloud, params)?;
     find(&scene, &missing(&scene, params), params)
 }

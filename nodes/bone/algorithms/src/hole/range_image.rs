@@ -1,7 +1,8 @@
 use super::image::{Grid, seen};
-use super::scene::Scene;
+use super::scene::{Scene, no_viewpoint};
 use super::spot::{Missing, find};
-use super::{Hole, HoleError, HoleParams};
+use super::{Hole, HoleParams};
+use crate::Refusal;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
 
@@ -13,12 +14,12 @@ use osteoflow_geometry::Cloud;
 /// search continues as in [`cloud_difference`](super::cloud_difference()).
 ///
 /// # Errors
-/// [`HoleError`]: no hole, more than one, too sparse to resolve it, scans that do not coincide, or a laser scan
+/// [`Refusal`]: no hole, more than one, too sparse to resolve it, scans that do not coincide, or a laser scan
 /// without a viewpoint.
-pub fn range_image(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, HoleError> {
-    let t_camera_cloud = cloud.viewpoint.ok_or(HoleError::NoViewpoint)?.inverse();
+pub fn range_image(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Hole, Refusal> {
+    let t_camera_cloud = cloud.viewpoint.ok_or_else(no_viewpoint)?.inverse();
     let scene = Scene::new(reference, cloud, params)?;
-    let missing = missing(&scene, &t_camera_cloud).ok_or(HoleError::NoViewpoint)?;
+    let missing = missing(&scene, &t_camera_cloud).ok_or_else(no_viewpoint)?;
     find(&scene, &missing, params)
 }
 

@@ -2,8 +2,10 @@ use super::blobs::{Blob, Channels, Mask, blobs};
 use super::cloud_difference::missing;
 use super::footprint::Footprint;
 use super::patch::Patch;
-use super::scene::Scene;
-use super::{Hole, HoleError, HoleParams, HoleReport};
+use super::scene::{Scene, no_viewpoint};
+use super::spot::two_places;
+use super::{Hole, HoleParams, HoleReport};
+use crate::Refusal;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector2, Vector3};
 use osteoflow_geometry::{Cloud, Image, Intrinsics};
 use schemars::JsonSchema;
@@ -80,107 +82,6 @@ impl Default for RgbSpotParams {
     }
 }
 
-/// Errors of [`rgb_spot`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RgbSpotError {
-    /// The scans cannot be compared.
-    #[error(transparent)]
-    Scans(#[from] HoleError),
-    /// The image has no colour.
-    #[error("the image is grey, and the spot is found by its colour; use hole.cloud_difference, or a colour image")]
-    Grey,
-    /// The image shows nothing of the bone.
-    #[error("the image is {what} at {percent:.0} % of the bone's pixels; change its exposure")]
-    Exposure {
-        /// `black` or `saturated`.
-        what: &'static str,
-        /// Share of the pixels.
-        percent: f64,
-    },
-    /// The image does not show the cloud.
-    #[error(
-        "{percent:.0} % of the scan's points are within the image, {needed:.0} % needed; do image and scan belong together, and the \
-         intrinsics to the image?"
-    )]
-    OutOfImage {
-        /// Share of the points.
-        percent: f64,
-        /// Share needed.
-        needed: f64,
-    },
-    /// No blob has the colour.
-    #[error("no {colour} spot of {radius_mm} mm radius on the bone: {best}{hint}")]
-    None {
-        /// Its colour.
-        colour: &'static str,
-        /// Radius expected.
-        radius_mm: f64,
-        /// Description of the best candidate.
-        best: String,
-        /// What else was found.
-        hint: &'static str,
-    },
-    /// More than one blob looks like the spot.
-    #[error(
-        "{n} {colour} spots look alike, at {first:.1?} and {second:.1?} mm with confidence {first_confidence:.2} and \
-         {second_confidence:.2}; is one a reflection, or another mark?"
-    )]
-    Several {
-        /// Its colour.
-        colour: &'static str,
-        /// Number of spots.
-        n: usize,
-        /// Place of the most confident one.
-        first: [f64; 3],
-        /// Place of the next one.
-        second: [f64; 3],
-        /// Confidence of the first.
-        first_confidence: f64,
-        /// Confidence of the second.
-        second_confidence: f64,
-    },
-    /// The spot is cut off by the silhouette or by glare.
-    #[error(
-        "the {colour} spot at {at:.1?} mm has a rim in {n} of {SECTORS} directions, {MIN_SECTORS} needed: it is at the bone's \
-         silhouette or under a highlight; aim again, or turn the camera"
-    )]
-    AtSilhouette {
-        /// Its colour.
-        colour: &'static str,
-        /// Its place.
-        at: [f64; 3],
-        /// Directions with a rim.
-        n: usize,
-    },
-    /// The surface around the spot is not in the cloud.
-    #[error(
-        "the {colour} spot at pixel {pixel:.0?} is {distance_mm:.1} mm from the nearest point of the scan, {limit_mm:.1} mm allowed"
-    )]
-    NoSurface {
-        /// Its colour.
-        colour: &'static str,
-        /// Its pixel.
-        pixel: [f64; 2],
-        /// Distance across the line of sight.
-        distance_mm: f64,
-        /// Distance allowed.
-        limit_mm: f64,
-    },
-    /// The scan has points where the laser is.
-    #[error(
-        "the image shows the laser at {at:.1?} mm, where the scan lacks {percent:.0} % of its points, {needed:.0} % needed; is the image \
-         mirrored, of another scan or camera, or are its intrinsics wrong?"
-    )]
-    HoleElsewhere {
-        /// Place of the spot.
-        at: [f64; 3],
-        /// Share of the disc that is missing.
-        percent: f64,
-        /// Share needed.
-        needed: f64,
-    },
-}
-
 impl Mark {
     fn colour(self) -> &'static str {
         match self {
@@ -211,17 +112,19 @@ impl Mark {
 /// took `cloud`. `O(n log n)` and `O(pixels)`.
 ///
 /// # Errors
-/// [`RgbSpotError`]: no spot, more than one, one at the silhouette, or an image that contradicts the scan.
+/// [`Refusal`]: no spot, more than one, one at the silhouette, or an image that contradicts the scan.
 pub fn rgb_spot(
     reference: &Cloud,
     cloud: &Cloud,
     image: &Image,
     t_camera_image: &Isometry3<f64>,
     params: &RgbSpotParams,
-) -> Result<Hole, RgbSpotError> {
-    let t_cloud_image = cloud.viewpoint.ok_or(HoleError::NoViewpoint)? * t_camera_image;
+) -> Result<Hole, Refusal> {
+    let t_cloud_image = cloud.viewpoint.ok_or_else(no_viewpoint)? * t_camera_image;
     if image.channels() == 1 {
-        return Err(RgbSpotError::Grey);
+        let reason =
+            "the image is grey, and the spot is found by its colour; use hole.cloud_difference, or a colour image";
+        return Err(Refusal::of(reason));
     }
     let scene = Scene::new(reference, cloud, &params.of_holes())?;
     let search = Search::new(&scene, image, t_cloud_image, params)?;
@@ -235,19 +138,19 @@ pub fn rgb_spot(
     };
     let rivals: Vec<&&Candidate> = good.iter().skip(1).filter(is_rival).collect();
     if let Some(rival) = rivals.first() {
-        return Err(RgbSpotError::Several {
-            colour,
-            n: rivals.len() + 1,
-            first: best.centre.coords.into(),
-            second: rival.centre.coords.into(),
-            first_confidence: best.confidence,
-            second_confidence: rival.confidence,
-        });
+        return Err(Refusal::of(format!(
+            "{} {colour} spots look alike, {}; is one a reflection, or another mark?",
+            rivals.len() + 1,
+            two_places([best, rival].map(|c| (c.centre, c.confidence)))
+        )));
     }
     if params.mark == Mark::Laser && params.require_hole && best.empty_share < MIN_EMPTY_SHARE {
-        let at = best.centre.coords.into();
+        let at = <[f64; 3]>::from(best.centre.coords);
         let (percent, needed) = (best.empty_share * 100.0, MIN_EMPTY_SHARE * 100.0);
-        return Err(RgbSpotError::HoleElsewhere { at, percent, needed });
+        return Err(Refusal::of(format!(
+            "the image shows the laser at {at:.1?} mm, where the scan lacks {percent:.0} % of its points, {needed:.0} % needed; is \
+             the image mirrored, of another scan or camera, or are its intrinsics wrong?"
+        )));
     }
     Ok(search.placed(best, found.len()))
 }
@@ -296,7 +199,7 @@ impl<'a> Search<'a> {
         image: &'a Image,
         t_cloud_image: Isometry3<f64>,
         params: &'a RgbSpotParams,
-    ) -> Result<Self, RgbSpotError> {
+    ) -> Result<Self, Refusal> {
         let t_image_cloud = t_cloud_image.inverse();
         let [width, height] = [image.width(), image.height()].map(f64::from);
         let points = scene.reference.points;
@@ -312,7 +215,11 @@ impl<'a> Search<'a> {
             .collect();
         let share = seen.len() as f64 / points.len() as f64;
         if share < MIN_IN_IMAGE {
-            return Err(RgbSpotError::OutOfImage { percent: share * 100.0, needed: MIN_IN_IMAGE * 100.0 });
+            let (percent, needed) = (share * 100.0, MIN_IN_IMAGE * 100.0);
+            return Err(Refusal::of(format!(
+                "{percent:.0} % of the scan's points are within the image, {needed:.0} % needed; do image and scan belong together, \
+                 and the intrinsics to the image?"
+            )));
         }
         let depth_mm = super::scene::median(&mut seen.iter().map(|(_, depth, _)| *depth).collect::<Vec<_>>());
         let spacing_px = scene.median_spacing_mm * image.intrinsics().fx / depth_mm;
@@ -320,17 +227,18 @@ impl<'a> Search<'a> {
         Ok(Self { scene, image, t_cloud_image, params, mask, seen, spacing_px, depth_mm })
     }
 
-    fn check_exposure(&self) -> Result<(), RgbSpotError> {
+    fn check_exposure(&self) -> Result<(), Refusal> {
         let pixels = self.mask.pixels().count().max(1) as f64;
         let percent = |is: &dyn Fn([u8; 3]) -> bool| {
             100.0 * self.mask.pixels().filter(|[x, y]| is(self.image.rgb(*x, *y))).count() as f64 / pixels
         };
         let black = percent(&|rgb| rgb.iter().all(|c| *c <= BLACK));
         let saturated = percent(&|rgb| rgb.iter().any(|c| *c >= SATURATED));
-        match () {
-            () if black > 50.0 => Err(RgbSpotError::Exposure { what: "black", percent: black }),
-            () if saturated > 50.0 => Err(RgbSpotError::Exposure { what: "saturated", percent: saturated }),
-            () => Ok(()),
+        match [("black", black), ("saturated", saturated)].into_iter().find(|(_, percent)| *percent > 50.0) {
+            None => Ok(()),
+            Some((what, percent)) => Err(Refusal::of(format!(
+                "the image is {what} at {percent:.0} % of the bone's pixels; change its exposure"
+            ))),
         }
     }
 
@@ -438,21 +346,25 @@ impl<'a> Search<'a> {
     }
 
     /// The error that describes why there is no spot.
-    fn nothing(&self, found: &[Candidate]) -> RgbSpotError {
+    fn nothing(&self, found: &[Candidate]) -> Refusal {
         let (colour, radius_mm) = (self.params.mark.colour(), self.params.spot_radius_mm);
+        let none = |best: &str| Refusal::of(format!("no {colour} spot of {radius_mm} mm radius on the bone: {best}"));
         let closest = found.iter().max_by(|a, b| a.size_share.total_cmp(&b.size_share));
         if let Some(cut) = closest.filter(|c| c.size_share > 0.0 && c.n_sectors < MIN_SECTORS) {
-            return RgbSpotError::AtSilhouette { colour, at: cut.centre.coords.into(), n: cut.n_sectors };
+            let (at, n) = (<[f64; 3]>::from(cut.centre.coords), cut.n_sectors);
+            return Refusal::of(format!(
+                "the {colour} spot at {at:.1?} mm has a rim in {n} of {SECTORS} directions, {MIN_SECTORS} needed: it is at the \
+                 bone's silhouette or under a highlight; aim again, or turn the camera"
+            ));
         }
         if let Some(c) = closest {
             let (percent, needed) = (c.n_sectors as f64 / SECTORS as f64 * 100.0, self.params.min_confidence);
             let at = <[f64; 3]>::from(c.centre.coords);
-            let best = format!(
+            return none(&format!(
                 "the best one, at {at:.1?} mm, has a radius of {:.1} mm and {percent:.0} % of its rim (confidence {:.2}, {needed} \
                  needed)",
                 c.radius_mm, c.confidence
-            );
-            return RgbSpotError::None { colour, radius_mm, best, hint: "" };
+            ));
         }
         // What is neither on the bone nor on its surface has no point.
         let all = Mask::all(self.image);
@@ -468,28 +380,28 @@ impl<'a> Search<'a> {
             let mm = self.depth_mm / self.intrinsics().fx;
             let (distance_mm, limit_mm) = (nearest_px * mm, self.reach_px() * mm);
             if nearest_px > self.reach_px() {
-                return RgbSpotError::NoSurface { colour, pixel: blob.centre, distance_mm, limit_mm };
+                return Refusal::of(format!(
+                    "the {colour} spot at pixel {:.0?} is {distance_mm:.1} mm from the nearest point of the scan, {limit_mm:.1} mm \
+                     allowed",
+                    blob.centre
+                ));
             }
         }
         let is_swapped = self.candidates(Channels::Bgr).iter().any(|c| c.confidence >= self.params.min_confidence);
         let on_bone = blobs(self.image, &self.mask, Channels::Rgb, &strength, self.params.min_contrast, SATURATED);
-        let best = match on_bone.iter().max_by_key(|blob| blob.n_pixels) {
-            Some(blob) if !is_swapped => {
-                let (pixel, n) = (blob.centre, blob.n_pixels);
-                let best = format!(
-                    "the largest blob of that colour, at pixel {pixel:.0?}, has {n} pixels ({MIN_PIXELS} needed) and no rim that \
+        if let Some(blob) = on_bone.iter().max_by_key(|blob| blob.n_pixels).filter(|_| !is_swapped) {
+            let (pixel, n) = (blob.centre, blob.n_pixels);
+            return none(&format!(
+                "the largest blob of that colour, at pixel {pixel:.0?}, has {n} pixels ({MIN_PIXELS} needed) and no rim that \
                      determines its centre; is it at the bone's silhouette or under a highlight?"
-                );
-                return RgbSpotError::None { colour, radius_mm, best, hint: "" };
-            }
-            _ => "no blob has that colour".into(),
-        };
+            ));
+        }
         let hint = match (is_swapped, self.params.mark) {
             (true, _) => "; with red and blue exchanged there is one: is the image BGR?",
             (false, Mark::Laser) => "; is the laser on and red, and the exposure short enough for its colour?",
             (false, Mark::Pen) => "; is the mark in view, and lit well enough to have a colour?",
         };
-        RgbSpotError::None { colour, radius_mm, best, hint }
+        none(&format!("no blob has that colour{hint}"))
     }
 }
 

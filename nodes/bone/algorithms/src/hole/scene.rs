@@ -1,7 +1,8 @@
 //! The reference scan and the scan with the laser, prepared for comparison.
 
+use super::HoleParams;
 use super::sight::Sight;
-use super::{HoleError, HoleParams};
+use crate::Refusal;
 use crate::nearest::Nearest;
 use crate::normals::plane_normal;
 use nalgebra::Point3;
@@ -84,11 +85,11 @@ impl<'a> Scan<'a> {
 
 impl<'a> Scene<'a> {
     /// # Errors
-    /// [`HoleError::Empty`], [`HoleError::ScansApart`].
-    pub(super) fn new(reference: &'a Cloud, cloud: &'a Cloud, params: &HoleParams) -> Result<Self, HoleError> {
+    /// [`Refusal`] if a scan is empty, or both lie apart.
+    pub(super) fn new(reference: &'a Cloud, cloud: &'a Cloud, params: &HoleParams) -> Result<Self, Refusal> {
         for (what, scan) in [("reference", reference), ("laser", cloud)] {
             if scan.len() <= AROUND {
-                return Err(HoleError::Empty { what });
+                return Err(no_points(what));
             }
         }
         let sight = Sight::of(cloud);
@@ -109,7 +110,11 @@ impl<'a> Scene<'a> {
         (scene.residual_mm, scene.surface_spacing_mm) = (residual_mm, scene.median_spacing_mm * slant);
         if scene.residual_mm > params.max_scan_residual_mm {
             let limit_mm = params.max_scan_residual_mm;
-            return Err(HoleError::ScansApart { residual_mm: scene.residual_mm, limit_mm });
+            return Err(Refusal::of(format!(
+                "the laser scan lies {:.2} mm (median) from the reference scan, {limit_mm} mm is allowed; did the bone or the \
+                 camera move without a marker, or is the calibration off?",
+                scene.residual_mm
+            )));
         }
         let mut density: Vec<f64> = scene
             .reference
@@ -179,4 +184,14 @@ impl<'a> Scene<'a> {
 pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
+/// The refusal of an empty scan, `reference` or `laser`.
+pub(super) fn no_points(what: &str) -> Refusal {
+    Refusal::of(format!("the {what} scan has no points; is the region of interest around the bone?"))
+}
+
+/// The refusal of a laser scan that does not say where its camera was.
+pub(super) fn no_viewpoint() -> Refusal {
+    Refusal::of("the laser scan has no viewpoint, which its camera's image needs; use hole.cloud_difference, or set it")
 }

@@ -3,7 +3,8 @@
 use super::footprint::Footprint;
 use super::patch::Patch;
 use super::scene::{Scan, Scene};
-use super::{Hole, HoleError, HoleParams, HoleReport};
+use super::{Hole, HoleParams, HoleReport};
+use crate::Refusal;
 use crate::kabsch::centroid;
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -98,16 +99,19 @@ impl Candidate {
     }
 
     /// The hole where disc or beam explain it, with the confidence that the distance between these places leaves.
-    fn placed(&self, scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, HoleError> {
+    fn placed(&self, scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, Refusal> {
         let mut hole = self.hole.clone();
         hole.place(&Footprint::of_hole(scene, missing, &hole.centre, params), params);
         if hole.report.tier > 1 && params.min_confidence_agreeing >= params.min_confidence {
-            return Err(HoleError::Uncertain {
-                at: hole.centre.coords.into(),
-                uncertainty_mm: hole.report.centre_uncertainty_mm.unwrap_or_default(),
-                confidence: hole.confidence,
-                needed: params.min_confidence,
-            });
+            return Err(Refusal::of(format!(
+                "the spot is somewhere within {:.1} mm of {:.1?} mm: a disc on the surface and the cross-section of a slanted beam \
+                 explain the hole with different centres, as around a hole that the silhouette cuts off (confidence {:.2}, {} \
+                 needed); aim again, or turn the camera",
+                hole.report.centre_uncertainty_mm.unwrap_or_default(),
+                <[f64; 3]>::from(hole.centre.coords),
+                hole.confidence,
+                params.min_confidence
+            )));
         }
         Ok(hole)
     }
@@ -119,7 +123,7 @@ impl Candidate {
 }
 
 /// The one hole among the missing points.
-pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, HoleError> {
+pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, Refusal> {
     let mut is_missing = vec![false; scene.reference.len()];
     missing.indices.iter().for_each(|&i| is_missing[i] = true);
     let seeds = seeds(scene, missing, &is_missing, params.spot_radius_mm);
@@ -134,13 +138,11 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
     if let Some(best) = candidates.iter().find(first_tier) {
         let rivals = rivals(best, candidates.iter().filter(first_tier), params);
         return match rivals.first() {
-            Some(rival) => Err(HoleError::Several {
-                n: rivals.len() + 1,
-                first: best.hole.centre.coords.into(),
-                second: rival.hole.centre.coords.into(),
-                first_confidence: best.hole.confidence,
-                second_confidence: rival.hole.confidence,
-            }),
+            Some(rival) => Err(Refusal::of(format!(
+                "{} holes look alike, {}; crop the scan closer, or were two spots scanned?",
+                rivals.len() + 1,
+                two_places([best, rival].map(|c| (c.hole.centre, c.hole.confidence)))
+            ))),
             None => best.placed(scene, missing, params),
         };
     }
@@ -171,18 +173,25 @@ fn rivals<'a>(
     rivals
 }
 
-fn too_sparse(scene: &Scene<'_>, spacing_mm: f64, params: &HoleParams) -> HoleError {
-    HoleError::TooSparse {
-        what: scene.coarser_scan(),
-        spacing_mm,
-        grid_mm: scene.grid_mm,
-        needed_mm: SURE_SPACING * params.spot_radius_mm,
-        expected_radius_mm: params.spot_radius_mm,
-    }
+/// Two rivals, each with its place and confidence, for messages.
+pub(super) fn two_places([(first, first_confidence), (second, second_confidence)]: [(Point3<f64>, f64); 2]) -> String {
+    let [first, second] = [first, second].map(|place| <[f64; 3]>::from(place.coords));
+    format!("at {first:.1?} and {second:.1?} mm with confidence {first_confidence:.2} and {second_confidence:.2}")
+}
+
+fn too_sparse(scene: &Scene<'_>, spacing_mm: f64, params: &HoleParams) -> Refusal {
+    let grid = scene.grid_mm.map(|mm| format!(" ({mm:.2} mm in the camera's grid)")).unwrap_or_default();
+    Refusal::of(format!(
+        "points of the {} scan are {spacing_mm:.2} mm apart on the surface{grid}, and {:.2} mm on the surface surely show a hole \
+         of {} mm radius; scan closer, less slanted or with more points, or is the laser off?",
+        scene.coarser_scan(),
+        SURE_SPACING * params.spot_radius_mm,
+        params.spot_radius_mm
+    ))
 }
 
 /// The error that describes why there is no hole.
-fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> HoleError {
+fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> Refusal {
     let spacing_mm = scene.surface_spacing_mm;
     if spacing_mm > SURE_SPACING * params.spot_radius_mm {
         return too_sparse(scene, spacing_mm, params);
@@ -213,7 +222,12 @@ fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, par
             params.min_confidence
         ),
     };
-    HoleError::None { expected_radius_mm: params.spot_radius_mm, n_missing: missing.indices.len(), best }
+    Refusal::of(format!(
+        "no hole of {} mm radius: {} reference points have no counterpart in the laser scan, and {best}; is the laser on, and its \
+         spot inside the region of interest?",
+        params.spot_radius_mm,
+        missing.indices.len()
+    ))
 }
 
 /// Missing points with the most missing points around, no two within a radius of each other.

@@ -1,3 +1,4 @@
+use crate::Refusal;
 use crate::mesh_query::MeshQuery;
 use nalgebra::{Point3, Unit, Vector3};
 use osteoflow_geometry::NamedPoint;
@@ -99,37 +100,6 @@ pub struct RuledPoint {
     pub moved_mm: f64,
 }
 
-/// Errors of [`ruled()`].
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RuledError {
-    /// There are not three landmarks.
-    #[error("three landmarks are ruled one from the other, but the plan gives {n}; plan.landmarks places P1..P3")]
-    Three {
-        /// Number of landmarks.
-        n: usize,
-    },
-    /// The face has no direction across the bone.
-    #[error(
-        "the surface at {name} faces along the bone, so nothing there runs across it; is it the landmark of a shaft?"
-    )]
-    NoTangent {
-        /// The landmark.
-        name: String,
-    },
-    /// The mark is not on the bone.
-    #[error(
-        "{name} would lie {distance_mm:.1} mm off the bone, {limit_mm} mm is allowed; is the bone as long as ruled?"
-    )]
-    OffBone {
-        /// The mark.
-        name: String,
-        /// Distance found.
-        distance_mm: f64,
-        /// Distance allowed.
-        limit_mm: f64,
-    },
-}
-
 /// True positions of marks that a surgeon puts at the `planned` landmarks with an inexact ruler.
 ///
 /// The first mark errs along the bone, the second and third by this error and by their own, the second also across the
@@ -138,7 +108,7 @@ pub enum RuledError {
 /// are in one frame; `along` is the bone's direction there. `O(m)`.
 ///
 /// # Errors
-/// [`RuledError`] if there are not three landmarks, the second does not lie on the side of a shaft, or a mark misses
+/// [`Refusal`] if there are not three landmarks, the second does not lie on the side of a shaft, or a mark misses
 /// the bone.
 ///
 /// # Source
@@ -148,9 +118,19 @@ pub fn ruled(
     planned: &[NamedPoint],
     along: &Unit<Vector3<f64>>,
     errors: &RulerErrors,
-) -> Result<Ruled, RuledError> {
-    let [_, second, _] = planned else { return Err(RuledError::Three { n: planned.len() }) };
-    let no_tangent = || RuledError::NoTangent { name: second.name.to_string() };
+) -> Result<Ruled, Refusal> {
+    let [_, second, _] = planned else {
+        let n = planned.len();
+        return Err(Refusal::of(format!(
+            "three landmarks are ruled one from the other, but the plan gives {n}; plan.landmarks places P1..P3"
+        )));
+    };
+    let no_tangent = || {
+        let name = &second.name;
+        Refusal::of(format!(
+            "the surface at {name} faces along the bone, so nothing there runs across it; is it the landmark of a shaft?"
+        ))
+    };
     let normal = face_normal(bone, &second.position).ok_or_else(no_tangent)?;
     let across = along.cross(&normal).try_normalize(0.1).ok_or_else(no_tangent)?;
     let shared_mm = match errors.third_from {
@@ -167,10 +147,11 @@ pub fn ruled(
         let displaced = landmark.position + along.into_inner() * asked_along_mm + across * asked_across_mm;
         let closest = bone.closest_point(&displaced);
         let off_surface_mm = closest.map_or(f64::INFINITY, |c| c.distance_mm);
-        let closest = closest.filter(|_| off_surface_mm <= MAX_OFF_MM).ok_or_else(|| RuledError::OffBone {
-            name: landmark.name.to_string(),
-            distance_mm: off_surface_mm,
-            limit_mm: MAX_OFF_MM,
+        let closest = closest.filter(|_| off_surface_mm <= MAX_OFF_MM).ok_or_else(|| {
+            let name = &landmark.name;
+            Refusal::of(format!(
+                "{name} would lie {off_surface_mm:.1} mm off the bone, {MAX_OFF_MM} mm is allowed; is the bone as long as ruled?"
+            ))
         })?;
         let mark = if errors.on_surface { closest.point } else { displaced };
         let moved = mark - landmark.position;
@@ -293,9 +274,9 @@ mod tests {
     fn landmarks_that_cannot_be_ruled_are_refused() {
         let (bone, planned) = on_a_box();
         let two = ruled(&bone, &planned[..2], &Vector3::z_axis(), &ERRORS);
-        assert_eq!(two, Err(RuledError::Three { n: 2 }));
+        assert!(two.unwrap_err().to_string().contains("the plan gives 2"));
         let along = ruled(&bone, &planned, &Vector3::x_axis(), &ERRORS);
-        assert_eq!(along, Err(RuledError::NoTangent { name: "P2".into() }));
+        assert!(along.unwrap_err().to_string().starts_with("the surface at P2 faces along the bone"));
         let beyond = RulerErrors { first_mm: 100.0, second_mm: 5.0, ..ERRORS };
         let error = ruled(&bone, &planned, &Vector3::z_axis(), &beyond).unwrap_err();
         assert!(error.to_string().starts_with("P2 would lie 15.0 mm off the bone"), "{error}");

@@ -1,4 +1,5 @@
-use super::{MetricsError, PoseErrorReport, TreReport, pose_error, tre};
+use super::{PoseErrorReport, TreReport, pose_error, tre};
+use crate::Refusal;
 use nalgebra::{Isometry3, Matrix3, Point3};
 use osteoflow_geometry::{Axes, NamedPoint, StampNs};
 use serde::{Deserialize, Serialize};
@@ -31,7 +32,7 @@ pub struct CheckReport {
 /// localiser) and paired by name. `pose` is `t * inverse(t_true)` of the calibration, if known.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no point, one has no counterpart, or one is not finite.
+/// [`Refusal`] if there is no point, one has no counterpart, or one is not finite.
 ///
 /// # Source
 /// Section 3.1 of the paper.
@@ -40,7 +41,7 @@ pub fn check_points(
     known: &[NamedPoint],
     t_camera_world: &Isometry3<f64>,
     pose: Option<&Isometry3<f64>>,
-) -> Result<CheckReport, MetricsError> {
+) -> Result<CheckReport, Refusal> {
     let in_camera: Vec<NamedPoint> =
         known.iter().map(|p| NamedPoint { position: t_camera_world * p.position, ..p.clone() }).collect();
     let axes = Axes { frame: "camera".into(), centre: Point3::origin(), columns: Matrix3::identity() };

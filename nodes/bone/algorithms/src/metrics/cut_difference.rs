@@ -1,7 +1,8 @@
 use super::paired::paired;
 use super::quantile::quantile;
-use super::{MetricsError, PoseErrorReport, pose_error};
-use crate::fragment::{FaceKind, Fragment, FragmentError, HalfSpace, between, fragment};
+use super::{PoseErrorReport, pose_error};
+use crate::Refusal;
+use crate::fragment::{FaceKind, Fragment, HalfSpace, between, fragment};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
@@ -179,10 +180,9 @@ impl<'a> PlannedFragment<'a> {
     /// Cuts the planned fragment out of the bone.
     ///
     /// # Errors
-    /// [`MetricsError::Frame`] if the planes are not in the bone's frame, [`MetricsError::Fragment`] if nothing can be
-    /// cut.
-    pub fn new(bone: &'a Mesh, planned: &Planes, params: &'a CutDifferenceParams) -> Result<Self, MetricsError> {
-        bone.frame.expect(&planned.frame, "the bone")?;
+    /// [`Refusal`] if the planes are not in the bone's frame, or nothing can be cut.
+    pub fn new(bone: &'a Mesh, planned: &Planes, params: &'a CutDifferenceParams) -> Result<Self, Refusal> {
+        bone.frame.expect(&planned.frame, "the bone").map_err(Refusal::of)?;
         let cuts = between(bone, planned)?;
         let [t_ct_grid, t_ct_second] = [0, 1].map(|k| planned.planes[k].isometry().copied().unwrap_or_default());
         let normals = [t_ct_grid * Vector3::z(), t_ct_second * Vector3::z()];
@@ -205,8 +205,8 @@ impl<'a> PlannedFragment<'a> {
     /// The fragment that planes moved by `slip` cut out of the bone, in the bone's frame.
     ///
     /// # Errors
-    /// [`FragmentError`] if a moved plane misses the bone.
-    pub fn executed(&self, slip: &Isometry3<f64>) -> Result<Fragment, FragmentError> {
+    /// [`Refusal`] if a moved plane misses the bone.
+    pub fn executed(&self, slip: &Isometry3<f64>) -> Result<Fragment, Refusal> {
         fragment(self.bone, &self.cuts.clone().map(|cut| cut.moved(slip)))
     }
 
@@ -214,11 +214,11 @@ impl<'a> PlannedFragment<'a> {
     /// error. `O(m)` for the cut, `O(n log n)` for the comparison.
     ///
     /// # Errors
-    /// [`MetricsError::Fragment`] if a moved plane misses the bone.
+    /// [`Refusal`] if a moved plane misses the bone.
     ///
     /// # Source
     /// Sections 3.2.2 and 3.2.3 of the paper; Cignoni, Rocchini and Scopigno 1998 for distances between surfaces.
-    pub fn against(&self, slip: &Isometry3<f64>) -> Result<CutVariant, MetricsError> {
+    pub fn against(&self, slip: &Isometry3<f64>) -> Result<CutVariant, Refusal> {
         let executed = Sampled::new(self.executed(slip)?, self.params.n_samples);
         let back = slip.inverse();
         let compared = |to_plan: &Isometry3<f64>, to_executed: &Isometry3<f64>| {
@@ -273,7 +273,7 @@ impl<'a> PlannedFragment<'a> {
 /// if known. `E = t_ct_world · inverse(t_ct_world_true)`; the planes are moved by its inverse.
 ///
 /// # Errors
-/// [`MetricsError`] if frames differ, the planned fragment cannot be cut, or the truly executed planes miss the bone.
+/// [`Refusal`] if frames differ, the planned fragment cannot be cut, or the truly executed planes miss the bone.
 /// If only the measured error has no result, the report says why.
 pub fn cut_difference(
     bone: &Mesh,
@@ -281,7 +281,7 @@ pub fn cut_difference(
     error: &Isometry3<f64>,
     measured: Result<Isometry3<f64>, String>,
     params: &CutDifferenceParams,
-) -> Result<CutDifferenceReport, MetricsError> {
+) -> Result<CutDifferenceReport, Refusal> {
     let plan = PlannedFragment::new(bone, planned, params)?;
     let truth = plan.against(&error.inverse())?;
     let paper = measured.and_then(|error| plan.against(&error.inverse()).map_err(|why| why.to_string()));
@@ -298,7 +298,7 @@ pub fn cut_difference(
 /// It includes the stylus' error; points along a shaft determine the turn about the bone least.
 ///
 /// # Errors
-/// [`MetricsError`] if a point has no counterpart or the points do not determine a motion.
+/// [`Refusal`] if a point has no counterpart or the points do not determine a motion.
 ///
 /// # Source
 /// Section 3.2.2 of the paper.
@@ -306,12 +306,12 @@ pub fn error_at_points(
     planned: &[NamedPoint],
     measured: &[NamedPoint],
     t_ct_measured: &Isometry3<f64>,
-) -> Result<Isometry3<f64>, MetricsError> {
+) -> Result<Isometry3<f64>, Refusal> {
     let (planned, measured): (Vec<_>, Vec<_>) = paired(planned, measured)?
         .into_iter()
         .map(|(_, planned, measured)| (planned, t_ct_measured * measured))
         .unzip();
-    Ok(kabsch(&measured, &planned)?)
+    kabsch(&measured, &planned).map_err(Refusal::of)
 }
 
 /// Distance of each point from a closed surface, mm, negative inside.

@@ -1,4 +1,5 @@
-use super::MetricsError;
+use super::paired::{not_finite, nothing, unpaired};
+use crate::Refusal;
 use crate::{fragment::REACH_MM, section};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Axes, Mesh, Plane, PlanePlace, Planes};
@@ -52,32 +53,30 @@ pub struct SegmentReport {
 /// plane's origin.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no plane, one has no counterpart or is unknown, or frames differ.
-pub fn cuts(planned: &Planes, achieved: &Planes, axes: &Axes, bone: Option<&Mesh>) -> Result<CutsReport, MetricsError> {
-    achieved.frame.expect(&planned.frame, "the achieved planes")?;
-    axes.frame.expect(&planned.frame, "the axes")?;
-    if let Some(bone) = bone {
-        bone.frame.expect(&planned.frame, "the bone")?;
+/// [`Refusal`] if there is no plane, one has no counterpart or is unknown, or frames differ.
+pub fn cuts(planned: &Planes, achieved: &Planes, axes: &Axes, bone: Option<&Mesh>) -> Result<CutsReport, Refusal> {
+    let named = [(&achieved.frame, "the achieved planes"), (&axes.frame, "the axes")];
+    for (frame, what) in named.into_iter().chain(bone.map(|bone| (&bone.frame, "the bone"))) {
+        frame.expect(&planned.frame, what).map_err(Refusal::of)?;
     }
     if planned.planes.is_empty() {
-        return Err(MetricsError::Empty { what: "planned plane" });
+        return Err(nothing("planned plane"));
     }
     let along = axes.columns.column(2).into_owned();
     let mut cuts = Vec::new();
     let mut middles = Vec::new();
     for plane in planned.planes.iter() {
-        let counterpart =
-            achieved.planes.iter().find(|p| p.name == plane.name).ok_or_else(|| MetricsError::Unpaired {
-                name: plane.name.to_string(),
-                side: "achieved",
-                found: achieved.planes.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", "),
-            })?;
+        let counterpart = achieved
+            .planes
+            .iter()
+            .find(|p| p.name == plane.name)
+            .ok_or_else(|| unpaired(&plane.name, "achieved", achieved.planes.iter().map(|p| &*p.name)))?;
         let (plan, cut) = (known(plane)?, known(counterpart)?);
         let middle = bone.and_then(|bone| section::middle(bone, plan, Some(REACH_MM)));
         let at = middle.unwrap_or_else(|| plan * Point3::origin());
         let report = compare(&plane.name, plan, cut, &at, &along);
         if !report.offset_mm.is_finite() {
-            return Err(MetricsError::NotFinite { what: format!("the offset of {}", plane.name) });
+            return Err(not_finite(&format!("the offset of {}", plane.name)));
         }
         middles.push((at, at + plan * Vector3::z() * report.offset_mm));
         cuts.push(report);
@@ -121,11 +120,9 @@ fn compare(name: &str, plan: &Isometry3<f64>, cut: &Isometry3<f64>, at: &Point3<
     }
 }
 
-fn known(plane: &Plane) -> Result<&Isometry3<f64>, MetricsError> {
+fn known(plane: &Plane) -> Result<&Isometry3<f64>, Refusal> {
     match &plane.place {
         PlanePlace::Known(t) => Ok(t),
-        PlanePlace::Unknown(reason) => {
-            Err(MetricsError::UnknownPlane { name: plane.name.to_string(), reason: reason.to_string() })
-        }
+        PlanePlace::Unknown(reason) => Err(Refusal::of(format!("plane {} is unknown: {reason}", plane.name))),
     }
 }

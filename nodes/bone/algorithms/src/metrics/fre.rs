@@ -1,5 +1,5 @@
-use super::MetricsError;
 use super::paired::paired;
+use crate::Refusal;
 use nalgebra::Isometry3;
 use osteoflow_geometry::NamedPoint;
 use serde::{Deserialize, Serialize};
@@ -27,12 +27,12 @@ pub struct FrePoint {
 /// Residuals of `source` points against the `target` points of the same names.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no point or one has no counterpart.
+/// [`Refusal`] if there is no point or one has no counterpart.
 pub fn fre(
     target: &[NamedPoint],
     source: &[NamedPoint],
     t_target_source: &Isometry3<f64>,
-) -> Result<FreReport, MetricsError> {
+) -> Result<FreReport, Refusal> {
     let points: Vec<FrePoint> = paired(target, source)?
         .into_iter()
         .map(|(name, t, s)| FrePoint { name, residual_mm: (t_target_source * s - t).norm() })

@@ -1,4 +1,6 @@
-use super::{MetricsError, TreReport, tre};
+use super::paired::unpaired;
+use super::{TreReport, tre};
+use crate::Refusal;
 use nalgebra::Isometry3;
 use osteoflow_geometry::{Axes, NamedPoint};
 use serde::{Deserialize, Serialize};
@@ -16,7 +18,7 @@ pub struct LaserSpotReport {
 /// name. Spots that were not located are ignored.
 ///
 /// # Errors
-/// [`MetricsError`] if nothing was located, a located point has no spot or mark, or one is not finite.
+/// [`Refusal`] if nothing was located, a located point has no spot or mark, or one is not finite.
 ///
 /// # Source
 /// Section 4 of the paper.
@@ -26,12 +28,11 @@ pub fn laser_spot(
     marks: &[NamedPoint],
     t_axes_located: &Isometry3<f64>,
     axes: &Axes,
-) -> Result<LaserSpotReport, MetricsError> {
+) -> Result<LaserSpotReport, Refusal> {
     let against = |side, truth: &[NamedPoint]| {
         let of = |point: &NamedPoint| {
-            let found = || truth.iter().map(|t| &*t.name).collect::<Vec<_>>().join(", ");
-            let unpaired = || MetricsError::Unpaired { name: point.name.to_string(), side, found: found() };
-            truth.iter().find(|t| t.name == point.name).cloned().ok_or_else(unpaired)
+            let names = truth.iter().map(|t| &*t.name);
+            truth.iter().find(|t| t.name == point.name).cloned().ok_or_else(|| unpaired(&point.name, side, names))
         };
         let truth = located.iter().map(of).collect::<Result<Vec<_>, _>>()?;
         tre(&truth, located, t_axes_located, axes)

@@ -1,5 +1,6 @@
-use super::MetricsError;
+use super::paired::{not_finite, nothing};
 use super::quantile::quantile;
+use crate::Refusal;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
@@ -36,15 +37,15 @@ pub struct SurfaceReport {
 /// between the points.
 ///
 /// # Errors
-/// [`MetricsError::Empty`] without points or if none is near the surface.
+/// [`Refusal`] without points or if none is near the surface.
 pub fn surface_residual(
     target: &Target,
     source: &[Point3<f64>],
     t_target_source: &Isometry3<f64>,
     max_pair_distance_mm: f64,
-) -> Result<SurfaceReport, MetricsError> {
+) -> Result<SurfaceReport, Refusal> {
     if source.is_empty() {
-        return Err(MetricsError::Empty { what: "scan point" });
+        return Err(nothing("scan point"));
     }
     let found: Vec<Option<(bool, f64)>> = source
         .par_iter()
@@ -56,11 +57,10 @@ pub fn surface_residual(
             Some((kept, along.filter(|_| kept).unwrap_or(distance)))
         })
         .collect();
-    let found: Vec<(bool, f64)> =
-        found.into_iter().collect::<Option<_>>().ok_or(MetricsError::NotFinite { what: "a scan point".into() })?;
+    let found: Vec<(bool, f64)> = found.into_iter().collect::<Option<_>>().ok_or_else(|| not_finite("a scan point"))?;
     let kept: Vec<f64> = found.iter().filter(|(kept, _)| *kept).map(|(_, d)| *d).collect();
     if kept.is_empty() {
-        return Err(MetricsError::Empty { what: "scan point near the surface" });
+        return Err(nothing("scan point near the surface"));
     }
     let mut all: Vec<f64> = found.iter().map(|(_, d)| *d).collect();
     all.sort_by(f64::total_cmp);

@@ -1,6 +1,6 @@
-use super::MetricsError;
-use super::paired::paired;
+use super::paired::{not_finite, paired};
 use super::quantile::quantile;
+use crate::Refusal;
 use nalgebra::{Isometry3, Vector3};
 use osteoflow_geometry::{Axes, NamedPoint};
 use serde::{Deserialize, Serialize};
@@ -67,7 +67,7 @@ pub struct TreSummary {
 /// true, paired by name; `axes` are in the target's frame.
 ///
 /// # Errors
-/// [`MetricsError`] if there is no point, one has no counterpart, or one is not finite.
+/// [`Refusal`] if there is no point, one has no counterpart, or one is not finite.
 ///
 /// # Source
 /// Section 3.2.1 of the paper; Fitzpatrick, West and Maurer 1998 for the term.
@@ -76,12 +76,12 @@ pub fn tre(
     source: &[NamedPoint],
     t_target_source: &Isometry3<f64>,
     axes: &Axes,
-) -> Result<TreReport, MetricsError> {
+) -> Result<TreReport, Refusal> {
     let mut points = Vec::with_capacity(target.len());
     for (name, t, s) in paired(target, source)? {
         let e = axes.components(&(t_target_source * s - t));
         if !e.iter().all(|c| c.is_finite()) {
-            return Err(MetricsError::NotFinite { what: format!("the error at {name}") });
+            return Err(not_finite(&format!("the error at {name}")));
         }
         points.push(TrePoint {
             name,

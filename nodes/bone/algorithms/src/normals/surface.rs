@@ -1,6 +1,6 @@
 //! Normals of a whole surface without a viewpoint: a plane through each point's neighbours, then consistent signs.
 
-use super::NormalError;
+use crate::Refusal;
 use crate::bvh::Aabb;
 use crate::kabsch::{centroid, finite};
 use crate::point_blocks::{BLOCK_LEN, PointBlocks};
@@ -61,30 +61,36 @@ const CHUNK: usize = 512;
 /// `O(n log n)`, on all threads of the current pool; their number does not change the result.
 ///
 /// # Errors
-/// [`NormalError::NotFinite`] for a point with NaN; [`NormalError::NoPlane`] for a point that lies with its 180 nearest on
+/// [`Refusal`] for a point with NaN, and for one that lies with its 180 nearest on
 /// a line or in one place, also where there are fewer than three points.
 ///
 /// # Source
 /// Hoppe et al. 1992, sections 3.2 and 3.3.
-pub fn of_surface(points: &[Point3<f64>]) -> Result<Vec<Vector3<f64>>, NormalError> {
+pub fn of_surface(points: &[Point3<f64>]) -> Result<Vec<Vector3<f64>>, Refusal> {
     if let Some(index) = points.iter().position(|p| !finite(p)) {
-        return Err(NormalError::NotFinite { index });
+        return Err(Refusal::of(format!("point {index} is not finite; drop it before normals are estimated")));
     }
     let centre = centroid(points);
-    with_side(points.iter().map(|p| p - centre).collect())
+    with_side(points.iter().map(|p| p - centre).collect()).map_err(|index| {
+        Refusal::of(format!(
+            "point {index} and its nearest lie on a line or in one place, so there is no normal; is this a surface?"
+        ))
+    })
 }
 
-fn with_side(places: Vec<Vector3<f64>>) -> Result<Vec<Vector3<f64>>, NormalError> {
+/// # Errors
+/// The index of the first point, along the curve, whose neighbours make no plane.
+fn with_side(places: Vec<Vector3<f64>>) -> Result<Vec<Vector3<f64>>, usize> {
     let blocks = PointBlocks::new(&places);
     if let Some(distinct) = Distinct::of(&places, &blocks.order) {
-        let normals = with_side(distinct.places.clone()).map_err(|error| distinct.in_input(error))?;
+        let normals = with_side(distinct.places.clone()).map_err(|place| distinct.in_input(place))?;
         return Ok(distinct.for_all(&normals));
     }
     let along = blocks.along(&places);
     let (fits, edges) = fit_all(&blocks, &along, true);
     let mut fitted: Vec<Vector3<f64>> = Vec::with_capacity(places.len());
     for (normal, &index) in fits.into_iter().flatten().zip(&blocks.order) {
-        fitted.push(normal.ok_or(NormalError::NoPlane { index: index as usize })?);
+        fitted.push(normal.ok_or(index as usize)?);
     }
     orient(&along, &mut fitted, edges.into_iter().flatten());
     let mut normals = places;
@@ -138,15 +144,9 @@ impl Distinct {
         self.which.iter().map(|&place| normals[place as usize]).collect()
     }
 
-    /// The error with the index of the first such point in the input.
-    fn in_input(&self, error: NormalError) -> NormalError {
-        match error {
-            NormalError::NoPlane { index } => {
-                let first = self.which.iter().position(|&place| place as usize == index);
-                NormalError::NoPlane { index: first.unwrap_or(index) }
-            }
-            error => error,
-        }
+    /// The index of the first such point in the input.
+    fn in_input(&self, place: usize) -> usize {
+        self.which.iter().position(|&other| other as usize == place).unwrap_or(place)
     }
 }
 
@@ -553,11 +553,15 @@ mod tests {
     fn points_without_a_plane_are_refused() {
         let line: Vec<_> = (0..300).map(|i| Point3::new(f64::from(i), 2.0 * f64::from(i), 1e6)).collect();
         for points in [&line[..], &line[..2], &line[..1], &[Point3::origin(); 500]] {
-            assert!(matches!(of_surface(points), Err(NormalError::NoPlane { .. })), "{} points", points.len());
+            assert!(
+                of_surface(points).is_err_and(|error| error.to_string().contains("there is no normal")),
+                "{} points",
+                points.len()
+            );
         }
         assert_eq!(of_surface(&[]), Ok(Vec::new()));
         let mut wild = line;
         wild[5].z = f64::INFINITY;
-        assert_eq!(of_surface(&wild), Err(NormalError::NotFinite { index: 5 }));
+        assert!(of_surface(&wild).unwrap_err().to_string().starts_with("point 5 is not finite"));
     }
 }

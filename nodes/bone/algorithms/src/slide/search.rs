@@ -1,10 +1,11 @@
 //! The minima about a pose: a grid of starts on a coarse map, the better ones registered onto the surface.
 
+use super::SlideParams;
 use super::axis::LongAxis;
 use super::surface::{Loss, Scene};
-use super::{SlideError, SlideParams};
+use crate::Refusal;
 use crate::coarse::{Placed, Points, descend, map_score};
-use crate::icp::{self, IcpError, IcpParams, Method, Source};
+use crate::icp::{self, IcpParams, Method, Source};
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::Cloud;
@@ -62,7 +63,7 @@ pub(super) fn minima(
     axis: &LongAxis,
     centre: &Isometry3<f64>,
     params: &SlideParams,
-) -> Result<Vec<Minimum>, SlideError> {
+) -> Result<Vec<Minimum>, Refusal> {
     let reach_rad = params.around_deg.to_radians();
     let is_within = |pose: &Isometry3<f64>| {
         let [along_mm, turn_rad] = axis.offset(seen, centre, pose);
@@ -153,7 +154,7 @@ pub(super) fn finished(
     source: &Cloud,
     pose: &Isometry3<f64>,
     params: &SlideParams,
-) -> Result<Isometry3<f64>, SlideError> {
+) -> Result<Isometry3<f64>, Refusal> {
     let method = if target.mesh().is_some() { Method::PointToMesh } else { Method::PointToPlane };
     let tight = IcpParams { levels: Vec::new(), stop_step_mm: 1e-4, stop_step_rad: 1e-6, ..icp_params(params) };
     let mut pose = *pose;
@@ -177,7 +178,7 @@ pub(super) fn beside(
     best: &Isometry3<f64>,
     is_open: [bool; 2],
     params: &SlideParams,
-) -> Result<Isometry3<f64>, SlideError> {
+) -> Result<Isometry3<f64>, Refusal> {
     let [along_mm, turn_rad] = axis.offset(seen, best, start);
     let kept = |is_open: bool, offset: f64| if is_open { offset } else { 0.0 };
     let pose = axis.moved(best, kept(is_open[0], along_mm), kept(is_open[1], turn_rad));
@@ -190,9 +191,10 @@ fn register(
     source: Source<'_>,
     start: &Isometry3<f64>,
     params: &IcpParams,
-) -> Result<Isometry3<f64>, IcpError> {
+) -> Result<Isometry3<f64>, Refusal> {
     let observer = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
-    Ok(icp::register(method, target, source, start, params, observer)?.t_target_source)
+    let fit = icp::register(method, target, source, start, params, observer).map_err(Refusal::of)?;
+    Ok(fit.t_target_source)
 }
 
 fn icp_params(params: &SlideParams) -> IcpParams {

@@ -4,7 +4,8 @@ use super::BONE;
 use super::text::{golden, outcome};
 use crate::common::{CLEAN, Noise, USUAL, displaced};
 use nalgebra::{Isometry3, Point3, Vector3};
-use osteoflow_algorithms::hole::{Hole, HoleError, HoleParams, boundary, cloud_difference, range_image};
+use osteoflow_algorithms::Refusal;
+use osteoflow_algorithms::hole::{Hole, HoleParams, boundary, cloud_difference, range_image};
 use osteoflow_geometry::Cloud;
 
 const HEIGHTS: [f64; 2] = [130.0, 170.0];
@@ -33,7 +34,7 @@ pub(crate) fn scan(
 
 /// The answers of all detectors to a pair of scans.
 fn described(name: &str, reference: &Cloud, laser: &Cloud, params: &HoleParams) -> String {
-    type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, HoleError>;
+    type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, Refusal>;
     let detectors: [(&str, Detector); 3] = [
         ("cloud_difference", cloud_difference),
         ("range_image", range_image),

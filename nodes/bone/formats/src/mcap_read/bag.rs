@@ -22,7 +22,7 @@ pub(super) struct Bag {
 impl Bag {
     /// Finds the recordings of the bag in `folder`.
     pub(super) fn open(folder: &Path) -> Result<Self, McapError> {
-        let fault = |reason: String| McapError::Bag { path: folder.display().to_string(), reason };
+        let fault = |reason: String| McapError::Unreadable { path: folder.display().to_string(), reason };
         let io = |path: &Path, source| McapError::Io { path: path.display().to_string(), source };
         let mut there: Vec<String> = Vec::new();
         for entry in fs::read_dir(folder).map_err(|error| io(folder, error))? {

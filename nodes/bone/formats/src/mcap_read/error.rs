@@ -1,4 +1,4 @@
-use osteoflow_container::{Cause, Damage, Location, ReadError, TooLarge};
+use osteoflow_container::{Cause, Damage, ReadError};
 use std::io;
 
 /// A recording that cannot be read, or not to its end.
@@ -15,29 +15,13 @@ pub enum McapError {
     /// The path leads to no file that can be read.
     #[error(transparent)]
     File(#[from] crate::FileError),
-    /// The folder of a ROS 2 bag cannot be read.
+    /// The file or folder is no recording that can be read: what was found, and what to do.
     #[error("{path}: {reason}")]
-    Bag {
-        /// The folder.
+    Unreadable {
+        /// The file or folder.
         path: String,
-        /// What is wrong, and what to do.
+        /// What is wrong, and where.
         reason: String,
-    },
-    /// The file has no bytes.
-    #[error("{path}: the file is empty, an MCAP recording is expected; was it stopped before anything was written?")]
-    Empty {
-        /// The file.
-        path: String,
-    },
-    /// The file is something else.
-    #[error("{path}: byte 0: an MCAP begins with 89 4D 43 41 50 30 0D 0A, but this file begins with {found}{hint}")]
-    WrongMagic {
-        /// The file.
-        path: String,
-        /// Its first bytes.
-        found: String,
-        /// What it may be instead.
-        hint: &'static str,
     },
     /// The file ends too early.
     #[error(
@@ -52,16 +36,6 @@ pub enum McapError {
         /// Number of messages before it.
         n_messages: usize,
     },
-    /// Its messages take more memory than is allowed.
-    #[error("{path}: at {place}: {source}")]
-    TooLarge {
-        /// The file.
-        path: String,
-        /// Where the allowed memory was full.
-        place: Location,
-        /// The limit.
-        source: TooLarge,
-    },
     /// Bytes of the file are damaged.
     #[error(
         "{path}: byte {}: {}; copy the file again, or set allow_truncated = true to use what is intact",
@@ -73,16 +47,6 @@ pub enum McapError {
         /// The damaged bytes.
         damage: Damage,
     },
-    /// A message of a channel that the file does not describe.
-    #[error("{path}: {location}: a message belongs to channel {channel}, which the file does not describe")]
-    UnknownChannel {
-        /// The file.
-        path: String,
-        /// Location of the message.
-        location: Location,
-        /// The channel.
-        channel: u16,
-    },
 }
 
 impl McapError {
@@ -90,7 +54,11 @@ impl McapError {
         let path = path.to_owned();
         let start = match error {
             ReadError::Io(source) => return Self::Io { path, source },
-            ReadError::Empty => return Self::Empty { path },
+            ReadError::Empty => {
+                let reason =
+                    "the file is empty, an MCAP recording is expected; was it stopped before anything was written?";
+                return Self::Unreadable { path, reason: reason.into() };
+            }
             ReadError::NotMcap { start } => start,
         };
         let hint = match start.as_slice() {
@@ -99,19 +67,22 @@ impl McapError {
             s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
             _ => "; is it another kind of file, or damaged?",
         };
-        Self::WrongMagic { path, found: hex(&start), hint }
+        Self::wrong_magic(&path, &start, hint)
     }
 
     /// Of a file whose header follows a damaged magic.
     pub(super) fn damaged_magic(path: &str, start: &[u8]) -> Self {
         let hint =
             "; an MCAP header follows, so copy the file again, or set allow_truncated = true to use what is intact";
-        Self::WrongMagic { path: path.into(), found: hex(start), hint }
+        Self::wrong_magic(path, start, hint)
     }
-}
 
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ")
+    fn wrong_magic(path: &str, start: &[u8], hint: &str) -> Self {
+        let start = start.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ");
+        let reason =
+            format!("byte 0: an MCAP begins with 89 4D 43 41 50 30 0D 0A, but this file begins with {start}{hint}");
+        Self::Unreadable { path: path.into(), reason }
+    }
 }
 
 /// The damage of a section whose CRC does not hold; its bytes are used all the same.

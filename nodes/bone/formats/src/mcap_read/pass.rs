@@ -157,7 +157,8 @@ impl<'a> Pass<'a> {
         }
         let taken = self.allowance.take(message.data.len());
         if let Some(source) = self.allowance.exceeded() {
-            self.failed = Some(McapError::TooLarge { path: self.path.into(), place: location, source });
+            let reason = format!("at {location}: {source}");
+            self.failed = Some(McapError::Unreadable { path: self.path.into(), reason });
             return taken;
         }
         self.pending.push(PendingMessage {
@@ -180,9 +181,11 @@ impl<'a> Pass<'a> {
         let mut n_unknown = 0;
         for message in std::mem::take(&mut self.pending) {
             let Some((channel, message_encoding)) = self.channels.get(&message.channel_id) else {
-                let (path, location, channel) = (self.path.into(), message.location, message.channel_id);
                 if !self.allow_truncated {
-                    return Err(McapError::UnknownChannel { path, location, channel });
+                    let (location, channel) = (message.location, message.channel_id);
+                    let reason =
+                        format!("{location}: a message belongs to channel {channel}, which the file does not describe");
+                    return Err(McapError::Unreadable { path: self.path.into(), reason });
                 }
                 n_unknown += 1;
                 continue;

@@ -26,7 +26,7 @@ pub struct Calibration {
 /// The calibration in a `foxglove.CameraCalibration`: `K` alone. `R` and `P` belong to rectified stereo images and are not used.
 ///
 /// # Errors
-/// [`MessageError::Decode`] if `K` is missing, skewed or not a pinhole's, or if a coefficient of `D` is not 0: the pixels of a
+/// [`MessageError`] if `K` is missing, skewed or not a pinhole's, or if a coefficient of `D` is not 0: the pixels of a
 /// distorted image lie elsewhere, so it has to be rectified first. Otherwise if schema or encoding is another.
 pub fn read_calibration<'a>(message: impl Into<Encoded<'a>>) -> Result<Calibration, MessageError> {
     let message = message.into();
@@ -57,7 +57,7 @@ pub fn read_calibration<'a>(message: impl Into<Encoded<'a>>) -> Result<Calibrati
 /// camera of a calibration.
 ///
 /// # Errors
-/// [`MessageError::Decode`] if the encoding or format is another, which is named, if the bytes do not fill the image, or if the
+/// [`MessageError`] if the encoding or format is another, which is named, if the bytes do not fill the image, or if the
 /// calibration is for another size or frame. Otherwise if schema or encoding is another.
 pub fn read_image<'a>(message: impl Into<Encoded<'a>>, calibration: &Calibration) -> Result<Image, MessageError> {
     let message = message.into();
@@ -117,7 +117,7 @@ fn check(message: &Encoded, expected: &'static str, schemas: &[&str]) -> Result<
     }
     match message.message_encoding {
         "protobuf" => Ok(()),
-        other => Err(MessageError::Encoding { found: other.into(), schema: message.schema_name.into() }),
+        _ => Err(super::wrong_encoding(message)),
     }
 }
 
@@ -231,7 +231,7 @@ mod tests {
         assert!(error(&jpeg).contains("format \"jpeg\" is not read; record png"));
         assert!(error(&CompressedImage { format: "png".into(), ..jpeg }).contains("the PNG image cannot be read"));
         let json = Encoded { message_encoding: "json", ..encoded(RAW_IMAGE, &raw("rgb8", 12, vec![0; 24])) };
-        assert!(matches!(read_image(json, &calibration()), Err(MessageError::Encoding { .. })));
+        assert!(read_image(json, &calibration()).unwrap_err().to_string().contains("written as \"json\" is not read"));
     }
 
     #[test]

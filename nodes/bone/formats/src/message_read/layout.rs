@@ -39,7 +39,10 @@ impl Layout {
         let n_bytes = raw.data.len();
         let rest = n_bytes.checked_rem(stride as usize).unwrap_or(n_bytes);
         if rest != 0 {
-            return Err(MessageError::Length { n_bytes, stride, rest });
+            return Err(MessageError(format!(
+                "the data has {n_bytes} bytes, which is no whole number of points of {stride} bytes: {rest} remain; was the \
+                 message cut short?"
+            )));
         }
         let n_points = n_bytes.checked_div(stride as usize).unwrap_or(0);
         Ok(Self { stride: stride as usize, n_points, position, normal })
@@ -57,20 +60,28 @@ impl Layout {
             NumericType::Int32 => Scalar::I32,
             NumericType::Float32 => Scalar::F32,
             NumericType::Float64 => Scalar::F64,
-            NumericType::Unknown => return Err(MessageError::FieldType { field: name.into(), code: field.r#type }),
+            NumericType::Unknown => {
+                let code = field.r#type;
+                return Err(MessageError(format!(
+                    "field \"{name}\" has numeric type {code}, but 1 (uint8) to 8 (float64) are known"
+                )));
+            }
         };
         let end = u64::from(field.offset) + scalar.n_bytes() as u64;
         if end > raw.point_stride.into() {
-            return Err(MessageError::FieldEnd { field: name.into(), end, stride: raw.point_stride });
+            let stride = raw.point_stride;
+            return Err(MessageError(format!(
+                "field \"{name}\" ends at byte {end} of a point, but a point has {stride} bytes (point_stride)"
+            )));
         }
         Ok(Some(Field { offset: field.offset as usize, scalar, big_endian }))
     }
 
-    fn needed(raw: &PointCloud, missing: &'static str, field: Option<Field>) -> Result<Field, MessageError> {
+    fn needed(raw: &PointCloud, missing: &str, field: Option<Field>) -> Result<Field, MessageError> {
         field.ok_or_else(|| {
             let names: Vec<&str> = raw.fields.iter().map(|f| f.name.as_str()).collect();
             let found = if names.is_empty() { "none".into() } else { names.join(", ") };
-            MessageError::MissingField { missing, found }
+            MessageError(format!("the points have no field \"{missing}\"; there are: {found}"))
         })
     }
 }

@@ -26,32 +26,10 @@ pub(super) struct Header {
     pub(super) crc: u64,
 }
 
-/// Bytes that are no header.
+/// Bytes that are no header, and why.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum HeaderError {
-    /// The version is none that exists.
-    #[error("the header version is {0}, and 1 to 3 are known")]
-    Version(u16),
-    /// The type has other characters than capitals, digits and `_`.
-    #[error("the type of the message is no name")]
-    Type,
-    /// The device has control characters.
-    #[error("the device of the {type_name} is no name")]
-    Device {
-        /// The type.
-        type_name: String,
-    },
-    /// The body is too long, or of a size that its type cannot have.
-    #[error("{type_name} of \"{device}\" has a body of {n_body} bytes, which it cannot have")]
-    Size {
-        /// The type.
-        type_name: String,
-        /// The device.
-        device: String,
-        /// The size.
-        n_body: u64,
-    },
-}
+#[error("{0}")]
+pub struct HeaderError(String);
 
 impl Header {
     /// The header in the first [`HEADER_BYTES`] of `bytes`.
@@ -60,17 +38,17 @@ impl Header {
     pub(super) fn parse(bytes: &[u8; HEADER_BYTES]) -> Result<Self, HeaderError> {
         let version = u16::from_be_bytes([bytes[0], bytes[1]]);
         if !(1..=3).contains(&version) {
-            return Err(HeaderError::Version(version));
+            return Err(HeaderError(format!("the header version is {version}, and 1 to 3 are known")));
         }
         let type_name = name_of(&bytes[2..14]);
         let is_padded = bytes[2 + type_name.len().min(12)..14].iter().all(|&b| b == 0);
         let is_type = |c: char| c.is_ascii_uppercase() || c.is_ascii_digit() || c == '_';
         if type_name.is_empty() || !is_padded || !type_name.chars().all(is_type) {
-            return Err(HeaderError::Type);
+            return Err(HeaderError("the type of the message is no name".into()));
         }
         let device = name_of(&bytes[14..34]);
         if device.chars().any(|c| c.is_control() || c == char::REPLACEMENT_CHARACTER) {
-            return Err(HeaderError::Device { type_name });
+            return Err(HeaderError(format!("the device of the {type_name} is no name")));
         }
         let word = |at: usize| {
             let mut word = [0; 8];
@@ -82,7 +60,9 @@ impl Header {
             Ok(n) if can_have(&type_name, version, n) => {
                 Ok(Self { version, type_name, device, stamp_ns, n_body: n, crc })
             }
-            _ => Err(HeaderError::Size { type_name, device, n_body }),
+            _ => Err(HeaderError(format!(
+                "{type_name} of \"{device}\" has a body of {n_body} bytes, which it cannot have"
+            ))),
         }
     }
 }

@@ -40,7 +40,9 @@ pub(super) fn beside(
     anatomy: &Anatomy,
 ) -> Result<NamedPoint, SimulationError> {
     let on_bone = |place: &Point3<f64>| {
-        surface.closest_point(place).ok_or(SimulationError::NotFinite { name: point.name.to_string() })
+        surface
+            .closest_point(place)
+            .ok_or_else(|| SimulationError::Unsuitable(format!("planned point {} is not finite", point.name)))
     };
     let outward = on_bone(&point.position)?.normal;
     let around = anatomy.proximal.cross(&outward).try_normalize(1e-6).unwrap_or_else(Vector3::zeros);

@@ -20,7 +20,7 @@ impl Scene<'_> {
         let sight = Sight { object: &self.phantom_surface, stretch: None, around: None, lumps: None };
         let pixels = view(&sight, &t_object_camera, camera, bias);
         if pixels.is_empty() {
-            return Err(SimulationError::NothingVisible { what: "phantom", hint: "is its mesh in millimetres?" });
+            return Err(SimulationError::nothing_visible("phantom", "is its mesh in millimetres?"));
         }
         let stamp_ns = tracker.stamp(CALIBRATION_S);
         let shot = Shot { pixels: &pixels, t_object_camera, hole: None, wound: None, stamp_ns, number: 0 };
@@ -59,7 +59,10 @@ impl Scene<'_> {
             let moved = if is_still { None } else { Some(self.bone_view(s, bias, wound.tissue.as_ref())?) };
             let pixels = moved.as_deref().unwrap_or(pixels);
             if !pixels.iter().any(|p| p.on_object && (p.lit() - hole.spot).norm() < hole.radius_mm) {
-                return Err(SimulationError::SpotHidden { name: spot.name.to_string() });
+                return Err(SimulationError::Unsuitable(format!(
+                    "the laser spot on {} is hidden from the camera; turn the view (camera.view_azimuth_deg) towards it",
+                    spot.name
+                )));
             }
             Ok(self.bone_scan(pixels, Some(hole), wound, s, tracker, 2 + k as u64)?.labelled(self.label(&spot.name)))
         };
@@ -169,7 +172,7 @@ impl Scene<'_> {
         let mut pixels = view(&sight, &self.t_ct_camera(s), &self.params.camera, bias);
         if !pixels.iter().any(|p| p.on_object) {
             let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
-            return Err(SimulationError::NothingVisible { what: "bone", hint });
+            return Err(SimulationError::nothing_visible("bone", hint));
         }
         if let Some(film) = Periosteum::new(&self.params.periosteum, self.seed) {
             film.cover(&mut pixels, &self.t_ct_camera(s), self.bone_surface);

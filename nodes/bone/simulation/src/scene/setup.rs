@@ -30,10 +30,9 @@ impl<'a> Scene<'a> {
         let rng = &mut stream(seed, Term::Setup, 0);
 
         let middle_mm = (params.camera.scan_from_mm + params.camera.scan_to_mm) / 2.0;
-        let focus =
-            section_centre(bone, anatomy, middle_mm).ok_or(SimulationError::NoSection { height_mm: middle_mm })?;
+        let focus = section_centre(bone, anatomy, middle_mm)?;
         let t_world_ct = bone_pose(&focus, rng);
-        let t_ct_camera = scan_pose(bone_surface, anatomy, &focus, params, seed).ok_or(NO_STRETCH)?;
+        let t_ct_camera = scan_pose(bone_surface, anatomy, &focus, params, seed).ok_or_else(no_stretch)?;
         // Without a localiser the camera is the world.
         let t_world_ct = if untracked { t_ct_camera.inverse() } else { t_world_ct };
         let around = surroundings_of(bone, anatomy, params)?;
@@ -106,15 +105,18 @@ impl<'a> Scene<'a> {
     }
 }
 
-const NO_STRETCH: SimulationError =
-    SimulationError::NothingVisible { what: "bone", hint: "scan_from_mm and scan_to_mm should lie on the bone" };
+fn no_stretch() -> SimulationError {
+    SimulationError::nothing_visible("bone", "scan_from_mm and scan_to_mm should lie on the bone")
+}
 
 /// The plan's anatomy, where the plan suits the bone and has enough points.
 fn anatomy_of<'a>(plan: &'a SurgicalPlan, bone: &Mesh) -> Result<&'a Anatomy, SimulationError> {
-    let anatomy = plan.anatomy.as_ref().ok_or(SimulationError::NoAnatomy)?;
+    let anatomy = plan.anatomy.as_ref().ok_or_else(SimulationError::no_anatomy)?;
     let needs = [("landmarks", plan.landmarks.points.len(), 3), ("assessment points", plan.assessment.points.len(), 1)];
     if let Some(&(what, found, needed)) = needs.iter().find(|&&(_, found, needed)| found < needed) {
-        return Err(SimulationError::TooFewPoints { what, found, needed });
+        return Err(SimulationError::Unsuitable(format!(
+            "the plan has {found} {what}, but at least {needed} are needed to simulate a procedure"
+        )));
     }
     plan.landmarks.frame.expect(&bone.frame, "the plan's landmarks")?;
     plan.assessment.frame.expect(&bone.frame, "the plan's assessment points")?;
@@ -132,7 +134,7 @@ fn surroundings_of(
         return Ok(None);
     }
     let stretch_mm = [params.camera.scan_from_mm, params.camera.scan_to_mm];
-    let mesh = surroundings(bone, anatomy, &towards_camera(anatomy, params), stretch_mm).ok_or(NO_STRETCH)?;
+    let mesh = surroundings(bone, anatomy, &towards_camera(anatomy, params), stretch_mm).ok_or_else(no_stretch)?;
     Ok(Some(MeshQuery::new(&mesh)))
 }
 

@@ -47,8 +47,10 @@ impl Scene<'_> {
         if swap.is_empty() || (swap.len() > 1 && !swap.iter().enumerate().any(is_bad)) {
             return Ok(());
         }
-        let marks = self.laser_marks.points.iter().map(|mark| mark.name.to_string()).collect();
-        Err(SimulationError::Swap { found: swap.clone(), marks })
+        let marks = self.laser_marks.points.iter().map(|mark| &*mark.name).collect::<Vec<_>>().join(", ");
+        Err(SimulationError::Unsuitable(format!(
+            "laser.swap is {swap:?}, but must be two or more different marks of the laser ({marks}), or empty"
+        )))
     }
 }
 

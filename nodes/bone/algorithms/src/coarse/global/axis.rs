@@ -1,7 +1,7 @@
 //! Long axes of scan and bone.
 
-use super::GlobalError;
 use super::descent::{Placed, Points};
+use crate::Refusal;
 use crate::kabsch::centroid;
 use crate::target::NearMap;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
@@ -27,15 +27,24 @@ pub(super) struct Scan {
 }
 
 impl Scan {
-    pub(super) fn new(source: &Cloud) -> Result<Self, GlobalError> {
+    pub(super) fn new(source: &Cloud) -> Result<Self, Refusal> {
         let points = source.points();
         if points.len() < MIN_POINTS {
-            return Err(GlobalError::TooFew { n: points.len(), needed: MIN_POINTS });
+            return Err(Refusal::of(format!(
+                "the scan has {} points, {MIN_POINTS} are needed to tell its shape; is the region of interest around the bone?",
+                points.len()
+            )));
         }
         let (middle, axes, spread) = principal(points);
         let elongation = (spread[0] / spread[1].max(f64::MIN_POSITIVE)).sqrt();
+        let no_direction = || {
+            Refusal::of(format!(
+                "the scan is {elongation:.1} times as long as wide, {MIN_ELONGATION} is needed to lay it along the bone; scan more \
+                 of the shaft, or use landmarks (coarse.three_point)"
+            ))
+        };
         if elongation < MIN_ELONGATION {
-            return Err(GlobalError::NoDirection { elongation, needed: MIN_ELONGATION });
+            return Err(no_direction());
         }
         let along = axes[0];
         let across = |v: Vector3<f64>| (v - along * v.dot(&along)).try_normalize(1e-6);
@@ -44,7 +53,7 @@ impl Scan {
         // The way it bulges: points far out to both sides lie lower.
         let bulge: f64 = points.iter().map(|p| (p - middle).dot(&axes[1]).powi(2) * (p - middle).dot(&axes[2])).sum();
         let outward = seen.or_else(|| across(axes[2] * if bulge > 0.0 { -1.0 } else { 1.0 }));
-        let outward = outward.ok_or(GlobalError::NoDirection { elongation, needed: MIN_ELONGATION })?;
+        let outward = outward.ok_or_else(no_direction)?;
         let heights = points.iter().map(|p| (p - middle).dot(&along));
         let (min, max) = heights.fold((f64::MAX, f64::MIN), |(a, b), h| (a.min(h), b.max(h)));
         Ok(Self { middle, camera, along, outward, half_length_mm: (max - min) / 2.0 })
@@ -182,16 +191,11 @@ mod tests {
         let sheet = |nx: u32, nz: u32| -> Cloud {
             cloud((0..nx * nz).map(|k| Point3::new(f64::from(k % nx), 0.0, f64::from(k / nx))).collect())
         };
-        assert_eq!(Scan::new(&sheet(1, 199)).err(), Some(GlobalError::TooFew { n: 199, needed: 200 }));
+        let message = |cloud: &Cloud| Scan::new(cloud).err().map(|error| error.to_string()).unwrap_or_default();
+        assert!(message(&sheet(1, 199)).starts_with("the scan has 199 points, 200 are needed"));
         assert!(Scan::new(&sheet(4, 50)).is_ok());
-        // The variance of n points in a row is (n² - 1) / 12.
-        let elongation = ((29.0_f64 * 29.0 - 1.0) / (20.0 * 20.0 - 1.0)).sqrt();
-        match Scan::new(&sheet(20, 29)).err() {
-            Some(GlobalError::NoDirection { elongation: found, needed: 1.5 }) => {
-                assert!((found - elongation).abs() < 1e-9, "{found}");
-            }
-            other => panic!("{other:?}"),
-        }
+        // The variance of n points in a row is (n² - 1) / 12: √(840 / 399).
+        assert!(message(&sheet(20, 29)).starts_with("the scan is 1.5 times as long as wide, 1.5 is needed"));
         assert!(Scan::new(&sheet(20, 31)).is_ok());
     }
 
