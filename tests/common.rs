@@ -195,7 +195,7 @@ pub(crate) fn shared_run(graph: &str, arguments: &[&str]) -> &'static Ran {
     let key = format!("{graph} {arguments:?}");
     let ran: &'static OnceLock<Ran> = RUNS.lock().unwrap().entry(key).or_insert_with(|| Box::leak(Box::default()));
     ran.get_or_init(|| {
-        let dir = tempfile::tempdir_in(&*SHARED).unwrap();
+        let dir = tempfile::tempdir_in(shared_folder()).unwrap();
         whole(run_into(dir, graph, arguments), graph, arguments)
     })
 }
@@ -208,7 +208,8 @@ pub(crate) fn copied_run(graph: &str, arguments: &[&str]) -> (TempDir, PathBuf) 
     (dir, run)
 }
 
-fn copy_folder(from: &Path, to: &Path) {
+/// Copies a folder with all that is in it.
+pub(crate) fn copy_folder(from: &Path, to: &Path) {
     fs::create_dir(to).unwrap();
     for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
         let to = to.join(entry.file_name());
@@ -220,19 +221,22 @@ fn copy_folder(from: &Path, to: &Path) {
     }
 }
 
-/// The folder of the shared runs of this process; where the system lists its processes, those of ended ones are removed.
-static SHARED: LazyLock<PathBuf> = LazyLock::new(|| {
-    let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("shared_runs");
-    let own = all.join(std::process::id().to_string());
-    fs::create_dir_all(&own).unwrap();
-    let processes = Path::new("/proc");
-    for entry in fs::read_dir(&all).unwrap().map_while(Result::ok) {
-        if processes.join("self").exists() && !processes.join(entry.file_name()).exists() {
-            let _ = fs::remove_dir_all(entry.path());
+/// The folder of what the tests of this process share; where the system lists its processes, those of ended ones are removed.
+pub(crate) fn shared_folder() -> &'static Path {
+    static SHARED: LazyLock<PathBuf> = LazyLock::new(|| {
+        let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("shared");
+        let own = all.join(std::process::id().to_string());
+        fs::create_dir_all(&own).unwrap();
+        let processes = Path::new("/proc");
+        for entry in fs::read_dir(&all).unwrap().map_while(Result::ok) {
+            if processes.join("self").exists() && !processes.join(entry.file_name()).exists() {
+                let _ = fs::remove_dir_all(entry.path());
+            }
         }
-    }
-    own
-});
+        own
+    });
+    &SHARED
+}
 
 /// A pose as in results and truths: rows of a 4 x 4 matrix, mm.
 pub(crate) fn isometry(rows: &Value) -> Isometry3<f64> {

@@ -13,8 +13,9 @@ use std::{
     fs,
     panic::{AssertUnwindSafe, catch_unwind},
     path::Path,
+    sync::OnceLock,
 };
-use targets::{TARGETS, read_as};
+use targets::{TARGETS, Target, read_as};
 
 /// Numbers that readers stumble over, as text.
 const ABSURD: [&str; 8] = ["1e400", "-1", "nan", "99999999999999999999", "0", "1e-400", "4294967296", "\"\""];
@@ -54,13 +55,20 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], rng: &mut ChaCha8Rng) {
     }
 }
 
+/// The seeds of a target, made once.
+fn seeds_of(target: &Target) -> &'static [(String, Vec<u8>)] {
+    static SEEDS: [OnceLock<Vec<(String, Vec<u8>)>>; TARGETS.len()] = [const { OnceLock::new() }; TARGETS.len()];
+    let at = TARGETS.iter().position(|other| other.name == target.name).unwrap();
+    SEEDS[at].get_or_init(|| seeds(target, crate::common::root()))
+}
+
 /// Otherwise a target would try its first refusal only.
 #[test]
 fn each_target_takes_what_is_sound() {
     let mut missing = Vec::new();
     for target in TARGETS {
         let folder = tempfile::tempdir().unwrap();
-        let seeds = seeds(target, crate::common::root());
+        let seeds = seeds_of(target);
         let taken = seeds.iter().filter(|(ending, bytes)| read_as(target, ending, bytes, folder.path()));
         let taken: Vec<_> = taken.map(|(ending, _)| &**ending).collect();
         println!("{}: {} of {} seeds are taken", target.name, taken.len(), seeds.len());
@@ -79,7 +87,7 @@ fn no_reader_panics_on_hostile_bytes() {
     let n_rounds = if crate::common::is_slow_run() { 20_000 } else { 100 };
     for target in TARGETS {
         let folder = tempfile::tempdir().unwrap();
-        let seeds = seeds(target, crate::common::root());
+        let seeds = seeds_of(target);
         let mut rng = ChaCha8Rng::seed_from_u64(22);
         for round in 0..n_rounds {
             let (ending, seed) = &seeds[rng.random_range(0..seeds.len())];

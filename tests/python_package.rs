@@ -43,17 +43,25 @@ fn environment() -> Result<PathBuf, String> {
         return Err(format!("no environment can be made: {}", text(&made).trim()));
     }
     let install = |packages: &[&str]| {
-        let options = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--retries=1", "--timeout=20"];
-        let installed = Command::new(&python).args(options).args(packages).output();
+        let options = ["-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check"];
+        let patience = ["--retries=1", "--timeout=20"];
+        let installed = Command::new(&python).args(options).args(patience).args(packages).output();
         let installed = installed.map_err(|error| error.to_string())?;
         let why = || format!("pip installs no {}: {}", packages.join(", "), text(&installed).trim());
         if installed.status.success() { Ok(()) } else { Err(why()) }
     };
-    install(&NEEDED)?;
-    for package in OPTIONAL {
-        if let Err(why) = install(&[package]) {
-            eprintln!("python package: {why}");
+    // Each call of pip takes seconds.
+    if install(&[&NEEDED[..], &OPTIONAL].concat()).is_err() {
+        install(&NEEDED)?;
+        for package in OPTIONAL {
+            if let Err(why) = install(&[package]) {
+                eprintln!("python package: {why}");
+            }
         }
+    }
+    // Compiles what is imported, which is a small part of the packages; the tests write no bytecode.
+    for package in ["pytest", "pandas", "matplotlib.pyplot", "nbclient", "ipykernel.kernelapp", "distributed"] {
+        let _ = Command::new(&python).args(["-c", &format!("import {package}")]).output();
     }
     Ok(python)
 }

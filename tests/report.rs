@@ -1,7 +1,7 @@
 //! The page of a run and of a sweep in a browser.
 
 use crate::common::browser::Browser;
-use crate::common::{copied_run, osteoflow, reproduce, run_whole};
+use crate::common::{copied_run, copy_folder, osteoflow, reproduce, run_whole, shared_folder};
 use osteoflow_formats::write::write_stl;
 use osteoflow_geometry::Mesh;
 use osteoflow_simulation::{BoneParams, bone};
@@ -10,6 +10,7 @@ use std::{
     collections::BTreeSet,
     fs,
     path::{Path, PathBuf},
+    sync::LazyLock,
 };
 
 /// Writes the report of a folder.
@@ -142,13 +143,22 @@ fn a_folder_of_neither_a_run_nor_a_sweep_is_a_fault_of_the_command_line() {
     assert!(printed.contains("manifest.json") && printed.contains("sweep.json"), "{printed}");
 }
 
-/// A small sweep, in a folder of its own.
-fn swept(dir: &Path) -> std::path::PathBuf {
+/// A small sweep, made once, and copied into the folder `swept` of this one.
+fn swept(dir: &Path) -> PathBuf {
+    static SWEPT: LazyLock<PathBuf> = LazyLock::new(|| sweep(shared_folder()));
+    let out = dir.join("swept");
+    copy_folder(&SWEPT, &out);
+    out
+}
+
+fn sweep(dir: &Path) -> PathBuf {
     let graph = dir.join("sweep.toml");
     let shipped = crate::common::root().join("graphs/fibula.toml");
     let text = format!(
         r#"
         extends = "{}"
+        [node.recording]
+        camera.n_points = 8000
         [sweep]
         repeat = 4
         same_seed = true
@@ -309,6 +319,8 @@ fn a_row_without_a_number_of_ours_is_shown_and_listed_and_the_times_name_what_th
 /// Two bones with a few procedures each, of which some are refused: their gate lets no pair through.
 const REFUSING: &str = r#"
 extends = "GRAPH"
+[node.recording]
+camera.n_points = 8000
 [node.bone]
 exact = true
 [sweep]

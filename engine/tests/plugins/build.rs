@@ -1,8 +1,10 @@
 //! Builds plugins for the tests and benches of the workspace.
 
 use std::{
+    collections::BTreeSet,
     path::{Path, PathBuf},
     process::Command,
+    sync::Mutex,
 };
 
 /// The folder of the workspace, from any crate in it.
@@ -45,12 +47,18 @@ pub(crate) fn example(name: &str) -> PathBuf {
         Some(profile) => profile,
         None => "release",
     };
-    let built = Command::new(env!("CARGO"))
-        .current_dir(root())
-        // For the whole workspace, so that nothing is recompiled with other features.
-        .args(["build", "--profile", profile, "--workspace", "--example", name])
-        .status()
-        .expect("cargo runs");
-    assert!(built.success(), "the example {name} builds");
+    // Cargo is asked once for each of them.
+    static BUILT: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let mut built = BUILT.lock().expect("each example builds");
+    if !built.contains(name) {
+        let status = Command::new(env!("CARGO"))
+            .current_dir(root())
+            // For the whole workspace, so that nothing is recompiled with other features.
+            .args(["build", "--profile", profile, "--workspace", "--example", name])
+            .status()
+            .expect("cargo runs");
+        assert!(status.success(), "the example {name} builds");
+        built.insert(name.to_owned());
+    }
     target.join(format!("examples/{}{name}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX))
 }

@@ -32,8 +32,8 @@ fn seeds() -> std::ops::Range<u64> {
 }
 
 /// The procedures in which every spot lies where the camera sees something.
-fn procedures(subject: &Subject, params: &ProcedureParams) -> Vec<Procedure> {
-    seeds().filter_map(|seed| Procedure::simulate_for(subject, params, seed).ok()).collect()
+fn procedures(subject: &Subject, params: &ProcedureParams) -> impl Iterator<Item = Procedure> {
+    seeds().filter_map(move |seed| Procedure::simulate_for(subject, params, seed).ok())
 }
 
 /// The true spots in the camera's frame, in which the clouds are.
@@ -69,7 +69,8 @@ fn a_spot_at_the_silhouette_counts_where_the_plan_confirms_it() {
         for azimuth_deg in [30.0, 45.0] {
             let mut params = ProcedureParams::default();
             params.camera.view_azimuth_deg = azimuth_deg;
-            for procedure in procedures(subject, &params) {
+            let n_procedures = if is_slow() { usize::MAX } else { 3 };
+            for procedure in procedures(subject, &params).take(n_procedures) {
                 let spots = spots(&procedure);
                 for ((detector, detect), (n, refused, second, unconfirmed)) in DETECTORS.iter().zip(&mut tallies) {
                     for (k, cloud) in procedure.laser.iter().enumerate() {
@@ -257,7 +258,7 @@ fn aiming_errors_change_the_distances_between_landmarks_by_less_than_the_limit()
     params.camera.n_points = 1000;
     let mut worst = Vec::new();
     for (_, subject) in subjects("aiming_errors_change_the_distances_between_landmarks_by_less_than_the_limit") {
-        for seed in 200..260 {
+        for seed in if is_slow() { 200..260 } else { 200..230 } {
             let Ok(procedure) = Procedure::simulate_for(subject, &params, seed) else { continue };
             let report = three_point(&procedure.plan.landmarks.points, &spots(&procedure)).unwrap().report;
             for name in ["P1", "P2", "P3"] {

@@ -230,7 +230,7 @@ fn bones(test: &str) -> Vec<(String, &'static Subject)> {
 
 /// Registers windows on every bone, on one thread so that its CPU time is that of the call.
 fn counted(test: &str, target: impl Fn(&Subject, u64) -> Option<Target> + Send + Sync) -> Vec<Counted> {
-    let n = if is_slow() { 100 } else { 3 };
+    let n = if is_slow() { 100 } else { 2 };
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     println!("{}", Counted::HEAD);
     let on_bone = |(name, subject): (String, &Subject)| {
