@@ -1,6 +1,6 @@
 //! The Python package: its tests, run by pytest in an environment under target/.
 
-use crate::common::{program, root};
+use crate::common::{is_slow_run, program, root};
 use std::{
     path::PathBuf,
     process::{Command, Output},
@@ -9,9 +9,9 @@ use std::{
 const PACKAGE: &str = "nodes/python";
 
 /// What the tests need beside the package.
-const NEEDED: [&str; 6] = ["maturin>=1.7,<2", "numpy", "pytest", "pandas", "matplotlib", "nbclient"];
-/// What single tests need, which are left out without it.
-const OPTIONAL: [&str; 2] = ["ipykernel", "dask[distributed]"];
+const NEEDED: [&str; 3] = ["maturin>=1.7,<2", "numpy", "pytest"];
+/// What single tests need, which are left out without it: installed with `SLOW_TESTS`.
+const OPTIONAL: [&str; 5] = ["pandas", "matplotlib", "nbclient", "ipykernel", "dask[distributed]"];
 
 fn skip(why: &str) {
     eprintln!("skipped: python package: {why}");
@@ -50,17 +50,14 @@ fn environment() -> Result<PathBuf, String> {
         let why = || format!("pip installs no {}: {}", packages.join(", "), text(&installed).trim());
         if installed.status.success() { Ok(()) } else { Err(why()) }
     };
-    // Each call of pip takes seconds.
-    if install(&[&NEEDED[..], &OPTIONAL].concat()).is_err() {
-        install(&NEEDED)?;
-        for package in OPTIONAL {
-            if let Err(why) = install(&[package]) {
-                eprintln!("python package: {why}");
-            }
+    install(&NEEDED)?;
+    for package in if is_slow_run() { &OPTIONAL[..] } else { &[] } {
+        if let Err(why) = install(&[package]) {
+            eprintln!("python package: {why}");
         }
     }
     // Compiles what is imported, which is a small part of the packages; the tests write no bytecode.
-    for package in ["pytest", "pandas", "matplotlib.pyplot", "nbclient", "ipykernel.kernelapp", "distributed"] {
+    for package in ["numpy, pytest", "pandas", "matplotlib.pyplot", "nbclient", "ipykernel.kernelapp", "distributed"] {
         let _ = Command::new(&python).args(["-c", &format!("import {package}")]).output();
     }
     Ok(python)

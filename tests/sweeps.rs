@@ -1,11 +1,12 @@
 //! Sweeps from the command line: stopped and resumed, split and merged, compared, and on a user's bone.
 
-use crate::common::{osteoflow, osteoflow_to_spawn, reproduce, root};
+use crate::common::{osteoflow, osteoflow_to_spawn, reproduce, root, shared_folder};
 use serde_json::Value;
 use std::{
     fs,
     path::Path,
     process::Stdio,
+    sync::LazyLock,
     thread,
     time::{Duration, Instant},
 };
@@ -41,6 +42,18 @@ fn small(dir: &Path) -> String {
     file.to_str().unwrap().to_owned()
 }
 
+/// The folder of the small sweep and what it printed; made once for the tests that only read it.
+fn swept() -> &'static (String, String) {
+    static SWEPT: LazyLock<(String, String)> = LazyLock::new(|| {
+        let dir = tempfile::tempdir_in(shared_folder()).unwrap().keep();
+        let out = path(&dir, "whole");
+        let (printed, err, code) = output(&["sweep", &small(&dir), "--out", &out]);
+        assert_eq!(code, 0, "{err}");
+        (out, printed)
+    });
+    &SWEPT
+}
+
 fn path(dir: &Path, name: &str) -> String {
     dir.join(name).to_str().unwrap().to_owned()
 }
@@ -59,8 +72,7 @@ fn json(path: &str) -> Value {
 #[test]
 fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was_not() {
     let dir = tempfile::tempdir().unwrap();
-    let (graph, whole, cut) = (small(dir.path()), path(dir.path(), "whole"), path(dir.path(), "cut"));
-    assert_eq!(output(&["sweep", &graph, "--out", &whole, "--quiet"]).2, 0);
+    let (graph, cut, (whole, _)) = (small(dir.path()), path(dir.path(), "cut"), swept());
     let mut child = osteoflow_to_spawn()
         .args(["sweep", &graph, "--out", &cut, "--workers", "1", "--quiet"])
         .stdout(Stdio::null())
@@ -86,7 +98,7 @@ fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was
     assert_eq!(answer["runs"]["there_before"], n_left);
     for name in ["runs.csv", "points.csv", "summary.json"] {
         let read = |dir: &str| fs::read(Path::new(dir).join(name)).unwrap();
-        assert!(read(&whole) == read(&cut), "{name} differs");
+        assert!(read(whole) == read(&cut), "{name} differs");
     }
     let (_, err, code) = output(&["sweep", &graph, "--set", "icp.max_iterations=7", "--out", &cut, "--resume"]);
     assert!(code == 2 && err.contains("another sweep"), "{err}");
@@ -94,15 +106,12 @@ fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was
 
 #[test]
 fn the_summary_counts_units_and_compares_in_pairs() {
-    let dir = tempfile::tempdir().unwrap();
-    let (graph, out) = (small(dir.path()), path(dir.path(), "out"));
-    let (table, err, code) = output(&["sweep", &graph, "--out", &out]);
-    assert_eq!(code, 0, "{err}");
+    let (out, table) = swept();
     assert!(
         table.contains("SIMULATED") && table.contains("1 bone, 6 procedures") && table.contains("none: n = 1 bone"),
         "{table}"
     );
-    let summary = json(&path(Path::new(&out), "summary.json"));
+    let summary = json(&path(Path::new(out), "summary.json"));
     let column = &summary["groups"][0]["columns"]["tre_mm"];
     assert!(column["mean_interval"]["no_interval"].as_str().unwrap().contains("n = 1 bone"), "{column}");
     let comparison = &summary["comparisons"][0];
@@ -111,20 +120,19 @@ fn the_summary_counts_units_and_compares_in_pairs() {
     let points = &summary["groups"][1]["points"]["tre_mm"]["z"];
     assert_eq!(points["n"], 30);
     assert!(points["within_points"]["sd_within"].is_number() && points["within_procedures"]["sd_within"].is_number());
-    let rows = fs::read_to_string(path(Path::new(&out), "runs.csv")).unwrap();
+    let rows = fs::read_to_string(path(Path::new(out), "runs.csv")).unwrap();
     assert_eq!(rows.lines().next().unwrap(), "run,bone,icp,procedure,seed,status,verdict,tre_mm,reason");
     assert_eq!(rows.lines().count(), 13);
-    let points = fs::read_to_string(path(Path::new(&out), "points.csv")).unwrap();
+    let points = fs::read_to_string(path(Path::new(out), "points.csv")).unwrap();
     assert_eq!(points.lines().next().unwrap(), "run,bone,icp,procedure,seed,measure,point,axis,value_mm");
 }
 
 #[test]
 fn two_sweeps_are_compared_in_pairs_within_a_margin_and_missing_runs_are_reported() {
     let dir = tempfile::tempdir().unwrap();
-    let (graph, exact, ct) = (small(dir.path()), path(dir.path(), "exact"), path(dir.path(), "ct"));
-    assert_eq!(output(&["sweep", &graph, "--out", &exact, "--quiet"]).2, 0);
+    let (graph, ct, (exact, _)) = (small(dir.path()), path(dir.path(), "ct"), swept());
     assert_eq!(output(&["sweep", &graph, "--out", &ct, "--quiet", "--set", "bone.exact=false"]).2, 0);
-    let compared = |margin: &str| output(&["compare", &exact, &ct, "--margin", margin]);
+    let compared = |margin: &str| output(&["compare", exact, &ct, "--margin", margin]);
     let (answer, err, code) = compared("tre_mm=5");
     assert!(code == 0 && err.is_empty(), "{err}");
     assert!(

@@ -5,7 +5,10 @@ use std::{
     io::{BufRead, BufReader, Write},
     path::Path,
     process::{Child, ChildStdin, Command, Stdio},
-    sync::mpsc::{Receiver, sync_channel},
+    sync::{
+        Mutex,
+        mpsc::{Receiver, sync_channel},
+    },
     time::{Duration, Instant},
 };
 
@@ -14,15 +17,25 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A browser with one page.
 pub(crate) struct Browser {
+    /// None once it is closed.
+    process: Option<Process>,
+    target: Value,
+    session: String,
+    /// Events that the page has sent.
+    pub(crate) events: Vec<Value>,
+}
+
+/// The program, which serves one test after another: its start takes longer than many a test. It ends with the process of the tests.
+struct Process {
     child: Child,
     to: ChildStdin,
     from: Receiver<Value>,
-    session: String,
+    /// Number of the next command.
     next: u64,
-    /// Events that the page has sent.
-    pub(crate) events: Vec<Value>,
-    _profile: tempfile::TempDir,
 }
+
+/// Browsers that no test uses at the moment.
+static IDLE: Mutex<Vec<Process>> = Mutex::new(Vec::new());
 
 /// The browser's program: OSTEOFLOW_BROWSER, or one in the path.
 fn program() -> Option<String> {
@@ -34,14 +47,12 @@ fn program() -> Option<String> {
     })
 }
 
-impl Browser {
-    /// Starts it with an empty page; prints a message and returns `None` if there is no browser.
-    pub(crate) fn start(test: &str) -> Option<Self> {
-        let Some(program) = program() else {
-            eprintln!("skipped: {test}: no browser (chromium, or OSTEOFLOW_BROWSER)");
-            return None;
-        };
-        let profile = tempfile::tempdir().unwrap();
+impl Process {
+    /// `None` if there is no browser.
+    fn start() -> Option<Self> {
+        let program = program()?;
+        // Removed with what the tests share.
+        let profile = tempfile::tempdir_in(super::shared_folder()).unwrap().keep();
         let mut command = Command::new("sh");
         // It reads commands from descriptor 3 and writes answers to 4.
         command.args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 0</dev/null 1>/dev/null 2>/dev/null", &program]);
@@ -60,7 +71,7 @@ impl Browser {
             "--disable-sync",
             "--no-first-run",
         ]);
-        command.arg(format!("--user-data-dir={}", profile.path().display())).arg("about:blank");
+        command.arg(format!("--user-data-dir={}", profile.display())).arg("about:blank");
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (to, out) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
         // Buffers the events of a page: more than any page of ours sends.
@@ -76,11 +87,22 @@ impl Browser {
                 message.clear();
             }
         });
-        let (session, events) = (String::new(), Vec::new());
-        let mut browser = Self { child, to, from, session, next: 1, events, _profile: profile };
-        let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
-        let attached =
-            browser.call("Target.attachToTarget", json!({ "targetId": target["targetId"], "flatten": true }));
+        Some(Self { child, to, from, next: 1 })
+    }
+}
+
+impl Browser {
+    /// Starts it with an empty page; prints a message and returns `None` if there is no browser.
+    pub(crate) fn start(test: &str) -> Option<Self> {
+        let idle = IDLE.lock().unwrap().pop();
+        let Some(process) = idle.or_else(Process::start) else {
+            eprintln!("skipped: {test}: no browser (chromium, or OSTEOFLOW_BROWSER)");
+            return None;
+        };
+        let mut browser =
+            Self { process: Some(process), target: Value::Null, session: String::new(), events: Vec::new() };
+        browser.target = browser.call("Target.createTarget", json!({ "url": "about:blank" }))["targetId"].clone();
+        let attached = browser.call("Target.attachToTarget", json!({ "targetId": browser.target, "flatten": true }));
         browser.session = attached["sessionId"].as_str().unwrap().to_owned();
         for domain in ["Page", "Runtime", "Log", "Network"] {
             browser.call(&format!("{domain}.enable"), json!({}));
@@ -99,25 +121,27 @@ impl Browser {
 
     /// Sends a command and waits for its answer.
     pub(crate) fn call(&mut self, method: &str, params: Value) -> Value {
-        let id = self.next;
-        self.next += 1;
+        let process = self.process.as_mut().expect("it is open");
+        let id = process.next;
+        process.next += 1;
         let mut message = json!({ "id": id, "method": method, "params": params });
         if !self.session.is_empty() {
             message["sessionId"] = self.session.as_str().into();
         }
-        self.to.write_all(format!("{message}\0").as_bytes()).unwrap();
-        self.to.flush().unwrap();
+        process.to.write_all(format!("{message}\0").as_bytes()).unwrap();
+        process.to.flush().unwrap();
         let until = Instant::now() + PATIENCE;
         loop {
-            let said = self.from.recv_timeout(until.saturating_duration_since(Instant::now()));
+            let said = process.from.recv_timeout(until.saturating_duration_since(Instant::now()));
             let said = said.unwrap_or_else(|_| panic!("the browser did not answer {method} {params}"));
             match said["id"].as_u64() {
                 Some(answer) if answer == id => {
                     assert!(said["error"].is_null(), "{method}: {}", said["error"]);
                     return said["result"].clone();
                 }
-                Some(_) => {}
-                None => self.events.push(said),
+                None if said["sessionId"] == self.session.as_str() => self.events.push(said),
+                // Of another page, before.
+                _ => {}
             }
         }
     }
@@ -232,6 +256,16 @@ impl Browser {
 }
 
 impl Drop for Browser {
+    fn drop(&mut self) {
+        if !std::thread::panicking() {
+            self.session.clear();
+            self.call("Target.closeTarget", json!({ "targetId": self.target }));
+            IDLE.lock().unwrap().extend(self.process.take());
+        }
+    }
+}
+
+impl Drop for Process {
     fn drop(&mut self) {
         // Its child processes end with it.
         let _ = self.to.write_all(b"{\"id\":0,\"method\":\"Browser.close\"}\0");

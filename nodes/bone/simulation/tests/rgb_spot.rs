@@ -85,6 +85,7 @@ type Detector = fn(&Cloud, &Cloud, &HoleParams) -> Result<Hole, Refusal>;
 
 #[test]
 fn the_four_detectors_side_by_side() {
+    let is_slow = std::env::var_os("SLOW_TESTS").is_some();
     let detectors: [(&str, Detector); 3] = [
         ("hole.cloud_difference", cloud_difference),
         ("hole.range_image", range_image),
@@ -105,7 +106,8 @@ fn the_four_detectors_side_by_side() {
         for procedure in procedures(2, change) {
             for (k, spot) in spots(&procedure, ImageMark::Laser).iter().enumerate() {
                 let cloud = &procedure.laser[k];
-                for ((_, detect), (_, tally)) in detectors.iter().zip(&mut tallies) {
+                // Beside the fourth, of which alone something is asserted.
+                for ((_, detect), (_, tally)) in detectors.iter().zip(&mut tallies).take(if is_slow { 3 } else { 0 }) {
                     let found = detect(&procedure.scan, cloud, &HoleParams::default());
                     tally.add(found.map_err(|e| e.to_string()), spot);
                 }
@@ -114,6 +116,9 @@ fn the_four_detectors_side_by_side() {
         }
         for (name, Tally { mm, confident_mm, refused }) in &tallies {
             let (n, n_confident) = (mm.len() + refused.len(), confident_mm.len());
+            if n == 0 {
+                continue;
+            }
             let (found, confident) = ([mean(mm), largest(mm)], [mean(confident_mm), largest(confident_mm)]);
             println!(
                 "| {setting} | `{name}` | {n} | {:.2} | {:.2} | {} | {n_confident} | {:.2} | {:.2} |",
