@@ -57,7 +57,8 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], rng: &mut ChaCha8Rng) {
 
 /// The seeds of a target, made once.
 fn seeds_of(target: &Target) -> &'static [(String, Vec<u8>)] {
-    static SEEDS: [OnceLock<Vec<(String, Vec<u8>)>>; TARGETS.len()] = [const { OnceLock::new() }; TARGETS.len()];
+    type Seeds = Vec<(String, Vec<u8>)>;
+    static SEEDS: [OnceLock<Seeds>; TARGETS.len()] = [const { OnceLock::new() }; TARGETS.len()];
     let at = TARGETS.iter().position(|other| other.name == target.name).unwrap();
     SEEDS[at].get_or_init(|| seeds(target, crate::common::root()))
 }

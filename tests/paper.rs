@@ -39,15 +39,6 @@ fn real(test: &str, name: &str) -> Option<[String; 2]> {
     Some(bones(vec![format!("{{ {} }}", files.join(", "))], vec![format!("{name:?}")]))
 }
 
-/// Both in a slow run, else the bone of the development data if it is there.
-fn either<B>(built_in: B, real: Option<B>) -> Vec<B> {
-    match real {
-        Some(real) if is_slow_run() => vec![built_in, real],
-        Some(real) => vec![real],
-        None => vec![built_in],
-    }
-}
-
 fn bones(values: Vec<String>, labels: Vec<String>) -> [String; 2] {
     let (values, labels) = (values.join(", "), labels.join(", "));
     [format!("sweep.factor.bone.values=[{values}]"), format!("sweep.factor.bone.labels=[{labels}]")]
@@ -113,10 +104,12 @@ fn section_3_2_2_a_fragment_is_cut_better_by_camera_than_by_stylus_and_its_measu
 #[test]
 fn section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps_stop_early() {
     const NAME: &str = "section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps_stop_early";
-    let n = if is_slow_run() { 200 } else { 8 };
+    if !is_slow_run() {
+        return;
+    }
     let real = real(NAME, "TLEM2_CT_fibula_r").map(|bone| (bone, 0.9));
-    for (bone, least) in either((built_in(&[1]), 0.8), real) {
-        let summary = swept("sensitivity", &[vec![repeat(n)], bone.to_vec()].concat());
+    for (bone, least) in [Some((built_in(&[1]), 0.8)), real].into_iter().flatten() {
+        let summary = swept("sensitivity", &[vec![repeat(200)], bone.to_vec()].concat());
         let of = |registration: &str| group(&summary, &[("registration", registration.into())]);
         let few = of("50 iterations");
         let first = few["correlations"].as_array().unwrap();
@@ -139,10 +132,12 @@ fn section_3_2_3_what_the_first_point_errs_along_the_bone_stays_when_plain_steps
 #[test]
 fn table_1_falls_with_the_number_of_points_where_an_icp_stops_early_from_a_start_that_is_off() {
     const NAME: &str = "table_1_falls_with_the_number_of_points_where_an_icp_stops_early_from_a_start_that_is_off";
+    if !is_slow_run() {
+        return;
+    }
     let counts = "sweep.factor.n_points.values=[100, 20000]".to_owned();
-    let n = if is_slow_run() { 10 } else { 3 };
-    for bone in either(built_in(&[1]), real(NAME, "TLEM2_CT_fibula_r")) {
-        let summary = swept("point_count", &[vec![repeat(n), counts.clone()], bone.to_vec()].concat());
+    for bone in [Some(built_in(&[1])), real(NAME, "TLEM2_CT_fibula_r")].into_iter().flatten() {
+        let summary = swept("point_count", &[vec![repeat(10), counts.clone()], bone.to_vec()].concat());
         let of = |start: &str, registration: &str, n_points: u32| {
             let setting =
                 [("start", start.into()), ("registration", registration.into()), ("n_points", n_points.into())];

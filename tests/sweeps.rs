@@ -42,17 +42,20 @@ fn small(dir: &Path) -> String {
     file.to_str().unwrap().to_owned()
 }
 
-/// The folder of the small sweep and what it printed; made once for the tests that only read it.
-fn swept() -> &'static (String, String) {
-    static SWEPT: LazyLock<(String, String)> = LazyLock::new(|| {
-        let dir = tempfile::tempdir_in(shared_folder()).unwrap().keep();
-        let out = path(&dir, "whole");
-        let (printed, err, code) = output(&["sweep", &small(&dir), "--out", &out]);
-        assert_eq!(code, 0, "{err}");
-        (out, printed)
-    });
-    &SWEPT
+/// The small sweep, made once for the tests that only read it.
+struct Swept {
+    graph: String,
+    out: String,
+    printed: String,
 }
+
+static SWEPT: LazyLock<Swept> = LazyLock::new(|| {
+    let dir = tempfile::tempdir_in(shared_folder()).unwrap().keep();
+    let (graph, out) = (small(&dir), path(&dir, "whole"));
+    let (printed, err, code) = output(&["sweep", &graph, "--out", &out]);
+    assert_eq!(code, 0, "{err}");
+    Swept { graph, out, printed }
+});
 
 fn path(dir: &Path, name: &str) -> String {
     dir.join(name).to_str().unwrap().to_owned()
@@ -72,9 +75,9 @@ fn json(path: &str) -> Value {
 #[test]
 fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was_not() {
     let dir = tempfile::tempdir().unwrap();
-    let (graph, cut, (whole, _)) = (small(dir.path()), path(dir.path(), "cut"), swept());
+    let (cut, Swept { graph, out: whole, .. }) = (path(dir.path(), "cut"), &*SWEPT);
     let mut child = osteoflow_to_spawn()
-        .args(["sweep", &graph, "--out", &cut, "--workers", "1", "--quiet"])
+        .args(["sweep", graph, "--out", &cut, "--workers", "1", "--quiet"])
         .stdout(Stdio::null())
         .spawn()
         .unwrap();
@@ -90,9 +93,9 @@ fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was
     child.wait().unwrap();
     let n_left = n_there();
     assert!((3..12).contains(&n_left), "{n_left} runs were there when it was killed");
-    let (_, err, code) = output(&["sweep", &graph, "--out", &cut]);
+    let (_, err, code) = output(&["sweep", graph, "--out", &cut]);
     assert!(code == 2 && err.contains("--resume"), "{err}");
-    let (out, err, code) = output(&["sweep", &graph, "--out", &cut, "--resume", "--format", "json"]);
+    let (out, err, code) = output(&["sweep", graph, "--out", &cut, "--resume", "--format", "json"]);
     assert_eq!(code, 0, "{err}");
     let answer: Value = serde_json::from_str(&out).unwrap();
     assert_eq!(answer["runs"]["there_before"], n_left);
@@ -100,13 +103,13 @@ fn a_sweep_that_is_killed_half_way_and_resumed_leaves_the_tables_of_one_that_was
         let read = |dir: &str| fs::read(Path::new(dir).join(name)).unwrap();
         assert!(read(whole) == read(&cut), "{name} differs");
     }
-    let (_, err, code) = output(&["sweep", &graph, "--set", "icp.max_iterations=7", "--out", &cut, "--resume"]);
+    let (_, err, code) = output(&["sweep", graph, "--set", "icp.max_iterations=7", "--out", &cut, "--resume"]);
     assert!(code == 2 && err.contains("another sweep"), "{err}");
 }
 
 #[test]
 fn the_summary_counts_units_and_compares_in_pairs() {
-    let (out, table) = swept();
+    let Swept { out, printed: table, .. } = &*SWEPT;
     assert!(
         table.contains("SIMULATED") && table.contains("1 bone, 6 procedures") && table.contains("none: n = 1 bone"),
         "{table}"
@@ -130,8 +133,8 @@ fn the_summary_counts_units_and_compares_in_pairs() {
 #[test]
 fn two_sweeps_are_compared_in_pairs_within_a_margin_and_missing_runs_are_reported() {
     let dir = tempfile::tempdir().unwrap();
-    let (graph, ct, (exact, _)) = (small(dir.path()), path(dir.path(), "ct"), swept());
-    assert_eq!(output(&["sweep", &graph, "--out", &ct, "--quiet", "--set", "bone.exact=false"]).2, 0);
+    let (ct, Swept { graph, out: exact, .. }) = (path(dir.path(), "ct"), &*SWEPT);
+    assert_eq!(output(&["sweep", graph, "--out", &ct, "--quiet", "--set", "bone.exact=false"]).2, 0);
     let compared = |margin: &str| output(&["compare", exact, &ct, "--margin", margin]);
     let (answer, err, code) = compared("tre_mm=5");
     assert!(code == 0 && err.is_empty(), "{err}");
