@@ -112,7 +112,7 @@ pub use payload::{Payload, PayloadType, Value};
 pub use port::{DeclaredPort, FrameExpr, InputPort, Join, OutputPort, OutputPorts, PortPayload, Unused};
 pub use registry::{Kind, KindClash, Launch, PayloadClash, Registry};
 pub use schema::{ColumnType, EntryType, SchemaEntry, SchemaError};
-pub use traits::{Describe, Emit, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
+pub use traits::{Describe, Emit, Function, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
 pub use view::{Buffer, Column, Field, Name, View, ViewError};
 
 /// Nanoseconds since the Unix epoch; 0 for constants.

@@ -8,7 +8,7 @@ mod instance;
 mod log;
 mod panic;
 
-use crate::{Node, Registry, Source, abi};
+use crate::{Function, Node, Registry, Source, abi};
 use std::{marker::PhantomData, sync::OnceLock};
 
 /// Exports kinds of nodes and sources from a crate of type `cdylib`: `osteoflow_node::export!(MyIcp, MyHole);`
@@ -21,11 +21,11 @@ macro_rules! export {
         #[allow(unsafe_code)]
         #[unsafe(no_mangle)]
         extern "C" fn osteoflow_describe() -> *const $crate::abi::Plugin {
-            use $crate::plugin::{ViaNode as _, ViaSource as _};
+            use $crate::plugin::{ViaFunction as _, ViaNode as _, ViaSource as _};
             static PLUGIN: $crate::plugin::Described = $crate::plugin::Described::new();
             let package = $crate::plugin::Package { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") };
             PLUGIN.get(&package, |registry| {
-                $((&$crate::plugin::Exported::<$kind>::new()).add(registry);)+
+                $((&&$crate::plugin::Exported::<$kind>::new()).add(registry);)+
             })
         }
     };
@@ -39,7 +39,7 @@ pub struct Package {
     pub version: &'static str,
 }
 
-/// A node or source named in [`crate::export!`].
+/// A node, function or source named in [`crate::export!`].
 pub struct Exported<K>(PhantomData<K>);
 
 impl<K> Exported<K> {
@@ -50,7 +50,7 @@ impl<K> Exported<K> {
     }
 }
 
-/// Adds a node. Method resolution picks this trait if the kind is a node.
+/// Adds a node. Method resolution picks the trait that holds for the kind.
 pub trait ViaNode {
     /// Adds the kind to the registry.
     fn add(&self, registry: &mut Registry);
@@ -62,7 +62,7 @@ impl<N: Node> ViaNode for Exported<N> {
     }
 }
 
-/// Adds a source. Method resolution picks this trait if the kind is not a node.
+/// Adds a source.
 pub trait ViaSource {
     /// Adds the kind to the registry.
     fn add(&self, registry: &mut Registry);
@@ -71,6 +71,18 @@ pub trait ViaSource {
 impl<S: Source> ViaSource for &Exported<S> {
     fn add(&self, registry: &mut Registry) {
         registry.source::<S>();
+    }
+}
+
+/// Adds a node without memory.
+pub trait ViaFunction {
+    /// Adds the kind to the registry.
+    fn add(&self, registry: &mut Registry);
+}
+
+impl<F: Function> ViaFunction for &&Exported<F> {
+    fn add(&self, registry: &mut Registry) {
+        registry.function::<F>();
     }
 }
 

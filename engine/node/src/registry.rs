@@ -1,6 +1,6 @@
 use crate::{
-    BuildContext, Built, CachePolicy, Describe, Description, Inputs, Node, Outputs, ParamError, Payload, PayloadType,
-    Role, SchemaEntry, Source, erased::Erased,
+    BuildContext, Built, CachePolicy, Describe, Description, Function, Inputs, Node, Outputs, ParamError, Payload,
+    PayloadType, Role, SchemaEntry, Source, erased::Erased, traits::FunctionNode,
 };
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
@@ -109,6 +109,14 @@ impl Registry {
             assert!(!reads, "{} reads a file, so its answers cannot be cached; let a source read it", N::KIND);
         }
         self
+    }
+
+    /// Adds a kind of node that has no memory.
+    ///
+    /// # Panics
+    /// As [`Self::node`].
+    pub fn function<F: Function>(&mut self) -> &mut Self {
+        self.node::<FunctionNode<F>>()
     }
 
     /// Adds a kind of source.

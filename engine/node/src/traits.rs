@@ -32,6 +32,51 @@ pub trait Node: Describe + Send + Sized + 'static {
     fn process(&mut self, inputs: Self::Inputs, ctx: &mut Context) -> Result<Self::Outputs, NodeError>;
 }
 
+/// A node without memory: each firing depends on its parameters and inputs alone. [`crate::Registry::function`] makes a [`Node`] of it.
+pub trait Function: Describe + 'static {
+    /// `stage.variant`, as graph files name it.
+    const KIND: &'static str;
+    /// Whether answers are cached across runs.
+    const CACHE: CachePolicy = CachePolicy::Never;
+    /// The parameters; their docs state defaults, ranges and reasons.
+    type Params: Parameters + Send;
+    /// The input ports.
+    type Inputs: Inputs;
+    /// The output ports.
+    type Outputs: Outputs;
+
+    /// One firing.
+    ///
+    /// # Errors
+    /// As [`Node::process`].
+    fn process(params: &Self::Params, inputs: Self::Inputs, ctx: &mut Context) -> Result<Self::Outputs, NodeError>;
+}
+
+/// The node of a function: its parameters.
+pub(crate) struct FunctionNode<F: Function>(F::Params);
+
+impl<F: Function> Describe for FunctionNode<F> {
+    const DOC: &'static str = F::DOC;
+    const EXAMPLE: &'static str = F::EXAMPLE;
+    const LITERATURE: &'static [&'static str] = F::LITERATURE;
+}
+
+impl<F: Function> Node for FunctionNode<F> {
+    const KIND: &'static str = F::KIND;
+    const CACHE: CachePolicy = F::CACHE;
+    type Params = F::Params;
+    type Inputs = F::Inputs;
+    type Outputs = F::Outputs;
+
+    fn new(params: F::Params) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
+
+    fn process(&mut self, inputs: F::Inputs, ctx: &mut Context) -> Result<F::Outputs, NodeError> {
+        F::process(&self.0, inputs, ctx)
+    }
+}
+
 /// Default of [`Source::silent_after`], 5 s: longer than any camera takes between two clouds, and short enough for an
 /// operator to wait.
 pub const SILENT_AFTER: Duration = Duration::from_secs(5);

@@ -43,7 +43,7 @@ wires = ["*"]
 /// A registry without the payload `toy/Wave`.
 fn stranger() -> Registry {
     let mut registry = Registry::default();
-    registry.source::<Played>().node::<Pass>();
+    registry.source::<Played>().function::<Pass>();
     registry
 }
 

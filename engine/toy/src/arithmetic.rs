@@ -1,6 +1,6 @@
 use crate::{Gate, NoParams, Number, NumberOut};
 use osteoflow_node::{
-    Context, Describe, Emit, Inputs, Node, NodeError, Outputs, ParamError, rand::RngExt, schemars, serde,
+    Context, Describe, Emit, Function, Inputs, Node, NodeError, Outputs, ParamError, rand::RngExt, schemars, serde,
 };
 use std::time::Duration;
 
@@ -98,17 +98,13 @@ pub struct SumOut {
     out: Emit<Number>,
 }
 
-impl Node for Sum {
+impl Function for Sum {
     const KIND: &'static str = "toy.sum";
     type Params = NoParams;
     type Inputs = SumIn;
     type Outputs = SumOut;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: SumIn, _: &mut Context) -> Result<SumOut, NodeError> {
+    fn process(_: &NoParams, i: SumIn, _: &mut Context) -> Result<SumOut, NodeError> {
         let sum: f64 = i.all.iter().map(|n| n.0).sum();
         Ok(SumOut { out: if sum > 0.0 { Number(sum).into() } else { Emit::Empty("the sum is not positive".into()) } })
     }
@@ -124,17 +120,13 @@ pub struct SomeIn {
     all: Vec<Option<Number>>,
 }
 
-impl Node for SumOfSome {
+impl Function for SumOfSome {
     const KIND: &'static str = "toy.some";
     type Params = NoParams;
     type Inputs = SomeIn;
     type Outputs = NumberOut;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: SomeIn, _: &mut Context) -> Result<NumberOut, NodeError> {
+    fn process(_: &NoParams, i: SomeIn, _: &mut Context) -> Result<NumberOut, NodeError> {
         Ok(NumberOut { out: Number(i.all.iter().flatten().map(|n| n.0).sum()) })
     }
 }

@@ -2,8 +2,8 @@
 
 use crate::NoParams;
 use osteoflow_node::{
-    Context, Declared, Describe, Emission, Emit, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry,
-    SchemaEntry, Source, View, ViewError, rand::RngExt, schemars, serde, serde_json, tracing,
+    Context, Declared, Describe, Emission, Emit, Function, Inputs, Node, NodeError, Outputs, ParamError, Payload,
+    Registry, SchemaEntry, Source, View, ViewError, rand::RngExt, schemars, serde, serde_json, tracing,
 };
 use std::time::Duration;
 
@@ -152,17 +152,13 @@ impl Source for Declare {
 #[derive(Describe)]
 pub struct Draw;
 
-impl Node for Draw {
+impl Function for Draw {
     const KIND: &'static str = "ask.draw";
     type Params = NoParams;
     type Inputs = NumberIn;
     type Outputs = NumberOut;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: NumberIn, ctx: &mut Context) -> Result<NumberOut, NodeError> {
+    fn process(_: &NoParams, i: NumberIn, ctx: &mut Context) -> Result<NumberOut, NodeError> {
         let drawn: f64 = ctx.rng().random();
         // The lower half of the third draw.
         let bits = f64::from(ctx.random(2) as u32);
@@ -179,17 +175,13 @@ impl Node for Draw {
 #[derive(Describe)]
 pub struct Clock;
 
-impl Node for Clock {
+impl Function for Clock {
     const KIND: &'static str = "ask.clock";
     type Params = NoParams;
     type Inputs = NumberIn;
     type Outputs = NumberOut;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, _: NumberIn, ctx: &mut Context) -> Result<NumberOut, NodeError> {
+    fn process(_: &NoParams, _: NumberIn, ctx: &mut Context) -> Result<NumberOut, NodeError> {
         let began_ns = ctx.clock_ns();
         let mut budget = ctx.budget(Duration::from_micros(200));
         let mut n_checks = 0;
@@ -219,17 +211,13 @@ pub struct WordsOut {
     out: Words,
 }
 
-impl Node for Perhaps {
+impl Function for Perhaps {
     const KIND: &'static str = "ask.perhaps";
     type Params = NoParams;
     type Inputs = PerhapsIn;
     type Outputs = WordsOut;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: PerhapsIn, ctx: &mut Context) -> Result<WordsOut, NodeError> {
+    fn process(_: &NoParams, i: PerhapsIn, ctx: &mut Context) -> Result<WordsOut, NodeError> {
         let why = ctx.absent_reason("other").unwrap_or("there");
         let other = i.other.map(|other| other.0);
         Ok(WordsOut { out: Words(format!("{}: {other:?}, {why}", i.number.0)) })
@@ -250,17 +238,13 @@ pub struct FourIn {
     constant: Number,
 }
 
-impl Node for Four {
+impl Function for Four {
     const KIND: &'static str = "ask.four";
     type Params = NoParams;
     type Inputs = FourIn;
     type Outputs = NumberOut;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: FourIn, _: &mut Context) -> Result<NumberOut, NodeError> {
+    fn process(_: &NoParams, i: FourIn, _: &mut Context) -> Result<NumberOut, NodeError> {
         Ok(NumberOut { out: Number(i.numbers.iter().map(|n| n.0).sum::<f64>() + i.constant.0) })
     }
 }
@@ -293,6 +277,6 @@ pub fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Number, _>().payload::<Words, _>();
     registry.source::<Count>().source::<Always>().source::<Declare>();
-    registry.node::<Draw>().node::<Clock>().node::<Perhaps>().node::<Four>().node::<Panic>();
+    registry.function::<Draw>().function::<Clock>().function::<Perhaps>().function::<Four>().node::<Panic>();
     registry
 }

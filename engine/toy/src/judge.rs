@@ -1,7 +1,6 @@
 use crate::Number;
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Payload, SchemaEntry, View, ViewError, schemars,
-    serde,
+    Context, Describe, Function, Inputs, NodeError, Outputs, Payload, SchemaEntry, View, ViewError, schemars, serde,
     serde_json::{self, json},
 };
 
@@ -61,7 +60,7 @@ impl Default for JudgeParams {
 
 /// Says whether numbers can be trusted, or anything else that it is told to say.
 #[derive(Describe)]
-pub struct Judge(JudgeParams);
+pub struct Judge;
 
 #[derive(Inputs)]
 pub struct JudgeIn {
@@ -77,20 +76,16 @@ pub struct JudgeOut {
     remark: Remark,
 }
 
-impl Node for Judge {
+impl Function for Judge {
     const KIND: &'static str = "toy.judge";
     type Params = JudgeParams;
     type Inputs = JudgeIn;
     type Outputs = JudgeOut;
 
-    fn new(params: JudgeParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: JudgeIn, ctx: &mut Context) -> Result<JudgeOut, NodeError> {
+    fn process(params: &JudgeParams, i: JudgeIn, ctx: &mut Context) -> Result<JudgeOut, NodeError> {
         let number = i.number.0;
-        let line = self.0.says.get(ctx.item() as usize).or(self.0.says.last());
-        let verdict = line.cloned().unwrap_or_else(|| self.0.judge(number));
+        let line = params.says.get(ctx.item() as usize).or(params.says.last());
+        let verdict = line.cloned().unwrap_or_else(|| params.judge(number));
         Ok(JudgeOut { verdict: Judgement(verdict), remark: Remark(json!({ "number": number })) })
     }
 }

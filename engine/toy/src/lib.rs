@@ -46,8 +46,8 @@ pub struct NumberOut {
 pub fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Number, _>().payload::<Samples, _>().node::<Cached>().node::<CachedWithSeed>();
-    registry.payload::<Judgement, _>().payload::<Remark, _>().node::<Judge>();
-    registry.source::<Script>().source::<LiveScript>().node::<Add>().node::<Sum>().node::<SumOfSome>();
+    registry.payload::<Judgement, _>().payload::<Remark, _>().function::<Judge>();
+    registry.source::<Script>().source::<LiveScript>().node::<Add>().function::<Sum>().function::<SumOfSome>();
     registry
 }
 

@@ -2,7 +2,7 @@
 
 use crate::{Number, NumberIn, NumberOut};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry, SchemaEntry, Source, Value,
+    Context, Describe, Function, Inputs, NodeError, Outputs, ParamError, Payload, Registry, SchemaEntry, Source, Value,
     View, ViewError, schemars, serde, serde_json,
 };
 use std::{
@@ -130,20 +130,16 @@ pub struct AnyIn {
 
 /// Passes on its value.
 #[derive(Describe)]
-pub struct Relay(Spin);
+pub struct Relay;
 
-impl Node for Relay {
+impl Function for Relay {
     const KIND: &'static str = "bench.relay";
     type Params = Spin;
     type Inputs = AnyIn;
     type Outputs = AnyOut;
 
-    fn new(params: Spin) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: AnyIn, _: &mut Context) -> Result<AnyOut, NodeError> {
-        spin(self.0.spin_us);
+    fn process(params: &Spin, i: AnyIn, _: &mut Context) -> Result<AnyOut, NodeError> {
+        spin(params.spin_us);
         Ok(AnyOut { out: i.value })
     }
 }
@@ -164,17 +160,13 @@ pub struct MegabyteOut {
 #[derive(Describe)]
 pub struct Look;
 
-impl Node for Look {
+impl Function for Look {
     const KIND: &'static str = "bench.look";
     type Params = Spin;
     type Inputs = MegabyteIn;
     type Outputs = MegabyteOut;
 
-    fn new(_: Spin) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: MegabyteIn, _: &mut Context) -> Result<MegabyteOut, NodeError> {
+    fn process(_: &Spin, i: MegabyteIn, _: &mut Context) -> Result<MegabyteOut, NodeError> {
         Ok(MegabyteOut { out: i.megabyte })
     }
 }
@@ -183,17 +175,13 @@ impl Node for Look {
 #[derive(Describe)]
 pub struct Next;
 
-impl Node for Next {
+impl Function for Next {
     const KIND: &'static str = "bench.next";
     type Params = Spin;
     type Inputs = NumberIn;
     type Outputs = NumberOut;
 
-    fn new(_: Spin) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: NumberIn, _: &mut Context) -> Result<NumberOut, NodeError> {
+    fn process(_: &Spin, i: NumberIn, _: &mut Context) -> Result<NumberOut, NodeError> {
         Ok(NumberOut { out: Number(i.number.0 + 1.0) })
     }
 }
@@ -208,6 +196,6 @@ pub fn sources() -> Registry {
 
 pub fn registry() -> Registry {
     let mut registry = sources();
-    registry.node::<Relay>().node::<Next>().node::<Look>();
+    registry.function::<Relay>().function::<Next>().function::<Look>();
     registry
 }

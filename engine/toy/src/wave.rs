@@ -2,7 +2,7 @@
 
 use crate::{NoParams, json_display, samples::float_column};
 use osteoflow_node::{
-    ColumnType, Context, Declared, Describe, Display, DisplayContext, Emit, Inputs, Node, NodeError, Outputs,
+    ColumnType, Context, Declared, Describe, Display, DisplayContext, Emit, Function, Inputs, Node, NodeError, Outputs,
     ParamError, Payload, Registry, SchemaEntry, Source, Value, View, ViewError, schemars, serde, serde_json,
 };
 
@@ -172,17 +172,13 @@ pub struct ThingOut {
 #[derive(Describe)]
 pub struct Pass;
 
-impl Node for Pass {
+impl Function for Pass {
     const KIND: &'static str = "toy.pass";
     type Params = NoParams;
     type Inputs = ThingIn;
     type Outputs = ThingOut;
 
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: ThingIn, _: &mut Context) -> Result<ThingOut, NodeError> {
+    fn process(_: &NoParams, i: ThingIn, _: &mut Context) -> Result<ThingOut, NodeError> {
         Ok(ThingOut { thing: i.thing })
     }
 }
@@ -208,6 +204,6 @@ impl Source for Played {
 pub fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Wave, _>();
-    registry.source::<Beat>().node::<Cut>().node::<Pass>();
+    registry.source::<Beat>().node::<Cut>().function::<Pass>();
     registry
 }

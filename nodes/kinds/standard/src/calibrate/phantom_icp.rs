@@ -4,7 +4,7 @@ use osteoflow_algorithms::calibrate::{
     PhantomParams, PhantomReport, equation_1, nominal_t_camera_phantom, phantom_icp,
 };
 use osteoflow_geometry::{Cloud, Mesh, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The pose of the camera's marker in the camera, from one scan of a tracked phantom of known shape.
 ///
@@ -21,7 +21,7 @@ working_distance_mm = 200.0
 "#,
     literature = ["section 2.2 of the paper, equation 1"]
 )]
-pub struct PhantomIcp(PhantomParams);
+pub struct PhantomIcp;
 
 /// Inputs of [`PhantomIcp`].
 #[derive(Inputs)]
@@ -59,17 +59,13 @@ pub struct Out {
     report: PhantomReport,
 }
 
-impl Node for PhantomIcp {
+impl Function for PhantomIcp {
     const KIND: &'static str = "calibrate.phantom_icp";
     type Params = PhantomParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: PhantomParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &PhantomParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let (camera, camera_marker) = (&i.nominal.to, &i.nominal.from);
         i.cloud.frame.expect(camera, "the phantom's scan")?;
         i.phantom.frame.expect(&i.t_phantom_phantom_marker.to, "the phantom's CAD")?;
@@ -80,7 +76,7 @@ impl Node for PhantomIcp {
         let t_w_mc = i.t_world_camera_marker.expect(world, camera_marker)?;
 
         let start = nominal_t_camera_phantom(&nominal, &t_p_mp, &t_w_mp, &t_w_mc);
-        let fit = phantom_icp(i.cloud.points(), &i.phantom, &start, &self.0)?;
+        let fit = phantom_icp(i.cloud.points(), &i.phantom, &start, params)?;
         let t_c_mc = equation_1(&fit.t_camera_phantom, &t_p_mp, &t_w_mp, &t_w_mc);
         let pose = Pose::new(camera, camera_marker, t_c_mc).at(ctx.stamp_ns());
         let phantom_marker = &i.t_phantom_phantom_marker.from;

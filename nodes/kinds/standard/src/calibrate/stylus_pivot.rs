@@ -2,7 +2,7 @@
 
 use osteoflow_algorithms::calibrate::{PivotReport, pivot};
 use osteoflow_geometry::{NamedPoint, Points, Pose, nalgebra::Isometry3};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 ///
@@ -35,17 +35,13 @@ pub struct Out {
     report: PivotReport,
 }
 
-impl Node for StylusPivot {
+impl Function for StylusPivot {
     const KIND: &'static str = "calibrate.stylus_pivot";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let first = i.pose.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker was received"))?;
         let poses: Vec<Isometry3<f64>> =
             i.pose.iter().map(|pose| pose.expect(&first.to, &first.from)).collect::<Result<_, _>>()?;

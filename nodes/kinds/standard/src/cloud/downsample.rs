@@ -3,7 +3,7 @@
 use osteoflow_algorithms::downsample;
 use osteoflow_geometry::Cloud;
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// A cloud with fewer points: one in each cell of a grid, every n-th, or a given number.
@@ -16,7 +16,7 @@ in   = { cloud = "to_bone.cloud" }
 n_points = 2000
 pick     = "random"
 "#)]
-pub struct Downsample(Params);
+pub struct Downsample;
 
 /// Parameters of [`Downsample`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -70,27 +70,23 @@ pub struct Out {
     cloud: Cloud,
 }
 
-impl Node for Downsample {
+impl Function for Downsample {
     const KIND: &'static str = "cloud.downsample";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let thinned = i.cloud.selected(&downsample::voxel(&i.cloud, self.0.cell_mm));
-        let thinned = thinned.selected(&downsample::every(&thinned, self.0.every));
-        let (n, found) = (self.0.n_points, thinned.len());
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let thinned = i.cloud.selected(&downsample::voxel(&i.cloud, params.cell_mm));
+        let thinned = thinned.selected(&downsample::every(&thinned, params.every));
+        let (n, found) = (params.n_points, thinned.len());
         if n == 0 {
             return Ok(Out { cloud: thinned });
         }
         if n > found {
             ctx.warn(format!("{n} points are asked for, but there are {found}: all are kept"));
         }
-        let kept = match self.0.pick {
+        let kept = match params.pick {
             Pick::Stride => downsample::evenly(&thinned, n),
             Pick::Random => downsample::drawn(&thinned, n, &mut ctx.rng()),
         };

@@ -2,7 +2,7 @@
 
 use crate::transform::points::in_one_list;
 use osteoflow_geometry::{Cloud, Points};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// A cloud of points that were touched one by one, such as a surface palpated with a stylus.
 #[derive(Describe)]
@@ -27,17 +27,13 @@ pub struct Out {
     cloud: Cloud,
 }
 
-impl Node for FromPoints {
+impl Function for FromPoints {
     const KIND: &'static str = "cloud.from_points";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let points = in_one_list(&i.points)?;
         Ok(Out { cloud: Cloud::new(&points.frame, points.positions())?.at(ctx.stamp_ns()) })
     }

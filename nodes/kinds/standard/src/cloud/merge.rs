@@ -2,7 +2,7 @@
 
 use osteoflow_algorithms::merge::merge;
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Several views of the bone as one cloud, in the bone's frame.
 ///
@@ -29,17 +29,13 @@ pub struct Out {
     cloud: Cloud,
 }
 
-impl Node for Merge {
+impl Function for Merge {
     const KIND: &'static str = "cloud.merge";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         Ok(Out { cloud: merge(&i.clouds)? })
     }
 }

@@ -2,7 +2,7 @@
 
 use osteoflow_algorithms::normals::{NormalParams, estimate};
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// A cloud with normals, oriented towards the camera.
 ///
@@ -15,7 +15,7 @@ in   = { cloud = "to_bone.cloud" }
 "#,
     literature = ["Hoppe et al. 1992, section 3.2"]
 )]
-pub struct Normals(NormalParams);
+pub struct Normals;
 
 /// Inputs of [`Normals`].
 #[derive(Inputs)]
@@ -32,18 +32,14 @@ pub struct Out {
     cloud: Cloud,
 }
 
-impl Node for Normals {
+impl Function for Normals {
     const KIND: &'static str = "cloud.normals";
     type Params = NormalParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: NormalParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let (cloud, n_dropped) = estimate(&i.cloud, &self.0)?;
+    fn process(params: &NormalParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let (cloud, n_dropped) = estimate(&i.cloud, params)?;
         if n_dropped > 0 {
             ctx.warn(format!(
                 "{n_dropped} of {} points have too few neighbours for a normal and were left out",

@@ -5,7 +5,7 @@ use osteoflow_algorithms::{
     target::Target,
 };
 use osteoflow_geometry::{Cloud, Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Unused};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs, Unused};
 
 /// Registration of the scan by shape alone, without landmarks.
 ///
@@ -22,7 +22,7 @@ in   = { cloud = "to_bone.cloud", surface = "ct_surface.target" }
 "#,
     literature = ["Besl & McKay 1992, section IV-B"]
 )]
-pub struct Global(GlobalParams);
+pub struct Global;
 
 /// Inputs of [`Global`].
 #[derive(Inputs)]
@@ -50,19 +50,15 @@ pub struct Out {
     report: GlobalReport,
 }
 
-impl Node for Global {
+impl Function for Global {
     const KIND: &'static str = "coarse.global";
     type Params = GlobalParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: GlobalParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &GlobalParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let _ = (i.target, i.source);
-        let fit = global(&i.surface, &i.cloud, &self.0)?;
+        let fit = global(&i.surface, &i.cloud, params)?;
         if let Some(other) = fit.report.runner_up.as_ref().filter(|_| fit.report.clearness < CLEAR) {
             ctx.warn(format!(
                 "the scan fits elsewhere nearly as well: {:.2} mm RMS against {:.2} mm, {:.0} mm and {:.0} degrees away; \

@@ -5,7 +5,7 @@ use osteoflow_algorithms::coarse::{self, CoarseReport, DoubtParams};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Unused, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, Unused, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The rigid motion that best carries located landmarks onto the planned ones.
@@ -21,7 +21,7 @@ in   = { target = "plan.landmarks", source = { from = "hole.point", n = 3 } }
 "#,
     literature = ["Kabsch 1976", "section 2.3 of the paper"]
 )]
-pub struct ThreePoint(Params);
+pub struct ThreePoint;
 
 /// Parameters of [`ThreePoint`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -75,17 +75,13 @@ pub struct Out {
     report: CoarseReport,
 }
 
-impl Node for ThreePoint {
+impl Function for ThreePoint {
     const KIND: &'static str = "coarse.three_point";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let _ = (i.cloud, i.surface);
         let source = in_one_list(&i.source)?;
         if i.target.points.is_empty() {
@@ -93,11 +89,11 @@ impl Node for ThreePoint {
             return Err(NodeError::new(format!("the plan gives no landmarks to fit to; {next}")));
         }
         let fit = coarse::three_point(&i.target.points, &source.points)?;
-        let (min_confidence, max_side_difference_mm) = (self.0.min_confidence, self.0.max_side_difference_mm);
+        let (min_confidence, max_side_difference_mm) = (params.min_confidence, params.max_side_difference_mm);
         let doubt = DoubtParams { min_confidence, max_side_difference_mm };
         coarse::confirm(&source.points, &fit.report.sides, &doubt)?;
-        if fit.report.fre_mm > self.0.max_fre_mm {
-            return Err(NodeError::new(misfit(&fit.report, self.0.max_fre_mm)));
+        if fit.report.fre_mm > params.max_fre_mm {
+            return Err(NodeError::new(misfit(&fit.report, params.max_fre_mm)));
         }
         let pose = Pose::new(&i.target.frame, &source.frame, fit.t_target_source).at(ctx.stamp_ns());
         Ok(Out { t_target_source: pose, report: fit.report })

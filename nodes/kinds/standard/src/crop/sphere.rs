@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::roi;
-use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{Context, Describe, Function, NodeError, schemars::JsonSchema, serde::Deserialize};
 
 /// The points within a distance of a centre.
 #[derive(Describe)]
@@ -15,7 +15,7 @@ radius_mm = 80.0
 "#,
     literature = ["section 2.3 of the paper"]
 )]
-pub struct Sphere(Params);
+pub struct Sphere;
 
 /// Parameters of [`Sphere`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -29,18 +29,14 @@ pub struct Params {
     pub radius_mm: f64,
 }
 
-impl Node for Sphere {
+impl Function for Sphere {
     const KIND: &'static str = "crop.sphere";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
-        let chosen = roi::in_sphere(&i.cloud, &self.0.centre_mm.into(), self.0.radius_mm);
+    fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+        let chosen = roi::in_sphere(&i.cloud, &params.centre_mm.into(), params.radius_mm);
         i.cropped(chosen)
     }
 }

@@ -3,7 +3,7 @@
 use super::{Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, ParamError, Unused};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Unused};
 
 /// The landmark under a laser spot, found in that scan alone as a gap with points all around it.
 ///
@@ -20,7 +20,7 @@ spot_radius_mm = 2.0
 "#,
     literature = ["Bendels, Schnabel & Klein 2006, Detecting holes in point set surfaces"]
 )]
-pub struct Boundary(HoleParams);
+pub struct Boundary;
 
 /// Inputs of [`Boundary`].
 #[derive(Inputs)]
@@ -32,18 +32,14 @@ pub struct In {
     cloud: Cloud,
 }
 
-impl Node for Boundary {
+impl Function for Boundary {
     const KIND: &'static str = "hole.boundary";
     type Params = HoleParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: HoleParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &HoleParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let _ = i.reference;
-        answer(&i.cloud, hole::boundary(&i.cloud, &self.0), ctx)
+        answer(&i.cloud, hole::boundary(&i.cloud, params), ctx)
     }
 }

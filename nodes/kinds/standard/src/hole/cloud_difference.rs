@@ -2,7 +2,7 @@
 
 use super::{In, Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
-use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// The landmark under a laser spot: the points of the full scan that the scan with the laser lacks.
 ///
@@ -19,20 +19,16 @@ spot_radius_mm = 2.0
 "#,
     literature = ["section 2.3 of the paper"]
 )]
-pub struct CloudDifference(HoleParams);
+pub struct CloudDifference;
 
-impl Node for CloudDifference {
+impl Function for CloudDifference {
     const KIND: &'static str = "hole.cloud_difference";
     type Params = HoleParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: HoleParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &HoleParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.check()?;
-        answer(&i.cloud, hole::cloud_difference(&i.reference, &i.cloud, &self.0), ctx)
+        answer(&i.cloud, hole::cloud_difference(&i.reference, &i.cloud, params), ctx)
     }
 }

@@ -3,7 +3,7 @@
 use super::{Out, answer, name};
 use osteoflow_algorithms::hole::{self, RgbSpotParams};
 use osteoflow_geometry::{Cloud, FrameError, Image, Pose, nalgebra::Isometry3};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// The landmark under a laser spot, or under a mark of a surgical pen, found by its colour in an image of the scan.
 ///
@@ -21,7 +21,7 @@ spot_radius_mm = 2.0
 "#,
     literature = ["section 2.3 of the paper, whose camera has no colour", "Kasa 1976, a circle fitting procedure"]
 )]
-pub struct RgbSpot(RgbSpotParams);
+pub struct RgbSpot;
 
 /// Inputs of [`RgbSpot`].
 #[derive(Inputs)]
@@ -43,21 +43,17 @@ pub struct In {
 /// Maximum difference of the stamps of scan and image: scans with the laser are seconds apart.
 const MAX_APART_NS: u64 = 100_000_000;
 
-impl Node for RgbSpot {
+impl Function for RgbSpot {
     const KIND: &'static str = "hole.rgb_spot";
     type Params = RgbSpotParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: RgbSpotParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &RgbSpotParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.cloud.frame.expect(&i.reference.frame, "the scan with the laser")?;
         i.check_pair(&name(&i.cloud, ctx))?;
         let t_camera_image = i.t_camera_image()?;
-        answer(&i.cloud, hole::rgb_spot(&i.reference, &i.cloud, &i.image, &t_camera_image, &self.0), ctx)
+        answer(&i.cloud, hole::rgb_spot(&i.reference, &i.cloud, &i.image, &t_camera_image, params), ctx)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// Fine registration of a bone surface onto the CT surface by the closest points of its triangles.
 ///
@@ -17,19 +17,15 @@ max_pair_distance_mm = 5.0
 "#,
     literature = ["Besl & McKay 1992", "Pottmann, Huang, Yang & Hu 2006, section 3"]
 )]
-pub struct PointToMesh(IcpParams);
+pub struct PointToMesh;
 
-impl Node for PointToMesh {
+impl Function for PointToMesh {
     const KIND: &'static str = "icp.point_to_mesh";
     type Params = IcpParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        i.register(Method::PointToMesh, &self.0, ctx)
+    fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.register(Method::PointToMesh, params, ctx)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// Fine registration of a bone surface onto the CT surface by point-to-plane ICP.
 ///
@@ -17,19 +17,15 @@ max_pair_distance_mm = 5.0
 "#,
     literature = ["Chen & Medioni 1992", "Rusinkiewicz & Levoy 2001, section 3.5"]
 )]
-pub struct PointToPlane(IcpParams);
+pub struct PointToPlane;
 
-impl Node for PointToPlane {
+impl Function for PointToPlane {
     const KIND: &'static str = "icp.point_to_plane";
     type Params = IcpParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        i.register(Method::PointToPlane, &self.0, ctx)
+    fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.register(Method::PointToPlane, params, ctx)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// Fine registration of a bone surface onto the CT surface by point-to-point ICP, as in the paper.
 ///
@@ -18,19 +18,15 @@ max_pair_distance_mm = 5.0
 "#,
     literature = ["Besl & McKay 1992", "section 2.3 of the paper"]
 )]
-pub struct PointToPoint(IcpParams);
+pub struct PointToPoint;
 
-impl Node for PointToPoint {
+impl Function for PointToPoint {
     const KIND: &'static str = "icp.point_to_point";
     type Params = IcpParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        i.register(Method::PointToPoint, &self.0, ctx)
+    fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.register(Method::PointToPoint, params, ctx)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{PublishedParams, register_published};
-use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// Fine registration by plain point-to-point ICP, under one of the stop rules that the paper may have used.
 ///
@@ -18,21 +18,17 @@ max_iterations = 50
 "#,
     literature = ["Besl & McKay 1992", "section 2.3 of the paper"]
 )]
-pub struct Published(PublishedParams);
+pub struct Published;
 
-impl Node for Published {
+impl Function for Published {
     const KIND: &'static str = "icp.published";
     type Params = PublishedParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: PublishedParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        i.run(self.0.stop_after_ms, ctx, |target, source, init, observer| {
-            register_published(target, source, init, &self.0, observer)
+    fn process(params: &PublishedParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.run(params.stop_after_ms, ctx, |target, source, init, observer| {
+            register_published(target, source, init, params, observer)
         })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Node, NodeError, ParamError};
+use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// Fine registration of a bone surface onto the CT surface by symmetric ICP.
 ///
@@ -17,19 +17,15 @@ max_pair_distance_mm = 5.0
 "#,
     literature = ["Rusinkiewicz 2019"]
 )]
-pub struct Symmetric(IcpParams);
+pub struct Symmetric;
 
-impl Node for Symmetric {
+impl Function for Symmetric {
     const KIND: &'static str = "icp.symmetric";
     type Params = IcpParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: IcpParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        i.register(Method::Symmetric, &self.0, ctx)
+    fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        i.register(Method::Symmetric, params, ctx)
     }
 }

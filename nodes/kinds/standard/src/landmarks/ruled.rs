@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
     mesh_query::MeshQuery,
 };
 use osteoflow_geometry::{Axes, Mesh, Points, Pose, direction, nalgebra::Vector3};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The true positions of P1, P2 and P3 as a surgeon marks them on the bone with a ruler, with the ruler's errors.
 ///
@@ -26,7 +26,7 @@ across_mm = 2.0
 "#,
     literature = ["section 3.2.3 of the paper"]
 )]
-pub struct Ruled(RulerErrors);
+pub struct Ruled;
 
 /// Inputs of [`Ruled`].
 #[derive(Inputs)]
@@ -58,17 +58,13 @@ pub struct Out {
     report: RuledReport,
 }
 
-impl Node for Ruled {
+impl Function for Ruled {
     const KIND: &'static str = "landmarks.ruled";
     type Params = RulerErrors;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(errors: RulerErrors) -> Result<Self, ParamError> {
-        Ok(Self(errors))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &RulerErrors, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let ct = &i.planned.frame;
         i.mesh.frame.expect(ct, "the bone's surface")?;
         let axes = axes(i.axes, Some(&i.mesh))?;
@@ -77,7 +73,7 @@ impl Node for Ruled {
         let bone_marker = t_bone_marker_ct.to.clone();
         let motion = t_bone_marker_ct.expect(&bone_marker, ct)?;
         let along = direction(axes.columns * Vector3::z())?;
-        let ruled = ruled(&MeshQuery::new(&i.mesh), &i.planned.points, &along, &self.0)?;
+        let ruled = ruled(&MeshQuery::new(&i.mesh), &i.planned.points, &along, params)?;
         let points = Points::new(ct, ruled.points).transformed(bone_marker, &motion);
         Ok(Out { points: Points { stamp_ns: ctx.stamp_ns(), ..points }, report: ruled.report })
     }

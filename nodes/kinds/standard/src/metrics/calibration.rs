@@ -3,7 +3,7 @@
 use osteoflow_algorithms::metrics::{PoseErrorReport, pose_error};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The true error of a calibration, and what it does to a point at the working distance.
@@ -19,7 +19,7 @@ working_distance_mm = 200.0
 "#,
     literature = ["section 3.1 of the paper"]
 )]
-pub struct Calibration(Params);
+pub struct Calibration;
 
 /// Parameters of [`Calibration`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -55,20 +55,16 @@ pub struct Out {
     report: PoseErrorReport,
 }
 
-impl Node for Calibration {
+impl Function for Calibration {
     const KIND: &'static str = "metrics.calibration";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let (t, truth) = (i.t_camera_camera_marker, i.t_camera_camera_marker_true);
         // A measured world point reaches the camera by the true calibration and comes back by the one in use.
         let error = t.compose(&truth.inverse())?.expect(&t.to, &t.to)?;
-        Ok(Out { report: pose_error(&error, &Point3::new(0.0, 0.0, self.0.working_distance_mm)) })
+        Ok(Out { report: pose_error(&error, &Point3::new(0.0, 0.0, params.working_distance_mm)) })
     }
 }

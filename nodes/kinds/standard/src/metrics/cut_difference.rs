@@ -3,7 +3,7 @@
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::metrics::{CutDifferenceParams, CutDifferenceReport, cut_difference, error_at_points};
 use osteoflow_geometry::{Mesh, Planes, Points, Pose, nalgebra::Isometry3};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The difference between the bone fragment of the executed cuts and the planned one.
 ///
@@ -25,7 +25,7 @@ in   = { planes = "plan.planes", bone = "bone.mesh", t_ct_world = "planes_at_sca
         "Sutherland & Hodgman 1974, Reentrant polygon clipping",
     ]
 )]
-pub struct CutDifference(CutDifferenceParams);
+pub struct CutDifference;
 
 /// Inputs of [`CutDifference`].
 #[derive(Inputs)]
@@ -60,21 +60,17 @@ pub struct Out {
     report: CutDifferenceReport,
 }
 
-impl Node for CutDifference {
+impl Function for CutDifference {
     const KIND: &'static str = "metrics.cut_difference";
     type Params = CutDifferenceParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: CutDifferenceParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &CutDifferenceParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let error = i.t_ct_world.compose(&i.t_ct_world_true.inverse())?;
         let error = error.expect(&i.planes.frame, &i.planes.frame)?;
         let measured = i.measured_error(ctx)?;
-        Ok(Out { report: cut_difference(&i.bone, &i.planes, &error, measured, &self.0)? })
+        Ok(Out { report: cut_difference(&i.bone, &i.planes, &error, measured, params)? })
     }
 }
 

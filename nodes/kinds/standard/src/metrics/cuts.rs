@@ -3,7 +3,7 @@
 use super::axes;
 use osteoflow_algorithms::metrics::{CutsReport, cuts};
 use osteoflow_geometry::{Axes, Mesh, Planes, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The error of the cuts against the planned ones, where the true registration is known.
 ///
@@ -46,17 +46,13 @@ pub struct Out {
     report: CutsReport,
 }
 
-impl Node for Cuts {
+impl Function for Cuts {
     const KIND: &'static str = "metrics.cuts";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let slip = i.t_ct_world_true.compose(&i.t_ct_world.inverse())?;
         let slip = slip.expect(&i.planes.frame, &i.planes.frame)?;
         let achieved = i.planes.transformed(&i.planes.frame, &slip);

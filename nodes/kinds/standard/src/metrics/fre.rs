@@ -3,7 +3,7 @@
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::metrics::{FreReport, fre};
 use osteoflow_geometry::{Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Fiducial registration error: the residual of a registration at the landmarks, which does not predict the accuracy elsewhere.
 #[derive(Describe)]
@@ -37,17 +37,13 @@ pub struct Out {
     report: FreReport,
 }
 
-impl Node for Fre {
+impl Function for Fre {
     const KIND: &'static str = "metrics.fre";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let located = in_one_list(&i.located)?;
         let t_ct_bone_marker = i.t_ct_bone_marker.expect(&i.planned.frame, &located.frame)?;
         Ok(Out { report: fre(&i.planned.points, &located.points, &t_ct_bone_marker)? })

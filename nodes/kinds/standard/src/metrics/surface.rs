@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// Distances of the registered scan from the CT surface, over its inliers and over all points.
@@ -17,7 +17,7 @@ use osteoflow_node::{
 kind = "metrics.surface"
 in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source" }
 "#)]
-pub struct Surface(Params);
+pub struct Surface;
 
 /// Parameters of [`Surface`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -55,19 +55,15 @@ pub struct Out {
     report: SurfaceReport,
 }
 
-impl Node for Surface {
+impl Function for Surface {
     const KIND: &'static str = "metrics.surface";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
-        let limit_mm = self.0.max_pair_distance_mm;
+        let limit_mm = params.max_pair_distance_mm;
         Ok(Out { report: surface_residual(&i.target, i.source.points(), &t_target_source, limit_mm)? })
     }
 }

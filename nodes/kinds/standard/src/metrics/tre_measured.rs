@@ -4,7 +4,7 @@ use super::axes;
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::metrics::{TreReport, tre};
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Target registration error at points touched with a stylus, which includes the stylus' own error.
 ///
@@ -46,17 +46,13 @@ pub struct Out {
     report: TreReport,
 }
 
-impl Node for TreMeasured {
+impl Function for TreMeasured {
     const KIND: &'static str = "metrics.tre_measured";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let measured = in_one_list(&i.measured)?;
         let t_ct_bone_marker = i.t_ct_bone_marker.expect(&i.planned.frame, &measured.frame)?;
         let axes = axes(i.axes, i.bone.as_ref())?;

@@ -3,7 +3,7 @@
 use super::axes;
 use osteoflow_algorithms::metrics::{TreReport, tre};
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
 ///
@@ -45,17 +45,13 @@ pub struct Out {
     report: TreReport,
 }
 
-impl Node for TreTrue {
+impl Function for TreTrue {
     const KIND: &'static str = "metrics.tre_true";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let error = i.t_ct_world.compose(&i.t_ct_world_true.inverse())?;
         let error = error.expect(&i.planned.frame, &i.planned.frame)?;
         let axes = axes(i.axes, i.bone.as_ref())?;

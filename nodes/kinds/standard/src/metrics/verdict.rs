@@ -3,7 +3,7 @@
 use osteoflow_algorithms::metrics::{CutsReport, TreReport};
 use osteoflow_algorithms::trust::{Verdict as Judged, VerdictScore, VerdictScoreParams, verdict_score};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// A verdict beside the true error, where that is known: was a wrong answer trusted, or a right one not?
 ///
@@ -13,7 +13,7 @@ use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamE
 kind = "metrics.verdict"
 in   = { verdict = "verdict.verdict", tre = "tre_true.report", cuts = "cuts.report", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true" }
 "#)]
-pub struct Verdict(VerdictScoreParams);
+pub struct Verdict;
 
 /// Inputs of [`Verdict`].
 #[derive(Inputs)]
@@ -41,20 +41,16 @@ pub struct Out {
     report: VerdictScore,
 }
 
-impl Node for Verdict {
+impl Function for Verdict {
     const KIND: &'static str = "metrics.verdict";
     type Params = VerdictScoreParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: VerdictScoreParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &VerdictScoreParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let error = i.t_ct_world_true.compose(&i.t_ct_world.inverse())?.isometry;
         let moved = |at: &[f64; 3]| (error * Point3::from(*at) - Point3::from(*at)).norm();
         let cut_errors_mm: Vec<f64> = i.cuts.cuts.iter().map(|cut| moved(&cut.at)).collect();
-        Ok(Out { report: verdict_score(&i.verdict, &i.tre, &i.cuts, &cut_errors_mm, &self.0) })
+        Ok(Out { report: verdict_score(&i.verdict, &i.tre, &i.cuts, &cut_errors_mm, params) })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::file_of;
 use osteoflow_geometry::Points;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Named points as a CSV file in the run's folder: `name,frame,x_mm,y_mm,z_mm,stamp_ns`.
 #[derive(Describe)]
@@ -23,17 +23,13 @@ pub struct In {
 #[derive(Outputs)]
 pub struct Out {}
 
-impl Node for Csv {
+impl Function for Csv {
     const KIND: &'static str = "output.csv";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let Some(path) = file_of(ctx, "csv")? else { return Ok(Out {}) };
         let mut file = ::csv::Writer::from_path(path)?;
         file.write_record(["name", "frame", "x_mm", "y_mm", "z_mm", "stamp_ns"])?;

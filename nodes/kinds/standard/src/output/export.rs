@@ -9,7 +9,7 @@ use osteoflow_formats::{
     write::{write_cloud, write_mesh},
 };
 use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 use std::path::PathBuf;
 
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
@@ -55,17 +55,13 @@ pub struct In {
 #[derive(Outputs)]
 pub struct Out {}
 
-impl Node for Export {
+impl Function for Export {
     const KIND: &'static str = "output.export";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let frame = match (&i.bone, &i.bone_points) {
             (Some(mesh), _) => &mesh.frame,
             (None, Some(points)) => &points.frame,

@@ -3,7 +3,7 @@
 use super::file_of;
 use osteoflow_formats::{Space, write::write_mesh};
 use osteoflow_geometry::Mesh as MeshPayload;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Surfaces as binary STL files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
 #[derive(Describe)]
@@ -24,17 +24,13 @@ pub struct In {
 #[derive(Outputs)]
 pub struct Out {}
 
-impl Node for Mesh {
+impl Function for Mesh {
     const KIND: &'static str = "output.mesh";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         if let Some(path) = file_of(ctx, "stl")? {
             write_mesh(&path, &i.mesh, Space::of(&i.mesh.frame))?;
         }

@@ -3,7 +3,7 @@
 use super::{file_of, lps};
 use osteoflow_formats::picked_points::write_planes_mrk_json;
 use osteoflow_geometry::Planes as PlaneList;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Planes in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node; planes that are unknown
 /// are left out, with a warning.
@@ -25,17 +25,13 @@ pub struct In {
 #[derive(Outputs)]
 pub struct Out {}
 
-impl Node for Planes {
+impl Function for Planes {
     const KIND: &'static str = "output.planes";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         lps(&i.planes.frame, "the planes are", "wire plan.planes")?;
         let known: Vec<_> = i.planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
         let n_unknown = i.planes.planes.len() - known.len();

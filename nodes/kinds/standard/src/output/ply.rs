@@ -4,7 +4,7 @@ use super::{file_of, is_refused};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::{Space, write::write_cloud};
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Clouds as PLY files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
 #[derive(Describe)]
@@ -27,17 +27,13 @@ pub struct In {
 #[derive(Outputs)]
 pub struct Out {}
 
-impl Node for Ply {
+impl Function for Ply {
     const KIND: &'static str = "output.ply";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         if is_refused(i.verdict.as_ref(), ctx) {
             return Ok(Out {});
         }

@@ -3,7 +3,7 @@
 use super::{file_of, lps};
 use osteoflow_formats::picked_points::write_mrk_json;
 use osteoflow_geometry::Points as PointList;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Named points in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node.
 ///
@@ -26,17 +26,13 @@ pub struct In {
 #[derive(Outputs)]
 pub struct Out {}
 
-impl Node for Points {
+impl Function for Points {
     const KIND: &'static str = "output.points";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let space = lps(&i.points.frame, "the points are", "transform them (transform.points), or use output.csv")?;
         if let Some(path) = file_of(ctx, "mrk.json")? {
             write_mrk_json(&path, &i.points.points, space)?;

@@ -4,7 +4,7 @@ use super::{NOTICE, file_of, is_refused, lps};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::pose_file::itk_text;
 use osteoflow_geometry::Pose;
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Poses as ITK transforms (`.tfm`) in the run's folder, named after the node, for 3D Slicer.
 ///
@@ -30,17 +30,13 @@ pub struct In {
 #[derive(Outputs)]
 pub struct Out {}
 
-impl Node for Transform {
+impl Function for Transform {
     const KIND: &'static str = "output.transform";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         lps(&i.pose.to, "the pose leads to coordinates", "wire one that leads to ct, such as icp.t_target_source")?;
         if is_refused(i.verdict.as_ref(), ctx) {
             return Ok(Out {});

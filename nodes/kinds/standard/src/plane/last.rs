@@ -1,7 +1,7 @@
 //! The kind `plane.last`.
 
 use osteoflow_geometry::{PlanePlace, Planes};
-use osteoflow_node::{Context, Describe, Emit, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError, Outputs};
 
 /// The cutting planes as last followed: those at the end of the recording.
 ///
@@ -29,17 +29,13 @@ pub struct Out {
     planes: Emit<Planes>,
 }
 
-impl Node for Last {
+impl Function for Last {
     const KIND: &'static str = "plane.last";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let planes: Vec<Planes> = i.planes.into_iter().flatten().collect();
         let is_known = |planes: &Planes| planes.planes.iter().any(|p| matches!(p.place, PlanePlace::Known(_)));
         let last = if planes.iter().any(is_known) { planes.into_iter().next_back() } else { None };

@@ -1,7 +1,7 @@
 //! The kind `plane.to_world`.
 
 use osteoflow_geometry::{Planes, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The planned cutting planes in the world, where the bone was at the scan.
 ///
@@ -41,17 +41,13 @@ pub struct Out {
     t_ct_world: Pose,
 }
 
-impl Node for ToWorld {
+impl Function for ToWorld {
     const KIND: &'static str = "plane.to_world";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let stamp_ns = ctx.stamp_ns();
         let t_ct_world = i.t_ct_bone_marker.compose(&i.t_world_bone_marker.inverse())?.at(stamp_ns);
         i.planes.frame.expect(&t_ct_world.to, "the planned planes")?;

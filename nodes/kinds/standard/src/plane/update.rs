@@ -1,7 +1,7 @@
 //! The kind `plane.update`.
 
 use osteoflow_geometry::{Planes, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The planned cutting planes in the world, following the marker on the bone at the tracker's rate.
 ///
@@ -38,17 +38,13 @@ pub struct Out {
     planes: Planes,
 }
 
-impl Node for Update {
+impl Function for Update {
     const KIND: &'static str = "plane.update";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let Some(t_world_bone_marker) = i.t_world_bone_marker else {
             let why = ctx.absent_reason("t_world_bone_marker").unwrap_or("the bone marker is not tracked");
             return Ok(Out { planes: i.planes.unknown("world", ctx.stamp_ns(), why) });

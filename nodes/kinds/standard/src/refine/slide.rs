@@ -4,7 +4,7 @@ use osteoflow_algorithms::slide::{SlideParams, SlideReport, slide};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The best place of a registered scan along the bone and around it, and how well the residuals determine it.
@@ -22,7 +22,7 @@ in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "icp.t_t
 "#,
     literature = ["Gelfand et al. 2003", "Vuong 1989", "Liang and Zeger 1986"]
 )]
-pub struct Slide(Params);
+pub struct Slide;
 
 /// Parameters of [`Slide`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -68,20 +68,16 @@ pub struct Out {
     report: SlideReport,
 }
 
-impl Node for Slide {
+impl Function for Slide {
     const KIND: &'static str = "refine.slide";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let init = i.init.expect(&i.target.frame, &i.source.frame)?;
-        let fit = slide(&i.target, &i.source, &init, &self.0.profile)?;
-        for warning in fit.report.warnings(self.0.warn_mm, self.0.warn_deg.to_radians()) {
+        let fit = slide(&i.target, &i.source, &init, &params.profile)?;
+        for warning in fit.report.warnings(params.warn_mm, params.warn_deg.to_radians()) {
             ctx.warn(warning);
         }
         let pose = Pose::new(&i.target.frame, &i.source.frame, fit.t_target_source).at(ctx.stamp_ns());

@@ -3,8 +3,7 @@
 use osteoflow_algorithms::{icp::NO_FIELD, mesh_query::MeshQuery, sample, target::Target};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
-    CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema,
-    serde::Deserialize,
+    CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -17,7 +16,7 @@ kind = "surface.prepare"
 in   = { mesh = "bone.mesh" }
 n_points = 150000
 "#)]
-pub struct Prepare(Params);
+pub struct Prepare;
 
 /// Minimum number of points.
 const MIN_POINTS: usize = 100;
@@ -89,19 +88,15 @@ pub struct Out {
     ct_surface: Text,
 }
 
-impl Node for Prepare {
+impl Function for Prepare {
     const KIND: &'static str = "surface.prepare";
     const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let target = self.0.prepare(&i.mesh, ctx)?;
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let target = params.prepare(&i.mesh, ctx)?;
         Ok(Out { target, ct_surface: Text(i.mesh.origin.to_string().into()) })
     }
 }

@@ -3,7 +3,7 @@
 use super::{prepare, prepare_cloud};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Mesh};
-use osteoflow_node::{CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// A surface or points of it, whichever there is, prepared for registration.
 ///
@@ -17,7 +17,7 @@ in   = { mesh = "bone.mesh", points = "bone.points" }
 "#,
     literature = ["Hoppe et al. 1992, sections 3.2 and 3.3"]
 )]
-pub struct PrepareAny(prepare::Params);
+pub struct PrepareAny;
 
 /// Inputs of [`PrepareAny`].
 #[derive(Inputs)]
@@ -38,20 +38,16 @@ pub struct Out {
     target: Target,
 }
 
-impl Node for PrepareAny {
+impl Function for PrepareAny {
     const KIND: &'static str = "surface.prepare_any";
     const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
     type Params = prepare::Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: prepare::Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &prepare::Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let target = match (&i.mesh, &i.points) {
-            (Some(mesh), None) => self.0.prepare(mesh, ctx)?,
+            (Some(mesh), None) => params.prepare(mesh, ctx)?,
             (None, Some(points)) => prepare_cloud::prepare(points)?,
             (None, None) => return Err(NodeError::new("there is neither a surface nor points of one")),
             (Some(_), Some(_)) => {

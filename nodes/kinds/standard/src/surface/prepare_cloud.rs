@@ -3,8 +3,7 @@
 use osteoflow_algorithms::{icp::NO_FIELD, normals, target::Target};
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
 use osteoflow_node::{
-    CachePolicy, Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema,
-    serde::Deserialize,
+    CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -47,18 +46,14 @@ pub struct Out {
     ct_surface: Text,
 }
 
-impl Node for PrepareCloud {
+impl Function for PrepareCloud {
     const KIND: &'static str = "surface.prepare_cloud";
     const CACHE: CachePolicy = CachePolicy::ByInputs;
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_params: Params) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let target = prepare(&i.cloud)?;
         Ok(Out { target, ct_surface: Text(SurfaceOrigin::User.to_string().into()) })
     }
@@ -89,8 +84,7 @@ mod tests {
             Point3::from(Vector3::new(across * turn.cos(), across * turn.sin(), z) * 20.0)
         };
         let cloud = Cloud::new("ct", (0..4000).map(on_ball).collect::<Vec<_>>()).expect("a cloud");
-        let mut node = PrepareCloud::new(Params {}).expect("a node");
-        let made = node.process(In { cloud }, &mut Context::for_test("ct")).expect("a target");
+        let made = PrepareCloud::process(&Params {}, In { cloud }, &mut Context::for_test("ct")).expect("a target");
         let normals = made.target.normals().expect("estimated");
         assert!(made.target.points().iter().zip(normals).all(|(p, n)| p.coords.dot(n) > 19.5), "outwards");
     }

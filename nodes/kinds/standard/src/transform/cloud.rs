@@ -1,7 +1,7 @@
 //! The kind `transform.cloud`.
 
 use osteoflow_geometry::{Cloud as CloudPayload, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// A cloud in another frame, by a pose: a scan on the CT, for export.
 #[derive(Describe)]
@@ -30,17 +30,13 @@ pub struct Out {
     cloud: CloudPayload,
 }
 
-impl Node for Cloud {
+impl Function for Cloud {
     const KIND: &'static str = "transform.cloud";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         i.cloud.frame.expect(&i.pose.from, "the cloud")?;
         Ok(Out { cloud: i.cloud.transformed(&i.pose.to, &i.pose.isometry) })
     }

@@ -2,7 +2,7 @@
 
 use osteoflow_geometry::Pose;
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The first of two poses that has a value, such as the recording's, else the plan's.
@@ -13,7 +13,7 @@ use osteoflow_node::{
 kind = "transform.first_of"
 in   = { first = "recording.phantom_marker_cad", second = "plan.t_phantom_phantom_marker" }
 "#)]
-pub struct FirstOf(Params);
+pub struct FirstOf;
 
 /// Parameters of [`FirstOf`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -53,21 +53,17 @@ pub struct Out {
     pose: Pose,
 }
 
-impl Node for FirstOf {
+impl Function for FirstOf {
     const KIND: &'static str = "transform.first_of";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         if let (Some(first), Some(second)) = (&i.first, &i.second) {
             let between = first.isometry.inverse() * second.isometry;
             let (mm, deg) = (between.translation.vector.norm(), between.rotation.angle().to_degrees());
-            if mm > self.0.max_apart_mm || deg > self.0.max_apart_deg {
+            if mm > params.max_apart_mm || deg > params.max_apart_deg {
                 return Err(NodeError::new(format!(
                     "the two poses of {} in {} differ by {mm:.1} mm and {deg:.1} degrees, so one of them is wrong; correct it, or \
                      wire the right one alone",

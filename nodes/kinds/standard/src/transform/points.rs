@@ -1,7 +1,7 @@
 //! The kind `transform.points`.
 
 use osteoflow_geometry::{NamedPoint, Points as PointList, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Named points of a stream as one list, in another frame.
 #[derive(Describe)]
@@ -30,17 +30,13 @@ pub struct Out {
     points: PointList,
 }
 
-impl Node for Points {
+impl Function for Points {
     const KIND: &'static str = "transform.points";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let points = in_one_list(&i.points)?;
         points.frame.expect(&i.pose.from, "a list of points")?;
         Ok(Out { points: points.transformed(&i.pose.to, &i.pose.isometry) })

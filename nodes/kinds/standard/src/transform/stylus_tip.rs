@@ -1,7 +1,7 @@
 //! The kind `transform.stylus_tip`.
 
 use osteoflow_geometry::{NamedPoint, Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// Touched points, recomputed from the stylus' tracked marker and its calibrated tip.
 #[derive(Describe)]
@@ -33,17 +33,13 @@ pub struct Out {
     points: Points,
 }
 
-impl Node for StylusTip {
+impl Function for StylusTip {
     const KIND: &'static str = "transform.stylus_tip";
     type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let [touch] = &i.touched.points[..] else {
             return Err(NodeError::new(format!("{} touches at once, where one is expected", i.touched.points.len())));
         };

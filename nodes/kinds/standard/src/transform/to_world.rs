@@ -3,7 +3,7 @@
 use super::{TrackingParams, note_motion};
 use osteoflow_algorithms::still_average::StillReport;
 use osteoflow_geometry::{Cloud, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The camera's cloud in the tracker's world.
 ///
@@ -19,7 +19,7 @@ in   = { cloud = "crop.cloud", t_world_camera_marker = "camera_marker.pose", mot
 "#,
     literature = ["section 2.2 of the paper"]
 )]
-pub struct ToWorld(TrackingParams);
+pub struct ToWorld;
 
 /// Inputs of [`ToWorld`].
 #[derive(Inputs)]
@@ -49,21 +49,17 @@ pub struct Out {
     t_world_camera: Pose,
 }
 
-impl Node for ToWorld {
+impl Function for ToWorld {
     const KIND: &'static str = "transform.to_world";
     type Params = TrackingParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: TrackingParams) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let t_world_camera = i.t_world_camera_marker.compose(&i.calibration.inverse())?;
         i.cloud.frame.expect(&t_world_camera.from, "the cloud")?;
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
-        note_motion("camera", i.motion.as_ref(), &self.0, what, ctx);
+        note_motion("camera", i.motion.as_ref(), params, what, ctx);
         let cloud = i.cloud.transformed(&t_world_camera.to, &t_world_camera.isometry);
         Ok(Out { cloud, t_world_camera: t_world_camera.at(i.cloud.stamp_ns) })
     }

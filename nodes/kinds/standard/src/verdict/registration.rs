@@ -12,7 +12,7 @@ use osteoflow_algorithms::trust::{
 };
 use osteoflow_geometry::{Cloud, NamedPoint, Plane, Planes, Points, Pose, nalgebra::Point3};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, Value, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, Value, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 
@@ -35,7 +35,7 @@ in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source
         "Moghari and Abolmaesumi 2009",
     ]
 )]
-pub struct Registration(Params);
+pub struct Registration;
 
 /// Parameters of [`Registration`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -141,19 +141,15 @@ pub struct Out {
     verdict: Verdict,
 }
 
-impl Node for Registration {
+impl Function for Registration {
     const KIND: &'static str = "verdict.registration";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         if let Some(planes) = &i.planes {
-            self.0.far_planes(planes, &i.target).into_iter().for_each(|warning| ctx.warn(warning));
+            params.far_planes(planes, &i.target).into_iter().for_each(|warning| ctx.warn(warning));
         }
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let located: Vec<Points> = i.located.iter().flatten().cloned().collect();
@@ -191,7 +187,7 @@ impl Node for Registration {
             reasons: &lost,
             assumptions: &assumed,
         };
-        let Params { examine, rules, errors, .. } = &self.0;
+        let Params { examine, rules, errors, .. } = params;
         Ok(Out { verdict: trust::judge(&case, examine, rules, errors) })
     }
 }
