@@ -4,7 +4,7 @@ use crate::{
     Diagram, Link, SHARE_COLOURS,
     layout::{Edge, Layout, Rect, Size, layout},
     share_colour,
-    xml::escape,
+    xml::{escape, text},
 };
 use std::{collections::BTreeMap, fmt::Write};
 
@@ -155,10 +155,9 @@ fn draw_node(out: &mut String, diagram: &Diagram, index: usize, rect: &Rect) {
          rx=\"{radius}\"/>",
         rect.x, rect.y
     );
-    for (line, (class, _, text)) in lines(diagram, index).iter().enumerate() {
-        let (x, y) = (rect.x + width / 2.0, rect.y + 6.0 + (line as f64 + 0.75) * LINE);
-        let text = escape(text);
-        let _ = writeln!(out, "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\">{text}</text>");
+    for (line, (class, _, words)) in lines(diagram, index).iter().enumerate() {
+        let at = (rect.x + width / 2.0, rect.y + 6.0 + (line as f64 + 0.75) * LINE);
+        text(out, at, &format!("class=\"{class}\" text-anchor=\"middle\""), words);
     }
     out.push_str("</g>\n");
 }
@@ -225,12 +224,10 @@ fn draw_links(out: &mut String, bundle: &Bundle<'_>, chain: &[Rect], ends: ((f64
     let _ = writeln!(out, "<path class=\"tip{lossy}\" d=\"M{to_x:.1} {to_y:.1} l-7 -3.5 v7 z\"/>");
     if let Some(rect) = chain.first() {
         let labels = bundle.links.iter().flat_map(|link| link.label.iter().map(|line| (line, link.dropped > 0)));
-        for (line, (text, dropped)) in labels.enumerate() {
+        for (line, (words, dropped)) in labels.enumerate() {
             let class = if dropped { "label dropped" } else { "label" };
-            let (x, y) = (rect.x + rect.size.width / 2.0, rect.y + (line as f64 + 0.75) * LABEL_LINE);
-            let text = escape(&truncated(text));
-            let _ =
-                writeln!(out, "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\">{text}</text>");
+            let at = (rect.x + rect.size.width / 2.0, rect.y + (line as f64 + 0.75) * LABEL_LINE);
+            text(out, at, &format!("class=\"{class}\" text-anchor=\"middle\""), &truncated(words));
         }
     }
     out.push_str("</g>\n");
@@ -244,43 +241,40 @@ struct Head {
 }
 
 fn head(diagram: &Diagram) -> Head {
-    let mut text = String::new();
+    let mut out = String::new();
     let mut y = MARGIN + 14.0;
     let mut width = width_of(&diagram.title, 18.0);
-    let _ = writeln!(
-        text,
-        "<text class=\"ink\" x=\"{MARGIN}\" y=\"{y:.1}\" style=\"font-size: 18px; font-weight: bold\">{}</text>",
-        escape(&truncated(&diagram.title))
-    );
+    let title = "class=\"ink\" style=\"font-size: 18px; font-weight: bold\"";
+    text(&mut out, (MARGIN, y), title, &truncated(&diagram.title));
     for line in &diagram.notes {
         y += 17.0;
         let line: String = line.lines().next().unwrap_or_default().chars().take(160).collect();
         width = width.max(width_of(&line, 11.0));
-        let _ = writeln!(text, "<text class=\"faint\" x=\"{MARGIN}\" y=\"{y:.1}\">{}</text>", escape(&line));
+        text(&mut out, (MARGIN, y), "class=\"faint\"", &line);
     }
     if diagram.nodes.iter().any(|node| node.busy_share.is_some()) {
         y += 20.0;
         let mut x = MARGIN;
-        let legend = |text: &mut String, x: &mut f64, words: &str, class: &str| {
-            let _ = writeln!(text, "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\">{words}</text>");
+        let legend = |out: &mut String, x: &mut f64, words: &str, class: &str| {
+            text(out, (*x, y), &format!("class=\"{class}\""), words);
             *x += width_of(words, 11.0) + 14.0;
         };
-        legend(&mut text, &mut x, "share of the time that nodes were busy:", "faint");
+        legend(&mut out, &mut x, "share of the time that nodes were busy:", "faint");
         for (_, colour, what) in SHARE_COLOURS {
             let _ = writeln!(
-                text,
+                out,
                 "<rect class=\"box\" fill=\"{colour}\" x=\"{x:.1}\" y=\"{:.1}\" width=\"14\" height=\"12\" rx=\"2\"/>",
                 y - 10.0
             );
             x += 19.0;
-            legend(&mut text, &mut x, what, "faint");
+            legend(&mut out, &mut x, what, "faint");
         }
-        legend(&mut text, &mut x, "\u{25c6} the slowest", "faint");
-        legend(&mut text, &mut x, "on wires: items", "faint");
-        legend(&mut text, &mut x, "dropped items", "faint dropped");
+        legend(&mut out, &mut x, "\u{25c6} the slowest", "faint");
+        legend(&mut out, &mut x, "on wires: items", "faint");
+        legend(&mut out, &mut x, "dropped items", "faint dropped");
         width = width.max(x - MARGIN);
     }
-    Head { text, width, height: y - MARGIN + 22.0 }
+    Head { text: out, width, height: y - MARGIN + 22.0 }
 }
 
 #[cfg(test)]

@@ -1,4 +1,11 @@
-//! Text inside XML.
+//! Text inside XML, and as an element of an SVG.
+
+use std::fmt::Write;
+
+/// Adds a line of text at a place to an SVG, with further attributes such as `class="small"`.
+pub fn text(out: &mut String, (x, y): (f64, f64), attributes: &str, words: &str) {
+    let _ = writeln!(out, "<text x=\"{x:.1}\" y=\"{y:.1}\" {attributes}>{}</text>", escape(words));
+}
 
 /// Escapes text for the content of an element or for an attribute in double quotes.
 ///

@@ -6,7 +6,7 @@ mod axis;
 
 pub(crate) use axis::{Axis, axis_label};
 
-use osteoflow_draw::xml::escape;
+use osteoflow_draw::xml::{escape, text};
 use std::fmt::Write;
 
 /// The disclaimer on every figure.
@@ -27,6 +27,8 @@ const RIGHT: f64 = 16.0;
 const ROW: f64 = 18.0;
 /// Mean width of a character.
 const CHARACTER: f64 = 6.4;
+/// Attributes of a small text that ends at its place.
+const SMALL_AT_END: &str = "class=\"small\" text-anchor=\"end\"";
 
 /// The colours of Okabe and Ito, which are safe for colour-blind readers, with a grey and a brown; lighter in dark mode.
 const STYLE: &str = "\
@@ -171,28 +173,13 @@ impl Chart {
         let height = bottom + below + 2.0 * ROW + 8.0;
         let y = self.y.scale(&along, bottom, top);
         let mut out = String::new();
-        let _ = writeln!(
-            out,
-            "<text x=\"{LEFT}\" y=\"18\" style=\"font-size: 13px; font-weight: 600\">{}</text>",
-            escape(&self.title)
-        );
-        let disclaimer = disclaimer(self.simulated);
-        let _ = writeln!(
-            out,
-            "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{disclaimer}</text>",
-            WIDTH - RIGHT,
-            height - 6.0
-        );
+        text(&mut out, (LEFT, 18.0), "style=\"font-size: 13px; font-weight: 600\"", &self.title);
+        text(&mut out, (WIDTH - RIGHT, height - 6.0), SMALL_AT_END, &disclaimer(self.simulated));
         for (series, x, y) in legend {
-            let _ = writeln!(
-                out,
-                "<rect class=\"box c{}\" x=\"{x:.1}\" y=\"{:.1}\" width=\"12\" height=\"9\"/><text x=\"{:.1}\" \
-                 y=\"{y:.1}\">{}</text>",
-                series.colour % N_COLOURS,
-                y - 9.0,
-                x + 17.0,
-                escape(&series.name)
-            );
+            let (colour, top) = (series.colour % N_COLOURS, y - 9.0);
+            let _ =
+                writeln!(out, "<rect class=\"box c{colour}\" x=\"{x:.1}\" y=\"{top:.1}\" width=\"12\" height=\"9\"/>");
+            text(&mut out, (x + 17.0, y), "", &series.name);
         }
         self.draw_axes(&mut out, (&x, &y), (top, bottom), aslant, height);
         for series in &self.series {
@@ -201,13 +188,7 @@ impl Chart {
             }
         }
         if !self.note.is_empty() {
-            let _ = writeln!(
-                out,
-                "<text class=\"small\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                WIDTH - RIGHT,
-                18.0,
-                escape(&self.note)
-            );
+            text(&mut out, (WIDTH - RIGHT, 18.0), SMALL_AT_END, &self.note);
         }
         (out, height)
     }
@@ -239,53 +220,32 @@ impl Chart {
         aslant: bool,
         height: f64,
     ) {
+        let right = WIDTH - RIGHT;
+        let line = |out: &mut String, class: &str, y: f64| {
+            let _ = writeln!(out, "<path class=\"{class}\" d=\"M{LEFT} {y:.1} H{right:.1}\"/>");
+        };
         for (at, word) in &y.ticks {
             let at = y.place(*at);
-            let _ = writeln!(
-                out,
-                "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text class=\"small\" \
-                 x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{word}</text>",
-                WIDTH - RIGHT,
-                LEFT - 7.0,
-                at + 4.0
-            );
+            line(out, "grid", at);
+            text(out, (LEFT - 7.0, at + 4.0), SMALL_AT_END, word);
         }
         if y.holds(0.0) && !y.is_log() {
-            let at = y.place(0.0);
-            let right = WIDTH - RIGHT;
-            let _ =
-                writeln!(out, "<line class=\"zero\" x1=\"{LEFT}\" x2=\"{right:.1}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/>");
+            line(out, "zero", y.place(0.0));
         }
         for (at, word) in &x.ticks {
             let at = x.place(*at);
-            let word = escape(word);
             let _ = writeln!(out, "<path class=\"axis\" d=\"M{at:.1} {bottom:.1} v5\"/>");
-            let _ = match aslant {
-                false => writeln!(
-                    out,
-                    "<text class=\"small\" x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{word}</text>",
-                    bottom + 17.0
-                ),
-                true => writeln!(
-                    out,
-                    "<text class=\"small\" transform=\"translate({:.1} {:.1}) rotate(-30)\" \
-                     text-anchor=\"end\">{word}</text>",
-                    at + 4.0,
-                    bottom + 15.0
-                ),
-            };
+            let (x, y) = (at + 4.0, bottom + 15.0);
+            match aslant {
+                false => text(out, (at, bottom + 17.0), "class=\"small\" text-anchor=\"middle\"", word),
+                true => text(out, (x, y), &format!("{SMALL_AT_END} transform=\"rotate(-30 {x:.1} {y:.1})\""), word),
+            }
         }
-        let right = WIDTH - RIGHT;
         let _ = writeln!(out, "<path class=\"axis\" d=\"M{LEFT} {top:.1} V{bottom:.1} H{right:.1}\"/>");
-        let (middle, level) = ((LEFT + right) / 2.0, (top + bottom) / 2.0);
-        let _ = writeln!(
-            out,
-            "<text x=\"{middle:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text><text transform=\"translate(16 \
-             {level:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
-            height - ROW - 8.0,
-            escape(self.x.label()),
-            escape(self.y.label())
-        );
+        text(out, ((LEFT + right) / 2.0, height - ROW - 8.0), "text-anchor=\"middle\"", self.x.label());
+        let level = (top + bottom) / 2.0;
+        let upwards = format!("text-anchor=\"middle\" transform=\"rotate(-90 16 {level:.1})\"");
+        text(out, (16.0, level), &upwards, self.y.label());
     }
 }
 

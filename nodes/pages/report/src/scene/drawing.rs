@@ -5,7 +5,7 @@
 use super::{DIVERGING, Scene, packed::thinned};
 use crate::{chart::disclaimer, format::number};
 use nalgebra::Point3;
-use osteoflow_draw::xml::escape;
+use osteoflow_draw::xml::{escape, text};
 use std::fmt::Write;
 
 /// Width of the drawing, in its units.
@@ -102,21 +102,16 @@ impl Scene {
         for drawn in &self.drawn {
             if let Solid::Tag(at, word) = &drawn.what {
                 let [x, y, _] = self.seen(at, height);
-                let (x, end) = if x > 0.8 * WIDTH { (x - 5.0, " text-anchor=\"end\"") } else { (x + 5.0, "") };
-                let _ = writeln!(out, "<text x=\"{x:.1}\" y=\"{:.1}\"{end}>{}</text>", y - 5.0, escape(word));
+                let (x, end) = if x > 0.8 * WIDTH { (x - 5.0, "text-anchor=\"end\"") } else { (x + 5.0, "") };
+                text(&mut out, (x, y - 5.0), end, word);
             }
         }
         out.push_str("</g>\n");
         self.scale_bar(&mut out, height);
         self.key_rows(&mut out, height);
-        let _ = writeln!(
-            out,
-            "<text x=\"{:.0}\" y=\"{:.1}\" text-anchor=\"end\" font-size=\"11\" fill=\"#59636e\">{}</text>\n</svg>",
-            WIDTH - 8.0,
-            total - 8.0,
-            disclaimer(simulated)
-        );
-        out
+        let faint = "text-anchor=\"end\" font-size=\"11\" fill=\"#59636e\"";
+        text(&mut out, (WIDTH - 8.0, total - 8.0), faint, &disclaimer(simulated));
+        out + "</svg>\n"
     }
 
     /// Drawing units per millimetre.
@@ -207,23 +202,17 @@ impl Scene {
         let (end, y) = (12.0 + length_mm * self.per_mm(), height - 14.0);
         let _ = writeln!(
             out,
-            "<path d=\"M12 {:.1}v5H{end:.1}v-5\" fill=\"none\" stroke=\"#24292f\" stroke-width=\"1.5\"/><text x=\"12\" \
-             y=\"{:.1}\" font-size=\"11\">{} mm</text>",
-            y - 5.0,
-            y + 11.0,
-            number(length_mm)
+            "<path d=\"M12 {:.1}v5H{end:.1}v-5\" fill=\"none\" stroke=\"#24292f\" stroke-width=\"1.5\"/>",
+            y - 5.0
         );
+        text(out, (12.0, y + 11.0), "font-size=\"11\"", &format!("{} mm", number(length_mm)));
     }
 
     fn key_rows(&self, out: &mut String, height: f64) {
         let mut y = height + ROW;
         for (colour, what) in &self.legend {
-            let _ = writeln!(
-                out,
-                "<circle cx=\"17\" cy=\"{:.1}\" r=\"5\" fill=\"{colour}\"/><text x=\"27\" y=\"{y:.1}\">{}</text>",
-                y - 4.0,
-                escape(what)
-            );
+            let _ = writeln!(out, "<circle cx=\"17\" cy=\"{:.1}\" r=\"5\" fill=\"{colour}\"/>", y - 4.0);
+            text(out, (27.0, y), "", what);
             y += ROW;
         }
         if let Some((what, max)) = &self.ramp {
@@ -237,13 +226,8 @@ impl Scene {
                     y - 9.0
                 );
             }
-            let _ = writeln!(
-                out,
-                "<text x=\"74\" y=\"{y:.1}\" text-anchor=\"end\">\u{2212}{max}</text><text x=\"{:.0}\" y=\"{y:.1}\">+{max} mm: \
-                 {}</text>",
-                86.0 + DIVERGING.len() as f64 * STEP,
-                escape(what)
-            );
+            text(out, (74.0, y), "text-anchor=\"end\"", &format!("\u{2212}{max}"));
+            text(out, (86.0 + DIVERGING.len() as f64 * STEP, y), "", &format!("+{max} mm: {what}"));
         }
     }
 }
