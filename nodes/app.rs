@@ -28,7 +28,7 @@ pub use plugins::{Plugins, hosted_by};
 pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};
 pub use run::{Graph, GraphRun, RunRequest};
 pub use simulate::{SimulateRequest, StreamFormat};
-pub use sweep::{ShardFault, SweepRequest, SweepRun, check_shard, merge};
+pub use sweep::{ShardFault, SweepRequest, SweepRun, check_shard, merge, summary};
 
 pub(crate) use error::{UsageError, with_causes};
 pub(crate) use options::space;

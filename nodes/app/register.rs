@@ -13,7 +13,7 @@ pub use answer::Registration;
 pub(crate) use steps::{cells, plain};
 
 use super::{
-    error::{Error, UsageError},
+    error::UsageError,
     options::{Keep, space},
     plugins::Plugins,
     program,
@@ -255,13 +255,8 @@ impl RegisterRequest {
     /// Checks the request and reads the start.
     ///
     /// # Errors
-    /// [`Error::Usage`] with the faults of the request; [`Error::Failed`] if a file of the start cannot be read.
-    pub fn check(self) -> Result<Register, Error> {
-        Ok(self.checked()?)
-    }
-
-    /// As [`Self::check`]; the error holds the faults.
-    pub(crate) fn checked(mut self) -> Result<Register> {
+    /// The faults of the request, or a file of the start that cannot be read.
+    pub fn check(mut self) -> Result<Register> {
         program::check_workers(self.workers)?;
         if self.repeat == 0 {
             return Err(UsageError("repeat is 0, but must be at least 1".into()).into());

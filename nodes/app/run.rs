@@ -66,13 +66,8 @@ impl RunRequest {
     /// Checks the graph.
     ///
     /// # Errors
-    /// [`Error::Usage`] with all faults of the graph.
-    pub fn check(self) -> Result<Graph, Error> {
-        Ok(self.checked()?)
-    }
-
-    /// As [`Self::check`]; the error holds the faults.
-    pub(crate) fn checked(self) -> Result<Graph> {
+    /// All faults of the graph; [`Error::Usage`] of them.
+    pub fn check(self) -> Result<Graph> {
         Ok(Graph { checked: self.graph.checked()?, request: self })
     }
 }

@@ -79,22 +79,20 @@ pub struct SweepRun {
 }
 
 impl SweepRequest {
-    /// Checks the graph and begins the folder.
+    /// The checked sweep.
     ///
     /// # Errors
-    /// [`Error::Usage`] with all faults of the graph and its sweep.
-    pub fn begin(&self, cancelled: &Arc<AtomicBool>) -> Result<SweepRun, Error> {
-        Ok(self.folder(self.checked()?, cancelled)?)
-    }
-
-    /// The checked sweep; the error holds the faults.
-    pub(crate) fn checked(&self) -> Result<Sweep> {
+    /// All faults of the graph and its sweep.
+    pub fn check(&self) -> Result<Sweep> {
         let graph = self.graph.as_deref().ok_or_else(|| UsageError("a sweep needs a graph file".into()))?;
         Ok(sweep::check(graph, &self.sets, self.plugins.kinds_apart()?, program::n_workers(self.workers))?)
     }
 
     /// A new folder for the sweep, or the one to resume.
-    pub(crate) fn folder(&self, sweep: Sweep, cancelled: &Arc<AtomicBool>) -> Result<SweepRun> {
+    ///
+    /// # Errors
+    /// The folder is in use, or of another sweep.
+    pub fn begin(&self, sweep: Sweep, cancelled: &Arc<AtomicBool>) -> Result<SweepRun> {
         let mut run = program::options(self.workers, cancelled);
         run.store = self.keep.store()?;
         let options = SweepOptions { workers: run.workers, run, share: !self.no_share, shard: self.shard };
@@ -109,9 +107,9 @@ impl SweepRequest {
     /// of `n_shards`, or of one for each run.
     ///
     /// # Errors
-    /// As [`Self::begin`].
-    pub fn shards(&self, n_shards: Option<usize>) -> Result<Vec<Vec<usize>>, Error> {
-        let SweepRun { sweep, .. } = self.begin(&Arc::default())?;
+    /// As [`Self::check`] and [`Self::begin`].
+    pub fn shards(&self, n_shards: Option<usize>) -> Result<Vec<Vec<usize>>> {
+        let SweepRun { sweep, .. } = self.begin(self.check()?, &Arc::default())?;
         let of = n_shards.unwrap_or(usize::MAX).min(sweep.n_runs()).max(1);
         let runs_of = |index| sweep.part(Some(Shard { index, of })).map(|row| row.run).collect();
         Ok((1..=of).map(runs_of).collect())
@@ -123,11 +121,7 @@ impl SweepRun {
     ///
     /// # Errors
     /// The folder cannot be read.
-    pub fn n_left(&self) -> Result<usize, Error> {
-        Ok(self.left()?)
-    }
-
-    pub(crate) fn left(&self) -> Result<usize> {
+    pub fn n_left(&self) -> Result<usize> {
         let n_done = self.folder.runs().map_err(folder_error)?.len();
         Ok(self.sweep.part(self.options.shard).count().saturating_sub(n_done))
     }
@@ -136,35 +130,32 @@ impl SweepRun {
         self.sweep.run(&self.folder, &self.options, watcher).map_err(folder_error)
     }
 
-    /// Makes the runs, and returns the folder and its summary.
+    /// Makes the runs and their summary.
     ///
     /// # Errors
     /// [`Error`]; interrupted runs can be resumed in the folder.
-    pub fn run(&self, watcher: &dyn Watcher) -> Result<(PathBuf, Value), Error> {
+    pub fn run(&self, watcher: &dyn Watcher) -> Result<(), Error> {
         match self.make(watcher)?.n_missing {
-            0 => Ok((self.folder.dir().to_owned(), summary(&self.folder)?)),
+            0 => Ok(summary(&self.folder).map(drop)?),
             _ => Err(Error::Interrupted),
         }
     }
 }
 
-/// Combines the runs of shards in a new folder, and returns it and its summary.
+/// Combines the runs of shards in a new folder.
 ///
 /// # Errors
-/// [`Error`] if the shards are not those of one sweep.
-pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(PathBuf, Value), Error> {
-    let folder = merged(shards, out)?;
-    Ok((folder.dir().to_owned(), summary(&folder)?))
-}
-
-/// The folder of all shards.
-pub(crate) fn merged(shards: &[PathBuf], out: &Path) -> Result<Folder> {
+/// The shards are not those of one sweep.
+pub fn merge(shards: &[PathBuf], out: &Path) -> Result<Folder> {
     let shards = shards.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>, _>>().map_err(folder_error)?;
     sweep::merge(&shards, &new_dir(Some(out), "")?).map_err(folder_error)
 }
 
 /// Writes the summary of the runs into their folder.
-pub(crate) fn summary(folder: &Folder) -> Result<Value> {
+///
+/// # Errors
+/// A file of the folder cannot be read or written.
+pub fn summary(folder: &Folder) -> Result<Value> {
     Ok(summary::write(folder, NOTICE)?)
 }
 

@@ -40,7 +40,7 @@ fn main() -> Result<()> {
     for line in stdin().lines() {
         line?;
         let began = Instant::now();
-        let answer = request.clone().check().and_then(|checked| checked.register(&(), &Arc::default(), false));
+        let answer = request.clone().check()?.register(&(), &Arc::default(), false);
         let ms = began.elapsed().as_secs_f64() * 1e3;
         let mut answer = answer.map_err(|error| anyhow!("{error:?}"))?;
         answer["whole_ms"] = ms.into();

@@ -1,9 +1,4 @@
-use super::common::{
-    Exit, Format, Global, graph_args, print_json,
-    progress::Progress,
-    running::{self, Completion},
-    terminal,
-};
+use super::common::{Exit, Format, Global, graph_args, print_json, progress::Progress, running, terminal};
 use crate::app::{GraphArgs, Keep, UsageError, out_dir, run_error};
 use anyhow::{Context, Result};
 use clap::Args;
@@ -74,21 +69,17 @@ impl Record {
         let ran = running::watch(progress, cancelled, move |progress| {
             osteoflow_engine::run::run(&plan, &registry, &options, progress).map_err(run_error)
         })?;
-        let Completion::Ended(report) = ran else {
+        let Some(report) = ran else {
             running::print_left_files(&part, global);
             return Ok(Exit::Interrupted);
         };
         fs::rename(part.join(files::RECORDING), file)
             .with_context(|| format!("{} cannot be written", file.display()))?;
         fs::remove_dir_all(&*part).with_context(|| format!("{} cannot be removed", part.display()))?;
-        let exit = match &report.outcome {
-            Outcome::Complete => Exit::Done,
-            Outcome::Refused(refusal) => {
-                writeln!(terminal::stderr(), "{}: {refusal}", global.paint_err("refused", "1;31"))?;
-                Exit::Refused
-            }
-            Outcome::Interrupted => Exit::Interrupted,
-        };
+        if let Outcome::Refused(refusal) = &report.outcome {
+            writeln!(terminal::stderr(), "{}: {refusal}", global.paint_err("refused", "1;31"))?;
+        }
+        let exit = Exit::of(&report.outcome);
         match global.format {
             Format::Json => print_json(&json!({
                 "outcome": exit.to_json(),

@@ -2,13 +2,7 @@
 
 mod text;
 
-use super::common::{
-    Exit, Format, Global,
-    graph_args::or_faults,
-    progress::Progress,
-    running::{self, Completion},
-    terminal,
-};
+use super::common::{Exit, Format, Global, graph_args::or_faults, progress::Progress, running, terminal};
 use crate::app::{Register as Checked, RegisterRequest, Registration};
 use anyhow::Result;
 use clap::Args;
@@ -61,17 +55,15 @@ pub(crate) struct Register {
 
 impl Register {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let checked = self.request.clone().checked();
+        let checked = self.request.clone().check();
         let Some(checked) = or_faults(checked, |_| &[], global)?.map(Arc::new) else { return Ok(Exit::Usage) };
         running::make_pool(self.request.workers)?;
         // Elsewhere than on a terminal nothing needs to say that a fraction of a second goes on.
         let progress = Progress::on_terminal(checked.plan(), !global.quiet && global.format == Format::Text);
         let cancelled = Arc::default();
         let (work, until) = (checked.clone(), Arc::clone(&cancelled));
-        match running::watch(progress, cancelled, move |progress| work.run(progress, &until))? {
-            Completion::Ended(registration) => self.print(&registration, &checked, global),
-            Completion::Left => Ok(Exit::Interrupted),
-        }
+        let registration = running::watch(progress, cancelled, move |progress| work.run(progress, &until))?;
+        registration.map_or(Ok(Exit::Interrupted), |registration| self.print(&registration, &checked, global))
     }
 
     /// Prints the answer, and returns the exit code.

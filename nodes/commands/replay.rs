@@ -1,10 +1,6 @@
 use super::common::{
-    Exit, Format, Global, graph_args, print_json,
-    progress::Progress,
-    result_table, run_end, run_path, run_table,
-    running::{self, Completion},
-    terminal,
-    text_table::TextTable,
+    Exit, Format, Global, graph_args, print_json, progress::Progress, result_table, run_end, run_path, run_table,
+    running, terminal, text_table::TextTable,
 };
 use super::diff;
 use crate::app::{Leave, Plugins, UsageError, out_dir, refusal_in_short, run_error};
@@ -107,20 +103,13 @@ impl Replay {
             let replayed = osteoflow_engine::replay::replay(&file, &changes, kinds, &options, progress);
             replayed.map_err(|error| replay_error(error, colour))
         })?;
-        let report = match ran {
-            Completion::Ended(report) => report,
-            Completion::Left => {
-                if let Some(dir) = &dir {
-                    running::print_left_files(dir, global);
-                }
-                return Ok(Exit::Interrupted);
-            }
+        let Some(report) = ran else {
+            dir.iter().for_each(|dir| running::print_left_files(dir, global));
+            return Ok(Exit::Interrupted);
         };
         let exit = match &report.run.outcome {
-            Outcome::Interrupted => Exit::Interrupted,
-            _ if !report.is_equal() => Exit::Differs,
-            Outcome::Refused(_) => Exit::Refused,
-            Outcome::Complete => Exit::Done,
+            Outcome::Complete | Outcome::Refused(_) if !report.is_equal() => Exit::Differs,
+            outcome => Exit::of(outcome),
         };
         match global.format {
             Format::Json => print_json(&as_json(&report, exit))?,

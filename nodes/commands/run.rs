@@ -5,7 +5,7 @@ use super::common::{
     graph_args::or_faults,
     progress::Progress,
     run_end::print_end,
-    running::{self, Completion},
+    running,
     serve::{self, Admission, Serving},
     terminal,
 };
@@ -89,7 +89,7 @@ impl Run {
             // A cached answer would not show what the node does.
             request.keep.no_cache = true;
         }
-        let graph = or_faults(request.checked(), |graph| &graph.checked.warnings, global)?;
+        let graph = or_faults(request.check(), |graph| &graph.checked.warnings, global)?;
         let Some(graph) = graph else { return Ok(Exit::Usage) };
         let plan = graph.plan();
         let inject = self.inject.iter().map(|text| Injection::parse(text, plan)).collect::<Result<_, _>>();
@@ -133,12 +133,9 @@ impl Run {
             }
             Ok(exit)
         })?;
-        match ran {
-            Completion::Ended(exit) => Ok(exit),
-            Completion::Left => {
-                running::print_left_files(&dir, global);
-                Ok(Exit::Interrupted)
-            }
+        if ran.is_none() {
+            running::print_left_files(&dir, global);
         }
+        Ok(ran.unwrap_or(Exit::Interrupted))
     }
 }

@@ -7,7 +7,7 @@ use super::common::{
 };
 use crate::app::{
     SweepRequest,
-    sweep::{folder_error, merged, summary},
+    sweep::{folder_error, merge, summary},
 };
 use anyhow::Result;
 use clap::Args;
@@ -59,32 +59,29 @@ impl Sweep {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let request = &self.request;
         if let (None, Some(out)) = (&request.graph, &request.out) {
-            let folder = merged(&self.merge, out)?;
+            let folder = merge(&self.merge, out)?;
             let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
             return print_end(&folder, &swept, Duration::ZERO, global);
         }
         let cancelled = Arc::default();
         running::make_pool(request.workers)?;
-        let sweep = or_faults(request.checked(), |sweep| &sweep.warnings, global)?;
+        let sweep = or_faults(request.check(), |sweep| &sweep.warnings, global)?;
         let Some(sweep) = sweep else { return Ok(Exit::Usage) };
         if self.dry_run {
             return list(&sweep, request.shard, global);
         }
-        let run = Arc::new(request.folder(sweep, &cancelled)?);
+        let run = Arc::new(request.begin(sweep, &cancelled)?);
         let began = Instant::now();
         let shard = request.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
         let what = format!("sweeping {}{shard}", run.sweep.plan.name);
-        let bar = SweepProgress::begin(run.left()?, &what, run.options.workers, global);
+        let bar = SweepProgress::begin(run.n_left()?, &what, run.options.workers, global);
         let of_thread = run.clone();
         let ran = running::watch(Progress::hidden(), cancelled, move |_| {
             let swept = of_thread.make(&bar)?;
             bar.end();
             Ok(swept)
         })?;
-        match ran {
-            running::Completion::Ended(swept) => print_end(&run.folder, &swept, began.elapsed(), global),
-            running::Completion::Left => Ok(Exit::Interrupted),
-        }
+        ran.map_or(Ok(Exit::Interrupted), |swept| print_end(&run.folder, &swept, began.elapsed(), global))
     }
 }
 

@@ -4,8 +4,7 @@ mod steer;
 use super::common::{
     Exit, Global,
     progress::Progress,
-    run_path,
-    running::{self, Completion},
+    run_path, running,
     serve::{self, Admission, known_plan, picks::Picks},
 };
 use crate::app::{GraphArgs, Plugins, UsageError};
@@ -127,8 +126,7 @@ impl View {
         let server = self.admission.serve(self.address, name, stream, Arc::new(player), global)?;
         let cancelled = Arc::default();
         let (until, global) = (Arc::clone(&cancelled), global.clone());
-        match running::watch(Progress::hidden(), cancelled, move |_| serve::wait(server, &until, &global))? {
-            Completion::Ended(()) | Completion::Left => Ok(Exit::Done),
-        }
+        running::watch(Progress::hidden(), cancelled, move |_| serve::wait(server, &until, &global))?;
+        Ok(Exit::Done)
     }
 }

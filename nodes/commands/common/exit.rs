@@ -1,3 +1,4 @@
+use osteoflow_engine::run::Outcome;
 use std::process::ExitCode;
 
 /// The result of a command, which determines its exit code.
@@ -20,6 +21,15 @@ pub(crate) enum Exit {
 }
 
 impl Exit {
+    /// That of a run.
+    pub(crate) fn of(outcome: &Outcome) -> Self {
+        match outcome {
+            Outcome::Complete => Self::Done,
+            Outcome::Refused(_) => Self::Refused,
+            Outcome::Interrupted => Self::Interrupted,
+        }
+    }
+
     /// The exit code, as the help lists it.
     pub(crate) fn code(self) -> u8 {
         match self {

@@ -24,11 +24,7 @@ pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Resu
 
 /// Prints warnings, and the reason if there are no results, to stderr.
 pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) -> Result<Exit> {
-    let exit = match &report.outcome {
-        Outcome::Complete => Exit::Done,
-        Outcome::Refused(_) => Exit::Refused,
-        Outcome::Interrupted => Exit::Interrupted,
-    };
+    let exit = Exit::of(&report.outcome);
     let mut err = terminal::stderr().lock();
     for warning in &report.warnings {
         let word = global.paint_err("warning", "1;33");

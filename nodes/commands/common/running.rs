@@ -22,14 +22,6 @@ use std::{
     thread,
 };
 
-/// How the work ended.
-pub(crate) enum Completion<T> {
-    /// It finished, possibly because it was stopped.
-    Ended(T),
-    /// The user pressed Ctrl-C twice.
-    Left,
-}
-
 enum News<T> {
     Ended(Result<T>),
     SecondInterrupt,
@@ -48,7 +40,7 @@ pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>
     Ok(program::options(workers, cancelled))
 }
 
-/// Runs `work` on another thread until it ends or the user presses Ctrl-C twice.
+/// Runs `work` on another thread until it ends; `None` if the user presses Ctrl-C twice.
 ///
 /// The first Ctrl-C sets `cancelled`, which the engine and long algorithms check. After the second one this function returns
 /// at once; the process then ends, and the thread with it.
@@ -56,7 +48,7 @@ pub(crate) fn watch<T: Send + 'static>(
     progress: Progress,
     cancelled: Arc<AtomicBool>,
     work: impl FnOnce(&Progress) -> Result<T> + Send + 'static,
-) -> Result<Completion<T>> {
+) -> Result<Option<T>> {
     let progress = Arc::new(progress);
     let (sender, receiver) = sync_channel(2);
     let busy = Arc::new(Mutex::new(Busy::default()));
@@ -82,8 +74,8 @@ pub(crate) fn watch<T: Send + 'static>(
     };
     progress.end();
     match news {
-        Ok(News::Ended(outcome)) => Ok(Completion::Ended(outcome?)),
-        Ok(News::SecondInterrupt) => Ok(Completion::Left),
+        Ok(News::Ended(outcome)) => outcome.map(Some),
+        Ok(News::SecondInterrupt) => Ok(None),
         Err(_) => Err(anyhow!("the engine stopped without a result, which is a bug; its message is above")),
     }
 }

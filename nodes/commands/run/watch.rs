@@ -6,9 +6,7 @@ use crate::commands::common::{
     Exit, Format, Global, graph_args,
     progress::Progress,
     rerun::{Rerun, Runs, Turn, rerun},
-    result_table, run_end,
-    running::{self, Completion},
-    terminal,
+    result_table, run_end, running, terminal,
 };
 use anyhow::{Result, anyhow};
 use osteoflow_engine::{
@@ -47,10 +45,8 @@ pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
     let mut watch = Watch { graph, runs, session: Session::default(), results: None };
     let until = Arc::clone(&cancelled);
     // The output shows each run.
-    match running::watch(Progress::hidden(), cancelled, move |_| rerun(&mut watch, &until))? {
-        Completion::Ended(exit) => Ok(exit),
-        Completion::Left => Ok(Exit::Interrupted),
-    }
+    let exit = running::watch(Progress::hidden(), cancelled, move |_| rerun(&mut watch, &until))?;
+    Ok(exit.unwrap_or(Exit::Interrupted))
 }
 
 impl Rerun for Watch {

@@ -14,8 +14,7 @@ use crate::commands::common::{
     Exit, Global, graph_args,
     progress::Progress,
     rerun::{Rerun, Runs, Turn, rerun},
-    run_end,
-    running::{self, Completion},
+    run_end, running,
     serve::{
         self, Admission, Serving, known_plan,
         picks::{self, Picks},
@@ -226,17 +225,14 @@ pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
     let runs = Runs { options, global: global.clone(), leave, n: 0 };
     let mut session = Session { steering, stream, runs, before: None };
     let (until, global) = (Arc::clone(&cancelled), global.clone());
-    let ran = running::watch(Progress::hidden(), cancelled, move |_| {
+    let exit = running::watch(Progress::hidden(), cancelled, move |_| {
         let exit = rerun(&mut session, &until)?;
         if exit != Exit::Usage {
             serve::wait(server, &until, &global)?;
         }
         Ok(exit)
     })?;
-    match ran {
-        Completion::Ended(exit) => Ok(exit),
-        Completion::Left => Ok(Exit::Interrupted),
-    }
+    Ok(exit.unwrap_or(Exit::Interrupted))
 }
 
 /// A graph that the page shows, each run a whole one.

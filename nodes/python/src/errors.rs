@@ -72,10 +72,10 @@ pub(crate) fn exception(py: Python<'_>, error: Error) -> PyErr {
 }
 
 /// Does `work` on another thread without the GIL, until it ends. A Ctrl-C sets `cancelled`, and is raised once the work has ended.
-pub(crate) fn watched<T: Send>(
+pub(crate) fn watched<T: Send, E: Into<Error> + Send>(
     py: Python<'_>,
     cancelled: &Arc<AtomicBool>,
-    work: impl FnOnce() -> Result<T, Error> + Send,
+    work: impl FnOnce() -> Result<T, E> + Send,
 ) -> PyResult<T> {
     static LOG: Once = Once::new();
     LOG.call_once(osteoflow::start_log);
@@ -99,6 +99,6 @@ pub(crate) fn watched<T: Send>(
     });
     match pressed {
         Some(error) => Err(error),
-        None => ended.map_err(|error| exception(py, error)),
+        None => ended.map_err(|error| exception(py, error.into())),
     }
 }

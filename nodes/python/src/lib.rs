@@ -135,7 +135,7 @@ fn register(
     let init = init.map(|rows| shapes::rigid(&rows, "init")).transpose()?;
     let request = RegisterRequest { sets: settings::settings(set.as_ref())?, ..options.request(target, source, init)? };
     let cancelled = Arc::default();
-    let json = watched(py, &cancelled, || {
+    let json = watched(py, &cancelled, || -> Result<_, app::Error> {
         let checked = request.check()?;
         let progress = Progress::on_terminal(checked.plan(), progress);
         let registration = checked.register(&progress, &cancelled, trace);
@@ -324,7 +324,7 @@ fn simulate(
     }
     let sets = settings::settings(set.as_ref())?;
     let request = SimulateRequest { seed, points: n_points, bone, plan, sets, format, force };
-    watched(py, &Arc::default(), || {
+    watched(py, &Arc::default(), || -> Result<_, app::Error> {
         let mut notes = Vec::new();
         request.write(&out, &mut |note| notes.push(note.to_owned()))?;
         Ok(notes)
@@ -366,12 +366,12 @@ impl Sweep {
     fn run(&self, py: Python<'_>, progress: bool) -> PyResult<()> {
         let cancelled = Arc::default();
         errors::check_threads()?;
-        watched(py, &cancelled, || {
-            let run = self.0.begin(&cancelled)?;
+        watched(py, &cancelled, || -> Result<_, app::Error> {
+            let run = self.0.begin(self.0.check()?, &cancelled)?;
             let bar = progress::SweepProgress::on_terminal(run.n_left()?, progress);
             let swept = run.run(&bar);
             bar.end();
-            swept.map(drop)
+            swept
         })
     }
 
@@ -384,7 +384,7 @@ impl Sweep {
 /// Merges the shards of a sweep.
 #[pyfunction]
 fn merge(py: Python<'_>, shards: Vec<PathBuf>, out: PathBuf) -> PyResult<()> {
-    watched(py, &Arc::default(), || app::merge(&shards, &out).map(drop))
+    watched(py, &Arc::default(), || app::summary(&app::merge(&shards, &out)?).map(drop))
 }
 
 /// Checks the folder of a shard: UsageError if it is of another sweep, ValueError if it is damaged.
