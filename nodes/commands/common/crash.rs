@@ -23,6 +23,7 @@ mod unix {
         plugin::signal_name,
     };
     use std::{
+        fmt::{self, Write},
         io::IsTerminal,
         mem::MaybeUninit,
         ptr,
@@ -73,7 +74,7 @@ mod unix {
     /// Calls only what a signal handler may call: no lock, no allocation.
     extern "C" fn on_signal(signal: libc::c_int, info: *mut libc::siginfo_t, _context: *mut libc::c_void) {
         if !REPORTED.swap(true, Ordering::Relaxed) {
-            report_calls("crashed: ", "", signal_name(signal).unwrap_or("a signal"));
+            report_calls("crashed", signal_name(signal).unwrap_or("a signal"));
         }
         // The handlers of before, for this signal and for an abort that follows it.
         // SAFETY: they are those that the system gave.
@@ -99,7 +100,7 @@ mod unix {
         if is_over || REPORTED.swap(true, Ordering::Relaxed) {
             return;
         }
-        if report_calls("ended: ", "it called exit(), which ends the program", "") {
+        if report_calls("ended", "it called exit(), which ends the program") {
             // SAFETY: what is left in the buffers of C is written, and the process ends here.
             unsafe {
                 libc::fflush(ptr::null_mut());
@@ -108,31 +109,27 @@ mod unix {
         }
     }
 
-    /// Writes a line with the calls under way: that of this thread, otherwise those of all. Returns whether there is one.
-    fn report_calls(word: &str, what: &str, signal: &str) -> bool {
-        let mut line = Line::new();
-        line.text(if ON_TERMINAL.load(Ordering::Relaxed) { "\r\x1b[K" } else { "" });
-        line.text(word);
+    /// Writes a line with the calls under way: that of this thread, otherwise those of all. Returns whether there is one. Formatting
+    /// words and numbers takes no lock and allocates nothing.
+    fn report_calls(word: &str, what: &str) -> bool {
+        let mut line = Line { bytes: [0; 1024], length: 0 };
+        let clear = if ON_TERMINAL.load(Ordering::Relaxed) { "\r\x1b[K" } else { "" };
+        let _ = write!(line, "{clear}{word}: ");
         match activity::here() {
             Some(call) => line.call(&call),
             None => {
-                let mut calls = activity::everywhere().map(|(_, call)| call).peekable();
-                if calls.peek().is_none() {
-                    return false;
-                }
-                line.text("on a thread that no node was called on, during ");
-                let mut is_first = true;
-                for call in calls {
-                    line.text(if std::mem::take(&mut is_first) { "" } else { "; " });
+                let mut before = "on a thread that no node was called on, during ";
+                for (_, call) in activity::everywhere() {
+                    let _ = line.write_str(std::mem::replace(&mut before, "; "));
                     line.call(&call);
+                }
+                if before != "; " {
+                    return false;
                 }
             }
         }
-        line.text(": ");
-        line.text(what);
-        line.text(signal);
-        line.text("\n");
-        line.write();
+        let _ = writeln!(line, ": {what}");
+        line.print();
         true
     }
 
@@ -142,44 +139,30 @@ mod unix {
         length: usize,
     }
 
-    impl Line {
-        fn new() -> Self {
-            Self { bytes: [0; 1024], length: 0 }
-        }
-
-        fn text(&mut self, text: &str) {
+    impl fmt::Write for Line {
+        fn write_str(&mut self, text: &str) -> fmt::Result {
             let n = text.len().min(self.bytes.len() - self.length);
             self.bytes[self.length..][..n].copy_from_slice(&text.as_bytes()[..n]);
             self.length += n;
+            Ok(())
         }
+    }
 
-        fn number(&mut self, number: u64) {
-            if number >= 10 {
-                self.number(number / 10);
-            }
-            let digit = [b'0' + (number % 10) as u8];
-            self.text(std::str::from_utf8(&digit).unwrap_or_default());
-        }
-
+    impl Line {
         fn call(&mut self, call: &Call) {
-            self.text("node \"");
-            self.text(call.node);
-            match call.doing {
-                Doing::Building => self.text("\", while it was built"),
-                Doing::Firing | Doing::Waiting => {
-                    self.text("\", item ");
-                    self.number(call.item);
-                }
-                Doing::Destroying => self.text("\", while it was destroyed"),
-                Doing::Closing => self.text("\", while it was destroyed after the files of the run were written"),
-            }
+            let _ = write!(self, "node \"{}\", ", call.node);
+            let _ = match call.doing {
+                Doing::Building => self.write_str("while it was built"),
+                Doing::Firing | Doing::Waiting => write!(self, "item {}", call.item),
+                Doing::Destroying => self.write_str("while it was destroyed"),
+                Doing::Closing => self.write_str("while it was destroyed after the files of the run were written"),
+            };
             if let Some(library) = call.library {
-                self.text(", in plugin ");
-                self.text(library);
+                let _ = write!(self, ", in plugin {library}");
             }
         }
 
-        fn write(&self) {
+        fn print(&self) {
             let mut rest = &self.bytes[..self.length];
             while !rest.is_empty() {
                 // SAFETY: the bytes are valid for reads.

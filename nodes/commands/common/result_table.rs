@@ -3,6 +3,7 @@
 use super::{global::Global, other_numbers, text_table::TextTable, verdict_lines};
 use crate::app::NOTICE;
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
+use serde::Deserialize;
 use serde_json::Value;
 
 /// The verdict, the tables of the known keys in `results`, and all other numbers.
@@ -137,14 +138,8 @@ fn numbers(list: &Value, digits: usize) -> Vec<String> {
 }
 
 fn matrix4(rows: &Value) -> Option<Matrix4<f64>> {
-    let rows = rows.as_array().filter(|rows| rows.len() == 4)?;
-    let mut m = Matrix4::zeros();
-    for (r, row) in rows.iter().enumerate() {
-        for c in 0..4 {
-            m[(r, c)] = row.get(c)?.as_f64()?;
-        }
-    }
-    Some(m)
+    let rows = <[[f64; 4]; 4]>::deserialize(rows).ok()?;
+    Some(Matrix4::from_fn(|row, column| rows[row][column]))
 }
 
 /// Formats with fixed decimals, without a minus sign before zero.

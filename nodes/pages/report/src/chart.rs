@@ -138,6 +138,13 @@ pub(crate) struct Series {
     pub(crate) marks: Vec<Mark>,
 }
 
+impl Series {
+    /// Marks without an entry in the legend.
+    pub(crate) fn unnamed(colour: usize, marks: Vec<Mark>) -> Self {
+        Self { name: String::new(), colour, marks }
+    }
+}
+
 /// A chart.
 #[derive(Debug, Clone)]
 pub(crate) struct Chart {
@@ -149,18 +156,17 @@ pub(crate) struct Chart {
     pub(crate) series: Vec<Series>,
     /// A note above the plot.
     pub(crate) note: String,
-    pub(crate) simulated: bool,
 }
 
 impl Chart {
     /// Draws the chart as a complete SVG file.
-    pub(crate) fn svg(&self) -> String {
-        let (inside, height) = self.inside(HEIGHT);
+    pub(crate) fn svg(&self, simulated: bool) -> String {
+        let (inside, height) = self.inside(HEIGHT, simulated);
         whole(&self.title, &self.about, &inside, height)
     }
 
     /// The elements of the chart with the plot's bottom at `bottom`, and its height.
-    fn inside(&self, bottom: f64) -> (String, f64) {
+    fn inside(&self, bottom: f64, simulated: bool) -> (String, f64) {
         let (across, along): (Vec<f64>, Vec<f64>) = self.places().into_iter().unzip();
         let x = self.x.scale(&across, LEFT, WIDTH - RIGHT);
         let legend = self.legend();
@@ -174,7 +180,7 @@ impl Chart {
         let y = self.y.scale(&along, bottom, top);
         let mut out = String::new();
         text(&mut out, (LEFT, 18.0), "style=\"font-size: 13px; font-weight: 600\"", &self.title);
-        text(&mut out, (WIDTH - RIGHT, height - 6.0), SMALL_AT_END, &disclaimer(self.simulated));
+        text(&mut out, (WIDTH - RIGHT, height - 6.0), SMALL_AT_END, &disclaimer(simulated));
         for (series, x, y) in legend {
             let (colour, top) = (series.colour % N_COLOURS, y - 9.0);
             let _ =
@@ -253,15 +259,15 @@ impl Chart {
 pub(crate) fn share_axes(charts: &mut [Chart]) {
     let all: Vec<_> = charts.iter().flat_map(Chart::places).collect();
     for chart in charts {
-        chart.series.push(Series { name: String::new(), colour: 0, marks: vec![Mark::Reach(all.clone())] });
+        chart.series.push(Series::unnamed(0, vec![Mark::Reach(all.clone())]));
     }
 }
 
 /// Draws charts below one another as one SVG file.
-pub(crate) fn panels(title: &str, about: &str, charts: &[Chart]) -> String {
+pub(crate) fn panels(title: &str, about: &str, charts: &[Chart], simulated: bool) -> String {
     let (mut all, mut below) = (String::new(), 0.0);
     for chart in charts {
-        let (inside, height) = chart.inside(PANEL);
+        let (inside, height) = chart.inside(PANEL, simulated);
         let _ = writeln!(all, "<g transform=\"translate(0 {below:.0})\">\n{inside}</g>");
         below += height.round();
     }
@@ -373,9 +379,8 @@ mod tests {
                 ],
             }],
             note: String::new(),
-            simulated: true,
         };
-        let svg = chart.svg();
+        let svg = chart.svg(true);
         let read = roxmltree::Document::parse(&svg).unwrap();
         let words: Vec<_> = read.descendants().filter_map(|node| node.text()).collect();
         for word in ["a < b & c", "TRE (mm)", "setting", "<b>", "SIMULATED \u{b7} research use only"] {

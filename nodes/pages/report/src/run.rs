@@ -139,7 +139,6 @@ fn convergence(page: &mut Page, run: &RunFolder) {
             series("step, largest movement of a point", 1, line(&|s| Some(s.step_mm))),
         ],
         note: String::new(),
-        simulated: page.simulated(),
     };
     let report = &run.results["icp"];
     let stopped =
@@ -148,7 +147,7 @@ fn convergence(page: &mut Page, run: &RunFolder) {
         "Residual of the pairs and largest movement in each of the {} iterations of {node}.{stopped}",
         trace.steps.len()
     );
-    page.figure("convergence", chart.svg(), &caption);
+    page.figure("convergence", chart.svg(page.simulated()), &caption);
 }
 
 /// The inputs of every fine registration, and of what refines one.

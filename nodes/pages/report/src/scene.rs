@@ -93,6 +93,10 @@ impl Scene {
         self.drawn.push(Drawable { what, tint });
     }
 
+    fn draw(&mut self, what: Solid, colour: &str) {
+        self.drawn.push(Drawable { what, tint: Tint::Plain(colour.into()) });
+    }
+
     /// Adds planes with names, drawn as squares around their origins.
     pub(crate) fn planes(&mut self, layer: &str, planes: &[(&str, Isometry3<f64>)], colour: &str) {
         let rows: Vec<f64> = planes
@@ -106,11 +110,10 @@ impl Scene {
             let corners = square(t);
             self.draw_mesh((&corners, &[[0, 1, 2], [0, 2, 3]]), 0.22, Tint::Plain(colour.into()));
             let edges = (0..4).flat_map(|k| [corners[k], corners[(k + 1) % 4]]).collect();
-            self.drawn.push(Drawable { what: Solid::Lines(edges), tint: Tint::Plain(colour.into()) });
+            self.draw(Solid::Lines(edges), colour);
         }
         for (name, t) in planes.iter().filter(|(name, _)| !name.is_empty()) {
-            let what = Solid::Tag(square(t)[0], (*name).into());
-            self.drawn.push(Drawable { what, tint: Tint::Plain(BONE.into()) });
+            self.draw(Solid::Tag(square(t)[0], (*name).into()), BONE);
         }
     }
 
@@ -118,8 +121,7 @@ impl Scene {
     pub(crate) fn points(&mut self, layer: &str, points: &[Point3<f64>], radius_mm: f64, colour: &str) {
         let own = positions(points);
         self.layers.push(json!({ "name": layer, "type": "balls", "own": own, "colour": colour, "radius": radius_mm }));
-        let what = Solid::Points { points: points.to_vec(), radius_mm };
-        self.drawn.push(Drawable { what, tint: Tint::Plain(colour.into()) });
+        self.draw(Solid::Points { points: points.to_vec(), radius_mm }, colour);
     }
 
     /// Adds points coloured by a signed value, clamped to `max`, to the drawing alone: the view has the clouds of the recording.
@@ -140,14 +142,14 @@ impl Scene {
         if !ends.is_empty() {
             let own = positions(ends);
             self.layers.push(json!({ "name": layer, "type": "lines", "own": own, "colour": colour }));
-            self.drawn.push(Drawable { what: Solid::Lines(ends.to_vec()), tint: Tint::Plain(colour.into()) });
+            self.draw(Solid::Lines(ends.to_vec()), colour);
         }
     }
 
     /// Adds a label beside a point.
     pub(crate) fn tag(&mut self, layer: &str, at: &Point3<f64>, word: &str) {
         self.layers.push(json!({ "name": layer, "type": "tag", "at": [at.x, at.y, at.z], "word": word }));
-        self.drawn.push(Drawable { what: Solid::Tag(*at, word.into()), tint: Tint::Plain(BONE.into()) });
+        self.draw(Solid::Tag(*at, word.into()), BONE);
     }
 
     /// Adds a colour to the legend.

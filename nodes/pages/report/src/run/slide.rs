@@ -28,13 +28,12 @@ fn draw(page: &mut Page, report: &SlideReport) {
         y: Axis::Linear("residual (mm)".into()),
         series: series(profile, one, report.residual_mm),
         note: String::new(),
-        simulated: page.simulated(),
     };
     let charts = [
         panel("Along the bone", "mm", &report.along, 1.0),
         panel("Around the bone", "\u{b0}", &report.around, 1_f64.to_radians()),
     ];
-    let svg = panels("The slide profile", "The residual along the bone and around it.", &charts);
+    let svg = panels("The slide profile", "The residual along the bone and around it.", &charts, page.simulated());
     let caption = format!(
         "The residual along the bone and around it, with the other five motions fitted at each offset. Dots: where it cannot be \
          told from the result. {}.",
@@ -51,12 +50,8 @@ fn series(profile: &SlideProfile, one: f64, residual_mm: f64) -> Vec<Series> {
     let within = profile.offsets.iter().zip(&points).filter(|(offset, _)| (low..=high).contains(*offset));
     let dots = within.map(|(_, (x, y))| (*x, *y, format!("{}: {} mm", number(*x), number(*y)))).collect();
     vec![
-        Series {
-            name: String::new(),
-            colour: 0,
-            marks: vec![Mark::Line(points), Mark::Reach(vec![(0.0, 0.0), (0.0, residual_mm)])],
-        },
-        Series { name: String::new(), colour: 1, marks: vec![Mark::Dots(dots)] },
+        Series::unnamed(0, vec![Mark::Line(points), Mark::Reach(vec![(0.0, 0.0), (0.0, residual_mm)])]),
+        Series::unnamed(1, vec![Mark::Dots(dots)]),
     ]
 }
 

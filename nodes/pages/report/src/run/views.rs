@@ -155,11 +155,14 @@ fn histogram(page: &mut Page, values: &[f64]) {
         about: format!("A histogram of {} distances.", values.len()),
         x: Axis::Linear("signed distance, positive outside the bone (mm)".into()),
         y: Axis::Linear("points (%)".into()),
-        series: vec![Series { name: String::new(), colour: 0, marks: vec![Mark::Band(band), Mark::Line(steps)] }],
+        series: vec![Series::unnamed(0, vec![Mark::Band(band), Mark::Line(steps)])],
         note: format!("n = {} points", values.len()),
-        simulated: page.simulated(),
     };
-    page.figure("residuals", chart.svg(), "Distribution of the distances of the scan's points from the CT surface.");
+    page.figure(
+        "residuals",
+        chart.svg(page.simulated()),
+        "Distribution of the distances of the scan's points from the CT surface.",
+    );
 }
 
 /// The assessment points as registered and as measured. Of refused results, only the errors are shown.
@@ -255,7 +258,7 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
         });
         let mean = report.points.iter().map(of).sum::<f64>() / n;
         let mean = Mark::Line(vec![(k as f64 - 0.25, mean), (k as f64 + 0.25, mean)]);
-        Series { name: String::new(), colour: k, marks: vec![mean, Mark::Dots(dots.collect())] }
+        Series::unnamed(k, vec![mean, Mark::Dots(dots.collect())])
     });
     let chart = Chart {
         title: format!("Target registration error, {name}"),
@@ -270,14 +273,13 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
         y: Axis::Linear("error (mm)".into()),
         series: series.collect(),
         note: format!("n = {} points of one procedure", report.n),
-        simulated: page.simulated(),
     };
     let caption = format!(
         "Target registration error against points {source}: where the registration puts each of the {} points minus where \
          it is, signed, along the axes of the bone, and the norm. A dot is a point, a bar the mean.",
         report.n
     );
-    page.figure(&format!("tre-{name}"), chart.svg(), &caption);
+    page.figure(&format!("tre-{name}"), chart.svg(page.simulated()), &caption);
     let head = ["point", "x mm", "y mm", "z mm", "norm mm"].map(String::from);
     let numbers = |values: [f64; 4]| values.map(Cell::Number);
     let row = |name: &str, values| [Cell::word(name)].into_iter().chain(numbers(values)).collect::<Vec<_>>();

@@ -126,7 +126,6 @@ fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String
         y: Axis::Linear(what.clone()),
         series: series(lines),
         note: if title.is_empty() { String::new() } else { format!("{what} against {label}") },
-        simulated: page.simulated(),
     };
     let mut charts: Vec<Chart> = parts.iter().map(chart).collect();
     share_axes(&mut charts);
@@ -137,14 +136,14 @@ fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String
     if charts.len() > 1 {
         caption += "; the panels share their axes";
     }
-    (drawn(&format!("{what} against {label}"), &charts), caption + ".")
+    (drawn(page, &format!("{what} against {label}"), &charts), caption + ".")
 }
 
 /// One chart, or several as panels.
-fn drawn(title: &str, charts: &[Chart]) -> String {
+fn drawn(page: &Page, title: &str, charts: &[Chart]) -> String {
     match charts {
-        [chart] => chart.svg(),
-        charts => panels(title, charts.first().map_or("", |chart| &chart.about), charts),
+        [chart] => chart.svg(page.simulated()),
+        charts => panels(title, charts.first().map_or("", |chart| &chart.about), charts, page.simulated()),
     }
 }
 
@@ -185,11 +184,7 @@ fn is_logarithmic(factor: &Factor) -> bool {
 fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (String, String) {
     let marks = settings.iter().enumerate().filter_map(|(k, setting)| {
         let tukey = Tukey::of(&values(setting, column))?;
-        Some(Series {
-            name: String::new(),
-            colour: 0,
-            marks: vec![Mark::Box(k as f64, box_width(settings.len()), tukey)],
-        })
+        Some(Series::unnamed(0, vec![Mark::Box(k as f64, box_width(settings.len()), tukey)]))
     });
     let chart = Chart {
         title: axis_label(&column.name),
@@ -201,9 +196,8 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Stri
         y: Axis::Linear(axis_label(&column.name)),
         series: marks.collect(),
         note: String::new(),
-        simulated: page.simulated(),
     };
-    (chart.svg(), format!("{} of each run, by setting.", axis_label(&column.name)))
+    (chart.svg(page.simulated()), format!("{} of each run, by setting.", axis_label(&column.name)))
 }
 
 /// The factor's name, if only one is varied.
@@ -261,14 +255,13 @@ pub(super) fn points(page: &mut Page, sweep: &SweepResults) {
             y: Axis::Linear(axis_label(&measure.name)),
             series: series.collect(),
             note: String::new(),
-            simulated: page.simulated(),
         };
         let caption = format!(
             "{} at the points, signed, along {}: n = {n_points} points of {n_runs} runs; points of one run are not independent.",
             axis_label(&measure.name),
             measure.axes.join(", "),
         );
-        page.figure(&format!("points-{}", measure.name), chart.svg(), &caption);
+        page.figure(&format!("points-{}", measure.name), chart.svg(page.simulated()), &caption);
     }
 }
 
@@ -334,9 +327,8 @@ fn scatter(page: &mut Page, sweep: &SweepResults, draw: &Draw, column: &Column) 
                 _ => Axis::Linear(label.clone()),
             },
             y: Axis::Linear(axis_label(&column.name)),
-            series: vec![Series { name: String::new(), colour, marks: vec![Mark::Dots(pairs)] }],
+            series: vec![Series::unnamed(colour, vec![Mark::Dots(pairs)])],
             note: correlation,
-            simulated: page.simulated(),
         });
     }
     share_axes(&mut charts);
@@ -350,7 +342,7 @@ fn scatter(page: &mut Page, sweep: &SweepResults, draw: &Draw, column: &Column) 
     if charts.len() > 1 {
         caption += " The panels share their axes.";
     }
-    let svg = drawn(&format!("{} against {label}", axis_label(&column.name)), &charts);
+    let svg = drawn(page, &format!("{} against {label}", axis_label(&column.name)), &charts);
     page.figure(&format!("scatter-{}-{}", column.name, draw.name), svg, &caption);
 }
 
