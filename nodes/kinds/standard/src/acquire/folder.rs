@@ -1,7 +1,7 @@
 //! The kind `acquire.folder`.
 
 use super::{
-    frozen::{Frozen, FrozenPose},
+    frozen::Frozen,
     playback::{Event, Playback},
     procedure_ports::{ProcedureOut, ProcedurePort, ProcedurePorts},
 };
@@ -93,8 +93,7 @@ impl Folder {
         for item in &mut streams.items {
             let FolderBody::Pose(Ok(pose)) = &item.body else { continue };
             let what = format!("t_{}_{}", pose.to, pose.from);
-            if let Some(FrozenPose { reason, is_first }) = frozen.take(&what, &pose.isometry, pose.stamp_ns) {
-                streams.notes.extend(is_first.then(|| reason.clone()));
+            if let Some(reason) = frozen.take(&what, &pose.isometry, pose.stamp_ns, &mut streams.notes) {
                 let reason = format!("no new pose: {reason}");
                 let (to, from, stamp_ns) = (pose.to.clone(), pose.from.clone(), pose.stamp_ns);
                 item.body = FolderBody::Pose(Err(LostPose { to, from, stamp_ns, reason }));

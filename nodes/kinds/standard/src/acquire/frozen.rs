@@ -23,14 +23,6 @@ struct Stream {
     is_reported: bool,
 }
 
-/// A pose that is not to be used.
-pub(crate) struct FrozenPose {
-    /// Why, for the empty that replaces it.
-    pub(crate) reason: String,
-    /// Whether it is the first in a row, which is worth a warning.
-    pub(crate) is_first: bool,
-}
-
 impl Frozen {
     /// With the port's parameter: unset is the default, 0 is never.
     pub(crate) fn new(frozen_after_ms: Option<f64>) -> Self {
@@ -38,9 +30,15 @@ impl Frozen {
         Self { after_ns: after_ms.map(|ms| (ms * 1e6).round() as StampNs), streams: BTreeMap::new() }
     }
 
-    /// Takes the next pose of the marker called `what`; says whether it has been the same for too long. Constants, whose stamp
-    /// is 0, are not looked at.
-    pub(crate) fn take(&mut self, what: &str, pose: &Isometry3<f64>, stamp_ns: StampNs) -> Option<FrozenPose> {
+    /// Takes the next pose of the marker called `what`. If it has been the same for too long, says why it is not to be used, and
+    /// notes the first of them in a row. Constants, whose stamp is 0, are not looked at.
+    pub(crate) fn take(
+        &mut self,
+        what: &str,
+        pose: &Isometry3<f64>,
+        stamp_ns: StampNs,
+        notes: &mut Vec<String>,
+    ) -> Option<String> {
         let after_ns = self.after_ns.filter(|_| stamp_ns != 0)?;
         let stream = match self.streams.get_mut(what) {
             // The bits, not the motion: a quaternion and its negative are the same rotation.
@@ -63,18 +61,16 @@ impl Frozen {
             "{what} is frozen: its pose has been the same to the last bit since {since_ns} ns, though its stamps go on to \
              {stamp_ns} ns; does the tracker still measure? For a constant set frozen_after_ms = 0"
         );
-        Some(FrozenPose { reason, is_first: !std::mem::replace(&mut stream.is_reported, true) })
+        if !std::mem::replace(&mut stream.is_reported, true) {
+            notes.push(reason.clone());
+        }
+        Some(reason)
     }
 
     /// The pose of the marker called `what`, or an empty while it is frozen, which the first notes say.
     pub(crate) fn emission(&mut self, what: &str, pose: Pose, notes: &mut Vec<String>) -> Emission {
-        match self.take(what, &pose.isometry, pose.stamp_ns) {
-            Some(FrozenPose { reason, is_first }) => {
-                notes.extend(is_first.then(|| reason.clone()));
-                Emission::Empty(reason)
-            }
-            None => Emission::value(pose),
-        }
+        let reason = self.take(what, &pose.isometry, pose.stamp_ns, notes);
+        reason.map_or_else(|| Emission::value(pose), Emission::Empty)
     }
 }
 
@@ -88,8 +84,9 @@ mod tests {
     fn a_pose_that_stays_the_same_is_frozen_from_the_limit_on_until_it_changes() {
         let mut frozen = Frozen::new(Some(100.0));
         let mut take = |x: f64, ms: StampNs| {
-            let found = frozen.take("bone", &Isometry3::translation(x, 0.0, 0.0), ms * MS);
-            found.map(|found| (found.is_first, found.reason))
+            let mut notes = Vec::new();
+            let reason = frozen.take("bone", &Isometry3::translation(x, 0.0, 0.0), ms * MS, &mut notes)?;
+            Some((!notes.is_empty(), reason))
         };
         assert_eq!((take(1.0, 10), take(1.0, 60), take(1.0, 109)), (None, None, None));
         let (is_first, reason) = take(1.0, 110).unwrap();
@@ -104,16 +101,18 @@ mod tests {
             "one bit is a change"
         );
         assert!(matches!(take(1.0, 400), Some((true, _))), "and once again");
-        assert_eq!(frozen.take("camera", &Isometry3::translation(1.0, 0.0, 0.0), 500 * MS).map(|f| f.reason), None);
+        let other = Isometry3::translation(1.0, 0.0, 0.0);
+        assert_eq!(frozen.take("camera", &other, 500 * MS, &mut Vec::new()), None);
     }
 
     #[test]
     fn constants_and_ports_that_switch_it_off_are_never_frozen() {
         let pose = Isometry3::identity();
         let mut off = Frozen::new(Some(0.0));
-        assert!((1..9).all(|s| off.take("cad", &pose, s * 10_000 * MS).is_none()));
+        assert!((1..9).all(|s| off.take("cad", &pose, s * 10_000 * MS, &mut Vec::new()).is_none()));
         let mut on = Frozen::new(None);
-        assert!((1..9).all(|_| on.take("cad", &pose, 0).is_none()));
-        assert!(on.take("cad", &pose, 1).is_none() && on.take("cad", &pose, 1 + 2000 * MS).is_some());
+        let mut take = |stamp_ns| on.take("cad", &pose, stamp_ns, &mut Vec::new());
+        assert!((1..9).all(|_| take(0).is_none()));
+        assert!(take(1).is_none() && take(1 + 2000 * MS).is_some());
     }
 }
