@@ -5,3 +5,13 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 #[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct NoParams {}
+
+/// The default of `unit_mm` and of a speed.
+pub(crate) fn one() -> f64 {
+    1.0
+}
+
+/// The frame of a plan's coordinates.
+pub(crate) fn ct() -> String {
+    "ct".into()
+}

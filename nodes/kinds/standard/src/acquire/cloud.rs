@@ -37,7 +37,7 @@ pub struct Params {
     #[serde(default = "camera")]
     pub frame: String,
     /// Millimetres in the file's unit. 1: most scanners write millimetres; 1000 for a file in metres.
-    #[serde(default = "one")]
+    #[serde(default = "crate::params::one")]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: f64,
     /// Position of the camera in the file's coordinates, mm; scans in the frame of their camera have it at 0, 0, 0. Points then
@@ -48,10 +48,6 @@ pub struct Params {
 
 fn camera() -> String {
     "camera".into()
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 /// Outputs of [`CloudFile`].

@@ -48,7 +48,7 @@ pub struct Params {
     #[serde(default)]
     pub frames: BTreeMap<String, String>,
     /// Playback speed relative to the recording. 1: as recorded; more simulates overload.
-    #[serde(default = "one")]
+    #[serde(default = "crate::params::one")]
     #[schemars(range(min = 0.001, max = 1e9))]
     pub rate: f64,
     /// Maximum delay of an item, drawn for each from the run's seed; each stream stays in order. 0: no delay.
@@ -64,10 +64,6 @@ pub struct Params {
     #[serde(default = "five")]
     #[schemars(range(min = 0.01, max = 86_400.0))]
     pub silent_after_s: f64,
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 fn five() -> f64 {

@@ -44,11 +44,11 @@ pub struct Params {
     /// The file, or the folder of a DICOM series.
     pub path: FilePath,
     /// The frame of its coordinates. `ct`: the plan's.
-    #[serde(default = "ct_frame")]
+    #[serde(default = "crate::params::ct")]
     pub frame: String,
     /// Millimetres in the unit of a surface or of points. 1: files of bones are in millimetres; 1000 for a file in metres. A CT
     /// states its unit.
-    #[serde(default = "one")]
+    #[serde(default = "crate::params::one")]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: f64,
     /// The axes of the numbers of a surface or of points, where the file does not state them; RAS is turned to LPS. Unset: in
@@ -66,14 +66,6 @@ pub struct Params {
     pub seed_mm: Option<[f64; 3]>,
     /// Whether spaces enclosed by the bone in a CT count as bone. Unset: they do, since a camera sees only the outside.
     pub fill_cavities: Option<bool>,
-}
-
-fn ct_frame() -> String {
-    "ct".into()
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 /// Outputs of [`Any`].

@@ -51,7 +51,7 @@ pub struct Params {
     #[serde(default = "yes")]
     pub fill_cavities: bool,
     /// The frame of its coordinates. `ct`: the plan's.
-    #[serde(default = "ct")]
+    #[serde(default = "crate::params::ct")]
     pub frame: String,
 }
 
@@ -61,10 +61,6 @@ pub(super) fn largest() -> String {
 
 fn yes() -> bool {
     true
-}
-
-fn ct() -> String {
-    "ct".into()
 }
 
 /// Outputs of [`Ct`].

@@ -26,10 +26,10 @@ pub struct Params {
     /// The file.
     pub path: FilePath,
     /// The frame of its coordinates. `ct`: a bone's surface is segmented from CT.
-    #[serde(default = "ct")]
+    #[serde(default = "crate::params::ct")]
     pub frame: String,
     /// Millimetres in the file's unit. 1: mesh files of bones are in millimetres; 1000 for a file in metres.
-    #[serde(default = "one")]
+    #[serde(default = "crate::params::one")]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: f64,
     /// The axes of the file's numbers, where it does not state them; RAS is turned to LPS. Unset: in frame `ct` they are taken
@@ -58,14 +58,6 @@ impl SpaceName {
             Self::Ras => Space::Ras,
         }
     }
-}
-
-fn ct() -> String {
-    "ct".into()
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 /// Outputs of [`File`].
