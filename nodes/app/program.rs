@@ -3,7 +3,7 @@
 use super::error::UsageError;
 use osteoflow_engine::{
     run::{RunError, RunOptions},
-    store::{Settings, Store},
+    store::{self, Settings, Store},
 };
 use serde_json::json;
 use std::{
@@ -63,26 +63,13 @@ pub(crate) fn about_command() -> serde_json::Value {
         "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
         "os": std::env::consts::OS,
         "architecture": std::env::consts::ARCH,
-        "cpu_features": cpu_features(),
+        "cpu_features": store::cpu_features().into_iter().filter(|name| CPU_FEATURES.contains(name)).collect::<Vec<_>>(),
         "cpus": n_workers(None),
     })
 }
 
-#[cfg(target_arch = "x86_64")]
-fn cpu_features() -> Vec<&'static str> {
-    let known = [
-        ("avx", is_x86_feature_detected!("avx")),
-        ("avx2", is_x86_feature_detected!("avx2")),
-        ("fma", is_x86_feature_detected!("fma")),
-        ("avx512f", is_x86_feature_detected!("avx512f")),
-    ];
-    known.into_iter().filter_map(|(name, has)| has.then_some(name)).collect()
-}
-
-#[cfg(not(target_arch = "x86_64"))]
-fn cpu_features() -> Vec<&'static str> {
-    Vec::new()
-}
+/// The processor features that the manifest tells of: a repetition compares them.
+const CPU_FEATURES: [&str; 4] = ["avx", "avx2", "fma", "avx512f"];
 
 /// The store that the environment names.
 pub(super) fn store() -> Result<Option<Arc<Store>>, UsageError> {

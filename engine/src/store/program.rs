@@ -97,13 +97,14 @@ pub(crate) fn plugin_libraries() -> Vec<String> {
     now
 }
 
-/// Operating system, architecture, and the processor features that libraries dispatch on.
+/// Operating system, architecture, and [`cpu_features`].
 fn machine() -> String {
-    format!("{} {} {}", std::env::consts::OS, std::env::consts::ARCH, features().join(" "))
+    format!("{} {} {}", std::env::consts::OS, std::env::consts::ARCH, cpu_features().join(" "))
 }
 
+/// The processor features that libraries dispatch on, as far as this machine has them.
 #[cfg(target_arch = "x86_64")]
-fn features() -> Vec<&'static str> {
+pub fn cpu_features() -> Vec<&'static str> {
     let known = [
         ("sse3", is_x86_feature_detected!("sse3")),
         ("ssse3", is_x86_feature_detected!("ssse3")),
@@ -120,8 +121,9 @@ fn features() -> Vec<&'static str> {
     known.into_iter().filter_map(|(name, has)| has.then_some(name)).collect()
 }
 
+/// None are known of other processors.
 #[cfg(not(target_arch = "x86_64"))]
-fn features() -> Vec<&'static str> {
+pub fn cpu_features() -> Vec<&'static str> {
     Vec::new()
 }
 

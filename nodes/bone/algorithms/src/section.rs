@@ -13,22 +13,7 @@ const CLEAR_MM: f64 = 1e-3;
 /// `O(m)`.
 pub fn middle(mesh: &Mesh, t_mesh_plane: &Isometry3<f64>, reach_mm: Option<f64>) -> Option<Point3<f64>> {
     let (mut length, mut moment) = (0.0, Vector3::zeros());
-    let (origin, normal) = (t_mesh_plane * Point3::origin(), t_mesh_plane * Vector3::z());
-    for face in 0..mesh.faces().len() {
-        // Skips most faces by one product each, with a margin for rounding.
-        let heights = mesh.corners(face).map(|p| (p - origin).dot(&normal));
-        if heights.iter().all(|h| *h > CLEAR_MM) || heights.iter().all(|h| *h < -CLEAR_MM) {
-            continue;
-        }
-        let corners = mesh.corners(face).map(|p| t_mesh_plane.inverse_transform_point(&p));
-        let mut ends = Vec::with_capacity(2);
-        for k in 0..3 {
-            let (a, b) = (corners[k], corners[(k + 1) % 3]);
-            if (a.z < 0.0) != (b.z < 0.0) {
-                ends.push(a + (b - a) * (a.z / (a.z - b.z)));
-            }
-        }
-        let [a, b] = ends[..] else { continue };
+    for [a, b] in cuts(mesh, t_mesh_plane) {
         let middle = nalgebra::center(&a, &b);
         if reach_mm.is_some_and(|reach| middle.coords.norm() > reach) {
             continue;
@@ -37,4 +22,21 @@ pub fn middle(mesh: &Mesh, t_mesh_plane: &Isometry3<f64>, reach_mm: Option<f64>)
         moment += middle.coords * (b - a).norm();
     }
     (length > 0.0).then(|| t_mesh_plane * Point3::from(moment / length))
+}
+
+/// The ends of the edges in which a plane cuts the faces of a mesh, in the plane's coordinates.
+pub fn cuts(mesh: &Mesh, t_mesh_plane: &Isometry3<f64>) -> impl Iterator<Item = [Point3<f64>; 2]> {
+    let (origin, normal) = (t_mesh_plane * Point3::origin(), t_mesh_plane * Vector3::z());
+    (0..mesh.faces().len()).filter_map(move |face| {
+        // Skips most faces by one product each, with a margin for rounding.
+        let heights = mesh.corners(face).map(|p| (p - origin).dot(&normal));
+        if heights.iter().all(|h| *h > CLEAR_MM) || heights.iter().all(|h| *h < -CLEAR_MM) {
+            return None;
+        }
+        let corners = mesh.corners(face).map(|p| t_mesh_plane.inverse_transform_point(&p));
+        let sides = (0..3).map(|k| (corners[k], corners[(k + 1) % 3]));
+        let mut ends =
+            sides.filter(|(a, b)| (a.z < 0.0) != (b.z < 0.0)).map(|(a, b)| a + (b - a) * (a.z / (a.z - b.z)));
+        Some([ends.next()?, ends.next()?])
+    })
 }

@@ -6,6 +6,7 @@ pub(crate) mod packed;
 use crate::format::number;
 use drawing::{Drawable, Solid, Tint};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use osteoflow_algorithms::section;
 use osteoflow_draw::xml::escape;
 use osteoflow_geometry::Mesh;
 use packed::{MAX_POINTS, indexed, levels, positions};
@@ -216,21 +217,8 @@ fn any_across(v: &Vector3<f64>) -> Vector3<f64> {
 
 /// The intersection of a surface with the xy plane of `t_mesh_plane`, as pairs of points.
 pub(crate) fn outline(mesh: &Mesh, t_mesh_plane: &nalgebra::Isometry3<f64>, reach_mm: f64) -> Vec<Point3<f64>> {
-    let mut ends = Vec::new();
-    for face in 0..mesh.faces().len() {
-        let corners = mesh.corners(face).map(|p| t_mesh_plane.inverse_transform_point(&p));
-        let mut cut = Vec::with_capacity(2);
-        for k in 0..3 {
-            let (a, b) = (corners[k], corners[(k + 1) % 3]);
-            if (a.z < 0.0) != (b.z < 0.0) {
-                cut.push(a + (b - a) * (a.z / (a.z - b.z)));
-            }
-        }
-        if cut.len() == 2 && cut.iter().all(|p| p.coords.norm() <= reach_mm) {
-            ends.extend(cut.iter().map(|p| t_mesh_plane * p));
-        }
-    }
-    ends
+    let within = section::cuts(mesh, t_mesh_plane).filter(|ends| ends.iter().all(|p| p.coords.norm() <= reach_mm));
+    within.flatten().map(|p| t_mesh_plane * p).collect()
 }
 
 #[cfg(test)]
