@@ -10,7 +10,7 @@ pub(crate) mod two_files;
 pub(crate) mod words;
 
 pub use answer::Registration;
-pub(crate) use steps::{cells, plain};
+pub(crate) use steps::cells;
 
 use super::{
     error::UsageError,

@@ -2,6 +2,7 @@
 
 use osteoflow_algorithms::icp::IcpStep;
 use osteoflow_geometry::matrix_rows;
+use osteoflow_report::summary::word;
 use serde_json::{Map, Value};
 use std::fmt::Write as _;
 
@@ -27,14 +28,9 @@ pub(super) fn csv(steps: &[IcpStep]) -> String {
             let names: Vec<_> = cells.keys().cloned().chain(names).collect();
             out = names.join(",") + "\n";
         }
-        let cells = cells.values().map(|value| if value.is_null() { String::new() } else { plain(value) });
+        let cells = cells.values().map(|value| if value.is_null() { String::new() } else { word(value) });
         let pose = rows[..3].iter().flatten().map(|c| format!("{c:?}"));
         let _ = writeln!(out, "{}", cells.chain(pose).collect::<Vec<_>>().join(","));
     }
     out
-}
-
-/// A value as it is printed.
-pub(crate) fn plain(value: &Value) -> String {
-    value.as_str().map_or_else(|| value.to_string(), String::from)
 }

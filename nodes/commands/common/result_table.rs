@@ -3,6 +3,7 @@
 use super::{global::Global, other_numbers, text_table::TextTable, verdict_lines};
 use crate::app::NOTICE;
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
+use osteoflow_report::summary::word;
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -52,7 +53,7 @@ fn banner(results: &Value) -> String {
         words.push("SIMULATED".to_owned());
     }
     if let Some(surface) = results.get("ct_surface") {
-        words.push(format!("ct_surface = {}", plain(surface)));
+        words.push(format!("ct_surface = {}", word(surface)));
     }
     words.push(NOTICE.to_owned());
     format!("{}\n", words.join(", "))
@@ -80,7 +81,7 @@ fn points(results: &Value) -> Option<TextTable> {
         let mut cells = numbers(&point["position_mm"], 2);
         cells.push(point["confidence"].as_f64().map_or_else(|| "-".into(), |c| fixed(c, 2)));
         cells.extend(point["frame"].as_str().map(|frame| format!("in {frame}")));
-        table.row(plain(&point["name"]), cells);
+        table.row(word(&point["name"]), cells);
     }
     some(table)
 }
@@ -90,9 +91,9 @@ fn icp(results: &Value) -> Option<TextTable> {
     let mut table = TextTable::new("icp", &["iterations", "pairs", "rms mm", "leaves mm"]);
     let rms = icp["rms_mm"].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 4));
     let how = if icp["converged"] == Value::Bool(true) { "converged" } else { "not converged" };
-    let stop = format!("stopped by {}", plain(&icp["stop_reason"]));
+    let stop = format!("stopped by {}", word(&icp["stop_reason"]));
     let leaves = icp["left_mm"].as_f64().or(icp["remaining_mm"].as_f64()).map_or_else(|| "-".into(), |v| fixed(v, 3));
-    table.row(how, [plain(&icp["iterations"]), plain(&icp["n_pairs"]), rms, leaves, stop]);
+    table.row(how, [word(&icp["iterations"]), word(&icp["n_pairs"]), rms, leaves, stop]);
     some(table)
 }
 
@@ -107,12 +108,12 @@ fn planes(results: &Value, key: &str, title: &str) -> Option<TextTable> {
                 cells
             }
             (reason, _) => {
-                let reason = reason.map_or_else(|| "no matrix".into(), plain);
+                let reason = reason.map_or_else(|| "no matrix".into(), word);
                 // Beyond the last column, so that a long reason does not widen it.
                 [vec!["-".into(); 6], vec![format!("unknown: {reason}")]].concat()
             }
         };
-        table.row(plain(&plane["name"]), cells);
+        table.row(word(&plane["name"]), cells);
     }
     some(table)
 }
@@ -121,10 +122,10 @@ fn target_errors(results: &Value, key: &str, title: &str) -> Option<TextTable> {
     let tre = results.get("metrics")?.get(key)?;
     let mut table = TextTable::new(title, &["x", "y", "z", "norm mm"]);
     for point in tre["points"].as_array()? {
-        table.row(plain(&point["name"]), components(point));
+        table.row(word(&point["name"]), components(point));
     }
     let mean = tre.get("mean_abs").map(components)?;
-    table.row("mean |.|", mean.into_iter().chain([format!("n = {}", plain(&tre["n"]))]));
+    table.row("mean |.|", mean.into_iter().chain([format!("n = {}", word(&tre["n"]))]));
     some(table)
 }
 
@@ -146,11 +147,6 @@ fn matrix4(rows: &Value) -> Option<Matrix4<f64>> {
 fn fixed(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     if text.starts_with('-') && text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) { text[1..].into() } else { text }
-}
-
-/// Text as it is, everything else as JSON.
-fn plain(value: &Value) -> String {
-    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
 fn some(table: TextTable) -> Option<TextTable> {

@@ -1,5 +1,6 @@
 //! Markdown documentation of a module.
 
+use super::node_docs::cell;
 use osteoflow_engine::check::ModuleDescription;
 use std::fmt::Write as _;
 
@@ -61,8 +62,4 @@ pub(crate) fn markdown(of: &ModuleDescription, file: &str) -> String {
 
 fn code(names: &[String]) -> String {
     names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
-}
-
-fn cell(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|")
 }

@@ -270,7 +270,7 @@ fn range(property: &Value) -> String {
 }
 
 /// Escapes text for a table cell: one line, no bars.
-fn cell(text: &str) -> String {
+pub(super) fn cell(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|")
 }
 

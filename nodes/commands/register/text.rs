@@ -4,7 +4,7 @@ use crate::{
     app::{
         program::NOTICE,
         register::{
-            Register, Registration, cells, plain,
+            Register, Registration, cells,
             words::{converged, describe, short, stop_reason},
         },
     },
@@ -15,6 +15,7 @@ use osteoflow_algorithms::{
     icp::{IcpReport, IcpStep},
 };
 use osteoflow_geometry::matrix_rows;
+use osteoflow_report::summary::word;
 use serde_json::Value;
 use std::fmt::Write as _;
 
@@ -99,7 +100,7 @@ fn result(registration: &Registration, checked: &Register) -> String {
         None => {
             let fields = registration.report.as_ref().and_then(Value::as_object).into_iter().flatten();
             let shown = fields.filter(|(key, value)| *key != "converged" && (value.is_number() || value.is_string()));
-            let shown = shown.map(|(key, value)| (key.as_str(), plain(value)));
+            let shown = shown.map(|(key, value)| (key.as_str(), word(value)));
             let first = ("converged", converged(registration.ended().converged).to_owned());
             std::iter::once(first).chain(shown).chain([("moved", moved)]).collect()
         }
@@ -151,7 +152,7 @@ fn steps(steps: &[IcpStep]) -> String {
             Some(Value::Number(number)) if number.is_f64() => six_digits(number.as_f64().unwrap_or(f64::NAN)),
             Some(Value::Bool(true)) => "yes".into(),
             None | Some(Value::Null | Value::Bool(false)) => "-".into(),
-            Some(other) => plain(other),
+            Some(other) => word(other),
         });
         table.row(step.iteration.to_string(), row);
     }
