@@ -12,7 +12,7 @@ pub(crate) mod tests;
 pub use connector::Role;
 pub use inbox::StreamParams;
 
-pub(crate) use connector::{Peer, is_waiting};
+pub(crate) use connector::{Peer, is_waiting, listen};
 pub(crate) use inbox::{Inbox, Port, PortItems};
 
 use connector::{Connector, TRY};

@@ -2,7 +2,7 @@
 
 mod outlet;
 
-use crate::acquire::network::Role;
+use crate::acquire::{network::Role, openigtlink::is_host_port};
 use osteoflow_algorithms::trust::{Answer, Verdict};
 use osteoflow_formats::{
     Space,
@@ -117,7 +117,7 @@ impl Node for OpenIgtLink {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        if params.address.rsplit_once(':').is_none_or(|(_, port)| port.parse::<u16>().is_err()) {
+        if !is_host_port(&params.address) {
             let message = format!("\"{}\" is not HOST:PORT, such as 127.0.0.1:18945", params.address);
             return Err(ParamError::new("address", message));
         }

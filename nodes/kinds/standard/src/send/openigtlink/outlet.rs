@@ -1,6 +1,6 @@
 //! The connections to receivers, on a thread of their own.
 
-use crate::acquire::network::Role;
+use crate::acquire::network::{Role, listen};
 use osteoflow_formats::openigtlink::{Body, Message, Metadata, Status};
 use osteoflow_node::tracing;
 use std::{
@@ -70,9 +70,7 @@ impl Outlet {
         let listener = match role {
             Role::Client => None,
             Role::Server => {
-                let listener = TcpListener::bind(&addresses[..])
-                    .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
-                    .map_err(|error| format!("cannot listen at {address}: {error}"))?;
+                let listener = listen(address)?;
                 tracing::info!(address = ?listener.local_addr().ok(), "receivers can connect");
                 Some(listener)
             }
