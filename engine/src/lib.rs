@@ -25,8 +25,6 @@ pub mod hash;
 pub mod inputs;
 mod options;
 mod partial;
-#[cfg(test)]
-mod plan_builder;
 pub mod plugin;
 mod process;
 pub mod record;
@@ -50,3 +48,8 @@ pub use replay::{ReplayOptions, ReplayReport, replay};
 pub use run::{Event, Observer, Outcome, Refusal, RunError, RunOptions, RunReport, run};
 
 use osteoflow_runtime as runtime;
+
+#[cfg(test)]
+mod tests {
+    pub(crate) mod plan_builder;
+}

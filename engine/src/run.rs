@@ -127,7 +127,7 @@ pub(crate) fn run_part(
     taps.extend(tap);
     runtime.tap(&taps);
     runtime.run();
-    let ended = runtime.into_ended();
+    let ended = runtime.into_outcome();
     drop(taps);
     let latencies = latency.map(|latency| latency.stats(plan)).unwrap_or_default();
     let mut finished = keeper.finish(ended, saver.map(Saver::finish).unwrap_or_default());

@@ -46,15 +46,20 @@ struct Memory {
     links: Vec<LinkStats>,
 }
 
-/// Plan of the next run.
+/// The next run.
 pub struct Next {
-    plan: Plan,
-    files: Stamps,
+    /// Its plan.
+    pub plan: Plan,
+    /// Stamps of the parameters' files, taken when this was created.
+    pub files: Stamps,
     /// Items of each node that need not be computed again.
     left: Vec<Option<Arc<FinishedNode>>>,
-    changes: Vec<Change>,
-    removed: Vec<String>,
-    differs: bool,
+    /// Direct changes: the seed, then nodes in the order of the plan; empty before the first run.
+    pub changes: Vec<Change>,
+    /// Nodes removed from the graph.
+    pub removed: Vec<String>,
+    /// Whether a run would give the same as the last one: nothing but the graph's text has changed.
+    pub is_unchanged: bool,
 }
 
 impl Session {
@@ -64,14 +69,8 @@ impl Session {
         let files = Stamps::of_plan(&plan);
         let n_nodes = plan.nodes.len();
         let Some(memory) = &self.memory else {
-            return Next {
-                plan,
-                files,
-                left: vec![None; n_nodes],
-                changes: Vec::new(),
-                removed: Vec::new(),
-                differs: true,
-            };
+            let (left, changes, removed) = (vec![None; n_nodes], Vec::new(), Vec::new());
+            return Next { plan, files, left, changes, removed, is_unchanged: false };
         };
         let seed = (memory.plan.seed != plan.seed).then(|| changes::seed(memory.plan.seed, plan.seed));
         let mut computed = vec![seed.is_some(); n_nodes];
@@ -90,7 +89,7 @@ impl Session {
         let left = |(node, computed): (&PlanNode, bool)| memory.left_of(&node.name).filter(|_| !computed).cloned();
         let left = plan.nodes.iter().zip(computed).map(left).collect();
         let removed = changes::removed(&memory.plan, &plan);
-        Next { plan, files, left, changes, removed, differs }
+        Next { plan, files, left, changes, removed, is_unchanged: !differs }
     }
 
     /// Computes the nodes of `next` and writes results and manifest of the whole graph; writes a recording only if
@@ -139,34 +138,9 @@ impl Session {
 }
 
 impl Next {
-    /// The plan.
-    pub fn plan(&self) -> &Plan {
-        &self.plan
-    }
-
-    /// Stamps of the parameters' files, taken when this was created.
-    pub fn files(&self) -> &Stamps {
-        &self.files
-    }
-
-    /// Whether a run would give the same as the last one: nothing but the graph's text has changed.
-    pub fn is_unchanged(&self) -> bool {
-        !self.differs
-    }
-
     /// Whether every node is computed.
     pub fn is_whole(&self) -> bool {
         self.left.iter().all(Option::is_none)
-    }
-
-    /// Direct changes: the seed, then nodes in the order of the plan; empty before the first run.
-    pub fn changes(&self) -> &[Change] {
-        &self.changes
-    }
-
-    /// Nodes removed from the graph.
-    pub fn removed(&self) -> &[String] {
-        &self.removed
     }
 
     /// Computed nodes, in the order of the plan.

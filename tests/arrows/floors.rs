@@ -54,7 +54,7 @@ const CRATES: &[(&str, Floors)] = &[
         &[
             &["activity", "histogram", "join", "names", "panics", "plan", "sync"],
             &["channel", "inject", "report", "scheduler"],
-            &["ended", "messages", "tap"],
+            &["messages", "outcome", "tap"],
             &["latency"],
             &["runtime"],
         ],
@@ -270,7 +270,7 @@ fn files(sources: &str) -> BTreeMap<Module, File> {
             if entry.is_dir() {
                 folders.push(entry);
             } else if entry.extension().is_some_and(|end| end == "rs")
-                && !(stem == "lib" || stem == "plan_builder" || stem.ends_with("tests"))
+                && !(stem == "lib" || stem.ends_with("tests"))
             {
                 let inner = entry.strip_prefix(&root).unwrap().with_extension("");
                 let module: Module = inner.iter().map(|name| name.to_string_lossy().into_owned()).collect();

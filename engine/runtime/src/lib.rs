@@ -10,13 +10,13 @@
 
 pub mod activity;
 mod channel;
-mod ended;
 mod histogram;
 mod inject;
 mod join;
 mod latency;
 mod messages;
 pub mod names;
+mod outcome;
 pub mod panics;
 pub mod plan;
 mod report;
@@ -25,10 +25,10 @@ mod scheduler;
 mod sync;
 mod tap;
 
-pub use ended::RunOutcome;
 pub use histogram::Spread;
 pub use inject::{Injected, Injection, planned_failure};
 pub use latency::{Latency, LatencyStats};
+pub use outcome::RunOutcome;
 pub use report::{
     BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, NodeStats, Observer, Refusal, Warning,
 };

@@ -8,10 +8,10 @@ pub use cell::{emission_fault, stamp_or_zero};
 use crate::{
     activity::{self, Doing, Name},
     channel::{self, Limits, LinkState, RecvEnd, SendEnd},
-    ended::{Retired, RunOutcome},
     inject::{Injection, Planned},
     join::{Joiner, PortSpec},
     messages::Messages,
+    outcome::{Retired, RunOutcome},
     panics,
     plan::{OutputId, Plan, PlanNode, Policy},
     report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning},
@@ -241,7 +241,7 @@ impl<'a> Runtime<'a> {
         }
     }
 
-    /// Runs to the end. The outcome stays in the runtime; see [`Runtime::into_ended`].
+    /// Runs to the end. The outcome stays in the runtime; see [`Runtime::into_outcome`].
     ///
     /// # Panics
     /// If the engine itself, a tap or the observer panics on any thread; the message names the node that was being run. Panics
@@ -264,7 +264,7 @@ impl<'a> Runtime<'a> {
     }
 
     /// Outcome of the run.
-    pub fn into_ended(self) -> RunOutcome {
+    pub fn into_outcome(self) -> RunOutcome {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let cells: Vec<Cell> =
             self.cells.into_iter().map(|cell| cell.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();

@@ -2,11 +2,11 @@ use super::*;
 use crate::{
     options::RunOptions,
     plan::OutputId,
-    plan_builder::PlanBuilder,
     replay::{ReplayOptions, replay_plan},
     run::{Outcome, RunReport, run_with},
     runtime::{Injected, Injection, Replayed, Tap},
     store::Settings,
+    tests::plan_builder::PlanBuilder,
 };
 use osteoflow_node::{StampNs, Value};
 use osteoflow_toy::{Number, n_fired, registry};

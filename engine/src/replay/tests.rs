@@ -1,8 +1,8 @@
 use super::*;
 use crate::{
     plan::Policy,
-    plan_builder::PlanBuilder,
     run::{Event, Outcome, run},
+    tests::plan_builder::PlanBuilder,
 };
 use osteoflow_node::Join;
 use osteoflow_toy::{Gate, registry};

@@ -2,9 +2,9 @@ use super::*;
 use crate::{
     options::RunOptions,
     plan::Plan,
-    plan_builder::PlanBuilder,
     run::{Outcome, RunReport, run},
     runtime::{Injected, Injection},
+    tests::plan_builder::PlanBuilder,
 };
 use osteoflow_node::Join;
 use osteoflow_toy::registry;

@@ -6,8 +6,8 @@ use super::{
 };
 use crate::{
     plan::{OutputId, Policy},
-    plan_builder::PlanBuilder,
     recording::codec,
+    tests::plan_builder::PlanBuilder,
 };
 use osteoflow_node::{ClockReading, Item, Join};
 use osteoflow_toy::{Gate, Number, registry};

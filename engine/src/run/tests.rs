@@ -1,9 +1,9 @@
 use super::*;
 use crate::{
     plan::{OutputId, Policy},
-    plan_builder::PlanBuilder,
     recording::{Recording, codec},
     replay::{ReplayOptions, replay_plan},
+    tests::plan_builder::PlanBuilder,
 };
 use osteoflow_node::{Item, Join};
 use osteoflow_toy::{Number, registry};

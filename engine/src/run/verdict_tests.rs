@@ -5,9 +5,9 @@ use super::{
     *,
 };
 use crate::{
-    plan_builder::PlanBuilder,
     recording::Recording,
     replay::{ReplayOptions, replay_plan},
+    tests::plan_builder::PlanBuilder,
 };
 use osteoflow_toy::registry;
 use serde_json::{Value as Json, json};

@@ -1,9 +1,9 @@
 use super::*;
 use crate::{
     plan::{OnError, Policy},
-    plan_builder::PlanBuilder,
     recording::codec,
     run::{Outcome, run},
+    tests::plan_builder::PlanBuilder,
 };
 use osteoflow_node::Join;
 use osteoflow_toy::registry;
@@ -205,8 +205,8 @@ fn changes_are_described_by_the_keys_of_the_graph_file() {
     rerun(&mut session, &BASE.plan(), 1);
     let describe = |plan: Plan| {
         let next = session.next(plan);
-        let changes = next.changes().iter().map(|change| format!("{}: {}", change.node, change.why.join(", ")));
-        (changes.collect::<Vec<_>>(), next.removed().to_vec())
+        let changes = next.changes.iter().map(|change| format!("{}: {}", change.node, change.why.join(", ")));
+        (changes.collect::<Vec<_>>(), next.removed.to_vec())
     };
     let changed = |variant: Variant| describe(variant.plan()).0;
     assert_eq!(changed(Variant { late: true, ..BASE }), ["last: noise false -> true"]);
@@ -226,7 +226,7 @@ fn a_change_of_library_error_rule_or_lossy_wire_changes_the_node() {
     let first = |change: &dyn Fn(&mut Plan)| {
         let mut plan = BASE.plan();
         change(&mut plan);
-        session.next(plan).changes().iter().map(|change| change.node.clone()).collect::<Vec<_>>()
+        session.next(plan).changes.iter().map(|change| change.node.clone()).collect::<Vec<_>>()
     };
     assert_eq!(first(&|plan| plan.nodes[2].plugin = Some("0123".into())), ["kept"]);
     assert_eq!(first(&|plan| plan.nodes[2].on_error = OnError::Skip), ["kept"]);
@@ -240,7 +240,7 @@ fn a_change_of_the_text_alone_leaves_nothing_to_compute() {
     rerun(&mut session, &BASE.plan(), 1);
     let mut plan = BASE.plan();
     plan.nodes[1].location.line = 99;
-    assert!(session.next(plan).is_unchanged());
+    assert!(session.next(plan).is_unchanged);
 }
 
 #[test]
@@ -267,14 +267,14 @@ fn a_node_whose_file_has_changed_is_computed_again() {
     plan.input_files.push(file.clone());
     let mut session = Session::default();
     rerun(&mut session, &plan, 1);
-    assert!(session.next(plan.clone()).is_unchanged());
+    assert!(session.next(plan.clone()).is_unchanged);
     std::fs::write(&file, "ab").unwrap();
     let next = session.next(plan.clone());
     assert_eq!(next.computed(), ["kept", "sum", "last"]);
-    assert_eq!(next.changes()[0].why, [format!("{} has changed", file.display())]);
+    assert_eq!(next.changes[0].why, [format!("{} has changed", file.display())]);
     check(&mut session, &plan, 2);
     std::fs::remove_file(&file).unwrap();
-    assert_eq!(session.next(plan).changes()[0].node, "kept");
+    assert_eq!(session.next(plan).changes[0].node, "kept");
 }
 
 #[test]
@@ -287,7 +287,7 @@ fn a_failed_node_is_computed_again_and_fails_in_the_same_way() {
         assert!(matches!(run(&fails.plan(), &registry(), &options(1), &()).unwrap().outcome, Outcome::Refused(_)));
         let next = session.next(fails.plan());
         assert_eq!(
-            next.changes()[0],
+            next.changes[0],
             Change { node: "first".into(), why: vec!["did not come to its end before".into()] }
         );
         assert_eq!(check(&mut session, &fails.plan(), workers), ["first", "kept", "sum", "last"]);
@@ -314,7 +314,7 @@ fn a_node_that_cannot_be_built_leaves_the_session_unchanged() {
     bad.nodes[5].params = json!({ "bad": true });
     let next = session.next(bad);
     assert!(matches!(session.run(next, &registry(), &options(1), &()), Err(RunError::Build(_))));
-    assert!(session.next(BASE.plan()).is_unchanged());
+    assert!(session.next(BASE.plan()).is_unchanged);
     assert_eq!(check(&mut session, &Variant { late: true, ..BASE }.plan(), 1), ["last"]);
 }
 

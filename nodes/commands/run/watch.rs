@@ -67,30 +67,30 @@ impl Rerun for Watch {
         let (n_before, global) = (self.runs.n, self.runs.global.clone());
         graph_args::warn(&warnings, &global)?;
         let next = self.session.next(plan);
-        let files = next.files().clone();
+        let files = next.files.clone();
         if let Some(node) = next.live_source() {
             let message =
                 format!("node \"{node}\" is a live source, whose items cannot be repeated; watch a recording of it");
             return self.refuse(message).map(|()| Turn::Wait(files));
         }
-        if next.is_unchanged() {
+        if next.is_unchanged {
             return self.print_unchanged().map(|()| Turn::Wait(files));
         }
-        let dir = self.runs.folder(next.plan())?;
+        let dir = self.runs.folder(&next.plan)?;
         let what = RerunNotice::of(&next, n_before > 0);
         if global.format == Format::Text && !global.quiet {
             what.print_changes()?;
         }
         let options = self.runs.options.clone();
         let progress = match n_before {
-            0 => Progress::of_run(next.plan(), options.workers, &global),
+            0 => Progress::of_run(&next.plan, options.workers, &global),
             _ => {
                 let (computed, nodes) = (what.computed.len(), what.computed.len() + what.kept.len());
-                let message = format!("running {}: {computed} of {nodes} nodes", next.plan().name);
+                let message = format!("running {}: {computed} of {nodes} nodes", next.plan.name);
                 Progress::begin(&message, Some(nodes), &global)
             }
         };
-        let keys: Vec<_> = next.plan().results.iter().map(|entry| entry.key.clone()).collect();
+        let keys: Vec<_> = next.plan.results.iter().map(|entry| entry.key.clone()).collect();
         let session = &mut self.session;
         let run = |options: &RunOptions| session.run(next, &registry, options, &progress);
         match self.runs.run(dir, options, &progress, run) {
@@ -205,12 +205,12 @@ struct RerunNotice {
 impl RerunNotice {
     fn of(next: &Next, again: bool) -> Self {
         let names = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect();
-        let changes = next.changes().iter().map(|change| format!("{}: {}", change.node, change.why.join(", ")));
+        let changes = next.changes.iter().map(|change| format!("{}: {}", change.node, change.why.join(", ")));
         let mut changes: Vec<_> = changes.collect();
-        if again && changes.is_empty() && next.removed().is_empty() {
+        if again && changes.is_empty() && next.removed.is_empty() {
             changes.push("graph: only which items are recorded or reported".into());
         }
-        Self { changes, removed: next.removed().to_vec(), computed: names(next.computed()), kept: names(next.kept()) }
+        Self { changes, removed: next.removed.clone(), computed: names(next.computed()), kept: names(next.kept()) }
     }
 
     fn print_changes(&self) -> Result<()> {

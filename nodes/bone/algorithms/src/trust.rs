@@ -5,7 +5,7 @@
 
 mod checked;
 mod contrary;
-mod ended;
+mod convergence;
 mod evidence;
 mod extent;
 mod limits;
@@ -23,7 +23,7 @@ mod tests;
 mod verdict;
 
 pub use contrary::{ShapeEvidence, mirrored};
-pub use ended::{Convergence, StopCause};
+pub use convergence::{Convergence, StopCause};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use limits::Limits;
 pub use misfit::Misfit;

@@ -1,7 +1,7 @@
 //! The rules of a verdict.
 
 use super::checked::{check_reason, is_checked};
-use super::ended::{Convergence, ended_reason};
+use super::convergence::{Convergence, convergence_reason};
 use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::limits::Limits;
@@ -141,12 +141,12 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
         reasons.push(Reason::new("stylus", answer, text, "check bone, side and landmarks, and the stylus' tip"));
     }
     let Some(Examined { mut evidence, spread, to_settled }) = Evidence::examine(&registered, examine) else {
-        reasons.extend(case.icp.and_then(|ended| ended_reason(ended, None)));
+        reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, None)));
         let text = "the surface has no normals or the scan too few points, so nothing could be examined";
         reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
         return Verdict::new(reasons, assumptions(case, rules, false), None, None);
     };
-    reasons.extend(case.icp.and_then(|ended| ended_reason(ended, evidence.unsettled_mm)));
+    reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, evidence.unsettled_mm)));
     let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
     let limited = if assessed.is_empty() { points_that_matter(&registered) } else { assessed };
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };

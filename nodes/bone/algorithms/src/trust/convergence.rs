@@ -41,7 +41,7 @@ impl From<&IcpReport> for Convergence {
 
 /// The sign in a registration that stopped before its end; none if it rests `unsettled_mm` from where the scan fits best nearby,
 /// and that is close enough.
-pub(super) fn ended_reason(ended: &Convergence, unsettled_mm: Option<f64>) -> Option<Reason> {
+pub(super) fn convergence_reason(ended: &Convergence, unsettled_mm: Option<f64>) -> Option<Reason> {
     let is_far = |mm: f64| mm > CLOSE_MM;
     let is_short =
         ended.converged == Some(false) && ended.remaining_mm.is_none_or(is_far) && unsettled_mm.is_none_or(is_far);
@@ -69,24 +69,24 @@ mod tests {
     use super::*;
 
     fn reason(report: &str) -> Option<String> {
-        ended_reason(&serde_json::from_str(report).unwrap(), Some(0.3)).map(|reason| reason.reason)
+        convergence_reason(&serde_json::from_str(report).unwrap(), Some(0.3)).map(|reason| reason.reason)
     }
 
     #[test]
     fn a_registration_that_rests_where_the_scan_fits_best_has_ended() {
         let stopped = Convergence { converged: Some(false), ..Convergence::default() };
-        assert!(ended_reason(&stopped, None).is_some() && ended_reason(&stopped, Some(0.06)).is_some());
-        assert_eq!(ended_reason(&stopped, Some(0.04)), None);
+        assert!(convergence_reason(&stopped, None).is_some() && convergence_reason(&stopped, Some(0.06)).is_some());
+        assert_eq!(convergence_reason(&stopped, Some(0.04)), None);
     }
 
     #[test]
     fn either_distance_that_is_at_most_0_05_mm_ends_a_registration() {
         let at = |remaining_mm| Convergence { converged: Some(false), remaining_mm, ..Convergence::default() };
-        let is_short = |remaining_mm, unsettled_mm| ended_reason(&at(remaining_mm), unsettled_mm).is_some();
+        let is_short = |remaining_mm, unsettled_mm| convergence_reason(&at(remaining_mm), unsettled_mm).is_some();
         assert!(is_short(None, None) && is_short(Some(0.06), Some(0.06)) && is_short(Some(0.06), None));
         assert!(!is_short(Some(0.05), Some(0.06)) && !is_short(Some(0.06), Some(0.05)));
         let converged = Convergence { converged: Some(true), remaining_mm: Some(0.3), ..Convergence::default() };
-        assert_eq!(ended_reason(&converged, Some(0.3)), None);
+        assert_eq!(convergence_reason(&converged, Some(0.3)), None);
     }
 
     #[test]
@@ -101,7 +101,7 @@ mod tests {
         ] {
             let ended =
                 Convergence { converged: Some(false), stop_reason: Some(StopCause::By(stop)), remaining_mm: None };
-            let reason = ended_reason(&ended, None).unwrap();
+            let reason = convergence_reason(&ended, None).unwrap();
             assert_eq!(reason.reason, format!("the registration did not converge: it stopped by {words}"));
             assert_eq!((reason.rule.as_str(), reason.answer), ("converged", Answer::Doubtful));
         }
