@@ -99,9 +99,7 @@ pub(crate) fn check_frozen(
     sets: &[String],
     kinds: &Kinds,
 ) -> Result<Checked, Faults> {
-    let mut faults = Vec::new();
-    let graph = graph::load_text(text, path, &[Sets::row(row, path), Sets::command_line(sets)], &mut faults);
-    check_graph(&graph, path, kinds, Files::Needed, faults)
+    check_source(text, path, &[Sets::row(row, path), Sets::command_line(sets)], kinds, Files::Needed)
 }
 
 /// Checks the file at `path`, which may be a graph or a module.
@@ -132,9 +130,7 @@ pub fn check_text(
     sets: &[String],
     kinds: impl Into<Kinds>,
 ) -> Result<Checked, Faults> {
-    let mut faults = Vec::new();
-    let graph = graph::load_text(text.into(), virtual_path, &[Sets::command_line(sets)], &mut faults);
-    check_graph(&graph, virtual_path, &kinds.into(), Files::Needed, faults)
+    check_source(text.into(), virtual_path, &[Sets::command_line(sets)], &kinds.into(), Files::Needed)
 }
 
 /// Checks the text of a graph whose sources are replayed from a recording; the files it names need not exist.
@@ -147,9 +143,13 @@ pub fn check_recorded(
     sets: &[String],
     kinds: impl Into<Kinds>,
 ) -> Result<Checked, Faults> {
+    check_source(text.into(), virtual_path, &[Sets::command_line(sets)], &kinds.into(), Files::Replaced)
+}
+
+fn check_source(text: String, path: &Path, sets: &[Sets<'_>], kinds: &Kinds, files: Files) -> Result<Checked, Faults> {
     let mut faults = Vec::new();
-    let graph = graph::load_text(text.into(), virtual_path, &[Sets::command_line(sets)], &mut faults);
-    check_graph(&graph, virtual_path, &kinds.into(), Files::Replaced, faults)
+    let graph = graph::load_text(text, path, sets, &mut faults);
+    check_graph(&graph, path, kinds, files, faults)
 }
 
 fn load(path: &Path, sets: &[Sets<'_>]) -> Result<(Graph, Vec<Fault>), Faults> {

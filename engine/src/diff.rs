@@ -238,19 +238,15 @@ fn missing(wire: &str, a: &Index, b: &Index) -> WireDiff {
             _ => continue,
         };
         diff.n_only[side] += 1;
-        let presence = |there: bool| if there { "an item".to_owned() } else { "none".into() };
-        diff.keep_first(number, plain("presence", presence(side == 0), presence(side == 1)));
+        let presence = |there: bool| if there { "an item" } else { "none" };
+        diff.keep_first(number, Difference::other("presence", presence(side == 0), presence(side == 1)));
     }
     let lowest = of_a.iter().chain(&of_b).map(|entry| entry.number).min();
     if let Some(number) = lowest.filter(|_| x.is_some() && y.is_some() && diff.payloads[0] != diff.payloads[1]) {
         let [a, b] = diff.payloads.clone();
-        diff.keep_first(number, plain("payload", a, b));
+        diff.keep_first(number, Difference::other("payload", a, b));
     }
     diff
-}
-
-fn plain(field: &str, a: String, b: String) -> Difference {
-    Difference { field: field.into(), a, b, ulp: None, distance: None, unit: None, note: None }
 }
 
 /// Compares two items with the same number.
@@ -270,7 +266,7 @@ fn items(
     let mut found = match (codec::decode(&x), codec::decode(&y)) {
         (Ok(x), Ok(y)) => Compare::items(&x, &y, units, tolerance),
         (x, y) => {
-            let first = Some(plain("message", damaged(&x), damaged(&y)));
+            let first = Some(Difference::other("message", damaged(&x), damaged(&y)));
             ItemDifference { first, other: true, ..ItemDifference::default() }
         }
     };
@@ -278,7 +274,7 @@ fn items(
     if found.first.is_none() && found.n_numbers == 0 {
         let at = x.iter().zip(&y).position(|(x, y)| x != y).unwrap_or_else(|| x.len().min(y.len()));
         found.other = true;
-        found.first = Some(plain(&format!("byte {at} of the message"), byte(&x, at), byte(&y, at)));
+        found.first = Some(Difference::other(format!("byte {at} of the message"), byte(&x, at), byte(&y, at)));
     }
     Ok(found)
 }

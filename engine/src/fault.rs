@@ -87,6 +87,11 @@ impl Fault {
         }
     }
 
+    /// Adds a suggestion and a list, as [`nearest::hint`](crate::names::nearest::hint) gives them.
+    pub(crate) fn hint(self, (help, list): (Option<String>, Option<String>)) -> Self {
+        self.help_if(help).note_if(list)
+    }
+
     /// Marks the fault as a possible consequence of a syntax fault.
     pub(crate) fn follows(mut self) -> Self {
         self.follows = true;

@@ -23,8 +23,8 @@ use crate::{
     panics,
     plan::{OutputId, Plan},
     recording::format::{
-        FIRST_NS, InputHashes, LogLevel, MetadataRecord, Outcome, PROFILE, PluginRecords, Program, RecordedFailure,
-        RunRecord, WireCounts,
+        Entries, FIRST_NS, INPUT_HASHES, LogLevel, MetadataRecord, Outcome, PROFILE, PROGRAM, PluginRecords,
+        RecordedFailure, RunRecord, WireCounts,
     },
     runtime::{Failed, Tap},
     shown_paths::ShownPaths,
@@ -37,7 +37,8 @@ use queue::Queue;
 use serde_json::Value as Json;
 use sink::{Sink, Stopped};
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeSet,
+    fmt,
     fs::File,
     io,
     path::{Path, PathBuf},
@@ -60,57 +61,24 @@ const MAX_WAIT_FOR_TIME: Duration = Duration::from_secs(2);
 /// Number of firings passed to the writer at once.
 const FIRING_BATCH: usize = 4096;
 
-/// A recording that could not be written.
+/// A recording that could not be written, and why.
 #[derive(Debug, thiserror::Error)]
-pub enum RecordError {
-    /// The file could not be created.
-    #[error("cannot create {}: {source}", .path.display())]
-    Create {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// The file could not be written to its end.
-    #[error("cannot write {}: {source}; the run was ended, and what was recorded before is whole", .path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// A payload's view panicked.
-    #[error("cannot write {}: the view of a payload {panic}", .path.display())]
-    Panicked {
-        /// The file.
-        path: PathBuf,
-        /// The panic message, with the wire.
-        panic: String,
-    },
-    /// An item exceeds the maximum length that readers accept.
-    #[error(
-        "cannot write {}: item {number} of {wire} has {n_bytes} bytes, and a recording holds items of up to a gigabyte; \
-         take the wire out of [record]",
-        .path.display()
-    )]
-    TooLong {
-        /// The file.
-        path: PathBuf,
-        /// The wire.
-        wire: String,
-        /// The item's number.
-        number: u64,
-        /// Its length.
-        n_bytes: usize,
-    },
-    /// A source's input file cannot be hashed, so the recording cannot identify it.
-    #[error("cannot read {path} to name it in the recording: {reason}")]
-    Input {
-        /// The file.
-        path: String,
-        /// Why.
-        reason: String,
-    },
+#[error("{0}")]
+pub struct RecordError(String);
+
+impl RecordError {
+    fn create(path: &Path, error: io::Error) -> Self {
+        Self(format!("cannot create {}: {error}", path.display()))
+    }
+
+    fn write(path: &Path, error: impl fmt::Display) -> Self {
+        Self(format!("cannot write {}: {error}", path.display()))
+    }
+
+    /// Of a file that does not reach its end.
+    fn ended(path: &Path, error: io::Error) -> Self {
+        Self::write(path, format_args!("{error}; the run was ended, and what was recorded before is whole"))
+    }
 }
 
 /// A recording in progress.
@@ -149,7 +117,7 @@ struct RecordingSummary {
 /// What is known at the end of the run.
 #[derive(Default)]
 struct End {
-    metadata: Vec<(&'static str, BTreeMap<String, String>)>,
+    metadata: Vec<(&'static str, Entries)>,
     complete: bool,
     log: Vec<LogEntry>,
 }
@@ -173,14 +141,13 @@ impl Recorder {
         inputs: Option<&[Json]>,
         shown: &ShownPaths,
     ) -> Result<Self, RecordError> {
-        let create = |source| RecordError::Create { path: path.into(), source };
-        let write = |source| RecordError::Write { path: path.into(), source };
+        let create = |error| RecordError::create(path, error);
         let inputs = inputs.map(named_inputs).transpose()?;
         let file = durable::create(path).map_err(create)?;
-        let sink = begin(file, plan, options, inputs, shown).map_err(write)?;
+        let sink = begin(file, plan, options, inputs, shown).map_err(|error| RecordError::ended(path, error))?;
         let shared =
             Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
-        let (seen, path) = (shared.clone(), path.to_owned());
+        let seen = shared.clone();
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
             let written = panics::catch(|| record(sink, &seen)).unwrap_or_else(|panic| Err(Stopped::Panic(panic)));
             if written.is_err() {
@@ -191,7 +158,7 @@ impl Recorder {
             written
         });
         let wires = plan.record.iter().copied().collect();
-        Ok(Self { wires, shared, writer: writer.map_err(create)?, path })
+        Ok(Self { wires, shared, writer: writer.map_err(create)?, path: path.to_owned() })
     }
 
     /// Writes the remaining items and the outcome of the run, and closes the file.
@@ -211,27 +178,22 @@ impl Recorder {
             failures: failures.to_vec(),
         };
         let mut metadata = vec![(Outcome::NAME, outcome.to_metadata())];
-        metadata.extend(inputs.map(|inputs| (InputHashes::NAME, all_inputs(inputs).0)));
+        metadata.extend(inputs.map(|inputs| (INPUT_HASHES, all_inputs(inputs))));
         let queue = &self.shared.queue;
         queue.put(QueueItem::Firings(self.shared.take_firings()), 0);
         queue.put(QueueItem::End(End { metadata, complete: status == "complete", log }), 0);
         queue.close();
-        let Ok(written) = self.writer.join() else {
-            return Err(RecordError::Panicked { path: self.path, panic: "panicked".into() });
-        };
+        let written = self.writer.join().unwrap_or_else(|_| Err(Stopped::Panic("panicked".into())));
         let RecordingSummary { counts, layout } = written.map_err(|stopped| stopped.into_error(&self.path))?;
-        let synced = durable::sync_folder_of(&self.path);
-        synced.map_err(|source| RecordError::Write { path: self.path.clone(), source })?;
+        durable::sync_folder_of(&self.path).map_err(|error| RecordError::ended(&self.path, error))?;
         if let Some(layout) = layout {
             let path = self.path.with_file_name(LAYOUT);
             let written = durable::write(&path, format!("{layout:#}\n").as_bytes());
-            written.map_err(|source| RecordError::Write { path, source })?;
+            written.map_err(|error| RecordError::ended(&path, error))?;
         }
         Ok(counts)
     }
-}
 
-impl Recorder {
     fn log(&self, entry: LogEntry) {
         let n_bytes = entry.message.len();
         self.shared.queue.put(QueueItem::Log(entry), n_bytes);
@@ -296,7 +258,7 @@ fn begin(
     file: File,
     plan: &Plan,
     options: &RunOptions,
-    inputs: Option<InputHashes>,
+    inputs: Option<Entries>,
     shown: &ShownPaths,
 ) -> io::Result<Sink> {
     let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION"));
@@ -319,11 +281,11 @@ fn begin(
     };
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
-    let program = Program(program.map(|(key, value)| (key.clone(), shown.text(&text(value)))).collect());
+    let program = program.map(|(key, value)| (key.clone(), shown.text(&text(value)))).collect();
     write(&mut file, &run)?;
-    write(&mut file, &program)?;
+    file.write_metadata(PROGRAM, &program)?;
     write(&mut file, &PluginRecords(plan.plugins.clone()))?;
-    inputs.iter().try_for_each(|inputs| write(&mut file, inputs))?;
+    inputs.iter().try_for_each(|inputs| file.write_metadata(INPUT_HASHES, inputs))?;
     let mut sink = Sink::begin(Output::new(file, options.listener.clone()), plan, shown)?;
     // From here on, a truncated file names the wires it was to hold.
     sink.file.flush()?;
@@ -335,22 +297,23 @@ fn write<T: MetadataRecord>(file: &mut Writer<File>, record: &T) -> io::Result<(
 }
 
 /// Hash of each file.
-fn named_inputs(inputs: &[Json]) -> Result<InputHashes, RecordError> {
+fn named_inputs(inputs: &[Json]) -> Result<Entries, RecordError> {
     if let Some(unread) = inputs.iter().find(|input| input["sha256"].as_str().is_none()) {
         let text = |key: &str| unread[key].as_str().unwrap_or("unknown").to_owned();
-        return Err(RecordError::Input { path: text("path"), reason: text("error") });
+        let (path, reason) = (text("path"), text("error"));
+        return Err(RecordError(format!("cannot read {path} to name it in the recording: {reason}")));
     }
     Ok(all_inputs(inputs))
 }
 
 /// Hash of each file, or why it cannot be hashed.
-fn all_inputs(inputs: &[Json]) -> InputHashes {
+fn all_inputs(inputs: &[Json]) -> Entries {
     let entry = |input: &Json| {
         let text = |key: &str| input[key].as_str().map(str::to_owned);
         let hash = text("sha256").or_else(|| Some(format!("unread: {}", text("error")?)));
         Some((text("path")?, hash?))
     };
-    InputHashes(inputs.iter().filter_map(entry).collect())
+    inputs.iter().filter_map(entry).collect()
 }
 
 /// Writer thread: runs until the queue is closed and empty, or writing fails.

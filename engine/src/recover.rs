@@ -9,7 +9,7 @@ use crate::recording::{
     RecordingError, codec,
     container::Soundness,
     findings::Finding,
-    format::{InputHashes, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
+    format::{INPUT_HASHES, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
     too_large,
     wires::{Carries, Channels},
@@ -143,29 +143,20 @@ pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<Recover
     }
 }
 
-/// The new file.
-enum Output {
-    /// Its header is not written yet.
-    File(File),
-    Writer(Box<Writer<File>>),
-    /// The header could not be written.
-    Failed,
+/// The new file; its header is written by the first call of [`Output::writer`].
+struct Output {
+    file: Option<File>,
+    writer: Option<Writer<File>>,
 }
 
 impl Output {
-    /// The writer; the first call writes the header.
     fn writer(&mut self, profile: &str) -> io::Result<&mut Writer<File>> {
-        if matches!(self, Self::File(_))
-            && let Self::File(file) = std::mem::replace(self, Self::Failed)
-        {
+        if let Some(file) = self.file.take() {
             let library = concat!("osteoflow ", env!("CARGO_PKG_VERSION")).into();
             let options = WriteOptions { profile: profile.into(), library, ..WriteOptions::default() };
-            *self = Self::Writer(Box::new(Writer::new(file, options)?));
+            self.writer = Some(Writer::new(file, options)?);
         }
-        match self {
-            Self::Writer(writer) => Ok(writer),
-            Self::File(_) | Self::Failed => Err(io::Error::other("the header could not be written")),
-        }
+        self.writer.as_mut().ok_or_else(|| io::Error::other("the header could not be written"))
     }
 }
 
@@ -197,7 +188,7 @@ struct Recovery<'a> {
 impl<'a> Recovery<'a> {
     fn new(file: File, progress: Progress<'a>) -> Self {
         Self {
-            output: Output::File(file),
+            output: Output { file: Some(file), writer: None },
             failed: None,
             schemas: BTreeMap::new(),
             channels: Channels::default(),
@@ -321,7 +312,7 @@ impl<'a> Recovery<'a> {
             (Outcome::NAME, "the results"),
         ];
         // Where inputs are hashed at the end, they are lost with the counts.
-        let inputs = (InputHashes::NAME, "the hashes of the inputs");
+        let inputs = (INPUT_HASHES, "the hashes of the inputs");
         let parts = parts.iter().chain((!counted).then_some(&inputs));
         let parts = parts.filter(|(name, _)| is_ours && !self.metadata.contains(*name));
         let report = RecoverReport {
@@ -338,7 +329,7 @@ impl<'a> Recovery<'a> {
             self.output.writer("")?.write_metadata(Recovered::NAME, &metadata)?;
         }
         self.output.writer("")?;
-        if let Output::Writer(writer) = self.output {
+        if let Some(writer) = self.output.writer {
             writer.finish()?;
         }
         Ok(report)

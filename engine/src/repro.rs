@@ -78,15 +78,17 @@ pub fn repro(
     let known = kinds.with(&named);
     let registry = &known.registry;
     if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
-        return Err(ReproError::Plugin { path: refused.path.clone(), why: refused.why.clone() });
+        return Err(ReproError::Unfit(format!("plugin {} is refused: {}", refused.path.display(), refused.why)));
     }
-    let kind = registry.kind(&node.kind).ok_or_else(|| ReproError::Kind(node.kind.clone()))?;
-    let build = |message: String| ReproError::Build { node: node.name.clone(), message };
+    let kind = registry.kind(&node.kind).ok_or_else(|| not_here("kind", &node.kind))?;
+    let build = |message: String| {
+        ReproError::Unfit(format!("node \"{}\" cannot be built from the bundle's parameters: {message}", node.name))
+    };
     let outputs = node.outputs.iter().map(|output| Ok((output.name.as_str(), payload(registry, &output.payload)?)));
     let outputs: Vec<(&str, PortPayload)> = outputs.collect::<Result<_, ReproError>>()?;
     let declared = node.declared.iter().map(|port| {
         let PortPayload::Type(payload) = payload(registry, &port.payload)? else {
-            return Err(ReproError::Payload(port.payload.clone()));
+            return Err(not_here("payload", &port.payload));
         };
         Ok(DeclaredPort { name: port.name.clone(), payload, params: port.params.clone() })
     });
@@ -105,7 +107,8 @@ pub fn repro(
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
     // Files that the node writes go to a temporary folder.
     let scratch = bundle.out_dir.as_ref().map(|_| TemporaryFolder::new("osteoflow-repro")).transpose();
-    let scratch = scratch.map_err(ReproError::Scratch)?;
+    let no_folder = |error| ReproError::Files(format!("no folder can be made for what the node writes: {error}"));
+    let scratch = scratch.map_err(no_folder)?;
     let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.path()));
     let mut context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared).with_out_dir(out_dir);
     if backtrace {
@@ -171,7 +174,11 @@ fn payload(registry: &Registry, name: &str) -> Result<PortPayload, ReproError> {
         return Ok(PortPayload::Any);
     }
     let ty: Option<&'static PayloadType> = registry.payload_type(name);
-    ty.map(PortPayload::Type).ok_or_else(|| ReproError::Payload(name.into()))
+    ty.map(PortPayload::Type).ok_or_else(|| not_here("payload", name))
+}
+
+fn not_here(what: &str, name: &str) -> ReproError {
+    ReproError::Unfit(format!("there is no {what} \"{name}\" here; run the bundle with the program that saved it"))
 }
 
 /// Items that the ports brought, in the order of the kind's ports, and the stamp of the firing.
@@ -186,20 +193,28 @@ fn joined(
     context.begin(bundle.item, bundle.stamp_ns);
     let mut slots = Vec::new();
     for port in &kind.description.inputs {
-        let missing = || ReproError::Port { kind: bundle.node.kind.clone(), port: port.name.into() };
+        let name = port.name;
+        let missing = || {
+            let kind = &bundle.node.kind;
+            let hint = "which the bundle lacks; run it with the program that saved it";
+            ReproError::Unfit(format!("{kind} has an input \"{name}\" here, {hint}"))
+        };
         let input = bundle.inputs.iter().find(|input| input.port == port.name).ok_or_else(missing)?;
         let mut came = items.remove(port.name).unwrap_or_default();
+        let expected = match &input.given {
+            PortItems::Item => 1,
+            PortItems::Items { n, .. } => *n,
+            PortItems::Absent { .. } => came.len(),
+        };
+        if came.len() != expected {
+            let n = came.len();
+            let fault =
+                format!("input \"{name}\" has {n} items in inputs.mcap, {expected} expected; the bundle is damaged");
+            return Err(ReproError::Files(fault));
+        }
         slots.push(match &input.given {
-            PortItems::Item => {
-                if came.len() != 1 {
-                    return Err(ReproError::Count { port: port.name.into(), found: came.len(), expected: 1 });
-                }
-                Slot::Item(came.remove(0))
-            }
-            PortItems::Items { n, absent } => {
-                if came.len() != *n {
-                    return Err(ReproError::Count { port: port.name.into(), found: came.len(), expected: *n });
-                }
+            PortItems::Item => Slot::Item(came.remove(0)),
+            PortItems::Items { absent, .. } => {
                 absent.iter().for_each(|empty| context.note_absent(port.name, Arc::new(empty.clone())));
                 Slot::Items(came)
             }

@@ -45,11 +45,7 @@ impl Repro {
         let program = Program::current(options.command);
         let report =
             repro::repro(&self.dir, self.plugins.kinds()?, program, backtrace).map_err(|error| match error {
-                ReproError::Kind(_)
-                | ReproError::Payload(_)
-                | ReproError::Port { .. }
-                | ReproError::Plugin { .. }
-                | ReproError::Build { .. } => UsageError(error.to_string()).into(),
+                ReproError::Unfit(why) => UsageError(why).into(),
                 other => anyhow::Error::from(other),
             })?;
         let exit = if report.same { Exit::Done } else { Exit::Differs };

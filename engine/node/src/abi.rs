@@ -13,7 +13,7 @@ pub use head::{head_offsets, head_size};
 pub use raw::{Plain, entries, list, required_text, text};
 pub use view::{IncomingView, OutgoingView, Ownership};
 
-use std::{ffi::c_void, ptr};
+use std::{ffi::c_void, fmt, ptr};
 
 /// Raised by incompatible changes; a plugin with another major version is refused.
 pub const MAJOR: u32 = 1;
@@ -368,48 +368,25 @@ impl Numbers {
 
 /// Invalid data from the other side of the boundary.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum AbiError {
+#[error("{0}")]
+pub struct AbiError(pub String);
+
+impl AbiError {
     /// A required pointer is null.
-    #[error("{0} is a null pointer")]
-    Null(String),
-    /// A length beyond the address space.
-    #[error("{0} claims {1} entries, more than memory can hold")]
-    Length(String, u64),
-    /// A text that is not UTF-8.
-    #[error("{0} is not UTF-8 text")]
-    Utf8(String),
-    /// Rows or entries that are not aligned to their type.
-    #[error("{0} is not aligned to its type")]
-    Unaligned(String),
-    /// A struct that is smaller than in minor 0.
-    #[error("{what} are structs of {found} bytes, at least {needed} are needed")]
-    Size {
-        /// The list.
-        what: String,
-        /// Bytes of the other side's struct.
-        found: u32,
-        /// Bytes of ours.
-        needed: u32,
-    },
-    /// Rows that overlap.
-    #[error("{what} has rows of {row} bytes with a stride of {stride} bytes")]
-    Stride {
-        /// The column.
-        what: String,
-        /// Bytes from one row to the next.
-        stride: u64,
-        /// Bytes in a row.
-        row: u64,
-    },
-    /// A text that is not JSON.
-    #[error("{what} is not JSON: {error}")]
-    Json {
-        /// The text.
-        what: String,
-        /// The parse error.
-        error: String,
-    },
-    /// An unknown code.
-    #[error("{0} has the unknown code {1}")]
-    Code(String, u32),
+    pub fn null(what: impl fmt::Display) -> Self {
+        Self(format!("{what} is a null pointer"))
+    }
+
+    /// A code is unknown.
+    pub fn code(what: impl fmt::Display, code: u32) -> Self {
+        Self(format!("{what} has the unknown code {code}"))
+    }
+
+    fn length(what: impl fmt::Display, length: u64) -> Self {
+        Self(format!("{what} claims {length} entries, more than memory can hold"))
+    }
+
+    fn unaligned(what: impl fmt::Display) -> Self {
+        Self(format!("{what} is not aligned to its type"))
+    }
 }

@@ -30,36 +30,10 @@ impl fmt::Debug for Registry {
     }
 }
 
-/// Two different payload types of one name.
+/// Two payload types of one name whose versions or schemas differ.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum PayloadClash {
-    /// The versions differ.
-    #[error(
-        "payload {name} is known with version {known} and comes with version {new}; build both against one of them"
-    )]
-    Version {
-        /// The name.
-        name: &'static str,
-        /// The version in the registry.
-        known: u32,
-        /// The version to be added.
-        new: u32,
-    },
-    /// The schemas differ.
-    #[error(
-        "payload {name}@{version} is known with {known} and comes with {new}; raise the version where a view changes"
-    )]
-    Schema {
-        /// The name.
-        name: &'static str,
-        /// The version of both.
-        version: u32,
-        /// The first differing entry, of the type in the registry.
-        known: String,
-        /// The first differing entry, of the type to be added.
-        new: String,
-    },
-}
+#[error("{0}")]
+pub struct PayloadClash(String);
 
 /// A kind of node: its description and its constructor.
 pub struct Kind {
@@ -145,16 +119,19 @@ impl Registry {
     /// # Errors
     /// [`PayloadClash`] if the name is registered with another version or schema.
     pub fn add_payload_type(&mut self, ty: &'static PayloadType) -> Result<&'static PayloadType, PayloadClash> {
-        let name = ty.name;
+        let (name, version) = (ty.name, ty.version);
         let known = *self.payloads.entry(name).or_insert(ty);
-        if known.version != ty.version {
-            return Err(PayloadClash::Version { name, known: known.version, new: ty.version });
+        if known.version != version {
+            let versions = format!("is known with version {} and comes with version {version}", known.version);
+            return Err(PayloadClash(format!("payload {name} {versions}; build both against one of them")));
         }
         match SchemaEntry::first_difference(known.schema, ty.schema) {
             None => Ok(known),
             Some((known, new)) => {
-                let describe = |entry: Option<SchemaEntry>| entry.map_or("no entry".into(), |entry| entry.to_string());
-                Err(PayloadClash::Schema { name, version: ty.version, known: describe(known), new: describe(new) })
+                let describe =
+                    |entry: Option<SchemaEntry>| entry.map_or("no entry".to_owned(), |entry| entry.to_string());
+                let schemas = format!("is known with {} and comes with {}", describe(known), describe(new));
+                Err(PayloadClash(format!("payload {name}@{version} {schemas}; raise the version where a view changes")))
             }
         }
     }

@@ -2,7 +2,7 @@
 
 mod check;
 
-use crate::{ColumnType, EntryType};
+use crate::ColumnType;
 use bytemuck::Pod;
 use std::{borrow::Cow, fmt, sync::Arc};
 
@@ -68,16 +68,13 @@ impl Column {
     /// The rows as values of `T`: borrowed where aligned, otherwise copied.
     ///
     /// # Errors
-    /// [`ViewError::Rows`] if a row is not the size of a `T` or the bytes end within a row.
+    /// [`ViewError`] if a row is not the size of a `T` or the bytes end within a row.
     pub fn rows_of<T: Pod>(&self) -> Result<std::borrow::Cow<'_, [T]>, ViewError> {
         let (row, size) = (self.kind.size() * self.width as usize, size_of::<T>());
         if row != size || !self.bytes().len().is_multiple_of(size) {
-            return Err(ViewError::Rows {
-                name: self.name.to_string(),
-                row,
-                expected: size,
-                bytes: self.bytes().len(),
-            });
+            let (name, bytes) = (&self.name, self.bytes().len());
+            let fault = format!("column \"{name}\" has rows of {row} bytes in {bytes} bytes, {size} needed");
+            return Err(ViewError::Mismatch(fault));
         }
         Ok(match bytemuck::try_cast_slice(self.bytes()) {
             Ok(rows) => rows.into(),
@@ -109,77 +106,16 @@ pub enum ViewError {
         /// Its name.
         name: String,
     },
-    /// The rows of a column have the wrong size.
-    #[error("column \"{name}\" has rows of {row} bytes in {bytes} bytes, {expected} needed")]
-    Rows {
-        /// The column.
-        name: String,
-        /// Bytes in a row.
-        row: usize,
-        /// Bytes in a row of the requested type.
-        expected: usize,
-        /// Bytes in all.
-        bytes: usize,
-    },
-    /// A head field has the wrong type.
-    #[error("field \"{name}\" is {found}, {expected} needed")]
-    FieldType {
-        /// The field.
-        name: String,
-        /// Its type.
-        found: EntryType,
-        /// The required type.
-        expected: EntryType,
-    },
-    /// A column has the wrong value type.
-    #[error("column \"{name}\" holds {}, {} needed", .found.name(), .expected.name())]
-    ColumnType {
-        /// The column.
-        name: String,
-        /// The type of its values.
-        found: ColumnType,
-        /// The required type.
-        expected: ColumnType,
-    },
-    /// A column has the wrong width.
-    #[error("column \"{name}\" has {found} values in a row, {expected} needed")]
-    Width {
-        /// The column.
-        name: String,
-        /// Values in a row.
-        found: u32,
-        /// Required values in a row.
-        expected: u32,
-    },
-    /// The last row of a column is incomplete.
-    #[error("column \"{name}\" ends within a row: {bytes} bytes in rows of {row}")]
-    CutRow {
-        /// The column.
-        name: String,
-        /// Bytes in all.
-        bytes: usize,
-        /// Bytes in a row.
-        row: usize,
-    },
-    /// A head field or column that is not in the schema.
-    #[error("the view has a {what} \"{name}\" that its payload does not have")]
-    Unknown {
-        /// Field or column.
-        what: &'static str,
-        /// Its name.
-        name: String,
-    },
-    /// Two head fields or columns of one name.
-    #[error("the view has two {what} \"{name}\"")]
-    Twice {
-        /// Fields or columns.
-        what: &'static str,
-        /// Their name.
-        name: String,
-    },
+    /// A head field or column is not as the schema says.
+    #[error("{0}")]
+    Mismatch(String),
     /// The values are not valid for the payload.
     #[error("the view is not a valid payload: {0}")]
     Invalid(String),
+}
+
+fn missing(what: &'static str, name: &str) -> ViewError {
+    ViewError::Missing { what, name: name.into() }
 }
 
 impl View {
@@ -210,8 +146,7 @@ impl View {
     /// # Errors
     /// [`ViewError::Missing`] if there is none.
     pub fn column(&self, name: &str) -> Result<&Column, ViewError> {
-        let missing = || ViewError::Missing { what: "column", name: name.into() };
-        self.columns.iter().find(|c| c.name == name).ok_or_else(missing)
+        self.columns.iter().find(|c| c.name == name).ok_or_else(|| missing("column", name))
     }
 
     /// The text with this name.
@@ -221,7 +156,7 @@ impl View {
     pub fn text(&self, name: &str) -> Result<&str, ViewError> {
         match self.field(name) {
             Some(Field::Text(text)) => Ok(text),
-            _ => Err(ViewError::Missing { what: "text field", name: name.into() }),
+            _ => Err(missing("text field", name)),
         }
     }
 
@@ -232,7 +167,7 @@ impl View {
     pub fn shared_text(&self, name: &str) -> Result<Arc<str>, ViewError> {
         match self.field(name) {
             Some(Field::Text(text)) => Ok(text.clone()),
-            _ => Err(ViewError::Missing { what: "text field", name: name.into() }),
+            _ => Err(missing("text field", name)),
         }
     }
 
@@ -243,7 +178,7 @@ impl View {
     pub fn int(&self, name: &str) -> Result<i64, ViewError> {
         match self.field(name) {
             Some(Field::Int(value)) => Ok(*value),
-            _ => Err(ViewError::Missing { what: "integer field", name: name.into() }),
+            _ => Err(missing("integer field", name)),
         }
     }
 
@@ -254,7 +189,7 @@ impl View {
     pub fn float(&self, name: &str) -> Result<f64, ViewError> {
         match self.field(name) {
             Some(Field::Float(value)) => Ok(*value),
-            _ => Err(ViewError::Missing { what: "number field", name: name.into() }),
+            _ => Err(missing("number field", name)),
         }
     }
 
@@ -263,7 +198,7 @@ impl View {
     /// # Errors
     /// [`ViewError::Missing`] if there is no such list, or its length is not `N`.
     pub fn floats<const N: usize>(&self, name: &str) -> Result<[f64; N], ViewError> {
-        let missing = || ViewError::Missing { what: "number list", name: format!("{name} of {N}") };
+        let missing = || missing("number list", &format!("{name} of {N}"));
         match self.field(name) {
             Some(Field::Floats(values)) => values.as_slice().try_into().map_err(|_| missing()),
             _ => Err(missing()),

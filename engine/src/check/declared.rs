@@ -97,8 +97,7 @@ impl Check<'_> {
         let known = self.known.registry.payload_type(found);
         if known.is_none() {
             let fault = Fault::new(format!("{owner}: there is no payload type \"{found}\""));
-            let (help, list) = self.payloads(found);
-            self.faults.push(fault.at(&ty.value.at, "unknown").help_if(help).note_if(list));
+            self.faults.push(fault.at(&ty.value.at, "unknown").hint(self.payloads(found)));
         }
         known
     }

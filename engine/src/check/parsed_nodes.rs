@@ -247,7 +247,7 @@ fn nearly_there(name: &str, entry: &Entry, nodes: &Table) -> Option<Fault> {
         return None;
     }
     let fault = Fault::new(format!("there is no node \"{name}\"")).at(&entry.key_at, "unknown");
-    Some(fault.help_if(help).note_if(list).follows())
+    Some(fault.hint((help, list)).follows())
 }
 
 /// The fault of a node without a kind: a misspelt node of the base graph, or a missing `kind`.

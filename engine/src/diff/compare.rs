@@ -167,15 +167,7 @@ impl<'a> Compare<'a> {
     /// Records a difference of something that is not a number.
     fn other(&mut self, field: impl Into<String>, a: String, b: String) {
         self.found.other = true;
-        self.found.first.get_or_insert_with(|| Difference {
-            field: field.into(),
-            a: shortened(a),
-            b: shortened(b),
-            ulp: None,
-            distance: None,
-            unit: None,
-            note: None,
-        });
+        self.found.first.get_or_insert_with(|| Difference::other(field, shortened(a), shortened(b)));
     }
 
     fn views(&mut self, a: &View, b: &View) {

@@ -66,8 +66,8 @@ impl Index {
         for (name, wire) in &mut wires {
             wire.entries.sort_by_key(|entry| entry.number);
             if let Some(pair) = wire.entries.windows(2).find(|pair| pair[0].number == pair[1].number) {
-                let reason = "the number stands there twice; `osteoflow validate` tells all that is wrong".into();
-                return Err(RecordingError::Item { wire: name.clone(), number: pair[0].number, reason });
+                let reason = "the number stands there twice; `osteoflow validate` tells all that is wrong";
+                return Err(RecordingError::item(name, pair[0].number, reason));
             }
         }
         let run = run_record(path, &metadata, None).ok();
@@ -80,7 +80,7 @@ impl Index {
 
     /// Reads the message of an item.
     pub(super) fn message(&mut self, entry: &IndexEntry) -> Result<Vec<u8>, RecordingError> {
-        self.read(entry).map_err(|source| RecordingError::Read { path: self.path.clone(), source })
+        self.read(entry).map_err(|error| RecordingError::read(&self.path, error))
     }
 
     fn read(&mut self, entry: &IndexEntry) -> io::Result<Vec<u8>> {

@@ -5,10 +5,7 @@ use super::{
     grammar::{self, Keys},
     tree::{Entry, Spanned, Table, Value},
 };
-use crate::{
-    fault::{Fault, Span},
-    names::nearest,
-};
+use crate::fault::{Fault, Span};
 
 /// The table `[module]` of a graph file.
 #[derive(Debug, Clone)]
@@ -177,22 +174,4 @@ fn targets(
         }
     }
     targets
-}
-
-/// Suggests the nearest known name and lists the known ones.
-pub(super) fn hint<'a>(found: &str, what: &str, known: impl Iterator<Item = &'a str> + Clone) -> Hint {
-    let (help, list) = nearest::hint(found, what, known);
-    Hint { help, list }
-}
-
-/// Notes and help for a reader who wrote an unknown name.
-pub(super) struct Hint {
-    help: Option<String>,
-    list: Option<String>,
-}
-
-impl Hint {
-    pub(super) fn on(self, fault: Fault) -> Fault {
-        fault.help_if(self.help).note_if(self.list)
-    }
 }

@@ -305,7 +305,7 @@ impl User<'_> {
             given.into_iter().flat_map(|given| &given.0).filter(|entry| input_decls().all(|name| name != entry.key))
         {
             let fault = Fault::new(format!("node \"{node}\": module {file} has no input \"{}\"", entry.key));
-            let fault = interface::hint(&entry.key, "its inputs", input_decls()).on(fault.at(&entry.key_at, "unknown"));
+            let fault = fault.at(&entry.key_at, "unknown").hint(nearest::hint(&entry.key, "its inputs", input_decls()));
             let none = input_decls().next().is_none().then(|| "it has no inputs".to_owned());
             faults.push(fault.note_if(none));
         }
@@ -325,7 +325,7 @@ impl User<'_> {
                     None => {
                         let none = param_decls().next().is_none().then(|| "it has no parameters".to_owned());
                         let within = format!("a key of a node within is set by [node.\"{node}/NAME\"] {key} = ..");
-                        interface::hint(key, "its parameters", param_decls()).on(fault).note_if(none).note(within)
+                        fault.hint(nearest::hint(key, "its parameters", param_decls())).note_if(none).note(within)
                     }
                 },
             });
@@ -386,7 +386,7 @@ fn set(
             at.text().trim_matches('"')
         ));
         let names: Vec<_> = nodes.keys().map(|name| name.strip_prefix(prefix).unwrap_or(name)).collect();
-        faults.push(interface::hint(node, "its nodes", names.into_iter()).on(fault.at(at, "no such node")));
+        faults.push(fault.at(at, "no such node").hint(nearest::hint(node, "its nodes", names)));
         return;
     }
     let mut value = value;

@@ -253,7 +253,7 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindDescrip
     let what = |part: &str| format!("{part} of kind {name}");
     // SAFETY: as above.
     let text = |text, part: &str| unsafe { abi::text(text, &what(part)) }.map(|t| t.map(str::to_owned));
-    let missing = |part: &str| AbiError::Null(what(part));
+    let missing = |part: &str| AbiError::null(what(part));
     let has = (given.create.is_some(), given.fire.is_some(), given.destroy.is_some());
     if let Some(part) = match has {
         (false, ..) => Some("the function create"),
@@ -267,7 +267,7 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindDescrip
         None => Ok(None),
         Some(given) => serde_json::from_str(&given)
             .map(Some)
-            .map_err(|error| AbiError::Json { what: what(part), error: error.to_string() }),
+            .map_err(|error| AbiError(format!("{} is not JSON: {error}", what(part)))),
     };
     let params = json(text(given.params_schema, "the parameters' schema")?, "the parameters' schema")?;
     let declared = json(text(given.declared_schema, "the outputs' schema")?, "the outputs' schema")?;
@@ -277,7 +277,7 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindDescrip
     let inputs = unsafe { abi::entries(given.inputs, given.n_inputs, sizes.input, &what("the inputs")) }?;
     // SAFETY: as above.
     let outputs = unsafe { abi::entries(given.outputs, given.n_outputs, sizes.output, &what("the outputs")) }?;
-    let code = |part: &str, code| AbiError::Code(what(part), code);
+    let code = |part: &str, code| AbiError::code(what(part), code);
     let port = |name: abi::Text, doc, payload, version, frames: [abi::Text; 3]| -> Result<PortDescription, AbiError> {
         let port = text(name, "the name of a port")?.ok_or_else(|| missing("the name of a port"))?;
         let [frame, to, from] = frames.map(|frame| text(frame, "a frame of a port"));

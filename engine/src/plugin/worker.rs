@@ -252,7 +252,7 @@ impl Server {
     }
 
     fn item(&self, place: Place) -> Result<Item, String> {
-        let recorded = self.views.item(place).map_err(|error| error.to_string())?;
+        let recorded = self.views.item(place)?;
         let body = match (recorded.body, recorded.payload) {
             (Err(empty), _) => Body::Empty(Arc::new(empty)),
             (Ok(view), Some((name, _))) => {

@@ -2,8 +2,8 @@
 #![allow(unsafe_code, reason = "maps memory")]
 
 use super::wire::{NewSegment, Place};
-use crate::recording::codec::{self, CodecError, RecordedItem};
-use osteoflow_node::{Buffer, Item, PayloadType, PortPayload, Value, ViewError as NoPayload};
+use crate::recording::codec::{self, RecordedItem};
+use osteoflow_node::{Buffer, Item, PayloadType, PortPayload, Value};
 use rustix::{
     fd::{AsFd, BorrowedFd, OwnedFd},
     fs, io,
@@ -208,23 +208,6 @@ pub(crate) struct Views {
     maps: BTreeMap<u32, Arc<Map>>,
 }
 
-/// An item in shared memory that cannot be read.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum ViewError {
-    #[error("shared memory {0} was never sent")]
-    Unknown(u32),
-    #[error("shared memory {segment} has {has} bytes, {asked} were named")]
-    Short { segment: u32, has: usize, asked: u64 },
-    #[error(transparent)]
-    Item(#[from] CodecError),
-    #[error("{name}@{version}: the port gives {expected}")]
-    Type { name: String, version: u32, expected: &'static str },
-    #[error("{0}: there is no value")]
-    Empty(&'static str),
-    #[error("{0}: {1}")]
-    Payload(&'static str, NoPayload),
-}
-
 /// A column within a segment.
 struct Rows {
     map: Arc<Map>,
@@ -250,14 +233,15 @@ impl Views {
         Ok(())
     }
 
-    /// The item at a place; its columns stay where they are.
-    pub(crate) fn item(&self, place: Place) -> Result<RecordedItem, ViewError> {
-        let map = self.maps.get(&place.segment).ok_or(ViewError::Unknown(place.segment))?;
-        let short = || ViewError::Short { segment: place.segment, has: map.n_bytes, asked: place.n_bytes };
-        let n_bytes = usize::try_from(place.n_bytes).map_err(|_| short())?;
-        let bytes = map.bytes().get(..n_bytes).ok_or_else(short)?;
+    /// The item at a place, or why it cannot be read; its columns stay where they are.
+    pub(crate) fn item(&self, place: Place) -> Result<RecordedItem, String> {
+        let Place { segment, n_bytes } = place;
+        let map = self.maps.get(&segment).ok_or_else(|| format!("shared memory {segment} was never sent"))?;
+        let bytes = usize::try_from(n_bytes).ok().and_then(|n| map.bytes().get(..n));
+        let short = || format!("shared memory {segment} has {} bytes, {n_bytes} were named", map.n_bytes);
+        let bytes = bytes.ok_or_else(short)?;
         let borrow = |range| -> Buffer { Arc::new(Rows { map: map.clone(), range }) };
-        Ok(codec::decode_borrowed(bytes, &borrow)?)
+        codec::decode_borrowed(bytes, Some(&borrow)).map_err(|error| error.to_string())
     }
 
     /// The value at a place, for an output of this payload.
@@ -266,7 +250,7 @@ impl Views {
         place: Place,
         payload: PortPayload,
         types: &[&'static PayloadType],
-    ) -> Result<Value, ViewError> {
+    ) -> Result<Value, String> {
         let item = self.item(place)?;
         let (name, version) = item.payload.unwrap_or_default();
         let ty = match payload {
@@ -274,9 +258,9 @@ impl Views {
             PortPayload::Any => types.iter().copied().find(|ty| ty.name == name),
         };
         let ty = ty.filter(|ty| (ty.name, ty.version) == (&*name, version));
-        let ty = ty.ok_or(ViewError::Type { name, version, expected: payload.name() })?;
-        let view = item.body.map_err(|_| ViewError::Empty(ty.name))?;
-        ty.from_view(&view).map_err(|error| ViewError::Payload(ty.name, error))
+        let ty = ty.ok_or_else(|| format!("{name}@{version}: the port gives {}", payload.name()))?;
+        let view = item.body.map_err(|_| format!("{}: there is no value", ty.name))?;
+        ty.from_view(&view).map_err(|error| format!("{}: {error}", ty.name))
     }
 
     /// The segments of which something is still used.

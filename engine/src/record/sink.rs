@@ -84,11 +84,16 @@ impl From<io::Error> for Stopped {
 
 impl Stopped {
     pub(super) fn into_error(self, path: &std::path::Path) -> RecordError {
-        let path = path.into();
         match self {
-            Self::Io(source) => RecordError::Write { path, source },
-            Self::Panic(panic) => RecordError::Panicked { path, panic },
-            Self::TooLong { wire, number, n_bytes } => RecordError::TooLong { path, wire, number, n_bytes },
+            Self::Io(error) => RecordError::ended(path, error),
+            Self::Panic(panic) => RecordError::write(path, format_args!("the view of a payload {panic}")),
+            Self::TooLong { wire, number, n_bytes } => RecordError::write(
+                path,
+                format_args!(
+                    "item {number} of {wire} has {n_bytes} bytes, and a recording holds items of up to a gigabyte; \
+                     take the wire out of [record]"
+                ),
+            ),
         }
     }
 }

@@ -200,19 +200,15 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
 /// # Errors
 /// [`CodecError`] if the bytes are damaged. Lengths are checked against the available bytes before memory is allocated.
 pub(crate) fn decode(bytes: &[u8]) -> Result<RecordedItem, CodecError> {
-    decode_by(Reader { bytes, at: 0, borrow: None })
+    decode_borrowed(bytes, None)
 }
 
 /// Decodes an item whose columns are borrowed: `borrow` returns a range of the bytes as a buffer without a copy.
 ///
 /// # Errors
 /// See [`decode`].
-pub(crate) fn decode_borrowed(bytes: &[u8], borrow: &Borrow<'_>) -> Result<RecordedItem, CodecError> {
-    decode_by(Reader { bytes, at: 0, borrow: Some(borrow) })
-}
-
-fn decode_by(mut reader: Reader<'_>) -> Result<RecordedItem, CodecError> {
-    let bytes = reader.bytes;
+pub(crate) fn decode_borrowed(bytes: &[u8], borrow: Option<&Borrow<'_>>) -> Result<RecordedItem, CodecError> {
+    let mut reader = Reader { bytes, at: 0, borrow };
     if reader.take(8).is_ok_and(|magic| magic != MAGIC) || bytes.len() < 8 {
         return Err(CodecError::Magic);
     }

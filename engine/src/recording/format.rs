@@ -9,7 +9,7 @@ mod records;
 pub(crate) use messages::{Drops, Live, Log, LogLevel, RunMessage, Timing};
 pub use records::RecordedFailure;
 pub(crate) use records::{
-    InputHashes, Outcome, PluginRecords, Program, Recovered, ReproRecord, RunRecord, WireCount, WireCounts, WireHeader,
+    INPUT_HASHES, Outcome, PROGRAM, PluginRecords, Recovered, ReproRecord, RunRecord, WireCount, WireCounts, WireHeader,
 };
 
 use std::collections::BTreeMap;
@@ -114,9 +114,9 @@ impl MetadataRecords {
         self.0.contains_key(T::NAME)
     }
 
-    /// The entries of the record.
-    pub(crate) fn entries<T: MetadataRecord>(&self) -> Option<&Entries> {
-        self.0.get(T::NAME)
+    /// The entries of the record of this name.
+    pub(crate) fn entries(&self, name: &str) -> Option<&Entries> {
+        self.0.get(name)
     }
 
     /// The record; `None` if it is not there.
@@ -124,7 +124,7 @@ impl MetadataRecords {
     /// # Errors
     /// As [`MetadataRecord::from_metadata`].
     pub(crate) fn get<T: MetadataRecord>(&self) -> Option<Result<T, String>> {
-        self.entries::<T>().map(T::from_metadata)
+        self.entries(T::NAME).map(T::from_metadata)
     }
 
     /// The record, if it is present and can be parsed.

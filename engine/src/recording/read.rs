@@ -4,73 +4,27 @@ use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
     format::{
-        self, Drops, FORMAT_VERSION, InputHashes, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
+        self, Drops, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
         RecordedFailure, Recovered, RunRecord, WireCounts,
     },
     scan::{Gather, Scanned, scan},
     wires::{Carries, Wire},
 };
 use crate::plan::{PlanPlugin, Sources};
-use osteoflow_container::{Allowance, Location, Message, ReadError, TooLarge};
+use osteoflow_container::{Allowance, Location, Message, ReadError};
 use osteoflow_node::{Body, ClockReading, Item, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
-    io,
+    fmt, io,
     ops::ControlFlow,
     path::{Path, PathBuf},
     sync::Arc,
 };
 
-/// A recording that cannot be read.
+/// A recording that cannot be read: the file, what is wrong with it, and where.
 #[derive(Debug, thiserror::Error)]
-pub enum RecordingError {
-    /// The file cannot be opened or read.
-    #[error("cannot read {}: {source}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// It is an MCAP file of another program, or not an MCAP file.
-    #[error("{} is no recording of a run: {reason}", .path.display())]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// What is missing.
-        reason: String,
-    },
-    /// Its format is newer than this program.
-    #[error("{} has format version {found}, this program reads versions up to {FORMAT_VERSION}", .path.display())]
-    Version {
-        /// The file.
-        path: PathBuf,
-        /// Its version.
-        found: String,
-    },
-    /// It takes more memory than is allowed.
-    #[error("{} is too large at byte {} of {n_bytes}: {source}", .path.display(), .place.offset)]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Where the allowed memory was full.
-        place: Location,
-        /// Size of the file.
-        n_bytes: u64,
-        /// The limit.
-        source: TooLarge,
-    },
-    /// A wire's items are damaged.
-    #[error("wire {wire}, item {number}: {reason}")]
-    Item {
-        /// The wire.
-        wire: String,
-        /// The item's number.
-        number: u64,
-        /// What is wrong.
-        reason: String,
-    },
-}
+#[error("{0}")]
+pub struct RecordingError(String);
 
 /// A recording, fully read.
 #[derive(Debug)]
@@ -118,12 +72,10 @@ pub struct Recording {
 /// A metadata record of a file; `None` where it has none.
 ///
 /// # Errors
-/// [`RecordingError::Foreign`] if it cannot be read: a status or a limit that is lost must not pass for none.
+/// [`RecordingError`] if it cannot be read: a status or a limit that is lost must not pass for none.
 fn readable<T: MetadataRecord>(path: &Path, metadata: &MetadataRecords) -> Result<Option<T>, RecordingError> {
-    metadata.get::<T>().transpose().map_err(|error| RecordingError::Foreign {
-        path: path.into(),
-        reason: format!("its metadata record \"{}\": {error}", T::NAME),
-    })
+    let foreign = |error| RecordingError::foreign(path, format_args!("its metadata record \"{}\": {error}", T::NAME));
+    metadata.get::<T>().transpose().map_err(foreign)
 }
 
 /// The run record of a file; `truncated` says why it may be missing.
@@ -135,14 +87,18 @@ pub(crate) fn run_record(
     metadata: &MetadataRecords,
     truncated: Option<&str>,
 ) -> Result<RunRecord, RecordingError> {
-    let foreign = |reason: String| RecordingError::Foreign { path: path.into(), reason };
+    let foreign = |reason: String| RecordingError::foreign(path, reason);
     let name = RunRecord::NAME;
     let missing = || truncated.map_or_else(|| format!("it has no metadata record \"{name}\""), str::to_owned);
     let run = metadata.get::<RunRecord>().ok_or_else(|| foreign(missing()))?;
     let run = run.map_err(|error| foreign(format!("its metadata record \"{name}\": {error}")))?;
     match format::is_read(run.format_version) {
         true => Ok(run),
-        false => Err(RecordingError::Version { path: path.into(), found: run.format_version.to_string() }),
+        false => Err(RecordingError(format!(
+            "{} has format version {}, this program reads versions up to {FORMAT_VERSION}",
+            path.display(),
+            run.format_version
+        ))),
     }
 }
 
@@ -150,9 +106,24 @@ impl RecordingError {
     /// For a file that cannot be scanned at all.
     pub(crate) fn of(path: &Path, error: ReadError) -> Self {
         match error {
-            ReadError::Io(source) => Self::Read { path: path.into(), source },
-            error => Self::Foreign { path: path.into(), reason: error.to_string() },
+            ReadError::Io(error) => Self::read(path, error),
+            error => Self::foreign(path, error),
         }
+    }
+
+    /// For a file that the system does not read.
+    pub(crate) fn read(path: &Path, error: io::Error) -> Self {
+        Self(format!("cannot read {}: {error}", path.display()))
+    }
+
+    /// For a file of another program, or one that is no MCAP file.
+    pub(crate) fn foreign(path: &Path, reason: impl fmt::Display) -> Self {
+        Self(format!("{} is no recording of a run: {reason}", path.display()))
+    }
+
+    /// For a wire whose items are damaged or missing.
+    pub(crate) fn item(wire: &str, number: u64, reason: impl fmt::Display) -> Self {
+        Self(format!("wire {wire}, item {number}: {reason}"))
     }
 }
 
@@ -199,7 +170,7 @@ impl Recording {
             .or_else(|| (!metadata.has::<WireCounts>()).then(|| "the run did not finish it".into()));
         let limits = recovered.map(|recovered| recovered.before_damage);
         let plugins = readable::<PluginRecords>(path, metadata)?.unwrap_or_default().0;
-        let inputs = readable::<InputHashes>(path, metadata)?.unwrap_or_default().0;
+        let inputs = metadata.entries(INPUT_HASHES).cloned().unwrap_or_default();
         let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
         for (name, gathered) in reading.wires {
             types.add(&gathered.about);
@@ -238,9 +209,9 @@ impl Recording {
     /// The items of a wire, with their payloads.
     ///
     /// # Errors
-    /// [`RecordingError::Item`] if the wire was not recorded, its payload is unknown here or an item is damaged.
+    /// [`RecordingError`] if the wire was not recorded, its payload is unknown here or an item is damaged.
     pub fn items(&self, wire: &str, registry: &Registry) -> Result<Vec<Item>, RecordingError> {
-        let fault = |number: u64, reason: String| RecordingError::Item { wire: wire.into(), number, reason };
+        let fault = |number: u64, reason: String| RecordingError::item(wire, number, reason);
         let recorded = self.wires.get(wire).ok_or_else(|| fault(0, "the wire was not recorded".into()))?;
         let items = recorded.items().map_err(|(number, error)| fault(number, error.to_string()))?;
         let typed = items.into_iter().map(|item| {
@@ -335,7 +306,10 @@ pub(crate) fn too_large(
     n_bytes: u64,
 ) -> Result<(), RecordingError> {
     match allowance.exceeded().zip(place) {
-        Some((source, place)) => Err(RecordingError::TooLarge { path: path.into(), place, n_bytes, source }),
+        Some((error, place)) => {
+            let (file, at) = (path.display(), place.offset);
+            Err(RecordingError(format!("{file} is too large at byte {at} of {n_bytes}: {error}")))
+        }
         None => Ok(()),
     }
 }
@@ -359,7 +333,7 @@ fn numbered(name: &str, gathered: Gathered, limit: u64, partial: bool) -> Result
         if found != Some(expected) {
             let found = found.map_or("a damaged item".into(), |n| format!("item {n}"));
             let reason = format!("{found} stands in its place; `osteoflow validate` tells all that is wrong");
-            return Err(RecordingError::Item { wire: name.into(), number: expected, reason });
+            return Err(RecordingError::item(name, expected, reason));
         }
         wire.messages.push(message);
     }

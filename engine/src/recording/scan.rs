@@ -47,7 +47,7 @@ impl Scanned {
         }
         let reason = self.damage.clone().or_else(|| self.unsound.clone());
         let reason = reason.unwrap_or_else(|| "it has no exact channel".into());
-        Err(RecordingError::Foreign { path: path.into(), reason })
+        Err(RecordingError::foreign(path, reason))
     }
 }
 

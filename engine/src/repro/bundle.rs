@@ -232,8 +232,12 @@ impl Bundle {
     /// [`ReproError`] if it is missing, damaged, or of a later version.
     pub fn open(dir: &Path) -> Result<Self, ReproError> {
         let path = dir.join(BUNDLE);
-        let read = |source| ReproError::Read { path: path.clone(), source };
-        let foreign = |reason: String| ReproError::Foreign { path: path.clone(), reason };
+        let file = path.display();
+        let read = |error: std::io::Error| {
+            let hint = "a repro bundle is a folder repro/NODE-ITEM of a run";
+            ReproError::Files(format!("cannot read {file}: {error}; {hint}"))
+        };
+        let foreign = |reason: String| ReproError::Files(format!("{file} describes no failed firing: {reason}"));
         if std::fs::metadata(&path).map_err(read)?.len() > MAX_BYTES {
             return Err(foreign("it is too long".into()));
         }
@@ -251,66 +255,13 @@ impl Bundle {
 /// A bundle that cannot be run again.
 #[derive(Debug, thiserror::Error)]
 pub enum ReproError {
-    /// A file of it cannot be read.
-    #[error("cannot read {}: {source}; a repro bundle is a folder repro/NODE-ITEM of a run", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// Its description cannot be parsed.
-    #[error("{} describes no failed firing: {reason}", .path.display())]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    /// This program lacks the kind, its plugin, a payload or a port, or cannot build it from the bundle's parameters.
+    #[error("{0}")]
+    Unfit(String),
+    /// A file of the bundle cannot be read, or no folder can be made for what the node writes.
+    #[error("{0}")]
+    Files(String),
     /// Its items cannot be read.
     #[error(transparent)]
     Items(#[from] RecordingError),
-    /// Its kind is unknown to this program.
-    #[error("there is no kind \"{0}\" here; run the bundle with the program that saved it")]
-    Kind(String),
-    /// Its plugin, or a requested one, is refused.
-    #[error("plugin {} is refused: {why}", .path.display())]
-    Plugin {
-        /// The library.
-        path: PathBuf,
-        /// Why.
-        why: String,
-    },
-    /// A payload is unknown to this program.
-    #[error("there is no payload \"{0}\" here; run the bundle with the program that saved it")]
-    Payload(String),
-    /// The kind has a port that the bundle does not mention.
-    #[error("{kind} has an input \"{port}\" here, which the bundle lacks; run it with the program that saved it")]
-    Port {
-        /// The kind.
-        kind: String,
-        /// The port.
-        port: String,
-    },
-    /// Items are missing.
-    #[error("input \"{port}\" has {found} items in inputs.mcap, {expected} expected; the bundle is damaged")]
-    Count {
-        /// The port.
-        port: String,
-        /// Number of items found.
-        found: usize,
-        /// Number of items in the description.
-        expected: usize,
-    },
-    /// The node cannot be built from its parameters.
-    #[error("node \"{node}\" cannot be built from the bundle's parameters: {message}")]
-    Build {
-        /// The node.
-        node: String,
-        /// Why.
-        message: String,
-    },
-    /// The folder for the node's files cannot be created.
-    #[error("no folder can be made for what the node writes: {0}")]
-    Scratch(std::io::Error),
 }

@@ -99,7 +99,7 @@ pub(super) fn read(path: &Path, registry: &Registry) -> Result<BTreeMap<String, 
     let unknown =
         (n_unknown > 0).then(|| format!("{n_unknown} messages belong to channels that nothing in the file describes"));
     match damage.or(unknown) {
-        Some(reason) => Err(RecordingError::Foreign { path: path.into(), reason }),
+        Some(reason) => Err(RecordingError::foreign(path, reason)),
         None => Ok(ports.items),
     }
 }
@@ -128,8 +128,7 @@ impl Gather for Ports<'_> {
         match item {
             Ok(item) => self.items.entry(port.name.clone()).or_default().push(item),
             Err(reason) => {
-                let (wire, number) = (port.name.clone(), message.sequence.into());
-                self.fault = Some(RecordingError::Item { wire, number, reason });
+                self.fault = Some(RecordingError::item(&port.name, message.sequence.into(), reason));
                 return ControlFlow::Break(());
             }
         }

@@ -25,7 +25,7 @@ pub(crate) fn payload_of(message: RecordedItem, ty: &'static PayloadType) -> Opt
 pub(crate) fn decode(entry: &StoreEntry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
     let short = CodecError::Short { needed: range.end as u64, left: entry.bytes().len() };
     let (start, bytes) = (range.start, entry.bytes().get(range).ok_or(short)?);
-    codec::decode_borrowed(bytes, &|rows| entry.part(start + rows.start..start + rows.end))
+    codec::decode_borrowed(bytes, Some(&|rows| entry.part(start + rows.start..start + rows.end)))
 }
 
 impl Store {

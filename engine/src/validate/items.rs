@@ -171,7 +171,7 @@ impl<'a> Items<'a> {
     pub(super) fn finish(&mut self, metadata: &MetadataRecords, findings: &mut Findings, notes: &mut Vec<String>) {
         let recovered = metadata.has::<Recovered>();
         let known_missing = metadata.sound::<Recovered>().unwrap_or_default().missing;
-        let stored = metadata.entries::<WireCounts>();
+        let stored = metadata.entries(WireCounts::NAME);
         for (name, wire) in &mut self.wires {
             // The first item after a gap is compared with the last one before it.
             let mut last = wire.last_stamp_ns;

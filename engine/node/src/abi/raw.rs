@@ -19,14 +19,14 @@ pub unsafe fn list<'a, T>(data: *const T, length: u64, what: &str) -> Result<&'a
         return Ok(&[]);
     }
     if data.is_null() {
-        return Err(AbiError::Null(what.into()));
+        return Err(AbiError::null(what));
     }
     if !data.is_aligned() {
-        return Err(AbiError::Unaligned(what.into()));
+        return Err(AbiError::unaligned(what));
     }
     let n_bytes = length.checked_mul(size_of::<T>() as u64).filter(|n| *n <= isize::MAX as u64);
     if n_bytes.is_none() {
-        return Err(AbiError::Length(what.into(), length));
+        return Err(AbiError::length(what, length));
     }
     // SAFETY: not null, aligned, no longer than memory; the caller guarantees the entries.
     Ok(unsafe { std::slice::from_raw_parts(data, length as usize) })
@@ -41,11 +41,11 @@ pub unsafe fn list<'a, T>(data: *const T, length: u64, what: &str) -> Result<&'a
 /// If `text.data` is not null, it points to `text.length` bytes that are not written during `'a`.
 pub unsafe fn text<'a>(text: Text, what: &str) -> Result<Option<&'a str>, AbiError> {
     if text.data.is_null() {
-        return if text.length == 0 { Ok(None) } else { Err(AbiError::Null(what.into())) };
+        return if text.length == 0 { Ok(None) } else { Err(AbiError::null(what)) };
     }
     // SAFETY: guaranteed by the caller.
     let bytes = unsafe { list(text.data, text.length, what) }?;
-    std::str::from_utf8(bytes).map(Some).map_err(|_| AbiError::Utf8(what.into()))
+    std::str::from_utf8(bytes).map(Some).map_err(|_| AbiError(format!("{what} is not UTF-8 text")))
 }
 
 /// A required text.
@@ -57,7 +57,7 @@ pub unsafe fn text<'a>(text: Text, what: &str) -> Result<Option<&'a str>, AbiErr
 /// As for [`text`].
 pub unsafe fn required_text<'a>(given: Text, what: &str) -> Result<&'a str, AbiError> {
     // SAFETY: guaranteed by the caller.
-    unsafe { text(given, what) }?.ok_or_else(|| AbiError::Null(what.into()))
+    unsafe { text(given, what) }?.ok_or_else(|| AbiError::null(what))
 }
 
 /// A struct that is valid for any bytes, so that a shorter one of an older minor can be padded with zeros.
@@ -85,17 +85,18 @@ plain! { Kind Input Output Payload SchemaEntry Column Text Plugin }
 /// The entries of a list of structs of the other side's size, truncated or padded with zeros to this side's.
 ///
 /// # Errors
-/// [`AbiError`] naming `what`, as [`list`]; [`AbiError::Size`] if the other side's struct is smaller than in minor 0.
+/// [`AbiError`] naming `what`, as [`list`], or if the other side's struct is smaller than in minor 0.
 ///
 /// # Safety
 /// As for [`list`], with a stride of `size` bytes.
 pub unsafe fn entries<T: Plain>(data: *const T, length: u64, size: u32, what: &str) -> Result<Vec<T>, AbiError> {
     if (size as usize) < T::MIN_SIZE {
-        return Err(AbiError::Size { what: what.into(), found: size, needed: T::MIN_SIZE as u32 });
+        let needed = T::MIN_SIZE;
+        return Err(AbiError(format!("{what} are structs of {size} bytes, at least {needed} are needed")));
     }
-    let n_bytes = length.checked_mul(size.into()).ok_or_else(|| AbiError::Length(what.into(), length))?;
+    let n_bytes = length.checked_mul(size.into()).ok_or_else(|| AbiError::length(what, length))?;
     if !data.is_aligned() || !(size as usize).is_multiple_of(align_of::<T>()) {
-        return Err(AbiError::Unaligned(what.into()));
+        return Err(AbiError::unaligned(what));
     }
     // SAFETY: guaranteed by the caller; bytes need no alignment.
     let bytes = unsafe { list(data.cast::<u8>(), n_bytes, what) }?;
@@ -138,9 +139,10 @@ mod tests {
         let grown = |first, second| Grown { first, second };
         assert_eq!(read(2, 8).unwrap(), [grown(1, 0), grown(2, 0)]);
         assert_eq!(read(2, 24).unwrap(), [grown(1, 2), grown(4, 5)]);
-        assert!(matches!(read(1, 7), Err(AbiError::Size { found: 7, needed: 8, .. })));
-        assert!(matches!(read(1, 20), Err(AbiError::Unaligned(_))));
-        assert!(matches!(read(u64::MAX, 24), Err(AbiError::Length(..))));
+        let size = "numbers are structs of 7 bytes, at least 8 are needed";
+        assert_eq!(read(1, 7), Err(AbiError(size.into())));
+        assert_eq!(read(1, 20), Err(AbiError::unaligned("numbers")));
+        assert_eq!(read(u64::MAX, 24), Err(AbiError::length("numbers", u64::MAX)));
     }
 
     #[test]
@@ -152,10 +154,12 @@ mod tests {
                 "the ports is a null pointer"
             );
             assert_eq!(list::<u64>(std::ptr::null(), 0, "the ports"), Ok(&[][..]));
-            assert!(matches!(list(std::ptr::without_provenance::<u64>(1), 1, "x"), Err(AbiError::Unaligned(_))));
-            assert!(matches!(list(std::ptr::dangling::<u64>(), u64::MAX, "x"), Err(AbiError::Length(..))));
+            assert_eq!(list(std::ptr::without_provenance::<u64>(1), 1, "x"), Err(AbiError::unaligned("x")));
+            let too_long = AbiError::length("x", u64::MAX);
+            assert_eq!(list(std::ptr::dangling::<u64>(), u64::MAX, "x"), Err(too_long));
             let bytes = [0xff_u8, 0xfe];
-            assert!(matches!(text(Text { data: bytes.as_ptr(), length: 2 }, "x"), Err(AbiError::Utf8(_))));
+            let no_text = AbiError("x is not UTF-8 text".into());
+            assert_eq!(text(Text { data: bytes.as_ptr(), length: 2 }, "x"), Err(no_text));
             assert_eq!(text(Text::NONE, "x"), Ok(None));
             assert_eq!(text(Text::of(""), "x"), Ok(Some("")));
         }

@@ -78,7 +78,7 @@ unsafe fn from_c(given: &SchemaEntry, payload: &str) -> Result<crate::SchemaEntr
     let name = unsafe { raw::required_text(given.name, &format!("the name of an entry of {payload}")) }?;
     // SAFETY: guaranteed by the caller.
     let text = |text| unsafe { raw::text(text, &format!("a text of entry \"{name}\" of {payload}")) };
-    let code = |what: &str, code| AbiError::Code(format!("the {what} of entry \"{name}\" of {payload}"), code);
+    let code = |what: &str, code| AbiError::code(format!("the {what} of entry \"{name}\" of {payload}"), code);
     let ty = match given.shape {
         entry::BOOL => EntryType::Bool,
         entry::INT => EntryType::Int,

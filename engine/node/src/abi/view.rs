@@ -214,23 +214,24 @@ impl<'a> IncomingView<'a> {
 unsafe fn take_column(column: &Column, name: &str, token: Token) -> Result<crate::Column, AbiError> {
     let what = || format!("column \"{name}\"");
     let code = u8::try_from(column.type_).ok().and_then(crate::ColumnType::from_code);
-    let kind = code.ok_or_else(|| AbiError::Code(format!("the type of {}", what()), column.type_))?;
+    let kind = code.ok_or_else(|| AbiError::code(format!("the type of {}", what()), column.type_))?;
     let row = kind.size() as u64 * u64::from(column.width);
-    let too_long = || AbiError::Length(what(), column.n_rows);
+    let too_long = || AbiError::length(what(), column.n_rows);
     if row == 0 {
-        return Err(AbiError::Code(format!("the width of {}", what()), column.width));
+        return Err(AbiError::code(format!("the width of {}", what()), column.width));
     }
     if column.stride < row && column.n_rows > 1 {
-        return Err(AbiError::Stride { what: what(), stride: column.stride, row });
+        let stride = column.stride;
+        return Err(AbiError(format!("{} has rows of {row} bytes with a stride of {stride} bytes", what())));
     }
     let n_bytes = column.n_rows.checked_mul(column.stride.max(row)).filter(|n| *n <= isize::MAX as u64);
     let n_bytes = n_bytes.ok_or_else(too_long)? as usize;
     let data: Buffer = if column.n_rows == 0 {
         Arc::new([0_u8; 0])
     } else if column.data.is_null() {
-        return Err(AbiError::Null(format!("the rows of {}", what())));
+        return Err(AbiError::null(format!("the rows of {}", what())));
     } else if !(column.data as usize).is_multiple_of(kind.size()) {
-        return Err(AbiError::Unaligned(what()));
+        return Err(AbiError::unaligned(what()));
     } else if column.stride == row || column.n_rows == 1 {
         let n_bytes = (column.n_rows * row) as usize;
         Arc::new(Foreign { data: column.data.cast(), n_bytes, _token: token })

@@ -3,11 +3,21 @@
 use super::{Column, Field, View, ViewError};
 use crate::{ColumnType, EntryType, SchemaEntry};
 
-/// The first duplicate, in alphabetical order.
-fn duplicate<'a>(names: impl Iterator<Item = &'a str>) -> Option<String> {
+/// Refuses the first duplicate, in alphabetical order.
+fn no_duplicate<'a>(what: &str, names: impl ExactSizeIterator<Item = &'a str>) -> Result<(), ViewError> {
+    if names.len() < 2 {
+        return Ok(());
+    }
     let mut names: Vec<_> = names.collect();
     names.sort_unstable();
-    names.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0].to_owned())
+    match names.windows(2).find(|pair| pair[0] == pair[1]) {
+        Some(pair) => Err(ViewError::Mismatch(format!("the view has two {what} \"{}\"", pair[0]))),
+        None => Ok(()),
+    }
+}
+
+fn unknown(what: &str, name: &str) -> ViewError {
+    ViewError::Mismatch(format!("the view has a {what} \"{name}\" that its payload does not have"))
 }
 
 impl View {
@@ -23,16 +33,14 @@ impl View {
         }
         for (name, field) in &self.head {
             let Some(entry) = schema.iter().find(|entry| !entry.is_column() && entry.name == name) else {
-                return Err(ViewError::Unknown { what: "field", name: name.to_string() });
+                return Err(unknown("field", name));
             };
             if !entry.ty.accepts(field) {
                 let (found, expected) = (EntryType::of(field), entry.ty);
-                return Err(ViewError::FieldType { name: name.to_string(), found, expected });
+                return Err(ViewError::Mismatch(format!("field \"{name}\" is {found}, {expected} needed")));
             }
         }
-        if let Some(name) = duplicate(self.head.iter().map(|(name, _)| &**name)) {
-            return Err(ViewError::Twice { what: "fields", name });
-        }
+        no_duplicate("fields", self.head.iter().map(|(name, _)| &**name))?;
         self.check_columns(schema)
     }
 
@@ -50,34 +58,28 @@ impl View {
             let of_name = schema.iter().find(|entry| entry.is_column() && entry.name == column.name);
             let entry = of_name.or_else(|| schema.iter().find(|entry| entry.matches_column(&column.name)));
             let Some(EntryType::Column { kind, width }) = entry.map(|entry| entry.ty) else {
-                return Err(ViewError::Unknown { what: "column", name: column.name.to_string() });
+                return Err(unknown("column", &column.name));
             };
             column.check(kind, width)?;
         }
-        if self.columns.len() > 1
-            && let Some(name) = duplicate(self.columns.iter().map(|column| &*column.name))
-        {
-            return Err(ViewError::Twice { what: "columns", name });
-        }
-        Ok(())
+        no_duplicate("columns", self.columns.iter().map(|column| &*column.name))
     }
 }
 
 impl Column {
     /// Checks that the column has whole rows of `width` values of `kind`.
     fn check(&self, kind: ColumnType, width: u32) -> Result<(), ViewError> {
-        let name = || self.name.to_string();
-        if self.kind != kind {
-            return Err(ViewError::ColumnType { name: name(), found: self.kind, expected: kind });
-        }
-        if self.width != width {
-            return Err(ViewError::Width { name: name(), found: self.width, expected: width });
-        }
         let (bytes, row) = (self.bytes().len(), kind.size() * width as usize);
-        if !bytes.is_multiple_of(row) {
-            return Err(ViewError::CutRow { name: name(), bytes, row });
-        }
-        Ok(())
+        let fault = if self.kind != kind {
+            format!("holds {}, {} needed", self.kind.name(), kind.name())
+        } else if self.width != width {
+            format!("has {} values in a row, {width} needed", self.width)
+        } else if !bytes.is_multiple_of(row) {
+            format!("ends within a row: {bytes} bytes in rows of {row}")
+        } else {
+            return Ok(());
+        };
+        Err(ViewError::Mismatch(format!("column \"{}\" {fault}", self.name)))
     }
 }
 

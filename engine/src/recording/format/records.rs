@@ -65,15 +65,7 @@ impl MetadataRecord for RunRecord {
     fn from_metadata(entries: &Entries) -> Result<Self, String> {
         let format_version = number(entries, "format_version")?;
         if !super::is_read(format_version) {
-            return Ok(Self {
-                format_version,
-                graph: String::new(),
-                graph_file: PathBuf::new(),
-                name: String::new(),
-                seed: 0,
-                sources: Sources::default(),
-                version: String::new(),
-            });
+            return Ok(Self { format_version, ..Self::default() });
         }
         let sources = text(entries, "sources").unwrap_or_default();
         Ok(Self {
@@ -88,38 +80,11 @@ impl MetadataRecord for RunRecord {
     }
 }
 
-/// The program and the machine, as the command describes them.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Program(pub(crate) Entries);
-
-impl MetadataRecord for Program {
-    const NAME: &'static str = "osteoflow.program";
-
-    fn to_metadata(&self) -> Entries {
-        self.0.clone()
-    }
-
-    fn from_metadata(entries: &Entries) -> Result<Self, String> {
-        Ok(Self(entries.clone()))
-    }
-}
-
-/// SHA-256 of each input file by its path, or why there is none. At the front where sources are identified by it,
-/// otherwise at the end.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct InputHashes(pub(crate) Entries);
-
-impl MetadataRecord for InputHashes {
-    const NAME: &'static str = "osteoflow.inputs";
-
-    fn to_metadata(&self) -> Entries {
-        self.0.clone()
-    }
-
-    fn from_metadata(entries: &Entries) -> Result<Self, String> {
-        Ok(Self(entries.clone()))
-    }
-}
+/// Name of the record of program and machine, as the command describes them.
+pub(crate) const PROGRAM: &str = "osteoflow.program";
+/// Name of the record of the SHA-256 of each input file by its path, or why there is none. At the front where sources are
+/// identified by it, otherwise at the end.
+pub(crate) const INPUT_HASHES: &str = "osteoflow.inputs";
 
 /// The plugins of the graph, with the SHA-256 of their libraries.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -375,8 +340,6 @@ mod tests {
     fn every_record_round_trips() {
         let record = RunRecord { graph: "a\nb".into(), seed: u64::MAX, sources: Sources::Hashes, ..Default::default() };
         check_round_trip(record);
-        check_round_trip(Program([("os".into(), "linux".into())].into()));
-        check_round_trip(InputHashes([("/a/b".into(), "00".into())].into()));
         check_round_trip(WireCounts([("a.b".into(), WireCount { items: 3, values: 2 })].into()));
         let failure = RecordedFailure { node: "a".into(), item: 1, reason: "b".into(), skipped: true };
         let fixed_results = [("notice".to_owned(), json!("toy"))].into_iter().collect();
