@@ -103,7 +103,8 @@ pub(crate) fn run_part(
     let answer_cache = answers.as_ref().map(|answers| answers as &dyn AnswerCache);
     let mut runtime = Runtime::build(plan, registry, &settings, answer_cache, observer, replayed)?;
     if let Some(dir) = out_dir {
-        std::fs::create_dir_all(dir).map_err(|source| RunError::Write { path: dir.into(), source })?;
+        let failed = |error| RunError::Files(format!("{}: {error}", dir.display()));
+        std::fs::create_dir_all(dir).map_err(failed)?;
     }
     // Hashing the inputs takes as long as reading them; it runs in parallel, unless the recording begins with the
     // hashes.
@@ -229,6 +230,7 @@ fn write_files(
     if not_recorded.is_some() {
         missing.insert(0, format!("the end of {}", files::RECORDING));
     }
-    let (name, source) = failed.swap_remove(0);
-    Err(RunError::Files { path: dir.join(name), source, missing: missing.join(", ") })
+    let (name, error) = failed.swap_remove(0);
+    let (path, missing) = (dir.join(name), missing.join(", "));
+    Err(RunError::Files(format!("{}: {error}; the files of this run lack {missing}", path.display())))
 }

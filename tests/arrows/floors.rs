@@ -269,9 +269,7 @@ fn files(sources: &str) -> BTreeMap<Module, File> {
             }
             if entry.is_dir() {
                 folders.push(entry);
-            } else if entry.extension().is_some_and(|end| end == "rs")
-                && !(stem == "lib" || stem.ends_with("tests"))
-            {
+            } else if entry.extension().is_some_and(|end| end == "rs") && !(stem == "lib" || stem.ends_with("tests")) {
                 let inner = entry.strip_prefix(&root).unwrap().with_extension("");
                 let module: Module = inner.iter().map(|name| name.to_string_lossy().into_owned()).collect();
                 let text = fs::read_to_string(&entry).unwrap();

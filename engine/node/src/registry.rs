@@ -69,20 +69,12 @@ impl Registry {
     /// If the kind is registered already, or if its answers are cached although a parameter names a file, whose content is
     /// not part of the cache key.
     pub fn node<N: Node>(&mut self) -> &mut Self {
-        self.add::<N>(
-            N::KIND,
-            Role::Node,
-            N::Inputs::ports(),
-            N::Outputs::ports(),
-            params_schema::<N::Params>(),
-            |p, _| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))),
-        );
-        if let Some(kind) = self.kinds.get_mut(N::KIND).and_then(Arc::get_mut) {
-            kind.description.cache = N::CACHE;
-            let reads = N::CACHE != CachePolicy::Never && kind.description.names_files();
-            assert!(!reads, "{} reads a file, so its answers cannot be cached; let a source read it", N::KIND);
-        }
-        self
+        let (inputs, outputs) = (N::Inputs::ports(), N::Outputs::ports());
+        let mut description = description::<N, N::Params>(N::KIND, Role::Node, inputs, outputs);
+        description.cache = N::CACHE;
+        let reads = N::CACHE != CachePolicy::Never && description.names_files();
+        assert!(!reads, "{} reads a file, so its answers cannot be cached; let a source read it", N::KIND);
+        self.add(description, |p, _| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))))
     }
 
     /// Adds a kind of node that has no memory.
@@ -99,13 +91,9 @@ impl Registry {
     /// If the kind is registered already.
     pub fn source<S: Source>(&mut self) -> &mut Self {
         let role = if S::LIVE { Role::LiveSource } else { Role::Source };
-        self.add::<S>(S::KIND, role, Vec::new(), S::Outputs::ports(), params_schema::<S::Params>(), |p, _| {
-            Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?))))
-        });
-        if let Some(kind) = self.kinds.get_mut(S::KIND).and_then(Arc::get_mut) {
-            kind.description.constant = S::CONSTANT;
-        }
-        self
+        let mut description = description::<S, S::Params>(S::KIND, role, Vec::new(), S::Outputs::ports());
+        description.constant = S::CONSTANT;
+        self.add(description, |p, _| Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?)))))
     }
 
     /// Adds a payload type, so that graphs may declare ports of it and recordings with it can be read.
@@ -195,29 +183,12 @@ impl Registry {
         self.payloads.values().copied()
     }
 
-    fn add<D: Describe>(
+    fn add(
         &mut self,
-        kind: &'static str,
-        role: Role,
-        inputs: Vec<crate::InputPort>,
-        outputs: crate::OutputPorts,
-        params: serde_json::Value,
+        description: Description,
         build: fn(&serde_json::Value, &BuildContext) -> Result<Built, ParamError>,
     ) -> &mut Self {
-        let (summary, details) = D::DOC.split_once("\n\n").unwrap_or((D::DOC, ""));
-        let description = Description {
-            kind,
-            summary: summary.replace('\n', " ").trim().into(),
-            details: details.trim().into(),
-            role,
-            constant: false,
-            cache: CachePolicy::Never,
-            inputs,
-            outputs,
-            params,
-            example: D::EXAMPLE,
-            literature: D::LITERATURE,
-        };
+        let kind = description.kind;
         let added = Kind { description, plugin: None, build: Box::new(build) };
         let before = self.kinds.insert(kind, Arc::new(added));
         assert!(before.is_none(), "the kind {kind} is registered twice");
@@ -225,8 +196,26 @@ impl Registry {
     }
 }
 
-fn params_schema<P: crate::Parameters>() -> serde_json::Value {
-    schemars::schema_for!(P).to_value()
+fn description<D: Describe, P: crate::Parameters>(
+    kind: &'static str,
+    role: Role,
+    inputs: Vec<crate::InputPort>,
+    outputs: crate::OutputPorts,
+) -> Description {
+    let (summary, details) = D::DOC.split_once("\n\n").unwrap_or((D::DOC, ""));
+    Description {
+        kind,
+        summary: summary.replace('\n', " ").trim().into(),
+        details: details.trim().into(),
+        role,
+        constant: false,
+        cache: CachePolicy::Never,
+        inputs,
+        outputs,
+        params: schemars::schema_for!(P).to_value(),
+        example: D::EXAMPLE,
+        literature: D::LITERATURE,
+    }
 }
 
 fn read<P: crate::Parameters>(params: &serde_json::Value) -> Result<P, ParamError> {

@@ -287,14 +287,13 @@ impl Plan {
     }
 
     /// The outputs of a node.
-    pub fn outputs(&self, node: usize) -> impl Iterator<Item = OutputId> + use<> {
+    pub fn outputs(&self, node: usize) -> impl Iterator<Item = OutputId> + Clone + use<> {
         (0..self.nodes[node].outputs.len()).map(move |port| OutputId { node, port })
     }
 
     /// The outputs of all nodes.
     pub fn all_outputs(&self) -> impl Iterator<Item = OutputId> + Clone + '_ {
-        let outputs = |(node, of): (usize, &PlanNode)| (0..of.outputs.len()).map(move |port| OutputId { node, port });
-        self.nodes.iter().enumerate().flat_map(outputs)
+        (0..self.nodes.len()).flat_map(|node| self.outputs(node))
     }
 
     /// The links that an output feeds.

@@ -38,8 +38,6 @@ pub enum Event<'a> {
         node: &'a str,
         /// Number of the activation, from 0.
         item: u64,
-        /// Why.
-        reason: &'a str,
     },
     /// The node warned.
     Warned(&'a Warning),
@@ -47,8 +45,6 @@ pub enum Event<'a> {
     Silent(&'a Warning),
     /// The node failed.
     Failed(&'a Refusal),
-    /// A queue was enlarged because it was full and nothing could run.
-    Enlarged(&'a Enlargement),
     /// The node will not fire again.
     Ended {
         /// The node.

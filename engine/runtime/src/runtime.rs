@@ -453,9 +453,7 @@ impl<'a> Runtime<'a> {
         let recv = consumer.inputs.iter_mut().find(|input| input.recv.link == index)?;
         channel::enlarge(send, &mut recv.recv, after);
         let (from, to) = self.plan.link_names(&self.plan.links[index]);
-        let enlargement = Enlargement { from, to, before, after };
-        self.event(&Event::Enlarged(&enlargement));
-        locked(&self.enlargements).push(enlargement);
+        locked(&self.enlargements).push(Enlargement { from, to, before, after });
         Some(link.from.node)
     }
 

@@ -39,9 +39,10 @@ impl Check<'_> {
                         (sources, settings.sources) = (false, Sources::Hashes);
                     }
                     _ => {
-                        let message = format!("sources takes true, false or \"hash\", found {}", entry.value.found());
+                        let fault =
+                            extract::refused(&entry.value, "sources takes true, false or \"hash\"", "not known");
                         let help = "\"hash\" names the files that sources read by SHA-256 and does not copy them";
-                        self.faults.push(Fault::new(message).at(&entry.value.at, "not known").help(help));
+                        self.faults.push(fault.help(help));
                     }
                 }
             }
@@ -50,8 +51,8 @@ impl Check<'_> {
                 match extract::text(&entry.value, "compression", &mut self.faults).map(Compression::from_name) {
                     Some(Some(way)) => settings.compression = way,
                     Some(None) => {
-                        let message = format!("compression takes one of {ways}, found {}", entry.value.found());
-                        self.faults.push(Fault::new(message).at(&entry.value.at, "not known"));
+                        let takes = format!("compression takes one of {ways}");
+                        self.faults.push(extract::refused(&entry.value, takes, "not known"));
                     }
                     None => {}
                 }
@@ -62,8 +63,8 @@ impl Check<'_> {
                     Value::Array(items) => patterns.extend(items),
                     Value::Text(_) => patterns.push(&entry.value),
                     _ => {
-                        let message = format!("wires takes a list such as [\"icp.*\"], found {}", entry.value.found());
-                        self.faults.push(Fault::new(message).at(&entry.value.at, "a list is needed"));
+                        let takes = "wires takes a list such as [\"icp.*\"]";
+                        self.faults.push(extract::refused(&entry.value, takes, "a list is needed"));
                     }
                 }
             }

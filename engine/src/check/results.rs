@@ -133,8 +133,8 @@ impl Check<'_> {
             }
             Value::Text(_) => &entry.value,
             _ => {
-                let message = format!("{owner} takes a wire such as \"node.port\", found {}", entry.value.found());
-                self.faults.push(Fault::new(message).at(&entry.value.at, "a text is needed"));
+                let takes = format!("{owner} takes a wire such as \"node.port\"");
+                self.faults.push(extract::refused(&entry.value, takes, "a text is needed"));
                 return None;
             }
         };

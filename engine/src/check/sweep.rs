@@ -122,8 +122,7 @@ impl Reader<'_> {
 
     fn texts(&mut self, value: &Spanned, what: &str) -> Vec<String> {
         let Value::Array(items) = &value.value else {
-            let message = format!("{what} takes a list of texts, found {}", value.found());
-            self.faults.push(Fault::new(message).at(&value.at, "a list is needed"));
+            self.faults.push(extract::refused(value, format!("{what} takes a list of texts"), "a list is needed"));
             return Vec::new();
         };
         items.iter().filter_map(|item| extract::text(item, what, self.faults).map(str::to_owned)).collect()
@@ -194,8 +193,7 @@ impl Reader<'_> {
     fn pair(&mut self, table: &Table, factors: &[Factor]) -> Vec<Vec<String>> {
         let Some(entry) = table.get("pair") else { return Vec::new() };
         let Value::Array(items) = &entry.value.value else {
-            let message = format!("pair takes lists of factors, found {}", entry.value.found());
-            let fault = Fault::new(message).at(&entry.value.at, "a list is needed");
+            let fault = extract::refused(&entry.value, "pair takes lists of factors", "a list is needed");
             self.faults.push(fault.help("write pair = [[\"a\", \"b\"]]"));
             return Vec::new();
         };

@@ -1,4 +1,5 @@
 use super::{
+    extract::refused,
     limits::MAX_EXTENDS,
     merge::merge,
     parse::parse,
@@ -99,8 +100,8 @@ impl<'f> Chain<'f> {
     fn base(&mut self, over: &mut Table, path: &Path) -> Table {
         let Some(entry) = over.remove("extends") else { return Table::default() };
         let Some(text) = entry.value.as_text() else {
-            let fault = format!("extends takes the path of a graph file, found {}", entry.value.found());
-            self.faults.push(Fault::new(fault).at(&entry.value.at, "a text is needed").hides(&entry.value.at));
+            let fault = refused(&entry.value, "extends takes the path of a graph file", "a text is needed");
+            self.faults.push(fault.hides(&entry.value.at));
             return Table::default();
         };
         let base = path.parent().unwrap_or(Path::new("")).join(text);

@@ -6,6 +6,7 @@ use super::{
 };
 use crate::{fault::Fault, names::nearest};
 use serde_json::Value as Json;
+use std::fmt;
 
 /// A table of the graph file, read by the keys of the grammar.
 pub(crate) struct Section<'t> {
@@ -203,8 +204,12 @@ pub(crate) fn table<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>)
 }
 
 fn wrong(value: &Spanned, what: &str, takes: &str) -> Fault {
-    let message = format!("{what} takes {takes}, found {}", value.found());
-    Fault::new(message).at(&value.at, format!("{takes} is needed"))
+    refused(value, format!("{what} takes {takes}"), format!("{takes} is needed"))
+}
+
+/// The fault of a value that is not what `takes` says, such as `frames takes a list of names`.
+pub(crate) fn refused(value: &Spanned, takes: impl fmt::Display, label: impl Into<String>) -> Fault {
+    Fault::new(format!("{takes}, found {}", value.found())).at(&value.at, label)
 }
 
 /// Whether the text is a valid node name: a name, or names joined by `/`, as for nodes of modules.

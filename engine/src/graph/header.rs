@@ -46,8 +46,9 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
                 );
             }
             _ => {
-                let fault = Fault::new(format!("format takes {FORMAT}, found {}", format.value.found()));
-                faults.push(fault.at(&format.value.at, "no format that was ever written").help("write format = 1"));
+                let takes = format!("format takes {FORMAT}");
+                let fault = extract::refused(&format.value, takes, "no format that was ever written");
+                faults.push(fault.help("write format = 1"));
             }
         },
     }
@@ -58,8 +59,7 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
     header.lossy = table.flag("lossy", faults);
     if let Some(frames) = table.get("frames") {
         let Value::Array(items) = &frames.value.value else {
-            let fault = Fault::new(format!("frames takes a list of names, found {}", frames.value.found()));
-            faults.push(fault.at(&frames.value.at, "a list is needed"));
+            faults.push(extract::refused(&frames.value, "frames takes a list of names", "a list is needed"));
             return header;
         };
         let names = items.iter().filter_map(|item| extract::text(item, "a frame", faults)).map(str::to_owned);

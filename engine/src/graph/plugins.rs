@@ -1,5 +1,5 @@
 use super::{
-    extract::Section,
+    extract::{Section, refused},
     grammar,
     tree::{Spanned, Table, Value},
 };
@@ -28,8 +28,7 @@ impl NamedPlugin {
 pub(super) fn take(table: &mut Table, faults: &mut Vec<Fault>) -> Vec<NamedPlugin> {
     let Some(entry) = table.remove("plugins") else { return Vec::new() };
     let Value::Array(items) = &entry.value.value else {
-        let message = format!("plugins takes a list of libraries, found {}", entry.value.found());
-        let fault = Fault::new(message).at(&entry.value.at, "a list is needed");
+        let fault = refused(&entry.value, "plugins takes a list of libraries", "a list is needed");
         faults.push(fault.help("write plugins = [\"libmy_nodes.so\"]"));
         return Vec::new();
     };
@@ -43,8 +42,7 @@ fn plugin(item: &Spanned, faults: &mut Vec<Fault>) -> Option<NamedPlugin> {
         return Some(NamedPlugin { text: text.into(), interpreter: None, dir, at });
     }
     let Some(table) = item.as_table() else {
-        let fault = Fault::new(format!("a plugin is named by the path of its file, found {}", item.found()));
-        faults.push(fault.at(&item.at, "a text is needed"));
+        faults.push(refused(item, "a plugin is named by the path of its file", "a text is needed"));
         return None;
     };
     let table = Section::new(table, &grammar::PLUGIN, "a plugin", "", faults);

@@ -1,4 +1,7 @@
-use super::tree::{Table, Value};
+use super::{
+    extract::refused,
+    tree::{Table, Value},
+};
 use crate::{
     fault::{Fault, Span},
     names::nearest,
@@ -22,18 +25,14 @@ impl Removed {
     pub(super) fn take_from(&mut self, base: &mut Table, over: &mut Table, faults: &mut Vec<Fault>) {
         let Some(entry) = over.remove("remove") else { return };
         let Value::Array(items) = &entry.value.value else {
-            let message =
-                format!("remove takes a list such as [\"node.x\", \"results.y\"], found {}", entry.value.found());
-            faults.push(Fault::new(message).at(&entry.value.at, "a list is needed"));
+            let takes = "remove takes a list such as [\"node.x\", \"results.y\"]";
+            faults.push(refused(&entry.value, takes, "a list is needed"));
             return;
         };
         for item in items {
             match item.as_text() {
                 Some(path) => self.take(base, path, &item.at, faults),
-                None => {
-                    let message = format!("remove takes texts such as \"node.x\", found {}", item.found());
-                    faults.push(Fault::new(message).at(&item.at, "a text is needed"));
-                }
+                None => faults.push(refused(item, "remove takes texts such as \"node.x\"", "a text is needed")),
             }
         }
     }

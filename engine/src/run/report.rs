@@ -6,7 +6,7 @@ use crate::{
     repro::Saved,
     runtime::{BuildError, BuildFault, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning},
 };
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,23 +65,8 @@ pub enum RunError {
     #[error("{0}")]
     Inject(String),
     /// A file of the run cannot be written.
-    #[error("cannot write {}: {source}", .path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// Files at the end of the run cannot be written.
-    #[error("cannot write {}: {source}; the files of this run lack {missing}", .path.display())]
-    Files {
-        /// The first file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-        /// What is missing.
-        missing: String,
-    },
+    #[error("cannot write {0}")]
+    Files(String),
     /// The recording cannot be written.
     #[error(transparent)]
     Record(#[from] RecordError),

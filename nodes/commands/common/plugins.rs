@@ -65,7 +65,7 @@ pub(crate) fn table(known: &Known, global: &Global) -> Result<Exit> {
 
 /// The error of a kind or stage that is none of the known names.
 pub(crate) fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> UsageError {
-    let near = osteoflow_engine::names::nearest(name, known);
+    let near = osteoflow_engine::names::nearest::name(name, known);
     let near = near.map(|near| format!("did you mean \"{near}\"? ")).unwrap_or_default();
     UsageError(format!("there is no {what} \"{name}\"; {near}`osteoflow inspect` lists them"))
 }

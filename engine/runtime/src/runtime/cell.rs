@@ -320,7 +320,7 @@ impl Cell {
         self.stamp_ns = stamp_ns;
         if let Some(empty) = activation.skip {
             self.skipped += 1;
-            run.event(&Event::Skipped { node: self.context.node(), item, reason: &empty.reason });
+            run.event(&Event::Skipped { node: self.context.node(), item });
             self.send_empties(empty, run, turn);
             return;
         }

@@ -44,8 +44,8 @@ impl Reader<'_> {
     /// `values = [..]`; a value that is a table sets the keys it names.
     fn listed(&mut self, table: &Section<'_>, values: &Entry, owner: &str) -> Option<Vec<Level>> {
         let Value::Array(items) = &values.value.value else {
-            let message = format!("{owner}: values takes a list, found {}", values.value.found());
-            self.faults.push(Fault::new(message).at(&values.value.at, "a list is needed"));
+            let takes = format!("{owner}: values takes a list");
+            self.faults.push(extract::refused(&values.value, takes, "a list is needed"));
             return None;
         };
         if items.len() as u64 > MAX_LEVELS {
