@@ -40,13 +40,16 @@ const MIN_DAMPING: f64 = 1e-6;
 /// pairs is noise.
 const ROUGH_SIGMAS: f64 = 4.0;
 
-/// A level before the last ends where the remaining distance is within the standard deviation of its minimum, or at steps
-/// shorter than this many of them for each step without a new shortest one.
+/// A level before the last ends at steps shorter than this many standard deviations of its minimum.
 const LEVEL_SIGMAS: f64 = 0.5;
 
 /// The last level holds its pairs at steps shorter than this many standard deviations of the minimum for each step without a
 /// new shortest one: the cost jumps where a point changes from one sample to the next, so steps among them never end.
 const HELD_SIGMAS: f64 = 0.01;
+
+/// Pairs that were held are searched again at their minimum; if the step there is longer than this share of the shortest one
+/// before, they change in a cycle.
+const ADVANCE: f64 = 0.5;
 
 /// Minimises from `start` until the remaining distance is below `stop_step_mm`, no step lowers the cost, `max_steps` are used
 /// up, or the observer stops it. A level before the last ends as soon as its noise exceeds its steps.
@@ -61,6 +64,12 @@ pub(super) fn minimize<R: Residual>(
     let mut minimizer = Minimizer::linearized_at(start, problem, weights)?;
     loop {
         let step = minimizer.solve(is_last);
+        if step.is_short && minimizer.correspondences.is_held {
+            match minimizer.search_again()? {
+                Some(end) => return Ok(end),
+                None => continue,
+            }
+        }
         if let Some(end) = minimizer.converged(&step, is_last, max_steps, observer) {
             return Ok(end);
         }
@@ -90,6 +99,8 @@ struct Minimizer<'a, R> {
     /// Number of Gauss-Newton steps since the shortest one.
     n_no_shorter: u32,
     shortest_mm: f64,
+    /// Length of the shortest step where pairs were held or searched again.
+    held_mm: f64,
 }
 
 /// A solution of the normal equations.
@@ -136,6 +147,7 @@ impl<'a, R: Residual> Minimizer<'a, R> {
             n_steps: 0,
             n_no_shorter: 0,
             shortest_mm: f64::INFINITY,
+            held_mm: f64::INFINITY,
         })
     }
 
@@ -146,8 +158,10 @@ impl<'a, R: Residual> Minimizer<'a, R> {
         let (newton_mm, sigma_mm) = (newton.norm(), sigma_mm(&self.equations));
         self.n_no_shorter = if newton_mm < self.shortest_mm { 0 } else { self.n_no_shorter + 1 };
         self.shortest_mm = self.shortest_mm.min(newton_mm);
-        if is_last && newton_mm <= HELD_SIGMAS * f64::from(self.n_no_shorter) * sigma_mm {
-            self.correspondences.hold();
+        let is_rough = newton_mm < HELD_SIGMAS * f64::from(self.n_no_shorter) * sigma_mm;
+        if is_last && is_rough && !self.correspondences.is_held {
+            self.correspondences.is_held = true;
+            self.held_mm = self.held_mm.min(newton_mm);
         }
         let secant = match &self.previous {
             Some((before, taken)) => Secant::new(before, taken, &newton),
@@ -163,6 +177,20 @@ impl<'a, R: Residual> Minimizer<'a, R> {
             sigma_mm,
             is_cycling: self.n_no_shorter >= CYCLE && self.stagnates(),
         }
+    }
+
+    /// Searches pairs that are held again, at their minimum. The step there is the distance to the minimum of all pairs; if it is
+    /// not shorter than before by `ADVANCE`, pairs change in a cycle of this size, and there is no better minimum.
+    fn search_again(&mut self) -> Result<Option<LevelFit>, IcpError> {
+        self.correspondences.is_held = false;
+        self.equations = self.problem.linearize(&self.state, &mut self.correspondences, &mut self.weights, false)?;
+        self.costs = vec![self.problem.mean_cost(&self.equations)];
+        let newton_mm = gauss_newton(&self.equations).norm();
+        if newton_mm >= ADVANCE * self.held_mm {
+            return Ok(Some(self.end_within(newton_mm)));
+        }
+        (self.previous, self.n_no_shorter, self.shortest_mm, self.held_mm) = (None, 0, f64::INFINITY, newton_mm);
+        Ok(None)
     }
 
     /// Whether the cost hardly falls any more.

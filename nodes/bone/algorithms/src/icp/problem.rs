@@ -41,15 +41,11 @@ pub(super) struct Correspondences {
     pairs: Vec<Correspondence>,
     /// Squared residuals, mm²; infinite for points without a pair.
     squares: Vec<f64>,
-    is_held: bool,
+    /// Whether the target points are kept, without further searches.
+    pub(super) is_held: bool,
 }
 
 impl Correspondences {
-    /// Keeps the target points from now on, without further searches.
-    pub(super) fn hold(&mut self) {
-        self.is_held = true;
-    }
-
     /// Mean residual of the pairs, mm.
     pub(super) fn mean_mm(&self) -> f64 {
         let found = self.squares.iter().filter(|square| square.is_finite());

@@ -530,9 +530,9 @@ fn the_minimum_takes_at_most_two_steps_more_than_plain_gauss_newton() {
 }
 
 #[test]
-fn a_tight_stop_converges_where_points_swing_between_two_samples() {
+fn a_tight_stop_ends_at_a_minimum_or_tells_the_size_of_the_cycle_in_which_pairs_change() {
     let target = target(&shaft(), 20_000);
-    // Without held pairs, those of the first two change in a cycle.
+    let mut reasons = Vec::new();
     for seed in [18, 20, 10, 11] {
         let (source, init) = noisy_strip(seed);
         let at = |stop_step_mm: f64| {
@@ -540,9 +540,20 @@ fn a_tight_stop_converges_where_points_swing_between_two_samples() {
             register(Method::PointToPlane, &target, &source, &init, &params, &mut go_on).unwrap()
         };
         let (tight, usual) = (at(1e-9), at(1e-3));
-        assert_eq!((tight.report.stop_reason, tight.report.converged), (StopReason::Step, true), "seed {seed}");
-        let (apart_mm, n) = (off(&tight, &usual.t_target_source, &source), tight.report.iterations);
+        let (report, n) = (&tight.report, tight.report.iterations);
+        let apart_mm = off(&tight, &usual.t_target_source, &source);
+        assert_eq!((usual.report.stop_reason, usual.report.converged), (StopReason::Step, true), "seed {seed}");
         assert!(apart_mm < 1e-3, "seed {seed}: {apart_mm} mm from the result of the usual stop");
         assert!(n <= 2 * usual.report.iterations, "seed {seed}: {n} steps, {} usually", usual.report.iterations);
+        let (remaining_mm, reason) = (report.remaining_mm.unwrap(), report.stop_reason);
+        assert_eq!((report.converged, remaining_mm <= 1e-9), (reason == StopReason::Step, reason == StopReason::Step));
+        assert!(remaining_mm < 1e-3, "seed {seed}: cycles are shorter than the usual stop: {report:?}");
+        // A step that searches all pairs goes no further than told, and not much less far.
+        let step = |stop_mm| plain_gauss_newton(&target, &source, &tight.t_target_source, stop_mm).map(|(n, _)| n);
+        assert_eq!(step(1.1 * remaining_mm + 1e-9), Some(1), "seed {seed}: {report:?}");
+        assert_ne!(step(0.1 * remaining_mm - 1e-9), Some(1), "seed {seed}: {report:?}");
+        reasons.push(reason);
     }
+    use StopReason::{Stalled, Step};
+    assert_eq!(reasons, [Stalled, Stalled, Step, Step]);
 }
