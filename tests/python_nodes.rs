@@ -86,7 +86,9 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
     assert_eq!(built_in.code, Some(0), "{}", built_in.stderr);
     let (here_fit, there) = (matrix(&here.results["fit"]), matrix(&built_in.results["fit"]));
     // Where pairs change in a cycle there are several minima; the report tells how far off another one is.
-    let remaining_mm = built_in.results["icp"]["remaining_mm"].as_f64().unwrap();
+    let report = &built_in.results["icp"];
+    let [remaining_mm, lever_arm_mm] =
+        [&report["remaining_mm"], &report["observability"]["lever_arm_mm"]].map(|value| value.as_f64().unwrap());
     assert!(remaining_mm < 1e-4, "{remaining_mm} mm");
     let scanned = Point3::from_slice(&there.fixed_view::<3, 1>(0, 3).clone_owned().as_slice()[..3]);
     for offset in [-50.0, 0.0, 50.0] {
@@ -95,7 +97,9 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
             .unwrap()
             .transform_point(&(scanned + osteoflow_geometry::nalgebra::Vector3::repeat(offset)));
         let off_mm = (here_fit.transform_point(&point) - there.transform_point(&point)).norm();
-        assert!(off_mm < 1e-6 + remaining_mm, "{off_mm} mm, {remaining_mm} mm by the report");
+        // The report tells the movement at the lever arm; further out, a rotation moves points further.
+        let reach = 1.0 + 3_f64.sqrt() * offset.abs() / lever_arm_mm;
+        assert!(off_mm < 1e-6 + reach * remaining_mm, "{off_mm} mm, {remaining_mm} mm by the report");
     }
     let report = &here.results["icp"];
     assert_eq!((&report["n_pairs"], report["rms_mm"].as_f64().unwrap() < 0.1), (&20_000.into(), true), "{report}");
@@ -381,6 +385,60 @@ def fit(
 "#;
 
 /// The small bone and a scan of it.
+#[test]
+fn a_result_that_names_a_file_replays_equal_and_is_warned_of() {
+    let plugin = r#"
+from dataclasses import dataclass
+from osteoflow_node import Text, node, param, source
+
+
+@dataclass
+class Params:
+    path: str = param(path=True, doc="A file.")
+
+
+@source("names.file", output="text")
+def file(params: Params) -> Text:
+    """Names a file."""
+    yield 0, Text("read " + params.path)
+
+
+@node("names.relay", output="text")
+def relay(text: Text) -> Text:
+    """Gives a text on."""
+    return Text("from " + text.value)
+"#;
+    let graph = "plugins = [\"names.py\"]\n[graph]\nformat = 1\n[node.a]\nkind = \"names.file\"\npath = \"d.txt\"\n\
+                 [node.b]\nkind = \"names.relay\"\nin = { text = \"a.text\" }\n[record]\nwires = [\"*\"]\n[results]\n\
+                 first = \"a.text\"\nsecond = \"b.text\"\n";
+    let files = [("g/names.py", plugin), ("g/g.toml", graph), ("g/d.txt", "1")];
+    let Some(folder) = Folder::new("a path in a result", &files) else { return };
+    let run = folder.path("run");
+    let command = |arguments: &[&str]| {
+        let mut command = osteoflow();
+        let output = command.args(arguments).arg("--python").arg(&folder.1).output().unwrap();
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.code(), String::from_utf8_lossy(&text).into_owned())
+    };
+    let (code, printed) = command(&["run", folder.path("g/g.toml").to_str().unwrap(), "--out", run.to_str().unwrap()]);
+    assert_eq!(code, Some(0), "{printed}");
+    for (result, wire) in [("first", "a.text"), ("second", "b.text")] {
+        let warning =
+            format!("the result \"{result}\" holds the whole path of a file, and so does the recorded wire {wire}");
+        assert!(printed.contains(&warning), "{printed}");
+    }
+    let results: Value = serde_json::from_slice(&fs::read(run.join("results.json")).unwrap()).unwrap();
+    assert_eq!((&results["first"], &results["second"]), (&json!("read d.txt"), &json!("from read d.txt")));
+    let recording = run.join("run.mcap");
+    let (code, printed) = command(&["replay", recording.to_str().unwrap()]);
+    assert_eq!(code, Some(0), "{printed}");
+    // A node that gives another text is found.
+    folder.write("g/names.py", &plugin.replace("from \" +", "of \" +"));
+    let edited = folder.path("g/names.py");
+    let (code, printed) = command(&["replay", recording.to_str().unwrap(), "--plugin", edited.to_str().unwrap()]);
+    assert!(code == Some(4) && printed.contains("b.text"), "{code:?} {printed}");
+}
+
 fn bone_and_scan() -> [PathBuf; 2] {
     ["bone.stl", "scan.ply"].map(|file| root().join("tests/data/folder").join(file))
 }

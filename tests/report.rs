@@ -183,6 +183,38 @@ fn sweep(dir: &Path) -> PathBuf {
 }
 
 #[test]
+fn the_methods_of_a_sweep_name_the_kinds_that_its_runs_ran() {
+    let dir = tempfile::tempdir().unwrap();
+    let graph = dir.path().join("sweep.toml");
+    let shipped = crate::common::root().join("graphs/fibula.toml");
+    let text = format!(
+        r#"
+        extends = "{}"
+        [node.icp]
+        kind = "icp.point_to_point"
+        [sweep]
+        repeat = 1
+        [sweep.factor.registration]
+        values = [
+            {{ icp.kind = "icp.symmetric" }},
+            {{ icp.kind = "icp.generalized", icp.max_pair_distance_mm = 4.5 }},
+        ]
+        labels = ["s", "g"]
+        "#,
+        shipped.display()
+    );
+    fs::write(&graph, text).unwrap();
+    let out = dir.path().join("swept");
+    osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
+    let html = fs::read_to_string(report(&out)).unwrap();
+    assert!(html.contains("Fine registration: icp.generalized, icp.symmetric."), "the kinds that ran");
+    let in_the_graph = html.matches("kind = &quot;icp.point_to_point&quot;").count();
+    assert_eq!(html.matches("icp.point_to_point").count(), in_the_graph, "no run had the kind of the base graph");
+    assert!(html.contains("max_pair_distance_mm = 4.5"), "with the parameters that the factor sets");
+    assert!(html.contains("segal2009") && !html.contains("besl1992"), "literature of what ran");
+}
+
+#[test]
 fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() {
     let dir = tempfile::tempdir().unwrap();
     let out = swept(dir.path());

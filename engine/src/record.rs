@@ -19,6 +19,7 @@ mod sink;
 
 use crate::{
     durable,
+    hash::Digest,
     options::RunOptions,
     panics,
     plan::{OutputId, Plan},
@@ -86,6 +87,7 @@ pub(crate) struct Recorder {
     /// The recorded wires.
     wires: BTreeSet<OutputId>,
     path: PathBuf,
+    shown: ShownPaths,
     shared: Arc<Shared>,
     writer: JoinHandle<Result<RecordingSummary, Stopped>>,
 }
@@ -158,7 +160,7 @@ impl Recorder {
             written
         });
         let wires = plan.record.iter().copied().collect();
-        Ok(Self { wires, shared, writer: writer.map_err(create)?, path: path.to_owned() })
+        Ok(Self { wires, shared, writer: writer.map_err(create)?, path: path.to_owned(), shown: shown.clone() })
     }
 
     /// Writes the remaining items and the outcome of the run, and closes the file.
@@ -171,9 +173,11 @@ impl Recorder {
         inputs: Option<&[Json]>,
         log: Vec<LogEntry>,
     ) -> Result<WireCounts, RecordError> {
+        let shown_results = self.shown.json(results.clone());
         let outcome = Outcome {
             status: status.into(),
-            results: results.clone(),
+            results_digest: (shown_results != *results).then(|| Digest::of_json(results).to_string()),
+            results: shown_results,
             fixed_results: options.fixed_results.iter().cloned().collect(),
             failures: failures.to_vec(),
         };

@@ -12,6 +12,7 @@ use crate::{
     diff,
     fault::{Fault, Faults},
     graph::grammar::VERDICT,
+    hash::Digest,
     options::RunOptions,
     partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
@@ -21,7 +22,7 @@ use crate::{
     runtime::{Observer, Replayed, Substitutes},
 };
 use compare::Compare;
-use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry, Role, StampNs};
+use osteoflow_node::{Body, ClockReading, Item, Registry, Role, StampNs};
 use range::{is_constant, play_what_does_not_change};
 use std::{
     borrow::Cow,
@@ -286,10 +287,10 @@ pub(crate) fn replay_plan(
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
-    let Recorded { outputs: recorded, other_payload } = recorded_outputs(plan, recording);
-    if let Some(wire) = other_payload.iter().find(|wire| plan.nodes[wire.node].role != Role::Node) {
-        let (wire, recorded, found) = (wire.name.clone(), wire.recorded.clone(), wire.found.into());
-        return Err(ReplayError::Payload { wire, recorded, found });
+    let Recorded { outputs: recorded, of_another_payload } = recorded_outputs(plan, recording);
+    if let Some(&id) = of_another_payload.iter().find(|id| plan.nodes[id.node].role != Role::Node) {
+        let (wire, found) = (plan.wire_name(id), plan.nodes[id.node].outputs[id.port].payload.name().to_owned());
+        return Err(ReplayError::Payload { recorded: recording.wires[&wire].payload.clone(), wire, found });
     }
     let mut parts = parts(plan, recording, changes, &recorded)?;
     let unchanged = play_what_does_not_change(plan, recording, changes, registry, &recorded, &mut parts)?;
@@ -306,7 +307,9 @@ pub(crate) fn replay_plan(
     let differences = differences.collect();
     let computed_too = computed_too(plan, changes, &parts);
 
-    let mut reduced = partial::reduce(&Plan { record: recorded.iter().copied().collect(), ..plan.clone() }, &parts);
+    let others = of_another_payload.iter().filter(|id| computed(id.node));
+    let mut reduced =
+        partial::reduce(&Plan { record: recorded.iter().chain(others).copied().collect(), ..plan.clone() }, &parts);
     if !runs_sources {
         // Their content is in the recording; the files themselves are not read.
         reduced.input_files.clear();
@@ -346,10 +349,10 @@ pub(crate) fn replay_plan(
     let whole = not_compared.is_none() && changes.graph.is_none() && changes.from.is_none() && !partial;
     let results_equal = recording.results.as_ref().filter(|results| whole && results.get(COMPUTED_FROM).is_none());
     let results_equal =
-        results_equal.map(|recorded| same_results(recorded, &report.results, is_computed_name(&computes)));
+        results_equal.map(|recorded| same_results(recorded, recording, &report.results, is_computed_name(&computes)));
     Ok(ReplayReport {
         run: report,
-        wires: comparisons(&reduced, recording, changes, &compare, &computes, &other_payload),
+        wires: comparisons(&reduced, recording, changes, &compare, &computes),
         results_equal,
         not_compared,
         truncated: recording.truncated.clone(),
@@ -367,33 +370,16 @@ fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool +
 /// What the recording has of a plan.
 struct Recorded {
     outputs: BTreeSet<OutputId>,
-    other_payload: Vec<OtherPayload>,
-}
-
-/// A wire whose payload is another one in the graph, so that it can be neither played nor compared.
-struct OtherPayload {
-    name: String,
-    /// Its node.
-    node: usize,
-    recorded: String,
-    found: &'static str,
+    /// Outputs whose payload is another one in the graph, so that they can be neither played nor compared.
+    of_another_payload: BTreeSet<OutputId>,
 }
 
 fn recorded_outputs(plan: &Plan, recording: &Recording) -> Recorded {
-    let mut recorded = Recorded { outputs: BTreeSet::new(), other_payload: Vec::new() };
-    for id in plan.all_outputs() {
-        let name = plan.wire_name(id);
-        let Some(wire) = recording.wires.get(&name) else { continue };
-        match plan.nodes[id.node].outputs[id.port].payload {
-            PortPayload::Type(ty) if ty.name != wire.payload => {
-                let (node, recorded_with) = (id.node, wire.payload.clone());
-                let other = OtherPayload { name, node, recorded: recorded_with, found: ty.name };
-                recorded.other_payload.push(other);
-            }
-            _ => drop(recorded.outputs.insert(id)),
-        }
-    }
-    recorded
+    let is_recorded = |id: &OutputId| recording.wires.contains_key(&plan.wire_name(*id));
+    let is_comparable =
+        |id: &OutputId| recording.wires[&plan.wire_name(*id)].is_of(plan.nodes[id.node].outputs[id.port].payload);
+    let (outputs, of_another_payload) = plan.all_outputs().filter(is_recorded).partition(is_comparable);
+    Recorded { outputs, of_another_payload }
 }
 
 fn parts(
@@ -564,7 +550,6 @@ fn comparisons(
     changes: &ReplayOptions,
     compare: &Compare<'_>,
     computes: &BTreeSet<&str>,
-    other_payload: &[OtherPayload],
 ) -> Vec<WireComparison> {
     let mut left: BTreeSet<_> = recording.wires.keys().map(String::as_str).collect();
     let mut wires = Vec::new();
@@ -577,10 +562,7 @@ fn comparisons(
     }
     for name in left {
         let mut wire = compare.of(name, recording, None, WirePart::Absent);
-        if let Some(other) = other_payload.iter().find(|other| other.name == name) {
-            wire.part = WirePart::Computed;
-            wire.not_comparable = Some(format!("{} was recorded, {} is given now", other.recorded, other.found));
-        } else if changes.graph.is_none() && changes.sets.is_empty() {
+        if changes.graph.is_none() && changes.sets.is_empty() {
             let what = diff::Difference::other("wire", "recorded", "not in the graph of this program");
             wire.first_difference = Some(Difference { item: 0, what });
         }
@@ -602,13 +584,17 @@ fn without_failure(results: &serde_json::Value) -> Cow<'_, serde_json::Value> {
     }
 }
 
-/// Compares the results. Of a refusal by a played node only node and reason are compared, since its activations are
-/// numbered differently.
+/// Compares the results. Where paths in them were recorded as they are shown, the digest tells whether they are the same;
+/// of a refusal by a played node only node and reason are compared, since its activations are numbered differently.
 fn same_results(
     recorded: &serde_json::Value,
+    recording: &Recording,
     replayed: &serde_json::Value,
     is_computed: impl Fn(&str) -> bool,
 ) -> bool {
+    if recording.results_digest.as_ref().is_some_and(|digest| *digest == Digest::of_json(replayed).to_string()) {
+        return true;
+    }
     let node = recorded["refused"]["node"].as_str();
     if node.is_none_or(is_computed) {
         return without_failure(recorded) == without_failure(replayed);

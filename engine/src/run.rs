@@ -30,7 +30,7 @@ use crate::{
     answer_cache::StoredAnswers,
     durable,
     hash::files::Hashes,
-    plan::{Plan, Sources},
+    plan::{Plan, ResultEntry, Sources},
     record::{RecordError, Recorder},
     recording::RecordedFailure,
     repro::Saver,
@@ -143,6 +143,9 @@ pub(crate) fn run_part(
         None => (plan, None),
     };
     let (outcome, mut results) = results::collect(plan, options, &finished);
+    if recorder.is_some() {
+        finished.ended.warnings.extend(paths_in_results(plan, &results, &shown));
+    }
     let inputs = hashes.as_mut().map(|hashes| hashes.done()).unwrap_or_default();
     let recorded = recorder.map(|recorder| {
         let at_end = (plan.recording.sources != Sources::Hashes).then_some(inputs);
@@ -151,7 +154,7 @@ pub(crate) fn run_part(
         let at_end = at_end.map(|inputs| shown.json(inputs.into()));
         let at_end = at_end.as_ref().and_then(|inputs| inputs.as_array().map(Vec::as_slice));
         let log = closing_log(recorded_plan, &finished.ended.warnings, &outcome, &results);
-        recorder.finish(outcome.status(), &shown.json(results.clone()), &failures, options, at_end, log)
+        recorder.finish(outcome.status(), &results, &failures, options, at_end, log)
     });
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.
@@ -172,6 +175,25 @@ pub(crate) fn run_part(
     recorded.transpose()?;
     drop(retired);
     Ok(report)
+}
+
+/// A warning for each result with a path: recorded results show it shortened, but the item cannot be changed.
+fn paths_in_results(plan: &Plan, results: &serde_json::Value, shown: &ShownPaths) -> Vec<Warning> {
+    let with_path = plan.results.iter().filter(|entry| {
+        let value = entry.key.split('.').try_fold(results, |value, key| value.get(key));
+        value.is_some_and(|value| shown.json(value.clone()) != *value)
+    });
+    let warning = |entry: &ResultEntry| Warning {
+        node: plan.nodes[entry.from.node].name.to_string(),
+        item: 0,
+        message: format!(
+            "the result \"{}\" holds the whole path of a file, and so does the recorded wire {}; let the node give the \
+             file's name alone",
+            entry.key,
+            plan.wire_name(entry.from)
+        ),
+    };
+    with_path.map(warning).collect()
 }
 
 fn recorded(plan: &Plan, failure: &Failure) -> RecordedFailure {

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::plan::{PlanPlugin, Sources};
 use osteoflow_container::{Allowance, Location, Message, ReadError};
-use osteoflow_node::{Body, ClockReading, Item, Registry};
+use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt, io,
@@ -45,6 +45,8 @@ pub struct Recording {
     pub wires: BTreeMap<String, RecordedWire>,
     /// Content of `results.json`; `None` where the run did not get so far.
     pub results: Option<serde_json::Value>,
+    /// SHA-256 of the results where paths in `results` stand as they are shown.
+    pub(crate) results_digest: Option<String>,
     /// Constants that the command put into `results.json`.
     pub fixed_results: Vec<(String, serde_json::Value)>,
     /// Whether the user stopped the run.
@@ -149,6 +151,11 @@ impl RecordedWire {
         let items = self.messages.iter().zip(0..);
         items.map(|(bytes, number)| codec::decode(bytes).map_err(|error| (number, error))).collect()
     }
+
+    /// Whether a port with this payload can give its items.
+    pub(crate) fn is_of(&self, payload: PortPayload) -> bool {
+        payload.ty().is_none_or(|ty| ty.name == self.payload)
+    }
 }
 
 impl Recording {
@@ -186,6 +193,7 @@ impl Recording {
             seed: run.seed,
             version: run.version,
             results: outcome.as_ref().map(|outcome| outcome.results.clone()),
+            results_digest: outcome.as_ref().and_then(|outcome| outcome.results_digest.clone()),
             fixed_results: outcome.iter().flat_map(|outcome| outcome.fixed_results.clone()).collect(),
             interrupted,
             truncated,

@@ -21,6 +21,8 @@ pub(super) struct Compare<'a> {
 struct ComparedWire<'a> {
     /// Recorded items; `None` where nothing is compared.
     recorded: Option<&'a [Vec<u8>]>,
+    /// Why its items cannot be compared.
+    not_comparable: Option<String>,
     payload: PortPayload,
     /// Whether the recording was cut short.
     partial: bool,
@@ -40,10 +42,14 @@ impl<'a> Compare<'a> {
     /// Compares the recorded wires of computed nodes, if `compares`.
     pub(super) fn new(plan: &Plan, recording: &'a Recording, computed: impl Fn(usize) -> bool, compares: bool) -> Self {
         let wire = |id: &OutputId| {
-            let recorded = recording.wires.get(&plan.wire_name(*id)).map(|wire| &*wire.messages);
+            let recorded = recording.wires.get(&plan.wire_name(*id));
+            let payload = plan.nodes[id.node].outputs[id.port].payload;
+            let other = recorded.filter(|wire| !wire.is_of(payload)).map(|wire| &wire.payload);
+            let is_compared = compares && computed(id.node) && other.is_none();
             let wire = ComparedWire {
-                recorded: recorded.filter(|_| compares && computed(id.node)),
-                payload: plan.nodes[id.node].outputs[id.port].payload,
+                recorded: recorded.filter(|_| is_compared).map(|wire| &*wire.messages),
+                not_comparable: other.map(|other| format!("{other} was recorded, {} is given now", payload.name())),
+                payload,
                 partial: recording.interrupted || recording.truncated.is_some(),
                 seen: Mutex::default(),
             };
@@ -68,6 +74,7 @@ impl<'a> Compare<'a> {
         let seen = wire.seen.lock().unwrap_or_else(PoisonError::into_inner);
         (comparison.n_replayed, comparison.n_compared) = (seen.n_items, seen.n_compared);
         comparison.first_difference.clone_from(&seen.first);
+        comparison.not_comparable.clone_from(&wire.not_comparable);
         // In a run that was cut short, wires end at different times; this is not a difference.
         if wire.recorded.is_some() && !wire.partial && seen.first.is_none() && n_recorded != seen.n_items {
             let what = diff::Difference::other("items", n_recorded.to_string(), seen.n_items.to_string());

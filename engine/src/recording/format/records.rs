@@ -160,6 +160,8 @@ pub(crate) struct Outcome {
     pub(crate) status: String,
     /// Content of `results.json`.
     pub(crate) results: Json,
+    /// SHA-256 of the results where paths in `results` stand as they are shown.
+    pub(crate) results_digest: Option<String>,
     /// Constants that the command put into `results.json`.
     pub(crate) fixed_results: serde_json::Map<String, Json>,
     /// The failures of nodes.
@@ -169,24 +171,28 @@ pub(crate) struct Outcome {
 impl Outcome {
     /// Status of a run that the user stopped.
     pub(crate) const INTERRUPTED: &'static str = "interrupted";
+    const RESULTS_DIGEST: &'static str = "results_sha256";
 }
 
 impl MetadataRecord for Outcome {
     const NAME: &'static str = "osteoflow.outcome";
 
     fn to_metadata(&self) -> Entries {
-        entries([
+        let mut all = entries([
             ("status", self.status.clone()),
             ("results", self.results.to_string()),
             ("fixed_results", json_text(&self.fixed_results)),
             ("failures", json_text(&self.failures)),
-        ])
+        ]);
+        all.extend(self.results_digest.clone().map(|digest| (Self::RESULTS_DIGEST.to_owned(), digest)));
+        all
     }
 
     fn from_metadata(entries: &Entries) -> Result<Self, String> {
         Ok(Self {
             status: text(entries, "status")?,
             results: json(entries, "results")?,
+            results_digest: entries.get(Self::RESULTS_DIGEST).cloned(),
             fixed_results: json(entries, "fixed_results")?,
             failures: json(entries, "failures")?,
         })
@@ -346,6 +352,7 @@ mod tests {
         check_round_trip(Outcome {
             status: "complete".into(),
             results: json!({ "x": 1.5 }),
+            results_digest: Some("00".into()),
             fixed_results,
             failures: vec![failure],
         });

@@ -3,7 +3,7 @@
 use crate::{cell::Cell, format::number, html::Page, run_folder::RunFolder};
 use osteoflow_node::Registry;
 use serde_json::Value as Json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The methods of a run.
 pub(crate) fn of_run(page: &mut Page, run: &RunFolder, registry: &Registry) {
@@ -30,35 +30,39 @@ pub(crate) fn of_run(page: &mut Page, run: &RunFolder, registry: &Registry) {
         words += &format!("The CT surface was of origin \"{surface}\". ");
     }
     let resolved = run.manifest["resolved_graph"].as_str().unwrap_or_default();
-    let kinds: Vec<&str> = run.nodes().map(|(_, kind)| kind).collect();
-    words += &used(&kinds);
-    words += &main_terms(resolved, registry, "");
+    let nodes = nodes_of(resolved);
+    words += &used(&nodes);
+    words += &main_terms(&nodes, registry, "");
     words += "TRE is the distance at points that were not used to fit; FRE and surface residuals do not predict it. Lengths \
               are in millimetres, along the axes of the bone where z runs along it. One run is one procedure on one bone: \
               n = 1, whatever the number of points.";
     page.text(&words);
-    steps(page, resolved, registry);
-    error_terms(page, resolved, registry);
+    steps(page, &nodes, registry);
+    error_terms(page, &nodes, registry);
 }
 
-/// The methods of a sweep: its design, then the steps of its graph.
-pub(crate) fn of_sweep(page: &mut Page, words: &str, (resolved, kinds): (&str, &[&str]), registry: &Registry) {
-    let terms = main_terms(resolved, registry, ", where the design sets no other value,");
-    page.text(format!("{words} {}{terms}", used(kinds)).trim_end());
-    steps(page, resolved, registry);
-    error_terms(page, resolved, registry);
+/// The methods of a sweep: its design, then the steps of the graphs that its runs ran.
+pub(crate) fn of_sweep(page: &mut Page, words: &str, nodes: &[(String, toml::Table)], registry: &Registry) {
+    let terms = main_terms(nodes, registry, ", where the design sets no other value,");
+    page.text(format!("{words} {}{terms}", used(nodes)).trim_end());
+    steps(page, nodes, registry);
+    error_terms(page, nodes, registry);
 }
 
 /// The stages whose kinds the paragraph names.
 const STAGES: [(&str, &str); 3] =
     [("hole.", "Holes of the laser were found by"), ("coarse.", "Coarse fit:"), ("icp.", "Fine registration:")];
 
-fn used(kinds: &[&str]) -> String {
+/// A sentence for each stage with its kinds: those of its own, and those in the place of one.
+fn used(nodes: &[(String, toml::Table)]) -> String {
     let mut words = String::new();
     for (stage, what) in STAGES {
-        let mut of: Vec<_> = kinds.iter().copied().filter(|kind| kind.starts_with(stage)).collect();
-        of.sort_unstable();
-        of.dedup();
+        let is_of = |(name, table): &&(String, toml::Table)| {
+            kind_of(table).starts_with(stage) || *name == stage.trim_end_matches('.')
+        };
+        let names: BTreeSet<_> = nodes.iter().filter(is_of).map(|(name, _)| name).collect();
+        let of: Vec<_> = nodes.iter().filter(|(name, _)| names.contains(name)).cloned().collect();
+        let of = kinds_of(&of);
         if !of.is_empty() {
             words += &format!("{what} {}. ", of.join(", "));
         }
@@ -84,13 +88,12 @@ const MAIN_TERMS: [(&str, &str, &str); 13] = [
 ];
 
 /// A sentence with the main error terms and their values; empty if none is simulated.
-fn main_terms(resolved: &str, registry: &Registry, unless: &str) -> String {
-    let simulated = |(_, table): &(String, toml::Table)| {
-        table.get("kind").and_then(toml::Value::as_str).is_some_and(|kind| kind == "acquire.simulated")
+fn main_terms(nodes: &[(String, toml::Table)], registry: &Registry, unless: &str) -> String {
+    let Some((_, table)) = nodes.iter().find(|(_, table)| kind_of(table) == "acquire.simulated") else {
+        return String::new();
     };
-    let Some((_, table)) = nodes_of(resolved).into_iter().find(simulated) else { return String::new() };
     let Some(known) = registry.kind("acquire.simulated") else { return String::new() };
-    let terms = values(&known.description.params, &table);
+    let terms = values(&known.description.params, table);
     let terms = MAIN_TERMS.iter().filter_map(|(key, name, unit)| {
         // A term of 0 is disabled.
         let value = terms.get(*key)?.value.as_f64().filter(|value| *value != 0.0)?;
@@ -115,18 +118,33 @@ pub(crate) fn nodes_of(resolved: &str) -> Vec<(String, toml::Table)> {
     nodes.into_iter().filter_map(|(name, table)| Some((name, table.as_table()?.clone()))).collect()
 }
 
+fn kind_of(table: &toml::Table) -> &str {
+    table.get("kind").and_then(toml::Value::as_str).unwrap_or("?")
+}
+
+/// The kinds of these nodes, each once.
+pub(crate) fn kinds_of(nodes: &[(String, toml::Table)]) -> Vec<&str> {
+    let kinds: BTreeSet<_> = nodes.iter().map(|(_, table)| kind_of(table)).collect();
+    kinds.into_iter().collect()
+}
+
 /// A table of the nodes with kind, summary and the parameters that differ from their defaults.
-fn steps(page: &mut Page, resolved: &str, registry: &Registry) {
+fn steps(page: &mut Page, nodes: &[(String, toml::Table)], registry: &Registry) {
     let mut rows = Vec::new();
-    for (name, table) in nodes_of(resolved) {
-        let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or("?").to_owned();
-        let known = registry.kind(&kind);
+    for (name, table) in nodes {
+        let kind = kind_of(table);
+        let known = registry.kind(kind);
         let summary = known.map_or_else(|| "of a plugin".into(), |kind| kind.description.summary.clone());
         let defaults = known.map(|kind| values(&kind.description.params, &toml::Table::new())).unwrap_or_default();
-        let set = known.map(|kind| values(&kind.description.params, &table)).unwrap_or_default();
+        let set = known.map(|kind| values(&kind.description.params, table)).unwrap_or_default();
         let differs = set.iter().filter(|(key, term)| defaults.get(*key).is_none_or(|d| d.value != term.value));
         let differs: Vec<_> = differs.map(|(key, term)| format!("{key} = {}", term.value)).collect();
-        rows.push(vec![Cell::Code(name), Cell::Code(kind), Cell::word(summary), Cell::word(differs.join(", "))]);
+        rows.push(vec![
+            Cell::Code(name.clone()),
+            Cell::Code(kind.into()),
+            Cell::word(summary),
+            Cell::word(differs.join(", ")),
+        ]);
     }
     page.fold("Every step with its method and its parameters that are not default");
     let head = ["node", "kind", "purpose", "parameters"].map(String::from);
@@ -135,12 +153,12 @@ fn steps(page: &mut Page, resolved: &str, registry: &Registry) {
 }
 
 /// A table of the error terms of simulated sources, with their values and the reasons for them.
-fn error_terms(page: &mut Page, resolved: &str, registry: &Registry) {
+fn error_terms(page: &mut Page, nodes: &[(String, toml::Table)], registry: &Registry) {
     let mut rows = Vec::new();
-    for (name, table) in nodes_of(resolved) {
-        let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
+    for (name, table) in nodes {
+        let kind = kind_of(table);
         let Some(known) = registry.kind(kind).filter(|_| kind.contains("simulated")) else { continue };
-        for (key, term) in values(&known.description.params, &table) {
+        for (key, term) in values(&known.description.params, table) {
             let off = term.value.as_f64() == Some(0.0) || term.value == Json::Bool(false);
             let value = if off { Cell::word(format!("{} (off)", term.value)) } else { Cell::of(&term.value) };
             rows.push(vec![Cell::Code(format!("{name}.{key}")), value, Cell::word(term.about)]);
@@ -205,14 +223,25 @@ mod tests {
     fn the_paragraph_names_the_main_errors_with_their_values_and_the_methods_that_ran() {
         let registry = osteoflow_standard::registry();
         let graph = "[node.recording]\nkind = \"acquire.simulated\"\ncamera.depth_noise_mm = 0.2";
-        let words = main_terms(graph, &registry, "");
+        let words = main_terms(&nodes_of(graph), &registry, "");
         for sentence in
             ["depth noise 0.2 mm", "depth bias 0.05 mm", "dropout 2 %", "tracker noise about each axis 0.0115\u{b0}"]
         {
             assert!(words.contains(sentence), "{sentence}: {words}");
         }
-        assert_eq!(main_terms("[node.a]\nkind = \"acquire.files\"", &registry, ""), "");
-        let sentence = used(&["icp.point_to_plane", "coarse.three_point", "icp.point_to_plane", "crop.box"]);
-        assert_eq!(sentence, "Coarse fit: coarse.three_point. Fine registration: icp.point_to_plane. ");
+        assert_eq!(main_terms(&nodes_of("[node.a]\nkind = \"acquire.files\""), &registry, ""), "");
+        let nodes = |kinds: &[(&str, &str)]| {
+            let text: String = kinds.iter().map(|(name, kind)| format!("[node.{name}]\nkind = \"{kind}\"\n")).collect();
+            nodes_of(&text)
+        };
+        let [graph, others] = [
+            &[("a", "coarse.three_point"), ("b", "crop.box"), ("fine", "icp.point_to_plane")][..],
+            &[("fine", "my.fit"), ("icp", "my.other"), ("b", "my.crop")],
+        ]
+        .map(nodes);
+        assert_eq!(used(&graph), "Coarse fit: coarse.three_point. Fine registration: icp.point_to_plane. ");
+        assert_eq!(used(&others), "Fine registration: my.other. ", "a node is known by its name or a kind that it has");
+        let both = "Coarse fit: coarse.three_point. Fine registration: icp.point_to_plane, my.fit, my.other. ";
+        assert_eq!(used(&[graph, others].concat()), both);
     }
 }

@@ -45,7 +45,8 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
     failures(&mut page, &sweep);
     verdicts(&mut page, &sweep);
     page.section("The graph as run");
-    again::picture(&mut page, &sweep, &folder, kinds);
+    let graphs = again::graphs(&sweep, &folder, kinds);
+    again::picture(&mut page, &sweep, &graphs);
     page.section("Figures");
     figures::columns(&mut page, &sweep);
     figures::points(&mut page, &sweep);
@@ -59,14 +60,18 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
         }
     }
     page.section("Methods");
-    let graph = folder.graph()?;
-    let used = sweep.kinds(&graph);
-    let used: Vec<&str> = used.iter().map(String::as_str).collect();
-    methods::of_sweep(&mut page, &sweep.methods(simulated), (&graph, &used), registry);
+    let (steps, registry) = match &graphs {
+        Ok(graphs) => (again::steps(graphs), graphs.first().map_or(registry, |checked| &checked.registry)),
+        Err(_) => (methods::nodes_of(&folder.graph()?), registry),
+    };
+    methods::of_sweep(&mut page, &sweep.methods(simulated), &steps, registry);
+    if let Err(why) = &graphs {
+        page.missing("The steps with the kinds of each run (these are the base graph's)", why);
+    }
     page.section("Provenance");
     provenance::of_sweep(&mut page, dir, &sweep.about);
     page.section("References");
-    let bibliography = citations::section(&mut page, &used, registry);
+    let bibliography = citations::section(&mut page, &methods::kinds_of(&steps), registry);
     let (html, figures) = page.finish(&provenance::folder_name(dir));
     Ok(Report { html, figures, bibliography, fault: None })
 }
@@ -106,17 +111,14 @@ impl SweepResults {
         self.spec.columns.iter().filter(holds).collect()
     }
 
-    /// The kinds of the graph's nodes, and those that factors replace them with.
-    fn kinds(&self, graph: &str) -> Vec<String> {
-        let kind = |table: toml::Table| table.get("kind").and_then(toml::Value::as_str).map(str::to_owned);
-        let mut kinds: Vec<String> =
-            methods::nodes_of(graph).into_iter().filter_map(|(_, table)| kind(table)).collect();
-        let sets = self.spec.factors.iter().flat_map(|factor| &factor.levels).flat_map(|level| &level.sets);
-        let set = sets.filter_map(|set| set.split_once('=').filter(|(key, _)| key.trim().ends_with(".kind")));
-        kinds.extend(set.map(|(_, value)| value.trim().trim_matches('"').to_owned()));
-        kinds.sort();
-        kinds.dedup();
-        kinds
+    /// The values of the factors and draws that set a kind, in a run.
+    fn kinds_set<'a>(&'a self, run: &'a Done) -> Vec<Option<&'a Json>> {
+        let is_kind = |set: &str| set.split('=').next().is_some_and(|key| key.trim().ends_with(".kind"));
+        let sets_kind = |factor: &&Factor| factor.levels.iter().flat_map(|level| &level.sets).any(|set| is_kind(set));
+        let factors = self.spec.factors.iter().filter(sets_kind).map(|factor| &factor.name);
+        let draws =
+            self.spec.draws.iter().filter(|draw| draw.keys.iter().any(|key| is_kind(key))).map(|draw| &draw.name);
+        factors.chain(draws).map(|name| run.value(name)).collect()
     }
 
     /// A paragraph about factors, draws and repeats.

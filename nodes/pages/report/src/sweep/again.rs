@@ -5,6 +5,7 @@ use crate::{
     diagram,
     format::number,
     html::Page,
+    methods,
     run::{
         fragments::{self, Maps},
         graph,
@@ -19,17 +20,44 @@ use osteoflow_engine::{
 };
 use serde_json::Value as Json;
 
+/// The graphs that ran: one for each combination of kinds, with the settings of the first run that had it.
+pub(super) fn graphs(sweep: &SweepResults, folder: &Folder, kinds: &Kinds) -> Result<Vec<Checked>, String> {
+    let mut combinations = Vec::new();
+    let mut graphs = Vec::new();
+    for run in &sweep.runs {
+        let combination = sweep.kinds_set(run);
+        if !combinations.contains(&combination) {
+            graphs.push(checked(folder, run, &[], kinds)?);
+            combinations.push(combination);
+        }
+    }
+    Ok(graphs)
+}
+
+/// The nodes of these graphs: each once for each of its kinds, with the parameters of the first that has it.
+pub(super) fn steps(graphs: &[Checked]) -> Vec<(String, toml::Table)> {
+    let mut steps: Vec<(String, toml::Table)> = Vec::new();
+    for (name, table) in graphs.iter().flat_map(|checked| methods::nodes_of(&checked.plan.resolved)) {
+        let is_known = |step: &&(String, toml::Table)| step.0 == name && step.1.get("kind") == table.get("kind");
+        if steps.iter().find(is_known).is_none() {
+            let after = steps.iter().rposition(|step| step.0 == name).map_or(steps.len(), |last| last + 1);
+            steps.insert(after, (name, table));
+        }
+    }
+    steps
+}
+
 /// The graph with the settings of the first run.
-pub(super) fn picture(page: &mut Page, sweep: &SweepResults, folder: &Folder, kinds: &Kinds) {
+pub(super) fn picture(page: &mut Page, sweep: &SweepResults, graphs: &Result<Vec<Checked>, String>) {
     let Some(first) = sweep.runs.first() else { return };
     let caption = format!(
         "The graph with the settings of run {}: nodes with kinds, wires with payloads. What a factor sets differs \
          in other runs.",
         first.run
     );
-    match checked(folder, first, &[], kinds) {
-        Ok(checked) => graph(page, diagram::of_plan(&checked.plan), &caption),
-        Err(why) => page.missing("The graph", &why),
+    match graphs {
+        Ok(graphs) => graph(page, diagram::of_plan(&graphs[0].plan), &caption),
+        Err(why) => page.missing("The graph", why),
     }
 }
 
