@@ -2,6 +2,7 @@
 
 use crate::common::{assert_golden, osteoflow, root, shipped_graphs};
 use osteoflow_engine::plan::{Plan, PlanOutput};
+use serde_json::{Value, json};
 use std::{fmt::Write, fs, path::Path};
 
 fn plan(graph: &str) -> Plan {
@@ -122,4 +123,56 @@ fn a_graph_of_an_earlier_version_with_the_closest_point_field_is_read_with_cache
     // What recordings spell out is no reason for a warning.
     let sets = ["icp.field_exact=true", "ct_surface.field=false"].map(String::from);
     assert!(osteoflow_engine::check(&graph, &sets, &registry).unwrap().warnings.is_empty());
+}
+
+/// The parameters of a node's table that equal the default of its kind.
+fn defaults_written(table: &toml::Table, schema: &Value, root: &Value) -> Vec<String> {
+    let mut written = Vec::new();
+    for (key, value) in table {
+        let property = &schema["properties"][key];
+        let followed = property["$ref"].as_str().and_then(|path| root.pointer(path.trim_start_matches('#')));
+        let followed = followed.unwrap_or(property);
+        let default = property.get("default").or(followed.get("default"));
+        match value {
+            toml::Value::Table(inner) if followed["properties"].is_object() => {
+                written.extend(defaults_written(inner, followed, root).iter().map(|inner| format!("{key}.{inner}")));
+            }
+            value => written.extend((default == Some(&json!(value))).then(|| key.clone())),
+        }
+    }
+    written
+}
+
+/// The tables of the nodes of a graph file: its own, and those of the graphs that it extends.
+fn tables(graph: &Path) -> Vec<toml::Table> {
+    let table: toml::Table = fs::read_to_string(graph).unwrap().parse().unwrap();
+    let base = table.get("extends").and_then(|base| base.as_str()).map(|base| graph.parent().unwrap().join(base));
+    let nodes = table.get("node").and_then(|nodes| nodes.as_table()).cloned().unwrap_or_default();
+    [nodes].into_iter().chain(base.iter().flat_map(|base| tables(base))).collect()
+}
+
+#[test]
+fn a_shipped_graph_writes_no_parameter_that_equals_the_default_of_its_kind() {
+    let registry = osteoflow_standard::registry();
+    let mut all = Vec::new();
+    for graph in shipped_graphs() {
+        let [nodes, bases @ ..] = &tables(&root().join(&graph))[..] else { unreachable!("{graph}") };
+        for (name, node) in nodes {
+            let node = node.as_table().unwrap();
+            let in_bases = |key: &str| {
+                let value = |base: &toml::Table| base.get(name)?.get(key).cloned();
+                bases.iter().find_map(value)
+            };
+            let kind = node.get("kind").cloned().or_else(|| in_bases("kind"));
+            let Some(kind) = kind.as_ref().and_then(|kind| registry.kind(kind.as_str()?)) else { continue };
+            let params = &kind.description.params;
+            for key in defaults_written(node, params, params) {
+                // Another value of a graph that is extended is set back.
+                if in_bases(key.split('.').next().unwrap()).is_none() {
+                    all.push(format!("{graph}: node \"{name}\": {key}"));
+                }
+            }
+        }
+    }
+    assert!(all.is_empty(), "a kind in the place of theirs would be given them:\n{}", all.join("\n"));
 }
