@@ -439,6 +439,59 @@ def relay(text: Text) -> Text:
     assert!(code == Some(4) && printed.contains("b.text"), "{code:?} {printed}");
 }
 
+#[test]
+fn a_sweep_with_runs_that_failed_says_so_until_they_are_run_again() {
+    let plugin = r##"
+import os
+from dataclasses import dataclass
+from osteoflow_node import Text, param, source
+
+
+@dataclass
+class Params:
+    n: int = param(0, ge=0, le=9, doc="A number.")
+
+
+@source("saved.number", output="text")
+def number(params: Params) -> Text:
+    """Gives a number, and saves its own file once."""
+    flag = os.path.join(os.path.dirname(os.path.abspath(__file__)), "flag")
+    if params.n == 1 and os.path.exists(flag):
+        os.remove(flag)
+        with open(__file__, "a") as file:
+            file.write("# a comment\n")
+    yield 0, Text(str(params.n))
+"##;
+    let graph = "plugins = [\"saved.py\"]\n[graph]\nformat = 1\n[node.a]\nkind = \"saved.number\"\n[results]\nx = \"a.text\"\n\
+                 [sweep]\nrepeat = 1\n[sweep.factor]\nn = { key = \"a.n\", values = [0, 1, 2, 3] }\n";
+    let files = [("saved.py", plugin), ("sweep.toml", graph), ("flag", "")];
+    let Some(folder) = Folder::new("runs of a sweep that failed", &files) else { return };
+    let (graph, out) = (folder.path("sweep.toml"), folder.path("swept"));
+    let sweep = |arguments: &[&str]| {
+        let mut command = osteoflow();
+        command.arg("sweep").arg(&graph).arg("--out").arg(&out).args(["--workers", "1", "--no-cache"]).args(arguments);
+        let output = command.arg("--python").arg(&folder.1).output().unwrap();
+        let summary: Value = serde_json::from_slice(&fs::read(out.join("summary.json")).unwrap()).unwrap();
+        let rows = fs::read_to_string(out.join("runs.csv")).unwrap();
+        (output.status.code(), summary, rows, String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, summary, rows, stderr) = sweep(&[]);
+    assert_eq!((code, &summary["incomplete"]["n_failed"]), (Some(5), &json!(2)), "{rows}{stderr}");
+    assert_eq!(rows.matches(",failed,").count(), 2, "{rows}");
+    assert!(summary["incomplete"]["first"].as_str().unwrap().starts_with("run 2: "), "{summary}");
+    assert!(
+        stderr.contains("incomplete: 2 runs failed; run 2: ") && stderr.contains("--resume --retry-failed"),
+        "{stderr}"
+    );
+    // With the plugin as it was they stay until they are to be run again.
+    folder.write("saved.py", plugin);
+    let (code, ..) = sweep(&["--resume"]);
+    assert_eq!(code, Some(5));
+    let (code, summary, rows, stderr) = sweep(&["--resume", "--retry-failed"]);
+    assert_eq!((code, &summary["incomplete"]), (Some(0), &Value::Null), "{rows}{stderr}");
+    assert_eq!(rows.matches(",complete,").count(), 4, "{rows}");
+}
+
 fn bone_and_scan() -> [PathBuf; 2] {
     ["bone.stl", "scan.ply"].map(|file| root().join("tests/data/folder").join(file))
 }

@@ -86,6 +86,8 @@ pub struct SweepOptions {
     pub share: bool,
     /// The part to run; `None` runs all.
     pub shard: Option<Shard>,
+    /// Whether stored runs that failed are run again.
+    pub retry_failed: bool,
 }
 
 /// Receives the progress of a sweep, on any thread.

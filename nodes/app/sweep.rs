@@ -46,6 +46,10 @@ pub struct SweepRequest {
     #[arg(long, requires = "out")]
     pub resume: bool,
 
+    /// With --resume: run those again that failed, because a plugin was saved under way or a file could not be read.
+    #[arg(long, requires = "resume")]
+    pub retry_failed: bool,
+
     /// Run the K-th of N parts of the sweep, from 1; --merge combines them.
     #[arg(long, value_name = "K/N", value_parser = shard)]
     pub shard: Option<Shard>,
@@ -95,7 +99,8 @@ impl SweepRequest {
     pub fn begin(&self, sweep: Sweep, cancelled: &Arc<AtomicBool>) -> Result<SweepRun> {
         let mut run = program::options(self.workers, cancelled);
         run.store = self.keep.store()?;
-        let options = SweepOptions { workers: run.workers, run, share: !self.no_share, shard: self.shard };
+        let (shard, retry_failed) = (self.shard, self.retry_failed);
+        let options = SweepOptions { workers: run.workers, run, share: !self.no_share, shard, retry_failed };
         let folder = match (&self.out, self.resume) {
             (Some(dir), true) => sweep.resume(dir, self.shard),
             (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options),
@@ -122,7 +127,7 @@ impl SweepRun {
     /// # Errors
     /// The folder cannot be read.
     pub fn n_left(&self) -> Result<usize> {
-        let n_done = self.folder.runs().map_err(folder_error)?.len();
+        let n_done = self.folder.runs_kept(self.options.retry_failed).map_err(folder_error)?.len();
         Ok(self.sweep.part(self.options.shard).count().saturating_sub(n_done))
     }
 

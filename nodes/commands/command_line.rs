@@ -32,6 +32,7 @@ Exit codes:
     2  the command line or the graph has a fault; nothing was run
     3  the run was refused or a node failed, or a registration has no answer; the reason is printed
     4  a replay or a recording differs from another, or a repro from the original failure
+    5  runs of a sweep failed; its tables lack them, and --resume --retry-failed runs them again
   130  interrupted; everything written until then is valid
 
 Research software, not a medical device."

@@ -31,6 +31,7 @@ Examples:
   osteoflow sweep graphs/paper/sensitivity.toml --set sweep.repeat=20 --set recording.camera.depth_noise_mm=0.0
   osteoflow sweep graphs/paper/sensitivity.toml --out S          stopped half-way, by kill -9 or a power cut:
   osteoflow sweep graphs/paper/sensitivity.toml --out S --resume
+  osteoflow sweep graphs/paper/sensitivity.toml --out S --resume --retry-failed      runs that failed too
   osteoflow sweep G.toml --shard 2/8 --out S2                    the second of eight machines, or of a job array:
   osteoflow sweep --merge S1 S2 S3 S4 S5 S6 S7 S8 --out S
 
@@ -107,12 +108,22 @@ fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Glob
     let (dir, n_here) = (folder.dir().display(), swept.n_before + swept.n_run);
     let n_without = summary["n_without_results"].as_u64().unwrap_or_default();
     let nothing = n_without > 0 && summary["n_runs"] == n_without;
-    let exit = match (swept.n_missing, nothing) {
-        (1.., _) => Exit::Interrupted,
-        (0, true) => Exit::Refused,
-        (0, false) => Exit::Done,
+    let n_failed = summary["incomplete"]["n_failed"].as_u64().unwrap_or_default();
+    let exit = match (swept.n_missing, n_failed, nothing) {
+        (1.., ..) => Exit::Interrupted,
+        (0, 1.., _) => Exit::Incomplete,
+        (0, 0, true) => Exit::Refused,
+        (0, 0, false) => Exit::Done,
     };
     let mut err = terminal::stderr().lock();
+    if n_failed > 0 {
+        let word = global.paint_err("incomplete", "1;31");
+        let first = summary["incomplete"]["first"].as_str().unwrap_or_default();
+        writeln!(
+            err,
+            "{word}: {n_failed} runs failed; {first}; run them again with --out {dir} --resume --retry-failed"
+        )?;
+    }
     if let (true, Some(first)) = (nothing, folder.done().map_err(folder_error)?.next()) {
         let (first, word) = (first.map_err(folder_error)?, global.paint_err("refused", "1;31"));
         let reason = first.reason.as_deref().unwrap_or("no reason given");

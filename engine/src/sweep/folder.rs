@@ -143,6 +143,13 @@ impl Done {
         self.values.iter().find(|(known, _)| known == name).map(|(_, value)| value)
     }
 
+    pub(super) const FAILED: &'static str = "failed";
+
+    /// Whether it could not be run, so that it says nothing about its settings.
+    pub fn is_failed(&self) -> bool {
+        self.status == Self::FAILED
+    }
+
     /// Whether all results are available.
     pub fn is_complete(&self) -> bool {
         self.status == "complete"
@@ -274,6 +281,18 @@ impl Folder {
         }
         runs.sort_unstable();
         Ok(runs)
+    }
+
+    /// The stored runs, without those that failed if these are to be run again.
+    ///
+    /// # Errors
+    /// As [`Self::runs`], and if a run cannot be read.
+    pub fn runs_kept(&self, retry_failed: bool) -> Result<Vec<usize>, FolderError> {
+        if !retry_failed {
+            return self.runs();
+        }
+        let kept = self.done()?.filter(|done| !done.as_ref().is_ok_and(Done::is_failed));
+        kept.map(|done| Ok(done?.run)).collect()
     }
 
     /// Every stored run, by number.

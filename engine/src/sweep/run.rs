@@ -27,7 +27,7 @@ impl Sweep {
         options: &SweepOptions,
         watcher: &dyn Watcher,
     ) -> Result<SweepCounts, FolderError> {
-        let before = folder.runs()?;
+        let before = folder.runs_kept(options.retry_failed)?;
         let mut order = self.order(options.shard);
         let n_before = order.iter().filter(|run| before.binary_search(run).is_ok()).count();
         order.retain(|run| before.binary_search(run).is_err());
@@ -137,7 +137,7 @@ impl Sweep {
                 };
                 Done::of(&run.row, report.outcome.status(), reason, warnings, report.results)
             }
-            Err(error) => Done::of(&run.row, "failed", Some(error.to_string()), Vec::new(), Json::Null),
+            Err(error) => Done::of(&run.row, Done::FAILED, Some(error.to_string()), Vec::new(), Json::Null),
         };
         (Some(done), left)
     }

@@ -79,7 +79,7 @@ impl Desk {
 }
 
 fn options(workers: usize, share: bool) -> SweepOptions {
-    SweepOptions { workers, run: RunOptions::default(), share, shard: None }
+    SweepOptions { workers, run: RunOptions::default(), share, shard: None, retry_failed: false }
 }
 
 const SIX: &str = r#"

@@ -16,6 +16,8 @@ pub(crate) enum Exit {
     Refused,
     /// A replay differs from the recording.
     Differs,
+    /// Runs of a sweep failed, so that its tables lack them.
+    Incomplete,
     /// Stopped by Ctrl-C; everything written until then is valid.
     Interrupted,
 }
@@ -38,6 +40,7 @@ impl Exit {
             Self::Usage => 2,
             Self::Refused => 3,
             Self::Differs => 4,
+            Self::Incomplete => 5,
             Self::Interrupted => 130,
         }
     }
@@ -51,6 +54,7 @@ impl Exit {
             Self::Usage => "faulty",
             Self::Refused => "refused",
             Self::Differs => "differs",
+            Self::Incomplete => "incomplete",
             Self::Interrupted => "interrupted",
         }
     }

@@ -50,7 +50,7 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
     let missing = without_value(&spec, &done).into_iter();
     let notes: Vec<_> =
         missing.map(|(name, path)| format!("{name} has no value in any run: no result is at {path}")).collect();
-    Ok(json!({
+    let mut summary = json!({
         "notice": notice,
         "simulated": simulated,
         "graph": folder.about["graph"], "hash": folder.hash(),
@@ -58,7 +58,14 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
         "verdicts": verdicts(done.iter()),
         "units": units_of(&spec, &done.iter().collect::<Vec<_>>()).map(|units| levels(&units)),
         "groups": groups, "comparisons": compared::within(&spec, &done), "notes": notes,
-    }))
+    });
+    let failed: Vec<_> = done.iter().filter(|run| run.is_failed()).collect();
+    if let Some(first) = failed.first() {
+        let reason = first.reason.as_deref().unwrap_or("no reason given");
+        let first = format!("run {}: {reason}", first.run);
+        summary["incomplete"] = json!({ "n_failed": failed.len(), "first": first });
+    }
+    Ok(summary)
 }
 
 /// The runs by setting: by the values of all varied factors that are not units.

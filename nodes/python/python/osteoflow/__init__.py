@@ -412,6 +412,7 @@ def sweep(
     *,
     out: Union[str, "_os.PathLike[str]", None] = None,
     resume: bool = False,
+    retry_failed: bool = False,
     workers: Optional[int] = None,
     share: bool = True,
     cache: bool = True,
@@ -429,6 +430,7 @@ def sweep(
     set : changes of the graph in all runs, also of the sweep: {"sweep.repeat": 20}.
     out : folder to write into (runs.csv, points.csv, summary.json, ...). Default: a temporary one, which is removed.
     resume : go on with the sweep in `out`.
+    retry_failed : with resume, run those again that failed.
     executor : a `concurrent.futures.Executor` whose workers have this package and the files of the graph under the same
         paths, such as of Dask (docs/use/clusters.md). The tables are byte for byte those of one machine. A task whose worker is lost
         is submitted at most three times.
@@ -441,7 +443,7 @@ def sweep(
         folder = _Path(temporary, "sweep") if out is None else _Path(out)
 
         def request(out: _Path) -> Any:
-            return _core.Sweep(graph, set, _files(plugins), out, resume, workers, share, cache)
+            return _core.Sweep(graph, set, _files(plugins), out, resume, retry_failed, workers, share, cache)
 
         if executor is None:
             request(folder).run(progress)

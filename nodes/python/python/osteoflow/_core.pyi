@@ -33,7 +33,8 @@ class Wires:
 
 class Sweep:
     def __new__(
-        cls, graph: str, set: Any, plugins: list[str], out: Any, resume: bool, workers: Optional[int], share: bool, cache: bool
+        cls, graph: str, set: Any, plugins: list[str], out: Any, resume: bool, retry_failed: bool, workers: Optional[int],
+        share: bool, cache: bool
     ) -> Sweep: ...
     def run(self, progress: bool) -> None: ...
     def shards(self, n_shards: Optional[int]) -> list[list[int]]: ...

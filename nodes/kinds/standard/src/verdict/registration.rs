@@ -158,12 +158,12 @@ impl Function for Registration {
             points.as_ref().map(|points| points.points.to_vec()).unwrap_or_default()
         };
         let tracking = i.source.viewpoint.zip(i.t_camera_camera_marker.as_ref()).map(|(viewpoint, camera_marker)| {
-            let seen = MarkerPoses {
+            let poses = MarkerPoses {
                 t_target_camera: t_target_source * viewpoint,
                 t_camera_camera_marker: camera_marker.isometry,
                 t_camera_phantom_marker: i.t_camera_phantom_marker.as_ref().map(|pose| pose.isometry),
             };
-            Tracking::new(&seen, i.calibration.as_ref())
+            Tracking::new(&poses, i.calibration.as_ref())
         });
         let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
         let lost: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
