@@ -149,13 +149,13 @@ impl Recorder {
         let sink = begin(file, plan, options, inputs, shown).map_err(|error| RecordError::ended(path, error))?;
         let shared =
             Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
-        let seen = shared.clone();
+        let of_writer = shared.clone();
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
-            let written = panics::catch(|| record(sink, &seen)).unwrap_or_else(|panic| Err(Stopped::Panic(panic)));
+            let written = panics::catch(|| record(sink, &of_writer)).unwrap_or_else(|panic| Err(Stopped::Panic(panic)));
             if written.is_err() {
                 // A dead writer blocks nobody; the run is stopped, since it can leave no recording.
-                seen.queue.abandon();
-                seen.cancelled.store(true, Ordering::Relaxed);
+                of_writer.queue.abandon();
+                of_writer.cancelled.store(true, Ordering::Relaxed);
             }
             written
         });

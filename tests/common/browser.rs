@@ -132,14 +132,14 @@ impl Browser {
         process.to.flush().unwrap();
         let until = Instant::now() + PATIENCE;
         loop {
-            let said = process.from.recv_timeout(until.saturating_duration_since(Instant::now()));
-            let said = said.unwrap_or_else(|_| panic!("the browser did not answer {method} {params}"));
-            match said["id"].as_u64() {
+            let message = process.from.recv_timeout(until.saturating_duration_since(Instant::now()));
+            let message = message.unwrap_or_else(|_| panic!("the browser did not answer {method} {params}"));
+            match message["id"].as_u64() {
                 Some(answer) if answer == id => {
-                    assert!(said["error"].is_null(), "{method}: {}", said["error"]);
-                    return said["result"].clone();
+                    assert!(message["error"].is_null(), "{method}: {}", message["error"]);
+                    return message["result"].clone();
                 }
-                None if said["sessionId"] == self.session.as_str() => self.events.push(said),
+                None if message["sessionId"] == self.session.as_str() => self.events.push(message),
                 // Of another page, before.
                 _ => {}
             }

@@ -68,11 +68,11 @@ pub(crate) struct Layout {
     pub(crate) shuffled_fields: bool,
     /// Bytes between points that belong to no field.
     pub(crate) padding_bytes: u32,
-    /// Puts a point without depth (NaN) in front of every so many points; 0 for none.
+    /// Puts a point without depth (NaN) in front of every `nan_every` points; 0 for none.
     pub(crate) nan_every: usize,
     /// The message's `pose`: points are written relative to it, so that a reader which applies it gets them back.
     pub(crate) pose: Option<Isometry3<f64>>,
-    /// 1 writes each pose as a `FrameTransform`, more writes so many into each `FrameTransforms`.
+    /// 1 writes each pose as a `FrameTransform`, more writes that number into each `FrameTransforms`.
     pub(crate) transforms_per_message: usize,
 }
 

@@ -53,7 +53,7 @@ pub(crate) fn of_sweep(page: &mut Page, words: &str, nodes: &[(String, toml::Tab
 const STAGES: [(&str, &str); 3] =
     [("hole.", "Holes of the laser were found by"), ("coarse.", "Coarse fit:"), ("icp.", "Fine registration:")];
 
-/// A sentence for each stage with its kinds: those of its own, and those in the place of one.
+/// A sentence for each stage with the kinds of its nodes, also where a kind of a plugin takes the place of a built-in one.
 fn used(nodes: &[(String, toml::Table)]) -> String {
     let mut words = String::new();
     for (stage, what) in STAGES {

@@ -194,7 +194,11 @@ mod tests {
         let message = |cloud: &Cloud| Scan::new(cloud).err().map(|error| error.to_string()).unwrap_or_default();
         assert!(message(&sheet(1, 199)).starts_with("the scan has 199 points, 200 are needed"));
         assert!(Scan::new(&sheet(4, 50)).is_ok());
-        // The variance of n points in a row is (n² - 1) / 12: √(840 / 399).
+        // The variance of n points in a row is (n² - 1) / 12.
+        let elongation = ((29.0_f64 * 29.0 - 1.0) / (20.0 * 20.0 - 1.0)).sqrt();
+        let (.., spread) = principal(sheet(20, 29).points());
+        let found = (spread[0] / spread[1]).sqrt();
+        assert!((found - elongation).abs() < 1e-9, "{found}");
         assert!(message(&sheet(20, 29)).starts_with("the scan is 1.5 times as long as wide, 1.5 is needed"));
         assert!(Scan::new(&sheet(20, 31)).is_ok());
     }
