@@ -101,59 +101,13 @@ pub enum ReplayError {
         /// Whether it is the recorded graph without changes.
         recorded: bool,
     },
-    /// A source's wire is not in the recording.
-    #[error(
-        "the recording lacks the source wire {wire}, so nothing after it can be computed; record it, or name a node \
-         behind it that can be computed from recorded wires"
-    )]
-    Missing {
-        /// The wire.
-        wire: String,
-    },
-    /// No recorded wire can be played into the graph.
-    #[error("no recorded wire is an output of a source of {}; recorded are {recorded}", .graph.display())]
-    NothingFits {
-        /// The graph.
-        graph: PathBuf,
-        /// The recorded source wires.
-        recorded: String,
-    },
-    /// A recorded wire of a source has another payload in the graph.
-    #[error("wire {wire} was recorded with {recorded}, and carries {found} in the graph")]
-    Payload {
-        /// The wire.
-        wire: String,
-        /// Recorded payload.
-        recorded: String,
-        /// Payload in the graph.
-        found: String,
-    },
-    /// There is no such node.
-    #[error("there is no node \"{node}\" in the graph; it has {known}")]
-    NoNode {
-        /// The requested node.
-        node: String,
-        /// The graph's nodes.
-        known: String,
-    },
-    /// A setting for a node that is not computed.
-    #[error("--set {set} changes nothing: the wires of \"{node}\" are played from the recording")]
-    NoEffect {
-        /// The setting.
-        set: String,
-        /// The node.
-        node: String,
-    },
-    /// A source's input file is not the one that the run read.
-    #[error("{} is not the file that the run had read: sha256 {expected} expected, {found} found", .path.display())]
-    Input {
-        /// The file.
-        path: PathBuf,
-        /// The hash in the recording.
-        expected: String,
-        /// The file's hash, or why it has none.
-        found: String,
-    },
+    /// The recording does not support what is asked for: no wire fits the graph, a wire has another payload, or there is no
+    /// such node or setting to change.
+    #[error("{0}")]
+    Unfit(String),
+    /// The data of a source is missing: its wire is not in the recording, or its file is not the one that the run read.
+    #[error("{0}")]
+    NoData(String),
     /// The run itself.
     #[error(transparent)]
     Run(#[from] RunError),
@@ -289,8 +243,10 @@ pub(crate) fn replay_plan(
 ) -> Result<ReplayReport, ReplayError> {
     let Recorded { outputs: recorded, of_another_payload } = recorded_outputs(plan, recording);
     if let Some(&id) = of_another_payload.iter().find(|id| plan.nodes[id.node].role != Role::Node) {
-        let (wire, found) = (plan.wire_name(id), plan.nodes[id.node].outputs[id.port].payload.name().to_owned());
-        return Err(ReplayError::Payload { recorded: recording.wires[&wire].payload.clone(), wire, found });
+        let (wire, found) = (plan.wire_name(id), plan.nodes[id.node].outputs[id.port].payload.name());
+        let recorded = &recording.wires[&wire].payload;
+        let message = format!("wire {wire} was recorded with {recorded}, and carries {found} in the graph");
+        return Err(ReplayError::Unfit(message));
     }
     let mut parts = parts(plan, recording, changes, &recorded)?;
     let unchanged = play_what_does_not_change(plan, recording, changes, registry, &recorded, &mut parts)?;
@@ -393,8 +349,9 @@ fn parts(
         let plays = |(index, node): (usize, &crate::plan::PlanNode)| node.role != Role::Node && is_recorded(index);
         if !plan.nodes.iter().enumerate().any(plays) && changes.from.is_none() {
             let sources = recording.wires.iter().filter(|(_, wire)| wire.source).map(|(name, _)| name.as_str());
-            let recorded = sources.collect::<Vec<_>>().join(", ");
-            return Err(ReplayError::NothingFits { graph: graph.clone(), recorded });
+            let (graph, recorded) = (graph.display(), sources.collect::<Vec<_>>().join(", "));
+            let message = format!("no recorded wire is an output of a source of {graph}; recorded are {recorded}");
+            return Err(ReplayError::Unfit(message));
         }
     }
     // Another graph may have sources of its own; a live source's items cannot be produced again.
@@ -407,12 +364,18 @@ fn parts(
         Some(name) => {
             let Some(node) = plan.node(name) else {
                 let known = plan.nodes.iter().map(|node| &*node.name).collect::<Vec<_>>().join(", ");
-                return Err(ReplayError::NoNode { node: name.clone(), known });
+                return Err(ReplayError::Unfit(format!("there is no node \"{name}\" in the graph; it has {known}")));
             };
             select::from(plan, recorded, node, runs)
         }
     };
-    parts.map_err(|wire| ReplayError::Missing { wire: plan.wire_name(wire) })
+    parts.map_err(|wire| {
+        ReplayError::NoData(format!(
+            "the recording lacks the source wire {}, so nothing after it can be computed; record it, or name a node \
+             behind it that can be computed from recorded wires",
+            plan.wire_name(wire)
+        ))
+    })
 }
 
 /// Whether the setting is of a key of this node.
@@ -427,7 +390,9 @@ fn sets_take_effect(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) ->
     for set in &changes.sets {
         let node = plan.nodes.iter().zip(parts).find(|(node, _)| sets(set, &node.name));
         if let Some((node, NodeMode::Played | NodeMode::LeftOut)) = node {
-            return Err(ReplayError::NoEffect { set: set.clone(), node: node.name.to_string() });
+            let node = &node.name;
+            let message = format!("--set {set} changes nothing: the wires of \"{node}\" are played from the recording");
+            return Err(ReplayError::Unfit(message));
         }
     }
     Ok(())
@@ -446,7 +411,9 @@ fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayE
         };
         if expected != hash {
             let found = if hash.is_empty() { text("error") } else { hash };
-            return Err(ReplayError::Input { path: path.into(), expected, found });
+            return Err(ReplayError::NoData(format!(
+                "{path} is not the file that the run had read: sha256 {expected} expected, {found} found"
+            )));
         }
     }
     Ok(())

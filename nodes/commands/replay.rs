@@ -189,10 +189,7 @@ fn replay_error(error: ReplayError, colour: bool) -> anyhow::Error {
             let what = if recorded { "the recorded graph does not fit this program" } else { "the graph has faults" };
             UsageError(format!("{what}\n{}", faults.render(colour))).into()
         }
-        ReplayError::NothingFits { .. }
-        | ReplayError::Payload { .. }
-        | ReplayError::NoNode { .. }
-        | ReplayError::NoEffect { .. } => UsageError(error.to_string()).into(),
+        ReplayError::Unfit(message) => UsageError(message).into(),
         ReplayError::Run(error) => run_error(error),
         other => other.into(),
     }
