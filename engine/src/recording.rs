@@ -13,5 +13,5 @@ pub(crate) mod wires;
 
 pub use format::RecordedFailure;
 pub use read::{RecordedWire, Recording, RecordingError};
-pub(crate) use read::{run_record, too_large, typed};
+pub(crate) use read::{run_record, typed};
 pub(crate) use types::RecordedTypes;

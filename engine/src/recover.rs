@@ -7,16 +7,14 @@
 
 use crate::recording::{
     RecordingError, codec,
-    container::Soundness,
     findings::Finding,
     format::{INPUT_HASHES, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
-    too_large,
-    wires::{Carries, Channels},
+    scan::{Gather, PassState, Passed, pass},
+    wires::{Carries, Wire},
 };
 use osteoflow_container::{
-    Allowance, Channel, Damage, End, Location, Message, MessageHeader, Progress, Reader, Record, Visitor, WriteOptions,
-    Writer,
+    Channel, Damage, End, Location, Message, MessageHeader, Progress, Record, WriteOptions, Writer,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -33,27 +31,14 @@ pub enum RecoverError {
     #[error(transparent)]
     Read(#[from] RecordingError),
     /// Nothing is ever overwritten.
-    #[error("{} is there already; name another file", .path.display())]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{} is there already; name another file", .0.display())]
+    Exists(PathBuf),
     /// The new file cannot be written.
-    #[error("cannot write {}: {source}; nothing of it was left", .path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    #[error("cannot write {0}; nothing of it was left")]
+    Write(String),
     /// There is nothing to write.
-    #[error("nothing in {} is intact: {said}; no file was written", .path.display())]
-    Nothing {
-        /// The damaged file.
-        path: PathBuf,
-        /// What is wrong with it.
-        said: String,
-    },
+    #[error("nothing in {0}; no file was written")]
+    Nothing(String),
 }
 
 /// What was saved, and what was not.
@@ -112,38 +97,31 @@ impl RecoverReport {
 /// # Errors
 /// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
-    let failed = |error| RecoverError::Read(RecordingError::of(from, error));
-    let mut reader = Reader::open(from).map_err(|error| failed(error.into()))?.with_section_crcs();
-    let write_error = |source| RecoverError::Write { path: to.into(), source };
+    File::open(from).map_err(|error| RecordingError::read(from, error))?;
+    let write_error = |error| RecoverError::Write(format!("{}: {error}", to.display()));
     let file = File::options().write(true).create_new(true).open(to).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.into() },
+        io::ErrorKind::AlreadyExists => RecoverError::Exists(to.into()),
         _ => write_error(error),
     })?;
-    let mut recovery = Recovery::new(file, progress);
-    let result = reader
-        .read(&mut recovery)
-        .map_err(failed)
-        .and_then(|end| {
-            too_large(from, &recovery.allowance, recovery.full_at, reader.n_bytes())?;
-            Ok(end)
-        })
-        .and_then(|end| recovery.finish(from, &end, reader.n_bytes()).map_err(write_error));
-    match result {
-        Ok(report) if report.n_messages == 0 && !report.is_recording() => {
-            let _ = fs::remove_file(to);
-            let said = report.damages.first().map_or("it holds no messages".into(), ToString::to_string);
-            Err(RecoverError::Nothing { path: from.into(), said })
+    let mut recovery = Recovery { output: Output { file: Some(file), writer: None }, ..Recovery::default() };
+    let passed = pass(from, &mut recovery, progress).map_err(RecoverError::Read);
+    let report = passed.and_then(|passed| recovery.finish(from, passed).map_err(write_error));
+    let report = report.and_then(|report| match report.n_messages == 0 && !report.is_recording() {
+        true => {
+            let why = report.damages.first().map_or("it holds no messages".into(), ToString::to_string);
+            Err(RecoverError::Nothing(format!("{} is intact: {why}", from.display())))
         }
-        Ok(report) => Ok(report),
-        Err(error) => {
-            // Nothing else has written the file: it did not exist.
-            let _ = fs::remove_file(to);
-            Err(error)
-        }
+        false => Ok(report),
+    });
+    if report.is_err() {
+        // Nothing else has written the file: it did not exist.
+        let _ = fs::remove_file(to);
     }
+    report
 }
 
 /// The new file; its header is written by the first call of [`Output::writer`].
+#[derive(Default)]
 struct Output {
     file: Option<File>,
     writer: Option<Writer<File>>,
@@ -163,68 +141,53 @@ impl Output {
 /// Name, encoding and data of a schema.
 type Schema = (String, String, Vec<u8>);
 
-struct Recovery<'a> {
+#[derive(Default)]
+struct Recovery {
     output: Output,
     failed: Option<io::Error>,
     schemas: BTreeMap<u16, Schema>,
-    channels: Channels,
     /// Identifiers in the new file by those in the damaged one.
     ids: BTreeMap<u16, u16>,
     wires: BTreeMap<String, NumberSet>,
     before_damage: Option<BTreeMap<String, u64>>,
-    counts: BTreeMap<String, u64>,
+    /// Names of the metadata records in the new file.
     metadata: BTreeSet<String>,
-    recovered_before: Option<Recovered>,
-    damages: Vec<Damage>,
-    soundness: Soundness,
-    /// For the numbers of items that come out of order.
-    allowance: Allowance,
-    full_at: Option<Location>,
     n_messages: u64,
-    n_unknown: u64,
-    progress: Progress<'a>,
+    /// Messages whose channels could not be written.
+    n_lost: u64,
 }
 
-impl<'a> Recovery<'a> {
-    fn new(file: File, progress: Progress<'a>) -> Self {
-        Self {
-            output: Output { file: Some(file), writer: None },
-            failed: None,
-            schemas: BTreeMap::new(),
-            channels: Channels::default(),
-            ids: BTreeMap::new(),
-            wires: BTreeMap::new(),
-            before_damage: None,
-            counts: BTreeMap::new(),
-            metadata: BTreeSet::new(),
-            recovered_before: None,
-            damages: Vec::new(),
-            soundness: Soundness::default(),
-            allowance: Allowance::from_env(),
-            full_at: None,
-            n_messages: 0,
-            n_unknown: 0,
-            progress,
-        }
-    }
-
-    fn write(&mut self, record: Record<'_>) -> io::Result<()> {
+impl Recovery {
+    fn write(&mut self, record: &Record<'_>) -> io::Result<()> {
         match record {
             Record::Header { profile } => self.output.writer(profile).map(drop),
             Record::Schema { id, name, encoding, data } => {
-                self.schemas.entry(id).or_insert_with(|| (name.into(), encoding.into(), data.to_vec()));
+                let schema = || ((*name).into(), (*encoding).into(), data.to_vec());
+                self.schemas.entry(*id).or_insert_with(schema);
                 Ok(())
             }
             Record::Channel(channel) => self.channel(channel),
-            Record::Message(message) => self.message(&message),
-            Record::Attachment(attachment) => self.output.writer("")?.write_attachment(&attachment),
-            Record::Metadata { name, entries } => self.metadata(name, entries),
+            Record::Attachment(attachment) => self.output.writer("")?.write_attachment(attachment),
+            // A record that damage has doubled is written once; what is missing is written anew.
+            Record::Metadata { name, entries } if *name != Recovered::NAME && self.metadata.insert((*name).into()) => {
+                self.output.writer("")?.write_metadata(name, entries)
+            }
             _ => Ok(()),
         }
     }
 
+    fn flow(&mut self, written: io::Result<()>) -> ControlFlow<()> {
+        match written {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                self.failed = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    }
+
     /// Adds a channel to the new file, unless its schema is lost.
-    fn channel(&mut self, channel: Channel) -> io::Result<()> {
+    fn channel(&mut self, channel: &Channel) -> io::Result<()> {
         let id = channel.id;
         if self.ids.contains_key(&id) || channel.schema_id != 0 && !self.schemas.contains_key(&channel.schema_id) {
             return Ok(());
@@ -236,47 +199,7 @@ impl<'a> Recovery<'a> {
         };
         let new = writer.add_channel(schema_id, &channel.topic, &channel.message_encoding, &channel.metadata)?;
         self.ids.insert(id, new);
-        if let Carries::Exact(wire) = self.channels.add(channel) {
-            self.wires.entry(wire.name.clone()).or_default();
-        }
         Ok(())
-    }
-
-    fn message(&mut self, message: &Message<'_>) -> io::Result<()> {
-        let Some(&channel_id) = self.ids.get(&message.channel_id) else {
-            self.n_unknown += 1;
-            return Ok(());
-        };
-        if let Some(Carries::Exact(wire)) = self.channels.get(message.channel_id)
-            && let Some(number) = codec::number(message.data)
-        {
-            let numbers = self.wires.entry(wire.name.clone()).or_default();
-            if number > numbers.len() {
-                let _ = self.allowance.take(0);
-            }
-            numbers.insert(number);
-        }
-        self.n_messages += 1;
-        let Message { sequence, log_time, publish_time, data, .. } = *message;
-        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
-        self.output.writer("")?.write_message(header, data.to_vec().into())
-    }
-
-    fn metadata(&mut self, name: &str, entries: BTreeMap<String, String>) -> io::Result<()> {
-        if name == Recovered::NAME {
-            // What it no longer says is as if nothing lay before the damage.
-            self.recovered_before = Some(Recovered::from_metadata(&entries).unwrap_or_default());
-            return Ok(());
-        }
-        if name == WireCounts::NAME {
-            let count = |(wire, text): (&String, &String)| Some((wire.clone(), WireCounts::parse(text)?.items));
-            self.counts = entries.iter().filter_map(count).collect();
-        }
-        // A record that damage has doubled is written once.
-        if !self.metadata.insert(name.into()) {
-            return Ok(());
-        }
-        self.output.writer("")?.write_metadata(name, &entries)
     }
 
     fn leading(&self) -> BTreeMap<String, u64> {
@@ -284,27 +207,29 @@ impl<'a> Recovery<'a> {
     }
 
     /// Writes what is missing, and the file's end.
-    fn finish(mut self, from: &Path, end: &End, n_bytes: u64) -> io::Result<RecoverReport> {
+    fn finish(mut self, from: &Path, mut passed: Passed) -> io::Result<RecoverReport> {
         if let Some(error) = self.failed.take() {
             return Err(error);
         }
-        if let End::Truncated(damage) = end {
-            let _ = self.damage(damage.clone());
-        }
+        // What an earlier recovery no longer says is as if nothing lay before the damage.
+        let recovered_before = passed.metadata.get::<Recovered>().map(Result::unwrap_or_default);
+        let counts = passed.metadata.entries(WireCounts::NAME);
+        let count = |wire: &String| Some(WireCounts::parse(counts?.get(wire)?)?.items);
         let mut before = self.before_damage.take().unwrap_or_else(|| self.leading());
-        if let Some(recovered) = &self.recovered_before {
+        if let Some(recovered) = &recovered_before {
             let limits = &recovered.before_damage;
             before.iter_mut().for_each(|(wire, n)| *n = (*n).min(limits.get(wire).copied().unwrap_or(0)));
         }
-        let counted = self.metadata.contains(WireCounts::NAME);
+        let counted = counts.is_some();
         let wires = self.wires.iter().map(|(wire, numbers)| RecoveredWire {
             wire: wire.clone(),
             n_items: numbers.len(),
             // A wire that the file described only behind the damage had nothing before it.
             before_damage: before.get(wire).copied().unwrap_or(0),
-            missing: numbers.missing(self.counts.get(wire).copied()),
+            missing: numbers.missing(count(wire)),
             open_end: !counted,
         });
+        let wires = wires.collect();
         let is_ours = self.metadata.iter().any(|name| name.starts_with(RunRecord::NAME)) || !self.wires.is_empty();
         let parts = [
             (RunRecord::NAME, "the graph, its seed and the program"),
@@ -315,17 +240,22 @@ impl<'a> Recovery<'a> {
         let inputs = (INPUT_HASHES, "the hashes of the inputs");
         let parts = parts.iter().chain((!counted).then_some(&inputs));
         let parts = parts.filter(|(name, _)| is_ours && !self.metadata.contains(*name));
+        let lost = parts.map(|(name, what)| format!("{what} (\"{name}\")")).collect();
+        let unsound = passed.unsound();
+        if let End::Truncated(damage) = passed.end {
+            passed.damages.push(damage);
+        }
         let report = RecoverReport {
-            n_bytes,
-            wires: wires.collect(),
-            damages: std::mem::take(&mut self.damages),
-            unsound: std::mem::take(&mut self.soundness).finish(),
+            n_bytes: passed.reader.n_bytes(),
+            wires,
+            damages: passed.damages,
+            unsound,
             n_messages: self.n_messages,
-            lost: parts.map(|(name, what)| format!("{what} (\"{name}\")")).collect(),
-            n_unknown: self.n_unknown,
+            lost,
+            n_unknown: passed.n_unknown + self.n_lost,
         };
-        if is_ours && (!report.is_whole() || self.recovered_before.is_some()) {
-            let metadata = recovered(&report, from, self.recovered_before.take()).to_metadata();
+        if is_ours && (!report.is_whole() || recovered_before.is_some()) {
+            let metadata = recovered(&report, from, recovered_before).to_metadata();
             self.output.writer("")?.write_metadata(Recovered::NAME, &metadata)?;
         }
         self.output.writer("")?;
@@ -352,32 +282,45 @@ fn recovered(report: &RecoverReport, from: &Path, earlier: Option<Recovered>) ->
     }
 }
 
-impl Visitor for Recovery<'_> {
-    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
-        self.soundness.record(place, &record);
-        match self.write(record) {
-            Ok(()) if self.allowance.exceeded().is_some() => {
-                self.full_at = Some(place);
-                ControlFlow::Break(())
-            }
-            Ok(()) => ControlFlow::Continue(()),
-            Err(error) => {
-                self.failed = Some(error);
-                ControlFlow::Break(())
-            }
-        }
+impl Gather for Recovery {
+    fn record(&mut self, record: &Record<'_>) -> ControlFlow<()> {
+        let written = self.write(record);
+        self.flow(written)
     }
 
-    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
+    fn wire(&mut self, wire: &Wire) {
+        self.wires.entry(wire.name.clone()).or_default();
+    }
+
+    fn message(
+        &mut self,
+        carries: &Carries,
+        message: &Message<'_>,
+        _: Location,
+        state: &mut PassState,
+    ) -> ControlFlow<()> {
+        let Some(&channel_id) = self.ids.get(&message.channel_id) else {
+            self.n_lost += 1;
+            return ControlFlow::Continue(());
+        };
+        if let (Carries::Exact(wire), Some(number)) = (carries, codec::number(message.data)) {
+            let numbers = self.wires.entry(wire.name.clone()).or_default();
+            // Numbers out of order are kept.
+            if number > numbers.len() {
+                state.allowance.take(0)?;
+            }
+            numbers.insert(number);
+        }
+        self.n_messages += 1;
+        let Message { sequence, log_time, publish_time, data, .. } = *message;
+        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+        let written = self.output.writer("").and_then(|writer| writer.write_message(header, data.to_vec().into()));
+        self.flow(written)
+    }
+
+    fn damage(&mut self) {
         if self.before_damage.is_none() {
             self.before_damage = Some(self.leading());
         }
-        self.soundness.damage(&damage);
-        self.damages.push(damage);
-        ControlFlow::Continue(())
-    }
-
-    fn progress(&mut self, at: u64, of: u64) {
-        (self.progress)(at, of);
     }
 }

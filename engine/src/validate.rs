@@ -8,15 +8,15 @@ use crate::{
     plugin::Kinds,
     recording::{
         RecordingError,
-        container::Container,
         findings::Findings,
         format::{MetadataRecord, MetadataRecords, Outcome, PluginRecords, Recovered, RunRecord, WireCounts},
-        run_record, too_large,
+        run_record,
+        scan::{Passed, pass},
     },
 };
 use items::Items;
-use osteoflow_container::{Damage, End, Location, Progress, Reader, Record, Visitor};
-use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
+use osteoflow_container::{End, Progress};
+use std::path::Path;
 
 /// A wire of the recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,19 +71,8 @@ pub fn validate(
     progress: Progress<'_>,
 ) -> Result<ValidateReport, RecordingError> {
     let kinds: Kinds = kinds.into();
-    let failed = |error| RecordingError::of(path, error);
-    let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?.with_section_crcs();
-    let mut pass = Pass {
-        findings: Findings::default(),
-        container: Container::default(),
-        items: Items::new(kinds.registry()),
-        metadata: MetadataRecords::default(),
-        full_at: None,
-        progress,
-    };
-    let end = reader.read(&mut pass).map_err(failed)?;
-    let Pass { mut findings, container, mut items, metadata, full_at, .. } = pass;
-    too_large(path, items.allowance(), full_at, reader.n_bytes())?;
+    let mut items = Items::new(kinds.registry());
+    let Passed { reader, metadata, container, mut findings, end, .. } = pass(path, &mut items, progress)?;
     if let End::Truncated(damage) = &end {
         let what = format!("the file was cut short: {damage}; `osteoflow recover` saves what is before");
         findings.add("end", Finding::new(None, what));
@@ -165,52 +154,5 @@ fn check_metadata(
     unreadable(Recovered::NAME, metadata.get::<Recovered>().and_then(Result::err));
     if recovered {
         notes.push("it was recovered from a damaged file and is a part of what was recorded".into());
-    }
-}
-
-struct Pass<'a> {
-    findings: Findings,
-    container: Container,
-    items: Items<'a>,
-    metadata: MetadataRecords,
-    full_at: Option<Location>,
-    progress: Progress<'a>,
-}
-
-impl Pass<'_> {
-    fn metadata(&mut self, place: Location, name: &str, entries: BTreeMap<String, String>) {
-        if !self.metadata.insert(name, entries) {
-            let what = format!("a second metadata record \"{name}\"");
-            self.findings.add("habit", Finding::new(place, what));
-        }
-    }
-}
-
-impl Visitor for Pass<'_> {
-    fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
-        self.container.record(place, &record, &mut self.findings);
-        match record {
-            Record::Metadata { name, entries } => self.metadata(place, name, entries),
-            Record::Channel(channel) => self.items.channel(channel),
-            Record::Message(message) => {
-                self.items.message(place, &message, &mut self.findings);
-                if self.items.allowance().exceeded().is_some() {
-                    self.full_at = Some(place);
-                    return ControlFlow::Break(());
-                }
-            }
-            _ => {}
-        }
-        ControlFlow::Continue(())
-    }
-
-    fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
-        self.container.damage(&damage);
-        self.findings.add("damage", Finding::new(None, damage.to_string()));
-        ControlFlow::Continue(())
-    }
-
-    fn progress(&mut self, at: u64, of: u64) {
-        (self.progress)(at, of);
     }
 }

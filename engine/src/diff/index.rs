@@ -6,11 +6,11 @@ use crate::{
         RecordingError, codec,
         format::{MetadataRecords, Recovered, RunRecord, WireCounts},
         run_record,
-        scan::{Gather, Scanned, scan},
+        scan::{Gather, PassState, Scanned, scan},
         wires::{Carries, Wire},
     },
 };
-use osteoflow_container::{Allowance, Location, MESSAGE_HEADER_BYTES, Message, Reader};
+use osteoflow_container::{Location, MESSAGE_HEADER_BYTES, Message, Reader};
 use std::{
     collections::{BTreeMap, VecDeque},
     fs::File,
@@ -125,14 +125,14 @@ impl Gather for Wires {
         carries: &Carries,
         message: &Message<'_>,
         place: Location,
-        allowance: &mut Allowance,
+        state: &mut PassState,
     ) -> ControlFlow<()> {
         if let Carries::Exact(wire) = carries
             && let Some(indexed) = self.0.get_mut(&wire.name)
             && let Some(number) = codec::number(message.data)
             && let Ok(n_bytes) = message.data.len().try_into()
         {
-            allowance.take(size_of::<IndexEntry>())?;
+            state.allowance.take(size_of::<IndexEntry>())?;
             let digest = Digest::of(message.data);
             indexed.entries.push(IndexEntry { number, digest, place, n_bytes });
         }

@@ -1,35 +1,6 @@
 use super::findings::{Finding, Findings};
-use osteoflow_container::{
-    Channel, ChunkHeader, ChunkIndex, Damage, Location, MESSAGE_HEADER_BYTES, Record, Statistics,
-};
+use osteoflow_container::{Channel, ChunkHeader, ChunkIndex, Location, MESSAGE_HEADER_BYTES, Record, Statistics};
 use std::collections::BTreeMap;
-
-/// Checks of a file's container, beside those of the reader, for commands that read items only.
-#[derive(Default)]
-pub(crate) struct Soundness {
-    container: Container,
-    findings: Findings,
-}
-
-impl Soundness {
-    pub(crate) fn record(&mut self, place: Location, record: &Record<'_>) {
-        self.container.record(place, record, &mut self.findings);
-    }
-
-    pub(crate) fn damage(&mut self, damage: &Damage) {
-        self.container.damage(damage);
-    }
-
-    /// What is not sound of a file without damage; damage has been reported, and explains the rest.
-    pub(crate) fn finish(self) -> Vec<Finding> {
-        let Self { container, mut findings } = self;
-        if container.finish(&mut findings).is_some() {
-            return Vec::new();
-        }
-        findings.take(&["habit"]);
-        findings.into_listed()
-    }
-}
 
 /// One sentence of these findings; `None` if there are none.
 pub(crate) fn summary_of(findings: &[Finding]) -> Option<String> {
@@ -83,7 +54,7 @@ impl Container {
         self.chunks.len() as u64
     }
 
-    pub(crate) fn damage(&mut self, _: &Damage) {
+    pub(crate) fn damage(&mut self) {
         self.damaged = true;
         self.open = None;
     }

@@ -13,11 +13,11 @@ use super::{
     format::{Recovered, WireCounts},
     number_set::NumberSet,
     read::RecordingError,
-    scan::{Gather, Scanned, scan},
+    scan::{Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
 use crate::hash::Digest;
-use osteoflow_container::{Allowance, Location, Message, Progress};
+use osteoflow_container::{Location, Message, Progress};
 use sha2::{Digest as _, Sha256};
 use std::{
     collections::BTreeMap,
@@ -220,7 +220,7 @@ impl Gather for Hashing {
         carries: &Carries,
         message: &Message<'_>,
         _: Location,
-        allowance: &mut Allowance,
+        state: &mut PassState,
     ) -> ControlFlow<()> {
         let Carries::Exact(wire) = carries else { return ControlFlow::Continue(()) };
         match (codec::head(message.data), self.wires.get_mut(&wire.name)) {
@@ -228,7 +228,7 @@ impl Gather for Hashing {
                 hashed.n_values += u64::from(!head.is_empty);
                 // Items out of order are kept until their turn.
                 if head.number > hashed.hasher.n_items() {
-                    allowance.take(0)?;
+                    state.allowance.take(0)?;
                 }
                 hashed.hasher.add(head.number, message.data);
             }

@@ -7,11 +7,11 @@ use super::{
         self, Drops, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
         RecordedFailure, Recovered, RunRecord, WireCounts,
     },
-    scan::{Gather, Scanned, scan},
+    scan::{Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
 use crate::plan::{PlanPlugin, Sources};
-use osteoflow_container::{Allowance, Location, Message, ReadError};
+use osteoflow_container::{Location, Message, ReadError, TooLarge};
 use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -121,6 +121,11 @@ impl RecordingError {
     /// For a file of another program, or one that is no MCAP file.
     pub(crate) fn foreign(path: &Path, reason: impl fmt::Display) -> Self {
         Self(format!("{} is no recording of a run: {reason}", path.display()))
+    }
+
+    /// For a file whose content does not fit into the allowed memory.
+    pub(crate) fn too_large(path: &Path, at: u64, n_bytes: u64, error: &TooLarge) -> Self {
+        Self(format!("{} is too large at byte {at} of {n_bytes}: {error}", path.display()))
     }
 
     /// For a wire whose items are damaged or missing.
@@ -244,7 +249,7 @@ pub(crate) fn typed(item: RecordedItem, payload: &str, version: u32, registry: &
             if ty.version != version {
                 return Err(format!("it holds version {version} of {name}, version {} is known here", ty.version));
             }
-            Body::Value(ty.from_view(&view).map_err(|error| CodecError::from(error).to_string())?)
+            Body::Value(ty.from_view(&view).map_err(|error| error.to_string())?)
         }
     };
     Ok(Item { number: item.number, stamp_ns: item.stamp_ns, body })
@@ -277,48 +282,32 @@ impl Gather for Gathering {
         carries: &Carries,
         message: &Message<'_>,
         _: Location,
-        allowance: &mut Allowance,
+        state: &mut PassState,
     ) -> ControlFlow<()> {
         match carries {
             Carries::Exact(wire) => {
-                allowance.take(message.data.len())?;
+                state.allowance.take(message.data.len())?;
                 if let Some(gathered) = self.wires.get_mut(&wire.name) {
                     gathered.messages.push((codec::number(message.data), message.data.to_vec()));
                 }
             }
             Carries::Drops => {
-                allowance.take(message.data.len())?;
+                state.allowance.take(message.data.len())?;
                 let drops = serde_json::from_slice::<Drops>(message.data).map(|message| message.drops);
                 for (wire, input, number) in drops.unwrap_or_default() {
-                    allowance.take(0)?;
+                    state.allowance.take(0)?;
                     self.drops.entry((wire, input)).or_default().insert(number);
                 }
             }
             Carries::Live => {
-                allowance.take(message.data.len())?;
+                state.allowance.take(message.data.len())?;
                 if let Ok(Live { node, item, readings }) = serde_json::from_slice(message.data) {
                     self.readings.insert((node, item), readings);
                 }
             }
-            Carries::View(_) | Carries::Other => {}
+            Carries::View { .. } | Carries::Other => {}
         }
         ControlFlow::Continue(())
-    }
-}
-
-/// Refuses a file whose content does not fit into the allowed memory.
-pub(crate) fn too_large(
-    path: &Path,
-    allowance: &Allowance,
-    place: Option<Location>,
-    n_bytes: u64,
-) -> Result<(), RecordingError> {
-    match allowance.exceeded().zip(place) {
-        Some((error, place)) => {
-            let (file, at) = (path.display(), place.offset);
-            Err(RecordingError(format!("{file} is too large at byte {at} of {n_bytes}: {error}")))
-        }
-        None => Ok(()),
     }
 }
 

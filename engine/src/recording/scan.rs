@@ -1,18 +1,26 @@
 //! One pass over a recording, as every reader of its items makes it.
 
 use super::{
-    container::{Soundness, summary_of},
+    container::{Container, summary_of},
+    findings::{Finding, Findings},
     format::{MetadataRecords, RunRecord},
-    read::{RecordingError, too_large},
+    read::RecordingError,
     wires::{Carries, Channels, Wire},
 };
-use osteoflow_container::{Allowance, Damage, Location, Message, Progress, Reader, Record, Visitor, damage_message};
+use osteoflow_container::{
+    Allowance, Damage, End, Location, Message, Progress, Reader, Record, Visitor, damage_message,
+};
 use std::{fs::File, ops::ControlFlow, path::Path};
 
 /// Gathers what is wanted of a recording.
 pub(crate) trait Gather {
     /// Whether reading stops at the first damage.
     const STOPS_AT_DAMAGE: bool = false;
+
+    /// An intact record, before it is taken for a wire or a message. Breaks to read no more.
+    fn record(&mut self, _record: &Record<'_>) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
 
     /// The exact channel of a wire, each time the file describes it.
     fn wire(&mut self, _wire: &Wire) {}
@@ -23,8 +31,42 @@ pub(crate) trait Gather {
         carries: &Carries,
         message: &Message<'_>,
         place: Location,
-        allowance: &mut Allowance,
+        state: &mut PassState,
     ) -> ControlFlow<()>;
+
+    /// Lost bytes, behind which reading goes on.
+    fn damage(&mut self) {}
+}
+
+/// The memory that may still be taken, and what is wrong in the file.
+pub(crate) struct PassState {
+    pub(crate) allowance: Allowance,
+    pub(crate) findings: Findings,
+}
+
+/// A file that has been read, apart from what was gathered.
+pub(crate) struct Passed {
+    pub(crate) reader: Reader<File>,
+    pub(crate) metadata: MetadataRecords,
+    /// Checks of the container that wait for the end of the file.
+    pub(crate) container: Container,
+    pub(crate) findings: Findings,
+    pub(crate) damages: Vec<Damage>,
+    pub(crate) end: End,
+    /// Number of messages whose channels nothing in the file describes.
+    pub(crate) n_unknown: u64,
+}
+
+impl Passed {
+    /// What is not sound of a file without damage; damage has been reported, and explains the rest.
+    pub(crate) fn unsound(&mut self) -> Vec<Finding> {
+        let lost = std::mem::take(&mut self.container).finish(&mut self.findings);
+        if lost.is_some() || matches!(self.end, End::Truncated(_)) {
+            return Vec::new();
+        }
+        self.findings.take(&["habit"]);
+        std::mem::take(&mut self.findings).into_listed()
+    }
 }
 
 /// A recording that has been read, apart from what was gathered.
@@ -54,8 +96,19 @@ impl Scanned {
 /// Reads a recording from its start to its end.
 ///
 /// # Errors
-/// [`RecordingError`] if it cannot be read, or takes more memory than is allowed.
+/// As [`pass`].
 pub(crate) fn scan(path: &Path, gather: &mut impl Gather, progress: Progress<'_>) -> Result<Scanned, RecordingError> {
+    let mut passed = pass(path, gather, progress)?;
+    let unsound = summary_of(&passed.unsound());
+    let Passed { reader, metadata, damages, end, n_unknown, .. } = passed;
+    Ok(Scanned { reader, metadata, damage: damage_message(&damages, &end), unsound, n_unknown })
+}
+
+/// Reads a file from its start to its end, and checks its container.
+///
+/// # Errors
+/// [`RecordingError`] if it cannot be read, or takes more memory than is allowed.
+pub(crate) fn pass(path: &Path, gather: &mut impl Gather, progress: Progress<'_>) -> Result<Passed, RecordingError> {
     let failed = |error| RecordingError::of(path, error);
     let mut reader = Reader::open(path).map_err(|error| failed(error.into()))?.with_section_crcs();
     let mut pass = Pass {
@@ -64,17 +117,17 @@ pub(crate) fn scan(path: &Path, gather: &mut impl Gather, progress: Progress<'_>
         channels: Channels::default(),
         metadata: MetadataRecords::default(),
         damages: Vec::new(),
-        soundness: Soundness::default(),
-        allowance: Allowance::from_env(),
-        stopped_at: None,
+        container: Container::default(),
+        state: PassState { allowance: Allowance::from_env(), findings: Findings::default() },
+        stopped_at: 0,
         n_unknown: 0,
     };
     let end = reader.read(&mut pass).map_err(failed)?;
-    let Pass { metadata, damages, soundness, allowance, stopped_at, n_unknown, .. } = pass;
-    too_large(path, &allowance, stopped_at, reader.n_bytes())?;
-    let damage = damage_message(&damages, &end);
-    let unsound = summary_of(&soundness.finish()).filter(|_| damage.is_none());
-    Ok(Scanned { reader, metadata, damage, unsound, n_unknown })
+    let Pass { metadata, damages, container, state, stopped_at, n_unknown, .. } = pass;
+    match state.allowance.exceeded() {
+        Some(error) => Err(RecordingError::too_large(path, stopped_at, reader.n_bytes(), &error)),
+        None => Ok(Passed { reader, metadata, container, findings: state.findings, damages, end, n_unknown }),
+    }
 }
 
 struct Pass<'a, G> {
@@ -83,18 +136,24 @@ struct Pass<'a, G> {
     channels: Channels,
     metadata: MetadataRecords,
     damages: Vec<Damage>,
-    soundness: Soundness,
-    allowance: Allowance,
-    /// The message after which no more was wanted.
-    stopped_at: Option<Location>,
+    container: Container,
+    state: PassState,
+    /// Offset of the message after which no more was wanted.
+    stopped_at: u64,
     n_unknown: u64,
 }
 
 impl<G: Gather> Visitor for Pass<'_, G> {
     fn record(&mut self, place: Location, record: Record<'_>) -> ControlFlow<()> {
-        self.soundness.record(place, &record);
+        self.container.record(place, &record, &mut self.state.findings);
+        self.gather.record(&record)?;
         match record {
-            Record::Metadata { name, entries } => drop(self.metadata.insert(name, entries)),
+            Record::Metadata { name, entries } => {
+                if !self.metadata.insert(name, entries) {
+                    let what = format!("a second metadata record \"{name}\"");
+                    self.state.findings.add("habit", Finding::new(place, what));
+                }
+            }
             Record::Channel(channel) => {
                 if let Carries::Exact(wire) = self.channels.add(channel) {
                     self.gather.wire(wire);
@@ -102,9 +161,8 @@ impl<G: Gather> Visitor for Pass<'_, G> {
             }
             Record::Message(message) => match self.channels.get(message.channel_id) {
                 Some(carries) => {
-                    let taken = self.gather.message(carries, &message, place, &mut self.allowance);
-                    self.stopped_at = taken.is_break().then_some(place);
-                    return taken;
+                    self.stopped_at = place.offset;
+                    return self.gather.message(carries, &message, place, &mut self.state);
                 }
                 None => self.n_unknown += 1,
             },
@@ -114,7 +172,9 @@ impl<G: Gather> Visitor for Pass<'_, G> {
     }
 
     fn damage(&mut self, damage: Damage) -> ControlFlow<()> {
-        self.soundness.damage(&damage);
+        self.gather.damage();
+        self.container.damage();
+        self.state.findings.add("damage", Finding::new(None, damage.to_string()));
         self.damages.push(damage);
         if G::STOPS_AT_DAMAGE { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 pub(crate) enum Carries {
     /// A wire's items, bit for bit.
     Exact(Wire),
-    /// Pictures of a wire's values, for viewers.
-    View(String),
+    /// Pictures of a wire's values, for viewers, and their encoding.
+    View { wire: String, encoding: String },
     /// Items that policies dropped.
     Drops,
     /// Clock readings of firings.
@@ -32,7 +32,7 @@ fn carries(channel: &Channel) -> Carries {
         Some(Topic::Exact(name)) if channel.message_encoding == EXACT_ENCODING => {
             Carries::Exact(Wire { name: name.into(), header: WireHeader::from_metadata(&channel.metadata) })
         }
-        Some(Topic::View(name)) => Carries::View(name.into()),
+        Some(Topic::View(name)) => Carries::View { wire: name.into(), encoding: channel.message_encoding.clone() },
         Some(Topic::Drops) => Carries::Drops,
         Some(Topic::Live) => Carries::Live,
         _ => Carries::Other,

@@ -3,11 +3,11 @@
 use crate::recording::{
     RecordingError, codec,
     format::{EXACT_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
-    scan::{Gather, Scanned, scan},
+    scan::{Gather, PassState, Scanned, scan},
     typed,
     wires::Carries,
 };
-use osteoflow_container::{Allowance, Compression, Location, Message, MessageHeader, WriteOptions, Writer};
+use osteoflow_container::{Compression, Location, Message, MessageHeader, WriteOptions, Writer};
 use osteoflow_node::{Body, DisplayContext, FrameEdge, Item, PayloadType, PortPayload, Registry, StampNs};
 use std::{collections::BTreeMap, fs::File, io, ops::ControlFlow, path::Path};
 
@@ -118,10 +118,10 @@ impl Gather for Ports<'_> {
         carries: &Carries,
         message: &Message<'_>,
         _: Location,
-        allowance: &mut Allowance,
+        state: &mut PassState,
     ) -> ControlFlow<()> {
         let Carries::Exact(port) = carries else { return ControlFlow::Continue(()) };
-        allowance.take(message.data.len())?;
+        state.allowance.take(message.data.len())?;
         // On a port that takes any payload, each value names its own.
         let item = codec::decode(message.data).map_err(|error| error.to_string());
         let item = item.and_then(|item| typed(item, &port.header.payload, port.header.version, self.registry));

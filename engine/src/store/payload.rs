@@ -23,8 +23,8 @@ pub(crate) fn payload_of(message: RecordedItem, ty: &'static PayloadType) -> Opt
 /// # Errors
 /// [`CodecError`] if the bytes are damaged, or the range is outside the entry.
 pub(crate) fn decode(entry: &StoreEntry, range: Range<usize>) -> Result<RecordedItem, CodecError> {
-    let short = CodecError::Short { needed: range.end as u64, left: entry.bytes().len() };
-    let (start, bytes) = (range.start, entry.bytes().get(range).ok_or(short)?);
+    let Range { start, end } = range;
+    let bytes = entry.bytes().get(range).ok_or_else(|| CodecError::short(end as u64, entry.bytes().len()))?;
     codec::decode_borrowed(bytes, Some(&|rows| entry.part(start + rows.start..start + rows.end)))
 }
 

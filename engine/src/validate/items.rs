@@ -1,20 +1,21 @@
 use super::ValidatedWire;
 use crate::recording::{
-    RecordedTypes,
-    codec::{self, CodecError},
+    RecordedTypes, codec,
     findings::{Finding, Findings},
     format::{FIRST_NS, MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
     number_set::NumberSet,
-    wires::{Carries, Channels, Wire},
+    scan::{Gather, PassState},
+    wires::{Carries, Wire},
 };
-use osteoflow_container::{Allowance, Channel, Location, Message};
+use osteoflow_container::{Location, Message};
 use osteoflow_node::{Registry, StampNs};
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::ControlFlow,
+};
 
 /// Checks of the recorded wires: numbers without gaps, stamps that never decrease, items that can be decoded.
 pub(super) struct Items<'a> {
-    channels: Channels,
-    encodings: BTreeMap<u16, String>,
     registry: &'a Registry,
     types: RecordedTypes,
     wires: BTreeMap<String, Checked>,
@@ -23,7 +24,6 @@ pub(super) struct Items<'a> {
     /// Wire, number and place of one item without a time, by log time.
     timeless: BTreeMap<u64, (String, u64, Location)>,
     unknown_payloads: BTreeSet<String>,
-    allowance: Allowance,
 }
 
 #[derive(Default)]
@@ -41,15 +41,12 @@ struct Checked {
 impl<'a> Items<'a> {
     pub(super) fn new(registry: &'a Registry) -> Self {
         Self {
-            channels: Channels::default(),
-            encodings: BTreeMap::new(),
             registry,
             types: RecordedTypes::default(),
             wires: BTreeMap::new(),
             times: None,
             timeless: BTreeMap::new(),
             unknown_payloads: BTreeSet::new(),
-            allowance: Allowance::from_env(),
         }
     }
 
@@ -62,37 +59,20 @@ impl<'a> Items<'a> {
         self.wires.values().any(|wire| wire.about.is_some())
     }
 
-    pub(super) fn channel(&mut self, channel: Channel) {
-        self.encodings.entry(channel.id).or_insert_with(|| channel.message_encoding.clone());
-        match self.channels.add(channel) {
-            Carries::Exact(wire) => {
-                self.types.add(wire);
-                self.wires.entry(wire.name.clone()).or_default().about.get_or_insert_with(|| wire.clone());
-            }
-            Carries::View(_) | Carries::Drops | Carries::Live | Carries::Other => {}
-        }
-    }
-
-    /// The memory that is taken by what comes out of order.
-    pub(super) fn allowance(&self) -> &Allowance {
-        &self.allowance
-    }
-
-    pub(super) fn message(&mut self, place: Location, message: &Message<'_>, findings: &mut Findings) {
-        match self.channels.get(message.channel_id).cloned() {
-            Some(Carries::Exact(wire)) => self.item(&wire, place, message, findings),
-            Some(Carries::View(wire)) => self.view(&wire, place, message, findings),
-            Some(Carries::Drops | Carries::Live | Carries::Other) | None => {}
-        }
-    }
-
-    fn item(&mut self, wire: &Wire, place: Location, message: &Message<'_>, findings: &mut Findings) {
+    fn item(
+        &mut self,
+        wire: &Wire,
+        place: Location,
+        message: &Message<'_>,
+        PassState { allowance, findings }: &mut PassState,
+    ) -> ControlFlow<()> {
         let name = &wire.name;
         let item = match codec::decode(message.data) {
             Ok(item) => item,
             Err(error) => {
                 let number = codec::number(message.data);
-                return findings.add("item", Finding::of(name, number, place, error.to_string()));
+                findings.add("item", Finding::of(name, number, place, error.to_string()));
+                return ControlFlow::Continue(());
             }
         };
         let (number, stamp_ns) = (item.number, item.stamp_ns);
@@ -108,7 +88,7 @@ impl<'a> Items<'a> {
         } else if message.log_time == 0 {
             wrong("log time", "its log time is zero, which viewers take for 1970".into());
         } else {
-            let _ = self.allowance.take(name.len());
+            allowance.take(name.len())?;
             self.timeless.entry(message.log_time).or_insert_with(|| (name.clone(), number, place));
         }
         let is_value = item.body.is_ok();
@@ -119,20 +99,21 @@ impl<'a> Items<'a> {
                 None => drop(self.unknown_payloads.insert(format!("{payload}@{version}"))),
                 Some(ty) => {
                     let fits = item.body.as_ref().map_or(Ok(()), |view| view.check(ty.schema));
-                    if let Err(error) = fits.map_err(CodecError::from).and_then(|()| item.into_item(ty)) {
+                    if let Err(error) = fits.and_then(|()| item.into_item(ty)) {
                         wrong("item", format!("it is no {payload}: {error}"));
                     }
                 }
             }
         }
-        let Some(checked) = self.wires.get_mut(name) else { return };
+        let Some(checked) = self.wires.get_mut(name) else { return ControlFlow::Continue(()) };
         checked.n_values += u64::from(is_value);
         // Items out of order are kept until their turn.
         if number > checked.next {
-            let _ = self.allowance.take(0);
+            allowance.take(0)?;
         }
         if !checked.numbers.insert(number) {
-            return wrong("number", "the number stands there twice".into());
+            wrong("number", "the number stands there twice".into());
+            return ControlFlow::Continue(());
         }
         checked.early.insert(number, (stamp_ns, place));
         while let Some((stamp_ns, place)) = checked.early.remove(&checked.next) {
@@ -143,28 +124,36 @@ impl<'a> Items<'a> {
             }
             checked.next += 1;
         }
+        ControlFlow::Continue(())
     }
 
-    fn view(&mut self, wire: &str, place: Location, message: &Message<'_>, findings: &mut Findings) {
+    fn view(
+        &mut self,
+        (wire, encoding): (&str, &str),
+        place: Location,
+        message: &Message<'_>,
+        PassState { allowance, findings }: &mut PassState,
+    ) -> ControlFlow<()> {
         let number = u64::from(message.sequence);
         let mut wrong =
             |what: String| findings.add("view", Finding::of(wire, number, place, format!("its picture {what}")));
-        match self.encodings.get(&message.channel_id).map(String::as_str) {
-            Some("json") => {
+        match encoding {
+            "json" => {
                 if let Err(error) = serde_json::from_slice::<serde::de::IgnoredAny>(message.data) {
                     wrong(format!("is no JSON: {error}"));
                 }
             }
-            Some("protobuf") if !is_protobuf(message.data) => wrong("is no protobuf".into()),
+            "protobuf" if !is_protobuf(message.data) => wrong("is no protobuf".into()),
             _ => {}
         }
         let views = &mut self.wires.entry(wire.into()).or_default().views;
         if number > views.len() {
-            let _ = self.allowance.take(0);
+            allowance.take(0)?;
         }
         if !views.insert(number) {
             wrong("stands there twice".into());
         }
+        ControlFlow::Continue(())
     }
 
     /// Compares the wires with the counts in the metadata.
@@ -262,6 +251,27 @@ impl<'a> Items<'a> {
             })
         });
         wires.collect()
+    }
+}
+
+impl Gather for Items<'_> {
+    fn wire(&mut self, wire: &Wire) {
+        self.types.add(wire);
+        self.wires.entry(wire.name.clone()).or_default().about.get_or_insert_with(|| wire.clone());
+    }
+
+    fn message(
+        &mut self,
+        carries: &Carries,
+        message: &Message<'_>,
+        place: Location,
+        state: &mut PassState,
+    ) -> ControlFlow<()> {
+        match carries {
+            Carries::Exact(wire) => self.item(wire, place, message, state),
+            Carries::View { wire, encoding } => self.view((wire, encoding), place, message, state),
+            Carries::Drops | Carries::Live | Carries::Other => ControlFlow::Continue(()),
+        }
     }
 }
 
