@@ -5,16 +5,14 @@ use toml::{Table, Value};
 
 /// Rank of each node in the topological order of the graph, ties in file order; empty if the text is not a graph.
 pub(super) fn ranks(graph: &str) -> BTreeMap<String, usize> {
-    let Ok(table) = graph.parse::<Table>() else { return BTreeMap::new() };
-    let mut nodes = Vec::new();
-    if let Some(Value::Table(table)) = table.get("node") {
-        collect("", table, &mut nodes);
-    }
-    let index: BTreeMap<&str, usize> = nodes.iter().zip(0..).map(|((name, _), i)| (name.as_str(), i)).collect();
-    let producers: Vec<BTreeSet<usize>> = nodes
-        .iter()
-        .map(|(_, wires)| wires.iter().filter_map(|wire| index.get(node_of(wire)).copied()).collect())
-        .collect();
+    let graph: Table = graph.parse().unwrap_or_default();
+    let nodes: Vec<_> = graph.get("node").and_then(Value::as_table).into_iter().flatten().collect();
+    let producers = |node: &Value| -> Vec<usize> {
+        let inputs = node.get("in").and_then(Value::as_table).into_iter().flatten();
+        let wires = inputs.filter_map(|(_, input)| input.get("from").unwrap_or(input).as_str());
+        wires.filter_map(|wire| nodes.iter().position(|(name, _)| *name == node_of(wire))).collect()
+    };
+    let producers: Vec<_> = nodes.iter().map(|(_, node)| producers(node)).collect();
     let mut ranks = BTreeMap::new();
     let mut waiting: BTreeSet<usize> = (0..nodes.len()).collect();
     // A graph that ran has no cycle; nodes of a cycle in a modified file come last, in file order.
@@ -35,33 +33,6 @@ pub(super) fn node_of(wire: &str) -> &str {
     wire.rsplit_once('.').map_or(wire, |(node, _)| node)
 }
 
-/// Collects nodes and the wires they take; a table without a kind groups others.
-fn collect(prefix: &str, table: &Table, nodes: &mut Vec<(String, Vec<String>)>) {
-    for (name, value) in table {
-        let Value::Table(node) = value else { continue };
-        let name = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
-        if node.contains_key("kind") {
-            let mut wires = Vec::new();
-            if let Some(Value::Table(inputs)) = node.get("in") {
-                inputs.values().for_each(|input| sources(input, &mut wires));
-            }
-            nodes.push((name, wires));
-        } else {
-            collect(&name, node, nodes);
-        }
-    }
-}
-
-/// Wires that an input names.
-fn sources(input: &Value, wires: &mut Vec<String>) {
-    match input {
-        Value::String(wire) => wires.push(wire.clone()),
-        Value::Array(list) => list.iter().for_each(|input| sources(input, wires)),
-        Value::Table(table) => table.get("from").into_iter().for_each(|from| sources(from, wires)),
-        _ => {}
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,8 +45,8 @@ mod tests {
             in = { a = { from = "middle.out", join = "latest" }, b = "second.out" }
             [node.middle]
             kind = "x"
-            in.a = "part.first.out"
-            [node.part.first]
+            in.a = "part/first.out"
+            [node."part/first"]
             kind = "x"
             [node.second]
             kind = "x"
@@ -83,7 +54,7 @@ mod tests {
         let ranks = ranks(graph);
         let mut names: Vec<_> = ranks.iter().map(|(name, rank)| (*rank, name.as_str())).collect();
         names.sort();
-        assert_eq!(names.iter().map(|(_, name)| *name).collect::<Vec<_>>(), ["part.first", "middle", "second", "last"]);
+        assert_eq!(names.iter().map(|(_, name)| *name).collect::<Vec<_>>(), ["part/first", "middle", "second", "last"]);
         assert_eq!(super::ranks("no = graph"), BTreeMap::new());
     }
 
