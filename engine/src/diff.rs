@@ -13,11 +13,7 @@ pub use compare::{Difference, Largest};
 
 use crate::{
     names::glob,
-    recording::{
-        RecordingError,
-        codec::{self, RecordedItem},
-        format::Outcome,
-    },
+    recording::{RecordingError, codec, format::Outcome},
 };
 use compare::{Compare, ItemDifference, Units};
 use index::{Index, IndexEntry, Indexed};
@@ -116,9 +112,9 @@ impl DiffReport {
     }
 }
 
-/// First difference of any bit between two items; `units` are those of the payload's fields and columns.
-pub(crate) fn first_difference(a: &RecordedItem, b: &RecordedItem, units: &[(&str, &str)]) -> Option<Difference> {
-    Compare::items(a, b, &Units::given(units), 0.0).first
+/// First difference of any bit between the messages of two items; `units` are those of the payload's fields and columns.
+pub(crate) fn first_difference(a: &[u8], b: &[u8], units: &[(&str, &str)]) -> Option<Difference> {
+    compare_messages(a, b, &Units::given(units), 0.0).first
 }
 
 /// Compares two recordings. Memory: an index of both, and some decompressed chunks.
@@ -142,8 +138,8 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
     pairs.sort_by_key(|(_, x, _)| x.place);
     let units: Vec<Units> = wires.iter().map(|wire| a.wires.get(wire).map_or_else(Units::default, units_of)).collect();
     for (index, x, y) in pairs {
-        let found = items(&mut a, &mut b, &x, &y, &units[index], options.tolerance)?;
-        diffs[index].add(x.number, found);
+        let differences = compare_messages(&a.message(&x)?, &b.message(&y)?, &units[index], options.tolerance);
+        diffs[index].add(x.number, differences);
     }
     let first = diffs.iter().find_map(|diff| {
         let (item, what) = diff.first.clone()?;
@@ -249,34 +245,24 @@ fn missing(wire: &str, a: &Index, b: &Index) -> WireDiff {
     diff
 }
 
-/// Compares two items with the same number.
-fn items(
-    a: &mut Index,
-    b: &mut Index,
-    x: &IndexEntry,
-    y: &IndexEntry,
-    units: &Units,
-    tolerance: f64,
-) -> Result<ItemDifference, RecordingError> {
-    let [x, y] = [a.message(x)?, b.message(y)?];
-    let damaged = |item: &Result<codec::RecordedItem, codec::CodecError>| match item {
-        Ok(_) => "an item".to_owned(),
-        Err(error) => error.to_string(),
-    };
-    let mut found = match (codec::decode(&x), codec::decode(&y)) {
+/// Compares the messages of two items with the same number.
+fn compare_messages(x: &[u8], y: &[u8], units: &Units, tolerance: f64) -> ItemDifference {
+    let damaged =
+        |item: Result<_, codec::CodecError>| item.map_or_else(|error| error.to_string(), |_| "an item".into());
+    let mut differences = match (codec::decode(x), codec::decode(y)) {
         (Ok(x), Ok(y)) => Compare::items(&x, &y, units, tolerance),
         (x, y) => {
-            let first = Some(Difference::other("message", damaged(&x), damaged(&y)));
+            let first = Some(Difference::other("message", damaged(x), damaged(y)));
             ItemDifference { first, other: true, ..ItemDifference::default() }
         }
     };
     // Bits without a meaning, such as padding, count as a difference too.
-    if found.first.is_none() && found.n_numbers == 0 {
-        let at = x.iter().zip(&y).position(|(x, y)| x != y).unwrap_or_else(|| x.len().min(y.len()));
-        found.other = true;
-        found.first = Some(Difference::other(format!("byte {at} of the message"), byte(&x, at), byte(&y, at)));
+    if differences.first.is_none() && differences.n_numbers == 0 {
+        let at = x.iter().zip(y).position(|(x, y)| x != y).unwrap_or_else(|| x.len().min(y.len()));
+        differences.other = true;
+        differences.first = Some(Difference::other(format!("byte {at} of the message"), byte(x, at), byte(y, at)));
     }
-    Ok(found)
+    differences
 }
 
 fn byte(message: &[u8], at: usize) -> String {
@@ -290,13 +276,13 @@ impl WireDiff {
         }
     }
 
-    fn add(&mut self, number: u64, found: ItemDifference) {
-        self.n_stamps += u64::from(found.stamp);
-        self.n_empties += u64::from(found.emptiness);
-        self.largest.merge(&found.largest);
-        if found.counts() {
+    fn add(&mut self, number: u64, differences: ItemDifference) {
+        self.n_stamps += u64::from(differences.stamp);
+        self.n_empties += u64::from(differences.emptiness);
+        self.largest.merge(&differences.largest);
+        if differences.counts() {
             self.n_differ += 1;
-            if let Some(what) = found.first {
+            if let Some(what) = differences.first {
                 self.keep_first(number, what);
             }
         } else {

@@ -270,9 +270,8 @@ pub(crate) fn replay_plan(
         // Their content is in the recording; the files themselves are not read.
         reduced.input_files.clear();
     }
-    let computes: BTreeSet<_> =
-        plan.nodes.iter().enumerate().filter(|(i, _)| computed(*i)).map(|(_, n)| &*n.name).collect();
-    let is_computed = |node: usize| computes.contains(&*reduced.nodes[node].name);
+    let modes: Vec<_> = parts.iter().filter(|mode| **mode != NodeMode::LeftOut).collect();
+    let is_computed = |node: usize| *modes[node] == NodeMode::Computed;
     let Players { substitutes, cut } = players(&reduced, recording, changes, registry, &unchanged, is_computed)?;
     let replayed = Replayed {
         substitutes,
@@ -304,11 +303,12 @@ pub(crate) fn replay_plan(
     let partial = recording.interrupted || recording.truncated.is_some();
     let whole = not_compared.is_none() && changes.graph.is_none() && changes.from.is_none() && !partial;
     let results_equal = recording.results.as_ref().filter(|results| whole && results.get(COMPUTED_FROM).is_none());
+    let is_computed_node = |name: &str| reduced.node(name).is_some_and(is_computed);
     let results_equal =
-        results_equal.map(|recorded| same_results(recorded, recording, &report.results, is_computed_name(&computes)));
+        results_equal.map(|recorded| same_results(recorded, recording, &report.results, is_computed_node));
     Ok(ReplayReport {
         run: report,
-        wires: comparisons(&reduced, recording, changes, &compare, &computes),
+        wires: comparisons(&reduced, recording, changes, &compare, is_computed),
         results_equal,
         not_compared,
         truncated: recording.truncated.clone(),
@@ -317,10 +317,6 @@ pub(crate) fn replay_plan(
         differences,
         warnings: Vec::new(),
     })
-}
-
-fn is_computed_name<'a>(computes: &'a BTreeSet<&str>) -> impl Fn(&str) -> bool + 'a {
-    |name| computes.contains(name)
 }
 
 /// What the recording has of a plan.
@@ -516,15 +512,14 @@ fn comparisons(
     recording: &Recording,
     changes: &ReplayOptions,
     compare: &Compare<'_>,
-    computes: &BTreeSet<&str>,
+    is_computed: impl Fn(usize) -> bool,
 ) -> Vec<WireComparison> {
     let mut left: BTreeSet<_> = recording.wires.keys().map(String::as_str).collect();
     let mut wires = Vec::new();
     for &id in &reduced.record {
         let name = reduced.wire_name(id);
         left.remove(name.as_str());
-        let computed = computes.contains(&*reduced.nodes[id.node].name);
-        let part = if computed { WirePart::Computed } else { WirePart::Played };
+        let part = if is_computed(id.node) { WirePart::Computed } else { WirePart::Played };
         wires.push(compare.of(&name, recording, Some(id), part));
     }
     for name in left {

@@ -7,7 +7,7 @@ use crate::{
     recording::{Recording, codec},
     runtime::Tap,
 };
-use osteoflow_node::{Item, PortPayload};
+use osteoflow_node::{Item, PayloadType, PortPayload};
 use std::{
     collections::BTreeMap,
     sync::{Mutex, PoisonError},
@@ -26,7 +26,7 @@ struct ComparedWire<'a> {
     payload: PortPayload,
     /// Whether the recording was cut short.
     partial: bool,
-    seen: Mutex<Tally>,
+    tally: Mutex<Tally>,
 }
 
 #[derive(Default)]
@@ -51,7 +51,7 @@ impl<'a> Compare<'a> {
                 not_comparable: other.map(|other| format!("{other} was recorded, {} is given now", payload.name())),
                 payload,
                 partial: recording.interrupted || recording.truncated.is_some(),
-                seen: Mutex::default(),
+                tally: Mutex::default(),
             };
             (*id, wire)
         };
@@ -71,14 +71,14 @@ impl<'a> Compare<'a> {
             not_comparable: None,
         };
         let Some(wire) = id.and_then(|id| self.wires.get(&id)) else { return comparison };
-        let seen = wire.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        (comparison.n_replayed, comparison.n_compared) = (seen.n_items, seen.n_compared);
-        comparison.first_difference.clone_from(&seen.first);
+        let tally = wire.tally.lock().unwrap_or_else(PoisonError::into_inner);
+        (comparison.n_replayed, comparison.n_compared) = (tally.n_items, tally.n_compared);
+        comparison.first_difference.clone_from(&tally.first);
         comparison.not_comparable.clone_from(&wire.not_comparable);
         // In a run that was cut short, wires end at different times; this is not a difference.
-        if wire.recorded.is_some() && !wire.partial && seen.first.is_none() && n_recorded != seen.n_items {
-            let what = diff::Difference::other("items", n_recorded.to_string(), seen.n_items.to_string());
-            comparison.first_difference = Some(Difference { item: n_recorded.min(seen.n_items), what });
+        if wire.recorded.is_some() && !wire.partial && tally.first.is_none() && n_recorded != tally.n_items {
+            let what = diff::Difference::other("items", n_recorded.to_string(), tally.n_items.to_string());
+            comparison.first_difference = Some(Difference { item: n_recorded.min(tally.n_items), what });
         }
         comparison
     }
@@ -91,22 +91,24 @@ impl Tap for Compare<'_> {
 
     fn item(&self, wire: OutputId, item: &Item) {
         let Some(wire) = self.wires.get(&wire) else { return };
-        let mut seen = wire.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        seen.n_items += 1;
-        if seen.over || seen.first.is_some() {
+        let mut tally = wire.tally.lock().unwrap_or_else(PoisonError::into_inner);
+        tally.n_items += 1;
+        if tally.over || tally.first.is_some() {
             return;
         }
         let recorded = wire.recorded.and_then(|recorded| recorded.get(usize::try_from(item.number).ok()?));
         let Some(recorded) = recorded else { return };
         let bytes = codec::encode_on(wire.payload, item);
         if *recorded == bytes {
-            seen.n_compared += 1;
+            tally.n_compared += 1;
         } else if wire.partial && stopped(recorded, &bytes) {
             // A stop request ended the computation.
-            seen.over = true;
+            tally.over = true;
         } else {
-            seen.n_compared += 1;
-            seen.first = Some(Difference { item: item.number, what: difference(wire.payload, recorded, &bytes) });
+            tally.n_compared += 1;
+            let units = wire.payload.ty().map(PayloadType::units).unwrap_or_default();
+            let what = diff::first_difference(recorded, &bytes, &units);
+            tally.first = what.map(|what| Difference { item: item.number, what });
         }
     }
 }
@@ -115,17 +117,4 @@ impl Tap for Compare<'_> {
 fn stopped(recorded: &[u8], replayed: &[u8]) -> bool {
     let is_empty = |bytes| codec::head(bytes).is_some_and(|head| head.is_empty);
     is_empty(recorded) && !is_empty(replayed)
-}
-
-/// First difference between two messages with the same number.
-fn difference(payload: PortPayload, recorded: &[u8], replayed: &[u8]) -> diff::Difference {
-    let units = match payload {
-        PortPayload::Type(ty) => ty.units(),
-        PortPayload::Any => Vec::new(),
-    };
-    match (codec::decode(recorded), codec::decode(replayed)) {
-        (Ok(a), Ok(b)) => diff::first_difference(&a, &b, &units)
-            .unwrap_or_else(|| diff::Difference::other("bytes", "as recorded", "the same values in other bytes")),
-        (Err(error), _) | (_, Err(error)) => diff::Difference::other("item", error.to_string(), "an item"),
-    }
 }
