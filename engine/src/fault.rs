@@ -1,9 +1,9 @@
 //! Faults of a graph: place, what was expected, what was found, and a suggestion.
 
 use crate::plan::Location;
+use serde_json::{Value as Json, json};
 use std::fmt;
 
-mod json;
 mod render;
 mod text;
 
@@ -123,8 +123,22 @@ impl Fault {
 
     /// The fault as JSON: `severity`, `message`, `file`, `line`, `column`, `end_line`, `end_column`, `label`, `also`,
     /// `notes` and `help`.
-    pub fn to_json(&self) -> serde_json::Value {
-        json::fault(self)
+    pub fn to_json(&self) -> Json {
+        let place = |(span, label): &(Span, String)| {
+            let (start, (end_line, end_column)) = (span.location(), span.end());
+            json!({
+                "file": start.file.display().to_string(), "line": start.line, "column": start.column,
+                "end_line": end_line, "end_column": end_column, "label": label,
+            })
+        };
+        let severity = if self.severity == Severity::Error { "error" } else { "warning" };
+        let mut fault = json!({ "severity": severity, "message": self.message });
+        if let Some(Json::Object(place)) = self.at.as_ref().map(place) {
+            place.into_iter().for_each(|(key, value)| fault[key] = value);
+        }
+        fault["also"] = self.also.iter().map(place).collect();
+        (fault["notes"], fault["help"]) = (json!(self.notes), json!(self.help));
+        fault
     }
 }
 
@@ -158,7 +172,7 @@ impl Faults {
     }
 
     /// The faults as a list of [`Fault::to_json`].
-    pub fn to_json(&self) -> serde_json::Value {
+    pub fn to_json(&self) -> Json {
         self.0.iter().map(Fault::to_json).collect()
     }
 }
