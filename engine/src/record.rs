@@ -281,7 +281,7 @@ fn begin(
         name: plan.name.clone(),
         seed: plan.seed,
         sources: plan.recording.sources,
-        ..RunRecord::default()
+        version: env!("CARGO_PKG_VERSION").into(),
     };
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
@@ -290,9 +290,9 @@ fn begin(
     file.write_metadata(PROGRAM, &program)?;
     write(&mut file, &PluginRecords(plan.plugins.clone()))?;
     inputs.iter().try_for_each(|inputs| file.write_metadata(INPUT_HASHES, inputs))?;
-    let mut sink = Sink::begin(Output::new(file, options.listener.clone()), plan, shown)?;
+    let mut sink = Sink::begin(Output { file, listener: options.listener.clone() }, plan, shown)?;
     // From here on, a truncated file names the wires it was to hold.
-    sink.file.flush()?;
+    sink.output.file.flush()?;
     Ok(sink)
 }
 
@@ -353,15 +353,15 @@ fn record(mut sink: Sink, shared: &Shared) -> Result<RecordingSummary, Stopped> 
             if sink.waits_for_time() && began.elapsed() >= MAX_WAIT_FOR_TIME {
                 sink.begin_time(FIRST_NS)?;
             }
-            sink.file.flush()?;
+            sink.output.file.flush()?;
             flushed = Instant::now();
         }
     }
     sink.finish_views(end.complete, end.log)?;
     let counts = sink.counts();
-    write(&mut sink.file, &counts)?;
-    end.metadata.iter().try_for_each(|(name, metadata)| sink.file.write_metadata(name, metadata))?;
-    let file = sink.file.finish()?;
+    write(&mut sink.output.file, &counts)?;
+    end.metadata.iter().try_for_each(|(name, metadata)| sink.output.file.write_metadata(name, metadata))?;
+    let file = sink.output.file.finish()?;
     file.sync_all()?;
     Ok(RecordingSummary { counts, layout: sink.pictures.layout() })
 }

@@ -2,54 +2,39 @@
 
 use crate::options::{ListenedChannel, Listener};
 use osteoflow_container::{MessageHeader, Segments, Writer};
-use std::{
-    collections::BTreeMap,
-    fs::File,
-    io,
-    ops::{Deref, DerefMut},
-    sync::Arc,
-};
+use std::{collections::BTreeMap, fs::File, io, sync::Arc};
 
-/// A schema as it was added: name, encoding and data.
-type Schema = (String, String, Arc<[u8]>);
+/// The schema of a channel.
+pub(super) struct Schema<'a> {
+    pub(super) name: &'a str,
+    pub(super) encoding: &'a str,
+    pub(super) data: &'a [u8],
+}
 
 /// The file, with its listener.
 pub(super) struct Output {
-    file: Writer<File>,
-    listener: Option<Arc<dyn Listener>>,
-    /// For the listener only.
-    schemas: BTreeMap<u16, Schema>,
+    pub(super) file: Writer<File>,
+    pub(super) listener: Option<Arc<dyn Listener>>,
 }
 
 impl Output {
-    pub(super) fn new(file: Writer<File>, listener: Option<Arc<dyn Listener>>) -> Self {
-        Self { file, listener, schemas: BTreeMap::new() }
-    }
-
-    pub(super) fn add_schema(&mut self, name: &str, encoding: &str, data: &[u8]) -> io::Result<u16> {
-        let id = self.file.add_schema(name, encoding, data)?;
-        if self.listener.is_some() {
-            self.schemas.insert(id, (name.into(), encoding.into(), data.into()));
-        }
-        Ok(id)
-    }
-
     pub(super) fn add_channel(
         &mut self,
-        schema: u16,
+        schema: &Schema<'_>,
         topic: &str,
         encoding: &str,
         metadata: &BTreeMap<String, String>,
     ) -> io::Result<u16> {
-        let id = self.file.add_channel(schema, topic, encoding, metadata)?;
-        if let (Some(listener), Some((name, schema_encoding, data))) = (&self.listener, self.schemas.get(&schema)) {
+        let schema_id = self.file.add_schema(schema.name, schema.encoding, schema.data)?;
+        let id = self.file.add_channel(schema_id, topic, encoding, metadata)?;
+        if let Some(listener) = &self.listener {
             listener.channel(ListenedChannel {
                 id,
                 topic: topic.into(),
                 encoding: encoding.into(),
-                schema_name: name.clone(),
-                schema_encoding: schema_encoding.clone(),
-                schema: data.clone(),
+                schema_name: schema.name.into(),
+                schema_encoding: schema.encoding.into(),
+                schema: schema.data.into(),
                 metadata: metadata.clone(),
             });
         }
@@ -70,23 +55,5 @@ impl Output {
             listener.message(header.channel_id, header.log_time, bytes);
         }
         self.file.write_message(header, data)
-    }
-
-    pub(super) fn finish(self) -> io::Result<File> {
-        self.file.finish()
-    }
-}
-
-impl Deref for Output {
-    type Target = Writer<File>;
-
-    fn deref(&self) -> &Writer<File> {
-        &self.file
-    }
-}
-
-impl DerefMut for Output {
-    fn deref_mut(&mut self) -> &mut Writer<File> {
-        &mut self.file
     }
 }

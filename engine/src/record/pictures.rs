@@ -4,7 +4,7 @@ use super::{
     answers::Answers,
     frame_tree::FrameTree,
     layout::{Focus, Shown, layout},
-    output::Output,
+    output::{Output, Schema},
 };
 use crate::{
     plan::{OutputId, Plan},
@@ -174,6 +174,6 @@ impl Pictures {
 }
 
 fn add_channel(file: &mut Output, topic: &str, display: &Display) -> io::Result<u16> {
-    let schema = file.add_schema(&display.schema_name, &display.schema_encoding, &display.schema_data)?;
-    file.add_channel(schema, topic, &display.message_encoding, &BTreeMap::new())
+    let Display { schema_name: name, schema_encoding: encoding, schema_data: data, .. } = display;
+    file.add_channel(&Schema { name, encoding, data }, topic, &display.message_encoding, &BTreeMap::new())
 }

@@ -1,7 +1,7 @@
 use super::{
     Firing, RecordError,
     log::{LogEntry, LogFilter},
-    output::Output,
+    output::{Output, Schema},
     pictures::Pictures,
 };
 use crate::{
@@ -27,7 +27,7 @@ const MAX_WAITING_BYTES: usize = 64 << 20;
 
 /// Channels of a recording, with their message counts.
 pub(super) struct Sink {
-    pub(super) file: Output,
+    pub(super) output: Output,
     wires: BTreeMap<OutputId, WireChannels>,
     pub(super) pictures: Pictures,
     log: LogFilter,
@@ -100,22 +100,19 @@ impl Stopped {
 
 impl Sink {
     /// Adds the channels of the recorded wires.
-    pub(super) fn begin(mut file: Output, plan: &Plan, shown: &ShownPaths) -> io::Result<Self> {
+    pub(super) fn begin(mut output: Output, plan: &Plan, shown: &ShownPaths) -> io::Result<Self> {
         let mut wires = BTreeMap::new();
         for &id in &plan.record {
-            let (node, output) = (&plan.nodes[id.node], &plan.nodes[id.node].outputs[id.port]);
+            let (node, port) = (&plan.nodes[id.node], &plan.nodes[id.node].outputs[id.port]);
             let name = plan.wire_name(id);
-            let ty = match output.payload {
-                PortPayload::Type(ty) => Some(ty),
-                PortPayload::Any => None,
-            };
+            let ty = port.payload.ty();
             let (payload, version) = ty.map_or(("any", 0), |ty| (ty.name, ty.version));
             let units = ty.map(PayloadType::units).unwrap_or_default();
             let units: serde_json::Map<_, _> =
                 units.into_iter().map(|(name, unit)| (name.into(), unit.into())).collect();
             let header = WireHeader {
                 node: node.name.to_string(),
-                port: output.name.clone(),
+                port: port.name.clone(),
                 kind: node.kind.clone(),
                 payload: payload.into(),
                 version,
@@ -123,14 +120,16 @@ impl Sink {
                 units: Json::Object(units).to_string(),
                 schema: ty.map(|ty| serde_json::to_string(ty.schema)).transpose()?,
             };
-            let schema = file.add_schema(&header.schema_name(), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
-            let exact = file.add_channel(schema, &Topic::Exact(&name).name(), EXACT_ENCODING, &header.to_metadata())?;
-            let payload = output.payload;
+            let schema =
+                Schema { name: &header.schema_name(), encoding: EXACT_ENCODING, data: codec::LAYOUT.as_bytes() };
+            let exact =
+                output.add_channel(&schema, &Topic::Exact(&name).name(), EXACT_ENCODING, &header.to_metadata())?;
+            let payload = port.payload;
             wires.insert(id, WireChannels { node: id.node, name, exact, payload, count: WireCount::default() });
         }
-        let pictures = Pictures::begin(&mut file, plan)?;
+        let pictures = Pictures::begin(&mut output, plan)?;
         Ok(Self {
-            file,
+            output,
             wires,
             pictures,
             log: LogFilter::default(),
@@ -204,14 +203,15 @@ impl Sink {
         self.first_ns = self.first_ns.min(time_ns);
         let RunBytes { topic, schema: (name, schema), bytes } = message;
         if !self.run.contains_key(&topic) {
-            let schema = self.file.add_schema(name, "jsonschema", schema().to_string().as_bytes())?;
-            let channel = self.file.add_channel(schema, &topic, RUN_ENCODING, &BTreeMap::new())?;
+            let schema = schema().to_string();
+            let schema = Schema { name, encoding: "jsonschema", data: schema.as_bytes() };
+            let channel = self.output.add_channel(&schema, &topic, RUN_ENCODING, &BTreeMap::new())?;
             self.run.insert(topic.clone(), (channel, 0));
         }
         let Some((channel, n)) = self.run.get_mut(&topic) else { return Ok(()) };
         let head = MessageHeader { channel_id: *channel, sequence: *n, log_time: time_ns, publish_time: time_ns };
         *n = n.wrapping_add(1);
-        Ok(self.file.write_message(head, bytes.into())?)
+        Ok(self.output.write_message(head, bytes.into())?)
     }
 
     /// Writes a message of a node for viewers, at its stamp or at the latest time written.
@@ -239,7 +239,8 @@ impl Sink {
         // Viewers reject a time of zero; a run without any time is shown at its first nanoseconds.
         self.begin_time(FIRST_NS)?;
         let before_all = self.first_ns.saturating_sub(1).max(1);
-        let notes = self.pictures.finish(&mut self.file, (before_all, self.time_ns.unwrap_or(before_all)), complete)?;
+        let notes =
+            self.pictures.finish(&mut self.output, (before_all, self.time_ns.unwrap_or(before_all)), complete)?;
         log.into_iter().try_for_each(|entry| self.log(entry))?;
         let warning = |message| LogEntry { node: None, item: 0, stamp_ns: None, level: LogLevel::Warning, message };
         notes.into_iter().map(warning).try_for_each(|entry| self.log(entry))
@@ -279,10 +280,10 @@ impl Sink {
         if parts.len() > MAX_ITEM_BYTES {
             return Err(Stopped::TooLong { wire: name.clone(), number: item.number, n_bytes: parts.len() });
         }
-        self.file.write_message(head(*exact), parts)?;
-        self.pictures.follow(&self.file, id, item, time_ns);
+        self.output.write_message(head(*exact), parts)?;
+        self.pictures.follow(&self.output, id, item, time_ns);
         match &item.body {
-            Body::Value(value) => Ok(self.pictures.write(&mut self.file, id, (item, value), time_ns)?),
+            Body::Value(value) => Ok(self.pictures.write(&mut self.output, id, (item, value), time_ns)?),
             Body::Empty(empty) if *empty.node == *self.nodes[*node] => {
                 let (node, message) = (Some(*node), format!("no value: {}", empty.reason));
                 let level = LogLevel::Info;
@@ -299,5 +300,6 @@ impl Sink {
 }
 
 fn run_bytes<T: RunMessage>(message: &T) -> RunBytes {
-    RunBytes { topic: T::TOPIC.name(), schema: (T::SCHEMA, T::schema), bytes: message.to_bytes() }
+    let bytes = serde_json::to_vec(message).expect("texts and numbers are JSON");
+    RunBytes { topic: T::TOPIC.name(), schema: T::SCHEMA, bytes }
 }

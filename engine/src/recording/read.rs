@@ -92,15 +92,15 @@ pub(crate) fn run_record(
     let foreign = |reason: String| RecordingError::foreign(path, reason);
     let name = RunRecord::NAME;
     let missing = || truncated.map_or_else(|| format!("it has no metadata record \"{name}\""), str::to_owned);
-    let run = metadata.get::<RunRecord>().ok_or_else(|| foreign(missing()))?;
-    let run = run.map_err(|error| foreign(format!("its metadata record \"{name}\": {error}")))?;
-    match format::is_read(run.format_version) {
-        true => Ok(run),
-        false => Err(RecordingError(format!(
-            "{} has format version {}, this program reads versions up to {FORMAT_VERSION}",
-            path.display(),
-            run.format_version
+    let entries = metadata.entries(name).ok_or_else(|| foreign(missing()))?;
+    match entries.get("format_version").and_then(|version| version.parse().ok()) {
+        Some(version) if !format::is_read(version) => Err(RecordingError(format!(
+            "{} has format version {version}, this program reads versions up to {FORMAT_VERSION}",
+            path.display()
         ))),
+        Some(_) => RunRecord::from_metadata(entries)
+            .map_err(|error| foreign(format!("its metadata record \"{name}\": {error}"))),
+        None => Err(foreign(format!("its metadata record \"{name}\" lacks the number \"format_version\""))),
     }
 }
 

@@ -149,7 +149,8 @@ impl<G: Gather> Visitor for Pass<'_, G> {
         self.gather.record(&record)?;
         match record {
             Record::Metadata { name, entries } => {
-                if !self.metadata.insert(name, entries) {
+                let is_new = self.metadata.insert(name, entries);
+                if !is_new {
                     let what = format!("a second metadata record \"{name}\"");
                     self.state.findings.add("habit", Finding::new(place, what));
                 }

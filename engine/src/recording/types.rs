@@ -1,7 +1,7 @@
 //! Payload types described by a recording, for reading it without their crates.
 
 use super::wires::Wire;
-use osteoflow_node::{OutputPort, OutputPorts, PayloadType, PortPayload, Registry, SchemaEntry};
+use osteoflow_node::{OutputPort, OutputPorts, PayloadType, Registry, SchemaEntry};
 use std::collections::BTreeMap;
 
 /// Payload types made from the schemas of a recording's wires, by name and version, or why a schema makes none.
@@ -43,11 +43,9 @@ impl RecordedTypes {
             };
             inputs.chain(outputs.iter().map(|port| port.payload))
         });
-        let types = ports.filter_map(|payload| match payload {
-            PortPayload::Type(ty) => Some(ty),
-            PortPayload::Any => None,
-        });
-        for ty in types.chain(self.0.values().filter_map(|ty| ty.as_ref().ok().copied())) {
+        for ty in
+            ports.filter_map(|payload| payload.ty()).chain(self.0.values().filter_map(|ty| ty.as_ref().ok().copied()))
+        {
             if registry.payload_type(ty.name).is_none() {
                 // No type is registered from which it could differ.
                 let _ = registry.add_payload_type(ty);

@@ -40,10 +40,7 @@ impl Items {
 
     /// Adds the channels of a port; `ty` is the type of its items.
     pub(super) fn port(&mut self, name: &str, payload: PortPayload, ty: Option<&PayloadType>) -> io::Result<Port> {
-        let version = match payload {
-            PortPayload::Type(ty) => ty.version,
-            PortPayload::Any => 0,
-        };
+        let version = payload.ty().map_or(0, |ty| ty.version);
         let header = WireHeader { payload: payload.name().into(), version, ..WireHeader::default() };
         let schema = self.writer.add_schema(&header.schema_name(), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
         let exact =

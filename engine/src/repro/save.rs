@@ -184,13 +184,12 @@ fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) 
 
 /// Type of the wire's items; where the port takes any, that of the first value.
 fn payload_type(port: PortPayload, items: &[Item]) -> Option<&'static PayloadType> {
-    match port {
-        PortPayload::Type(ty) => Some(ty),
-        PortPayload::Any => items.iter().find_map(|item| match &item.body {
+    port.ty().or_else(|| {
+        items.iter().find_map(|item| match &item.body {
             Body::Value(value) => Some(value.ty()),
             Body::Empty(_) => None,
-        }),
-    }
+        })
+    })
 }
 
 fn empty(item: &Item) -> Option<&Empty> {

