@@ -19,6 +19,7 @@ mod tree;
 pub(crate) mod unit;
 
 pub(crate) use {
+    extends::tidy,
     interface::{InputDecl, Interface, OutputDecl, ParamDecl},
     modules::{KIND as MODULE, Module, no_results},
     remove::Removed,

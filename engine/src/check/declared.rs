@@ -2,7 +2,6 @@ use super::{
     context::Check,
     frames,
     parsed_nodes::{Output, ParsedNode},
-    schema::Walker,
 };
 use crate::{
     fault::Fault,
@@ -58,18 +57,9 @@ impl Check<'_> {
             to: self.port_frame(&owner, &own, "to", header),
             from: self.port_frame(&owner, &own, "from", header),
         };
-        let mut walker = Walker {
-            root: schema,
-            owner,
-            path: format!("node.{node}.out.{name}"),
-            kind: parsed_node.kind_name(),
-            kind_at: parsed_node.table.get("kind").map(|kind| &kind.value.at),
-            files: self.files,
-            faults: Vec::new(),
-            input_files: Vec::new(),
-        };
         let reserved: Vec<_> = grammar::names(&grammar::OUTPUT).collect();
-        let mut params = walker.table(schema, table, &entry.key_at, "", &reserved);
+        let path = format!("node.{node}.out.{name}");
+        let mut params = self.read_params(parsed_node, schema, (owner, path), (table, &entry.key_at), &reserved);
         // A kind whose messages name no frames asks for those of the port by parameters of the same names.
         let asked = |key: &str| schema.pointer(&format!("/properties/{key}")).is_some();
         let given = [("frame", &output.given.frame), ("to", &output.given.to), ("from", &output.given.from)];
@@ -78,8 +68,6 @@ impl Check<'_> {
                 params.insert(key.into(), frame.clone().into());
             }
         }
-        self.faults.append(&mut walker.faults);
-        parsed_node.input_files.append(&mut walker.input_files);
         if let (Some(payload), Some(params)) = (payload, params) {
             parsed_node.declared.push(DeclaredPort { name: name.into(), payload, params: Json::Object(params) });
         }

@@ -4,6 +4,7 @@ use super::{
     missing_trigger,
     parsed_nodes::{Output, ParsedNode},
     producers::ProducerSearch,
+    schema::first_paragraph,
     wires::{self, OutputIndex},
 };
 use crate::{
@@ -175,7 +176,7 @@ pub(super) fn fits(takes: &PortPayload, gives: &PortPayload) -> bool {
 
 /// Describes a port: `source: its doc`.
 pub(super) fn doc_of(port: &InputPort) -> Option<String> {
-    let text = port.doc.split("\n\n").next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
+    let text = first_paragraph(port.doc);
     (!text.is_empty()).then(|| format!("{}: {text}", port.name))
 }
 

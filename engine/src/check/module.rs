@@ -2,6 +2,7 @@ use super::{
     context::Check,
     inputs::{self, Input},
     parsed_nodes::ParsedNode,
+    schema::first_paragraph,
     wires,
 };
 use crate::{
@@ -164,7 +165,7 @@ pub(super) fn describe(
         joins.dedup();
         ModuleInput {
             name: input_decl.name.clone(),
-            doc: or(&input_decl.doc, ports.first().map(|input| one_line(input.port.doc))),
+            doc: or(&input_decl.doc, ports.first().map(|input| first_paragraph(input.port.doc))),
             payload: ports.first().map_or("any", |input| input.port.payload.name()),
             joins,
             optional: input_decl.optional,
@@ -181,7 +182,7 @@ pub(super) fn describe(
         });
         let payload = wire.and_then(|wire| inputs::output(wire, parsed_nodes)?.payload);
         let doc = wire.and_then(|(node, port)| match &parsed_nodes[node].kind?.description.outputs {
-            osteoflow_node::OutputPorts::Fixed(ports) => Some(one_line(ports.get(port)?.doc)),
+            osteoflow_node::OutputPorts::Fixed(ports) => Some(first_paragraph(ports.get(port)?.doc)),
             osteoflow_node::OutputPorts::Declared { .. } => None,
         });
         ModuleOutput {
@@ -192,16 +193,15 @@ pub(super) fn describe(
         }
     };
     let param = |param_decl: &crate::graph::ParamDecl| {
-        let property = param_decl.to.first().and_then(|(to, _)| {
+        let inner = param_decl.to.first().and_then(|(to, _)| {
             let (node, key) = to.split_once('.')?;
-            let parsed_node = parsed_nodes.iter().find(|parsed_node| parsed_node.name == node)?;
-            parsed_node.kind?.description.params.get("properties")?.get(key)
+            Some((parsed_nodes.iter().find(|parsed_node| parsed_node.name == node)?, key))
         });
-        let doc = property.and_then(|property| Some(one_line(property.get("description")?.as_str()?)));
-        let inner_default = param_decl.to.first().and_then(|(to, _)| {
-            let (node, key) = to.split_once('.')?;
-            let parsed_node = parsed_nodes.iter().find(|parsed_node| parsed_node.name == node)?;
-            if key == "kind" { Some(parsed_node.kind_name().into()) } else { parsed_node.params.get(key).cloned() }
+        let property = inner.and_then(|(node, key)| node.kind?.description.params.get("properties")?.get(key));
+        let doc = property.and_then(|property| Some(first_paragraph(property.get("description")?.as_str()?)));
+        let inner_default = inner.and_then(|(node, key)| match key {
+            "kind" => Some(node.kind_name().into()),
+            _ => node.params.get(key).cloned(),
         });
         let default =
             if param_decl.required { None } else { param_decl.default.as_ref().map(|d| d.to_json()).or(inner_default) };
@@ -224,9 +224,4 @@ pub(super) fn describe(
             .map(|parsed_node| (parsed_node.name.to_owned(), parsed_node.kind_name().to_owned()))
             .collect(),
     }
-}
-
-fn one_line(text: &str) -> String {
-    let paragraph = text.split("\n\n").next().unwrap_or(text);
-    paragraph.split_whitespace().collect::<Vec<_>>().join(" ")
 }

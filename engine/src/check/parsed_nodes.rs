@@ -194,22 +194,38 @@ impl<'r> Check<'r> {
             let fault = Fault::new(message).at(at, "cannot be used");
             self.faults.push(fault.help("its author has to give the parameter another name"));
         }
+        let own: Vec<_> = grammar::names(&grammar::NODE).collect();
+        let (owner, path) = (format!("node \"{}\"", parsed_node.name), format!("node.{}", parsed_node.name));
+        let (table, at) = (parsed_node.table, parsed_node.begins_at().clone());
+        if let Some(params) = self.read_params(parsed_node, schema, (owner, path), (table, &at), &own) {
+            parsed_node.params = Json::Object(params);
+        }
+    }
+
+    /// Reads the parameters of a node or of a declared output by their schema, except for the keys in `skip`; `named` are
+    /// their owner in faults and the path of their table.
+    pub(super) fn read_params(
+        &mut self,
+        parsed_node: &mut ParsedNode<'_>,
+        schema: &Json,
+        named: (String, String),
+        (table, at): (&Table, &Span),
+        skip: &[&str],
+    ) -> Option<Map<String, Json>> {
         let mut walker = Walker {
             root: schema,
-            owner: format!("node \"{}\"", parsed_node.name),
-            path: format!("node.{}", parsed_node.name),
+            owner: named.0,
+            path: named.1,
             kind: parsed_node.kind_name(),
             kind_at: parsed_node.table.get("kind").map(|kind| &kind.value.at),
             files: self.files,
             faults: Vec::new(),
             input_files: Vec::new(),
         };
-        let own: Vec<_> = grammar::names(&grammar::NODE).collect();
-        if let Some(params) = walker.table(schema, parsed_node.table, parsed_node.begins_at(), "", &own) {
-            parsed_node.params = Json::Object(params);
-        }
+        let params = walker.table(schema, table, at, "", skip);
         self.faults.append(&mut walker.faults);
         parsed_node.input_files.append(&mut walker.input_files);
+        params
     }
 
     fn outputs(&mut self, parsed_node: &mut ParsedNode<'_>, kind: &Kind, header: &Header) {

@@ -46,16 +46,8 @@ impl Check<'_> {
                     }
                 }
             }
-            if let Some(entry) = table.get("compression") {
-                let ways = Compression::ALL.map(|way| format!("\"{}\"", way.name())).join(", ");
-                match extract::text(&entry.value, "compression", &mut self.faults).map(Compression::from_name) {
-                    Some(Some(way)) => settings.compression = way,
-                    Some(None) => {
-                        let takes = format!("compression takes one of {ways}");
-                        self.faults.push(extract::refused(&entry.value, takes, "not known"));
-                    }
-                    None => {}
-                }
+            if let Some(way) = table.word("compression", &mut self.faults).and_then(Compression::from_name) {
+                settings.compression = way;
             }
             settings.views = table.flag("views", &mut self.faults);
             if let Some(entry) = table.get("wires") {

@@ -7,6 +7,8 @@ mod table;
 mod union;
 mod value_type;
 
+pub(super) use table::first_paragraph;
+
 use crate::fault::{Fault, Severity, Span};
 use serde_json::Value as Json;
 use std::path::PathBuf;

@@ -130,7 +130,7 @@ impl<'f> Chain<'f> {
 }
 
 /// The path without `x/..`, for display.
-pub(super) fn tidy(path: &Path) -> PathBuf {
+pub(crate) fn tidy(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for component in path.components() {
         match component {

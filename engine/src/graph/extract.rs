@@ -70,13 +70,22 @@ impl<'t> Section<'t> {
     }
 
     pub(crate) fn flag_if_set(&self, key: &str, faults: &mut Vec<Fault>) -> Option<bool> {
-        boolean(&self.get(key)?.value, &self.what(key), faults)
+        let value = &self.get(key)?.value;
+        let flag = if let Value::Bool(flag) = value.value { Some(flag) } else { None };
+        expected(flag, value, &self.what(key), "true or false", faults)
     }
 
     /// The whole number of a key, from what the grammar states to `max`.
     pub(crate) fn whole<T: TryFrom<u64>>(&self, key: &str, max: u64, faults: &mut Vec<Fault>) -> Option<T> {
         let min = self.schema(key)["minimum"].as_u64().unwrap_or(0);
-        T::try_from(whole(&self.get(key)?.value, &self.what(key), min, max, faults)?).ok()
+        let value = &self.get(key)?.value;
+        let number = if let Value::Int(number) = value.value { Some(number) } else { None };
+        let takes = match number.is_some_and(|number| number > i128::from(max)) {
+            true => format!("a whole number from {min} to {max}"),
+            false => format!("a whole number of at least {min}"),
+        };
+        let number = number.and_then(|number| u64::try_from(number).ok()).filter(|n| (min..=max).contains(n));
+        T::try_from(expected(number, value, &self.what(key), &takes, faults)?).ok()
     }
 
     /// The word of a key, one of those that the grammar lists.
@@ -94,75 +103,39 @@ impl<'t> Section<'t> {
         word
     }
 
-    /// The number of milliseconds of a key, in nanoseconds.
+    /// The number of milliseconds of a key, at least 0, in nanoseconds.
     pub(crate) fn milliseconds(&self, key: &str, faults: &mut Vec<Fault>) -> Option<i64> {
-        milliseconds(&self.get(key)?.value, &self.what(key), faults)
+        let value = &self.get(key)?.value;
+        // At most about a thousand years, so that nothing overflows.
+        let ms = value.as_number().filter(|ms| (0.0..3.2e13).contains(ms));
+        let ms = expected(ms, value, &self.what(key), "a number of milliseconds of at least 0", faults)?;
+        Some((ms * 1e6).round() as i64)
     }
 
+    /// The number of bytes of a key, at least 1: a whole number, or a text with a unit such as `64 MiB`.
     pub(crate) fn bytes(&self, key: &str, faults: &mut Vec<Fault>) -> Option<u64> {
-        bytes(&self.get(key)?.value, &self.what(key), faults)
+        let value = &self.get(key)?.value;
+        let n = match &value.value {
+            Value::Int(number) => u64::try_from(*number).ok(),
+            Value::Text(text) => bytes_of(text),
+            _ => None,
+        };
+        let takes = "a whole number of bytes of at least 1, or a text such as \"64 MiB\"";
+        expected(n.filter(|n| *n > 0), value, &self.what(key), takes, faults)
     }
 
     /// The number of seconds of a key, above 0 and at most what the grammar states.
     pub(crate) fn seconds(&self, key: &str, faults: &mut Vec<Fault>) -> Option<f64> {
         let (value, most) = (&self.get(key)?.value, &self.schema(key)["maximum"]);
         let seconds = value.as_number().filter(|s| *s > 0.0 && most.as_f64().is_some_and(|most| *s <= most));
-        if seconds.is_none() {
-            faults.push(wrong(value, &self.what(key), &format!("a number of seconds above 0 and at most {most}")));
-        }
-        seconds
+        let takes = format!("a number of seconds above 0 and at most {most}");
+        expected(seconds, value, &self.what(key), &takes, faults)
     }
 }
 
 /// The text of an entry; a fault if it is something else.
 pub(crate) fn text<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a str> {
-    let text = value.as_text().or_else(|| match &value.value {
-        // On the command line a text needs no quotes, even if it looks like a number.
-        Value::Array(_) | Value::Table(_) | Value::Outside(_) => None,
-        _ => value.at.source.command_line.then(|| value.at.text()),
-    });
-    if text.is_none() {
-        faults.push(wrong(value, what, "a text"));
-    }
-    text
-}
-
-fn boolean(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<bool> {
-    if let Value::Bool(value) = value.value {
-        return Some(value);
-    }
-    faults.push(wrong(value, what, "true or false"));
-    None
-}
-
-/// A whole number from `min` to `max`.
-fn whole(value: &Spanned, what: &str, min: u64, max: u64, faults: &mut Vec<Fault>) -> Option<u64> {
-    if let Value::Int(number) = value.value
-        && let Some(number) = u64::try_from(number).ok().filter(|n| (min..=max).contains(n))
-    {
-        return Some(number);
-    }
-    let is_too_large = matches!(value.value, Value::Int(number) if number > i128::from(max));
-    let takes = match is_too_large {
-        true => format!("a whole number from {min} to {max}"),
-        false => format!("a whole number of at least {min}"),
-    };
-    faults.push(wrong(value, what, &takes));
-    None
-}
-
-/// A number of bytes of at least 1: a whole number, or a text with a unit such as `64 MiB`.
-fn bytes(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<u64> {
-    let n = match &value.value {
-        Value::Int(number) => u64::try_from(*number).ok(),
-        Value::Text(text) => bytes_of(text),
-        _ => None,
-    };
-    if let Some(n) = n.filter(|n| *n > 0) {
-        return Some(n);
-    }
-    faults.push(wrong(value, what, "a whole number of bytes of at least 1, or a text such as \"64 MiB\""));
-    None
+    expected(value.as_text_or_written(), value, what, "a text", faults)
 }
 
 /// The bytes of `1.5 GiB`; the unit is required, and values above 2⁶³ are refused.
@@ -185,26 +158,16 @@ fn bytes_of(text: &str) -> Option<u64> {
     (bytes < i64::MAX as f64).then_some(bytes.round() as u64)
 }
 
-/// A duration in milliseconds, at least 0; returns nanoseconds.
-fn milliseconds(value: &Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<i64> {
-    // At most about a thousand years, so that nothing overflows.
-    if let Some(ms) = value.as_number().filter(|ms| (0.0..3.2e13).contains(ms)) {
-        return Some((ms * 1e6).round() as i64);
-    }
-    faults.push(wrong(value, what, "a number of milliseconds of at least 0"));
-    None
-}
-
 pub(crate) fn table<'a>(value: &'a Spanned, what: &str, faults: &mut Vec<Fault>) -> Option<&'a Table> {
-    let table = value.as_table();
-    if table.is_none() {
-        faults.push(wrong(value, what, "a table"));
-    }
-    table
+    expected(value.as_table(), value, what, "a table", faults)
 }
 
-fn wrong(value: &Spanned, what: &str, takes: &str) -> Fault {
-    refused(value, format!("{what} takes {takes}"), format!("{takes} is needed"))
+/// What was read of a value; a fault if that is nothing, because it is not what `what` takes.
+fn expected<T>(read: Option<T>, value: &Spanned, what: &str, takes: &str, faults: &mut Vec<Fault>) -> Option<T> {
+    if read.is_none() {
+        faults.push(refused(value, format!("{what} takes {takes}"), format!("{takes} is needed")));
+    }
+    read
 }
 
 /// The fault of a value that is not what `takes` says, such as `frames takes a list of names`.

@@ -60,6 +60,15 @@ impl Spanned {
         }
     }
 
+    /// The text; on the command line, where a text needs no quotes, also a number or a date as written.
+    pub(crate) fn as_text_or_written(&self) -> Option<&str> {
+        match &self.value {
+            Value::Text(text) => Some(text),
+            Value::Array(_) | Value::Table(_) | Value::Outside(_) => None,
+            _ => self.at.source.command_line.then(|| self.at.text()),
+        }
+    }
+
     pub(crate) fn as_table(&self) -> Option<&Table> {
         match &self.value {
             Value::Table(table) => Some(table),

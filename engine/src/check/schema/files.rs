@@ -1,7 +1,7 @@
 use super::{Files, Quantity, Walker};
 use crate::{fault::Fault, graph::Spanned, hash::files::irregular, names::nearest};
 use serde_json::Value as Json;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 impl Walker<'_> {
     /// Reads an input path relative to the file it is written in; returns it absolute. A missing file or folder is a
@@ -49,15 +49,7 @@ fn relative(from: &str) -> String {
 /// The path without `.` and `x/..`, unless links make that a different file.
 pub(crate) fn tidy(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
-    let mut out = PathBuf::new();
-    for component in path.components() {
-        match component {
-            Component::ParentDir => {
-                out.pop();
-            }
-            other => out.push(other),
-        }
-    }
+    let out = crate::graph::tidy(&path);
     match (path.canonicalize(), out.canonicalize()) {
         (Ok(meant), Ok(tidied)) if meant != tidied => path,
         _ => out,

@@ -26,7 +26,7 @@ impl<'a> Walker<'a> {
                 let limit = limit.or((*number > high).then_some("too large"));
                 match range.refuses(*number as f64).or(limit) {
                     Some(why) => self.refuse(schema, value, what, why),
-                    None => Some(int(*number)),
+                    None => Some(value.to_json()),
                 }
             }
             (ValueType::Int(_), Value::Float(_)) => self.refuse(schema, value, what, "not a whole number"),
@@ -40,14 +40,16 @@ impl<'a> Walker<'a> {
                     None => Number::from_f64(number).map(Json::Number),
                 }
             }
-            (ValueType::Text, _) if text(value).is_some() => text(value).map(Json::from),
-            (ValueType::Path, _) if text(value).is_some() => self.path(value, text(value)?, what),
-            (ValueType::Words(words), _) if text(value).is_some() => {
-                let found = text(value)?;
-                match words.iter().find(|(word, _)| *word == found) {
+            (ValueType::Text, _) if value.as_text_or_written().is_some() => value.as_text_or_written().map(Json::from),
+            (ValueType::Path, _) if value.as_text_or_written().is_some() => {
+                self.path(value, value.as_text_or_written()?, what)
+            }
+            (ValueType::Words(words), _) if value.as_text_or_written().is_some() => {
+                let given = value.as_text_or_written()?;
+                match words.iter().find(|(word, _)| *word == given) {
                     Some((word, _)) => Some(Json::from(*word)),
                     None => {
-                        let replaced = resolve(root, schema).get(REPLACED).and_then(|replaced| replaced.get(found));
+                        let replaced = resolve(root, schema).get(REPLACED).and_then(|replaced| replaced.get(given));
                         replaced
                             .and_then(|replaced| self.replaced(replaced, value))
                             .or_else(|| self.unknown_word(schema, value, what, &words))
@@ -104,7 +106,7 @@ impl<'a> Walker<'a> {
     pub(super) fn any(&mut self, value: &Spanned, what: &Quantity) -> Option<Json> {
         match &value.value {
             Value::Bool(value) => Some(Json::Bool(*value)),
-            Value::Int(value) => Some(int(*value)),
+            Value::Int(_) => Some(value.to_json()),
             Value::Float(number) => match Number::from_f64(*number) {
                 Some(number) => Some(Json::Number(number)),
                 None => {
@@ -161,7 +163,7 @@ impl<'a> Walker<'a> {
         words: &[(&str, Option<&str>)],
     ) -> Option<Json> {
         let takes = describe(self.root, schema);
-        let near = nearest::help(text(value).unwrap_or_default(), words.iter().map(|(word, _)| *word));
+        let near = nearest::help(value.as_text_or_written().unwrap_or_default(), words.iter().map(|(word, _)| *word));
         let mut fault = self.fault(what, &takes, value).at(&value.at, "not one of them").help_if(near);
         for (word, doc) in words {
             fault = fault.note_if(doc.map(|doc| format!("\"{word}\": {}", super::table::first_paragraph(doc))));
@@ -197,23 +199,5 @@ fn found(value: &Spanned) -> String {
     match &value.value {
         Value::Int(_) | Value::Float(_) => value.at.text().to_owned(),
         _ => value.found(),
-    }
-}
-
-fn int(number: i128) -> Json {
-    match (i64::try_from(number), u64::try_from(number)) {
-        (Ok(number), _) => number.into(),
-        (_, Ok(number)) => number.into(),
-        _ => (number as f64).into(),
-    }
-}
-
-/// The text; on the command line, where texts need no quotes, also a number or a date as written.
-fn text(value: &Spanned) -> Option<&str> {
-    match &value.value {
-        Value::Text(text) => Some(text),
-        Value::Array(_) | Value::Table(_) | Value::Outside(_) => None,
-        _ if value.at.source.command_line => Some(value.at.text()),
-        _ => None,
     }
 }

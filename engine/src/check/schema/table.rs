@@ -165,7 +165,7 @@ fn is_required(schema: &Json, name: &str, root: &Json, property: &Json) -> bool 
 }
 
 /// The first paragraph of a doc comment on one line.
-pub(super) fn first_paragraph(text: &str) -> String {
+pub(in crate::check) fn first_paragraph(text: &str) -> String {
     let paragraph = text.split("\n\n").next().unwrap_or(text);
     paragraph.split_whitespace().collect::<Vec<_>>().join(" ")
 }
