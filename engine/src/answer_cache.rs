@@ -123,8 +123,8 @@ impl<'a> StoredAnswers<'a> {
         }
     }
 
-    /// Decodes the answer in an entry; `None` if it is not an answer of this node.
-    fn read(&self, index: usize, entry: &StoreEntry) -> Option<CachedReply> {
+    /// Decodes the emissions and warnings of the answer in an entry; `None` if it is not an answer of this node.
+    fn read(&self, index: usize, entry: &StoreEntry) -> Option<(Vec<Emission>, Vec<String>)> {
         let outputs = &self.plan.nodes[index].outputs;
         let mut at = 0;
         let mut word = || -> Option<usize> {
@@ -146,7 +146,7 @@ impl<'a> StoredAnswers<'a> {
         let emissions = emissions.collect::<Option<Vec<_>>>()?;
         let text = |range: Option<Range<usize>>| String::from_utf8(entry.bytes().get(range?)?.to_vec()).ok();
         let warnings = ranges.map(text).collect::<Option<Vec<_>>>()?;
-        Some(CachedReply { emissions, warnings })
+        Some((emissions, warnings))
     }
 
     fn emission(&self, port: PortPayload, entry: &StoreEntry, range: Range<usize>) -> Option<Emission> {
@@ -177,9 +177,9 @@ impl AnswerCache for StoredAnswers<'_> {
     ) -> Result<(), NodeError> {
         let key = self.nodes[index].and_then(|kept| Some((kept, self.key(index, kept, joined, context)?)));
         let Some((kept, key)) = key else { return node.fire(joined, out, context) };
-        if let Some(answer) = self.store.get(&key).and_then(|entry| self.read(index, &entry)) {
-            out.iter_mut().zip(answer.emissions).for_each(|(place, emission)| *place = emission);
-            answer.warnings.into_iter().for_each(|warning| context.warn(warning));
+        if let Some((emissions, warnings)) = self.store.get(&key).and_then(|entry| self.read(index, &entry)) {
+            out.iter_mut().zip(emissions).for_each(|(place, emission)| *place = emission);
+            warnings.into_iter().for_each(|warning| context.warn(warning));
             let node = self.plan.nodes[index].name.to_string();
             let answer = CachedAnswer { node, item: context.item(), key: key.to_string() };
             self.cached_answers.lock().unwrap_or_else(PoisonError::into_inner).push((index, answer));
@@ -198,11 +198,6 @@ impl AnswerCache for StoredAnswers<'_> {
         }
         Ok(())
     }
-}
-
-struct CachedReply {
-    emissions: Vec<Emission>,
-    warnings: Vec<String>,
 }
 
 fn with_item(key: KeyBuilder, item: &Item) -> KeyBuilder {

@@ -150,13 +150,8 @@ impl Store {
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         // Two machines that share the folder may have processes with the same id.
         let own = format!("{}-{:x}", std::process::id(), now.as_nanos());
-        loop {
-            let path = self.dir().join(evict::temporary_name(&own, N_MADE.fetch_add(1, Ordering::Relaxed)));
-            match File::options().write(true).create_new(true).open(&path) {
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                made => return made.map(|file| (file, path)),
-            }
-        }
+        let path = self.dir().join(evict::temporary_name(&own, N_MADE.fetch_add(1, Ordering::Relaxed)));
+        Ok((File::create_new(&path)?, path))
     }
 
     /// Removes the least recently used entries if the store is too large.

@@ -27,25 +27,22 @@ use std::{
 
 /// Computes the digest of a wire. Items may come in any order: the digest of an item that comes early is kept until its
 /// turn.
-#[derive(Clone, Default)]
-pub struct WireHasher {
+#[derive(Default)]
+struct WireHasher {
     hasher: Sha256,
     numbers: NumberSet,
     /// The number of the next item to hash.
     next: u64,
     n_items: u64,
     early: BTreeMap<u64, Digest>,
+    /// A number that was added twice; such a wire has no digest.
     doubled: Option<u64>,
 }
 
 impl WireHasher {
     /// Adds the item with this number; `message` is its message on the exact channel.
-    pub fn add(&mut self, number: u64, message: &[u8]) {
-        self.add_digest(number, Digest::of(message));
-    }
-
-    /// Adds an item whose digest is known.
-    pub fn add_digest(&mut self, number: u64, digest: Digest) {
+    fn add(&mut self, number: u64, message: &[u8]) {
+        let digest = Digest::of(message);
         self.n_items += 1;
         if !self.numbers.insert(number) {
             self.doubled.get_or_insert(number);
@@ -65,30 +62,15 @@ impl WireHasher {
         self.next = number.saturating_add(1);
     }
 
-    /// Number of items added.
-    pub fn n_items(&self) -> u64 {
-        self.n_items
-    }
-
-    /// A number that was added twice; such a wire has no digest.
-    pub fn doubled(&self) -> Option<u64> {
-        self.doubled
-    }
-
-    /// Missing numbers before the last one.
-    pub fn missing(&self) -> Vec<RangeInclusive<u64>> {
-        self.numbers.missing(None)
-    }
-
     /// The wire's digest; `None` if a number was added twice.
-    pub fn finish(mut self) -> Option<Digest> {
+    fn finish(mut self) -> Option<Digest> {
         self.early.values().for_each(|digest| self.hasher.update(digest.0));
         self.doubled.is_none().then(|| Digest(self.hasher.finalize().into()))
     }
 }
 
 /// The digest of all wires, from each one's name, payload and digest, in any order. Leave out wires without items.
-pub fn total<'a>(wires: impl IntoIterator<Item = (&'a str, &'a str, u32, Digest)>) -> Digest {
+fn total<'a>(wires: impl IntoIterator<Item = (&'a str, &'a str, u32, Digest)>) -> Digest {
     let mut wires: Vec<_> = wires.into_iter().collect();
     wires.sort();
     let mut hasher = Sha256::new();
@@ -194,10 +176,10 @@ impl Hashed {
             wire: self.about.name,
             payload: self.about.header.payload,
             version: self.about.header.version,
-            n_items: self.hasher.n_items(),
+            n_items: self.hasher.n_items,
             n_values: self.n_values,
-            missing: self.hasher.missing(),
-            doubled: self.hasher.doubled(),
+            missing: self.hasher.numbers.missing(None),
+            doubled: self.hasher.doubled,
             digest: self.hasher.finish(),
         }
     }
@@ -227,7 +209,7 @@ impl Gather for Hashing {
             (Some(head), Some(hashed)) => {
                 hashed.n_values += u64::from(!head.is_empty);
                 // Items out of order are kept until their turn.
-                if head.number > hashed.hasher.n_items() {
+                if head.number > hashed.hasher.n_items {
                     state.allowance.take(0)?;
                 }
                 hashed.hasher.add(head.number, message.data);
@@ -248,7 +230,7 @@ mod tests {
         let of = |numbers: &[u64]| {
             let mut hasher = WireHasher::default();
             numbers.iter().for_each(|n| hasher.add(*n, b"item"));
-            (hasher.missing(), hasher.doubled(), hasher.finish())
+            (hasher.numbers.missing(None), hasher.doubled, hasher.finish())
         };
         assert_eq!(of(&[0, 1, 5, 6, 9]).0, [2..=4, 7..=8]);
         assert_eq!(of(&[3, 0]).0, [1..=2]);

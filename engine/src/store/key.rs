@@ -24,11 +24,6 @@ impl Key {
         KeyBuilder { space, hasher }.text("space", space)
     }
 
-    /// The namespace.
-    pub fn space(&self) -> &'static str {
-        self.space
-    }
-
     /// The digest.
     pub fn digest(&self) -> Digest {
         self.digest
