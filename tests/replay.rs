@@ -392,7 +392,7 @@ fn a_kill_at_any_instant_leaves_a_recording_that_is_read_and_replayed_up_to_its_
             Ok(recording) => {
                 n_read += 1;
                 n_items += recording.wires.values().map(|wire| wire.messages.len()).sum::<usize>();
-                assert!(!recording.graph.is_empty(), "the graph stands at the front");
+                assert!(!recording.run.graph.is_empty(), "the graph stands at the front");
                 if kill % 4 == 3 {
                     assert_recovered(&path, &dir.path().join("recovered.mcap"));
                 }

@@ -221,9 +221,10 @@ pub fn replay(
             Err(_) => check(graph, sets, kinds),
         },
         None => {
-            let exchanged = exchange::without_old_defaults(&recording.graph, &recording.graph_file, sets, kinds);
-            let text = exchanged.as_deref().unwrap_or(&recording.graph);
-            check_recorded(text, &recording.graph_file, sets, kinds)
+            let exchanged =
+                exchange::without_old_defaults(&recording.run.graph, &recording.run.graph_file, sets, kinds);
+            let text = exchanged.as_deref().unwrap_or(&recording.run.graph);
+            check_recorded(text, &recording.run.graph_file, sets, kinds)
         }
     };
     let recorded = changes.graph.is_none() && sets.is_empty();
@@ -241,7 +242,7 @@ pub(crate) fn replay_plan(
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
-    let Recorded { outputs: recorded, of_another_payload } = recorded_outputs(plan, recording);
+    let (recorded, of_another_payload) = recorded_outputs(plan, recording);
     if let Some(&id) = of_another_payload.iter().find(|id| plan.nodes[id.node].role != Role::Node) {
         let (wire, found) = (plan.wire_name(id), plan.nodes[id.node].outputs[id.port].payload.name());
         let recorded = &recording.wires[&wire].payload;
@@ -253,7 +254,7 @@ pub(crate) fn replay_plan(
     sets_take_effect(plan, changes, &parts)?;
     let computed = |index: usize| parts[index] == NodeMode::Computed;
     let runs_sources = plan.nodes.iter().enumerate().any(|(i, node)| node.role != Role::Node && computed(i));
-    if runs_sources && recording.sources == Sources::Hashes {
+    if runs_sources && recording.run.sources == Sources::Hashes {
         inputs_are_the_same(plan, recording)?;
     }
     let differences = recording.plugins.iter().filter_map(|then| {
@@ -272,7 +273,7 @@ pub(crate) fn replay_plan(
     }
     let modes: Vec<_> = parts.iter().filter(|mode| **mode != NodeMode::LeftOut).collect();
     let is_computed = |node: usize| *modes[node] == NodeMode::Computed;
-    let Players { substitutes, cut } = players(&reduced, recording, changes, registry, &unchanged, is_computed)?;
+    let (substitutes, cut) = players(&reduced, recording, changes, registry, &unchanged, is_computed)?;
     let replayed = Replayed {
         substitutes,
         drops: Some(drops(&reduced, recording, &cut)),
@@ -319,19 +320,13 @@ pub(crate) fn replay_plan(
     })
 }
 
-/// What the recording has of a plan.
-struct Recorded {
-    outputs: BTreeSet<OutputId>,
-    /// Outputs whose payload is another one in the graph, so that they can be neither played nor compared.
-    of_another_payload: BTreeSet<OutputId>,
-}
-
-fn recorded_outputs(plan: &Plan, recording: &Recording) -> Recorded {
+/// The outputs of a plan that the recording has, and those whose payload is another one in the graph, so that they can be
+/// neither played nor compared.
+fn recorded_outputs(plan: &Plan, recording: &Recording) -> (BTreeSet<OutputId>, BTreeSet<OutputId>) {
     let is_recorded = |id: &OutputId| recording.wires.contains_key(&plan.wire_name(*id));
     let is_comparable =
         |id: &OutputId| recording.wires[&plan.wire_name(*id)].is_of(plan.nodes[id.node].outputs[id.port].payload);
-    let (outputs, of_another_payload) = plan.all_outputs().filter(is_recorded).partition(is_comparable);
-    Recorded { outputs, of_another_payload }
+    plan.all_outputs().filter(is_recorded).partition(is_comparable)
 }
 
 fn parts(
@@ -353,7 +348,7 @@ fn parts(
     // Another graph may have sources of its own; a live source's items cannot be produced again.
     let runs = |index: usize| match plan.nodes[index].role {
         Role::LiveSource => false,
-        _ => recording.sources == Sources::Hashes || (changes.graph.is_some() && !is_recorded(index)),
+        _ => recording.run.sources == Sources::Hashes || (changes.graph.is_some() && !is_recorded(index)),
     };
     let parts = match &changes.from {
         None => select::all(plan, recorded, runs),
@@ -428,14 +423,7 @@ fn computed_too(plan: &Plan, changes: &ReplayOptions, parts: &[NodeMode]) -> Vec
     too.map(|(_, node)| node.name.to_string()).collect()
 }
 
-/// Sources that play recorded items.
-struct Players {
-    substitutes: Substitutes,
-    /// Number of items left out at the beginning of a wire.
-    cut: BTreeMap<OutputId, u64>,
-}
-
-/// Creates a player for each played node.
+/// Creates a player for each played node; with the number of items left out at the beginning of each wire.
 fn players(
     plan: &Plan,
     recording: &Recording,
@@ -443,7 +431,7 @@ fn players(
     registry: &Registry,
     unchanged: &BTreeSet<Arc<str>>,
     is_computed: impl Fn(usize) -> bool,
-) -> Result<Players, ReplayError> {
+) -> Result<(Substitutes, BTreeMap<OutputId, u64>), ReplayError> {
     let mut cut = BTreeMap::new();
     let mut items: BTreeMap<OutputId, Vec<Item>> = BTreeMap::new();
     for &id in plan.record.iter().filter(|id| !is_computed(id.node)) {
@@ -473,7 +461,7 @@ fn players(
         let ports = ports.into_iter().map(Into::into).collect();
         players.insert(index, Box::new(Player { ports, failure, pace: pace.clone() }));
     }
-    Ok(Players { substitutes: players, cut })
+    Ok((players, cut))
 }
 
 /// Removes the empties with which a failed node ended its wires; its failure is played instead.

@@ -116,7 +116,7 @@ impl View {
         // A recording of other programs has neither a name nor results.
         let recording = Recording::open(&path).ok();
         let file = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-        let name = recording.as_ref().map_or(&file, |recording| &recording.name);
+        let name = recording.as_ref().map_or(&file, |recording| &recording.run.name);
         serve::recorded(&stream, name, recording.as_ref(), playback.problem());
         let plan = match &self.plan {
             Some(file) => Some(known_plan::given(file, recording.as_ref())?),

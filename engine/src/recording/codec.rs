@@ -1,13 +1,7 @@
 //! Encoding of an item in a recording: number, stamp, and its view or the reason why it has none.
 //!
-//! All numbers are little-endian. The header is 40 bytes: `OSTEOVW1`, stamp (i64, ns), number (u64), body (u8: 0 value,
-//! 1 empty, 2 value that names its payload), three zero bytes, number of header fields (u32), number of columns (u32),
-//! four zero bytes. A text is its length (u32) and its UTF-8 bytes. A value on a wire that takes any payload starts
-//! with its payload: its name as a text and its version (u32). A header field is its type (u8: 1 bool, 2 integer, 3
-//! number, 4 numbers, 5 text), its name and its value (u8, i64, f64, count (u32) and f64 each, text). A column is its
-//! name, its type (u8: 1 f64, 2 f32, 3 i64, 4 u32, 5 u8), its width (u32), its size in bytes (u64), zeros up to a
-//! multiple of 8 from the start of the message, and the rows. An empty has the node and the reason as two texts instead
-//! of fields and columns.
+//! The layout of the bytes is [`LAYOUT`]. A value names its payload on a wire that takes any; columns are aligned to 8 bytes
+//! from the start of the message, so that their rows can be used in place.
 
 use osteoflow_container::Segments;
 use osteoflow_node::{

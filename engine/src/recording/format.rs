@@ -7,10 +7,10 @@ mod messages;
 mod records;
 
 pub(crate) use messages::{Drops, Live, Log, LogLevel, RunMessage, Timing};
-pub use records::RecordedFailure;
 pub(crate) use records::{
-    INPUT_HASHES, Outcome, PROGRAM, PluginRecords, Recovered, ReproRecord, RunRecord, WireCount, WireCounts, WireHeader,
+    INPUT_HASHES, Outcome, PROGRAM, PluginRecords, Recovered, ReproRecord, WireCount, WireCounts, WireHeader,
 };
+pub use records::{RecordedFailure, RunRecord};
 
 use std::collections::BTreeMap;
 

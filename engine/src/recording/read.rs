@@ -10,7 +10,7 @@ use super::{
     scan::{Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
-use crate::plan::{PlanPlugin, Sources};
+use crate::plan::PlanPlugin;
 use osteoflow_container::{Location, Message, ReadError, TooLarge};
 use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
 use std::{
@@ -31,16 +31,8 @@ pub struct RecordingError(String);
 pub struct Recording {
     /// The file.
     pub path: PathBuf,
-    /// The graph as it ran, in the text of a graph file.
-    pub graph: String,
-    /// The graph file it came from.
-    pub graph_file: PathBuf,
-    /// The graph's name.
-    pub name: String,
-    /// The run's seed.
-    pub seed: u64,
-    /// The version of the program that wrote it.
-    pub version: String,
+    /// The graph that ran, its seed, and the program that ran it.
+    pub run: RunRecord,
     /// The recorded wires, by name.
     pub wires: BTreeMap<String, RecordedWire>,
     /// Content of `results.json`; `None` where the run did not get so far.
@@ -56,8 +48,6 @@ pub struct Recording {
     /// What is not sound of a file whose items are all there, such as changed bytes outside of chunks: results, graph or
     /// hashes may not be those of the run.
     pub unsound: Option<String>,
-    /// How a replay gets the data of the sources.
-    pub sources: Sources,
     /// The SHA-256 of each input file, by its path, or why there is none.
     pub inputs: BTreeMap<String, String>,
     /// The plugins of the graph, with the SHA-256 of their libraries.
@@ -192,11 +182,7 @@ impl Recording {
         }
         Ok(Self {
             path: path.into(),
-            graph: run.graph,
-            graph_file: run.graph_file,
-            name: run.name,
-            seed: run.seed,
-            version: run.version,
+            run,
             results: outcome.as_ref().map(|outcome| outcome.results.clone()),
             results_digest: outcome.as_ref().and_then(|outcome| outcome.results_digest.clone()),
             fixed_results: outcome.iter().flat_map(|outcome| outcome.fixed_results.clone()).collect(),
@@ -204,7 +190,6 @@ impl Recording {
             truncated,
             unsound,
             wires,
-            sources: run.sources,
             inputs,
             plugins,
             drops: reading.drops,

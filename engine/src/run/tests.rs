@@ -427,8 +427,8 @@ fn a_run_writes_results_manifest_and_a_recording_that_replays_equal() {
     assert_eq!(manifest["recording"]["wires"][0], json!({ "wire": "fit.out", "items": 1, "values": 1 }));
 
     let recording = Recording::open(&out.join("run.mcap")).unwrap();
-    assert_eq!((recording.name.as_str(), recording.seed, &recording.truncated), ("toy", 7, &None));
-    assert_eq!(recording.graph, plan.resolved);
+    assert_eq!((recording.run.name.as_str(), recording.run.seed, &recording.truncated), ("toy", 7, &None));
+    assert_eq!(recording.run.graph, plan.resolved);
     let items = recording.items("follow.out", &registry()).unwrap();
     assert_eq!((items.len(), items[3].number, items[3].stamp_ns), (199, 3, 3));
 

@@ -19,7 +19,6 @@ use serde_json::{Map, Value, json};
 use std::{
     io::Write,
     net::{IpAddr, Ipv4Addr, SocketAddr},
-    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -185,7 +184,8 @@ pub(crate) fn recorded(stream: &Stream, name: &str, recording: Option<&Recording
     }
     stream.publish(STATE, &state);
     let checked = recording.and_then(|recording| {
-        check_recorded(&recording.graph, Path::new(&recording.graph_file), &[], &recording.registry(&registry())).ok()
+        let run = &recording.run;
+        check_recorded(&run.graph, &run.graph_file, &[], &recording.registry(&registry())).ok()
     });
     if let Some(checked) = checked {
         stream.publish(GRAPH, &graph::as_json(&checked.plan, &checked.registry));

@@ -297,7 +297,7 @@ impl Wires {
     fn about(&self) -> Option<String> {
         let Source::File(recording) = &self.0 else { return None };
         let about = serde_json::json!({
-            "name": recording.name, "graph": recording.graph, "seed": recording.seed, "version": recording.version,
+            "name": recording.run.name, "graph": recording.run.graph, "seed": recording.run.seed, "version": recording.run.version,
             "results": recording.results, "interrupted": recording.interrupted, "truncated": recording.truncated,
         });
         Some(about.to_string())

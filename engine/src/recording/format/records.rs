@@ -29,19 +29,19 @@ fn entries<const N: usize>(entries: [(&str, String); N]) -> Entries {
 
 /// The graph that ran, its seed and the version of the engine. Every recording begins with it.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct RunRecord {
+pub struct RunRecord {
     /// The graph as it ran, in the text of a graph file.
-    pub(crate) graph: String,
+    pub graph: String,
     /// The graph file it came from.
-    pub(crate) graph_file: PathBuf,
+    pub graph_file: PathBuf,
     /// The graph's name.
-    pub(crate) name: String,
+    pub name: String,
     /// The run's seed.
-    pub(crate) seed: u64,
+    pub seed: u64,
     /// How a replay gets the data of the sources.
-    pub(crate) sources: Sources,
+    pub sources: Sources,
     /// The version of the program that wrote it.
-    pub(crate) version: String,
+    pub version: String,
 }
 
 impl MetadataRecord for RunRecord {

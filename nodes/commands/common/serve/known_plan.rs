@@ -37,7 +37,7 @@ pub(crate) fn given(file: &Path, recording: Option<&Recording>) -> Result<Surgic
 /// The nodes that gave plans, with the landmarks that were recorded.
 fn with_landmarks(recording: &Recording) -> Vec<(PlanNode, Points)> {
     let known = recording.registry(&registry());
-    let Ok(checked) = check_recorded(&recording.graph, Path::new(&recording.graph_file), &[], &known) else {
+    let Ok(checked) = check_recorded(&recording.run.graph, &recording.run.graph_file, &[], &known) else {
         return Vec::new();
     };
     let plans = checked.plan.nodes.iter().filter(|node| node.kind.starts_with("plan."));
