@@ -78,7 +78,7 @@ impl RecordError {
 
     /// Of a file that does not reach its end.
     fn ended(path: &Path, error: io::Error) -> Self {
-        Self::write(path, format_args!("{error}; the run was ended, and what was recorded before is whole"))
+        Self::write(path, Stopped::from(error).0)
     }
 }
 
@@ -151,7 +151,8 @@ impl Recorder {
             Arc::new(Shared { queue: Queue::new(), firings: Mutex::default(), cancelled: options.cancelled.clone() });
         let of_writer = shared.clone();
         let writer = std::thread::Builder::new().name("recorder".into()).spawn(move || {
-            let written = panics::catch(|| record(sink, &of_writer)).unwrap_or_else(|panic| Err(Stopped::Panic(panic)));
+            let written =
+                panics::catch(|| record(sink, &of_writer)).unwrap_or_else(|panic| Err(Stopped::by_panic(&panic)));
             if written.is_err() {
                 // A dead writer blocks nobody; the run is stopped, since it can leave no recording.
                 of_writer.queue.abandon();
@@ -187,8 +188,9 @@ impl Recorder {
         queue.put(QueueItem::Firings(self.shared.take_firings()), 0);
         queue.put(QueueItem::End(End { metadata, complete: status == "complete", log }), 0);
         queue.close();
-        let written = self.writer.join().unwrap_or_else(|_| Err(Stopped::Panic("panicked".into())));
-        let RecordingSummary { counts, layout } = written.map_err(|stopped| stopped.into_error(&self.path))?;
+        let written = self.writer.join().unwrap_or_else(|_| Err(Stopped::by_panic("panicked")));
+        let RecordingSummary { counts, layout } =
+            written.map_err(|stopped| RecordError::write(&self.path, stopped.0))?;
         durable::sync_folder_of(&self.path).map_err(|error| RecordError::ended(&self.path, error))?;
         if let Some(layout) = layout {
             let path = self.path.with_file_name(LAYOUT);

@@ -7,29 +7,24 @@ const DISTANCE_M: f64 = 0.4;
 /// Nearest visible distance, m. The default of the viewers, 0.5, hides what is 400 mm away.
 const NEAR_M: f64 = 0.001;
 
-/// A channel for viewers.
-pub(super) struct Shown<'a> {
-    pub(super) topic: &'a str,
-    pub(super) schema: &'a str,
-}
-
 /// Where the camera looks: a point in metres, in a frame that it follows.
 pub(super) struct Focus<'a> {
     pub(super) frame: &'a str,
     pub(super) centre_m: [f64; 3],
 }
 
-/// The layout: a 3D view of every channel, and the messages of the nodes below it. It is imported in the viewer.
-pub(super) fn layout(channels: &[Shown<'_>], focus: Option<&Focus<'_>>) -> Json {
+/// The layout: a 3D view of every channel, by topic and schema, and the messages of the nodes below it. It is imported in
+/// the viewer.
+pub(super) fn layout(channels: &[(String, &str)], focus: Option<&Focus<'_>>) -> Json {
     let mut topics = Map::new();
-    for Shown { topic, schema } in channels {
+    for (topic, schema) in channels {
         let mut settings = json!({ "visible": true });
         if *schema == "foxglove.PointCloud" {
             settings["pointSize"] = 2.into();
             settings["colorMode"] = "flat".into();
             settings["flatColor"] = "#d55e00".into();
         }
-        topics.insert((*topic).to_owned(), settings);
+        topics.insert(topic.clone(), settings);
     }
     let centre = focus.map_or([0.0; 3], |focus| focus.centre_m);
     let scene = json!({
@@ -58,7 +53,7 @@ mod tests {
 
     #[test]
     fn the_camera_stands_near_what_it_looks_at_and_cuts_nothing_off() {
-        let channels = [Shown { topic: "/view/bone.mesh", schema: "foxglove.SceneUpdate" }];
+        let channels = [("/view/bone.mesh".to_owned(), "foxglove.SceneUpdate")];
         let focus = Focus { frame: "ct", centre_m: [0.1, 0.2, -1.4] };
         let layout = layout(&channels, Some(&focus));
         let scene = &layout["configById"]["3D!run"];

@@ -3,7 +3,7 @@
 use super::{
     answers::Answers,
     frame_tree::FrameTree,
-    layout::{Focus, Shown, layout},
+    layout::{Focus, layout},
     output::{Output, Schema},
 };
 use crate::{
@@ -133,9 +133,9 @@ impl Pictures {
         if self.wires.is_empty() {
             return None;
         }
-        let topics: Vec<_> = self.wires.values().map(|channel| Topic::View(&channel.wire).name()).collect();
-        let schemas = self.wires.values().map(|channel| channel.display.schema_name.as_str());
-        let shown: Vec<_> = topics.iter().zip(schemas).map(|(topic, schema)| Shown { topic, schema }).collect();
+        let channels = self.wires.values();
+        let shown: Vec<_> =
+            channels.map(|channel| (Topic::View(&channel.wire).name(), channel.display.schema_name.as_str())).collect();
         let has_pose = |wire| self.wires.get(&wire).is_some_and(|channel| channel.first.is_some());
         let candidates = self.wires.values().filter_map(|channel| {
             let (frame, value) = (channel.frame.as_deref()?, channel.first.as_ref()?);

@@ -1,5 +1,5 @@
 use super::{
-    Firing, RecordError,
+    Firing,
     log::{LogEntry, LogFilter},
     output::{Output, Schema},
     pictures::Pictures,
@@ -70,31 +70,17 @@ struct WireChannels {
 }
 
 /// Why the writer stopped early.
-pub(super) enum Stopped {
-    Io(io::Error),
-    Panic(String),
-    TooLong { wire: String, number: u64, n_bytes: usize },
+pub(super) struct Stopped(pub(super) String);
+
+impl Stopped {
+    pub(super) fn by_panic(panic: &str) -> Self {
+        Self(format!("the view of a payload {panic}"))
+    }
 }
 
 impl From<io::Error> for Stopped {
     fn from(error: io::Error) -> Self {
-        Self::Io(error)
-    }
-}
-
-impl Stopped {
-    pub(super) fn into_error(self, path: &std::path::Path) -> RecordError {
-        match self {
-            Self::Io(error) => RecordError::ended(path, error),
-            Self::Panic(panic) => RecordError::write(path, format_args!("the view of a payload {panic}")),
-            Self::TooLong { wire, number, n_bytes } => RecordError::write(
-                path,
-                format_args!(
-                    "item {number} of {wire} has {n_bytes} bytes, and a recording holds items of up to a gigabyte; \
-                     take the wire out of [record]"
-                ),
-            ),
-        }
+        Self(format!("{error}; the run was ended, and what was recorded before is whole"))
     }
 }
 
@@ -278,7 +264,11 @@ impl Sink {
         let head = |channel_id: u16| MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
         let parts = codec::parts_on(*payload, item);
         if parts.len() > MAX_ITEM_BYTES {
-            return Err(Stopped::TooLong { wire: name.clone(), number: item.number, n_bytes: parts.len() });
+            return Err(Stopped(format!(
+                "item {} of {name} has {} bytes, and a recording holds items of up to a gigabyte; take the wire out of [record]",
+                item.number,
+                parts.len()
+            )));
         }
         self.output.write_message(head(*exact), parts)?;
         self.pictures.follow(&self.output, id, item, time_ns);
