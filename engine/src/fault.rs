@@ -73,18 +73,14 @@ impl Fault {
         self
     }
 
-    pub(crate) fn help_if(self, help: Option<String>) -> Self {
-        match help {
-            Some(help) => self.help(help),
-            None => self,
-        }
+    pub(crate) fn help_if(mut self, help: Option<String>) -> Self {
+        self.help.extend(help);
+        self
     }
 
-    pub(crate) fn note_if(self, note: Option<String>) -> Self {
-        match note {
-            Some(note) => self.note(note),
-            None => self,
-        }
+    pub(crate) fn note_if(mut self, note: Option<String>) -> Self {
+        self.notes.extend(note);
+        self
     }
 
     /// Adds a suggestion and a list, as [`nearest::hint`](crate::names::nearest::hint) gives them.

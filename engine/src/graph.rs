@@ -79,8 +79,8 @@ pub(crate) fn load(path: &Path, sets: &[Sets<'_>], faults: &mut Vec<Fault>) -> O
 /// Reads a graph from the text of its graph file.
 pub(crate) fn load_text(text: String, path: &Path, sets: &[Sets<'_>], faults: &mut Vec<Fault>) -> Graph {
     let mut removed = Removed::default();
-    let mut chain = extends::Chain::new(path, &mut removed, faults);
-    let (main, mut table) = chain.load(text);
+    let mut chain = extends::Chain::new(&mut removed, faults);
+    let (main, mut table) = chain.load(path, text);
     let n_texts = chain.len();
     let mut texts = vec![path.into()];
     texts.append(&mut chain.texts);
@@ -90,8 +90,10 @@ pub(crate) fn load_text(text: String, path: &Path, sets: &[Sets<'_>], faults: &m
     if let Some(interface) = &interface {
         modules::prepare_alone(&mut table, interface, faults);
     }
-    let within = modules::Flattener::new(path, n_texts, &mut removed, faults).flatten(&mut table, edits);
-    texts.extend(within.texts);
-    plugins.extend(within.plugins);
-    Graph { table, main, removed, modules: within.modules, interface, texts, plugins }
+    let mut flattener = modules::Flattener::new(path, n_texts, &mut removed, faults);
+    flattener.flatten(&mut table, edits);
+    texts.extend(flattener.texts);
+    plugins.extend(flattener.plugins);
+    let modules = flattener.modules;
+    Graph { table, main, removed, modules, interface, texts, plugins }
 }

@@ -108,32 +108,14 @@ impl Check<'_> {
 
     /// The name of the producer's output.
     fn from<'a>(&mut self, entry: &'a Entry, owner: &str) -> Option<(&'a str, &'a Span)> {
-        match &entry.value.value {
-            Value::Text(text) => Some((text, &entry.value.at)),
-            Value::Table(table) => match table.get("from") {
-                Some(from) => {
-                    extract::text(&from.value, &format!("{owner}: from"), &mut self.faults).map(|t| (t, &from.value.at))
-                }
-                None => {
-                    let fault =
-                        Fault::new(format!("{owner} does not say its producer")).at(&entry.value.at, "no from here");
-                    self.faults.push(fault.help("add from = \"node.port\"").follows());
-                    None
-                }
-            },
-            Value::Array(items) => {
-                let message = format!("{owner} is given {} producers", items.len());
-                let fault = Fault::new(message).at(&entry.value.at, "one is needed");
-                self.faults
-                    .push(fault.help("an input has one producer; let a node of its own bring several wires together"));
-                None
-            }
-            _ => {
-                let takes = format!("{owner} takes a wire such as \"node.port\"");
-                self.faults.push(extract::refused(&entry.value, takes, "a text is needed"));
-                None
-            }
+        if let Value::Array(items) = &entry.value.value {
+            let fault = Fault::new(format!("{owner} is given {} producers", items.len()));
+            let fault = fault.at(&entry.value.at, "one is needed");
+            let help = "an input has one producer; let a node of its own bring several wires together";
+            self.faults.push(fault.help(help));
+            return None;
         }
+        wires::named(entry, owner, "producer", &mut self.faults)
     }
 
     /// Checks that the producer gives what the port takes.

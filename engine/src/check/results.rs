@@ -114,32 +114,17 @@ impl Check<'_> {
     fn result(&mut self, entry: &Entry, parsed_nodes: &[ParsedNode<'_>]) -> Option<Result> {
         let owner = format!("result \"{}\"", entry.key);
         let (mut all, mut optional) = (false, false);
-        let from = match &entry.value.value {
-            Value::Table(table) => {
-                let table = Section::new(table, &grammar::RESULT, &owner, &owner, &mut self.faults);
-                for (key, slot) in [("all", &mut all), ("optional", &mut optional)] {
-                    *slot = table.flag(key, &mut self.faults);
-                    if *slot && entry.key == VERDICT {
-                        self.refuse_flag_of_verdict(key, &table);
-                    }
+        if let Value::Table(table) = &entry.value.value {
+            let table = Section::new(table, &grammar::RESULT, &owner, &owner, &mut self.faults);
+            for (key, slot) in [("all", &mut all), ("optional", &mut optional)] {
+                *slot = table.flag(key, &mut self.faults);
+                if *slot && entry.key == VERDICT {
+                    self.refuse_flag_of_verdict(key, &table);
                 }
-                let Some(from) = table.get("from") else {
-                    let fault =
-                        Fault::new(format!("{owner} does not say its wire")).at(&entry.value.at, "no from here");
-                    self.faults.push(fault.help("add from = \"node.port\"").follows());
-                    return None;
-                };
-                &from.value
             }
-            Value::Text(_) => &entry.value,
-            _ => {
-                let takes = format!("{owner} takes a wire such as \"node.port\"");
-                self.faults.push(extract::refused(&entry.value, takes, "a text is needed"));
-                return None;
-            }
-        };
-        let text = extract::text(from, &format!("{owner}: from"), &mut self.faults)?;
-        let from = wires::find(text, &from.at, &owner, parsed_nodes, &self.names, &mut self.faults)?;
+        }
+        let (text, at) = wires::named(entry, &owner, "wire", &mut self.faults)?;
+        let from = wires::find(text, at, &owner, parsed_nodes, &self.names, &mut self.faults)?;
         Some(Result { key: entry.key.clone(), key_at: entry.key_at.clone(), from, all, optional })
     }
 

@@ -167,9 +167,9 @@ impl Reader<'_> {
                 quoted(&others[others.len() - 1..])
             );
             let fault = Fault::new(message).at(&entry.value.at, "one name at most may stand for the repeats");
-            let factors: Vec<_> = factors.iter().map(|factor| factor.name.as_str()).collect();
-            let help = nearest::help(&others[1], factors.iter().copied());
-            self.faults.push(fault.help_if(help).note_if(nearest::list("factors", factors.iter().copied())));
+            let factors = || factors.iter().map(|factor| factor.name.as_str());
+            let help = nearest::help(&others[1], factors());
+            self.faults.push(fault.help_if(help).note_if(nearest::list("factors", factors())));
         } else if let Some(other) = others.first() {
             // Suggest only factors that are not already listed.
             let unnamed =
@@ -209,8 +209,7 @@ impl Reader<'_> {
             for name in group {
                 let Some(factor) = factors.iter().find(|factor| factor.name == *name) else {
                     let fault = Fault::new(format!("there is no factor \"{name}\" to pair"));
-                    let known: Vec<_> = factors.iter().map(|factor| factor.name.as_str()).collect();
-                    let help = nearest::help(name, known.iter().copied());
+                    let help = nearest::help(name, factors.iter().map(|factor| factor.name.as_str()));
                     self.faults.push(fault.at(&entry.value.at, "no factor").help_if(help));
                     continue;
                 };
@@ -236,8 +235,7 @@ impl Reader<'_> {
             let number = entry.value.as_number().unwrap_or(f64::NAN);
             if !columns.iter().any(|column| column.name == entry.key) {
                 let fault = Fault::new(format!("{what}: there is no column \"{}\"", entry.key));
-                let known: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
-                let help = nearest::help(&entry.key, known.iter().copied());
+                let help = nearest::help(&entry.key, columns.iter().map(|column| column.name.as_str()));
                 self.faults.push(fault.at(&entry.key_at, "no column").help_if(help));
             } else if !(number.is_finite() && number > 0.0) {
                 let message = format!("{what} of \"{}\" takes a number above zero", entry.key);

@@ -3,7 +3,7 @@
 use super::parsed_nodes::ParsedNode;
 use crate::{
     fault::{Fault, Span},
-    graph::{Module, Removed},
+    graph::{Entry, Module, Removed, Value, extract},
     names::nearest,
 };
 
@@ -93,6 +93,34 @@ pub(super) fn find(
         faults.push(fault.at(at, "no such output").help_if(near.or(only)).note_if(list).follows());
     }
     found.map(|port| (index, port))
+}
+
+/// The name of the wire that an input or a result is given, by itself or as `from` of a table; `lacks` says what is missing
+/// without it.
+pub(super) fn named<'a>(
+    entry: &'a Entry,
+    owner: &str,
+    lacks: &str,
+    faults: &mut Vec<Fault>,
+) -> Option<(&'a str, &'a Span)> {
+    let from = match &entry.value.value {
+        Value::Text(_) => &entry.value,
+        Value::Table(table) => {
+            let from = table.get("from");
+            if from.is_none() {
+                let fault = Fault::new(format!("{owner} does not say its {lacks}"));
+                let fault = fault.at(&entry.value.at, "no from here");
+                faults.push(fault.help("add from = \"node.port\"").follows());
+            }
+            &from?.value
+        }
+        _ => {
+            let takes = format!("{owner} takes a wire such as \"node.port\"");
+            faults.push(extract::refused(&entry.value, takes, "a text is needed"));
+            return None;
+        }
+    };
+    Some((extract::text(from, &format!("{owner}: from"), faults)?, &from.at))
 }
 
 fn near_node(node: &str, port: &str, parsed_nodes: &[ParsedNode<'_>], names: &Names) -> Option<String> {

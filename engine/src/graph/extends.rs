@@ -43,7 +43,6 @@ pub(super) fn read(path: &Path) -> Result<String, Box<Fault>> {
 
 /// The files read so far, each extending the next.
 pub(super) struct Chain<'f> {
-    path: PathBuf,
     /// Canonical paths, which detect a cycle through links, with the names shown.
     seen: Vec<(PathBuf, PathBuf)>,
     /// The extended files, whether or not they could be read.
@@ -59,9 +58,9 @@ pub(super) struct Chain<'f> {
 }
 
 impl<'f> Chain<'f> {
-    pub(super) fn new(path: &Path, removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
+    pub(super) fn new(removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
         let (seen, texts, plugins) = (Vec::new(), Vec::new(), Vec::new());
-        Self { path: path.into(), seen, texts, plugins, order: 0, used: None, removed, faults }
+        Self { seen, texts, plugins, order: 0, used: None, removed, faults }
     }
 
     /// The chain of a module's file.
@@ -73,13 +72,8 @@ impl<'f> Chain<'f> {
         self.seen.len()
     }
 
-    /// Loads the graph file with everything it extends.
-    pub(super) fn load(&mut self, text: String) -> (Arc<SourceText>, Table) {
-        let path = self.path.clone();
-        self.layer(&path, text)
-    }
-
-    fn layer(&mut self, path: &Path, text: String) -> (Arc<SourceText>, Table) {
+    /// Loads a graph file with everything it extends.
+    pub(super) fn load(&mut self, path: &Path, text: String) -> (Arc<SourceText>, Table) {
         let name = tidy(path);
         let dir = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
         let used = self.used.as_ref().map(|(node, at)| Use { node: node.clone(), at: at.clone() });
@@ -120,7 +114,7 @@ impl<'f> Chain<'f> {
         }
         self.texts.push(base.clone());
         match read(&base) {
-            Ok(text) => self.layer(&base, text).1,
+            Ok(text) => self.load(&base, text).1,
             Err(fault) => {
                 self.faults.push(fault.at(&entry.value.at, "relative to this file").hides(&entry.value.at));
                 Table::default()

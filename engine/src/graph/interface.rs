@@ -122,15 +122,13 @@ fn entries<'t>(module: &Section<'t>, key: &str, what: &str, faults: &mut Vec<Fau
     &table.0
 }
 
-/// Expands `"a.b"` or `["a.b", "c.d"]` to `{ to = .. }`.
+/// The table of a declaration, of which a text or a list is short for `{ to = .. }`.
 fn long(entry: &Entry, key: &str) -> Spanned {
-    match &entry.value.value {
-        Value::Text(_) | Value::Array(_) => {
-            let inner = Entry { key: key.into(), key_at: entry.value.at.clone(), value: entry.value.clone() };
-            Spanned { value: Value::Table(Table(vec![inner])), at: entry.value.at.clone() }
-        }
-        _ => entry.value.clone(),
+    let mut value = entry.value.clone();
+    if let Value::Text(_) | Value::Array(_) = value.value {
+        value.lengthen(key);
     }
+    value
 }
 
 fn section<'t>(value: &'t Spanned, keys: &'static Keys, owner: &str, faults: &mut Vec<Fault>) -> Option<Section<'t>> {

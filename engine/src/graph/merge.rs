@@ -25,9 +25,11 @@ fn merge_at(base: &mut Table, over: Table, path: &mut Vec<String>) {
         path.push(entry.key.clone());
         let (old_is_table, new_is_table) = (old.value.as_table().is_some(), entry.value.as_table().is_some());
         if old_is_table != new_is_table && has_short_form(path) {
-            lengthen(&mut old.value);
             let mut value = entry.value;
-            lengthen(&mut value);
+            let short = if old_is_table { &mut value } else { &mut old.value };
+            if let Value::Text(_) | Value::Outside(_) = short.value {
+                short.lengthen("from");
+            }
             merge_values(old, value, path);
         } else if old_is_table && new_is_table {
             merge_values(old, entry.value, path);
@@ -50,13 +52,5 @@ fn has_short_form(path: &[String]) -> bool {
         [node, _, inputs, _] => node == "node" && inputs == "in",
         [results, key] => results == "results" && key != REQUIRE,
         _ => false,
-    }
-}
-
-/// `"a.b"` as `{ from = "a.b" }`.
-fn lengthen(value: &mut Spanned) {
-    if let Value::Text(_) | Value::Outside(_) = value.value {
-        let from = Entry { key: "from".into(), key_at: value.at.clone(), value: value.clone() };
-        value.value = Value::Table(Table(vec![from]));
     }
 }

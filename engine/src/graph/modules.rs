@@ -43,20 +43,13 @@ pub(super) struct Flattener<'f> {
     /// Canonical paths of the files that contain a node, outermost first, with the names shown; by the module's node.
     files: BTreeMap<String, Vec<(PathBuf, PathBuf)>>,
     n_texts: usize,
-    texts: Vec<PathBuf>,
-    modules: Vec<Module>,
-    plugins: Vec<NamedPlugin>,
-    removed: &'f mut Removed,
-    faults: &'f mut Vec<Fault>,
-}
-
-/// Files and plugins that modules add to a graph.
-pub(super) struct Within {
-    pub(super) modules: Vec<Module>,
     /// The module files, whether or not they could be read.
     pub(super) texts: Vec<PathBuf>,
+    pub(super) modules: Vec<Module>,
     /// The plugins named by these files.
     pub(super) plugins: Vec<NamedPlugin>,
+    removed: &'f mut Removed,
+    faults: &'f mut Vec<Fault>,
 }
 
 impl<'f> Flattener<'f> {
@@ -67,7 +60,7 @@ impl<'f> Flattener<'f> {
     }
 
     /// Replaces modules by their nodes until none is left.
-    pub(super) fn flatten(mut self, table: &mut Table, mut edits: Vec<Edit>) -> Within {
+    pub(super) fn flatten(&mut self, table: &mut Table, mut edits: Vec<Edit>) {
         let mut at = 0;
         while let Some(nodes) = nodes_of(table) {
             let Some(entry) = nodes.0.get(at) else { break };
@@ -81,12 +74,13 @@ impl<'f> Flattener<'f> {
                 self.faults.push(fault.at(&user.key_at, "one too many").help("does a module hold itself many times?"));
                 break;
             }
-            let within = self.module(&user);
+            let mut module = Module { node: user.key.clone(), file: PathBuf::new(), outputs: None };
+            let within = self.read(&user, &mut module).unwrap_or_default();
+            self.modules.push(module);
             self.insert(table, at, within, &mut edits);
         }
         self.removed.not_found(table, self.faults);
         self.faults.extend(edits.iter().map(Edit::not_found));
-        Within { modules: self.modules, texts: self.texts, plugins: self.plugins }
     }
 
     /// Inserts the nodes of a module and merges the graph's own settings of these nodes into them.
@@ -114,14 +108,6 @@ impl<'f> Flattener<'f> {
     }
 
     /// The nodes of the module under their full names, with inputs and parameters set by the node that uses it.
-    fn module(&mut self, user: &Entry) -> Table {
-        let node = user.key.as_str();
-        let mut module = Module { node: node.into(), file: PathBuf::new(), outputs: None };
-        let nodes = self.read(user, &mut module).unwrap_or_default();
-        self.modules.push(module);
-        nodes
-    }
-
     fn read(&mut self, user: &Entry, module: &mut Module) -> Option<Table> {
         let node = user.key.as_str();
         let table = user.value.as_table()?;
@@ -145,8 +131,8 @@ impl<'f> Flattener<'f> {
             }
         };
         let before = self.n_texts;
-        let mut chain = Chain::new(&path, self.removed, self.faults).used(node, &user.key_at, before);
-        let (main, mut inner) = chain.load(text);
+        let mut chain = Chain::new(self.removed, self.faults).used(node, &user.key_at, before);
+        let (main, mut inner) = chain.load(&path, text);
         self.n_texts += chain.len();
         self.texts.append(&mut chain.texts);
         self.plugins.append(&mut chain.plugins);

@@ -47,7 +47,7 @@ pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, f
     if sets.sets.is_empty() {
         return inside;
     }
-    let (source, ranges) = source(sets);
+    let (source, ranges) = sets.source();
     for range in ranges {
         match Setting::read(&source, range, Some(table)) {
             Ok(Setting::Overlay(mut over)) => {
@@ -62,18 +62,30 @@ pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, f
     inside
 }
 
-/// The settings as one text, and the range of each `KEY=VALUE` in it.
-fn source(sets: &Sets<'_>) -> (Arc<SourceText>, Vec<Range<usize>>) {
+impl Sets<'_> {
+    /// The settings as one text, and the range of each `KEY=VALUE` in it.
+    fn source(&self) -> (Arc<SourceText>, Vec<Range<usize>>) {
+        let lines = self.sets.iter().map(|set| (PREFIX.to_owned(), set.as_str()));
+        source(&self.name, &self.dir, lines)
+    }
+}
+
+/// Lines, each of a prefix and a value, as one text, and the range of each value in it.
+fn source<'l>(
+    name: &Path,
+    dir: &Path,
+    lines: impl Iterator<Item = (String, &'l str)>,
+) -> (Arc<SourceText>, Vec<Range<usize>>) {
     let (mut text, mut ranges) = (String::new(), Vec::new());
-    for set in sets.sets {
+    for (prefix, value) in lines {
         if !text.is_empty() {
             text.push('\n');
         }
-        text.push_str(PREFIX);
-        ranges.push(text.len()..text.len() + set.len());
-        text.push_str(set);
+        text.push_str(&prefix);
+        ranges.push(text.len()..text.len() + value.len());
+        text.push_str(value);
     }
-    let (name, dir, order) = (sets.name.clone(), sets.dir.clone(), usize::MAX);
+    let (name, dir, order) = (name.into(), dir.into(), usize::MAX);
     (Arc::new(SourceText { name, dir, text, order, command_line: true, used: None }), ranges)
 }
 
@@ -96,42 +108,26 @@ pub enum CommandLineParam<'a> {
 /// The table of a node that exists only on the command line; later settings override earlier ones. The span covers the
 /// whole command line, for faults about missing parameters.
 pub(crate) fn table_of(given: &[CommandLineParam<'_>], faults: &mut Vec<Fault>) -> (Table, Span) {
-    let lines: Vec<_> = given
-        .iter()
-        .map(|given| match given {
-            CommandLineParam::Set(text) => format!("{PREFIX}{text}"),
-            CommandLineParam::Option { option, value, .. } => format!("--{option} {value}"),
-        })
-        .collect();
-    let source = Arc::new(SourceText {
-        name: PathBuf::from("command line"),
-        dir: std::env::current_dir().unwrap_or_default(),
-        text: lines.join("\n"),
-        order: usize::MAX,
-        command_line: true,
-        used: None,
+    let Sets { name, dir, .. } = Sets::command_line(&[]);
+    let lines = given.iter().map(|given| match *given {
+        CommandLineParam::Set(text) => (PREFIX.to_owned(), text),
+        CommandLineParam::Option { option, value, .. } => (format!("--{option} "), value),
     });
+    let (source, ranges) = source(&name, &dir, lines);
     let mut table = Table::default();
-    let mut start = 0;
-    for (given, line) in given.iter().zip(&lines) {
-        let end = start + line.len();
+    for (given, range) in given.iter().zip(ranges) {
         match given {
-            CommandLineParam::Set(_) => match Setting::read(&source, start + PREFIX.len()..end, None) {
+            CommandLineParam::Set(_) => match Setting::read(&source, range, None) {
                 Ok(Setting::Overlay(over)) => merge(&mut table, over),
                 Ok(Setting::Edit(edit)) => faults.extend(edit.apply(&mut table).err().map(|fault| *fault)),
                 Err(fault) => faults.push(*fault),
             },
             CommandLineParam::Option { option, key, .. } => {
-                let key_end = start + 2 + option.len();
-                let entry = Entry {
-                    key: (*key).into(),
-                    key_at: Span::new(&source, start..key_end),
-                    value: value(&source, key_end..end),
-                };
+                let key_at = Span::new(&source, range.start - "-- ".len() - option.len()..range.start - 1);
+                let entry = Entry { key: (*key).into(), key_at, value: value(&source, range) };
                 merge(&mut table, Table(vec![entry]));
             }
         }
-        start = end + 1;
     }
     (table, Span::new(&source, 0..0))
 }

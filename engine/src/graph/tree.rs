@@ -84,6 +84,12 @@ impl Spanned {
         }
     }
 
+    /// `"a.b"` as `{ KEY = "a.b" }`, for which it is short.
+    pub(crate) fn lengthen(&mut self, key: &str) {
+        let entry = Entry { key: key.into(), key_at: self.at.clone(), value: self.clone() };
+        self.value = Value::Table(Table(vec![entry]));
+    }
+
     /// The value as JSON.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         match &self.value {

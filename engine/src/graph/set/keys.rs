@@ -1,6 +1,6 @@
 //! The keys that settings assign, so that two settings of one key can be detected.
 
-use super::{PREFIX, Sets, Setting, Step, Table, Value, source};
+use super::{PREFIX, Sets, Setting, Step, Table, Value};
 use crate::fault::Span;
 use std::fmt;
 
@@ -36,7 +36,7 @@ impl fmt::Display for SetKey {
 /// The keys that settings assign, each `KEY=VALUE`, with their places on the command line. A table assigns the keys of
 /// its leaves. Settings that cannot be parsed are skipped.
 pub(crate) fn keys_set(sets: &[String]) -> Vec<(SetKey, Span)> {
-    let (source, ranges) = source(&Sets::command_line(sets));
+    let (source, ranges) = Sets::command_line(sets).source();
     let mut out = Vec::new();
     for range in ranges {
         let at = Span::new(&source, range.start - PREFIX.len()..range.end);
