@@ -27,12 +27,4 @@ impl Compression {
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|compression| compression.name() == name)
     }
-
-    /// Name in the header of a chunk.
-    pub(crate) fn name_in_chunk(self) -> &'static str {
-        match self {
-            Self::None => "",
-            packed => packed.name(),
-        }
-    }
 }

@@ -2,8 +2,8 @@
 //!
 //! [`Reader`] passes over a file of any writer, whole or damaged: it guards every length before it allocates, checks the
 //! CRC of every chunk and attachment, and resumes at the next record behind damage. [`Writer`] appends whole chunks and
-//! never seeks, so a process that is killed leaves every chunk that was finished. The `mcap` crate does neither
-//! (`docs/decisions/0010`); the tests use it as the other side.
+//! never seeks, so a process that is killed leaves every chunk that was finished; the `mcap` crate makes its records
+//! (`docs/decisions/0010`).
 
 mod allowance;
 mod chunk;
@@ -22,10 +22,11 @@ mod write;
 pub use allowance::{Allowance, TooLarge};
 pub use compression::Compression;
 pub use damage::{Cause, Damage, End, damage_message};
+pub use mcap::records::MessageHeader;
 pub use read::{Location, Progress, ReadError, Reader, Visitor};
 pub use record::{Attachment, Channel, ChunkHeader, ChunkIndex, MESSAGE_HEADER_BYTES, Message, Record, Statistics};
 pub use segments::{Segments, SharedBytes};
-pub use write::{MessageHeader, Sink, WriteOptions, Writer};
+pub use write::{Sink, WriteOptions, Writer};
 
 /// The first and the last bytes of an MCAP file.
 pub const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";

@@ -57,7 +57,7 @@ fn what_was_not_added_cannot_be_used() {
     let said = |error: io::Error| (error.kind(), error.to_string());
     let invalid = |text: &str| (io::ErrorKind::InvalidInput, text.to_owned());
     let error = writer.add_channel(1, "/a", "raw", &no_entries()).unwrap_err();
-    assert_eq!(said(error), invalid("channel \"/a\" names schema 1, which was not added"));
+    assert_eq!(said(error), invalid("Channel `/a` referenced unknown schema 1"));
     assert_eq!(writer.add_schema("S", "e", b"1").unwrap(), 1);
     assert_eq!(writer.add_schema("S", "e", b"2").unwrap(), 2, "other data are another schema");
     assert_eq!(writer.add_schema("S", "e", b"1").unwrap(), 1);
@@ -68,7 +68,7 @@ fn what_was_not_added_cannot_be_used() {
     assert!(writer.add_channel(3, "/a", "raw", &no_entries()).is_err());
     for channel in [0, 4] {
         let error = writer.write_message(header(channel, 1), Segments::default()).unwrap_err();
-        assert_eq!(said(error), invalid(&format!("a message of channel {channel}, which was not added")));
+        assert_eq!(said(error), invalid(&format!("Message 0 referenced unknown channel {channel}")));
     }
     for channel in 1..=3 {
         writer.write_message(header(channel, 1), Segments::default()).unwrap();

@@ -164,7 +164,7 @@ fn put_rows(parts: &mut Segments, column: &Column) {
     if cfg!(target_endian = "big") {
         let mut rows = column.bytes().to_vec();
         swap(&mut rows, column.kind.size());
-        parts.push(rows);
+        parts.push_shared(&(Arc::new(rows) as Buffer));
     } else {
         parts.push_shared(&column.data);
     }
