@@ -64,8 +64,8 @@ mod tests {
         };
         let (most, more) = (MAX_RECORD_BYTES, MAX_RECORD_BYTES + 1);
         assert_eq!(check(most, most), Ok(()));
-        let said = |what: &str| Err(format!("{what} claims {more} bytes, but at most {most} are possible"));
-        assert_eq!(check(more, most), said("the packed chunk"));
-        assert_eq!(check(most, more), said("the unpacked chunk"));
+        let too_long = |what: &str| Err(format!("{what} claims {more} bytes, but at most {most} are possible"));
+        assert_eq!(check(more, most), too_long("the packed chunk"));
+        assert_eq!(check(most, more), too_long("the unpacked chunk"));
     }
 }

@@ -117,12 +117,12 @@ mod tests {
             assert_eq!(known.check(&record), Ok(()), "the same again");
         }
         assert!(known.has_schema(1) && known.has_channel(1));
-        let said = |record| known.check(&record).unwrap_err().to_string();
-        let other = said(schema(1, "Pose", b"x"));
+        let message = |record| known.check(&record).unwrap_err().to_string();
+        let other = message(schema(1, "Pose", b"x"));
         assert!(other.contains("as \"Cloud\" (enc) and as \"Pose\" (enc)"), "{other}");
-        let other = said(channel("/laser", 1));
+        let other = message(channel("/laser", 1));
         assert!(other.contains("as \"/scan\" (schema 1, json) and as \"/laser\" (schema 1, json)"), "{other}");
-        assert!(said(channel("/scan", 2)).contains("(schema 2, json)"));
+        assert!(message(channel("/scan", 2)).contains("(schema 2, json)"));
         let mut all = Descriptions::default();
         all.append(known);
         assert!(all.has_schema(1) && all.has_channel(1));
@@ -135,7 +135,7 @@ mod tests {
         let mut known = Descriptions { n_bytes: MAX_BYTES - 15, ..Descriptions::default() };
         assert_eq!(known.check(&schema(1, "Cloud", b"1234567")), Ok(()));
         known.add(&schema(1, "Cloud", b"1234567"));
-        let said = known.check(&schema(2, "a", b"")).unwrap_err().to_string();
-        assert!(said.contains("more than 268435456 bytes"), "{said}");
+        let message = known.check(&schema(2, "a", b"")).unwrap_err().to_string();
+        assert!(message.contains("more than 268435456 bytes"), "{message}");
     }
 }

@@ -390,8 +390,8 @@ impl<R: Read + Seek> Reader<R> {
         let mut records = std::mem::take(&mut self.records);
         let unpacked = self.unpack(at, length, &mut records)?;
         let checked = unpacked.and_then(|header| {
-            let found = check_records(&records, &self.described).map_err(|cause| (cause, Some(next)))?;
-            Ok((header, found))
+            let descriptions = check_records(&records, &self.described).map_err(|cause| (cause, Some(next)))?;
+            Ok((header, descriptions))
         });
         let step = match checked {
             Err((cause, next)) => Step::Damaged(cause, next),
@@ -512,26 +512,26 @@ struct ChunkDescriptions {
 
 /// Checks all records of a chunk.
 fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions, Cause> {
-    let mut found = ChunkDescriptions::default();
+    let mut of_chunk = ChunkDescriptions::default();
     for entry in records(chunk) {
         let (at, opcode, content) = entry?;
         let at_byte = |cause: Cause| Cause::malformed("chunk")(format!("at its byte {at}: {cause}"));
         let record = record::parse(opcode, content).map_err(at_byte)?;
         match &record {
             Record::Schema { .. } | Record::Channel(_) => {
-                known.check(&record).and_then(|()| found.described.check(&record)).map_err(at_byte)?;
-                found.described.add(&record);
+                known.check(&record).and_then(|()| of_chunk.described.check(&record)).map_err(at_byte)?;
+                of_chunk.described.add(&record);
                 if let Record::Channel(Channel { schema_id: id, .. }) = record
                     && !known.has_schema(id)
-                    && !found.described.has_schema(id)
+                    && !of_chunk.described.has_schema(id)
                 {
-                    found.unknown.schemas.insert(id);
+                    of_chunk.unknown.schemas.insert(id);
                 }
             }
             Record::Message(message) => {
                 let id = message.channel_id;
-                if !known.has_channel(id) && !found.described.has_channel(id) {
-                    found.unknown.channels.insert(id);
+                if !known.has_channel(id) && !of_chunk.described.has_channel(id) {
+                    of_chunk.unknown.channels.insert(id);
                 }
             }
             Record::Other => {}
@@ -541,7 +541,7 @@ fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions
             }
         }
     }
-    Ok(found)
+    Ok(of_chunk)
 }
 
 fn visit_chunk(location: Location, header: ChunkHeader, chunk: &[u8], visitor: &mut impl Visitor) -> ControlFlow<()> {

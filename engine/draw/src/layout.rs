@@ -173,9 +173,9 @@ fn reduce_crossings(columns: &mut Vec<Vec<usize>>, vertices: &[Vertex]) {
                 }
             }
         }
-        let found = crossings(columns, vertices);
-        if found < best.0 {
-            best = (found, columns.clone());
+        let n_crossings = crossings(columns, vertices);
+        if n_crossings < best.0 {
+            best = (n_crossings, columns.clone());
         }
     }
     *columns = best.1;

@@ -335,15 +335,6 @@ impl Sizes {
     };
 }
 
-// With 8-byte pointers the layout is the same on every platform.
-#[cfg(target_pointer_width = "64")]
-const _: () = {
-    assert!(size_of::<Text>() == 16 && align_of::<Text>() == 8);
-    assert!(size_of::<Column>() == 72 && size_of::<View>() == 32);
-    assert!(size_of::<Item>() == 64 && size_of::<Slot>() == 24 && size_of::<Firing>() == 40);
-    assert!(size_of::<Kind>() == 192 && size_of::<Plugin>() == 184);
-};
-
 impl Text {
     /// A missing text.
     pub const NONE: Self = Self { data: ptr::null(), length: 0 };

@@ -102,9 +102,6 @@ enum Taken {
     Budget(Arc<Checks>),
 }
 
-/// The recording has no such reading, so the clock answered.
-pub(crate) struct NotRecorded;
-
 impl Readings {
     /// Begins the next firing.
     pub(crate) fn begin(&mut self) {
@@ -144,25 +141,25 @@ impl Readings {
         self.taken.drain(..).map(reading).collect()
     }
 
-    pub(crate) fn clock(&mut self) -> (StampNs, Option<NotRecorded>) {
-        let (ns, missing) = match self.recorded.as_mut().map(VecDeque::pop_front) {
-            Some(Some(ClockReading::Clock { ns })) => (ns, None),
-            Some(_) => (now_ns(), Some(NotRecorded)),
-            None => (now_ns(), None),
+    /// The time, and whether the clock answers although the recording should.
+    pub(crate) fn clock(&mut self) -> (StampNs, bool) {
+        let (ns, is_missing) = match self.recorded.as_mut().map(VecDeque::pop_front) {
+            Some(Some(ClockReading::Clock { ns })) => (ns, false),
+            recorded => (now_ns(), recorded.is_some()),
         };
         self.taken.push(Taken::Clock(ns));
-        (ns, missing)
+        (ns, is_missing)
     }
 
-    pub(crate) fn budget(&mut self, limit: Duration) -> (Budget, Option<NotRecorded>) {
-        let (recorded, missing) = match self.recorded.as_mut().map(VecDeque::pop_front) {
-            Some(Some(ClockReading::Budget { looks, over })) => (Some(over.then_some(looks)), None),
-            Some(_) => (None, Some(NotRecorded)),
-            None => (None, None),
+    /// A budget, and whether the clock decides although the recording should.
+    pub(crate) fn budget(&mut self, limit: Duration) -> (Budget, bool) {
+        let (recorded, is_missing) = match self.recorded.as_mut().map(VecDeque::pop_front) {
+            Some(Some(ClockReading::Budget { looks, over })) => (Some(over.then_some(looks)), false),
+            recorded => (None, recorded.is_some()),
         };
         let checks = Arc::new(Checks::default());
         self.taken.push(Taken::Budget(checks.clone()));
-        (Budget(Timer::Own(OwnBudget { began: Instant::now(), limit, checks, recorded })), missing)
+        (Budget(Timer::Own(OwnBudget { began: Instant::now(), limit, checks, recorded })), is_missing)
     }
 }
 

@@ -1,8 +1,4 @@
-use crate::{
-    Budget, CachePolicy, ClockReading, DeclaredPort, Empty, StampNs,
-    clock::{NotRecorded, Readings},
-    host::Host,
-};
+use crate::{Budget, CachePolicy, ClockReading, DeclaredPort, Empty, StampNs, clock::Readings, host::Host};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 use std::{
@@ -308,8 +304,8 @@ impl Context {
         if let Some(host) = &mut self.host {
             return host.clock_ns();
         }
-        let (ns, missing) = self.readings.clock();
-        self.warn_of(missing);
+        let (ns, is_missing) = self.readings.clock();
+        self.warn_of_clock(is_missing);
         ns
     }
 
@@ -319,13 +315,13 @@ impl Context {
         if let Some(host) = &mut self.host {
             return Budget::of_host(host.budget(limit.as_nanos().try_into().unwrap_or(u64::MAX)));
         }
-        let (budget, missing) = self.readings.budget(limit);
-        self.warn_of(missing);
+        let (budget, is_missing) = self.readings.budget(limit);
+        self.warn_of_clock(is_missing);
         budget
     }
 
-    fn warn_of(&mut self, missing: Option<NotRecorded>) {
-        if missing.is_some() {
+    fn warn_of_clock(&mut self, is_missing: bool) {
+        if is_missing {
             self.warn("this firing reads the clock differently from the recorded one, so it is answered by the clock");
         }
     }

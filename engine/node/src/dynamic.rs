@@ -81,7 +81,7 @@ fn dynamic(any: &dyn Any) -> &DynamicPayload {
 }
 
 /// Head fields by name, then columns as lists of rows. NaN and infinities are `null`.
-fn to_json(view: &View) -> Json {
+pub(crate) fn to_json(view: &View) -> Json {
     let field = |field: &Field| match field {
         Field::Bool(value) => (*value).into(),
         Field::Int(value) => (*value).into(),

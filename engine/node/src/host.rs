@@ -134,8 +134,8 @@ impl Host {
                 },
                 Err(value) => {
                     let ty = value.ty();
-                    let given = abi::OutgoingView::given(value.to_view(), ty.schema)?;
-                    let view = given.view();
+                    let outgoing = abi::OutgoingView::given(value.to_view(), ty.schema)?;
+                    let view = outgoing.view();
                     match expected.is_some_and(|expected| expected == ty) {
                         // SAFETY: as above; the call takes ownership of the columns and copies the head.
                         true => unsafe { (self.table.emit)(self.run, port, &view) },

@@ -5,7 +5,7 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
 };
 use tracing::{
-    Event, Level, Metadata, Subscriber,
+    Event, Metadata, Subscriber,
     field::{Field, Visit},
     level_filters::LevelFilter,
     span,
@@ -14,7 +14,7 @@ use tracing::{
 
 /// A subscriber that calls `send` with the level (1 error to 5 trace), target and text of each event.
 pub struct LogForward<F> {
-    level: u32,
+    level: LevelFilter,
     send: F,
     n_spans: AtomicU64,
 }
@@ -22,19 +22,20 @@ pub struct LogForward<F> {
 impl<F> LogForward<F> {
     /// Events up to this level, from 0 (none) to 5 (trace).
     pub fn new(level: u32, send: F) -> Self {
+        let level = LEVELS.get(level as usize).copied().unwrap_or(LevelFilter::TRACE);
         Self { level, send, n_spans: AtomicU64::new(1) }
     }
 }
 
-fn code(level: Level) -> u32 {
-    match level {
-        Level::ERROR => 1,
-        Level::WARN => 2,
-        Level::INFO => 3,
-        Level::DEBUG => 4,
-        Level::TRACE => 5,
-    }
-}
+/// The levels by their codes.
+const LEVELS: [LevelFilter; 6] = [
+    LevelFilter::OFF,
+    LevelFilter::ERROR,
+    LevelFilter::WARN,
+    LevelFilter::INFO,
+    LevelFilter::DEBUG,
+    LevelFilter::TRACE,
+];
 
 impl<F: Fn(u32, &str, &str) + Send + Sync + 'static> Subscriber for LogForward<F> {
     fn register_callsite(&self, metadata: &'static Metadata<'static>) -> Interest {
@@ -42,18 +43,11 @@ impl<F: Fn(u32, &str, &str) + Send + Sync + 'static> Subscriber for LogForward<F
     }
 
     fn enabled(&self, metadata: &Metadata<'_>) -> bool {
-        metadata.is_event() && code(*metadata.level()) <= self.level
+        metadata.is_event() && *metadata.level() <= self.level
     }
 
     fn max_level_hint(&self) -> Option<LevelFilter> {
-        Some(match self.level {
-            0 => LevelFilter::OFF,
-            1 => LevelFilter::ERROR,
-            2 => LevelFilter::WARN,
-            3 => LevelFilter::INFO,
-            4 => LevelFilter::DEBUG,
-            _ => LevelFilter::TRACE,
-        })
+        Some(self.level)
     }
 
     fn new_span(&self, _: &span::Attributes<'_>) -> span::Id {
@@ -68,7 +62,8 @@ impl<F: Fn(u32, &str, &str) + Send + Sync + 'static> Subscriber for LogForward<F
         let mut line = Line::default();
         event.record(&mut line);
         let metadata = event.metadata();
-        (self.send)(code(*metadata.level()), metadata.target(), &(line.message + &line.rest));
+        let code = LEVELS.iter().position(|level| metadata.level() == level).unwrap_or_default();
+        (self.send)(code as u32, metadata.target(), &(line.message + &line.rest));
     }
 
     fn enter(&self, _: &span::Id) {}

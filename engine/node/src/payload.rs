@@ -1,6 +1,6 @@
 //! Payload types, and the type-erased values that the engine carries.
 
-use crate::{Display, DisplayContext, SchemaEntry, View, ViewError};
+use crate::{Display, DisplayContext, SchemaEntry, View, ViewError, dynamic};
 use std::{
     any::{Any, TypeId},
     fmt,
@@ -30,8 +30,10 @@ pub trait Payload<By>: Clone + Send + Sync + 'static {
     /// [`ViewError`] if the view does not match the type.
     fn from_view(view: &View) -> Result<Self, ViewError>;
 
-    /// The value in `results.json`: millimetres, names as in the docs.
-    fn to_result(&self) -> serde_json::Value;
+    /// The value in `results.json`: millimetres, names as in the docs. By default the fields and columns of the view.
+    fn to_result(&self) -> serde_json::Value {
+        dynamic::to_json(&self.to_view())
+    }
 
     /// Memory held, including columns; bounds the bytes on a wire. Called for every item on every wire, so it must
     /// not walk the rows. Columns shared with another payload count in both.

@@ -7,12 +7,13 @@
 use crate::{
     histogram::{Histogram, Spread},
     plan::Plan,
+    runtime::locked,
     tap::Tap,
 };
 use osteoflow_node::{Role, StampNs};
 use std::{
     collections::{BTreeSet, VecDeque},
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::Mutex,
     time::Duration,
 };
 
@@ -43,10 +44,6 @@ pub struct Latency {
     sinks: Vec<Vec<(usize, Mutex<Histogram>)>>,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Latency {
     /// A tap for a run of the plan.
     pub fn new(plan: &Plan) -> Self {
@@ -75,11 +72,11 @@ impl Latency {
     pub fn stats(&self, plan: &Plan) -> Vec<LatencyStats> {
         let name = |node: usize| plan.nodes[node].name.to_string();
         let pairs = self.sinks.iter().enumerate().flat_map(|(sink, sources)| sources.iter().map(move |of| (sink, of)));
-        let measured = pairs.map(|(sink, (source, times))| {
+        let stats = pairs.map(|(sink, (source, times))| {
             let times = locked(times);
             LatencyStats { source: name(*source), sink: name(sink), firings: times.n(), spread: times.spread() }
         });
-        measured.filter(|pair| pair.firings > 0).collect()
+        stats.filter(|pair| pair.firings > 0).collect()
     }
 }
 

@@ -1,7 +1,7 @@
 use crate::{
-    activity::{self, Doing, Name},
-    panics,
+    activity::{Doing, Name},
     report::{Enlargement, Failure, LinkStats, NodeStats, Warning},
+    runtime::discard,
 };
 use osteoflow_node::Built;
 use std::time::Duration;
@@ -44,10 +44,7 @@ impl Retired {
 impl Drop for Retired {
     fn drop(&mut self) {
         for (name, built) in self.0.drain(..) {
-            let _under = activity::begin(name, Doing::Closing, 0);
-            if let Err(panic) = panics::catch(move || drop(built)) {
-                tracing::warn!("a node that had ended {panic}");
-            }
+            discard(name, Doing::Closing, built);
         }
     }
 }

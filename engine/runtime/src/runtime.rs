@@ -3,6 +3,7 @@
 mod cell;
 mod live;
 
+pub(crate) use cell::discard;
 pub use cell::{emission_fault, stamp_or_zero};
 
 use crate::{
@@ -123,7 +124,7 @@ impl Drop for Stepping<'_> {
 /// Maximum number of full and of empty links named in the message about a stuck graph.
 const MAX_LINKS: usize = 8;
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // A poisoned lock means that a worker is already unwinding; its panic is the one to report.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -268,8 +269,8 @@ impl<'a> Runtime<'a> {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let cells: Vec<Cell> =
             self.cells.into_iter().map(|cell| cell.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
-        let kept = self.messages.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let (failures, mut warnings) = kept.finish(self.plan);
+        let messages = self.messages.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let (failures, mut warnings) = messages.finish(self.plan);
         if !interrupted {
             warnings.extend(self.planned.iter().enumerate().flat_map(|(node, planned)| {
                 planned.missed().map(move |injection| (node, missed_injection(injection)))

@@ -79,6 +79,6 @@ pub fn file(path: &Path) -> Option<String> {
     let mut names: Vec<_> =
         entries.filter_map(|e| e.ok()?.file_name().into_string().ok()).filter(|n| !n.starts_with('.')).collect();
     names.sort();
-    let found = path.file_name()?.to_str()?;
-    help(found, names.iter().map(String::as_str))
+    let file_name = path.file_name()?.to_str()?;
+    help(file_name, names.iter().map(String::as_str))
 }

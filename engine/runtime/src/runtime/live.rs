@@ -184,8 +184,8 @@ impl Server<'_, '_> {
 
     /// Asks a pending source for its next answer; if that fails, it is no longer pending.
     fn ask(&mut self, node: usize) {
-        let asked = self.scheduler.outside(|turn| self.run.cell(node).ask(self.run, turn));
-        if let NextRequest::Next { item, stamp_ns } = asked {
+        let request = self.scheduler.outside(|turn| self.run.cell(node).ask(self.run, turn));
+        if let NextRequest::Next { item, stamp_ns } = request {
             if let Some(device) = self.device(node) {
                 device.asked = Some(Instant::now());
                 // A source whose thread has ended has sent its last answer before.
@@ -193,7 +193,7 @@ impl Server<'_, '_> {
             }
             return;
         }
-        if let (NextRequest::Never, Some(device)) = (asked, self.device(node)) {
+        if let (NextRequest::Never, Some(device)) = (request, self.device(node)) {
             device.asks = None;
         }
         self.not_pending();

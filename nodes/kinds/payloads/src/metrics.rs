@@ -44,33 +44,8 @@ pub struct Metrics(Arc<[Metric]>);
 
 /// Numbers that cannot be reported.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MetricsError {
-    /// A name is empty, or a name or unit is more than a line.
-    #[error(
-        "a metric is called \"{}\" with the unit \"{}\"; one line is needed, and a name",
-        .name.escape_debug(), .unit.escape_debug()
-    )]
-    Name {
-        /// The name.
-        name: String,
-        /// The unit.
-        unit: String,
-    },
-    /// Two have one key in `results.json`.
-    #[error("two metrics would both be \"{key}\" in the results; give one of them another name")]
-    Twice {
-        /// The key.
-        key: String,
-    },
-    /// A number is NaN or infinite.
-    #[error("metric \"{name}\" is {value}; leave out what could not be computed, or say why in an error")]
-    NotFinite {
-        /// The name.
-        name: String,
-        /// The number.
-        value: f64,
-    },
-}
+#[error("{0}")]
+pub struct MetricsError(String);
 
 impl Metrics {
     /// The numbers: name, value and unit of each.
@@ -85,15 +60,19 @@ impl Metrics {
         let mut keys = BTreeSet::new();
         for metric in &*metrics {
             let (name, unit) = (&metric.name, &metric.unit);
-            if name.is_empty() || [name, unit].iter().any(|text| text.contains(char::is_control)) {
-                return Err(MetricsError::Name { name: name.to_string(), unit: unit.to_string() });
-            }
-            if !metric.value.is_finite() {
-                return Err(MetricsError::NotFinite { name: name.to_string(), value: metric.value });
-            }
-            if !keys.insert(metric.key()) {
-                return Err(MetricsError::Twice { key: metric.key() });
-            }
+            let message = if name.is_empty() || [name, unit].iter().any(|text| text.contains(char::is_control)) {
+                let (name, unit) = (name.escape_debug(), unit.escape_debug());
+                format!("a metric is called \"{name}\" with the unit \"{unit}\"; one line is needed, and a name")
+            } else if !metric.value.is_finite() {
+                let value = metric.value;
+                format!("metric \"{name}\" is {value}; leave out what could not be computed, or say why in an error")
+            } else if !keys.insert(metric.key()) {
+                let key = metric.key();
+                format!("two metrics would both be \"{key}\" in the results; give one of them another name")
+            } else {
+                continue;
+            };
+            return Err(MetricsError(message));
         }
         Ok(Self(metrics))
     }
