@@ -14,8 +14,8 @@ use osteoflow_engine::{
     plan::{OutputId, Plan, RecordSettings},
     run::{RunOptions, run},
 };
-use osteoflow_node::{Registry, Source, serde_json};
-use osteoflow_toy::camera::{Camera, Cloud, N_CLOUDS, PERIOD, cloud};
+use osteoflow_node::{Registry, serde_json::json};
+use osteoflow_toy::stream::{Megabyte, N_DIFFERENT, PERIOD, registry};
 use std::{
     fs::File,
     io::Write,
@@ -23,10 +23,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// A plan of a camera, recorded with `recording`.
+/// A plan of a camera whose clouds are recorded with `recording`, behind a node of their type.
 fn plan(registry: &Registry, n_items: u32, recording: Option<RecordSettings>) -> Plan {
-    let plan = graph::plan(registry, &[(Camera::KIND, serde_json::json!({ "n_items": n_items }), None)]);
-    let record = recording.map(|_| OutputId { node: 0, port: 0 }).into_iter().collect();
+    let camera = ("bench.frames", json!({ "items": n_items, "in_time": true }), None);
+    let plan = graph::plan(registry, &[camera, ("bench.look", json!({}), Some(0))]);
+    let record = recording.map(|_| OutputId { node: 1, port: 0 }).into_iter().collect();
     Plan { record, recording: recording.unwrap_or_default(), ..plan }
 }
 
@@ -61,8 +62,7 @@ fn measured(work: impl FnOnce()) -> Spent {
 }
 
 fn run_case(dir: &Path, n_items: u32, recording: Option<RecordSettings>) -> Spent {
-    let mut registry = Registry::default();
-    registry.payload::<Cloud, _>().source::<Camera>();
+    let registry = registry();
     let plan = plan(&registry, n_items, recording);
     let out_dir = recording.map(|_| dir.to_owned());
     let _ = std::fs::remove_file(dir.join("run.mcap"));
@@ -83,15 +83,14 @@ fn touch(dir: &Path, n_items: u32) {
 
 /// Writes the same bytes at the same times to a plain file.
 fn bare(dir: &Path, n_items: u32) -> Spent {
-    let clouds: Vec<_> = (0..N_CLOUDS).map(|i| cloud(i as u64)).collect();
+    let clouds: Vec<_> = (0..N_DIFFERENT).map(|i| Megabyte::scan(i as u64)).collect();
     touch(dir, n_items);
     let mut file = File::create(dir.join("bare")).expect("the folder is writable");
     measured(|| {
         let began = Instant::now();
         for n in 0..n_items {
             std::thread::sleep((began + PERIOD * n).saturating_duration_since(Instant::now()));
-            let bytes: &[u8] = (*clouds[n as usize % N_CLOUDS].0).as_ref();
-            file.write_all(bytes).expect("the disk has room");
+            file.write_all(clouds[n as usize % N_DIFFERENT].bytes()).expect("the disk has room");
         }
     })
 }

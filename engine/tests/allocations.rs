@@ -83,7 +83,7 @@ impl Node for Sink {
     }
 
     fn process(&mut self, i: SinkIn, _: &mut Context) -> Result<SinkOut, NodeError> {
-        SEEN.lock().expect("no test panics with it").push(i.megabyte.0.as_ptr() as usize);
+        SEEN.lock().expect("no test panics with it").push(i.megabyte.bytes().as_ptr() as usize);
         Ok(SinkOut { out: Value::new(i.megabyte) })
     }
 }

@@ -31,7 +31,7 @@ fn a_changed_parameter_diverges_first_at_the_output_of_its_node_and_nowhere_upst
     );
     assert_eq!((first.what.ulp, first.what.unit.as_deref()), (Some(1), Some("mm")));
     let names: Vec<_> = report.wires.iter().map(|wire| (wire.wire.as_str(), wire.is_equal())).collect();
-    assert_eq!(names, [("beat.wave", true), ("constant.wave", true), ("cut.short", false), ("pass.thing", false)]);
+    assert_eq!(names, [("beat.wave", true), ("constant.wave", true), ("cut.short", false), ("pass.out", false)]);
     let cut = &report.wires[2];
     // The gain differs by one ulp, so a rounded product differs by at most two.
     assert!(cut.n_differ > 25 && cut.n_differ <= 32 && cut.largest.ulp <= 2, "{cut:#?}");
@@ -171,6 +171,6 @@ fn of_recordings_that_lack_items_it_is_said() {
     assert!(!report.is_equal() && report.wires.iter().all(|wire| wire.n_differ == 0), "{report:#?}");
     let only = recorded(dir.path(), "only", &["record.wires=[\"cut.*\"]"]);
     let report = of(&a, &only);
-    let pass = report.wires.iter().find(|wire| wire.wire == "pass.thing").unwrap();
+    let pass = report.wires.iter().find(|wire| wire.wire == "pass.out").unwrap();
     assert_eq!((pass.present, pass.n_only), ([true, false], [40, 0]));
 }

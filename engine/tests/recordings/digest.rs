@@ -21,7 +21,7 @@ fn runs_of_one_graph_have_one_digest_on_one_worker_and_on_eight() {
     assert_eq!((one.digest, &one.wires), (eight.digest, &eight.wires));
     let differ: Vec<_> = one.wires.iter().zip(&other.wires).filter(|(a, b)| a.digest != b.digest).collect();
     let names: Vec<_> = differ.iter().map(|(a, _)| a.wire.as_str()).collect();
-    assert_eq!(names, ["cut.short", "pass.thing"], "the gain of cut changes what it gives and what follows");
+    assert_eq!(names, ["cut.short", "pass.out"], "the gain of cut changes what it gives and what follows");
     let cut = &one.wires[2];
     assert_eq!((cut.wire.as_str(), cut.n_items, cut.n_values), ("cut.short", 40, 32));
 }
@@ -58,7 +58,7 @@ fn a_recording_in_another_order_replays_and_so_does_a_wire_that_takes_anything()
     let report = replay(&path, &ReplayOptions::default(), &registry(), &RunOptions::default(), &()).unwrap();
     assert!(report.is_equal(), "{:#?}", report.wires);
     let recording = osteoflow_engine::Recording::open(&path).unwrap();
-    let items = recording.items("pass.thing", &registry()).unwrap();
+    let items = recording.items("pass.out", &registry()).unwrap();
     assert_eq!(items.len(), 40);
     assert_eq!(checked(&[]).plan.nodes.len(), 4);
 }

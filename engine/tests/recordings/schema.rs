@@ -14,7 +14,7 @@ use osteoflow_engine::{
     validate::{ValidateReport, validate},
 };
 use osteoflow_node::{DynamicPayload, Registry};
-use osteoflow_toy::wave::{Pass, Played};
+use osteoflow_toy::{context::Declare, stream::Relay};
 use std::{fs, path::Path};
 
 const SAME: Layout = Layout { chunk_bytes: Some(4096), compression: None, shuffle: None, crc: true };
@@ -26,24 +26,24 @@ format = 1
 name   = "another"
 
 [node.beat]
-kind = "toy.played"
-out  = { wave = { type = "toy/Wave" } }
+kind = "ask.declare"
+out  = { wave = { type = "toy/Wave", value = 0.0 } }
 
 [node.again]
-kind = "toy.pass"
-in   = { thing = "beat.wave" }
+kind = "bench.relay"
+in   = { value = "beat.wave" }
 
 [record]
 wires = ["*"]
 
 [results]
-"last" = "again.thing"
+"last" = "again.out"
 "#;
 
 /// A registry without the payload `toy/Wave`.
 fn stranger() -> Registry {
     let mut registry = Registry::default();
-    registry.source::<Played>().function::<Pass>();
+    registry.source::<Declare>().function::<Relay>();
     registry
 }
 
@@ -113,7 +113,7 @@ fn an_exact_channel_tells_what_its_views_hold() {
         r#"{"name":"samples_mm","column":"f64","width":2}]"#
     );
     assert_eq!(channels["/exact/beat.wave"].as_deref(), Some(expected));
-    assert_eq!(channels["/exact/pass.thing"], None, "a wire that takes anything has no schema");
+    assert_eq!(channels["/exact/pass.out"], None, "a wire that takes anything has no schema");
     assert_eq!(checked(&[]).plan.nodes.len(), 4);
 }
 

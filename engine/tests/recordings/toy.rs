@@ -24,8 +24,8 @@ kind = "toy.cut"
 in   = { wave = "beat.wave" }
 
 [node.pass]
-kind = "toy.pass"
-in   = { thing = "cut.short" }
+kind = "bench.relay"
+in   = { value = "cut.short" }
 
 [record]
 wires = ["*"]

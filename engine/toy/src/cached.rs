@@ -27,28 +27,6 @@ pub struct CachedOut {
     positive: Emit<Number>,
 }
 
-impl CachedParams {
-    fn answer(&self, i: &PairIn, ctx: &mut Context) -> Result<CachedOut, NodeError> {
-        *counts().entry(self.counter.clone()).or_default() += 1;
-        if i.a.0 == 13.0 {
-            return Err(NodeError::new("13 is not a number to double"));
-        }
-        assert!(i.a.0 != 666.0, "the beast");
-        if i.a.0 == 99.0 {
-            ctx.warn("99 is nearly 100");
-        }
-        let used = match self.takes.as_deref() {
-            Some("draws") => ctx.rng().random(),
-            Some("stamp") => ctx.stamp_ns() as f64,
-            Some("clock") => ctx.clock_ns() as f64,
-            _ => 0.0,
-        };
-        let out = Number(2.0 * i.a.0 + i.b.as_ref().map_or(0.0, |b| b.0) + used);
-        let positive = if out.0 > 0.0 { out.clone().into() } else { Emit::Empty("it is not positive".into()) };
-        Ok(CachedOut { out, positive })
-    }
-}
-
 fn counts() -> MutexGuard<'static, BTreeMap<String, u64>> {
     static COUNTS: Mutex<BTreeMap<String, u64>> = Mutex::new(BTreeMap::new());
     COUNTS.lock().unwrap()
@@ -59,36 +37,38 @@ pub fn n_fired(counter: &str) -> u64 {
     counts().get(counter).copied().unwrap_or(0)
 }
 
-macro_rules! cached {
-    ($(#[$doc:meta])* $name:ident, $kind:literal, $policy:ident) => {
-        $(#[$doc])*
-        #[derive(Describe)]
-        pub struct $name(CachedParams);
+/// Doubles, cached by inputs or by inputs and seed; refuses 13, panics at 666.
+#[derive(Describe)]
+pub struct Cached<const WITH_SEED: bool>(CachedParams);
 
-        impl Node for $name {
-            const KIND: &'static str = $kind;
-            const CACHE: CachePolicy = CachePolicy::$policy;
-            type Params = CachedParams;
-            type Inputs = PairIn;
-            type Outputs = CachedOut;
+impl<const WITH_SEED: bool> Node for Cached<WITH_SEED> {
+    const KIND: &'static str = if WITH_SEED { "toy.kept_with_seed" } else { "toy.kept" };
+    const CACHE: CachePolicy = if WITH_SEED { CachePolicy::ByInputsAndSeed } else { CachePolicy::ByInputs };
+    type Params = CachedParams;
+    type Inputs = PairIn;
+    type Outputs = CachedOut;
 
-            fn new(params: CachedParams) -> Result<Self, ParamError> {
-                Ok(Self(params))
-            }
+    fn new(params: CachedParams) -> Result<Self, ParamError> {
+        Ok(Self(params))
+    }
 
-            fn process(&mut self, i: PairIn, ctx: &mut Context) -> Result<CachedOut, NodeError> {
-                self.0.answer(&i, ctx)
-            }
+    fn process(&mut self, i: PairIn, ctx: &mut Context) -> Result<CachedOut, NodeError> {
+        *counts().entry(self.0.counter.clone()).or_default() += 1;
+        if i.a.0 == 13.0 {
+            return Err(NodeError::new("13 is not a number to double"));
         }
-    };
-}
-
-cached! {
-    /// Doubles, cached by inputs; refuses 13, panics at 666.
-    Cached, "toy.kept", ByInputs
-}
-
-cached! {
-    /// Doubles, cached by inputs and seed; refuses 13, panics at 666.
-    CachedWithSeed, "toy.kept_with_seed", ByInputsAndSeed
+        assert!(i.a.0 != 666.0, "the beast");
+        if i.a.0 == 99.0 {
+            ctx.warn("99 is nearly 100");
+        }
+        let used = match self.0.takes.as_deref() {
+            Some("draws") => ctx.rng().random(),
+            Some("stamp") => ctx.stamp_ns() as f64,
+            Some("clock") => ctx.clock_ns() as f64,
+            _ => 0.0,
+        };
+        let out = Number(2.0 * i.a.0 + i.b.as_ref().map_or(0.0, |b| b.0) + used);
+        let positive = if out.0 > 0.0 { out.clone().into() } else { Emit::Empty("it is not positive".into()) };
+        Ok(CachedOut { out, positive })
+    }
 }

@@ -3,7 +3,7 @@
 use crate::NoParams;
 use osteoflow_node::{
     Context, Declared, Describe, Emission, Emit, Function, Inputs, Node, NodeError, Outputs, ParamError, Payload,
-    Registry, SchemaEntry, Source, View, ViewError, rand::RngExt, schemars, serde, serde_json, tracing,
+    Registry, SchemaEntry, Source, View, ViewError, rand::RngExt, schemars, serde, tracing,
 };
 use std::time::Duration;
 
@@ -22,33 +22,6 @@ impl Payload<Number> for Number {
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
         Ok(Self(view.float("value")?))
-    }
-
-    // The result that the program derives from the schema.
-    fn to_result(&self) -> serde_json::Value {
-        serde_json::json!({ "value": self.0 })
-    }
-}
-
-/// Text that the program knows only by the schema of the plugin.
-#[derive(Clone)]
-pub struct Words(String);
-
-impl Payload<Words> for Words {
-    const NAME: &'static str = "ask/Words";
-    const VERSION: u32 = 1;
-    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::text("words")];
-
-    fn to_view(&self) -> View {
-        View::new().with("words", self.0.as_str())
-    }
-
-    fn from_view(view: &View) -> Result<Self, ViewError> {
-        Ok(Self(view.text("words")?.into()))
-    }
-
-    fn to_result(&self) -> serde_json::Value {
-        serde_json::json!({ "words": self.0 })
     }
 }
 
@@ -192,7 +165,7 @@ impl Function for Clock {
     }
 }
 
-/// Describes the input of its optional port, or why there is none.
+/// Passes its number on, and warns of the input of its optional port, or why there is none.
 #[derive(Describe)]
 pub struct Perhaps;
 
@@ -205,22 +178,17 @@ pub struct PerhapsIn {
     other: Option<Number>,
 }
 
-#[derive(Outputs)]
-pub struct WordsOut {
-    /// The description.
-    out: Words,
-}
-
 impl Function for Perhaps {
     const KIND: &'static str = "ask.perhaps";
     type Params = NoParams;
     type Inputs = PerhapsIn;
-    type Outputs = WordsOut;
+    type Outputs = NumberOut;
 
-    fn process(_: &NoParams, i: PerhapsIn, ctx: &mut Context) -> Result<WordsOut, NodeError> {
+    fn process(_: &NoParams, i: PerhapsIn, ctx: &mut Context) -> Result<NumberOut, NodeError> {
         let why = ctx.absent_reason("other").unwrap_or("there");
         let other = i.other.map(|other| other.0);
-        Ok(WordsOut { out: Words(format!("{}: {other:?}, {why}", i.number.0)) })
+        ctx.warn(format!("{}: {other:?}, {why}", i.number.0));
+        Ok(NumberOut { out: i.number })
     }
 }
 
@@ -275,8 +243,7 @@ impl Node for Panic {
 
 pub fn registry() -> Registry {
     let mut registry = Registry::default();
-    registry.payload::<Number, _>().payload::<Words, _>();
-    registry.source::<Count>().source::<Always>().source::<Declare>();
+    registry.payload::<Number, _>().source::<Count>().source::<Always>().source::<Declare>();
     registry.function::<Draw>().function::<Clock>().function::<Perhaps>().function::<Four>().node::<Panic>();
     registry
 }

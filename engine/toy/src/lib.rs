@@ -6,7 +6,6 @@
 
 mod arithmetic;
 mod cached;
-pub mod camera;
 pub mod context;
 mod judge;
 mod number;
@@ -17,7 +16,7 @@ pub mod stream;
 pub mod wave;
 
 pub use arithmetic::{Add, Sum, SumOfSome};
-pub use cached::{Cached, CachedWithSeed, n_fired};
+pub use cached::{Cached, n_fired};
 pub use judge::{Judge, Judgement, Remark};
 pub use number::Number;
 pub use samples::Samples;
@@ -45,7 +44,7 @@ pub struct NumberOut {
 /// Numbers, samples, scripted sources, arithmetic, cached answers and verdicts.
 pub fn registry() -> Registry {
     let mut registry = Registry::default();
-    registry.payload::<Number, _>().payload::<Samples, _>().node::<Cached>().node::<CachedWithSeed>();
+    registry.payload::<Number, _>().payload::<Samples, _>().node::<Cached<false>>().node::<Cached<true>>();
     registry.payload::<Judgement, _>().payload::<Remark, _>().function::<Judge>();
     registry.source::<Script>().source::<LiveScript>().node::<Add>().function::<Sum>().function::<SumOfSome>();
     registry

@@ -5,7 +5,6 @@ use crate::NoParams;
 use osteoflow_node::{
     Context, Declared, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Payload, Registry,
     SchemaEntry, Source, Unused, Value, View, ViewError, schemars::JsonSchema, serde::Deserialize, serde::Serialize,
-    serde_json,
 };
 use std::collections::BTreeMap;
 
@@ -26,10 +25,6 @@ macro_rules! payload {
 
             fn from_view(_: &View) -> Result<Self, ViewError> {
                 Ok(Self)
-            }
-
-            fn to_result(&self) -> serde_json::Value {
-                serde_json::Value::Null
             }
         }
     };

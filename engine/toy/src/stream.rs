@@ -1,45 +1,80 @@
 //! Nodes that do almost nothing, for measuring the engine.
 
-use crate::{Number, NumberIn, NumberOut};
+use crate::{Number, NumberIn, NumberOut, json_display};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, ParamError, Payload, Registry, SchemaEntry, Source, Value,
-    View, ViewError, schemars, serde, serde_json,
+    Buffer, Column, ColumnType, Context, Describe, Display, DisplayContext, Function, Inputs, NodeError, Outputs,
+    ParamError, Payload, Registry, SchemaEntry, Source, Value, View, ViewError, schemars, serde,
 };
 use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
 
-/// A megabyte behind a handle.
+/// Time between two items of a source that keeps to the time.
+pub const PERIOD: Duration = Duration::from_nanos(1_000_000_000 / 30);
+/// Number of different megabytes that such a source gives.
+pub const N_DIFFERENT: usize = 8;
+/// 43 690 points of three numbers.
+const N_NUMBERS: usize = 3 * 43_690;
+
+/// A megabyte of points behind a handle.
 #[derive(Clone)]
-pub struct Megabyte(pub Arc<Vec<u8>>);
+pub struct Megabyte(pub Buffer);
 
 impl Megabyte {
-    /// Bytes of a repeating pattern.
-    pub fn filled() -> Self {
-        Self(Arc::new((0..1 << 20).map(|i: u32| i as u8).collect()))
+    /// A bone-like surface seen from 300 mm, with scanner noise of 0.05 mm.
+    pub fn scan(seed: u64) -> Self {
+        let mut state = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut noise = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 53) as f64 * 0.1 - 0.05
+        };
+        let mut bytes = Vec::with_capacity(N_NUMBERS * 8);
+        for i in 0..N_NUMBERS / 3 {
+            let (x, y) = ((i % 210) as f64 * 0.5 - 52.0, (i / 210) as f64 * 0.5 - 52.0);
+            for number in [x + noise(), y + noise(), 300.0 + (x * 0.1).sin() * 6.0 + noise()] {
+                bytes.extend_from_slice(&number.to_ne_bytes());
+            }
+        }
+        Self(Arc::new(bytes))
+    }
+
+    pub fn bytes(&self) -> &[u8] {
+        (*self.0).as_ref()
     }
 }
 
 impl Payload<Megabyte> for Megabyte {
     const NAME: &'static str = "bench/Megabyte";
     const VERSION: u32 = 1;
-    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::float("bytes")];
+    const SCHEMA: &'static [SchemaEntry] = &[SchemaEntry::column("points", ColumnType::F64, 3)];
 
     fn to_view(&self) -> View {
-        View::new().with("bytes", self.0.len() as f64)
+        View::new().with_column(Column::new("points", ColumnType::F64, 3, self.0.clone()))
     }
 
-    fn from_view(_: &View) -> Result<Self, ViewError> {
-        Ok(Self::filled())
-    }
-
-    fn to_result(&self) -> serde_json::Value {
-        self.0.len().into()
+    fn from_view(view: &View) -> Result<Self, ViewError> {
+        Ok(Self(view.column("points")?.data.clone()))
     }
 
     fn n_bytes(&self) -> usize {
-        self.0.len()
+        self.bytes().len()
+    }
+
+    fn display() -> Option<Display> {
+        Some(json_display("bench.Megabyte"))
+    }
+
+    /// Metres in 32 bits, as viewers expect.
+    fn to_display(&self, _: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        let mut out = Vec::with_capacity(self.bytes().len() / 2);
+        for number in self.bytes().chunks_exact(8) {
+            let mm = f64::from_ne_bytes(number.try_into().ok()?);
+            out.extend_from_slice(&((mm / 1000.0) as f32).to_le_bytes());
+        }
+        Some(out)
     }
 }
 
@@ -49,6 +84,8 @@ impl Payload<Megabyte> for Megabyte {
 pub struct Items {
     /// Number of items.
     items: u64,
+    /// Whether thirty different items come in a second, instead of one as often as it is taken.
+    in_time: bool,
 }
 
 #[derive(Default, serde::Deserialize, schemars::JsonSchema)]
@@ -88,12 +125,13 @@ pub struct AnyOut {
     out: Value,
 }
 
-/// Gives handles on one megabyte.
+/// Gives handles on a megabyte.
 #[derive(Describe)]
 pub struct Frames {
     n: u64,
-    items: u64,
-    megabyte: Value,
+    params: Items,
+    began: Option<Instant>,
+    megabytes: Vec<Value>,
 }
 
 impl Source for Frames {
@@ -102,13 +140,22 @@ impl Source for Frames {
     type Outputs = AnyOut;
 
     fn new(params: Items) -> Result<Self, ParamError> {
-        Ok(Self { n: 0, items: params.items, megabyte: Value::new(Megabyte::filled()) })
+        let n = if params.in_time { N_DIFFERENT } else { 1 };
+        let megabytes = (0..n).map(|i| Value::new(Megabyte::scan(i as u64))).collect();
+        Ok(Self { n: 0, params, began: None, megabytes })
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<AnyOut>, NodeError> {
+        if self.n == self.params.items {
+            return Ok(None);
+        }
+        if self.params.in_time {
+            let then = *self.began.get_or_insert_with(Instant::now) + PERIOD * self.n as u32;
+            std::thread::sleep(then.saturating_duration_since(Instant::now()));
+        }
         self.n += 1;
-        ctx.set_stamp_ns(self.n as i64);
-        Ok((self.n <= self.items).then(|| AnyOut { out: self.megabyte.clone() }))
+        ctx.set_stamp_ns(self.n as i64 * PERIOD.as_nanos() as i64);
+        Ok(Some(AnyOut { out: self.megabytes[self.n as usize % self.megabytes.len()].clone() }))
     }
 }
 

@@ -1,9 +1,9 @@
-//! A source of waves, and nodes that cut them and pass on anything.
+//! A source of waves, and a node that cuts them.
 
-use crate::{NoParams, json_display, samples::float_column};
+use crate::{json_display, samples::float_column, stream::Relay};
 use osteoflow_node::{
-    ColumnType, Context, Declared, Describe, Display, DisplayContext, Emit, Function, Inputs, Node, NodeError, Outputs,
-    ParamError, Payload, Registry, SchemaEntry, Source, Value, View, ViewError, schemars, serde, serde_json,
+    ColumnType, Context, Describe, Display, DisplayContext, Emit, Inputs, Node, NodeError, Outputs, ParamError,
+    Payload, Registry, SchemaEntry, Source, View, ViewError, schemars, serde, serde_json,
 };
 
 /// Samples with a label and a JSON text, which viewers can show.
@@ -156,54 +156,9 @@ impl Node for Cut {
     }
 }
 
-#[derive(Inputs)]
-pub struct ThingIn {
-    /// Anything.
-    thing: Value,
-}
-
-#[derive(Outputs)]
-pub struct ThingOut {
-    /// The input.
-    thing: Value,
-}
-
-/// Passes on any value.
-#[derive(Describe)]
-pub struct Pass;
-
-impl Function for Pass {
-    const KIND: &'static str = "toy.pass";
-    type Params = NoParams;
-    type Inputs = ThingIn;
-    type Outputs = ThingOut;
-
-    fn process(_: &NoParams, i: ThingIn, _: &mut Context) -> Result<ThingOut, NodeError> {
-        Ok(ThingOut { thing: i.thing })
-    }
-}
-
-/// A source with declared outputs that is always replaced by a recording.
-#[derive(Describe)]
-pub struct Played;
-
-impl Source for Played {
-    const KIND: &'static str = "toy.played";
-    type Params = NoParams;
-    type Outputs = Declared<NoParams>;
-
-    fn new(_: NoParams) -> Result<Self, ParamError> {
-        Ok(Self)
-    }
-
-    fn next(&mut self, _: &mut Context) -> Result<Option<Declared<NoParams>>, NodeError> {
-        Err(NodeError::new("only to be played"))
-    }
-}
-
 pub fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Wave, _>();
-    registry.source::<Beat>().node::<Cut>().function::<Pass>();
+    registry.source::<Beat>().node::<Cut>().function::<Relay>();
     registry
 }
