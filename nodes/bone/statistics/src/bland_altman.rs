@@ -59,24 +59,34 @@ pub fn bland_altman(differences: &[f64], level: f64) -> Result<BlandAltman, Stat
     let mut differences = differences.to_vec();
     differences.sort_unstable_by(f64::total_cmp);
     let (bias, sd) = (mean(&differences), sd(&differences));
-    let (lower_limit, upper_limit) = (bias - NORMAL_95 * sd, bias + NORMAL_95 * sd);
-    let t = two_sided_t(level, n - 1);
-    let n_pairs = n as f64;
-    let about = |middle: f64, half: f64| Interval { level, low: middle - half, high: middle + half };
+    let (t, n_pairs) = (two_sided_t(level, n - 1), n as f64);
     let half_of_limit = t * sd * (1.0 / n_pairs + NORMAL_95 * NORMAL_95 / (2.0 * (n_pairs - 1.0))).sqrt();
-    Ok(BlandAltman {
+    Ok(limits([n, n], [bias, sd], None, level, t * sd / n_pairs.sqrt(), [half_of_limit; 2]))
+}
+
+/// The limits with their intervals: half of that of the bias, and the distances of a limit's ends, inwards and outwards.
+fn limits(
+    [n, n_units]: [usize; 2],
+    [bias, sd]: [f64; 2],
+    between_within: Option<[f64; 2]>,
+    level: f64,
+    half_of_bias: f64,
+    [inward, outward]: [f64; 2],
+) -> BlandAltman {
+    let (lower_limit, upper_limit) = (bias - NORMAL_95 * sd, bias + NORMAL_95 * sd);
+    BlandAltman {
         n,
-        n_units: n,
+        n_units,
         bias,
         sd,
-        sd_between: None,
-        sd_within: None,
+        sd_between: between_within.map(|[between, _]| between),
+        sd_within: between_within.map(|[_, within]| within),
         lower_limit,
         upper_limit,
-        bias_interval: about(bias, t * sd / n_pairs.sqrt()),
-        lower_interval: about(lower_limit, half_of_limit),
-        upper_interval: about(upper_limit, half_of_limit),
-    })
+        bias_interval: Interval { level, low: bias - half_of_bias, high: bias + half_of_bias },
+        lower_interval: Interval { level, low: lower_limit - outward, high: lower_limit + inward },
+        upper_interval: Interval { level, low: upper_limit - inward, high: upper_limit + outward },
+    }
 }
 
 /// Limits of agreement for pairs that repeat within units of the highest level, such as points of one bone.
@@ -121,23 +131,10 @@ pub fn bland_altman_repeated(units: &Units, differences: &[f64], level: f64) -> 
     let (tail, variance) = ((1.0 - level) / 2.0, sd * sd);
     let sd_low = (variance - off(1.0 - tail)).max(0.0).sqrt();
     let sd_high = (variance + off(tail)).sqrt();
-    // Distances of the ends of a limit's interval, inwards and outwards.
     let inward = half_of_bias.hypot(NORMAL_95 * (sd - sd_low));
     let outward = half_of_bias.hypot(NORMAL_95 * (sd_high - sd));
-    let (lower_limit, upper_limit) = (bias - NORMAL_95 * sd, bias + NORMAL_95 * sd);
-    Ok(BlandAltman {
-        n,
-        n_units,
-        bias,
-        sd,
-        sd_between: Some(between.sqrt()),
-        sd_within: Some(within.sqrt()),
-        lower_limit,
-        upper_limit,
-        bias_interval: Interval { level, low: bias - half_of_bias, high: bias + half_of_bias },
-        lower_interval: Interval { level, low: lower_limit - outward, high: lower_limit + inward },
-        upper_interval: Interval { level, low: upper_limit - inward, high: upper_limit + outward },
-    })
+    let between_within = Some([between.sqrt(), within.sqrt()]);
+    Ok(limits([n, n_units], [bias, sd], between_within, level, half_of_bias, [inward, outward]))
 }
 
 #[cfg(test)]

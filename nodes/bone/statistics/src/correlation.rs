@@ -105,8 +105,8 @@ mod tests {
     fn rows_on_a_line_correlate_by_one_without_an_interval() {
         let x = [1.0, 2.0, 3.0, 4.0, 5.0];
         let falling = x.map(|x| 3.0 - 2.0 * x);
-        let found = pearson(&x, &falling, 0.95).unwrap();
-        assert_eq!((found.r, found.p, found.interval), (-1.0, 0.0, Err(NoInterval::OnALine)));
+        let estimate = pearson(&x, &falling, 0.95).unwrap();
+        assert_eq!((estimate.r, estimate.p, estimate.interval), (-1.0, 0.0, Err(NoInterval::OnALine)));
         let cubes = x.map(|x| x * x * x);
         assert_eq!(spearman(&x, &cubes, 0.95).unwrap().r, 1.0);
         assert!(pearson(&x, &cubes, 0.95).unwrap().r < 1.0);

@@ -80,8 +80,8 @@ mod tests {
                 .collect();
             let mut pairs: Vec<f64> =
                 (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).map(|(i, j)| (values[i] + values[j]) / 2.0).collect();
-            let found = hodges_lehmann(&values).unwrap();
-            assert_eq!(found, crate::median(&mut pairs), "{values:?}");
+            let estimate = hodges_lehmann(&values).unwrap();
+            assert_eq!(estimate, crate::median(&mut pairs), "{values:?}");
         }
     }
 }

@@ -120,13 +120,13 @@ fn rows_of_one_bone_are_not_taken_as_independent() {
 #[test]
 fn one_bone_gives_an_estimate_and_never_an_interval() {
     let values = errors(&mut rng(5), 1, 200, 1.0, 0.2);
-    let found = bootstrap_mean(&bones(1, 200), &values, &BootstrapParams::default()).unwrap();
-    assert_eq!((found.n_units, found.n_rows, found.few_units), (1, 200, true));
-    let reason = found.interval.clone().unwrap_err();
+    let result = bootstrap_mean(&bones(1, 200), &values, &BootstrapParams::default()).unwrap();
+    assert_eq!((result.n_units, result.n_rows, result.few_units), (1, 200, true));
+    let reason = result.interval.clone().unwrap_err();
     assert_eq!(reason.to_string(), "n = 1 bone: one bone does not show how others differ; measure a second one");
-    let json = serde_json::to_value(&found).unwrap();
+    let json = serde_json::to_value(&result).unwrap();
     assert_eq!(json["interval"]["no_interval"], reason.to_string());
-    assert_eq!(json["estimate"], found.estimate);
+    assert_eq!(json["estimate"], result.estimate);
 }
 
 #[test]
@@ -135,8 +135,8 @@ fn a_statistic_that_fails_in_a_resample_has_no_interval_and_one_that_fails_on_al
     let params = BootstrapParams::default();
     // The correlation of one unit drawn three times is undefined.
     let spread_of_none = |v: &mut [f64]| if v.iter().all(|x| *x == v[0]) { f64::NAN } else { 1.0 };
-    let found = bootstrap(&units, &values, spread_of_none, &params).unwrap();
-    assert!(matches!(found.interval, Err(NoInterval::NotFinite { n_failed: 1.., n_resamples: 10_000 })));
+    let result = bootstrap(&units, &values, spread_of_none, &params).unwrap();
+    assert!(matches!(result.interval, Err(NoInterval::NotFinite { n_failed: 1.., n_resamples: 10_000 })));
     let refused = bootstrap(&units, &values, |_| f64::NAN, &params);
     assert!(refused.unwrap_err().to_string().contains("the statistic of all 3 rows is"));
     assert!(
@@ -153,16 +153,16 @@ fn a_statistic_that_fails_in_a_resample_has_no_interval_and_one_that_fails_on_al
 fn a_column_of_equal_values_has_an_interval_without_width() {
     for kind in [BootstrapKind::Percentile, BootstrapKind::BiasCorrected] {
         let params = BootstrapParams { kind, ..Default::default() };
-        let found = bootstrap_mean(&bones(5, 2), &[0.5; 10], &params).unwrap().interval.unwrap();
-        assert_eq!((found.low, found.high), (0.5, 0.5));
+        let result = bootstrap_mean(&bones(5, 2), &[0.5; 10], &params).unwrap().interval.unwrap();
+        assert_eq!((result.low, result.high), (0.5, 0.5));
     }
 }
 
 /// Share of `n` simulations whose interval contains `truth`.
 fn coverage(n: u64, truth: f64, interval: impl Fn(&mut ChaCha8Rng) -> Interval) -> f64 {
     let held = (0..n).filter(|seed| {
-        let found = interval(&mut rng(1000 + seed));
-        found.low <= truth && truth <= found.high
+        let result = interval(&mut rng(1000 + seed));
+        result.low <= truth && truth <= result.high
     });
     held.count() as f64 / n as f64
 }
@@ -170,11 +170,11 @@ fn coverage(n: u64, truth: f64, interval: impl Fn(&mut ChaCha8Rng) -> Interval) 
 #[test]
 fn the_wilson_interval_has_about_its_nominal_coverage() {
     for (n, share) in [(10, 0.5), (10, 0.9), (30, 0.95), (200, 0.98)] {
-        let found = coverage(4000, share, |rng| {
+        let result = coverage(4000, share, |rng| {
             let n_hits = (0..n).filter(|_| f64::from(rng.next_u32()) < share * 4_294_967_296.0).count();
             wilson(n_hits, n, 0.95).unwrap().interval.unwrap()
         });
-        assert!((0.90..0.995).contains(&found), "{n} rows, share {share}: held in {found}");
+        assert!((0.90..0.995).contains(&result), "{n} rows, share {share}: held in {result}");
     }
 }
 
