@@ -48,7 +48,7 @@ fn main() {
             piece = fragment(&bone, &cuts).expect("the tube is closed at the cuts");
             least_s = least_s.min(processor_time() - began);
         }
-        let (n_faces, volume_mm3) = (piece.mesh.faces().len(), piece.volume_mm3());
+        let (n_faces, volume_mm3) = (piece.mesh.faces().len(), piece.mesh.volume_mm3());
         println!("{around} points per ring: {:.2} ms, {n_faces} faces, {volume_mm3:.9} mm3", least_s * 1e3);
     }
 }

@@ -44,6 +44,14 @@ pub fn towards(axes: &Axes, proximal: &Vector3<f64>) -> Axes {
     Axes { columns, ..axes.clone() }
 }
 
+/// Eigenvectors and eigenvalues of a symmetric matrix, largest first.
+pub(crate) fn largest_first(matrix: &Matrix3<f64>) -> ([Vector3<f64>; 3], [f64; 3]) {
+    let eigen = matrix.symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|&i, &j| eigen.eigenvalues[j].total_cmp(&eigen.eigenvalues[i]).then(i.cmp(&j)));
+    (order.map(|k| eigen.eigenvectors.column(k).into_owned()), order.map(|k| eigen.eigenvalues[k]))
+}
+
 fn upright(v: Vector3<f64>) -> Vector3<f64> {
     if v[v.iamax()] < 0.0 { -v } else { v }
 }

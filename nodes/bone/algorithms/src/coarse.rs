@@ -5,7 +5,7 @@ mod global;
 
 pub use doubtful::{DoubtParams, confirm};
 pub use global::{CLEAR, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
-pub(crate) use global::{Placed, Points, descend, map_score};
+pub(crate) use global::{Placed, Points, descended, distinct, motion, thinned};
 
 use crate::Refusal;
 use crate::kabsch::{centroid, kabsch};
@@ -103,7 +103,7 @@ pub fn three_point(target: &[NamedPoint], source: &[NamedPoint]) -> Result<Coars
     let source = paired(target, source)?;
     let t: Vec<Point3<f64>> = target.iter().map(|p| p.position).collect();
     let s: Vec<Point3<f64>> = source.iter().map(|p| p.position).collect();
-    let t_target_source = kabsch(&t, &s).map_err(Refusal::of)?;
+    let t_target_source = kabsch(&t, &s)?;
     let (target_off_line_mm, source_off_line_mm) = (off_line_mm(&t), off_line_mm(&s));
     for (side, off_line_mm) in [("target", target_off_line_mm), ("source", source_off_line_mm)] {
         if off_line_mm < MIN_OFF_LINE_MM {
@@ -188,47 +188,45 @@ fn off_line_mm(points: &[Point3<f64>]) -> f64 {
     ((squares[0] + squares[1]).max(0.0) / points.len() as f64).sqrt()
 }
 
-fn rms(t_target_source: &Isometry3<f64>, target: &[Point3<f64>], source: &[Point3<f64>]) -> f64 {
+pub(crate) fn rms(t_target_source: &Isometry3<f64>, target: &[Point3<f64>], source: &[Point3<f64>]) -> f64 {
     let squares: f64 = target.iter().zip(source).map(|(t, s)| (t_target_source * s - t).norm_squared()).sum();
     (squares / target.len() as f64).sqrt()
 }
 
 /// The order of the source points that fits best, if it fits far better than that by name.
 fn better_order(target: &[Point3<f64>], source: &[&NamedPoint], fre_mm: f64) -> Option<Permutation> {
-    if fre_mm <= HINT_ABOVE_MM || target.len() > MAX_PERMUTED {
+    if fre_mm <= HINT_ABOVE_MM {
         return None;
     }
-    let mut best: Option<(f64, Vec<usize>)> = None;
-    permutations(source.len(), &mut |order| {
-        let moved: Vec<Point3<f64>> = order.iter().map(|&k| source[k].position).collect();
-        if let Ok(t) = kabsch(target, &moved) {
-            let left = rms(&t, target, &moved);
-            if best.as_ref().is_none_or(|(least, _)| left < *least) {
-                best = Some((left, order.to_vec()));
-            }
-        }
-    });
-    let (left, order) = best.filter(|(left, _)| *left < HINT_SHARE * fre_mm)?;
-    let source_names = order.iter().map(|&k| source[k].name.to_string()).collect();
-    Some(Permutation { source_names, fre_mm: left })
+    let (other_mm, source_names) = best_other_order(target, source)?;
+    (other_mm < HINT_SHARE * fre_mm).then_some(Permutation { source_names, fre_mm: other_mm })
 }
 
-/// All orders of `0..n`, in lexicographic order.
-pub(crate) fn permutations(n: usize, visit: &mut dyn FnMut(&[usize])) {
+/// The order of the source points, other than the given one, that fits best, by name, with its RMS residual in mm; `None`
+/// with more than six points. Orders are tried in lexicographic order.
+pub(crate) fn best_other_order(target: &[Point3<f64>], source: &[&NamedPoint]) -> Option<(f64, Vec<String>)> {
+    let n = source.len();
     let mut order: Vec<usize> = (0..n).collect();
-    loop {
-        visit(&order);
-        let Some(i) = (1..n).rev().find(|&i| order[i - 1] < order[i]) else { return };
+    let mut best: Option<(f64, Vec<usize>)> = None;
+    while n <= MAX_PERMUTED
+        && let Some(i) = (1..n).rev().find(|&i| order[i - 1] < order[i])
+    {
         let j = (i..n).rev().find(|&j| order[j] > order[i - 1]).unwrap_or(i);
         order.swap(i - 1, j);
         order[i..].reverse();
+        let moved: Vec<Point3<f64>> = order.iter().map(|&k| source[k].position).collect();
+        let Ok(t) = kabsch(target, &moved) else { continue };
+        let fre_mm = rms(&t, target, &moved);
+        if best.as_ref().is_none_or(|(least, _)| fre_mm < *least) {
+            best = Some((fre_mm, order.clone()));
+        }
     }
+    best.map(|(fre_mm, order)| (fre_mm, order.iter().map(|&k| source[k].name.to_string()).collect()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kabsch::FitError;
     use nalgebra::Vector3;
 
     fn named(points: &[[f64; 3]]) -> Vec<NamedPoint> {
@@ -311,6 +309,6 @@ mod tests {
         other[1].name = "P1".into();
         assert!(three_point(&three, &other).unwrap_err().to_string().contains("twice among the source points"));
         let two = three_point(&three[..2], &three[..2]).unwrap_err().to_string();
-        assert_eq!(two, FitError::Pairing { n_target: 2, n_source: 2 }.to_string());
+        assert_eq!(two, "three or more pairs are needed, but there are 2 target and 2 source points");
     }
 }

@@ -18,7 +18,7 @@
 //! let t_lps_voxel = Matrix4::new_translation(&Vector3::new(-20.0, 0.0, 5.0));
 //! let volume = VolumeView { size: [25; 3], voxels: &voxels, t_lps_voxel: &t_lps_voxel };
 //! let surface = ct_surface(&volume, &CtSurfaceParams::at(500.0))?;
-//! let mesh = surface.closed_mesh("ct")?;
+//! let mesh = surface.open_mesh("ct")?;
 //! assert_eq!(open_edges(&mesh), 0);
 //! let centre = nalgebra::Point3::new(-8.0, 12.0, 17.0);
 //! assert!(mesh.vertices().iter().all(|v| ((v - centre).norm() - 8.0).abs() < 0.1));
@@ -35,7 +35,7 @@ mod threshold;
 pub use threshold::suggested_threshold;
 
 use crate::Refusal;
-use crate::iso_surface::{iso_surface, make_well_composed};
+use crate::iso_surface::{compacted, iso_surface, make_well_composed};
 use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
 use osteoflow_geometry::{Frame, Mesh, SurfaceOrigin};
 use rayon::prelude::*;
@@ -180,26 +180,26 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
     let origin = Vector3::new(t_lps_voxel[(0, 3)], t_lps_voxel[(1, 3)], t_lps_voxel[(2, 3)]);
     let level = params.threshold as f32;
 
-    let found = regions(voxels, size, Neighbours::TwentySix, |v| v > level).ok_or_else(too_large)?;
+    let parts = regions(voxels, size, Neighbours::TwentySix, |v| v > level).ok_or_else(too_large)?;
     let extreme = |worse: fn(f32, f32) -> f32| f64::from(voxels.iter().copied().reduce(worse).unwrap_or_default());
     let threshold = params.threshold;
-    if found.regions.is_empty() {
+    if parts.regions.is_empty() {
         let highest = extreme(f32::max);
         return Err(Refusal::of(format!(
             "no voxel is above the threshold {threshold}; the highest value is {highest}: set a lower threshold"
         )));
     }
-    if found.regions[0].n_voxels == voxels.len() as u64 {
+    if parts.regions[0].n_voxels == voxels.len() as u64 {
         let lowest = extreme(f32::min);
         return Err(Refusal::of(format!(
             "all voxels are above the threshold {threshold}; the lowest value is {lowest}: set a higher threshold"
         )));
     }
-    let mut by_size: Vec<usize> = (0..found.regions.len()).collect();
+    let mut by_size: Vec<usize> = (0..parts.regions.len()).collect();
     // A stable sort: of equal ones, the one that comes first.
-    by_size.sort_by_key(|r| std::cmp::Reverse(found.regions[*r].n_voxels));
+    by_size.sort_by_key(|r| std::cmp::Reverse(parts.regions[*r].n_voxels));
     let component = |place: usize| {
-        let region = &found.regions[by_size[place]];
+        let region = &parts.regions[by_size[place]];
         let (min_mm, max_mm) = bounds(region.low, region.high, &linear, &origin);
         let mean = Vector3::from(region.sums) / region.n_voxels as f64;
         Component {
@@ -232,22 +232,22 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
             let [x, y, z] = nearest.map(|c| c as usize);
             let row = (z * size[1] + y) as u32;
             // The last run that begins at or before the voxel.
-            let after = found.runs.partition_point(|run| (run.row, run.from) <= (row, x as u32));
-            let run = after.checked_sub(1).filter(|r| found.runs[*r].row == row && (x as u32) < found.runs[*r].to);
+            let after = parts.runs.partition_point(|run| (run.row, run.from) <= (row, x as u32));
+            let run = after.checked_sub(1).filter(|r| parts.runs[*r].row == row && (x as u32) < parts.runs[*r].to);
             let Some(run) = run else {
                 let value = f64::from(voxels[(z * size[1] + y) * size[0] + x]);
                 return Err(Refusal::of(format!(
                     "the voxel at {place} is {value}, not above the threshold {threshold}; place the seed in the bone's cortex"
                 )));
             };
-            let region = found.labels[run] as usize;
+            let region = parts.labels[run] as usize;
             by_size.iter().position(|r| *r == region).expect("every region has its place")
         }
     };
 
-    let region = &found.regions[by_size[place]];
+    let region = &parts.regions[by_size[place]];
     let mut crop = Crop::new(volume, region, level);
-    for (run, _) in found.runs.iter().zip(&found.labels).filter(|(_, label)| **label as usize != by_size[place]) {
+    for (run, _) in parts.runs.iter().zip(&parts.labels).filter(|(_, label)| **label as usize != by_size[place]) {
         crop.lower(run, size[1]);
     }
     let (n_filled, n_filled_voxels) =
@@ -298,14 +298,6 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
 }
 
 impl CtSurface {
-    /// The closed surface, lids included.
-    ///
-    /// # Errors
-    /// [`Refusal`]; a vertex is not finite if coordinates overflow.
-    pub fn closed_mesh(&self, frame: impl Into<Frame>) -> Result<Mesh, Refusal> {
-        Mesh::new(frame, SurfaceOrigin::User, self.vertices.clone(), self.faces.clone()).map_err(Refusal::of)
-    }
-
     /// The surface without the faces on the border: open where the volume's border cuts the bone, so that nothing is
     /// registered to, or judged by, a face that no bone has.
     ///
@@ -315,14 +307,7 @@ impl CtSurface {
         let own = |&(_, on_border): &(&[u32; 3], &bool)| !on_border;
         let faces: Vec<[u32; 3]> =
             self.faces.iter().zip(&self.face_is_on_border).filter(own).map(|(f, _)| *f).collect();
-        let mut is_used = vec![false; self.vertices.len()];
-        faces.iter().flatten().for_each(|v| is_used[*v as usize] = true);
-        let (mut vertices, mut new_index) = (Vec::new(), vec![0; self.vertices.len()]);
-        for (v, _) in is_used.iter().enumerate().filter(|(_, used)| **used) {
-            new_index[v] = vertices.len() as u32;
-            vertices.push(self.vertices[v]);
-        }
-        let faces: Vec<[u32; 3]> = faces.into_iter().map(|face| face.map(|v| new_index[v as usize])).collect();
+        let (vertices, faces) = compacted(&self.vertices, faces);
         Mesh::new(frame, SurfaceOrigin::User, vertices, faces).map_err(Refusal::of)
     }
 
@@ -415,8 +400,8 @@ impl Crop {
             }
         });
         let level = self.level;
-        let found = regions(&inner, size, Neighbours::Six, |v| v <= level)?;
-        let is_cavity: Vec<bool> = found
+        let parts = regions(&inner, size, Neighbours::Six, |v| v <= level)?;
+        let is_cavity: Vec<bool> = parts
             .regions
             .iter()
             .map(|region| {
@@ -431,12 +416,12 @@ impl Crop {
             })
             .collect();
         let above = level + 1.0 + level.abs() * 1e-3;
-        for (run, _) in found.runs.iter().zip(&found.labels).filter(|(_, label)| is_cavity[**label as usize]) {
+        for (run, _) in parts.runs.iter().zip(&parts.labels).filter(|(_, label)| is_cavity[**label as usize]) {
             let (y, z) = (run.row as usize % size[1] + low[1], run.row as usize / size[1] + low[2]);
             let start = (z * ny + y) * nx + low[0];
             self.voxels[start + run.from as usize..start + run.to as usize].fill(above);
         }
-        let filled = found.regions.iter().zip(&is_cavity).filter(|(_, is)| **is);
+        let filled = parts.regions.iter().zip(&is_cavity).filter(|(_, is)| **is);
         Some(filled.fold((0, 0), |(n, voxels), (region, _)| (n + 1, voxels + region.n_voxels)))
     }
 

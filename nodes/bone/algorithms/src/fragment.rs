@@ -69,12 +69,10 @@ pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], Refusal> 
         let n = planes.planes.len();
         return Err(Refusal::of(format!("a fragment lies between two planes, but there are {n}; give the plan two")));
     };
-    let cut = |plane: &Plane| match &plane.place {
-        PlanePlace::Unknown(reason) => Err(Refusal::of(format!("plane {} is unknown: {reason}", plane.name))),
-        PlanePlace::Known(t) => match section::middle(bone, t, Some(REACH_MM)) {
-            Some(middle) => Ok((middle, t * Vector3::z())),
-            None => Err(misses(&plane.name)),
-        },
+    let cut = |plane: &Plane| -> Result<_, Refusal> {
+        let t = known(plane)?;
+        let middle = section::middle(bone, t, Some(REACH_MM)).ok_or_else(|| misses(&plane.name))?;
+        Ok((middle, t * Vector3::z()))
     };
     let cuts = [cut(first)?, cut(second)?];
     let side = |plane: &Plane, here: usize| {
@@ -89,6 +87,14 @@ pub fn between(bone: &Mesh, planes: &Planes) -> Result<[HalfSpace; 2], Refusal> 
             "{} and {} cut the bone in one place, so nothing lies between them; are they the same plane?",
             first.name, second.name
         ))),
+    }
+}
+
+/// The pose of a plane whose place is known.
+pub(crate) fn known(plane: &Plane) -> Result<&Isometry3<f64>, Refusal> {
+    match &plane.place {
+        PlanePlace::Known(t) => Ok(t),
+        PlanePlace::Unknown(reason) => Err(Refusal::of(format!("plane {} is unknown: {reason}", plane.name))),
     }
 }
 
@@ -131,11 +137,6 @@ impl Fragment {
         corners.sort_unstable();
         corners.dedup();
         corners.into_iter().map(|v| self.mesh.vertices()[v as usize]).collect()
-    }
-
-    /// The enclosed volume, mm³.
-    pub fn volume_mm3(&self) -> f64 {
-        self.mesh.volume_mm3()
     }
 }
 

@@ -91,7 +91,7 @@ pub fn iso_surface(
     let layers: Vec<Vec<(u32, Point3<f64>)>> = (0..nz - 1)
         .into_par_iter()
         .map(|z| {
-            let mut found = Vec::new();
+            let mut crossings = Vec::new();
             for y in 0..ny - 1 {
                 // The four voxels of a cell at one x are its corners 0, 2, 4 and 6.
                 let column = |x: usize| {
@@ -109,10 +109,10 @@ pub fn iso_surface(
                     let corners: [f32; 8] = std::array::from_fn(|c| value(x + (c & 1), y + (c >> 1 & 1), z + (c >> 2)));
                     let within = cell_vertex(&corners);
                     let at = Vector3::new(x as f64, y as f64, z as f64) + within;
-                    found.push(((y * nx + x) as u32, place(at)));
+                    crossings.push(((y * nx + x) as u32, place(at)));
                 }
             }
-            found
+            crossings
         })
         .collect();
     let mut first = Vec::with_capacity(layers.len());
@@ -177,6 +177,20 @@ fn cell_vertex(corners: &[f32; 8]) -> Vector3<f64> {
         }
     }
     sum / n
+}
+
+/// The vertices that the faces use, in their order, and the faces among them.
+pub(crate) fn compacted(vertices: &[Point3<f64>], mut faces: Vec<[u32; 3]>) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+    const UNUSED: u32 = u32::MAX;
+    let mut new_index = vec![UNUSED; vertices.len()];
+    faces.iter().flatten().for_each(|&v| new_index[v as usize] = 0);
+    let mut used = Vec::new();
+    for (index, vertex) in new_index.iter_mut().zip(vertices).filter(|(index, _)| **index != UNUSED) {
+        *index = used.len() as u32;
+        used.push(*vertex);
+    }
+    faces.iter_mut().flatten().for_each(|v| *v = new_index[*v as usize]);
+    (used, faces)
 }
 
 #[cfg(test)]

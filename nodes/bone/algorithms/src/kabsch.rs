@@ -1,55 +1,37 @@
 //! The rigid motion between paired points.
 
+use crate::Refusal;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// Below this ratio of singular values the points are a line to working precision: about the rounding of `f64` at
 /// 10 km from the origin.
 const COLLINEAR_RATIO: f64 = 1e-9;
 
-/// Pairs that do not determine a rigid motion.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum FitError {
-    /// The slices do not pair, or there are too few points.
-    #[error("three or more pairs are needed, but there are {n_target} target and {n_source} source points")]
-    Pairing {
-        /// The number of target points.
-        n_target: usize,
-        /// The number of source points.
-        n_source: usize,
-    },
-    /// The points lie on a line, which leaves the spin about it unknown.
-    #[error("the points lie on a line, which leaves the turn about it unknown; add a point off the line")]
-    Collinear,
-    /// A coordinate is NaN or infinite.
-    #[error("pair {index} is not finite; drop it before fitting")]
-    NotFinite {
-        /// The first such pair.
-        index: usize,
-    },
-}
-
 /// Rigid motion that best carries `source` onto `target` in the least-squares sense, pairing points by index.
 ///
 /// Lengths in millimetres. Always a proper rotation (det = +1), never a mirror image. `O(n)`.
 ///
 /// # Errors
-/// [`FitError::Pairing`] if the slices differ in length or hold fewer than three points;
-/// [`FitError::NotFinite`] if a coordinate is NaN or infinite;
-/// [`FitError::Collinear`] if the points lie on a line, which leaves the spin about it unknown.
+/// [`Refusal`] if the slices differ in length or hold fewer than three points, a coordinate is NaN or infinite, or the points
+/// lie on a line.
 ///
 /// # Source
 /// Kabsch 1976; Umeyama 1991, eqs. 38-43 with scale 1. The coarse fit of section 2.3 of the paper.
-pub fn kabsch(target: &[Point3<f64>], source: &[Point3<f64>]) -> Result<Isometry3<f64>, FitError> {
-    if target.len() != source.len() || source.len() < 3 {
-        return Err(FitError::Pairing { n_target: target.len(), n_source: source.len() });
+pub fn kabsch(target: &[Point3<f64>], source: &[Point3<f64>]) -> Result<Isometry3<f64>, Refusal> {
+    let (n_target, n_source) = (target.len(), source.len());
+    if n_target != n_source || n_source < 3 {
+        return Err(Refusal::of(format!(
+            "three or more pairs are needed, but there are {n_target} target and {n_source} source points"
+        )));
     }
     if let Some(index) = target.iter().zip(source).position(|(t, s)| !finite(t) || !finite(s)) {
-        return Err(FitError::NotFinite { index });
+        return Err(Refusal::of(format!("pair {index} is not finite; drop it before fitting")));
     }
     let (mean_target, mean_source) = (centroid(target), centroid(source));
     let covariance: Matrix3<f64> =
         target.iter().zip(source).map(|(t, s)| (t - mean_target) * (s - mean_source).transpose()).sum();
-    from_covariance(&covariance, &mean_target, &mean_source).ok_or(FitError::Collinear)
+    let line = "the points lie on a line, which leaves the turn about it unknown; add a point off the line";
+    from_covariance(&covariance, &mean_target, &mean_source).ok_or_else(|| Refusal::of(line))
 }
 
 /// The motion from the sum of `(t - mean_target)(s - mean_source)ᵀ`; `None` if its rank is below two.
@@ -124,12 +106,13 @@ mod tests {
     #[test]
     fn lines_too_few_points_and_nans_are_refused() {
         let line: Vec<_> = (0..5).map(|i| Point3::new(f64::from(i), 2.0 * f64::from(i), 1e6)).collect();
-        assert_eq!(kabsch(&line, &line), Err(FitError::Collinear));
-        assert_eq!(kabsch(&[Point3::origin(); 4], &[Point3::origin(); 4]), Err(FitError::Collinear));
-        assert_eq!(kabsch(&corners()[..2], &corners()[..2]), Err(FitError::Pairing { n_target: 2, n_source: 2 }));
-        assert_eq!(kabsch(&corners(), &corners()[..3]), Err(FitError::Pairing { n_target: 4, n_source: 3 }));
+        let refusal = |target: &[_], source: &[_]| kabsch(target, source).unwrap_err().to_string();
+        assert!(refusal(&line, &line).starts_with("the points lie on a line"));
+        assert!(refusal(&[Point3::origin(); 4], &[Point3::origin(); 4]).starts_with("the points lie on a line"));
+        assert!(refusal(&corners()[..2], &corners()[..2]).ends_with("there are 2 target and 2 source points"));
+        assert!(refusal(&corners(), &corners()[..3]).ends_with("there are 4 target and 3 source points"));
         let mut wild = corners();
         wild[2].y = f64::NAN;
-        assert_eq!(kabsch(&corners(), &wild), Err(FitError::NotFinite { index: 2 }));
+        assert_eq!(refusal(&corners(), &wild), "pair 2 is not finite; drop it before fitting");
     }
 }

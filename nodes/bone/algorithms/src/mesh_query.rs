@@ -32,29 +32,16 @@ struct Searched {
     centre: Point3<f64>,
 }
 
-/// An intersection of a ray with a mesh.
+/// A point of a mesh: the first on a ray, or the closest to another.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RayHit {
+pub struct SurfacePoint {
     /// The point on the surface, mm.
     pub point: Point3<f64>,
-    /// The distance from the ray's origin, mm.
-    pub distance_mm: f64,
-    /// The face that was hit.
-    pub face: usize,
-    /// The face's outward unit normal, whichever side is hit.
-    pub normal: Vector3<f64>,
-}
-
-/// The point of a mesh closest to another.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Closest {
-    /// The point on the surface, mm.
-    pub point: Point3<f64>,
-    /// Its distance, mm.
+    /// Its distance from the ray's origin or the other point, mm.
     pub distance_mm: f64,
     /// The face it lies on.
     pub face: usize,
-    /// The face's outward unit normal.
+    /// The face's outward unit normal, whichever side is hit.
     pub normal: Vector3<f64>,
 }
 
@@ -91,7 +78,7 @@ impl MeshQuery {
     /// The first face met from `origin` along `direction` (any length but zero), from either side.
     ///
     /// Of faces met at one distance, as on an edge, the one with the lowest index.
-    pub fn cast_ray(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<RayHit> {
+    pub fn cast_ray(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<SurfacePoint> {
         let direction = direction.try_normalize(0.0).filter(|d| finite(origin) && d.iter().all(|c| c.is_finite()))?;
         let searched = self.searched();
         let from = origin - searched.centre;
@@ -106,12 +93,12 @@ impl MeshQuery {
             distance_mm
         });
         let face = first?;
-        Some(RayHit { point: origin + direction * distance_mm, distance_mm, face, normal: self.normal(face) })
+        Some(SurfacePoint { point: origin + direction * distance_mm, distance_mm, face, normal: self.normal(face) })
     }
 
     /// The point of the surface closest to `point`. Of faces at one distance, as at an edge or a corner, the one with the
     /// lowest index.
-    pub fn closest_point(&self, point: &Point3<f64>) -> Option<Closest> {
+    pub fn closest_point(&self, point: &Point3<f64>) -> Option<SurfacePoint> {
         if !finite(point) {
             return None;
         }
@@ -119,18 +106,18 @@ impl MeshQuery {
         let at = point - searched.centre;
         // With a first bound most nodes are never sorted. Beyond single precision it is the answer.
         let first = searched.bvh.near(&at)?;
-        let (mut found, mut face) = (searched.faces.get(first)?.closest(&at), searched.order[first] as usize);
-        let mut square = (found - at).norm_squared();
+        let (mut foot, mut face) = (searched.faces.get(first)?.closest(&at), searched.order[first] as usize);
+        let mut square = (foot - at).norm_squared();
         searched.bvh.nearest(&at, square, |place| {
             let (other, other_face) = (searched.faces[place].closest(&at), searched.order[place] as usize);
             let other_square = (other - at).norm_squared();
             if other_square < square || other_square == square && other_face < face {
-                (square, found, face) = (other_square, other, other_face);
+                (square, foot, face) = (other_square, other, other_face);
             }
             square
         });
-        let found = searched.centre + found;
-        Some(Closest { point: found, distance_mm: (found - point).norm(), face, normal: self.normal(face) })
+        let foot = searched.centre + foot;
+        Some(SurfacePoint { point: foot, distance_mm: (foot - point).norm(), face, normal: self.normal(face) })
     }
 
     /// Whether the point is inside one of the closed parts of the mesh: a ray leaves more faces than it enters.
@@ -217,7 +204,7 @@ mod tests {
         (0..searched.faces.len())
             .map(|k| (searched.order[k] as usize, searched.faces[k].closest(&at)))
             .min_by(|a, b| (a.1 - at).norm_squared().total_cmp(&(b.1 - at).norm_squared()).then(a.0.cmp(&b.0)))
-            .map(|(face, found)| (face, searched.centre + found))
+            .map(|(face, foot)| (face, searched.centre + foot))
     }
 
     fn check_closest(query: &MeshQuery, point: &Point3<f64>) {

@@ -1,5 +1,6 @@
 //! Open edges and connected components of a mesh.
 
+use crate::iso_surface::compacted;
 use crate::union_find::UnionFind;
 use nalgebra::Point3;
 use osteoflow_geometry::Mesh;
@@ -37,19 +38,7 @@ pub fn largest_component(vertices: Vec<Point3<f64>>, faces: &[[u32; 3]]) -> (Vec
     // `max_by_key` takes the last of several.
     let Some(largest) = (0..n_components).rev().max_by_key(|&c| n_faces[c]) else { return (vertices, Vec::new()) };
 
-    const UNUSED: u32 = u32::MAX;
-    let mut new_index = vec![UNUSED; vertices.len()];
-    let own: Vec<[u32; 3]> = faces.iter().filter(|face| component[face[0] as usize] == largest).copied().collect();
-    own.iter().flatten().for_each(|&v| new_index[v as usize] = 0);
-    let mut used = Vec::new();
-    for (index, vertex) in new_index.iter_mut().zip(vertices) {
-        if *index != UNUSED {
-            *index = used.len() as u32;
-            used.push(vertex);
-        }
-    }
-    let own = own.into_iter().map(|face| face.map(|v| new_index[v as usize])).collect();
-    (used, own)
+    compacted(&vertices, faces.iter().filter(|face| component[face[0] as usize] == largest).copied().collect())
 }
 
 #[cfg(test)]

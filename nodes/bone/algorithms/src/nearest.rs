@@ -16,13 +16,6 @@ pub struct Nearest {
     centre: Point3<f64>,
 }
 
-/// Threads that build a tree.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Threads {
-    This,
-    Pool,
-}
-
 impl Nearest {
     /// A tree over `points`; points that are not finite are left out. `O(n log n)`, on all threads of the current pool.
     pub fn new(points: &[Point3<f64>]) -> Self {
@@ -30,7 +23,7 @@ impl Nearest {
         let centre = centroid(&known);
         drop(known);
         let about = (0_u32..).zip(points).filter(|(_, p)| finite(p)).map(|(i, p)| (i, p - centre));
-        Self::of(about, centre, Threads::Pool)
+        Self::of(about, centre, true)
     }
 
     /// A tree of finite points relative to a centre; queries are relative to it, too.
@@ -38,24 +31,23 @@ impl Nearest {
     /// Built by the calling thread alone, as needed while a lock is held: a pool thread that waits for stolen work runs other
     /// jobs meanwhile, and deadlocks if one of them takes the same lock.
     pub(crate) fn about(centre: &Point3<f64>, points: impl Iterator<Item = Point3<f64>>) -> Self {
-        Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin(), Threads::This)
+        Self::of((0_u32..).zip(points.map(|p| p - centre)), Point3::origin(), false)
     }
 
-    fn of(points: impl Iterator<Item = (u32, Vector3<f64>)>, centre: Point3<f64>, threads: Threads) -> Self {
+    fn of(points: impl Iterator<Item = (u32, Vector3<f64>)>, centre: Point3<f64>, in_pool: bool) -> Self {
         // Adding 0.0 makes -0.0 equal to 0.0.
         let mut entries: Vec<(u32, [f64; 3])> = points.map(|(i, p)| (i, p.map(|c| c + 0.0).into())).collect();
         let order = |(i, a): &(u32, [f64; 3]), (j, b): &(u32, [f64; 3])| {
             a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])).then(i.cmp(j))
         };
-        match threads {
-            Threads::This => entries.sort_unstable_by(order),
-            Threads::Pool => entries.par_sort_unstable_by(order),
+        if in_pool {
+            entries.par_sort_unstable_by(order)
+        } else {
+            entries.sort_unstable_by(order)
         }
         entries.dedup_by(|later, first| later.1 == first.1);
-        let build = match threads {
-            Threads::This => ImmutableKdTree::new_from_entries,
-            Threads::Pool => ImmutableKdTree::new_from_entries_parallel,
-        };
+        let build =
+            if in_pool { ImmutableKdTree::new_from_entries_parallel } else { ImmutableKdTree::new_from_entries };
         let tree = if entries.is_empty() { None } else { build(&entries).ok().map(Arc::new) };
         Self { tree, centre }
     }
@@ -63,8 +55,8 @@ impl Nearest {
     /// Index and squared distance (mm²) of the nearest point; `None` if there is none or `point` is not finite.
     pub fn nearest(&self, point: &Point3<f64>) -> Option<(usize, f64)> {
         let tree = self.tree.as_ref().filter(|_| finite(point))?;
-        let found = tree.query(&self.about_centre(point)).nearest_one::<SquaredEuclidean<f64>>().execute();
-        Some((found.item as usize, found.distance))
+        let nearest = tree.query(&self.about_centre(point)).nearest_one::<SquaredEuclidean<f64>>().execute();
+        Some((nearest.item as usize, nearest.distance))
     }
 
     /// Indices and squared distances (mm²) of the points no farther than `radius_mm`, by index.
@@ -72,10 +64,10 @@ impl Nearest {
         let Some(tree) = self.tree.as_ref().filter(|_| finite(point)) else { return Vec::new() };
         let radius = radius_mm * radius_mm;
         let query = self.about_centre(point);
-        let found = tree.query(&query).within::<SquaredEuclidean<f64>>(radius).unsorted().execute();
-        let mut found: Vec<_> = found.into_iter().map(|f| (f.item as usize, f.distance)).collect();
-        found.sort_unstable_by_key(|f| f.0);
-        found
+        let neighbours = tree.query(&query).within::<SquaredEuclidean<f64>>(radius).unsorted().execute();
+        let mut neighbours: Vec<_> = neighbours.into_iter().map(|f| (f.item as usize, f.distance)).collect();
+        neighbours.sort_unstable_by_key(|f| f.0);
+        neighbours
     }
 
     /// Indices and squared distances (mm²) of the `n` nearest points, nearest first, ties by index.
@@ -83,10 +75,10 @@ impl Nearest {
         let (Some(tree), Some(n)) = (self.tree.as_ref().filter(|_| finite(point)), NonZeroUsize::new(n)) else {
             return Vec::new();
         };
-        let found = tree.query(&self.about_centre(point)).nearest_n::<SquaredEuclidean<f64>>(n).execute();
-        let mut found: Vec<_> = found.into_iter().map(|f| (f.item as usize, f.distance)).collect();
-        found.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-        found
+        let neighbours = tree.query(&self.about_centre(point)).nearest_n::<SquaredEuclidean<f64>>(n).execute();
+        let mut neighbours: Vec<_> = neighbours.into_iter().map(|f| (f.item as usize, f.distance)).collect();
+        neighbours.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        neighbours
     }
 
     fn about_centre(&self, point: &Point3<f64>) -> [f64; 3] {

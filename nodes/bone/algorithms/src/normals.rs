@@ -69,8 +69,8 @@ fn normal(
     params: &NormalParams,
 ) -> Option<Vector3<f64>> {
     let limit = params.max_distance_mm * params.max_distance_mm;
-    let found = tree.nearest_n(point, params.neighbours as usize);
-    let near: Vec<Point3<f64>> = found.iter().filter(|(_, d)| *d <= limit).map(|(i, _)| points[*i]).collect();
+    let around = tree.nearest_n(point, params.neighbours as usize);
+    let near: Vec<Point3<f64>> = around.iter().filter(|(_, d)| *d <= limit).map(|(i, _)| points[*i]).collect();
     let normal = plane_normal(&near)?;
     Some(if normal.dot(&(camera - point)) < 0.0 { -normal } else { normal })
 }

@@ -88,11 +88,11 @@ impl PointBlocks {
             let bound = f32x4::splat(bound);
             let near = squared[0].simd_le(bound).to_bitmask() | squared[1].simd_le(bound).to_bitmask() << 4;
             for k in bits(near) {
-                let found = (squared[k / 4].as_array()[k % 4], (block * BLOCK_LEN + k) as u32);
-                let place = nearest.partition_point(|other| *other < found);
+                let candidate = (squared[k / 4].as_array()[k % 4], (block * BLOCK_LEN + k) as u32);
+                let place = nearest.partition_point(|other| *other < candidate);
                 if place < n {
                     nearest.truncate(n - 1);
-                    nearest.insert(place, found);
+                    nearest.insert(place, candidate);
                 }
             }
             if nearest.len() == n { f64::from(nearest[n - 1].0) } else { f64::INFINITY }

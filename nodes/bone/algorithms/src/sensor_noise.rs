@@ -97,9 +97,9 @@ mod tests {
         for turn in [Vector3::x() * 1.6, Vector3::y() * 1.5, Vector3::new(1.0, 2.0, -0.5), Vector3::z() * 2.0] {
             let turn = Rotation3::new(turn);
             let turned: Vec<Point3<f64>> = points.iter().map(|p| turn * p).collect();
-            let found = sensor_noise_mm(&turned).unwrap();
+            let noise_mm = sensor_noise_mm(&turned).unwrap();
             // Rounding of coordinates of 200 mm alone: 1e-13 mm, times the condition of the fit.
-            assert!((found - noise).abs() < 1e-9, "{found} instead of {noise} mm");
+            assert!((noise_mm - noise).abs() < 1e-9, "{noise_mm} instead of {noise} mm");
         }
     }
 }

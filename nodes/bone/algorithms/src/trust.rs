@@ -28,7 +28,7 @@ pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use limits::Limits;
 pub use misfit::Misfit;
 pub use osteoflow_verdict::{Answer, Reason};
-pub use planned::{OrderEvidence, PlanFault, landmark_order, plan_faults, planes_lost};
+pub use planned::{OrderEvidence, landmark_order, plan_faults, planes_lost};
 pub use predict::{
     Cut, Interval, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking, Where, predict,
 };

@@ -189,8 +189,8 @@ fn the_recipe_finds_the_landmarks_of_the_development_plan() {
         lateral: nalgebra::Unit::new_normalize(bone.lateral),
         posterior: nalgebra::Unit::new_normalize(bone.posterior),
     };
-    let found: Vec<NamedPoint> = paper_recipe(&bone.query, &anatomy, &RecipeParams::default()).unwrap();
-    for landmark in found {
+    let result: Vec<NamedPoint> = paper_recipe(&bone.query, &anatomy, &RecipeParams::default()).unwrap();
+    for landmark in result {
         let at = &plan["landmarks"][&*landmark.name];
         let planned = Point3::new(at[0].as_f64().unwrap(), at[1].as_f64().unwrap(), at[2].as_f64().unwrap());
         let off = landmark.position - planned;

@@ -5,7 +5,7 @@ use crate::draws::{Term, normal, stream};
 use crate::params::{CameraParams, PeriosteumParams};
 use crate::waves::Waves;
 use nalgebra::{Isometry3, Point3, Rotation3, Unit, Vector3};
-use osteoflow_algorithms::mesh_query::{MeshQuery, RayHit};
+use osteoflow_algorithms::mesh_query::{MeshQuery, SurfacePoint};
 use osteoflow_geometry::{Cloud, CloudError, StampNs};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -140,7 +140,7 @@ fn look(
     let (origin, along) = (Point3::from(t_object_camera.translation.vector), t_object_camera * ray);
     let before = around.and_then(|a| a.cast_ray(&origin, &along));
     let lump = lumps.and_then(|lumps| lumps.cast_ray(&origin, &along));
-    let nearer = |a: RayHit, b: RayHit| if b.distance_mm < a.distance_mm { b } else { a };
+    let nearer = |a: SurfacePoint, b: SurfacePoint| if b.distance_mm < a.distance_mm { b } else { a };
     let behind = match (object.cast_ray(&origin, &along), lump) {
         (Some(bone), Some(lump)) => Some(nearer(bone, lump)),
         (bone, lump) => bone.or(lump),

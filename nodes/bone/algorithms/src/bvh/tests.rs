@@ -37,11 +37,11 @@ fn span(e: &Aabb, origin: &Vector3<f64>, direction: &Vector3<f64>) -> [f64; 2] {
 }
 
 /// The items found are those expected but for those that rounding (1e-3 mm) decides.
-fn assert_found(mut found: Vec<usize>, distance_mm: impl Fn(usize) -> f64, n: usize, limit_mm: f64) {
-    found.sort_unstable();
-    assert!(found.windows(2).all(|two| two[0] < two[1]), "none twice");
+fn assert_found(mut items: Vec<usize>, distance_mm: impl Fn(usize) -> f64, n: usize, limit_mm: f64) {
+    items.sort_unstable();
+    assert!(items.windows(2).all(|two| two[0] < two[1]), "none twice");
     for k in 0..n {
-        let (mm, is_found) = (distance_mm(k), found.binary_search(&k).is_ok());
+        let (mm, is_found) = (distance_mm(k), items.binary_search(&k).is_ok());
         assert!(is_found || mm > limit_mm - 1e-3, "item {k} at {mm} mm is within {limit_mm} mm");
         assert!(!is_found || mm < limit_mm + 1e-3, "item {k} at {mm} mm is not within {limit_mm} mm");
     }
@@ -55,16 +55,16 @@ fn a_search_visits_each_item_within_its_bound_and_no_other() {
         for (k, at) in queries().into_iter().enumerate() {
             let limit_mm = [1.0, 6.0, 30.0, 500.0][k % 4];
             let point = Aabb { min: at, max: at };
-            let mut found = Vec::new();
+            let mut items = Vec::new();
             bvh.nearest(&at, limit_mm * limit_mm, |i| {
-                found.push(i);
+                items.push(i);
                 limit_mm * limit_mm
             });
-            assert_found(found, |i| gap(&boxes[i], &point), n, limit_mm);
+            assert_found(items, |i| gap(&boxes[i], &point), n, limit_mm);
             let query = Aabb { min: at, max: at + Vector3::new(3.0, 1.0, 7.0) };
-            let mut found = Vec::new();
-            bvh.within(&query, limit_mm, |i| found.push(i));
-            assert_found(found, |i| gap(&boxes[i], &query), n, limit_mm);
+            let mut items = Vec::new();
+            bvh.within(&query, limit_mm, |i| items.push(i));
+            assert_found(items, |i| gap(&boxes[i], &query), n, limit_mm);
         }
     }
 }
@@ -79,13 +79,13 @@ fn a_ray_visits_each_box_that_it_meets_within_its_bound_and_no_other() {
             let direction = (towards - at[k - 1]).normalize();
             let origin = at[k - 1] - direction * far_mm;
             let limit_mm = far_mm + [5.0, 60.0, 500.0][k % 3];
-            let mut found = Vec::new();
+            let mut items = Vec::new();
             bvh.along(&origin, &direction, limit_mm, |i| {
-                found.push(i);
+                items.push(i);
                 limit_mm
             });
-            found.sort_unstable();
-            assert!(found.windows(2).all(|two| two[0] < two[1]), "none twice");
+            items.sort_unstable();
+            assert!(items.windows(2).all(|two| two[0] < two[1]), "none twice");
             for (i, e) in boxes.iter().enumerate() {
                 // Boxes are widened by the rounding of their largest coordinate, and lengths by 1e-5 of it.
                 let widened = |by: f64| Aabb { min: e.min.add_scalar(-by), max: e.max.add_scalar(by) };
@@ -93,7 +93,7 @@ fn a_ray_visits_each_box_that_it_meets_within_its_bound_and_no_other() {
                     let [enter, leave] = span(&widened(by), &origin, &direction);
                     enter.max(-by) <= leave + by && enter <= limit_mm + by && leave >= -by
                 };
-                let is_found = found.binary_search(&i).is_ok();
+                let is_found = items.binary_search(&i).is_ok();
                 assert!(is_found || !meets(-0.01), "ray {k} from {far_mm} mm meets box {i}");
                 assert!(!is_found || meets(0.01), "ray {k} from {far_mm} mm does not meet box {i}");
             }

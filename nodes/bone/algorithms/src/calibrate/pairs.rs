@@ -80,8 +80,8 @@ pub(super) fn on_faces(faces: &Faces, scan: &Scan, t_phantom_camera: &Isometry3<
         let agrees = (t_phantom_camera * direction).dot(&normal).abs() >= SAME_FACE_COS;
         Some(OnFace { pair: Pair { phantom, normal, residual_mm, per_depth }, agrees })
     };
-    let found: Vec<Option<OnFace>> = scan.points.par_iter().zip(&scan.normals).map(on_face).collect();
-    found.into_iter().flatten().collect()
+    let pairs: Vec<Option<OnFace>> = scan.points.par_iter().zip(&scan.normals).map(on_face).collect();
+    pairs.into_iter().flatten().collect()
 }
 
 /// The pairs on faces that have the direction of the scan.

@@ -3,13 +3,13 @@
 mod axis;
 mod descent;
 
-pub(crate) use descent::{Placed, Points, descend, score as map_score};
+pub(crate) use descent::{Placed, Points, descended, distinct, motion, thinned};
 
 use crate::Refusal;
 use crate::icp::{self, IcpParams, Method, Source};
-use crate::target::{NearMap, Target};
+use crate::target::Target;
 use axis::{Scan, stations};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -130,22 +130,18 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
         .collect();
     let few = scan.thinned(source.points(), N_SCORED);
     let some = scan.thinned(source.points(), N_MAPPED);
-    let on_map = |start: &Placed| {
-        let placed = descend(map, &scan.seen(&few), start, START_REACH_MM, 3);
-        (map_score(map, &scan.seen(&few), &placed, START_REACH_MM), placed)
+    // Four points of the scan's extent tell poses apart.
+    let better = |starts: &[Placed], points: &Points, reach_mm: f64, n_steps: usize, apart_mm: f64, n: usize| {
+        distinct(descended(map, points, starts, reach_mm, n_steps), &few, 4, apart_mm, n)
     };
-    let mut near: Vec<(f64, Placed)> = starts.par_iter().map(on_map).collect();
-    near.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let near = distinct(near, &few, SAME_MM, MORE * params.n_refined);
-    let near = closer(map, &scan, near, &few, MID_REACH_MM);
-    let near = distinct(near, &few, SAME_MM, params.n_refined);
-    let near = closer(map, &scan, near, &some, END_REACH_MM);
-    let near = distinct(near, &few, APART_MM, params.n_registered);
+    let near = better(&starts, &few, START_REACH_MM, 3, SAME_MM, MORE * params.n_refined);
+    let near = better(&near, &few, MID_REACH_MM, 8, SAME_MM, params.n_refined);
+    let near = better(&near, &some, END_REACH_MM, 8, APART_MM, params.n_registered);
     let (registered, compared) = (thinned(source.points(), N_REGISTERED), thinned(source.points(), N_COMPARED));
     let mut ends: Vec<(f64, Isometry3<f64>)> = near
         .par_iter()
-        .filter_map(|(_, placed)| {
-            let start = scan.motion_of(map, placed);
+        .filter_map(|placed| {
+            let start = motion(map, &scan.middle, placed);
             let end = refined(target, &registered, &start, scan.camera)?;
             Some((score(target, &compared, &end, END_REACH_MM), end))
         })
@@ -169,48 +165,6 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
     let clearness = runner_up.as_ref().map_or(1.0, |other| 1.0 - score_mm / other.score_mm.max(f64::MIN_POSITIVE));
     let report = GlobalReport { n_tried: starts.len(), n_refined: ends.len(), score_mm, runner_up, clearness };
     Ok(GlobalFit { t_target_source, report })
-}
-
-/// The poses after more steps on the map with pairs no farther than `reach_mm`, best first.
-fn closer(
-    map: &NearMap,
-    scan: &Scan,
-    poses: Vec<(f64, Placed)>,
-    points: &[Vector3<f64>],
-    reach_mm: f64,
-) -> Vec<(f64, Placed)> {
-    let one = |(_, start): &(f64, Placed)| {
-        let placed = descend(map, &scan.seen(points), start, reach_mm, 8);
-        (map_score(map, &scan.seen(points), &placed, reach_mm), placed)
-    };
-    let mut closer: Vec<(f64, Placed)> = poses.par_iter().map(one).collect();
-    closer.sort_by(|a, b| a.0.total_cmp(&b.0));
-    closer
-}
-
-/// The first `n` of the poses that are no closer than `apart_mm` (RMS) to an earlier one.
-fn distinct(sorted: Vec<(f64, Placed)>, points: &[Vector3<f64>], apart_mm: f64, n: usize) -> Vec<(f64, Placed)> {
-    // Four points of the scan's extent tell poses apart.
-    let probes: Vec<Vector3<f64>> = points.iter().step_by((points.len() / 4).max(1)).copied().collect();
-    let square = |a: &Placed, b: &Placed| {
-        probes.iter().map(|p| (a * Point3::from(*p) - b * Point3::from(*p)).norm_squared()).sum::<f64>()
-    };
-    let limit = apart_mm * apart_mm * probes.len() as f64;
-    let mut kept: Vec<(f64, Placed)> = Vec::new();
-    for (score, placed) in sorted {
-        if kept.len() >= n {
-            break;
-        }
-        if kept.iter().all(|(_, other)| square(other, &placed) > limit) {
-            kept.push((score, placed));
-        }
-    }
-    kept
-}
-
-/// About `n` points, evenly through their order.
-fn thinned(points: &[Point3<f64>], n: usize) -> Vec<Point3<f64>> {
-    points.iter().step_by(points.len().div_ceil(n).max(1)).copied().collect()
 }
 
 /// RMS distance of the moved points from the surface, with distances limited to `reach_mm`.
@@ -248,20 +202,23 @@ fn refined(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
     use osteoflow_geometry::SurfaceOrigin;
 
     #[test]
     fn poses_no_closer_than_the_limit_to_an_earlier_one_are_distinct() {
-        let points: Vec<Vector3<f64>> = (0..9).map(|k| Vector3::new(f64::from(k), 0.0, 0.0)).collect();
+        let points = (0..9).map(|k| Vector3::new(f64::from(k), 0.0, 0.0)).collect();
+        let points = Points { points, camera: None };
         let at = |score: f64, mm: f64| (score, Placed::translation(0.0, mm, 0.0));
         let poses = vec![at(0.1, 0.0), at(0.2, 4.0), at(0.3, 4.1), at(0.4, -4.1), at(0.5, 8.2), at(0.6, 20.0)];
-        let scores = |n: usize| distinct(poses.clone(), &points, 4.0, n).iter().map(|p| p.0).collect::<Vec<_>>();
-        assert_eq!(scores(9), [0.1, 0.3, 0.4, 0.5, 0.6]);
-        assert_eq!(scores(3), [0.1, 0.3, 0.4]);
-        assert!(scores(0).is_empty());
+        let kept =
+            |n: usize| distinct(poses.clone(), &points, 4, 4.0, n).iter().map(|p| p.translation.y).collect::<Vec<_>>();
+        assert_eq!(kept(9), [0.0, 4.1, -4.1, 8.2, 20.0]);
+        assert_eq!(kept(3), [0.0, 4.1, -4.1]);
+        assert!(kept(0).is_empty());
         // The points 0, 2, 4, 6 and 8 mm off the axis move by 2 mm RMS each at a turn of 0.4082 rad.
         let turned = |rad: f64| (0.9, Placed::rotation(Vector3::z() * rad));
-        let n = |rad: f64| distinct(vec![at(0.1, 0.0), turned(rad)], &points, 2.0, 9).len();
+        let n = |rad: f64| distinct(vec![at(0.1, 0.0), turned(rad)], &points, 4, 2.0, 9).len();
         let limit = 2.0 * (2.0 / 2.0 / 24.0_f64.sqrt()).asin();
         assert_eq!([n(limit - 1e-6), n(limit + 1e-6)], [1, 2], "{limit} rad");
     }

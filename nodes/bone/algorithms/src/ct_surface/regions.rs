@@ -176,8 +176,8 @@ mod tests {
             let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
             let voxels: Vec<f32> = (0..9 * 7 * 8).map(|_| f32::from(u8::from(rng.random::<f64>() < share))).collect();
             for neighbours in [Neighbours::Six, Neighbours::TwentySix] {
-                let found = regions(&voxels, size, neighbours, |v| v > 0.5).unwrap();
-                let sizes: Vec<u64> = found.regions.iter().map(|r| r.n_voxels).collect();
+                let parts = regions(&voxels, size, neighbours, |v| v > 0.5).unwrap();
+                let sizes: Vec<u64> = parts.regions.iter().map(|r| r.n_voxels).collect();
                 assert_eq!(sizes, flooded(&voxels, size, neighbours), "{neighbours:?}, share {share}");
             }
         }

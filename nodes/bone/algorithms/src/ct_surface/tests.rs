@@ -50,6 +50,11 @@ fn centred(size: [usize; 3], t: Matrix4<f64>) -> Matrix4<f64> {
     Matrix4::new_translation(&-off.xyz()) * t
 }
 
+/// The closed surface, lids included.
+fn closed_mesh(surface: &CtSurface) -> Mesh {
+    Mesh::new("ct", SurfaceOrigin::User, surface.vertices.clone(), surface.faces.clone()).unwrap()
+}
+
 #[test]
 fn a_ball_is_within_a_tenth_of_a_voxel_in_any_grid_and_faces_outwards() {
     let size = [41, 47, 37];
@@ -57,7 +62,7 @@ fn a_ball_is_within_a_tenth_of_a_voxel_in_any_grid_and_faces_outwards() {
         for spacing in [[0.5, 0.5, 0.5], [0.5, 0.45, 0.6], [0.45, 0.4, 1.0]] {
             let t = centred(size, grid(spacing, [0.0; 3], Vector3::new(0.3, -0.5, 0.8), mirrored));
             let surface = Sampled::new(size, t, |p| edge(p.coords.norm() - 6.0)).surface(&CtSurfaceParams::at(500.0));
-            let mesh = surface.closed_mesh("ct").unwrap();
+            let mesh = closed_mesh(&surface);
             assert_eq!((open_edges(&mesh), surface.n_border_faces()), (0, 0));
             let expected = 4.0 / 3.0 * std::f64::consts::PI * 216.0;
             assert!((mesh.volume_mm3() / expected - 1.0).abs() < 0.02, "{} mm3 of {expected}", mesh.volume_mm3());
@@ -91,7 +96,7 @@ fn a_bone_cut_by_the_border_is_closed_by_a_lid_that_is_marked_and_can_be_left_ou
     for mirrored in [false, true] {
         let t = centred(size, grid([0.5, 0.5, 0.7], [0.0; 3], Vector3::zeros(), mirrored));
         let surface = tube(t, size).surface(&CtSurfaceParams::at(500.0));
-        let closed = surface.closed_mesh("ct").unwrap();
+        let closed = closed_mesh(&surface);
         assert_eq!((open_edges(&closed), surface.n_filled), (0, 1));
         // 30 layers of 0.7 mm: the lid is half a voxel beyond the last centre.
         let expected = std::f64::consts::PI * 64.0 * 21.0;
@@ -112,7 +117,7 @@ fn a_bone_cut_by_the_border_is_closed_by_a_lid_that_is_marked_and_can_be_left_ou
             assert!(normal.xy().dot(&middle.xy()) > 0.0 && normal.z.abs() < 0.3 * normal.norm(), "face {face}");
         }
         let hollow = tube(t, size).surface(&CtSurfaceParams { fill_cavities: false, ..CtSurfaceParams::at(500.0) });
-        let closed = hollow.closed_mesh("ct").unwrap();
+        let closed = closed_mesh(&hollow);
         assert_eq!((open_edges(&closed), hollow.n_filled), (0, 0));
         assert!((closed.volume_mm3() / (expected * 0.75) - 1.0).abs() < 0.02, "{} mm3", closed.volume_mm3());
     }
@@ -175,7 +180,7 @@ fn even_noise_gives_closed_surfaces_and_the_rest_of_the_volume_changes_nothing()
             for fill_cavities in [false, true] {
                 let params = CtSurfaceParams { fill_cavities, ..CtSurfaceParams::at(threshold) };
                 let Ok(surface) = ct_surface(&volume.view(), &params) else { continue };
-                let mesh = surface.closed_mesh("ct").unwrap();
+                let mesh = closed_mesh(&surface);
                 assert_eq!(open_edges(&mesh), 0, "seed {seed}, threshold {threshold}");
                 assert!(mesh.volume_mm3() > 0.0);
             }
@@ -218,13 +223,13 @@ fn the_suggested_threshold_is_half_way_between_soft_tissue_and_bone() {
         .collect();
     let t = Matrix4::identity();
     let view = VolumeView { size: [100, 100, 10], voxels: &voxels, t_lps_voxel: &t };
-    let found = suggested_threshold(&view, true).unwrap();
-    assert!((found - 650.0).abs() < 10.0, "{found} HU");
+    let suggestion = suggested_threshold(&view, true).unwrap();
+    assert!((suggestion - 650.0).abs() < 10.0, "{suggestion} HU");
     let soft: Vec<f32> = voxels.iter().map(|v| v.min(80.0)).collect();
     assert_eq!(suggested_threshold(&VolumeView { voxels: &soft, ..view }, true), None, "there is no bone");
     let other: Vec<f32> = (0..100_000).map(|k| if k % 4 == 0 { 40.0 } else { 8.0 }).collect();
-    let found = suggested_threshold(&VolumeView { voxels: &other, ..view }, false).unwrap();
-    assert!((found - 24.0).abs() < 0.1, "{found}");
+    let suggestion = suggested_threshold(&VolumeView { voxels: &other, ..view }, false).unwrap();
+    assert!((suggestion - 24.0).abs() < 0.1, "{suggestion}");
 }
 
 /// With `SLOW_TESTS` of thirty million voxels: prints the time, about a second in release.

@@ -50,7 +50,7 @@ fn tilted(z: f64, lean: f64) -> Isometry3<f64> {
 #[track_caller]
 fn assert_closed(fragment: &Fragment, volume_mm3: f64) {
     assert_eq!(mesh_topology::open_edges(&fragment.mesh), 0, "open edges");
-    let volume = fragment.volume_mm3();
+    let volume = fragment.mesh.volume_mm3();
     assert!(
         (volume - volume_mm3).abs() <= 1e-4,
         "{volume} mm³, {volume_mm3} mm³ expected: rounding of plane and edges"
@@ -82,11 +82,11 @@ fn flipped_normals_cut_the_same_piece() {
     let turn = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
     let (low, high) = (tilted(40.0, 0.2), tilted(74.0, -0.1));
     let piece = cut(&bone, [low, high]).unwrap();
-    assert_closed(&piece, piece.volume_mm3());
+    assert_closed(&piece, piece.mesh.volume_mm3());
     for places in [[low * turn, high], [low, high * turn], [low * turn, high * turn]] {
-        assert!((cut(&bone, places).unwrap().volume_mm3() - piece.volume_mm3()).abs() < 1e-6);
+        assert!((cut(&bone, places).unwrap().mesh.volume_mm3() - piece.mesh.volume_mm3()).abs() < 1e-6);
     }
-    assert!((cut(&bone, [high, low]).unwrap().volume_mm3() - piece.volume_mm3()).abs() < 1e-6);
+    assert!((cut(&bone, [high, low]).unwrap().mesh.volume_mm3() - piece.mesh.volume_mm3()).abs() < 1e-6);
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn moving_bone_and_planes_leaves_the_piece_unchanged() {
     let places = [tilted(40.0, 0.2), tilted(74.0, -0.1)];
     let here = cut(&shaft(), places).unwrap();
     let there = cut(&shaft().transformed("ct", &motion), places.map(|p| motion * p)).unwrap();
-    assert!((here.volume_mm3() - there.volume_mm3()).abs() < 1e-5);
+    assert!((here.mesh.volume_mm3() - there.mesh.volume_mm3()).abs() < 1e-5);
     assert_eq!(here.mesh.vertices().len(), there.mesh.vertices().len());
 }
 

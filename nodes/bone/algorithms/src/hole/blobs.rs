@@ -82,6 +82,7 @@ pub(super) fn blobs(
     saturated: u8,
 ) -> Vec<Blob> {
     let (width, height) = (mask.width, mask.height);
+    let size = [width, height];
     let strength_of = |[x, y]: [usize; 2]| {
         let [red, green, blue] = image.rgb(x, y).map(f64::from);
         strength(if channels == Channels::Rgb { [red, green, blue] } else { [blue, green, red] })
@@ -100,8 +101,9 @@ pub(super) fn blobs(
         })
         .collect();
     // What colour alone encloses is its core.
-    for area in areas(&kinds, Kind::Saturated, width, height) {
-        let around = area.iter().flat_map(|&i| neighbours(i, width, height)).filter(|&j| kinds[j] != Kind::Saturated);
+    let of_kind = |kinds: &[Kind], kind: Kind| -> Vec<bool> { kinds.iter().map(|k| *k == kind).collect() };
+    for area in areas(of_kind(&kinds, Kind::Saturated), size) {
+        let around = area.iter().flat_map(|&i| neighbours(i, size)).filter(|&j| kinds[j] != Kind::Saturated);
         let (mut coloured, mut other) = (0usize, 0usize);
         around.for_each(|j| if kinds[j] == Kind::Coloured { coloured += 1 } else { other += 1 });
         if coloured > 0 && other == 0 {
@@ -113,7 +115,7 @@ pub(super) fn blobs(
         let sum = area.iter().fold([0.0, 0.0], |[u, v], &i| [u + (i % width) as f64, v + (i / width) as f64]);
         let mut rim = Vec::new();
         for &i in &area {
-            for j in neighbours(i, width, height).filter(|&j| kinds[j] == Kind::Bone) {
+            for j in neighbours(i, size).filter(|&j| kinds[j] == Kind::Bone) {
                 // Linear between the centres of both pixels; the core has no strength of its own.
                 let (here, there) = (strengths[i].max(threshold), strengths[j]);
                 let share = ((here - threshold) / (here - there).max(1e-9)).clamp(0.0, 1.0);
@@ -123,35 +125,27 @@ pub(super) fn blobs(
         }
         Blob { centre: [sum[0] / n, sum[1] / n], n_pixels: area.len(), rim }
     };
-    areas(&kinds, Kind::Coloured, width, height).into_iter().map(blob).collect()
+    areas(of_kind(&kinds, Kind::Coloured), size).into_iter().map(blob).collect()
 }
 
 /// The four neighbours of a pixel.
-fn neighbours(i: usize, width: usize, height: usize) -> impl Iterator<Item = usize> {
+pub(super) fn neighbours(i: usize, [width, height]: [usize; 2]) -> impl Iterator<Item = usize> {
     let (x, y) = (i % width, i / width);
     let all = [(x > 0, -1), (x + 1 < width, 1), (y > 0, -(width as isize)), (y + 1 < height, width as isize)];
     all.into_iter().filter(|(is_there, _)| *is_there).map(move |(_, step)| i.wrapping_add_signed(step))
 }
 
-/// Connected areas of a kind, in the order of their first pixels.
-fn areas(kinds: &[Kind], kind: Kind, width: usize, height: usize) -> Vec<Vec<usize>> {
-    let mut is_taken = vec![false; kinds.len()];
+/// Connected areas of the pixels that are `left`, in the order of their first pixels.
+pub(super) fn areas(mut left: Vec<bool>, size: [usize; 2]) -> Vec<Vec<usize>> {
     let mut areas = Vec::new();
-    for first in 0..kinds.len() {
-        if kinds[first] != kind || is_taken[first] {
+    for first in 0..left.len() {
+        if !std::mem::take(&mut left[first]) {
             continue;
         }
-        is_taken[first] = true;
-        let mut area = vec![first];
-        let mut next = 0;
-        while next < area.len() {
-            for j in neighbours(area[next], width, height) {
-                if kinds[j] == kind && !is_taken[j] {
-                    is_taken[j] = true;
-                    area.push(j);
-                }
-            }
+        let (mut area, mut next) = (vec![first], 0);
+        while let Some(&here) = area.get(next) {
             next += 1;
+            area.extend(neighbours(here, size).filter(|&i| std::mem::take(&mut left[i])));
         }
         areas.push(area);
     }
@@ -186,9 +180,9 @@ mod tests {
 
     #[test]
     fn a_white_core_belongs_to_the_red_ring_around_it_and_white_alone_is_glare() {
-        let found = red(|x, y| spot(x, y).or(((x - 50.0).hypot(y - 10.0) < 4.0).then_some([255; 3])));
-        assert_eq!(found.len(), 1);
-        let Blob { centre, n_pixels, rim } = &found[0];
+        let spots = red(|x, y| spot(x, y).or(((x - 50.0).hypot(y - 10.0) < 4.0).then_some([255; 3])));
+        assert_eq!(spots.len(), 1);
+        let Blob { centre, n_pixels, rim } = &spots[0];
         assert!((centre[0] - 25.0).abs() < 0.1 && (centre[1] - 31.0).abs() < 0.1, "{centre:?}");
         assert!((*n_pixels as f64 / 254.5 - 1.0).abs() < 0.05, "{n_pixels} pixels");
         assert!(rim.iter().all(|[u, v]| ((u - 25.0).hypot(v - 31.0) - 9.0).abs() < 1.0), "{rim:?}");
@@ -196,9 +190,9 @@ mod tests {
 
     #[test]
     fn glare_over_a_part_of_a_spot_takes_its_rim_and_moves_none_of_the_rest() {
-        let found = red(|x, y| if (x - 35.0).hypot(y - 31.0) < 6.0 { Some([255; 3]) } else { spot(x, y) });
-        assert_eq!(found.len(), 1);
-        let rim = &found[0].rim;
+        let spots = red(|x, y| if (x - 35.0).hypot(y - 31.0) < 6.0 { Some([255; 3]) } else { spot(x, y) });
+        assert_eq!(spots.len(), 1);
+        let rim = &spots[0].rim;
         assert!(rim.iter().all(|[u, v]| ((u - 25.0).hypot(v - 31.0) - 9.0).abs() < 1.2), "{rim:?}");
         assert!(rim.iter().all(|[u, _]| *u < 34.0), "{rim:?}");
     }

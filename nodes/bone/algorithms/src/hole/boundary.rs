@@ -1,3 +1,4 @@
+use super::blobs::{areas, neighbours};
 use super::image::{Grid, seen};
 use super::scene::{Scene, no_points, no_viewpoint};
 use super::spot::{Missing, find};
@@ -108,19 +109,6 @@ impl Empty {
         empty
     }
 
-    /// The pixels next to one, and whether it lies within the image.
-    fn beside(&self, here: usize) -> (impl Iterator<Item = usize>, bool) {
-        let ([x, y], [width, height]) = ([here % self.size[0], here / self.size[0]], self.size);
-        let is_within = x > 0 && y > 0 && x + 1 < width && y + 1 < height;
-        let beside = [
-            (x > 0).then(|| here - 1),
-            (x + 1 < width).then(|| here + 1),
-            (y > 0).then(|| here - width),
-            (y + 1 < height).then(|| here + width),
-        ];
-        (beside.into_iter().flatten(), is_within)
-    }
-
     fn place(&self, i: usize) -> Point3<f64> {
         let [x, y] = [i % self.size[0], i / self.size[0]].map(|k| k as f64 * self.step);
         Point3::new(self.corner[0] + x, self.corner[1] + y, 0.0)
@@ -128,31 +116,19 @@ impl Empty {
 
     /// The pixels of each connected gap that the scan encloses, if there are at most `most`.
     fn gaps(&self, most: f64) -> Vec<Vec<Point3<f64>>> {
-        let mut left: Vec<bool> = self.distance.iter().map(|d| *d > EMPTY).collect();
-        let mut gaps = Vec::new();
-        for start in 0..left.len() {
-            if !std::mem::take(&mut left[start]) {
-                continue;
-            }
-            let (mut gap, mut next, mut is_enclosed) = (vec![start], 0, true);
-            while let Some(&here) = gap.get(next) {
-                next += 1;
-                let (beside, is_within) = self.beside(here);
-                is_enclosed &= is_within;
-                gap.extend(beside.filter(|&i| std::mem::take(&mut left[i])));
-            }
-            if !is_enclosed || gap.len() as f64 > most {
-                continue;
-            }
+        let is_enclosed = |gap: &Vec<usize>| gap.iter().all(|&i| neighbours(i, self.size).count() == 4);
+        let mut gaps = areas(self.distance.iter().map(|d| *d > EMPTY).collect(), self.size);
+        gaps.retain(|gap| gap.len() as f64 <= most && is_enclosed(gap));
+        for gap in &mut gaps {
             for _ in 0..RIM {
-                let rim = gap.iter().flat_map(|&here| self.beside(here).0).filter(|&i| self.distance[i] > OPEN);
-                gap = gap.iter().copied().chain(rim.collect::<Vec<_>>()).collect();
+                let beside = gap.iter().flat_map(|&i| neighbours(i, self.size));
+                let rim: Vec<usize> = beside.filter(|&i| self.distance[i] > OPEN).collect();
+                gap.extend(rim);
                 gap.sort_unstable();
                 gap.dedup();
             }
-            gaps.push(gap.into_iter().map(|i| self.place(i)).collect());
         }
-        gaps
+        gaps.into_iter().map(|gap| gap.into_iter().map(|i| self.place(i)).collect()).collect()
     }
 }
 

@@ -3,7 +3,7 @@ use super::cloud_difference::missing;
 use super::footprint::Footprint;
 use super::patch::Patch;
 use super::scene::{Scene, no_viewpoint};
-use super::spot::two_places;
+use super::spot::{SECTORS, sector, two_places};
 use super::{Hole, HoleParams, HoleReport};
 use crate::Refusal;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector2, Vector3};
@@ -16,9 +16,6 @@ const MIN_PIXELS: usize = 12;
 
 /// Factor by which a spot may look too large or too small: how far out its light is seen depends on the exposure.
 const WRONG_SIZE: f64 = 2.5;
-
-/// Directions into which the rim is divided.
-const SECTORS: usize = 12;
 
 /// Minimum number of sectors with a rim: a circle's centre is determined by less, but not along its axis.
 const MIN_SECTORS: usize = 7;
@@ -129,30 +126,30 @@ pub fn rgb_spot(
     let scene = Scene::new(reference, cloud, &params.of_holes())?;
     let search = Search::new(&scene, image, t_cloud_image, params)?;
     search.check_exposure()?;
-    let found = search.candidates(Channels::Rgb);
+    let spots = search.candidates(Channels::Rgb);
     let colour = params.mark.colour();
-    let good: Vec<&Candidate> = found.iter().filter(|c| c.confidence >= params.min_confidence).collect();
-    let Some(best) = good.first() else { return Err(search.nothing(&found)) };
-    let is_rival = |c: &&&Candidate| {
-        c.confidence > AMBIGUOUS_SHARE * best.confidence && (c.centre - best.centre).norm() > params.spot_radius_mm
+    let good: Vec<&Hole> = spots.iter().map(|c| &c.hole).filter(|h| h.confidence >= params.min_confidence).collect();
+    let Some(best) = good.first() else { return Err(search.nothing(&spots)) };
+    let is_rival = |h: &&&Hole| {
+        h.confidence > AMBIGUOUS_SHARE * best.confidence && (h.centre - best.centre).norm() > params.spot_radius_mm
     };
-    let rivals: Vec<&&Candidate> = good.iter().skip(1).filter(is_rival).collect();
+    let rivals: Vec<&&Hole> = good.iter().skip(1).filter(is_rival).collect();
     if let Some(rival) = rivals.first() {
         return Err(Refusal::of(format!(
             "{} {colour} spots look alike, {}; is one a reflection, or another mark?",
             rivals.len() + 1,
-            two_places([best, rival].map(|c| (c.centre, c.confidence)))
+            two_places([best, rival])
         )));
     }
-    if params.mark == Mark::Laser && params.require_hole && best.empty_share < MIN_EMPTY_SHARE {
+    if params.mark == Mark::Laser && params.require_hole && best.report.empty_share < MIN_EMPTY_SHARE {
         let at = <[f64; 3]>::from(best.centre.coords);
-        let (percent, needed) = (best.empty_share * 100.0, MIN_EMPTY_SHARE * 100.0);
+        let (percent, needed) = (best.report.empty_share * 100.0, MIN_EMPTY_SHARE * 100.0);
         return Err(Refusal::of(format!(
             "the image shows the laser at {at:.1?} mm, where the scan lacks {percent:.0} % of its points, {needed:.0} % needed; is \
              the image mirrored, of another scan or camera, or are its intrinsics wrong?"
         )));
     }
-    Ok(search.placed(best, found.len()))
+    Ok(search.placed(best, spots.len()))
 }
 
 impl RgbSpotParams {
@@ -168,13 +165,8 @@ impl RgbSpotParams {
 
 /// A blob on the surface.
 struct Candidate {
-    centre: Point3<f64>,
-    radius_mm: f64,
+    hole: Hole,
     n_sectors: usize,
-    size_share: f64,
-    empty_share: f64,
-    confidence: f64,
-    n_missing: usize,
 }
 
 /// The bone in the image.
@@ -245,10 +237,10 @@ impl<'a> Search<'a> {
     /// The blobs of the mark's colour on the surface, best first.
     fn candidates(&self, channels: Channels) -> Vec<Candidate> {
         let strength = |rgb| self.params.mark.strength(rgb);
-        let found = blobs(self.image, &self.mask, channels, &strength, self.params.min_contrast, SATURATED);
+        let spots = blobs(self.image, &self.mask, channels, &strength, self.params.min_contrast, SATURATED);
         let mut candidates: Vec<Candidate> =
-            found.iter().filter(|blob| blob.n_pixels >= MIN_PIXELS).filter_map(|blob| self.rate(blob)).collect();
-        candidates.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
+            spots.iter().filter(|blob| blob.n_pixels >= MIN_PIXELS).filter_map(|blob| self.rate(blob)).collect();
+        candidates.sort_by(|a, b| b.hole.confidence.total_cmp(&a.hole.confidence));
         candidates
     }
 
@@ -267,10 +259,7 @@ impl<'a> Search<'a> {
         let (at, radius_mm) = circle(&rim, middle)?;
         let centre = patch.on_surface(&at);
         let mut sectors = [false; SECTORS];
-        for offset in rim.iter().map(|p| p - at) {
-            let turn = (offset.y.atan2(offset.x) / std::f64::consts::TAU).rem_euclid(1.0);
-            sectors[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
-        }
+        rim.iter().for_each(|p| sectors[sector(&(p - at))] = true);
         let n_sectors = sectors.iter().filter(|s| **s).count();
         let size_share = (1.0 - (radius_mm / radius).ln().abs() / WRONG_SIZE.ln()).clamp(0.0, 1.0);
         let rim_share = n_sectors as f64 / SECTORS as f64;
@@ -285,7 +274,27 @@ impl<'a> Search<'a> {
         let is_closed = n_sectors >= MIN_SECTORS;
         let confidence = if is_closed { (rim_share * size_share).sqrt() } else { 0.0 };
         let n_missing = (n_reference - n_cloud).max(0.0).round() as usize;
-        Some(Candidate { centre, radius_mm, n_sectors, size_share, empty_share, confidence, n_missing })
+        let scene = self.scene;
+        let report = HoleReport {
+            tier: 1,
+            n_reference: scene.reference.len(),
+            n_cloud: scene.cloud.len(),
+            n_missing,
+            n_hole: n_missing,
+            n_candidates: 0,
+            spacing_mm: scene.surface_spacing_mm,
+            grid_mm: scene.grid_mm,
+            scan_residual_mm: scene.residual_mm,
+            radius_mm,
+            expected_radius_mm: radius,
+            empty_share,
+            seen_share: 1.0,
+            rim_share,
+            size_share,
+            centre_uncertainty_mm: None,
+            confidence,
+        };
+        Some(Candidate { hole: Hole { centre, radius_mm, confidence, report }, n_sectors })
     }
 
     fn intrinsics(&self) -> &Intrinsics {
@@ -310,8 +319,9 @@ impl<'a> Search<'a> {
     }
 
     /// The hole where disc or beam explain what the scan lacks, with the confidence that the distance between these places leaves.
-    fn placed(&self, best: &Candidate, n_candidates: usize) -> Hole {
-        let mut hole = self.hole(best, n_candidates);
+    fn placed(&self, best: &Hole, n_candidates: usize) -> Hole {
+        let mut hole = best.clone();
+        hole.report.n_candidates = n_candidates;
         if self.params.mark == Mark::Laser && self.params.require_hole {
             let params = self.params.of_holes();
             let missing = missing(self.scene, &params);
@@ -321,37 +331,14 @@ impl<'a> Search<'a> {
         hole
     }
 
-    fn hole(&self, best: &Candidate, n_candidates: usize) -> Hole {
-        let scene = self.scene;
-        let report = HoleReport {
-            tier: 1,
-            n_reference: scene.reference.len(),
-            n_cloud: scene.cloud.len(),
-            n_missing: best.n_missing,
-            n_hole: best.n_missing,
-            n_candidates,
-            spacing_mm: scene.surface_spacing_mm,
-            grid_mm: scene.grid_mm,
-            scan_residual_mm: scene.residual_mm,
-            radius_mm: best.radius_mm,
-            expected_radius_mm: self.params.spot_radius_mm,
-            empty_share: best.empty_share,
-            seen_share: 1.0,
-            rim_share: best.n_sectors as f64 / SECTORS as f64,
-            size_share: best.size_share,
-            centre_uncertainty_mm: None,
-            confidence: best.confidence,
-        };
-        Hole { centre: best.centre, radius_mm: best.radius_mm, confidence: best.confidence, report }
-    }
-
     /// The error that describes why there is no spot.
-    fn nothing(&self, found: &[Candidate]) -> Refusal {
+    fn nothing(&self, spots: &[Candidate]) -> Refusal {
         let (colour, radius_mm) = (self.params.mark.colour(), self.params.spot_radius_mm);
         let none = |best: &str| Refusal::of(format!("no {colour} spot of {radius_mm} mm radius on the bone: {best}"));
-        let closest = found.iter().max_by(|a, b| a.size_share.total_cmp(&b.size_share));
-        if let Some(cut) = closest.filter(|c| c.size_share > 0.0 && c.n_sectors < MIN_SECTORS) {
-            let (at, n) = (<[f64; 3]>::from(cut.centre.coords), cut.n_sectors);
+        let size_share = |c: &Candidate| c.hole.report.size_share;
+        let closest = spots.iter().max_by(|a, b| size_share(a).total_cmp(&size_share(b)));
+        if let Some(cut) = closest.filter(|c| size_share(c) > 0.0 && c.n_sectors < MIN_SECTORS) {
+            let (at, n) = (<[f64; 3]>::from(cut.hole.centre.coords), cut.n_sectors);
             return Refusal::of(format!(
                 "the {colour} spot at {at:.1?} mm has a rim in {n} of {SECTORS} directions, {MIN_SECTORS} needed: it is at the \
                  bone's silhouette or under a highlight; aim again, or turn the camera"
@@ -359,11 +346,11 @@ impl<'a> Search<'a> {
         }
         if let Some(c) = closest {
             let (percent, needed) = (c.n_sectors as f64 / SECTORS as f64 * 100.0, self.params.min_confidence);
-            let at = <[f64; 3]>::from(c.centre.coords);
+            let at = <[f64; 3]>::from(c.hole.centre.coords);
             return none(&format!(
                 "the best one, at {at:.1?} mm, has a radius of {:.1} mm and {percent:.0} % of its rim (confidence {:.2}, {needed} \
                  needed)",
-                c.radius_mm, c.confidence
+                c.hole.radius_mm, c.hole.confidence
             ));
         }
         // What is neither on the bone nor on its surface has no point.
@@ -387,7 +374,7 @@ impl<'a> Search<'a> {
                 ));
             }
         }
-        let is_swapped = self.candidates(Channels::Bgr).iter().any(|c| c.confidence >= self.params.min_confidence);
+        let is_swapped = self.candidates(Channels::Bgr).iter().any(|c| c.hole.confidence >= self.params.min_confidence);
         let on_bone = blobs(self.image, &self.mask, Channels::Rgb, &strength, self.params.min_contrast, SATURATED);
         if let Some(blob) = on_bone.iter().max_by_key(|blob| blob.n_pixels).filter(|_| !is_swapped) {
             let (pixel, n) = (blob.centre, blob.n_pixels);

@@ -143,10 +143,10 @@ impl<'a> Scene<'a> {
 
     /// Indices and squared distances (mm²) of the points of a scan no farther than `radius_mm` in space, by index.
     pub(super) fn within(&self, scan: &Scan<'_>, point: &Point3<f64>, radius_mm: f64) -> Vec<(usize, f64)> {
-        let mut found = scan.tree.within(&self.sight.flatten(point), self.sight.reach_mm(point, radius_mm));
-        found.iter_mut().for_each(|(i, square)| *square = (scan.points[*i] - point).norm_squared());
-        found.retain(|(_, square)| *square <= radius_mm * radius_mm);
-        found
+        let mut neighbours = scan.tree.within(&self.sight.flatten(point), self.sight.reach_mm(point, radius_mm));
+        neighbours.iter_mut().for_each(|(i, square)| *square = (scan.points[*i] - point).norm_squared());
+        neighbours.retain(|(_, square)| *square <= radius_mm * radius_mm);
+        neighbours
     }
 
     /// Median distance of the laser scan from the planes through its neighbours in the reference, over their overlap;
@@ -157,8 +157,8 @@ impl<'a> Scene<'a> {
             .sampled()
             .map(|i| {
                 let point = &cloud.points[i];
-                let found = reference.tree.nearest_n(&cloud.flat[i], AROUND);
-                let around: Vec<Point3<f64>> = found.iter().map(|(j, _)| reference.points[*j]).collect();
+                let neighbours = reference.tree.nearest_n(&cloud.flat[i], AROUND);
+                let around: Vec<Point3<f64>> = neighbours.iter().map(|(j, _)| reference.points[*j]).collect();
                 let near = around.iter().map(|p| (p - point).norm()).fold(f64::MAX, f64::min);
                 let centre = crate::kabsch::centroid(&around);
                 let normal = plane_normal(&around);

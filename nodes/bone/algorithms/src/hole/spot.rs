@@ -6,7 +6,7 @@ use super::scene::{Scan, Scene};
 use super::{Hole, HoleParams, HoleReport};
 use crate::Refusal;
 use crate::kabsch::centroid;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector2};
 use rayon::prelude::*;
 
 /// Point spacing on the surface, as a share of the disc's radius, up to which nearly every hole is found: a dozen of its
@@ -36,7 +36,7 @@ const WRONG_SIZE: f64 = 1.6;
 const RING_AREA: f64 = 2.0 * std::f64::consts::PI / 9.0;
 
 /// Directions into which the rim is divided.
-const SECTORS: usize = 12;
+pub(super) const SECTORS: usize = 12;
 
 /// A sector of the rim is present if the scan has this share of the points that the reference has.
 const PRESENT_SHARE: f64 = 0.4;
@@ -141,7 +141,7 @@ pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) ->
             Some(rival) => Err(Refusal::of(format!(
                 "{} holes look alike, {}; crop the scan closer, or were two spots scanned?",
                 rivals.len() + 1,
-                two_places([best, rival].map(|c| (c.hole.centre, c.hole.confidence)))
+                two_places([best, rival].map(|c| &c.hole))
             ))),
             None => best.placed(scene, missing, params),
         };
@@ -174,9 +174,16 @@ fn rivals<'a>(
 }
 
 /// Two rivals, each with its place and confidence, for messages.
-pub(super) fn two_places([(first, first_confidence), (second, second_confidence)]: [(Point3<f64>, f64); 2]) -> String {
-    let [first, second] = [first, second].map(|place| <[f64; 3]>::from(place.coords));
-    format!("at {first:.1?} and {second:.1?} mm with confidence {first_confidence:.2} and {second_confidence:.2}")
+pub(super) fn two_places(rivals: [&Hole; 2]) -> String {
+    let [first, second] = rivals.map(|hole| <[f64; 3]>::from(hole.centre.coords));
+    let [a, b] = rivals.map(|hole| hole.confidence);
+    format!("at {first:.1?} and {second:.1?} mm with confidence {a:.2} and {b:.2}")
+}
+
+/// The sector in which an offset from the centre lies.
+pub(super) fn sector(offset: &Vector2<f64>) -> usize {
+    let turn = (offset.y.atan2(offset.x) / std::f64::consts::TAU).rem_euclid(1.0);
+    ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
 fn too_sparse(scene: &Scene<'_>, spacing_mm: f64, params: &HoleParams) -> Refusal {
@@ -335,16 +342,15 @@ fn rim(scene: &Scene<'_>, patch: &Patch, centre: &Point3<f64>, radius: f64, spac
         for (i, square) in scene.within(scan, centre, reach) {
             if square > radius * radius {
                 let offset = patch.local(&scan.points[i]) - patch.local(centre);
-                let turn = (offset.y.atan2(offset.x) / std::f64::consts::TAU).rem_euclid(1.0);
-                sectors[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] += 1.0;
+                sectors[sector(&offset.xy())] += 1.0;
             }
         }
         sectors
     };
     let expected = sectors(&scene.reference).map(|n| n * scene.density);
-    let found = sectors(&scene.cloud);
-    let pairs = || found.iter().zip(&expected);
-    let n_seen = pairs().filter(|(found, expected)| **found >= 1.0 && **found >= PRESENT_SHARE * **expected).count();
-    let n_lost = pairs().filter(|(found, expected)| **expected >= 2.0 && **found < PRESENT_SHARE * **expected).count();
+    let counts = sectors(&scene.cloud);
+    let pairs = || counts.iter().zip(&expected);
+    let n_seen = pairs().filter(|(n, expected)| **n >= 1.0 && **n >= PRESENT_SHARE * **expected).count();
+    let n_lost = pairs().filter(|(n, expected)| **expected >= 2.0 && **n < PRESENT_SHARE * **expected).count();
     (n_seen, n_lost)
 }

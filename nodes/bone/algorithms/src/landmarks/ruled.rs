@@ -137,13 +137,13 @@ pub fn ruled(
         ThirdFrom::First => errors.first_mm,
         ThirdFrom::Second => errors.first_mm + errors.second_mm,
     };
-    let asked = [
+    let requests = [
         (errors.first_mm, 0.0),
         (errors.first_mm + errors.second_mm, errors.across_mm),
         (shared_mm + errors.third_mm, 0.0),
     ];
     let (mut points, mut marks) = (Vec::with_capacity(3), Vec::with_capacity(3));
-    for (landmark, (asked_along_mm, asked_across_mm)) in planned.iter().zip(asked) {
+    for (landmark, (asked_along_mm, asked_across_mm)) in planned.iter().zip(requests) {
         let displaced = landmark.position + along.into_inner() * asked_along_mm + across * asked_across_mm;
         let closest = bone.closest_point(&displaced);
         let off_surface_mm = closest.map_or(f64::INFINITY, |c| c.distance_mm);

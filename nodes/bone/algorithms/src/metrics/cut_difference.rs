@@ -246,7 +246,8 @@ impl<'a> PlannedFragment<'a> {
                 tilt_rad: cut.inward.angle(&moved.inward),
             }
         });
-        let (planned_mm3, executed_mm3) = (self.planned.fragment.volume_mm3(), executed.fragment.volume_mm3());
+        let (planned_mm3, executed_mm3) =
+            (self.planned.fragment.mesh.volume_mm3(), executed.fragment.mesh.volume_mm3());
         Ok(CutVariant {
             pose_error: pose_error(&back, &self.middle()),
             executed_volume_mm3: executed_mm3,
@@ -289,7 +290,7 @@ pub fn cut_difference(
         Ok(variant) => (Some(variant), None),
         Err(why) => (None, Some(why)),
     };
-    Ok(CutDifferenceReport { planned_volume_mm3: plan.fragment().volume_mm3(), truth, paper, no_paper })
+    Ok(CutDifferenceReport { planned_volume_mm3: plan.fragment().mesh.volume_mm3(), truth, paper, no_paper })
 }
 
 /// The registration's error as the paper determines it: the rigid motion that best moves planned points onto the
@@ -311,7 +312,7 @@ pub fn error_at_points(
         .into_iter()
         .map(|(_, planned, measured)| (planned, t_ct_measured * measured))
         .unzip();
-    kabsch(&measured, &planned).map_err(Refusal::of)
+    kabsch(&measured, &planned)
 }
 
 /// Distance of each point from a closed surface, mm, negative inside.

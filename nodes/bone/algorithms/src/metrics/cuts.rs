@@ -1,8 +1,11 @@
 use super::paired::{not_finite, nothing, unpaired};
 use crate::Refusal;
-use crate::{fragment::REACH_MM, section};
+use crate::{
+    fragment::{REACH_MM, known},
+    section,
+};
 use nalgebra::{Isometry3, Point3, Vector3};
-use osteoflow_geometry::{Axes, Mesh, Plane, PlanePlace, Planes};
+use osteoflow_geometry::{Axes, Mesh, Planes};
 use serde::{Deserialize, Serialize};
 
 /// Errors of the achieved cuts.
@@ -117,12 +120,5 @@ fn compare(name: &str, plan: &Isometry3<f64>, cut: &Isometry3<f64>, at: &Point3<
         offset_mm: (cut * Point3::origin() - at).dot(&n_cut) / n.dot(&n_cut),
         tilt_rad: n.angle(&n_cut),
         roll_rad,
-    }
-}
-
-fn known(plane: &Plane) -> Result<&Isometry3<f64>, Refusal> {
-    match &plane.place {
-        PlanePlace::Known(t) => Ok(t),
-        PlanePlace::Unknown(reason) => Err(Refusal::of(format!("plane {} is unknown: {reason}", plane.name))),
     }
 }

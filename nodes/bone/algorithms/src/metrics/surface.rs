@@ -47,7 +47,7 @@ pub fn surface_residual(
     if source.is_empty() {
         return Err(nothing("scan point"));
     }
-    let found: Vec<Option<(bool, f64)>> = source
+    let distances: Option<Vec<(bool, f64)>> = source
         .par_iter()
         .map(|point| {
             let moved = t_target_source * point;
@@ -57,12 +57,12 @@ pub fn surface_residual(
             Some((kept, along.filter(|_| kept).unwrap_or(distance)))
         })
         .collect();
-    let found: Vec<(bool, f64)> = found.into_iter().collect::<Option<_>>().ok_or_else(|| not_finite("a scan point"))?;
-    let kept: Vec<f64> = found.iter().filter(|(kept, _)| *kept).map(|(_, d)| *d).collect();
+    let distances = distances.ok_or_else(|| not_finite("a scan point"))?;
+    let kept: Vec<f64> = distances.iter().filter(|(kept, _)| *kept).map(|(_, d)| *d).collect();
     if kept.is_empty() {
         return Err(nothing("scan point near the surface"));
     }
-    let mut all: Vec<f64> = found.iter().map(|(_, d)| *d).collect();
+    let mut all: Vec<f64> = distances.iter().map(|(_, d)| *d).collect();
     all.sort_by(f64::total_cmp);
     let rms = |d: &[f64]| (d.iter().map(|d| d * d).sum::<f64>() / d.len() as f64).sqrt();
     Ok(SurfaceReport {

@@ -83,29 +83,14 @@ pub fn tre(
         if !e.iter().all(|c| c.is_finite()) {
             return Err(not_finite(&format!("the error at {name}")));
         }
-        points.push(TrePoint {
-            name,
-            x: e.x,
-            y: e.y,
-            z: e.z,
-            norm: e.norm(),
-            axial: e.z.abs(),
-            transverse: e.x.hypot(e.y),
-        });
+        let [x, y, z, norm, axial, transverse] = parts(&e);
+        points.push(TrePoint { name, x, y, z, norm, axial, transverse });
     }
     let n = points.len() as f64;
     let mean = |of: &dyn Fn(&TrePoint) -> f64| points.iter().map(of).sum::<f64>() / n;
     let signed = Vector3::new(mean(&|p| p.x), mean(&|p| p.y), mean(&|p| p.z));
-    let mean_signed = TreSummary {
-        x: signed.x,
-        y: signed.y,
-        z: signed.z,
-        norm: signed.norm(),
-        axial: signed.z.abs(),
-        transverse: signed.x.hypot(signed.y),
-    };
     Ok(TreReport {
-        mean_signed,
+        mean_signed: TreSummary::of(parts(&signed)),
         mean_abs: summary(&points, |sorted| sorted.iter().sum::<f64>() / n),
         rms: summary(&points, |sorted| (sorted.iter().map(|e| e * e).sum::<f64>() / n).sqrt()),
         p95: summary(&points, |sorted| quantile(sorted, 0.95).unwrap_or(0.0)),
@@ -115,6 +100,17 @@ pub fn tre(
     })
 }
 
+/// An error along each axis, its norm, and its axial and transverse parts.
+fn parts(e: &Vector3<f64>) -> [f64; 6] {
+    [e.x, e.y, e.z, e.norm(), e.z.abs(), e.x.hypot(e.y)]
+}
+
+impl TreSummary {
+    fn of([x, y, z, norm, axial, transverse]: [f64; 6]) -> Self {
+        Self { x, y, z, norm, axial, transverse }
+    }
+}
+
 /// One statistic of the sorted absolute errors.
 fn summary(points: &[TrePoint], statistic: impl Fn(&[f64]) -> f64) -> TreSummary {
     let of = |part: fn(&TrePoint) -> f64| {
@@ -122,12 +118,5 @@ fn summary(points: &[TrePoint], statistic: impl Fn(&[f64]) -> f64) -> TreSummary
         values.sort_by(f64::total_cmp);
         statistic(&values)
     };
-    TreSummary {
-        x: of(|p| p.x),
-        y: of(|p| p.y),
-        z: of(|p| p.z),
-        norm: of(|p| p.norm),
-        axial: of(|p| p.axial),
-        transverse: of(|p| p.transverse),
-    }
+    TreSummary::of([of(|p| p.x), of(|p| p.y), of(|p| p.z), of(|p| p.norm), of(|p| p.axial), of(|p| p.transverse)])
 }

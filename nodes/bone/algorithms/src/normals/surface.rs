@@ -541,8 +541,8 @@ mod tests {
             let mut values: Vec<f64> = eigen.eigenvalues.iter().copied().collect();
             values.sort_by(f64::total_cmp);
             if values[1] > 1e-4 * values[2] && values[1] > 1.1 * values[0] {
-                let found = least_direction(&matrix, LINE).unwrap();
-                assert!(found.dot(&exact).abs() > 1.0 - 1e-9, "{found} {exact} {values:?}");
+                let direction = least_direction(&matrix, LINE).unwrap();
+                assert!(direction.dot(&exact).abs() > 1.0 - 1e-9, "{direction} {exact} {values:?}");
             }
         }
         assert_eq!(least_direction(&Matrix3::zeros(), LINE), None);

@@ -1,6 +1,7 @@
 //! The long axis of the bone where the scan lies.
 
 use super::surface::Scene;
+use crate::axes::largest_first;
 use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
 
 /// Reciprocal of the minimum share of the points that must lie near the surface.
@@ -42,12 +43,12 @@ impl LongAxis {
         let n = near.len() as f64;
         let mean: Vector3<f64> = near.iter().map(|(p, _)| p.coords).sum::<Vector3<f64>>() / n;
         let scatter: Matrix3<f64> = near.iter().map(|(p, _)| (p.coords - mean) * (p.coords - mean).transpose()).sum();
-        let (long, spread) = sorted(&scatter);
+        let (long, spread) = largest_first(&scatter);
         let is_long = spread[0] > MIN_ELONGATION * MIN_ELONGATION * spread[1];
         let is_end = |normal: &Vector3<f64>| is_long && normal.dot(&long[0]).abs() > END;
         let sides: Vec<&(Point3<f64>, Vector3<f64>)> = near.iter().filter(|(_, normal)| !is_end(normal)).collect();
         let normals: Matrix3<f64> = sides.iter().map(|(_, normal)| normal * normal.transpose()).sum();
-        let (directions, _) = sorted(&normals);
+        let (directions, _) = largest_first(&normals);
         let along = directions[2];
         let along = if along[along.iamax()] < 0.0 { -along } else { along };
 
@@ -82,12 +83,4 @@ impl LongAxis {
         let tau = std::f64::consts::TAU;
         [along_mm, turn_rad - tau * (turn_rad / tau).round()]
     }
-}
-
-/// Eigenvectors and eigenvalues, largest first.
-fn sorted(matrix: &Matrix3<f64>) -> ([Vector3<f64>; 3], [f64; 3]) {
-    let eigen = matrix.symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]).then(a.cmp(&b)));
-    (order.map(|k| eigen.eigenvectors.column(k).into_owned()), order.map(|k| eigen.eigenvalues[k]))
 }

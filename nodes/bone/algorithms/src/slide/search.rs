@@ -4,10 +4,10 @@ use super::SlideParams;
 use super::axis::LongAxis;
 use super::surface::{Loss, Scene};
 use crate::Refusal;
-use crate::coarse::{Placed, Points, descend, map_score};
+use crate::coarse::{self, Placed, Points, descended, motion, thinned};
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::target::Target;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::Isometry3;
 use osteoflow_geometry::Cloud;
 use rayon::prelude::*;
 use std::ops::ControlFlow;
@@ -204,10 +204,8 @@ fn icp_params(params: &SlideParams) -> IcpParams {
 /// Poses at which a grid of starts comes to rest on the map, best first.
 fn on_map(seen: &Scene<'_>, axis: &LongAxis, centre: &Isometry3<f64>, params: &SlideParams) -> Vec<Isometry3<f64>> {
     let map = seen.target.index().near_map(seen.target);
-    let about = |points: Vec<Point3<f64>>| -> Vec<Vector3<f64>> { points.iter().map(|p| p - seen.centroid).collect() };
-    let (few, some) = (about(thinned(&seen.points, N_SCORED)), about(thinned(&seen.points, N_MAPPED)));
-    let camera = seen.camera.map(|camera| camera - seen.centroid);
-    let (few, some) = (Points { points: &few, camera }, Points { points: &some, camera });
+    let thinned = |n: usize| Points::thinned(&seen.points, n, &seen.centroid, seen.camera);
+    let (few, some) = (thinned(N_SCORED), thinned(N_MAPPED));
     let placed = |pose: &Isometry3<f64>| -> Placed {
         Placed::from_parts((pose * seen.centroid - map.centre()).into(), pose.rotation)
     };
@@ -220,39 +218,10 @@ fn on_map(seen: &Scene<'_>, axis: &LongAxis, centre: &Isometry3<f64>, params: &S
         .flat_map(|along_mm| turns().map(move |turn_rad| (along_mm, turn_rad)))
         .map(|(along_mm, turn_rad)| placed(&axis.moved(centre, along_mm, turn_rad)))
         .collect();
-    let descended = |starts: &[Placed], points: &Points<'_>, reach_mm: f64, n_steps: usize| {
-        let one = |start: &Placed| {
-            let end = descend(map, points, start, reach_mm, n_steps);
-            (map_score(map, points, &end, reach_mm), end)
-        };
-        let mut ends: Vec<(f64, Placed)> = starts.par_iter().map(one).collect();
-        ends.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut kept: Vec<Placed> = Vec::new();
-        for (_, end) in ends {
-            let is_new = |other: &Placed| apart_mm(points, other, &end) > APART_MM;
-            if kept.len() < N_REFINED && kept.iter().all(is_new) {
-                kept.push(end);
-            }
-        }
-        kept
+    let better = |starts: &[Placed], points: &Points, reach_mm: f64, n_steps: usize| {
+        coarse::distinct(descended(map, points, starts, reach_mm, n_steps), points, 8, APART_MM, N_REFINED)
     };
-    let near = descended(&starts, &few, FIRST_REACH_MM, 4);
-    let near = descended(&near, &some, LAST_REACH_MM, 8);
-    let pose = |placed: Placed| {
-        let to = map.centre().coords + placed.translation.vector;
-        Isometry3::from_parts((to - placed.rotation * seen.centroid.coords).into(), placed.rotation)
-    };
-    near.into_iter().map(pose).collect()
-}
-
-/// RMS distance between a few points at two places.
-fn apart_mm(points: &Points<'_>, a: &Placed, b: &Placed) -> f64 {
-    let probes = points.points.iter().step_by((points.points.len() / 8).max(1)).map(|p| Point3::from(*p));
-    let (n, squares) = probes.fold((0, 0.0), |(n, sum), p| (n + 1, sum + (a * p - b * p).norm_squared()));
-    (squares / f64::from(n.max(1))).sqrt()
-}
-
-/// About `n` points, evenly through their order.
-fn thinned(points: &[Point3<f64>], n: usize) -> Vec<Point3<f64>> {
-    points.iter().step_by(points.len().div_ceil(n).max(1)).copied().collect()
+    let near = better(&starts, &few, FIRST_REACH_MM, 4);
+    let near = better(&near, &some, LAST_REACH_MM, 8);
+    near.iter().map(|placed| motion(map, &seen.centroid, placed)).collect()
 }

@@ -1,5 +1,6 @@
 //! Distances of scan points from the surface, and their robust cost.
 
+use crate::coarse::thinned;
 use crate::kabsch::centroid;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -46,8 +47,7 @@ pub(super) struct Beside {
 impl<'a> Scene<'a> {
     /// The target must have normals.
     pub(super) fn new(target: &'a Target, source: &'a Cloud) -> Self {
-        let all = source.points();
-        let points: Vec<Point3<f64>> = all.iter().step_by(all.len().div_ceil(N_COMPARED).max(1)).copied().collect();
+        let points = thinned(source.points(), N_COMPARED);
         let camera = source.viewpoint.map(|t| t * Point3::origin());
         let normals = target.normals().unwrap_or_default();
         Self { target, source, normals, centroid: centroid(&points), points, camera }

@@ -199,23 +199,23 @@ fn another_minimum_as_good_is_reported_as_such() {
 #[test]
 fn wrong_input_is_refused_with_its_reason() {
     let (target, scan, truth) = case(&bone(), 0.05);
-    let said = |target: &Target, scan: &Cloud, start: &Isometry3<f64>, params: &SlideParams| {
+    let message = |target: &Target, scan: &Cloud, start: &Isometry3<f64>, params: &SlideParams| {
         slide(target, scan, start, params).unwrap_err().to_string()
     };
     let params = SlideParams::default();
-    let far = said(&target, &scan, &off(&truth, 300.0, 0.0), &params);
+    let far = message(&target, &scan, &off(&truth, 300.0, 0.0), &params);
     assert!(
         far.contains("scan points lie within 4 mm of the surface") && far.contains("is t_target_source right"),
         "{far}"
     );
     let few = Cloud::new("scan", scan.points()[..150].to_vec()).unwrap();
-    assert!(said(&target, &few, &truth, &params).contains("the scan has 150 points, 200 are needed"));
+    assert!(message(&target, &few, &truth, &params).contains("the scan has 150 points, 200 are needed"));
     let bare = Target::new("ct", SurfaceOrigin::Exact, target.points().to_vec(), None).unwrap();
-    assert!(said(&bare, &scan, &truth, &params).contains("the target has no normals"));
+    assert!(message(&bare, &scan, &truth, &params).contains("the target has no normals"));
     let nan = Isometry3::translation(f64::NAN, 0.0, 0.0);
-    assert!(said(&target, &scan, &nan, &params).contains("not finite"));
+    assert!(message(&target, &scan, &nan, &params).contains("not finite"));
     let none = SlideParams { along_mm: 0.0, ..params };
-    assert!(said(&target, &scan, &truth, &none).contains("along_mm is 0"));
+    assert!(message(&target, &scan, &truth, &none).contains("along_mm is 0"));
 }
 
 #[test]

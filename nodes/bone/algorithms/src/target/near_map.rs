@@ -171,9 +171,9 @@ mod tests {
             assert_eq!(map.voxel(&middle), Some(voxel));
             let distance = |s: &Sample| (s.point - middle).norm();
             let least = map.samples.iter().map(distance).fold(f64::INFINITY, f64::min);
-            let found = distance(map.near(&middle).unwrap());
-            worst = worst.max(found - least);
-            n_exact += usize::from(found == least);
+            let result = distance(map.near(&middle).unwrap());
+            worst = worst.max(result - least);
+            n_exact += usize::from(result == least);
         }
         // What a neighbour does not have is not offered; Danielsson's error is below a voxel.
         assert!(worst < 2.0, "{worst} mm");
@@ -197,9 +197,9 @@ mod tests {
         assert_eq!([nx, ny, nz], [11, 9, 13]);
         let at = |x: usize, y: usize, z: usize| (x * ny + y) * nz + z;
         let sorted = |voxel: usize| {
-            let mut found: Vec<usize> = map.neighbours(voxel).collect();
-            found.sort_unstable();
-            found
+            let mut result: Vec<usize> = map.neighbours(voxel).collect();
+            result.sort_unstable();
+            result
         };
         assert_eq!(sorted(at(5, 4, 6)), [at(4, 4, 6), at(5, 3, 6), at(5, 4, 5), at(5, 4, 7), at(5, 5, 6), at(6, 4, 6)]);
         assert_eq!(sorted(0), [at(0, 0, 1), at(0, 1, 0), at(1, 0, 0)]);

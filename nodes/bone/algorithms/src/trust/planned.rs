@@ -1,15 +1,13 @@
 //! What the plan says about itself: the order of its landmarks, and whether it belongs to the surface.
 
+use crate::coarse::{best_other_order, rms};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
 use crate::section;
 use nalgebra::{Point3, Vector3};
-use osteoflow_geometry::{NamedPoint, PlanePlace, Planes};
+use osteoflow_geometry::{NamedPoint, Plane, PlanePlace, Planes};
 use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
-
-/// Maximum number of landmarks of which all orders are tried.
-const MAX_PERMUTED: usize = 6;
 
 /// Maximum distance of a planned point from the surface, mm: a point picked on the CT, or at the bottom of a drilled hole.
 const MAX_OFF_SURFACE_MM: f64 = 3.0;
@@ -32,62 +30,11 @@ pub struct OrderEvidence {
 pub fn landmark_order(planned: &[NamedPoint], located: &[NamedPoint]) -> Option<OrderEvidence> {
     let by_name = |p: &NamedPoint| located.iter().find(|l| l.name == p.name);
     let located: Vec<&NamedPoint> = planned.iter().map(by_name).collect::<Option<_>>()?;
-    if !(3..=MAX_PERMUTED).contains(&located.len()) {
-        return None;
-    }
     let target: Vec<Point3<f64>> = planned.iter().map(|p| p.position).collect();
-    let fre = |order: &[usize]| {
-        let source: Vec<Point3<f64>> = order.iter().map(|&k| located[k].position).collect();
-        let t = kabsch(&target, &source).ok()?;
-        let squares: f64 = target.iter().zip(&source).map(|(t_p, s)| (t * s - t_p).norm_squared()).sum();
-        Some((squares / target.len() as f64).sqrt())
-    };
-    let named: Vec<usize> = (0..located.len()).collect();
-    let fre_mm = fre(&named)?;
-    let mut best: Option<(f64, Vec<usize>)> = None;
-    crate::coarse::permutations(located.len(), &mut |order| {
-        if order == named {
-            return;
-        }
-        if let Some(fre) = fre(order).filter(|fre| best.as_ref().is_none_or(|(least, _)| fre < least)) {
-            best = Some((fre, order.to_vec()));
-        }
-    });
-    let (best_other_fre_mm, order) = best?;
-    let best_other = order.iter().map(|&k| located[k].name.to_string()).collect();
-    Some(OrderEvidence { fre_mm, best_other_fre_mm, best_other })
-}
-
-/// A contradiction between a plan and the surface it should belong to.
-#[derive(Debug, Clone, PartialEq)]
-pub enum PlanFault {
-    /// Planned points lie off the surface.
-    Off {
-        /// Number of points off the surface.
-        n_off: usize,
-        /// Number of planned points.
-        n: usize,
-        /// Largest distance, mm.
-        largest_mm: f64,
-        /// The change of coordinates that would put them onto it, in words.
-        cause: Option<&'static str>,
-    },
-    /// A cutting plane misses the bone.
-    MissesBone {
-        /// The plane.
-        name: String,
-        /// Distance of its origin from the bone, mm.
-        distance_mm: f64,
-    },
-    /// The normals of two cutting planes that bound a segment do not both point from the first to the second.
-    Reversed {
-        /// The first plane.
-        first: String,
-        /// The second plane.
-        second: String,
-    },
-    /// There are no cutting planes.
-    NoPlanes,
+    let source: Vec<Point3<f64>> = located.iter().map(|p| p.position).collect();
+    let t = kabsch(&target, &source).ok()?;
+    let (best_other_fre_mm, best_other) = best_other_order(&target, &located)?;
+    Some(OrderEvidence { fre_mm: rms(&t, &target, &source), best_other_fre_mm, best_other })
 }
 
 /// The reason against a result whose planes are unknown at the end of the recording; `None` if all are known.
@@ -112,9 +59,10 @@ const CAUSES: [(&str, [f64; 3]); 6] = [
     ("the plan is in millimetres, the surface in metres", [0.001, 0.001, 0.001]),
 ];
 
-/// Contradictions between planned points and planes and the surface.
-pub fn plan_faults(surface: &MeshQuery, points: &[NamedPoint], planes: Option<&Planes>) -> Vec<PlanFault> {
+/// Reasons against planned points and planes that contradict the surface they should belong to.
+pub fn plan_faults(surface: &MeshQuery, points: &[NamedPoint], planes: Option<&Planes>) -> Vec<Reason> {
     let mut faults = Vec::new();
+    let mut add = |answer, reason: String, remedy: &str| faults.push(Reason::new("plan", answer, reason, remedy));
     let distance = |p: &Point3<f64>| surface.closest_point(p).map_or(f64::INFINITY, |closest| closest.distance_mm);
     let distances: Vec<f64> = points.iter().map(|p| distance(&p.position)).collect();
     let n_off = distances.iter().filter(|d| **d > MAX_OFF_SURFACE_MM).count();
@@ -125,27 +73,40 @@ pub fn plan_faults(surface: &MeshQuery, points: &[NamedPoint], planes: Option<&P
                 distance(&moved) <= MAX_OFF_SURFACE_MM
             })
         };
-        let cause = CAUSES.iter().find(|(_, scale)| fits(scale)).map(|(cause, _)| *cause);
-        let largest_mm = distances.iter().copied().fold(0.0, f64::max);
-        faults.push(PlanFault::Off { n_off, n: points.len(), largest_mm, cause });
+        let cause =
+            CAUSES.iter().find(|(_, scale)| fits(scale)).map_or("the plan is of another surface", |(cause, _)| cause);
+        let (n, largest_mm) = (points.len(), distances.iter().copied().fold(0.0, f64::max));
+        let reason = format!(
+            "{n_off} of {n} planned points lie off the surface, up to {largest_mm:.0} mm; likely cause: {cause}"
+        );
+        add(Answer::Refused, reason, "take plan and surface from the same CT, in the same coordinates");
     }
-    let Some(planes) = planes else { return faults };
-    if planes.planes.is_empty() {
-        faults.push(PlanFault::NoPlanes);
+    let planes: &[Plane] = match planes {
+        Some(planes) => &planes.planes,
+        None => return faults,
+    };
+    if planes.is_empty() {
+        let reason = "the plan has no cutting planes".into();
+        add(Answer::Doubtful, reason, "add them, or do not wire the verdict's planes");
     }
-    for plane in planes.planes.iter() {
+    for plane in planes {
         let Some(t) = plane.isometry() else { continue };
         if section::middle(surface.mesh(), t, Some(CUT_REACH_MM)).is_none() {
-            let distance_mm = distance(&t.translation.vector.into());
-            faults.push(PlanFault::MissesBone { name: plane.name.to_string(), distance_mm });
+            let (name, distance_mm) = (&plane.name, distance(&t.translation.vector.into()));
+            let reason =
+                format!("the planned plane {name} does not cut the bone, its origin is {distance_mm:.0} mm away");
+            add(Answer::Refused, reason, "check that the plan is of this patient and in the surface's coordinates");
         }
     }
-    for pair in planes.planes.chunks_exact(2) {
+    // The normals of two planes that bound a segment point from the first to the second.
+    for pair in planes.chunks_exact(2) {
         let (Some(a), Some(b)) = (pair[0].isometry(), pair[1].isometry()) else { continue };
         let between = b.translation.vector - a.translation.vector;
-        let along = |plane: &osteoflow_geometry::Plane| plane.normal().map_or(0.0, |n| n.dot(&between));
+        let along = |plane: &Plane| plane.normal().map_or(0.0, |n| n.dot(&between));
         if along(&pair[0]) <= 0.0 || along(&pair[1]) <= 0.0 {
-            faults.push(PlanFault::Reversed { first: pair[0].name.to_string(), second: pair[1].name.to_string() });
+            let (first, second) = (&pair[0].name, &pair[1].name);
+            let reason = format!("the normals of {first} and {second} do not both point from {first} to {second}");
+            add(Answer::Doubtful, reason, "turn the reversed plane, or exchange them");
         }
     }
     faults
@@ -154,7 +115,7 @@ pub fn plan_faults(surface: &MeshQuery, points: &[NamedPoint], planes: Option<&P
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_geometry::{Mesh, Plane, SurfaceOrigin};
+    use osteoflow_geometry::{Mesh, SurfaceOrigin};
 
     fn named(name: &str, position: [f64; 3]) -> NamedPoint {
         NamedPoint::new(name, Point3::from(position))
@@ -205,7 +166,9 @@ mod tests {
         let at = |z: f64| named("p", [150.0, 350.0, z]);
         assert_eq!(plan_faults(&square(), &[at(3.0), at(-3.0)], None), []);
         let faults = plan_faults(&square(), &[at(3.0), at(8.0), at(-4.0)], None);
-        assert_eq!(faults, [PlanFault::Off { n_off: 2, n: 3, largest_mm: 8.0, cause: None }]);
+        let [fault] = &faults[..] else { panic!("{faults:?}") };
+        let off = "2 of 3 planned points lie off the surface, up to 8 mm; likely cause: the plan is of another surface";
+        assert_eq!((fault.rule.as_str(), fault.answer, fault.reason.as_str()), ("plan", Answer::Refused, off));
     }
 
     #[test]
@@ -218,8 +181,8 @@ mod tests {
             ([150_000.0, 350_000.0, 0.0], "the plan is in millimetres, the surface in metres"),
         ] {
             let faults = plan_faults(&square(), &[named("p", position)], None);
-            let [PlanFault::Off { cause, .. }] = &faults[..] else { panic!("{faults:?}") };
-            assert_eq!(*cause, Some(words));
+            let [fault] = &faults[..] else { panic!("{faults:?}") };
+            assert!(fault.reason.ends_with(&format!("; likely cause: {words}")), "{fault:?}");
         }
     }
 
@@ -233,7 +196,12 @@ mod tests {
         };
         let faults = |planes: Vec<Plane>| plan_faults(&square(), &[], Some(&Planes::new("ct", planes)));
         assert_eq!(faults(vec![plane("a", 120.0), plane("b", 150.0)]), []);
-        let reversed = PlanFault::Reversed { first: "b".into(), second: "a".into() };
-        assert_eq!(faults(vec![plane("b", 150.0), plane("a", 120.0)]), [reversed]);
+        let reversed = faults(vec![plane("b", 150.0), plane("a", 120.0)]);
+        let [fault] = &reversed[..] else { panic!("{reversed:?}") };
+        let reason = "the normals of b and a do not both point from b to a";
+        assert_eq!((fault.answer, fault.reason.as_str()), (Answer::Doubtful, reason));
+        let [away] = &faults(vec![plane("c", 1200.0)])[..] else { panic!("a plane 1 m off cuts nothing") };
+        let reason = "the planned plane c does not cut the bone, its origin is 1000 mm away";
+        assert_eq!((away.answer, away.reason.as_str()), (Answer::Refused, reason));
     }
 }

@@ -1,6 +1,7 @@
 //! The error to expect, from the spread of the pose and the stated errors of the devices.
 
 use super::{Limits, Spread};
+use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
@@ -299,11 +300,8 @@ fn beyond_limits(draws: &[Vector6<f64>], centre: &Point3<f64>, at: &Where<'_>, l
 }
 
 fn ellipsoid(covariance: &Matrix3<f64>) -> ([f64; 3], [[f64; 3]; 3]) {
-    let eigen = covariance.symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|&i, &j| eigen.eigenvalues[j].total_cmp(&eigen.eigenvalues[i]).then(i.cmp(&j)));
-    let axes = order.map(|k| ELLIPSOID_SIGMAS * eigen.eigenvalues[k].max(0.0).sqrt());
-    (axes, order.map(|k| eigen.eigenvectors.column(k).into_owned().into()))
+    let (directions, variances) = largest_first(covariance);
+    (variances.map(|value| ELLIPSOID_SIGMAS * value.max(0.0).sqrt()), directions.map(Into::into))
 }
 
 /// Draws of shift and turn, always from the same random numbers.

@@ -5,7 +5,7 @@ use super::convergence::{Convergence, convergence_reason};
 use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::limits::Limits;
-use super::planned::{OrderEvidence, PlanFault, landmark_order, plan_faults};
+use super::planned::{OrderEvidence, landmark_order, plan_faults};
 use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
 use super::slid::{slide_note, slide_reasons};
 use super::verdict::Verdict;
@@ -186,34 +186,7 @@ fn cuts(case: &Case<'_>) -> Vec<Cut> {
 fn plan_reasons(case: &Case<'_>) -> Vec<Reason> {
     let Some(mesh) = case.registered.target.mesh() else { return Vec::new() };
     let points: Vec<NamedPoint> = case.landmarks.iter().chain(case.assessment).cloned().collect();
-    plan_faults(mesh, &points, case.planes).into_iter().map(plan_reason).collect()
-}
-
-fn plan_reason(fault: PlanFault) -> Reason {
-    let new = |answer, reason: String, remedy: &str| Reason::new("plan", answer, reason, remedy);
-    match fault {
-        PlanFault::Off { n_off, n, largest_mm, cause } => {
-            let cause = cause.map_or("the plan is of another surface".to_owned(), str::to_owned);
-            let reason = format!(
-                "{n_off} of {n} planned points lie off the surface, up to {largest_mm:.0} mm; likely cause: {cause}"
-            );
-            new(Answer::Refused, reason, "take plan and surface from the same CT, in the same coordinates")
-        }
-        PlanFault::MissesBone { name, distance_mm } => {
-            let reason =
-                format!("the planned plane {name} does not cut the bone, its origin is {distance_mm:.0} mm away");
-            new(Answer::Refused, reason, "check that the plan is of this patient and in the surface's coordinates")
-        }
-        PlanFault::Reversed { first, second } => {
-            let reason = format!("the normals of {first} and {second} do not both point from {first} to {second}");
-            new(Answer::Doubtful, reason, "turn the reversed plane, or exchange them")
-        }
-        PlanFault::NoPlanes => new(
-            Answer::Doubtful,
-            "the plan has no cutting planes".to_owned(),
-            "add them, or do not wire the verdict's planes",
-        ),
-    }
+    plan_faults(mesh, &points, case.planes)
 }
 
 fn order_reason(order: &OrderEvidence) -> Option<Reason> {

@@ -48,10 +48,10 @@ fn normals_and_samples_are_what_they_were() {
     let scan = scan();
     let mut text = String::new();
     for (neighbours, max_distance_mm) in [(24, 3.0), (6, 3.0), (24, 1.2), (3, 0.7), (24, 0.01)] {
-        let found = estimate(&scan, &NormalParams { neighbours, max_distance_mm });
-        let found =
-            found.map(|(cloud, n_dropped)| (points(cloud.points()), vectors(cloud.normals().unwrap()), n_dropped));
-        text += &outcome(format!("{neighbours} within {max_distance_mm}"), &found);
+        let result = estimate(&scan, &NormalParams { neighbours, max_distance_mm });
+        let result =
+            result.map(|(cloud, n_dropped)| (points(cloud.points()), vectors(cloud.normals().unwrap()), n_dropped));
+        text += &outcome(format!("{neighbours} within {max_distance_mm}"), &result);
     }
     let drawn = sample::surface(&BONE.mesh, 3000, &mut ChaCha8Rng::seed_from_u64(6));
     let faces: Vec<usize> = drawn.faces.iter().map(|f| *f as usize).collect();

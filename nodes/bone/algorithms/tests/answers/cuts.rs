@@ -51,7 +51,7 @@ fn shape(f: &Fragment) -> impl std::fmt::Debug {
     let faces: Vec<[f64; 3]> = f.mesh.faces().iter().map(|face| face.map(f64::from)).collect();
     let kinds = format!("{:?}", f.face_kinds);
     let n_walls = kinds.matches("Wall").count();
-    (points(f.mesh.vertices()), digest(faces.iter()), n_walls, points(&f.rim()), f.volume_mm3())
+    (points(f.mesh.vertices()), digest(faces.iter()), n_walls, points(&f.rim()), f.mesh.volume_mm3())
 }
 
 #[test]

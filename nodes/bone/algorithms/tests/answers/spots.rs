@@ -49,8 +49,8 @@ fn a_mark_in_the_image_is_found_where_it_was_or_refused_in_the_same_words() {
     for turn_deg in [-70.0, -40.0, 0.0, 25.0, 50.0, 65.0] {
         let at = spot(147.0, turn_deg);
         let hole = scan(&camera, 0.5, &CLEAN, &[(at, 2.0)], 52);
-        let found = rgb_spot(&reference, &hole, &image(&eye, laser(at, 2.0)), &t_camera_image, &params);
-        text += &outcome(format!("turned {turn_deg} at {at:.3}"), &found);
+        let result = rgb_spot(&reference, &hole, &image(&eye, laser(at, 2.0)), &t_camera_image, &params);
+        text += &outcome(format!("turned {turn_deg} at {at:.3}"), &result);
         let mark = image(&eye, |p| ((p - at).norm() < 1.7).then_some([60, 40, 120]));
         text += &outcome("    a pen's mark", &rgb_spot(&reference, &reference, &mark, &t_camera_image, &pen));
     }

@@ -6,6 +6,7 @@ use osteoflow_algorithms::ct_surface::{
     ComponentChoice, CtSurface, CtSurfaceParams, VolumeView, ct_surface, suggested_threshold,
 };
 use osteoflow_algorithms::iso_surface::{iso_surface, make_well_composed};
+use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -42,9 +43,17 @@ fn described(surface: &CtSurface) -> impl std::fmt::Debug + use<> {
     let marks = (count(&surface.vertex_is_on_border), count(&surface.face_is_on_border));
     let parts = (surface.n_components, surface.components.clone(), surface.chosen.clone());
     let raised = (surface.n_raised, surface.n_filled, surface.filled_mm3);
-    let closed = surface.closed_mesh("ct").map(|mesh| mesh.volume_mm3());
+    let closed = Mesh::new("ct", SurfaceOrigin::User, surface.vertices.clone(), surface.faces.clone());
     let shift = (surface.shift_mm_per_50, surface.shift_p95_mm_per_50);
-    (points(&surface.vertices), faces(&surface.faces), marks, parts, raised, shift, closed.ok())
+    (
+        points(&surface.vertices),
+        faces(&surface.faces),
+        marks,
+        parts,
+        raised,
+        shift,
+        closed.ok().map(|mesh| mesh.volume_mm3()),
+    )
 }
 
 #[test]

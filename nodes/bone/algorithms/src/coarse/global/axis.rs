@@ -2,9 +2,10 @@
 
 use super::descent::{Placed, Points};
 use crate::Refusal;
+use crate::axes::largest_first;
 use crate::kabsch::centroid;
 use crate::target::NearMap;
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::Cloud;
 
 /// Minimum number of points that tell the shape of a scan.
@@ -59,20 +60,9 @@ impl Scan {
         Ok(Self { middle, camera, along, outward, half_length_mm: (max - min) / 2.0 })
     }
 
-    /// About `n` points about the centroid, evenly through their order.
-    pub(super) fn thinned(&self, points: &[Point3<f64>], n: usize) -> Vec<Vector3<f64>> {
-        points.iter().step_by(points.len().div_ceil(n).max(1)).map(|p| p - self.middle).collect()
-    }
-
-    /// Points about the centroid with the camera.
-    pub(super) fn seen<'a>(&self, points: &'a [Vector3<f64>]) -> Points<'a> {
-        Points { points, camera: self.camera.map(|camera| camera - self.middle) }
-    }
-
-    /// The motion that takes the scan onto the target.
-    pub(super) fn motion_of(&self, map: &NearMap, placed: &Placed) -> Isometry3<f64> {
-        let to = map.centre().coords + placed.translation.vector;
-        Isometry3::from_parts((to - placed.rotation * self.middle.coords).into(), placed.rotation)
+    /// About `n` of its points.
+    pub(super) fn thinned(&self, points: &[Point3<f64>], n: usize) -> Points {
+        Points::thinned(points, n, &self.middle, self.camera)
     }
 }
 
@@ -80,10 +70,8 @@ impl Scan {
 fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
     let middle = centroid(points);
     let scatter: Matrix3<f64> = points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum();
-    let eigen = (scatter / points.len().max(1) as f64).symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|&i, &j| eigen.eigenvalues[j].total_cmp(&eigen.eigenvalues[i]).then(i.cmp(&j)));
-    (middle, order.map(|k| eigen.eigenvectors.column(k).into_owned()), order.map(|k| eigen.eigenvalues[k]))
+    let (axes, variances) = largest_first(&(scatter / points.len().max(1) as f64));
+    (middle, axes, variances)
 }
 
 /// A position on the bone's centre line where a scan's centroid may lie, about the map's centre.
@@ -138,8 +126,10 @@ pub(super) fn stations(map: &NearMap, half_length_mm: f64, slide_mm: f64) -> Vec
 
 #[cfg(test)]
 mod tests {
+    use super::super::motion;
     use super::*;
     use crate::target::Target;
+    use nalgebra::Isometry3;
     use osteoflow_geometry::SurfaceOrigin;
 
     /// Points of a tube along z of radius 5 mm, from -50 to 50 mm, between two angles from x.
@@ -157,8 +147,8 @@ mod tests {
         Cloud::new("scan", points).unwrap()
     }
 
-    fn assert_near(found: &Vector3<f64>, expected: [f64; 3]) {
-        assert!((found - Vector3::from(expected)).norm() < 1e-9, "{found} is not {expected:?}");
+    fn assert_near(vector: &Vector3<f64>, expected: [f64; 3]) {
+        assert!((vector - Vector3::from(expected)).norm() < 1e-9, "{vector} is not {expected:?}");
     }
 
     #[test]
@@ -175,15 +165,15 @@ mod tests {
             let scan = Scan::new(&seen).unwrap();
             assert_near(&scan.outward, outward);
             assert_eq!(scan.camera, Some(Point3::from(camera)));
-            let about = scan.seen(&[]).camera.unwrap();
+            let about = scan.thinned(&[], 1).camera.unwrap();
             assert_near(&about, (Point3::from(camera) - scan.middle).into());
         }
         let hollow = Scan::new(&cloud(tube(210.0, 330.0))).unwrap();
         assert_near(&hollow.outward, [0.0, -1.0, 0.0]);
-        let few = bare.thinned(&points, 1000);
+        let few = bare.thinned(&points, 1000).points;
         assert_eq!(few.len(), 829, "every fifth of 4141");
         assert_near(&few[1], (points[5] - bare.middle).into());
-        assert_eq!(bare.thinned(&points[..7], 1000).len(), 7);
+        assert_eq!(bare.thinned(&points[..7], 1000).points.len(), 7);
     }
 
     #[test]
@@ -197,8 +187,8 @@ mod tests {
         // The variance of n points in a row is (n² - 1) / 12.
         let elongation = ((29.0_f64 * 29.0 - 1.0) / (20.0 * 20.0 - 1.0)).sqrt();
         let (.., spread) = principal(sheet(20, 29).points());
-        let found = (spread[0] / spread[1]).sqrt();
-        assert!((found - elongation).abs() < 1e-9, "{found}");
+        let ratio = (spread[0] / spread[1]).sqrt();
+        assert!((ratio - elongation).abs() < 1e-9, "{ratio}");
         assert!(message(&sheet(20, 29)).starts_with("the scan is 1.5 times as long as wide, 1.5 is needed"));
         assert!(Scan::new(&sheet(20, 31)).is_ok());
     }
@@ -243,11 +233,11 @@ mod tests {
             tube(0.0, 360.0 * 40.0 / 41.0).iter().map(|p| p + Vector3::new(10.0, 20.0, 30.0)).collect();
         let target = Target::new("ct", SurfaceOrigin::Exact, points, None).unwrap();
         let map = NearMap::new(&target);
-        let found = stations(&map, 30.0, 12.0);
+        let places = stations(&map, 30.0, 12.0);
         // Of 100 mm: ten steps and one on, whose half of a scan still touches the end.
-        assert_eq!(found.len(), 10);
-        let down = found[0].along.z.signum();
-        for (k, station) in found.iter().enumerate() {
+        assert_eq!(places.len(), 10);
+        let down = places[0].along.z.signum();
+        for (k, station) in places.iter().enumerate() {
             // A piece at an end has its centroid 15 mm from it, but the station is where the scan's would be.
             let off = station.middle + map.centre().coords - Vector3::new(10.0, 20.0, 30.0);
             let expected = (k as f64 * 12.0 - 50.0) * down;
@@ -257,8 +247,8 @@ mod tests {
             assert!((station.radius_mm - 5.0).abs() < 0.1, "{} mm", station.radius_mm);
         }
         let scan = Scan::new(&cloud(tube(30.0, 150.0))).unwrap();
-        let placed = found[4].place(&scan, 5, 12);
-        let motion = scan.motion_of(&map, &placed);
+        let placed = places[4].place(&scan, 5, 12);
+        let motion = motion(&map, &scan.middle, &placed);
         assert_near(&(motion * scan.middle).coords, (map.centre().coords + placed.translation.vector).into());
         assert_eq!(motion.rotation, placed.rotation);
         let far = stations(&map, 0.3, 12.0);

@@ -1,7 +1,8 @@
 //! Point-to-plane steps on a [`NearMap`].
 
 use crate::target::NearMap;
-use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
+use rayon::prelude::*;
 
 /// Cosine between a normal and the direction to the camera below which a sample is on the far side.
 const FAR_SIDE: f64 = -0.2;
@@ -10,16 +11,82 @@ const FAR_SIDE: f64 = -0.2;
 const DAMPING: f64 = 1e-3;
 
 /// A scan about its centroid, and the place of its camera there.
-pub(crate) struct Points<'a> {
-    pub(crate) points: &'a [Vector3<f64>],
+pub(crate) struct Points {
+    pub(crate) points: Vec<Vector3<f64>>,
     pub(crate) camera: Option<Vector3<f64>>,
+}
+
+impl Points {
+    /// About `n` of the points, about their centroid.
+    pub(crate) fn thinned(
+        points: &[Point3<f64>],
+        n: usize,
+        centroid: &Point3<f64>,
+        camera: Option<Point3<f64>>,
+    ) -> Self {
+        let points = thinned(points, n).iter().map(|p| p - centroid).collect();
+        Self { points, camera: camera.map(|camera| camera - centroid) }
+    }
+}
+
+/// About `n` points, evenly through their order.
+pub(crate) fn thinned(points: &[Point3<f64>], n: usize) -> Vec<Point3<f64>> {
+    points.iter().step_by(points.len().div_ceil(n).max(1)).copied().collect()
 }
 
 /// A pose that takes points about their centroid to positions about the map's centre.
 pub(crate) type Placed = Isometry3<f64>;
 
+/// The motion that takes points with this centroid onto the map's surface.
+pub(crate) fn motion(map: &NearMap, centroid: &Point3<f64>, placed: &Placed) -> Isometry3<f64> {
+    let to = map.centre().coords + placed.translation.vector;
+    Isometry3::from_parts((to - placed.rotation * centroid.coords).into(), placed.rotation)
+}
+
+/// The starts after up to `n_steps` on the map with their scores, best first.
+pub(crate) fn descended(
+    map: &NearMap,
+    scan: &Points,
+    starts: &[Placed],
+    reach_mm: f64,
+    n_steps: usize,
+) -> Vec<(f64, Placed)> {
+    let one = |start: &Placed| {
+        let placed = descend(map, scan, start, reach_mm, n_steps);
+        (score(map, scan, &placed, reach_mm), placed)
+    };
+    let mut ends: Vec<(f64, Placed)> = starts.par_iter().map(one).collect();
+    ends.sort_by(|a, b| a.0.total_cmp(&b.0));
+    ends
+}
+
+/// The first `n` of the poses that are no closer than `apart_mm` (RMS over `n_probes` points) to an earlier one.
+pub(crate) fn distinct(
+    sorted: Vec<(f64, Placed)>,
+    scan: &Points,
+    n_probes: usize,
+    apart_mm: f64,
+    n: usize,
+) -> Vec<Placed> {
+    let points = &scan.points;
+    let probes: Vec<Point3<f64>> =
+        points.iter().step_by((points.len() / n_probes).max(1)).map(|p| Point3::from(*p)).collect();
+    let square = |a: &Placed, b: &Placed| probes.iter().map(|p| (a * p - b * p).norm_squared()).sum::<f64>();
+    let limit = apart_mm * apart_mm * probes.len() as f64;
+    let mut kept: Vec<Placed> = Vec::new();
+    for (_, placed) in sorted {
+        if kept.len() >= n {
+            break;
+        }
+        if kept.iter().all(|other| square(other, &placed) > limit) {
+            kept.push(placed);
+        }
+    }
+    kept
+}
+
 /// RMS distance from the surface, with distances limited to `reach_mm`.
-pub(crate) fn score(map: &NearMap, scan: &Points<'_>, placed: &Placed, reach_mm: f64) -> f64 {
+fn score(map: &NearMap, scan: &Points, placed: &Placed, reach_mm: f64) -> f64 {
     let camera = scan.camera.map(|camera| placed.rotation * camera + placed.translation.vector);
     let squares = scan.points.iter().map(|p| {
         let moved = placed.rotation * p + placed.translation.vector;
@@ -51,12 +118,12 @@ fn residual(
 }
 
 /// `n_steps` point-to-plane steps with pairs no farther than `reach_mm`; ends early where too few pairs are left.
-pub(crate) fn descend(map: &NearMap, scan: &Points<'_>, start: &Placed, reach_mm: f64, n_steps: usize) -> Placed {
+fn descend(map: &NearMap, scan: &Points, start: &Placed, reach_mm: f64, n_steps: usize) -> Placed {
     let mut placed = *start;
     for _ in 0..n_steps {
         let camera = scan.camera.map(|camera| placed.rotation * camera + placed.translation.vector);
         let (mut h, mut b, mut n_pairs) = (Matrix6::zeros(), Vector6::zeros(), 0);
-        for p in scan.points {
+        for p in &scan.points {
             let arm = placed.rotation * p;
             let moved = arm + placed.translation.vector;
             let Some((normal, along)) = residual(map, &moved, camera.as_ref(), reach_mm) else { continue };
@@ -90,7 +157,6 @@ pub(crate) fn descend(map: &NearMap, scan: &Points<'_>, start: &Placed, reach_mm
 mod tests {
     use super::*;
     use crate::target::Target;
-    use nalgebra::Point3;
     use osteoflow_geometry::SurfaceOrigin;
 
     #[test]
@@ -103,7 +169,9 @@ mod tests {
         let map = NearMap::new(&target.unwrap());
         // The last is out of the map.
         let points = [0.0, 2.0, 4.0, 1000.0].map(|z| Vector3::new(1.0, 1.0, z) - map.centre().coords);
-        let rms = |points: &[Vector3<f64>]| score(&map, &Points { points, camera: None }, &Placed::identity(), 3.0);
+        let rms = |points: &[Vector3<f64>]| {
+            score(&map, &Points { points: points.to_vec(), camera: None }, &Placed::identity(), 3.0)
+        };
         for (i, distance) in [0.0, 2.0, 3.0, 3.0].into_iter().enumerate() {
             assert!((rms(&points[i..=i]) - distance).abs() < 1e-12, "{i}: {}", rms(&points[i..=i]));
         }
@@ -128,7 +196,7 @@ mod tests {
     #[test]
     fn a_step_is_the_minimum_of_the_linearised_cost_and_more_of_them_come_back() {
         let (map, points) = bowl();
-        let scan = Points { points: &points, camera: None };
+        let scan = Points { points: points.clone(), camera: None };
         let start = Placed::new(Vector3::new(0.3, -0.2, 0.5), Vector3::new(0.02, -0.03, 0.01));
         // Nothing is lowered by a step of another length along its direction.
         let one = descend(&map, &scan, &start, 3.0, 1);
@@ -158,14 +226,15 @@ mod tests {
         let start = Placed::translation(0.0, 0.0, 0.4);
         let some = |n: usize| points.iter().step_by(points.len() / 12).take(n).copied().collect::<Vec<_>>();
         let moves = |points: &[Vector3<f64>], reach_mm: f64, camera: Option<Vector3<f64>>| {
-            descend(&map, &Points { points, camera }, &start, reach_mm, 1) != start
+            descend(&map, &Points { points: points.to_vec(), camera }, &start, reach_mm, 1) != start
         };
         assert!(!moves(&some(11), 3.0, None) && moves(&some(12), 3.0, None));
         assert!(!moves(&points, 0.3, None) && moves(&points, 0.41, None));
         // The far side of the plate is not seen by a camera below it.
         let far = [Vector3::z() * 500.0, -Vector3::z() * 500.0].map(|camera| moves(&points, 3.0, Some(camera)));
         assert_eq!(far, [true, false]);
-        let score = |z: f64| score(&map, &Points { points: &points, camera: Some(Vector3::z() * z) }, &start, 2.0);
+        let score =
+            |z: f64| score(&map, &Points { points: points.clone(), camera: Some(Vector3::z() * z) }, &start, 2.0);
         assert!((score(-500.0) - 2.0).abs() < 1e-12 && score(500.0) < 0.41, "{} {}", score(-500.0), score(500.0));
     }
 

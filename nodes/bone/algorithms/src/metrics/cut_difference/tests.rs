@@ -25,21 +25,21 @@ fn a_slide_along_a_prism_shows_in_place_at_its_ends_and_not_when_aligned() {
         prism(6.0, 12, [0.0, 160.0], 641, false),
     ];
     for bone in &bones {
-        let found = against(bone, [tilted(60.0, 0.0), tilted(94.0, 0.0)], &slip);
-        for summary in all(&found.aligned) {
+        let result = against(bone, [tilted(60.0, 0.0), tilted(94.0, 0.0)], &slip);
+        for summary in all(&result.aligned) {
             assert!(summary.max_mm < 1e-6, "{summary:?}");
         }
-        let [vertices, surface, walls] = all(&found.in_place);
+        let [vertices, surface, walls] = all(&result.in_place);
         for summary in [vertices, surface] {
             assert!((summary.max_mm - 2.0).abs() < 1e-6, "{summary:?}");
         }
         assert!(walls.max_mm <= 2.0 && walls.max_mm > 1.8 && walls.mean_mm < surface.mean_mm);
         // 2 mm at both ends are all there is: of two pieces, 36 mm of wall and two faces each, 2 mm and a face differ.
-        assert!(found.volume_difference_mm3.abs() < 1e-4, "{}", found.volume_difference_mm3);
-        let [low, high] = &found.ends[..] else { panic!("two ends") };
+        assert!(result.volume_difference_mm3.abs() < 1e-4, "{}", result.volume_difference_mm3);
+        let [low, high] = &result.ends[..] else { panic!("two ends") };
         assert!((low.offset_mm - 2.0).abs() < 1e-9 && (low.longer_mm + 2.0).abs() < 1e-9);
         assert!((high.offset_mm - 2.0).abs() < 1e-9 && (high.longer_mm - 2.0).abs() < 1e-9);
-        assert!(low.tilt_rad < 1e-7 && (found.pose_error.at_point_mm - 2.0).abs() < 1e-9);
+        assert!(low.tilt_rad < 1e-7 && (result.pose_error.at_point_mm - 2.0).abs() < 1e-9);
     }
 }
 
@@ -51,7 +51,7 @@ fn the_surface_in_place_differs_by_the_faces_and_walls_that_a_slide_exposes() {
     let params = CutDifferenceParams { n_samples: 100_000, ..CutDifferenceParams::default() };
     let planned = planes([tilted(60.0, 0.0), tilted(94.0, 0.0)]);
     let slide = Isometry3::translation(0.0, 0.0, 2.0);
-    let found = PlannedFragment::new(&bone, &planned, &params).unwrap().against(&slide).unwrap();
+    let result = PlannedFragment::new(&bone, &planned, &params).unwrap().against(&slide).unwrap();
     let (wall, face) = (44.0 * 34.0, 120.0);
     // Each fragment has one face 2 mm off and 2 mm of wall 1 mm off on the average; its other face lies inside the
     // other fragment, up to 2 mm from its end and no farther from its walls.
@@ -63,23 +63,23 @@ fn the_surface_in_place_differs_by_the_faces_and_walls_that_a_slide_exposes() {
         sum / f64::from(n * n)
     };
     let expected = (face * 2.0 + 44.0 * 2.0 * 1.0 + face * depth) / (wall + 2.0 * face);
-    let found = found.in_place.surface.mean_mm;
-    assert!((found - expected).abs() < 0.01 * expected, "{found} mm, {expected} mm expected: 200,000 samples");
+    let result = result.in_place.surface.mean_mm;
+    assert!((result - expected).abs() < 0.01 * expected, "{result} mm, {expected} mm expected: 200,000 samples");
 }
 
 #[test]
 fn the_meshing_of_the_bone_does_not_matter() {
     let slip = Isometry3::new(Vector3::new(0.6, -0.3, 1.5), Vector3::new(0.01, -0.02, 0.05));
-    let found = [3, 41, 641].map(|rings| {
+    let result = [3, 41, 641].map(|rings| {
         against(&prism(6.0, 24, [0.0, 160.0], rings, false), [tilted(60.0, 0.2), tilted(94.0, -0.1)], &slip)
     });
-    for finer in &found[1..] {
-        for (a, b) in [(&found[0].in_place, &finer.in_place), (&found[0].aligned, &finer.aligned)] {
+    for finer in &result[1..] {
+        for (a, b) in [(&result[0].in_place, &finer.in_place), (&result[0].aligned, &finer.aligned)] {
             assert!((a.vertices.mean_mm - b.vertices.mean_mm).abs() < 1e-6 * a.vertices.n as f64 / 1000.0 + 2e-3);
             assert!((a.vertices.max_mm - b.vertices.max_mm).abs() < 1e-6);
             assert!((a.surface.mean_mm - b.surface.mean_mm).abs() < 0.03 * a.surface.mean_mm, "samples differ");
         }
-        assert!((found[0].executed_volume_mm3 - finer.executed_volume_mm3).abs() < 1e-5);
+        assert!((result[0].executed_volume_mm3 - finer.executed_volume_mm3).abs() < 1e-5);
     }
 }
 
@@ -115,11 +115,11 @@ fn flipped_normals_change_only_the_sign_of_the_offset() {
     let turn = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
     let slip = Isometry3::translation(0.2, 0.0, 1.0);
     let places = [tilted(40.0, 0.2), tilted(74.0, -0.1)];
-    let (found, turned) = (against(&bone, places, &slip), against(&bone, places.map(|p| p * turn), &slip));
-    assert!((found.ends[0].offset_mm + turned.ends[0].offset_mm).abs() < 1e-9);
-    assert!((found.ends[0].longer_mm - turned.ends[0].longer_mm).abs() < 1e-9);
+    let (result, turned) = (against(&bone, places, &slip), against(&bone, places.map(|p| p * turn), &slip));
+    assert!((result.ends[0].offset_mm + turned.ends[0].offset_mm).abs() < 1e-9);
+    assert!((result.ends[0].longer_mm - turned.ends[0].longer_mm).abs() < 1e-9);
     assert!(
-        (found.aligned.surface.mean_mm - turned.aligned.surface.mean_mm).abs() < 0.02 * found.aligned.surface.mean_mm
+        (result.aligned.surface.mean_mm - turned.aligned.surface.mean_mm).abs() < 0.02 * result.aligned.surface.mean_mm
     );
 }
 
@@ -127,9 +127,9 @@ fn flipped_normals_change_only_the_sign_of_the_offset() {
 fn a_hollow_bone_is_compared_inside_too() {
     let bone =
         crate::shapes::together(&prism(6.0, 24, [0.0, 160.0], 81, false), &prism(3.0, 24, [-5.0, 165.0], 81, true));
-    let found = against(&bone, [tilted(60.0, 0.1), tilted(94.0, 0.0)], &Isometry3::translation(0.0, 0.0, 1.0));
-    assert!(found.aligned.surface.max_mm < 1e-6 && found.volume_difference_mm3.abs() < 1e-3);
-    assert!((found.in_place.surface.max_mm - 1.0).abs() < 1e-2, "{:?}", found.in_place.surface);
+    let result = against(&bone, [tilted(60.0, 0.1), tilted(94.0, 0.0)], &Isometry3::translation(0.0, 0.0, 1.0));
+    assert!(result.aligned.surface.max_mm < 1e-6 && result.volume_difference_mm3.abs() < 1e-3);
+    assert!((result.in_place.surface.max_mm - 1.0).abs() < 1e-2, "{:?}", result.in_place.surface);
 }
 
 #[test]
@@ -147,19 +147,19 @@ fn the_measured_error_is_that_of_the_points_and_its_absence_has_a_reason() {
     // Touched without error, carried to CT by a registration that errs.
     let t_ct_world_true = Isometry3::new(Vector3::new(100.0, 0.0, -50.0), Vector3::new(0.5, 0.5, 0.0));
     let measured = named(&t_ct_world_true.inverse());
-    let found = error_at_points(&named(&Isometry3::identity()), &measured, &(error * t_ct_world_true));
-    assert!((found.clone().unwrap().to_homogeneous() - error.to_homogeneous()).amax() < 1e-9);
+    let result = error_at_points(&named(&Isometry3::identity()), &measured, &(error * t_ct_world_true));
+    assert!((result.clone().unwrap().to_homogeneous() - error.to_homogeneous()).amax() < 1e-9);
     let params = CutDifferenceParams::default();
-    let found = cut_difference(&bone, &places, &error, found.map_err(|e| e.to_string()), &params).unwrap();
-    let paper = found.paper.unwrap();
-    assert!((paper.aligned.surface.mean_mm - found.truth.aligned.surface.mean_mm).abs() < 1e-6);
+    let result = cut_difference(&bone, &places, &error, result.map_err(|e| e.to_string()), &params).unwrap();
+    let paper = result.paper.unwrap();
+    assert!((paper.aligned.surface.mean_mm - result.truth.aligned.surface.mean_mm).abs() < 1e-6);
     assert!((paper.pose_error.rotation_rad - error.rotation.angle()).abs() < 1e-9);
     // The planes are carried by the inverse: a registration that puts points 2 mm too high cuts 2 mm too low.
-    assert!((found.truth.ends[0].offset_mm + 2.0).abs() < 0.3, "{}", found.truth.ends[0].offset_mm);
+    assert!((result.truth.ends[0].offset_mm + 2.0).abs() < 0.3, "{}", result.truth.ends[0].offset_mm);
 
     let none = error_at_points(&[], &[], &error).map_err(|e| e.to_string());
-    let found = cut_difference(&bone, &places, &error, none, &params).unwrap();
-    assert!(found.paper.is_none() && found.no_paper.unwrap().contains("no point"));
+    let result = cut_difference(&bone, &places, &error, none, &params).unwrap();
+    assert!(result.paper.is_none() && result.no_paper.unwrap().contains("no point"));
     let gone = cut_difference(&bone, &places, &Isometry3::translation(0.0, 0.0, 900.0), Err("none".into()), &params);
     assert!(gone.unwrap_err().to_string().starts_with("plane_1 does not cut the bone"));
 }
@@ -167,8 +167,8 @@ fn the_measured_error_is_that_of_the_points_and_its_absence_has_a_reason() {
 #[test]
 fn a_map_is_positive_outside_and_negative_inside() {
     let query = MeshQuery::new(&cuboid([0.0; 3], [10.0; 3]));
-    let found = signed_distances(&[Point3::new(5.0, 5.0, 12.0), Point3::new(5.0, 5.0, 9.0)], &query);
-    assert!((found[0] - 2.0).abs() < 1e-12 && (found[1] + 1.0).abs() < 1e-12);
+    let result = signed_distances(&[Point3::new(5.0, 5.0, 12.0), Point3::new(5.0, 5.0, 9.0)], &query);
+    assert!((result[0] - 2.0).abs() < 1e-12 && (result[1] + 1.0).abs() < 1e-12);
 }
 
 #[test]

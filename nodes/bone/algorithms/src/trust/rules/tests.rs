@@ -163,23 +163,3 @@ fn a_spread_is_a_sign_by_its_chance_and_named_by_the_larger_cause() {
     assert_eq!((open.rule.as_str(), open.answer), ("spread", Answer::Doubtful));
     assert_eq!(open.reason, "the scan leaves a motion of the bone undetermined");
 }
-
-#[test]
-fn each_fault_of_a_plan_is_told() {
-    let (a, b) = (|| "a".to_owned(), || "b".to_owned());
-    let faults = [
-        PlanFault::Off { n_off: 2, n: 3, largest_mm: 41.6, cause: Some("the cause") },
-        PlanFault::Off { n_off: 1, n: 4, largest_mm: 5.0, cause: None },
-        PlanFault::MissesBone { name: a(), distance_mm: 99.6 },
-        PlanFault::Reversed { first: a(), second: b() },
-        PlanFault::NoPlanes,
-    ];
-    let expected = [
-        "plan Refused: 2 of 3 planned points lie off the surface, up to 42 mm; likely cause: the cause",
-        "plan Refused: 1 of 4 planned points lie off the surface, up to 5 mm; likely cause: the plan is of another surface",
-        "plan Refused: the planned plane a does not cut the bone, its origin is 100 mm away",
-        "plan Doubtful: the normals of a and b do not both point from a to b",
-        "plan Doubtful: the plan has no cutting planes",
-    ];
-    assert_eq!(text(&faults.map(plan_reason)), expected);
-}
