@@ -2,7 +2,7 @@
 
 use crate::common::python::python;
 use osteoflow_formats::openigtlink::{
-    Affine, Body, Cells, Decoder, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool,
+    Affine, Body, Cells, Decoder, Fiducial, Message, Metadata, PolyData, Position, Status, TrackedTool,
 };
 use osteoflow_geometry::nalgebra::{Isometry3, Matrix4, Vector3};
 use serde_json::{Value, json};
@@ -112,7 +112,7 @@ fn messages_of_pyigtl_are_read_in_both_header_versions() {
         }
         let Body::Transform(affine) = &found[0].body else { panic!("{:?}", found[0]) };
         assert_eq!(affine.matrix(), matrix, "columns, not rows");
-        assert_eq!(found[1].body, Body::Text(Text("hello".into())));
+        assert_eq!(found[1].body, Body::Text("hello".into()));
         let Body::Points(fiducials) = &found[2].body else { panic!("{:?}", found[2]) };
         let named: Vec<_> = fiducials.iter().map(|point| (point.name.as_str(), point.position)).collect();
         assert_eq!(named, [("P1", [1.0, 2.0, 3.0]), ("P2", [4.0, 5.0, 6.5])]);
@@ -162,10 +162,10 @@ fn pyigtl_reads_what_is_written_in_both_header_versions() {
         ("Status", Body::Status(Status::new(Status::OK, "OK", "fine"))),
         ("Tools", Body::Tracking(vec![tool])),
         ("Mesh", Body::PolyData(PolyData::of_points(vec![[1.0, 2.0, 3.0]]))),
-        ("Note", Body::Text(Text("hello".into()))),
+        ("Note", Body::Text("hello".into())),
         ("Points", Body::Points(vec![Fiducial::new("P1", [1.0, 2.0, 3.5])])),
         ("Position", Body::Positions(vec![position])),
-        ("Last", Body::Text(Text("end".into()))),
+        ("Last", Body::Text("end".into())),
     ];
     for version in [1, 2] {
         for (device, body) in &bodies {

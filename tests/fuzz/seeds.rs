@@ -11,7 +11,7 @@ use foxglove::{
 use osteoflow_formats::{
     mcap_read::Recording,
     message_read::{CAMERA_CALIBRATION, COMPRESSED_IMAGE, RAW_IMAGE},
-    openigtlink::{Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool},
+    openigtlink::{Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, TrackedTool},
     recording_write::Stream,
 };
 use osteoflow_geometry::{
@@ -273,7 +273,7 @@ fn messages() -> Vec<Message> {
         Body::Points(vec![Fiducial::new("P1", [1.0, 2.0, 3.0])]),
         Body::PolyData(triangle),
         Body::Status(Status::new(Status::OK, "OK", "well")),
-        Body::Text(Text("text".into())),
+        Body::Text("text".into()),
         Body::StartTracking { interval_ms: 50, coordinates: "Reference".into() },
     ];
     let versions = bodies.into_iter().map(|body| Message::new("StylusToReference", 1_750_000_000_000_000_000, body));

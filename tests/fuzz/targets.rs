@@ -44,7 +44,7 @@ pub(crate) const TARGETS: &[Target] = &[
     Target {
         name: "volume",
         endings: &["nii", "nrrd", "dcm"],
-        read: |path, _| volume::read_volume(path, &Default::default()).is_ok(),
+        read: |path, _| volume::read_volume(path, None).is_ok(),
     },
     Target { name: "procedure", endings: &["toml"], read: |path, _| ProcedureFolder::open(path).is_ok() },
     Target { name: "openigtlink", endings: &["bin"], read: messages_of_openigtlink },
@@ -117,7 +117,6 @@ fn message(bytes: &[u8]) -> Option<()> {
         let _ = message_read::read_image_head(message());
         return message_read::read_image(message(), &camera).ok().map(drop);
     };
-    let _ = message_read::stamp(message());
     match kind {
         MessageKind::Cloud => {
             let _ = message_read::read_cloud_head(message());

@@ -12,7 +12,7 @@ use osteoflow_formats::{
     plan_file::read_plan,
     pose_file::read_pose,
     volume::is_volume,
-    volume::{VolumeOptions, VoxelUnit, read_volume},
+    volume::{VoxelUnit, read_volume},
 };
 use osteoflow_geometry::{NamedPoint, nalgebra::Point3};
 use serde::Serialize;
@@ -322,7 +322,7 @@ fn frame(message: &Message) -> Option<String> {
 }
 
 fn volume(file: &Path) -> Result<Contents> {
-    let read = read_volume(file, &VolumeOptions::default())?;
+    let read = read_volume(file, None)?;
     let (volume, name) = (&read.volume, file.display());
     let m = &volume.t_lps_voxel;
     let edges: [f64; 3] = std::array::from_fn(|k| m.fixed_view::<3, 1>(0, k).norm());

@@ -196,9 +196,9 @@ mod tests {
             "\u{feff}\"x\" \"y\" \"z\" \"label\"\n1 2.5 -3 7\n4 5 60 8\n",
             "1 2.5 -3 200 100 50\n4 5 60 0 0 0\n",
         ] {
-            let found = read(text).unwrap_or_else(|error| panic!("{error}\n{text}"));
-            assert_eq!((found.cloud.points(), found.cloud.normals()), (&expected[..], None), "{text}");
-            assert_eq!((found.n_points_in_file, found.n_dropped), (2, 0), "{text}");
+            let content = read(text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_eq!((content.cloud.points(), content.cloud.normals()), (&expected[..], None), "{text}");
+            assert_eq!((content.n_points_in_file, content.n_dropped), (2, 0), "{text}");
         }
     }
 
@@ -206,21 +206,21 @@ mod tests {
     fn normals_are_read_where_they_are_named_or_of_unit_length() {
         let expected = [Vector3::z(), Vector3::new(0.6, 0.0, -0.8)];
         for text in ["x,y,z,nx,ny,nz\n0,0,0,0,0,2\n1,0,0,3,0,-4\n", "0 0 0 0 0 1\n1 0 0 .6 0 -.8\n"] {
-            let found = read(text).unwrap();
-            let normals = found.cloud.normals().unwrap();
+            let content = read(text).unwrap();
+            let normals = content.cloud.normals().unwrap();
             assert!(normals.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-15), "{normals:?}");
         }
-        let found = read("x,y,z,nx,ny,nz\n0,0,0,0,0,0\n1,0,0,3,0,-4\n").unwrap();
-        assert_eq!(found.cloud.normals(), None);
-        assert_eq!(found.notes, ["1 of 2 normals are zero or not finite, so the cloud goes without normals"]);
+        let content = read("x,y,z,nx,ny,nz\n0,0,0,0,0,0\n1,0,0,3,0,-4\n").unwrap();
+        assert_eq!(content.cloud.normals(), None);
+        assert_eq!(content.notes, ["1 of 2 normals are zero or not finite, so the cloud goes without normals"]);
     }
 
     #[test]
     fn points_without_depth_are_left_out_and_counted() {
-        let found = shape("a.xyz".as_ref(), b"nan nan nan\n0 0 1\ninf 0 0\n").unwrap();
-        let found = found.into_cloud("a.xyz".as_ref(), 1000.0, "camera".into()).unwrap();
-        assert_eq!((found.n_points_in_file, found.n_dropped), (3, 2));
-        assert_eq!(found.cloud.points(), [Point3::new(0.0, 0.0, 1000.0)]);
+        let content = shape("a.xyz".as_ref(), b"nan nan nan\n0 0 1\ninf 0 0\n").unwrap();
+        let content = content.into_cloud("a.xyz".as_ref(), 1000.0, "camera".into()).unwrap();
+        assert_eq!((content.n_points_in_file, content.n_dropped), (3, 2));
+        assert_eq!(content.cloud.points(), [Point3::new(0.0, 0.0, 1000.0)]);
     }
 
     #[test]
@@ -258,22 +258,22 @@ mod tests {
 
     #[test]
     fn further_columns_of_numbers_are_kept_and_those_of_words_noted() {
-        let found = read("label,x,y,z,q\nP1,1,2,3,\nP2,4,5,nan,9\nP3,4,5,6,8\n").unwrap();
-        assert_eq!(found.notes, ["column \"label\" holds words (\"P1\" on line 2) and was left out"]);
-        assert_eq!((found.cloud.len(), found.n_dropped), (2, 1));
-        let (name, values) = extra(&found.cloud, 0);
+        let content = read("label,x,y,z,q\nP1,1,2,3,\nP2,4,5,nan,9\nP3,4,5,6,8\n").unwrap();
+        assert_eq!(content.notes, ["column \"label\" holds words (\"P1\" on line 2) and was left out"]);
+        assert_eq!((content.cloud.len(), content.n_dropped), (2, 1));
+        let (name, values) = extra(&content.cloud, 0);
         assert!(name == "q" && values[0].is_nan() && values[1] == 8.0, "{name} {values:?}");
-        let found = read("2\n1 2 3 -500 10 20 30\n1 2 3 -600 11 21 31\n").unwrap();
-        assert_eq!(extra(&found.cloud, 0), ("column_4", &[-500.0, -600.0][..]));
-        assert_eq!(found.cloud.extras().len(), 4);
+        let content = read("2\n1 2 3 -500 10 20 30\n1 2 3 -600 11 21 31\n").unwrap();
+        assert_eq!(extra(&content.cloud, 0), ("column_4", &[-500.0, -600.0][..]));
+        assert_eq!(content.cloud.extras().len(), 4);
     }
 
     #[test]
     fn a_stated_space_turns_the_points_to_lps() {
-        let found = read("# SPACE=RAS\nx,y,z,nx,ny,nz\n1,2,3,0,1,0\n").unwrap();
-        assert_eq!((found.cloud.points()[0], found.space), (Point3::new(-1.0, -2.0, 3.0), Space::Ras));
-        assert_eq!(found.cloud.normals().unwrap()[0], -Vector3::y());
-        assert_eq!(found.notes, ["the file states SPACE=RAS; x and y were negated, which gives LPS"]);
+        let content = read("# SPACE=RAS\nx,y,z,nx,ny,nz\n1,2,3,0,1,0\n").unwrap();
+        assert_eq!((content.cloud.points()[0], content.space), (Point3::new(-1.0, -2.0, 3.0), Space::Ras));
+        assert_eq!(content.cloud.normals().unwrap()[0], -Vector3::y());
+        assert_eq!(content.notes, ["the file states SPACE=RAS; x and y were negated, which gives LPS"]);
         assert_eq!(read("1 2 3").unwrap().space, Space::Unknown);
     }
 

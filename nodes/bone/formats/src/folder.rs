@@ -518,7 +518,7 @@ mod tests {
         let procedure = ProcedureFolder::open(folder.path()).unwrap();
         let streams = procedure.streams().unwrap();
         assert_eq!(streams.notes, [""; 0]);
-        let found: Vec<(&str, StampNs)> =
+        let roles: Vec<(&str, StampNs)> =
             streams.items.iter().map(|i| (i.role.as_str(), i.stamp_ns / 100_000_000)).collect();
         let expected = [
             ("phantom_marker_cad", 0),
@@ -533,7 +533,7 @@ mod tests {
             ("assessment", 300),
             ("assessment", 310),
         ];
-        assert_eq!(found, expected);
+        assert_eq!(roles, expected);
         let clouds: Vec<&Cloud> = streams
             .items
             .iter()
@@ -571,7 +571,7 @@ mod tests {
     #[test]
     fn a_fault_names_its_line_or_key() {
         let folder = folder();
-        let said = |from: &str, to: &str| {
+        let refusal = |from: &str, to: &str| {
             let text = example().replace(from, to);
             assert!(from.is_empty() || text != example(), "{from} is not in the example");
             std::fs::write(folder.path().join(FILE_NAME), text).unwrap();
@@ -594,11 +594,11 @@ mod tests {
             ("min = [-60", "min = [nan", "key \"region\": min [NaN"),
             ("label   = \"P1\"", "label = 1", "line 10, column 9: invalid type: integer `1`, expected a string"),
         ] {
-            let said = said(from, to);
-            assert!(said.contains(expected), "{expected}\n{said}");
+            let refusal = refusal(from, to);
+            assert!(refusal.contains(expected), "{expected}\n{refusal}");
         }
         std::fs::write(folder.path().join("assessment.csv"), "name,x,y,z\nM1,1,2,\n").unwrap();
-        let said = said("", "");
-        assert!(said.ends_with("assessment.csv: line 2: z is \"\", a number is expected"), "{said}");
+        let refusal = refusal("", "");
+        assert!(refusal.ends_with("assessment.csv: line 2: z is \"\", a number is expected"), "{refusal}");
     }
 }

@@ -46,13 +46,6 @@ fn without_bare_nan(data: &[u8]) -> Option<Vec<u8>> {
     any.then_some(mended)
 }
 
-/// Any message, as far as its time goes.
-#[derive(Deserialize)]
-pub(crate) struct JsonTimestamp {
-    #[serde(default)]
-    pub(crate) timestamp: Time,
-}
-
 /// A cloud without its points.
 #[derive(Deserialize)]
 pub(crate) struct JsonCloudHead {

@@ -14,6 +14,12 @@ pub(crate) fn parse(text: &str) -> Result<Value, serde_json::Error> {
     serde_json::from_str::<Strict>(text).map(|strict| strict.0)
 }
 
+/// A list of `N` finite numbers.
+pub(crate) fn numbers<const N: usize>(list: &Value) -> Option<[f64; N]> {
+    let numbers = Vec::<f64>::deserialize(list).ok()?.try_into().ok();
+    numbers.filter(|numbers: &[f64; N]| numbers.iter().all(|n| n.is_finite()))
+}
+
 /// A value whose objects have each key once.
 struct Strict(Value);
 

@@ -23,7 +23,7 @@ mod pass;
 
 pub use error::McapError;
 
-use crate::input;
+use crate::{FileError, input};
 use bag::Bag;
 use bytes::Bytes;
 use osteoflow_container::Reader;
@@ -115,7 +115,7 @@ impl Recording {
         }
         let name = path.display().to_string();
         input::check(path)?;
-        let reader = Reader::open(path).map_err(|source| McapError::Io { path: name.clone(), source })?;
+        let reader = Reader::open(path).map_err(FileError::read(path))?;
         Pass::new(&name, allow_truncated, &keep).read(reader)
     }
 

@@ -22,7 +22,6 @@ use crate::{
     shape::{Shape, size_note},
     stl, vtk,
 };
-use nalgebra::{Isometry3, Translation3};
 use osteoflow_geometry::{Cloud, Frame, SurfaceOrigin};
 use std::path::Path;
 
@@ -59,16 +58,12 @@ impl MeshOrCloud {
     pub fn in_space(self, space: Space) -> Result<Self, String> {
         match self {
             Self::Mesh(read) => read.in_space(space).map(Self::Mesh),
-            Self::Cloud(mut read, notes) => match read.space {
-                stated if stated == space => Ok(Self::Cloud(read, notes)),
-                Space::Unknown => {
-                    let turn = Isometry3::from_parts(Translation3::identity(), space.turn());
+            Self::Cloud(mut read, notes) => {
+                if let Some(turn) = read.space.turn_to(space)? {
                     read.cloud = read.cloud.transformed(read.cloud.frame.clone(), &turn);
-                    read.space = space;
-                    Ok(Self::Cloud(read, notes))
                 }
-                stated => Err(format!("the file states SPACE={stated}")),
-            },
+                Ok(Self::Cloud(CloudFileRead { space, ..read }, notes))
+            }
         }
     }
 
@@ -225,19 +220,31 @@ mod tests {
             assert_eq!(found.notes, ["the file states SPACE=RAS; x and y were negated, which gives LPS"]);
         }
         let contradictory = ply.replace("comment", "comment SPACE=LPS\ncomment");
-        let said = read(contradictory.as_bytes()).unwrap_err().to_string();
-        assert!(said.contains("line 10: SPACE=RAS contradicts SPACE=LPS before it"), "{said}");
+        let complaint = read(contradictory.as_bytes()).unwrap_err().to_string();
+        assert!(complaint.contains("line 10: SPACE=RAS contradicts SPACE=LPS before it"), "{complaint}");
     }
 
     #[test]
     fn a_ply_with_more_than_its_header_counts_is_refused_or_noted() {
-        let said = |text: String| read(text.as_bytes()).unwrap_err().to_string();
+        let complaint = |text: String| read(text.as_bytes()).unwrap_err().to_string();
         let more = ply("") + "\n1 2 3\n";
-        assert!(said(more.clone()).contains("line 12: more lines follow than the header counts"), "{}", said(more));
+        assert!(
+            complaint(more.clone()).contains("line 12: more lines follow than the header counts"),
+            "{}",
+            complaint(more)
+        );
         let twice = ply("element vertex 1\nproperty float x\n");
-        assert!(said(twice.clone()).contains("line 7: the header names element \"vertex\" twice"), "{}", said(twice));
+        assert!(
+            complaint(twice.clone()).contains("line 7: the header names element \"vertex\" twice"),
+            "{}",
+            complaint(twice)
+        );
         let twice = ply("property float x\n");
-        assert!(said(twice.clone()).contains("line 7: element \"vertex\" has two properties \"x\""), "{}", said(twice));
+        assert!(
+            complaint(twice.clone()).contains("line 7: element \"vertex\" has two properties \"x\""),
+            "{}",
+            complaint(twice)
+        );
         let head = "ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty double x\nproperty double y\n\
                     property double z\nproperty uchar red\nend_header\n";
         let mut bytes = head.as_bytes().to_vec();
@@ -250,7 +257,11 @@ mod tests {
         let expected = "byte 162: 2 more elements \"vertex\" follow than the header counts";
         assert!(read(&bytes).unwrap_err().to_string().contains(expected), "{}", read(&bytes).unwrap_err());
         let twice = ply("").replace("format ascii 1.0\n", "format ascii 1.0\nformat binary_little_endian 1.0\n");
-        assert!(said(twice.clone()).contains("line 3: the header has a second line \"format\""), "{}", said(twice));
+        assert!(
+            complaint(twice.clone()).contains("line 3: the header has a second line \"format\""),
+            "{}",
+            complaint(twice)
+        );
     }
 
     #[test]
@@ -269,9 +280,9 @@ mod tests {
         ] {
             assert_eq!(cloud(text), [Point3::origin(), Point3::new(40.0, 1.0, 2.0)], "{text}");
         }
-        let said = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
-        assert!(said(b"1 2 3\r4 5 6\r").contains("lines end with CR alone"), "{}", said(b"1 2 3\r4 5 6\r"));
-        assert!(said(b"OFF\n0 0 0\n").contains("there is no point in the file"), "{}", said(b"OFF\n0 0 0\n"));
+        let complaint = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
+        assert!(complaint(b"1 2 3\r4 5 6\r").contains("lines end with CR alone"), "{}", complaint(b"1 2 3\r4 5 6\r"));
+        assert!(complaint(b"OFF\n0 0 0\n").contains("there is no point in the file"), "{}", complaint(b"OFF\n0 0 0\n"));
         assert!(matches!(read(b"\xef\xbb\xbfv 1 2 3\n"), Ok(MeshOrCloud::Cloud(..))));
         // Comments may be in another encoding than UTF-8.
         let latin = b"# Gr\xf6\xdfe\n0 0 0\n40 1 2\n";
@@ -335,16 +346,21 @@ mod tests {
         for (format, bytes, place) in far_points() {
             // The last point is at the end.
             let place = if place == "byte" { format!("byte {}", bytes.len() - 24) } else { place.into() };
-            let said = read(&bytes).unwrap_err().to_string();
-            assert!(said.starts_with(&format!("a.file: {place}: the point (")), "{format}: {said}");
-            assert!(said.contains("the coordinate -1"), "{format}: {said}");
-            assert!(said.contains("e45 mm is farther") || said.contains("e30 mm is farther"), "{format}: {said}");
+            let complaint = read(&bytes).unwrap_err().to_string();
+            assert!(complaint.starts_with(&format!("a.file: {place}: the point (")), "{format}: {complaint}");
+            assert!(complaint.contains("the coordinate -1"), "{format}: {complaint}");
+            assert!(
+                complaint.contains("e45 mm is farther") || complaint.contains("e30 mm is farther"),
+                "{format}: {complaint}"
+            );
         }
         // The limit is one of millimetres: a file in metres is scaled first.
-        let said = read_mesh_or_cloud("a.xyz".as_ref(), b"1 2 3\n0 20000 0\n", 1000.0, "ct").unwrap_err().to_string();
+        let complaint =
+            read_mesh_or_cloud("a.xyz".as_ref(), b"1 2 3\n0 20000 0\n", 1000.0, "ct").unwrap_err().to_string();
         assert!(
-            said.contains("line 2: the point (0.0, 20000.0, 0.0) in units of 1000 mm: the coordinate 20000000.0 mm"),
-            "{said}"
+            complaint
+                .contains("line 2: the point (0.0, 20000.0, 0.0) in units of 1000 mm: the coordinate 20000000.0 mm"),
+            "{complaint}"
         );
         assert!(read_mesh_or_cloud("a.xyz".as_ref(), b"1 2 3\n0 2e7 0\n", 0.001, "ct").is_ok());
         assert!(read(b"1 2 3\n0 1e7 0\n").is_ok(), "the limit itself");
@@ -352,20 +368,20 @@ mod tests {
 
     #[test]
     fn a_unit_that_the_file_states_is_heeded() {
-        let said = read(b"# 3D Slicer output. SPACE=LPS;UNIT=m\n0 0 0\n0.4 1 2\n").unwrap_err().to_string();
+        let complaint = read(b"# 3D Slicer output. SPACE=LPS;UNIT=m\n0 0 0\n0.4 1 2\n").unwrap_err().to_string();
         assert!(
-            said.contains("header: the file states UNIT=m, but is read in units of 1 mm; give unit_mm = 1000"),
-            "{said}"
+            complaint.contains("header: the file states UNIT=m, but is read in units of 1 mm; give unit_mm = 1000"),
+            "{complaint}"
         );
     }
 
     #[test]
     fn a_format_that_is_not_read_is_named() {
-        let said = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
+        let complaint = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
         let open = b"solid a\nfacet normal 0 0 1\nouter loop\nvertex\n";
-        assert!(said(open).contains("line 4: a vertex has three numbers"), "{}", said(open));
-        assert!(said(b"w 1 2 3\nw 1 2 3\n").contains("no column is called \"x\""), "{}", said(b"w 1 2 3\n"));
-        assert!(said(b"").contains("byte 0: the file is empty"), "{}", said(b""));
-        assert!(said(&[0; 200]).contains("no triangles"), "{}", said(&[0; 200]));
+        assert!(complaint(open).contains("line 4: a vertex has three numbers"), "{}", complaint(open));
+        assert!(complaint(b"w 1 2 3\nw 1 2 3\n").contains("no column is called \"x\""), "{}", complaint(b"w 1 2 3\n"));
+        assert!(complaint(b"").contains("byte 0: the file is empty"), "{}", complaint(b""));
+        assert!(complaint(&[0; 200]).contains("no triangles"), "{}", complaint(&[0; 200]));
     }
 }

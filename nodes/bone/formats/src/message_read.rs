@@ -21,9 +21,7 @@ pub use image::{
 
 use crate::{
     LostPose, PoseError,
-    foxglove_json::{
-        self, JsonCloud, JsonCloudHead, JsonPose, JsonPoseInFrame, JsonTimestamp, JsonTransform, JsonTransforms,
-    },
+    foxglove_json::{self, JsonCloud, JsonCloudHead, JsonPose, JsonPoseInFrame, JsonTransform, JsonTransforms},
     mcap_read::{Message, Recording},
     normals::unit_normals,
     ros2::{POINT_CLOUD_2, POSE_STAMPED, TF_MESSAGE, TRANSFORM_STAMPED},
@@ -160,25 +158,6 @@ impl TipRead {
     }
 }
 
-/// The sensor time of a message of any of the schemas; for several transforms, of the first one.
-///
-/// # Errors
-/// [`MessageError`] if the schema or encoding is not known, or the bytes do not follow it.
-pub fn stamp<'a>(message: impl Into<Encoded<'a>>) -> Result<StampNs, MessageError> {
-    let message = message.into();
-    let time = match kind_and_encoding(&message)? {
-        (MessageKind::Cloud | MessageKind::Transform | MessageKind::Pose, Json) => {
-            parse::<JsonTimestamp>(&message)?.timestamp.nanoseconds()
-        }
-        (MessageKind::Cloud, encoding) => nanoseconds(raw_cloud(&message, encoding)?.0.timestamp),
-        (MessageKind::Transform | MessageKind::Transforms, _) => {
-            raw_transforms(&message)?.first().and_then(|t| t.timestamp.nanoseconds())
-        }
-        (MessageKind::Pose, _) => raw_pose(&message)?.timestamp.nanoseconds(),
-    };
-    Ok(time.unwrap_or(message.publish_time_ns))
-}
-
 /// The sensor time of a cloud and the correction of its pose, without its points.
 ///
 /// # Errors
@@ -276,12 +255,8 @@ fn raw_cloud(message: &Encoded, encoding: Encoding) -> Result<(PointCloud, bool)
 pub fn read_transforms<'a>(
     message: impl Into<Encoded<'a>>,
 ) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
-    let message = message.into();
-    Ok(raw_transforms(&message)?.into_iter().map(|t| pose_of(t, message.publish_time_ns)).collect())
-}
-
-fn raw_transforms(message: &Encoded) -> Result<Vec<JsonTransform>, MessageError> {
-    Ok(match kind_and_encoding(message)? {
+    let message = &message.into();
+    let transforms = match kind_and_encoding(message)? {
         (MessageKind::Transform, Protobuf) => vec![decode::<FrameTransform>(message)?.into()],
         (MessageKind::Transform, Json) => vec![parse::<JsonTransform>(message)?],
         (MessageKind::Transform, Cdr) => vec![cdr::transform(message)?],
@@ -291,7 +266,8 @@ fn raw_transforms(message: &Encoded) -> Result<Vec<JsonTransform>, MessageError>
         (MessageKind::Transforms, Json) => parse::<JsonTransforms>(message)?.transforms,
         (MessageKind::Transforms, Cdr) => cdr::transforms(message)?,
         _ => return Err(wrong_schema("a transform", message)),
-    })
+    };
+    Ok(transforms.into_iter().map(|t| pose_of(t, message.publish_time_ns)).collect())
 }
 
 /// The point in a `foxglove.PoseInFrame` or `geometry_msgs/msg/PoseStamped`, mm, such as a stylus tip; its orientation may be missing.
@@ -300,23 +276,19 @@ fn raw_transforms(message: &Encoded) -> Result<Vec<JsonTransform>, MessageError>
 /// [`MessageError`] if there is no pose or its position is not finite; otherwise if the schema or encoding is another,
 /// or the bytes do not follow it.
 pub fn read_pose_in_frame<'a>(message: impl Into<Encoded<'a>>) -> Result<TipRead, MessageError> {
-    let message = message.into();
-    let read = raw_pose(&message)?;
+    let message = &message.into();
+    let read: JsonPoseInFrame = match kind_and_encoding(message)? {
+        (MessageKind::Pose, Protobuf) => decode::<PoseInFrame>(message)?.into(),
+        (MessageKind::Pose, Json) => parse(message)?,
+        (MessageKind::Pose, Cdr) => cdr::pose(message)?,
+        _ => return Err(wrong_schema("a pose in a frame", message)),
+    };
     let lost = |reason: &str| MessageError(format!("the located point cannot be used: it has {reason}"));
     let pose = read.pose.ok_or_else(|| lost("no pose"))?;
     let position = translation(&pose.position.unwrap_or_default()).map_err(|reason| lost(&reason))?;
     let orientation = pose.orientation.map(|q| rotation(&q));
     let stamp_ns = read.timestamp.nanoseconds().unwrap_or(message.publish_time_ns);
     Ok(TipRead { frame: read.frame_id.into(), stamp_ns, position: position.into(), orientation })
-}
-
-fn raw_pose(message: &Encoded) -> Result<JsonPoseInFrame, MessageError> {
-    Ok(match kind_and_encoding(message)? {
-        (MessageKind::Pose, Protobuf) => decode::<PoseInFrame>(message)?.into(),
-        (MessageKind::Pose, Json) => parse(message)?,
-        (MessageKind::Pose, Cdr) => cdr::pose(message)?,
-        _ => return Err(wrong_schema("a pose in a frame", message)),
-    })
 }
 
 /// The region of interest that the recording's metadata record `procedure` gives, if it does: keys `roi_camera_min_m` and
@@ -380,8 +352,8 @@ fn kind_and_encoding(message: &Encoded) -> Result<(MessageKind, Encoding), Messa
 }
 
 fn wrong_schema(expected: &str, message: &Encoded) -> MessageError {
-    let found = if message.schema_name.is_empty() { "messages without a schema" } else { message.schema_name };
-    MessageError(format!("{expected} is needed here, but the topic carries {found}; name another topic"))
+    let content = if message.schema_name.is_empty() { "messages without a schema" } else { message.schema_name };
+    MessageError(format!("{expected} is needed here, but the topic carries {content}; name another topic"))
 }
 
 fn wrong_encoding(message: &Encoded) -> MessageError {

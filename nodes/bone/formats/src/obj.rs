@@ -201,18 +201,18 @@ mod tests {
             "f 1 2 3 # first\nf 1 3 4",
             "usemtl m\ns off\nf 1 2 3 4\r",
         ] {
-            let found = mesh(&format!("{SQUARE}{face}\n")).unwrap_or_else(|e| panic!("{e}\n{face}"));
-            assert_eq!(found.mesh.faces(), [[0, 1, 2], [0, 2, 3]], "{face}");
-            assert_eq!((found.notes, found.space), (vec![], Space::Unknown), "{face}");
+            let result = mesh(&format!("{SQUARE}{face}\n")).unwrap_or_else(|e| panic!("{e}\n{face}"));
+            assert_eq!(result.mesh.faces(), [[0, 1, 2], [0, 2, 3]], "{face}");
+            assert_eq!((result.notes, result.space), (vec![], Space::Unknown), "{face}");
         }
     }
 
     #[test]
     fn faces_may_precede_their_vertices_and_ras_is_turned() {
-        let found = mesh("# 3D Slicer output. SPACE=RAS\nf 1 2 3\nv 0 0 0\nv 9 0 0\nv 0 9 1\n").unwrap();
-        assert_eq!((found.space, found.mesh.vertices()[2]), (Space::Ras, Point3::new(0.0, -9.0, 1.0)));
+        let result = mesh("# 3D Slicer output. SPACE=RAS\nf 1 2 3\nv 0 0 0\nv 9 0 0\nv 0 9 1\n").unwrap();
+        assert_eq!((result.space, result.mesh.vertices()[2]), (Space::Ras, Point3::new(0.0, -9.0, 1.0)));
         assert!(
-            (found.mesh.area_vector(0) - Vector3::new(0.0, 9.0, 81.0)).norm() < 1e-12,
+            (result.mesh.area_vector(0) - Vector3::new(0.0, 9.0, 81.0)).norm() < 1e-12,
             "a rotation keeps the winding"
         );
     }
@@ -222,12 +222,12 @@ mod tests {
         let text = "v 1 2 3 0.5 0.25 1\nvn 0 0 1\nv nan 2 3 0 0 0\nvn 0 1 0\nv 4 5 6 1 0 0\nvn 1 0 0\n";
         let path = "a.obj".as_ref();
         let read = |text: &str| shape(path, text.as_bytes()).unwrap().into_cloud(path, 1.0, "camera".into()).unwrap();
-        let found = read(text);
-        assert_eq!((found.cloud.len(), found.n_dropped), (2, 1));
-        assert_eq!(found.cloud.normals().unwrap(), [Vector3::z(), Vector3::x()]);
-        assert_eq!(&*found.cloud.extras()[1].1, [0.25, 0.0]);
-        let found = read("v 1 2 3\nv 1 2 4 1 1 1\nvn 0 0 1\np 1\n");
-        assert_eq!(found.notes.len(), 3, "{:?}", found.notes);
+        let result = read(text);
+        assert_eq!((result.cloud.len(), result.n_dropped), (2, 1));
+        assert_eq!(result.cloud.normals().unwrap(), [Vector3::z(), Vector3::x()]);
+        assert_eq!(&*result.cloud.extras()[1].1, [0.25, 0.0]);
+        let result = read("v 1 2 3\nv 1 2 4 1 1 1\nvn 0 0 1\np 1\n");
+        assert_eq!(result.notes.len(), 3, "{:?}", result.notes);
     }
 
     #[test]

@@ -123,10 +123,10 @@ mod tests {
             "COFF\n4 1\n0 0 0 1 0 0 1\n9 0 0 1 0 0 1\n9 9 0 1 0 0 1\n0 9 0 1 0 0 1\n4 0 1 2 3\n",
             "NOFF\r\n4 1 0\r\n0 0 0 0 0 1\r\n9 0 0 0 0 1\r\n9 9 0 0 0 1\r\n0 9 0 0 0 1\r\n4 0 1 2 3\r\n",
         ] {
-            let found = mesh(text).unwrap_or_else(|e| panic!("{e}\n{text}"));
-            assert_eq!(found.mesh.faces(), [[0, 1, 2], [0, 2, 3]], "{text}");
-            assert_eq!(found.mesh.vertices()[2], Point3::new(9.0, 9.0, 0.0), "{text}");
-            assert_eq!(found.space == Space::Lps, text.contains("LPS"));
+            let content = mesh(text).unwrap_or_else(|e| panic!("{e}\n{text}"));
+            assert_eq!(content.mesh.faces(), [[0, 1, 2], [0, 2, 3]], "{text}");
+            assert_eq!(content.mesh.vertices()[2], Point3::new(9.0, 9.0, 0.0), "{text}");
+            assert_eq!(content.space == Space::Lps, text.contains("LPS"));
         }
     }
 
@@ -134,9 +134,9 @@ mod tests {
     fn vertices_alone_are_a_cloud_with_normals_and_colours() {
         let path = "a.off".as_ref();
         let text = "CNOFF\n2 0 0\n1 2 3 0 0 1 10 20 30\n4 5 6 0 1 0 11 21 31\n";
-        let found = shape(path, text.as_bytes()).unwrap().into_cloud(path, 1.0, "camera".into()).unwrap();
-        assert_eq!(found.cloud.normals().unwrap(), [Vector3::z(), Vector3::y()]);
-        assert_eq!((&*found.cloud.extras()[2].0, &*found.cloud.extras()[2].1), ("blue", &[30.0, 31.0][..]));
+        let content = shape(path, text.as_bytes()).unwrap().into_cloud(path, 1.0, "camera".into()).unwrap();
+        assert_eq!(content.cloud.normals().unwrap(), [Vector3::z(), Vector3::y()]);
+        assert_eq!((&*content.cloud.extras()[2].0, &*content.cloud.extras()[2].1), ("blue", &[30.0, 31.0][..]));
     }
 
     #[test]

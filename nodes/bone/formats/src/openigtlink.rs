@@ -42,10 +42,10 @@ mod poly_data;
 
 pub use bytes::EncodeError;
 pub use clock::{ClockNote, ClockOffset};
-pub use content::{Affine, Body, Fiducial, Position, Status, Text, TrackedTool};
+pub use content::{Affine, Body, Fiducial, Position, Status, TrackedTool};
 pub use crc::crc64;
 pub use decoder::{Damage, Decoder};
-pub use header::{HEADER_BYTES, HeaderError, MAX_BODY_BYTES};
+pub use header::{HEADER_BYTES, MAX_BODY_BYTES};
 pub use metadata::{Extended, Metadata};
 pub use poly_data::{Attribute, Cells, PolyData};
 
@@ -99,16 +99,19 @@ impl Message {
             Some(extended) => extended.put(&mut body, |out| self.body.put(out))?,
         }
         if body.len() > MAX_BODY_BYTES {
-            return Err(EncodeError::Content(format!(
-                "a body of {} bytes, and {MAX_BODY_BYTES} are the limit",
-                body.len()
-            )));
+            return Err(EncodeError(format!("a body of {} bytes, and {MAX_BODY_BYTES} are the limit", body.len())));
         }
         let mut out = Vec::with_capacity(HEADER_BYTES + body.len());
         out.extend(if self.extended.is_some() { 2u16 } else { 1 }.to_be_bytes());
         put_name(&mut out, "the type", self.body.type_name(), 12)?;
         put_name(&mut out, "the device", &self.device, MAX_DEVICE_BYTES)?;
-        out.extend(header::timestamp(self.stamp_ns).ok_or(EncodeError::Stamp(self.stamp_ns))?.to_be_bytes());
+        let stamp_ns = self.stamp_ns;
+        let timestamp = header::timestamp(stamp_ns).ok_or_else(|| {
+            EncodeError(format!(
+                "the stamp {stamp_ns} ns does not fit a timestamp, which begins in 1970 and ends in 2106"
+            ))
+        })?;
+        out.extend(timestamp.to_be_bytes());
         out.extend((body.len() as u64).to_be_bytes());
         out.extend(crc64(&body).to_be_bytes());
         out.extend(body);

@@ -420,12 +420,12 @@ mod tests {
         let mut binary = format!("{HEAD}DATA binary\n").into_bytes();
         rows().iter().for_each(|row| binary.extend(row));
         for bytes in [ascii, binary, compressed()] {
-            let found = read(&bytes).unwrap();
-            assert_eq!(found.cloud.points(), [Point3::new(1.5, 2.25, -3.0), Point3::new(4.5, 5.25, -6.0)]);
-            assert_eq!(found.cloud.normals(), Some(&[Vector3::z(); 2][..]));
-            let extras: Vec<(&str, &[f64])> = found.cloud.extras().iter().map(|(n, v)| (&**n, &**v)).collect();
+            let content = read(&bytes).unwrap();
+            assert_eq!(content.cloud.points(), [Point3::new(1.5, 2.25, -3.0), Point3::new(4.5, 5.25, -6.0)]);
+            assert_eq!(content.cloud.normals(), Some(&[Vector3::z(); 2][..]));
+            let extras: Vec<(&str, &[f64])> = content.cloud.extras().iter().map(|(n, v)| (&**n, &**v)).collect();
             assert_eq!(extras, [("id_0", &[7.0, 9.0][..]), ("id_1", &[8.0, 65535.0][..])]);
-            assert_eq!(found.notes, [""; 0]);
+            assert_eq!(content.notes, [""; 0]);
         }
     }
 
@@ -433,10 +433,10 @@ mod tests {
     fn an_organised_cloud_drops_its_points_without_depth_and_a_viewpoint_is_noted() {
         let text = "VERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nWIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 5 1 0 0 0\n\
                     # SPACE=LPS\nDATA ascii\n1 2 3 16711935\nnan nan nan 0\n-nan(ind) 0 0 0\n4 5 6 255\n";
-        let found = read(text.as_bytes()).unwrap();
-        assert_eq!((found.n_points_in_file, found.n_dropped, found.space), (4, 2, crate::Space::Lps));
-        assert_eq!(found.notes, ["VIEWPOINT is 0 0 5 1 0 0 0, not the identity; it was not applied to the points"]);
-        let red = &found.cloud.extras()[0];
+        let content = read(text.as_bytes()).unwrap();
+        assert_eq!((content.n_points_in_file, content.n_dropped, content.space), (4, 2, crate::Space::Lps));
+        assert_eq!(content.notes, ["VIEWPOINT is 0 0 5 1 0 0 0, not the identity; it was not applied to the points"]);
+        let red = &content.cloud.extras()[0];
         assert_eq!((&*red.0, &*red.1), ("red", &[255.0, 0.0][..]));
     }
 

@@ -257,32 +257,25 @@ impl Keys<'_> {
     /// The frame, where it is stated, is CT's, in LPS.
     fn check_frame(&self) -> Result<(), FileError> {
         for (key, frame) in self.root {
-            if names(key, &SPACES) && !frame.is_null() {
-                self.check_space(key, frame)?;
+            if !names(key, &SPACES) || frame.is_null() {
+                continue;
+            }
+            let text = frame.as_str().unwrap_or_default().to_lowercase();
+            let has = |word: &str| text.split(|c: char| !c.is_alphanumeric()).any(|other| other == word);
+            if has("ras") {
+                let message = format!("a plan is in LPS, found {frame}; negate x and y of its points and poses");
+                return Err(self.fault(key, message));
+            }
+            if !has("ct") && !has("lps") {
+                return Err(self.fault(key, format!("a plan is in \"ct\" (LPS), found {frame}")));
             }
         }
         Ok(())
     }
 
-    fn check_space(&self, key: &str, frame: &Value) -> Result<(), FileError> {
-        let text = frame.as_str().unwrap_or_default().to_lowercase();
-        let has = |word: &str| text.split(|c: char| !c.is_alphanumeric()).any(|other| other == word);
-        if has("ras") {
-            let message = format!("a plan is in LPS, found {frame}; negate x and y of its points and poses");
-            return Err(self.fault(key, message));
-        }
-        let is_known = has("ct") || has("lps");
-        is_known.then_some(()).ok_or_else(|| self.fault(key, format!("a plan is in \"ct\" (LPS), found {frame}")))
-    }
-
     /// `N` finite numbers.
     fn numbers<const N: usize>(&self, key: &str, value: &Value) -> Result<[f64; N], FileError> {
-        let numbers: Option<Vec<f64>> =
-            value.as_array().map(|a| a.iter().filter_map(Value::as_f64).filter(|n| n.is_finite()).collect());
-        let whole = numbers.filter(|n| value.as_array().is_some_and(|a| a.len() == n.len()));
-        whole
-            .and_then(|n| n.try_into().ok())
-            .ok_or_else(|| self.fault(key, format!("{N} numbers are expected, found {value}")))
+        json::numbers(value).ok_or_else(|| self.fault(key, format!("{N} numbers are expected, found {value}")))
     }
 
     /// A position, mm.
@@ -401,7 +394,7 @@ impl Keys<'_> {
         let unit = |key: &str| -> Result<Option<Unit<Vector3<f64>>>, FileError> {
             let Some(value) = self.get(key) else { return Ok(None) };
             let vector = Vector3::from(self.numbers::<3>(key, value)?);
-            Ok(Some(direction(vector).map_err(|error| self.fault(key, error.to_string()))?))
+            Ok(Some(direction(vector).map_err(|error| self.fault(key, error))?))
         };
         let tip = self.get("malleolus_tip").map(|value| self.place("malleolus_tip", value)).transpose()?;
         let (proximal, lateral, posterior) = (unit("proximal")?, unit("lateral")?, unit("posterior")?);
@@ -488,8 +481,8 @@ mod tests {
         let tip = |bone: &str| read_plan_of(file.path(), bone).map(|read| read.plan.anatomy.unwrap().malleolus_tip.x);
         std::fs::write(file.path(), json!({"left": anatomy(1.0), "right": anatomy(2.0)}).to_string()).unwrap();
         assert_eq!((tip("left").unwrap(), tip("right").unwrap()), (1.0, 2.0));
-        let said = tip("middle").unwrap_err().to_string();
-        assert!(said.contains("the file has plans for left, right, not for \"middle\""), "{said}");
+        let refusal = tip("middle").unwrap_err().to_string();
+        assert!(refusal.contains("the file has plans for left, right, not for \"middle\""), "{refusal}");
         std::fs::write(file.path(), anatomy(3.0).to_string()).unwrap();
         assert_eq!(tip("middle").unwrap(), 3.0);
     }
@@ -510,7 +503,7 @@ mod tests {
 
     #[test]
     fn units_and_spaces_under_any_name_are_heeded_and_nothing_is_given_twice() {
-        let said = |text: &str| parse_plan("plan.json".as_ref(), text).unwrap_err().to_string();
+        let refusal = |text: &str| parse_plan("plan.json".as_ref(), text).unwrap_err().to_string();
         let plan = |more: &str| format!("{{ \"landmarks\": {{ \"P1\": [1, 2, 3] }}, {more} }}");
         let identity = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
         for (more, expected) in [
@@ -539,8 +532,8 @@ mod tests {
                 "key \"planes[0]\": the translation: the coordinate -1e45 mm",
             ),
         ] {
-            let said = said(&plan(&more));
-            assert!(said.contains(expected), "{expected}\n{said}");
+            let refusal = refusal(&plan(&more));
+            assert!(refusal.contains(expected), "{expected}\n{refusal}");
         }
         let read = parse_plan("plan.json".as_ref(), &plan("\"proximal\": [0, 0, 1]")).unwrap();
         assert!(read.notes[0].ends_with("the anatomy is not used, for it lacks malleolus_tip, lateral, posterior"));
@@ -613,11 +606,11 @@ mod tests {
             ),
             (json!([]), "line 1: a plan is a JSON object"),
         ] {
-            let said = parse(&plan).unwrap_err().to_string();
-            assert!(said.starts_with("plan.json: ") && said.contains(expected), "{expected}\n{said}");
+            let refusal = parse(&plan).unwrap_err().to_string();
+            assert!(refusal.starts_with("plan.json: ") && refusal.contains(expected), "{expected}\n{refusal}");
         }
-        let said =
+        let refusal =
             parse_plan("plan.json".as_ref(), "{\"landmarks\": {\n\"P1\": [NaN, 0, 0]}}").unwrap_err().to_string();
-        assert!(said.contains("line 2, column 8") && said.contains("no NaN"), "{said}");
+        assert!(refusal.contains("line 2, column 8") && refusal.contains("no NaN"), "{refusal}");
     }
 }

@@ -390,7 +390,7 @@ mod tests {
                 "ply\nformat ascii 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
             )
         };
-        let said = |text: String| read(text.as_bytes(), 1.0).unwrap_err().to_string();
+        let refusal = |text: String| read(text.as_bytes(), 1.0).unwrap_err().to_string();
         for (text, expected) in [
             ("plain text".into(), "line 1: a PLY file begins with the line \"ply\""),
             (header(2) + "0 0 0\n", "2 elements \"vertex\" of at least 6 bytes are promised, but 6 bytes are left"),
@@ -410,16 +410,16 @@ mod tests {
             ),
             (header(usize::MAX), "bytes are left; was the file cut short?"),
         ] {
-            assert!(said(text.clone()).contains(expected), "{expected}\n{}", said(text));
+            assert!(refusal(text.clone()).contains(expected), "{expected}\n{}", refusal(text));
         }
         let mut cut =
             b"ply\nformat binary_little_endian 1.0\nelement vertex 3000000000\nproperty double x\nend_header\n"
                 .to_vec();
         cut.extend([0; 64]);
-        let said = read(&cut, 1.0).unwrap_err().to_string();
+        let refusal = read(&cut, 1.0).unwrap_err().to_string();
         assert!(
-            said.contains("3000000000 elements \"vertex\" of at least 8 bytes are promised, but 64 bytes are left"),
-            "{said}"
+            refusal.contains("3000000000 elements \"vertex\" of at least 8 bytes are promised, but 64 bytes are left"),
+            "{refusal}"
         );
     }
 }

@@ -255,9 +255,9 @@ mod tests {
         Isometry3::new(Vector3::new(12.5, -3.0, 900.0), Vector3::new(0.3, -0.2, 0.9))
     }
 
-    fn assert_is(found: &Isometry3<f64>, expected: &Isometry3<f64>, tolerance: f64) {
-        let off = (found.to_homogeneous() - expected.to_homogeneous()).amax();
-        assert!(off <= tolerance, "{found} is {off} from {expected}");
+    fn assert_is(pose: &Isometry3<f64>, expected: &Isometry3<f64>, tolerance: f64) {
+        let off = (pose.to_homogeneous() - expected.to_homogeneous()).amax();
+        assert!(off <= tolerance, "{pose} is {off} from {expected}");
     }
 
     #[test]
@@ -295,9 +295,9 @@ mod tests {
             format!("{{\"iterations\": 3, \"T\": {flat}}}"),
             format!("{{\"t_target_source\": {{\"to\": \"ct\", \"matrix\": {nested}}}}}"),
         ] {
-            let found = read(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
-            assert_is(&found.isometry, &motion(), 1e-12);
-            assert!(found.notes.is_empty(), "{:?}\n{text}", found.notes);
+            let pose = read(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_is(&pose.isometry, &motion(), 1e-12);
+            assert!(pose.notes.is_empty(), "{:?}\n{text}", pose.notes);
         }
     }
 
@@ -305,19 +305,19 @@ mod tests {
     fn translations_may_be_in_metres() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "1 0 0 0.0125\n0 1 0 -3\n0 0 1 0\n0 0 0 1\n").unwrap();
-        let found = read_pose(file.path(), 1000.0).unwrap().isometry;
-        assert_eq!(found.translation.vector, Vector3::new(12.5, -3000.0, 0.0));
+        let pose = read_pose(file.path(), 1000.0).unwrap().isometry;
+        assert_eq!(pose.translation.vector, Vector3::new(12.5, -3000.0, 0.0));
     }
 
     #[test]
     fn a_rounded_matrix_gives_the_nearest_rotation_and_a_note() {
         let text: Vec<_> = motion().to_homogeneous().transpose().iter().map(|c| format!("{c:.4}")).collect();
-        let found = read(&text.join(" ")).unwrap();
-        assert_is(&found.isometry, &motion(), 2e-4);
-        let r = found.isometry.rotation.to_rotation_matrix().into_inner();
+        let pose = read(&text.join(" ")).unwrap();
+        assert_is(&pose.isometry, &motion(), 2e-4);
+        let r = pose.isometry.rotation.to_rotation_matrix().into_inner();
         assert!((r.transpose() * r - Matrix3::identity()).amax() < 1e-14);
-        assert_eq!(found.notes.len(), 1, "{:?}", found.notes);
-        let note = &found.notes[0];
+        assert_eq!(pose.notes.len(), 1, "{:?}", pose.notes);
+        let note = &pose.notes[0];
         assert!(
             note.starts_with("the rotation is rounded, and the nearest rotation is used; the correction is "),
             "{note}"
@@ -358,13 +358,13 @@ mod tests {
             r.matrix().transpose().iter().chain(&[5.0, 6.0, 7.0]).map(|c| format!("{c:?}")).collect();
         let head = "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\nParameters: ";
         let text = format!("{head}{}\nFixedParameters: 10 20 30\n", parameters.join(" "));
-        let found = read(&text).unwrap();
+        let pose = read(&text).unwrap();
         // The centre of the turn is only shifted.
         let centre = Point3::new(10.0, 20.0, 30.0);
         let moved = centre + Vector3::new(5.0, 6.0, 7.0);
-        assert!((found.isometry * moved - centre).norm() < 1e-12, "{}", found.isometry);
-        assert!(found.isometry.rotation.angle_to(&motion().rotation.inverse()) < 1e-12);
-        assert_eq!(found.notes, ["an ITK transform leads from fixed to moving; its inverse is taken"]);
+        assert!((pose.isometry * moved - centre).norm() < 1e-12, "{}", pose.isometry);
+        assert!(pose.isometry.rotation.angle_to(&motion().rotation.inverse()) < 1e-12);
+        assert_eq!(pose.notes, ["an ITK transform leads from fixed to moving; its inverse is taken"]);
     }
 
     #[test]
@@ -383,8 +383,8 @@ mod tests {
         let half = (quarter / 2.0).sin();
         let text =
             format!("{head}VersorRigid3DTransform_double_3_3\nParameters: 0 0 {half} 1 2 3\nFixedParameters: 0 0 0\n");
-        let found = read(&text).unwrap().isometry.inverse();
-        assert!((found * Point3::new(1.0, 0.0, 0.0) - Point3::new(1.0, 3.0, 3.0)).norm() < 1e-12);
+        let pose = read(&text).unwrap().isometry.inverse();
+        assert!((pose * Point3::new(1.0, 0.0, 0.0) - Point3::new(1.0, 3.0, 3.0)).norm() < 1e-12);
     }
 
     #[test]

@@ -1,18 +1,5 @@
 //! Procedures as recordings of Foxglove's messages, as the common recorders write them: protobuf in zstd chunks with an index.
 //!
-//! ```no_run
-//! use nalgebra::Point3;
-//! use osteoflow_formats::recording_write::{Stream, recording_bytes};
-//! use osteoflow_geometry::Cloud;
-//!
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let scan = Cloud::new("camera", vec![Point3::new(0.0, 0.0, 200.0)])?.at(1_750_000_011_000_000_000);
-//! let streams = [("/camera/scan", Stream::Clouds(vec![scan]))];
-//! std::fs::write("procedure.mcap", recording_bytes(&streams, &Default::default(), &[])?)?;
-//! # Ok(())
-//! # }
-//! ```
-//!
 //! Millimetres become metres here. In single precision a coordinate of 200 mm keeps 0.00002 mm.
 
 use crate::{FileError, mcap_read::Attachment};

@@ -3,7 +3,7 @@
 //! # Source
 //! The interface definitions of `builtin_interfaces`, `std_msgs`, `geometry_msgs`, `sensor_msgs` and `tf2_msgs`.
 
-use foxglove::messages::{Quaternion, Timestamp, Vector3, packed_element_field::NumericType};
+use foxglove::messages::{Timestamp, packed_element_field::NumericType};
 use serde::{Deserialize, Serialize};
 
 /// A cloud.
@@ -64,52 +64,27 @@ pub(crate) struct PointCloud2<'a> {
 }
 
 #[derive(Serialize, Deserialize)]
-pub(crate) struct Xyz {
-    pub(crate) x: f64,
-    pub(crate) y: f64,
-    pub(crate) z: f64,
-}
-
-#[derive(Serialize, Deserialize)]
-pub(crate) struct Xyzw {
-    pub(crate) x: f64,
-    pub(crate) y: f64,
-    pub(crate) z: f64,
-    pub(crate) w: f64,
-}
-
-#[derive(Serialize, Deserialize)]
 pub(crate) struct TransformStamped<'a> {
     #[serde(borrow)]
     pub(crate) header: Header<'a>,
     pub(crate) child_frame_id: &'a str,
-    pub(crate) translation: Xyz,
-    pub(crate) rotation: Xyzw,
+    /// x, y, z.
+    pub(crate) translation: [f64; 3],
+    /// x, y, z, w.
+    pub(crate) rotation: [f64; 4],
 }
 
 #[derive(Serialize, Deserialize)]
 pub(crate) struct PoseStamped<'a> {
     #[serde(borrow)]
     pub(crate) header: Header<'a>,
-    pub(crate) position: Xyz,
-    pub(crate) orientation: Xyzw,
+    pub(crate) position: [f64; 3],
+    pub(crate) orientation: [f64; 4],
 }
 
 impl Stamp {
     /// None before 1970, which no clock gives.
     pub(crate) fn timestamp(&self) -> Option<Timestamp> {
         Timestamp::new_checked(u32::try_from(self.sec).ok()?, self.nanosec)
-    }
-}
-
-impl From<Xyz> for Vector3 {
-    fn from(v: Xyz) -> Self {
-        Self { x: v.x, y: v.y, z: v.z }
-    }
-}
-
-impl From<Xyzw> for Quaternion {
-    fn from(q: Xyzw) -> Self {
-        Self { x: q.x, y: q.y, z: q.z, w: q.w }
     }
 }

@@ -2,7 +2,7 @@
 //! this becomes.
 
 use crate::{FileError, Space, normals::unit_normals, space::StatedSpace};
-use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Cloud, FARTHEST_MM, Frame, Mesh, MeshError, SurfaceOrigin, TooFar};
 use std::path::Path;
 
@@ -28,18 +28,10 @@ impl MeshRead {
     /// # Errors
     /// A message, if the file states another.
     pub fn in_space(mut self, space: Space) -> Result<Self, String> {
-        match self.space {
-            Space::Unknown => {
-                if space == Space::Ras {
-                    let turn = Isometry3::from_parts(Translation3::identity(), space.turn());
-                    self.mesh = self.mesh.transformed(self.mesh.frame.clone(), &turn);
-                }
-                self.space = space;
-                Ok(self)
-            }
-            stated if stated == space => Ok(self),
-            stated => Err(format!("the file states SPACE={stated}")),
+        if let Some(turn) = self.space.turn_to(space)? {
+            self.mesh = self.mesh.transformed(self.mesh.frame.clone(), &turn);
         }
+        Ok(Self { space, ..self })
     }
 }
 

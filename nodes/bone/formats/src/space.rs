@@ -1,6 +1,6 @@
 //! The anatomical axes that a file states for its coordinates.
 
-use nalgebra::{Quaternion, Unit, UnitQuaternion};
+use nalgebra::{Isometry3, Quaternion, Translation3, Unit, UnitQuaternion};
 use osteoflow_geometry::Frame;
 use std::fmt;
 
@@ -48,6 +48,20 @@ impl Space {
         match self {
             Self::Ras => Unit::new_unchecked(Quaternion::new(0.0, 0.0, 0.0, 1.0)),
             Self::Lps | Self::Unknown => UnitQuaternion::identity(),
+        }
+    }
+
+    /// The motion to LPS of the coordinates of a file that states `self` and is read in `space`; none if they are LPS already.
+    ///
+    /// # Errors
+    /// A message, if the file states another.
+    pub(crate) fn turn_to(self, space: Self) -> Result<Option<Isometry3<f64>>, String> {
+        match self {
+            Self::Unknown => {
+                Ok((space == Self::Ras).then(|| Isometry3::from_parts(Translation3::identity(), space.turn())))
+            }
+            stated if stated == space => Ok(None),
+            stated => Err(format!("the file states SPACE={stated}")),
         }
     }
 
@@ -155,10 +169,10 @@ mod tests {
         assert_eq!(of("3D Slicer output. SPACE=RAS;UNIT=mm", 1.0), Ok(()));
         assert_eq!(of("UNIT=m", 1000.0), Ok(()));
         assert_eq!(of("no unit; LASTUNIT=m", 1.0), Ok(()));
-        let said = |text, unit_mm| of(text, unit_mm).unwrap_err();
-        assert!(said("UNIT=m", 1.0).ends_with("read in units of 1 mm; give unit_mm = 1000"));
-        assert!(said("UNIT=mm", 1000.0).ends_with("give unit_mm = 1"));
-        assert!(said("UNIT=inch", 1.0).contains("not mm, cm, m or um"));
-        assert_eq!(said("UNIT=m UNITS=mm", 1.0), "UNIT=mm contradicts UNIT=m before it");
+        let message = |text, unit_mm| of(text, unit_mm).unwrap_err();
+        assert!(message("UNIT=m", 1.0).ends_with("read in units of 1 mm; give unit_mm = 1000"));
+        assert!(message("UNIT=mm", 1000.0).ends_with("give unit_mm = 1"));
+        assert!(message("UNIT=inch", 1.0).contains("not mm, cm, m or um"));
+        assert_eq!(message("UNIT=m UNITS=mm", 1.0), "UNIT=mm contradicts UNIT=m before it");
     }
 }

@@ -22,13 +22,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Which volume of a folder.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct VolumeOptions {
-    /// Number of a DICOM series, or the ending of its unique identifier. None: the only one.
-    pub series: Option<String>,
-}
-
 /// The file beside that holds the voxels of a detached header (.nhdr); none if there is no other, or it cannot be found.
 pub fn data_file(path: &Path) -> Option<PathBuf> {
     start_of(path).ok().filter(|start| start.starts_with(b"NRRD")).and_then(|_| nrrd::data_file(path))
@@ -46,15 +39,15 @@ fn is_volume_file(start: &[u8]) -> bool {
 /// Reads the volume in a NIfTI, NRRD or DICOM file, recognised by its content, or the DICOM series in a folder.
 ///
 /// In a folder, files may have any name and order and lie in folders of it; others are ignored and counted. A single DICOM
-/// file gives one layer. `O(voxels)`; memory is bounded by what the files can hold.
+/// file gives one layer. `series` is the number of a DICOM series, or the ending of its unique identifier. `O(voxels)`; memory is bounded by what the files can hold.
 ///
 /// # Errors
 /// [`FileError`] if a file cannot be read, is none of these, is cut short, or leaves a doubt about where a voxel is or what
 /// its value is; if a folder holds several series and none is chosen.
-pub fn read_volume(path: &Path, options: &VolumeOptions) -> Result<VolumeRead, FileError> {
+pub fn read_volume(path: &Path, series: Option<&str>) -> Result<VolumeRead, FileError> {
     let metadata = std::fs::metadata(path).map_err(FileError::read(path))?;
     let mut read = if metadata.is_dir() {
-        dicom::read_folder(path, options.series.as_deref())?
+        dicom::read_folder(path, series)?
     } else {
         let start = start_of(path)?;
         if start.starts_with(b"NRRD") {
@@ -69,7 +62,7 @@ pub fn read_volume(path: &Path, options: &VolumeOptions) -> Result<VolumeRead, F
             return Err(FileError::content(path, "byte 0", message));
         }
     };
-    if options.series.is_some() && !metadata.is_dir() {
+    if series.is_some() && !metadata.is_dir() {
         let message = "series chooses among the DICOM series of a folder, but this is a file; leave it out";
         return Err(FileError::content(path, "series", message));
     }

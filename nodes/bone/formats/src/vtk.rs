@@ -410,10 +410,10 @@ mod tests {
                 ("CELL_DATA 2\nFIELD FieldData 1\nregion 1 2 int", ints(&[1, 2])),
             ]),
         ] {
-            let found = mesh(&bytes).unwrap_or_else(|e| panic!("{e}\n{}", String::from_utf8_lossy(&bytes)));
-            assert_eq!(found.mesh.faces(), [[0, 1, 2], [0, 2, 3]]);
-            assert_eq!(found.mesh.vertices()[2], Point3::new(9.0, 9.0, 0.0));
-            assert_eq!(found.space == Space::Lps, bytes[..60].windows(5).any(|w| w == b"ASCII"));
+            let content = mesh(&bytes).unwrap_or_else(|e| panic!("{e}\n{}", String::from_utf8_lossy(&bytes)));
+            assert_eq!(content.mesh.faces(), [[0, 1, 2], [0, 2, 3]]);
+            assert_eq!(content.mesh.vertices()[2], Point3::new(9.0, 9.0, 0.0));
+            assert_eq!(content.space == Space::Lps, bytes[..60].windows(5).any(|w| w == b"ASCII"));
         }
         let strip = mesh(ascii("TRIANGLE_STRIPS 1 5\n4 0 1 3 2\n").as_bytes()).unwrap();
         assert_eq!(strip.mesh.faces(), [[0, 1, 3], [3, 1, 2]], "both turn alike");
@@ -423,7 +423,7 @@ mod tests {
     #[test]
     fn vertices_alone_are_a_cloud_with_normals_and_scalars() {
         let points = [1.0, 2.0, 3.0, f32::NAN, 0.0, 0.0, 4.0, 5.0, 6.0];
-        let found = cloud(&binary(&[
+        let content = cloud(&binary(&[
             ("POINTS 3 float", floats(&points)),
             ("POINT_DATA 3\nSCALARS heat float\nLOOKUP_TABLE default", floats(&[7.0, 8.0, 9.0])),
             ("NORMALS Normals float", floats(&[0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0])),
@@ -431,9 +431,9 @@ mod tests {
             ("pair 2 3 unsigned_char", vec![1, 2, 3, 4, 5, 6]),
         ]))
         .unwrap();
-        assert_eq!((found.cloud.len(), found.n_dropped, found.space), (2, 1, Space::Unknown));
-        assert_eq!(found.cloud.normals().unwrap(), [Vector3::z(), Vector3::x()]);
-        let extras: Vec<(&str, &[f64])> = found.cloud.extras().iter().map(|(n, v)| (&**n, &**v)).collect();
+        assert_eq!((content.cloud.len(), content.n_dropped, content.space), (2, 1, Space::Unknown));
+        assert_eq!(content.cloud.normals().unwrap(), [Vector3::z(), Vector3::x()]);
+        let extras: Vec<(&str, &[f64])> = content.cloud.extras().iter().map(|(n, v)| (&**n, &**v)).collect();
         assert_eq!(extras, [("heat", &[7.0, 9.0][..]), ("grey", &[1.0, 3.0][..])]);
     }
 

@@ -10,7 +10,7 @@ use nalgebra::Point3;
 use osteoflow_container::Cause;
 use osteoflow_formats::{
     mcap_read::{McapError, Recording},
-    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
+    message_read::{procedure_region, read_cloud, read_cloud_head, read_pose_in_frame, read_transforms},
     recording_write::Stream,
 };
 use osteoflow_formats::{mesh_or_cloud, plan_file, poses_csv};
@@ -72,13 +72,13 @@ fn small_chunks(compression: Compression) -> Layout {
 /// Opcode, start and end of each record of the file.
 fn records(bytes: &[u8]) -> Vec<(u8, usize, usize)> {
     let mut at = 8;
-    let mut found = Vec::new();
+    let mut findings = Vec::new();
     while at + 9 <= bytes.len() - 8 {
         let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
-        found.push((bytes[at], at, at + 9 + length));
+        findings.push((bytes[at], at, at + 9 + length));
         at += 9 + length;
     }
-    found
+    findings
 }
 
 fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
@@ -128,9 +128,9 @@ fn a_cut_at_any_byte_is_an_error_with_its_place_and_gives_the_whole_chunks_befor
         assert!(cut < last_chunk || n == all, "cut at {cut}: {n} of {all} messages, although all chunks are whole");
         n_before = n;
     }
-    let said = Recording::from_bytes("cut", &bytes[..whole[1].0 + 20], false).unwrap_err().to_string();
+    let refusal = Recording::from_bytes("cut", &bytes[..whole[1].0 + 20], false).unwrap_err().to_string();
     let place = format!("cut: byte {}: the file ends inside chunk", whole[1].0);
-    assert!(said.starts_with(&place) && said.contains("allow_truncated = true"), "{said}");
+    assert!(refusal.starts_with(&place) && refusal.contains("allow_truncated = true"), "{refusal}");
 }
 
 #[test]
@@ -335,7 +335,8 @@ fn read_all(bytes: &[u8]) {
         let _ = procedure_region(&recording);
         for topic in recording.topics() {
             for message in recording.messages(&topic.name) {
-                let _ = (stamp(message), read_cloud(message), read_transforms(message), read_pose_in_frame(message));
+                let _ = (read_cloud_head(message), read_cloud(message));
+                let _ = (read_transforms(message), read_pose_in_frame(message));
             }
         }
     }
@@ -418,7 +419,7 @@ fn messages_survive_any_bytes() {
         for schema_name in schemas {
             let data = data.clone().into();
             let message = Encoded { schema_name, message_encoding: encoding, publish_time_ns: 1, data };
-            let _ = (stamp(message.clone()), read_cloud(message.clone()));
+            let _ = (read_cloud_head(message.clone()), read_cloud(message.clone()));
             let _ = (read_transforms(message.clone()), read_pose_in_frame(message));
         }
     }
@@ -656,19 +657,19 @@ fn every_reader_refuses_devices_pipes_sockets_and_folders_by_name() {
     let kinds = [(&zero, "a device"), (&pipe, "a pipe"), (&socket, "a socket"), (&folder, "a folder")];
     for (name, reader) in readers {
         for (path, kind) in kinds {
-            let said = reader(path).unwrap_err();
+            let refusal = reader(path).unwrap_err();
             let expected = format!("{}: it is {kind}, but a regular file is needed", path.display());
-            assert!(said.starts_with(&expected), "{name}: {said}");
+            assert!(refusal.starts_with(&expected), "{name}: {refusal}");
         }
     }
     // These take a folder, too.
     for (path, kind) in &kinds[..3] {
-        for said in [
-            volume::read_volume(path, &Default::default()).unwrap_err().to_string(),
+        for refusal in [
+            volume::read_volume(path, None).unwrap_err().to_string(),
             mcap_read::Recording::open(path, false).unwrap_err().to_string(),
             folder::ProcedureFolder::open(path).unwrap_err().to_string(),
         ] {
-            assert!(said.contains(&format!("it is {kind}, but a regular file is needed")), "{said}");
+            assert!(refusal.contains(&format!("it is {kind}, but a regular file is needed")), "{refusal}");
         }
     }
 }

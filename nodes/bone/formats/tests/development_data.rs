@@ -1,11 +1,12 @@
 //! Reads files of other programs; each test is skipped if the development data is missing.
 
+use crate::layouts::stamp;
 use nalgebra::{Point3, Vector3};
 use osteoflow_formats::{
     Space,
     mcap_read::{McapError, Recording},
     mesh_or_cloud::{read_cloud as read_cloud_file, read_mesh},
-    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
+    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms},
     picked_points::read_picked_points,
     plan_file::{parse_plan, read_plan},
     write::write_mesh,
@@ -23,9 +24,9 @@ fn data(test: &str) -> Option<PathBuf> {
     Some(folder)
 }
 
-fn assert_near_mm(found: Point3<f64>, expected: [f64; 3], tolerance_mm: f64) {
-    let off = (found - Point3::from(expected)).norm();
-    assert!(off < tolerance_mm, "{found} is {off} mm from {expected:?}");
+fn assert_near_mm(content: Point3<f64>, expected: [f64; 3], tolerance_mm: f64) {
+    let off = (content - Point3::from(expected)).norm();
+    assert!(off < tolerance_mm, "{content} is {off} mm from {expected:?}");
 }
 
 #[test]
@@ -76,7 +77,7 @@ fn the_development_procedure_holds_what_its_makers_reader_finds() {
     assert_near_mm(init.position, [-19.108219689991084, 5.310590812428581, 1223.6622743332525], 1e-9);
     assert_eq!(init.frame.as_str(), "world");
     for topic in recording.topics() {
-        let stamps: Vec<StampNs> = recording.messages(&topic.name).iter().map(|m| stamp(m).unwrap()).collect();
+        let stamps: Vec<StampNs> = recording.messages(&topic.name).iter().map(|m| stamp(m)).collect();
         assert!(stamps.is_sorted(), "{} is not in order of sensor time", topic.name);
     }
 }
@@ -127,7 +128,7 @@ fn damaged_files_give_their_named_errors() {
     assert!(part.topics().iter().map(|t| t.n_messages).sum::<usize>() > 0);
     for topic in part.topics() {
         for message in part.messages(&topic.name) {
-            stamp(message).unwrap();
+            stamp(message);
         }
     }
 }
@@ -143,8 +144,8 @@ fn ros_recordings_list_their_topics_and_say_what_they_carry() {
             assert_eq!(recording.messages(&topic.name).len(), topic.n_messages);
         }
         let busy = recording.topics().iter().find(|t| t.n_messages > 0).unwrap();
-        let said = read_cloud(&recording.messages(&busy.name)[0]).unwrap_err().to_string();
-        assert!(said.contains("of Foxglove or ROS 2 is needed here, but the topic carries "), "{said}");
+        let refusal = read_cloud(&recording.messages(&busy.name)[0]).unwrap_err().to_string();
+        assert!(refusal.contains("of Foxglove or ROS 2 is needed here, but the topic carries "), "{refusal}");
     }
 }
 
@@ -223,8 +224,8 @@ fn images_and_markups_are_refused_by_name() {
         ("markups/tlem2r_plan.pp", "a list of picked points (.pp) is not read"),
         ("mcap/bad_empty.mcap", "the file is empty"),
     ] {
-        let said = read_cloud_file(&data.join(name), 1.0, "ct").unwrap_err().to_string();
-        assert!(said.contains(expected), "{said}");
+        let refusal = read_cloud_file(&data.join(name), 1.0, "ct").unwrap_err().to_string();
+        assert!(refusal.contains(expected), "{refusal}");
     }
 }
 
@@ -242,13 +243,13 @@ fn markups_of_every_program_give_the_same_points() {
         ("tlem2r_plan_cc_picking_list.txt", Space::Unknown, 0),
         ("tlem2r_plan.pp", Space::Unknown, 1),
     ] {
-        let found = read_picked_points(&data.join("markups").join(name)).unwrap();
-        assert_eq!((found.space, found.n_skipped, found.is_named), (space, n_skipped, true), "{name}");
-        assert_eq!(found.notes.len(), usize::from(space == Space::Ras), "{name}: {:?}", found.notes);
-        assert_eq!(found.points.len(), 8 - n_skipped, "{name}");
+        let content = read_picked_points(&data.join("markups").join(name)).unwrap();
+        assert_eq!((content.space, content.n_skipped, content.is_named), (space, n_skipped, true), "{name}");
+        assert_eq!(content.notes.len(), usize::from(space == Space::Ras), "{name}: {:?}", content.notes);
+        assert_eq!(content.points.len(), 8 - n_skipped, "{name}");
         // MeshLab's file has five digits behind the point.
         let tolerance_mm = if name.ends_with(".pp") { 1e-5 } else { 1e-6 };
-        for (point, expected) in found.points.iter().zip(&expected) {
+        for (point, expected) in content.points.iter().zip(&expected) {
             assert_eq!(point.name, expected.name, "{name}");
             assert_near_mm(point.position, expected.position.coords.into(), tolerance_mm);
         }

@@ -11,10 +11,30 @@ use foxglove::{
 };
 pub(crate) use osteoflow_container::Compression;
 use osteoflow_container::{MessageHeader, WriteOptions, Writer};
-use osteoflow_formats::{mcap_read::Attachment, recording_write::Stream};
+use osteoflow_formats::{
+    PoseError,
+    mcap_read::{self, Attachment},
+    message_read::{read_cloud_head, read_pose_in_frame, read_transforms},
+    recording_write::Stream,
+};
 use osteoflow_geometry::{Cloud, MM_PER_M, Pose, StampNs, nalgebra::Isometry3};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+
+/// The sensor time of a message; of several transforms, that of the first.
+pub(crate) fn stamp(message: &mcap_read::Message) -> StampNs {
+    if let Ok(head) = read_cloud_head(message) {
+        return head.stamp_ns;
+    }
+    if let Ok(tip) = read_pose_in_frame(message) {
+        return tip.stamp_ns;
+    }
+    match &read_transforms(message).unwrap()[0] {
+        Ok(pose) => pose.value.stamp_ns,
+        Err(PoseError::Lost(lost)) => lost.stamp_ns,
+        Err(PoseError::NotRigid { stamp_ns, .. }) => *stamp_ns,
+    }
+}
 
 /// How messages are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

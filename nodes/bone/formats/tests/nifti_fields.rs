@@ -1,7 +1,7 @@
 //! Each field of a NIfTI header changes the volume as it says, or is refused by its name.
 
 use nalgebra::{Matrix4, Point3};
-use osteoflow_formats::volume::{VolumeOptions, VolumeRead, VoxelUnit, read_volume};
+use osteoflow_formats::volume::{VolumeRead, VoxelUnit, read_volume};
 
 /// Eight voxels of 16 bits, 2 x 3 x 4 mm, shifted by (10, 20, 30) mm in RAS, with changes at places of the file.
 fn bytes(changes: &[(usize, &[u8])]) -> Vec<u8> {
@@ -34,7 +34,7 @@ fn read(bytes: &[u8]) -> Result<VolumeRead, String> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
     let name = file.path().display().to_string();
-    read_volume(file.path(), &VolumeOptions::default()).map_err(|error| error.to_string().replace(&name, "ct.nii"))
+    read_volume(file.path(), None).map_err(|error| error.to_string().replace(&name, "ct.nii"))
 }
 
 fn with(changes: &[(usize, &[u8])]) -> VolumeRead {
@@ -47,14 +47,14 @@ fn at(read: &VolumeRead, voxel: [f64; 3]) -> [f64; 3] {
 
 #[test]
 fn the_plain_file_has_its_voxels_places_and_no_note() {
-    let found = with(&[]);
-    assert_eq!(found.volume.voxels, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-    assert_eq!((at(&found, [0.0; 3]), at(&found, [1.0; 3])), ([-10.0, -20.0, 30.0], [-12.0, -23.0, 34.0]));
+    let content = with(&[]);
+    assert_eq!(content.volume.voxels, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+    assert_eq!((at(&content, [0.0; 3]), at(&content, [1.0; 3])), ([-10.0, -20.0, 30.0], [-12.0, -23.0, 34.0]));
     assert_eq!(
-        (found.source.as_str(), found.volume.unit, found.volume.is_oriented),
+        (content.source.as_str(), content.volume.unit, content.volume.is_oriented),
         ("NIfTI-1", VoxelUnit::Unknown, true)
     );
-    assert_eq!(found.notes, [""; 0]);
+    assert_eq!(content.notes, [""; 0]);
 }
 
 #[test]
@@ -62,17 +62,17 @@ fn voxels_of_one_byte_are_read_with_and_without_sign() {
     for (datatype, expected) in [(2_u8, [255.0, 1.0]), (0, [-1.0, 1.0])] {
         // 256 is a signed byte: its high byte is 1.
         let signed = u8::from(datatype == 0);
-        let found = with(&[(70, &[datatype, signed]), (72, &[8, 0]), (352, &[0xff, 1])]);
-        assert_eq!(found.volume.voxels[..2], expected);
-        assert_eq!(found.notes, ["8 bytes or more follow the 360 bytes of the volume and were not read"]);
+        let content = with(&[(70, &[datatype, signed]), (72, &[8, 0]), (352, &[0xff, 1])]);
+        assert_eq!(content.volume.voxels[..2], expected);
+        assert_eq!(content.notes, ["8 bytes or more follow the 360 bytes of the volume and were not read"]);
     }
 }
 
 #[test]
 fn values_are_scaled_by_a_slope_that_is_a_number() {
     let scaled = |slope: f32, intercept: f32| {
-        let found = with(&[(112, &slope.to_le_bytes()), (116, &intercept.to_le_bytes())]);
-        (found.volume.voxels[3], found.notes)
+        let content = with(&[(112, &slope.to_le_bytes()), (116, &intercept.to_le_bytes())]);
+        (content.volume.voxels[3], content.notes)
     };
     assert_eq!(scaled(2.0, -5.0), (1.0, vec![]));
     // A slope of 0 says that values are not scaled.
@@ -84,8 +84,8 @@ fn values_are_scaled_by_a_slope_that_is_a_number() {
 #[test]
 fn lengths_are_in_the_stated_unit() {
     let unit = |code: u8| {
-        let found = with(&[(123, &[code])]);
-        (at(&found, [0.0; 3])[2], found.notes)
+        let content = with(&[(123, &[code])]);
+        (at(&content, [0.0; 3])[2], content.notes)
     };
     let hardly = |size: &str| format!("voxels of {size} mm are hardly a CT's; is the unit of length right?");
     assert_eq!(unit(1), (30_000.0, vec![hardly("2000 x 3000 x 4000")]));
@@ -111,9 +111,9 @@ fn a_quaternion_places_the_volume_where_there_is_no_matrix() {
         (276, &seven),
         (123, &[2]),
     ];
-    let found = with(&quaternion);
-    assert_eq!((at(&found, [0.0; 3]), found.volume.is_oriented), ([-5.0, -6.0, 7.0], true));
-    let found_at = at(&found, [1.0, 1.0, 1.0]);
+    let content = with(&quaternion);
+    assert_eq!((at(&content, [0.0; 3]), content.volume.is_oriented), ([-5.0, -6.0, 7.0], true));
+    let found_at = at(&content, [1.0, 1.0, 1.0]);
     // x of 2 mm along y, y of 3 mm along z, z of 4 mm along x, in RAS.
     assert!((Point3::from(found_at) - Point3::new(-9.0, -8.0, 10.0)).norm() < 1e-6, "single precision: {found_at:?}");
     let mirrored = with(&[&quaternion[..], &[(76, &float(-1.0))]].concat());
@@ -139,20 +139,20 @@ fn a_matrix_and_a_quaternion_may_differ_by_a_tenth_of_a_voxel() {
 
 #[test]
 fn without_either_the_volume_is_not_oriented() {
-    let found = with(&[(254, &[0, 0])]);
+    let content = with(&[(254, &[0, 0])]);
     let mut expected = Matrix4::from_diagonal(&[-2.0, -3.0, 4.0, 1.0].into());
     expected[(3, 3)] = 1.0;
-    assert_eq!((found.volume.t_lps_voxel, found.volume.is_oriented), (expected, false));
+    assert_eq!((content.volume.t_lps_voxel, content.volume.is_oriented), (expected, false));
     let note = "no orientation is stated (sform_code and qform_code are 0): how the volume lies in the patient is unknown, and the \
                 surface may be mirrored";
-    assert_eq!(found.notes, [note]);
+    assert_eq!(content.notes, [note]);
 }
 
 #[test]
 fn every_field_that_cannot_be_is_named() {
     let float = |x: f32| x.to_le_bytes();
-    let said = |changes: &[(usize, &[u8])]| read(&bytes(changes)).unwrap_err();
-    let type_of = |code: i16| said(&[(70, &code.to_le_bytes())]);
+    let message = |changes: &[(usize, &[u8])]| read(&bytes(changes)).unwrap_err();
+    let type_of = |code: i16| message(&[(70, &code.to_le_bytes())]);
     for (code, name) in [
         (1, "single bits"),
         (32, "complex numbers"),
@@ -168,29 +168,29 @@ fn every_field_that_cannot_be_is_named() {
         );
         assert_eq!(type_of(code), expected);
     }
-    for (found, expected) in [
-        (said(&[(40, &[0, 0])]), "dim[0]: 0 dimensions; 1 to 7 are possible"),
-        (said(&[(40, &[8, 0])]), "dim[0]: 8 dimensions; 1 to 7 are possible"),
-        (said(&[(44, &[0, 0])]), "dim[2]: 0 voxels along this axis; at least 1 is needed"),
-        (said(&[(72, &[32, 0])]), "bitpix: 32 bits per voxel, but datatype 4 has 16"),
-        (said(&[(108, &float(347.0))]), "vox_offset: voxels begin at byte 347, but the header has 348 bytes"),
-        (said(&[(108, &float(352.5))]), "vox_offset: voxels begin at byte 352.5, but the header has 348 bytes"),
-        (said(&[(123, &[4])]), "xyzt_units: 4 is no unit of length; 1 (m), 2 (mm) and 3 (um) are"),
+    for (content, expected) in [
+        (message(&[(40, &[0, 0])]), "dim[0]: 0 dimensions; 1 to 7 are possible"),
+        (message(&[(40, &[8, 0])]), "dim[0]: 8 dimensions; 1 to 7 are possible"),
+        (message(&[(44, &[0, 0])]), "dim[2]: 0 voxels along this axis; at least 1 is needed"),
+        (message(&[(72, &[32, 0])]), "bitpix: 32 bits per voxel, but datatype 4 has 16"),
+        (message(&[(108, &float(347.0))]), "vox_offset: voxels begin at byte 347, but the header has 348 bytes"),
+        (message(&[(108, &float(352.5))]), "vox_offset: voxels begin at byte 352.5, but the header has 348 bytes"),
+        (message(&[(123, &[4])]), "xyzt_units: 4 is no unit of length; 1 (m), 2 (mm) and 3 (um) are"),
         (
-            said(&[(108, &float(353.0))]),
+            message(&[(108, &float(353.0))]),
             "dim: cut short: 2 x 2 x 2 voxels need 369 bytes, the file has 368; copy the file again",
         ),
         (
-            said(&[(344, b"\0\0\0\0")]),
+            message(&[(344, b"\0\0\0\0")]),
             "magic: the magic is not \"n+1\" or \"n+2\"; an ANALYZE 7.5 header states no orientation: convert the DICOM to NIfTI",
         ),
         (read(&bytes(&[])[..347]).unwrap_err(), "header: the header has 348 bytes, but the file ends after 347"),
         (
-            said(&[(40, &[5, 0]), (48, &[2, 0, 3, 0])]),
+            message(&[(40, &[5, 0]), (48, &[2, 0, 3, 0])]),
             "dim: 5 dimensions: 6 frames of 2 x 2 x 2 voxels; save the one frame that shows the bone as a volume of its own",
         ),
     ] {
-        assert_eq!(found, format!("ct.nii: {expected}"));
+        assert_eq!(content, format!("ct.nii: {expected}"));
     }
     // Fewer dimensions leave out axes of one voxel; whatever the header has for them.
     assert_eq!(with(&[(40, &[2, 0]), (46, &[9, 0])]).volume.size, [2, 2, 1]);
@@ -201,9 +201,9 @@ fn every_field_that_cannot_be_is_named() {
 fn values_with_air_and_bone_are_taken_as_hounsfield_units() {
     let unit = |values: [i16; 8]| {
         let values: Vec<u8> = values.into_iter().flat_map(i16::to_le_bytes).collect();
-        let found = with(&[(352, &values)]);
-        assert_eq!(found.notes.is_empty(), found.volume.unit == VoxelUnit::Unknown, "{:?}", found.notes);
-        found.volume.unit == VoxelUnit::Hu
+        let content = with(&[(352, &values)]);
+        assert_eq!(content.notes.is_empty(), content.volume.unit == VoxelUnit::Unknown, "{:?}", content.notes);
+        content.volume.unit == VoxelUnit::Hu
     };
     assert!(unit([-1000, 0, 40, 300, 0, 0, 0, 0]) && unit([-500, 0, 40, 1200, 0, 0, 0, 0]));
     assert!(!unit([-499, 0, 40, 1200, 0, 0, 0, 0]) && !unit([-1000, 0, 40, 299, 0, 0, 0, 0]));

@@ -40,8 +40,8 @@ fn of_length(length: f64) -> [f64; 4] {
     [0.6 * length, 0.0, 0.0, 0.8 * length]
 }
 
-fn assert_says(door: &str, said: &str, place: &str, value: &str) {
-    assert!(said.contains(place) && said.contains(value), "{door}: {place}: {value}\n{said}");
+fn assert_says(door: &str, refusal: &str, place: &str, value: &str) {
+    assert!(refusal.contains(place) && refusal.contains(value), "{door}: {place}: {value}\n{refusal}");
 }
 
 fn rows(matrix: &[f64; 9]) -> String {
@@ -62,8 +62,8 @@ fn a_quaternion_of_another_length_is_refused_at_every_door_of_quaternions() {
             l => value(l),
         };
         let text = format!("t_ns,parent,child,x,y,z,qx,qy,qz,qw\n5,world,m,0,0,0,{x:?},{y:?},{z:?},{w:?}\n");
-        let said = in_file(text, |path| read_poses(path, 1.0).unwrap_err().to_string());
-        assert_says("poses.csv", &said, "line 2", &begin);
+        let refusal = in_file(text, |path| read_poses(path, 1.0).unwrap_err().to_string());
+        assert_says("poses.csv", &refusal, "line 2", &begin);
 
         let rotation = Quaternion { x, y, z, w };
         let transform = FrameTransform {
@@ -119,27 +119,27 @@ fn a_quaternion_of_another_length_is_refused_at_every_door_of_quaternions() {
 #[test]
 fn a_matrix_that_mirrors_scales_or_shears_is_refused_at_every_door_of_matrices() {
     for (matrix, value) in &MATRICES {
-        let said = in_file(rows(matrix), |path| read_pose(path, 1.0).unwrap_err().to_string());
-        assert_says("pose in JSON", &said, "matrix: ", value);
+        let refusal = in_file(rows(matrix), |path| read_pose(path, 1.0).unwrap_err().to_string());
+        assert_says("pose in JSON", &refusal, "matrix: ", value);
         let numbers = matrix.map(|n| format!("{n:?}")).join(" ");
         let itk = format!(
             "#Insight Transform File V1.0\nTransform: AffineTransform_double_3_3\nParameters: {numbers} 0 0 0\nFixedParameters: 0 0 0\n"
         );
-        let said = in_file(itk, |path| read_pose(path, 1.0).unwrap_err().to_string());
-        assert_says("ITK", &said, "matrix: ", value);
+        let refusal = in_file(itk, |path| read_pose(path, 1.0).unwrap_err().to_string());
+        assert_says("ITK", &refusal, "matrix: ", value);
         let plan = format!("{{ \"planes\": {{ \"distal\": {} }} }}", rows(matrix));
-        let said = parse_plan("plan.json".as_ref(), &plan).unwrap_err().to_string();
-        assert_says("plan", &said, "key \"planes.distal\": ", value);
+        let refusal = parse_plan("plan.json".as_ref(), &plan).unwrap_err().to_string();
+        assert_says("plan", &refusal, "key \"planes.distal\": ", value);
         let numbers = matrix.map(|n| format!("{n:?}")).join(", ");
         let markups = format!(
             r#"{{"markups": [{{"type": "ROI", "coordinateSystem": "LPS", "center": [0, 0, 0], "size": [1, 1, 1], "orientation": [{numbers}]}}]}}"#
         );
-        let said = parse_picked_points("a.mrk.json".as_ref(), markups.as_bytes()).unwrap_err().to_string();
-        assert_says("markups", &said, "markups[0].orientation: ", value);
+        let refusal = parse_picked_points("a.mrk.json".as_ref(), markups.as_bytes()).unwrap_err().to_string();
+        assert_says("markups", &refusal, "markups[0].orientation: ", value);
         // Column by column.
         let [a, b, c, d, e, f, g, h, i] = matrix.map(|n| n as f32);
-        let said = Affine([a, d, g, b, e, h, c, f, i, 0.0, 0.0, 0.0]).rigid().unwrap_err().to_string();
-        assert_says("OpenIGTLink", &said, "", value);
+        let refusal = Affine([a, d, g, b, e, h, c, f, i, 0.0, 0.0, 0.0]).rigid().unwrap_err().to_string();
+        assert_says("OpenIGTLink", &refusal, "", value);
     }
 }
 
@@ -147,8 +147,8 @@ fn a_matrix_that_mirrors_scales_or_shears_is_refused_at_every_door_of_matrices()
 fn a_versor_or_a_quaternion_of_nifti_that_is_too_long_is_refused() {
     let versor = "#Insight Transform File V1.0\nTransform: VersorRigid3DTransform_double_3_3\nParameters: 0.8 0.8 0 0 0 0\n\
                   FixedParameters: 0 0 0\n";
-    let said = in_file(versor, |path| read_pose(path, 1.0).unwrap_err().to_string());
-    assert_says("versor", &said, "Parameters: ", "the quaternion has length 1.13");
+    let refusal = in_file(versor, |path| read_pose(path, 1.0).unwrap_err().to_string());
+    assert_says("versor", &refusal, "Parameters: ", "the quaternion has length 1.13");
 
     let mut nifti = vec![0; 352];
     let mut put = |at: usize, bytes: &[u8]| nifti[at..at + bytes.len()].copy_from_slice(bytes);
@@ -163,13 +163,18 @@ fn a_versor_or_a_quaternion_of_nifti_that_is_too_long_is_refused() {
     [0.8_f32, 0.8, 0.0].iter().enumerate().for_each(|(k, n)| put(256 + 4 * k, &n.to_le_bytes()));
     put(344, b"n+1\0");
     nifti.extend([0; 16]);
-    let said = in_file(&nifti, |path| read_volume(path, &Default::default()).unwrap_err().to_string());
-    assert_says("NIfTI", &said, "quatern_b, quatern_c, quatern_d", "the quaternion has length 1.13");
+    let refusal = in_file(&nifti, |path| read_volume(path, None).unwrap_err().to_string());
+    assert_says("NIfTI", &refusal, "quatern_b, quatern_c, quatern_d", "the quaternion has length 1.13");
     // An origin of another planet.
     nifti[256..268].fill(0);
     nifti[268..272].copy_from_slice(&1e30_f32.to_le_bytes());
-    let said = in_file(&nifti, |path| read_volume(path, &Default::default()).unwrap_err().to_string());
-    assert_says("NIfTI", &said, "geometry: voxel [0.0, 0.0, 0.0] is at (-1.0000000150474662e30", "farther than 1e7 mm");
+    let refusal = in_file(&nifti, |path| read_volume(path, None).unwrap_err().to_string());
+    assert_says(
+        "NIfTI",
+        &refusal,
+        "geometry: voxel [0.0, 0.0, 0.0] is at (-1.0000000150474662e30",
+        "farther than 1e7 mm",
+    );
 }
 
 #[test]
@@ -177,29 +182,29 @@ fn quaternions_of_zero_and_nan_are_markers_that_were_not_seen() {
     let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
     let text = format!("{header}5,world,m,0,0,0,0,0,0,0\n6,world,m,0,0,0,nan,0,0,1\n");
     let read = in_file(text, |path| read_poses(path, 1.0).unwrap());
-    let said: Vec<String> = read.poses.into_iter().map(|pose| pose.unwrap_err().to_string()).collect();
-    assert!(said[0].contains("at 5 ns has an all-zero quaternion"), "{}", said[0]);
-    assert!(said[1].contains("at 6 ns has a row without finite numbers"), "{}", said[1]);
+    let refusal: Vec<String> = read.poses.into_iter().map(|pose| pose.unwrap_err().to_string()).collect();
+    assert!(refusal[0].contains("at 5 ns has an all-zero quaternion"), "{}", refusal[0]);
+    assert!(refusal[1].contains("at 6 ns has a row without finite numbers"), "{}", refusal[1]);
 }
 
 #[test]
 fn what_a_pose_or_a_header_gives_twice_is_refused() {
     let unit = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
-    let said = |text: String| in_file(text, |path| read_pose(path, 1.0).unwrap_err().to_string());
+    let refusal = |text: String| in_file(text, |path| read_pose(path, 1.0).unwrap_err().to_string());
     assert_says(
         "two poses",
-        &said(format!("{{\"T\": {unit}, \"matrix\": {unit}}}")),
+        &refusal(format!("{{\"T\": {unit}, \"matrix\": {unit}}}")),
         "object: ",
         "the keys T and matrix",
     );
-    assert_says("unit", &said(format!("{{\"T\": {unit}, \"unit\": \"m\"}}")), "key \"unit\": ", "found \"m\"");
-    assert_says("twice", &said(format!("{{\"T\": {unit},\n\"T\": {unit}}}")), "line 2", "key \"T\" is given twice");
+    assert_says("unit", &refusal(format!("{{\"T\": {unit}, \"unit\": \"m\"}}")), "key \"unit\": ", "found \"m\"");
+    assert_says("twice", &refusal(format!("{{\"T\": {unit},\n\"T\": {unit}}}")), "line 2", "key \"T\" is given twice");
     let itk = "#Insight Transform File V1.0\nTransform: Euler3DTransform_double_3_3\nParameters: 0 0 0 0 0 0\nParameters: 1 0 0 0 0 0\n";
-    assert_says("ITK", &said(itk.into()), "Parameters: ", "two lines");
+    assert_says("ITK", &refusal(itk.into()), "Parameters: ", "two lines");
     let fcsv = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n# columns = id,x,y,z,x,label\na,1,2,3,4,P1\n";
-    let said = parse_picked_points("a.fcsv".as_ref(), fcsv.as_bytes()).unwrap_err().to_string();
-    assert_says("fcsv", &said, "line 3: ", "column 5 is called \"x\" as one before it is");
+    let refusal = parse_picked_points("a.fcsv".as_ref(), fcsv.as_bytes()).unwrap_err().to_string();
+    assert_says("fcsv", &refusal, "line 3: ", "column 5 is called \"x\" as one before it is");
     let pcd = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nWIDTH 1\nDATA ascii\n0 0 0\n40 1 2\n";
-    let said = osteoflow_formats::mesh_or_cloud::read_mesh_or_cloud("a.pcd".as_ref(), pcd.as_bytes(), 1.0, "ct");
-    assert_says("PCD", &said.unwrap_err().to_string(), "line 6: ", "the header has a second line WIDTH");
+    let refusal = osteoflow_formats::mesh_or_cloud::read_mesh_or_cloud("a.pcd".as_ref(), pcd.as_bytes(), 1.0, "ct");
+    assert_says("PCD", &refusal.unwrap_err().to_string(), "line 6: ", "the header has a second line WIDTH");
 }

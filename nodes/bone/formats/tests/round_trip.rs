@@ -1,10 +1,10 @@
 //! A recording gives the same procedure in every layout.
 
-use crate::layouts::{Compression, Encoding, Layout, Order, PointType, recording_bytes};
+use crate::layouts::{Compression, Encoding, Layout, Order, PointType, recording_bytes, stamp};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_formats::{
     mcap_read::{Attachment, Message, Recording},
-    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms, stamp},
+    message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms},
     recording_write::{self, Stream},
 };
 use osteoflow_geometry::{Cloud, Pose, StampNs};
@@ -73,7 +73,7 @@ fn any_layout(rng: &mut ChaCha8Rng) -> Layout {
 /// The messages of a topic sorted by sensor time, as recorders may write them in any order.
 fn by_sensor_time<'a>(recording: &'a Recording, topic: &str) -> Vec<&'a Message> {
     let mut messages: Vec<&Message> = recording.messages(topic).iter().collect();
-    messages.sort_by_key(|m| stamp(*m).unwrap());
+    messages.sort_by_key(|m| stamp(m));
     messages
 }
 

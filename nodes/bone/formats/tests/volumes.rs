@@ -2,7 +2,7 @@
 
 use flate2::{Compression, write::DeflateEncoder, write::GzEncoder};
 use nalgebra::{Matrix3, Matrix4, Point3, Rotation3, Vector3, Vector4};
-use osteoflow_formats::volume::{Volume, VolumeOptions, VolumeRead, VoxelUnit, read_volume};
+use osteoflow_formats::volume::{Volume, VolumeRead, VoxelUnit, read_volume};
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use std::{
@@ -39,7 +39,7 @@ fn truth(mirrored: bool) -> Matrix4<f64> {
 }
 
 fn read(path: &Path) -> Result<VolumeRead, String> {
-    read_volume(path, &VolumeOptions::default()).map_err(|error| error.to_string())
+    read_volume(path, None).map_err(|error| error.to_string())
 }
 
 fn read_bytes(bytes: &[u8]) -> Result<VolumeRead, String> {
@@ -53,19 +53,19 @@ fn refusal(bytes: &[u8]) -> String {
 }
 
 /// Every voxel has its value, and its place within 1e-4 mm.
-fn assert_is_truth(found: &Volume, mirrored: bool, what: &str) {
-    assert_eq!(found.size, SIZE, "{what}");
+fn assert_is_truth(content: &Volume, mirrored: bool, what: &str) {
+    assert_eq!(content.size, SIZE, "{what}");
     let expected: Vec<f32> = values().iter().map(|v| f32::from(*v)).collect();
-    assert_eq!(found.voxels, expected, "{what}");
-    assert_at(found, &truth(mirrored), what);
-    assert_eq!(found.t_lps_voxel.fixed_view::<3, 3>(0, 0).into_owned().determinant() < 0.0, mirrored, "{what}");
+    assert_eq!(content.voxels, expected, "{what}");
+    assert_at(content, &truth(mirrored), what);
+    assert_eq!(content.t_lps_voxel.fixed_view::<3, 3>(0, 0).into_owned().determinant() < 0.0, mirrored, "{what}");
 }
 
-fn assert_at(found: &Volume, truth: &Matrix4<f64>, what: &str) {
+fn assert_at(content: &Volume, truth: &Matrix4<f64>, what: &str) {
     for corner in 0..8 {
         let at = |k: usize| if corner >> k & 1 == 0 { 0.0 } else { (SIZE[k] - 1) as f64 };
         let at = Vector4::new(at(0), at(1), at(2), 1.0);
-        let off = (found.t_lps_voxel * at - truth * at).norm();
+        let off = (content.t_lps_voxel * at - truth * at).norm();
         assert!(off < 1e-4, "{what}: corner {corner} is {off} mm off");
     }
 }
@@ -200,12 +200,12 @@ fn nifti_of_every_version_order_and_type_gives_the_voxels_at_their_places() {
                     for datatype in [4, 8, 16, 64, 512, 768, 1024, 1280] {
                         let file = Nifti { version, is_big, mirrored, qform, datatype };
                         let what = format!("NIfTI-{version}, big {is_big}, qform {qform}, type {datatype}");
-                        let found = read_bytes(&file.bytes()).unwrap();
-                        assert_is_truth(&found.volume, mirrored, &what);
-                        assert!(found.volume.is_oriented && found.volume.unit == VoxelUnit::Hu);
-                        assert_eq!(found.notes.len(), 1, "{:?}", found.notes);
+                        let content = read_bytes(&file.bytes()).unwrap();
+                        assert_is_truth(&content.volume, mirrored, &what);
+                        assert!(content.volume.is_oriented && content.volume.unit == VoxelUnit::Hu);
+                        assert_eq!(content.notes.len(), 1, "{:?}", content.notes);
                         let zipped = read_bytes(&gzip(&file.bytes())).unwrap();
-                        assert_eq!(zipped, found, "{what}");
+                        assert_eq!(zipped, content, "{what}");
                     }
                 }
             }
@@ -240,13 +240,13 @@ fn nifti_in_metres_or_without_orientation_is_read_as_what_it_is() {
 #[test]
 fn nifti_that_is_cut_has_frames_or_holds_no_density_is_refused_with_the_reason() {
     let bytes = PLAIN.bytes();
-    let said = refusal(&bytes[..bytes.len() - 1]);
-    assert!(said.contains("7 x 6 x 5 voxels need 772 bytes, the file has 771"), "{said}");
+    let message = refusal(&bytes[..bytes.len() - 1]);
+    assert!(message.contains("7 x 6 x 5 voxels need 772 bytes, the file has 771"), "{message}");
     let zipped = gzip(&bytes);
-    let said = refusal(&zipped[..zipped.len() / 2]);
-    assert!(said.contains("cut short") || said.contains("gzip"), "{said}");
-    let said = refusal(&gzip(&bytes[..bytes.len() - 10]));
-    assert!(said.contains("420 bytes, but only 410 are there"), "{said}");
+    let message = refusal(&zipped[..zipped.len() / 2]);
+    assert!(message.contains("cut short") || message.contains("gzip"), "{message}");
+    let message = refusal(&gzip(&bytes[..bytes.len() - 10]));
+    assert!(message.contains("420 bytes, but only 410 are there"), "{message}");
     let mut wrong = gzip(&bytes);
     let n = wrong.len();
     wrong[n - 6] ^= 1;
@@ -306,9 +306,9 @@ fn text() -> Vec<u8> {
 #[test]
 fn nrrd_of_every_encoding_space_and_place_of_the_data_gives_the_voxels_at_their_places() {
     for (encoding, data) in [("raw", raw()), ("gzip", gzip(&raw())), ("ascii", text())] {
-        let found = read_bytes(&nrrd(encoding, &data)).unwrap();
-        assert_is_truth(&found.volume, true, encoding);
-        assert!(found.volume.is_oriented && found.notes.len() == 1, "{:?}", found.notes);
+        let content = read_bytes(&nrrd(encoding, &data)).unwrap();
+        assert_is_truth(&content.volume, true, encoding);
+        assert!(content.volume.is_oriented && content.notes.len() == 1, "{:?}", content.notes);
         let folder = tempfile::tempdir().unwrap();
         let header = folder.path().join("ct.nhdr");
         std::fs::write(folder.path().join("ct.data"), &data).unwrap();
@@ -340,7 +340,7 @@ fn nrrd_without_space_says_so_and_other_doubts_are_refused() {
         assert!(header.contains(old), "{old}");
         refusal(&[header.replace(old, new).into_bytes(), raw()].concat())
     };
-    for (old, new, said) in [
+    for (old, new, message) in [
         ("dimension: 3", "dimension: 4", "line 4 (dimension): 4 dimensions; 3 are read"),
         ("sizes: 7 6 5", "sizes: 7 6 -5", "whole numbers from 1"),
         ("sizes: 7 6 5", "sizes: 7 6 500", "cut short: 7 x 6 x 500 short are 42000 bytes, but only 420 are there"),
@@ -358,11 +358,11 @@ fn nrrd_without_space_says_so_and_other_doubts_are_refused() {
         ("kinds: domain domain domain", "data file: LIST", "in several files"),
         ("kinds: domain domain domain", "data file: gone.raw", "gone.raw: cannot be read"),
     ] {
-        let found = with(old, new);
-        assert!(found.contains(said), "{new}: {found}");
+        let content = with(old, new);
+        assert!(content.contains(message), "{new}: {content}");
     }
-    let said = refusal(&nrrd("ascii", b"1 2 x"));
-    assert!(said.contains("cannot hold 210 numbers"), "{said}");
+    let message = refusal(&nrrd("ascii", b"1 2 x"));
+    assert!(message.contains("cannot hold 210 numbers"), "{message}");
     let mut words = text();
     words[3] = b'x';
     assert!(refusal(&nrrd("ascii", &words)).contains("is no number"), "{}", refusal(&nrrd("ascii", &words)));
@@ -607,11 +607,11 @@ fn a_dicom_series_in_any_order_and_syntax_gives_the_voxels_at_their_places() {
     for syntax in SYNTAXES {
         for (is_signed, slope, intercept) in [(false, 1.0, -1024.0), (true, 1.0, 0.0), (true, 0.5, 100.0)] {
             let series = Dicom { syntax, is_signed, slope, intercept, ..dicom() };
-            let found = read(series.folder(0..5).path()).unwrap();
-            assert_is_truth(&found.volume, false, syntax);
-            assert_eq!((found.volume.unit, found.volume.is_oriented), (VoxelUnit::Hu, true));
-            assert_eq!(found.notes, ["1 files that are not DICOM were left out"], "{syntax}");
-            assert_eq!(found.source, "CT series 3, identifier ..55555.100001, 5 images of 7 x 6");
+            let content = read(series.folder(0..5).path()).unwrap();
+            assert_is_truth(&content.volume, false, syntax);
+            assert_eq!((content.volume.unit, content.volume.is_oriented), (VoxelUnit::Hu, true));
+            assert_eq!(content.notes, ["1 files that are not DICOM were left out"], "{syntax}");
+            assert_eq!(content.source, "CT series 3, identifier ..55555.100001, 5 images of 7 x 6");
         }
     }
 }
@@ -619,13 +619,13 @@ fn a_dicom_series_in_any_order_and_syntax_gives_the_voxels_at_their_places() {
 #[test]
 fn a_tilted_gantry_is_in_the_map_and_each_layer_has_its_own_scale() {
     let tilted = Dicom { shear_mm: 0.2, ..dicom() };
-    let found = read(tilted.folder(0..5).path()).unwrap();
+    let content = read(tilted.folder(0..5).path()).unwrap();
     let mut expected = truth(false);
     let shear = axes(false).column(0) * 0.2;
     expected.fixed_view_mut::<3, 1>(0, 2).add_assign(&shear);
-    assert_at(&found.volume, &expected, "tilted");
+    assert_at(&content.volume, &expected, "tilted");
     // atan(0.2 / 1.25)
-    assert!(found.notes.iter().any(|n| n.contains("sheared by 9.09 degrees")), "{:?}", found.notes);
+    assert!(content.notes.iter().any(|n| n.contains("sheared by 9.09 degrees")), "{:?}", content.notes);
     let folder = dicom().folder(0..4);
     Dicom { intercept: -500.0, is_signed: true, ..dicom() }.write(&folder.path().join("more"), [4]);
     assert_is_truth(&read(folder.path()).unwrap().volume, false, "two intercepts");
@@ -634,27 +634,25 @@ fn a_tilted_gantry_is_in_the_map_and_each_layer_has_its_own_scale() {
 use std::ops::AddAssign as _;
 
 fn folder_refusal(folder: &tempfile::TempDir) -> String {
-    let said = read(folder.path()).unwrap_err();
-    assert!(!said.contains("Doe") && !said.contains("Jane"), "{said}");
-    said
+    let message = read(folder.path()).unwrap_err();
+    assert!(!message.contains("Doe") && !message.contains("Jane"), "{message}");
+    message
 }
 
 #[test]
 fn several_series_are_listed_and_chosen_by_number_or_identifier() {
     let folder = dicom().folder(0..5);
     Dicom { series: "1.2.3.4.55555.200002", number: "7", ..dicom() }.write(folder.path(), 0..3);
-    let said = folder_refusal(&folder);
-    assert!(said.contains("2 series; choose one by its number or the ending of its identifier"), "{said}");
-    assert!(said.contains("CT series 3, identifier ..55555.100001, 5 images of 7 x 6; CT series 7"), "{said}");
-    let choose = |series: &str| {
-        read_volume(folder.path(), &VolumeOptions { series: Some(series.into()) }).map_err(|e| e.to_string())
-    };
+    let message = folder_refusal(&folder);
+    assert!(message.contains("2 series; choose one by its number or the ending of its identifier"), "{message}");
+    assert!(message.contains("CT series 3, identifier ..55555.100001, 5 images of 7 x 6; CT series 7"), "{message}");
+    let choose = |series: &str| read_volume(folder.path(), Some(series)).map_err(|e| e.to_string());
     for series in ["3", "100001", ".55555.100001"] {
         assert_is_truth(&choose(series).unwrap().volume, false, series);
     }
     assert_eq!(choose("200002").unwrap().volume.size, [7, 6, 3]);
-    let said = choose("12").unwrap_err();
-    assert!(said.contains("no series has the number, or an identifier that ends in, \"12\""), "{said}");
+    let message = choose("12").unwrap_err();
+    assert!(message.contains("no series has the number, or an identifier that ends in, \"12\""), "{message}");
     Dicom { series: "1.2.9.100001", number: "9", ..dicom() }.write(folder.path(), 0..3);
     assert!(choose("100001").unwrap_err().contains("names 2 series"));
 }
@@ -662,11 +660,11 @@ fn several_series_are_listed_and_chosen_by_number_or_identifier() {
 #[test]
 fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
     let height = |k: f64| axes(false).column(2).dot(&Vector3::from(FIRST)) + SPACING[2] * k;
-    let said = folder_refusal(&dicom().folder([0, 1, 2, 4]));
-    assert!(said.contains("about 1 of the layers are missing"), "{said}");
-    assert!(said.contains(&format!("at {:.3} mm", height(2.0))), "{said}");
-    let said = folder_refusal(&dicom().folder([0, 1, 2, 2, 3, 4]));
-    assert!(said.contains(&format!("are both at {:.3} mm", height(2.0))), "{said}");
+    let message = folder_refusal(&dicom().folder([0, 1, 2, 4]));
+    assert!(message.contains("about 1 of the layers are missing"), "{message}");
+    assert!(message.contains(&format!("at {:.3} mm", height(2.0))), "{message}");
+    let message = folder_refusal(&dicom().folder([0, 1, 2, 2, 3, 4]));
+    assert!(message.contains(&format!("are both at {:.3} mm", height(2.0))), "{message}");
     let uneven = dicom().folder(0..4);
     let at = (truth(false) * Vector4::new(0.0, 0.0, 4.3, 1.0)).xyz();
     let text = format!("{:.6}\\{:.6}\\{:.6}", at.x, at.y, at.z).into_bytes();
@@ -699,26 +697,27 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
     ] {
         let folder = dicom().folder(0..4);
         Dicom { more: vec![(tag, vr, value.to_vec())], ..dicom() }.write(&folder.path().join("more"), [4]);
-        let said = folder_refusal(&folder);
-        assert!(said.contains(expected), "{expected}: {said}");
+        let message = folder_refusal(&folder);
+        assert!(message.contains(expected), "{expected}: {message}");
     }
     let jpeg = Dicom { syntax: "1.2.840.10008.1.2.4.90", ..dicom() };
-    let said = folder_refusal(&jpeg.folder(0..2));
+    let message = folder_refusal(&jpeg.folder(0..2));
     assert!(
-        said.contains("1.2.840.10008.1.2.4.90 (JPEG 2000 lossless) is not read") && said.contains("gdcmconv --raw"),
-        "{said}"
+        message.contains("1.2.840.10008.1.2.4.90 (JPEG 2000 lossless) is not read")
+            && message.contains("gdcmconv --raw"),
+        "{message}"
     );
     let empty = tempfile::tempdir().unwrap();
     std::fs::write(empty.path().join("ct.nii.gz"), "x").unwrap();
-    let said = folder_refusal(&empty);
+    let message = folder_refusal(&empty);
     assert!(
-        said.contains("no DICOM image in it (0 DICOM files without image, 1 other files); give the file"),
-        "{said}"
+        message.contains("no DICOM image in it (0 DICOM files without image, 1 other files); give the file"),
+        "{message}"
     );
     let mut cut = dicom().layer(0);
     cut.truncate(cut.len() - 3);
-    let said = refusal(&cut);
-    assert!(said.contains("cut short: 84 bytes are needed, 81 are left"), "{said}");
+    let message = refusal(&cut);
+    assert!(message.contains("cut short: 84 bytes are needed, 81 are left"), "{message}");
 }
 
 #[test]
@@ -733,9 +732,9 @@ fn a_single_file_an_mr_and_bright_padding_are_read_as_what_they_are() {
     // The first voxel of the second layer is 42: 82 + 2 * 1 ... its stored value is taken for padding.
     let stored = (i32::from(value(2)) + 1024) as u16;
     let padded = Dicom { more: vec![(0x0028_0120, "US", stored.to_le_bytes().to_vec())], ..dicom() };
-    let found = read(padded.folder(0..5).path()).unwrap();
-    assert_eq!(found.volume.voxels[2], -1024.0);
-    assert!(found.notes.iter().any(|n| n.contains("padding value (0028,0120)")), "{:?}", found.notes);
+    let content = read(padded.folder(0..5).path()).unwrap();
+    assert_eq!(content.volume.voxels[2], -1024.0);
+    assert!(content.notes.iter().any(|n| n.contains("padding value (0028,0120)")), "{:?}", content.notes);
 }
 
 /// Flips, cuts, doubles and inserts bytes of a file, `n` times; what is read or said must not be a panic.
@@ -776,7 +775,7 @@ fn no_damaged_file_panics_or_names_the_patient() {
                 assert!(read.volume.voxels.iter().all(|v| v.is_finite()));
                 assert!(!format!("{:?}{}", read.notes, read.source).contains("Doe"));
             }
-            Err(said) => assert!(!said.contains("Doe") && !said.contains("Jane"), "{said}"),
+            Err(message) => assert!(!message.contains("Doe") && !message.contains("Jane"), "{message}"),
         }
     };
     for version in [1, 2] {
@@ -797,8 +796,8 @@ fn no_damaged_file_panics_or_names_the_patient() {
     let original = std::fs::read(&target).unwrap();
     mutate(&original, 200, "a layer", |bytes| {
         std::fs::write(&target, bytes).unwrap();
-        if let Err(said) = read(series.path()) {
-            assert!(!said.contains("Doe") && !said.contains("Jane"), "{said}");
+        if let Err(message) = read(series.path()) {
+            assert!(!message.contains("Doe") && !message.contains("Jane"), "{message}");
         }
     });
 }

@@ -124,12 +124,8 @@ impl Cloud {
 
     /// The cloud in frame `to`, moved by `t_to_frame`; normals and viewpoint go along, extra columns stay. `O(n)`.
     pub fn transformed(&self, to: impl Into<Frame>, t_to_frame: &Isometry3<f64>) -> Cloud {
-        self.moved(to.into(), t_to_frame)
-    }
-
-    fn moved(&self, to: Frame, t_to_frame: &Isometry3<f64>) -> Cloud {
         Cloud {
-            frame: to,
+            frame: to.into(),
             stamp_ns: self.stamp_ns,
             label: self.label.clone(),
             viewpoint: self.viewpoint.map(|v| t_to_frame * v),

@@ -79,9 +79,9 @@ impl Image {
         }
         let expected = width as usize * height as usize * channels as usize;
         if pixels.len() != expected {
-            let found = pixels.len();
+            let n_bytes = pixels.len();
             return refused(format!(
-                "{found} bytes for {width} x {height} pixels of {channels} bytes; {expected} are expected"
+                "{n_bytes} bytes for {width} x {height} pixels of {channels} bytes; {expected} are expected"
             ));
         }
         if ![fx, fy, cx, cy].iter().all(|c| c.is_finite()) || fx <= 0.0 || fy <= 0.0 {

@@ -45,8 +45,7 @@ pub use points::{NamedPoint, Points};
 pub use pose::Pose;
 pub use region::Region;
 pub use rigid::{
-    Correction, Corrections, DirectionError, EXACT_ROTATION, Nearest, ROTATION_NOISE, ROUNDED_ROTATION, RigidError,
-    check_rotation, direction, exact_isometry, first_not_unit, isometry_from_matrix, matrix_rows, nearest_isometry,
-    nearest_rotation,
+    Correction, Corrections, EXACT_ROTATION, Nearest, ROTATION_NOISE, ROUNDED_ROTATION, RigidError, check_rotation,
+    direction, exact_isometry, first_not_unit, isometry_from_matrix, matrix_rows, nearest_isometry, nearest_rotation,
 };
 pub use units::{MM_PER_M, StampNs};

@@ -80,15 +80,7 @@ impl Mesh {
         vertices: impl Into<Column<Point3<f64>>>,
         faces: impl Into<Column<[u32; 3]>>,
     ) -> Result<Self, MeshError> {
-        Self::checked(frame.into(), origin, vertices.into(), faces.into())
-    }
-
-    fn checked(
-        frame: Frame,
-        origin: SurfaceOrigin,
-        vertices: Column<Point3<f64>>,
-        faces: Column<[u32; 3]>,
-    ) -> Result<Self, MeshError> {
+        let (vertices, faces) = (vertices.into(), faces.into());
         if faces.is_empty() {
             return Err(MeshError::Empty);
         }
@@ -102,7 +94,7 @@ impl Mesh {
                 return Err(MeshError::Index { face, vertex, n_vertices });
             }
         }
-        Ok(Self { frame, origin, vertices, faces })
+        Ok(Self { frame: frame.into(), origin, vertices, faces })
     }
 
     /// The vertices, `n`, mm.

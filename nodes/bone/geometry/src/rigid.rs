@@ -96,20 +96,6 @@ pub enum RigidError {
     },
 }
 
-/// A direction that cannot be used.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum DirectionError {
-    /// A number is NaN or infinite.
-    #[error("a direction is three finite numbers")]
-    NotFinite,
-    /// The length is zero, or so small or large that it cannot be computed with.
-    #[error("a direction has a length above zero, this one has {length:e}")]
-    Length {
-        /// Its length.
-        length: f64,
-    },
-}
-
 /// How far a rotation was from the nearest one, which was taken instead.
 #[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd)]
 pub struct Correction {
@@ -308,14 +294,14 @@ fn rotation_within(matrix: &Matrix3<f64>, limit: f64) -> Result<Nearest<Rotation
 /// The unit vector along a direction of any length.
 ///
 /// # Errors
-/// [`DirectionError`] if a number is not finite, or the length is below 1e-6 or overflows.
-pub fn direction(vector: Vector3<f64>) -> Result<Unit<Vector3<f64>>, DirectionError> {
+/// A message, if a number is not finite, or the length is below 1e-6 or overflows.
+pub fn direction(vector: Vector3<f64>) -> Result<Unit<Vector3<f64>>, String> {
     if !vector.iter().all(|c| c.is_finite()) {
-        return Err(DirectionError::NotFinite);
+        return Err("a direction is three finite numbers".into());
     }
     let length = vector.norm();
     let unit = Unit::try_new(vector, SHORTEST).filter(|_| length.is_finite());
-    unit.ok_or(DirectionError::Length { length })
+    unit.ok_or_else(|| format!("a direction has a length above zero, this one has {length:e}"))
 }
 
 /// The index and length of the first normal whose length is farther than [`EXACT_ROTATION`] from 1, or NaN.

@@ -1,6 +1,7 @@
 //! The folder of a ROS 2 bag: its recordings in order, by `metadata.yaml`.
 
 use super::McapError;
+use crate::FileError;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -23,10 +24,9 @@ impl Bag {
     /// Finds the recordings of the bag in `folder`.
     pub(super) fn open(folder: &Path) -> Result<Self, McapError> {
         let fault = |reason: String| McapError::Unreadable { path: folder.display().to_string(), reason };
-        let io = |path: &Path, source| McapError::Io { path: path.display().to_string(), source };
         let mut there: Vec<String> = Vec::new();
-        for entry in fs::read_dir(folder).map_err(|error| io(folder, error))? {
-            there.extend(entry.map_err(|error| io(folder, error))?.file_name().into_string());
+        for entry in fs::read_dir(folder).map_err(FileError::read(folder))? {
+            there.extend(entry.map_err(FileError::read(folder))?.file_name().into_string());
         }
         there.sort_by(|a, b| (a.len(), a).cmp(&(b.len(), b)));
         let recordings: Vec<&String> = there.iter().filter(|name| name.ends_with(".mcap")).collect();
@@ -44,11 +44,11 @@ impl Bag {
             let files = recordings.iter().map(|name| folder.join(name)).collect();
             return Ok(Self { files, n_messages: None, notes: vec![note] });
         }
-        let n_bytes = fs::metadata(&path).map_err(|error| io(&path, error))?.len();
+        let n_bytes = fs::metadata(&path).map_err(FileError::read(&path))?.len();
         if n_bytes > MAX_METADATA_BYTES {
             return Err(fault(format!("metadata.yaml has {n_bytes} bytes, at most {MAX_METADATA_BYTES} are read")));
         }
-        let text = fs::read_to_string(&path).map_err(|error| io(&path, error))?;
+        let text = fs::read_to_string(&path).map_err(FileError::read(&path))?;
         let metadata = Metadata::of(&text).map_err(|reason| fault(format!("metadata.yaml: {reason}")))?;
         if let Some(storage) = metadata.storage.filter(|storage| storage != "mcap") {
             return Err(fault(format!("the bag is stored as {storage}; convert it to mcap with `ros2 bag convert`")));
@@ -190,17 +190,17 @@ rosbag2_bagfile_information:
 
     #[test]
     fn the_recordings_of_a_bag_come_in_the_order_of_its_metadata() {
-        let found = bag(METADATA, &["bag_1.mcap", "bag_0.mcap", "bag_2.mcap"]).unwrap();
-        assert_eq!(found.files, [PathBuf::from("bag_0.mcap"), "bag_1.mcap".into()]);
-        assert_eq!(found.n_messages, Some(12), "that of the bag, not of a topic or a file");
-        assert!(found.notes[0].ends_with("1 recordings are not named in metadata.yaml and were not read"));
+        let result = bag(METADATA, &["bag_1.mcap", "bag_0.mcap", "bag_2.mcap"]).unwrap();
+        assert_eq!(result.files, [PathBuf::from("bag_0.mcap"), "bag_1.mcap".into()]);
+        assert_eq!(result.n_messages, Some(12), "that of the bag, not of a topic or a file");
+        assert!(result.notes[0].ends_with("1 recordings are not named in metadata.yaml and were not read"));
     }
 
     #[test]
     fn without_metadata_the_recordings_are_read_by_name_with_a_note() {
-        let found = bag("", &["bag_10.mcap", "bag_2.mcap", "bag_0.mcap"]).unwrap();
-        assert_eq!(found.files, ["bag_0.mcap", "bag_2.mcap", "bag_10.mcap"].map(PathBuf::from));
-        assert!(found.notes[0].contains("no metadata.yaml"), "{:?}", found.notes);
+        let result = bag("", &["bag_10.mcap", "bag_2.mcap", "bag_0.mcap"]).unwrap();
+        assert_eq!(result.files, ["bag_0.mcap", "bag_2.mcap", "bag_10.mcap"].map(PathBuf::from));
+        assert!(result.notes[0].contains("no metadata.yaml"), "{:?}", result.notes);
     }
 
     #[test]
@@ -228,8 +228,8 @@ rosbag2_bagfile_information:
     #[test]
     fn an_alias_is_the_value_of_its_key_and_the_next_word_a_key() {
         let text = "bag:\n  version: &v 5\n  other: *v\n  storage_identifier: mcap\n  relative_file_paths:\n    - *v\n    - a.mcap\n";
-        let found = Metadata::of(text).unwrap();
-        assert_eq!((found.storage.as_deref(), &found.files[..]), (Some("mcap"), &["a.mcap".to_owned()][..]));
+        let result = Metadata::of(text).unwrap();
+        assert_eq!((result.storage.as_deref(), &result.files[..]), (Some("mcap"), &["a.mcap".to_owned()][..]));
     }
 
     #[test]

@@ -1,20 +1,12 @@
+use crate::FileError;
 use osteoflow_container::{Cause, Damage, ReadError};
-use std::io;
 
 /// A recording that cannot be read, or not to its end.
 #[derive(Debug, thiserror::Error)]
 pub enum McapError {
-    /// The file is missing or may not be read.
-    #[error("{path}: cannot be read: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// What the system said.
-        source: io::Error,
-    },
     /// The path leads to no file that can be read.
     #[error(transparent)]
-    File(#[from] crate::FileError),
+    File(#[from] FileError),
     /// The file or folder is no recording that can be read: what was found, and what to do.
     #[error("{path}: {reason}")]
     Unreadable {
@@ -51,13 +43,12 @@ pub enum McapError {
 
 impl McapError {
     pub(super) fn of(path: &str, error: ReadError) -> Self {
-        let path = path.to_owned();
         let start = match error {
-            ReadError::Io(source) => return Self::Io { path, source },
+            ReadError::Io(source) => return FileError::read(path.as_ref())(source).into(),
             ReadError::Empty => {
                 let reason =
                     "the file is empty, an MCAP recording is expected; was it stopped before anything was written?";
-                return Self::Unreadable { path, reason: reason.into() };
+                return Self::Unreadable { path: path.into(), reason: reason.into() };
             }
             ReadError::NotMcap { start } => start,
         };
@@ -67,7 +58,7 @@ impl McapError {
             s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
             _ => "; is it another kind of file, or damaged?",
         };
-        Self::wrong_magic(&path, &start, hint)
+        Self::wrong_magic(path, &start, hint)
     }
 
     /// Of a file whose header follows a damaged magic.

@@ -12,7 +12,7 @@ use crate::{
     ros2::{NUMERIC_TYPES, PointCloud2, PoseStamped, TransformStamped},
 };
 use bytes::Bytes;
-use foxglove::messages::{PackedElementField, PointCloud, packed_element_field::NumericType};
+use foxglove::messages::{PackedElementField, PointCloud, Quaternion, Vector3, packed_element_field::NumericType};
 use re_cdr::{BigEndian, LittleEndian, from_bytes};
 use serde::Deserialize;
 
@@ -66,7 +66,7 @@ pub(super) fn transform(message: &Encoded) -> Result<JsonTransform, MessageError
 /// The pose of a `geometry_msgs/msg/PoseStamped`.
 pub(super) fn pose(message: &Encoded) -> Result<JsonPoseInFrame, MessageError> {
     let read: PoseStamped = decode(message)?;
-    let pose = JsonPose { position: Some(read.position.into()), orientation: Some(read.orientation.into()) };
+    let pose = JsonPose { position: vector(read.position), orientation: quaternion(read.orientation) };
     Ok(JsonPoseInFrame {
         timestamp: Time::from(read.header.stamp.timestamp()),
         frame_id: read.header.frame_id.into(),
@@ -97,10 +97,18 @@ impl From<TransformStamped<'_>> for JsonTransform {
             timestamp: t.header.stamp.timestamp().into(),
             parent_frame_id: t.header.frame_id.into(),
             child_frame_id: t.child_frame_id.into(),
-            translation: Some(t.translation.into()),
-            rotation: Some(t.rotation.into()),
+            translation: vector(t.translation),
+            rotation: quaternion(t.rotation),
         }
     }
+}
+
+fn vector([x, y, z]: [f64; 3]) -> Option<Vector3> {
+    Some(Vector3 { x, y, z })
+}
+
+fn quaternion([x, y, z, w]: [f64; 4]) -> Option<Quaternion> {
+    Some(Quaternion { x, y, z, w })
 }
 
 fn numeric_type(datatype: u8) -> NumericType {
@@ -113,7 +121,7 @@ mod tests {
     use super::*;
     use crate::{
         message_read::{read_cloud, read_pose_in_frame, read_transforms},
-        ros2::{Header, POINT_CLOUD_2, POSE_STAMPED, PointField, Stamp, TF_MESSAGE, TRANSFORM_STAMPED, Xyz, Xyzw},
+        ros2::{Header, POINT_CLOUD_2, POSE_STAMPED, PointField, Stamp, TF_MESSAGE, TRANSFORM_STAMPED},
     };
     use nalgebra::Point3;
     use re_cdr::to_vec;
@@ -170,7 +178,7 @@ mod tests {
         let fault = |change: fn(&mut PointCloud2<'_>)| {
             read_cloud(message(POINT_CLOUD_2, organised(change))).unwrap_err().to_string()
         };
-        for (said, expected) in [
+        for (refusal, expected) in [
             (
                 fault(|c| c.height = 3),
                 "the data has 80 bytes, but 3 rows of 40 bytes are announced; was the message cut",
@@ -183,7 +191,7 @@ mod tests {
             (fault(|c| c.fields[2].name = "depth"), "the points have no field \"z\"; there are: x, y, depth"),
             (fault(|c| c.row_step = 0), "a row of 2 points of 16 bytes exceeds its 0 bytes"),
         ] {
-            assert!(said.contains(expected), "{said}\n{expected}");
+            assert!(refusal.contains(expected), "{refusal}\n{expected}");
         }
     }
 
@@ -212,8 +220,8 @@ mod tests {
         TransformStamped {
             header: header("world"),
             child_frame_id,
-            translation: Xyz { x: 0.1, y: 0.2, z: 0.3 },
-            rotation: Xyzw { x: 0.0, y: 0.0, z: 0.0, w },
+            translation: [0.1, 0.2, 0.3],
+            rotation: [0.0, 0.0, 0.0, w],
         }
     }
 
@@ -231,26 +239,23 @@ mod tests {
 
     #[test]
     fn a_message_that_is_short_long_or_of_another_layout_is_refused() {
-        let pose = PoseStamped {
-            header: header("world"),
-            position: Xyz { x: 0.0, y: 1.0, z: 2.0 },
-            orientation: Xyzw { x: 0.0, y: 0.0, z: 0.0, w: 1.0 },
-        };
+        let pose =
+            PoseStamped { header: header("world"), position: [0.0, 1.0, 2.0], orientation: [0.0, 0.0, 0.0, 1.0] };
         let whole = little(&pose);
         assert_eq!(read_pose_in_frame(message(POSE_STAMPED, whole.clone())).unwrap().position.y, 1e3);
         for n in 0..whole.len() {
-            let said = read_pose_in_frame(message(POSE_STAMPED, whole[..n].to_vec())).unwrap_err().to_string();
-            assert!(said.contains("the message is no geometry_msgs/msg/PoseStamped"), "{n} bytes: {said}");
+            let refusal = read_pose_in_frame(message(POSE_STAMPED, whole[..n].to_vec())).unwrap_err().to_string();
+            assert!(refusal.contains("the message is no geometry_msgs/msg/PoseStamped"), "{n} bytes: {refusal}");
         }
         let mut long = whole.clone();
         long.extend([0; 36 * 8]);
-        let said = read_pose_in_frame(message(POSE_STAMPED, long)).unwrap_err().to_string();
-        assert!(said.contains("288 bytes follow it"), "a pose with covariance: {said}");
+        let refusal = read_pose_in_frame(message(POSE_STAMPED, long)).unwrap_err().to_string();
+        assert!(refusal.contains("288 bytes follow it"), "a pose with covariance: {refusal}");
         for encapsulation in [[0, 2], [0, 7], [0x28, 0xb5]] {
             let mut other = whole.clone();
             other[..2].copy_from_slice(&encapsulation);
-            let said = read_pose_in_frame(message(POSE_STAMPED, other)).unwrap_err().to_string();
-            assert!(said.contains("is not plain CDR"), "{said}");
+            let refusal = read_pose_in_frame(message(POSE_STAMPED, other)).unwrap_err().to_string();
+            assert!(refusal.contains("is not plain CDR"), "{refusal}");
         }
     }
 }

@@ -80,8 +80,8 @@ impl Layout {
     fn needed(raw: &PointCloud, missing: &str, field: Option<Field>) -> Result<Field, MessageError> {
         field.ok_or_else(|| {
             let names: Vec<&str> = raw.fields.iter().map(|f| f.name.as_str()).collect();
-            let found = if names.is_empty() { "none".into() } else { names.join(", ") };
-            MessageError(format!("the points have no field \"{missing}\"; there are: {found}"))
+            let list = if names.is_empty() { "none".into() } else { names.join(", ") };
+            MessageError(format!("the points have no field \"{missing}\"; there are: {list}"))
         })
     }
 }

@@ -52,13 +52,13 @@ fn every_numeric_type_is_read_as_what_it_is() {
         data.extend(&bytes);
         let raw = cloud_of(2 + n, &[("z", 0, 1), ("y", 1, 2), ("x", 2, code)], data);
         if metres * 1000.0 > osteoflow_geometry::FARTHEST_MM {
-            let said = read(&raw).unwrap_err().to_string();
+            let refusal = read(&raw).unwrap_err().to_string();
             let far = format!("point 1, at byte 0 of the data: the coordinate {:?} mm is farther", metres * 1000.0);
-            assert!(said.starts_with(&far), "type {code}: {said}");
+            assert!(refusal.starts_with(&far), "type {code}: {refusal}");
             continue;
         }
-        let found = read(&raw).unwrap().cloud.points()[0];
-        assert_eq!(found, Point3::new(metres * 1000.0, 4000.0, 3000.0), "type {code}");
+        let result = read(&raw).unwrap().cloud.points()[0];
+        assert_eq!(result, Point3::new(metres * 1000.0, 4000.0, 3000.0), "type {code}");
     }
 }
 
@@ -123,7 +123,7 @@ fn a_cloud_that_was_moved_to_the_world_does_not_say_where_its_camera_was() {
 
 #[test]
 fn a_pose_that_turns_nothing_is_refused() {
-    for (w, said) in [
+    for (w, refusal) in [
         (0.0, "the quaternion is zero"),
         (f64::NAN, "the quaternion is not finite"),
         (
@@ -135,7 +135,7 @@ fn a_pose_that_turns_nothing_is_refused() {
         let orientation = FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w };
         raw.pose = Some(FoxglovePose { position: None, orientation: Some(orientation) });
         let error = read(&raw).unwrap_err().to_string();
-        assert_eq!(error, format!("the cloud's pose cannot be used: {said}"));
+        assert_eq!(error, format!("the cloud's pose cannot be used: {refusal}"));
         assert_eq!(read_cloud_head(protobuf(POINT_CLOUD, &raw)).unwrap_err().to_string(), error);
     }
 }
@@ -145,12 +145,12 @@ fn a_rounded_pose_of_a_cloud_is_corrected_and_says_by_how_much() {
     let mut raw = xyz_f32(&[[0.1, 0.2, 0.3]]);
     let orientation = FoxgloveQuaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.9998 };
     raw.pose = Some(FoxglovePose { position: None, orientation: Some(orientation) });
-    let found = read(&raw).unwrap();
-    assert!((found.correction.deviation - 2e-4).abs() < 1e-12, "{:?}", found.correction);
+    let result = read(&raw).unwrap();
+    assert!((result.correction.deviation - 2e-4).abs() < 1e-12, "{:?}", result.correction);
     let head = read_cloud_head(protobuf(POINT_CLOUD, &raw)).unwrap();
     assert_eq!(
         head,
-        CloudHead { frame: found.cloud.frame.clone(), stamp_ns: 5_000_000_006, correction: found.correction }
+        CloudHead { frame: result.cloud.frame.clone(), stamp_ns: 5_000_000_006, correction: result.correction }
     );
     let json = r#"{"timestamp":{"sec":5,"nsec":6},"frame_id":"camera","pose":{"orientation":{"w":0.9998}},"data":"!"}"#;
     assert_eq!(read_cloud_head(message(POINT_CLOUD, "json", json)).unwrap(), head);
@@ -211,7 +211,7 @@ fn a_missing_or_zero_timestamp_gives_way_to_the_publish_time() {
     for timestamp in [None, Some(Timestamp::new(0, 0))] {
         raw.timestamp = timestamp;
         assert_eq!(read(&raw).unwrap().cloud.stamp_ns, 77);
-        assert_eq!(stamp(protobuf(POINT_CLOUD, &raw)), Ok(77));
+        assert_eq!(read_cloud_head(protobuf(POINT_CLOUD, &raw)).unwrap().stamp_ns, 77);
     }
 }
 
@@ -257,7 +257,6 @@ fn json_is_read_as_writers_spell_it() {
         let expected =
             Pose::new("world", "m", Isometry3::translation(1000.0, 500.0, 0.0)).at(1_750_000_001_000_000_005);
         assert_eq!(pose, expected, "{text}");
-        assert_eq!(stamp(message(FRAME_TRANSFORM, "json", text)), Ok(expected.stamp_ns));
     }
     let lost = r#"{"parent_frame_id":"w\"NaN","child_frame_id":"m","translation":{"x":NaN,"y":null,"z":-Infinity},
         "rotation":{"x":"NaN","y":0,"z":0,"w":1}}"#;
@@ -300,9 +299,9 @@ fn a_tip_may_lack_its_orientation_but_not_its_position() {
     let tip = |pose| PoseInFrame { timestamp: None, frame_id: "world".into(), pose };
     let position = Some(FoxgloveVector3 { x: 0.001, y: 0.0, z: 0.0 });
     let read = |t: &PoseInFrame| read_pose_in_frame(protobuf(POSE_IN_FRAME, t));
-    let found = read(&tip(Some(FoxglovePose { position, orientation: None }))).unwrap();
-    assert_eq!((found.position, &found.orientation, found.stamp_ns), (Point3::new(1.0, 0.0, 0.0), &None, 77));
-    let error = found.pose("tip").unwrap_err().to_string();
+    let result = read(&tip(Some(FoxglovePose { position, orientation: None }))).unwrap();
+    assert_eq!((result.position, &result.orientation, result.stamp_ns), (Point3::new(1.0, 0.0, 0.0), &None, 77));
+    let error = result.pose("tip").unwrap_err().to_string();
     assert!(error.ends_with("t_world_tip at 77 ns has no orientation"), "no identity in its place: {error}");
     let turned =
         |w| tip(Some(FoxglovePose { position, orientation: Some(FoxgloveQuaternion { w, ..Default::default() }) }));
@@ -316,16 +315,19 @@ fn a_tip_may_lack_its_orientation_but_not_its_position() {
 
 #[test]
 fn another_schema_or_encoding_is_named() {
-    let said = read_cloud(message("sensor_msgs/msg/PointCloud2", "cdr", "")).unwrap_err().to_string();
-    assert_eq!(said, "the message is no sensor_msgs/msg/PointCloud2: it has 0 bytes, and CDR begins with 4");
+    let refusal = read_cloud(message("sensor_msgs/msg/PointCloud2", "cdr", "")).unwrap_err().to_string();
+    assert_eq!(refusal, "the message is no sensor_msgs/msg/PointCloud2: it has 0 bytes, and CDR begins with 4");
     // The schema of one family in the encoding of the other.
     for (schema, encoding) in [(POINT_CLOUD, "cdr"), ("sensor_msgs/msg/PointCloud2", "protobuf"), (POINT_CLOUD, "ros1")]
     {
-        let said = read_cloud(message(schema, encoding, "")).unwrap_err().to_string();
-        assert!(said.starts_with(&format!("a {schema} written as \"{encoding}\" is not read; foxglove.*")), "{said}");
+        let refusal = read_cloud(message(schema, encoding, "")).unwrap_err().to_string();
+        assert!(
+            refusal.starts_with(&format!("a {schema} written as \"{encoding}\" is not read; foxglove.*")),
+            "{refusal}"
+        );
     }
-    let said = read_transforms(message(POINT_CLOUD, "protobuf", "")).unwrap_err().to_string();
-    assert!(said.contains("but the topic carries foxglove.PointCloud"), "{said}");
+    let refusal = read_transforms(message(POINT_CLOUD, "protobuf", "")).unwrap_err().to_string();
+    assert!(refusal.contains("but the topic carries foxglove.PointCloud"), "{refusal}");
 }
 
 #[test]
@@ -338,7 +340,7 @@ fn a_region_that_cannot_be_understood_is_an_error_and_not_ignored() {
         recording
     };
     assert_eq!(procedure_region(&recording("", "")), Ok(None));
-    for (min, max, said) in [
+    for (min, max, refusal) in [
         ("0 0", "1 1 1", "\"0 0\" is not three numbers"),
         ("0 0 0", "1 1 1 1", "\"1 1 1 1\" is not three numbers"),
         ("0 0 nan", "1 1 1", "is not three numbers"),
@@ -346,6 +348,6 @@ fn a_region_that_cannot_be_understood_is_an_error_and_not_ignored() {
         ("0 0 0", "", "key \"roi_camera_max_m\": it is missing"),
     ] {
         let error = procedure_region(&recording(min, max)).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(refusal), "{error}");
     }
 }

@@ -1,26 +1,15 @@
 //! Big-endian numbers and texts of fixed size.
 
-use osteoflow_geometry::StampNs;
-
 /// A message that cannot be written.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum EncodeError {
+#[error("{0}")]
+pub struct EncodeError(pub(super) String);
+
+impl EncodeError {
     /// A name or text does not fit its field.
-    #[error("{what} \"{text}\" has {} bytes, and {limit} fit", .text.len())]
-    TooLong {
-        /// The field.
-        what: &'static str,
-        /// Its text.
-        text: String,
-        /// Its size.
-        limit: usize,
-    },
-    /// A stamp before 1970 or after 2106.
-    #[error("the stamp {0} ns does not fit a timestamp, which begins in 1970 and ends in 2106")]
-    Stamp(StampNs),
-    /// The content does not fit its type.
-    #[error("{0}")]
-    Content(String),
+    pub(super) fn too_long(what: &str, text: &str, limit: usize) -> Self {
+        Self(format!("{what} \"{text}\" has {} bytes, and {limit} fit", text.len()))
+    }
 }
 
 /// Reads from the front of a slice; every length is checked before anything is allocated.
@@ -86,9 +75,9 @@ pub(super) fn name_of(field: &[u8]) -> String {
 }
 
 /// Writes a text into a field of `n` bytes, filled up with zeros.
-pub(super) fn put_name(out: &mut Vec<u8>, what: &'static str, text: &str, n: usize) -> Result<(), EncodeError> {
+pub(super) fn put_name(out: &mut Vec<u8>, what: &str, text: &str, n: usize) -> Result<(), EncodeError> {
     if text.len() > n || text.contains('\0') {
-        return Err(EncodeError::TooLong { what, text: text.into(), limit: n });
+        return Err(EncodeError::too_long(what, text, n));
     }
     out.extend(text.as_bytes());
     out.extend(std::iter::repeat_n(0, n - text.len()));

@@ -117,21 +117,21 @@ mod tests {
     fn a_clock_set_forward_or_back_is_reported_once() {
         let half = 1_750_000_000 * S + 25 * S;
         for by in [3600 * S, -S] {
-            let found = notes(1000, |now| if now < half { now } else { now + by });
-            assert_eq!(found[0], ClockNote::Offset(0));
+            let sentences = notes(1000, |now| if now < half { now } else { now + by });
+            assert_eq!(sentences[0], ClockNote::Offset(0));
             let is_near = |now: StampNs| (now + by).abs() < S / 30;
-            assert!(matches!(found[1..], [ClockNote::Jump(0, now)] if is_near(now)), "{found:?}");
+            assert!(matches!(sentences[1..], [ClockNote::Jump(0, now)] if is_near(now)), "{sentences:?}");
         }
     }
 
     #[test]
     fn a_recording_played_fast_is_reported_once_and_not_as_jumps_without_end() {
         let start = 1_750_000_000 * S;
-        let found = notes(10_000, |now| start + (now - start) * 10);
+        let sentences = notes(10_000, |now| start + (now - start) * 10);
         assert!(
-            matches!(found[..], [ClockNote::Offset(_), ClockNote::Jump(..), ClockNote::Jump(..), ClockNote::Rate(rate)]
+            matches!(sentences[..], [ClockNote::Offset(_), ClockNote::Jump(..), ClockNote::Jump(..), ClockNote::Rate(rate)]
             if (rate - 10.0).abs() < 0.5),
-            "{found:?}"
+            "{sentences:?}"
         );
     }
 

@@ -24,7 +24,7 @@ pub enum Body {
     /// STATUS.
     Status(Status),
     /// STRING.
-    Text(Text),
+    Text(String),
     /// STT_TDATA: asks a server for TDATA.
     StartTracking {
         /// The least time between two, ms.
@@ -145,10 +145,6 @@ impl Status {
     }
 }
 
-/// A STRING.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Text(pub String);
-
 impl Body {
     /// The name of the type.
     pub fn type_name(&self) -> &str {
@@ -180,7 +176,7 @@ impl Body {
             }),
             "STRING" => {
                 let (_encoding, n) = (reader.u16()?, reader.u16()?);
-                Self::Text(Text(String::from_utf8_lossy(reader.take(usize::from(n))?).into_owned()))
+                Self::Text(String::from_utf8_lossy(reader.take(usize::from(n))?).into_owned())
             }
             "STT_TDATA" => Self::StartTracking { interval_ms: reader.u32()?, coordinates: reader.name(32)? },
             _ => Self::Other { type_name: type_name.into(), n_bytes: reader.take(reader.left())?.len() },
@@ -204,7 +200,7 @@ impl Body {
                 }
                 _ => {
                     let message = "a POSITION is one position without a name, with a quaternion";
-                    return Err(EncodeError::Content(message.into()));
+                    return Err(EncodeError(message.into()));
                 }
             },
             Self::Points(points) => {
@@ -223,18 +219,14 @@ impl Body {
                 out.extend(sub_code.to_be_bytes());
                 put_name(out, "the name of the status", name, 20)?;
                 if message.len() >= 1 << 16 || message.contains('\0') {
-                    let (what, text) = ("the message of the status", message.clone());
-                    return Err(EncodeError::TooLong { what, text, limit: (1 << 16) - 1 });
+                    return Err(EncodeError::too_long("the message of the status", message, (1 << 16) - 1));
                 }
                 out.extend(message.as_bytes());
                 out.push(0);
             }
-            Self::Text(Text(text)) => {
-                let n = u16::try_from(text.len()).map_err(|_| EncodeError::TooLong {
-                    what: "the text",
-                    text: text.clone(),
-                    limit: usize::from(u16::MAX),
-                })?;
+            Self::Text(text) => {
+                let too_long = |_| EncodeError::too_long("the text", text, usize::from(u16::MAX));
+                let n = u16::try_from(text.len()).map_err(too_long)?;
                 out.extend(encoding_of(text).to_be_bytes());
                 out.extend(n.to_be_bytes());
                 out.extend(text.as_bytes());
@@ -244,7 +236,7 @@ impl Body {
                 put_name(out, "the coordinates", coordinates, 32)?;
             }
             Self::Other { type_name, .. } => {
-                return Err(EncodeError::Content(format!("{type_name} cannot be written")));
+                return Err(EncodeError(format!("{type_name} cannot be written")));
             }
         }
         Ok(())

@@ -4,7 +4,7 @@ use super::{
     Message,
     bytes::Reader,
     crc64,
-    header::{HEADER_BYTES, Header, HeaderError, find},
+    header::{HEADER_BYTES, Header, find},
 };
 
 /// Takes a stream of bytes apart, in pieces of any size.
@@ -19,43 +19,11 @@ pub struct Decoder {
     is_lost: bool,
 }
 
-/// Bytes that gave no message.
+/// Why bytes gave no message: they are no header, after which the next is looked for, or a body that is not the one that was
+/// sent, not what its type prescribes, or not whole.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Damage {
-    /// The bytes are no header; the next header is looked for.
-    #[error("the stream is out of step: {0}")]
-    Header(#[from] HeaderError),
-    /// The body is not the one that was sent.
-    #[error("{type_name} of \"{device}\": the CRC of its body is wrong")]
-    Crc {
-        /// The type.
-        type_name: String,
-        /// The device.
-        device: String,
-    },
-    /// The body was sent so, and is not what its type prescribes.
-    #[error("{type_name} of \"{device}\" is malformed: {reason}")]
-    Content {
-        /// The type.
-        type_name: String,
-        /// The device.
-        device: String,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The rest of the body did not come.
-    #[error("{type_name} of \"{device}\" ended after {n_found} of {n_expected} bytes")]
-    Incomplete {
-        /// The type.
-        type_name: String,
-        /// The device.
-        device: String,
-        /// Bytes of the body that came.
-        n_found: usize,
-        /// Bytes of the body that were announced.
-        n_expected: usize,
-    },
-}
+#[error("{0}")]
+pub struct Damage(String);
 
 impl Decoder {
     /// Adds bytes as they arrived.
@@ -73,13 +41,12 @@ impl Decoder {
     pub fn give_up(&mut self) -> Option<Damage> {
         let header = self.header()?.ok()?;
         let n_found = self.buffer.len() - self.at - HEADER_BYTES;
-        let Header { type_name, device, n_body, .. } = header;
         self.skip();
-        Some(Damage::Incomplete { type_name, device, n_found, n_expected: n_body })
+        Some(Damage(format!("{} ended after {n_found} of {} bytes", header.name(), header.n_body)))
     }
 
     /// The bytes at hand, as a header; `None` if there are too few.
-    fn header(&self) -> Option<Result<Header, HeaderError>> {
+    fn header(&self) -> Option<Result<Header, String>> {
         let rest = Reader::new(&self.buffer[self.at..]).array().ok()?;
         Some(Header::parse(&rest))
     }
@@ -107,22 +74,18 @@ impl Iterator for Decoder {
                     if was_lost {
                         continue;
                     }
-                    return Some(Err(error.into()));
+                    return Some(Err(Damage(format!("the stream is out of step: {error}"))));
                 }
             };
             let body = self.buffer[self.at + HEADER_BYTES..].get(..header.n_body)?;
             if crc64(body) != header.crc {
                 self.skip();
-                return Some(Err(Damage::Crc { type_name: header.type_name, device: header.device }));
+                return Some(Err(Damage(format!("{}: the CRC of its body is wrong", header.name()))));
             }
             let parsed = Message::parse(&header, body);
             self.at += HEADER_BYTES + header.n_body;
             self.is_lost = false;
-            return Some(parsed.map_err(|reason| Damage::Content {
-                type_name: header.type_name,
-                device: header.device,
-                reason,
-            }));
+            return Some(parsed.map_err(|reason| Damage(format!("{} is malformed: {reason}", header.name()))));
         }
     }
 }

@@ -26,29 +26,29 @@ pub(super) struct Header {
     pub(super) crc: u64,
 }
 
-/// Bytes that are no header, and why.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct HeaderError(String);
-
 impl Header {
+    /// The type and the device.
+    pub(super) fn name(&self) -> String {
+        format!("{} of \"{}\"", self.type_name, self.device)
+    }
+
     /// The header in the first [`HEADER_BYTES`] of `bytes`.
     ///
     /// Everything is checked that a header shows by itself, so that random bytes are hardly ever one: it has no checksum.
-    pub(super) fn parse(bytes: &[u8; HEADER_BYTES]) -> Result<Self, HeaderError> {
+    pub(super) fn parse(bytes: &[u8; HEADER_BYTES]) -> Result<Self, String> {
         let version = u16::from_be_bytes([bytes[0], bytes[1]]);
         if !(1..=3).contains(&version) {
-            return Err(HeaderError(format!("the header version is {version}, and 1 to 3 are known")));
+            return Err(format!("the header version is {version}, and 1 to 3 are known"));
         }
         let type_name = name_of(&bytes[2..14]);
         let is_padded = bytes[2 + type_name.len().min(12)..14].iter().all(|&b| b == 0);
         let is_type = |c: char| c.is_ascii_uppercase() || c.is_ascii_digit() || c == '_';
         if type_name.is_empty() || !is_padded || !type_name.chars().all(is_type) {
-            return Err(HeaderError("the type of the message is no name".into()));
+            return Err("the type of the message is no name".into());
         }
         let device = name_of(&bytes[14..34]);
         if device.chars().any(|c| c.is_control() || c == char::REPLACEMENT_CHARACTER) {
-            return Err(HeaderError(format!("the device of the {type_name} is no name")));
+            return Err(format!("the device of the {type_name} is no name"));
         }
         let word = |at: usize| {
             let mut word = [0; 8];
@@ -60,9 +60,7 @@ impl Header {
             Ok(n) if can_have(&type_name, version, n) => {
                 Ok(Self { version, type_name, device, stamp_ns, n_body: n, crc })
             }
-            _ => Err(HeaderError(format!(
-                "{type_name} of \"{device}\" has a body of {n_body} bytes, which it cannot have"
-            ))),
+            _ => Err(format!("{type_name} of \"{device}\" has a body of {n_body} bytes, which it cannot have")),
         }
     }
 }
@@ -139,8 +137,8 @@ mod tests {
         let most = (1 << 20) + (1 << 17);
         for version in [2, 3] {
             for type_name in ["TRANSFORM", "POSITION", "STATUS", "STRING"] {
-                let found = [11, 12, most, most + 1].map(|n| can_have(type_name, version, n));
-                assert_eq!(found, [false, true, true, false], "{type_name}");
+                let answers = [11, 12, most, most + 1].map(|n| can_have(type_name, version, n));
+                assert_eq!(answers, [false, true, true, false], "{type_name}");
             }
             assert_eq!([11, 12, 13, most + 1].map(|n| can_have("TDATA", version, n)), [false, true, true, true]);
             assert!(!can_have("IMAGE", version, MAX_BODY_BYTES + 1));

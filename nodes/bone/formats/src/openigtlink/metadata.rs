@@ -66,15 +66,16 @@ impl Extended {
         out: &mut Vec<u8>,
         content: impl FnOnce(&mut Vec<u8>) -> Result<(), EncodeError>,
     ) -> Result<(), EncodeError> {
-        let too_long = |what, text: &str, limit| EncodeError::TooLong { what, text: text.into(), limit };
         let (mut index, mut texts) = (Vec::new(), Vec::<u8>::new());
-        let n = u16::try_from(self.metadata.len()).ok().filter(|n| *n < u16::MAX / 8).ok_or_else(|| {
-            EncodeError::Content(format!("{} entries of metadata, and 8190 fit", self.metadata.len()))
-        })?;
+        let n = u16::try_from(self.metadata.len())
+            .ok()
+            .filter(|n| *n < u16::MAX / 8)
+            .ok_or_else(|| EncodeError(format!("{} entries of metadata, and 8190 fit", self.metadata.len())))?;
         index.extend(n.to_be_bytes());
         for Metadata { key, value } in &self.metadata {
-            let n_key = u16::try_from(key.len()).map_err(|_| too_long("a key", key, 65_535))?;
-            let n_value = u32::try_from(value.len()).map_err(|_| too_long("the value of", key, u32::MAX as usize))?;
+            let n_key = u16::try_from(key.len()).map_err(|_| EncodeError::too_long("a key", key, 65_535))?;
+            let n_value = u32::try_from(value.len())
+                .map_err(|_| EncodeError::too_long("the value of", key, u32::MAX as usize))?;
             index.extend(n_key.to_be_bytes());
             index.extend(encoding_of(value).to_be_bytes());
             index.extend(n_value.to_be_bytes());

@@ -97,9 +97,7 @@ impl PolyData {
 
     pub(super) fn put(&self, out: &mut Vec<u8>) -> Result<(), EncodeError> {
         let n = |n: usize| {
-            u32::try_from(n)
-                .map_err(|_| EncodeError::Content(format!("{n} does not fit a POLYDATA")))
-                .map(u32::to_be_bytes)
+            u32::try_from(n).map_err(|_| EncodeError(format!("{n} does not fit a POLYDATA"))).map(u32::to_be_bytes)
         };
         let all = [&self.vertices, &self.lines, &self.polygons, &self.strips];
         out.extend(n(self.points.len())?);
@@ -118,15 +116,14 @@ impl PolyData {
             if n_components == 0 || !attribute.values.len().is_multiple_of(n_components) {
                 let Attribute { name, values, .. } = attribute;
                 let message = format!("attribute \"{name}\" has {} values of {n_components} components", values.len());
-                return Err(EncodeError::Content(message));
+                return Err(EncodeError(message));
             }
             out.extend([attribute.kind, attribute.n_components]);
             out.extend(n(attribute.values.len() / n_components)?);
         }
         for attribute in &self.attributes {
             if attribute.name.len() > 255 || attribute.name.contains('\0') {
-                let (what, text) = ("the attribute", attribute.name.clone());
-                return Err(EncodeError::TooLong { what, text, limit: 255 });
+                return Err(EncodeError::too_long("the attribute", &attribute.name, 255));
             }
             out.extend(attribute.name.as_bytes());
             out.push(0);

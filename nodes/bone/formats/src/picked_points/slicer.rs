@@ -161,12 +161,8 @@ impl<'a> Item<'a> {
     }
 
     fn numbers<const N: usize>(&self, key: &str) -> Result<[f64; N], FileError> {
-        let list = self.value.get(key).and_then(Value::as_array);
-        let numbers: Option<Vec<f64>> = list.and_then(|list| list.iter().map(Value::as_f64).collect());
-        numbers
-            .and_then(|numbers| numbers.try_into().ok())
-            .filter(|numbers: &[f64; N]| numbers.iter().all(|n| n.is_finite()))
-            .ok_or_else(|| self.fault(key, format!("{N} finite numbers are expected")))
+        let numbers = self.value.get(key).and_then(json::numbers);
+        numbers.ok_or_else(|| self.fault(key, format!("{N} finite numbers are expected")))
     }
 
     fn has(&self, key: &str) -> bool {
@@ -232,7 +228,7 @@ impl<'a> Item<'a> {
                 }
             }
         };
-        let normal: Unit<Vector3<f64>> = direction(normal).map_err(|error| self.fault("normal", error.to_string()))?;
+        let normal: Unit<Vector3<f64>> = direction(normal).map_err(|error| self.fault("normal", error))?;
         Ok(Some(PickedPlane { name, origin, normal }))
     }
 

@@ -8,11 +8,11 @@ fn read(text: &str) -> Result<PickedPoints, FileError> {
 }
 
 fn said(text: &str) -> String {
-    read(text).map_or_else(|error| error.to_string(), |found| panic!("{found:?}"))
+    read(text).map_or_else(|error| error.to_string(), |content| panic!("{content:?}"))
 }
 
-fn named(found: &PickedPoints) -> Vec<(&str, [f64; 3])> {
-    found.points.iter().map(|p| (&*p.name, p.position.coords.into())).collect()
+fn named(content: &PickedPoints) -> Vec<(&str, [f64; 3])> {
+    content.points.iter().map(|p| (&*p.name, p.position.coords.into())).collect()
 }
 
 fn markups(inner: &str) -> String {
@@ -55,10 +55,10 @@ fn the_same_points_are_read_from_every_format() {
             Space::Unknown,
         ),
     ] {
-        let found = read(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
-        assert_eq!(named(&found), TWO, "{text}");
-        assert_eq!((found.space, found.is_named, found.n_skipped), (space, true, 0), "{text}");
-        assert_eq!(found.notes.len(), usize::from(space == Space::Ras), "{:?}\n{text}", found.notes);
+        let content = read(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+        assert_eq!(named(&content), TWO, "{text}");
+        assert_eq!((content.space, content.is_named, content.n_skipped), (space, true, 0), "{text}");
+        assert_eq!(content.notes.len(), usize::from(space == Space::Ras), "{:?}\n{text}", content.notes);
     }
 }
 
@@ -67,16 +67,16 @@ fn points_without_a_name_are_called_by_their_place() {
     for (text, n_notes) in
         [("1 2 3\n4 5 6\n", 0), ("x,y,z\n1,2,3\n4,5,6\n", 0), ("7,1,2,3\n9,4,5,6\n", 1), ("0 1 2 3\n1 4 5 6\n", 1)]
     {
-        let found = read(text).unwrap();
-        assert_eq!(named(&found), [("1", [1.0, 2.0, 3.0]), ("2", [4.0, 5.0, 6.0])], "{text}");
-        assert_eq!((found.is_named, found.notes.len()), (false, n_notes), "{text}");
+        let content = read(text).unwrap();
+        assert_eq!(named(&content), [("1", [1.0, 2.0, 3.0]), ("2", [4.0, 5.0, 6.0])], "{text}");
+        assert_eq!((content.is_named, content.notes.len()), (false, n_notes), "{text}");
     }
-    let found = read("#0,1,2,3\n#1,4,5,6\n").unwrap();
-    assert_eq!(named(&found), [("#0", [1.0, 2.0, 3.0]), ("#1", [4.0, 5.0, 6.0])]);
-    let found = read("P1,1,2,3\n,4,5,6\n").unwrap();
-    assert_eq!(named(&found)[1].0, "2");
-    assert_eq!(found.notes, ["1 of 2 points have no name and are called by their place in the list"]);
-    assert!(!found.is_named);
+    let content = read("#0,1,2,3\n#1,4,5,6\n").unwrap();
+    assert_eq!(named(&content), [("#0", [1.0, 2.0, 3.0]), ("#1", [4.0, 5.0, 6.0])]);
+    let content = read("P1,1,2,3\n,4,5,6\n").unwrap();
+    assert_eq!(named(&content)[1].0, "2");
+    assert_eq!(content.notes, ["1 of 2 points have no name and are called by their place in the list"]);
+    assert!(!content.is_named);
 }
 
 #[test]
@@ -85,13 +85,13 @@ fn points_that_are_not_placed_or_inactive_are_passed_over_and_counted() {
         |label: &str, status: &str| format!(r#"{{"label":"{label}","position":[1,2,3],"positionStatus":"{status}"}}"#);
     let points = ["defined", "undefined", "missing", "preview"].map(|status| point(status, status)).join(",");
     let text = markups(&format!(r#""type":"Fiducial","coordinateSystem":"LPS","controlPoints":[{points}]"#));
-    let found = read(&text).unwrap();
-    assert_eq!((found.points.len(), found.n_skipped), (1, 3));
+    let content = read(&text).unwrap();
+    assert_eq!((content.points.len(), content.n_skipped), (1, 3));
     let text = "<PickedPoints><point x=\"1\" y=\"2\" z=\"3\" active=\"0\" name=\"a\"/></PickedPoints>";
     assert!(said(text).contains("there is no point in the file; 1 were passed over"), "{}", said(text));
     let text = "# CoordinateSystem = LPS\n1,0,0,0,0,0,0,1,1,1,0,A,,,0,0\n2,1,2,3,0,0,0,1,1,1,0,B,,,2,0\n";
-    let found = read(text).unwrap();
-    assert_eq!((named(&found), found.n_skipped), (vec![("B", [1.0, 2.0, 3.0])], 1));
+    let content = read(text).unwrap();
+    assert_eq!((named(&content), content.n_skipped), (vec![("B", [1.0, 2.0, 3.0])], 1));
 }
 
 #[test]
@@ -100,24 +100,24 @@ fn planes_and_boxes_are_read_and_turned_to_lps() {
         r#""type":"Plane","name":"cut","coordinateSystem":"RAS","coordinateUnits":["mm","mm","mm"],
            "center":[1,2,3],"normal":[0,2,0],"controlPoints":[{"label":"a","position":[1,2,3]}]"#,
     );
-    let found = read(&text).unwrap();
-    assert_eq!(found.points, []);
-    let plane = &found.planes[0];
+    let content = read(&text).unwrap();
+    assert_eq!(content.points, []);
+    let plane = &content.planes[0];
     assert_eq!((&*plane.name, plane.origin), ("cut", Point3::new(-1.0, -2.0, 3.0)));
     assert_eq!(plane.normal.into_inner(), -Vector3::y());
     let text = markups(
         r#""type":"Plane","coordinateSystem":"LPS","controlPoints":[{"label":"a","position":[0,0,5]},
            {"label":"b","position":[1,0,5]},{"label":"c","position":[0,1,5]}]"#,
     );
-    let found = read(&text).unwrap();
-    assert_eq!((&*found.planes[0].name, found.planes[0].normal.into_inner()), ("a", Vector3::z()));
-    assert_eq!(found.notes, ["plane \"a\" has no normal; it is taken through its three points"]);
+    let content = read(&text).unwrap();
+    assert_eq!((&*content.planes[0].name, content.planes[0].normal.into_inner()), ("a", Vector3::z()));
+    assert_eq!(content.notes, ["plane \"a\" has no normal; it is taken through its three points"]);
     let text = markups(
         r#""type":"ROI","roiType":"Box","coordinateSystem":"RAS","center":[1,2,3],"size":[10,20,30],
            "orientation":[0,-1,0,1,0,0,0,0,1],"controlPoints":[]"#,
     );
-    let found = read(&text).unwrap();
-    let roi = &found.rois[0];
+    let content = read(&text).unwrap();
+    let roi = &content.rois[0];
     assert_eq!(
         (&*roi.name, roi.center, roi.size_mm),
         ("roi_1", Point3::new(-1.0, -2.0, 3.0), Vector3::new(10.0, 20.0, 30.0))
@@ -185,9 +185,9 @@ fn a_broken_file_says_where_and_why() {
 #[test]
 fn a_file_that_states_no_space_is_noted_and_contradictions_are_refused() {
     let point = r#""controlPoints":[{"label":"a","position":[1,2,3]}]"#;
-    let found = read(&markups(&format!(r#""type":"Fiducial",{point}"#))).unwrap();
-    assert_eq!((found.space, named(&found)), (Space::Unknown, vec![("a", [1.0, 2.0, 3.0])]));
-    assert_eq!(found.notes, ["the file states no coordinate system; its numbers are taken as they are"]);
+    let content = read(&markups(&format!(r#""type":"Fiducial",{point}"#))).unwrap();
+    assert_eq!((content.space, named(&content)), (Space::Unknown, vec![("a", [1.0, 2.0, 3.0])]));
+    assert_eq!(content.notes, ["the file states no coordinate system; its numbers are taken as they are"]);
     let text =
         r#"{"markups":[{"type":"Fiducial","coordinateSystem":"LPS"},{"type":"Fiducial","coordinateSystem":"RAS"}]}"#;
     assert!(said(text).contains("markups[1].coordinateSystem: it is RAS, but LPS for the first"), "{}", said(text));

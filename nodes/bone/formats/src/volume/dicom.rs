@@ -15,7 +15,7 @@ mod series;
 use super::grid::{Volume, VolumeRead, VoxelUnit, affine};
 use crate::{FileError, input};
 use image::Image;
-use nalgebra::{Matrix4, Vector3};
+use nalgebra::Vector3;
 use series::{Series, choose};
 use std::{
     io::Read,
@@ -42,17 +42,8 @@ pub(super) fn read_file(path: &Path) -> Result<VolumeRead, FileError> {
     let voxels = image.voxels(path, &bytes, &mut notes)?;
     let thickness = image.thickness_mm.filter(|t| *t > 0.0).unwrap_or(1.0);
     let step = image.row.cross(&image.column) * thickness;
-    Ok(VolumeRead {
-        volume: Volume {
-            size: [image.n_columns, image.n_rows, 1],
-            voxels,
-            t_lps_voxel: matrix(&image, step),
-            unit: image.unit(),
-            is_oriented: true,
-        },
-        source: format!("DICOM, {}, one layer", image.modality),
-        notes,
-    })
+    let volume = placed(&image, step, 1, voxels, image.unit());
+    Ok(VolumeRead { volume, source: format!("DICOM, {}, one layer", image.modality), notes })
 }
 
 /// The series in a folder and the folders in it.
@@ -144,22 +135,14 @@ fn assemble(path: &Path, series: Series, mut notes: Vec<String>) -> Result<Volum
     if unit == VoxelUnit::Unknown {
         notes.push(format!("modality {}: the values are not stated to be HU", first.modality));
     }
-    Ok(VolumeRead {
-        volume: Volume {
-            size: [first.n_columns, first.n_rows, order.images.len()],
-            voxels,
-            t_lps_voxel: matrix(first, order.step),
-            unit,
-            is_oriented: true,
-        },
-        source: series.name(),
-        notes,
-    })
+    let volume = placed(first, order.step, order.images.len(), voxels, unit);
+    Ok(VolumeRead { volume, source: series.name(), notes })
 }
 
-/// Voxels to LPS: columns along the rows' direction, rows along the columns' direction, layers by `step`.
-fn matrix(image: &Image, step: Vector3<f64>) -> Matrix4<f64> {
-    let [between_rows, between_columns] = image.spacing_mm;
-    let axes = [image.row * between_columns, image.column * between_rows, step];
-    affine(axes.map(Into::into), image.position.into(), [1.0; 3])
+/// Layers from the first image on: columns along the rows' direction, rows along the columns' direction, layers by `step`.
+fn placed(first: &Image, step: Vector3<f64>, n_layers: usize, voxels: Vec<f32>, unit: VoxelUnit) -> Volume {
+    let [between_rows, between_columns] = first.spacing_mm;
+    let axes = [first.row * between_columns, first.column * between_rows, step];
+    let t_lps_voxel = affine(axes.map(Into::into), first.position.into(), [1.0; 3]);
+    Volume { size: [first.n_columns, first.n_rows, n_layers], voxels, t_lps_voxel, unit, is_oriented: true }
 }

@@ -5,13 +5,14 @@
 //! fields are needed; a crate would bring an array library along for them.
 
 use super::grid::{Volume, VolumeRead, affine, assumed_unit, n_voxels_and_bytes};
-use super::numbers::{Encoding, StreamError, drain, fill, gunzip, gzip_limit, read_all};
+use super::numbers::{Encoding, StreamError, drain, gzip_limit, read_all};
 use crate::scalar::Scalar;
 use crate::{FileError, input};
+use flate2::read::MultiGzDecoder;
 use nalgebra::{Matrix3, Matrix4, Quaternion, Vector4};
 use osteoflow_geometry::nearest_rotation;
 use std::{
-    io::{BufReader, Read},
+    io::{BufRead, BufReader, Read},
     path::Path,
 };
 
@@ -39,13 +40,13 @@ fn version_and_order(start: &[u8]) -> Option<(u8, bool)> {
 }
 
 /// The fields of a complete header, of either version.
-struct Header<'a> {
-    bytes: &'a [u8],
+struct Header {
+    bytes: Vec<u8>,
     is_big: bool,
     version: u8,
 }
 
-impl Header<'_> {
+impl Header {
     fn ordered<const N: usize>(&self, at: usize) -> [u8; N] {
         let mut bytes: [u8; N] = std::array::from_fn(|k| self.bytes[at + k]);
         if self.is_big {
@@ -106,25 +107,22 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     let file = input::open(path)?;
     let file_bytes = file.metadata().map_err(FileError::read(path))?.len();
     let mut reader = BufReader::with_capacity(1 << 16, file);
-    let mut magic = [0u8; 2];
-    let (n, error) = fill(&mut reader, &mut magic);
-    if let Some(error) = error {
-        return Err(FileError::read(path)(error));
-    }
-    let is_gzip = magic == [0x1f, 0x8b];
-    let mut whole = magic[..n].chain(reader);
+    let is_gzip = reader.fill_buf().map_err(FileError::read(path))?.starts_with(&[0x1f, 0x8b]);
     if is_gzip {
-        read_stream(path, &mut gunzip(whole), &Limits { file_bytes, stream_bytes: gzip_limit(file_bytes), is_gzip })
+        read_stream(
+            path,
+            &mut MultiGzDecoder::new(reader),
+            &Limits { file_bytes, stream_bytes: gzip_limit(file_bytes), is_gzip },
+        )
     } else {
-        read_stream(path, &mut whole, &Limits { file_bytes, stream_bytes: file_bytes, is_gzip })
+        read_stream(path, &mut reader, &Limits { file_bytes, stream_bytes: file_bytes, is_gzip })
     }
 }
 
 fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<VolumeRead, FileError> {
     let fault = |place: &str, message: String| FileError::content(path, place, message);
     let broken = |error: std::io::Error| fault("gzip", format!("{error}; copy the file again"));
-    let mut bytes = [0u8; 540];
-    let header = Header::read(reader, &mut bytes).map_err(|(place, message)| fault(place, message))?;
+    let header = Header::read(reader).map_err(|(place, message)| fault(place, message))?;
     let layout = header.layout(limits).map_err(|(place, message)| fault(&place, message))?;
     let Layout { size: [nx, ny, nz], n, n_bytes, offset, scalar } = layout;
     let n_header = header.n_bytes() as u64;
@@ -147,8 +145,7 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
     let (t_lps_voxel, is_oriented) = placed.map_err(|(place, message)| fault(place, message))?;
 
     let encoding = Encoding { scalar, is_big: header.is_big, slope, intercept };
-    let reserve = usize::try_from(limits.stream_bytes).unwrap_or(usize::MAX) / scalar.n_bytes();
-    let (voxels, n_extra) = read_all(reader, n, reserve, &encoding).map_err(|error| match error {
+    let (voxels, n_extra) = read_all(reader, n, &encoding).map_err(|error| match error {
         StreamError::Short(n_there) => {
             let there = n_there * scalar.n_bytes();
             let message = format!(
@@ -179,20 +176,23 @@ struct Layout {
     scalar: Scalar,
 }
 
-impl<'a> Header<'a> {
-    /// Reads a header of either version into `bytes`.
+impl Header {
+    /// Reads a header of either version.
     ///
     /// # Errors
     /// The field and a message.
-    fn read(reader: &mut impl Read, bytes: &'a mut [u8; 540]) -> Result<Self, (&'static str, String)> {
-        let n = fill(reader, &mut bytes[..4]).0;
-        let (version, is_big) = version_and_order(&bytes[..n]).ok_or_else(|| {
+    fn read(reader: &mut impl Read) -> Result<Self, (&'static str, String)> {
+        let mut bytes = Vec::new();
+        // What stops a stream early shows in the number of bytes.
+        let _ = reader.by_ref().take(4).read_to_end(&mut bytes);
+        let (version, is_big) = version_and_order(&bytes).ok_or_else(|| {
             let message =
                 "the first four bytes are not 348 or 540, the size of a NIfTI header; of gzip files only .nii.gz is read";
             ("byte 0", message.to_owned())
         })?;
         let n_bytes = if version == 1 { 348 } else { 540 };
-        let n = 4 + fill(reader, &mut bytes[4..n_bytes]).0;
+        let _ = reader.by_ref().take(n_bytes as u64 - 4).read_to_end(&mut bytes);
+        let n = bytes.len();
         if n < n_bytes {
             return Err(("header", format!("the header has {n_bytes} bytes, but the file ends after {n}")));
         }
@@ -311,7 +311,7 @@ fn number_type(datatype: i64) -> Result<Scalar, String> {
 
 /// The map from voxels to LPS, mm, and whether the orientation is stated.
 fn placement(
-    header: &Header<'_>,
+    header: &Header,
     size: [usize; 3],
     unit_mm: f64,
     notes: &mut Vec<String>,

@@ -4,9 +4,10 @@
 //! Kindlmann, "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html.
 
 use super::grid::{Volume, VolumeRead, affine, assumed_unit, n_voxels_and_bytes};
-use super::numbers::{Encoding, StreamError, drain, gunzip, gzip_limit, read_all};
+use super::numbers::{Encoding, StreamError, drain, gzip_limit, read_all};
 use crate::scalar::Scalar;
 use crate::{FileError, cursor::Cursor, input};
+use flate2::read::MultiGzDecoder;
 use std::{
     collections::HashMap,
     fs::File,
@@ -137,7 +138,7 @@ impl Data {
             Err(_) => self.reader.seek(SeekFrom::End(-(self.n_bytes as i64))),
         };
         skipped.map_err(FileError::read(&self.path))?;
-        read_all(&mut self.reader, self.n, self.n, &self.encoding).map_err(|error| match error {
+        read_all(&mut self.reader, self.n, &self.encoding).map_err(|error| match error {
             StreamError::Io(error) => FileError::read(&self.path)(error),
             short => self.broken(short),
         })
@@ -147,9 +148,9 @@ impl Data {
         if self.n_bytes > gzip_limit(self.n_there) {
             return Err(self.too_short(&format!("{} bytes of gzip cannot hold them", self.n_there)));
         }
-        let mut decoder = gunzip(&mut self.reader);
+        let mut decoder = MultiGzDecoder::new(&mut self.reader);
         let skipped = drain(&mut decoder, n_skipped).map_err(StreamError::Io);
-        let voxels = skipped.and_then(|_| read_all(&mut decoder, self.n, self.n, &self.encoding));
+        let voxels = skipped.and_then(|_| read_all(&mut decoder, self.n, &self.encoding));
         voxels.map_err(|error| self.broken(error))
     }
 

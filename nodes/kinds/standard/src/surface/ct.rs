@@ -3,7 +3,7 @@
 use osteoflow_algorithms::ct_surface::{
     ComponentChoice, CtSurface, CtSurfaceParams, VolumeView, ct_surface, suggested_threshold,
 };
-use osteoflow_formats::volume::{Volume, VolumeOptions, VoxelUnit, data_file, read_volume};
+use osteoflow_formats::volume::{Volume, VoxelUnit, data_file, read_volume};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
@@ -150,8 +150,7 @@ pub enum NoThreshold {
 /// # Errors
 /// The volume cannot be read, there is no threshold, or nothing lies above it.
 pub fn read_bone(params: &Params, no_threshold: NoThreshold) -> Result<CtBone, NodeError> {
-    let options = VolumeOptions { series: params.series.clone() };
-    let read = read_volume(params.path.as_ref(), &options)?;
+    let read = read_volume(params.path.as_ref(), params.series.as_deref())?;
     let volume = &read.volume;
     let view = VolumeView { size: volume.size, voxels: &volume.voxels, t_lps_voxel: &volume.t_lps_voxel };
     let mut notes = read.notes.clone();

@@ -4,7 +4,7 @@ use crate::acquire::network::{Port, PortItems, StreamParams};
 use osteoflow_formats::{
     Space,
     message_read::is_sensor_frame,
-    openigtlink::{Affine, Body, Fiducial, Message, PolyData, Position, Text, device_name},
+    openigtlink::{Affine, Body, Fiducial, Message, PolyData, Position, device_name},
 };
 use osteoflow_geometry::{
     Cloud, Frame, Mesh, NamedPoint, Nearest, Points, Pose, Region, StampNs, SurfaceOrigin, TooFar,
@@ -156,14 +156,12 @@ impl Port<Content> {
                 self.points(&fiducials, device, stamp_ns)
             }
             ("geometry/Region", Body::Points(points)) => self.region(points, stamp_ns),
-            ("report/Text", Body::Text(Text(text))) => {
-                Ok(PortItems::value(stamp_ns, TextPayload(text.as_str().into())))
-            }
+            ("report/Text", Body::Text(text)) => Ok(PortItems::value(stamp_ns, TextPayload(text.as_str().into()))),
             ("report/Text", Body::Status(status)) => {
                 let text = format!("{} {}: {}", status.code, status.name, status.message);
                 Ok(PortItems::value(stamp_ns, TextPayload(text.into())))
             }
-            ("report/Flag", Body::Text(Text(text))) => match text.trim() {
+            ("report/Flag", Body::Text(text)) => match text.trim() {
                 "true" => Ok(PortItems::value(stamp_ns, Flag(true))),
                 "false" => Ok(PortItems::value(stamp_ns, Flag(false))),
                 other => Err(format!("\"{other}\" is neither true nor false")),

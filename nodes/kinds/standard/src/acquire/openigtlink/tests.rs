@@ -4,7 +4,7 @@ use crate::acquire::network::{
     tests::{MS, Outcome, PortSpec, STAMP, context, take_until},
 };
 use osteoflow_formats::openigtlink::{
-    Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, Text, TrackedTool,
+    Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, TrackedTool,
 };
 use osteoflow_geometry::{
     Cloud, Mesh, Points, Pose, Region, StampNs,
@@ -132,7 +132,7 @@ fn every_type_reaches_a_port_of_its_payload() {
     let mesh = PolyData { points: triangle.points[..3].to_vec(), ..triangle.clone() };
     let points = vec![Fiducial::new("M1", [5.0, 6.0, 7.0]), Fiducial::new("M2", [1.0, 2.0, 30.0])];
     let all = [
-        Message::new("Simulated", STAMP, Body::Text(Text("true".into()))),
+        Message::new("Simulated", STAMP, Body::Text("true".into())),
         transform("StylusToReference", STAMP, 0.0),
         Message::new("PointerToWorld", STAMP, Body::Positions(vec![position])),
         Message::new("Tracker", STAMP, Body::Tracking(vec![tool])),
@@ -140,7 +140,7 @@ fn every_type_reaches_a_port_of_its_payload() {
         Message::new("Touched", STAMP, Body::Points(points.clone())),
         Message::new("Bone", STAMP, Body::PolyData(mesh)),
         Message::new("Roi", STAMP, Body::Points(points)),
-        Message::new("Note", STAMP, Body::Text(Text("here".into()))),
+        Message::new("Note", STAMP, Body::Text("here".into())),
         Message::new("Camera", STAMP, Body::Status(Status::new(13, "warm", "warming up"))),
     ];
     let ports = [
