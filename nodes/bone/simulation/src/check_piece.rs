@@ -68,9 +68,9 @@ pub(crate) fn read_holes(
         });
         // The mean of the marker's samples at this place.
         let path = Path::resting(scan.t_world_camera * t_camera_check);
-        let samples = tracker.samples_at_place(
+        let samples = tracker.samples(
             Marker::Check,
-            place as u64,
+            Some(place as u64),
             &path,
             |_| t_check_marker(),
             &[(scan.s - burst_s, scan.s + burst_s)],

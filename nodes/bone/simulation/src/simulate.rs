@@ -2,8 +2,6 @@
 
 use crate::scene::Scene;
 use crate::{Procedure, ProcedureParams, SimulationError, Subject, phantom};
-use osteoflow_algorithms::mesh_query::MeshQuery;
-use osteoflow_geometry::{Mesh, SurgicalPlan};
 
 impl Procedure {
     /// A procedure on the built-in bone. The same parameters and seed give the same bits on any number of threads.
@@ -16,28 +14,13 @@ impl Procedure {
 
     /// A procedure on a subject, which can be reused, calibrated with the built-in phantom. `params.bone` is not used.
     ///
-    /// # Errors
-    /// As [`Procedure::simulate_on`].
-    pub fn simulate_for(subject: &Subject, params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
-        params.check()?;
-        Scene::new(&subject.surface, &subject.plan, &phantom::mesh(), params, seed)?.run()
-    }
-
-    /// A procedure on any closed bone surface with a plan, calibrated with any phantom. `params.bone` is not used.
-    ///
     /// The built-in marker poses are used if the plan has none.
     ///
     /// # Errors
     /// As [`Procedure::simulate`]; and if the plan has no anatomy, fewer than three landmarks or no assessment point,
     /// or is in another frame than the bone.
-    pub fn simulate_on(
-        bone: &Mesh,
-        plan: &SurgicalPlan,
-        phantom: &Mesh,
-        params: &ProcedureParams,
-        seed: u64,
-    ) -> Result<Self, SimulationError> {
+    pub fn simulate_for(subject: &Subject, params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
         params.check()?;
-        Scene::new(&MeshQuery::new(bone), plan, phantom, params, seed)?.run()
+        Scene::new(&subject.surface, &subject.plan, &phantom::mesh(), params, seed)?.run()
     }
 }

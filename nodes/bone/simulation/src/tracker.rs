@@ -103,40 +103,21 @@ impl Tracker<'_> {
     }
 
     /// Samples of `marker` as `t_world_marker`, during `spans` (seconds, disjoint and in order). The marker is at
-    /// `t_object_marker` (a function of time) on an object that moves along `path`. Lost samples are absent.
+    /// `t_object_marker` (a function of time) on an object that moves along `path`, or rests at its `place`-th place, with
+    /// random streams of that place. Lost samples are absent.
     pub(crate) fn samples(
         &self,
         marker: Marker,
+        place: Option<u64>,
         path: &Path,
         t_object_marker: impl Fn(f64) -> Isometry3<f64>,
         spans: &[(f64, f64)],
     ) -> Vec<Pose> {
-        self.samples_of(marker, marker as u64, path, t_object_marker, |s| self.placement(marker, path, s), spans)
-    }
-
-    /// Samples of a marker on an object that rests at its `place`-th place, with random streams of that place.
-    pub(crate) fn samples_at_place(
-        &self,
-        marker: Marker,
-        place: u64,
-        path: &Path,
-        t_object_marker: impl Fn(f64) -> Isometry3<f64>,
-        spans: &[(f64, f64)],
-    ) -> Vec<Pose> {
-        let (shift, turn) = self.placement_at(marker, place);
-        let item = (marker as u64) << 16 | place;
-        self.samples_of(marker, item, path, t_object_marker, |_| Isometry3::new(shift, turn), spans)
-    }
-
-    fn samples_of(
-        &self,
-        marker: Marker,
-        item: u64,
-        path: &Path,
-        t_object_marker: impl Fn(f64) -> Isometry3<f64>,
-        placement: impl Fn(f64) -> Isometry3<f64>,
-        spans: &[(f64, f64)],
-    ) -> Vec<Pose> {
+        let item = place.map_or(marker as u64, |place| (marker as u64) << 16 | place);
+        let placement = |s: f64| {
+            let (place, share) = place.map_or_else(|| path.place(s), |place| (place, 0.0));
+            self.placement(marker, place, share)
+        };
         let (mut noise, mut loss) =
             (stream(self.seed, Term::TrackerNoise, item), stream(self.seed, Term::TrackerLoss, item));
         let period_s = 1.0 / self.params.rate_hz;
@@ -160,8 +141,7 @@ impl Tracker<'_> {
     }
 
     /// The constant error of a marker at rest, interpolated during a move between those of both places.
-    fn placement(&self, marker: Marker, path: &Path, s: f64) -> Isometry3<f64> {
-        let (place, share) = path.place(s);
+    fn placement(&self, marker: Marker, place: u64, share: f64) -> Isometry3<f64> {
         let (mut shift, mut turn) = self.placement_at(marker, place);
         if share > 0.0 {
             let (next_shift, next_turn) = self.placement_at(marker, place + 1);
@@ -233,7 +213,8 @@ mod tests {
     fn white_noise_and_lost_samples_are_as_large_as_requested() {
         let params = TrackerParams { noise_mm: 0.03, noise_deg: 0.0115, lost: 0.03, ..quiet() };
         let rest = Path::resting(Isometry3::translation(100.0, 0.0, 0.0));
-        let samples = tracker(&params, 5).samples(Marker::Bone, &rest, |_| Isometry3::identity(), &[(0.0, 500.0)]);
+        let samples =
+            tracker(&params, 5).samples(Marker::Bone, None, &rest, |_| Isometry3::identity(), &[(0.0, 500.0)]);
         let lost = 1.0 - samples.len() as f64 / 10_000.0;
         // Four standard errors of a share of 0.03 over 10,000.
         assert!((lost - 0.03).abs() < 0.007, "{lost} of the samples are lost");
@@ -256,6 +237,7 @@ mod tests {
             path.then(1.0, 2.0, Vector3::x(), Vector3::zeros(), Point3::origin());
             let samples = tracker(&params, seed).samples(
                 Marker::Bone,
+                None,
                 &path,
                 |_| Isometry3::identity(),
                 &[(0.0, 0.9), (2.1, 3.0)],
@@ -278,6 +260,7 @@ mod tests {
     fn stamps_rise_and_never_meet_a_whole_second() {
         let samples = tracker(&quiet(), 1).samples(
             Marker::Camera,
+            None,
             &Path::resting(Isometry3::identity()),
             |_| Isometry3::identity(),
             &[(0.4, 1.6), (10.4, 11.6)],

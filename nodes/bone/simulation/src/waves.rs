@@ -14,17 +14,17 @@ pub(crate) struct Waves(Vec<(Vector3<f64>, f64)>);
 impl Waves {
     /// Wavelengths from half to twice `wavelength_mm`.
     pub(crate) fn new(rng: &mut ChaCha8Rng, wavelength_mm: f64) -> Self {
-        let wave = |_| {
-            let wavelength_mm = wavelength_mm * 2f64.powf(2.0 * rng.random::<f64>() - 1.0);
-            (direction(rng) * (TAU / wavelength_mm), TAU * rng.random::<f64>())
-        };
-        Self((0..N_WAVES).map(wave).collect())
+        Self::of(rng, |share| wavelength_mm * 2f64.powf(2.0 * share - 1.0))
     }
 
     /// Wavelengths from `min_mm` to `max_mm`.
     pub(crate) fn between(rng: &mut ChaCha8Rng, [min_mm, max_mm]: [f64; 2]) -> Self {
+        Self::of(rng, |share| min_mm * (max_mm / min_mm).powf(share))
+    }
+
+    fn of(rng: &mut ChaCha8Rng, wavelength_mm: impl Fn(f64) -> f64) -> Self {
         let wave = |_| {
-            let wavelength_mm = min_mm * (max_mm / min_mm).powf(rng.random::<f64>());
+            let wavelength_mm = wavelength_mm(rng.random());
             (direction(rng) * (TAU / wavelength_mm), TAU * rng.random::<f64>())
         };
         Self((0..N_WAVES).map(wave).collect())

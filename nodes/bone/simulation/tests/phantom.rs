@@ -93,9 +93,9 @@ fn two_faces_are_refused_whatever_the_noise() {
                 PhantomShot { view: [0.05, 1.0, 1.0], noise_mm, ..PhantomShot::default() },
             ] {
                 for seed in seeds() {
-                    let found = calibrated(&shot.take(&phantom, seed), &phantom, seed);
-                    let refused = is_refused(&found, "leaves 1 of 6 motions free");
-                    assert!(refused, "{name}, seed {seed}, {shot:?}: {found:?}");
+                    let result = calibrated(&shot.take(&phantom, seed), &phantom, seed);
+                    let refused = is_refused(&result, "leaves 1 of 6 motions free");
+                    assert!(refused, "{name}, seed {seed}, {shot:?}: {result:?}");
                 }
             }
         }
@@ -113,21 +113,24 @@ fn a_mirrored_scan_and_one_of_the_wrong_size_are_refused_with_the_cause() {
             let what = format!("{name}, seed {seed}, noise {noise_mm} mm");
             for size in if is_slow() { vec![0.95, 0.97, 1.03, 1.05] } else { vec![0.97, 1.03] } {
                 scan.points = right.iter().map(|p| p * size).collect();
-                let found = calibrated(&scan, &phantom, seed);
+                let result = calibrated(&scan, &phantom, seed);
                 let side = if size > 1.0 { "too large" } else { "too small" };
-                assert!(is_refused(&found, side), "{what}, {size}: {found:?}");
+                assert!(is_refused(&result, side), "{what}, {size}: {result:?}");
                 let start = nominal(&scan.t_camera_phantom, 3.0, 2.0, seed);
                 let report = phantom_icp(&scan.points, &phantom, &start, &anything()).unwrap().report;
                 let (scale, sd) = (report.scale.unwrap(), report.scale_sd.unwrap());
                 assert!((scale - size).abs() < 0.005 && sd < 0.003, "{what}: {scale} +- {sd} for {size}");
                 let percent = format!("by {:.1} +- {:.1} %", (scale - 1.0).abs() * 100.0, sd * 100.0);
-                assert!(is_refused(&found, &percent), "{what}, {size}: {found:?}");
+                assert!(is_refused(&result, &percent), "{what}, {size}: {result:?}");
             }
             for axis in [0, 1] {
                 scan.points = right.clone();
                 scan.points.iter_mut().for_each(|p| p[axis] = -p[axis]);
-                let found = calibrated(&scan, &phantom, seed);
-                assert!(is_refused(&found, "the mirror image of the phantom's scan"), "{what}, axis {axis}: {found:?}");
+                let result = calibrated(&scan, &phantom, seed);
+                assert!(
+                    is_refused(&result, "the mirror image of the phantom's scan"),
+                    "{what}, axis {axis}: {result:?}"
+                );
             }
         }
     }
@@ -141,9 +144,9 @@ fn a_fit_far_from_the_nominal_pose_is_refused() {
         for seed in seeds() {
             let scan = PhantomShot::default().take(&phantom, seed);
             let start = nominal(&scan.t_camera_phantom, mm, degrees, seed);
-            let found = phantom_icp(&scan.points, &phantom, &start, &params);
-            let refused = is_refused(&found, "degrees from its nominal pose");
-            assert!(found.is_ok() == is_near && refused != is_near, "{mm} mm, {degrees} degrees: {found:?}");
+            let result = phantom_icp(&scan.points, &phantom, &start, &params);
+            let refused = is_refused(&result, "degrees from its nominal pose");
+            assert!(result.is_ok() == is_near && refused != is_near, "{mm} mm, {degrees} degrees: {result:?}");
         }
     }
 }

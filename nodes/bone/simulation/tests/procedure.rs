@@ -6,7 +6,7 @@ use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Mesh, Pose, StampNs, SurfaceOrigin};
 use osteoflow_simulation::{
-    CameraParams, CtParams, Procedure, ProcedureParams, SimulationError, TrackerParams, ct_surface, phantom, plan,
+    CameraParams, CtParams, Procedure, ProcedureParams, SimulationError, Subject, TrackerParams, ct_surface, plan,
 };
 
 fn without_errors() -> ProcedureParams {
@@ -309,15 +309,16 @@ fn with_surroundings_the_region_still_holds_the_bone_and_a_crop_takes_most_of_th
 }
 
 #[test]
-fn a_measured_bone_and_another_phantom_can_be_simulated_on() {
-    const NAME: &str = "a_measured_bone_and_another_phantom_can_be_simulated_on";
+fn a_measured_bone_can_be_simulated_on() {
+    const NAME: &str = "a_measured_bone_can_be_simulated_on";
     for name in ["TLEM2_CT_fibula_r", "MC22_fibula_r"] {
         let Some((bone, anatomy)) = crate::common::measured_bone(name) else {
             println!("skipped: {NAME}: no development data");
             return;
         };
         let plan = plan(&bone, &anatomy).unwrap();
-        let exact = Procedure::simulate_on(&bone, &plan, &phantom::mesh(), &without_errors(), 1).unwrap();
+        let subject = Subject { surface: MeshQuery::new(&bone), plan, notes: Vec::new() };
+        let exact = Procedure::simulate_for(&subject, &without_errors(), 1).unwrap();
         assert_eq!(exact.scan.len(), 20_000);
         assert!(worst_off(&exact.scan, &t_ct_camera(&exact), &bone) < 1e-8);
         let ct = ct_surface(&bone, &CtParams::default(), 1).unwrap();
@@ -351,7 +352,8 @@ fn what_cannot_be_simulated_is_refused_with_the_reason() {
     let on = |change: fn(&mut osteoflow_geometry::SurgicalPlan)| {
         let mut plan = good.plan.clone();
         change(&mut plan);
-        Procedure::simulate_on(&good.truth.bone, &plan, &phantom::mesh(), &params, 1).unwrap_err()
+        let subject = Subject { surface: MeshQuery::new(&good.truth.bone), plan, notes: Vec::new() };
+        Procedure::simulate_for(&subject, &params, 1).unwrap_err()
     };
     assert!(on(|p| p.anatomy = None).to_string().starts_with("the plan has no anatomy"));
     assert!(matches!(on(|p| p.landmarks.frame = "world".into()), SimulationError::Frame(_)));

@@ -58,8 +58,8 @@ struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, found: Result<Hole, String>, spot: &Point3<f64>) {
-        match found {
+    fn add(&mut self, result: Result<Hole, String>, spot: &Point3<f64>) {
+        match result {
             Ok(hole) => {
                 let mm = (hole.centre - spot).norm();
                 self.mm.push(mm);
@@ -108,8 +108,8 @@ fn the_four_detectors_side_by_side() {
                 let cloud = &procedure.laser[k];
                 // Beside the fourth, of which alone something is asserted.
                 for ((_, detect), (_, tally)) in detectors.iter().zip(&mut tallies).take(if is_slow { 3 } else { 0 }) {
-                    let found = detect(&procedure.scan, cloud, &HoleParams::default());
-                    tally.add(found.map_err(|e| e.to_string()), spot);
+                    let result = detect(&procedure.scan, cloud, &HoleParams::default());
+                    tally.add(result.map_err(|e| e.to_string()), spot);
                 }
                 tallies[3].1.add(find(&procedure, k, &procedure.images[k]).map_err(|e| e.to_string()), spot);
             }
@@ -119,11 +119,11 @@ fn the_four_detectors_side_by_side() {
             if n == 0 {
                 continue;
             }
-            let (found, confident) = ([mean(mm), largest(mm)], [mean(confident_mm), largest(confident_mm)]);
+            let (result, confident) = ([mean(mm), largest(mm)], [mean(confident_mm), largest(confident_mm)]);
             println!(
                 "| {setting} | `{name}` | {n} | {:.2} | {:.2} | {} | {n_confident} | {:.2} | {:.2} |",
-                found[0],
-                found[1],
+                result[0],
+                result[1],
                 refused.len(),
                 confident[0],
                 confident[1]
@@ -162,8 +162,8 @@ fn a_slanted_beams_spot_is_within_its_radius_of_the_centre_or_has_a_low_confiden
             for seed in 300..300 + n_seeds {
                 let Ok(procedure) = Procedure::simulate_for(subject, &params, seed) else { continue };
                 for (k, spot) in spots(&procedure, ImageMark::Laser).iter().enumerate() {
-                    for ((name, found), tally) in all_four(&procedure, k).into_iter().zip(&mut tallies) {
-                        let Some(hole) = found else {
+                    for ((name, result), tally) in all_four(&procedure, k).into_iter().zip(&mut tallies) {
+                        let Some(hole) = result else {
                             tally.refused.push(name.into());
                             continue;
                         };

@@ -35,9 +35,9 @@ impl Scene<'_> {
         let on_phantom = |_| self.t_phantom_phantom_marker;
         let on_bone = |s: f64| self.t_ct_bone_marker_at(s);
         Markers {
-            camera_marker: tracker.samples(Marker::Camera, &self.camera, on_camera, &camera_spans),
-            phantom_marker: tracker.samples(Marker::Phantom, &self.phantom_path, on_phantom, &calibration),
-            bone_marker: tracker.samples(Marker::Bone, &self.bone_path, on_bone, &bone_spans),
+            camera_marker: tracker.samples(Marker::Camera, None, &self.camera, on_camera, &camera_spans),
+            phantom_marker: tracker.samples(Marker::Phantom, None, &self.phantom_path, on_phantom, &calibration),
+            bone_marker: tracker.samples(Marker::Bone, None, &self.bone_path, on_bone, &bone_spans),
         }
     }
 
