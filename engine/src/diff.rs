@@ -18,6 +18,7 @@ use crate::{
 use compare::{Compare, ItemDifference, Units};
 use index::{Index, IndexEntry, Indexed};
 use osteoflow_container::Progress;
+use serde::Serialize;
 use std::{cmp::Ordering, collections::BTreeSet, path::Path};
 
 /// Which wires to compare, and the tolerance.
@@ -30,7 +31,7 @@ pub struct DiffOptions {
 }
 
 /// Properties of one recording.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Side {
     /// Name of the graph; `None` if the recording lacks it.
     pub graph: Option<String>,
@@ -43,7 +44,7 @@ pub struct Side {
 }
 
 /// The first divergence.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Divergence {
     /// The wire.
     pub wire: String,

@@ -32,6 +32,13 @@ pub enum Body {
     Empty(Arc<Empty>),
 }
 
+impl Body {
+    /// The payload; `None` of an empty.
+    pub fn value(&self) -> Option<&Value> {
+        if let Self::Value(value) = self { Some(value) } else { None }
+    }
+}
+
 /// The answer of a node or source on one port.
 #[derive(Debug, Clone)]
 pub enum Emission {

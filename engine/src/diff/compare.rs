@@ -3,6 +3,7 @@
 use super::numbers::{Distance, Scalar};
 use crate::recording::codec::RecordedItem;
 use osteoflow_node::{Column, ColumnType, Field, View};
+use serde::Serialize;
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
 
@@ -21,7 +22,7 @@ const POSE_PARTS: [&str; 7] = [
 ];
 
 /// First difference of two items.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
     /// The place: the stamp, a header field and its index, or a column, its row and its component.
     pub field: String,

@@ -3,7 +3,7 @@
 
 use crate::plan::{OutputId, Plan};
 use osteoflow_container::MessageHeader;
-use osteoflow_node::{Body, Item};
+use osteoflow_node::Item;
 use std::collections::BTreeMap;
 
 /// Maximum size of the pictures that wait for the end of the run; later ones are left out and counted.
@@ -81,10 +81,7 @@ impl Answers {
             return Vec::new();
         }
         let was_trusted = self.is_trusted;
-        self.is_trusted = match &item.body {
-            Body::Value(value) => value.to_result()[ANSWER] == TRUSTED,
-            Body::Empty(_) => false,
-        };
+        self.is_trusted = item.body.value().is_some_and(|value| value.to_result()[ANSWER] == TRUSTED);
         match (was_trusted, self.is_trusted) {
             (false, true) => self.channels.values_mut().filter_map(Channel::shown).collect(),
             (true, false) => self.remove_all(time_ns),
@@ -118,7 +115,7 @@ impl Channel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_node::{Empty, Value};
+    use osteoflow_node::{Body, Empty, Value};
     use osteoflow_toy::Judgement;
     use serde_json::json;
     use std::sync::Arc;

@@ -184,12 +184,7 @@ fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) 
 
 /// Type of the wire's items; where the port takes any, that of the first value.
 fn payload_type(port: PortPayload, items: &[Item]) -> Option<&'static PayloadType> {
-    port.ty().or_else(|| {
-        items.iter().find_map(|item| match &item.body {
-            Body::Value(value) => Some(value.ty()),
-            Body::Empty(_) => None,
-        })
-    })
+    port.ty().or_else(|| items.iter().find_map(|item| item.body.value()).map(|value| value.ty()))
 }
 
 fn empty(item: &Item) -> Option<&Empty> {

@@ -187,10 +187,7 @@ fn refuses(plan: &Plan, failure: &Failure) -> bool {
 fn value(run: &Finished, entry: &ResultEntry) -> Option<Json> {
     let items = &run.outputs[entry.from.node][entry.from.port].items;
     if !entry.all {
-        return match &items.last()?.body {
-            Body::Value(value) => Some(value.to_result()),
-            Body::Empty(_) => None,
-        };
+        return items.last()?.body.value().map(|value| value.to_result());
     }
     let has_value = items.iter().any(|item| matches!(item.body, Body::Value(_)));
     has_value.then(|| {

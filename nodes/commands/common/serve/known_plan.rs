@@ -9,7 +9,7 @@ use osteoflow_engine::{
 };
 use osteoflow_formats::plan_file::{read_plan, read_plan_of};
 use osteoflow_geometry::{Points, SurgicalPlan};
-use osteoflow_node::{Body, FilePath};
+use osteoflow_node::FilePath;
 use osteoflow_simulation::Subject;
 use osteoflow_standard::plan::simulated;
 use serde_json::Value;
@@ -43,10 +43,7 @@ fn with_landmarks(recording: &Recording) -> Vec<(PlanNode, Points)> {
     let plans = checked.plan.nodes.iter().filter(|node| node.kind.starts_with("plan."));
     let shown = plans.filter_map(|node| {
         let items = recording.items(&format!("{}.landmarks", node.name), &checked.registry).ok()?;
-        let points = items.iter().find_map(|item| match &item.body {
-            Body::Value(value) => value.get::<Points>().cloned(),
-            Body::Empty(_) => None,
-        });
+        let points = items.iter().find_map(|item| item.body.value()?.get::<Points>().cloned());
         Some((node.clone(), points?))
     });
     shown.collect()

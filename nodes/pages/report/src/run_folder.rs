@@ -2,7 +2,7 @@
 
 use crate::ReportError;
 use osteoflow_engine::{Recording, run::files};
-use osteoflow_node::{Body, Registry};
+use osteoflow_node::Registry;
 use serde_json::Value as Json;
 use std::{fs, path::Path};
 
@@ -100,30 +100,18 @@ impl RunFolder {
         self.nodes().find(|(_, of)| *of == kind).map(|(name, _)| name)
     }
 
-    /// The values of a wire, in order.
+    /// The first value of a wire.
     ///
     /// # Errors
-    /// The reason why there are none, and what to do about it.
-    pub(crate) fn values<T: Clone + 'static>(&self, wire: &str) -> Result<Vec<T>, String> {
+    /// The reason why there is none, and what to do about it.
+    pub(crate) fn value<T: Clone + 'static>(&self, wire: &str) -> Result<T, String> {
         let recording = self.recording.as_ref().map_err(Clone::clone)?;
         if !recording.wires.contains_key(wire) {
             return Err(format!("the wire {wire} was not recorded; add \"{wire}\" to wires in [record] of the graph"));
         }
         let items = recording.items(wire, &self.registry).map_err(|e| e.to_string())?;
-        let values = items.iter().filter_map(|item| match &item.body {
-            Body::Value(value) => value.get::<T>().cloned(),
-            Body::Empty(_) => None,
-        });
-        let values: Vec<T> = values.collect();
-        match values.is_empty() {
-            true => Err(format!("the wire {wire} carried no values")),
-            false => Ok(values),
-        }
-    }
-
-    /// The first value of a wire.
-    pub(crate) fn value<T: Clone + 'static>(&self, wire: &str) -> Result<T, String> {
-        Ok(self.values(wire)?.swap_remove(0))
+        let value = items.iter().find_map(|item| item.body.value()?.get::<T>().cloned());
+        value.ok_or_else(|| format!("the wire {wire} carried no values"))
     }
 
     /// The first value of the wire that is connected to an input.

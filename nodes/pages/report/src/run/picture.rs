@@ -11,7 +11,7 @@ use nalgebra::Isometry3;
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_engine::recording::RecordedWire;
 use osteoflow_geometry::{Cloud, Mesh};
-use osteoflow_node::{Body, Item};
+use osteoflow_node::Item;
 use osteoflow_viewer::last_messages;
 use rayon::prelude::*;
 use serde_json::{Value as Json, json};
@@ -140,7 +140,7 @@ impl LastItem {
 
 /// The surface or the cloud of an item.
 fn solid(item: &Item) -> Option<Solid> {
-    let Body::Value(value) = &item.body else { return None };
+    let value = item.body.value()?;
     let mesh = value.get::<Mesh>().cloned().map(Solid::Mesh);
     mesh.or_else(|| value.get::<Cloud>().cloned().map(Solid::Cloud))
 }
