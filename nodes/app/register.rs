@@ -275,10 +275,13 @@ impl RegisterRequest {
         let began = Instant::now();
         let start = self.read_start(&mut notes)?;
         let init_ms = ms_since(began);
-        let removed = self.removed(&start, has_output(kind, REPORT));
-        let text = two_files::text(matches!(start, ReadStart::Landmarks { .. }), &removed)?;
-        let sets = self.graph_sets(&kind_name, &params);
-        let checked = check_recorded(&text, Path::new(two_files::NAME), &sets, kinds)?;
+        let mut sets = match start {
+            ReadStart::Landmarks { .. } => two_files::from_pairs()?,
+            ReadStart::Shape | ReadStart::Pose(_) => Vec::new(),
+        };
+        sets.push(format!("remove={:?}", self.removed(&start, has_output(kind, REPORT))));
+        sets.extend(self.graph_sets(&kind_name, &params));
+        let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &sets, kinds)?;
         Ok(Register { request: self, checked, kind_name, params: params.all, files, start, init_ms, notes })
     }
 

@@ -111,10 +111,7 @@ impl Convert {
     }
 
     fn points(&self, read: PickedPoints) -> Result<(String, Vec<String>)> {
-        let PickedPoints { mut points, planes, rois, space, n_skipped, mut notes, .. } = read;
-        if n_skipped > 0 {
-            notes.push(format!("{n_skipped} points are not placed or not active, and were passed over"));
-        }
+        let PickedPoints { mut points, planes, rois, space, mut notes, .. } = read;
         if !planes.is_empty() || !rois.is_empty() {
             notes.push(format!("{} planes and {} boxes are not points, and were left out", planes.len(), rois.len()));
         }

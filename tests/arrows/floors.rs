@@ -162,7 +162,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/kinds/standard/src",
         &[
-            &["own_bone", "params"],
+            &["constant", "own_bone", "params"],
             &["calibrate", "crop", "hole", "icp", "output", "plane", "refine", "transform"],
             &["acquire", "cloud", "coarse", "metrics", "plan", "surface", "verdict"],
             &["landmarks", "send"],

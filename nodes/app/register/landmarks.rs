@@ -76,13 +76,10 @@ fn points(
     option: Option<Space>,
     notes: &mut Vec<String>,
 ) -> Result<(Vec<NamedPoint>, bool)> {
-    let PickedPoints { mut points, is_named, space, notes: found, n_skipped, .. } =
+    let PickedPoints { mut points, is_named, space, notes: of_file, .. } =
         read_picked_points(picked.file).map_err(|error| anyhow!("{error}"))?;
     let name = picked.file.display();
-    notes.extend(found.iter().map(|note| format!("{name}: {note}")));
-    if n_skipped > 0 {
-        notes.push(format!("{name}: {n_skipped} points are not placed or not active, and were passed over"));
-    }
+    notes.extend(of_file.iter().map(|note| format!("{name}: {note}")));
     // What states a space was turned to LPS.
     let turned = match (space, picked.stated, space_of(picked.stated, option)) {
         (Space::Unknown, Space::Ras, _) => {

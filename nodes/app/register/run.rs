@@ -17,12 +17,9 @@ use osteoflow_engine::{
 };
 use osteoflow_formats::mesh_or_cloud::MeshOrCloud;
 use osteoflow_geometry::{Cloud, NamedPoint, Points, Pose};
-use osteoflow_node::{Body, Empty, Item, Payload, Value};
+use osteoflow_node::{Body, Emission, Empty, Item, OutputPorts, Outputs, Payload, Value};
 use osteoflow_payloads::{Json, Table};
-use osteoflow_standard::{
-    acquire::cloud,
-    surface::any::{Bone, Shape},
-};
+use osteoflow_standard::{acquire::cloud, surface::any};
 use std::{
     collections::BTreeMap,
     path::Path,
@@ -86,9 +83,9 @@ impl Register {
                 first = Some((report, wires));
                 break;
             }
-            let isometry = wires.pose().map(|pose| pose.isometry);
+            let isometry = pose(&wires).map(|pose| pose.isometry);
             if let Some((_, first)) = &first {
-                same_bits &= first.pose().map(|pose| pose.isometry) == isometry;
+                same_bits &= pose(first).map(|pose| pose.isometry) == isometry;
             }
             if first.is_none() {
                 if request.repeat > 1 {
@@ -116,7 +113,7 @@ impl Register {
 
     /// Refuses a pose between other frames than those of the files, which nothing else notices where no verdict is asked for.
     fn refuse_other_frames(&self, report: &mut RunReport, wires: &Wires) {
-        let Some(Err(error)) = wires.pose().map(|pose| pose.expect(&FRAMES[0].into(), &FRAMES[1].into())) else {
+        let Some(Err(error)) = pose(wires).map(|pose| pose.expect(&FRAMES[0].into(), &FRAMES[1].into())) else {
             return;
         };
         let node = self.plan().nodes.iter().find(|node| *node.name == *NODE);
@@ -135,22 +132,11 @@ impl Register {
         };
         let request = &self.request;
         if let Some(content) = in_frame(&request.target, FRAMES[0]) {
-            let Bone { shape, report } = content.into();
-            let none =
-                || Body::Empty(Empty { node: "bone".into(), reason: "the bone is given otherwise".into() }.into());
-            let (mesh, points) = match shape {
-                Shape::Mesh(mesh) => (body(mesh), none()),
-                Shape::Points(points) => (none(), body(points)),
-            };
-            put("bone.mesh", mesh);
-            put("bone.points", points);
-            put("bone.report", body(report));
+            bodies("bone", any::Out::from(content)).into_iter().for_each(|(wire, body)| put(&wire, body));
         }
         if let Some(content) = in_frame(&request.source, FRAMES[1]) {
             let (out, _) = cloud::Out::of(content, request.camera.map(|camera| camera.coords.into()));
-            let (scan, report) = out.into_parts();
-            put("scan.cloud", body(scan));
-            put("scan.report", body(report));
+            bodies("scan", out).into_iter().for_each(|(wire, body)| put(&wire, body));
         }
         match &self.start {
             ReadStart::Shape => {}
@@ -180,9 +166,9 @@ impl Register {
         timings: Timings,
         same_bits: bool,
     ) -> anyhow::Result<Registration> {
-        let target: Option<Target> = wires.value("ct_surface.target");
-        let source: Option<Cloud> = wires.value("scan.cloud");
-        let pose = wires.pose().map(|pose| pose.isometry);
+        let target: Option<Target> = value(wires, "ct_surface.target");
+        let source: Option<Cloud> = value(wires, "scan.cloud");
+        let pose = pose(wires).map(|pose| pose.isometry);
         let picked: &[NamedPoint] = match &self.start {
             ReadStart::Landmarks { target, .. } => target,
             ReadStart::Shape | ReadStart::Pose(_) => &[],
@@ -193,16 +179,16 @@ impl Register {
             _ => None,
         };
         let [bone_report, scan_report] =
-            ["bone.report", "scan.report"].map(|wire| wires.value::<Json>(wire).map(|json| (*json.0).clone()));
+            ["bone.report", "scan.report"].map(|wire| value::<Json>(wires, wire).map(|json| (*json.0).clone()));
         Ok(Registration {
             pose,
-            init: wires.value::<Pose>("coarse.t_target_source").map(|pose| pose.isometry),
-            start_report: wires.result("coarse.report"),
-            report: wires.result(&format!("{NODE}.{REPORT}")),
-            icp_report: wires.value(&format!("{NODE}.{REPORT}")),
-            steps: wires.value::<IcpTrace>("icp.trace").map(|trace| trace.steps).unwrap_or_default(),
+            init: value::<Pose>(wires, "coarse.t_target_source").map(|pose| pose.isometry),
+            start_report: last(wires, "coarse.report").map(Value::to_result),
+            report: last(wires, &format!("{NODE}.{REPORT}")).map(Value::to_result),
+            icp_report: value(wires, &format!("{NODE}.{REPORT}")),
+            steps: value::<IcpTrace>(wires, "icp.trace").map(|trace| trace.steps).unwrap_or_default(),
             doubt: target.as_ref().and_then(|target| off_surface(target, picked)),
-            has_estimated_normals: wires.value::<Cloud>("bone.points").is_some_and(|cloud| cloud.normals().is_none()),
+            has_estimated_normals: value::<Cloud>(wires, "bone.points").is_some_and(|cloud| cloud.normals().is_none()),
             is_stored: report.cached_answers.iter().any(|answer| answer.node == "ct_surface"),
             target,
             source,
@@ -248,6 +234,20 @@ fn in_frame(input: &RegisterInput, frame: &str) -> Option<MeshOrCloud> {
     Some(content)
 }
 
+/// What a source gives, by wire.
+fn bodies<O: Outputs>(node: &str, outputs: O) -> Vec<(String, Body)> {
+    let OutputPorts::Fixed(ports) = O::ports() else { return Vec::new() };
+    let mut emissions = vec![Emission::Silent; ports.len()];
+    outputs.put(&mut emissions);
+    let body = |emission| match emission {
+        Emission::Value(value) => Some(Body::Value(value)),
+        Emission::Empty(reason) => Some(Body::Empty(Empty { node: node.into(), reason }.into())),
+        Emission::PassedOn(_) | Emission::Silent => None,
+    };
+    let wires = ports.iter().map(|port| format!("{node}.{}", port.name));
+    wires.zip(emissions).filter_map(|(wire, emission)| Some((wire, body(emission)?))).collect()
+}
+
 fn body<T: Payload<Table>>(value: T) -> Body {
     Body::Value(Value::new::<T, Table>(value))
 }
@@ -256,31 +256,17 @@ fn node_of(wire: &str) -> &str {
     wire.split('.').next().unwrap_or(wire)
 }
 
-/// The last values of wires.
-trait LastValues {
-    fn last(&self, wire: &str) -> Option<&Value>;
-
-    fn value<T: Payload<Table> + Clone>(&self, wire: &str) -> Option<T> {
-        self.last(wire)?.get::<T>().cloned()
-    }
-
-    /// As in `results.json`.
-    fn result(&self, wire: &str) -> Option<serde_json::Value> {
-        self.last(wire).map(Value::to_result)
-    }
-
-    fn pose(&self) -> Option<Pose> {
-        self.value(&format!("{NODE}.{POSE}"))
-    }
+/// The last value of a wire.
+fn last<'a>(wires: &'a Wires, wire: &str) -> Option<&'a Value> {
+    wires.get(wire)?.last()?.body.value()
 }
 
-impl LastValues for Wires {
-    fn last(&self, wire: &str) -> Option<&Value> {
-        match &self.get(wire)?.last()?.body {
-            Body::Value(value) => Some(value),
-            Body::Empty(_) => None,
-        }
-    }
+fn value<T: Payload<Table> + Clone>(wires: &Wires, wire: &str) -> Option<T> {
+    last(wires, wire)?.get::<T>().cloned()
+}
+
+fn pose(wires: &Wires) -> Option<Pose> {
+    value(wires, &format!("{NODE}.{POSE}"))
 }
 
 /// Measures the processor time of a node's firing, in which nothing else runs, and hands all events on.

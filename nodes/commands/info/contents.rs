@@ -198,10 +198,6 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
 
 fn points(file: &Path, read: PickedPoints) -> Contents {
     let name = file.display();
-    let mut notes = read.notes;
-    if read.n_skipped > 0 {
-        notes.push(format!("{} points are not placed or not active, and were passed over", read.n_skipped));
-    }
     let planes = read.planes.iter().map(|plane| format!("plane {}", plane.name));
     let labels = planes.chain(read.rois.iter().map(|roi| format!("box {}", roi.name))).chain(names(&read.points));
     Contents::new("points", "picked points")
@@ -209,7 +205,7 @@ fn points(file: &Path, read: PickedPoints) -> Contents {
         .with_box(read.points.iter().map(|point| point.position))
         .with_space(read.space)
         .with_list("labels", labels.collect(), "named")
-        .noted(notes)
+        .noted(read.notes)
         .used_by([
             format!("osteoflow register BONE SCAN --landmarks {name} POINTS_IN_SCAN"),
             format!("osteoflow convert {name} points.csv"),

@@ -111,9 +111,6 @@ pub(crate) fn read<'py>(
                 (point.name.to_string(), [p.x, p.y, p.z])
             });
             let mut notes = picked.notes.clone();
-            if picked.n_skipped > 0 {
-                notes.push(format!("{} points are not placed or not active, and were passed over", picked.n_skipped));
-            }
             let n_other = (picked.planes.len(), picked.rois.len());
             if n_other != (0, 0) {
                 notes.push(format!("{} planes and {} boxes are not points, and were left out", n_other.0, n_other.1));

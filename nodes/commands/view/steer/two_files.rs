@@ -1,5 +1,6 @@
 //! The graph of a bone and a scan: by the shape of the bone, or from pairs that were picked on both.
 
+use crate::app::register::two_files::{BY_SHAPE, FROM_PAIRS};
 use anyhow::{Context, Result};
 use std::{
     fs,
@@ -7,8 +8,6 @@ use std::{
 };
 use tempfile::TempDir;
 
-const BY_SHAPE: &str = include_str!("../../../../graphs/two_files.toml");
-const FROM_PAIRS: &str = include_str!("../../../../graphs/variants/two_files_picked.toml");
 const BASE: &str = "two_files.toml";
 const GRAPH: &str = "graph.toml";
 

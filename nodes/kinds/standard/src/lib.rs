@@ -27,11 +27,13 @@ pub mod surface;
 pub mod transform;
 pub mod verdict;
 
+mod constant;
 pub mod own_bone;
 mod params;
 pub use params::NoParams;
 
 use acquire::network::NetworkSource;
+use constant::Once;
 use osteoflow_node::Registry;
 
 /// All built-in kinds and payload types.
@@ -39,22 +41,22 @@ pub fn registry() -> Registry {
     let mut registry = Registry::default();
     osteoflow_payloads::register(&mut registry);
     registry
-        .source::<acquire::cloud::CloudFile>()
+        .source::<Once<acquire::cloud::CloudFile>>()
         .source::<acquire::folder::Folder>()
         .source::<NetworkSource<acquire::foxglove_ws::FoxgloveWs>>()
         .source::<acquire::mcap::Mcap>()
         .source::<acquire::mcap_live::McapLive>()
         .source::<NetworkSource<acquire::openigtlink::OpenIgtLink>>()
-        .source::<acquire::points::PointsFile>()
+        .source::<Once<acquire::points::PointsFile>>()
         .source::<acquire::simulated::Simulated>()
-        .source::<plan::file::File>()
-        .source::<plan::simulated::Simulated>()
+        .source::<Once<plan::file::File>>()
+        .source::<Once<plan::simulated::Simulated>>()
         .node::<plan::landmarks::Landmarks>()
-        .source::<surface::any::Any>()
-        .source::<surface::ct::Ct>()
-        .source::<surface::file::File>()
-        .source::<surface::simulated::Simulated>()
-        .source::<surface::simulated_phantom::SimulatedPhantom>()
+        .source::<Once<surface::any::Any>>()
+        .source::<Once<surface::ct::Ct>>()
+        .source::<Once<surface::file::File>>()
+        .source::<Once<surface::simulated::Simulated>>()
+        .source::<Once<surface::simulated_phantom::SimulatedPhantom>>()
         .function::<surface::prepare::Prepare>()
         .function::<surface::prepare_any::PrepareAny>()
         .function::<surface::prepare_cloud::PrepareCloud>()
@@ -63,8 +65,8 @@ pub fn registry() -> Registry {
         .function::<transform::stylus_tip::StylusTip>()
         .node::<transform::still_average::StillAverage>()
         .function::<transform::to_world::ToWorld>()
-        .node::<transform::to_bone_marker::ToBoneMarker>()
-        .node::<transform::points_to_bone_marker::PointsToBoneMarker>()
+        .function::<transform::to_bone_marker::ToBoneMarker>()
+        .function::<transform::points_to_bone_marker::PointsToBoneMarker>()
         .function::<transform::points::Points>()
         .function::<transform::cloud::Cloud>()
         .function::<transform::first_of::FirstOf>()

@@ -11,8 +11,12 @@ pub mod transform;
 use osteoflow_algorithms::trust::{Answer, Verdict};
 use osteoflow_formats::Space;
 use osteoflow_geometry::Frame;
-use osteoflow_node::{Context, NodeError};
+use osteoflow_node::{Context, NodeError, Outputs};
 use std::path::PathBuf;
+
+/// No outputs.
+#[derive(Outputs)]
+pub struct NoOutputs {}
 
 /// What every file for other programs says, where it can.
 const NOTICE: &str = "osteoflow; research use only, not for clinical use";

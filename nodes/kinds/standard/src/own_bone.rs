@@ -25,13 +25,13 @@ pub struct OwnBone {
 
 impl OwnBone {
     /// Refuses one file without the other, and files with a parameter of the built-in bone, which would change nothing.
-    pub(crate) fn checked(self, bone: &BoneParams) -> Result<Self, ParamError> {
+    pub(crate) fn check(&self, bone: &BoneParams) -> Result<(), ParamError> {
         let (given, lacks) = match (&self.bone_file, &self.plan_file) {
-            (None, None) => return Ok(self),
+            (None, None) => return Ok(()),
             (Some(_), None) => ("bone_file", "plan_file"),
             (None, Some(_)) => ("plan_file", "bone_file"),
             (Some(_), Some(_)) => {
-                let Some(name) = bone.of_built_in_only() else { return Ok(self) };
+                let Some(name) = bone.of_built_in_only() else { return Ok(()) };
                 let message = "it shapes the built-in bone and changes nothing of bone_file; remove one of the two";
                 return Err(ParamError::new(name, message));
             }

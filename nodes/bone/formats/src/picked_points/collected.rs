@@ -90,6 +90,9 @@ impl Collected {
         if space == Space::Ras {
             self.notes.push("the file states RAS; x and y were negated, which gives LPS".into());
         }
+        if self.n_skipped > 0 {
+            self.notes.push(format!("{} points are not placed or not active, and were passed over", self.n_skipped));
+        }
         let is_named = self.n_unnamed == 0;
         let Self { points, n_skipped, notes, .. } = self;
         PickedPoints { points, is_named, planes: Vec::new(), rois: Vec::new(), space, n_skipped, notes }

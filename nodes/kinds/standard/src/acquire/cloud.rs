@@ -1,12 +1,13 @@
 //! The kind `acquire.cloud`.
 
+use crate::constant::Constant;
 use osteoflow_formats::{
     input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
 };
 use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use osteoflow_node::{
-    Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use serde_json::json;
@@ -21,10 +22,7 @@ kind   = "acquire.cloud"
 path   = "scan.ply"
 camera = [0.0, 0.0, 0.0]
 "#)]
-pub struct CloudFile {
-    params: Params,
-    done: bool,
-}
+pub struct CloudFile;
 
 /// Parameters of [`CloudFile`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -74,35 +72,26 @@ impl Out {
         };
         (Self { cloud, report: Json(Arc::new(report)) }, notes)
     }
-
-    /// The cloud and the report.
-    pub fn into_parts(self) -> (Cloud, Json) {
-        (self.cloud, self.report)
-    }
 }
 
-impl Source for CloudFile {
+impl Constant for CloudFile {
     const KIND: &'static str = "acquire.cloud";
-    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
+    fn check(params: &Params) -> Result<(), ParamError> {
         if params.camera.is_some_and(|camera| camera.iter().any(|c| !c.is_finite())) {
             return Err(ParamError::new("camera", "three finite numbers are expected, such as [0.0, 0.0, 0.0]"));
         }
-        Ok(Self { params, done: false })
+        Ok(())
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        if std::mem::replace(&mut self.done, true) {
-            return Ok(None);
-        }
-        let Params { path, frame, unit_mm, camera } = &self.params;
+    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
+        let Params { path, frame, unit_mm, camera } = params;
         let bytes = input::read(path.as_ref())?;
         let read = read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())?;
         let (out, notes) = Out::of(read, *camera);
         notes.into_iter().for_each(|note| ctx.warn(note));
-        Ok(Some(out))
+        Ok(out)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     frozen::Frozen,
-    playback::{Event, Playback},
+    playback::{Event, Playback, in_order},
     procedure_ports::{ProcedureOut, ProcedurePort, ProcedurePorts},
 };
 use osteoflow_formats::{
@@ -77,7 +77,7 @@ impl Source for Folder {
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
         if self.playback.is_none() {
-            self.playback = Some(Playback::new(self.open(ctx)?));
+            self.playback = Some(in_order(self.open(ctx)?));
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);

@@ -3,7 +3,7 @@
 use super::{
     mcap_events::{Findings, Port},
     mcap_ports::PortParams,
-    playback::{Event, Playback},
+    playback::{Event, Playback, in_order},
     topics,
 };
 use osteoflow_formats::{
@@ -79,14 +79,9 @@ impl Source for Mcap {
 }
 
 impl Mcap {
-    /// The streams of the recording at `path`.
-    pub(super) fn of(params: Params) -> Self {
-        Self { params, playback: None }
-    }
-
     /// All events in the order of their stamps.
     pub(super) fn playback(&self, ctx: &mut Context) -> Result<Playback<EventBody>, NodeError> {
-        Ok(Playback::new(self.open(ctx)?))
+        Ok(in_order(self.open(ctx)?))
     }
 
     /// The emission of an event.

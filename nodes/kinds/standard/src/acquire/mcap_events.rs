@@ -11,8 +11,8 @@ use osteoflow_formats::{
     PoseError, StampOrder,
     mcap_read::{Message, Recording},
     message_read::{
-        Calibration, procedure_region, read_calibration, read_cloud_head, read_image_head, read_pose_in_frame,
-        read_transforms,
+        Calibration, MessageError, procedure_region, read_calibration, read_cloud_head, read_image_head,
+        read_pose_in_frame, read_transforms,
     },
 };
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs};
@@ -90,15 +90,28 @@ impl Port<'_> {
     }
 
     fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        let head = |port: &mut Self, message: &Message| {
+            let head = read_cloud_head(message)?;
+            port.found.corrections.entry(topic.into()).or_default().add(head.correction);
+            Ok((head.frame, head.stamp_ns))
+        };
+        self.scans(topic, label, head, |message, label, frame| EventBody::Cloud { message, label, frame })
+    }
+
+    /// The events of messages that are decoded when they are due; `head` reads frame and stamp.
+    fn scans(
+        &mut self,
+        topic: &str,
+        label: Option<&str>,
+        head: impl Fn(&mut Self, &Message) -> Result<(Frame, StampNs), MessageError>,
+        body: impl Fn(Message, Arc<str>, Option<Frame>) -> EventBody,
+    ) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let (mut events, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            let head = read_cloud_head(message).map_err(|error| self.at(topic, i, error))?;
-            stamps.add(message, i, format!("topic {topic}"), head.stamp_ns);
-            self.found.corrections.entry(topic.into()).or_default().add(head.correction);
+            let (frame, stamp_ns) = head(self, message).map_err(|error| self.at(topic, i, error))?;
+            stamps.add(message, i, format!("topic {topic}"), stamp_ns);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
-            let frame = self.renamed(&head.frame);
-            let body = EventBody::Cloud { message: message.clone(), label: label.into(), frame };
-            events.push((head.stamp_ns, body));
+            events.push((stamp_ns, body(message.clone(), label.into(), self.renamed(&frame))));
         }
         self.found.notes.extend(stamps.notes());
         Ok(events)
@@ -133,17 +146,13 @@ impl Port<'_> {
         let Some(calibration) = calibration else {
             return Err(self.missing(self.params.calibration.as_deref().unwrap_or_default(), None));
         };
-        let (mut events, mut stamps) = (Vec::new(), Stamps::default());
-        for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            let (frame, stamp_ns) = read_image_head(message).map_err(|error| self.at(topic, i, error))?;
-            stamps.add(message, i, format!("topic {topic}"), stamp_ns);
-            let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
-            let frame = self.renamed(&frame);
-            let (message, calibration) = (message.clone(), calibration.clone());
-            events.push((stamp_ns, EventBody::Image { message, calibration, label: label.into(), frame }));
-        }
-        self.found.notes.extend(stamps.notes());
-        Ok(events)
+        let head = |_: &mut Self, message: &Message| read_image_head(message);
+        self.scans(topic, label, head, |message, label, frame| EventBody::Image {
+            message,
+            calibration: calibration.clone(),
+            label,
+            frame,
+        })
     }
 
     /// The name of a frame in the graph, if it is another.

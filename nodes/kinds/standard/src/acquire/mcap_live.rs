@@ -7,13 +7,9 @@ use super::{
 };
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, Declared, Describe, FilePath, NodeError, ParamError, Source, rand::RngExt, schemars::JsonSchema,
-    serde::Deserialize,
+    Context, Declared, Describe, NodeError, ParamError, Source, rand::RngExt, schemars::JsonSchema, serde::Deserialize,
 };
-use std::{
-    collections::BTreeMap,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 /// A recording played in real time, as if its devices sent it now: a live source for tests and rehearsals.
 ///
@@ -39,14 +35,9 @@ pub struct McapLive {
 #[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
-    /// The recording.
-    pub path: FilePath,
-    /// Whether the intact part of a damaged recording is used, with a warning. false: a damaged recording is an error.
-    #[serde(default)]
-    pub allow_truncated: bool,
-    /// Frames of the recording that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
-    #[serde(default)]
-    pub frames: BTreeMap<String, String>,
+    /// Those of `acquire.mcap`.
+    #[serde(flatten)]
+    pub mcap: mcap::Params,
     /// Playback speed relative to the recording. 1: as recorded; more simulates overload.
     #[serde(default = "crate::params::one")]
     #[schemars(range(min = 0.001, max = 1e9))]
@@ -85,9 +76,7 @@ impl Source for McapLive {
     type Outputs = Declared<PortParams>;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        let (path, allow_truncated, frames) = (params.path.clone(), params.allow_truncated, params.frames.clone());
-        let mcap = Mcap::of(mcap::Params { path, allow_truncated, frames });
-        Ok(Self { mcap, params, schedule: None })
+        Ok(Self { mcap: Mcap::new(params.mcap.clone())?, params, schedule: None })
     }
 
     fn max_delay_ns(&self) -> StampNs {

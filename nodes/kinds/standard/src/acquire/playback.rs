@@ -8,24 +8,13 @@ pub(crate) struct Event<T> {
     pub(crate) body: T,
 }
 
-/// Events ordered by stamp, then by port, then as they were added.
-pub(crate) struct Playback<T> {
-    events: std::vec::IntoIter<Event<T>>,
-}
+/// Events in the order in which they are played.
+pub(crate) type Playback<T> = std::vec::IntoIter<Event<T>>;
 
-impl<T> Playback<T> {
-    pub(crate) fn new(mut events: Vec<Event<T>>) -> Self {
-        events.sort_by_key(|event| (event.stamp_ns, event.port));
-        Self { events: events.into_iter() }
-    }
-}
-
-impl<T> Iterator for Playback<T> {
-    type Item = Event<T>;
-
-    fn next(&mut self) -> Option<Event<T>> {
-        self.events.next()
-    }
+/// Orders events by stamp, then by port, then as they were added.
+pub(crate) fn in_order<T>(mut events: Vec<Event<T>>) -> Playback<T> {
+    events.sort_by_key(|event| (event.stamp_ns, event.port));
+    events.into_iter()
 }
 
 /// An empty with the reason for each gap in a stream longer than `lost_after_ns`, at the stamp at which the limit passes.
@@ -67,7 +56,7 @@ mod tests {
     fn events_come_by_stamp_then_by_port() {
         let event = |stamp_ns, port| Event { stamp_ns, port, body: () };
         let order: Vec<_> =
-            Playback::new(vec![event(2, 0), event(1, 1), event(1, 0)]).map(|e| (e.stamp_ns, e.port)).collect();
+            in_order(vec![event(2, 0), event(1, 1), event(1, 0)]).map(|e| (e.stamp_ns, e.port)).collect();
         assert_eq!(order, [(1, 0), (1, 1), (2, 0)]);
     }
 }

@@ -1,9 +1,10 @@
 //! The kind `acquire.points`.
 
+use crate::constant::Constant;
 use osteoflow_formats::{Space, picked_points::read_picked_points};
 use osteoflow_geometry::Points;
 use osteoflow_node::{
-    Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// Named points that were picked in another program or on the page of `osteoflow view`, from a file.
@@ -16,10 +17,7 @@ kind  = "acquire.points"
 path  = "scan_points.mrk.json"
 frame = "camera"
 "#)]
-pub struct PointsFile {
-    params: Params,
-    done: bool,
-}
+pub struct PointsFile;
 
 /// Parameters of [`PointsFile`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -41,39 +39,32 @@ pub struct Out {
     points: Points,
 }
 
-impl Source for PointsFile {
+impl Constant for PointsFile {
     const KIND: &'static str = "acquire.points";
-    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
+    fn check(params: &Params) -> Result<(), ParamError> {
         if params.frame.trim().is_empty() {
             return Err(ParamError::new("frame", "a name is expected, such as \"ct\""));
         }
-        Ok(Self { params, done: false })
+        Ok(())
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        if std::mem::replace(&mut self.done, true) {
-            return Ok(None);
-        }
-        let Params { path, frame } = &self.params;
+    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
+        let Params { path, frame } = params;
         let read = read_picked_points(path.as_ref())?;
         let name = path.as_ref().display();
         if read.points.is_empty() {
             return Err(NodeError::new(format!("{name} holds planes or boxes, but no points")));
         }
         read.notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
-        if read.n_skipped > 0 {
-            ctx.warn(format!("{name}: {} points are not placed or not active, and were passed over", read.n_skipped));
-        }
         if !read.is_named {
             ctx.warn(format!("{name}: points without a name are called by their place in the list"));
         }
         if read.space == Space::Unknown && frame == "ct" {
             ctx.warn(format!("{name}: the file states neither LPS nor RAS, and its numbers are taken to be LPS"));
         }
-        Ok(Some(Out { points: Points::new(frame.as_str(), read.points) }))
+        Ok(Out { points: Points::new(frame.as_str(), read.points) })
     }
 }

@@ -1,7 +1,7 @@
 //! The kind `acquire.simulated`.
 
 use super::{
-    playback::{Event, Playback},
+    playback::{Event, Playback, in_order},
     procedure_ports::{ProcedureOut, ProcedurePort},
 };
 use crate::own_bone::OwnBone;
@@ -45,7 +45,7 @@ impl Source for Simulated {
     type Outputs = ProcedureOut;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        let params = Params { own: params.own.checked(&params.procedure.bone)?, ..params };
+        params.own.check(&params.procedure.bone)?;
         Ok(Self { params, playback: None })
     }
 
@@ -54,7 +54,7 @@ impl Source for Simulated {
             let Params { own, procedure } = &self.params;
             let subject = own.subject(&procedure.bone)?;
             let procedure = Procedure::simulate_for(&subject, procedure, ctx.seed())?;
-            self.playback = Some(Playback::new(events(procedure)));
+            self.playback = Some(in_order(events(procedure)));
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);

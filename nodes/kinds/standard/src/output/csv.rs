@@ -1,8 +1,8 @@
 //! The kind `output.csv`.
 
-use super::file_of;
+use super::{NoOutputs, file_of};
 use osteoflow_geometry::Points;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Named points as a CSV file in the run's folder: `name,frame,x_mm,y_mm,z_mm,stamp_ns`.
 #[derive(Describe)]
@@ -19,18 +19,14 @@ pub struct In {
     points: Points,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Function for Csv {
     const KIND: &'static str = "output.csv";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let Some(path) = file_of(ctx, "csv")? else { return Ok(Out {}) };
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
+        let Some(path) = file_of(ctx, "csv")? else { return Ok(NoOutputs {}) };
         let mut file = ::csv::Writer::from_path(path)?;
         file.write_record(["name", "frame", "x_mm", "y_mm", "z_mm", "stamp_ns"])?;
         for p in &*i.points.points {
@@ -38,6 +34,6 @@ impl Function for Csv {
             file.write_record([&*p.name, i.points.frame.as_str(), &x, &y, &z, &p.stamp_ns.to_string()])?;
         }
         file.flush()?;
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }

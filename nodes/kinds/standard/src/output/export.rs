@@ -1,6 +1,6 @@
 //! The kind `output.export`.
 
-use super::{NOTICE, is_refused, lps, not_a_link};
+use super::{NOTICE, NoOutputs, is_refused, lps, not_a_link};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::{
     Space,
@@ -9,7 +9,7 @@ use osteoflow_formats::{
     write::{write_cloud, write_mesh},
 };
 use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 use std::path::PathBuf;
 
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
@@ -51,27 +51,23 @@ pub struct In {
     verdict: Option<Verdict>,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Function for Export {
     const KIND: &'static str = "output.export";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         let frame = match (&i.bone, &i.bone_points) {
             (Some(mesh), _) => &mesh.frame,
             (None, Some(points)) => &points.frame,
             (None, None) => {
                 ctx.warn("nothing is written, since there is no bone");
-                return Ok(Out {});
+                return Ok(NoOutputs {});
             }
         };
         let space = lps(frame, "the surface is", "name its frame ct")?;
-        let Some(dir) = ctx.out_dir() else { return Ok(Out {}) };
+        let Some(dir) = ctx.out_dir() else { return Ok(NoOutputs {}) };
         let number = if ctx.item() == 0 { String::new() } else { format!("-{}", ctx.item()) };
         let dir = not_a_link(dir.join(format!("{}{number}", ctx.node())))?;
         std::fs::create_dir_all(&dir)?;
@@ -93,12 +89,12 @@ impl Function for Export {
         }
         let (Some(scan), Some(t_ct_scan)) = (&i.scan, &i.t_ct_scan) else {
             ctx.warn("the scan is not written, since it is not registered");
-            return Ok(Out {});
+            return Ok(NoOutputs {});
         };
         if !is_refused(i.verdict.as_ref(), ctx) {
             write_scan(&file, scan, &t_ct_scan.clone().expect(frame, &scan.frame)?, space)?;
         }
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }
 

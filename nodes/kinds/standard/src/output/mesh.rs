@@ -1,9 +1,9 @@
 //! The kind `output.mesh`.
 
-use super::file_of;
+use super::{NoOutputs, file_of};
 use osteoflow_formats::{Space, write::write_mesh};
 use osteoflow_geometry::Mesh as MeshPayload;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Surfaces as binary STL files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
 #[derive(Describe)]
@@ -20,20 +20,16 @@ pub struct In {
     mesh: MeshPayload,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Function for Mesh {
     const KIND: &'static str = "output.mesh";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         if let Some(path) = file_of(ctx, "stl")? {
             write_mesh(&path, &i.mesh, Space::of(&i.mesh.frame))?;
         }
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }

@@ -1,9 +1,9 @@
 //! The kind `output.planes`.
 
-use super::{file_of, lps};
+use super::{NoOutputs, file_of, lps};
 use osteoflow_formats::picked_points::write_planes_mrk_json;
 use osteoflow_geometry::Planes as PlaneList;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Planes in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node; planes that are unknown
 /// are left out, with a warning.
@@ -21,17 +21,13 @@ pub struct In {
     planes: PlaneList,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Function for Planes {
     const KIND: &'static str = "output.planes";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         lps(&i.planes.frame, "the planes are", "wire plan.planes")?;
         let known: Vec<_> = i.planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
         let n_unknown = i.planes.planes.len() - known.len();
@@ -41,6 +37,6 @@ impl Function for Planes {
         if let Some(path) = file_of(ctx, "mrk.json")? {
             write_planes_mrk_json(&path, &known)?;
         }
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }

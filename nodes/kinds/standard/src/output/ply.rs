@@ -1,10 +1,10 @@
 //! The kind `output.ply`.
 
-use super::{file_of, is_refused};
+use super::{NoOutputs, file_of, is_refused};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::{Space, write::write_cloud};
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Clouds as PLY files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
 #[derive(Describe)]
@@ -23,23 +23,19 @@ pub struct In {
     verdict: Option<Verdict>,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Function for Ply {
     const KIND: &'static str = "output.ply";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         if is_refused(i.verdict.as_ref(), ctx) {
-            return Ok(Out {});
+            return Ok(NoOutputs {});
         }
         if let Some(path) = file_of(ctx, "ply")? {
             write_cloud(&path, &i.cloud, Space::of(&i.cloud.frame))?;
         }
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }

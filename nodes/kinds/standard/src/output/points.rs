@@ -1,9 +1,9 @@
 //! The kind `output.points`.
 
-use super::{file_of, lps};
+use super::{NoOutputs, file_of, lps};
 use osteoflow_formats::picked_points::write_mrk_json;
 use osteoflow_geometry::Points as PointList;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Named points in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node.
 ///
@@ -22,21 +22,17 @@ pub struct In {
     points: PointList,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Function for Points {
     const KIND: &'static str = "output.points";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         let space = lps(&i.points.frame, "the points are", "transform them (transform.points), or use output.csv")?;
         if let Some(path) = file_of(ctx, "mrk.json")? {
             write_mrk_json(&path, &i.points.points, space)?;
         }
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }

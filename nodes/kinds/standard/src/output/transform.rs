@@ -1,10 +1,10 @@
 //! The kind `output.transform`.
 
-use super::{NOTICE, file_of, is_refused, lps};
+use super::{NOTICE, NoOutputs, file_of, is_refused, lps};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::pose_file::itk_text;
 use osteoflow_geometry::Pose;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Poses as ITK transforms (`.tfm`) in the run's folder, named after the node, for 3D Slicer.
 ///
@@ -26,26 +26,22 @@ pub struct In {
     verdict: Option<Verdict>,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Function for Transform {
     const KIND: &'static str = "output.transform";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         lps(&i.pose.to, "the pose leads to coordinates", "wire one that leads to ct, such as icp.t_target_source")?;
         if is_refused(i.verdict.as_ref(), ctx) {
-            return Ok(Out {});
+            return Ok(NoOutputs {});
         }
         if let Some(path) = file_of(ctx, "tfm")? {
             let (to, from) = (&i.pose.to, &i.pose.from);
             let frames = format!("moves frame {from} to frame {to}, mm, LPS; the parameters are those of the inverse");
             std::fs::write(path, itk_text(&i.pose.isometry, &[frames, NOTICE.into()]))?;
         }
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }

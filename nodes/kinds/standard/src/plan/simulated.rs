@@ -1,8 +1,8 @@
 //! The kind `plan.simulated`.
 
 use super::Out;
-use crate::own_bone::OwnBone;
-use osteoflow_node::{Context, Describe, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize};
+use crate::{constant::Constant, own_bone::OwnBone};
+use osteoflow_node::{Context, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_simulation::BoneParams;
 
 /// The plan for the simulated bone.
@@ -10,10 +10,7 @@ use osteoflow_simulation::BoneParams;
 #[describe(example = r#"
 kind = "plan.simulated"
 "#)]
-pub struct Simulated {
-    params: Params,
-    done: bool,
-}
+pub struct Simulated;
 
 /// Parameters of [`Simulated`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
@@ -28,23 +25,18 @@ pub struct Params {
     pub bone: BoneParams,
 }
 
-impl Source for Simulated {
+impl Constant for Simulated {
     const KIND: &'static str = "plan.simulated";
-    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        let params = Params { own: params.own.checked(&params.bone)?, ..params };
-        Ok(Self { params, done: false })
+    fn check(params: &Params) -> Result<(), ParamError> {
+        params.own.check(&params.bone)
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        if std::mem::replace(&mut self.done, true) {
-            return Ok(None);
-        }
-        let subject = self.params.own.subject(&self.params.bone)?;
+    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
+        let subject = params.own.subject(&params.bone)?;
         subject.notes.into_iter().for_each(|note| ctx.warn(note));
-        Ok(Some(subject.plan.into()))
+        Ok(subject.plan.into())
     }
 }

@@ -2,7 +2,10 @@
 
 mod outlet;
 
-use crate::acquire::{network::Role, openigtlink::is_host_port};
+use crate::{
+    acquire::{network::Role, openigtlink::is_host_port},
+    output::NoOutputs,
+};
 use osteoflow_algorithms::trust::{Answer, Verdict};
 use osteoflow_formats::{
     Space,
@@ -15,7 +18,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3, Translation3},
 };
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 use outlet::{Outlet, Task, status};
 use std::time::Duration;
@@ -106,15 +109,11 @@ pub struct In {
     verdict: Option<Verdict>,
 }
 
-/// No outputs.
-#[derive(Outputs)]
-pub struct Out {}
-
 impl Node for OpenIgtLink {
     const KIND: &'static str = "send.openigtlink";
     type Params = Params;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = NoOutputs;
 
     fn new(params: Params) -> Result<Self, ParamError> {
         if !is_host_port(&params.address) {
@@ -124,9 +123,9 @@ impl Node for OpenIgtLink {
         Ok(Self { params, outlet: None, sent_ns: None, said: Said::default() })
     }
 
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(&mut self, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         if ctx.out_dir().is_none() {
-            return Ok(Out {});
+            return Ok(NoOutputs {});
         }
         if self.outlet.is_none() {
             self.outlet = Some(Outlet::open(self.params.role, &self.params.address).map_err(NodeError::new)?);
@@ -142,7 +141,7 @@ impl Node for OpenIgtLink {
             self.said.n_dropped = n_dropped;
             ctx.warn("planes come faster than they can be sent; some are not sent");
         }
-        Ok(Out {})
+        Ok(NoOutputs {})
     }
 }
 

@@ -4,6 +4,7 @@ use super::{
     ct::{self, CtBone, NoThreshold, read_bone},
     file::SpaceName,
 };
+use crate::constant::Constant;
 use osteoflow_formats::{
     Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
@@ -11,7 +12,7 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{Cloud, Mesh};
 use osteoflow_node::{
-    Context, Describe, Emit, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Emit, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use serde_json::json;
@@ -30,11 +31,7 @@ path = "bone.stl"
 "#,
     literature = ["Gibson 1998"]
 )]
-pub struct Any {
-    params: Params,
-    is_ct: bool,
-    done: bool,
-}
+pub struct Any;
 
 /// Parameters of [`Any`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -82,44 +79,31 @@ pub struct Out {
     report: Json,
 }
 
-/// A bone as a surface or as points of it, with the report of [`Any`].
-pub struct Bone {
-    /// The surface or the points.
-    pub shape: Shape,
-    /// The port `report`.
-    pub report: Json,
-}
-
-/// A surface or points of it.
-pub enum Shape {
-    /// A surface.
-    Mesh(Mesh),
-    /// Points of it.
-    Points(Cloud),
-}
-
-impl From<MeshOrCloud> for Bone {
+impl From<MeshOrCloud> for Out {
     fn from(read: MeshOrCloud) -> Self {
-        let (shape, holds, space) = match read {
-            MeshOrCloud::Mesh(read) => (Shape::Mesh(read.mesh), "surface", read.space),
-            MeshOrCloud::Cloud(read, _) => (Shape::Points(read.cloud), "points", read.space),
-        };
-        let estimates = matches!(&shape, Shape::Points(cloud) if cloud.normals().is_none());
-        let assumptions: &[&str] = if estimates { &[ESTIMATED] } else { &[] };
-        let report = json!({ "holds": holds, "space": space.to_string(), "assumptions": assumptions });
-        Self { shape, report: Json(Arc::new(report)) }
+        let space = read.space().to_string();
+        let assumptions: &[&str] = if estimates_normals(&read) { &[ESTIMATED] } else { &[] };
+        let report = |holds: &str| json!({ "holds": holds, "space": space, "assumptions": assumptions });
+        match read {
+            MeshOrCloud::Mesh(read) => Self::surface(read.mesh, report("surface")),
+            MeshOrCloud::Cloud(read, _) => Self {
+                mesh: Emit::Empty("the file holds points".into()),
+                points: read.cloud.into(),
+                report: Json(Arc::new(report("points"))),
+            },
+        }
     }
 }
 
-impl From<Bone> for Out {
-    fn from(bone: Bone) -> Self {
-        let none = |holds: &str| format!("the file holds {holds}");
-        let (mesh, points) = match bone.shape {
-            Shape::Mesh(mesh) => (mesh.into(), Emit::Empty(none("a surface"))),
-            Shape::Points(points) => (Emit::Empty(none("points")), points.into()),
-        };
-        Self { mesh, points, report: bone.report }
+impl Out {
+    fn surface(mesh: Mesh, report: serde_json::Value) -> Self {
+        let points = Emit::Empty("the file holds a surface".into());
+        Self { mesh: mesh.into(), points, report: Json(Arc::new(report)) }
     }
+}
+
+fn estimates_normals(read: &MeshOrCloud) -> bool {
+    matches!(read, MeshOrCloud::Cloud(read, _) if read.cloud.normals().is_none())
 }
 
 const ESTIMATED: &str =
@@ -151,15 +135,14 @@ impl Params {
     }
 }
 
-impl Source for Any {
+impl Constant for Any {
     const KIND: &'static str = "surface.any";
-    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        let (path, is_ct) = (params.path.as_ref(), is_volume(params.path.as_ref()));
-        if is_ct {
+    fn check(params: &Params) -> Result<(), ParamError> {
+        let path = params.path.as_ref();
+        if is_volume(path) {
             params.ct().check()?;
             if params.unit_mm != 1.0 || params.space.is_some() {
                 let name = if params.space.is_some() { "space" } else { "unit_mm" };
@@ -169,24 +152,20 @@ impl Source for Any {
             let file = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
             return Err(ParamError::new(name, format!("{name} is for a CT, and {file} is none; leave it out")));
         }
-        Ok(Self { params, is_ct, done: false })
+        Ok(())
     }
 
-    fn files(&self) -> Vec<PathBuf> {
-        data_file(self.params.path.as_ref()).into_iter().collect()
+    fn files(params: &Params) -> Vec<PathBuf> {
+        data_file(params.path.as_ref()).into_iter().collect()
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        if std::mem::replace(&mut self.done, true) {
-            return Ok(None);
-        }
-        let bone = if self.is_ct { self.params.read_ct(ctx)? } else { self.params.read_shape(ctx)? };
-        Ok(Some(bone.into()))
+    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
+        if is_volume(params.path.as_ref()) { params.read_ct(ctx) } else { params.read_shape(ctx) }
     }
 }
 
 impl Params {
-    fn read_ct(&self, ctx: &mut Context) -> Result<Bone, NodeError> {
+    fn read_ct(&self, ctx: &mut Context) -> Result<Out, NodeError> {
         let CtBone { mesh, notes, mut report } = read_bone(&self.ct(), NoThreshold::Suggest)?;
         notes.into_iter().for_each(|note| ctx.warn(note));
         let suggested_hu = report["threshold"].as_f64().filter(|_| self.threshold_hu.is_none());
@@ -201,10 +180,10 @@ impl Params {
         report["holds"] = "ct".into();
         report["space"] = Space::Lps.to_string().into();
         report["assumptions"] = assumptions.into();
-        Ok(Bone { shape: Shape::Mesh(mesh), report: Json(Arc::new(report)) })
+        Ok(Out::surface(mesh, report))
     }
 
-    fn read_shape(&self, ctx: &mut Context) -> Result<Bone, NodeError> {
+    fn read_shape(&self, ctx: &mut Context) -> Result<Out, NodeError> {
         let bytes = input::read(self.path.as_ref())?;
         let mut read = read_mesh_or_cloud(self.path.as_ref(), &bytes, self.unit_mm, self.frame.as_str())?;
         if let Some(name) = self.space {
@@ -216,13 +195,12 @@ impl Params {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }
         read.notes().iter().for_each(|note| ctx.warn(note));
-        let bone = Bone::from(read);
-        if matches!(&bone.shape, Shape::Points(cloud) if cloud.normals().is_none()) {
+        if estimates_normals(&read) {
             ctx.warn(
                 "no normals; they are estimated from the points, outwards if the surface is closed; on an open one their side is a \
                  guess, which matters only where the scan says where the camera was",
             );
         }
-        Ok(bone)
+        Ok(read.into())
     }
 }

@@ -1,12 +1,13 @@
 //! The kind `surface.ct`.
 
+use crate::constant::Constant;
 use osteoflow_algorithms::ct_surface::{
     ComponentChoice, CtSurface, CtSurfaceParams, VolumeView, ct_surface, suggested_threshold,
 };
 use osteoflow_formats::volume::{Volume, VoxelUnit, data_file, read_volume};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
-    Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use std::{path::PathBuf, sync::Arc};
@@ -25,10 +26,7 @@ threshold_hu = 600.0
 "#,
     literature = ["Gibson 1998"]
 )]
-pub struct Ct {
-    params: Params,
-    done: bool,
-}
+pub struct Ct;
 
 /// Parameters of [`Ct`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -101,28 +99,23 @@ impl Params {
     }
 }
 
-impl Source for Ct {
+impl Constant for Ct {
     const KIND: &'static str = "surface.ct";
-    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        params.check()?;
-        Ok(Self { params, done: false })
+    fn check(params: &Params) -> Result<(), ParamError> {
+        params.check()
     }
 
-    fn files(&self) -> Vec<PathBuf> {
-        data_file(self.params.path.as_ref()).into_iter().collect()
+    fn files(params: &Params) -> Vec<PathBuf> {
+        data_file(params.path.as_ref()).into_iter().collect()
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        if std::mem::replace(&mut self.done, true) {
-            return Ok(None);
-        }
-        let bone = read_bone(&self.params, NoThreshold::Refuse)?;
+    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
+        let bone = read_bone(params, NoThreshold::Refuse)?;
         bone.notes.into_iter().for_each(|note| ctx.warn(note));
-        Ok(Some(Out { mesh: bone.mesh, report: Json(Arc::new(bone.report)) }))
+        Ok(Out { mesh: bone.mesh, report: Json(Arc::new(bone.report)) })
     }
 }
 
@@ -273,7 +266,9 @@ fn warnings(volume: &Volume, surface: &CtSurface, params: &CtSurfaceParams) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::constant::Once;
     use osteoflow_geometry::nalgebra::Point3;
+    use osteoflow_node::Source;
     use std::path::{Path, PathBuf};
 
     fn params(path: &Path) -> Params {
@@ -290,7 +285,7 @@ mod tests {
 
     fn run(params: Params) -> Result<(Out, Vec<String>), String> {
         let mut ctx = Context::for_test("bone");
-        let mut node = Ct::new(params).map_err(|error| error.to_string())?;
+        let mut node = Once::<Ct>::new(params).map_err(|error| error.to_string())?;
         let out = node.next(&mut ctx).map_err(|error| error.to_string())?.ok_or("nothing")?;
         assert!(node.next(&mut ctx).unwrap().is_none(), "once");
         Ok((out, ctx.warnings().to_vec()))

@@ -1,10 +1,9 @@
 //! The kind `surface.file`.
 
+use crate::constant::Constant;
 use osteoflow_formats::{Space, mesh_or_cloud::read_mesh};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
-use osteoflow_node::{
-    Context, Describe, FilePath, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
-};
+use osteoflow_node::{Context, Describe, FilePath, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize};
 
 /// A triangle mesh from a file: STL, PLY, OBJ, OFF or VTK, recognised by its content.
 #[derive(Describe)]
@@ -13,10 +12,7 @@ kind  = "surface.file"
 path  = "bone.stl"
 frame = "ct"
 "#)]
-pub struct File {
-    params: Params,
-    done: bool,
-}
+pub struct File;
 
 /// Parameters of [`File`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -68,21 +64,13 @@ pub struct Out {
     mesh: Mesh,
 }
 
-impl Source for File {
+impl Constant for File {
     const KIND: &'static str = "surface.file";
-    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self { params, done: false })
-    }
-
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        if std::mem::replace(&mut self.done, true) {
-            return Ok(None);
-        }
-        let Params { path, frame, unit_mm, space } = &self.params;
+    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
+        let Params { path, frame, unit_mm, space } = params;
         let mut read = read_mesh(path.as_ref(), *unit_mm, frame.as_str(), SurfaceOrigin::User)?;
         if let Some(name) = space {
             let space = name.space();
@@ -93,6 +81,6 @@ impl Source for File {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }
         read.notes.into_iter().for_each(|note| ctx.warn(note));
-        Ok(Some(Out { mesh: read.mesh }))
+        Ok(Out { mesh: read.mesh })
     }
 }

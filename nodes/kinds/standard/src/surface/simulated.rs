@@ -1,10 +1,8 @@
 //! The kind `surface.simulated`.
 
-use crate::own_bone::OwnBone;
+use crate::{constant::Constant, own_bone::OwnBone};
 use osteoflow_geometry::Mesh;
-use osteoflow_node::{
-    Context, Describe, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
-};
+use osteoflow_node::{Context, Describe, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_simulation::{BoneParams, CtParams};
 
 /// The simulated bone's surface: from a simulated CT, or exact.
@@ -15,10 +13,7 @@ use osteoflow_simulation::{BoneParams, CtParams};
 kind = "surface.simulated"
 exact = false
 "#)]
-pub struct Simulated {
-    params: Params,
-    done: bool,
-}
+pub struct Simulated;
 
 /// Parameters of [`Simulated`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
@@ -45,23 +40,18 @@ pub struct Out {
     mesh: Mesh,
 }
 
-impl Source for Simulated {
+impl Constant for Simulated {
     const KIND: &'static str = "surface.simulated";
-    const CONSTANT: bool = true;
     type Params = Params;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        let params = Params { own: params.own.checked(&params.bone)?, ..params };
-        Ok(Self { params, done: false })
+    fn check(params: &Params) -> Result<(), ParamError> {
+        params.own.check(&params.bone)
     }
 
-    fn next(&mut self, ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        if std::mem::replace(&mut self.done, true) {
-            return Ok(None);
-        }
-        let Params { exact, own, bone, ct } = &self.params;
+    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
+        let Params { exact, own, bone, ct } = params;
         let mesh = if *exact { own.subject(bone)?.bone().clone() } else { own.ct_surface(bone, ct, ctx.seed())? };
-        Ok(Some(Out { mesh }))
+        Ok(Out { mesh })
     }
 }

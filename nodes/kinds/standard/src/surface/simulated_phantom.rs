@@ -1,7 +1,8 @@
 //! The kind `surface.simulated_phantom`.
 
+use crate::constant::Constant;
 use osteoflow_geometry::Mesh;
-use osteoflow_node::{Context, Describe, NodeError, Outputs, ParamError, Source};
+use osteoflow_node::{Context, Describe, NodeError, Outputs};
 use osteoflow_simulation::phantom;
 
 /// The built-in calibration phantom's CAD.
@@ -9,9 +10,7 @@ use osteoflow_simulation::phantom;
 #[describe(example = r#"
 kind = "surface.simulated_phantom"
 "#)]
-pub struct SimulatedPhantom {
-    done: bool,
-}
+pub struct SimulatedPhantom;
 
 /// Outputs of [`SimulatedPhantom`].
 #[derive(Outputs)]
@@ -21,17 +20,12 @@ pub struct Out {
     mesh: Mesh,
 }
 
-impl Source for SimulatedPhantom {
+impl Constant for SimulatedPhantom {
     const KIND: &'static str = "surface.simulated_phantom";
-    const CONSTANT: bool = true;
     type Params = crate::NoParams;
     type Outputs = Out;
 
-    fn new(_: crate::NoParams) -> Result<Self, ParamError> {
-        Ok(Self { done: false })
-    }
-
-    fn next(&mut self, _ctx: &mut Context) -> Result<Option<Out>, NodeError> {
-        Ok((!std::mem::replace(&mut self.done, true)).then(|| Out { mesh: phantom::mesh() }))
+    fn read(_: &crate::NoParams, _ctx: &mut Context) -> Result<Out, NodeError> {
+        Ok(Out { mesh: phantom::mesh() })
     }
 }

@@ -26,40 +26,25 @@ impl Default for TrackingParams {
     }
 }
 
-/// The frame in which the bone does not move: its marker's, or the world.
-pub(crate) struct BoneFrame(TrackingParams);
-
-impl BoneFrame {
-    pub(crate) fn new(params: TrackingParams) -> Self {
-        Self(params)
+/// The pose of the bone's marker at the time of `what`, or the world itself where the bone carries no marker.
+pub(crate) fn pose_at(
+    world: &Frame,
+    marker: Option<Pose>,
+    tracked: Option<Flag>,
+    what: &str,
+    ctx: &Context,
+) -> Result<Pose, NodeError> {
+    if tracked == Some(Flag(false)) {
+        return Ok(Pose::new(world, world, Isometry3::identity()));
     }
-
-    /// The marker's pose at the time of `what`, or the world itself where the bone carries no marker.
-    pub(crate) fn pose_at(
-        &self,
-        world: &Frame,
-        marker: Option<Pose>,
-        tracked: Option<Flag>,
-        what: &str,
-        ctx: &Context,
-    ) -> Result<Pose, NodeError> {
-        if tracked == Some(Flag(false)) {
-            return Ok(Pose::new(world, world, Isometry3::identity()));
-        }
-        let Some(pose) = marker else {
-            let why = ctx.absent_reason("t_world_bone_marker").unwrap_or("nothing is wired to it");
-            return Err(NodeError::new(format!(
-                "the bone marker was not seen at the time of {what}: {why}; a pose from another time would be stale"
-            )));
-        };
-        world.expect(&pose.to, "what is carried over")?;
-        Ok(pose)
-    }
-
-    /// Reports a marker that moved while the scan was taken.
-    pub(crate) fn note_motion(&self, motion: Option<&StillReport>, what: &str, ctx: &mut Context) {
-        note_motion("bone", motion, &self.0, what, ctx);
-    }
+    let Some(pose) = marker else {
+        let why = ctx.absent_reason("t_world_bone_marker").unwrap_or("nothing is wired to it");
+        return Err(NodeError::new(format!(
+            "the bone marker was not seen at the time of {what}: {why}; a pose from another time would be stale"
+        )));
+    };
+    world.expect(&pose.to, "what is carried over")?;
+    Ok(pose)
 }
 
 /// Reports a marker that moved while the scan was taken, by more than the parameters allow and than noise explains.

@@ -1,8 +1,8 @@
 //! The kind `transform.points_to_bone_marker`.
 
-use super::{BoneFrame, TrackingParams};
+use super::{TrackingParams, pose_at};
 use osteoflow_geometry::{Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 use osteoflow_payloads::Flag;
 
 /// Points touched in the world, in the frame of the marker on the bone.
@@ -13,7 +13,7 @@ use osteoflow_payloads::Flag;
 kind = "transform.points_to_bone_marker"
 in   = { points = "recording.stylus_assessment", t_world_bone_marker = "bone_marker.pose" }
 "#)]
-pub struct PointsToBoneMarker(BoneFrame);
+pub struct PointsToBoneMarker;
 
 /// Inputs of [`PointsToBoneMarker`].
 #[derive(Inputs)]
@@ -40,19 +40,15 @@ pub struct Out {
     t_world_bone_marker: Pose,
 }
 
-impl Node for PointsToBoneMarker {
+impl Function for PointsToBoneMarker {
     const KIND: &'static str = "transform.points_to_bone_marker";
     type Params = TrackingParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: TrackingParams) -> Result<Self, ParamError> {
-        Ok(Self(BoneFrame::new(params)))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let what = i.points.points.first().map_or("a point", |p| &*p.name);
-        let pose = self.0.pose_at(&i.points.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
+        let pose = pose_at(&i.points.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
         let to_bone = pose.inverse();
         let points = i.points.transformed(&to_bone.to, &to_bone.isometry);
         Ok(Out { points, t_world_bone_marker: pose.at(ctx.stamp_ns()) })

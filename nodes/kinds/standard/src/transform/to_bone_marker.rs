@@ -1,9 +1,9 @@
 //! The kind `transform.to_bone_marker`.
 
-use super::{BoneFrame, TrackingParams};
+use super::{TrackingParams, note_motion, pose_at};
 use osteoflow_algorithms::still_average::StillReport;
 use osteoflow_geometry::{Cloud, Pose};
-use osteoflow_node::{Context, Describe, Inputs, Node, NodeError, Outputs, ParamError};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 use osteoflow_payloads::Flag;
 
 /// A cloud in the frame of the marker on the bone, where clouds of different times coincide.
@@ -19,7 +19,7 @@ in   = { cloud = "to_world.cloud", t_world_bone_marker = "bone_marker.pose", mot
 "#,
     literature = ["section 2.3 of the paper"]
 )]
-pub struct ToBoneMarker(BoneFrame);
+pub struct ToBoneMarker;
 
 /// Inputs of [`ToBoneMarker`].
 #[derive(Inputs)]
@@ -49,20 +49,16 @@ pub struct Out {
     t_world_bone_marker: Pose,
 }
 
-impl Node for ToBoneMarker {
+impl Function for ToBoneMarker {
     const KIND: &'static str = "transform.to_bone_marker";
     type Params = TrackingParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: TrackingParams) -> Result<Self, ParamError> {
-        Ok(Self(BoneFrame::new(params)))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
-        let pose = self.0.pose_at(&i.cloud.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
-        self.0.note_motion(i.motion.as_ref(), what, ctx);
+        let pose = pose_at(&i.cloud.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
+        note_motion("bone", i.motion.as_ref(), params, what, ctx);
         let to_bone = pose.inverse();
         let cloud = i.cloud.transformed(&to_bone.to, &to_bone.isometry);
         Ok(Out { cloud, t_world_bone_marker: pose.at(i.cloud.stamp_ns) })

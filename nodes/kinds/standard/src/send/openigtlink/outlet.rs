@@ -174,8 +174,8 @@ impl Receivers {
             None if self.streams.is_empty() && self.tried.is_none_or(|tried| tried.elapsed() > RETRY) => {
                 debug_assert_eq!(self.role, Role::Client);
                 self.tried = Some(Instant::now());
-                let found = self.addresses.iter().find_map(|a| Some((TcpStream::connect_timeout(a, STUCK).ok()?, *a)));
-                if let Some((stream, peer)) = found {
+                let connect = |a: &SocketAddr| Some((TcpStream::connect_timeout(a, STUCK).ok()?, *a));
+                if let Some((stream, peer)) = self.addresses.iter().find_map(connect) {
                     Self::greet(&mut self.streams, &self.lasting, stream, peer);
                 }
             }
