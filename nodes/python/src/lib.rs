@@ -273,24 +273,24 @@ impl Wires {
     /// The items of a wire.
     fn items<'py>(&self, py: Python<'py>, wire: &str) -> PyResult<Bound<'py, PyList>> {
         let missing = || PyKeyError::new_err(wire.to_owned());
-        let items = match &self.0 {
+        let items: Vec<views::PyItem> = match &self.0 {
             Source::Run(wires) => {
                 let items = wires.get(wire).ok_or_else(missing)?.iter();
                 items.map(|item| views::item_of_run(py, item)).collect::<PyResult<_>>()?
             }
             Source::File(recording) => {
-                let found = recording.wires.get(wire).ok_or_else(missing)?;
-                let items = found.items().map_err(|(number, error)| {
+                let recorded = recording.wires.get(wire).ok_or_else(missing)?;
+                let items = recorded.items().map_err(|(number, error)| {
                     errors::OsteoflowError::new_err(format!("wire {wire}, item {number}: {error}"))
                 })?;
                 let items = items.iter().map(|item| {
-                    let payload = item.payload.as_ref().map_or(&*found.payload, |(name, _)| name);
+                    let payload = item.payload.as_ref().map_or(&*recorded.payload, |(name, _)| name);
                     views::item(py, item.number, item.stamp_ns, payload, item.body.as_ref())
                 });
                 items.collect::<PyResult<_>>()?
             }
         };
-        views::list(py, items)
+        PyList::new(py, items)
     }
 
     /// What a recording says of its run, as JSON; None for a run.

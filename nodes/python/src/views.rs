@@ -7,7 +7,7 @@ use osteoflow_node::{Body, Column, ColumnType, Empty, Field, Item, PayloadType, 
 use pyo3::{
     exceptions::PyValueError,
     prelude::*,
-    types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString},
+    types::{PyBool, PyDict, PyFloat, PyInt, PyString},
 };
 
 /// What Python gets of an item: number, stamp, payload, the node and reason of an empty, head fields, columns.
@@ -124,9 +124,4 @@ pub(crate) fn given_item(ty: &'static PayloadType, number: u64, given: &Bound<'_
     }
     let value = ty.from_view(&view).map_err(|error| PyValueError::new_err(format!("{}: {error}", ty.name)))?;
     Ok(Item { number, stamp_ns, body: Body::Value(value) })
-}
-
-/// The names of a list, for Python.
-pub(crate) fn list<'py>(py: Python<'py>, items: Vec<PyItem>) -> PyResult<Bound<'py, PyList>> {
-    PyList::new(py, items)
 }

@@ -1,6 +1,13 @@
 //! The page: sections, figures, tables and views in one file that needs no network.
 
-use crate::{cell::Cell, chart::RESEARCH, format::number, modules, scene::Scene};
+use crate::{
+    cell::Cell,
+    chart::RESEARCH,
+    format::number,
+    modules,
+    scene::Scene,
+    summary::{TableRow, under_heads},
+};
 use osteoflow_draw::xml::escape;
 use osteoflow_engine::run::{Answer, Verdict};
 use serde_json::{Map, Value as Json, json};
@@ -238,7 +245,7 @@ impl Page {
     }
 
     /// A table with right-aligned numbers.
-    pub(crate) fn table(&mut self, caption: &str, head: &[String], rows: &[Vec<Cell>]) {
+    pub(crate) fn table(&mut self, caption: &str, head: &[impl AsRef<str>], rows: &[Vec<Cell>]) {
         if rows.is_empty() {
             return;
         }
@@ -253,7 +260,7 @@ impl Page {
         for (k, word) in head.iter().enumerate() {
             let right = rows.iter().any(|row| matches!(row.get(k), Some(Cell::Number(_))));
             let class = if right { " class=\"n\"" } else { "" };
-            let _ = write!(self.body, "<th scope=\"col\"{class}>{}</th>", escape(word));
+            let _ = write!(self.body, "<th scope=\"col\"{class}>{}</th>", escape(word.as_ref()));
         }
         self.body.push_str("</tr></thead><tbody>");
         for row in rows {
@@ -270,6 +277,12 @@ impl Page {
             self.body.push_str("</tr>");
         }
         self.body.push_str("</tbody></table></div>\n");
+    }
+
+    /// A table of rows with different columns.
+    pub(crate) fn rows(&mut self, caption: &str, rows: &[TableRow]) {
+        let (heads, cells) = under_heads(rows);
+        self.table(caption, &heads, &cells);
     }
 
     /// Completes the page and returns it with its figures.

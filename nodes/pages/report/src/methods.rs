@@ -147,8 +147,7 @@ fn steps(page: &mut Page, nodes: &[(String, toml::Table)], registry: &Registry) 
         ]);
     }
     page.fold("Every step with its method and its parameters that are not default");
-    let head = ["node", "kind", "purpose", "parameters"].map(String::from);
-    page.table("The steps in their order.", &head, &rows);
+    page.table("The steps in their order.", &["node", "kind", "purpose", "parameters"], &rows);
     page.unfold();
 }
 
@@ -168,7 +167,7 @@ fn error_terms(page: &mut Page, nodes: &[(String, toml::Table)], registry: &Regi
         return;
     }
     page.fold(&format!("Terms of the simulation: {} values with their sources", rows.len()));
-    let head = ["term", "value", "meaning, and where the value comes from"].map(String::from);
+    let head = ["term", "value", "meaning, and where the value comes from"];
     page.table("Terms of the simulation. \u{201c}Assumed\u{201d} means not measured.", &head, &rows);
     page.unfold();
 }

@@ -16,7 +16,7 @@ pub(crate) fn folder_name(dir: &Path) -> String {
 /// The provenance of a run, from its manifest.
 pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
     let keys = ["began", "ended", "workers"].map(|key| row(key, word(&manifest[key])));
-    page.table("Provenance of this run.", &heads(), &rows(dir, manifest, keys));
+    page.table("Provenance of this run.", &HEADS, &rows(dir, manifest, keys));
     again(page, &manifest["command"]);
     let base = Path::new(manifest["graph"]["file"].as_str().unwrap_or_default()).parent().unwrap_or(Path::new(""));
     inputs(page, base, &manifest["inputs"], &manifest["plugins"]);
@@ -28,7 +28,7 @@ pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
 /// The provenance of a sweep, from its `sweep.json`.
 pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
     let hash = row("hash of everything that determines the tables", word(&about["hash"]));
-    page.table("Provenance of this sweep.", &heads(), &rows(dir, about, [hash, row("runs", word(&about["n_runs"]))]));
+    page.table("Provenance of this sweep.", &HEADS, &rows(dir, about, [hash, row("runs", word(&about["n_runs"]))]));
     again(page, &about["command"]);
     inputs(page, Path::new(""), &about["inputs"], &about["plugins"]);
     if let Ok(graph) = fs::read_to_string(dir.join(osteoflow_engine::sweep::GRAPH)) {
@@ -36,9 +36,7 @@ pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
     }
 }
 
-fn heads() -> [String; 2] {
-    ["what".into(), "value".into()]
-}
+const HEADS: [&str; 2] = ["what", "value"];
 
 /// Rows about the graph, what is `own` to a run or a sweep, the program and the folder.
 fn rows<const N: usize>(dir: &Path, about: &Json, own: [Vec<Cell>; N]) -> Vec<Vec<Cell>> {
@@ -90,7 +88,7 @@ fn inputs(page: &mut Page, base: &Path, inputs: &Json, plugins: &Json) {
              and its licence is the program's (MIT or Apache-2.0).",
         );
     }
-    let head = ["file", "SHA-256", "licence, according to a file in its folder or above"].map(String::from);
+    let head = ["file", "SHA-256", "licence, according to a file in its folder or above"];
     page.table("Input files and plugins.", &head, &rows);
 }
 

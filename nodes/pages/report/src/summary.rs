@@ -5,6 +5,7 @@ mod group;
 mod rows;
 
 pub use compared::{NoPairs, between, with_holm};
+pub(crate) use rows::from_to;
 pub use rows::{TableRow, about_few, comparison, statistics, under_heads, units};
 
 use crate::{ReportError, run_folder};

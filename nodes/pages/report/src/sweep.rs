@@ -238,12 +238,7 @@ fn verdicts(page: &mut Page, sweep: &SweepResults) {
     }
     let groups = summary::groups(&sweep.spec, &sweep.runs);
     let rows: Vec<_> = groups.iter().map(|(setting, runs)| verdict_row(setting, runs)).collect();
-    let (heads, cells) = summary::under_heads(&rows);
-    page.table(
-        "Verdicts on the results, by setting. Refused results do not enter any figure or statistics.",
-        &heads,
-        &cells,
-    );
+    page.rows("Verdicts on the results, by setting. Refused results do not enter any figure or statistics.", &rows);
 }
 
 fn verdict_row(setting: &Map<String, Json>, runs: &[&Done]) -> summary::TableRow {

@@ -1,8 +1,9 @@
 //! Tables of arbitrary JSON results.
 
 use crate::{cell::Cell, format::number, html::Page};
-use nalgebra::Matrix4;
+use nalgebra::{Isometry3, Matrix4};
 use osteoflow_geometry::isometry_from_matrix;
+use serde::Deserialize;
 use serde_json::{Map, Value as Json};
 
 /// Longer lists are shown by their length only.
@@ -35,18 +36,17 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
         }
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }
-    let heads = |heads: &[&str]| heads.iter().map(|head| (*head).to_owned()).collect::<Vec<_>>();
     if !tables.poses.is_empty() {
         page.fold(&format!("Poses ({})", tables.poses.len()));
         let caption = "Every pose t_to_from by its path in results.json: the position of the origin of one frame in the other, \
                        and the rotation between their axes.";
         let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "rotation (deg)", "about"];
-        page.table(caption, &heads(&head), &tables.poses);
+        page.table(caption, &head, &tables.poses);
         page.unfold();
     }
     page.fold(&format!("All single results ({})", tables.singles.len()));
     let caption = "Every result that is one number or word, by its path in results.json.";
-    page.table(caption, &heads(&["result", "value"]), &tables.singles);
+    page.table(caption, &["result", "value"], &tables.singles);
     page.unfold();
 }
 
@@ -94,14 +94,19 @@ impl ResultTables {
 /// The row of a pose; `None` if the object is not a pose.
 fn pose(path: &str, object: &Map<String, Json>) -> Option<Vec<Cell>> {
     let frame = |key: &str| Some(Cell::Code(object.get(key)?.as_str()?.into()));
-    let rows: [[f64; 4]; 4] = serde_json::from_value(object.get("matrix")?.clone()).ok()?;
-    let pose = isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column])).ok()?;
+    let pose = rigid(object.get("matrix")?)?;
     let mut cells = vec![Cell::Code(path.into()), frame("to")?, frame("from")?];
     cells.extend(pose.translation.vector.iter().map(|x| Cell::Number(*x)));
     cells.push(Cell::Number(pose.rotation.angle().to_degrees()));
     let about = pose.rotation.axis().map(|axis| axis.iter().map(|x| number(*x)).collect::<Vec<_>>().join(", "));
     cells.push(Cell::word(about.unwrap_or_default()));
     Some(cells)
+}
+
+/// The rigid motion of the rows of a matrix.
+fn rigid(matrix: &Json) -> Option<Isometry3<f64>> {
+    let rows = <[[f64; 4]; 4]>::deserialize(matrix).ok()?;
+    isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column])).ok()
 }
 
 /// The object with the keys of nested objects as `a.b`, without values that do not fit a cell.
@@ -122,9 +127,7 @@ fn flat(object: &Map<String, Json>) -> Map<String, Json> {
 
 /// Origin and z axis of a pose, which for a plane is its normal; nothing if the value is no pose.
 fn placed(matrix: &Json) -> Map<String, Json> {
-    let rows = serde_json::from_value::<[[f64; 4]; 4]>(matrix.clone()).unwrap_or_default();
-    let pose = isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column]));
-    let Ok(pose) = pose else { return Map::new() };
+    let Some(pose) = rigid(matrix) else { return Map::new() };
     let list = |v: &nalgebra::Vector3<f64>| Json::from(v.as_slice());
     let axis = pose.rotation * nalgebra::Vector3::z();
     Map::from_iter([("origin_mm".to_owned(), list(&pose.translation.vector)), ("normal".to_owned(), list(&axis))])

@@ -3,7 +3,10 @@
 //! A page of another site that is open in the user's browser can send requests to the loopback. It does not know the token,
 //! its `Origin` is not on the list, and if it made its own name resolve to the loopback, the `Host` is that name.
 
-use std::net::{IpAddr, SocketAddr};
+use std::{
+    io,
+    net::{IpAddr, SocketAddr},
+};
 
 /// Rules of a server.
 #[derive(Debug, Clone)]
@@ -76,6 +79,13 @@ impl Access {
         let own = origin.strip_prefix("http://").is_some_and(|of| of.eq_ignore_ascii_case(host));
         own || self.allowed_origins.iter().any(|allowed| allowed.trim_end_matches('/').eq_ignore_ascii_case(origin))
     }
+}
+
+/// 128 random bits as hexadecimal digits.
+pub(crate) fn token() -> io::Result<String> {
+    let mut bits = [0; 16];
+    getrandom::fill(&mut bits).map_err(|error| io::Error::other(error.to_string()))?;
+    Ok(bits.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// Compares in a time that does not depend on where they differ.

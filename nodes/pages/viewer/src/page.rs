@@ -1,6 +1,6 @@
 //! The files of the page, which are part of the program.
 
-use crate::http::Response;
+use crate::{access::token, http::Response};
 
 /// A file: its path below the page, its content type and its content.
 type File = (&'static str, &'static str, &'static str);
@@ -69,11 +69,7 @@ pub(crate) fn file(path: &str) -> Option<Response> {
 
 /// The page itself. It may load nothing but what this server has.
 fn index() -> Response {
-    let mut bits = [0; 16];
-    if getrandom::fill(&mut bits).is_err() {
-        return Response::refused(500, "the system gives no random numbers");
-    }
-    let nonce: String = bits.iter().map(|byte| format!("{byte:02x}")).collect();
+    let Ok(nonce) = token() else { return Response::refused(500, "the system gives no random numbers") };
     let mut page = Response::new(200, HTML, INDEX.replace(NONCE, &nonce).into_bytes());
     page.headers = format!(
         "Content-Security-Policy: default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self'; img-src 'self' \

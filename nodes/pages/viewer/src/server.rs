@@ -1,7 +1,7 @@
 //! The server: the page, and the stream to viewers, at one address.
 
 use crate::{
-    access::{Access, Credentials, Refusal},
+    access::{Access, Credentials, Refusal, token},
     http::{PATIENCE, Request, Response},
     page,
     protocol::{self, FromClient, Level, PlaybackState, SUBPROTOCOLS},
@@ -198,13 +198,6 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.close();
     }
-}
-
-/// 128 random bits as hexadecimal digits.
-fn token() -> io::Result<String> {
-    let mut bits = [0; 16];
-    getrandom::fill(&mut bits).map_err(|error| io::Error::other(error.to_string()))?;
-    Ok(bits.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 fn accept(listener: &TcpListener, shared: &Arc<Shared>) {

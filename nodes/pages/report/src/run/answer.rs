@@ -24,12 +24,8 @@ pub(super) fn table(page: &mut Page, results: &Json) {
     };
     let rows: Vec<_> = NUMBERS.iter().filter_map(row).collect();
     if !rows.is_empty() {
-        let heads = ["", "mm", "n"].map(String::from);
-        page.table(
-            "Errors and residuals. Only TRE is accuracy: it is measured at points that the fit did not use.",
-            &heads,
-            &rows,
-        );
+        let caption = "Errors and residuals. Only TRE is accuracy: it is measured at points that the fit did not use.";
+        page.table(caption, &["", "mm", "n"], &rows);
     }
 }
 

@@ -2,9 +2,8 @@
 
 use crate::{
     cell::Cell,
-    format::number,
     html::Page,
-    summary::{TableRow, under_heads},
+    summary::{TableRow, from_to},
 };
 use serde_json::Value as Json;
 
@@ -19,12 +18,10 @@ pub(super) fn tables(page: &mut Page, predicted: &Json) {
             other => rows.extend(row(key.into(), other)),
         }
     }
-    let (heads, cells) = under_heads(&rows);
-    page.table("Errors predicted by the verdict; intervals as its node computes them.", &heads, &cells);
+    page.rows("Errors predicted by the verdict; intervals as its node computes them.", &rows);
     let terms = predicted["terms"].as_array().into_iter().flatten();
     let terms: Vec<_> = terms.filter_map(|term| row(named("", term), term)).collect();
-    let (heads, cells) = under_heads(&terms);
-    page.table("Terms of the predicted errors.", &heads, &cells);
+    page.rows("Terms of the predicted errors.", &terms);
 }
 
 fn named(what: &str, item: &Json) -> String {
@@ -49,7 +46,7 @@ fn single(value: &Json) -> Option<Cell> {
 
 fn interval(value: &Json) -> Option<Cell> {
     let (low, high) = (value.get(0)?.as_f64()?, value.get(1)?.as_f64()?);
-    Some(Cell::word(format!("{}\u{a0}to\u{a0}{}", number(low), number(high))))
+    Some(Cell::word(from_to(low, high)))
 }
 
 #[cfg(test)]

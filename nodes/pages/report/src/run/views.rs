@@ -280,7 +280,7 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
         report.n
     );
     page.figure(&format!("tre-{name}"), chart.svg(page.simulated()), &caption);
-    let head = ["point", "x mm", "y mm", "z mm", "norm mm"].map(String::from);
+    let head = ["point", "x mm", "y mm", "z mm", "norm mm"];
     let numbers = |values: [f64; 4]| values.map(Cell::Number);
     let row = |name: &str, values| [Cell::word(name)].into_iter().chain(numbers(values)).collect::<Vec<_>>();
     let mut rows: Vec<_> = report.points.iter().map(|p| row(&p.name, [p.x, p.y, p.z, p.norm])).collect();
@@ -339,7 +339,7 @@ pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
 }
 
 fn cut_table(page: &mut Page, report: &CutsReport) {
-    let head = ["plane", "offset mm", "tilt \u{b0}", "roll \u{b0}"].map(String::from);
+    let head = ["plane", "offset mm", "tilt \u{b0}", "roll \u{b0}"];
     let row = |cut: &CutReport| {
         let numbers = [cut.offset_mm, cut.tilt_rad.to_degrees(), cut.roll_rad.to_degrees()].map(Cell::Number);
         [Cell::word(&cut.name)].into_iter().chain(numbers).collect::<Vec<_>>()

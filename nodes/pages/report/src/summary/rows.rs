@@ -134,8 +134,8 @@ fn interval(of: &Value, times: f64) -> String {
     }
 }
 
-fn from_to(low: f64, high: f64) -> String {
-    // Non-breaking spaces.
+/// An interval, with non-breaking spaces.
+pub(crate) fn from_to(low: f64, high: f64) -> String {
     format!("{}\u{a0}to\u{a0}{}", number(low), number(high))
 }
 

@@ -5,7 +5,7 @@ use crate::{
     cell::Cell,
     chart::axis_label,
     html::Page,
-    summary::{TableRow, about_few, comparison, statistics, under_heads, word},
+    summary::{TableRow, about_few, comparison, statistics, word},
 };
 use osteoflow_statistics::counted;
 use serde_json::Value as Json;
@@ -33,7 +33,7 @@ pub(super) fn tables(page: &mut Page, sweep: &SweepResults, summary: &Json) {
     let comparisons = summary["comparisons"].as_array().into_iter().flatten();
     let caption = "Second against first, paired: Wilcoxon's signed ranks (effect: rank-biserial), Bland-Altman's limits of \
                    agreement, equivalence by two one-sided tests.";
-    table(page, caption, comparisons.map(compared).collect());
+    page.rows(caption, &comparisons.map(compared).collect::<Vec<_>>());
     for note in summary["notes"].as_array().into_iter().flatten().filter_map(Json::as_str) {
         page.text(note);
     }
@@ -55,14 +55,14 @@ fn row(group: &Json, axis: Option<&str>, of: &Json) -> TableRow {
 /// A table for each measure or, with a single setting, one table for all.
 fn gathered(page: &mut Page, what: &str, n_settings: usize, measures: Vec<(String, Vec<TableRow>)>) {
     if n_settings > 1 {
-        measures.into_iter().for_each(|(name, rows)| table(page, &format!("{name} {what}."), rows));
+        measures.into_iter().for_each(|(name, rows)| page.rows(&format!("{name} {what}."), &rows));
         return;
     }
     let rows = measures.into_iter().flat_map(|(name, rows)| {
         let measure = ("measure".to_owned(), Cell::word(name));
         rows.into_iter().map(move |row| [measure.clone()].into_iter().chain(row).collect())
     });
-    table(page, &format!("Statistics {what}."), rows.collect());
+    page.rows(&format!("Statistics {what}."), &rows.collect::<Vec<_>>());
 }
 
 fn compared(of: &Json) -> TableRow {
@@ -75,11 +75,6 @@ fn compared(of: &Json) -> TableRow {
 
 fn settings(of: &Json) -> TableRow {
     of.as_object().into_iter().flatten().map(|(name, value)| (name.clone(), Cell::word(word(value)))).collect()
-}
-
-fn table(page: &mut Page, caption: &str, rows: Vec<TableRow>) {
-    let (heads, cells) = under_heads(&rows);
-    page.table(caption, &heads, &cells);
 }
 
 #[cfg(test)]
