@@ -1,7 +1,7 @@
 //! A crop as a starting point: change it, build it, and run the graph again.
 
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::geometry::{Cloud, Region, nalgebra::Point3};
 
@@ -13,7 +13,7 @@ in   = { cloud = "recording.scan" }
 centre_mm = [0.0, 0.0, 200.0]
 radius_mm = 80.0
 "#)]
-pub struct Sphere(Params);
+pub struct Sphere;
 
 /// Parameters of [`Sphere`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -45,21 +45,17 @@ pub struct Out {
     cloud: Cloud,
 }
 
-impl Node for Sphere {
+impl Function for Sphere {
     const KIND: &'static str = "my_plugin.sphere";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         if let Some(region) = &i.region {
             region.frame.expect(&i.cloud.frame, "the region")?;
         }
-        let (centre, radius_mm) = (Point3::from(self.0.centre_mm), self.0.radius_mm);
+        let (centre, radius_mm) = (Point3::from(params.centre_mm), params.radius_mm);
         let is_kept = |p: &Point3<f64>| {
             (p - centre).norm() <= radius_mm && i.region.as_ref().is_none_or(|region| region.contains(p))
         };
@@ -84,8 +80,8 @@ mod tests {
     fn cropped(centre_mm: [f64; 3], region: Option<Region>) -> Result<Out, NodeError> {
         let points = [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 0.001, 0.0], [-50.0, 7.0, 9.0]].map(Point3::from);
         let cloud = Cloud::new("camera", points.to_vec()).unwrap();
-        let mut node = Sphere::new(Params { centre_mm, radius_mm: 2.0 }).unwrap();
-        node.process(In { cloud, region }, &mut Context::for_test("crop"))
+        let params = Params { centre_mm, radius_mm: 2.0 };
+        Sphere::process(&params, In { cloud, region }, &mut Context::for_test("crop"))
     }
 
     #[test]

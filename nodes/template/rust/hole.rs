@@ -1,7 +1,7 @@
 //! A hole detector as a starting point: change it, build it, and run the graph again.
 
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::{
     Metrics,
@@ -25,7 +25,7 @@ radius_mm = 1.0
 "#,
     literature = ["section 2.3 of the paper"]
 )]
-pub struct Difference(Params);
+pub struct Difference;
 
 /// Parameters of [`Difference`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -67,19 +67,15 @@ pub struct Out {
     report: Metrics,
 }
 
-impl Node for Difference {
+impl Function for Difference {
     const KIND: &'static str = "my_plugin.difference";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         i.cloud.frame.expect(&i.reference.frame, "the scan with the laser")?;
-        let Params { radius_mm, min_points } = self.0;
+        let Params { radius_mm, min_points } = *params;
         let tree = Nearest::new(i.cloud.points());
         let is_missing = |p: &Point3<f64>| tree.nearest(p).is_none_or(|(_, square)| square > radius_mm * radius_mm);
         let missing: Vec<_> = i.reference.points().iter().copied().filter(is_missing).collect();
@@ -140,7 +136,7 @@ mod tests {
 
     fn found(radius_mm: f64) -> Result<Out, NodeError> {
         let input = In { reference: plane(0.0), cloud: plane(radius_mm) };
-        Difference(Params::default()).process(input, &mut Context::for_test("hole"))
+        Difference::process(&Params::default(), input, &mut Context::for_test("hole"))
     }
 
     #[test]

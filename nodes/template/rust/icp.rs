@@ -4,7 +4,7 @@
 //! 1e-9 mm. The built-in `icp.point_to_point` is faster and more accurate.
 
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
     serde_json::json, tracing,
 };
 use osteoflow_payloads::{
@@ -33,7 +33,7 @@ max_pair_distance_mm = 5.0
 "#,
     literature = ["Besl & McKay 1992"]
 )]
-pub struct PointToPoint(Params);
+pub struct PointToPoint;
 
 /// Parameters of [`PointToPoint`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -80,26 +80,22 @@ pub struct Out {
     report: Json,
 }
 
-impl Node for PointToPoint {
+impl Function for PointToPoint {
     const KIND: &'static str = "my_plugin.point_to_point";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let mut t = i.init.expect(&i.target.frame, &i.source.frame)?;
         let surface = visible(&i.target, &i.source, &t);
         let tree = Nearest::new(&surface);
-        let mut pairs = self.pair(i.source.points(), &surface, &tree, &t)?;
+        let mut pairs = pair(i.source.points(), &surface, &tree, &t, params.max_pair_distance_mm)?;
         let (mut n_steps, mut converged) = (0, false);
-        while !converged && n_steps < self.0.max_iterations && !ctx.cancelled() {
+        while !converged && n_steps < params.max_iterations && !ctx.cancelled() {
             t = kabsch(&pairs.target, &pairs.source)?;
-            let next = self.pair(i.source.points(), &surface, &tree, &t)?;
-            converged = (next.rms_mm - pairs.rms_mm).abs() < self.0.stop_residual_mm;
+            let next = pair(i.source.points(), &surface, &tree, &t, params.max_pair_distance_mm)?;
+            converged = (next.rms_mm - pairs.rms_mm).abs() < params.stop_residual_mm;
             pairs = next;
             n_steps += 1;
         }
@@ -139,38 +135,35 @@ struct Pairs {
     rms_mm: f64,
 }
 
-impl PointToPoint {
-    /// Pairs each source point, moved by `t`, with the nearest point of the surface within `max_pair_distance_mm`.
-    fn pair(
-        &self,
-        source: &[Point3<f64>],
-        surface: &[Point3<f64>],
-        tree: &Nearest,
-        t: &Isometry3<f64>,
-    ) -> Result<Pairs, NodeError> {
-        let max_mm = self.0.max_pair_distance_mm;
-        let mut pairs = Pairs { target: Vec::new(), source: Vec::new(), rms_mm: 0.0 };
-        let mut squares = 0.0;
-        for point in source {
-            let moved = t * point;
-            let Some((index, _)) = tree.nearest(&moved) else { continue };
-            let distance_mm = distance(&moved, &surface[index]);
-            if distance_mm <= max_mm {
-                pairs.target.push(surface[index]);
-                pairs.source.push(*point);
-                squares += distance_mm * distance_mm;
-            }
+/// Pairs each source point, moved by `t`, with the nearest point of the surface within `max_mm`.
+fn pair(
+    source: &[Point3<f64>],
+    surface: &[Point3<f64>],
+    tree: &Nearest,
+    t: &Isometry3<f64>,
+    max_mm: f64,
+) -> Result<Pairs, NodeError> {
+    let mut pairs = Pairs { target: Vec::new(), source: Vec::new(), rms_mm: 0.0 };
+    let mut squares = 0.0;
+    for point in source {
+        let moved = t * point;
+        let Some((index, _)) = tree.nearest(&moved) else { continue };
+        let distance_mm = distance(&moved, &surface[index]);
+        if distance_mm <= max_mm {
+            pairs.target.push(surface[index]);
+            pairs.source.push(*point);
+            squares += distance_mm * distance_mm;
         }
-        let (n, n_source) = (pairs.source.len(), source.len());
-        if n < MIN_PAIRS {
-            return Err(NodeError::new(format!(
-                "{n} of {n_source} source points are within {max_mm} mm of the target, {MIN_PAIRS} are needed; is init \
-                 right, and are both in mm?"
-            )));
-        }
-        pairs.rms_mm = (squares / n as f64).sqrt();
-        Ok(pairs)
     }
+    let (n, n_source) = (pairs.source.len(), source.len());
+    if n < MIN_PAIRS {
+        return Err(NodeError::new(format!(
+            "{n} of {n_source} source points are within {max_mm} mm of the target, {MIN_PAIRS} are needed; is init \
+             right, and are both in mm?"
+        )));
+    }
+    pairs.rms_mm = (squares / n as f64).sqrt();
+    Ok(pairs)
 }
 
 osteoflow_node::export!(PointToPoint);
@@ -193,7 +186,7 @@ mod tests {
             target: Target::new("ct", SurfaceOrigin::Exact, bowl(), None)?,
             init: Pose::new("ct", "camera", Isometry3::identity()),
         };
-        PointToPoint(Params::default()).process(input, &mut Context::for_test("icp"))
+        PointToPoint::process(&Params::default(), input, &mut Context::for_test("icp"))
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! A metric as a starting point: change it, build it, and run the graph again.
 
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::{
     Metrics,
@@ -15,7 +15,7 @@ kind = "my_plugin.tre"
 in   = { planned = "plan.assessment", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true" }
 limit_mm = 1.5
 "#)]
-pub struct Tre(Params);
+pub struct Tre;
 
 /// Parameters of [`Tre`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -54,17 +54,13 @@ pub struct Out {
     report: Metrics,
 }
 
-impl Node for Tre {
+impl Function for Tre {
     const KIND: &'static str = "my_plugin.tre";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let error = i.t_ct_world.compose(&i.t_ct_world_true.inverse())?;
         let error = error.expect(&i.planned.frame, &i.planned.frame)?;
         let off_mm: Vec<f64> = i.planned.positions().iter().map(|p| distance(&(error * p), p)).collect();
@@ -73,7 +69,7 @@ impl Node for Tre {
         }
         let n = off_mm.len() as f64;
         let max_mm = off_mm.iter().copied().fold(0.0, f64::max);
-        let n_good = off_mm.iter().filter(|&&off_mm| off_mm <= self.0.limit_mm).count() as f64;
+        let n_good = off_mm.iter().filter(|&&off_mm| off_mm <= params.limit_mm).count() as f64;
         let report =
             [("mean", off_mm.iter().sum::<f64>() / n, "mm"), ("max", max_mm, "mm"), ("share_good", n_good / n, "")];
         Ok(Out { report: Metrics::new(report)? })
@@ -99,7 +95,7 @@ mod tests {
             t_ct_world: Pose::new("ct", "world", turn * truth),
             t_ct_world_true: Pose::new("ct", "world", truth),
         };
-        Tre(Params::default()).process(input, &mut Context::for_test("tre"))
+        Tre::process(&Params::default(), input, &mut Context::for_test("tre"))
     }
 
     #[test]

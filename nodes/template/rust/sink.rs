@@ -1,7 +1,7 @@
 //! A sink as a starting point, which writes a file of points: change it, build it, and run the graph again.
 
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::{Text, geometry::Cloud};
 use std::fmt::Write;
@@ -15,7 +15,7 @@ kind = "my_plugin.xyz"
 in   = { cloud = "to_bone.cloud" }
 unit_mm = 1.0
 "#)]
-pub struct Xyz(Params);
+pub struct Xyz;
 
 /// Parameters of [`Xyz`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -47,23 +47,19 @@ pub struct Out {
     file: Text,
 }
 
-impl Node for Xyz {
+impl Function for Xyz {
     const KIND: &'static str = "my_plugin.xyz";
     type Params = Params;
     type Inputs = In;
     type Outputs = Out;
 
-    fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self(params))
-    }
-
-    fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let Some(dir) = ctx.out_dir() else {
             return Err(NodeError::new("the run has no folder to write into; name one with --out"));
         };
         let file = format!("{}-{}.xyz", ctx.node(), ctx.item());
         let path = dir.join(&file);
-        std::fs::write(&path, text(&i.cloud, self.0.unit_mm))
+        std::fs::write(&path, text(&i.cloud, params.unit_mm))
             .map_err(|error| NodeError::new(format!("{} cannot be written: {error}", path.display())))?;
         Ok(Out { file: Text(file.into()) })
     }
@@ -97,7 +93,7 @@ mod tests {
     #[test]
     fn a_run_without_a_folder_is_an_error() {
         let input = In { cloud: Cloud::new("ct", vec![Point3::origin()]).unwrap() };
-        let message = Xyz(Params::default()).process(input, &mut Context::for_test("sink")).map(|_| ()).unwrap_err();
+        let message = Xyz::process(&Params::default(), input, &mut Context::for_test("sink")).map(|_| ()).unwrap_err();
         assert!(message.to_string().starts_with("the run has no folder"), "{message}");
     }
 }
