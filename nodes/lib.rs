@@ -12,10 +12,10 @@ pub mod progress {
 }
 
 use app::{UsageError, with_causes};
-use clap::Parser;
+use clap::{ColorChoice, Parser};
 use commands::{
     command_line::Cli,
-    common::{Exit, Format, Global, crash, global::Colour, log, terminal},
+    common::{Exit, Format, Global, crash, log, terminal},
 };
 use std::{
     ffi::OsString,
@@ -59,7 +59,7 @@ pub fn code_of(arguments: Vec<OsString>) -> u8 {
 /// Starts logging to stderr for a program that calls [`app`]: warnings on a terminal, elsewhere errors.
 pub fn start_log() {
     let quiet = !std::io::stderr().is_terminal();
-    log::start(&Global { format: Format::Text, quiet, verbose: 0, color: Colour::Auto });
+    log::start(&Global { format: Format::Text, quiet, verbose: 0, color: ColorChoice::Auto });
 }
 
 /// Whether the reader of stdout has gone. A file that cannot be read or written is another matter.

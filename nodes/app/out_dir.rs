@@ -44,12 +44,16 @@ impl Deref for OutDir {
 /// Creates a folder for other files than those of a run. One that is not empty is refused unless `force` is set, with the remedy in
 /// the message.
 pub(crate) fn make_plain(dir: &Path, force: bool, remedy: &str) -> Result<()> {
-    fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
+    make_folder(dir)?;
     let mut entries = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?;
-    if entries.next().is_some() && !force {
+    if entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)) && !force {
         return Err(UsageError(format!("{} is not empty; {remedy}", dir.display())).into());
     }
     Ok(())
+}
+
+fn make_folder(dir: &Path) -> Result<()> {
+    fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))
 }
 
 /// Creates the folder: `out` if given, otherwise a new one under `runs/` in the current folder.
@@ -59,15 +63,9 @@ pub(crate) fn make_plain(dir: &Path, force: bool, remedy: &str) -> Result<()> {
 /// `force`, the files of an earlier run are removed and everything else stays.
 pub(crate) fn make(out: Option<&Path>, graph: &str, force: bool) -> Result<OutDir> {
     let Some(dir) = out else { return make_new(Path::new(RUNS), graph, SystemTime::now()) };
-    fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))?;
+    make_folder(dir)?;
     let lock = FolderLock::take(dir)?;
-    let mut entries = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?;
-    let used = entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER));
-    if used && !force {
-        let message =
-            format!("{} is not empty; name another folder, or replace the run in it with --force", dir.display());
-        return Err(UsageError(message).into());
-    }
+    make_plain(dir, force, "name another folder, or replace the run in it with --force")?;
     for name in [files::RECORDING, files::RESULTS, files::MANIFEST] {
         match fs::remove_file(dir.join(name)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
@@ -100,7 +98,7 @@ fn remove_bundles(folder: &Path) -> io::Result<()> {
 
 /// Creates a new folder `<graph>-<time>`; `-2`, `-3` ... is appended if several runs begin in the same second.
 fn make_new(parent: &Path, graph: &str, now: SystemTime) -> Result<OutDir> {
-    fs::create_dir_all(parent).with_context(|| format!("{} cannot be made a folder", parent.display()))?;
+    make_folder(parent)?;
     // A graph may have any name; that of a folder must not contain separators.
     let plain = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '_' };
     let stem = format!("{}-{}", graph.chars().map(plain).collect::<String>(), time_in_name(now));

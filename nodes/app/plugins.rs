@@ -80,12 +80,11 @@ impl Plugins {
         let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
         let prober = prober()?;
         let launcher = Some(own("worker")?);
-        let asked = self.files.clone();
         let interpreter = Launcher { program: self.interpreter(), arguments: vec!["-c".into(), PYTHON_HELPER.into()] };
         let scripts = Some(Scripts { ending: "py", interpreter });
         Ok(Kinds::new(
             registry(),
-            Finder { prober, store, asked, folders, launcher, scripts, only: None, plugins_apart },
+            Finder { prober, store, asked: self.files.clone(), folders, launcher, scripts, only: None, plugins_apart },
         ))
     }
 }

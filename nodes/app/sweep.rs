@@ -2,7 +2,6 @@
 
 use super::{
     error::{Error, UsageError},
-    folder_lock::HOLDER,
     options::Keep,
     out_dir::{self, OutDir},
     plugins::Plugins,
@@ -16,7 +15,6 @@ use osteoflow_engine::sweep::{
 use osteoflow_report::summary;
 use serde_json::Value;
 use std::{
-    fs,
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::{Arc, atomic::AtomicBool},
@@ -183,10 +181,7 @@ pub(crate) fn new_dir(out: Option<&Path>, graph: &str) -> Result<OutDir> {
         let message = format!("{shown} holds a sweep already; continue it with --resume, or name another folder");
         return Err(UsageError(message).into());
     }
-    let mut entries = fs::read_dir(dir).into_iter().flatten();
-    if entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)) {
-        return Err(UsageError(format!("{shown} is not empty; name another folder")).into());
-    }
+    out_dir::make_plain(dir, false, "name another folder")?;
     out_dir::make(out, graph, false)
 }
 

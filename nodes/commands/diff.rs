@@ -40,9 +40,7 @@ impl Diff {
         }
         let options = DiffOptions { wires: self.wires.clone(), tolerance: self.tolerance };
         let [a, b] = [run_path::recording(&self.a)?, run_path::recording(&self.b)?];
-        let mut reading = Reading::begin("comparing", &a, global);
-        let report = diff(&a, &b, &options, &mut |at, of| reading.at(at, of))?;
-        drop(reading);
+        let report = Reading::of("comparing", &a, global, |progress| diff(&a, &b, &options, progress))?;
         if report.wires.is_empty() && !self.wires.is_empty() {
             let message = format!("no wire of either recording is called {}", self.wires.join(" or "));
             return Err(UsageError(message).into());
@@ -157,13 +155,6 @@ fn sides(report: &DiffReport) -> Vec<String> {
     lines
 }
 
-pub(super) fn difference(what: &Difference) -> Value {
-    json!({
-        "field": what.field, "a": what.a, "b": what.b,
-        "ulp": what.ulp, "distance": what.distance, "unit": what.unit, "note": what.note,
-    })
-}
-
 fn as_json(report: &DiffReport, exit: Exit) -> Value {
     let wires = report.wires.iter().map(|wire| {
         json!({
@@ -179,24 +170,17 @@ fn as_json(report: &DiffReport, exit: Exit) -> Value {
             "empties": wire.n_empties,
             "largest_ulp": wire.largest.ulp,
             "largest_by_unit": wire.largest.by_unit,
-            "first": wire.first.as_ref().map(|(item, what)| json!({ "item": item, "what": difference(what) })),
+            "first": wire.first.as_ref().map(|(item, what)| json!({ "item": item, "what": what })),
         })
     });
-    let side = |side: &Side| {
-        json!({
-            "graph": side.graph, "seed": side.seed, "version": side.version, "incomplete": side.incomplete,
-        })
-    };
     json!({
         "outcome": exit.to_json(),
         "equal": report.is_equal(),
-        "first": report.first.as_ref().map(|first| {
-            json!({ "wire": first.wire, "item": first.item, "what": difference(&first.what) })
-        }),
+        "first": report.first,
         "same_graph": report.same_graph,
         "same_results": report.same_results,
-        "a": side(&report.sides[0]),
-        "b": side(&report.sides[1]),
+        "a": report.sides[0],
+        "b": report.sides[1],
         "wires": wires.collect::<Value>(),
     })
 }

@@ -31,9 +31,7 @@ impl Digest {
         let mut answers = Vec::new();
         for file in &self.files {
             let file = &run_path::recording(file)?;
-            let mut reading = Reading::begin("reading", file, global);
-            let report = digest(file, &mut |at, of| reading.at(at, of));
-            drop(reading);
+            let report = Reading::of("reading", file, global, |progress| digest(file, progress));
             match &report {
                 Ok(report) if report.incomplete.is_none() => {}
                 _ => exit = Exit::Failed,

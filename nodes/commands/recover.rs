@@ -28,9 +28,7 @@ pub(crate) struct Recover {
 
 impl Recover {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let mut reading = Reading::begin("recovering", &self.from, global);
-        let report = recover(&self.from, &self.to, &mut |at, of| reading.at(at, of));
-        drop(reading);
+        let report = Reading::of("recovering", &self.from, global, |progress| recover(&self.from, &self.to, progress));
         let report = report.map_err(|error| match error {
             RecoverError::Exists { .. } => UsageError(error.to_string()).into(),
             other => anyhow::Error::from(other),

@@ -219,7 +219,7 @@ fn comparison(wire: &WireComparison) -> String {
 fn as_json(report: &ReplayReport, exit: Exit) -> Value {
     let difference = |wire: &WireComparison| {
         let difference = wire.first_difference.as_ref();
-        difference.map(|d| json!({ "wire": wire.wire, "item": d.item, "what": diff::difference(&d.what) }))
+        difference.map(|d| json!({ "wire": wire.wire, "item": d.item, "what": d.what }))
     };
     let wires = report.wires.iter().map(|wire| {
         let part = match wire.part {

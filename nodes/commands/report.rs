@@ -34,19 +34,19 @@ impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let registry = registry();
         let dir = run_path::folder(&self.dir);
-        let report = match Holds::of(&dir) {
-            Holds::Sweep => osteoflow_report::of_sweep(&dir, &registry, &Kinds::from(&registry))?,
-            Holds::Run => osteoflow_report::of_run(&dir, &registry)?,
-            Holds::Neither => {
-                let message = format!(
-                    "{} is not the folder of a run ({} is missing) or of a sweep ({} is missing); name one that `osteoflow run` \
-                     or `osteoflow sweep` has left",
-                    dir.display(),
-                    files::MANIFEST,
-                    sweep::DESIGN
-                );
-                return Err(UsageError(message).into());
-            }
+        let report = if dir.join(sweep::DESIGN).is_file() {
+            osteoflow_report::of_sweep(&dir, &registry, &Kinds::from(&registry))?
+        } else if dir.join(files::MANIFEST).is_file() {
+            osteoflow_report::of_run(&dir, &registry)?
+        } else {
+            let message = format!(
+                "{} is not the folder of a run ({} is missing) or of a sweep ({} is missing); name one that `osteoflow run` \
+                 or `osteoflow sweep` has left",
+                dir.display(),
+                files::MANIFEST,
+                sweep::DESIGN
+            );
+            return Err(UsageError(message).into());
         };
         let page = self.out.clone().unwrap_or_else(|| dir.join(osteoflow_report::PAGE));
         report.write(&dir, &page)?;
@@ -54,22 +54,6 @@ impl Report {
             writeln!(terminal::stderr(), "{}: {fault}", global.paint_err("warning", "1;33"))?;
         }
         print_end(&page, &report, global)
-    }
-}
-
-enum Holds {
-    Run,
-    Sweep,
-    Neither,
-}
-
-impl Holds {
-    fn of(dir: &Path) -> Self {
-        match () {
-            () if dir.join(sweep::DESIGN).is_file() => Self::Sweep,
-            () if dir.join(files::MANIFEST).is_file() => Self::Run,
-            () => Self::Neither,
-        }
     }
 }
 

@@ -29,9 +29,7 @@ pub(crate) struct Validate {
 impl Validate {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let file = run_path::recording(&self.file)?;
-        let mut reading = Reading::begin("checking", &file, global);
-        let report = validate(&file, &registry(), &mut |at, of| reading.at(at, of))?;
-        drop(reading);
+        let report = Reading::of("checking", &file, global, |progress| validate(&file, &registry(), progress))?;
         let exit = if report.is_sound() { Exit::Done } else { Exit::Unsound };
         match global.format {
             Format::Json => print_json(&as_json(&file, &report, exit))?,

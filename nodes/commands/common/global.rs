@@ -1,6 +1,6 @@
 //! The switches of every command.
 
-use clap::{ArgAction, Args, ValueEnum};
+use clap::{ArgAction, Args, ColorChoice, ValueEnum};
 use std::io::IsTerminal;
 
 /// Switches of every command.
@@ -19,8 +19,8 @@ pub(crate) struct Global {
     pub(crate) verbose: u8,
 
     /// When to use colours; auto: on a terminal, unless NO_COLOR is set.
-    #[arg(long, global = true, value_enum, default_value_t = Colour::Auto, value_name = "WHEN")]
-    pub(crate) color: Colour,
+    #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto, value_name = "WHEN")]
+    pub(crate) color: ColorChoice,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -31,22 +31,15 @@ pub(crate) enum Format {
     Json,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Colour {
-    Auto,
-    Always,
-    Never,
-}
-
 impl Global {
     /// Whether to use colours on stderr.
     pub(crate) fn colour_err(&self) -> bool {
-        self.color.allows(std::io::stderr().is_terminal())
+        is_coloured(self.color, std::io::stderr().is_terminal())
     }
 
     /// `text` in an ANSI style such as `1;31`, if colours are used on stdout.
     pub(crate) fn paint_out(&self, text: &str, style: &str) -> String {
-        paint(self.color.allows(std::io::stdout().is_terminal()), text, style)
+        paint(is_coloured(self.color, std::io::stdout().is_terminal()), text, style)
     }
 
     /// `text` in an ANSI style such as `1;31`, if colours are used on stderr.
@@ -55,13 +48,11 @@ impl Global {
     }
 }
 
-impl Colour {
-    fn allows(self, terminal: bool) -> bool {
-        match self {
-            Self::Always => true,
-            Self::Never => false,
-            Self::Auto => terminal && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty()),
-        }
+fn is_coloured(choice: ColorChoice, terminal: bool) -> bool {
+    match choice {
+        ColorChoice::Always => true,
+        ColorChoice::Never => false,
+        ColorChoice::Auto => terminal && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty()),
     }
 }
 

@@ -256,14 +256,19 @@ pub(crate) struct Reading {
 }
 
 impl Reading {
-    /// Begins to show the progress of reading `file`.
-    pub(crate) fn begin(doing: &str, file: &Path, global: &Global) -> Self {
+    /// Shows the progress of `read`, which reads `file` and calls its argument with the bytes so far and all bytes.
+    pub(crate) fn of<T>(
+        doing: &str,
+        file: &Path,
+        global: &Global,
+        read: impl FnOnce(&mut dyn FnMut(u64, u64)) -> T,
+    ) -> T {
         let what = format!("{doing} {}", file.display());
-        Self { bar: ProgressBar::hidden(), what, began: Instant::now(), shown: Shown::of(global) }
+        let mut reading = Self { bar: ProgressBar::hidden(), what, began: Instant::now(), shown: Shown::of(global) };
+        read(&mut |n_bytes, of| reading.at(n_bytes, of))
     }
 
-    /// Updates the progress, in bytes.
-    pub(crate) fn at(&mut self, n_bytes: u64, of: u64) {
+    fn at(&mut self, n_bytes: u64, of: u64) {
         if self.bar.is_hidden() && self.began.elapsed() >= PATIENCE {
             let template = "{spinner} {bar:24} {bytes}/{total_bytes} {binary_bytes_per_sec}  {wide_msg}";
             self.bar = self.shown.bar(Some(of), template);

@@ -156,11 +156,12 @@ fn some(table: TextTable) -> Option<TextTable> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::common::global::{Colour, Format};
+    use crate::commands::common::global::Format;
+    use clap::ColorChoice;
     use serde_json::json;
 
     fn shown(results: &Value) -> String {
-        text(results, &Global { format: Format::Text, quiet: false, verbose: 0, color: Colour::Never })
+        text(results, &Global { format: Format::Text, quiet: false, verbose: 0, color: ColorChoice::Never })
     }
 
     #[test]

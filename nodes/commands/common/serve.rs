@@ -4,6 +4,8 @@ mod graph;
 pub(crate) mod known_plan;
 pub(crate) mod picks;
 
+pub(crate) use graph::as_json as graph_json;
+
 use super::{global::Global, terminal};
 use crate::app::{UsageError, refusal_in_short, registry};
 use anyhow::{Context, Result};
@@ -13,7 +15,7 @@ use osteoflow_engine::{
     plan::Plan,
     run::{Outcome, RunReport},
 };
-use osteoflow_node::{Registry, Role};
+use osteoflow_node::Role;
 use osteoflow_viewer::{App, ServeOptions, Server, Stream};
 use serde_json::{Map, Value, json};
 use std::{
@@ -153,11 +155,6 @@ impl Serving {
     }
 }
 
-/// The nodes of a plan as the page lists them.
-pub(crate) fn graph_json(plan: &Plan, registry: &Registry) -> Value {
-    graph::as_json(plan, registry)
-}
-
 /// Serves until Ctrl-C, then says how much was sent.
 pub(crate) fn wait(server: Server, cancelled: &AtomicBool, global: &Global) -> Result<()> {
     while !cancelled.load(Ordering::Relaxed) {
@@ -188,7 +185,7 @@ pub(crate) fn recorded(stream: &Stream, name: &str, recording: Option<&Recording
         check_recorded(&run.graph, &run.graph_file, &[], &recording.registry(&registry())).ok()
     });
     if let Some(checked) = checked {
-        stream.publish(GRAPH, &graph::as_json(&checked.plan, &checked.registry));
+        stream.publish(GRAPH, &graph_json(&checked.plan, &checked.registry));
     }
 }
 

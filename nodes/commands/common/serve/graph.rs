@@ -5,7 +5,7 @@ use osteoflow_node::Registry;
 use serde_json::{Map, Value, json};
 
 /// The nodes of a plan in the order of the graph.
-pub(super) fn as_json(plan: &Plan, registry: &Registry) -> Value {
+pub(crate) fn as_json(plan: &Plan, registry: &Registry) -> Value {
     let rows: Vec<Value> = plan.nodes.iter().map(|node| node_json(plan, registry, node)).collect();
     json!({ "name": plan.name, "nodes": rows })
 }
