@@ -4,7 +4,7 @@ use crate::app::simulate::laser_number;
 use crate::commands::common::{Global, terminal};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use osteoflow_formats::openigtlink::{Affine, Body, Fiducial, Message, Metadata, PolyData, Status, Text, device_name};
+use osteoflow_formats::openigtlink::{Affine, Body, Fiducial, Message, Metadata, PolyData, Status, device_name};
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
 use osteoflow_simulation::Procedure;
 use std::{
@@ -95,7 +95,7 @@ fn messages(procedure: &Procedure, scans: ScanType) -> Result<Vec<(StampNs, Vec<
     messages.sort_by_key(|message| message.stamp_ns);
     let first_ns = messages.first().map_or(0, |message| message.stamp_ns);
     let last_ns = messages.last().map_or(0, |message| message.stamp_ns);
-    let mut head = vec![Message::new("Simulated", first_ns, Body::Text(Text("true".into())))];
+    let mut head = vec![Message::new("Simulated", first_ns, Body::Text("true".into()))];
     if let Some(region) = &procedure.region {
         let corners =
             [("min", &region.min), ("max", &region.max)].map(|(name, corner)| Fiducial::new(name, single(corner)));

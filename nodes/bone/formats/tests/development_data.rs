@@ -77,7 +77,7 @@ fn the_development_procedure_holds_what_its_makers_reader_finds() {
     assert_near_mm(init.position, [-19.108219689991084, 5.310590812428581, 1223.6622743332525], 1e-9);
     assert_eq!(init.frame.as_str(), "world");
     for topic in recording.topics() {
-        let stamps: Vec<StampNs> = recording.messages(&topic.name).iter().map(|m| stamp(m)).collect();
+        let stamps: Vec<StampNs> = recording.messages(&topic.name).iter().map(stamp).collect();
         assert!(stamps.is_sorted(), "{} is not in order of sensor time", topic.name);
     }
 }

@@ -72,7 +72,7 @@ impl Function for Ruled {
         let t_bone_marker_ct = i.t_ct_world_true.compose(&i.t_world_bone_marker)?.inverse();
         let bone_marker = t_bone_marker_ct.to.clone();
         let motion = t_bone_marker_ct.expect(&bone_marker, ct)?;
-        let along = direction(axes.columns * Vector3::z())?;
+        let along = direction(axes.columns * Vector3::z()).map_err(NodeError::new)?;
         let ruled = ruled(&MeshQuery::new(&i.mesh), &i.planned.points, &along, params)?;
         let points = Points::new(ct, ruled.points).transformed(bone_marker, &motion);
         Ok(Out { points: Points { stamp_ns: ctx.stamp_ns(), ..points }, report: ruled.report })
