@@ -37,9 +37,12 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
+/// Settings of a procedure that takes less time.
+const SMALL: [&str; 4] = ["--set", "recording.camera.n_points=5000", "--set", "bone.exact=true"];
+
 fn run_into(dir: &Path) -> Command {
     let mut command = osteoflow_to_spawn();
-    command.args(["run", "graphs/fibula.toml", "--quiet", "--out"]).arg(dir);
+    command.args(["run", "graphs/fibula.toml"]).args(SMALL).args(["--quiet", "--out"]).arg(dir);
     command.stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }
@@ -135,7 +138,7 @@ fn the_recording_is_synced_before_results_and_manifest_which_are_renamed_from_sy
 fn a_disk_that_is_full_anywhere_leaves_whole_files_and_the_message_says_what_is_missing() {
     let Some(library) = failing_disk() else { return };
     let parent = tempfile::tempdir().unwrap();
-    let whole = crate::common::shared_run("graphs/fibula.toml", &[]);
+    let whole = crate::common::shared_run("graphs/fibula.toml", &SMALL);
     let size = |name: &str| fs::metadata(whole.path(name)).unwrap().len();
     let recording = size("run.mcap");
     let mut n_named = 0;
@@ -167,7 +170,8 @@ fn a_sweep_on_a_full_disk_goes_on_where_it_stopped() {
     let graph = parent.path().join("small.toml");
     let base = crate::common::root().join("graphs/fibula.toml");
     let n_runs = if crate::common::is_slow_run() { 3 } else { 2 };
-    let sweep = format!("[sweep]\nrepeat = {n_runs}\n[sweep.columns]\nrms = \"icp.rms_mm\"\n");
+    let small = "[node.recording]\ncamera.n_points = 5000\n[node.bone]\nexact = true\n";
+    let sweep = format!("{small}[sweep]\nrepeat = {n_runs}\n[sweep.columns]\nrms = \"icp.rms_mm\"\n");
     fs::write(&graph, format!("extends = {base:?}\n[graph]\nname = \"small\"\n{sweep}")).unwrap();
     let command = |dir: &str, resume: bool| {
         let mut command = osteoflow_to_spawn();

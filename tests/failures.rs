@@ -10,7 +10,9 @@ use std::{
 };
 
 const GRAPH: &str = "graphs/fibula.toml";
-const ALL_WIRES: [&str; 2] = ["--set", "record.wires=[\"*\"]"];
+/// Settings that record every wire of a procedure that takes less time.
+const ALL_WIRES: [&str; 6] =
+    ["--set", "record.wires=[\"*\"]", "--set", "recording.camera.n_points=5000", "--set", "bone.exact=true"];
 
 /// Runs `work` for every name, a few at a time.
 fn for_each(names: &[String], work: impl Fn(&str) + Sync) {

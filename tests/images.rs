@@ -9,10 +9,23 @@ use osteoflow_geometry::Image;
 use osteoflow_simulation::{Procedure, ProcedureParams};
 use std::{collections::BTreeMap, path::Path};
 
+/// Points of the scan: fewer take less time.
+const N_POINTS: usize = 8000;
+
+/// Settings of a run.
+fn settings() -> Vec<String> {
+    ["--set", "bone.exact=true", "--set"]
+        .map(String::from)
+        .into_iter()
+        .chain([format!("recording.camera.n_points={N_POINTS}")])
+        .collect()
+}
+
 /// The images of graphs/variants/fibula_rgb_spot.toml.
 fn images() -> Vec<Image> {
     let mut params = ProcedureParams::default();
     params.image.taken = true;
+    params.camera.n_points = N_POINTS;
     Procedure::simulate(&params, 42).unwrap().images
 }
 
@@ -89,12 +102,14 @@ in = {{ reference = "to_bone.cloud", cloud = "to_bone_laser.cloud", image = "ima
     );
     let path = dir.join("graph.toml");
     std::fs::write(&path, graph).unwrap();
-    run(path.to_str().unwrap(), &[])
+    run(path.to_str().unwrap(), &settings().iter().map(String::as_str).collect::<Vec<_>>())
 }
 
 #[test]
 fn recorded_images_give_the_landmarks_of_the_simulated_ones_bit_for_bit() {
-    let simulated = run_whole("graphs/variants/fibula_rgb_spot.toml", &[]);
+    let settings = settings();
+    let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
+    let simulated = run_whole("graphs/variants/fibula_rgb_spot.toml", &settings);
     let holes = &simulated.results["holes"];
     assert_eq!(holes.as_array().unwrap().len(), 3, "{holes}");
     let images = images();

@@ -24,7 +24,7 @@ fn errors_ct(case: &Case, t_ct_world: &Isometry3<f64>) -> Vec<Vector3<f64>> {
 fn every_assessment_point_is_within_the_bands_of_the_truth() {
     for case in Case::all("every_assessment_point_is_within_the_bands_of_the_truth") {
         let ran = case.run(&["--no-record"]);
-        for error in errors_ct(&case, &t_ct_world(&ran)) {
+        for error in errors_ct(&case, &t_ct_world(ran)) {
             let e = case.axes().tr_mul(&error);
             assert!(e.x.abs() < 0.6 && e.y.abs() < 0.6 && e.z.abs() < 1.5, "{}: {e:?}", case.recording.display());
         }
@@ -82,7 +82,7 @@ fn mean_norm(errors: &[Vector3<f64>]) -> f64 {
 fn icp_beats_the_coarse_fit() {
     for case in Case::all("icp_beats_the_coarse_fit") {
         // No step of ICP leaves the coarse fit as it is.
-        let fine = mean_norm(&errors_ct(&case, &t_ct_world(&case.run(&["--no-record"]))));
+        let fine = mean_norm(&errors_ct(&case, &t_ct_world(case.run(&["--no-record"]))));
         let coarse = case.run(&["--set", r#"results."poses.coarse"="coarse.t_target_source""#]);
         let t_ct_bone_marker = isometry(&coarse.results["poses"]["coarse"]["matrix"]);
         let t_world_bone_marker = isometry(&case.truth["W_T_Mb_scan"]);
@@ -116,7 +116,7 @@ fn point_to_plane_forgets_a_shift_of_all_landmarks_along_the_bone() {
     for case in Case::all("point_to_plane_forgets_a_shift_of_all_landmarks_along_the_bone") {
         let dir = tempfile::tempdir().unwrap();
         let swap = ["--no-record", "--set", "icp.kind=icp.point_to_plane"];
-        let straight = t_ct_world(&case.run(&swap));
+        let straight = t_ct_world(case.run(&swap));
         let shifted = t_ct_world(&case.with_plan(&displaced(&case, 8.0, dir.path()), &swap));
         let apart = apart_at_cuts(&case, &straight, &shifted);
         assert!(apart < 0.3, "{}: {apart} mm apart at the cuts", case.recording.display());
@@ -128,13 +128,13 @@ fn point_to_point_reports_its_remaining_error_and_its_resolution() {
     for case in Case::all("point_to_point_reports_its_remaining_error_and_its_resolution") {
         let dir = tempfile::tempdir().unwrap();
         let swap = ["--no-record", "--set", "icp.kind=icp.point_to_point"];
-        let (straight, shifted) = (case.run(&swap), case.with_plan(&displaced(&case, 8.0, dir.path()), &swap));
+        let (straight, shifted) = (case.run(&swap), &case.with_plan(&displaced(&case, 8.0, dir.path()), &swap));
         let result = |ran: &Ran, key: &str| ran.results["icp"][key].as_f64().unwrap_or_else(|| panic!("no {key}"));
-        assert!(result(&straight, "left_mm") >= 0.0 && result(&shifted, "left_mm") >= 0.0);
-        let (a, b) = (t_ct_world(&straight), t_ct_world(&shifted));
+        assert!(result(straight, "left_mm") >= 0.0 && result(shifted, "left_mm") >= 0.0);
+        let (a, b) = (t_ct_world(straight), t_ct_world(shifted));
         let apart = case.assessment().iter().map(|p| (a * p - b * p).norm()).fold(0.0, f64::max);
         // Each converges within a standard deviation that it reports; three times that of their difference.
-        let limit = 3.0 * result(&straight, "resolution_mm").hypot(result(&shifted, "resolution_mm"));
+        let limit = 3.0 * result(straight, "resolution_mm").hypot(result(shifted, "resolution_mm"));
         assert!(apart < limit, "{}: {apart} mm apart, {limit} mm at most", case.recording.display());
     }
 }

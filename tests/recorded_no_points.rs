@@ -32,7 +32,7 @@ fn without_landmarks_the_planes_are_where_three_points_put_them() {
         let recording = case.recording.display();
         assert_eq!(ran.code, 0, "{recording}: {}", ran.stderr);
         let verdict = &ran.results["verdict"];
-        let apart_mm = planes_apart_mm(&with_points, &ran);
+        let apart_mm = planes_apart_mm(with_points, &ran);
         println!("{recording}: {}, planes {apart_mm:.4?} mm apart", verdict["answer"]);
         assert_ne!(verdict["answer"], "refused", "{recording}: {verdict}");
         assert_eq!(apart_mm.len(), 2, "two cuts are planned");
@@ -104,9 +104,12 @@ fn without_landmarks_a_scan_without_the_bone_is_refused() {
         };
         let name = case.recording.display();
         assert_eq!(answer(&cloud_of(&case.recording, "/camera/scan")), "trusted", "{name} written anew");
-        let [phantom, drape, tube] = other_scans(&case.recording).map(|scan| answer(&scan));
-        assert_eq!((&*phantom, &*drape), ("refused", "refused"), "{name}");
+        let [phantom, drape, tube] = other_scans(&case.recording);
+        assert_eq!(answer(&phantom), "refused", "{name}");
         // A tube differs from the shaft of a fibula by less than tissue may.
-        assert_ne!(tube, "trusted", "{name}");
+        assert_ne!(answer(&tube), "trusted", "{name}");
+        if is_slow_run() {
+            assert_eq!(answer(&drape), "refused", "{name}");
+        }
     }
 }

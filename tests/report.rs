@@ -125,7 +125,9 @@ fn a_run_that_gives_other_results_when_repeated_is_not_drawn() {
 
 #[test]
 fn a_wire_that_was_not_recorded_is_named_with_what_to_record() {
-    let ran = run_whole("graphs/fibula.toml", &["--set", "record.wires=[\"icp.report\"]"]);
+    let small = ["--set", "recording.camera.n_points=5000", "--set", "bone.exact=true"];
+    let few = [&small[..], &["--set", "record.wires=[\"icp.report\"]"]].concat();
+    let ran = run_whole("graphs/fibula.toml", &few);
     let html = fs::read_to_string(report(ran.dir.path())).unwrap();
     let printed = "the wire to_bone.cloud was not recorded; add &quot;to_bone.cloud&quot; to wires in [record]";
     assert!(html.contains(printed), "{printed}");
@@ -158,7 +160,9 @@ fn sweep(dir: &Path) -> PathBuf {
         r#"
         extends = "{}"
         [node.recording]
-        camera.n_points = 8000
+        camera.n_points = 5000
+        [node.bone]
+        exact = true
         [sweep]
         repeat = 4
         same_seed = true
@@ -333,10 +337,11 @@ fn an_experiment_without_any_results_ends_as_refused_with_the_page_and_the_most_
 fn a_row_without_a_number_of_ours_is_shown_and_listed_and_the_times_name_what_they_lack() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
+    let small = ["--set", "recording.camera.n_points=5000", "--set", "bone.exact=true"];
     let sets = ["--set", "sweep.repeat=2", "--set", "sweep.columns.tre_x_mm=\"metrics.tre_measured_mm.mean_abs.w\""];
     let name = "a_row_without_a_number_of_ours_is_shown_and_listed_and_the_times_name_what_they_lack";
     let only = ["--quiet", "--only", "accuracy_camera", "--out", out.to_str().unwrap()];
-    let Some((_, err, code)) = reproduce(name, &[&only[..], &sets[..]].concat()) else { return };
+    let Some((_, err, code)) = reproduce(name, &[&only[..], &small[..], &sets[..]].concat()) else { return };
     assert_eq!(code, 3, "{err}");
     assert_eq!(err.matches("without a number: ").count(), 2, "of the paper and of the other implementation: {err}");
     let page = fs::read_to_string(out.join("paper-reproduction.md")).unwrap();
@@ -352,7 +357,7 @@ fn a_row_without_a_number_of_ours_is_shown_and_listed_and_the_times_name_what_th
 const REFUSING: &str = r#"
 extends = "GRAPH"
 [node.recording]
-camera.n_points = 8000
+camera.n_points = 4000
 [node.bone]
 exact = true
 [sweep]

@@ -13,7 +13,7 @@ fn reported(sets: &[&str]) -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
     let mut command = osteoflow();
-    command.args(["run", GRAPH, "--quiet", "--out"]).arg(&run);
+    command.args(["run", GRAPH, "--set", "recording.camera.n_points=8000", "--quiet", "--out"]).arg(&run);
     sets.iter().for_each(|set| {
         command.args(["--set", set]);
     });

@@ -9,8 +9,8 @@ use std::{
 };
 
 const GRAPH: &str = "graphs/fibula.toml";
-/// Runs it with a smaller scan, whose nodes take less time; the surface that is kept is as large.
-const RUN: [&str; 4] = ["run", GRAPH, "--set", "recording.camera.n_points=8000"];
+/// Runs it with a smaller scan of an exact surface, whose nodes take less time; the surface that is kept is as large.
+const RUN: [&str; 6] = ["run", GRAPH, "--set", "recording.camera.n_points=5000", "--set", "bone.exact=true"];
 
 /// The output of a run without times and places.
 #[derive(Debug, PartialEq)]
@@ -170,7 +170,8 @@ fn a_store_that_cannot_be_written_is_a_warning() {
     let (cache, out) = (dir.path().join("cache"), dir.path().join("out"));
     let graph = dir.path().join("graph.toml");
     let text = format!(
-        "extends = {:?}\nremove = [\"node.export\"]\n[graph]\nname = \"no_export\"\n[node.recording]\ncamera.n_points = 8000\n",
+        "extends = {:?}\nremove = [\"node.export\"]\n[graph]\nname = \"no_export\"\n[node.recording]\ncamera.n_points = 5000\n\
+         [node.bone]\nexact = true\n",
         root().join(GRAPH)
     );
     fs::write(&graph, text).unwrap();
@@ -223,6 +224,8 @@ fn record_keeps_and_recalls_answers_too() {
             GRAPH,
             RUN[2],
             RUN[3],
+            RUN[4],
+            RUN[5],
             "--wires",
             "ct_surface.*",
             "--out",

@@ -1,6 +1,6 @@
 //! A recorded procedure with its ground truth.
 
-use super::{Ran, data, isometry, json, point, root, run};
+use super::{Ran, data, isometry, json, point, root, run, shared_run};
 use osteoflow_geometry::nalgebra::{Isometry3, Matrix3, Point3};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -54,14 +54,22 @@ impl Case {
 
     /// A run of this graph, which may end in a refusal.
     pub(crate) fn with_graph(&self, graph: &str, plan: &Path, arguments: &[&str]) -> Ran {
-        let sets = [("recording", &*self.recording), ("bone", &self.bone), ("phantom", &self.phantom), ("plan", plan)];
-        let sets: Vec<_> = sets.map(|(node, path)| format!("{node}.path={}", path.display())).into();
+        let sets = self.sets(plan);
         let sets = sets.iter().flat_map(|set| ["--set", set]);
         run(graph, &sets.chain(arguments.iter().copied()).collect::<Vec<_>>())
     }
 
-    pub(crate) fn run(&self, arguments: &[&str]) -> Ran {
-        self.with_plan(&self.plan, arguments)
+    /// Settings that name its files, and this plan.
+    fn sets(&self, plan: &Path) -> [String; 4] {
+        let sets = [("recording", &*self.recording), ("bone", &self.bone), ("phantom", &self.phantom), ("plan", plan)];
+        sets.map(|(node, path)| format!("{node}.path={}", path.display()))
+    }
+
+    /// A run of the graph of recorded procedures, made once for all tests.
+    pub(crate) fn run(&self, arguments: &[&str]) -> &'static Ran {
+        let sets = self.sets(&self.plan);
+        let sets = sets.iter().flat_map(|set| ["--set", set]);
+        shared_run(GRAPH, &sets.chain(arguments.iter().copied()).collect::<Vec<_>>())
     }
 
     pub(crate) fn t_world_ct(&self) -> Isometry3<f64> {
