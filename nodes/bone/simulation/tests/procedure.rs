@@ -363,7 +363,7 @@ fn what_cannot_be_simulated_is_refused_with_the_reason() {
 
 #[test]
 fn a_surgeon_who_points_again_leaves_fewer_holes_that_cannot_be_found() {
-    let n_procedures = if std::env::var_os("SLOW_TESTS").is_some() { 30 } else { 10 };
+    let n_procedures = if std::env::var_os("SLOW_TESTS").is_some() { 30 } else { 5 };
     // Holes that are not found even where the plan may confirm them.
     let lost = |max_attempts| {
         let mut params = ProcedureParams::default();

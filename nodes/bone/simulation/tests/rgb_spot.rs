@@ -1,7 +1,7 @@
 //! The laser's spot in colour images, beside the three detectors that see clouds alone, and images that do not belong to the scan.
 //!
 //! The detector's limits were set before any run, and a fault of its fit was mended on seeds 100 and 101; the tests take other seeds.
-//! With `SLOW_TESTS` they take more.
+//! With `SLOW_TESTS` they take more, of more settings.
 
 use nalgebra::{Isometry3, Point3};
 use osteoflow_algorithms::Refusal;
@@ -10,6 +10,7 @@ use osteoflow_algorithms::hole::{
 };
 use osteoflow_geometry::{Cloud, Image, Intrinsics};
 use osteoflow_simulation::{ImageMark, LaserDisc, Procedure, ProcedureParams, Subject};
+use std::sync::LazyLock;
 
 fn params(shape_seed: u64) -> ProcedureParams {
     let mut params = ProcedureParams::default();
@@ -32,6 +33,9 @@ fn procedures(n: u64, change: impl Fn(&mut ProcedureParams)) -> Vec<Procedure> {
     };
     [2, 4].into_iter().flat_map(of_bone).collect()
 }
+
+/// A procedure of each bone as the simulation makes it, for tests that change the image alone.
+static PLAIN: LazyLock<Vec<Procedure>> = LazyLock::new(|| procedures(1, |_| ()));
 
 /// The true spots, or marks, in the camera's frame, in which the clouds and images are.
 fn spots(procedure: &Procedure, mark: ImageMark) -> Vec<Point3<f64>> {
@@ -100,10 +104,10 @@ fn the_four_detectors_side_by_side() {
         ("10 highlights of 1.5 mm", |p| (p.image.n_glare, p.image.glare_radius_mm) = (10, 1.5), [0.2, 1.0]),
         ("from 30 degrees, P1 near the silhouette", |p| p.camera.view_azimuth_deg = 30.0, [0.3, 1.5]),
     ];
-    for (setting, change, [mean_mm, worst_mm]) in settings {
+    for (setting, change, [mean_mm, worst_mm]) in settings.into_iter().take(if is_slow { 4 } else { 2 }) {
         let mut tallies: Vec<(&str, Tally)> = detectors.iter().map(|(name, _)| (*name, Tally::default())).collect();
         tallies.push(("hole.rgb_spot", Tally::default()));
-        for procedure in procedures(2, change) {
+        for procedure in procedures(1, change) {
             for (k, spot) in spots(&procedure, ImageMark::Laser).iter().enumerate() {
                 let cloud = &procedure.laser[k];
                 // Beside the fourth, of which alone something is asserted.
@@ -130,7 +134,7 @@ fn the_four_detectors_side_by_side() {
             );
             if *name == "hole.rgb_spot" {
                 refused.iter().for_each(|reason| println!("  {reason}"));
-                assert!(mm.len() * 2 > n && n >= 9, "{setting}: {} of {n} are found", mm.len());
+                assert!(mm.len() * 2 > n && n >= 6, "{setting}: {} of {n} are found", mm.len());
                 assert!(n_confident * 3 > n, "{setting}: {n_confident} of {n} are confident");
                 assert!(confident[0] < mean_mm && confident[1] < worst_mm, "{setting}: {confident:.2?} mm");
             }
@@ -152,11 +156,11 @@ fn all_four(p: &Procedure, k: usize) -> [(&'static str, Option<Hole>); 4] {
 /// The limits of the rule were chosen on the bones 1, 3 and 5, seeds 0 to 19.
 #[test]
 fn a_slanted_beams_spot_is_within_its_radius_of_the_centre_or_has_a_low_confidence_and_says_why() {
-    let n_seeds = if std::env::var_os("SLOW_TESTS").is_some() { 20 } else { 2 };
+    let n_seeds = if std::env::var_os("SLOW_TESTS").is_some() { 20 } else { 1 };
     for disc in [LaserDisc::Beam, LaserDisc::Ball] {
         let mut tallies: [Tally; 4] = Default::default();
         let mut n_doubtful = 0;
-        for shape_seed in if n_seeds > 2 { vec![2, 4, 6] } else { vec![2, 6] } {
+        for shape_seed in if n_seeds > 1 { vec![2, 4, 6] } else { vec![6] } {
             let (subject, mut params) = (subject(shape_seed), params(shape_seed));
             params.laser.disc = disc;
             for seed in 300..300 + n_seeds {
@@ -221,15 +225,15 @@ fn with_pixels(image: &Image, channels: u32, intrinsics: Intrinsics, pixels: Vec
 /// Every spot of a few procedures with an image that is wrong: its refusals.
 fn refusals(what: &str, change: impl Fn(&Procedure, usize) -> Image) -> Vec<Refusal> {
     let mut errors = Vec::new();
-    for procedure in procedures(1, |_| ()) {
+    for procedure in PLAIN.iter() {
         for k in 0..3 {
-            match find(&procedure, k, &change(&procedure, k)) {
+            match find(procedure, k, &change(procedure, k)) {
                 Ok(hole) => panic!("{what}, P{}: found at {}", k + 1, hole.centre),
                 Err(error) => errors.push(error),
             }
         }
     }
-    assert_eq!(errors.len(), 6, "{what}");
+    assert_eq!(errors.len(), 3 * PLAIN.len(), "{what}");
     println!("{what}: {}", errors[0]);
     errors
 }
@@ -280,10 +284,10 @@ fn intrinsics_of_half_the_resolution_and_of_another_lens_are_refused() {
     refusals("half the resolution", scaled(0.5, 0.5));
     // A spot near the principal point hardly moves with the focal length.
     let (mut n_refused, mut n) = (0, 0);
-    for procedure in procedures(2, |_| ()) {
-        for (k, spot) in spots(&procedure, ImageMark::Laser).iter().enumerate() {
+    for procedure in PLAIN.iter() {
+        for (k, spot) in spots(procedure, ImageMark::Laser).iter().enumerate() {
             n += 1;
-            match find(&procedure, k, &scaled(1.15, 1.0)(&procedure, k)) {
+            match find(procedure, k, &scaled(1.15, 1.0)(procedure, k)) {
                 Err(_) => n_refused += 1,
                 Ok(hole) => assert!((hole.centre - spot).norm() < 2.0, "P{} is at {}", k + 1, hole.centre),
             }
@@ -291,9 +295,8 @@ fn intrinsics_of_half_the_resolution_and_of_another_lens_are_refused() {
     }
     assert!(n_refused * 2 > n, "{n_refused} of {n} are refused");
     let (image, Intrinsics { fx, fy, cx, cy }) = {
-        let image = procedures(1, |_| ()).remove(0).images.remove(0);
-        let intrinsics = *image.intrinsics();
-        (image, intrinsics)
+        let image = &PLAIN[0].images[0];
+        (image, *image.intrinsics())
     };
     let twice = Intrinsics { fx: 2.0 * fx, fy: 2.0 * fy, cx: 2.0 * cx + 0.5, cy: 2.0 * cy + 0.5 };
     let error = Image::new("camera", [image.width(), image.height()], 3, twice, image.pixels().to_vec()).unwrap_err();
@@ -302,7 +305,7 @@ fn intrinsics_of_half_the_resolution_and_of_another_lens_are_refused() {
 
 #[test]
 fn an_image_of_a_camera_beside_needs_its_pose() {
-    for procedure in procedures(1, |_| ()) {
+    for procedure in PLAIN.iter() {
         let cloud = &procedure.laser[0];
         // The scan as a sensor 25 mm beside the lens of the image would give it.
         let t_camera_image = Isometry3::translation(25.0, 0.0, 0.0);
@@ -314,7 +317,7 @@ fn an_image_of_a_camera_beside_needs_its_pose() {
         let (scan, laser) = (beside(&procedure.scan), beside(cloud));
         let find = |pose: &Isometry3<f64>| rgb_spot(&scan, &laser, &procedure.images[0], pose, &Default::default());
         let hole = find(&t_camera_image).unwrap();
-        let spot = t_camera_image * spots(&procedure, ImageMark::Laser)[0];
+        let spot = t_camera_image * spots(procedure, ImageMark::Laser)[0];
         assert!((hole.centre - spot).norm() < 1.0, "{} mm", (hole.centre - spot).norm());
         let error = find(&Isometry3::identity()).unwrap_err();
         println!("without the pose: {error}");
@@ -359,7 +362,7 @@ fn an_image_without_the_laser_is_refused() {
 fn a_second_reflection_of_the_laser_never_takes_the_place_of_the_spot() {
     let (mut n, mut n_refused) = (0, 0);
     for reflection in [0.1, 0.5, 1.0] {
-        for procedure in procedures(2, |p| p.image.reflection = reflection) {
+        for procedure in procedures(1, |p| p.image.reflection = reflection) {
             for (k, spot) in spots(&procedure, ImageMark::Laser).iter().enumerate() {
                 n += 1;
                 match find(&procedure, k, &procedure.images[k]) {

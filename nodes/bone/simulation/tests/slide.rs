@@ -15,6 +15,11 @@ fn is_slow() -> bool {
     std::env::var_os("SLOW_TESTS").is_some()
 }
 
+/// Of how many points of a scan one is registered.
+fn every() -> usize {
+    if is_slow() { 5 } else { 20 }
+}
+
 /// The variant of this name, from a start.
 fn registered(bench: &Bench, variant: &str, start: &Isometry3<f64>) -> Isometry3<f64> {
     let observer = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
@@ -65,13 +70,13 @@ fn starts_agree(bench: &Bench, n: usize) {
 fn ruled_starts_agree_at_the_cuts_after_any_variant() {
     println!("| bone | variant | starts | before, mm | after, mm |");
     println!("| --- | --- | --- | --- | --- |");
-    let n = if is_slow() { 200 } else { 2 };
+    let n = if is_slow() { 200 } else { 1 };
     let test = "ruled_starts_agree_at_the_cuts_after_any_variant";
     let measured = ["MC22_fibula_r", "TLEM2_CT_fibula_r"].into_iter().filter_map(|name| measured(test, name));
     let bones = measured.chain([built_in(2), built_in(1)]);
     for bone in bones.take(if is_slow() { 4 } else { 1 }) {
         let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 1);
-        starts_agree(&bench.thinned(5), n);
+        starts_agree(&bench.thinned(every()), n);
     }
 }
 
@@ -80,7 +85,7 @@ fn a_slid_and_spun_start_comes_home() {
     let test = "a_slid_and_spun_start_comes_home";
     let bones = measured(test, "TLEM2_CT_fibula_r").into_iter().chain([built_in(1)]);
     for bone in bones.take(if is_slow() { 2 } else { 1 }) {
-        let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 2).thinned(5);
+        let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 2).thinned(every());
         let home = slid(&bench, &bench.truth);
         for (along_mm, turn_deg) in [(25.0, 0.0), (-25.0, 0.0), (12.0, 40.0), (-12.0, -40.0)] {
             let fit = slid(&bench, &bench.displaced(along_mm, f64::to_radians(turn_deg)));
@@ -122,7 +127,7 @@ fn made_of(bones: &[u64], n_seeds: u64, length_mm: f64, change: impl Fn(&mut Pro
         let (mut params, mut ct) = (ProcedureParams::default(), CtParams::default());
         params.laser.max_attempts = 3;
         change(&mut params, &mut ct);
-        let bench = Bench::new(built_in(bone), &params, &ct, 100 + seed).cropped(length_mm).thinned(5);
+        let bench = Bench::new(built_in(bone), &params, &ct, 100 + seed).cropped(length_mm).thinned(every());
         let start = bench.ruled_starts(1, seed)[0];
         let icp = registered(&bench, "point_to_plane", &start);
         let fit = slid(&bench, &icp);
