@@ -34,18 +34,21 @@ pub(crate) fn order_by_index(points: &[Vector3<f64>]) -> Vec<u32> {
 fn by_code(points: &[Vector3<f64>]) -> Vec<(u32, u32)> {
     let bounds = Aabb::of(points);
     let scale = (CELLS - 1.0) / (bounds.max - bounds.min).max().max(f64::MIN_POSITIVE);
-    let mut keyed: Vec<(u32, u32)> =
-        points.iter().zip(0..).map(|(p, i)| (code(&((p - bounds.min) * scale)), i)).collect();
+    let digit = |key: u32, pass: usize| (key >> (10 * pass) & 1023) as usize;
+    let mut counts = [[0; 1024]; 3];
+    let keyed = points.iter().zip(0..).map(|(p, i)| {
+        let key = code(&((p - bounds.min) * scale));
+        (0..3).for_each(|pass| counts[pass][digit(key, pass)] += 1);
+        (key, i)
+    });
+    let mut keyed: Vec<(u32, u32)> = keyed.collect();
     // A stable radix sort, ten bits at a time, the lowest first.
     let mut sorted = vec![(0, 0); keyed.len()];
-    for shift in [0, 10, 20] {
-        let digit = |key: u32| (key >> shift & 1023) as usize;
-        let mut next = [0; 1024];
-        keyed.iter().for_each(|(key, _)| next[digit(*key)] += 1);
+    for (pass, next) in counts.iter_mut().enumerate() {
         let mut n = 0;
         next.iter_mut().for_each(|next| n += std::mem::replace(next, n));
         for entry in &keyed {
-            let next = &mut next[digit(entry.0)];
+            let next = &mut next[digit(entry.0, pass)];
             sorted[*next] = *entry;
             *next += 1;
         }

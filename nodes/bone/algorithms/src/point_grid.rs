@@ -1,9 +1,11 @@
 //! Nearest neighbours by a uniform grid with a list of the points in each cell.
 
 mod around;
+mod lanes;
 
 pub(crate) use around::Around;
 
+use lanes::Lanes;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Column;
 
@@ -36,6 +38,8 @@ pub(crate) struct PointGrid {
     /// Index of the first point of each cell of each occupied block, followed by the number of points.
     starts: Vec<u32>,
     points: Vec<Vector3<f64>>,
+    /// The points in single precision.
+    lanes: Lanes,
     /// The index in the input of each point.
     items: Vec<u32>,
 }
@@ -167,6 +171,7 @@ impl PointGrid {
             blocks: vec![NONE; n_blocks.iter().map(|n| *n as usize).product()],
             starts: Vec::new(),
             points: Vec::new(),
+            lanes: Lanes::new(&[]),
             items: Vec::new(),
         }
     }
@@ -201,6 +206,7 @@ impl PointGrid {
             cells.items[*at as usize] = item;
             *at += 1;
         }
+        cells.lanes = Lanes::new(&cells.points);
         cells
     }
 
@@ -277,6 +283,15 @@ impl PointGrid {
     /// query's own.
     #[inline]
     pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
+        match self.nearest_by_lanes(query, limit_mm, filter) {
+            Some(found) => Some(found),
+            None => self.nearest_exactly(query, limit_mm, filter),
+        }
+    }
+
+    /// [`Self::nearest`] by distances in double precision alone.
+    #[inline(never)]
+    fn nearest_exactly(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
         self.nearest_in_eight(query, limit_mm, filter).or_else(|| self.nearest_in_rings(query, limit_mm, filter))
     }
 

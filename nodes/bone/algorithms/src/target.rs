@@ -177,9 +177,18 @@ pub(crate) struct Index {
     cells: OnceLock<PointGrid>,
     /// In the order of the cells.
     normals: OnceLock<Vec<Vector3<f64>>>,
-    thinned: OnceLock<Subset>,
+    thinned: OnceLock<ThinnedTarget>,
     tree: OnceLock<Nearest>,
     near_map: OnceLock<NearMap>,
+}
+
+/// A part of the points, evenly spread, in cells of its own.
+pub(crate) struct ThinnedTarget {
+    /// Places of the points in the order of all cells.
+    places: Vec<u32>,
+    cells: PointGrid,
+    /// For searches beyond the cells.
+    tree: OnceLock<Nearest>,
 }
 
 /// A subset of the points in a kd-tree.
@@ -231,11 +240,15 @@ impl Index {
     }
 
     /// The thinned target, evenly spread.
-    pub(crate) fn thinned(&self) -> &Subset {
+    pub(crate) fn thinned(&self) -> &ThinnedTarget {
         self.thinned.get_or_init(|| {
-            let every = (self.len() / MIN_THINNED).clamp(1, THINNED_EVERY);
-            self.subset(self.cells().items().iter().copied().step_by(every).collect())
+            let places = (0..self.len() as u32).step_by(self.thinned_every()).collect();
+            ThinnedTarget::new(self, places)
         })
+    }
+
+    fn thinned_every(&self) -> usize {
+        (self.len() / MIN_THINNED).clamp(1, THINNED_EVERY)
     }
 
     /// A kd-tree of these points.
@@ -245,12 +258,38 @@ impl Index {
     }
 }
 
-impl Subset {
-    /// The points' indices among all points.
-    pub(crate) fn items(&self) -> &[u32] {
-        &self.items
+impl ThinnedTarget {
+    /// The points at these places in the order of the cells.
+    pub(crate) fn new(index: &Index, places: Vec<u32>) -> Self {
+        let cells = index.cells();
+        let points: Vec<Point3<f64>> = places.iter().map(|place| cells.point(*place).into()).collect();
+        let cell_mm = index.cell_mm() * (index.thinned_every() as f64).sqrt();
+        Self { cells: PointGrid::new(&points, &Point3::origin(), cell_mm), places, tree: OnceLock::new() }
     }
 
+    /// The points' places in the order of the cells.
+    pub(crate) fn places(&self) -> &[u32] {
+        &self.places
+    }
+
+    /// The nearest of the points within `limit_mm` of `query`, which is about the centre of the index.
+    #[inline]
+    pub(crate) fn nearest(&self, index: &Index, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
+        let found = self.cells.nearest(query, limit_mm, All);
+        let found = found.unwrap_or_else(|| Nearby::within(limit_mm, self.tree(index).nearest(&Point3::from(*query))));
+        let Some((thinned, square)) = found.nearest else { return found };
+        let place = self.places[thinned as usize];
+        Nearby { nearest: Some((index.cells().items()[place as usize], square)), at: Some(place), ..found }
+    }
+
+    #[cold]
+    fn tree(&self, index: &Index) -> &Nearest {
+        let points = || self.places.iter().map(|place| Point3::from(index.cells().point(*place)));
+        self.tree.get_or_init(|| Nearest::about(&Point3::origin(), points()))
+    }
+}
+
+impl Subset {
     /// Index among all points and squared distance (mm²) of the nearest point of the subset.
     pub(crate) fn nearest(&self, query: &Vector3<f64>) -> Option<(usize, f64)> {
         let (found, square) = self.tree.nearest(&Point3::from(*query))?;

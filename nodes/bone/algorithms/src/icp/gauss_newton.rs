@@ -265,8 +265,10 @@ impl<'a, R: Residual> Minimizer<'a, R> {
     fn narrow_weights(&mut self, step_mm: f64) -> Result<(), IcpError> {
         let before = self.weights;
         if !self.weights.is_settled(self.problem.params, step_mm) {
-            self.equations = self.problem.reweight(&self.state, &mut self.correspondences, &mut self.weights, true)?;
+            self.problem.narrow(&self.correspondences, &mut self.weights);
             if self.weights != before {
+                self.equations =
+                    self.problem.reweight(&self.state, &mut self.correspondences, &mut self.weights, false)?;
                 // Costs under other weights cannot be compared.
                 self.costs = vec![self.problem.mean_cost(&self.equations)];
             }

@@ -5,13 +5,13 @@ mod mesh;
 mod neighbour_lists;
 mod tree;
 
-pub(super) use cached::Cached;
+pub(super) use cached::{Cached, Thinned};
 pub(super) use mesh::Mesh;
 pub(super) use neighbour_lists::NeighbourLists;
-pub(super) use tree::{Thinned, Tree};
+pub(super) use tree::Tree;
 
 use super::visible_surface::VisibleSurface;
-use crate::point_grid::Around;
+use crate::point_grid::{Around, Nearby};
 use nalgebra::Vector3;
 
 /// Index of no target point.
@@ -62,6 +62,32 @@ impl Correspondence {
         self.index = NO_INDEX;
     }
 
+    /// Whether and how far to search, mm: not if the sample, or that there is none, is known from the last search.
+    #[inline]
+    fn search_limit_mm(&mut self, source: &Vector3<f64>, radius_mm: f64) -> Option<f64> {
+        let clearance_mm = self.clearance_mm - (source - self.searched_at).norm();
+        if !self.is_some() {
+            return (radius_mm >= clearance_mm).then_some(radius_mm);
+        }
+        let distance_mm = (source - self.target).norm();
+        if distance_mm >= clearance_mm {
+            // A little more, so that rounding does not lose the paired sample.
+            return Some(radius_mm.min(distance_mm * (1.0 + 1e-12)));
+        }
+        if distance_mm > radius_mm {
+            self.clear();
+            self.clearance_mm = f64::NEG_INFINITY;
+        }
+        None
+    }
+
+    /// Sets the sample that a search at `source` found.
+    #[inline]
+    fn set_found(&mut self, surface: &VisibleSurface<'_>, source: &Vector3<f64>, found: &Nearby) {
+        (self.searched_at, self.clearance_mm) = (*source, found.free_square.sqrt());
+        self.set_sample(surface, found.nearest.map(|(item, _)| (item, found.at)));
+    }
+
     /// Sets a sample by its index and, where known, its place in the cells; clears if there is none.
     #[inline]
     fn set_sample(&mut self, surface: &VisibleSurface<'_>, sample: Option<(u32, Option<u32>)>) {
@@ -81,4 +107,11 @@ pub(super) trait Pairing: Sync {
     ///
     /// `correspondence` holds the result of the last call for this source point, and takes the new one.
     fn find(&self, source: &Vector3<f64>, radius_mm: f64, correspondence: &mut Correspondence);
+
+    /// [`find`](Self::find) for each of these source points.
+    fn find_all(&self, sources: &[Vector3<f64>], radius_mm: f64, correspondences: &mut [Correspondence]) {
+        for (source, correspondence) in sources.iter().zip(correspondences) {
+            self.find(source, radius_mm, correspondence);
+        }
+    }
 }

@@ -18,6 +18,9 @@ use std::marker::PhantomData;
 /// Points summed by one task; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 512;
 
+/// Points of a chunk that are paired, then summed while the processor's nearest cache holds them.
+const PART: usize = 64;
+
 /// Up to this many points, waking another thread takes longer than its share of the work.
 const MIN_PARALLEL: usize = 1024;
 
@@ -70,7 +73,8 @@ impl<'a, R: Residual> Problem<'a, R> {
     /// One empty correspondence for each source point.
     pub(super) fn correspondences(&self) -> Correspondences {
         let n = self.source.points.len();
-        Correspondences { pairs: vec![Correspondence::NONE; n], squares: vec![f64::INFINITY; n], is_held: false }
+        let pairs = (0..n).map(|_| Correspondence::NONE).collect();
+        Correspondences { pairs, squares: vec![f64::INFINITY; n], is_held: false }
     }
 
     /// Finds the correspondences at `state` and builds the normal equations. With `narrow` the weights are first narrowed
@@ -87,15 +91,36 @@ impl<'a, R: Residual> Problem<'a, R> {
         let two_passes = narrow || self.params.trim_fraction > 0.0;
         let search = (!correspondences.is_held).then_some(self.pairing);
         let equations = self.over_chunks(correspondences, |first, pairs, squares| {
-            for (k, (pair, square)) in pairs.iter_mut().zip(squares.iter_mut()).enumerate() {
-                *square = self.find(&pose, first + k, search, weights.search_radius_mm, pair);
+            let mut sum = Sum::new(self, weights);
+            let (mut turned, mut moved) = ([Vector3::zeros(); PART], [Vector3::zeros(); PART]);
+            for (part, (pairs, squares)) in pairs.chunks_mut(PART).zip(squares.chunks_mut(PART)).enumerate() {
+                let first = first + part * PART;
+                for (k, point) in self.source.points[first..first + pairs.len()].iter().enumerate() {
+                    turned[k] = pose.rotation * point;
+                    moved[k] = pose.centroid + turned[k];
+                }
+                if let Some(pairing) = search {
+                    pairing.find_all(&moved[..pairs.len()], weights.search_radius_mm, pairs);
+                }
+                for (k, (correspondence, square)) in pairs.iter().zip(squares).enumerate() {
+                    let pair = self.pair(&pose, first + k, &turned[k], correspondence);
+                    *square = self.square(&pose, first + k, &pair, correspondence);
+                    if !two_passes {
+                        sum.add(&pair, *square, correspondence);
+                    }
+                }
             }
-            if two_passes { NormalEquations::ZERO } else { self.sum(&pose, first, pairs, squares, weights) }
+            sum.equations
         });
         if two_passes {
             return self.reweight(state, correspondences, weights, narrow);
         }
         self.with_enough_pairs(state, equations)
+    }
+
+    /// Narrows the weights to the residuals of the correspondences.
+    pub(super) fn narrow(&self, correspondences: &Correspondences, weights: &mut Weights) {
+        weights.narrow(&correspondences.squares, self.params, 2.0 * self.surface.index.cell_mm());
     }
 
     /// Builds the normal equations of the correspondences that [`linearize`](Self::linearize) found at `state`. With
@@ -108,12 +133,18 @@ impl<'a, R: Residual> Problem<'a, R> {
         narrow: bool,
     ) -> Result<NormalEquations, IcpError> {
         if narrow {
-            weights.narrow(&correspondences.squares, self.params, 2.0 * self.surface.index.cell_mm());
+            self.narrow(correspondences, weights);
         }
         weights.trim_square = self.trim_square(&correspondences.squares);
         let pose = LocalPose::new(state, self.surface);
-        let equations =
-            self.over_chunks(correspondences, |first, pairs, squares| self.sum(&pose, first, pairs, squares, weights));
+        let equations = self.over_chunks(correspondences, |first, pairs, squares| {
+            let mut sum = Sum::new(self, weights);
+            for (k, (correspondence, &square)) in (first..).zip(pairs.iter().zip(squares.iter())) {
+                let source = pose.rotation * self.source.points[k];
+                sum.add(&self.pair(&pose, k, &source, correspondence), square, correspondence);
+            }
+            sum.equations
+        });
         self.with_enough_pairs(state, equations)
     }
 
@@ -170,33 +201,13 @@ impl<'a, R: Residual> Problem<'a, R> {
         equations.cost / self.source.points.len() as f64
     }
 
-    /// Finds the correspondence of a source point, or keeps it without a `search`; its squared residual, infinite if there is
-    /// none.
+    /// The squared residual of a pair, infinite if there is none or it is not used.
     #[inline]
-    fn find(
-        &self,
-        pose: &LocalPose,
-        i: usize,
-        search: Option<&dyn Pairing>,
-        radius_mm: f64,
-        correspondence: &mut Correspondence,
-    ) -> f64 {
-        let source = pose.rotation * self.source.points[i];
-        let moved = pose.centroid + source;
-        if let Some(pairing) = search {
-            pairing.find(&moved, radius_mm, correspondence);
-        }
-        if !correspondence.is_some() {
-            return f64::INFINITY;
-        }
-        let pair = self.pair(pose, i, &source, correspondence);
-        if self.normals_agree(&pair)
-            && self.reciprocal.is_none_or(|grid| self.is_reciprocal(pose, grid, i, correspondence))
-        {
-            R::square(&pair)
-        } else {
-            f64::INFINITY
-        }
+    fn square(&self, pose: &LocalPose, i: usize, pair: &Pair, correspondence: &Correspondence) -> f64 {
+        let is_used = correspondence.is_some()
+            && self.normals_agree(pair)
+            && self.reciprocal.is_none_or(|grid| self.is_reciprocal(pose, grid, i, correspondence));
+        if is_used { R::square(pair) } else { f64::INFINITY }
     }
 
     #[inline]
@@ -233,45 +244,11 @@ impl<'a, R: Residual> Problem<'a, R> {
         }
     }
 
-    fn sum(
-        &self,
-        pose: &LocalPose,
-        first: usize,
-        correspondences: &[Correspondence],
-        squares: &[f64],
-        weights: &Weights,
-    ) -> NormalEquations {
-        let mut equations = NormalEquations::ZERO;
-        for (k, (correspondence, &square)) in correspondences.iter().zip(squares).enumerate() {
-            if square == f64::INFINITY {
-                equations.cost += weights.unpaired_cost();
-                continue;
-            }
-            let source = pose.rotation * self.source.points[first + k];
-            let pair = self.pair(pose, first + k, &source, correspondence);
-            let is_outside = self.outward.is_some_and(|side| side * pair.difference.dot(&pair.normal) > 0.0);
-            let (mut weight, cost) =
-                if is_outside { weights.outside(square, self.params) } else { weights.weight_and_cost(square) };
-            equations.cost += cost;
-            if weight == 0.0 {
-                continue;
-            }
-            if self.params.incidence_weights
-                && let Some(sight) = self.surface.sight(&correspondence.target)
-            {
-                weight *= sight.normalize().dot(&correspondence.normal).powi(2);
-            }
-            equations.n_pairs += 1;
-            equations.weight += weight;
-            equations.squares += weight * square;
-            equations.point_squares += weight * pair.difference.norm_squared();
-            R::accumulate(&pair, weight, self.source.lever_arm_mm, &mut equations);
-        }
-        equations
-    }
-
     /// The largest squared residual that is not trimmed.
     fn trim_square(&self, squares: &[f64]) -> f64 {
+        if self.params.trim_fraction == 0.0 {
+            return f64::INFINITY;
+        }
         let mut squares: Vec<f64> = squares.iter().copied().filter(|s| s.is_finite()).collect();
         let used = ((1.0 - self.params.trim_fraction) * squares.len() as f64).ceil() as usize;
         if used == 0 || used >= squares.len() {
@@ -293,6 +270,49 @@ impl<'a, R: Residual> Problem<'a, R> {
             max_pair_distance_mm: self.params.max_pair_distance_mm,
             nearest_mm: self.source.points.iter().map(nearest).fold(f64::INFINITY, f64::min).sqrt(),
         }
+    }
+}
+
+/// The normal equations of a chunk while pairs are added in order.
+struct Sum<'a, R> {
+    problem: &'a Problem<'a, R>,
+    weights: &'a Weights,
+    unpaired_cost: f64,
+    equations: NormalEquations,
+}
+
+impl<'a, R: Residual> Sum<'a, R> {
+    fn new(problem: &'a Problem<'a, R>, weights: &'a Weights) -> Self {
+        Self { problem, weights, unpaired_cost: weights.unpaired_cost(), equations: NormalEquations::ZERO }
+    }
+
+    /// Adds a pair with its squared residual, infinite if it is none.
+    #[inline(always)]
+    fn add(&mut self, pair: &Pair, square: f64, correspondence: &Correspondence) {
+        let (problem, equations) = (self.problem, &mut self.equations);
+        if square == f64::INFINITY {
+            equations.cost += self.unpaired_cost;
+            return;
+        }
+        let is_outside = problem.outward.is_some_and(|side| side * pair.difference.dot(&pair.normal) > 0.0);
+        let (mut weight, cost) = match is_outside {
+            true => self.weights.outside(square, problem.params),
+            false => self.weights.weight_and_cost(square),
+        };
+        equations.cost += cost;
+        if weight == 0.0 {
+            return;
+        }
+        if problem.params.incidence_weights
+            && let Some(sight) = problem.surface.sight(&correspondence.target)
+        {
+            weight *= sight.normalize().dot(&correspondence.normal).powi(2);
+        }
+        equations.n_pairs += 1;
+        equations.weight += weight;
+        equations.squares += weight * square;
+        equations.point_squares += weight * pair.difference.norm_squared();
+        R::accumulate(pair, weight, problem.source.lever_arm_mm, equations);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::normals;
 use crate::point_grid::{All, Around, Nearby, PointFilter};
-use crate::target::{Index, Subset, Target};
+use crate::target::{Index, Subset, Target, ThinnedTarget};
 use nalgebra::{Point3, Vector3};
 use std::{borrow::Cow, sync::OnceLock};
 
@@ -35,7 +35,7 @@ struct Camera {
     /// 1 where the normals point outwards, -1 where inwards.
     side: f64,
     /// The visible points of the thinned target.
-    thinned: Subset,
+    thinned: ThinnedTarget,
 }
 
 impl<'a> VisibleSurface<'a> {
@@ -104,9 +104,11 @@ impl<'a> VisibleSurface<'a> {
         }
     }
 
-    /// Index and squared distance (mm²) of the nearest point of the thinned target.
-    pub(super) fn nearest_thinned(&self, query: &Vector3<f64>) -> Option<(usize, f64)> {
-        self.camera.as_ref().map_or_else(|| self.index.thinned(), |camera| &camera.thinned).nearest(query)
+    /// The nearest point of the thinned target within `limit_mm` of `query`, which is about the index's centre.
+    #[inline]
+    pub(super) fn nearest_thinned(&self, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
+        let thinned = self.camera.as_ref().map_or_else(|| self.index.thinned(), |camera| &camera.thinned);
+        thinned.nearest(self.index, query, limit_mm)
     }
 
     fn visible(&self, camera: &Camera) -> &Subset {
@@ -120,11 +122,14 @@ impl<'a> VisibleSurface<'a> {
 impl Camera {
     /// `None` if the side of the normals is unknown, or no point is visible.
     fn new(index: &Index, normals: &[Vector3<f64>], eye: Vector3<f64>) -> Option<Self> {
-        let all = index.thinned().items();
-        let side = side_of_normals(index, normals, all)?;
-        let sees = |i: &u32| faces(&(eye - index.local(*i as usize)), &(normals[*i as usize] * side));
+        let (all, items) = (index.thinned().places(), index.cells().items());
+        let side = side_of_normals(index, normals, all.iter().map(|place| items[*place as usize]))?;
+        let sees = |place: &u32| {
+            let i = items[*place as usize] as usize;
+            faces(&(eye - index.local(i)), &(normals[i] * side))
+        };
         let visible: Vec<u32> = all.iter().copied().filter(sees).collect();
-        (!visible.is_empty()).then(|| Self { eye, side, thinned: index.subset(visible) })
+        (!visible.is_empty()).then(|| Self { eye, side, thinned: ThinnedTarget::new(index, visible) })
     }
 
     #[inline]
@@ -155,9 +160,9 @@ fn faces(sight: &Vector3<f64>, outward: &Vector3<f64>) -> bool {
 }
 
 /// 1 if the normals of these points are outward, -1 if they are inward, `None` if that is unknown.
-fn side_of_normals(index: &Index, normals: &[Vector3<f64>], items: &[u32]) -> Option<f64> {
+fn side_of_normals(index: &Index, normals: &[Vector3<f64>], items: impl Iterator<Item = u32>) -> Option<f64> {
     let (mut along, mut length) = (0.0, 0.0);
-    for &i in items {
+    for i in items {
         let (p, n) = (index.local(i as usize), &normals[i as usize]);
         along += p.dot(n);
         length += p.norm() * n.norm();

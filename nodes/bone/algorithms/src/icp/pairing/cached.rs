@@ -2,6 +2,9 @@ use super::{Correspondence, Pairing};
 use crate::icp::visible_surface::VisibleSurface;
 use nalgebra::Vector3;
 
+/// Number of source points searched together.
+const SEARCHED_TOGETHER: usize = 64;
+
 /// The nearest samples; a pair is kept until the source point has moved so far that another sample could be nearer.
 ///
 /// Exact: at the last search no other sample was within a known radius. As long as the paired sample is nearer than that radius
@@ -13,25 +16,38 @@ pub(in crate::icp) struct Cached<'a>(pub(in crate::icp) &'a VisibleSurface<'a>);
 impl Pairing for Cached<'_> {
     #[inline]
     fn find(&self, source: &Vector3<f64>, radius_mm: f64, correspondence: &mut Correspondence) {
-        let clearance_mm = correspondence.clearance_mm - (source - correspondence.searched_at).norm();
-        let mut limit_mm = radius_mm;
-        if correspondence.is_some() {
-            let distance_mm = (source - correspondence.target).norm();
-            if distance_mm < clearance_mm {
-                if distance_mm > radius_mm {
-                    correspondence.clear();
-                    correspondence.clearance_mm = f64::NEG_INFINITY;
-                }
-                return;
-            }
-            // A little more, so that rounding does not lose the paired sample.
-            limit_mm = limit_mm.min(distance_mm * (1.0 + 1e-12));
-        } else if radius_mm < clearance_mm {
-            return;
+        if let Some(limit_mm) = correspondence.search_limit_mm(source, radius_mm) {
+            correspondence.set_found(self.0, source, &self.0.nearest(source, limit_mm));
         }
-        let found = self.0.nearest(source, limit_mm);
-        correspondence.searched_at = *source;
-        correspondence.clearance_mm = found.free_square.sqrt();
-        correspondence.set_sample(self.0, found.nearest.map(|(item, _)| (item, found.at)));
+    }
+
+    /// First tells which to search, then searches: the processor then seldom mispredicts what comes next, and fetches the
+    /// samples of one search while it is at another.
+    fn find_all(&self, sources: &[Vector3<f64>], radius_mm: f64, correspondences: &mut [Correspondence]) {
+        let mut to_search = [(0, 0.0); SEARCHED_TOGETHER];
+        let parts = correspondences.chunks_mut(SEARCHED_TOGETHER).zip(sources.chunks(SEARCHED_TOGETHER));
+        for (correspondences, sources) in parts {
+            let mut n = 0;
+            for (k, (correspondence, source)) in correspondences.iter_mut().zip(sources).enumerate() {
+                let limit_mm = correspondence.search_limit_mm(source, radius_mm);
+                to_search[n] = (k, limit_mm.unwrap_or(0.0));
+                n += usize::from(limit_mm.is_some());
+            }
+            for &(k, limit_mm) in &to_search[..n] {
+                correspondences[k].set_found(self.0, &sources[k], &self.0.nearest(&sources[k], limit_mm));
+            }
+        }
+    }
+}
+
+/// The nearest samples of a thinned target, for the first level, kept as those of [`Cached`].
+pub(in crate::icp) struct Thinned<'a>(pub(in crate::icp) &'a VisibleSurface<'a>);
+
+impl Pairing for Thinned<'_> {
+    #[inline]
+    fn find(&self, source: &Vector3<f64>, radius_mm: f64, correspondence: &mut Correspondence) {
+        if let Some(limit_mm) = correspondence.search_limit_mm(source, radius_mm) {
+            correspondence.set_found(self.0, source, &self.0.nearest_thinned(source, limit_mm));
+        }
     }
 }
