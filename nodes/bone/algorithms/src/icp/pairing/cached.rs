@@ -51,3 +51,48 @@ impl Pairing for Thinned<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::target::Target;
+    use nalgebra::Point3;
+    use osteoflow_geometry::SurfaceOrigin;
+
+    /// Steps of all lengths, to and fro, so that samples are kept and searched.
+    #[test]
+    fn the_pairs_of_moving_points_are_the_nearest_samples() {
+        let part = |k: u32, m: u32| f64::from(k.wrapping_mul(2_654_435_761).wrapping_mul(m) >> 8) / f64::from(1 << 24);
+        let points: Vec<Point3<f64>> = (0..4000)
+            .map(|k| (part(k, 1) * 30.0, part(k, 7919) * 20.0))
+            .map(|(x, y)| Point3::new(x, y, 0.02 * x * x + y.sin()))
+            .collect();
+        let normals = vec![Vector3::z(); points.len()];
+        let target = Target::new("ct", SurfaceOrigin::Exact, points, Some(normals.into())).unwrap();
+        target.prepare();
+        let surface = VisibleSurface::new(&target, None, &[], 5.0);
+        let samples: Vec<Vector3<f64>> = (0..surface.index.len()).map(|i| surface.index.local(i)).collect();
+        let mut sources: Vec<Vector3<f64>> =
+            (0..200).map(|k| samples[k * 20] + Vector3::new(0.1, -0.2, 0.15) * part(k as u32, 31)).collect();
+        let mut correspondences = vec![Correspondence::NONE; sources.len()];
+        let mut n_searched = 0;
+        for step in 0..40 {
+            let radius_mm = [0.35, 3.0][step % 2];
+            Cached(&surface).find_all(&sources, radius_mm, &mut correspondences);
+            for (k, (source, found)) in sources.iter().zip(&correspondences).enumerate() {
+                let (square, nearest) = samples
+                    .iter()
+                    .map(|s| ((source - s).norm_squared(), s))
+                    .min_by(|a, b| a.0.total_cmp(&b.0))
+                    .unwrap();
+                let expected = Some(nearest).filter(|_| square <= radius_mm * radius_mm);
+                assert_eq!(found.is_some().then_some(&found.target), expected, "point {k} at step {step}");
+                n_searched += usize::from(found.searched_at == *source);
+            }
+            let length_mm = [0.3, 0.03, 0.01, 0.003, 0.001][step / 2 % 5] * if step % 3 == 0 { -1.0 } else { 1.0 };
+            sources.iter_mut().for_each(|s| *s += Vector3::new(0.8, 0.6, 0.1) * length_mm);
+        }
+        // Of 8000.
+        assert!((1000..7500).contains(&n_searched), "{n_searched} searched");
+    }
+}
