@@ -171,7 +171,7 @@ impl PointGrid {
             blocks: vec![NONE; n_blocks.iter().map(|n| *n as usize).product()],
             starts: Vec::new(),
             points: Vec::new(),
-            lanes: Lanes::new(&[]),
+            lanes: Lanes::new(&[], 0.0),
             items: Vec::new(),
         }
     }
@@ -206,7 +206,7 @@ impl PointGrid {
             cells.items[*at as usize] = item;
             *at += 1;
         }
-        cells.lanes = Lanes::new(&cells.points);
+        cells.lanes = Lanes::new(&cells.points, cells.min.abs().sup(&cells.max.abs()).max());
         cells
     }
 

@@ -71,13 +71,13 @@ struct Found {
 }
 
 impl Lanes {
-    pub(super) fn new(points: &[Vector3<f64>]) -> Self {
+    /// Lanes of points whose largest absolute coordinate is `largest_mm`.
+    pub(super) fn new(points: &[Vector3<f64>], largest_mm: f64) -> Self {
         let column = |axis: usize| -> Vec<f32> {
             points.iter().map(|p| p[axis] as f32).chain(std::iter::repeat_n(0.0, LANES)).collect()
         };
-        let largest = points.iter().fold(0.0_f64, |largest, p| largest.max(p.amax()));
         // Each of the six coordinates is rounded by half of the last digit; the double of that covers queries beside the points.
-        let rounding_mm = 3.0_f64.sqrt() * 2.0 * f64::from(f32::EPSILON) * largest;
+        let rounding_mm = 3.0_f64.sqrt() * 2.0 * f64::from(f32::EPSILON) * largest_mm;
         Self { axes: [0, 1, 2].map(column), rounding_mm }
     }
 }
