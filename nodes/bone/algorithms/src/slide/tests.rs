@@ -72,7 +72,8 @@ fn apart_mm(case: &(Target, Cloud, Isometry3<f64>), a: &Isometry3<f64>, b: &Isom
 #[test]
 fn a_perfect_cylinder_is_undetermined_both_ways_and_its_axis_is_known() {
     let mesh = tube(|_, _| 7.0);
-    for noise_mm in [0.0, 0.05, 0.15, 0.3] {
+    let is_slow = std::env::var_os("SLOW_TESTS").is_some();
+    for noise_mm in if is_slow { vec![0.0, 0.05, 0.15, 0.3] } else { vec![0.15] } {
         let case = case(&mesh, noise_mm);
         for (along_mm, turn_deg) in [(0.0, 0.0), (9.0, 20.0)] {
             let start = off(&case.2, along_mm, turn_deg);
