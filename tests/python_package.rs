@@ -1,6 +1,6 @@
-//! The Python package: its tests, run by pytest in an environment under target/.
+//! The Python package: its tests, run by pytest in the environment of the tests.
 
-use crate::common::{is_slow_run, program, root};
+use crate::common::{is_slow_run, program, python::python, root};
 use std::{
     path::PathBuf,
     process::{Command, Output},
@@ -8,8 +8,8 @@ use std::{
 
 const PACKAGE: &str = "nodes/python";
 
-/// What the tests need beside the package.
-const NEEDED: [&str; 3] = ["maturin>=1.7,<2", "numpy", "pytest"];
+/// What the tests need beside the package and NumPy.
+const NEEDED: [&str; 2] = ["maturin>=1.7,<2", "pytest"];
 /// What single tests need, which are left out without it: installed with `SLOW_TESTS`.
 const OPTIONAL: [&str; 5] = ["pandas", "matplotlib", "nbclient", "ipykernel", "dask[distributed]"];
 
@@ -29,8 +29,6 @@ fn text(output: &Output) -> String {
 
 /// The Python of an environment with what the tests need; `None` if there is none, with the reason.
 fn environment() -> Result<PathBuf, String> {
-    let folder = target().join("python-tests");
-    let python = folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
     let system = if cfg!(windows) { "python" } else { "python3" };
     let newer = "import sys; sys.exit(sys.version_info < (3, 9))";
     match Command::new(system).args(["-c", newer]).status() {
@@ -38,10 +36,7 @@ fn environment() -> Result<PathBuf, String> {
         Ok(_) => return Err(format!("{system} is older than 3.9")),
         Err(error) => return Err(format!("{system}: {error}")),
     }
-    let made = Command::new(system).args(["-m", "venv"]).arg(&folder).output().map_err(|error| error.to_string())?;
-    if !made.status.success() {
-        return Err(format!("no environment can be made: {}", text(&made).trim()));
-    }
+    let python = python("python package").ok_or("no environment can be made")?;
     let install = |packages: &[&str]| {
         let options = ["-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check"];
         let patience = ["--retries=1", "--timeout=20"];
@@ -57,8 +52,10 @@ fn environment() -> Result<PathBuf, String> {
         }
     }
     // Compiles what is imported, which is a small part of the packages; the tests write no bytecode.
-    for package in ["numpy, pytest", "pandas", "matplotlib.pyplot", "nbclient", "ipykernel.kernelapp", "distributed"] {
-        let _ = Command::new(&python).args(["-c", &format!("import {package}")]).output();
+    let optional = ["pandas", "matplotlib.pyplot", "nbclient", "ipykernel.kernelapp", "distributed"];
+    for package in ["pytest"].iter().chain(if is_slow_run() { &optional[..] } else { &[] }) {
+        let mut import = Command::new(&python);
+        let _ = import.args(["-c", &format!("import {package}")]).env_remove("PYTHONDONTWRITEBYTECODE").output();
     }
     Ok(python)
 }

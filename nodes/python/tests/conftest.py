@@ -84,7 +84,7 @@ def no_store():
     os.environ["OSTEOFLOW_CACHE"] = "off"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def files():
     """The folder with a small simulated procedure."""
     return ROOT / "tests/data/folder"

@@ -275,9 +275,10 @@ def test_processors_with_other_features_are_a_warning(small, tmp_path):
 
 def test_a_pool_of_processes_gives_the_bytes_of_one_machine(tmp_path):
     graph = graph_with_sweep(tmp_path)
-    osteoflow.sweep(graph, out=tmp_path / "alone")
+    settings = {"sweep.repeat": 1}
+    osteoflow.sweep(graph, settings, out=tmp_path / "alone")
     with ProcessPoolExecutor(2) as processes:
-        osteoflow.sweep(graph, out=tmp_path / "swept", executor=processes)
+        osteoflow.sweep(graph, settings, out=tmp_path / "swept", executor=processes)
     assert_same_sweep(tmp_path / "swept", tmp_path / "alone")
 
 
@@ -302,7 +303,8 @@ class Counts:
 
 @pytest.fixture(scope="module")
 def registrations(tmp_path_factory):
-    """A sweep of six registrations, and its folder of one machine."""
+    """A sweep of six registrations for Dask, and its folder of one machine."""
+    distributed()
     folder = tmp_path_factory.mktemp("registrations")
     graph = graph_with_sweep(folder)
     osteoflow.sweep(graph, {"sweep.repeat": 3}, out=folder / "alone")

@@ -114,10 +114,10 @@ def test_a_refused_run_is_raised_with_its_reason_and_report(command, tmp_path):
 def test_ctrl_c_stops_a_run(tmp_path):
     # A background process of a shell is started with Ctrl-C ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    press = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    press = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
     press.start()
     with pytest.raises(KeyboardInterrupt):
-        osteoflow.sweep(graph_with_sweep(tmp_path), set={"sweep.repeat": 5000}, progress=False)
+        osteoflow.sweep(graph_with_sweep(tmp_path), set={"sweep.repeat": 1000}, progress=False)
 
 
 def test_a_simulation_is_that_of_the_command(command, tmp_path):
