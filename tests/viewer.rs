@@ -505,7 +505,7 @@ fn a_live_run_shows_what_is_unknown_as_unknown_and_its_planes_once_it_is_trusted
         "run",
         "graphs/variants/fibula_live.toml",
         "--set",
-        "recording.rate=4",
+        "recording.rate=8",
         "--out",
         run.to_str().unwrap(),
         "--serve",

@@ -362,7 +362,8 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
 
     // The saved plan in a run from the command line is what it says.
     let plan_file = folder.join("plan.json");
-    let sets = ["plan.kind=plan.file".to_owned(), format!("plan.path={:?}", plan_file.display().to_string())];
+    let path = format!("plan.path={:?}", plan_file.display().to_string());
+    let sets = ["plan.kind=plan.file".to_owned(), path, "recording.camera.n_points=8000".to_owned()];
     let again = run(&dir.path().join("again"), "graphs/fibula.toml", &sets);
     assert_eq!(value::<Points>(&again, "plan.landmarks").points.to_vec(), clicked);
     let results: Value = serde_json::from_slice(&fs::read(again.join("results.json")).unwrap()).unwrap();
