@@ -137,7 +137,8 @@ pub struct ReplayReport {
 }
 
 /// How a replay treats a wire.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum WirePart {
     /// Its recorded items were played.
     Played,

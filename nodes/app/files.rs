@@ -176,8 +176,7 @@ pub fn write_pose(file: &Path, rows: &[[f64; 4]; 4]) -> Result<(), Error> {
     check_new(file)?;
     let matrix = Matrix4::from_fn(|row, column| rows[row][column]);
     let t_to_from = nearest_isometry(&matrix).map_err(|error| Error::Usage(format!("the pose: {error}")))?.value;
-    let ending = file.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let text = match ending.as_str() {
+    let text = match write::ending(file).as_str() {
         "txt" => rows.map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat(),
         "json" => format!("{}\n", json!({ "T": rows.concat() })),
         "tfm" => itk_text(&t_to_from, &[]),

@@ -11,7 +11,7 @@ use osteoflow_formats::{
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points},
     volume::is_volume,
-    write::{write_cloud, write_mesh},
+    write::{ending, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{
     NamedPoint,
@@ -129,7 +129,7 @@ impl Convert {
 
     fn shape(&self, bytes: &[u8]) -> Result<(String, Vec<String>)> {
         let read = read_mesh_or_cloud(&self.input, bytes, self.scale, "ct")?;
-        let ending = self.output.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let ending = ending(&self.output);
         match read {
             MeshOrCloud::Mesh(read) if ["ply", "stl", "obj"].contains(&ending.as_str()) => {
                 let (turn, space) = self.to_lps(read.space)?;

@@ -5,7 +5,7 @@ use super::common::{Exit, Format, Global, print_json, terminal};
 use crate::app::{UsageError, out_dir, registry};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::{
     fs,
     io::Write,
@@ -142,18 +142,7 @@ impl Plugin {
             self.lang.build(like).to_owned(),
             format!("osteoflow run graphs/{}.toml", self.name),
         ];
-        match global.format {
-            Format::Json => print_json(&json!({ "folder": dir, "note": sdk.note, "commands": commands }))?,
-            Format::Text => {
-                let mut out = terminal::stdout().lock();
-                if let Some(note) = sdk.note.filter(|_| !global.quiet) {
-                    writeln!(out, "note: {note}\n")?;
-                }
-                writeln!(out, "written; next:")?;
-                commands.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
-            }
-        }
-        Ok(Exit::Done)
+        print_next(&json!({ "folder": dir, "note": sdk.note, "commands": commands }), "written", &commands, global)
     }
 
     /// The sources to build the crate against.
@@ -226,6 +215,21 @@ fn check_name(name: &str) -> Result<()> {
         return Ok(());
     };
     Err(UsageError(message).into())
+}
+
+/// Says what was written, and the commands that use it.
+fn print_next(written: &Value, heading: &str, commands: &[String], global: &Global) -> Result<Exit> {
+    if global.format == Format::Json {
+        print_json(written)?;
+        return Ok(Exit::Done);
+    }
+    let mut out = terminal::stdout().lock();
+    if let Some(note) = written["note"].as_str().filter(|_| !global.quiet) {
+        writeln!(out, "note: {note}\n")?;
+    }
+    writeln!(out, "{heading}; next:")?;
+    commands.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
+    Ok(Exit::Done)
 }
 
 fn write(dir: &Path, path: &str, text: &str) -> Result<()> {

@@ -68,11 +68,7 @@ impl Register {
 
     /// Prints the answer, and returns the exit code.
     fn print(&self, registration: &Registration, checked: &Checked, global: &Global) -> Result<Exit> {
-        let exit = match registration.refusal() {
-            None => Exit::Done,
-            Some(_) if registration.is_interrupted() => Exit::Interrupted,
-            Some(_) => Exit::Refused,
-        };
+        let exit = Exit::of(&registration.run.outcome);
         let mut err = terminal::stderr().lock();
         if !global.quiet {
             if global.format == Format::Text {

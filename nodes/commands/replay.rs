@@ -222,14 +222,9 @@ fn as_json(report: &ReplayReport, exit: Exit) -> Value {
         difference.map(|d| json!({ "wire": wire.wire, "item": d.item, "what": d.what }))
     };
     let wires = report.wires.iter().map(|wire| {
-        let part = match wire.part {
-            WirePart::Played => "played",
-            WirePart::Computed => "computed",
-            WirePart::Absent => "absent",
-        };
         json!({
             "wire": wire.wire,
-            "part": part,
+            "part": wire.part,
             "recorded": wire.n_recorded,
             "replayed": wire.n_replayed,
             "compared": wire.n_compared,

@@ -1,10 +1,14 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
 use super::RegisterRequest;
-use crate::app::error::UsageError;
+use crate::app::{error::UsageError, files::check_new};
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
-use osteoflow_formats::{Space, pose_file::itk_text, write::write_cloud};
+use osteoflow_formats::{
+    Space,
+    pose_file::itk_text,
+    write::{ending, write_cloud},
+};
 use osteoflow_geometry::{
     Cloud,
     nalgebra::{Isometry3, Point3},
@@ -65,10 +69,7 @@ impl OutFiles {
             let message = format!("{} cannot be written: end it with .ply, .pcd or .csv", file.display());
             return Err(UsageError(format!("--write-source: {message}")).into());
         }
-        if let Some(file) = all.all().find(|file| file.exists()) {
-            let message = "exists already; name another file, nothing is overwritten";
-            return Err(UsageError(format!("{} {message}", file.display())).into());
-        }
+        all.all().try_for_each(|file| check_new(file))?;
         Ok(all)
     }
 
@@ -141,10 +142,6 @@ fn form_of(file: &Path) -> Result<Form> {
             Err(UsageError(format!("{}: .{other}: {message}", file.display())).into())
         }
     }
-}
-
-fn ending(file: &Path) -> String {
-    file.extension().map(|end| end.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
 /// The pose as an ITK transform, in LPS; `spaces` are those of the numbers of target and source.

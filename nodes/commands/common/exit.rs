@@ -1,8 +1,10 @@
 use osteoflow_engine::run::Outcome;
+use serde::Serialize;
 use std::process::ExitCode;
 
 /// The result of a command, which determines its exit code.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum Exit {
     /// Success.
     Done,
@@ -11,6 +13,7 @@ pub(crate) enum Exit {
     /// A checked file is not sound; all findings were reported.
     Unsound,
     /// The command line or the graph has a fault; nothing was run.
+    #[serde(rename = "faulty")]
     Usage,
     /// A node failed, or the procedure could not be completed; `results.json` has `refused` with the reason.
     Refused,
@@ -45,23 +48,9 @@ impl Exit {
         }
     }
 
-    /// The name of the result in JSON.
-    fn word(self) -> &'static str {
-        match self {
-            Self::Done => "done",
-            Self::Failed => "failed",
-            Self::Unsound => "unsound",
-            Self::Usage => "faulty",
-            Self::Refused => "refused",
-            Self::Differs => "differs",
-            Self::Incomplete => "incomplete",
-            Self::Interrupted => "interrupted",
-        }
-    }
-
     /// The result as JSON.
     pub(crate) fn to_json(self) -> serde_json::Value {
-        serde_json::json!({ "status": self.word(), "exit_code": self.code() })
+        serde_json::json!({ "status": self, "exit_code": self.code() })
     }
 }
 

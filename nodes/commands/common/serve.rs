@@ -7,11 +7,11 @@ pub(crate) mod picks;
 pub(crate) use graph::as_json as graph_json;
 
 use super::{global::Global, terminal};
-use crate::app::{UsageError, refusal_in_short, registry};
+use crate::app::{UsageError, refusal_in_short};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
-    Recording, check_recorded,
+    Recording,
     plan::Plan,
     run::{Outcome, RunReport},
 };
@@ -141,12 +141,7 @@ impl Serving {
 
     /// Says how the run ended.
     pub(crate) fn ended(&mut self, report: &RunReport) {
-        let status = match &report.outcome {
-            Outcome::Complete => "complete",
-            Outcome::Refused(_) => "refused",
-            Outcome::Interrupted => "interrupted",
-        };
-        self.state["state"] = status.into();
+        self.state["state"] = report.outcome.status().into();
         if let Outcome::Refused(refusal) = &report.outcome {
             self.state["refusal"] = refusal_in_short(refusal, &report.results).into();
         }
@@ -180,11 +175,7 @@ pub(crate) fn recorded(stream: &Stream, name: &str, recording: Option<&Recording
         add_results(&mut state, results);
     }
     stream.publish(STATE, &state);
-    let checked = recording.and_then(|recording| {
-        let run = &recording.run;
-        check_recorded(&run.graph, &run.graph_file, &[], &recording.registry(&registry())).ok()
-    });
-    if let Some(checked) = checked {
+    if let Some(checked) = recording.and_then(known_plan::graph) {
         stream.publish(GRAPH, &graph_json(&checked.plan, &checked.registry));
     }
 }

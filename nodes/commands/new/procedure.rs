@@ -1,12 +1,12 @@
 //! The example folder of a procedure.
 
-use super::{FIBULA, File, without_schema, write};
+use super::{FIBULA, File, print_next, without_schema, write};
 use crate::app::{SimulateRequest, StreamFormat, out_dir};
-use crate::commands::common::{Exit, Format, Global, print_json, terminal};
+use crate::commands::common::{Exit, Global};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use std::{io::Write, path::PathBuf};
+use std::path::PathBuf;
 
 /// Create a folder with a simulated procedure as plain files, the graph that registers it, and a README that says which file to
 /// replace by which of yours.
@@ -93,14 +93,6 @@ impl Procedure {
         write(dir, "run.toml", RUN)?;
         write(dir, "README.md", README)?;
         let commands = [format!("cd {}", dir.display()), "osteoflow run run.toml".to_owned()];
-        match global.format {
-            Format::Json => print_json(&json!({ "folder": dir, "commands": commands }))?,
-            Format::Text => {
-                let mut out = terminal::stdout().lock();
-                writeln!(out, "written, SIMULATED; next:")?;
-                commands.iter().try_for_each(|command| writeln!(out, "  {command}"))?;
-            }
-        }
-        Ok(Exit::Done)
+        print_next(&json!({ "folder": dir, "commands": commands }), "written, SIMULATED", &commands, global)
     }
 }

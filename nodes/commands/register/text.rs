@@ -16,6 +16,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::matrix_rows;
 use osteoflow_report::summary::word;
+use osteoflow_statistics::quantile;
 use serde_json::Value;
 use std::fmt::Write as _;
 
@@ -59,8 +60,7 @@ pub(super) fn text(registration: &Registration, checked: &Register, global: &Glo
     ];
     for (name, ms) in rows.into_iter().filter(|(_, ms)| !ms.is_empty()) {
         let mut ms = ms.clone();
-        ms.sort_by(f64::total_cmp);
-        let cells = [median(&ms), ms[0], ms[ms.len() - 1]];
+        let cells = [0.5, 0.0, 1.0].map(|q| quantile(&mut ms, q));
         table.row(name, cells.iter().take(columns.len()).map(|ms| format!("{ms:.1}")));
     }
     if !request.no_verdict {
@@ -133,11 +133,6 @@ fn built_in_lines(report: &IcpReport, checked: &Register, moved: String) -> Vec<
         },
     ));
     lines
-}
-
-fn median(sorted: &[f64]) -> f64 {
-    let middle = sorted.len() / 2;
-    if sorted.len().is_multiple_of(2) { (sorted[middle - 1] + sorted[middle]) / 2.0 } else { sorted[middle] }
 }
 
 /// The steps as a text table.

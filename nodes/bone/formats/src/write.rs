@@ -85,7 +85,8 @@ pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileErr
 
 const ANY_TEXT: &str = "a string takes any text";
 
-fn ending(path: &Path) -> String {
+/// The ending of a file, in lower case; empty if it has none.
+pub fn ending(path: &Path) -> String {
     path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 

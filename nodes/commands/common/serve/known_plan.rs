@@ -4,7 +4,7 @@ use super::picks;
 use crate::app::registry;
 use anyhow::{Result, bail};
 use osteoflow_engine::{
-    Recording, check_recorded,
+    Checked, Recording, check_recorded,
     plan::{Plan, PlanNode},
 };
 use osteoflow_formats::plan_file::{read_plan, read_plan_of};
@@ -36,10 +36,7 @@ pub(crate) fn given(file: &Path, recording: Option<&Recording>) -> Result<Surgic
 
 /// The nodes that gave plans, with the landmarks that were recorded.
 fn with_landmarks(recording: &Recording) -> Vec<(PlanNode, Points)> {
-    let known = recording.registry(&registry());
-    let Ok(checked) = check_recorded(&recording.run.graph, &recording.run.graph_file, &[], &known) else {
-        return Vec::new();
-    };
+    let Some(checked) = graph(recording) else { return Vec::new() };
     let plans = checked.plan.nodes.iter().filter(|node| node.kind.starts_with("plan."));
     let shown = plans.filter_map(|node| {
         let items = recording.items(&format!("{}.landmarks", node.name), &checked.registry).ok()?;
@@ -47,6 +44,12 @@ fn with_landmarks(recording: &Recording) -> Vec<(PlanNode, Points)> {
         Some((node.clone(), points?))
     });
     shown.collect()
+}
+
+/// The graph of a recording, if this program has its kinds.
+pub(super) fn graph(recording: &Recording) -> Option<Checked> {
+    let known = recording.registry(&registry());
+    check_recorded(&recording.run.graph, &recording.run.graph_file, &[], &known).ok()
 }
 
 /// The plan that a graph reads.
