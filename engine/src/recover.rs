@@ -10,12 +10,10 @@ use crate::recording::{
     findings::Finding,
     format::{INPUT_HASHES, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
-    scan::{Gather, PassState, Passed, pass},
+    scan::{Carried, Gather, PassState, Passed, pass},
     wires::{Carries, Wire},
 };
-use osteoflow_container::{
-    Channel, Damage, End, Location, Message, MessageHeader, Progress, Record, WriteOptions, Writer,
-};
+use osteoflow_container::{Channel, Damage, End, Message, MessageHeader, Progress, Record, WriteOptions, Writer};
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs::{self, File},
@@ -292,13 +290,8 @@ impl Gather for Recovery {
         self.wires.entry(wire.name.clone()).or_default();
     }
 
-    fn message(
-        &mut self,
-        carries: &Carries,
-        message: &Message<'_>,
-        _: Location,
-        state: &mut PassState,
-    ) -> ControlFlow<()> {
+    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
+        let Carried { carries, message, .. } = carried;
         let Some(&channel_id) = self.ids.get(&message.channel_id) else {
             self.n_lost += 1;
             return ControlFlow::Continue(());

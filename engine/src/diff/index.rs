@@ -6,11 +6,11 @@ use crate::{
         RecordingError, codec,
         format::{MetadataRecords, Recovered, RunRecord, WireCounts},
         run_record,
-        scan::{Gather, PassState, Scanned, scan},
+        scan::{Carried, Gather, PassState, Scanned, scan},
         wires::{Carries, Wire},
     },
 };
-use osteoflow_container::{Location, MESSAGE_HEADER_BYTES, Message, Reader};
+use osteoflow_container::{Location, MESSAGE_HEADER_BYTES, Reader};
 use std::{
     collections::{BTreeMap, VecDeque},
     fs::File,
@@ -120,13 +120,8 @@ impl Gather for Wires {
         self.0.entry(wire.name.clone()).or_insert_with(indexed);
     }
 
-    fn message(
-        &mut self,
-        carries: &Carries,
-        message: &Message<'_>,
-        place: Location,
-        state: &mut PassState,
-    ) -> ControlFlow<()> {
+    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
+        let Carried { carries, message, place } = carried;
         if let Carries::Exact(wire) = carries
             && let Some(indexed) = self.0.get_mut(&wire.name)
             && let Some(number) = codec::number(message.data)

@@ -13,11 +13,11 @@ use super::{
     format::{Recovered, WireCounts},
     number_set::NumberSet,
     read::RecordingError,
-    scan::{Gather, PassState, Scanned, scan},
+    scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
 use crate::hash::Digest;
-use osteoflow_container::{Location, Message, Progress};
+use osteoflow_container::Progress;
 use sha2::{Digest as _, Sha256};
 use std::{
     collections::BTreeMap,
@@ -197,13 +197,8 @@ impl Gather for Hashing {
         self.wires.entry(wire.name.clone()).or_insert_with(hashed);
     }
 
-    fn message(
-        &mut self,
-        carries: &Carries,
-        message: &Message<'_>,
-        _: Location,
-        state: &mut PassState,
-    ) -> ControlFlow<()> {
+    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
+        let Carried { carries, message, .. } = carried;
         let Carries::Exact(wire) = carries else { return ControlFlow::Continue(()) };
         match (codec::head(message.data), self.wires.get_mut(&wire.name)) {
             (Some(head), Some(hashed)) => {

@@ -7,11 +7,11 @@ use super::{
         self, Drops, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
         RecordedFailure, Recovered, RunRecord, WireCounts,
     },
-    scan::{Gather, PassState, Scanned, scan},
+    scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
 use crate::plan::PlanPlugin;
-use osteoflow_container::{Location, Message, ReadError, TooLarge};
+use osteoflow_container::{ReadError, TooLarge};
 use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -262,13 +262,8 @@ impl Gather for Gathering {
         self.wires.entry(wire.name.clone()).or_insert_with(gathered);
     }
 
-    fn message(
-        &mut self,
-        carries: &Carries,
-        message: &Message<'_>,
-        _: Location,
-        state: &mut PassState,
-    ) -> ControlFlow<()> {
+    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
+        let Carried { carries, message, .. } = carried;
         match carries {
             Carries::Exact(wire) => {
                 state.allowance.take(message.data.len())?;

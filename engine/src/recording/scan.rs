@@ -25,17 +25,18 @@ pub(crate) trait Gather {
     /// The exact channel of a wire, each time the file describes it.
     fn wire(&mut self, _wire: &Wire) {}
 
-    /// A message, and what its channel carries. Breaks to read no more.
-    fn message(
-        &mut self,
-        carries: &Carries,
-        message: &Message<'_>,
-        place: Location,
-        state: &mut PassState,
-    ) -> ControlFlow<()>;
+    /// A message. Breaks to read no more.
+    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()>;
 
     /// Lost bytes, behind which reading goes on.
     fn damage(&mut self) {}
+}
+
+/// A message, where it lies, and what its channel carries.
+pub(crate) struct Carried<'a> {
+    pub(crate) carries: &'a Carries,
+    pub(crate) message: &'a Message<'a>,
+    pub(crate) place: Location,
 }
 
 /// The memory that may still be taken, and what is wrong in the file.
@@ -163,7 +164,7 @@ impl<G: Gather> Visitor for Pass<'_, G> {
             Record::Message(message) => match self.channels.get(message.channel_id) {
                 Some(carries) => {
                     self.stopped_at = place.offset;
-                    return self.gather.message(carries, &message, place, &mut self.state);
+                    return self.gather.message(Carried { carries, message: &message, place }, &mut self.state);
                 }
                 None => self.n_unknown += 1,
             },

@@ -3,11 +3,11 @@
 use crate::recording::{
     RecordingError, codec,
     format::{EXACT_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
-    scan::{Gather, PassState, Scanned, scan},
+    scan::{Carried, Gather, PassState, Scanned, scan},
     typed,
     wires::Carries,
 };
-use osteoflow_container::{Compression, Location, Message, MessageHeader, WriteOptions, Writer};
+use osteoflow_container::{Compression, MessageHeader, WriteOptions, Writer};
 use osteoflow_node::{Body, DisplayContext, FrameEdge, Item, PayloadType, PortPayload, Registry, StampNs};
 use std::{collections::BTreeMap, fs::File, io, ops::ControlFlow, path::Path};
 
@@ -110,13 +110,8 @@ struct Ports<'a> {
 impl Gather for Ports<'_> {
     const STOPS_AT_DAMAGE: bool = true;
 
-    fn message(
-        &mut self,
-        carries: &Carries,
-        message: &Message<'_>,
-        _: Location,
-        state: &mut PassState,
-    ) -> ControlFlow<()> {
+    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
+        let Carried { carries, message, .. } = carried;
         let Carries::Exact(port) = carries else { return ControlFlow::Continue(()) };
         state.allowance.take(message.data.len())?;
         // On a port that takes any payload, each value names its own.

@@ -4,7 +4,7 @@ use crate::recording::{
     findings::{Finding, Findings},
     format::{FIRST_NS, MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
     number_set::NumberSet,
-    scan::{Gather, PassState},
+    scan::{Carried, Gather, PassState},
     wires::{Carries, Wire},
 };
 use osteoflow_container::{Location, Message};
@@ -260,13 +260,8 @@ impl Gather for Items<'_> {
         self.wires.entry(wire.name.clone()).or_default().about.get_or_insert_with(|| wire.clone());
     }
 
-    fn message(
-        &mut self,
-        carries: &Carries,
-        message: &Message<'_>,
-        place: Location,
-        state: &mut PassState,
-    ) -> ControlFlow<()> {
+    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
+        let Carried { carries, message, place } = carried;
         match carries {
             Carries::Exact(wire) => self.item(wire, place, message, state),
             Carries::View { wire, encoding } => self.view((wire, encoding), place, message, state),

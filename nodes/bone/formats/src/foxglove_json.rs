@@ -46,17 +46,6 @@ fn without_bare_nan(data: &[u8]) -> Option<Vec<u8>> {
     any.then_some(mended)
 }
 
-/// A cloud without its points.
-#[derive(Deserialize)]
-pub(crate) struct JsonCloudHead {
-    #[serde(default)]
-    pub(crate) timestamp: Time,
-    #[serde(default, alias = "frameId")]
-    pub(crate) frame_id: String,
-    #[serde(default)]
-    pub(crate) pose: Option<JsonPose>,
-}
-
 #[derive(Deserialize)]
 pub(crate) struct JsonCloud {
     #[serde(default)]

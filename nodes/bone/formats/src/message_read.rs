@@ -21,7 +21,7 @@ pub use image::{
 
 use crate::{
     LostPose, PoseError,
-    foxglove_json::{self, JsonCloud, JsonCloudHead, JsonPose, JsonPoseInFrame, JsonTransform, JsonTransforms},
+    foxglove_json::{self, JsonCloud, JsonPose, JsonPoseInFrame, JsonTransform, JsonTransforms},
     mcap_read::{Message, Recording},
     normals::unit_normals,
     ros2::{POINT_CLOUD_2, POSE_STAMPED, TF_MESSAGE, TRANSFORM_STAMPED},
@@ -166,7 +166,7 @@ pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead,
     let message = message.into();
     let (frame, stamp_ns, pose) = match kind_and_encoding(&message)? {
         (MessageKind::Cloud, Json) => {
-            let head: JsonCloudHead = parse(&message)?;
+            let head: JsonPoseInFrame = parse(&message)?;
             let pose = head.pose.map(|p| FoxglovePose { position: p.position, orientation: p.orientation });
             (head.frame_id, head.timestamp.nanoseconds(), pose)
         }

@@ -19,17 +19,17 @@ use std::{ops::ControlFlow, time::Duration};
 /// Called after each step.
 type Observer<'a> = dyn FnMut(&IcpStep) -> ControlFlow<Halt> + 'a;
 
-/// Inputs of every ICP.
+/// Inputs of every fine registration.
 #[derive(Inputs)]
 pub struct In {
     /// The surface that moves: the scan, cropped.
-    source: Cloud,
+    pub(crate) source: Cloud,
     /// The surface that stays: the CT surface, prepared once.
     #[port(join = "once", frame = "init.to")]
-    target: Target,
+    pub(crate) target: Target,
     /// The start: the coarse fit.
     #[port(to = "target", from = "source")]
-    init: Pose,
+    pub(crate) init: Pose,
 }
 
 /// Outputs of every ICP.

@@ -11,9 +11,16 @@ pub mod tre_measured;
 pub mod tre_true;
 pub mod verdict;
 
-use osteoflow_algorithms::axes::principal_axes;
+use osteoflow_algorithms::{axes::principal_axes, metrics::TreReport};
 use osteoflow_geometry::{Axes, Mesh};
-use osteoflow_node::NodeError;
+use osteoflow_node::{NodeError, Outputs};
+
+/// Outputs of a target registration error.
+#[derive(Outputs)]
+pub struct TreOut {
+    /// Per point and in summary.
+    report: TreReport,
+}
 
 /// The axes along which errors are resolved: the plan's if it has them, else the principal axes of the bone's surface.
 pub(crate) fn axes(planned: Option<Axes>, bone: Option<&Mesh>) -> Result<Axes, NodeError> {

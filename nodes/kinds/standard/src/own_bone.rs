@@ -12,8 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// The bone of a simulation, if not the built-in one. All nodes that simulate need the same.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default)]
 pub struct OwnBone {
     /// The closed surface of a bone to simulate on, STL or PLY, mm, in the CT's coordinates; with `plan_file`, and the same
     /// for every node that simulates. None: the built-in bone.

@@ -2,8 +2,7 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
 /// The parameters of a kind without parameters.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct NoParams {}
 
 /// The default of `unit_mm` and of a speed.

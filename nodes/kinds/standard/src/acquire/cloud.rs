@@ -26,8 +26,7 @@ pub struct CloudFile;
 
 /// Parameters of [`CloudFile`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The file.
     pub path: FilePath,

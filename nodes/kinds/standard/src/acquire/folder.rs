@@ -33,8 +33,7 @@ pub struct Folder {
 
 /// Parameters of [`Folder`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The folder with `procedure.toml`, or that file.
     pub path: FilePath,

@@ -59,8 +59,7 @@ pub struct FoxgloveWs {
 
 /// Parameters of [`FoxgloveWs`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Address of the server, with the path that it asks for. ws://127.0.0.1:8765: the port of foxglove_bridge.
     pub address: String,

@@ -39,8 +39,7 @@ pub struct Mcap {
 
 /// Parameters of [`Mcap`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The recording.
     pub path: FilePath,

@@ -32,8 +32,7 @@ pub struct McapLive {
 
 /// Parameters of [`McapLive`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// Those of `acquire.mcap`.
     #[serde(flatten)]

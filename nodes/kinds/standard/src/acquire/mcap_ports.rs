@@ -9,8 +9,7 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 /// `geometry/Image` from `foxglove.RawImage` and `foxglove.CompressedImage` (PNG) with the `foxglove.CameraCalibration` of `calibration`;
 /// `geometry/Region` and `report/Flag` from `metadata` and `present`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct PortParams {
     /// The topic that the port reads.
     pub topic: Option<String>,

@@ -28,8 +28,7 @@ use std::{
 
 /// Parameters of every source over a network.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default)]
 pub struct NetworkParams {
     /// Time to wait for the first connection, and for the first topic where topics are advertised, after which the run fails. 10 s:
     /// a server takes that long to start.

@@ -56,8 +56,7 @@ pub struct OpenIgtLink {
 
 /// Parameters of [`OpenIgtLink`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Host and port of the sender, or where to listen for it. 127.0.0.1:18944: the port of the protocol.
     pub address: String,

@@ -21,8 +21,7 @@ pub struct PointsFile;
 
 /// Parameters of [`PointsFile`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The file.
     pub path: FilePath,

@@ -28,8 +28,7 @@ pub struct Simulated {
 
 /// Parameters of [`Simulated`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default)]
 pub struct Params {
     /// A bone of your own.
     #[serde(flatten)]

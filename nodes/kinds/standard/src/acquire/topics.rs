@@ -11,8 +11,7 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
 /// The transforms that a port takes from its topics.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default)]
 pub struct TransformFilter {
     /// Only transforms with this parent frame, where a topic carries several.
     pub parent: Option<String>,

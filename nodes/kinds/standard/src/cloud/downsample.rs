@@ -1,10 +1,8 @@
 //! The kind `cloud.downsample`.
 
+use super::{In, Out};
 use osteoflow_algorithms::downsample;
-use osteoflow_geometry::Cloud;
-use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
-};
+use osteoflow_node::{Context, Describe, Function, NodeError, schemars::JsonSchema, serde::Deserialize};
 
 /// A cloud with fewer points: one in each cell of a grid, every n-th, or a given number.
 ///
@@ -20,8 +18,7 @@ pub struct Downsample;
 
 /// Parameters of [`Downsample`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// One point is kept in each cube of this edge: the one nearest to the mean. 0: no grid.
     #[schemars(range(min = 0.0, max = 1000.0))]
@@ -39,8 +36,7 @@ pub struct Params {
 
 /// The choice of a given number of points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case", crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(rename_all = "snake_case")]
 pub enum Pick {
     /// At even steps through the cloud's order.
     #[default]
@@ -53,21 +49,6 @@ impl Default for Params {
     fn default() -> Self {
         Self { cell_mm: 0.0, every: 1, n_points: 0, pick: Pick::Stride }
     }
-}
-
-/// Inputs of [`Downsample`].
-#[derive(Inputs)]
-pub struct In {
-    /// The cloud.
-    cloud: Cloud,
-}
-
-/// Outputs of [`Downsample`].
-#[derive(Outputs)]
-pub struct Out {
-    /// The remaining points.
-    #[port(frame = "cloud")]
-    cloud: Cloud,
 }
 
 impl Function for Downsample {

@@ -1,8 +1,8 @@
 //! The kind `cloud.normals`.
 
+use super::{In, Out};
 use osteoflow_algorithms::normals::{NormalParams, estimate};
-use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// A cloud with normals, oriented towards the camera.
 ///
@@ -16,21 +16,6 @@ in   = { cloud = "to_bone.cloud" }
     literature = ["Hoppe et al. 1992, section 3.2"]
 )]
 pub struct Normals;
-
-/// Inputs of [`Normals`].
-#[derive(Inputs)]
-pub struct In {
-    /// The cloud.
-    cloud: Cloud,
-}
-
-/// Outputs of [`Normals`].
-#[derive(Outputs)]
-pub struct Out {
-    /// The points with a normal.
-    #[port(frame = "cloud")]
-    cloud: Cloud,
-}
 
 impl Function for Normals {
     const KIND: &'static str = "cloud.normals";

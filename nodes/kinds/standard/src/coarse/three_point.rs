@@ -25,8 +25,7 @@ pub struct ThreePoint;
 
 /// Parameters of [`ThreePoint`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Maximum residual (RMS); beyond, the points are not the planned landmarks. 10 mm: landmarks that a ruler placed 10 mm
     /// off still pass, a spot found on the wrong side of the scan does not.

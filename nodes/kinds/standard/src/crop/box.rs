@@ -22,8 +22,7 @@ pub struct Box(Params);
 
 /// Parameters of [`Box`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// The corner with the smallest x, y, z. Unset: no bound, so the recording's region alone decides.
     pub min_mm: Option<[f64; 3]>,

@@ -22,8 +22,7 @@ pub struct Polygon(Params);
 
 /// Parameters of [`Polygon`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The corners in order, three or more: `x / z` and `y / z`, without unit.
     pub corners: Vec<[f64; 2]>,

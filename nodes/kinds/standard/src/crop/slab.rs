@@ -29,8 +29,7 @@ pub struct Slab {
 
 /// Parameters of [`Slab`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The point of height 0, in the cloud's frame.
     pub origin_mm: [f64; 3],

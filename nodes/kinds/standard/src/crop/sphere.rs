@@ -19,8 +19,7 @@ pub struct Sphere;
 
 /// Parameters of [`Sphere`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The centre in the cloud's frame.
     pub centre_mm: [f64; 3],

@@ -23,8 +23,7 @@ pub struct Calibration;
 
 /// Parameters of [`Calibration`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Distance of the bone from the camera. 200 mm: the paper's 200 +- 50 mm.
     #[schemars(range(min = 1.0, max = 10_000.0))]

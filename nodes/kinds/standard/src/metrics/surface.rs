@@ -21,8 +21,7 @@ pub struct Surface;
 
 /// Parameters of [`Surface`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Points no farther from the surface than this are inliers. 1 mm: twenty times the camera's noise.
     #[schemars(range(min = 1e-3, max = 1000.0))]

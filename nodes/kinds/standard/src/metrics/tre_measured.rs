@@ -1,10 +1,10 @@
 //! The kind `metrics.tre_measured`.
 
-use super::axes;
+use super::{TreOut, axes};
 use crate::transform::points::in_one_list;
-use osteoflow_algorithms::metrics::{TreReport, tre};
+use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Target registration error at points touched with a stylus, which includes the stylus' own error.
 ///
@@ -39,24 +39,17 @@ pub struct In {
     bone: Option<Mesh>,
 }
 
-/// Outputs of [`TreMeasured`].
-#[derive(Outputs)]
-pub struct Out {
-    /// Per point and in summary.
-    report: TreReport,
-}
-
 impl Function for TreMeasured {
     const KIND: &'static str = "metrics.tre_measured";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = TreOut;
 
-    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<TreOut, NodeError> {
         let measured = in_one_list(&i.measured)?;
         let t_ct_bone_marker = i.t_ct_bone_marker.expect(&i.planned.frame, &measured.frame)?;
         let axes = axes(i.axes, i.bone.as_ref())?;
         axes.frame.expect(&i.planned.frame, "the axes")?;
-        Ok(Out { report: tre(&i.planned.points, &measured.points, &t_ct_bone_marker, &axes)? })
+        Ok(TreOut { report: tre(&i.planned.points, &measured.points, &t_ct_bone_marker, &axes)? })
     }
 }

@@ -1,9 +1,9 @@
 //! The kind `metrics.tre_true`.
 
-use super::axes;
-use osteoflow_algorithms::metrics::{TreReport, tre};
+use super::{TreOut, axes};
+use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
 ///
@@ -38,24 +38,17 @@ pub struct In {
     bone: Option<Mesh>,
 }
 
-/// Outputs of [`TreTrue`].
-#[derive(Outputs)]
-pub struct Out {
-    /// Per point and in summary.
-    report: TreReport,
-}
-
 impl Function for TreTrue {
     const KIND: &'static str = "metrics.tre_true";
     type Params = crate::NoParams;
     type Inputs = In;
-    type Outputs = Out;
+    type Outputs = TreOut;
 
-    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<TreOut, NodeError> {
         let error = i.t_ct_world.compose(&i.t_ct_world_true.inverse())?;
         let error = error.expect(&i.planned.frame, &i.planned.frame)?;
         let axes = axes(i.axes, i.bone.as_ref())?;
         axes.frame.expect(&i.planned.frame, "the axes")?;
-        Ok(Out { report: tre(&i.planned.points, &i.planned.points, &error, &axes)? })
+        Ok(TreOut { report: tre(&i.planned.points, &i.planned.points, &error, &axes)? })
     }
 }

@@ -29,8 +29,7 @@ pub struct Landmarks {
 
 /// Parameters of [`Landmarks`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The tip of the lateral malleolus, in the surface's frame.
     pub malleolus_tip_mm: [f64; 3],

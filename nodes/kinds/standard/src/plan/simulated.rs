@@ -14,8 +14,8 @@ pub struct Simulated;
 
 /// Parameters of [`Simulated`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars", transform = osteoflow_simulation::without_table_defaults)]
+#[serde(default)]
+#[schemars(transform = osteoflow_simulation::without_table_defaults)]
 pub struct Params {
     /// A bone of your own.
     #[serde(flatten)]

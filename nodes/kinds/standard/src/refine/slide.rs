@@ -1,11 +1,9 @@
 //! The kind `refine.slide`.
 
+use crate::icp::In;
 use osteoflow_algorithms::slide::{SlideParams, SlideReport, slide};
-use osteoflow_algorithms::target::Target;
-use osteoflow_geometry::{Cloud, Pose};
-use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
-};
+use osteoflow_geometry::Pose;
+use osteoflow_node::{Context, Describe, Function, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize};
 
 /// The best place of a registered scan along the bone and around it, and how well the residuals determine it.
 ///
@@ -26,8 +24,7 @@ pub struct Slide;
 
 /// Parameters of [`Slide`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// How far along the bone, how far around it, and what is undetermined.
     pub profile: SlideParams,
@@ -43,19 +40,6 @@ impl Default for Params {
     fn default() -> Self {
         Self { profile: SlideParams::default(), warn_mm: 1.5, warn_deg: 2.0 }
     }
-}
-
-/// Inputs of [`Slide`].
-#[derive(Inputs)]
-pub struct In {
-    /// The scan.
-    source: Cloud,
-    /// The CT surface.
-    #[port(join = "once", frame = "init.to")]
-    target: Target,
-    /// The registration so far.
-    #[port(to = "target", from = "source")]
-    init: Pose,
 }
 
 /// Outputs of [`Slide`].

@@ -55,8 +55,7 @@ struct Said {
 
 /// Parameters of [`OpenIgtLink`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Where receivers connect, or the receiver. 127.0.0.1:18945: beside the port of a PLUS server.
     pub address: String,

@@ -35,8 +35,7 @@ pub struct Any;
 
 /// Parameters of [`Any`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The file, or the folder of a DICOM series.
     pub path: FilePath,

@@ -30,8 +30,7 @@ pub struct Ct;
 
 /// Parameters of [`Ct`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// A .nii, .nii.gz, .nrrd or .nhdr file, or the folder of a DICOM series, uncompressed.
     pub path: FilePath,

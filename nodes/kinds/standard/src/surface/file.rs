@@ -16,8 +16,7 @@ pub struct File;
 
 /// Parameters of [`File`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The file.
     pub path: FilePath,
@@ -35,8 +34,6 @@ pub struct Params {
 
 /// The axes of a patient's coordinates.
 #[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
-#[serde(crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
 pub enum SpaceName {
     /// x to the patient's left, y to posterior, z to superior.
     #[serde(rename = "LPS")]

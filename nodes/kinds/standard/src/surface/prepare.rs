@@ -25,8 +25,8 @@ const MAX_POINTS: usize = 10_000_000;
 
 /// Parameters of [`Prepare`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars", extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
+#[serde(default, deny_unknown_fields)]
+#[schemars(extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct Params {
     /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
     #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]

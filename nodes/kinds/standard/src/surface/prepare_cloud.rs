@@ -24,8 +24,8 @@ pub struct PrepareCloud;
 
 /// Parameters of [`PrepareCloud`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars", extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
+#[serde(default, deny_unknown_fields)]
+#[schemars(extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct Params {}
 
 /// Inputs of [`PrepareCloud`].

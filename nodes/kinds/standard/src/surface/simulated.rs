@@ -17,8 +17,8 @@ pub struct Simulated;
 
 /// Parameters of [`Simulated`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars", transform = osteoflow_simulation::without_table_defaults)]
+#[serde(default)]
+#[schemars(transform = osteoflow_simulation::without_table_defaults)]
 pub struct Params {
     /// Whether the surface that the camera scans is given. false: the CT's, as in an operating room.
     pub exact: bool,

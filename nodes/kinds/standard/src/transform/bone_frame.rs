@@ -7,8 +7,7 @@ use serde::Deserialize;
 
 /// Parameters of the nodes that carry data by a tracked marker.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct TrackingParams {
     /// Marker motion before a scan above which it is reported, if the tracker's noise does not explain it. 0.1 mm: half the
     /// point spacing of a scan.

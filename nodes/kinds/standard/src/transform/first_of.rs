@@ -17,8 +17,7 @@ pub struct FirstOf;
 
 /// Parameters of [`FirstOf`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Maximum distance between the origins of both poses, mm. 0.5: rounding of files and units, far below any mistake.
     #[schemars(range(min = 0.0, max = 1000.0))]

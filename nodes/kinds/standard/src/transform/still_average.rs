@@ -27,8 +27,7 @@ pub struct StillAverage {
 
 /// Parameters of [`StillAverage`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Length of the window. 500 ms: ten samples at 20 Hz, which leaves a third of the tracker's noise.
     #[schemars(range(min = 0.0, max = 60_000.0))]

@@ -39,8 +39,7 @@ pub struct Registration;
 
 /// Parameters of [`Registration`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// What is examined beside the residuals.
     pub examine: EvidenceParams,

@@ -23,8 +23,7 @@ const ENCODINGS: [&str; 3] = ["protobuf", "json", "cdr"];
 /// (`foxglove.PoseInFrame`, `geometry_msgs/PoseStamped`); `geometry/Points`, one point at a time, from poses in a frame; `report/Flag`
 /// from `default` alone.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct PortParams {
     /// The topic that the port reads.
     pub topic: Option<String>,

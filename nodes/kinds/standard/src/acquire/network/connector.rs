@@ -14,8 +14,7 @@ pub(super) const TRY: Duration = Duration::from_millis(300);
 
 /// Who connects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case", crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(rename_all = "snake_case")]
 pub enum Role {
     /// This side.
     Client,

@@ -12,8 +12,7 @@ const N_WARNINGS: usize = 10;
 
 /// Parameters of a port of every source over a network.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default)]
 pub struct StreamParams {
     /// Names of clouds and points: one for each of several devices or topics, or, with one, one for each message in order. Default:
     /// the names in the message, else the device's name or the last part of the topic's.

@@ -26,8 +26,7 @@ const SMALLEST_CLOUD_MM: f64 = 2.0;
 /// from POLYDATA; `geometry/Points` from POINT and POSITION; `geometry/Region` from a POINT with two corners; `report/Text` from
 /// STRING and STATUS; `report/Flag` from the STRING `true` or `false`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields, crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(default, deny_unknown_fields)]
 pub struct PortParams {
     /// The device that the port reads. Default for a pose: its frames as PLUS writes them, `CameraMarkerToWorld`.
     pub device: Option<String>,
@@ -52,8 +51,7 @@ pub struct PortParams {
 
 /// Axes of a patient's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case", crate = "osteoflow_node::serde")]
-#[schemars(crate = "osteoflow_node::schemars")]
+#[serde(rename_all = "snake_case")]
 pub enum PatientSpace {
     /// x to the left, y to posterior.
     Lps,
