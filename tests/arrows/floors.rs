@@ -43,9 +43,9 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "engine/toy/src",
         &[
-            &["NoParams", "camera", "context", "number", "samples"],
-            &["judge", "script", "stages", "stream", "wave"],
-            &["arithmetic"],
+            &["NoParams", "context", "number", "samples"],
+            &["judge", "script", "stages", "stream"],
+            &["arithmetic", "wave"],
             &["cached"],
         ],
     ),

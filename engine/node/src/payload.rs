@@ -1,6 +1,6 @@
 //! Payload types, and the type-erased values that the engine carries.
 
-use crate::{Display, DisplayContext, SchemaEntry, View, ViewError, dynamic};
+use crate::{Display, DisplayContext, SchemaEntry, View, ViewError, view::json::to_json};
 use std::{
     any::{Any, TypeId},
     fmt,
@@ -32,7 +32,7 @@ pub trait Payload<By>: Clone + Send + Sync + 'static {
 
     /// The value in `results.json`: millimetres, names as in the docs. By default the fields and columns of the view.
     fn to_result(&self) -> serde_json::Value {
-        dynamic::to_json(&self.to_view())
+        to_json(&self.to_view())
     }
 
     /// Memory held, including columns; bounds the bytes on a wire. Called for every item on every wire, so it must

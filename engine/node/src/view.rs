@@ -1,6 +1,7 @@
 //! Views: a payload as a small head of named fields and named typed columns.
 
 mod check;
+pub(crate) mod json;
 
 use crate::ColumnType;
 use bytemuck::Pod;

@@ -7,7 +7,7 @@
 use crate::{
     histogram::{Histogram, Spread},
     plan::Plan,
-    runtime::locked,
+    sync::locked,
     tap::Tap,
 };
 use osteoflow_node::{Role, StampNs};

@@ -1,7 +1,7 @@
 use crate::{
-    activity::{Doing, Name},
+    activity::{self, Doing, Name},
+    panics,
     report::{Enlargement, Failure, LinkStats, NodeStats, Warning},
-    runtime::discard,
 };
 use osteoflow_node::Built;
 use std::time::Duration;
@@ -46,5 +46,13 @@ impl Drop for Retired {
         for (name, built) in self.0.drain(..) {
             discard(name, Doing::Closing, built);
         }
+    }
+}
+
+/// Drops the node; a panic in its destructor is ignored.
+pub(crate) fn discard<T>(name: Name, doing: Doing, built: T) {
+    let _under = activity::begin(name, doing, 0);
+    if let Err(panic) = panics::catch(move || drop(built)) {
+        tracing::warn!("a node that had ended {panic}");
     }
 }

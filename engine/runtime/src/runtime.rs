@@ -3,7 +3,6 @@
 mod cell;
 mod live;
 
-pub(crate) use cell::discard;
 pub use cell::{emission_fault, stamp_or_zero};
 
 use crate::{
@@ -17,6 +16,7 @@ use crate::{
     plan::{OutputId, Plan, PlanNode, Policy},
     report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning},
     scheduler::{Scheduler, Stepped, Turn, Work},
+    sync::locked,
     tap::{Failed, Replayed, Tap},
 };
 use cell::{Cell, Core, Input, Output};
@@ -123,11 +123,6 @@ impl Drop for Stepping<'_> {
 
 /// Maximum number of full and of empty links named in the message about a stuck graph.
 const MAX_LINKS: usize = 8;
-
-pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A poisoned lock means that a worker is already unwinding; its panic is the one to report.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 impl<'a> Runtime<'a> {
     /// Builds every node without running any.

@@ -7,6 +7,11 @@ pub(crate) use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, atomic};
 /// Number of polls before a worker sleeps: some microseconds, less than a wake-up costs.
 pub(crate) const LOOKS_BEFORE_SLEEP: usize = 200;
 
+pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // A poisoned lock means that a worker is already unwinding; its panic is the one to report.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Calls `work` with 0 on the calling thread and with 1.. on new threads, and returns when all have finished; `without`
 /// is called for each thread that could not be started.
 ///

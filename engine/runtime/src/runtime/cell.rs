@@ -14,6 +14,7 @@ use crate::{
     channel::{Received, RecvEnd},
     histogram::Histogram,
     join::{Activation, Joiner, Step},
+    outcome::discard,
     panics,
     plan::{OnError, Plan},
     report::{Event, Failure, NodeStats, Warning},
@@ -643,12 +644,4 @@ fn call_node<T>(
     let _span = tracing::debug_span!("fire", node = context.node(), item).entered();
     let _under = activity::begin(name, doing, item);
     panics::catch(|| call(context))
-}
-
-/// Drops the node; a panic in its destructor is ignored.
-pub(crate) fn discard<T>(name: Name, doing: Doing, built: T) {
-    let _under = activity::begin(name, doing, 0);
-    if let Err(panic) = panics::catch(move || drop(built)) {
-        tracing::warn!("a node that had ended {panic}");
-    }
 }

@@ -7,10 +7,11 @@
 
 use super::{
     Runtime,
-    cell::{self, NextRequest, Reply},
+    cell::{NextRequest, Reply},
 };
 use crate::{
     activity::{Doing, Name},
+    outcome::discard,
     panics,
     report::{Event, Warning},
     scheduler::Scheduler,
@@ -277,7 +278,7 @@ fn run_source(live: Live, asks: &Receiver<Ask>, answers: &Sender<LiveMessage>) {
             break;
         }
     }
-    cell::discard(name, Doing::Destroying, source);
+    discard(name, Doing::Destroying, source);
     let _ = answers.try_send(LiveMessage::Gone);
 }
 
