@@ -163,8 +163,8 @@ const CRATES: &[(&str, Floors)] = &[
         "nodes/kinds/standard/src",
         &[
             &["constant", "own_bone", "params"],
-            &["calibrate", "crop", "hole", "icp", "output", "plane", "refine", "transform"],
-            &["acquire", "cloud", "coarse", "metrics", "plan", "surface", "verdict"],
+            &["calibrate", "crop", "hole", "icp", "output", "plane", "transform"],
+            &["acquire", "cloud", "coarse", "metrics", "plan", "refine", "surface", "verdict"],
             &["landmarks", "send"],
         ],
     ),
