@@ -18,7 +18,7 @@ pub struct In {
 /// A cloud made of another.
 #[derive(Outputs)]
 pub struct Out {
-    /// The remaining points.
+    /// The points that remain; of `cloud.normals`, those with a normal.
     #[port(frame = "cloud")]
     cloud: Cloud,
 }

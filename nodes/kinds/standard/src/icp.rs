@@ -27,7 +27,7 @@ pub struct In {
     /// The surface that stays: the CT surface, prepared once.
     #[port(join = "once", frame = "init.to")]
     pub(crate) target: Target,
-    /// The start: the coarse fit.
+    /// The start, such as the coarse fit.
     #[port(to = "target", from = "source")]
     pub(crate) init: Pose,
 }
