@@ -1,6 +1,6 @@
 //! Nodes in Python: they agree with built-in ones, and what is wrong in them is said at its place.
 
-use crate::common::{is_slow_run, osteoflow, osteoflow_to_spawn, python::python, root};
+use crate::common::{is_slow_run, osteoflow, osteoflow_to_spawn, python::Folder, root};
 use osteoflow_geometry::nalgebra::{Matrix4, Point3};
 use serde_json::{Value, json};
 use std::{
@@ -13,31 +13,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// A folder with files, and the interpreter for its plugins; `None` where there is no Python.
-struct Folder(tempfile::TempDir, PathBuf);
-
 struct Left {
     code: Option<i32>,
     stderr: String,
     results: Value,
 }
 
-impl Folder {
-    fn new(test: &str, files: &[(&str, &str)]) -> Option<Self> {
-        let folder = Self(tempfile::tempdir().unwrap(), python(test)?);
-        files.iter().for_each(|(name, text)| folder.write(name, text));
-        Some(folder)
-    }
+trait RunsGraphs {
+    fn run(&self, graph: &str, arguments: &[&str]) -> Left;
+}
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn write(&self, name: &str, text: &str) {
-        fs::create_dir_all(self.path(name).parent().unwrap()).unwrap();
-        fs::write(self.path(name), text).unwrap();
-    }
-
+impl RunsGraphs for Folder {
     fn run(&self, graph: &str, arguments: &[&str]) -> Left {
         let out = tempfile::tempdir_in(self.0.path()).unwrap().path().join("run");
         let mut command = osteoflow();
@@ -448,7 +434,7 @@ fn a_sweep_with_runs_that_failed_says_so_until_they_are_run_again() {
     let plugin = r##"
 import os
 from dataclasses import dataclass
-from osteoflow_node import Text, param, source
+from osteoflow_node import NodeError, Text, param, source
 
 
 @dataclass
@@ -457,14 +443,16 @@ class Params:
 
 
 @source("saved.number", output="text")
-def number(params: Params) -> Text:
-    """Gives a number, and saves its own file once."""
-    flag = os.path.join(os.path.dirname(os.path.abspath(__file__)), "flag")
-    if params.n == 1 and os.path.exists(flag):
-        os.remove(flag)
-        with open(__file__, "a") as file:
-            file.write("# a comment\n")
-    yield 0, Text(str(params.n))
+class Number:
+    """Gives a number, where no flag is beside it."""
+
+    def __init__(self, params: Params):
+        self.n = params.n
+        if self.n > 1 and os.path.exists(os.path.join(os.path.dirname(os.path.abspath(__file__)), "flag")):
+            raise NodeError("the disk is away")
+
+    def items(self) -> Text:
+        yield 0, Text(str(self.n))
 "##;
     let graph = "plugins = [\"saved.py\"]\n[graph]\nformat = 1\n[node.a]\nkind = \"saved.number\"\n[results]\nx = \"a.text\"\n\
                  [sweep]\nrepeat = 1\n[sweep.factor]\nn = { key = \"a.n\", values = [0, 1, 2, 3] }\n";
@@ -487,8 +475,8 @@ def number(params: Params) -> Text:
         stderr.contains("incomplete: 2 runs failed; run 2: ") && stderr.contains("--resume --retry-failed"),
         "{stderr}"
     );
-    // With the plugin as it was they stay until they are to be run again.
-    folder.write("saved.py", plugin);
+    // They stay until they are to be run again.
+    fs::remove_file(folder.path("flag")).unwrap();
     let (code, ..) = sweep(&["--resume"]);
     assert_eq!(code, Some(5));
     let (code, summary, rows, stderr) = sweep(&["--resume", "--retry-failed"]);

@@ -34,6 +34,8 @@ mod own_bone;
 mod paper;
 mod paper_page;
 #[cfg(unix)]
+mod plugin_loads;
+#[cfg(unix)]
 mod plugins;
 mod plugins_c;
 mod privacy;

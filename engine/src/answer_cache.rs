@@ -13,7 +13,7 @@ use crate::{
     plan::{Plan, PlanNode},
     recording::codec,
     runtime::AnswerCache,
-    store::{Key, KeyBuilder, Store, StoreEntry, decode, message, payload_of, plugin_libraries},
+    store::{Key, KeyBuilder, Store, StoreEntry, decode, message, payload_of},
 };
 use osteoflow_container::Segments;
 use osteoflow_node::{
@@ -22,7 +22,7 @@ use osteoflow_node::{
 use std::{
     ops::Range,
     sync::{
-        Arc, Mutex, OnceLock, PoisonError,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
 };
@@ -46,8 +46,6 @@ pub(crate) struct StoredAnswers<'a> {
     /// Cache policy of each node; `None` where answers are not cached.
     nodes: Vec<Option<CachePolicy>>,
     cached_answers: Mutex<Vec<(usize, CachedAnswer)>>,
-    /// Libraries loaded by plugins.
-    brought: OnceLock<Vec<String>>,
     /// The store cannot be written; the warning has been given.
     cannot_keep: AtomicBool,
 }
@@ -70,7 +68,6 @@ impl<'a> StoredAnswers<'a> {
             registry,
             nodes: plan.nodes.iter().map(policy).collect(),
             cached_answers: Mutex::default(),
-            brought: OnceLock::new(),
             cannot_keep: AtomicBool::new(false),
         })
     }
@@ -92,12 +89,6 @@ impl<'a> StoredAnswers<'a> {
             .json("params", &node.params);
         if let Some(plugin) = &node.plugin {
             key = key.text("plugin", plugin);
-            // All nodes are built, so every library is loaded.
-            key = self
-                .brought
-                .get_or_init(plugin_libraries)
-                .iter()
-                .fold(key, |key, library| key.text("library", library));
         }
         if kept == CachePolicy::ByInputsAndSeed {
             key = key.number("seed", context.seed()).text("node", context.node()).number("item", context.item());

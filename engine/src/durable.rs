@@ -57,6 +57,7 @@ pub fn sync_folder_of(path: &Path) -> io::Result<()> {
 }
 
 /// A new folder of this process among the system's temporary files, which is removed on drop. Only its owner may use it.
+#[derive(Debug)]
 pub(crate) struct TemporaryFolder(PathBuf);
 
 impl TemporaryFolder {

@@ -2,6 +2,7 @@
 
 pub(crate) mod file_stamp;
 pub(crate) mod files;
+pub(crate) mod mapped;
 pub mod program;
 
 use sha2::{Digest as _, Sha256};

@@ -4,9 +4,11 @@
 
 #[cfg(unix)]
 mod apart;
+mod copies;
 mod description;
 mod host;
 mod kinds;
+mod late;
 mod lent_check;
 mod library;
 mod load;
@@ -25,7 +27,8 @@ pub use crate::process::child::signal_name;
 #[doc(hidden)]
 pub use crate::process::hostile;
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
-pub use kinds::{Finder, Kinds, Known, Plugin, Refused, Scripts};
+pub use kinds::{Finder, Held, Kinds, Known, Plugin, Refused, Scripts};
+pub(crate) use late::{late_difference, with_late_loads};
 pub use lent_check::check_lent_memory;
 pub use library::{Library, LibraryError, Why};
 pub use probe::{Prober, answer};

@@ -18,7 +18,7 @@ pub(crate) mod socket;
 #[cfg(unix)]
 pub(crate) mod wire;
 
-use std::{ffi::OsString, path::PathBuf};
+use std::{ffi::OsString, path::PathBuf, process::Command};
 
 /// A program that runs nodes.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,4 +27,19 @@ pub struct Launcher {
     pub program: PathBuf,
     /// Its arguments.
     pub arguments: Vec<OsString>,
+    /// Variables that are set for it.
+    pub environment: Vec<(&'static str, String)>,
+}
+
+impl Launcher {
+    /// A program with its arguments, in the environment of this one.
+    pub fn new(program: PathBuf, arguments: Vec<OsString>) -> Self {
+        Self { program, arguments, environment: Vec::new() }
+    }
+
+    pub(crate) fn command(&self) -> Command {
+        let mut command = Command::new(&self.program);
+        command.args(&self.arguments).envs(self.environment.iter().map(|(name, value)| (name, value)));
+        command
+    }
 }

@@ -95,7 +95,7 @@ pub fn repro(
     let declared: Arc<[DeclaredPort]> = declared.collect::<Result<Vec<_>, ReproError>>()?.into();
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
     let stop_after = node.stop_after_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
-    let place = Place { process: node.process, stop_after };
+    let place = Place { process: node.process, stop_after, pool: None };
     let (full_name, name) = (node.name.as_str().into(), Name::of(&node.name));
     let build_context = BuildContext { node: full_name, seed: bundle.seed, declared: declared.clone(), joins, place };
     let under = activity::begin(name, Doing::Building, 0);

@@ -30,7 +30,7 @@ pub use entry::StoreEntry;
 pub use key::{Key, KeyBuilder};
 pub(crate) use payload::{decode, message, payload_of};
 pub use program::cpu_features;
-pub(crate) use program::{note_plugin, note_program, plugin_libraries};
+pub(crate) use program::note_program;
 pub use settings::{Settings, SettingsError};
 
 use crate::hash::Digest;

@@ -15,22 +15,27 @@ mod share;
 mod table;
 #[cfg(test)]
 mod tests;
+mod twice;
 
 pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
 pub use check::{again, check};
 pub use design::{SweepRow, rows};
-pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, difference, merge};
+pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, merge};
+
+use folder::difference;
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};
+pub use twice::Unsteady;
 
 use crate::{
     fault::Fault,
     hash::{Digest, files::hashes, program},
     options::RunOptions,
-    plan::Plan,
+    plan::{Plan, PlanPlugin},
+    plugin::with_late_loads,
     watch::Stamps,
 };
 use osteoflow_node::Registry;
-use serde_json::json;
+use serde_json::{Value as Json, json};
 use std::{
     fmt,
     path::{Path, PathBuf},
@@ -131,20 +136,37 @@ impl Sweep {
     /// # Errors
     /// If a file cannot be written.
     pub fn begin(&self, dir: &Path, options: &SweepOptions) -> Result<Folder, FolderError> {
-        let files = input_files(&self.runs);
-        let about = json!({
+        Folder::begin(dir, &self.plan.resolved, self.about(options.shard, &options.run.command))
+    }
+
+    /// What the sweep is of.
+    fn about(&self, shard: Option<Shard>, command: &Json) -> Json {
+        json!({
             "graph": { "name": self.plan.name, "file": self.plan.path.display().to_string(), "seed": self.plan.seed },
             "hash": self.hash.to_string(),
             "n_runs": self.runs.len(),
-            "shard": options.shard.map(|shard| shard.to_string()),
+            "shard": shard.map(|shard| shard.to_string()),
             "sweep": self.spec,
             "engine_version": env!("CARGO_PKG_VERSION"),
             "program_sha256": program::digest().map(|digest| digest.to_string()),
-            "command": options.run.command,
-            "inputs": hashes(&files),
-            "plugins": self.plan.plugins,
-        });
-        Folder::begin(dir, &self.plan.resolved, about)
+            "command": command,
+            "inputs": hashes(&input_files(&self.runs)),
+            "plugins": with_late_loads(&self.plugins()),
+        })
+    }
+
+    /// The plugins of all runs, each once.
+    fn plugins(&self) -> Vec<PlanPlugin> {
+        let mut plugins: Vec<PlanPlugin> = Vec::new();
+        for plugin in self.runs.iter().flat_map(|run| &run.plan.plugins).chain(&self.plan.plugins) {
+            match plugins.iter_mut().find(|known| known.path == plugin.path) {
+                Some(known) => known.kinds.extend(
+                    plugin.kinds.iter().filter(|kind| !known.kinds.contains(kind)).cloned().collect::<Vec<_>>(),
+                ),
+                None => plugins.push(plugin.clone()),
+            }
+        }
+        plugins
     }
 
     /// The runs of a part, or of the whole sweep, in the order of the tables.
@@ -160,12 +182,7 @@ impl Sweep {
     /// If the folder holds another sweep, another part, or no sweep.
     pub fn resume(&self, dir: &Path, shard: Option<Shard>) -> Result<Folder, FolderError> {
         let folder = Folder::open(dir)?;
-        let hash = self.hash.to_string();
-        if folder.hash() != hash {
-            let what = format!(
-                "graph, input files, plugins or program are not those it was begun with (hash {} then, {hash} now)",
-                folder.hash()
-            );
+        if let Some(what) = difference(&self.about(shard, &Json::Null), &self.plan.resolved, &folder)? {
             return Err(FolderError::Other { path: dir.display().to_string(), what });
         }
         let (there, asked) = (folder.about["shard"].as_str(), shard.map(|shard| shard.to_string()));

@@ -80,12 +80,11 @@ impl Plugins {
         let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
         let prober = prober()?;
         let launcher = Some(own("worker")?);
-        let interpreter = Launcher { program: self.interpreter(), arguments: vec!["-c".into(), PYTHON_HELPER.into()] };
+        let asked = self.files.clone();
+        let interpreter = Launcher::new(self.interpreter(), vec!["-c".into(), PYTHON_HELPER.into()]);
         let scripts = Some(Scripts { ending: "py", interpreter });
-        Ok(Kinds::new(
-            registry(),
-            Finder { prober, store, asked: self.files.clone(), folders, launcher, scripts, only: None, plugins_apart },
-        ))
+        let finder = Finder { prober, store, asked, folders, launcher, scripts, only: None, plugins_apart, held: None };
+        Ok(Kinds::new(registry(), finder))
     }
 }
 
@@ -101,7 +100,7 @@ fn own(subcommand: &str) -> Result<Launcher> {
         }
     };
     arguments.push(subcommand.into());
-    Ok(Launcher { program, arguments })
+    Ok(Launcher::new(program, arguments))
 }
 
 /// What inspects a library.
@@ -116,6 +115,5 @@ fn prober() -> Result<Prober> {
             return Err(UsageError(message).into());
         }
     };
-    let Launcher { program, arguments } = own("plugin-probe")?;
-    Ok(Prober { program, arguments, timeout })
+    Ok(Prober { launcher: own("plugin-probe")?, timeout })
 }

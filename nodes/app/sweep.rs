@@ -9,9 +9,7 @@ use super::{
 };
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::sweep::{
-    self, Folder, FolderError, Shard, Sweep, SweepCounts, SweepOptions, Watcher, difference,
-};
+use osteoflow_engine::sweep::{self, Folder, FolderError, Shard, Sweep, SweepCounts, SweepOptions, Watcher};
 use osteoflow_report::summary;
 use serde_json::Value;
 use std::{
@@ -44,7 +42,7 @@ pub struct SweepRequest {
     #[arg(long, requires = "out")]
     pub resume: bool,
 
-    /// With --resume: run those again that failed, because a plugin was saved under way or a file could not be read.
+    /// With --resume: run those again that failed, because a file could not be read or a package was missing.
     #[arg(long, requires = "resume")]
     pub retry_failed: bool,
 
@@ -201,7 +199,7 @@ pub enum ShardFault {
 pub fn check_shard(sweep: &Path, shard: &Path, runs: &[usize]) -> Result<(), ShardFault> {
     let damaged = |error: FolderError| ShardFault::Damaged(error.to_string());
     let (sweep, folder) = (Folder::open(sweep).map_err(damaged)?, Folder::open(shard).map_err(damaged)?);
-    if let Some(what) = difference(&sweep, &folder) {
+    if let Some(what) = sweep.difference(&folder).map_err(damaged)? {
         return Err(ShardFault::Other(what));
     }
     let present = folder.runs().map_err(damaged)?;

@@ -34,16 +34,17 @@ pub(crate) fn measure(n_firings: u64) -> Option<[Case; 2]> {
     for (name, library) in &libraries {
         build::compile(Path::new(&format!("tests/plugins/{name}.cpp")), library, &[]).then_some(())?;
     }
-    let program = env!("CARGO_BIN_EXE_osteoflow");
+    let own = |subcommand: &str| Launcher::new(env!("CARGO_BIN_EXE_osteoflow").into(), vec![subcommand.into()]);
     let finder = Finder {
-        prober: Prober { program: program.into(), arguments: vec!["plugin-probe".into()], timeout: Prober::TIMEOUT },
+        prober: Prober { launcher: own("plugin-probe"), timeout: Prober::TIMEOUT },
         store: None,
         asked: libraries.into_iter().map(|(_, library)| library).collect(),
         folders: Vec::new(),
-        launcher: Some(Launcher { program: program.into(), arguments: vec!["worker".into()] }),
+        launcher: Some(own("worker")),
         scripts: None,
         only: None,
         plugins_apart: false,
+        held: None,
     };
     let registry = Kinds::new(osteoflow_standard::registry(), finder).known().registry;
 
@@ -62,7 +63,7 @@ pub(crate) fn measure(n_firings: u64) -> Option<[Case; 2]> {
 }
 
 fn median(registry: &Registry, kind: &str, value: &Value, process: bool, n_firings: u64) -> Duration {
-    let place = Place { process: Some(process), stop_after: None };
+    let place = Place { process: Some(process), ..Place::default() };
     let context = BuildContext { joins: vec![Join::Each], place, ..BuildContext::detached("bench") };
     let kind = registry.kind(kind).unwrap();
     let Ok(Built::Node(mut node)) = registry.build(kind, &json!({}), &context) else { panic!("it is a node") };

@@ -1,6 +1,7 @@
 //! A Python interpreter with packages, for tests.
 
 use std::{
+    fs,
     path::{Path, PathBuf},
     process::Command,
     sync::OnceLock,
@@ -44,4 +45,24 @@ fn made() -> Option<PathBuf> {
         }
     }
     Some(interpreter)
+}
+
+/// A folder with files, and the interpreter for its plugins; `None` where there is no Python.
+pub(crate) struct Folder(pub(crate) tempfile::TempDir, pub(crate) PathBuf);
+
+impl Folder {
+    pub(crate) fn new(test: &str, files: &[(&str, &str)]) -> Option<Self> {
+        let folder = Self(tempfile::tempdir().unwrap(), python(test)?);
+        files.iter().for_each(|(name, text)| folder.write(name, text));
+        Some(folder)
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub(crate) fn write(&self, name: &str, text: &str) {
+        fs::create_dir_all(self.path(name).parent().unwrap()).unwrap();
+        fs::write(self.path(name), text).unwrap();
+    }
 }

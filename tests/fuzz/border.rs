@@ -124,6 +124,7 @@ pub(crate) fn description() -> String {
         literature: vec!["paper2025".into()],
         role: Role::Node,
         constant: false,
+        unsteady: false,
         kept: CachePolicy::Never,
         inputs: vec![InputDescription {
             port: port("pose", "geometry/Pose"),
@@ -149,6 +150,8 @@ pub(crate) fn description() -> String {
         abi: (1, 0),
         kinds: vec![source, kind],
         payloads: vec![PayloadDescription { name: "my/Points".into(), version: 1, schema: own.to_vec() }],
+        loads: Default::default(),
+        watched: Vec::new(),
     };
     serde_json::to_string(&description).expect("a description is JSON")
 }

@@ -385,6 +385,8 @@ enum {
 
 /* A source that gives one item on each output, at stamp 0, and then ends. */
 enum { OSTEOFLOW_KIND_CONSTANT = 1 };
+/* Its answers may differ though inputs, parameters and seed are the same; a sweep then does not check that they are. */
+enum { OSTEOFLOW_KIND_UNSTEADY = 2 };
 
 typedef struct osteoflow_kind {
     /* "stage.variant", as graph files name it. */

@@ -104,6 +104,8 @@ pub mod kind {
     pub const LIVE_SOURCE: u32 = 2;
     /// Flag of [`super::Kind`]: one item on each output.
     pub const CONSTANT: u32 = 1;
+    /// Flag of [`super::Kind`]: its answers may differ though everything that it is given is the same.
+    pub const UNSTEADY: u32 = 2;
     /// Flag of [`super::Input`]: may stay unwired.
     pub const OPTIONAL: u32 = 1;
     /// Flag of [`super::Input`]: ignored by the kind.

@@ -23,6 +23,8 @@ pub struct Place {
     pub process: Option<bool>,
     /// The time limit of a firing, after which its process is stopped.
     pub stop_after: Option<Duration>,
+    /// Whether its process may fire nodes of other runs of the same command, before and after; unset: it may.
+    pub pool: Option<bool>,
 }
 
 impl BuildContext {

@@ -15,6 +15,9 @@ pub struct Description {
     pub role: Role,
     /// Whether it is a source of constants: one item on each output, at stamp 0.
     pub constant: bool,
+    /// Whether its answers may differ though everything that it is given is the same.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub unsteady: bool,
     /// Whether answers are cached across runs.
     #[serde(rename = "kept")]
     pub cache: CachePolicy,

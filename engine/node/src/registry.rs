@@ -71,7 +71,7 @@ impl Registry {
     pub fn node<N: Node>(&mut self) -> &mut Self {
         let (inputs, outputs) = (N::Inputs::ports(), N::Outputs::ports());
         let mut description = description::<N, N::Params>(N::KIND, Role::Node, inputs, outputs);
-        description.cache = N::CACHE;
+        (description.cache, description.unsteady) = (N::CACHE, N::UNSTEADY);
         let reads = N::CACHE != CachePolicy::Never && description.names_files();
         assert!(!reads, "{} reads a file, so its answers cannot be cached; let a source read it", N::KIND);
         self.add(description, |p, _| Ok(Built::Node(Box::new(Erased(N::new(read(p)?)?)))))
@@ -92,7 +92,7 @@ impl Registry {
     pub fn source<S: Source>(&mut self) -> &mut Self {
         let role = if S::LIVE { Role::LiveSource } else { Role::Source };
         let mut description = description::<S, S::Params>(S::KIND, role, Vec::new(), S::Outputs::ports());
-        description.constant = S::CONSTANT;
+        (description.constant, description.unsteady) = (S::CONSTANT, S::UNSTEADY);
         self.add(description, |p, _| Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?)))))
     }
 
@@ -209,6 +209,7 @@ fn description<D: Describe, P: crate::Parameters>(
         details: details.trim().into(),
         role,
         constant: false,
+        unsteady: false,
         cache: CachePolicy::Never,
         inputs,
         outputs,

@@ -12,6 +12,8 @@ pub trait Node: Describe + Send + Sized + 'static {
     const KIND: &'static str;
     /// Whether answers are cached across runs.
     const CACHE: CachePolicy = CachePolicy::Never;
+    /// Whether answers may differ though inputs, parameters and seed are the same, as those of a method that races its threads.
+    const UNSTEADY: bool = false;
     /// The parameters; their docs state defaults, ranges and reasons.
     type Params: Parameters;
     /// The input ports.
@@ -89,6 +91,8 @@ pub trait Source: Describe + Send + Sized + 'static {
     const LIVE: bool = false;
     /// Whether the source gives constants: one item on each output, at stamp 0, and then ends.
     const CONSTANT: bool = false;
+    /// Whether its answers may differ from one run to the next, as those of a device.
+    const UNSTEADY: bool = false;
     /// The parameters; their docs state defaults, ranges and reasons.
     type Params: Parameters;
     /// The output ports; [`crate::Declared`] where the graph declares them.

@@ -1,5 +1,9 @@
 //! The plan that `check` passes to `run`: a graph with all names resolved and no faults.
 
+mod loads;
+
+pub use loads::{LoadedFile, Loads};
+
 use osteoflow_container::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role};
 use serde::{Deserialize, Serialize, Serializer};
@@ -57,16 +61,24 @@ pub struct PlanPlugin {
     pub interpreter: Option<PathBuf>,
     /// The kinds of the plugin that the graph uses.
     pub kinds: Vec<String>,
+    /// What it loads beside its file.
+    #[serde(default, skip_serializing_if = "Loads::is_empty")]
+    pub loads: Loads,
 }
 
 impl PlanPlugin {
-    /// Describes how the library `now` differs; `None` if it is the same.
+    /// Describes how the library `now`, or what it loads, differs; `None` if it is the same.
     pub fn difference(&self, now: &Self) -> Option<String> {
         let (was, is) = (&self.sha256, &now.sha256);
-        (was != is).then(|| {
-            let (name, then, path) = (&self.name, &self.version, now.path.display());
-            format!("plugin {name} {then} was another library: sha256 {was}, here is {} {is} ({path})", now.version)
-        })
+        let (name, then, path) = (&self.name, &self.version, now.path.display());
+        if was != is {
+            let now = &now.version;
+            return Some(format!(
+                "plugin {name} {then} was another library: sha256 {was}, here is {now} {is} ({path})"
+            ));
+        }
+        let differences = self.loads.differences(&now.loads);
+        (!differences.is_empty()).then(|| format!("plugin {name} loads something else: {}", differences.join(", ")))
     }
 }
 

@@ -37,7 +37,7 @@ pub(super) struct Net<'a> {
 pub(super) fn plugins(known: &Known, parsed_nodes: &[ParsedNode<'_>]) -> Vec<PlanPlugin> {
     let used = known.plugins.iter().filter_map(|plugin| {
         let of_plugin = parsed_nodes.iter().filter_map(|parsed_node| parsed_node.kind);
-        let of_plugin = of_plugin.filter(|kind| kind.plugin.as_ref() == Some(&plugin.sha256));
+        let of_plugin = of_plugin.filter(|kind| kind.plugin.as_ref() == Some(&plugin.identity));
         let kinds: BTreeSet<_> = of_plugin.map(|kind| kind.description.kind.to_owned()).collect();
         (plugin.named || !kinds.is_empty()).then(|| plugin.in_plan(kinds.into_iter().collect()))
     });

@@ -171,7 +171,7 @@ impl<'r> Check<'r> {
             parsed_node.on_error = OnError::Skip;
         }
         let process = table.flag_if_set("process", &mut self.faults);
-        parsed_node.place.process = process;
+        parsed_node.place = Place { process, stop_after: None, pool: table.flag_if_set("pool", &mut self.faults) };
         if let Some(entry) = table.get("stop_after_s") {
             let limit = table.seconds("stop_after_s", &mut self.faults).map(Duration::from_secs_f64);
             if process == Some(false) {
@@ -180,7 +180,7 @@ impl<'r> Check<'r> {
                 self.faults.push(fault.at(&entry.value.at, "no process to end").help("take process = false out"));
             }
             // Only a process can be stopped from outside.
-            parsed_node.place = Place { process: Some(true), stop_after: limit };
+            parsed_node.place = Place { process: Some(true), stop_after: limit, ..parsed_node.place };
         }
     }
 

@@ -57,9 +57,12 @@ fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed
     if parsed_node.on_error == OnError::Skip {
         line(out, "on_error = \"skip\"");
     }
-    let Place { process, stop_after } = parsed_node.place;
+    let Place { process, stop_after, pool } = parsed_node.place;
     if let Some(process) = process.filter(|process| !(*process && stop_after.is_some())) {
         line(out, &format!("process = {process}"));
+    }
+    if let Some(pool) = pool {
+        line(out, &format!("pool = {pool}"));
     }
     if let Some(limit) = stop_after {
         line(out, &format!("stop_after_s = {:?}", limit.as_secs_f64()));

@@ -18,6 +18,10 @@ use crate::{
     names::nearest,
 };
 
+/// Default of `twice`: a hundred runs cost two more, and a kind that differs in one run of twenty is found in most sweeps of a
+/// thousand.
+const TWICE: f64 = 0.02;
+
 /// Default name of the repeats in the tables.
 const REPEAT: &str = "repeat";
 
@@ -48,6 +52,7 @@ impl Reader<'_> {
         let own = Section::new(table, &grammar::SWEEP, "[sweep]", "", self.faults);
         let repeat = own.whole("repeat", MAX_RUNS, self.faults).unwrap_or(1);
         let same_seed = own.flag("same_seed", self.faults);
+        let twice = own.share("twice", self.faults).unwrap_or(TWICE);
         let factors = self.tables(table, "factor", Self::factor);
         let draws = self.tables(table, "draw", Self::draw);
         let columns = self.tables(table, "columns", Self::column);
@@ -60,8 +65,20 @@ impl Reader<'_> {
         let limits = self.numbers(table.get("limit"), "limit", &columns);
         let compare = table.get("compare").map(|entry| self.comparisons(&entry.value, &factors, &columns));
         let compare = compare.unwrap_or_default();
-        let spec =
-            Spec { repeat, repeat_name, same_seed, factors, pair, draws, units, columns, points, limits, compare };
+        let spec = Spec {
+            repeat,
+            repeat_name,
+            same_seed,
+            twice,
+            factors,
+            pair,
+            draws,
+            units,
+            columns,
+            points,
+            limits,
+            compare,
+        };
         if self.faults.len() == before && spec.n_runs().is_none_or(|n| n as u64 > MAX_RUNS) {
             let fault = Fault::new(format!("the sweep has more than {MAX_RUNS} runs")).at(self.at, "too many");
             self.faults.push(fault.help("take fewer values, or pair factors that go together"));

@@ -131,6 +131,15 @@ impl<'t> Section<'t> {
         let takes = format!("a number of seconds above 0 and at most {most}");
         expected(seconds, value, &self.what(key), &takes, faults)
     }
+
+    pub(crate) fn share(&self, key: &str, faults: &mut Vec<Fault>) -> Option<f64> {
+        let value = &self.get(key)?.value;
+        let share = value.as_number().filter(|share| (0.0..=1.0).contains(share));
+        if share.is_none() {
+            faults.push(wrong(value, &self.what(key), "a number from 0 to 1"));
+        }
+        share
+    }
 }
 
 /// The text of an entry; a fault if it is something else.

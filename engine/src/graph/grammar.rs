@@ -100,6 +100,10 @@ pub(crate) static NODE: Keys = LazyLock::new(|| {
         "out": { "type": "object" },
         "on_error": { "enum": ["stop", "skip"], "default": "stop", "description": "What happens when it fails on an item." },
         "process": { "type": "boolean", "description": "Whether it fires in a process of its own, which may crash alone." },
+        "pool": {
+            "type": "boolean", "default": true,
+            "description": "Whether its process, in a sweep, builds the node of the next run anew when a run has ended; false: a process for each run.",
+        },
         "stop_after_s": {
             "type": "number", "exclusiveMinimum": 0, "maximum": 86400,
             "description": "The time limit of a firing, after which the process of the node is stopped.",
@@ -233,6 +237,10 @@ pub(crate) static SWEEP: Keys = LazyLock::new(|| {
     keys(json!({
         "repeat": { "type": "integer", "minimum": 1, "default": 1, "description": "How often each setting is run: with the seeds graph.seed, +1, +2 and so on." },
         "same_seed": { "type": "boolean", "default": false, "description": "Whether all repeats have the graph's seed, so that only what is drawn tells them apart." },
+        "twice": {
+            "type": "number", "minimum": 0, "maximum": 1, "default": 0.02,
+            "description": "Share of the runs that are computed twice, and beside them the first of each kind, to find kinds that answer otherwise the second time; 0: none.",
+        },
         "units": texts("What is resampled and counted, the highest first: names of factors, and one name for the repeats."),
         "pair": { "type": "array", "items": targets(), "description": "Factors that go together, value by value; all others are crossed." },
         "factor": by_name(table(&FACTOR), "What is varied by a list of values; the first varies slowest."),

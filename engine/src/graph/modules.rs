@@ -302,7 +302,7 @@ impl User<'_> {
             let fault = Fault::new(format!("node \"{node}\": module {file} has no parameter \"{key}\""));
             let fault = fault.at(&entry.key_at, "unknown");
             faults.push(match key {
-                "on_error" | "process" | "stop_after_s" => {
+                "on_error" | "process" | "pool" | "stop_after_s" => {
                     fault.help(format!("say it of a node within: [node.\"{node}/NAME\"] {key} = .."))
                 }
                 "out" => fault.help("its outputs are those that the module declares: take out away"),

@@ -1,8 +1,10 @@
 //! A plugin's description in Rust types.
 
+use crate::plan::Loads;
 use osteoflow_node::abi::schema::PayloadDescription;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
+use std::path::PathBuf;
 
 /// A plugin's description.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,6 +23,20 @@ pub struct PluginDescription {
     pub kinds: Vec<KindDescription>,
     /// Payloads that its ports name, or that it defines.
     pub payloads: Vec<PayloadDescription>,
+    /// What it loads beside its file.
+    #[serde(default)]
+    pub loads: Loads,
+    /// Files beside those of `loads` whose change may change the description.
+    #[serde(default)]
+    pub watched: Vec<PathBuf>,
+}
+
+impl PluginDescription {
+    /// Whether another process describes the same library. What it has loaded is compared by itself.
+    pub(super) fn is_same(&self, other: &Self) -> bool {
+        let rest = |of: &Self| Self { loads: Loads::default(), watched: Vec::new(), ..of.clone() };
+        rest(self) == rest(other)
+    }
 }
 
 /// A kind as its plugin describes it.
@@ -40,6 +56,9 @@ pub struct KindDescription {
     pub role: osteoflow_node::Role,
     /// Whether it is a source of constants.
     pub constant: bool,
+    /// Whether its answers may differ though everything that it is given is the same.
+    #[serde(default)]
+    pub unsteady: bool,
     /// When its answers are cached.
     pub kept: osteoflow_node::CachePolicy,
     /// Its inputs.

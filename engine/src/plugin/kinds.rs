@@ -1,25 +1,37 @@
 //! The kinds that graphs may name: the program's own, and those of plugins.
 
-use super::{Launcher, PluginDescription, Prober, ProvideError, load, probe, provide};
+use super::{Launcher, PluginDescription, Prober, ProvideError, copies, load, probe, provide};
 use crate::{
+    durable::TemporaryFolder,
     fault::{Fault, Span},
     graph::plugins::NamedPlugin,
     hash::{Digest, file_stamp::stamp, files::sha256},
     names::nearest,
-    plan::PlanPlugin,
+    plan::{LoadedFile, PlanPlugin},
     store::{Key, Store},
 };
 #[cfg(unix)]
 use osteoflow_node::PayloadType;
 use osteoflow_node::{Registry, abi};
+use serde::{Deserialize, Serialize};
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     env::consts::{DLL_EXTENSION, DLL_PREFIX, DLL_SUFFIX},
     fs::{self, File},
     io,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, Mutex, PoisonError},
 };
+
+/// Environment variables that limit the threads of libraries for arrays, as the module of nodes in Python lists them.
+const THREAD_LIMITS: [&str; 6] = [
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "TBB_NUM_THREADS",
+];
 
 /// The kinds of a program, and where to find plugins. A [`Registry`] converts to the kinds of a program without
 /// plugins.
@@ -49,6 +61,15 @@ pub struct Finder {
     pub only: Option<BTreeSet<String>>,
     /// Whether the kinds of plugins fire in processes of their own where the graph does not say.
     pub plugins_apart: bool,
+    /// Plugins as they were when they were looked at first, for commands that run many times; `None` looks anew each time.
+    pub held: Option<Arc<Held>>,
+}
+
+/// Plugins, with copies of their files and of the modules beside them.
+#[derive(Debug)]
+pub struct Held {
+    folder: TemporaryFolder,
+    plugins: Mutex<BTreeMap<PathBuf, Plugin>>,
 }
 
 /// Plugins in an interpreted language: `INTERPRETER ARGUMENTS describe FILE` prints the description of a file as the prober does
@@ -68,6 +89,10 @@ pub struct Plugin {
     pub path: PathBuf,
     /// Its SHA-256.
     pub sha256: Arc<str>,
+    /// Hash of the file and what it loads.
+    pub identity: Arc<str>,
+    /// A copy of the file, or of a script a folder with copies of it and of its modules, which is loaded in its stead.
+    pub copy: Option<PathBuf>,
     /// Its description.
     pub description: PluginDescription,
     /// Whether the graph names it.
@@ -91,7 +116,27 @@ impl Plugin {
             compiler: self.description.compiler.clone(),
             interpreter: self.script.as_ref().filter(|_| self.names_interpreter).map(|script| script.program.clone()),
             kinds,
+            loads: self.description.loads.clone(),
         }
+    }
+}
+
+/// A description, and the stamps of the files that decide it.
+#[derive(Serialize, Deserialize)]
+struct Look {
+    description: PluginDescription,
+    stamps: Vec<Option<String>>,
+}
+
+impl Look {
+    /// The stamps of the files beside the plugin's own; `None` for one that is not there.
+    fn stamps(description: &PluginDescription) -> Vec<Option<String>> {
+        let files = description.loads.files.iter().map(|file| &file.path).chain(&description.watched);
+        files.map(|file| Some(stamp(&fs::metadata(file).ok()?))).collect()
+    }
+
+    fn is_current(&self) -> bool {
+        self.stamps == Self::stamps(&self.description)
     }
 }
 
@@ -158,6 +203,25 @@ impl Kinds {
         let only = plugins.iter().map(|plugin| plugin.sha256.clone()).collect();
         let finder = self.finder.as_ref().map(|finder| Arc::new(Finder { only: Some(only), ..(**finder).clone() }));
         Self { registry: self.registry.clone(), finder }
+    }
+
+    /// The kinds for a command that runs many times: a plugin that is saved meanwhile changes none of its runs, and threads of
+    /// libraries are limited to one where the user does not say, since as many runs go on as there are processors.
+    ///
+    /// # Errors
+    /// If there is no folder for copies.
+    pub fn held(&self) -> io::Result<Self> {
+        let hold = |finder: &Arc<Finder>| -> io::Result<_> {
+            let mut finder = Finder::clone(finder);
+            let held = Held { folder: TemporaryFolder::new("osteoflow-plugins")?, plugins: Mutex::default() };
+            finder.held = Some(Arc::new(held));
+            if let Some(scripts) = &mut finder.scripts {
+                let unset = THREAD_LIMITS.into_iter().filter(|name| std::env::var_os(name).is_none());
+                scripts.interpreter.environment.extend(unset.map(|name| (name, "1".into())));
+            }
+            Ok(Arc::new(finder))
+        };
+        Ok(Self { registry: self.registry.clone(), finder: self.finder.as_ref().map(hold).transpose()? })
     }
 
     /// The kinds with another registry of the program's own kinds.
@@ -234,6 +298,8 @@ impl Kinds {
         };
         let mut files: Vec<_> = finder.asked.iter().flat_map(|path| candidates(Path::new(""), path)).collect();
         files.extend(named.iter().flat_map(|named| candidates(&named.dir, Path::new(&named.text))));
+        let loaded = self.with(named).plugins;
+        files.extend(loaded.iter().flat_map(|plugin| &plugin.description.loads.files).map(|file| file.path.clone()));
         files.extend(finder.folders.iter().flat_map(|folder| libraries(folder)));
         files
     }
@@ -284,8 +350,39 @@ impl Finder {
         Refused { path: path.into(), why: "there is no such file".into(), origin, note: Some(note), help }
     }
 
-    /// Reads the description of the library at `path`: from the cache, or by another process.
+    /// The plugin at `path`, as it was when it was looked at first if plugins are held.
     fn look_at(&self, path: &Path, interpreter: Option<&Path>) -> Result<Plugin, String> {
+        let Some(held) = &self.held else { return self.look(path, interpreter) };
+        let mut plugins = held.plugins.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(plugin) = plugins.get(path) {
+            return Ok(plugin.clone());
+        }
+        let mut plugin = self.look(path, interpreter)?;
+        let to = held.folder.path().join(plugins.len().to_string());
+        let copy = copies::copy(&plugin, &to).map_err(|error| format!("it cannot be copied: {error}"))?;
+        if let Some(script) = &mut plugin.script {
+            script.arguments.push(copy.clone().into());
+        }
+        plugin.copy = Some(copy);
+        plugins.insert(path.into(), plugin.clone());
+        Ok(plugin)
+    }
+
+    /// Looks at a plugin anew next time, whatever the stamps of its files say.
+    pub(super) fn forget(&self, plugin: &Plugin) {
+        let interpreter = plugin.script.as_ref().map(|script| &*script.program);
+        let key = fs::metadata(&plugin.path).ok().and_then(|file| {
+            let digest = self.sha256(&plugin.path, &stamp(&file)).ok()?;
+            self.key(&plugin.path, &stamp(&file), digest, self.script(&plugin.path, interpreter).as_ref())
+        });
+        if let (Some(store), Some(key)) = (&self.store, key) {
+            // What is no description is read again.
+            let _ = store.put(&key, &[b"forgotten"]);
+        }
+    }
+
+    /// Reads the description of the library at `path`: from the cache, or by another process.
+    fn look(&self, path: &Path, interpreter: Option<&Path>) -> Result<Plugin, String> {
         let script = self.script(path, interpreter);
         let unread = |error: io::Error| format!("it cannot be read: {error}");
         // The file may be rebuilt while it is read.
@@ -294,25 +391,43 @@ impl Finder {
             let digest = self.sha256(path, &before).map_err(unread)?;
             let key = self.key(path, &before, digest, script.as_ref());
             let kept = key.as_ref().and_then(|key| self.store.as_ref()?.get(key));
-            let kept = kept.and_then(|entry| serde_json::from_slice(entry.bytes()).ok());
-            let description = match kept {
-                Some(description) => Ok(description),
-                None => probe::probe(&self.prober(script.as_ref()), path).map_err(|error| error.to_string()),
+            let kept = kept.and_then(|entry| serde_json::from_slice::<Look>(entry.bytes()).ok());
+            let kept = kept.filter(Look::is_current);
+            let is_kept = kept.is_some();
+            let look = match kept {
+                Some(look) => Ok(look),
+                None => probe::probe(&self.prober(script.as_ref()), path)
+                    .map_err(|error| error.to_string())
+                    .map(|description| Look { stamps: Look::stamps(&description), description }),
             };
             if stamp(&fs::metadata(path).map_err(unread)?) != before {
                 continue;
             }
-            let description: PluginDescription = description?;
+            let look = look?;
+            let is_as_told =
+                |file: &LoadedFile| sha256(&file.path).is_ok_and(|(_, digest)| digest.to_string() == file.sha256);
+            if !is_kept && !look.description.loads.files.iter().all(is_as_told) {
+                continue;
+            }
             if let (Some(key), Some(store)) = (&key, &self.store)
-                && let Ok(json) = serde_json::to_vec(&description)
+                && !is_kept
+                && let Ok(json) = serde_json::to_vec(&look)
             {
                 // If the description cannot be cached, it is read again next time.
                 let _ = store.put(key, &[&json]);
             }
             let names_interpreter = script.is_some() && interpreter.is_some();
             let script = script.map(|scripts| scripts.command("serve", Some(path)));
-            let sha256 = digest.to_string().into();
-            return Ok(Plugin { path: path.into(), sha256, description, named: false, script, names_interpreter });
+            let (path, sha256, description) = (path.into(), Arc::<str>::from(digest.to_string()), look.description);
+            let identity = match description.loads.is_empty() {
+                true => sha256.clone(),
+                false => {
+                    let key = Key::of("plugin").digest("file", digest).text("loads", &description.loads.identity());
+                    key.done().digest().to_string().into()
+                }
+            };
+            let (copy, named) = (None, false);
+            return Ok(Plugin { path, sha256, identity, copy, description, named, script, names_interpreter });
         }
         Err("it changes while it is looked at; is it being built?".into())
     }
@@ -329,14 +444,17 @@ impl Finder {
 
     fn prober(&self, script: Option<&Scripts>) -> Prober {
         let Some(scripts) = script else { return self.prober.clone() };
-        let Launcher { program, arguments } = scripts.command("describe", None);
-        Prober { program, arguments, timeout: self.prober.timeout }
+        Prober { launcher: scripts.command("describe", None), timeout: self.prober.timeout }
     }
 
     fn key(&self, path: &Path, stamp: &str, digest: Digest, script: Option<&Scripts>) -> Option<Key> {
         let key = Key::of("plugin_probe").text("path", &path.to_string_lossy()).text("stamp", stamp);
         let key = key.digest("file", digest).digest("program", self.store.as_ref()?.program()?);
-        let interpreter = script.map(|scripts| scripts.interpreter.program.to_string_lossy().into_owned());
+        let interpreter = script.map(|scripts| {
+            let limit = |name: &str| format!("{name}={:?}", std::env::var_os(name));
+            let program = scripts.interpreter.program.to_string_lossy();
+            format!("{program} {:?} {:?}", scripts.interpreter.environment, THREAD_LIMITS.map(limit))
+        });
         let key = key.text("interpreter", &interpreter.unwrap_or_default());
         Some(key.number("abi", u64::from(abi::MAJOR) << 32 | u64::from(abi::MINOR)).done())
     }
@@ -368,14 +486,14 @@ impl Known {
 
     /// Lets nodes fire in processes of their own.
     #[cfg(unix)]
-    fn launch_by(&mut self, finder: &Finder, own: &Registry) {
+    fn launch_by(&mut self, finder: &Arc<Finder>, own: &Registry) {
         let types: Vec<&'static PayloadType> = self.registry.payload_types().collect();
         self.registry.set_launcher(Arc::new(super::apart::Processes {
-            launcher: finder.launcher.clone(),
-            of_plugins: finder.plugins_apart,
+            finder: finder.clone(),
             plugins: self.plugins.clone(),
             payloads: types.iter().copied().filter(|ty| own.payload_type(ty.name).is_none()).collect(),
             types: types.into(),
+            idle: Arc::default(),
         }));
     }
 
@@ -404,7 +522,7 @@ impl Known {
         }
         let plugin = Arc::new(plugin);
         let (mut registry, loaded) = (self.registry.clone(), plugin.clone());
-        let provided = provide(&mut registry, &plugin.description, &plugin.sha256, move || load::load(&loaded));
+        let provided = provide(&mut registry, &plugin.description, &plugin.identity, move || load::load(&loaded));
         provided.map_err(|error| match error {
             ProvideError::Kind(clash) => match self.of_kind(clash.0) {
                 Some(other) => format!("{clash}, of plugin {} ({})", other.description.name, other.path.display()),
@@ -419,8 +537,8 @@ impl Known {
 
     /// The plugin that provides a kind.
     pub fn of_kind(&self, kind: &str) -> Option<&Plugin> {
-        let sha256 = self.registry.kind(kind)?.plugin.as_ref()?;
-        self.plugins.iter().find(|plugin| plugin.sha256 == *sha256).map(|plugin| &**plugin)
+        let identity = self.registry.kind(kind)?.plugin.as_ref()?;
+        self.plugins.iter().find(|plugin| plugin.identity == *identity).map(|plugin| &**plugin)
     }
 
     /// The refused libraries as faults; those merely found in a folder are warnings.

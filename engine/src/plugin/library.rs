@@ -2,7 +2,7 @@
 #![allow(unsafe_code, reason = "loads a library and reads what it describes")]
 
 use super::description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
-use crate::activity::Name;
+use crate::{activity::Name, plan::Loads};
 use osteoflow_node::{
     CachePolicy, Join, Role,
     abi::{self, AbiError, kind, panics},
@@ -162,6 +162,8 @@ impl Library {
             // SAFETY: as above.
             kinds: kinds.iter().map(|kind| unsafe { read_kind(kind, &sizes) }).collect::<Result<_, _>>()?,
             payloads: payloads.collect::<Result<_, _>>()?,
+            loads: Loads::default(),
+            watched: Vec::new(),
         };
         Ok(Self { description: described, kinds, start: raw.start, started: Once::new(), file: Name::of("") })
     }
@@ -322,6 +324,7 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindDescrip
             unknown => return Err(code("the role", unknown)),
         },
         constant: given.flags & kind::CONSTANT != 0,
+        unsteady: given.flags & kind::UNSTEADY != 0,
         kept: match given.kept {
             0 => CachePolicy::Never,
             1 => CachePolicy::ByInputs,

@@ -1,9 +1,14 @@
 //! Loads a plugin's library when the first of its nodes is built.
 
-use super::{Library, LibraryError, Plugin, Why};
-use crate::{durable::TemporaryFolder, hash::Digest, store};
+use super::{Library, Plugin, Why};
+use crate::{
+    durable::TemporaryFolder,
+    hash::{Digest, files::sha256, mapped::mapped},
+    plan::{LoadedFile, Loads},
+    store,
+};
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs, io,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
@@ -39,34 +44,52 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
     if plugin.script.is_some() {
         return Err(message(&"it is a script, whose nodes fire in processes of their own; take process = false out"));
     }
-    let bytes = fs::read(path).map_err(|error| message(&format!("it cannot be read: {error}")))?;
+    let file = plugin.copy.as_deref().unwrap_or(path);
+    let bytes = fs::read(file).map_err(|error| message(&format!("it cannot be read: {error}")))?;
     if Digest::of(&bytes).to_string() != *plugin.sha256 {
         return Err(message(&"it has changed since it was looked at; run again"));
     }
     let needs_place = std::env::var_os(IN_PLACE).is_some_and(|value| !value.is_empty())
         || BESIDE.iter().any(|word| bytes.windows(word.len()).any(|window| window == *word));
     let library = match copy(path, &bytes).ok().filter(|_| !needs_place) {
-        Some((_folder, file)) => match open(&file) {
+        Some((_folder, file)) => match Library::load(&file) {
             // The folder of the copy may not allow execution.
             Err(error) if matches!(error.why, Why::Load(_)) => in_place(plugin, &mut loaded)?,
             library => library.map_err(|error| message(&error.why))?,
         },
         None => in_place(plugin, &mut loaded)?,
     };
-    if *library.description() != plugin.description {
+    if !library.description().is_same(&plugin.description) {
         return Err(message(
             &"it describes itself otherwise than when it was looked at; it must not depend on its process",
         ));
     }
+    check_loads(&plugin.description.loads).map_err(|why| message(&why))?;
     let library: &'static Library = Box::leak(Box::new(library.shown_as(path)));
     loaded.libraries.insert(plugin.sha256.clone(), library);
     Ok(library)
 }
 
-/// Loads a file and records it as not part of the program.
-fn open(file: &Path) -> Result<Library, LibraryError> {
-    store::note_plugin(file);
-    Library::load(file)
+/// Checks that the libraries which this one needs are as they were when it was looked at.
+fn check_loads(loads: &Loads) -> Result<(), String> {
+    let changed = |file: &&LoadedFile| sha256(&file.path).map_or(true, |(_, digest)| digest.to_string() != file.sha256);
+    match loads.files.iter().find(changed) {
+        Some(LoadedFile { name, path, .. }) => {
+            Err(format!("{name} ({}) has changed since it was looked at; run again", path.display()))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The libraries mapped since, by content; none of the plugin's own files.
+pub(super) fn loads_since(before: &BTreeSet<PathBuf>, own: &Path) -> Loads {
+    let is_own = |path: &PathBuf| path == own || path.file_name() == own.file_name();
+    let loaded = |path: PathBuf| {
+        let sha256 = sha256(&path).map_or_else(|error| error.to_string(), |(_, digest)| digest.to_string());
+        Some(LoadedFile { name: path.file_name()?.to_string_lossy().into_owned(), path, sha256 })
+    };
+    let new = mapped().into_iter().filter(|path| !before.contains(path) && !is_own(path));
+    Loads { files: new.filter_map(loaded).collect(), ..Loads::default() }
 }
 
 fn in_place(plugin: &Plugin, loaded: &mut Loaded) -> Result<Library, String> {
@@ -76,7 +99,7 @@ fn in_place(plugin: &Plugin, loaded: &mut Loaded) -> Result<Library, String> {
             "plugin {path}: it was rebuilt while it is in use, and can only be loaded from its place; start the program again"
         ));
     }
-    let library = open(&plugin.path).map_err(|error| format!("plugin {path}: {}", error.why))?;
+    let library = Library::load(&plugin.path).map_err(|error| format!("plugin {path}: {}", error.why))?;
     loaded.in_place.insert(plugin.path.clone(), plugin.sha256.clone());
     Ok(library)
 }

@@ -1,24 +1,22 @@
 //! Reads a library's description in a separate process, which contains crashes, hangs and invalid libraries.
 
-use super::{Library, PluginDescription};
+use super::{Library, PluginDescription, load::loads_since};
+use crate::{hash::mapped::mapped, process::Launcher};
 use serde::{Deserialize, Serialize};
 use std::{
-    ffi::OsString,
     io::{self, Read},
-    path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
+    path::Path,
+    process::{Child, ExitStatus, Stdio},
     sync::mpsc::{Receiver, sync_channel},
     thread,
     time::{Duration, Instant},
 };
 
-/// The program that reads a library: it prints the [`answer`] for the file given as last argument.
+/// Reads a library in another process.
 #[derive(Debug, Clone)]
 pub struct Prober {
-    /// The program.
-    pub program: PathBuf,
-    /// The arguments before the file.
-    pub arguments: Vec<OsString>,
+    /// Prints the [`answer`] for the file given as last argument.
+    pub launcher: Launcher,
     /// Time limit for a library.
     pub timeout: Duration,
 }
@@ -66,8 +64,12 @@ const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Loads the library and returns the answer to be printed on stdout.
 pub fn answer(file: &Path) -> String {
+    let before = mapped();
     let answer = match Library::load(file) {
-        Ok(library) => ProbeReply::Plugin(Box::new(library.description().clone())),
+        Ok(library) => {
+            let loads = loads_since(&before, file);
+            ProbeReply::Plugin(Box::new(PluginDescription { loads, ..library.description().clone() }))
+        }
         Err(error) => ProbeReply::Refused(error.why.to_string()),
     };
     let json = serde_json::to_string(&answer).unwrap_or_else(|error| format!("{{\"refused\":\"{error}\"}}"));
@@ -77,10 +79,10 @@ pub fn answer(file: &Path) -> String {
 
 /// Reads the description of a library in another process.
 pub(super) fn probe(prober: &Prober, file: &Path) -> Result<PluginDescription, ProbeError> {
-    let mut command = Command::new(&prober.program);
-    command.args(&prober.arguments).arg(file);
+    let mut command = prober.launcher.command();
+    command.arg(file);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let start = |error| ProbeError::Start(prober.program.display().to_string(), error);
+    let start = |error| ProbeError::Start(prober.launcher.program.display().to_string(), error);
     let mut child = command.spawn().map_err(start)?;
     let (out, err) = (read(child.stdout.take()), read(child.stderr.take()));
     let ended = wait(&mut child, prober.timeout).map_err(start)?;

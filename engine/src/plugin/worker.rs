@@ -1,8 +1,14 @@
 //! The process in which a node fires: builds it, and fires it when asked.
 
-use super::{Library, PluginDescription, load, provide};
+use super::{
+    Library, PluginDescription,
+    load::{self, loads_since},
+    provide,
+};
 use crate::{
+    hash::mapped::mapped,
     panics,
+    plan::Loads,
     process::{
         segment::{Pool, StopPage, Views},
         socket::{Received, Socket},
@@ -28,7 +34,7 @@ use std::{
 /// How often the process looks whether it shall stop, and whether its program is still there.
 const LOOK_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Serves one node until the connection on standard input is closed.
+/// Serves a node at a time until the connection on standard input is closed: each message that builds one ends the one before.
 ///
 /// # Errors
 /// [`io::Error`] if standard input is no such connection.
@@ -51,40 +57,40 @@ pub fn serve(mut registry: Registry) -> io::Result<()> {
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(build.n_threads);
     pool.start_handler(|_| panics::mark_helper_thread()).build_global().map_err(io::Error::other)?;
-    let (node, seed) = (build.node.clone(), build.seed);
-    let (built, declared, inputs, n_outputs) = match built(&mut registry, *build) {
-        Ok(built) => built,
-        Err((parameter, message)) => return send(&socket, &FromWorker::Refused { parameter, message }, &[]),
-    };
-    let (max_delay_ns, silent_after_ns) = match &built {
-        Built::Node(_) => (0, None),
-        Built::Source(source) => (source.max_delay_ns(), u64::try_from(source.silent_after().as_nanos()).ok()),
-    };
-    send(&socket, &FromWorker::Built { max_delay_ns, silent_after_ns }, &[])?;
-    let mut server = Server {
-        built,
-        context: Context::new(node, seed, cancelled, declared),
-        inputs,
-        out: vec![Emission::Silent; n_outputs],
-        registry,
-        views: Views::default(),
-        pool: Pool::default(),
-        constants: BTreeMap::new(),
-    };
+    let before = mapped();
+    let (mut node, mut memory) = (None, Memory::default());
+    let mut next = Received::Message(ToWorker::Build(build));
     loop {
-        let message = lock(&socket).receive()?;
-        match message {
+        match next {
+            Received::Message(ToWorker::Build(build)) => {
+                // The node before is destroyed first.
+                drop(node.take());
+                let path = build.plugin.as_ref().map(|plugin| plugin.path.clone());
+                match Node::build(&mut registry, *build, cancelled.clone()) {
+                    Ok(built) => {
+                        let loads = path.map(|path| loads_since(&before, &path));
+                        send(&socket, &built.message(loads), &[])?;
+                        node = Some(built);
+                    }
+                    Err((parameter, message)) => {
+                        return send(&socket, &FromWorker::Refused { parameter, message }, &[]);
+                    }
+                }
+            }
             Received::Message(ToWorker::Fire(fire)) => {
                 let fds = lock(&socket).take_fds(fire.new.len())?;
-                server.views.add(&fire.new, fds)?;
-                server.pool.answered(&fire.held);
-                let answer = server.fire(*fire);
-                let (new, fds) = server.pool.news();
+                memory.views.add(&fire.new, fds)?;
+                memory.pool.answered(&fire.held);
+                fire.released.iter().for_each(|segment| drop(memory.constants.remove(segment)));
+                let Some(node) = &mut node else { return Err(io::Error::other("no node is built")) };
+                let answer = node.fire(*fire, &mut memory, &registry);
+                let (new, fds) = memory.pool.news();
                 send(&socket, &FromWorker::Answer(Box::new(Reply { new, ..answer })), &fds)?;
             }
             Received::Closed => return Ok(()),
-            Received::Nothing | Received::Message(ToWorker::Build(_)) => {}
+            Received::Nothing => {}
         }
+        next = lock(&socket).receive()?;
     }
 }
 
@@ -127,80 +133,103 @@ fn send(socket: &Mutex<Socket>, message: &FromWorker, fds: &[rustix::fd::Borrowe
     lock(socket).send(message, fds)
 }
 
-type Ready = (Built, Arc<[DeclaredPort]>, Vec<&'static str>, usize);
-
-/// Builds the node; the error has the parameter at fault, and a message.
-fn built(registry: &mut Registry, build: wire::Build) -> Result<Ready, (String, String)> {
-    let whole = |message: String| (String::new(), message);
-    if build.version != wire::VERSION {
-        let message =
-            format!("the process speaks version {} of the protocol, the program {}", wire::VERSION, build.version);
-        return Err(whole(message));
-    }
-    if let Some(library) = build.plugin {
-        let description: PluginDescription =
-            serde_json::from_value(library.description).map_err(|error| whole(error.to_string()))?;
-        let sha256: Arc<str> = library.sha256.as_str().into();
-        let plugin = super::Plugin {
-            path: library.path,
-            sha256: sha256.clone(),
-            description,
-            named: true,
-            script: None,
-            names_interpreter: false,
-        };
-        let description = plugin.description.clone();
-        provide(registry, &description, &sha256, move || -> Result<&'static Library, String> { load::load(&plugin) })
-            .map_err(|error| whole(error.to_string()))?;
-    }
-    for payload in build.payloads {
-        let ty = PayloadType::dynamic(&payload.name, payload.version, payload.schema);
-        let ty = ty.map_err(|error| whole(error.to_string()))?;
-        registry.add_payload_type(ty).map_err(|error| whole(error.to_string()))?;
-    }
-    let declare = |port: wire::Declared| -> Result<DeclaredPort, (String, String)> {
-        let payload = registry.payload_type(&port.payload);
-        let payload = payload.ok_or_else(|| whole(format!("payload {} is not known here", port.payload)))?;
-        Ok(DeclaredPort { name: port.name, payload, params: port.params })
-    };
-    let declared: Arc<[DeclaredPort]> = build.declared.into_iter().map(declare).collect::<Result<Vec<_>, _>>()?.into();
-    let kind: &Kind =
-        registry.kind(&build.kind).ok_or_else(|| whole(format!("there is no kind \"{}\" here", build.kind)))?;
-    let context = BuildContext {
-        node: build.node.as_str().into(),
-        seed: build.seed,
-        declared: declared.clone(),
-        joins: build.joins,
-        place: Default::default(),
-    };
-    let built = match panics::catch(|| kind.build(&build.params, &context)) {
-        Ok(built) => built.map_err(|error| (error.parameter, error.message))?,
-        Err(panic) => return Err(whole(panic)),
-    };
-    let n_outputs = match &kind.description.outputs {
-        osteoflow_node::OutputPorts::Fixed(ports) => ports.len(),
-        osteoflow_node::OutputPorts::Declared { .. } => declared.len(),
-    };
-    let inputs = kind.description.inputs.iter().map(|port| port.name).collect();
-    Ok((built, declared, inputs, n_outputs))
+/// What is shared with the program, for as long as the process lives.
+#[derive(Default)]
+struct Memory {
+    views: Views,
+    pool: Pool,
+    /// The constants, by their segment.
+    constants: BTreeMap<u32, Item>,
 }
 
-struct Server {
+/// The node that fires.
+struct Node {
     built: Built,
     context: Context,
     inputs: Vec<&'static str>,
     out: Vec<Emission>,
-    registry: Registry,
-    views: Views,
-    pool: Pool,
-    /// The constants of ports, with their places.
-    constants: BTreeMap<usize, (Place, Item)>,
 }
 
-impl Server {
-    fn fire(&mut self, fire: Fire) -> Reply {
+impl Node {
+    /// Builds the node; the error has the parameter at fault, and a message.
+    fn build(
+        registry: &mut Registry,
+        build: wire::Build,
+        cancelled: Arc<AtomicBool>,
+    ) -> Result<Self, (String, String)> {
+        let whole = |message: String| (String::new(), message);
+        if build.version != wire::VERSION {
+            let message =
+                format!("the process speaks version {} of the protocol, the program {}", wire::VERSION, build.version);
+            return Err(whole(message));
+        }
+        if let Some(library) = build.plugin.filter(|_| registry.kind(&build.kind).is_none()) {
+            let description: PluginDescription =
+                serde_json::from_value(library.description).map_err(|error| whole(error.to_string()))?;
+            let sha256: Arc<str> = library.sha256.as_str().into();
+            let plugin = super::Plugin {
+                path: library.path,
+                sha256: sha256.clone(),
+                identity: sha256.clone(),
+                copy: library.copy,
+                description,
+                named: true,
+                script: None,
+                names_interpreter: false,
+            };
+            let description = plugin.description.clone();
+            let load = move || -> Result<&'static Library, String> { load::load(&plugin) };
+            provide(registry, &description, &sha256, load).map_err(|error| whole(error.to_string()))?;
+        }
+        for payload in &build.payloads {
+            if registry.payload_type(&payload.name).is_some() {
+                continue;
+            }
+            let ty = PayloadType::dynamic(&payload.name, payload.version, payload.schema.clone());
+            let ty = ty.map_err(|error| whole(error.to_string()))?;
+            registry.add_payload_type(ty).map_err(|error| whole(error.to_string()))?;
+        }
+        let declare = |port: wire::Declared| -> Result<DeclaredPort, (String, String)> {
+            let payload = registry.payload_type(&port.payload);
+            let payload = payload.ok_or_else(|| whole(format!("payload {} is not known here", port.payload)))?;
+            Ok(DeclaredPort { name: port.name, payload, params: port.params })
+        };
+        let declared: Arc<[DeclaredPort]> =
+            build.declared.into_iter().map(declare).collect::<Result<Vec<_>, _>>()?.into();
+        let kind: &Kind =
+            registry.kind(&build.kind).ok_or_else(|| whole(format!("there is no kind \"{}\" here", build.kind)))?;
+        let context = BuildContext {
+            node: build.node.as_str().into(),
+            seed: build.seed,
+            declared: declared.clone(),
+            joins: build.joins,
+            place: Default::default(),
+        };
+        let built = match panics::catch(|| kind.build(&build.params, &context)) {
+            Ok(built) => built.map_err(|error| (error.parameter, error.message))?,
+            Err(panic) => return Err(whole(panic)),
+        };
+        let n_outputs = match &kind.description.outputs {
+            osteoflow_node::OutputPorts::Fixed(ports) => ports.len(),
+            osteoflow_node::OutputPorts::Declared { .. } => declared.len(),
+        };
+        let inputs = kind.description.inputs.iter().map(|port| port.name).collect();
+        let context = Context::new(build.node, build.seed, cancelled, declared);
+        Ok(Self { built, context, inputs, out: vec![Emission::Silent; n_outputs] })
+    }
+
+    /// Says that the node is built.
+    fn message(&self, loads: Option<Loads>) -> FromWorker {
+        let (max_delay_ns, silent_after_ns) = match &self.built {
+            Built::Node(_) => (0, None),
+            Built::Source(source) => (source.max_delay_ns(), u64::try_from(source.silent_after().as_nanos()).ok()),
+        };
+        FromWorker::Built { max_delay_ns, silent_after_ns, again: true, loads }
+    }
+
+    fn fire(&mut self, fire: Fire, memory: &mut Memory, registry: &Registry) -> Reply {
         let item = fire.context.item;
-        let slots = fire.slots.into_iter().enumerate().map(|(port, slot)| self.slot(port, slot)).collect();
+        let slots = fire.slots.into_iter().map(|slot| memory.slot(slot, registry)).collect();
         self.context.receive(fire.context, &self.inputs);
         self.out.fill(Emission::Silent);
         let ended = match slots {
@@ -222,42 +251,43 @@ impl Server {
         };
         let emissions: Vec<Emission> = self.out.iter_mut().map(|e| std::mem::replace(e, Emission::Silent)).collect();
         let outputs = match ended {
-            FiringOutcome::Well => emissions.into_iter().map(|emission| self.emitted(emission)).collect(),
+            FiringOutcome::Well => emissions.into_iter().map(|emission| memory.emitted(emission)).collect(),
             _ => Ok(Vec::new()),
         };
         let (ended, outputs) = match outputs {
             Ok(outputs) => (ended, outputs),
             Err(error) => (FiringOutcome::Failed(format!("no memory to share: {error}")), Vec::new()),
         };
-        Reply { item, ended, outputs, context: self.context.done(), new: Vec::new(), held: self.views.held() }
+        let (context, held) = (self.context.done(), memory.views.held());
+        Reply { item, ended, outputs, context, new: Vec::new(), held, loads: None }
     }
+}
 
-    fn slot(&mut self, port: usize, slot: wire::Slot) -> Result<Slot, String> {
+impl Memory {
+    fn slot(&mut self, slot: wire::Slot, registry: &Registry) -> Result<Slot, String> {
         Ok(match slot {
             wire::Slot::Absent(empty) => Slot::Absent(Arc::new(empty)),
-            wire::Slot::Item(place) => Slot::Item(self.item(place)?),
+            wire::Slot::Item(place) => Slot::Item(self.item(place, registry)?),
             wire::Slot::Items(places) => {
-                Slot::Items(places.into_iter().map(|p| self.item(p)).collect::<Result<_, _>>()?)
+                Slot::Items(places.into_iter().map(|place| self.item(place, registry)).collect::<Result<_, _>>()?)
             }
-            wire::Slot::Constant(place) => match self.constants.get(&port) {
-                Some((known, item)) if *known == place => Slot::Item(item.clone()),
-                _ => {
-                    self.constants.remove(&port);
-                    let item = self.item(place)?;
-                    self.constants.insert(port, (place, item.clone()));
-                    Slot::Item(item)
+            wire::Slot::Constant(place) => {
+                if let Some(item) = self.constants.get(&place.segment) {
+                    return Ok(Slot::Item(item.clone()));
                 }
-            },
+                let item = self.item(place, registry)?;
+                self.constants.insert(place.segment, item.clone());
+                Slot::Item(item)
+            }
         })
     }
 
-    fn item(&self, place: Place) -> Result<Item, String> {
+    fn item(&self, place: Place, registry: &Registry) -> Result<Item, String> {
         let recorded = self.views.item(place)?;
         let body = match (recorded.body, recorded.payload) {
             (Err(empty), _) => Body::Empty(Arc::new(empty)),
             (Ok(view), Some((name, _))) => {
-                let ty =
-                    self.registry.payload_type(&name).ok_or_else(|| format!("payload {name} is not known here"))?;
+                let ty = registry.payload_type(&name).ok_or_else(|| format!("payload {name} is not known here"))?;
                 Body::Value(ty.from_view(&view).map_err(|error| format!("{name}: {error}"))?)
             }
             (Ok(_), None) => return Err("a value without its payload".into()),

@@ -8,7 +8,7 @@ use std::{
         fd::OwnedFd,
         unix::{net::UnixStream, process::CommandExt},
     },
-    process::{Child as Process, Command, ExitStatus, Stdio},
+    process::{Child as Process, ExitStatus, Stdio},
     sync::{Arc, Mutex, PoisonError},
     thread::{self, JoinHandle},
     time::{Duration, Instant},
@@ -35,8 +35,8 @@ impl Child {
     pub(crate) fn start(launcher: &Launcher) -> io::Result<Self> {
         let (ours, theirs) = UnixStream::pair()?;
         let (reader, writer) = io::pipe()?;
-        let mut command = Command::new(&launcher.program);
-        command.args(&launcher.arguments).stdin(Stdio::from(OwnedFd::from(theirs)));
+        let mut command = launcher.command();
+        command.stdin(Stdio::from(OwnedFd::from(theirs)));
         command.stdout(writer.try_clone()?).stderr(writer);
         // Ctrl-C on the terminal is for the program, which ends its runs in order.
         command.process_group(0);

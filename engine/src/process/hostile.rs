@@ -68,7 +68,7 @@ pub fn messages_of(value: Value) -> io::Result<(Vec<u8>, Vec<u8>)> {
     // Segments are larger than the item; this one ends with it.
     new[0].n_bytes = place.n_bytes;
     let said = [
-        FromWorker::Built { max_delay_ns: 0, silent_after_ns: None },
+        FromWorker::Built { max_delay_ns: 0, silent_after_ns: None, again: false, loads: None },
         FromWorker::Log { level: 3, target: "node".into(), message: "a line".into() },
         FromWorker::Answer(Box::new(Reply {
             item: 0,
@@ -77,6 +77,7 @@ pub fn messages_of(value: Value) -> io::Result<(Vec<u8>, Vec<u8>)> {
             context: FiringDone::default(),
             new,
             held: vec![0],
+            loads: None,
         })),
     ];
     let mut messages = Vec::new();

@@ -147,6 +147,23 @@ impl Pool {
         Ok(Place { segment: index as u32, n_bytes: n_bytes as u64 })
     }
 
+    /// Whether this item lies at the place.
+    pub(crate) fn holds(&self, place: Place, item: &Item) -> bool {
+        let parts = codec::parts_on(PortPayload::Any, item);
+        let Some(segment) = self.segments.get(place.segment as usize).filter(|_| parts.len() as u64 == place.n_bytes)
+        else {
+            return false;
+        };
+        let mut rest = segment.map.bytes();
+        parts.slices().all(|slice| match rest.split_at_checked(slice.len()) {
+            Some((here, after)) => {
+                rest = after;
+                here == slice
+            }
+            None => false,
+        })
+    }
+
     /// Segments that the other side has not heard of, with their descriptors.
     pub(crate) fn news(&mut self) -> (Vec<NewSegment>, Vec<BorrowedFd<'_>>) {
         let mut fds = Vec::new();

@@ -1,5 +1,6 @@
 //! The messages between the program and the process of a node. docs/extend/processes.md describes them.
 
+use crate::plan::Loads;
 use osteoflow_node::{Empty, FiringDone, FiringSent, Join, StampNs, abi::schema::PayloadDescription};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -30,8 +31,8 @@ pub(crate) enum ToWorker {
     Fire(Box<Fire>),
 }
 
-/// Builds the node; the first message. With it comes the descriptor of a page of memory, whose first byte becomes 1 when the
-/// user asks to stop.
+/// Builds a node, and ends the one before. With the first comes the descriptor of a page of memory, whose first byte becomes 1
+/// when the user asks to stop.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Build {
     /// [`VERSION`].
@@ -57,6 +58,9 @@ pub(crate) struct Build {
 pub(crate) struct Library {
     pub(crate) path: PathBuf,
     pub(crate) sha256: String,
+    /// The file to load in its stead, of the same content.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) copy: Option<PathBuf>,
     /// Its description, as the program has read it.
     pub(crate) description: Json,
 }
@@ -78,6 +82,9 @@ pub(crate) struct Fire {
     pub(crate) new: Vec<NewSegment>,
     /// The segments of the process that the program still uses.
     pub(crate) held: Vec<u32>,
+    /// The segments with constants that do not come again.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) released: Vec<u32>,
 }
 
 /// What a port brings.
@@ -85,7 +92,7 @@ pub(crate) struct Fire {
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Slot {
     Item(Place),
-    /// The same item at every firing, until the port brings another place.
+    /// The same item as whenever the place comes, until its segment is released.
     Constant(Place),
     Items(Vec<Place>),
     Absent(Empty),
@@ -101,6 +108,12 @@ pub(crate) enum FromWorker {
         max_delay_ns: StampNs,
         #[serde(default)]
         silent_after_ns: Option<u64>,
+        /// Whether the process builds another node when this one is not needed any more.
+        #[serde(default)]
+        again: bool,
+        /// What the plugin has loaded; `None` if it is nothing else than when it was last said.
+        #[serde(default)]
+        loads: Option<Loads>,
     },
     /// The node cannot be built.
     Refused {
@@ -129,6 +142,9 @@ pub(crate) struct Reply {
     pub(crate) new: Vec<NewSegment>,
     #[serde(default)]
     pub(crate) held: Vec<u32>,
+    /// As in `Built`.
+    #[serde(default)]
+    pub(crate) loads: Option<Loads>,
 }
 
 /// How a firing ended.

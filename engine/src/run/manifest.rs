@@ -4,6 +4,7 @@ use super::{Outcome, RunReport};
 use crate::{
     options::RunOptions,
     plan::Plan,
+    plugin::with_late_loads,
     record::RecordError,
     recording::format::{FORMAT_VERSION, WireCounts},
 };
@@ -82,7 +83,7 @@ pub(crate) fn manifest(
         "command": options.command,
         "workers": options.workers,
         "inputs": inputs,
-        "plugins": plan.plugins,
+        "plugins": with_late_loads(&plan.plugins),
         "nodes": nodes.collect::<Json>(),
         "links": links.collect::<Json>(),
         "latencies": latencies.collect::<Json>(),

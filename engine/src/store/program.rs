@@ -5,13 +5,12 @@
 //! and selects its code by processor when the program starts, so both are part of the digest.
 
 use super::{Key, Store};
-use crate::hash::{Digest, file_stamp::stamp, files::sha256};
+use crate::hash::{Digest, file_stamp::stamp, files::sha256, mapped::mapped};
 use std::{
-    collections::BTreeSet,
     fs::File,
     io,
     path::{Path, PathBuf},
-    sync::{Mutex, OnceLock, PoisonError},
+    sync::OnceLock,
     time::SystemTime,
 };
 
@@ -52,49 +51,21 @@ fn own_file(store: &Store) -> io::Result<Digest> {
 
 /// The libraries mapped as code besides the program's own file, each with its size and time; on Linux only.
 fn libraries() -> Vec<String> {
-    let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
     let own = std::env::current_exe().unwrap_or_default();
-    let plugins = PLUGINS.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut paths: Vec<PathBuf> = maps
-        .lines()
-        // address perms offset dev inode path
-        .filter(|line| line.split_whitespace().nth(1).is_some_and(|flags| flags.contains('x')))
-        // A file that has been deleted is still mapped under its old path.
-        .filter_map(|line| line.find('/').map(|at| PathBuf::from(line[at..].trim_end_matches(" (deleted)"))))
-        .filter(|path| *path != own && !plugins.contains(path))
-        .collect();
-    paths.sort();
-    paths.dedup();
     let describe = |path: PathBuf| {
         let metadata = path.metadata().ok();
         let time = metadata.as_ref().and_then(|m| m.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok());
         format!("{}, {:?} bytes, {time:?}", path.display(), metadata.map(|m| m.len()))
     };
-    paths.into_iter().map(describe).collect()
+    mapped().into_iter().filter(|path| *path != own).map(describe).collect()
 }
 
 /// The libraries loaded before the first plugin.
 static LIBRARIES: OnceLock<Vec<String>> = OnceLock::new();
 
-/// Files of plugins, which are not part of the program.
-static PLUGINS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
-
 /// Records the program's libraries before a plugin loads its own.
 pub(crate) fn note_program() {
     LIBRARIES.get_or_init(libraries);
-}
-
-/// Records the file of a plugin that is about to be loaded.
-pub(crate) fn note_plugin(file: &Path) {
-    PLUGINS.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_owned());
-}
-
-/// The libraries that plugins have loaded, without the plugins themselves.
-pub(crate) fn plugin_libraries() -> Vec<String> {
-    let own = LIBRARIES.get_or_init(libraries);
-    let mut now = libraries();
-    now.retain(|library| !own.contains(library));
-    now
 }
 
 /// Operating system, architecture, and [`cpu_features`].

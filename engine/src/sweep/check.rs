@@ -27,7 +27,9 @@ use std::{
 /// [`Faults`] of the graph, or of the first run that has any, with the settings of that run; and if the graph has no
 /// `[sweep]`.
 pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usize) -> Result<Sweep, Faults> {
-    let kinds = kinds.into();
+    let kinds = kinds.into().held().map_err(|error| {
+        Faults(vec![Fault::new(format!("no folder for copies of the plugins can be made: {error}"))])
+    })?;
     let Checked { plan, warnings, registry, sweep } = check::check_sweep(path, sets, &kinds)?;
     let Some(spec) = sweep else {
         let fault = Fault::new(format!("{} has no table [sweep]", path.display()));

@@ -4,12 +4,14 @@
 //! or the machine is stopped. The folder may come from elsewhere: its files are written inside it only, through no link.
 
 use super::{
+    Unsteady,
     design::SweepRow,
     table::{write_points, write_runs},
 };
 use crate::{
     check::sweep::Spec,
     durable,
+    plan::PlanPlugin,
     run::{Answer, Verdict},
 };
 use serde_json::{Value as Json, json};
@@ -135,6 +137,8 @@ pub struct Done {
     pub warnings: Vec<String>,
     /// Values of the graph's `[results]`, as in `results.json`.
     pub results: Json,
+    /// If it was computed twice: the nodes that answered otherwise the second time.
+    pub twice: Option<Vec<Unsteady>>,
 }
 
 impl Done {
@@ -168,7 +172,7 @@ impl Done {
         results: Json,
     ) -> Self {
         let (values, status) = (row.values.clone(), status.to_owned());
-        Self { run: row.run, seed: row.seed, values, status, reason, warnings, results }
+        Self { run: row.run, seed: row.seed, values, status, reason, warnings, results, twice: None }
     }
 }
 
@@ -326,6 +330,7 @@ impl Folder {
             reason: json["reason"].as_str().map(str::to_owned),
             warnings: warnings.filter_map(Json::as_str).map(str::to_owned).collect(),
             results: json["results"].clone(),
+            twice: serde_json::from_value(json["twice"].clone()).map_err(|error| form(error.to_string()))?,
         })
     }
 
@@ -336,6 +341,14 @@ impl Folder {
     pub fn graph(&self) -> Result<String, FolderError> {
         let path = self.dir.join(GRAPH);
         fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.display().to_string(), source })
+    }
+
+    /// What makes `other` another sweep than this one; `None` if it is the same.
+    ///
+    /// # Errors
+    /// If a graph cannot be read.
+    pub fn difference(&self, other: &Self) -> Result<Option<String>, FolderError> {
+        difference(&self.about, &self.graph()?, other)
     }
 
     /// Settings of a run, in the form of `--set`.
@@ -351,10 +364,13 @@ impl Folder {
     /// Stores a run that ended, with its settings.
     pub(super) fn keep(&self, done: &Done, sets: &[String]) -> Result<(), FolderError> {
         let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
-        let json = json!({
+        let mut json = json!({
             "run": done.run, "seed": done.seed, "values": values, "set": sets, "status": done.status,
             "reason": done.reason, "warnings": done.warnings, "results": done.results,
         });
+        if let Some(unsteady) = &done.twice {
+            json["twice"] = json!(unsteady);
+        }
         self.write(&format!("{RUNS_DIR}/{}", file_name(done.run)), format!("{json}\n").as_bytes())
     }
 
@@ -370,6 +386,21 @@ impl Folder {
         text.clear();
         write_points(self, &spec, &mut text)?;
         self.write(POINTS, &text)
+    }
+
+    /// The plugins, with what they had loaded when the last run ended.
+    pub(super) fn plugins(&self) -> Vec<PlanPlugin> {
+        serde_json::from_value(self.about["plugins"].clone()).unwrap_or_default()
+    }
+
+    /// Writes what plugins have loaded meanwhile.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub(super) fn note_plugins(&self, plugins: &[PlanPlugin]) -> Result<(), FolderError> {
+        let mut about = self.about.clone();
+        about["plugins"] = json!(plugins);
+        self.write(DESIGN, format!("{about:#}\n").as_bytes())
     }
 
     /// Writes a file of the folder atomically.
@@ -393,7 +424,9 @@ impl Folder {
 pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     let first = &shards[0];
     for other in &shards[1..] {
-        check_same_sweep(first, other)?;
+        if let Some(what) = first.difference(other)? {
+            return Err(FolderError::Other { path: other.dir.display().to_string(), what });
+        }
     }
     let mut about = first.about.clone();
     let of_shard = |shard: &Folder| json!({ "dir": shard.dir.display().to_string(), "shard": shard.about["shard"], "command": shard.about["command"] });
@@ -421,40 +454,64 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     Ok(folder)
 }
 
-/// Checks that both folders are of the same sweep.
-fn check_same_sweep(a: &Folder, b: &Folder) -> Result<(), FolderError> {
-    difference(a, b).map_or(Ok(()), |what| Err(FolderError::Other { path: b.dir.display().to_string(), what }))
+/// What makes `folder` another sweep than the one of this description and frozen graph; `None` if it is the same.
+///
+/// # Errors
+/// If the folder's graph cannot be read.
+pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<Option<String>, FolderError> {
+    let text = |about: &Json, key: &str| about[key].as_str().unwrap_or("unknown").to_owned();
+    let both = |key: &str| (text(about, key), text(&folder.about, key));
+    let mut differences = Vec::new();
+    let (hash, other_hash) = both("hash");
+    if hash != other_hash || hash == "unknown" {
+        let (version, other) = both("engine_version");
+        let (program, other_program) = both("program_sha256");
+        if version != other {
+            differences.push(format!("it is of version {other} of the program, the other of {version}"));
+        } else if program != other_program {
+            differences.push(format!("it is of another build of version {version} of the program"));
+        }
+        for (key, what) in [("inputs", "input file"), ("plugins", "plugin")] {
+            let of = |about: &Json| about[key].as_array().cloned().unwrap_or_default();
+            let (ours, others) = (of(about), of(&folder.about));
+            // Equal files may have other paths.
+            let lacks = |all: &[Json], entry: &Json| all.iter().all(|other| other["sha256"] != entry["sha256"]);
+            let differs: Vec<_> = others.iter().filter(|entry| lacks(&ours, entry)).map(shown).collect();
+            differences.extend(differs.iter().map(|name| format!("its {what} {name} is another")));
+            let missing = ours.iter().filter(|entry| lacks(&others, entry)).map(shown);
+            differences
+                .extend(missing.filter(|name| !differs.contains(name)).map(|name| format!("it has no {what} {name}")));
+        }
+        differences.extend(graph_difference(&folder.graph()?, graph));
+        if about["sweep"] != folder.about["sweep"] {
+            differences.push("its table [sweep] differs".into());
+        }
+    }
+    let of = |about: &Json| serde_json::from_value::<Vec<PlanPlugin>>(about["plugins"].clone()).unwrap_or_default();
+    let ours = of(about);
+    for plugin in of(&folder.about) {
+        let same = ours.iter().find(|other| other.name == plugin.name && other.sha256 == plugin.sha256);
+        differences.extend(same.and_then(|other| plugin.difference(other)));
+    }
+    if hash != other_hash || hash == "unknown" {
+        if differences.is_empty() {
+            differences.push("its settings differ".into());
+        }
+        differences.push(format!("its hash is {other_hash}, not {hash}"));
+    }
+    Ok((!differences.is_empty()).then(|| differences.join("; ")))
 }
 
-/// What differs if the folders are of different sweeps; `None` if their hashes are equal.
-pub fn difference(a: &Folder, b: &Folder) -> Option<String> {
-    if a.hash() == b.hash() && !a.hash().is_empty() {
-        return None;
+/// The first line by which two frozen graphs differ, with its table.
+fn graph_difference(graph: &str, other: &str) -> Option<String> {
+    let mut table = "";
+    for (line, other) in graph.lines().zip(other.lines()) {
+        if line != other {
+            return Some(format!("its graph has `{line}` in {table}, the other `{other}`"));
+        }
+        table = if line.starts_with('[') { line } else { table };
     }
-    let text = |folder: &Folder, key: &str| folder.about[key].as_str().unwrap_or("unknown").to_owned();
-    let both = |key: &str| (text(a, key), text(b, key));
-    let mut found = Vec::new();
-    let (version, other) = both("engine_version");
-    let (program, other_program) = both("program_sha256");
-    if version != other {
-        found.push(format!("it is of version {other} of the program, the first of {version}"));
-    } else if program != other_program {
-        found.push(format!("it is of another build of version {version} of the program"));
-    }
-    for (key, what) in [("inputs", "input file"), ("plugins", "plugin")] {
-        let of = |folder: &Folder| folder.about[key].as_array().cloned().unwrap_or_default();
-        let (ours, others) = (of(a), of(b));
-        // Equal files may have other paths.
-        let lacks = |all: &[Json], entry: &Json| all.iter().all(|other| other["sha256"] != entry["sha256"]);
-        let differs: Vec<_> = others.iter().filter(|entry| lacks(&ours, entry)).map(shown).collect();
-        found.extend(differs.iter().map(|name| format!("its {what} {name} is another")));
-        let missing = ours.iter().filter(|entry| lacks(&others, entry)).map(shown);
-        found.extend(missing.filter(|name| !differs.contains(name)).map(|name| format!("it has no {what} {name}")));
-    }
-    if found.is_empty() {
-        found.push("its graph or its settings differ".into());
-    }
-    Some(format!("{} (hash {}, of {} {})", found.join("; "), b.hash(), a.dir.display(), a.hash()))
+    (graph.lines().count() != other.lines().count()).then(|| "its graph has more or fewer lines".into())
 }
 
 /// Name of an input file or a plugin in `sweep.json`.

@@ -1,9 +1,14 @@
 //! Runs the missing runs of a sweep on several workers.
 
-use super::{Done, Folder, FolderError, Run, Shard, Sweep, SweepCounts, SweepOptions, Watcher, run_row, share::Shared};
+use super::{
+    Done, Folder, FolderError, Run, Shard, Sweep, SweepCounts, SweepOptions, Unsteady, Watcher, run_row, share::Shared,
+    twice,
+};
 use crate::{
     options::RunOptions,
     partial::FinishedNode,
+    plan::PlanPlugin,
+    plugin::{late_difference, with_late_loads},
     run::Outcome,
     runtime::{Warning, on_workers},
     watch::Stamps,
@@ -35,7 +40,11 @@ impl Sweep {
             true => Shared::of(order.iter().map(|&run| &self.runs[run].keys[..])),
             false => Shared::default(),
         };
-        let state = Mutex::new(State { pending: order.into(), shared, swept: SweepCounts::default(), error: None });
+        let twice = twice::chosen(&self.runs, self.spec.twice);
+        let loaded_before = folder.plugins();
+        let plugins = loaded_before.clone();
+        let swept = SweepCounts::default();
+        let state = Mutex::new(State { pending: order.into(), shared, swept, plugins, error: None });
         let (ended, cancelled) = (Condvar::new(), &options.run.cancelled);
         let lock = || state.lock().unwrap_or_else(PoisonError::into_inner);
         on_workers(
@@ -59,13 +68,24 @@ impl Sweep {
                     let found = now.shared.begin(&run.keys);
                     drop(now);
                     let n_shared = found.iter().flatten().count();
-                    let (done, left) = self.run_one(run, options, &found);
+                    let (mut done, left) = self.run_one(run, options, &found);
+                    if let Some(first) = done.as_mut().filter(|done| twice.contains(&done.run) && !done.is_failed()) {
+                        first.twice = self.run_again(run, options, first, &found, &left);
+                    }
                     drop(found);
-                    let kept = done.as_ref().map(|done| match self.changed(run) {
-                        None => folder.keep(done, &run.row.sets),
-                        Some(file) => Err(FolderError::Changed { path: file.display().to_string() }),
+                    let kept = done.as_ref().map(|done| match (self.changed(run), late_difference(&loaded_before)) {
+                        (None, None) => folder.keep(done, &run.row.sets),
+                        (Some(file), _) => Err(FolderError::Changed { path: file.display().to_string() }),
+                        (None, Some(what)) => {
+                            Err(FolderError::Other { path: folder.dir().display().to_string(), what })
+                        }
                     });
                     now = lock();
+                    let plugins = with_late_loads(&now.plugins);
+                    if plugins != now.plugins {
+                        now.error = folder.note_plugins(&plugins).err().or(now.error.take());
+                        now.plugins = plugins;
+                    }
                     now.shared.end(&run.keys, left);
                     now.swept.n_shared += n_shared;
                     now.swept.n_computed += run.keys.len() - n_shared;
@@ -115,6 +135,24 @@ impl Sweep {
         run.plan.input_files.iter().find(|file| now.get(file) != self.files.get(file))
     }
 
+    /// Computes a row a second time, without the store and other runs; the nodes that answer otherwise. `None` if the user
+    /// stopped it.
+    fn run_again(
+        &self,
+        run: &Run,
+        options: &SweepOptions,
+        first: &Done,
+        found: &[Option<Arc<FinishedNode>>],
+        left: &[Option<FinishedNode>],
+    ) -> Option<Vec<Unsteady>> {
+        let run_options = RunOptions { store: None, ..options.run.clone() };
+        let options = SweepOptions { run: run_options, ..options.clone() };
+        let (second, again) = self.run_one(run, &options, &vec![None; run.plan.nodes.len()]);
+        let before: Vec<_> = found.iter().zip(left).map(|(found, left)| found.as_deref().or(left.as_ref())).collect();
+        let nodes = twice::compare(&run.plan, &self.registry, &before, &again);
+        Some(twice::unsteady(&self.spec, &run.plan, &nodes, first, &second?))
+    }
+
     /// Runs one row; `None` if the user stopped it.
     fn run_one(
         &self,
@@ -148,5 +186,6 @@ struct State {
     pending: VecDeque<usize>,
     shared: Shared,
     swept: SweepCounts,
+    plugins: Vec<PlanPlugin>,
     error: Option<FolderError>,
 }

@@ -322,6 +322,7 @@ fn paired_factors_go_together_and_others_are_crossed() {
         repeat: 2,
         repeat_name: "trial".into(),
         same_seed: true,
+        twice: 0.0,
         factors: vec![factor("a", json!([1, 2])), factor("b", json!(["x", "y"])), factor("c", json!([10, 20]))],
         pair: vec![vec!["a".into(), "c".into()]],
         draws: vec![Draw {
@@ -385,6 +386,7 @@ fn draws_follow_their_distributions() {
             repeat: 4000,
             repeat_name: "r".into(),
             same_seed: true,
+            twice: 0.0,
             factors: Vec::new(),
             pair: Vec::new(),
             draws: vec![draw(distribution)],

@@ -17,6 +17,7 @@ fn plugin(name: &str, kind: &str, named: bool) -> Plugin {
         literature: Vec::new(),
         role: Role::Source,
         constant: false,
+        unsteady: false,
         kept: Default::default(),
         inputs: Vec::new(),
         outputs: OutputsDescription::Fixed(Vec::new()),
@@ -29,9 +30,12 @@ fn plugin(name: &str, kind: &str, named: bool) -> Plugin {
         abi: (1, 0),
         kinds: vec![kind],
         payloads: Vec::new(),
+        loads: Default::default(),
+        watched: Vec::new(),
     };
-    let (path, sha256) = (name.into(), format!("sha of {name}").into());
-    Plugin { path, sha256, description, named, script: None, names_interpreter: false }
+    let (path, sha256) = (name.into(), Arc::<str>::from(format!("sha of {name}")));
+    let (identity, copy) = (sha256.clone(), None);
+    Plugin { path, sha256, identity, copy, description, named, script: None, names_interpreter: false }
 }
 
 #[test]

@@ -13,6 +13,9 @@ pub struct Spec {
     pub repeat_name: String,
     /// Whether all repeats use the graph's seed, so that they differ only by the draws.
     pub same_seed: bool,
+    /// Share of the runs that are computed twice.
+    #[serde(default)]
+    pub twice: f64,
     /// The factors in the order of the file; the first varies slowest.
     pub factors: Vec<Factor>,
     /// Groups of factors that vary together, value by value; all others are crossed.

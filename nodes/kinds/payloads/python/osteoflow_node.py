@@ -14,6 +14,7 @@ shares: read-only, and valid as long as somebody holds them. docs/extend/python-
 import array
 import dataclasses
 import hashlib
+import importlib.machinery
 import importlib.util
 import inspect
 import json
@@ -21,9 +22,11 @@ import logging
 import mmap
 import os
 import platform
+import site
 import socket
 import struct
 import sys
+import sysconfig
 import threading
 import time
 import traceback
@@ -366,21 +369,21 @@ class port:
     n: int | None = None
 
 
-def node(kind, *, output=None, example="", literature=()):
+def node(kind, *, output=None, example="", literature=(), unsteady=False):
     """Makes a function or class a node: its typed parameters are the ports, by their names. `output` names the output, where it is
     one; several are a NamedTuple or dataclass of payloads as the return type. A class takes its parameters in `__init__`, and
-    fires by `process`."""
-    return _kind(kind, "node", output, example, literature)
+    fires by `process`. `unsteady` says that it may answer otherwise though inputs, parameters and seed are the same."""
+    return _kind(kind, "node", output, example, literature, unsteady)
 
 
-def source(kind, *, output=None, example="", literature=()):
+def source(kind, *, output=None, example="", literature=(), unsteady=False):
     """Makes a generator function a source: it yields `(stamp_ns, payload)`."""
-    return _kind(kind, "source", output, example, literature)
+    return _kind(kind, "source", output, example, literature, unsteady)
 
 
-def _kind(kind, role, output, example, literature):
+def _kind(kind, role, output, example, literature, unsteady):
     def decorate(made):
-        KINDS.append(Kind(made, kind, role, output, example, list(literature)))
+        KINDS.append(Kind(made, kind, role, output, example, list(literature), unsteady))
         return made
 
     return decorate
@@ -389,8 +392,9 @@ def _kind(kind, role, output, example, literature):
 class Kind:
     """A kind of node, as its function or class describes it."""
 
-    def __init__(self, made, kind, role, output, example, literature):
+    def __init__(self, made, kind, role, output, example, literature, unsteady):
         self.made, self.kind, self.role, self.example, self.literature = made, kind, role, example, literature
+        self.unsteady = unsteady
         self.is_class = inspect.isclass(made)
         fires = made.process if self.is_class and role == "node" else made.items if self.is_class else made
         hints = typing.get_type_hints(fires, include_extras=True)
@@ -439,7 +443,7 @@ class Kind:
         outputs = {"Fixed": [output.described() for output in self.outputs]}
         return {
             "kind": self.kind, "doc": doc, "params": self.schema(), "example": self.example, "literature": self.literature,
-            "role": self.role, "constant": False, "kept": "no", "outputs": outputs,
+            "role": self.role, "constant": False, "unsteady": self.unsteady, "kept": "no", "outputs": outputs,
             "inputs": [dict(port=p.described(), join=p.join, optional=p.optional, unused=False) for p in self.inputs],
         }
 
@@ -528,16 +532,144 @@ def describe(file):
         "compiler": f"{platform.python_implementation()} {platform.python_version()}, numpy {np.__version__}",
         "kinds": [kind.described() for kind in KINDS],
         "payloads": [{"name": name, "version": version, "schema": schema} for (name, version), schema in own.items()],
+        **dict(zip(("loads", "watched"), loads())),
     }
 
 
-def load(file):
-    """Runs the file of a plugin."""
-    sys.path.insert(0, os.path.dirname(os.path.abspath(file)))
-    spec = importlib.util.spec_from_file_location("__plugin__", file)
+def load(file, copies=None):
+    """Runs the file of a plugin. `copies` is a folder with the file and the modules beside it as they were: what is in it is run
+    instead of what is there now, under its own name."""
+    file = os.path.abspath(file)
+    sys.path.insert(0, os.path.dirname(file))
+    index = {}
+    if copies is not None:
+        with open(os.path.join(copies, "index.json"), encoding="utf-8") as opened:
+            index = {name: (path, os.path.join(copies, copy)) for name, path, copy in json.load(opened)}
+        sys.meta_path.insert(0, CopiedModules(index))
+    loader = CopiedModule("__plugin__", *index.get("__plugin__", (file, file)))
+    spec = importlib.util.spec_from_file_location("__plugin__", file, loader=loader)
     module = importlib.util.module_from_spec(spec)
     sys.modules["__plugin__"] = module
-    spec.loader.exec_module(module)
+    loader.exec_module(module)
+    return loader.sha256
+
+
+class CopiedModule(importlib.machinery.SourceFileLoader):
+    """Loads a module from a copy; its `__file__` is the file that was copied."""
+
+    def __init__(self, name, path, copy):
+        super().__init__(name, path)
+        self.copy, self.sha256 = copy, None
+
+    def get_data(self, path):
+        if path != self.path:
+            return super().get_data(path)
+        data = super().get_data(self.copy)
+        self.sha256 = hashlib.sha256(data).hexdigest()
+        return data
+
+    def path_stats(self, path):
+        raise OSError("a copy has no compiled file beside it")
+
+
+class CopiedModules:
+    """Finds the modules of which there are copies, by name."""
+
+    def __init__(self, index):
+        self.index = index
+
+    def find_spec(self, name, path=None, target=None):
+        if name not in self.index or name == "__plugin__":
+            return None
+        file, copy = self.index[name]
+        inside = [os.path.dirname(file)] if os.path.basename(file) == "__init__.py" else None
+        loader = CopiedModule(name, file, copy)
+        return importlib.util.spec_from_file_location(name, file, loader=loader, submodule_search_locations=inside)
+
+
+# ── what is loaded ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
+                 "TBB_NUM_THREADS")
+
+
+def loads():
+    """What is loaded beside the file of the plugin: modules and libraries of its author by content, packages by version, the
+    interpreter, the limits of threads; and the files whose change makes another look necessary."""
+    paths = sysconfig.get_paths()
+    packages_in = {paths["purelib"], paths["platlib"], *getattr(site, "getsitepackages", list)()}
+    if getattr(site, "ENABLE_USER_SITE", False):
+        packages_in.add(site.getusersitepackages())
+    packages_in.update(path for path in sys.path if path and _holds_packages(path))
+    of_packages = tuple(os.path.realpath(path) + os.sep for path in packages_in)
+    of_python = tuple(os.path.realpath(paths[key]) + os.sep for key in ("stdlib", "platstdlib"))
+    files, names = {}, set()
+    for name, module in sorted(sys.modules.items()):
+        file = getattr(getattr(module, "__spec__", None), "origin", None) or getattr(module, "__file__", None)
+        # What setuptools loads into each interpreter computes nothing.
+        own = ("__plugin__", "__main__", "osteoflow_node", "_distutils_hack")
+        if name in own or not isinstance(file, str) or not os.path.isfile(file):
+            continue
+        real = os.path.realpath(file)
+        if real.startswith(of_packages):
+            names.add(name.partition(".")[0])
+        elif not real.startswith(of_python):
+            loader = getattr(module.__spec__, "loader", None) if module.__spec__ else None
+            files[os.path.abspath(file)] = (name, getattr(loader, "sha256", None) or _sha256(file))
+    system = (*of_packages, *of_python, os.path.realpath(sys.base_prefix) + os.sep, "/lib", "/usr/lib", "/System/", os.path.realpath(sys.executable))
+    for file in _mapped():
+        if file not in files and not os.path.realpath(file).startswith(system):
+            files[file] = (os.path.basename(file), _sha256(file))
+    found, watched = _packages(names)
+    environment = [f"{platform.python_implementation()} {platform.python_version()}"]
+    environment += [f"{name}={os.environ[name]}" for name in THREAD_LIMITS if name in os.environ]
+    about = {"files": [{"name": name, "path": path, "sha256": digest} for path, (name, digest) in sorted(files.items())],
+             "packages": found, "environment": environment}
+    config = os.path.join(sys.prefix, "pyvenv.cfg")
+    return about, [os.path.realpath(sys.executable), *([config] if os.path.isfile(config) else []), *watched]
+
+
+def _holds_packages(path):
+    """Whether packages were installed into a folder, as by `pip install --target`."""
+    try:
+        return any(name.endswith((".dist-info", ".egg-info")) for name in os.listdir(path))
+    except OSError:
+        return False
+
+
+def _sha256(file):
+    with open(file, "rb") as opened:
+        return hashlib.sha256(opened.read()).hexdigest()
+
+
+def _mapped():
+    """The files that are mapped as code; none where the system does not tell."""
+    try:
+        with open("/proc/self/maps", encoding="utf-8", errors="surrogateescape") as maps:
+            parts = [line.rstrip("\n").split(None, 5) for line in maps]
+    except OSError:
+        return []
+    return sorted({part[5] for part in parts if len(part) == 6 and "x" in part[1] and os.path.isfile(part[5])})
+
+
+def _packages(names):
+    """Name and version of the distributions of modules, and the files that say so."""
+    import importlib.metadata as metadata
+
+    found, unknown = {}, []
+    for name in sorted(names):
+        try:
+            found[name] = metadata.distribution(name)
+        except metadata.PackageNotFoundError:
+            unknown.append(name)
+    if unknown:
+        providers = metadata.packages_distributions() if hasattr(metadata, "packages_distributions") else {}
+        for name in unknown:
+            for provider in providers.get(name, ()):
+                found[provider] = metadata.distribution(provider)
+    about = {f"{of.metadata['Name']} {of.version}" for of in found.values()}
+    said = [os.path.join(str(getattr(of, "_path", "")), name) for of in found.values() for name in ("METADATA", "PKG-INFO")]
+    return sorted(about), sorted({file for file in said if os.path.isfile(file)})
 
 
 def where(error, file):
@@ -859,12 +991,19 @@ class Log(logging.Handler):
             self.connection.send({"log": {"level": level, "target": record.name, "message": record.getMessage()}})
 
 
+class Memory:
+    """What is shared with the program, and the constants in it by their segment, for as long as the program keeps them."""
+
+    def __init__(self):
+        self.views, self.pool, self.constants = Views(), Pool(), {}
+
+
 class Server:
     """Fires one node."""
 
-    def __init__(self, connection, build, stop_page, kind):
+    def __init__(self, connection, build, stop_page, kind, memory):
         self.connection, self.kind, self.context = connection, kind, Context(build, stop_page)
-        self.views, self.pool, self.constants = Views(), Pool(), {}
+        self.views, self.pool, self.constants = memory.views, memory.pool, memory.constants
         self.types = {t.payload[0]: t for t in BUILT_IN}
         self.types.update({port.type.payload[0]: port.type for port in kind.inputs if port.type.payload})
         self.params = self._params(build["params"])
@@ -881,6 +1020,26 @@ class Server:
             origin = typing.get_origin(_optional(hints[name])[0])
             values[name] = tuple(value) if origin is tuple else float(value) if hints[name] is float else value
         return self.kind.params(**values)
+
+    def answer(self, fire, file, loaded):
+        """Fires, and sends the answer."""
+        for segment in fire.get("released", ()):
+            self.constants.pop(segment, None)
+        self.views.add(fire["new"], self.connection.take_fds(len(fire["new"])))
+        outputs, began = [], time.process_time_ns()
+        try:
+            ended, outputs = self.fire(fire)
+        except NodeError as error:
+            ended = {"failed": str(error)}
+        except (Exception, SystemExit) as error:
+            logging.getLogger("osteoflow_node").debug("%s", traceback.format_exc())
+            ended = {"failed": where(error, file)}
+        new, fds = self.pool.news()
+        answer = {"item": fire["context"]["item"], "ended": ended, "outputs": outputs, "context": self.context.done(), "new": new,
+                  "held": self.views.held(), "cpu_ns": time.process_time_ns() - began, "loads": loaded.news()}
+        self.connection.send({"answer": answer}, fds)
+        for fd in fds:
+            os.close(fd)
 
     def fire(self, fire):
         self.context.begin(fire["context"])
@@ -912,11 +1071,10 @@ class Server:
         if what == "items":
             return [item for item in (self.item(place) for place in given) if item is not None]
         if what == "constant":
-            known = self.constants.get(index)
-            if known is None or known[0] != given:
-                self.constants.pop(index, None)
-                known = self.constants[index] = (given, self.item(given))
-            return known[1]
+            segment = given["segment"]
+            if segment not in self.constants:
+                self.constants[segment] = self.item(given)
+            return self.constants[segment]
         return self.item(given)
 
     def item(self, place):
@@ -943,60 +1101,73 @@ class Server:
         return out
 
 
-def serve(file):
-    """Serves the node that the first message asks for."""
-    connection = Connection()
-    build = connection.receive()["build"]
+def serve(file, copies=None):
+    """Serves a node at a time: each message that builds one ends the node before it. What is imported stays, and constants."""
+    connection, memory, loaded = Connection(), Memory(), None
     sys.stdout.reconfigure(line_buffering=True)
-    (stop_fd,) = connection.take_fds(1)
-    stop_page = mmap.mmap(stop_fd, mmap.PAGESIZE, prot=mmap.PROT_READ)
-    parent = os.getppid()
-
-    def watch():
-        while os.getppid() == parent:
-            time.sleep(0.25)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-    logging.basicConfig(level=logging.DEBUG, handlers=[Log(connection, build["log_level"])])
-    try:
-        if build["version"] != PROTOCOL:
-            raise NodeError(f"the program speaks version {build['version']} of the protocol, this module {PROTOCOL}")
-        with open(file, "rb") as opened:
-            if hashlib.sha256(opened.read()).hexdigest() != build["plugin"]["sha256"]:
-                raise NodeError(f"plugin {file}: it has changed since it was looked at; run again")
-        load(file)
-        SCHEMAS.update({described["name"]: described["schema"] for described in build["payloads"]})
-        kind = next(kind for kind in KINDS if kind.kind == build["kind"])
-        server = Server(connection, build, stop_page, kind)
-    except NodeError as error:
-        return connection.send({"refused": {"parameter": "", "message": str(error)}})
-    except (Exception, SystemExit) as error:
-        return connection.send({"refused": {"parameter": "", "message": where(error, file)}})
-    connection.send({"built": {}})
     while (message := connection.receive()) is not None:
-        fire = message["fire"]
-        server.views.add(fire["new"], connection.take_fds(len(fire["new"])))
-        outputs = []
+        (what, about), = message.items()
+        if what == "build":
+            if loaded is None:
+                loaded = Loaded(connection, about)
+            server, answer = loaded.build(file, copies, about, memory)
+            connection.send(answer)
+            if server is None:
+                return
+        else:
+            server.answer(about, file, loaded)
+
+
+class Loaded:
+    """The plugin, and what it was last said to have loaded."""
+
+    def __init__(self, connection, build):
+        self.connection, self.n_modules, self.said = connection, None, None
+        (stop_fd,) = connection.take_fds(1)
+        self.stop_page = mmap.mmap(stop_fd, mmap.PAGESIZE, prot=mmap.PROT_READ)
+        parent = os.getppid()
+
+        def watch():
+            while os.getppid() == parent:
+                time.sleep(0.25)
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+        logging.basicConfig(level=logging.DEBUG, handlers=[Log(connection, build["log_level"])])
+
+    def build(self, file, copies, build, memory):
+        """The node and the answer, or None and why there is none."""
         try:
-            ended, outputs = server.fire(fire)
+            if build["version"] != PROTOCOL:
+                raise NodeError(f"the program speaks version {build['version']} of the protocol, this module {PROTOCOL}")
+            if self.n_modules is None and load(file, copies) != build["plugin"]["sha256"]:
+                raise NodeError(f"plugin {file}: it has changed since it was looked at; run again")
+            SCHEMAS.update({described["name"]: described["schema"] for described in build["payloads"]})
+            kind = next(kind for kind in KINDS if kind.kind == build["kind"])
+            server = Server(self.connection, build, self.stop_page, kind, memory)
         except NodeError as error:
-            ended = {"failed": str(error)}
+            return None, {"refused": {"parameter": "", "message": str(error)}}
         except (Exception, SystemExit) as error:
-            logging.getLogger("osteoflow_node").debug("%s", traceback.format_exc())
-            ended = {"failed": where(error, file)}
-        new, fds = server.pool.news()
-        answer = {"item": fire["context"]["item"], "ended": ended, "outputs": outputs, "context": server.context.done(), "new": new, "held": server.views.held()}
-        connection.send({"answer": answer}, fds)
-        for fd in fds:
-            os.close(fd)
+            return None, {"refused": {"parameter": "", "message": where(error, file)}}
+        return server, {"built": {"again": True, "loads": self.news()}}
+
+    def news(self):
+        """What is loaded, if it is more than when this was last asked; else None."""
+        if self.n_modules == len(sys.modules):
+            return None
+        self.n_modules = len(sys.modules)
+        about, _ = loads()
+        if about == self.said:
+            return None
+        self.said = about
+        return about
 
 
 def main(arguments):
     sys.modules["osteoflow_node"] = sys.modules[__name__]
-    what, file = arguments
+    what, file, *copies = arguments
     if what == "serve":
-        return serve(file)
+        return serve(file, *copies)
     try:
         answer = {"plugin": describe(file)}
     except BaseException as error:

@@ -15,6 +15,7 @@ use osteoflow_engine::{
 };
 use osteoflow_statistics::{StatisticsError, Units};
 use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
 
 /// File name of the summary in a sweep's folder.
 pub const SUMMARY: &str = "summary.json";
@@ -49,8 +50,10 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
         groups(&spec, &done).iter().map(|(setting, rows)| group::group(&spec, setting, rows)).collect();
     let simulated = done.iter().any(|d| d.results["simulated"] == true);
     let missing = without_value(&spec, &done).into_iter();
-    let notes: Vec<_> =
+    let mut notes: Vec<_> =
         missing.map(|(name, path)| format!("{name} has no value in any run: no result is at {path}")).collect();
+    let twice = twice(&done);
+    notes.extend(twice.iter().flat_map(|twice| twice["unsteady"].as_array()).flatten().map(unsteady_note));
     let mut summary = json!({
         "notice": notice,
         "simulated": simulated,
@@ -60,6 +63,9 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
         "units": units_of(&spec, &done.iter().collect::<Vec<_>>()).map(|units| levels(&units)),
         "groups": groups, "comparisons": compared::within(&spec, &done), "notes": notes,
     });
+    if let Some(twice) = twice {
+        summary["twice"] = twice;
+    }
     let failed: Vec<_> = done.iter().filter(|run| run.is_failed()).collect();
     if let Some(first) = failed.first() {
         let reason = first.reason.as_deref().unwrap_or("no reason given");
@@ -67,6 +73,40 @@ fn summary(folder: &Folder, notice: &str) -> Result<Value, ReportError> {
         summary["incomplete"] = json!({ "n_failed": failed.len(), "first": first });
     }
     Ok(summary)
+}
+
+/// What the runs show that were computed twice: their number, and of each kind that answered otherwise the second time in how many
+/// of them, and by how much the columns differ at most. `None` if none was computed twice.
+fn twice(done: &[Done]) -> Option<Value> {
+    let twice: Vec<_> = done.iter().filter_map(|run| run.twice.as_ref()).collect();
+    let mut kinds: BTreeMap<&str, (usize, BTreeMap<&str, f64>)> = BTreeMap::new();
+    for unsteady in twice.iter().flat_map(|nodes| *nodes) {
+        let (n_runs, columns) = kinds.entry(&unsteady.kind).or_default();
+        *n_runs += 1;
+        for (column, difference) in &unsteady.columns {
+            let largest = columns.entry(column).or_default();
+            *largest = largest.max(*difference);
+        }
+    }
+    let unsteady: Vec<_> = kinds
+        .iter()
+        .map(|(kind, (n_runs, columns))| json!({ "kind": kind, "n_differ": n_runs, "n_runs": twice.len(), "columns": columns }))
+        .collect();
+    (!twice.is_empty()).then(|| json!({ "n_runs": twice.len(), "unsteady": unsteady }))
+}
+
+/// What is said of a kind that answers otherwise the second time.
+fn unsteady_note(kind: &Value) -> String {
+    let columns = kind["columns"].as_object().into_iter().flatten();
+    let columns: Vec<_> = columns.map(|(column, largest)| format!("{column} by up to {largest}")).collect();
+    let columns = if columns.is_empty() { "no column of the table".into() } else { columns.join(", ") };
+    format!(
+        "{} answers otherwise the second time, in {} of {} runs that were computed twice: {columns}; its rows cannot be \
+         repeated to the bit",
+        kind["kind"].as_str().unwrap_or_default(),
+        kind["n_differ"],
+        kind["n_runs"]
+    )
 }
 
 /// The runs by setting: by the values of all varied factors that are not units.

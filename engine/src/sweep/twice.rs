@@ -1,0 +1,80 @@
+//! Runs that are computed twice, which finds kinds whose answers are not decided by inputs, parameters and seed.
+
+use super::{Done, Run, Spec, table::at_path};
+use crate::{partial::FinishedNode, plan::Plan, recording::codec};
+use osteoflow_node::{Item, PortPayload, Registry};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A node that answered otherwise the second time, though all that it was given was the same.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Unsteady {
+    /// The node.
+    pub node: String,
+    /// Its kind.
+    pub kind: String,
+    /// By how much the columns of the sweep differ, where they do.
+    pub columns: BTreeMap<String, f64>,
+}
+
+/// The runs that are computed twice: a share by number, and the first run with each kind. All shards and a resumed sweep choose
+/// the same.
+pub(super) fn chosen(runs: &[Run], share: f64) -> BTreeSet<usize> {
+    if share <= 0.0 {
+        return BTreeSet::new();
+    }
+    let every = (1.0 / share).round().max(1.0) as usize;
+    let mut kinds = BTreeSet::new();
+    let mut is_first = |run: &Run| run.plan.nodes.iter().filter(|node| kinds.insert(node.kind.clone())).count() > 0;
+    let first: Vec<usize> = runs.iter().enumerate().filter_map(|(at, run)| is_first(run).then_some(at)).collect();
+    first.into_iter().chain((0..runs.len()).step_by(every)).collect()
+}
+
+/// The nodes that gave other items in the second run than in the first, though nothing upstream did; none that declares itself
+/// unsteady. `None` for a node that did not end in one of the runs.
+pub(super) fn compare(
+    plan: &Plan,
+    registry: &Registry,
+    first: &[Option<&FinishedNode>],
+    second: &[Option<FinishedNode>],
+) -> Vec<usize> {
+    let mut differs = vec![false; plan.nodes.len()];
+    let mut unsteady = Vec::new();
+    for (index, node) in plan.nodes.iter().enumerate() {
+        let upstream = node.inputs.iter().filter_map(|input| input.link.map(|link| plan.links[link].from.node));
+        if upstream.into_iter().any(|from| differs[from]) {
+            differs[index] = true;
+            continue;
+        }
+        let (Some(first), Some(second)) = (first[index], &second[index]) else {
+            differs[index] = true;
+            continue;
+        };
+        let items = |node: &FinishedNode| -> Vec<Vec<u8>> {
+            node.outputs.iter().flat_map(|wire| &wire.items).map(bytes).collect()
+        };
+        if items(first) != items(second) {
+            differs[index] = true;
+            let is_declared = registry.kind(&node.kind).is_some_and(|kind| kind.description.unsteady);
+            unsteady.extend((!is_declared).then_some(index));
+        }
+    }
+    unsteady
+}
+
+fn bytes(item: &Item) -> Vec<u8> {
+    codec::parts_on(PortPayload::Any, item).slices().flatten().copied().collect()
+}
+
+/// What is said of the nodes, with the differences of the sweep's columns.
+pub(super) fn unsteady(spec: &Spec, plan: &Plan, nodes: &[usize], first: &Done, second: &Done) -> Vec<Unsteady> {
+    let number = |done: &Done, path: &str| at_path(&done.results, path).and_then(serde_json::Value::as_f64);
+    let difference = |path: &str| Some((number(second, path)? - number(first, path)?).abs());
+    let columns = spec.columns.iter().filter_map(|column| Some((column.name.clone(), difference(&column.path)?)));
+    let columns: BTreeMap<_, _> = columns.filter(|(_, difference)| *difference > 0.0).collect();
+    let node = |index: &usize| {
+        let node = &plan.nodes[*index];
+        Unsteady { node: node.name.to_string(), kind: node.kind.to_string(), columns: columns.clone() }
+    };
+    nodes.iter().map(node).collect()
+}

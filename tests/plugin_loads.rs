@@ -1,0 +1,383 @@
+//! What a plugin loads beside its own file decides numbers, so it is named, hashed and held: modules, packages, libraries.
+
+use crate::common::{build, osteoflow, osteoflow_to_spawn, python::Folder};
+use serde_json::Value;
+use std::{
+    fs,
+    path::Path,
+    process::Stdio,
+    thread,
+    time::{Duration, Instant},
+};
+
+/// A source of one surface and a node whose number comes from a module beside it.
+const NODE: &str = r#"
+import helper
+import numpy as np
+from osteoflow_node import Cloud, node, payload, source
+
+
+@payload("st/R")
+class R:
+    """A number."""
+
+    number: float
+
+
+@source("st.src", output="cloud")
+def src() -> Cloud:
+    """One cloud."""
+    yield 0, Cloud("camera", np.arange(30.0).reshape(10, 3))
+
+
+@node("st.f", output="r")
+def f(cloud: Cloud) -> R:
+    """A number that helper.py decides."""
+    return R(float(helper.SCALE))
+"#;
+
+const GRAPH: &str = r#"
+plugins = ["st.py"]
+[graph]
+format = 1
+name = "imports"
+[node.src]
+kind = "st.src"
+[node.f]
+kind = "st.f"
+in = { cloud = "src.cloud" }
+[results]
+f = "f.r"
+[sweep]
+repeat = 4
+[sweep.columns]
+number = "f.number"
+"#;
+
+struct Command<'a>(&'a Folder);
+
+impl Command<'_> {
+    /// Runs the program in the folder; its exit code, and what it printed.
+    fn run(&self, arguments: &[&str]) -> (Option<i32>, String) {
+        let mut command = osteoflow();
+        command.current_dir(self.0.0.path()).env("OSTEOFLOW_CACHE", self.0.path("cache"));
+        let output = command.args(arguments).env("OSTEOFLOW_PYTHON", &self.0.1).output().unwrap();
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.code(), String::from_utf8_lossy(&text).into_owned())
+    }
+
+    /// As [`Self::run`], which must end well.
+    fn ends_well(&self, arguments: &[&str]) -> String {
+        let (code, text) = self.run(arguments);
+        assert_eq!(code, Some(0), "{arguments:?}: {text}");
+        text
+    }
+
+    /// The column `number` of a sweep.
+    fn numbers(&self, sweep: &str) -> Vec<String> {
+        let table = fs::read_to_string(self.0.path(&format!("{sweep}/runs.csv"))).unwrap();
+        let mut rows = table.lines().map(|row| row.split(',').map(str::to_owned).collect::<Vec<_>>());
+        let at = rows.next().unwrap().iter().position(|name| name == "number").unwrap();
+        rows.map(|row| row[at].clone()).collect()
+    }
+
+    fn json(&self, file: &str) -> Value {
+        serde_json::from_slice(&fs::read(self.0.path(file)).unwrap()).unwrap()
+    }
+}
+
+#[test]
+fn a_sweep_is_not_continued_nor_merged_with_another_module_beside_the_plugin() {
+    let files = [("st.py", NODE), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.0\n")];
+    let Some(folder) = Folder::new("a module beside a plugin", &files) else { return };
+    let command = Command(&folder);
+    command.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    command.ends_well(&["sweep", "g.toml", "--shard", "1/2", "--out", "p1"]);
+    fs::remove_file(folder.path("s/runs/000003.json")).unwrap();
+    folder.write("helper.py", "SCALE = 2.0\n");
+    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    assert!(code == Some(2) && text.contains("helper (") && text.contains("helper.py) differs"), "{code:?} {text}");
+    command.ends_well(&["sweep", "g.toml", "--shard", "2/2", "--out", "p2"]);
+    let (code, text) = command.run(&["sweep", "--merge", "p1", "p2", "--out", "m"]);
+    assert!(code == Some(2) && text.contains("helper.py) differs"), "{code:?} {text}");
+    // As it was, it goes on; the number of a run is that of the module as it is.
+    command.ends_well(&["run", "g.toml", "--out", "r"]);
+    assert_eq!(command.json("r/results.json")["f"]["number"], 2.0);
+    folder.write("helper.py", "SCALE = 1.0\n");
+    command.ends_well(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    assert_eq!(command.numbers("s"), ["1.0"; 4]);
+    // A changed line of the graph is named, too.
+    folder.write("g.toml", &GRAPH.replace("name = \"imports\"", "name = \"other\""));
+    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    assert!(code == Some(2) && text.contains("`name = \"imports\"` in [graph]"), "{code:?} {text}");
+}
+
+#[test]
+fn a_module_that_only_a_firing_imports_is_named_and_held_to() {
+    let node = NODE.replace("import helper\n", "").replace("    return R", "    import helper\n    return R");
+    let files = [("st.py", node.as_str()), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.0\n")];
+    let Some(folder) = Folder::new("a module that a firing imports", &files) else { return };
+    let command = Command(&folder);
+    command.ends_well(&["run", "g.toml", "--out", "r"]);
+    assert_eq!(command.json("r/manifest.json")["plugins"][0]["loads"]["files"][0]["name"], "helper");
+    command.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    assert_eq!(command.json("s/sweep.json")["plugins"][0]["loads"]["files"][0]["name"], "helper");
+    fs::remove_file(folder.path("s/runs/000003.json")).unwrap();
+    folder.write("helper.py", "SCALE = 2.0\n");
+    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    assert!(code != Some(0) && text.contains("helper.py) differs"), "{code:?} {text}");
+    assert!(!folder.path("s/runs/000003.json").exists());
+}
+
+#[test]
+fn a_sweep_runs_from_plugin_and_modules_as_they_were_at_its_start() {
+    let slow = NODE.replace("    return R", "    import time\n    time.sleep(0.1)\n    return R");
+    let graph = GRAPH.replace("repeat = 4", "repeat = 12");
+    let files = [("st.py", slow.as_str()), ("g.toml", &graph), ("helper.py", "SCALE = 1.0\n")];
+    let Some(folder) = Folder::new("a plugin saved during a sweep", &files) else { return };
+    let command = Command(&folder);
+    let mut sweep = osteoflow_to_spawn();
+    sweep.current_dir(folder.0.path()).env("OSTEOFLOW_PYTHON", &folder.1);
+    sweep.args(["sweep", "g.toml", "--out", "s", "--workers", "1", "-q"]).stderr(Stdio::piped());
+    let sweep = sweep.stdout(Stdio::null()).spawn().unwrap();
+    let n_there = || fs::read_dir(folder.path("s/runs")).map_or(0, |runs| runs.count());
+    let began = Instant::now();
+    while n_there() < 2 && began.elapsed() < Duration::from_secs(120) {
+        thread::sleep(Duration::from_millis(5));
+    }
+    assert!((2..12).contains(&n_there()), "the files are saved while the sweep runs");
+    folder.write("st.py", "raise ImportError(\"half saved\")\n");
+    fs::remove_file(folder.path("helper.py")).unwrap();
+    let output = sweep.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(command.numbers("s"), ["1.0"; 12]);
+}
+
+#[test]
+fn a_changed_default_in_an_imported_module_is_seen() {
+    let common = |k: &str| {
+        format!(
+            "from dataclasses import dataclass\nfrom osteoflow_node import param\n\n\n@dataclass\nclass Params:\n    \
+             k: float = param({k}, ge=0, le=10, doc=\"A number.\")\n"
+        )
+    };
+    let plugin = "from common import Params\nfrom osteoflow_node import Text, source\n\n\n@source(\"c.x\", \
+                  output=\"t\")\ndef x(params: Params) -> Text:\n    \"\"\"A text.\"\"\"\n    yield 0, Text(f\"k={params.k}\")\n";
+    let graph = "plugins = [\"c.py\"]\n[graph]\nformat = 1\n[node.c]\nkind = \"c.x\"\n[results]\nt = \"c.t\"\n";
+    let files = [("c.py", plugin), ("c.toml", graph), ("common.py", &common("1.0"))];
+    let Some(folder) = Folder::new("a default in an imported module", &files) else { return };
+    let command = Command(&folder);
+    for k in ["1.0", "2.0"] {
+        folder.write("common.py", &common(k));
+        command.ends_well(&["run", "c.toml", "--out", k]);
+        assert_eq!(command.json(&format!("{k}/results.json"))["t"], format!("k={k}"));
+    }
+}
+
+#[test]
+fn the_version_of_a_package_is_in_the_manifest_and_a_new_one_makes_another_sweep() {
+    let metadata = |version: &str| format!("Metadata-Version: 2.1\nName: helper\nVersion: {version}\n");
+    let of = |version: &str| format!("packages/helper-{version}.dist-info/METADATA");
+    let path =
+        "import sys, os\nsys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), \"packages\"))\n";
+    let node = format!("{path}{NODE}");
+    let files = [("st.py", node.as_str()), ("g.toml", GRAPH), ("packages/helper.py", "SCALE = 1.0\n")];
+    let Some(folder) = Folder::new("a package of another version", &files) else { return };
+    let command = Command(&folder);
+    folder.write(&of("1.1"), &metadata("1.1"));
+    command.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    fs::remove_file(folder.path("s/runs/000003.json")).unwrap();
+    for version in ["1.1", "1.2"] {
+        fs::remove_dir_all(folder.path("packages/helper-1.1.dist-info")).unwrap();
+        folder.write(&of(version), &metadata(version));
+        command.ends_well(&["run", "g.toml", "--out", version]);
+        let loads = &command.json(&format!("{version}/manifest.json"))["plugins"][0]["loads"];
+        let packages: Vec<_> = loads["packages"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect();
+        assert!(packages.contains(&&*format!("helper {version}")), "{packages:?}");
+        assert!(packages.iter().any(|package| package.starts_with("numpy ")), "{packages:?}");
+        assert!(loads["environment"][0].as_str().unwrap().starts_with("CPython 3."), "{loads}");
+    }
+    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    assert!(code == Some(2) && text.contains("helper 1.1 against 1.2"), "{code:?} {text}");
+}
+
+#[test]
+fn a_library_that_a_plugin_links_is_part_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let library = folder.path().join("libalgo.so");
+    let algo = |factor: f64| {
+        let file = folder.path().join("algo.c");
+        fs::write(&file, format!("double algo_factor(void) {{ return {factor:?}; }}\n")).unwrap();
+        build::compile(&file, &library, &[])
+    };
+    if !algo(1.0) {
+        return;
+    }
+    let source = fs::read_to_string("tests/plugins/centre.cpp").unwrap();
+    let source =
+        source.replace("static int32_t create", "extern \"C\" double algo_factor(void);\nstatic int32_t create");
+    let source = source.replace("mean[k];\n    }\n    const", "mean[k] * algo_factor();\n    }\n    const");
+    let source = source.replace(" || normals == nullptr", "");
+    let source = source.replace("OSTEOFLOW_KEPT_NO", "OSTEOFLOW_KEPT_BY_INPUTS");
+    assert!(source.contains("* algo_factor()") && source.contains("KEPT_BY_INPUTS"));
+    let file = folder.path().join("centre.cpp");
+    fs::write(&file, source).unwrap();
+    let dir = folder.path().to_str().unwrap();
+    let rpath = format!("-Wl,-rpath,{dir}");
+    assert!(build::compile(&file, &folder.path().join("libcentre.so"), &[&format!("-L{dir}"), "-lalgo", &rpath]));
+    let graph = "plugins = [\"libcentre.so\"]\n[graph]\nformat = 1\n[node.scan]\nkind = \"acquire.simulated\"\n\
+                 camera.n_points = 1000\n[node.centre]\nkind = \"centre.mean\"\nin = { cloud = \"scan.scan\" }\n\
+                 [results]\npose = \"centre.pose\"\n";
+    fs::write(folder.path().join("g.toml"), graph).unwrap();
+    let run = |out: &str, arguments: &[&str]| -> Value {
+        let mut command = osteoflow();
+        command.current_dir(folder.path()).env("OSTEOFLOW_CACHE", folder.path().join("cache"));
+        let output = command.args(["run", "g.toml", "--out", out]).args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&fs::read(folder.path().join(out).join("results.json")).unwrap()).unwrap()
+    };
+    let manifest = |out: &str| -> Value {
+        serde_json::from_slice(&fs::read(folder.path().join(out).join("manifest.json")).unwrap()).unwrap()
+    };
+    for (place, arguments) in [("here", [].as_slice()), ("apart", &["--set", "centre.process=true"])] {
+        assert!(algo(1.0));
+        let [first, again] = ["first", "again"].map(|name| run(&format!("{place}-{name}"), arguments));
+        assert!(algo(0.5));
+        let [kept, computed] = [("kept", None), ("computed", Some("--no-cache"))].map(|(name, more)| {
+            run(&format!("{place}-{name}"), &arguments.iter().copied().chain(more).collect::<Vec<_>>())
+        });
+        assert!(first == again && kept == computed && first != kept, "{place}: {first} {again} {kept} {computed}");
+        let loads = &manifest(&format!("{place}-kept"))["plugins"][0]["loads"]["files"];
+        let names: Vec<_> = loads.as_array().unwrap().iter().map(|file| file["name"].as_str().unwrap()).collect();
+        assert!(names.contains(&"libalgo.so"), "{names:?}");
+    }
+    assert!(Path::new(dir).is_dir());
+}
+
+#[test]
+fn one_process_serves_the_runs_of_a_sweep_with_a_new_node_each_and_the_same_constants() {
+    let plugin = r#"
+import os
+import numpy as np
+from osteoflow_node import Mesh, node, payload, source
+
+MESHES, BUILT = [], []
+
+
+@payload("p/R")
+class R:
+    """What was seen."""
+
+    pid: int
+    n_built: int
+    n_fired: int
+    n_meshes: int
+
+
+@source("p.mesh", output="mesh")
+def mesh() -> Mesh:
+    """One mesh."""
+    yield 0, Mesh("ct", np.eye(3), np.array([[0, 1, 2]]))
+
+
+@node("p.f", output="r")
+class F:
+    """Counts."""
+
+    def __init__(self):
+        self.n = 0
+        BUILT.append(1)
+
+    def process(self, mesh: Mesh) -> R:
+        self.n += 1
+        if not any(known is mesh for known in MESHES):
+            MESHES.append(mesh)
+        assert not mesh.vertices.flags.writeable
+        return R(os.getpid(), len(BUILT), self.n, len(MESHES))
+"#;
+    let graph = "plugins = [\"p.py\"]\n[graph]\nformat = 1\n[node.mesh]\nkind = \"p.mesh\"\n[node.f]\nkind = \"p.f\"\n\
+                 in = { mesh = \"mesh.mesh\" }\n[results]\nr = \"f.r\"\n[sweep]\nrepeat = 5\n\
+                 [sweep.columns]\npid = \"r.pid\"\nn_built = \"r.n_built\"\nn_fired = \"r.n_fired\"\nn_meshes = \"r.n_meshes\"\n";
+    let Some(folder) = Folder::new("a process for many runs", &[("p.py", plugin), ("g.toml", graph)]) else { return };
+    let command = Command(&folder);
+    let columns = |out: &str| -> Vec<Vec<f64>> {
+        let table = fs::read_to_string(folder.path(&format!("{out}/runs.csv"))).unwrap();
+        let row = |row: &str| row.split(',').skip(5).take(4).map(|cell| cell.parse().unwrap()).collect();
+        table.lines().skip(1).map(row).collect()
+    };
+    // Each run has a seed of its own, and computes the mesh anew: it is the same all the same.
+    command.ends_well(&["sweep", "g.toml", "--out", "pooled", "--workers", "1", "--set", "sweep.twice=0"]);
+    let pooled = columns("pooled");
+    let pid = pooled[0][0];
+    for (run, row) in pooled.iter().enumerate() {
+        assert_eq!(row[..], [pid, (run + 1) as f64, 1.0, 1.0], "a node is built anew in the process: {pooled:?}");
+    }
+    command.ends_well(&["sweep", "g.toml", "--out", "alone", "--workers", "1", "--set", "f.pool=false"]);
+    let alone = columns("alone");
+    let mut pids: Vec<_> = alone.iter().map(|row| row[0] as u64).collect();
+    pids.sort_unstable();
+    pids.dedup();
+    assert!(pids.len() == 5 && alone.iter().all(|row| row[1..] == [1.0; 3]), "{alone:?}");
+}
+
+#[test]
+fn a_kind_that_answers_otherwise_the_second_time_is_named_with_how_much() {
+    let plugin = |unsteady: &str| {
+        format!(
+            r#"
+import os
+from osteoflow_node import Text, node, payload, source
+
+
+@payload("u/R")
+class R:
+    """A number."""
+
+    number: float
+
+
+@source("u.src", output="text")
+def src() -> Text:
+    """A text."""
+    yield 0, Text("a")
+
+
+@node("u.random", output="r"{unsteady})
+def random(text: Text) -> R:
+    """Another number each time."""
+    return R(1.0 + os.urandom(1)[0] / 256 + os.urandom(1)[0] / 65536)
+
+
+@node("u.relay", output="r")
+def relay(r: R) -> R:
+    """The same number."""
+    return R(r.number)
+"#
+        )
+    };
+    let graph = "plugins = [\"u.py\"]\n[graph]\nformat = 1\n[node.src]\nkind = \"u.src\"\n[node.a]\nkind = \"u.random\"\n\
+                 in = { text = \"src.text\" }\n[node.b]\nkind = \"u.relay\"\nin = { r = \"a.r\" }\n[results]\nr = \"b.r\"\n\
+                 [sweep]\nrepeat = 3\ntwice = 1.0\n[sweep.columns]\nx = \"r.number\"\n";
+    let files = [("u.py", plugin("")), ("declared.py", plugin(", unsteady=True")), ("g.toml", graph.into())];
+    let files = files.each_ref().map(|(name, text)| (*name, text.as_str()));
+    let Some(folder) = Folder::new("a kind that answers otherwise", &files) else { return };
+    let command = Command(&folder);
+    let printed = command.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    assert!(printed.contains("u.random answers otherwise the second time, in 3 of 3 runs"), "{printed}");
+    assert!(!printed.contains("u.relay answers"), "its input differed: {printed}");
+    let twice = &command.json("s/summary.json")["twice"];
+    assert_eq!((&twice["n_runs"], &twice["unsteady"][0]["kind"]), (&3.into(), &"u.random".into()), "{twice}");
+    assert!(twice["unsteady"][0]["columns"]["x"].as_f64().unwrap() > 0.0, "{twice}");
+    command.ends_well(&["report", "s", "--out", "r.html"]);
+    assert!(fs::read_to_string(folder.path("r.html")).unwrap().contains("u.random answers otherwise"));
+    // By default the first run is, and none where the share is zero; a kind that says so is not named.
+    let none = |arguments: &[&str], n_runs: Option<u64>, out: &str| {
+        let printed = command.ends_well(&[&["sweep", "g.toml", "--out", out], arguments].concat());
+        assert_eq!(command.json(&format!("{out}/summary.json"))["twice"]["n_runs"].as_u64(), n_runs, "{printed}");
+        printed
+    };
+    none(&["--set", "sweep.twice=0.02"], Some(1), "default");
+    none(&["--set", "sweep.twice=0"], None, "never");
+    fs::copy(folder.path("declared.py"), folder.path("u.py")).unwrap();
+    assert!(!none(&[], Some(3), "declared").contains("answers otherwise"));
+}
