@@ -132,13 +132,11 @@ impl<'t> Section<'t> {
         expected(seconds, value, &self.what(key), &takes, faults)
     }
 
+    /// The share of a key, from 0 to 1.
     pub(crate) fn share(&self, key: &str, faults: &mut Vec<Fault>) -> Option<f64> {
         let value = &self.get(key)?.value;
         let share = value.as_number().filter(|share| (0.0..=1.0).contains(share));
-        if share.is_none() {
-            faults.push(wrong(value, &self.what(key), "a number from 0 to 1"));
-        }
-        share
+        expected(share, value, &self.what(key), "a number from 0 to 1", faults)
     }
 }
 
