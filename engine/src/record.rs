@@ -284,6 +284,7 @@ fn begin(
         seed: plan.seed,
         sources: plan.recording.sources,
         version: env!("CARGO_PKG_VERSION").into(),
+        written: Some(plan.nodes.iter().map(|node| (node.name.to_string(), node.written())).collect()),
     };
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());

@@ -222,14 +222,16 @@ pub fn replay(
             Err(_) => check(graph, sets, kinds),
         },
         None => {
-            let exchanged =
-                exchange::without_old_defaults(&recording.run.graph, &recording.run.graph_file, sets, kinds);
+            let exchanged = exchange::without_old_defaults(&recording.run, sets, kinds);
             let text = exchanged.as_deref().unwrap_or(&recording.run.graph);
             check_recorded(text, &recording.run.graph_file, sets, kinds)
         }
     };
     let recorded = changes.graph.is_none() && sets.is_empty();
-    let checked = checked.map_err(|faults| ReplayError::Graph { faults, recorded })?;
+    let mut checked = checked.map_err(|faults| ReplayError::Graph { faults, recorded })?;
+    if changes.graph.is_none() {
+        exchange::keep_written(&mut checked.plan, &recording.run, sets);
+    }
     let report = replay_plan(&checked.plan, &recording, changes, &checked.registry, options, observer)?;
     Ok(ReplayReport { warnings: checked.warnings, ..report })
 }

@@ -7,7 +7,12 @@ pub use loads::{LoadedFile, Loads};
 use osteoflow_container::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role};
 use serde::{Deserialize, Serialize, Serializer};
-use std::{collections::BTreeMap, fmt, path::PathBuf, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+    path::PathBuf,
+    sync::Arc,
+};
 
 /// A checked graph, ready to be built.
 #[derive(Debug, Clone)]
@@ -152,6 +157,13 @@ pub struct PlanNode {
     pub on_error: OnError,
     /// Where it fires.
     pub place: Place,
+}
+
+impl PlanNode {
+    /// The parameters that the graph sets, by their dotted paths; the others have their defaults.
+    pub fn written(&self) -> BTreeSet<String> {
+        self.param_places.keys().cloned().collect()
+    }
 }
 
 /// An input of a plan's node.

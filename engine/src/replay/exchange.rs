@@ -1,25 +1,36 @@
 //! Another kind for a node of a recorded graph.
 //!
-//! A recorded graph states every parameter. Those that the user did not write go with their kind: a value that equals the default
-//! of the kind that the node had counts as not written.
+//! A recorded graph states every parameter. Those that the user did not write go with their kind. In a recording that does not
+//! tell which were written, a value that equals the default of the kind that the node had counts as not written.
 
-use crate::{graph, plugin::Kinds};
+use crate::{
+    graph::{self, grammar, keys_set},
+    plan::Plan,
+    plugin::Kinds,
+    recording::format::RunRecord,
+};
 use serde_json::Value as Json;
-use std::path::Path;
+use std::collections::BTreeSet;
 use toml::{Table, Value};
 
 /// The recorded graph without the defaults of kinds that `sets` exchange; `None` if they exchange none.
-pub(super) fn without_old_defaults(text: &str, path: &Path, sets: &[String], kinds: &Kinds) -> Option<String> {
-    let mut graph: Table = text.parse().ok()?;
+pub(super) fn without_old_defaults(run: &RunRecord, sets: &[String], kinds: &Kinds) -> Option<String> {
+    let mut graph: Table = run.graph.parse().ok()?;
     let nodes = graph.get_mut("node")?.as_table_mut()?;
     let mut exchanged: Vec<_> =
         nodes.iter_mut().filter(|(name, _)| sets.iter().any(|set| sets_kind(set, name))).collect();
     if exchanged.is_empty() {
         return None;
     }
-    let plugins = graph::load_text(text.into(), path, &[], &mut Vec::new()).plugins;
+    let plugins = graph::load_text(run.graph.clone(), &run.graph_file, &[], &mut Vec::new()).plugins;
     let registry = kinds.with(&plugins).registry;
-    for (_, node) in &mut exchanged {
+    for (name, node) in &mut exchanged {
+        if let (Some(written), Some(node)) =
+            (run.written.as_ref().and_then(|nodes| nodes.get(name.as_str())), node.as_table_mut())
+        {
+            remove_unwritten(node, "", written);
+            continue;
+        }
         let schema = node.get("kind").and_then(Value::as_str).and_then(|kind| registry.kind(kind));
         if let (Some(kind), Some(node)) = (schema, node.as_table_mut()) {
             remove_defaults(node, &kind.description.params, &kind.description.params);
@@ -32,6 +43,33 @@ pub(super) fn without_old_defaults(text: &str, path: &Path, sets: &[String], kin
 fn sets_kind(set: &str, node: &str) -> bool {
     let key = set.split('=').next().unwrap_or_default().trim();
     key.strip_prefix("node.").unwrap_or(key) == format!("{node}.kind")
+}
+
+/// In the plan of a recorded graph, which states all: only what the recorded user wrote, or a setting does, was written.
+pub(super) fn keep_written(plan: &mut Plan, run: &RunRecord, sets: &[String]) {
+    let set: Vec<String> = keys_set(sets).into_iter().map(|(key, _)| key.to_string()).collect();
+    for node in &mut plan.nodes {
+        let Some(written) = run.written.as_ref().and_then(|nodes| nodes.get(&*node.name)) else { continue };
+        let is_set = |key: &str| set.contains(&format!("{}.{key}", node.name));
+        node.param_places.retain(|key, _| written.contains(key) || is_set(key));
+    }
+}
+
+/// Removes the parameters that were not written, and tables that become empty.
+fn remove_unwritten(table: &mut Table, prefix: &str, written: &BTreeSet<String>) {
+    table.retain(|key, value| {
+        if prefix.is_empty() && grammar::has(&grammar::NODE, key) {
+            return true;
+        }
+        let path = format!("{prefix}{key}");
+        match value {
+            Value::Table(inner) => {
+                remove_unwritten(inner, &format!("{path}."), written);
+                !inner.is_empty()
+            }
+            _ => written.contains(&path),
+        }
+    });
 }
 
 /// Removes the parameters that equal the defaults of their schema, and tables that become empty.
@@ -75,6 +113,20 @@ mod tests {
                 .unwrap();
         remove_defaults(&mut node, &schema, &schema);
         let expected: Table = "kind = \"a.b\"\nin = { a = \"c.d\" }\nn = 4\nrules = { least = 0.1 }\n".parse().unwrap();
+        assert_eq!(node, expected);
+    }
+
+    #[test]
+    fn only_what_was_written_stays_whatever_the_defaults_are() {
+        let mut node: Table =
+            "kind = \"a.b\"\nin = { a = \"c.d\" }\nmm = 5.0\nn = 4\nrules = { most = 1.5, least = 0.1 }\n\
+                               other = { most = 1.5 }\n"
+                .parse()
+                .unwrap();
+        let written = ["mm", "rules", "rules.least"].map(str::to_owned).into();
+        remove_unwritten(&mut node, "", &written);
+        let expected: Table =
+            "kind = \"a.b\"\nin = { a = \"c.d\" }\nmm = 5.0\nrules = { least = 0.1 }\n".parse().unwrap();
         assert_eq!(node, expected);
     }
 

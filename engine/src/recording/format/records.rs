@@ -4,7 +4,11 @@ use super::{Entries, FORMAT_VERSION, MetadataRecord};
 use crate::plan::{PlanPlugin, Sources};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value as Json;
-use std::{collections::BTreeMap, ops::RangeInclusive, path::PathBuf};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::RangeInclusive,
+    path::PathBuf,
+};
 
 fn text(entries: &Entries, key: &str) -> Result<String, String> {
     entries.get(key).cloned().ok_or_else(|| format!("it lacks \"{key}\""))
@@ -42,13 +46,15 @@ pub struct RunRecord {
     pub sources: Sources,
     /// The version of the program that wrote it.
     pub version: String,
+    /// The parameters of each node that the user wrote, as `rules.most`, and not its kind; `None` in a recording that does not say.
+    pub written: Option<BTreeMap<String, BTreeSet<String>>>,
 }
 
 impl MetadataRecord for RunRecord {
     const NAME: &'static str = "osteoflow";
 
     fn to_metadata(&self) -> Entries {
-        entries([
+        let mut entries = entries([
             ("format_version", FORMAT_VERSION.to_string()),
             ("graph", self.graph.clone()),
             ("graph_file", self.graph_file.display().to_string()),
@@ -56,7 +62,9 @@ impl MetadataRecord for RunRecord {
             ("seed", self.seed.to_string()),
             ("sources", self.sources.name().into()),
             ("version", self.version.clone()),
-        ])
+        ]);
+        entries.extend(self.written.as_ref().map(|written| ("written".to_owned(), json_text(written))));
+        entries
     }
 
     fn from_metadata(entries: &Entries) -> Result<Self, String> {
@@ -68,6 +76,7 @@ impl MetadataRecord for RunRecord {
             seed: number(entries, "seed")?,
             sources: if sources == Sources::Hashes.name() { Sources::Hashes } else { Sources::Wires },
             version: text(entries, "version")?,
+            written: entries.contains_key("written").then(|| json(entries, "written")).transpose()?,
         })
     }
 }
