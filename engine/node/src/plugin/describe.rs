@@ -93,7 +93,7 @@ fn kind_of(kind: &'static crate::Kind, payloads: &mut BTreeMap<&'static str, &'s
             CachePolicy::ByInputs => 1,
             CachePolicy::ByInputsAndSeed => 2,
         },
-        flags: u32::from(description.constant) * kind::CONSTANT | u32::from(description.unsteady) * kind::UNSTEADY,
+        flags: (u32::from(description.constant) * kind::CONSTANT) | (u32::from(description.unsteady) * kind::UNSTEADY),
         reserved: 0,
         data: ptr::from_ref(kind).cast::<c_void>(),
         create: Some(instance::create),

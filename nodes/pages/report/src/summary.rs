@@ -208,6 +208,7 @@ mod tests {
                 reason: None,
                 warnings: Vec::new(),
                 results,
+                twice: None,
             }
         };
         of.iter().enumerate().map(run).collect()

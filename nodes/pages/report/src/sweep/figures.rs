@@ -373,6 +373,7 @@ mod tests {
                         reason: None,
                         warnings: Vec::new(),
                         results: json!({ "tre_mm": number }),
+                        twice: None,
                     });
                 }
             }
