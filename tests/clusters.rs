@@ -162,7 +162,7 @@ fn a_missing_shard_and_one_of_another_graph_are_named_by_the_merge() {
     fs::write(desk.path("study.toml"), STUDY.replace("5.0", "4.0")).unwrap();
     desk.ran("bash sweep.sbatch study.toml study", Some(2));
     let message = merge("other");
-    assert!(message.contains("2 holds another sweep: its graph or its settings differ (hash "), "{message}");
+    assert!(message.contains("2 holds another sweep: its graph has `edge_mm = 4.0` in [node.plan], the other `edge_mm = 5.0`; its hash is "), "{message}");
     let json = fs::read_to_string(desk.path("study.parts/2/sweep.json")).unwrap();
     let mut about: serde_json::Value = serde_json::from_str(&json).unwrap();
     about["program_sha256"] = "0".into();

@@ -217,7 +217,7 @@ fn a_library_that_a_plugin_links_is_part_of_it() {
     let source =
         source.replace("static int32_t create", "extern \"C\" double algo_factor(void);\nstatic int32_t create");
     let source = source.replace("mean[k];\n    }\n    const", "mean[k] * algo_factor();\n    }\n    const");
-    let source = source.replace(" || normals == nullptr", "");
+    let source = source.replace(" || normals == nullptr", " || (normals != nullptr && normals->n_rows == 0)");
     let source = source.replace("OSTEOFLOW_KEPT_NO", "OSTEOFLOW_KEPT_BY_INPUTS");
     assert!(source.contains("* algo_factor()") && source.contains("KEPT_BY_INPUTS"));
     let file = folder.path().join("centre.cpp");

@@ -467,7 +467,7 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
         let (version, other) = both("engine_version");
         let (program, other_program) = both("program_sha256");
         if version != other {
-            differences.push(format!("it is of version {other} of the program, the other of {version}"));
+            differences.push(format!("it is of version {other} of the program, the first of {version}"));
         } else if program != other_program {
             differences.push(format!("it is of another build of version {version} of the program"));
         }
@@ -502,16 +502,25 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
     Ok((!differences.is_empty()).then(|| differences.join("; ")))
 }
 
-/// The first line by which two frozen graphs differ, with its table.
+/// The first entry by which two frozen graphs differ, with its table.
 fn graph_difference(graph: &str, other: &str) -> Option<String> {
     let mut table = "";
     for (line, other) in graph.lines().zip(other.lines()) {
         if line != other {
-            return Some(format!("its graph has `{line}` in {table}, the other `{other}`"));
+            let (entry, other) = (entry(line, other), entry(other, line));
+            return Some(format!("its graph has `{entry}` in {table}, the other `{other}`"));
         }
         table = if line.starts_with('[') { line } else { table };
     }
     (graph.lines().count() != other.lines().count()).then(|| "its graph has more or fewer lines".into())
+}
+
+/// The entry of an inline table in which a line differs from another, or the whole line.
+fn entry<'a>(line: &'a str, other: &str) -> &'a str {
+    let same = line.char_indices().zip(other.chars()).find(|((_, a), b)| a != b);
+    let at = same.map_or(line.len().min(other.len()), |((at, _), _)| at);
+    let Some(begin) = line.get(..at).and_then(|same| same.rfind(", ")) else { return line };
+    line[begin + 2..].split(", ").next().unwrap_or(line).trim_end_matches(" }")
 }
 
 /// Name of an input file or a plugin in `sweep.json`.

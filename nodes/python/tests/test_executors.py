@@ -238,7 +238,7 @@ def test_a_worker_with_another_sweep_is_refused_by_name(files, tmp_path):
     other_scan = (files / "laser_p1.ply").read_bytes()
     refused(with_file(scan, other_scan), "worker .* has another sweep: its input file .*scan.ply is another.*the same files")
     other_graph = text.replace("extends", "graph.seed = 99\nextends", 1).encode()
-    refused(with_file(graph, other_graph), "has another sweep: its graph or its settings differ")
+    refused(with_file(graph, other_graph), r"has another sweep: its graph has `seed = 99` in \[graph\], the other `seed = 1`")
     refused(with_file(graph, b"[graph]"), "worker .*: .*")
     refused(lambda task, a: {**task(*a), "version": "0.0.9"}, "has osteoflow 0.0.9, but here is 0.1.0")
     refused(lambda task, a: task(*a[:2], "/nowhere", *a[3:]), "there is no folder /nowhere")
