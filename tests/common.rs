@@ -103,6 +103,14 @@ pub(crate) fn is_slow_run() -> bool {
     std::env::var_os("SLOW_TESTS").is_some()
 }
 
+/// Whether a test of many seconds is left out, which is printed: it runs with `SLOW_TESTS`.
+pub(crate) fn skips_slow(test: &str) -> bool {
+    if !is_slow_run() {
+        println!("skipped: {test}: it takes long, and runs with SLOW_TESTS");
+    }
+    !is_slow_run()
+}
+
 /// Asserts that generated text equals a file of the repository; `UPDATE=1` rewrites the file.
 pub(crate) fn assert_golden(path: &Path, text: &str) {
     if std::env::var_os("UPDATE").is_some() {

@@ -2,7 +2,7 @@
 //! where the development data exist. Our numbers are compared with what does not depend on the paper's own setup: with those
 //! of an independent implementation of the method on real bones, and with what must hold.
 
-use crate::common::{data, is_slow_run, osteoflow, root};
+use crate::common::{data, is_slow_run, osteoflow, root, skips_slow};
 use serde_json::Value;
 use std::fs;
 
@@ -174,6 +174,9 @@ fn section_4_a_spot_is_located_better_than_it_is_aimed() {
 
 #[test]
 fn section_3_3_measured_errors_do_not_contain_the_common_slide_of_the_marks() {
+    if skips_slow("section_3_3_measured_errors_do_not_contain_the_common_slide_of_the_marks") {
+        return;
+    }
     const FEW: &str = "point_to_point, 50 iterations";
     let mut sets = vec![repeat(if is_slow_run() { 6 } else { 3 })];
     if !is_slow_run() {

@@ -1,7 +1,7 @@
 //! The page of a run and of a sweep in a browser.
 
 use crate::common::browser::Browser;
-use crate::common::{copied_run, copy_folder, osteoflow, reproduce, run_whole, shared_folder};
+use crate::common::{copied_run, copy_folder, osteoflow, reproduce, run_whole, shared_folder, skips_slow};
 use osteoflow_formats::write::write_stl;
 use osteoflow_geometry::Mesh;
 use osteoflow_simulation::{BoneParams, bone};
@@ -220,6 +220,9 @@ fn the_methods_of_a_sweep_name_the_kinds_that_its_runs_ran() {
 
 #[test]
 fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() {
+    if skips_slow("the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let out = swept(dir.path());
     let page = report(&out);
@@ -394,6 +397,9 @@ fn under<'a>(table: &'a [Vec<String>], head: &str, row: usize) -> &'a str {
 
 #[test]
 fn the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_readable_comparisons() {
+    if skips_slow("the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_readable_comparisons") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let graph = dir.path().join("refusing.toml");
     fs::write(&graph, REFUSING.replace("GRAPH", crate::common::root().join("graphs/fibula.toml").to_str().unwrap()))

@@ -2,7 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::served::Served;
-use crate::common::{copied_run, osteoflow};
+use crate::common::{copied_run, osteoflow, skips_slow};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -135,6 +135,9 @@ fn a_report_shows_the_layers_the_verdict_and_the_residuals_of_the_live_page() {
 
 #[test]
 fn a_report_hatches_planes_of_a_doubtful_answer_and_draws_none_of_a_refused_one() {
+    if skips_slow("a_report_hatches_planes_of_a_doubtful_answer_and_draws_none_of_a_refused_one") {
+        return;
+    }
     let Some(mut browser) =
         Browser::start("a_report_hatches_planes_of_a_doubtful_answer_and_draws_none_of_a_refused_one")
     else {
@@ -157,6 +160,9 @@ fn a_report_hatches_planes_of_a_doubtful_answer_and_draws_none_of_a_refused_one(
 
 #[test]
 fn a_browser_without_webgl_is_named_in_place_of_each_view() {
+    if skips_slow("a_browser_without_webgl_is_named_in_place_of_each_view") {
+        return;
+    }
     let Some(mut browser) = Browser::start("a_browser_without_webgl_is_named_in_place_of_each_view") else { return };
     let (_dir, run) = reported_as_it_is();
     let none = "HTMLCanvasElement.prototype.getContext = () => null";

@@ -2,7 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::served::Served;
-use crate::common::{copied_run, osteoflow, shared_run};
+use crate::common::{copied_run, osteoflow, shared_run, skips_slow};
 use osteoflow_geometry::{
     isometry_from_matrix,
     nalgebra::{Matrix4, Point3},
@@ -572,6 +572,9 @@ fn a_bone_and_a_scan_are_registered_shown_and_the_pose_is_that_of_register() {
 /// The scripts say the types of what they take and give in their comments; a compiler checks that all calls fit them.
 #[test]
 fn the_scripts_of_the_page_pass_the_check_of_their_types() {
+    if skips_slow("the_scripts_of_the_page_pass_the_check_of_their_types") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let node =
         |program: &str, arguments: &[&str]| Command::new(program).args(arguments).current_dir(dir.path()).output();

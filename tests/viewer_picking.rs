@@ -3,7 +3,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::served::Served;
-use crate::common::{osteoflow, root, shared_run};
+use crate::common::{osteoflow, root, shared_run, skips_slow};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_engine::Recording;
 use osteoflow_formats::{picked_points::read_picked_points, plan_file::read_plan};
@@ -422,6 +422,9 @@ fn the_page_asks_the_surface_what_the_program_asks() {
 
 #[test]
 fn what_cannot_be_picked_or_saved_says_why() {
+    if skips_slow("what_cannot_be_picked_or_saved_says_why") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let run_dir = shared_run("graphs/fibula.toml", &[]).dir.path();
     // A file, where the folder should be.
@@ -525,6 +528,9 @@ fn what_cannot_be_picked_or_saved_says_why() {
 
 #[test]
 fn a_bone_without_a_plan_gets_one_with_a_picked_tip_and_says_what_it_lacks() {
+    if skips_slow("a_bone_without_a_plan_gets_one_with_a_picked_tip_and_says_what_it_lacks") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let run_dir = shared_run("graphs/two_files.toml", &[]).dir.path();
     let picks = dir.path().join("picks");
@@ -818,6 +824,9 @@ fn the_anatomy_is_that_of_the_plan_as_it_was_and_nobody_else_saves_anything() {
 
 #[test]
 fn the_camera_is_drawn_where_the_frames_have_it_with_the_edges_of_what_it_has_seen() {
+    if skips_slow("the_camera_is_drawn_where_the_frames_have_it_with_the_edges_of_what_it_has_seen") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let run_dir = shared_run("graphs/fibula.toml", &[]).dir.path();
     let served = view(run_dir, &dir.path().join("picks"));

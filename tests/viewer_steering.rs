@@ -3,6 +3,7 @@
 use crate::common::browser::Browser;
 use crate::common::osteoflow;
 use crate::common::served::Served;
+use crate::common::skips_slow;
 use serde_json::{Value, json};
 use std::{
     fs,
@@ -316,6 +317,9 @@ fn region(min: &[f64]) -> Value {
 
 #[test]
 fn a_variant_takes_away_what_a_new_kind_does_not_have() {
+    if skips_slow("a_variant_takes_away_what_a_new_kind_does_not_have") {
+        return;
+    }
     let bench = Bench::new();
     let name = "variants/fibula_point_to_point.toml";
     let served = bench.view(name, &[]);
