@@ -111,6 +111,9 @@ fn compare(browser: &mut Browser, run: &Path, answer: &str) {
 
 #[test]
 fn a_report_shows_the_layers_the_verdict_and_the_residuals_of_the_live_page() {
+    if skips_slow("a_report_shows_the_layers_the_verdict_and_the_residuals_of_the_live_page") {
+        return;
+    }
     let Some(mut browser) = Browser::start("a_report_shows_the_layers_the_verdict_and_the_residuals_of_the_live_page")
     else {
         return;

@@ -1,6 +1,6 @@
 //! Sweeps from the command line: stopped and resumed, split and merged, compared, and on a user's bone.
 
-use crate::common::{osteoflow, osteoflow_to_spawn, reproduce, root, shared_folder};
+use crate::common::{osteoflow, osteoflow_to_spawn, reproduce, root, shared_folder, skips_slow};
 use serde_json::Value;
 use std::{
     fs,
@@ -231,6 +231,9 @@ fn two_runs_are_compared_number_by_number() {
 
 #[test]
 fn the_experiments_run_on_a_users_bone_and_the_page_has_their_n() {
+    if skips_slow("the_experiments_run_on_a_users_bone_and_the_page_has_their_n") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let own = path(dir.path(), "own");
     assert_eq!(output(&["simulate", "--points", "1000", "--seed", "3", "--out", &own, "--quiet"]).2, 0);

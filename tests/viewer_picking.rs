@@ -380,6 +380,9 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
 
 #[test]
 fn the_page_asks_the_surface_what_the_program_asks() {
+    if skips_slow("the_page_asks_the_surface_what_the_program_asks") {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let run_dir = shared_run("graphs/two_files.toml", &[]).dir.path();
     let served = view(run_dir, &dir.path().join("picks"));
