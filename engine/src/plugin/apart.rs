@@ -375,8 +375,13 @@ impl OutOfProcess {
     /// Sends a firing, and takes its answer.
     fn call(&mut self, joined: &Joined, out: &mut [Emission], context: &mut Context) -> Result<bool, NodeError> {
         let Some(worker) = &mut self.worker else { return Err(NodeError::new("its process has ended")) };
-        let answer = worker.fire(joined, &self.is_constant, self.stop_after, context).map_err(NodeError::new)?;
-        self.take(answer, out, context).map_err(|message| NodeError::new(format!("its process {message}")))?
+        let answer = worker.fire(joined, &self.is_constant, self.stop_after, context);
+        let taken = answer.map(|answer| self.take(answer, out, context));
+        // A process that does not keep to the protocol builds no other node: what it answers next may be to this firing.
+        if !matches!(taken, Ok(Ok(_))) {
+            self.idle = None;
+        }
+        taken.map_err(NodeError::new)?.map_err(|message| NodeError::new(format!("its process {message}")))?
     }
 
     /// Takes the answer over; the error says what is wrong with it.

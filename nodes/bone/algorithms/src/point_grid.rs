@@ -295,18 +295,25 @@ impl PointGrid {
         self.nearest_in_eight(query, limit_mm, filter).or_else(|| self.nearest_in_rings(query, limit_mm, filter))
     }
 
+    /// The first of the 2 × 2 × 2 cells around a place given in cells, and the distance from it to their nearest side, mm: 0.5 to
+    /// 1 cell. `None` if the place is not among the cells.
+    #[inline(always)]
+    fn eight_cells(&self, place: &Vector3<f64>) -> Option<([u32; 3], f64)> {
+        let u = place - Vector3::repeat(0.5);
+        if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
+            return None;
+        }
+        let first = [u.x as u32, u.y as u32, u.z as u32];
+        let side = (0..3).map(|k| 1.0 - (u[k] - f64::from(first[k]) - 0.5).abs()).fold(f64::INFINITY, f64::min);
+        Some((first, side * self.cell_mm))
+    }
+
     /// The nearest point if it lies in the 2 × 2 × 2 cells around the query and no point outside of them can be nearer.
     /// Answers most queries close to the surface.
     #[inline(always)]
     fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
-        let u = (query - self.min) / self.cell_mm - Vector3::repeat(0.5);
-        if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
-            return None;
-        }
-        let first = [u.x as i32, u.y as i32, u.z as i32];
-        // Distance to the nearest side of the eight cells, in cells: from 0.5 to 1.
-        let seen = (0..3).map(|k| 1.0 - (u[k] - f64::from(first[k]) - 0.5).abs()).fold(f64::INFINITY, f64::min);
-        let seen_square = (seen * self.cell_mm).powi(2);
+        let (first, side_mm) = self.eight_cells(&((query - self.min) / self.cell_mm))?;
+        let (first, seen_square) = (first.map(|cell| cell as i32), side_mm.powi(2));
         let mut best = Best::within(limit_mm * limit_mm);
         for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let [x, y, z] = [first[0] + x, first[1] + y, first[2]];

@@ -275,11 +275,12 @@ impl ThinnedTarget {
     /// The nearest of the points within `limit_mm` of `query`, which is about the centre of the index.
     #[inline]
     pub(crate) fn nearest(&self, index: &Index, query: &Vector3<f64>, limit_mm: f64) -> Nearby {
-        let found = self.cells.nearest(query, limit_mm, All);
-        let found = found.unwrap_or_else(|| Nearby::within(limit_mm, self.tree(index).nearest(&Point3::from(*query))));
-        let Some((thinned, square)) = found.nearest else { return found };
+        let nearby = self.cells.nearest(query, limit_mm, All);
+        let nearby =
+            nearby.unwrap_or_else(|| Nearby::within(limit_mm, self.tree(index).nearest(&Point3::from(*query))));
+        let Some((thinned, square)) = nearby.nearest else { return nearby };
         let place = self.places[thinned as usize];
-        Nearby { nearest: Some((index.cells().items()[place as usize], square)), at: Some(place), ..found }
+        Nearby { nearest: Some((index.cells().items()[place as usize], square)), at: Some(place), ..nearby }
     }
 
     #[cold]

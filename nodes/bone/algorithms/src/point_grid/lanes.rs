@@ -62,7 +62,7 @@ struct Nearest {
 
 /// The nearest point of a search.
 #[derive(Clone, Copy)]
-struct Found {
+struct Candidate {
     at: usize,
     /// Lower bound of its distance, mm.
     nearest_mm: f64,
@@ -127,7 +127,7 @@ impl Nearest {
 
     /// The nearest point of all lanes; `None` if there are no points.
     #[inline(always)]
-    fn found(&self, lanes: &Lanes) -> Option<Found> {
+    fn candidate(&self, lanes: &Lanes) -> Option<Candidate> {
         let [low, high] = self.first;
         let at = high.simd_lt(low).select(self.at[1], self.at[0]).to_array();
         let first = low.fast_min(high).to_array();
@@ -138,7 +138,7 @@ impl Nearest {
             lane = if first[k] < first[lane] { k } else { lane };
         }
         let least_mm = |square: f32| f64::from(square).sqrt() * (1.0 - ROUNDING) - lanes.rounding_mm;
-        (first[lane] < FAR_SQUARE).then(|| Found {
+        (first[lane] < FAR_SQUARE).then(|| Candidate {
             at: at[lane].to_bits() as usize + lane,
             nearest_mm: least_mm(first[lane]),
             others_mm: least_mm(other),
@@ -156,47 +156,41 @@ impl PointGrid {
         filter: impl PointFilter,
     ) -> Option<Nearby> {
         let u = (query - self.min) / self.cell_mm;
-        let (mut found, mut seen_mm) = self.in_eight(query, &u);
-        let distance_mm = |found: &Option<Found>| match found {
-            Some(found) => (self.points[found.at] - query).norm(),
+        let (mut candidate, mut seen_mm) = self.in_eight(query, &u);
+        let distance_mm = |candidate: &Option<Candidate>| match candidate {
+            Some(candidate) => (self.points[candidate.at] - query).norm(),
             None => f64::INFINITY,
         };
-        let mut mm = distance_mm(&found);
+        let mut mm = distance_mm(&candidate);
         while mm.min(limit_mm) > seen_mm {
             // Without a point so far, only a little farther.
             let reach_mm = mm.min(limit_mm).min(FIRST_REACH * self.cell_mm + 2.0 * seen_mm.max(0.0));
             seen_mm = reach_mm + SPARE * self.cell_mm;
-            found = self.in_ball(query, &u, seen_mm)?;
-            mm = distance_mm(&found);
+            candidate = self.in_ball(query, &u, seen_mm)?;
+            mm = distance_mm(&candidate);
         }
-        let Some(found) = found.filter(|found| found.nearest_mm <= limit_mm) else {
-            let free_mm = seen_mm.min(found.map_or(f64::INFINITY, |found| found.nearest_mm)).max(0.0);
+        let Some(candidate) = candidate.filter(|candidate| candidate.nearest_mm <= limit_mm) else {
+            let free_mm = seen_mm.min(candidate.map_or(f64::INFINITY, |candidate| candidate.nearest_mm)).max(0.0);
             return Some(Nearby { nearest: None, at: None, free_square: free_mm * free_mm });
         };
-        let (item, point) = (self.items[found.at], &self.points[found.at]);
-        if mm > limit_mm || mm >= found.others_mm || !filter.accepts(item, point) {
+        let (item, point) = (self.items[candidate.at], &self.points[candidate.at]);
+        if mm > limit_mm || mm >= candidate.others_mm || !filter.accepts(item, point) {
             return None;
         }
-        let (square, free_mm) = ((point - query).norm_squared(), seen_mm.min(found.others_mm));
-        Some(Nearby { nearest: Some((item, square)), at: Some(found.at as u32), free_square: free_mm * free_mm })
+        let (square, free_mm) = ((point - query).norm_squared(), seen_mm.min(candidate.others_mm));
+        Some(Nearby { nearest: Some((item, square)), at: Some(candidate.at as u32), free_square: free_mm * free_mm })
     }
 
     /// The nearest point in the 2 × 2 × 2 cells around the query, and the distance within which there are no others, mm:
     /// none if the query is not among the cells.
     #[inline(always)]
-    fn in_eight(&self, query: &Vector3<f64>, u: &Vector3<f64>) -> (Option<Found>, f64) {
-        let u = u - Vector3::repeat(0.5);
-        if !(0..3).all(|k| u[k] >= 0.0 && u[k] < f64::from(self.n_blocks[k] * EDGE - 1)) {
-            return (None, f64::NEG_INFINITY);
-        }
-        let first = [u.x as u32, u.y as u32, u.z as u32];
-        // Distance to the nearest side of the eight cells, in cells: from 0.5 to 1.
-        let seen = (0..3).map(|k| 1.0 - (u[k] - f64::from(first[k]) - 0.5).abs()).fold(f64::INFINITY, f64::min);
+    fn in_eight(&self, query: &Vector3<f64>, u: &Vector3<f64>) -> (Option<Candidate>, f64) {
+        let Some((first, side_mm)) = self.eight_cells(u) else { return (None, f64::NEG_INFINITY) };
         let mut nearest = Nearest::to(query);
         for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             self.add_column::<false>([first[0] + x, first[1] + y], [first[2], first[2] + 1], &mut nearest);
         }
-        (nearest.found(&self.lanes), seen * self.cell_mm)
+        (nearest.candidate(&self.lanes), side_mm)
     }
 
     /// Adds the points of the cells at `[x, y]` from the first `z` to the last, both within the grid. Without `SKIP_EMPTY` no
@@ -221,7 +215,7 @@ impl PointGrid {
 
     /// The nearest point in the cells that reach into a ball around the query; `None` if the ball is too large.
     #[inline(never)]
-    fn in_ball(&self, query: &Vector3<f64>, u: &Vector3<f64>, radius_mm: f64) -> Option<Option<Found>> {
+    fn in_ball(&self, query: &Vector3<f64>, u: &Vector3<f64>, radius_mm: f64) -> Option<Option<Candidate>> {
         let radius = radius_mm / self.cell_mm;
         if radius > MAX_REACH {
             return None;
@@ -249,6 +243,6 @@ impl PointGrid {
                 }
             }
         }
-        Some(nearest.found(&self.lanes))
+        Some(nearest.candidate(&self.lanes))
     }
 }

@@ -8,8 +8,8 @@ pub(in crate::icp) struct Tree<'a>(pub(in crate::icp) &'a VisibleSurface<'a>);
 impl Pairing for Tree<'_> {
     #[inline]
     fn find(&self, source: &Vector3<f64>, radius_mm: f64, correspondence: &mut Correspondence) {
-        let found = self.0.nearest_by_tree(source).filter(|(_, square)| *square <= radius_mm * radius_mm);
-        match found {
+        let nearest = self.0.nearest_by_tree(source).filter(|(_, square)| *square <= radius_mm * radius_mm);
+        match nearest {
             Some((item, _)) => {
                 correspondence.set(item as u32, self.0.index.local(item), self.0.normals[item]);
             }
