@@ -17,6 +17,7 @@
 
 mod answer_cache;
 pub mod check;
+mod cpu_time;
 pub mod diff;
 pub mod durable;
 pub mod fault;

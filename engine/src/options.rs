@@ -22,6 +22,8 @@ pub struct RunOptions {
     pub record: bool,
     /// Whether the latency from each source to each sink is measured; every firing is then timed on its own.
     pub latency: bool,
+    /// Whether the processor time of each node's firings is measured.
+    pub cpu_time: bool,
     /// Constants put at the start of `results.json`, by dotted key.
     pub fixed_results: Vec<(String, serde_json::Value)>,
     /// Stop request, set from outside: the sources stop and the items in flight are processed.
@@ -75,6 +77,7 @@ impl Default for RunOptions {
             out_dir: None,
             record: false,
             latency: false,
+            cpu_time: false,
             fixed_results: Vec::new(),
             cancelled: Arc::default(),
             command: serde_json::Value::Null,

@@ -28,6 +28,7 @@ pub use verdict::{Answer, Reason, Verdict};
 
 use crate::{
     answer_cache::StoredAnswers,
+    cpu_time::CPU_CLOCK,
     durable,
     hash::files::Hashes,
     plan::{Plan, ResultEntry, Sources},
@@ -98,6 +99,7 @@ pub(crate) fn run_part(
         out_dir,
         cancelled: options.cancelled.clone(),
         inject: &options.inject,
+        cpu_clock: CPU_CLOCK.filter(|_| options.cpu_time),
     };
     let answers = StoredAnswers::new(plan, registry, options);
     let answer_cache = answers.as_ref().map(|answers| answers as &dyn AnswerCache);

@@ -15,15 +15,17 @@ mod share;
 mod table;
 #[cfg(test)]
 mod tests;
+mod times;
 mod twice;
 
 pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
 pub use check::{again, check};
 pub use design::{SweepRow, rows};
-pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, merge};
+pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, TIMES, merge};
 
 use folder::difference;
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};
+pub use times::{NodeTimes, RunTimes};
 pub use twice::Unsteady;
 
 use crate::{

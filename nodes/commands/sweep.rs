@@ -64,6 +64,8 @@ impl Sweep {
             let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
             return print_end(&folder, &swept, Duration::ZERO, global);
         }
+        // Before the plugins are looked at, which starts interpreters.
+        let began = Instant::now();
         let cancelled = Arc::default();
         running::make_pool(request.workers)?;
         let sweep = or_faults(request.check(), |sweep| &sweep.warnings, global)?;
@@ -72,7 +74,6 @@ impl Sweep {
             return list(&sweep, request.shard, global);
         }
         let run = Arc::new(request.begin(sweep, &cancelled)?);
-        let began = Instant::now();
         let shard = request.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
         let what = format!("sweeping {}{shard}", run.sweep.plan.name);
         let bar = SweepProgress::begin(run.n_left()?, &what, run.options.workers, global);

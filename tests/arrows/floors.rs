@@ -64,7 +64,7 @@ const CRATES: &[(&str, Floors)] = &[
         &[
             // The crate `osteoflow-runtime`, by the names under which the engine hands it on.
             &["activity", "durable", "names", "panics", "plan", "runtime"],
-            &["fault", "hash"],
+            &["cpu_time", "fault", "hash"],
             &["graph", "recording"],
             &["store"],
             &["process"],

@@ -32,6 +32,6 @@ pub use outcome::RunOutcome;
 pub use report::{
     BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, NodeStats, Observer, Refusal, Warning,
 };
-pub use runtime::{AnswerCache, RunSettings, Runtime, emission_fault, refusal, stamp_or_zero};
+pub use runtime::{AnswerCache, CpuClock, RunSettings, Runtime, emission_fault, refusal, stamp_or_zero};
 pub use sync::on_workers;
 pub use tap::{Failed, Replayed, Substitutes, Tap};

@@ -116,6 +116,10 @@ pub struct NodeStats {
     pub failed: u64,
     /// Total time of its firings; may include the engine's own work for a firing, which is below a microsecond.
     pub busy: Duration,
+    /// Processor time of its firings, where the run measures it.
+    pub cpu: Option<Duration>,
+    /// From the beginning of its first activation to its end.
+    pub wall: Duration,
     /// Median duration of its firings; like all percentiles, up to 3 % above the exact one.
     pub p50: Duration,
     /// 95th percentile.

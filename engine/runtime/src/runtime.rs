@@ -48,7 +48,12 @@ pub struct RunSettings<'a> {
     pub cancelled: Arc<AtomicBool>,
     /// Injected failures.
     pub inject: &'a [Injection],
+    /// Measures the processor time of firings; `None` measures none.
+    pub cpu_clock: Option<CpuClock>,
 }
+
+/// The processor time that the calling thread has used so far, with what others used for it.
+pub type CpuClock = fn() -> Duration;
 
 /// Answers of earlier firings, used instead of firing.
 pub trait AnswerCache: Sync {
@@ -82,6 +87,7 @@ pub struct Runtime<'a> {
     halted: AtomicBool,
     n_workers: usize,
     shuffle: Option<u64>,
+    pub(crate) cpu_clock: Option<CpuClock>,
     cells: Vec<Mutex<Cell>>,
     /// Nodes whose firings have taken microseconds so far.
     cheap: Vec<AtomicBool>,
@@ -207,6 +213,7 @@ impl<'a> Runtime<'a> {
             halted: AtomicBool::new(false),
             n_workers: settings.workers.max(1),
             shuffle: settings.shuffle,
+            cpu_clock: settings.cpu_clock,
             cheap: cells.iter().map(|_| AtomicBool::new(false)).collect(),
             cells,
             links,

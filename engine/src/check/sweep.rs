@@ -37,8 +37,10 @@ pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
     let results = table.get("results").and_then(|entry| entry.value.as_table());
     let results = results.into_iter().flat_map(Table::keys).filter(|key| *key != grammar::REQUIRE);
     let results = results.map(str::to_owned).collect();
+    let nodes = table.get("node").and_then(|entry| entry.value.as_table());
+    let nodes = nodes.into_iter().flat_map(Table::keys).map(str::to_owned).collect();
     let table = extract::table(&entry.value, "sweep", faults)?;
-    Reader { at: &entry.key_at, faults }.spec(table, results)
+    Reader { at: &entry.key_at, faults }.spec(table, results, nodes)
 }
 
 struct Reader<'a> {
@@ -47,7 +49,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn spec(&mut self, table: &Table, mut results: Vec<String>) -> Option<Spec> {
+    fn spec(&mut self, table: &Table, mut results: Vec<String>, nodes: Vec<String>) -> Option<Spec> {
         let before = self.faults.len();
         let own = Section::new(table, &grammar::SWEEP, "[sweep]", "", self.faults);
         let repeat = own.whole("repeat", MAX_RUNS, self.faults).unwrap_or(1);
@@ -61,7 +63,7 @@ impl Reader<'_> {
         let (units, repeat_name) = self.units(table, &factors);
         let pair = self.pair(table, &factors);
         results.extend(self.sets(table, &factors, &draws, &pair, same_seed));
-        self.paths(table, &results);
+        self.paths(table, &results, &nodes);
         let limits = self.numbers(table.get("limit"), "limit", &columns);
         let compare = table.get("compare").map(|entry| self.comparisons(&entry.value, &factors, &columns));
         let compare = compare.unwrap_or_default();

@@ -2,7 +2,7 @@
 
 use super::{Finder, Plugin, late, log_lines};
 use crate::{
-    panics,
+    cpu_time, panics,
     plan::Loads,
     process::{
         Launcher,
@@ -169,6 +169,7 @@ pub(super) struct Worker {
     /// The constants that it has, with their places, the least recently used first.
     constants: Vec<(Value, Place)>,
     is_gone: bool,
+    n_processors: u32,
 }
 
 /// Constants that a process keeps beside those of its node: a sweep goes from bone to bone and back.
@@ -216,6 +217,7 @@ impl Worker {
             views: Views::default(),
             constants: Vec::new(),
             is_gone: false,
+            n_processors: std::thread::available_parallelism().map_or(1, |n| n.get() as u32),
         })
     }
 
@@ -332,8 +334,14 @@ impl Worker {
             let how = self.child.ending();
             return Err(self.gone(how).0);
         }
+        let asked = Instant::now();
         match self.reply(stop_after, &mut || context.cancelled()) {
-            Ok(FromWorker::Answer(answer)) if answer.item == number => Ok(*answer),
+            Ok(FromWorker::Answer(answer)) if answer.item == number => {
+                // No process can spend more, whatever it says.
+                let most = asked.elapsed().saturating_mul(self.n_processors);
+                cpu_time::add_apart(Duration::from_nanos(answer.cpu_ns).min(most));
+                Ok(*answer)
+            }
             Ok(FromWorker::Answer(answer)) => {
                 self.child.kill();
                 Err(self.gone(format!("its process answers for item {}, and was stopped", answer.item)).0)

@@ -24,8 +24,14 @@ use std::{
 };
 
 /// Environment variables that limit the threads of libraries for arrays, as the module of nodes in Python lists them.
-const THREAD_LIMITS: [&str; 5] =
-    ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"];
+const THREAD_LIMITS: [&str; 6] = [
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "OSTEOFLOW_NUM_THREADS",
+];
 
 /// The kinds of a program, and where to find plugins. A [`Registry`] converts to the kinds of a program without
 /// plugins.

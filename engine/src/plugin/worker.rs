@@ -6,6 +6,7 @@ use super::{
     provide,
 };
 use crate::{
+    cpu_time,
     hash::mapped::mapped,
     panics,
     plan::Loads,
@@ -83,9 +84,11 @@ pub fn serve(mut registry: Registry) -> io::Result<()> {
                 memory.pool.answered(&fire.held);
                 fire.released.iter().for_each(|segment| drop(memory.constants.remove(segment)));
                 let Some(node) = &mut node else { return Err(io::Error::other("no node is built")) };
+                let began = cpu_time::of_process();
                 let answer = node.fire(*fire, &mut memory, &registry);
+                let cpu_ns = cpu_time::of_process().saturating_sub(began).as_nanos() as u64;
                 let (new, fds) = memory.pool.news();
-                send(&socket, &FromWorker::Answer(Box::new(Reply { new, ..answer })), &fds)?;
+                send(&socket, &FromWorker::Answer(Box::new(Reply { new, cpu_ns, ..answer })), &fds)?;
             }
             Received::Closed => return Ok(()),
             Received::Nothing => {}
@@ -259,7 +262,7 @@ impl Node {
             Err(error) => (FiringOutcome::Failed(format!("no memory to share: {error}")), Vec::new()),
         };
         let (context, held) = (self.context.done(), memory.views.held());
-        Reply { item, ended, outputs, context, new: Vec::new(), held, loads: None }
+        Reply { item, ended, outputs, context, new: Vec::new(), held, cpu_ns: 0, loads: None }
     }
 }
 

@@ -77,6 +77,7 @@ pub fn messages_of(value: Value) -> io::Result<(Vec<u8>, Vec<u8>)> {
             context: FiringDone::default(),
             new,
             held: vec![0],
+            cpu_ns: 0,
             loads: None,
         })),
     ];

@@ -142,6 +142,9 @@ pub(crate) struct Reply {
     pub(crate) new: Vec<NewSegment>,
     #[serde(default)]
     pub(crate) held: Vec<u32>,
+    /// Processor time of the firing, on all threads of the process.
+    #[serde(default)]
+    pub(crate) cpu_ns: u64,
     /// As in `Built`.
     #[serde(default)]
     pub(crate) loads: Option<Loads>,

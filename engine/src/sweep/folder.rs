@@ -7,6 +7,7 @@ use super::{
     Unsteady,
     design::SweepRow,
     table::{write_points, write_runs},
+    times::{RunTimes, write_times},
 };
 use crate::{
     check::sweep::Spec,
@@ -30,6 +31,10 @@ pub const RUNS_DIR: &str = "runs";
 pub const RUNS: &str = "runs.csv";
 /// One row for each run, point and axis.
 pub const POINTS: &str = "points.csv";
+/// One row for each run and node.
+pub const TIMES: &str = "times.csv";
+/// Folder of the times of the runs.
+const TIMES_DIR: &str = "times";
 
 /// Increase when the layout of the files changes.
 const FORMAT: u64 = 2;
@@ -193,7 +198,9 @@ impl Folder {
         let mut about = about;
         about["format"] = FORMAT.into();
         let folder = Self { dir: dir.into(), about };
-        fs::create_dir_all(dir.join(RUNS_DIR)).map_err(|source| folder.cannot_write(RUNS_DIR, source))?;
+        for name in [RUNS_DIR, TIMES_DIR] {
+            fs::create_dir_all(dir.join(name)).map_err(|source| folder.cannot_write(name, source))?;
+        }
         folder.write(GRAPH, graph.as_bytes())?;
         // Written last: a folder that has this file is complete.
         folder.write(DESIGN, format!("{:#}\n", folder.about).as_bytes())?;
@@ -217,7 +224,7 @@ impl Folder {
         match about["format"].as_u64() {
             Some(FORMAT) => {
                 let folder = Self { dir: dir.into(), about };
-                folder.check_runs_folder()?;
+                folder.check_folders()?;
                 Ok(folder)
             }
             Some(other) => Err(form(format!("format {other}, this program reads {FORMAT}"))),
@@ -226,14 +233,19 @@ impl Folder {
     }
 
     /// Refuses a link: runs would be written outside of the folder.
-    fn check_runs_folder(&self) -> Result<(), FolderError> {
-        let path = self.dir.join(RUNS_DIR);
-        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
-        match fs::symlink_metadata(&path) {
-            Ok(found) if found.is_dir() => Ok(()),
-            Ok(_) => Err(form("it is a link or a file, not a folder".into())),
-            Err(error) => Err(form(error.to_string())),
+    fn check_folders(&self) -> Result<(), FolderError> {
+        for name in [RUNS_DIR, TIMES_DIR] {
+            let path = self.dir.join(name);
+            let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
+            match fs::symlink_metadata(&path) {
+                Ok(found) if found.is_dir() => {}
+                Ok(_) => return Err(form("it is a link or a file, not a folder".into())),
+                // Sweeps of earlier versions have no times.
+                Err(error) if name == TIMES_DIR && error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => return Err(form(error.to_string())),
+            }
         }
+        Ok(())
     }
 
     /// Path of the folder.
@@ -334,6 +346,22 @@ impl Folder {
         })
     }
 
+    /// How long a run took; `None` if it was run by a version that did not measure it.
+    ///
+    /// # Errors
+    /// If the times cannot be read.
+    pub fn times(&self, run: usize) -> Result<Option<RunTimes>, FolderError> {
+        let path = self.dir.join(TIMES_DIR).join(file_name(run));
+        let shown = || path.display().to_string();
+        match fs::read_to_string(&path) {
+            Ok(text) => serde_json::from_str(&text)
+                .map(Some)
+                .map_err(|error| FolderError::Form { path: shown(), what: error.to_string() }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(source) => Err(FolderError::Read { path: shown(), source }),
+        }
+    }
+
     /// The frozen graph.
     ///
     /// # Errors
@@ -361,8 +389,13 @@ impl Folder {
         Ok(sets.iter().filter_map(Json::as_str).map(str::to_owned).collect())
     }
 
-    /// Stores a run that ended, with its settings.
-    pub(super) fn keep(&self, done: &Done, sets: &[String]) -> Result<(), FolderError> {
+    /// Stores a run that ended, with its settings and times.
+    pub(super) fn keep(&self, done: &Done, sets: &[String], times: Option<&RunTimes>) -> Result<(), FolderError> {
+        if let Some(times) = times {
+            fs::create_dir_all(self.dir.join(TIMES_DIR)).map_err(|source| self.cannot_write(TIMES_DIR, source))?;
+            let name = format!("{TIMES_DIR}/{}", file_name(done.run));
+            self.write(&name, format!("{}\n", json!(times)).as_bytes())?;
+        }
         let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
         let mut json = json!({
             "run": done.run, "seed": done.seed, "values": values, "set": sets, "status": done.status,
@@ -374,7 +407,7 @@ impl Folder {
         self.write(&format!("{RUNS_DIR}/{}", file_name(done.run)), format!("{json}\n").as_bytes())
     }
 
-    /// Writes `runs.csv` and `points.csv` from the stored runs.
+    /// Writes `runs.csv`, `points.csv` and `times.csv` from the stored runs.
     ///
     /// # Errors
     /// If a run cannot be read or a table cannot be written.
@@ -385,7 +418,10 @@ impl Folder {
         self.write(RUNS, &text)?;
         text.clear();
         write_points(self, &spec, &mut text)?;
-        self.write(POINTS, &text)
+        self.write(POINTS, &text)?;
+        text.clear();
+        write_times(self, &spec, &mut text)?;
+        self.write(TIMES, &text)
     }
 
     /// The plugins, with what they had loaded when the last run ended.
@@ -445,10 +481,15 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     }
     let folder = Folder::begin(dir, &first.graph()?, about)?;
     for (run, shard) in from {
-        let name = format!("{RUNS_DIR}/{}", file_name(run));
-        let path = shard.dir.join(&name);
-        let bytes = fs::read(&path).map_err(|source| FolderError::Read { path: path.display().to_string(), source })?;
-        folder.write(&name, &bytes)?;
+        for inside in [TIMES_DIR, RUNS_DIR] {
+            let name = format!("{inside}/{}", file_name(run));
+            let path = shard.dir.join(&name);
+            match fs::read(&path) {
+                Ok(bytes) => folder.write(&name, &bytes)?,
+                Err(error) if inside == TIMES_DIR && error.kind() == io::ErrorKind::NotFound => {}
+                Err(source) => return Err(FolderError::Read { path: path.display().to_string(), source }),
+            }
+        }
     }
     folder.write_tables()?;
     Ok(folder)

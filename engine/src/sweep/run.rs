@@ -1,8 +1,8 @@
 //! Runs the missing runs of a sweep on several workers.
 
 use super::{
-    Done, Folder, FolderError, Run, Shard, Sweep, SweepCounts, SweepOptions, Unsteady, Watcher, run_row, share::Shared,
-    twice,
+    Done, Folder, FolderError, Run, RunTimes, Shard, Sweep, SweepCounts, SweepOptions, Unsteady, Watcher, run_row,
+    share::Shared, twice,
 };
 use crate::{
     options::RunOptions,
@@ -50,55 +50,59 @@ impl Sweep {
         on_workers(
             options.workers.max(1),
             &|_| {
-                let mut now = lock();
-                loop {
-                    if cancelled.load(Ordering::Relaxed) || now.error.is_some() {
-                        ended.notify_all();
-                        return;
-                    }
-                    let free = now.pending.iter().position(|&run| now.shared.is_free(&self.runs[run].keys));
-                    let Some(at) = free else {
-                        if now.pending.is_empty() {
+                alone(&|| {
+                    let mut now = lock();
+                    loop {
+                        if cancelled.load(Ordering::Relaxed) || now.error.is_some() {
+                            ended.notify_all();
                             return;
                         }
-                        now = ended.wait(now).unwrap_or_else(PoisonError::into_inner);
-                        continue;
-                    };
-                    let Some(run) = now.pending.remove(at).map(|run| &self.runs[run]) else { return };
-                    let found = now.shared.begin(&run.keys);
-                    drop(now);
-                    let n_shared = found.iter().flatten().count();
-                    let (mut done, left) = self.run_one(run, options, &found);
-                    if let Some(first) = done.as_mut().filter(|done| twice.contains(&done.run) && !done.is_failed()) {
-                        first.twice = self.run_again(run, options, first, &found, &left);
-                    }
-                    drop(found);
-                    let kept = done.as_ref().map(|done| match (self.changed(run), late_difference(&loaded_before)) {
-                        (None, None) => folder.keep(done, &run.row.sets),
-                        (Some(file), _) => Err(FolderError::Changed { path: file.display().to_string() }),
-                        (None, Some(what)) => {
-                            Err(FolderError::Other { path: folder.dir().display().to_string(), what })
+                        let free = now.pending.iter().position(|&run| now.shared.is_free(&self.runs[run].keys));
+                        let Some(at) = free else {
+                            if now.pending.is_empty() {
+                                return;
+                            }
+                            now = ended.wait(now).unwrap_or_else(PoisonError::into_inner);
+                            continue;
+                        };
+                        let Some(run) = now.pending.remove(at).map(|run| &self.runs[run]) else { return };
+                        let found = now.shared.begin(&run.keys);
+                        drop(now);
+                        let n_shared = found.iter().flatten().count();
+                        let (mut done, times, left) = self.run_one(run, options, &found);
+                        if let Some(first) = done.as_mut().filter(|done| twice.contains(&done.run) && !done.is_failed())
+                        {
+                            first.twice = self.run_again(run, options, first, &found, &left);
                         }
-                    });
-                    now = lock();
-                    let plugins = with_late_loads(&now.plugins);
-                    if plugins != now.plugins {
-                        now.error = folder.note_plugins(&plugins).err().or(now.error.take());
-                        now.plugins = plugins;
-                    }
-                    now.shared.end(&run.keys, left);
-                    now.swept.n_shared += n_shared;
-                    now.swept.n_computed += run.keys.len() - n_shared;
-                    match (kept, &done) {
-                        (Some(Err(error)), _) => now.error = now.error.take().or(Some(error)),
-                        (Some(Ok(())), Some(done)) => {
-                            now.swept.n_run += 1;
-                            watcher.ended(done);
+                        drop(found);
+                        let kept =
+                            done.as_ref().map(|done| match (self.changed(run), late_difference(&loaded_before)) {
+                                (None, None) => folder.keep(done, &run.row.sets, times.as_ref()),
+                                (Some(file), _) => Err(FolderError::Changed { path: file.display().to_string() }),
+                                (None, Some(what)) => {
+                                    Err(FolderError::Other { path: folder.dir().display().to_string(), what })
+                                }
+                            });
+                        now = lock();
+                        let plugins = with_late_loads(&now.plugins);
+                        if plugins != now.plugins {
+                            now.error = folder.note_plugins(&plugins).err().or(now.error.take());
+                            now.plugins = plugins;
                         }
-                        _ => {}
+                        now.shared.end(&run.keys, left);
+                        now.swept.n_shared += n_shared;
+                        now.swept.n_computed += run.keys.len() - n_shared;
+                        match (kept, &done) {
+                            (Some(Err(error)), _) => now.error = now.error.take().or(Some(error)),
+                            (Some(Ok(())), Some(done)) => {
+                                now.swept.n_run += 1;
+                                watcher.ended(done);
+                            }
+                            _ => {}
+                        }
+                        ended.notify_all();
                     }
-                    ended.notify_all();
-                }
+                })
             },
             &|_, error| tracing::warn!("one thread less: {error}"),
         );
@@ -147,37 +151,61 @@ impl Sweep {
     ) -> Option<Vec<Unsteady>> {
         let run_options = RunOptions { store: None, ..options.run.clone() };
         let options = SweepOptions { run: run_options, ..options.clone() };
-        let (second, again) = self.run_one(run, &options, &vec![None; run.plan.nodes.len()]);
+        let (second, _, again) = self.run_one(run, &options, &vec![None; run.plan.nodes.len()]);
         let before: Vec<_> = found.iter().zip(left).map(|(found, left)| found.as_deref().or(left.as_ref())).collect();
         let nodes = twice::compare(&run.plan, &self.registry, &before, &again);
         Some(twice::unsteady(&self.spec, &run.plan, &nodes, first, &second?))
     }
 
-    /// Runs one row; `None` if the user stopped it.
+    /// Runs one row; nothing if the user stopped it, and no times of one that could not begin.
     fn run_one(
         &self,
         run: &Run,
         options: &SweepOptions,
         found: &[Option<Arc<FinishedNode>>],
-    ) -> (Option<Done>, Vec<Option<FinishedNode>>) {
-        let of_run = RunOptions { workers: 1, out_dir: None, record: false, latency: false, ..options.run.clone() };
+    ) -> (Option<Done>, Option<RunTimes>, Vec<Option<FinishedNode>>) {
+        let of_run = RunOptions {
+            workers: 1,
+            out_dir: None,
+            record: false,
+            latency: false,
+            cpu_time: true,
+            ..options.run.clone()
+        };
         let (report, left) = run_row::run(&run.plan, &self.registry, &of_run, found);
+        let mut times = None;
         let done = match report {
             Ok(report) => {
                 let format = |warning: &Warning| {
                     format!("node \"{}\", item {}: {}", warning.node, warning.item, warning.message)
                 };
                 let warnings = report.warnings.iter().map(format).collect();
+                let of_run = RunTimes::of(run.row.run, &run.plan, &report, found);
                 let reason = match &report.outcome {
-                    Outcome::Interrupted => return (None, left),
+                    Outcome::Interrupted => return (None, None, left),
                     Outcome::Refused(refusal) => Some(refusal.to_string()),
                     Outcome::Complete => None,
                 };
-                Done::of(&run.row, report.outcome.status(), reason, warnings, report.results)
+                let mut results = report.results;
+                of_run.add_to(&mut results, &self.spec.columns);
+                times = Some(of_run);
+                Done::of(&run.row, report.outcome.status(), reason, warnings, results)
             }
             Err(error) => Done::of(&run.row, Done::FAILED, Some(error.to_string()), Vec::new(), Json::Null),
         };
-        (Some(done), left)
+        (Some(done), times, left)
+    }
+}
+
+/// Does the work in a pool of one thread: as many rows run at a time as threads are wanted, and the time of an algorithm is
+/// that of its node alone.
+fn alone(work: &(dyn Fn() + Sync)) {
+    match rayon::ThreadPoolBuilder::new().num_threads(1).stack_size(8 << 20).build() {
+        Ok(pool) => pool.install(work),
+        Err(error) => {
+            tracing::warn!("no pool of its own: {error}");
+            work();
+        }
     }
 }
 

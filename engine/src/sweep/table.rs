@@ -20,7 +20,7 @@ pub fn at_path<'a>(results: &'a Json, path: &str) -> Option<&'a Json> {
 }
 
 /// Formats a cell: numbers in full precision, strings without quotes, null as empty.
-fn cell(value: &Json) -> String {
+pub(super) fn cell(value: &Json) -> String {
     match value {
         Json::Null => String::new(),
         Json::String(text) => text.clone(),
@@ -29,7 +29,7 @@ fn cell(value: &Json) -> String {
 }
 
 /// Names of factors, draws and repeats, as columns.
-fn names(spec: &Spec) -> impl Iterator<Item = &str> {
+pub(super) fn names(spec: &Spec) -> impl Iterator<Item = &str> {
     let factors = spec.factors.iter().map(|factor| factor.name.as_str());
     factors.chain([spec.repeat_name.as_str()]).chain(spec.draws.iter().map(|draw| draw.name.as_str()))
 }

@@ -70,7 +70,8 @@ fn bytes(item: &Item) -> Vec<u8> {
 pub(super) fn unsteady(spec: &Spec, plan: &Plan, nodes: &[usize], first: &Done, second: &Done) -> Vec<Unsteady> {
     let number = |done: &Done, path: &str| at_path(&done.results, path).and_then(serde_json::Value::as_f64);
     let difference = |path: &str| Some((number(second, path)? - number(first, path)?).abs());
-    let columns = spec.columns.iter().filter_map(|column| Some((column.name.clone(), difference(&column.path)?)));
+    let columns = spec.columns.iter().filter(|column| !column.is_time());
+    let columns = columns.filter_map(|column| Some((column.name.clone(), difference(&column.path)?)));
     let columns: BTreeMap<_, _> = columns.filter(|(_, difference)| *difference > 0.0).collect();
     let node = |index: &usize| {
         let node = &plan.nodes[*index];

@@ -18,7 +18,7 @@ use crate::{
     panics,
     plan::{OnError, Plan},
     report::{Event, Failure, NodeStats, Warning},
-    runtime::Runtime,
+    runtime::{CpuClock, Runtime},
     scheduler::{Stepped, Turn},
     tap::Failed,
 };
@@ -53,6 +53,12 @@ pub(crate) struct Cell {
     failed: u64,
     /// Durations of firings.
     took: Histogram,
+    /// Processor time of its firings, where it is measured.
+    cpu: Option<Duration>,
+    /// When the first activation began.
+    began: Option<Instant>,
+    /// From then to its end.
+    wall: Duration,
     /// Number of firings of this turn that are timed together, and the start of the first.
     together: Option<(u64, Instant)>,
     cheap: bool,
@@ -134,6 +140,9 @@ impl Cell {
             skipped: 0,
             failed: 0,
             took: Histogram::default(),
+            cpu: None,
+            began: None,
+            wall: Duration::ZERO,
             together: None,
             cheap: false,
         }
@@ -193,11 +202,22 @@ impl Cell {
     /// Counts firings and updates whether the node is cheap.
     fn count(&mut self, n: u64, took: Duration, run: &Runtime<'_>) {
         self.took.count(n, took.as_nanos() as u64);
+        if self.cheap {
+            // Reading the clock of the processor's time would take as long as the firing, which does not wait.
+            self.cpu = self.cpu.map(|cpu| cpu + took);
+        }
         let n_fired = self.took.n();
         let cheap = n_fired >= MIN_TIMED_FIRINGS && self.took.sum_ns() / CHEAP_NS < n_fired;
         if cheap != self.cheap {
             self.cheap = cheap;
             run.note_cheap(self.index, cheap);
+        }
+    }
+
+    /// Counts the processor time since a firing began.
+    fn count_cpu(&mut self, clock: Option<(CpuClock, Duration)>) {
+        if let Some((clock, began)) = clock {
+            self.cpu = self.cpu.map(|cpu| cpu + clock().saturating_sub(began));
         }
     }
 
@@ -308,8 +328,10 @@ impl Cell {
         pulled
     }
 
-    fn started(&self, run: &Runtime<'_>) {
+    fn started(&mut self, run: &Runtime<'_>) {
         if self.item == 0 {
+            self.began = Some(Instant::now());
+            self.cpu = run.cpu_clock.map(|_| Duration::ZERO);
             run.event(&Event::Started { node: self.context.node() });
         }
     }
@@ -330,10 +352,12 @@ impl Cell {
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
         let answer_cache = run.answer_cache(self.index);
+        let cpu_clock = run.cpu_clock.filter(|_| !self.cheap).map(|clock| (clock, clock()));
         let answered = call_node(self.name, Doing::Firing, item, context, |context| match answer_cache {
             Some(answer_cache) => answer_cache.fire(self.index, node, joiner.joined_mut(), out, context),
             None => node.fire(joiner.joined_mut(), out, context),
         });
+        self.count_cpu(cpu_clock);
         let timed = began.map(|began| (began, took_since(began, turn)));
         self.after(Firing { item, stamp_ns, timed }, answered, run, turn);
         if let Core::Node(_, joiner) = &mut self.core {
@@ -347,7 +371,9 @@ impl Cell {
         let began = self.begin(item, stamp_or_zero(self.stamp_ns), run, turn);
         let Core::Source(source) = &mut self.core else { unreachable!("only a source is called") };
         let (context, out) = (&mut self.context, &mut self.emissions);
+        let cpu_clock = run.cpu_clock.filter(|_| !self.cheap).map(|clock| (clock, clock()));
         let answered = call_node(self.name, Doing::Firing, item, context, |context| source.next(out, context));
+        self.count_cpu(cpu_clock);
         let stamp_ns = self.context.stamp_ns();
         if matches!(answered, Ok(Ok(false))) {
             // The call that found the end is not an answer.
@@ -559,6 +585,7 @@ impl Cell {
         let failed = matches!(self.phase, Phase::Failing(_));
         self.outputs.iter_mut().for_each(|output| output.close(run, turn));
         run.event(&Event::Ended { node: self.context.node() });
+        self.wall = self.began.map(|began| began.elapsed()).unwrap_or_default();
         self.core = match std::mem::replace(&mut self.core, Core::Gone(None)) {
             Core::Node(node, mut joiner) => {
                 self.retired = Some(Built::Node(node));
@@ -614,6 +641,8 @@ impl Cell {
             skipped: self.skipped,
             failed: self.failed,
             busy: Duration::from_nanos(self.took.sum_ns()),
+            cpu: self.cpu,
+            wall: self.wall,
             p50: spread.p50,
             p95: spread.p95,
             p99: spread.p99,

@@ -1,14 +1,18 @@
 //! Checks that columns and points can exist in the results: each path must start with a result of the graph.
 
-use super::Reader;
-use crate::{fault::Fault, graph::Table, names::nearest};
+use super::{Column, Reader, spec::TIMES};
+use crate::{
+    fault::Fault,
+    graph::{Spanned, Table},
+    names::nearest,
+};
 
 /// Results that every run has, regardless of `[results]`.
 const ALWAYS: [&str; 2] = ["notice", "refused"];
 
 impl Reader<'_> {
-    /// Faults for columns and points that no run can have; `results` are those of the graph.
-    pub(super) fn paths(&mut self, table: &Table, results: &[String]) {
+    /// Faults for columns and points that no run can have; `results` and `nodes` are those of the graph.
+    pub(super) fn paths(&mut self, table: &Table, results: &[String], nodes: &[String]) {
         let known: Vec<&str> = results.iter().map(String::as_str).chain(ALWAYS).collect();
         for (kind, what) in [("columns", "column"), ("points", "points")] {
             let entries = table.get(kind).and_then(|entry| entry.value.as_table()).into_iter().flat_map(|t| &t.0);
@@ -21,6 +25,9 @@ impl Reader<'_> {
                 if known.iter().any(|key| inside(key, path) || inside(path, key)) {
                     continue;
                 }
+                if kind == "columns" && self.is_time(value, path, &entry.key, nodes) {
+                    continue;
+                }
                 let fault = Fault::new(format!("{what} \"{}\" asks for {path}, which no run has", entry.key));
                 let help = meant(path, &known).map(|path| format!("did you mean \"{path}\"?"));
                 self.faults.push(
@@ -31,6 +38,36 @@ impl Reader<'_> {
                 );
             }
         }
+    }
+
+    /// Whether a column asks for a time, with a fault if there is none such.
+    fn is_time(&mut self, value: &Spanned, path: &str, name: &str, nodes: &[String]) -> bool {
+        let times = format!("the times of a node and of the run are {}", TIMES.join(", "));
+        let Some(of) = path.strip_prefix("nodes.") else {
+            let Some(time) = path.strip_prefix("run.") else { return false };
+            if !TIMES.contains(&time) {
+                let fault = Fault::new(format!("column \"{name}\" asks for {path}, which no run has"));
+                self.faults.push(fault.at(&value.at, "no time of the run").note(times));
+            }
+            return true;
+        };
+        let Some((node, _)) = Column::node_of(path) else {
+            let fault = Fault::new(format!("column \"{name}\" asks for {path}, which no node has"));
+            let node = of.split('.').next().unwrap_or_default();
+            let help = format!("write \"nodes.{node}.cpu_ms\"");
+            self.faults.push(fault.at(&value.at, "no time of a node").note(times).help(help));
+            return true;
+        };
+        // A node of a module is named after the node that uses the module.
+        let outer = node.split('/').next().unwrap_or_default();
+        if !nodes.iter().any(|known| known == outer) {
+            let fault = Fault::new(format!("column \"{name}\" asks for the time of \"{node}\", which is no node"));
+            let known = nodes.iter().map(String::as_str);
+            let help = nearest::name(outer, known.clone()).map(|name| format!("did you mean \"{name}\"?"));
+            let fault = fault.at(&value.at, "no node of the graph").note_if(nearest::all("its nodes", known));
+            self.faults.push(fault.help_if(help));
+        }
+        true
     }
 }
 

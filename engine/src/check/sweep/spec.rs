@@ -107,6 +107,22 @@ pub struct Column {
     pub path: String,
 }
 
+/// What is measured of the time of a run and of each of its nodes.
+pub(super) const TIMES: [&str; 3] = ["busy_ms", "cpu_ms", "wall_ms"];
+
+impl Column {
+    /// Whether it is a time of a node or of the run, which differs each time the run is computed.
+    pub fn is_time(&self) -> bool {
+        let of_run = self.path.strip_prefix("run.").filter(|time| TIMES.contains(time));
+        of_run.is_some() || Self::node_of(&self.path).is_some()
+    }
+
+    /// The node and the time of which a path tells: `nodes.icp.cpu_ms`.
+    pub(crate) fn node_of(path: &str) -> Option<(&str, &str)> {
+        path.strip_prefix("nodes.")?.rsplit_once('.').filter(|(_, time)| TIMES.contains(time))
+    }
+}
+
 /// A list of points in the results of each run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PointColumn {

@@ -589,7 +589,27 @@ class CopiedModules:
 
 # ── what is loaded ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
-THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
+                 "OSTEOFLOW_NUM_THREADS")
+
+
+class FewProcessors:
+    """Lets the process see as many processors as OSTEOFLOW_NUM_THREADS says, for as long as libraries count them to decide on
+    their threads, as TBB does, which has no variable for it."""
+
+    def __init__(self):
+        self.all = None
+        limit = os.environ.get("OSTEOFLOW_NUM_THREADS", "")
+        if limit.isdigit() and int(limit) > 0 and hasattr(os, "sched_setaffinity"):
+            self.all = os.sched_getaffinity(0)
+            # Processes that begin together take different ones.
+            seen, first = sorted(self.all), os.getpid()
+            os.sched_setaffinity(0, {seen[(first + k) % len(seen)] for k in range(int(limit))})
+
+    def end(self):
+        if self.all is not None:
+            os.sched_setaffinity(0, self.all)
+            self.all = None
 
 
 def loads():
@@ -1102,7 +1122,7 @@ class Server:
 
 def serve(file, copies=None):
     """Serves a node at a time: each message that builds one ends the node before it. What is imported stays, and constants."""
-    connection, memory, loaded = Connection(), Memory(), None
+    connection, memory, loaded, few = Connection(), Memory(), None, FewProcessors()
     sys.stdout.reconfigure(line_buffering=True)
     while (message := connection.receive()) is not None:
         (what, about), = message.items()
@@ -1115,6 +1135,7 @@ def serve(file, copies=None):
                 return
         else:
             server.answer(about, file, loaded)
+            few.end()
 
 
 class Loaded:

@@ -51,6 +51,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
     figures::columns(&mut page, &sweep);
     figures::points(&mut page, &sweep);
     figures::draws(&mut page, &sweep);
+    figures::times(&mut page, &sweep);
     again::maps(&mut page, &sweep, &folder, kinds);
     page.section("Statistics");
     match dir.join(SUMMARY).is_file() {

@@ -6,7 +6,7 @@ use crate::{
     format::number,
     html::Page,
 };
-use osteoflow_engine::sweep::{Column, Distribution, Draw, Factor};
+use osteoflow_engine::sweep::{Column, Distribution, Done, Draw, Factor};
 use osteoflow_statistics::pearson;
 use serde_json::Value as Json;
 
@@ -283,6 +283,52 @@ pub(super) fn draws(page: &mut Page, sweep: &SweepResults) {
     if left_out > 0 {
         page.text(&format!("{left_out} more pairs of a drawn number and a column are in runs.csv."));
     }
+}
+
+/// Each column of errors against each column of times: a dot for each run, coloured by setting, and the medians of the settings.
+pub(super) fn times(page: &mut Page, sweep: &SweepResults) {
+    let (times, others): (Vec<_>, Vec<_>) = sweep.numeric().into_iter().partition(|column| column.is_time());
+    let settings = sweep.settings();
+    for time in &times {
+        for column in others.iter().take(MAX_PER_DRAW) {
+            against_time(page, &settings, time, column);
+        }
+        if others.len() > MAX_PER_DRAW {
+            page.text(&format!("{} more columns against {} are in runs.csv.", others.len() - MAX_PER_DRAW, time.name));
+        }
+    }
+}
+
+fn against_time(page: &mut Page, settings: &[Setting<'_>], time: &Column, column: &Column) {
+    let pairs = |setting: &Setting<'_>| -> Vec<(f64, f64, String)> {
+        let pair = |run: &&Done| Some((number_of(run, time)?, number_of(run, column)?, format!("run {}", run.run)));
+        setting.runs.iter().filter_map(pair).collect()
+    };
+    let all: Vec<_> = settings.iter().map(pairs).collect();
+    let spread = |value: fn(&(f64, f64, String)) -> f64| {
+        let values = all.iter().flatten().map(value);
+        let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
+        low > 0.0 && high / low >= 20.0
+    };
+    let axis = |log, name: &str| if log { Axis::Log(axis_label(name)) } else { Axis::Linear(axis_label(name)) };
+    let (x, y) = (axis(spread(|p| p.0), &time.name), axis(spread(|p| p.1), &column.name));
+    let series = settings.iter().zip(&all).enumerate().filter_map(|(k, (setting, pairs))| {
+        let of = |value: fn(&(f64, f64, String)) -> f64| Tukey::of(&pairs.iter().map(value).collect::<Vec<_>>());
+        let (time, error) = (of(|p| p.0)?.median, of(|p| p.1)?.median);
+        let tip = format!("{}: medians of {} runs, {} and {}", setting.name, pairs.len(), number(time), number(error));
+        let name = if settings.len() > 1 { setting.name.clone() } else { String::new() };
+        Some(Series {
+            name,
+            colour: k % N_COLOURS,
+            marks: vec![Mark::Dots(pairs.clone()), Mark::Dots(vec![(time, error, tip)])],
+        })
+    });
+    let title = format!("{} against {}", axis_label(&column.name), axis_label(&time.name));
+    let about = format!("A scatter of {} over {}, a dot for each run.", column.name, time.name);
+    let chart = Chart { title: title.clone(), about, x, y, series: series.collect(), note: String::new() };
+    let n: usize = all.iter().map(Vec::len).sum();
+    let caption = format!("{title}, a dot for each run: n = {n} runs. Times are of this machine and its load.");
+    page.figure(&format!("time-{}-{}", time.name, column.name), chart.svg(page.simulated()), &caption);
 }
 
 /// A panel for each setting, with common axes: in one panel, dots would hide each other.
