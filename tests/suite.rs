@@ -60,6 +60,8 @@ mod schema;
 mod simulate;
 mod simulated;
 mod store;
+#[cfg(unix)]
+mod sweep_times;
 mod sweeps;
 mod untrusted;
 #[cfg(unix)]

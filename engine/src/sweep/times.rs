@@ -67,8 +67,10 @@ impl RunTimes {
 
     /// Sums over the nodes that this run computed itself: duration and processor time of firings.
     fn sums(&self) -> (f64, Option<f64>) {
-        let own = || self.nodes.iter().filter(|node| node.from != "shared");
-        (own().map(|node| node.busy_ms).sum(), own().map(|node| node.cpu_ms).sum())
+        let own = self.nodes.iter().filter(|node| node.from != "shared");
+        own.fold((0.0, Some(0.0)), |(busy, cpu), node| {
+            (busy + node.busy_ms, cpu.zip(node.cpu_ms).map(|(sum, cpu)| sum + cpu))
+        })
     }
 
     /// Adds to the results what columns ask for: `nodes.NAME.cpu_ms`, `run.wall_ms`. A result of the graph with the same key stays.
