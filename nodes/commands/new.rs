@@ -95,8 +95,8 @@ const NOT_FOR_CRATES: &str = "\
     osteoflow_payloads override priv proc_macro pub ref return self static std struct super test trait \
     true try type typeof unsafe unsized use virtual where while yield";
 
-/// Names whose files would replace others: `graphs/fibula.toml`, and packages of Python.
-const WRITTEN_OR_IMPORTED: &[&str] = &["fibula", "numpy", "scipy"];
+/// Names whose files would replace others: `graphs/fibula.toml`, `graphs/study.toml`, and packages of Python.
+const WRITTEN_OR_IMPORTED: &[&str] = &["fibula", "study", "numpy", "scipy"];
 
 /// A graph without the line that names its schema, which editors find only beside the shipped graphs.
 fn without_schema(text: &'static str) -> &'static str {

@@ -155,21 +155,25 @@ pub(super) fn files(name: &str, lang: Lang, like: Like) -> Vec<(String, String)>
     let points = ("graphs/points.xyz", include_str!("../../template/graphs/points.xyz"));
     let row = "| `graphs/points.xyz` | points of the bone that the graph reads |\n";
     let has_points = like == Like::Source;
+    let study = ("graphs/study.toml", include_str!("../../template/graphs/study.toml"));
+    let row_of_study = "| `graphs/study.toml` | both beside each other on simulated procedures: `osteoflow sweep graphs/study.toml --out S`, `osteoflow report S` |\n";
+    let has_study = like == Like::Icp;
     let written = |text: &str| {
         text.replace("BUILD", lang.build(like))
             .replace("SUMMARY", summary)
             .replace("USE", use_of_it)
             .replace("| POINTS |\n", if has_points { row } else { "" })
+            .replace("| STUDY |\n", if has_study { row_of_study } else { "" })
             .replace("VARIANT", like.variant(lang))
             .replace(NAME, name)
     };
     let shared = [(FIBULA.0, without_schema(FIBULA.1)), ("graphs/my_plugin.toml", &graph)];
-    let more = has_points.then_some(points);
+    let more = has_points.then_some(points).into_iter().chain(has_study.then_some(study));
     let files = lang.files(like).into_iter().chain(shared).chain(more);
     files
         .map(|(path, text)| {
             // Only these have placeholders beside the name.
-            let has_placeholders = path == "README.md" || path == "graphs/my_plugin.toml";
+            let has_placeholders = ["README.md", "graphs/my_plugin.toml", study.0].contains(&path);
             (path.replace(NAME, name), if has_placeholders { written(text) } else { text.replace(NAME, name) })
         })
         .collect()

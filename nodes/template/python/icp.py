@@ -5,6 +5,7 @@ Unchanged, it gives the pose of the built-in `icp.point_to_plane` with `gate_sig
 takes tissue and outliers.
 """
 
+import weakref
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -45,7 +46,6 @@ class PointToPlane:
 
     def __init__(self, params: Params):
         self.params = params
-        self.known = (None, None)
 
     def process(
         self,
@@ -59,7 +59,7 @@ class PointToPlane:
             raise NodeError(f"init maps {init.from_} -> {init.to}, but {frames}")
         if target.normals is None:
             raise NodeError("the target has no normals; prepare it with normals")
-        tree, points = self.tree(target), source.points
+        tree, points = tree_of(target), source.points
         t = init.matrix
         converged, rms, n_pairs = False, float("nan"), 0
         for iteration in range(1, self.params.max_iterations + 1):
@@ -90,11 +90,15 @@ class PointToPlane:
         report = Report(converged, "step" if converged else "max_iterations", iteration, n_pairs, rms)
         return Fit(Pose(target.frame, source.frame, t, source.stamp_ns), report)
 
-    def tree(self, target):
-        """The search tree of the target, which is the same at every firing."""
-        if self.known[0] is not target:
-            self.known = (target, cKDTree(target.points))
-        return self.known[1]
+
+# A constant is the same object at every firing, and in a sweep in every run with that bone.
+TREES = weakref.WeakKeyDictionary()
+
+
+def tree_of(target):
+    if target not in TREES:
+        TREES[target] = cKDTree(target.points)
+    return TREES[target]
 
 
 def rotation(vector):
