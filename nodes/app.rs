@@ -4,6 +4,7 @@
 //! It checks what it names, does the work and returns values; it prints nothing.
 //! Progress goes to the observer that the caller hands over.
 
+pub(crate) mod archive;
 mod error;
 pub(crate) mod files;
 pub(crate) mod folder_lock;
@@ -16,6 +17,7 @@ pub(crate) mod run;
 pub(crate) mod simulate;
 pub(crate) mod sweep;
 
+pub use archive::{ArchiveArgs, ExportRequest, Exported, Sameness, same};
 pub use error::Error;
 pub use files::{Content, read, write_cloud, write_mesh, write_points, write_pose};
 pub use options::{GraphArgs, Keep, Leave, SettingValue};

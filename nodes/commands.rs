@@ -9,6 +9,7 @@ mod convert;
 mod diff;
 mod digest;
 mod expand;
+mod export;
 mod graph;
 mod info;
 mod inspect;

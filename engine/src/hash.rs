@@ -5,6 +5,8 @@ pub(crate) mod files;
 pub(crate) mod mapped;
 pub mod program;
 
+pub use files::sha256;
+
 use sha2::{Digest as _, Sha256};
 use std::fmt;
 

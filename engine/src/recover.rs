@@ -95,13 +95,22 @@ impl RecoverReport {
 /// # Errors
 /// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
+    copy(from, to, Recovery::default(), progress)
+}
+
+fn copy(
+    from: &Path,
+    to: &Path,
+    mut recovery: Recovery<'_>,
+    progress: Progress<'_>,
+) -> Result<RecoverReport, RecoverError> {
     File::open(from).map_err(|error| RecordingError::read(from, error))?;
     let write_error = |error| RecoverError::Write(format!("{}: {error}", to.display()));
     let file = File::options().write(true).create_new(true).open(to).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists => RecoverError::Exists(to.into()),
         _ => write_error(error),
     })?;
-    let mut recovery = Recovery { output: Output { file: Some(file), writer: None }, ..Recovery::default() };
+    recovery.output.file = Some(file);
     let passed = pass(from, &mut recovery, progress).map_err(RecoverError::Read);
     let report = passed.and_then(|passed| recovery.finish(from, passed).map_err(write_error));
     let report = report.and_then(|report| match report.n_messages == 0 && !report.is_recording() {
@@ -116,6 +125,26 @@ pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<Recover
         let _ = fs::remove_file(to);
     }
     report
+}
+
+/// Copies a sound recording to `to`, which must not exist, with the texts of its metadata changed by `rename`: what the run was,
+/// not its items.
+///
+/// # Errors
+/// As [`recover`]; also if the recording is damaged.
+pub fn copy_renamed(from: &Path, to: &Path, rename: &dyn Fn(&str) -> String) -> Result<(), RecoverError> {
+    let recovery = Recovery { rename: Some(rename), ..Recovery::default() };
+    match copy(from, to, recovery, &mut |_, _| {})? {
+        report if report.is_whole() => Ok(()),
+        report => {
+            let _ = fs::remove_file(to);
+            let damage = report.damages.first().map_or("it is not whole".into(), ToString::to_string);
+            Err(RecoverError::Nothing(format!(
+                "{} is copied as it is damaged: {damage}; recover it first",
+                from.display()
+            )))
+        }
+    }
 }
 
 /// The new file; its header is written by the first call of [`Output::writer`].
@@ -140,8 +169,10 @@ impl Output {
 type Schema = (String, String, Vec<u8>);
 
 #[derive(Default)]
-struct Recovery {
+struct Recovery<'a> {
     output: Output,
+    /// Changes the texts of metadata.
+    rename: Option<&'a dyn Fn(&str) -> String>,
     failed: Option<io::Error>,
     schemas: BTreeMap<u16, Schema>,
     /// Identifiers in the new file by those in the damaged one.
@@ -155,7 +186,7 @@ struct Recovery {
     n_lost: u64,
 }
 
-impl Recovery {
+impl Recovery<'_> {
     fn write(&mut self, record: &Record<'_>) -> io::Result<()> {
         match record {
             Record::Header { profile } => self.output.writer(profile).map(drop),
@@ -168,6 +199,10 @@ impl Recovery {
             Record::Attachment(attachment) => self.output.writer("")?.write_attachment(attachment),
             // A record that damage has doubled is written once; what is missing is written anew.
             Record::Metadata { name, entries } if *name != Recovered::NAME && self.metadata.insert((*name).into()) => {
+                let entries = match self.rename {
+                    Some(rename) => &entries.iter().map(|(key, text)| (rename(key), rename(text))).collect(),
+                    None => entries,
+                };
                 self.output.writer("")?.write_metadata(name, entries)
             }
             _ => Ok(()),
@@ -280,7 +315,7 @@ fn recovered(report: &RecoverReport, from: &Path, earlier: Option<Recovered>) ->
     }
 }
 
-impl Gather for Recovery {
+impl Gather for Recovery<'_> {
     fn record(&mut self, record: &Record<'_>) -> ControlFlow<()> {
         let written = self.write(record);
         self.flow(written)

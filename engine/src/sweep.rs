@@ -19,9 +19,11 @@ mod times;
 mod twice;
 
 pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
-pub use check::{again, check};
+pub use check::{again, check, check_as};
 pub use design::{SweepRow, rows};
-pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, TIMES, merge};
+pub use folder::{
+    DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, TIMES, difference_of_plugins, merge,
+};
 
 use folder::difference;
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};

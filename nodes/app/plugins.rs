@@ -8,6 +8,7 @@ use osteoflow_engine::{
     store::{Settings, Store},
 };
 use std::{
+    collections::BTreeSet,
     env,
     ffi::OsString,
     path::PathBuf,
@@ -43,6 +44,10 @@ pub struct Plugins {
     /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), or python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
+
+    /// The SHA-256 of the files that the graph may name; `None` for all.
+    #[arg(skip)]
+    pub only: Option<BTreeSet<String>>,
 }
 
 /// Names the program that runs this library, the arguments with which it runs [`crate::main`], and the file of the library:
@@ -83,7 +88,8 @@ impl Plugins {
         let asked = self.files.clone();
         let interpreter = Launcher::new(self.interpreter(), vec!["-c".into(), PYTHON_HELPER.into()]);
         let scripts = Some(Scripts { ending: "py", interpreter });
-        let finder = Finder { prober, store, asked, folders, launcher, scripts, only: None, plugins_apart, held: None };
+        let only = self.only.clone();
+        let finder = Finder { prober, store, asked, folders, launcher, scripts, only, plugins_apart, held: None };
         Ok(Kinds::new(registry(), finder))
     }
 }

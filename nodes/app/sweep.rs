@@ -9,7 +9,7 @@ use super::{
 };
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::sweep::{self, Folder, FolderError, Shard, Sweep, SweepCounts, SweepOptions, Watcher};
+use osteoflow_engine::sweep::{self, Folder, FolderError, Shard, Spec, Sweep, SweepCounts, SweepOptions, Watcher};
 use osteoflow_report::summary;
 use serde_json::Value;
 use std::{
@@ -61,6 +61,10 @@ pub struct SweepRequest {
     /// Whether answers are cached.
     #[command(flatten)]
     pub keep: Keep,
+
+    /// The specification in place of the graph's `[sweep]`.
+    #[arg(skip)]
+    pub spec: Option<Spec>,
 }
 
 fn shard(text: &str) -> Result<Shard, String> {
@@ -85,7 +89,8 @@ impl SweepRequest {
     /// All faults of the graph and its sweep.
     pub fn check(&self) -> Result<Sweep> {
         let graph = self.graph.as_deref().ok_or_else(|| UsageError("a sweep needs a graph file".into()))?;
-        Ok(sweep::check(graph, &self.sets, self.plugins.kinds_apart()?, program::n_workers(self.workers))?)
+        let (kinds, workers) = (self.plugins.kinds_apart()?, program::n_workers(self.workers));
+        Ok(sweep::check_as(graph, &self.sets, kinds, workers, self.spec.clone())?)
     }
 
     /// A new folder for the sweep, or the one to resume.

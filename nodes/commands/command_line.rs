@@ -2,8 +2,8 @@
 
 use super::common::{Exit, Global};
 use super::{
-    check, compare, completions, convert, diff, digest, expand, graph, info, inspect, new, record, recover, register,
-    replay, report, repro, run, runs, schema, simulate, sweep, validate, view, worker,
+    check, compare, completions, convert, diff, digest, expand, export, graph, info, inspect, new, record, recover,
+    register, replay, report, repro, run, runs, schema, simulate, sweep, validate, view, worker,
 };
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -31,7 +31,7 @@ Exit codes:
     1  a file could not be read or written or is not sound, or there was an internal error
     2  the command line or the graph has a fault; nothing was run
     3  the run was refused or a node failed, or a registration has no answer; the reason is printed
-    4  a replay or a recording differs from another, or a repro from the original failure
+    4  a replay, a recording or a rerun differs from another, or a repro from the original failure
     5  runs of a sweep failed; its tables lack them, and --resume --retry-failed runs them again
   130  interrupted; everything written until then is valid
 
@@ -65,6 +65,7 @@ pub(crate) enum Command {
     Recover(recover::Recover),
     Repro(repro::Repro),
     Sweep(sweep::Sweep),
+    Export(export::Export),
     Report(report::Report),
     View(view::View),
     Compare(compare::Compare),
@@ -101,6 +102,7 @@ impl Command {
             Self::Graph(command) => command.execute(global),
             Self::Schema(command) => command.execute(global),
             Self::Sweep(command) => command.execute(global),
+            Self::Export(command) => command.execute(global),
             Self::Report(command) => command.execute(global),
             Self::View(command) => command.execute(global),
             Self::Compare(command) => command.execute(global),

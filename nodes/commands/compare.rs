@@ -1,5 +1,5 @@
 use super::common::{Exit, Format, Global, print_json, summary_table, terminal, text_table::TextTable};
-use crate::app::UsageError;
+use crate::app::{UsageError, archive::is_archive, same};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
@@ -25,11 +25,18 @@ Examples:
   osteoflow compare runs/fibula-20261121-120000 runs/fibula-20261121-120500
   osteoflow compare --all runs/a runs/b                  also numbers that are equal
   osteoflow compare sweeps/camera sweeps/stylus
-  osteoflow compare sweeps/camera sweeps/stylus --margin tre_true_mm=0.5")]
+  osteoflow compare sweeps/camera sweeps/stylus --margin tre_true_mm=0.5
+  osteoflow compare S.zip again                          whether a rerun gave the same, and if not, why")]
 pub(crate) struct Compare {
     /// Folders of runs, or of sweeps; all are compared with the first.
     #[arg(required = true, num_args = 2.., value_name = "DIR")]
     folders: Vec<PathBuf>,
+
+    /// Say whether the second is the same as the first, and if not, which values differ, and which input, plugin, module, package,
+    /// interpreter or program does. Exit code 0 if all values are equal, 4 if not. Archives of `osteoflow export` are always
+    /// compared so.
+    #[arg(long)]
+    same: bool,
 
     /// For runs, also show the numbers that are equal, and those in matrices.
     #[arg(long)]
@@ -42,6 +49,9 @@ pub(crate) struct Compare {
 
 impl Compare {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
+        if self.same || self.folders.iter().any(|path| is_archive(path)) {
+            return self.same(global);
+        }
         let is_sweep = |dir: &PathBuf| dir.join(sweep::DESIGN).is_file();
         match self.folders.iter().filter(|dir| is_sweep(dir)).count() {
             0 => self.runs(global),
@@ -49,6 +59,40 @@ impl Compare {
             _ => Err(UsageError("runs and sweeps cannot be compared with each other; name folders of one kind".into())
                 .into()),
         }
+    }
+
+    fn same(&self, global: &Global) -> Result<Exit> {
+        let [first, second] = &self.folders[..] else {
+            return Err(
+                UsageError("two are compared by --same; name a folder or an archive, and another".into()).into()
+            );
+        };
+        let found = same(first, second)?;
+        let exit = if found.is_equal() { Exit::Done } else { Exit::Differs };
+        if global.format == Format::Json {
+            let mut answer = json!(found);
+            (answer["outcome"], answer["equal"], answer["folders"]) =
+                (exit.to_json(), found.is_equal().into(), json!(self.names()));
+            print_json(&answer)?;
+            return Ok(exit);
+        }
+        let mut out = terminal::stdout().lock();
+        writeln!(out, "{}", self.legend())?;
+        for (file, is_equal) in &found.files {
+            writeln!(out, "{file}: {}", if *is_equal { "equal, byte for byte" } else { "not the same bytes" })?;
+        }
+        found.values.iter().try_for_each(|value| writeln!(out, "  {value}"))?;
+        if found.n_values > found.values.len() {
+            writeln!(out, "  and {} more", found.n_values - found.values.len())?;
+        }
+        for note in found.notes.iter().chain(&found.causes) {
+            writeln!(out, "{note}")?;
+        }
+        match found.n_values {
+            0 => writeln!(out, "equal")?,
+            n => writeln!(out, "{n} values differ")?,
+        }
+        Ok(exit)
     }
 
     fn runs(&self, global: &Global) -> Result<Exit> {

@@ -9,7 +9,7 @@ use super::common::{
     serve::{self, Admission, Serving},
     terminal,
 };
-use crate::app::{RunRequest, UsageError, out_dir, run_error};
+use crate::app::{ArchiveArgs, RunRequest, UsageError, out_dir, run_error};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -41,6 +41,9 @@ Examples:
 pub(crate) struct Run {
     #[command(flatten)]
     request: RunRequest,
+
+    #[command(flatten)]
+    archive: ArchiveArgs,
 
     /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter, or
     /// when a plugin is rebuilt. A rerun starts from the first changed node; the outputs of all others are kept in memory. It
@@ -79,10 +82,13 @@ pub(crate) struct Run {
 
 impl Run {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        if self.watch {
-            return watch::execute(self, global);
-        }
         let mut request = self.request.clone();
+        if let Some((graph, _)) = self.archive.open(&request.graph.graph, &mut request.graph.plugins)? {
+            request.graph.graph = graph;
+        }
+        if self.watch {
+            return watch::execute(&Self { request, ..self.clone() }, global);
+        }
         if self.check_plugins {
             check_lent_memory();
             request.leave.workers = Some(NonZeroUsize::MIN);

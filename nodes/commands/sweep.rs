@@ -6,7 +6,7 @@ use super::common::{
     running, summary_table, terminal,
 };
 use crate::app::{
-    SweepRequest,
+    ArchiveArgs, SweepRequest,
     sweep::{folder_error, merge, summary},
 };
 use anyhow::Result;
@@ -47,6 +47,9 @@ pub(crate) struct Sweep {
     #[command(flatten)]
     request: SweepRequest,
 
+    #[command(flatten)]
+    archive: ArchiveArgs,
+
     /// Combine the runs of shards in the folder of --out.
     #[arg(long, value_name = "DIR", num_args = 1.., requires = "out", conflicts_with_all = ["graph", "shard", "resume"])]
     merge: Vec<PathBuf>,
@@ -58,7 +61,7 @@ pub(crate) struct Sweep {
 
 impl Sweep {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let request = &self.request;
+        let mut request = self.request.clone();
         if let (None, Some(out)) = (&request.graph, &request.out) {
             let folder = merge(&self.merge, out)?;
             let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
@@ -66,6 +69,11 @@ impl Sweep {
         }
         // Before the plugins are looked at, which starts interpreters.
         let began = Instant::now();
+        let opened =
+            request.graph.as_deref().map(|graph| self.archive.open(graph, &mut request.plugins)).transpose()?;
+        if let Some((graph, spec)) = opened.flatten() {
+            (request.graph, request.spec) = (Some(graph), spec);
+        }
         let cancelled = Arc::default();
         running::make_pool(request.workers)?;
         let sweep = or_faults(request.check(), |sweep| &sweep.warnings, global)?;

@@ -86,7 +86,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["app::out_dir", "app::plugins"],
             &["app::options"],
             &["app::run", "app::simulate", "app::sweep"],
-            &["app::register"],
+            &["app::archive", "app::register"],
             &["app"],
             // What subcommands share.
             &[

@@ -98,7 +98,10 @@ fn entry(path: &Path) -> Json {
 }
 
 /// Size and SHA-256 of a file.
-pub(crate) fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
+///
+/// # Errors
+/// If it cannot be read, or is no regular file.
+pub fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
     if let Some(kind) = irregular(path) {
         return Err(io::Error::other(format!("it is {kind}, but a regular file is needed")));
     }

@@ -27,11 +27,25 @@ use std::{
 /// [`Faults`] of the graph, or of the first run that has any, with the settings of that run; and if the graph has no
 /// `[sweep]`.
 pub fn check(path: &Path, sets: &[String], kinds: impl Into<Kinds>, workers: usize) -> Result<Sweep, Faults> {
+    check_as(path, sets, kinds, workers, None)
+}
+
+/// As [`check`], with the specification of an earlier sweep in place of the graph's `[sweep]`.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_as(
+    path: &Path,
+    sets: &[String],
+    kinds: impl Into<Kinds>,
+    workers: usize,
+    spec: Option<Spec>,
+) -> Result<Sweep, Faults> {
     let kinds = kinds.into().held().map_err(|error| {
         Faults(vec![Fault::new(format!("no folder for copies of the plugins can be made: {error}"))])
     })?;
     let Checked { plan, warnings, registry, sweep } = check::check_sweep(path, sets, &kinds)?;
-    let Some(spec) = sweep else {
+    let Some(spec) = spec.map(Box::new).or(sweep) else {
         let fault = Fault::new(format!("{} has no table [sweep]", path.display()));
         let help = "say what is varied, such as [sweep] repeat = 10, and which numbers are wanted in [sweep.columns]";
         return Err(Faults(vec![fault.help(help)]));

@@ -528,12 +528,8 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
             differences.push("its table [sweep] differs".into());
         }
     }
-    let of = |about: &Json| serde_json::from_value::<Vec<PlanPlugin>>(about["plugins"].clone()).unwrap_or_default();
-    let ours = of(about);
-    for plugin in of(&folder.about) {
-        let same = ours.iter().find(|other| other.name == plugin.name && other.sha256 == plugin.sha256);
-        differences.extend(same.and_then(|other| plugin.difference(other)));
-    }
+    let is_same = |ours: &PlanPlugin, plugin: &PlanPlugin| ours.name == plugin.name && ours.sha256 == plugin.sha256;
+    differences.extend(plugin_differences(&folder.about, about, is_same));
     if hash != other_hash || hash == "unknown" {
         if differences.is_empty() {
             differences.push("its settings differ".into());
@@ -541,6 +537,19 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
         differences.push(format!("its hash is {other_hash}, not {hash}"));
     }
     Ok((!differences.is_empty()).then(|| differences.join("; ")))
+}
+
+/// How the plugins `now` differ from those of the same names in `then`, and what they have loaded: both are `sweep.json` or
+/// `manifest.json`.
+pub fn difference_of_plugins(then: &Json, now: &Json) -> Vec<String> {
+    plugin_differences(then, now, |now, then| now.name == then.name)
+}
+
+fn plugin_differences(then: &Json, now: &Json, is_same: impl Fn(&PlanPlugin, &PlanPlugin) -> bool) -> Vec<String> {
+    let of = |about: &Json| serde_json::from_value::<Vec<PlanPlugin>>(about["plugins"].clone()).unwrap_or_default();
+    let now = of(now);
+    let difference = |then: &PlanPlugin| then.difference(now.iter().find(|now| is_same(now, then))?);
+    of(then).iter().filter_map(difference).collect()
 }
 
 /// The first entry by which two frozen graphs differ, with its table.

@@ -361,6 +361,7 @@ impl Sweep {
             workers: settings::workers(workers)?,
             no_share: !share,
             keep: Keep { no_cache: !cache },
+            spec: None,
         }))
     }
 
