@@ -41,7 +41,7 @@ impl Places {
     fn says_with(&self, place: &str, arguments: &[&str], with: impl Fn(&mut Command)) -> (i32, String) {
         let mut command = osteoflow_to_spawn();
         command.current_dir(self.path(place)).args(arguments).env("PYTHONDONTWRITEBYTECODE", "1");
-        self.python.iter().for_each(|python| drop(command.env("OSTEOFLOW_PYTHON", python)));
+        command.envs(self.python.iter().map(|python| ("OSTEOFLOW_PYTHON", python)));
         with(&mut command);
         let output = command.output().unwrap();
         let text = [output.stdout, output.stderr].concat();
@@ -181,7 +181,9 @@ fn a_rerun_with_another_package_says_which() {
     }
     let with = |version: &str| {
         let site = places.path(&format!("site-{version}"));
-        move |command: &mut Command| drop(command.env("PYTHONPATH", &site))
+        move |command: &mut Command| {
+            command.env("PYTHONPATH", &site);
+        }
     };
     places.write("here/helper.py", "from scales import SCALE\n");
     assert_eq!(places.says_with("here", &["run", "g.toml", "--out", "r"], with("1.0")).0, 0);

@@ -103,7 +103,9 @@ impl Check<'_> {
         for name in names {
             let Some(entry) = parsed_node.table.get(name) else { continue };
             let owner = format!("node \"{}\": {name}", parsed_node.name);
-            let frame = entry.value.as_text();
+            // A resolved graph states defaults, which need not be listed where they are not stated.
+            let default = kind.description.params.pointer(&format!("/properties/{name}/default"));
+            let frame = entry.value.as_text().filter(|frame| default.and_then(Json::as_str) != Some(frame));
             self.faults.extend(frame.and_then(|frame| unknown(frame, &entry.value.at, &owner, header)));
         }
         self.faults.len() > before
