@@ -457,3 +457,84 @@ fn the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_re
     assert_eq!(under(&compared, "n", 1), n_complete.to_string());
     assert!(under(&compared, "remark", 1).contains("within 2 bones"), "{compared:?}");
 }
+
+/// A source that reads a file, and a node with literature.
+#[cfg(unix)]
+const PLUGIN: &str = r#"
+from dataclasses import dataclass
+
+import numpy as np
+from osteoflow_node import Cloud, node, param, payload, source
+
+
+@payload("mine/Number")
+class Number:
+    """A number."""
+
+    number: float
+
+
+@dataclass
+class Params:
+    path: str = param(path=True, doc="A file of numbers.")
+
+
+@source("mine.numbers", output="cloud")
+def numbers(params: Params) -> Cloud:
+    """One cloud from a file."""
+    yield 0, Cloud("camera", np.loadtxt(params.path).reshape(-1, 3))
+
+
+@node("mine.mean", output="number", literature=["Nobody 1999"])
+def mean(cloud: Cloud) -> Number:
+    """The mean of all coordinates, as of old."""
+    if len(cloud) > 1:
+        raise ValueError(f"{__file__} takes one point")
+    return Number(float(cloud.points.mean()))
+"#;
+
+#[cfg(unix)]
+#[test]
+fn a_report_names_no_folder_and_knows_the_kinds_of_the_plugins_that_the_user_names() {
+    use crate::common::python::Folder;
+    let Some(folder) = Folder::new("a report with kinds of a plugin", &[("my.py", PLUGIN)]) else { return };
+    let secret = folder.0.path().to_str().unwrap().to_owned();
+    folder.write("one.txt", "1 2 3\n");
+    folder.write("two.txt", "1 2 3 4 5 6\n");
+    let graph = format!(
+        "plugins = [\"{secret}/my.py\"]\n[graph]\nformat = 1\nname = \"mine\"\n[node.numbers]\nkind = \"mine.numbers\"\n\
+         path = \"{secret}/one.txt\"\n[node.mean]\nkind = \"mine.mean\"\nin = {{ cloud = \"numbers.cloud\" }}\n\
+         [results]\nmean = \"mean.number\"\n[sweep.factor]\n\
+         file = {{ key = \"numbers.path\", values = [\"{secret}/one.txt\", \"{secret}/two.txt\"] }}\n[sweep.columns]\nmean = \"mean.number\"\n"
+    );
+    folder.write("g.toml", &graph);
+    let at = |name: &str| folder.path(name).display().to_string();
+    let says = |arguments: &[&str]| {
+        let mut command = osteoflow();
+        let output = command.env("OSTEOFLOW_PYTHON", &folder.1).args(arguments).output().unwrap();
+        let text = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        (output.status.code(), text)
+    };
+    for (command, out) in [("run", "r"), ("sweep", "s")] {
+        let (code, text) = says(&[command, &at("g.toml"), "--out", &at(out)]);
+        assert_eq!(code, Some(0), "{text}");
+        for (plugin, has_kinds) in [(None, false), (Some(at("my.py")), true)] {
+            let (dir, mut arguments) = (at(out), vec!["report"]);
+            arguments.push(&dir);
+            arguments.extend(plugin.iter().flat_map(|plugin| ["--plugin", plugin.as_str()]));
+            let (code, text) = says(&arguments);
+            assert_eq!(code, Some(0), "{text}");
+            let page = fs::read_to_string(folder.path(&format!("{out}/report.html"))).unwrap();
+            let near = page.find(&secret).map(|at| page[at.saturating_sub(200)..at + 100].to_owned());
+            assert_eq!(near, None, "{command}");
+            assert!(page.contains("one.txt") && page.contains("my.py") && page.contains("g.toml"), "{command}");
+            assert_eq!(page.contains("The mean of all coordinates, as of old"), has_kinds, "{command}");
+            assert_eq!(page.contains("Nobody 1999 (named by mine.mean)"), has_kinds, "{command}");
+        }
+        let (code, text) = says(&["report", &at(out), "--plugin", &at("your.py")]);
+        assert!(code == Some(2) && text.contains("your.py"), "{code:?} {text}");
+    }
+    // The reason of the run that failed names the file of the plugin, by its name alone.
+    let page = fs::read_to_string(folder.path("s/report.html")).unwrap();
+    assert!(page.contains("my.py takes one point"), "the reason is shown");
+}

@@ -47,6 +47,7 @@ pub use osteoflow_runtime::{activity, names, panics, plan};
 pub use recording::Recording;
 pub use replay::{ReplayOptions, ReplayReport, replay};
 pub use run::{Event, Observer, Outcome, Refusal, RunError, RunOptions, RunReport, run};
+pub use shown_paths::replace as replace_path;
 
 use osteoflow_runtime as runtime;
 

@@ -73,14 +73,19 @@ impl ShownPaths {
     }
 }
 
-/// Replaces a path where it is neither the beginning of a longer name nor the end of a longer path.
-fn replace(text: &str, path: &str, shown: &str) -> String {
+/// Replaces a path where it is neither the beginning of a longer name nor the end of a longer path; one that ends in `/` where more
+/// follows.
+pub fn replace(text: &str, path: &str, shown: &str) -> String {
     let of_name = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-');
+    let is_longer = |after: &str| {
+        let ending = after.strip_prefix('.').is_some_and(|after| after.starts_with(char::is_alphanumeric));
+        !path.ends_with('/') && (ending || after.starts_with(of_name))
+    };
     let (mut out, mut rest) = (String::with_capacity(text.len()), text);
     while let Some(at) = rest.find(path) {
         let (before, after) = (&rest[..at], &rest[at + path.len()..]);
         out.push_str(before);
-        let is_whole = !after.starts_with(of_name) && !out.ends_with(|c: char| of_name(c) || c == '.');
+        let is_whole = !is_longer(after) && !out.ends_with(|c: char| of_name(c) || c == '.');
         out.push_str(if is_whole { shown } else { path });
         rest = after;
     }

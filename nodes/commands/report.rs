@@ -1,10 +1,11 @@
-use super::common::{Exit, Format, Global, print_json, run_path, terminal};
-use crate::app::{UsageError, registry};
+use super::common::{Exit, Format, Global, plugins, print_json, run_path, terminal};
+use crate::app::{Plugins, UsageError, registry};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{plugin::Kinds, run::files, sweep};
 use serde_json::json;
 use std::{
+    collections::BTreeSet,
     io::Write,
     path::{Path, PathBuf},
 };
@@ -19,6 +20,7 @@ use std::{
 Examples:
   osteoflow report runs/fibula-20260314-092653
   osteoflow report runs/sensitivity-20260314-101500 --out sensitivity.html
+  osteoflow report runs/mine --plugin my_icp.py          with the documentation of its kinds
 What it shows: docs/use/report.md")]
 pub(crate) struct Report {
     /// The folder of a run or of a sweep, or the run.mcap in it.
@@ -28,14 +30,27 @@ pub(crate) struct Report {
     /// The file to write. Default: report.html in the folder.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+
+    /// Plugins, which are loaded: their kinds have documentation, parameters and literature on the page, and a sweep's graphs are
+    /// checked and repeated with them. None that the folder names is loaded.
+    #[command(flatten)]
+    plugins: Plugins,
 }
 
 impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let registry = registry();
         let dir = run_path::folder(&self.dir);
+        let kinds = match self.plugins.files.is_empty() {
+            true => Kinds::from(&registry()),
+            false => Plugins { only: Some(BTreeSet::new()), ..self.plugins.clone() }.kinds()?,
+        };
+        let known = kinds.known();
+        if plugins::print_refused(&known, global)? == Exit::Usage {
+            return Ok(Exit::Usage);
+        }
+        let registry = known.registry;
         let report = if dir.join(sweep::DESIGN).is_file() {
-            osteoflow_report::of_sweep(&dir, &registry, &Kinds::from(&registry))?
+            osteoflow_report::of_sweep(&dir, &registry, &kinds)?
         } else if dir.join(files::MANIFEST).is_file() {
             osteoflow_report::of_run(&dir, &registry)?
         } else {

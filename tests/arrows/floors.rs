@@ -171,7 +171,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/pages/report/src",
         &[
-            &["error", "format", "modules"],
+            &["error", "format", "modules", "paths"],
             &["cell", "chart", "diagram", "run_folder"],
             &["scene", "summary"],
             &["html"],

@@ -1,5 +1,6 @@
 //! The names of files in an archive, in place of their paths on the machine on which it was made.
 
+use osteoflow_engine::replace_path;
 use serde_json::Value as Json;
 use std::path::{Component, Path, PathBuf};
 use toml_edit::{DocumentMut, Item, Value};
@@ -68,7 +69,7 @@ impl Renamed {
 
     /// A text without known paths of the machine.
     pub(super) fn text(&self, text: &str) -> String {
-        self.texts.iter().fold(text.to_owned(), |text, (path, name)| replaced(&text, path, name))
+        self.texts.iter().fold(text.to_owned(), |text, (path, name)| replace_path(&text, path, name))
     }
 
     /// The name for a text of a graph that is a known path; `key`: the last part of its key. A word may be a folder's name by
@@ -179,25 +180,6 @@ fn without_folder(text: &str) -> String {
         Some(name) => before + &name.to_string_lossy(),
         None => text.into(),
     }
-}
-
-/// Replaces a path where it ends: `/a/b` in `/a/b.` and `/a/b/c`, not in `/a/bc`.
-fn replaced(text: &str, path: &str, name: &str) -> String {
-    let (mut out, mut rest) = (String::new(), text);
-    let goes_on = |c: char| c.is_alphanumeric() || c == '_' || c == '-';
-    while let Some(at) = rest.find(path) {
-        let (before, after) = (&rest[..at], &rest[at + path.len()..]);
-        let mut next = after.chars();
-        let is_longer = match next.next() {
-            Some('.') => next.next().is_some_and(char::is_alphanumeric),
-            Some(c) => goes_on(c),
-            None => false,
-        };
-        out.push_str(before);
-        out.push_str(if is_longer && !path.ends_with('/') { path } else { name });
-        rest = after;
-    }
-    out + rest
 }
 
 #[cfg(test)]

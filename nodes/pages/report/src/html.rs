@@ -5,6 +5,7 @@ use crate::{
     chart::RESEARCH,
     format::number,
     modules,
+    paths::Paths,
     scene::Scene,
     summary::{TableRow, under_heads},
 };
@@ -67,11 +68,18 @@ pub(crate) struct Page {
     /// The verdict by which views draw planes.
     judged: Json,
     pub(crate) figures: Vec<Figure>,
+    /// What the page does not show.
+    paths: Paths,
 }
 
 impl Page {
     pub(crate) fn new(title: &str, simulated: bool) -> Self {
         Self { title: title.into(), simulated, ..Self::default() }
+    }
+
+    /// Shows these paths by their names alone.
+    pub(crate) fn hide(&mut self, paths: Paths) {
+        self.paths = paths;
     }
 
     fn words(&self) -> &'static str {
@@ -286,7 +294,9 @@ impl Page {
     }
 
     /// Completes the page and returns it with its figures.
-    pub(crate) fn finish(self, subtitle: &str) -> (String, Vec<Figure>) {
+    pub(crate) fn finish(mut self, subtitle: &str) -> (String, Vec<Figure>) {
+        self.body = self.paths.hidden(&self.body);
+        self.figures.iter_mut().for_each(|figure| figure.svg = self.paths.hidden(&figure.svg));
         let title = escape(&self.title);
         let simulated = match self.simulated {
             true => "<p class=\"banner\"><b>SIMULATED.</b> What is registered here was computed, not measured.</p>",

@@ -24,6 +24,7 @@ pub mod format;
 mod html;
 mod methods;
 mod modules;
+mod paths;
 mod provenance;
 mod report;
 mod run;

@@ -14,7 +14,9 @@ use crate::{
     citations, diagram,
     format::number,
     html::Page,
-    methods, provenance,
+    methods,
+    paths::Paths,
+    provenance,
     run_folder::RunFolder,
     tables,
 };
@@ -32,6 +34,7 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let run = RunFolder::open(dir, registry)?;
     let name = run.manifest["graph"]["name"].as_str().unwrap_or("run");
     let mut page = Page::new(&format!("Run of {name}"), run.is_simulated());
+    page.hide(Paths::of(&run.manifest, dir));
 
     let fault = run.fault();
     if let Some(fault) = &fault {

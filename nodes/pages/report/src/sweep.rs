@@ -9,7 +9,9 @@ use crate::{
     cell::Cell,
     citations,
     html::Page,
-    methods, provenance,
+    methods,
+    paths::Paths,
+    provenance,
     summary::{self, SUMMARY, word},
 };
 use osteoflow_engine::plugin::Kinds;
@@ -39,6 +41,7 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
     let name = sweep.about["graph"]["name"].as_str().unwrap_or("graph");
     let simulated = sweep.runs.iter().any(|run| run.results["simulated"] == true);
     let mut page = Page::new(&format!("Sweep of {name}"), simulated);
+    page.hide(Paths::of(&sweep.about, dir));
 
     page.section("Design");
     page.text(&sweep.design());
