@@ -12,9 +12,7 @@ fn main() {
     set_variable("GIT_REVISION", &revision().unwrap_or_default());
     set_variable("COMPILER", &stdout_of(&rustc, &["--version"]).unwrap_or_default());
     set_variable("RUSTFLAGS", &flags.replace('\u{1f}', " "));
-    for (name, variable) in
-        [("TARGET", "TARGET"), ("OPT_LEVEL", "OPT_LEVEL"), ("TARGET_FEATURES", "CARGO_CFG_TARGET_FEATURE")]
-    {
+    for (name, variable) in [("TARGET", "TARGET"), ("TARGET_FEATURES", "CARGO_CFG_TARGET_FEATURE")] {
         set_variable(name, &env::var(variable).unwrap_or_default());
     }
     SOURCES.iter().for_each(|path| println!("cargo::rerun-if-changed={path}"));

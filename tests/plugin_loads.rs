@@ -381,3 +381,103 @@ def relay(r: R) -> R:
     fs::copy(folder.path("declared.py"), folder.path("u.py")).unwrap();
     assert!(!none(&[], Some(3), "declared").contains("answers otherwise"));
 }
+
+/// A plugin that takes its number from a library, which it opens by the foreign functions of the interpreter.
+const FOREIGN: &str = "import ctypes, os, time\nSCALE_OF = ctypes.CDLL(os.path.join(os.path.dirname(os.path.abspath(__file__)), \
+                       \"libalgo.so\")).algo_factor\nSCALE_OF.restype = ctypes.c_double\n";
+
+#[test]
+fn a_library_that_changes_during_a_sweep_ends_in_failed_rows_with_its_name() {
+    let node = NODE.replace("import helper\n", FOREIGN).replace("helper.SCALE", "SCALE_OF()");
+    let node = node.replace("    return R", "    time.sleep(0.1)\n    return R");
+    let graph =
+        GRAPH.replace("repeat = 4", "repeat = 8").replace("kind = \"st.f\"\n", "kind = \"st.f\"\npool = false\n");
+    let Some(folder) = Folder::new("a library that changes", &[("st.py", &node), ("g.toml", &graph)]) else { return };
+    let algo = |factor: f64| {
+        folder.write("algo.c", &format!("double algo_factor(void) {{ return {factor:?}; }}\n"));
+        // Under another name first: the processes that use the file keep theirs.
+        build::compile(&folder.path("algo.c"), &folder.path("new.so"), &[])
+            && fs::rename(folder.path("new.so"), folder.path("libalgo.so")).is_ok()
+    };
+    if !algo(1.0) {
+        return;
+    }
+    let mut sweep = osteoflow_to_spawn();
+    sweep.current_dir(folder.0.path()).env("OSTEOFLOW_PYTHON", &folder.1);
+    sweep.args(["sweep", "g.toml", "--out", "s", "--workers", "1", "--set", "sweep.twice=0"]);
+    let sweep = sweep.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+    let n_there = || fs::read_dir(folder.path("s/runs")).map_or(0, |runs| runs.count());
+    let began = Instant::now();
+    while n_there() < 2 && began.elapsed() < Duration::from_secs(120) {
+        thread::sleep(Duration::from_millis(5));
+    }
+    assert!(algo(2.0));
+    let output = sweep.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let runs: Vec<Value> = (0..8)
+        .filter(|run| folder.path(&format!("s/runs/{run:06}.json")).exists())
+        .map(|run| Command(&folder).json(&format!("s/runs/{run:06}.json")))
+        .collect();
+    let failed: Vec<_> = runs.iter().filter(|run| run["status"] != "complete").collect();
+    assert!(!failed.is_empty() && runs.len() - failed.len() >= 2, "{said}: {runs:#?}");
+    for run in failed {
+        let reason = run["reason"].as_str().unwrap();
+        assert!(reason.contains("libalgo.so") && reason.contains("differs"), "{reason}");
+    }
+    let whole = runs.iter().filter(|run| run["status"] == "complete");
+    assert!(
+        whole.clone().all(|run| run["results"]["f"]["number"] == 1.0),
+        "no row has the number of the other library"
+    );
+}
+
+#[test]
+fn a_process_that_breaks_the_protocol_serves_no_further_run_and_its_warnings_name_node_and_run() {
+    let plugin = r#"
+import atexit, os, sys
+from osteoflow_node import Context, Text, node, payload, source
+
+
+@payload("p/R")
+class R:
+    """Which process it was."""
+
+    pid: int
+
+
+@source("p.src", output="text")
+def src() -> Text:
+    """A text."""
+    yield 0, Text("a")
+
+
+@node("p.f", output="r")
+def f(text: Text, ctx: Context) -> R:
+    """Answers once with outputs that it does not have, and leaves with an exit code."""
+    if ctx.seed == 3:
+        atexit.register(lambda: os._exit(7))
+    if ctx.seed == 1:
+        from __main__ import Connection
+        send = Connection.send
+        def wrong(self, message, fds=()):
+            Connection.send = send
+            send(self, {"answer": {**message["answer"], "outputs": message["answer"]["outputs"] * 2}}, fds)
+        Connection.send = wrong
+    return R(os.getpid())
+"#;
+    let graph = "plugins = [\"p.py\"]\n[graph]\nformat = 1\n[node.src]\nkind = \"p.src\"\n[node.f]\nkind = \"p.f\"\n\
+                 in = { text = \"src.text\" }\n[results]\nr = \"f.r\"\n[sweep]\nrepeat = 4\ntwice = 0\n[sweep.columns]\npid = \"r.pid\"\n";
+    let Some(folder) = Folder::new("a broken protocol", &[("p.py", plugin), ("g.toml", graph)]) else { return };
+    let command = Command(&folder);
+    let (_, text) = command.run(&["sweep", "g.toml", "--out", "s", "--workers", "1"]);
+    let run = |run: usize| command.json(&format!("s/runs/{run:06}.json"));
+    let pid = |n: usize| run(n)["results"]["r"]["pid"].as_u64().unwrap_or_else(|| panic!("{n}: {:#} {text}", run(n)));
+    let reason = run(1)["reason"].as_str().unwrap_or_default().to_owned();
+    assert!(reason.contains("answers on 2 outputs of 1"), "{reason}");
+    assert!(pid(0) != pid(2) && pid(2) == pid(3), "{} {} {}", pid(0), pid(2), pid(3));
+    assert!(text.contains("node \"f\": after its end its process ended with exit code 7"), "{text}");
+    // A process of its own for each run is named with its run.
+    let (_, text) = command.run(&["sweep", "g.toml", "--out", "alone", "--workers", "1", "--set", "f.pool=false"]);
+    let line = text.lines().find(|line| line.contains("exit code 7")).unwrap_or_else(|| panic!("{text}"));
+    assert!(line.contains("run{number=3}") && line.contains("node \"f\""), "{line}");
+}

@@ -353,6 +353,8 @@ fn a_recording_contains_its_provenance() {
     assert_eq!(manifest["recording"]["compression"], "none");
     assert!(manifest["command"]["compiler"].as_str().unwrap().starts_with("rustc"));
     assert!(manifest["command"].get("git_revision").is_some());
+    let level = manifest["command"]["opt_level"].as_str().unwrap();
+    assert_eq!(level, if cfg!(debug_assertions) { level } else { "3" }, "that of the crates that compute");
 }
 
 /// A run that is killed after this time; its recording, if it exists by then.

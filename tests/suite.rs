@@ -35,6 +35,8 @@ mod own_bone;
 mod paper;
 mod paper_page;
 #[cfg(unix)]
+mod playback;
+#[cfg(unix)]
 mod plugin_loads;
 #[cfg(unix)]
 mod plugins;

@@ -29,10 +29,10 @@ use crate::{
     fault::{Fault, Faults, Severity},
     graph::{self, Graph, Sets, header},
     plan::Plan,
-    plugin::Kinds,
+    plugin::{Kinds, Known},
 };
 use context::Check;
-use osteoflow_node::Registry;
+use osteoflow_node::{DeclaredPort, Place, Registry};
 use schema::Files;
 use std::path::{Path, PathBuf};
 
@@ -111,6 +111,24 @@ pub fn check_file(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Resu
     Check::new(&kinds.into().with(&graph.plugins), Files::Needed, faults).run(&graph, path)
 }
 
+/// A node by itself.
+pub(crate) struct CheckedNode {
+    pub(crate) kind: &'static str,
+    pub(crate) params: serde_json::Value,
+    pub(crate) declared: Vec<DeclaredPort>,
+    pub(crate) place: Place,
+}
+
+/// Checks the text of a graph of one node whose wires lead nowhere, with settings; files that it names need not exist.
+///
+/// # Errors
+/// [`Faults`]: every fault of the node and of the settings.
+pub(crate) fn check_node(text: String, sets: &[String], known: &Known) -> Result<CheckedNode, Faults> {
+    let mut faults = Vec::new();
+    let graph = graph::load_text(text, Path::new("node"), &[Sets::command_line(sets)], &mut faults);
+    Check::new(known, Files::Replaced, faults).lone_node(&graph)
+}
+
 /// The files of the graph: the graph file, the files it extends, the modules it uses and the libraries of plugins,
 /// whether or not they can be read.
 pub fn files(path: &Path, sets: &[String], kinds: impl Into<Kinds>) -> Vec<PathBuf> {
@@ -174,6 +192,21 @@ impl Check<'_> {
             CheckedFile::Graph(checked) => Ok(checked),
             CheckedFile::Module(_) => Err(Faults::default()),
         }
+    }
+
+    /// Checks the one node of a graph, but not its wires.
+    fn lone_node(mut self, graph: &Graph) -> Result<CheckedNode, Faults> {
+        let header = header::read(&graph.table, &graph.main, &mut self.faults);
+        let nodes = self.parsed_nodes(graph, &header);
+        let checked = nodes.into_iter().next().map(|node| CheckedNode {
+            kind: node.kind_name(),
+            params: node.params,
+            declared: node.declared,
+            place: node.place,
+        });
+        let errors = faults::sorted(self.faults).into_iter().filter(|fault| fault.severity == Severity::Error);
+        let errors: Vec<_> = errors.collect();
+        checked.filter(|_| errors.is_empty()).ok_or(Faults(errors))
     }
 
     fn run(mut self, graph: &Graph, path: &Path) -> Result<CheckedFile, Faults> {

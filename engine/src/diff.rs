@@ -6,6 +6,7 @@
 
 mod compare;
 mod index;
+mod made;
 mod numbers;
 mod order;
 
@@ -94,6 +95,8 @@ impl WireDiff {
 pub struct DiffReport {
     /// Properties of each recording.
     pub sides: [Side; 2],
+    /// What differs in what made them, in words: graph, seed, program, plugins, input files.
+    pub made: Vec<String>,
     /// Whether the graphs are the same text.
     pub same_graph: Option<bool>,
     /// Whether the results are the same; `None` if a recording has none.
@@ -150,6 +153,7 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
     Ok(DiffReport {
         same_graph: both(|i| Some(i.run.as_ref()?.graph.clone())).map(|(a, b)| a == b),
         same_results: both(|i| Some(i.metadata.sound::<Outcome>()?.results.to_string())).map(|(a, b)| a == b),
+        made: made::differences(&a, &b),
         sides: [side(&a), side(&b)],
         first,
         wires: diffs,

@@ -1,5 +1,6 @@
 //! Reads a graph file: merges `extends` and `--set` into one tree that records where each value was written.
 
+pub(crate) mod difference;
 mod edit;
 mod extends;
 pub(crate) mod extract;
@@ -17,6 +18,7 @@ mod set;
 mod syntax;
 mod tree;
 pub(crate) mod unit;
+pub(crate) mod written;
 
 pub(crate) use {
     extends::tidy,

@@ -4,6 +4,7 @@
 
 #[cfg(unix)]
 mod apart;
+mod carried;
 mod copies;
 mod description;
 mod host;
@@ -26,6 +27,7 @@ pub use crate::process::child::signal_name;
 #[cfg(unix)]
 #[doc(hidden)]
 pub use crate::process::hostile;
+pub(crate) use carried::{carried, texts};
 pub use description::{InputDescription, KindDescription, OutputsDescription, PluginDescription, PortDescription};
 pub use kinds::{Finder, Held, Kinds, Known, Plugin, Refused, Scripts};
 pub(crate) use late::{late_difference, with_late_loads};

@@ -23,9 +23,10 @@ use crate::{
     options::RunOptions,
     panics,
     plan::{OutputId, Plan},
+    plugin,
     recording::format::{
         Entries, FIRST_NS, INPUT_HASHES, LogLevel, MetadataRecord, Outcome, PROFILE, PROGRAM, PluginRecords,
-        RecordedFailure, RunRecord, WireCounts,
+        PluginTexts, RecordedFailure, RunRecord, WireCounts,
     },
     runtime::{Failed, Tap},
     shown_paths::ShownPaths,
@@ -292,6 +293,13 @@ fn begin(
     write(&mut file, &run)?;
     file.write_metadata(PROGRAM, &program)?;
     write(&mut file, &PluginRecords(plan.plugins.clone()))?;
+    if plan.recording.plugins {
+        let (texts, left_out) = plugin::texts(&plan.plugins);
+        left_out.iter().for_each(|why| tracing::warn!("{why}"));
+        if !texts.is_empty() {
+            write(&mut file, &PluginTexts(texts))?;
+        }
+    }
     inputs.iter().try_for_each(|inputs| file.write_metadata(INPUT_HASHES, inputs))?;
     let mut sink = Sink::begin(Output { file, listener: options.listener.clone() }, plan, shown)?;
     // From here on, a truncated file names the wires it was to hold.

@@ -2,6 +2,8 @@
 
 mod compare;
 mod exchange;
+mod foreign;
+mod map;
 mod range;
 mod select;
 #[cfg(test)]
@@ -11,17 +13,19 @@ use crate::{
     check::{check, check_recorded},
     diff,
     fault::{Fault, Faults},
-    graph::grammar::VERDICT,
+    graph::{grammar::VERDICT, written::sets},
     hash::Digest,
     options::RunOptions,
     partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
-    plugin::Kinds,
+    plugin::{self, Kinds},
     recording::{Recording, RecordingError},
     run::{self, RunError, RunReport, Verdict},
     runtime::{Observer, Replayed, Substitutes},
 };
 use compare::Compare;
+use foreign::Topics;
+pub use map::Mapping;
 use osteoflow_node::{Body, ClockReading, Item, Registry, Role, StampNs};
 use range::{is_constant, play_what_does_not_change};
 use std::{
@@ -36,7 +40,7 @@ use std::{
 const COMPUTED_FROM: &str = "computed_from";
 
 /// What to change in a replay; nothing by default.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default)]
 pub struct ReplayOptions {
     /// Recompute only this node and the nodes downstream of it.
     pub from: Option<String>,
@@ -44,12 +48,27 @@ pub struct ReplayOptions {
     pub sets: Vec<String>,
     /// Graph file to play the recorded wires into, instead of the recorded graph.
     pub graph: Option<PathBuf>,
+    /// Wires that are played under another name than that of the recording.
+    pub maps: Vec<Mapping>,
+    /// Whether plugins are run from the text that the recording carries.
+    pub trusts_recorded_plugins: bool,
+    /// Reads recordings of other programs; `None` if this program reads none.
+    pub reader: Option<TopicReader>,
     /// Seconds of the recording per second; `None`: as fast as possible. The result does not depend on it.
     pub rate: Option<f64>,
     /// Only items at or after this moment are played, constants excepted.
     pub start: Option<Moment>,
     /// Only items at or before this moment are played, constants excepted.
     pub end: Option<Moment>,
+}
+
+/// A source that gives the messages of another program's recording.
+#[derive(Debug, Clone)]
+pub struct TopicReader {
+    /// Its kind: a source with declared outputs, a parameter `path`, and a parameter `topic` of each output.
+    pub kind: String,
+    /// Whether an output with this payload reads messages of this schema.
+    pub reads: fn(payload: &str, schema: &str) -> bool,
 }
 
 /// A time in a recording: `12.5` means seconds after its first stamp, `1750000000418500000ns` is a stamp.
@@ -130,6 +149,8 @@ pub struct ReplayReport {
     pub unsound: Option<String>,
     /// Nodes computed in addition to the requested ones, because their wires were not recorded.
     pub computed_too: Vec<String>,
+    /// Sources of another graph that no recorded wire plays, so that they were run.
+    pub own_sources: Vec<String>,
     /// How the libraries of plugins differ from those of the run.
     pub differences: Vec<String>,
     /// Warnings about the graph.
@@ -206,14 +227,38 @@ pub fn replay(
     options: &RunOptions,
     observer: &dyn Observer,
 ) -> Result<ReplayReport, ReplayError> {
-    let recording = Recording::open(path)?;
     let kinds: Kinds = kinds.into();
+    let mut recording = match Recording::open(path) {
+        Ok(recording) => recording,
+        Err(error) => match Topics::of(path) {
+            Some(topics) => return foreign::replay(path, &topics, changes, &kinds, options, observer),
+            None => return Err(error.into()),
+        },
+    };
     let kinds = match changes.graph {
         // The user names this graph.
         Some(_) => kinds,
         None => kinds.recorded_by(&recording.plugins),
     };
-    let kinds = &kinds.over(recording.registry(kinds.registry())).with_moved(&recording.plugins);
+    let kinds = kinds.over(recording.registry(kinds.registry())).with_moved(&recording.plugins);
+    let (plugins, texts) = (&recording.plugins, &recording.plugin_texts);
+    // Holds the files for as long as the run.
+    let (kinds, _folder) = match changes.trusts_recorded_plugins {
+        true if plugin::carried(plugins, texts).next().is_none() => {
+            let message =
+                "--trust-recorded-plugins: the recording carries the text of no plugin; name the file: --plugin FILE";
+            return Err(ReplayError::Unfit(message.into()));
+        }
+        true => {
+            let written = kinds.with_carried(plugins, texts);
+            let error =
+                |error| ReplayError::NoData(format!("the recorded plugins cannot be written to a folder: {error}"));
+            let (kinds, folder) = written.map_err(error)?;
+            (kinds, Some(folder))
+        }
+        false => (kinds.naming_carried(plugins, texts), None),
+    };
+    let kinds = &kinds;
     let sets = &changes.sets;
     let checked = match &changes.graph {
         // Files of played sources need not exist; a graph file that cannot be read is a fault.
@@ -232,6 +277,7 @@ pub fn replay(
     if changes.graph.is_none() {
         exchange::keep_written(&mut checked.plan, &recording.run, sets);
     }
+    map::apply(&mut recording, &checked.plan, &changes.maps)?;
     let report = replay_plan(&checked.plan, &recording, changes, &checked.registry, options, observer)?;
     Ok(ReplayReport { warnings: checked.warnings, ..report })
 }
@@ -266,6 +312,9 @@ pub(crate) fn replay_plan(
     });
     let differences = differences.collect();
     let computed_too = computed_too(plan, changes, &parts);
+    let runs_itself = |(index, node): &(usize, &crate::plan::PlanNode)| node.role != Role::Node && computed(*index);
+    let own_sources = plan.nodes.iter().enumerate().filter(|node| changes.graph.is_some() && runs_itself(node));
+    let own_sources = own_sources.map(|(_, node)| node.name.to_string()).collect();
 
     let others = of_another_payload.iter().filter(|id| computed(id.node));
     let mut reduced =
@@ -318,6 +367,7 @@ pub(crate) fn replay_plan(
         truncated: recording.truncated.clone(),
         unsound: recording.unsound.clone(),
         computed_too,
+        own_sources,
         differences,
         warnings: Vec::new(),
     })
@@ -343,9 +393,11 @@ fn parts(
         let plays = |(index, node): (usize, &crate::plan::PlanNode)| node.role != Role::Node && is_recorded(index);
         if !plan.nodes.iter().enumerate().any(plays) && changes.from.is_none() {
             let sources = recording.wires.iter().filter(|(_, wire)| wire.source).map(|(name, _)| name.as_str());
-            let (graph, recorded) = (graph.display(), sources.collect::<Vec<_>>().join(", "));
+            let (graph, recorded) = (graph.display(), map::listed(sources));
             let message = format!("no recorded wire is an output of a source of {graph}; recorded are {recorded}");
-            return Err(ReplayError::Unfit(message));
+            let sources = plan.all_outputs().filter(|id| plan.nodes[id.node].role != Role::Node);
+            let candidates = sources.map(|id| candidates(plan, recording, id)).collect::<Vec<_>>().join("; ");
+            return Err(ReplayError::Unfit(format!("{message}; name them: {candidates}")));
         }
     }
     // Another graph may have sources of its own; a live source's items cannot be produced again.
@@ -363,20 +415,24 @@ fn parts(
             select::from(plan, recorded, node, runs)
         }
     };
-    parts.map_err(|wire| {
+    parts.map_err(|id| {
+        let wire = plan.wire_name(id);
+        if changes.graph.is_some() {
+            let candidates = candidates(plan, recording, id);
+            return ReplayError::Unfit(format!("no recorded wire is called {wire}; name the one that plays it: {candidates}"));
+        }
         ReplayError::NoData(format!(
-            "the recording lacks the source wire {}, so nothing after it can be computed; record it, or name a node \
-             behind it that can be computed from recorded wires",
-            plan.wire_name(wire)
+            "the recording lacks the source wire {wire}, so nothing after it can be computed; record it, or name a node \
+             behind it that can be computed from recorded wires"
         ))
     })
 }
 
-/// Whether the setting is of a key of this node.
-fn sets(set: &str, node: &str) -> bool {
-    let key = set.split('=').next().unwrap_or_default().trim();
-    let key = key.strip_prefix("node.").unwrap_or(key);
-    key.strip_prefix(node).is_some_and(|rest| rest.starts_with('.'))
+/// How a wire is named for an output, with those that fit.
+fn candidates(plan: &Plan, recording: &Recording, id: OutputId) -> String {
+    let output = &plan.nodes[id.node].outputs[id.port];
+    let fit = map::fitting(recording, output);
+    format!("--map {}=WIRE, of {}: {fit}", plan.wire_name(id), output.payload.name())
 }
 
 /// Refuses settings of played nodes, which would have no effect.

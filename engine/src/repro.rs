@@ -21,16 +21,20 @@ pub use save::{FOLDER, Saved, SavedBundle};
 
 use crate::{
     activity::{self, Doing, Name},
+    check::{CheckedNode, check_node},
     durable::TemporaryFolder,
-    graph::plugins::NamedPlugin,
+    graph::{
+        plugins::NamedPlugin,
+        written::{self, remove_unwritten, sets_kind},
+    },
     panics,
     plan::PlanPlugin,
-    plugin::Kinds,
+    plugin::{Kinds, Known},
     runtime::{self, emission_fault, planned_failure},
 };
 use osteoflow_node::{
-    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, Place, PortPayload, Registry,
-    Role, Slot, StampNs,
+    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, OutputPorts, PayloadType, Place, PortPayload,
+    Registry, Role, Slot, StampNs,
 };
 use std::{
     path::Path,
@@ -43,6 +47,8 @@ use std::{
 pub struct ReproReport {
     /// The bundle that was run again.
     pub bundle: Bundle,
+    /// The kind that ran.
+    pub kind: String,
     /// How it failed this time; `None` if it did not fail.
     pub failure: Option<Failure>,
     /// Whether it is the failure of the bundle.
@@ -57,7 +63,8 @@ pub struct ReproReport {
     pub took: Duration,
 }
 
-/// Runs the node of a bundle again on its item. With `backtrace`, the process's panic hook also runs.
+/// Runs the node of a bundle again on its item, with settings of the node, such as another kind. With `backtrace`, the process's
+/// panic hook also runs.
 ///
 /// # Errors
 /// [`ReproError`] if the bundle cannot be read or its node cannot be built here.
@@ -66,6 +73,7 @@ pub fn repro(
     kinds: impl Into<Kinds>,
     program: Program,
     backtrace: bool,
+    sets: &[String],
 ) -> Result<ReproReport, ReproError> {
     let bundle = Bundle::open(dir)?;
     let node = &bundle.node;
@@ -74,13 +82,21 @@ pub fn repro(
         interpreter: plugin.interpreter.clone(),
         ..NamedPlugin::file(&plugin.path)
     };
-    let named: Vec<_> = node.plugin.iter().map(of).collect();
+    // The plugin of a kind that is exchanged is not needed.
+    let is_exchanged = sets.iter().any(|set| sets_kind(set, &node.name));
+    let named: Vec<_> = node.plugin.iter().filter(|_| !is_exchanged).map(of).collect();
     let known = kinds.with(&named);
     let registry = &known.registry;
     if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
         return Err(ReproError::Unfit(format!("plugin {} is refused: {}", refused.path.display(), refused.why)));
     }
-    let kind = registry.kind(&node.kind).ok_or_else(|| not_here("kind", &node.kind))?;
+    let changed = if sets.is_empty() { None } else { Some(changed(node, sets, is_exchanged, &known)?) };
+    let kind_name = changed.as_ref().map_or(&*node.kind, |changed| changed.kind);
+    let kind = registry.kind(kind_name).ok_or_else(|| not_here("kind", kind_name))?;
+    if kind.description.role != node.role {
+        let role = if node.role == Role::Node { "a node with inputs" } else { "a source" };
+        return Err(ReproError::Unfit(format!("\"{}\" was {role}, which {kind_name} is not", node.name)));
+    }
     let build = |message: String| {
         ReproError::Unfit(format!("node \"{}\" cannot be built from the bundle's parameters: {message}", node.name))
     };
@@ -92,19 +108,29 @@ pub fn repro(
         };
         Ok(DeclaredPort { name: port.name.clone(), payload, params: port.params.clone() })
     });
-    let declared: Arc<[DeclaredPort]> = declared.collect::<Result<Vec<_>, ReproError>>()?.into();
+    let declared = match &changed {
+        Some(changed) => changed.declared.clone(),
+        None => declared.collect::<Result<Vec<_>, ReproError>>()?,
+    };
+    let outputs = match &kind.description.outputs {
+        OutputPorts::Fixed(ports) if is_exchanged => ports.iter().map(|port| (port.name, port.payload)).collect(),
+        _ => outputs,
+    };
+    let declared: Arc<[DeclaredPort]> = declared.into();
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
     let stop_after = node.stop_after_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let place = Place { process: node.process, stop_after, pool: None };
+    let place = changed.as_ref().map_or(place, |changed| changed.place);
+    let params = changed.as_ref().map_or(&node.params, |changed| &changed.params);
     let (full_name, name) = (node.name.as_str().into(), Name::of(&node.name));
     let build_context = BuildContext { node: full_name, seed: bundle.seed, declared: declared.clone(), joins, place };
     let under = activity::begin(name, Doing::Building, 0);
-    let built = match panics::catch(|| registry.build(kind, &node.params, &build_context)) {
+    let built = match panics::catch(|| registry.build(kind, params, &build_context)) {
         Ok(built) => built.map_err(|error| build(error.to_string()))?,
         Err(panic) => return Err(build(panic)),
     };
     drop(under);
-    let built = planned_failure(built, &node.name, bundle.item, bundle.injected);
+    let built = planned_failure(built, &node.name, bundle.item, bundle.injected.filter(|_| !is_exchanged));
     // Files that the node writes go to a temporary folder.
     let scratch = bundle.out_dir.as_ref().map(|_| TemporaryFolder::new("osteoflow-repro")).transpose();
     let no_folder = |error| ReproError::Files(format!("no folder can be made for what the node writes: {error}"));
@@ -159,14 +185,34 @@ pub fn repro(
         failed.reason = failed.reason.replace(&here, &there);
     }
     let mut differences = bundle.program.differences(&program);
-    if let (Some(then), Some(now)) = (&node.plugin, known.of_kind(&node.kind)) {
+    if let (Some(then), Some(now)) = (&node.plugin, known.of_kind(&node.kind).filter(|_| !is_exchanged)) {
         differences.extend(then.difference(&now.in_plan(Vec::new())));
     }
     let same_program = bundle.program.sha256 == program.sha256 && program.sha256.is_some();
     let at_call = node.role == Role::Node || n_calls == bundle.item;
     let same = at_call && failed.as_ref().is_some_and(|failed| failed.is(&bundle.failure, same_program));
     let warnings = context.take_warnings();
-    Ok(ReproReport { bundle, failure: failed, same, n_calls, warnings, differences, took })
+    let kind = kind_name.to_owned();
+    Ok(ReproReport { bundle, kind, failure: failed, same, n_calls, warnings, differences, took })
+}
+
+/// The node of a bundle with settings; of one whose kind is exchanged, what its user did not write goes with the kind.
+fn changed(node: &Node, sets: &[String], is_exchanged: bool, known: &Known) -> Result<CheckedNode, ReproError> {
+    let name = &node.name;
+    if let Some(other) = sets.iter().find(|set| !written::sets(set, name)) {
+        let message = format!("--set {other}: a bundle has one node, \"{name}\"; set {name}.KEY");
+        return Err(ReproError::Unfit(message));
+    }
+    let mut table: toml::Table = node
+        .table
+        .parse()
+        .map_err(|error| ReproError::Files(format!("the table of the node in the bundle cannot be read: {error}")))?;
+    let own = table.get_mut("node").and_then(|nodes| nodes.get_mut(name)).and_then(toml::Value::as_table_mut);
+    if let (true, Some(own), Some(written)) = (is_exchanged, own, &node.written) {
+        remove_unwritten(own, written);
+    }
+    check_node(format!("{table}\n[graph]\nformat = 1\n"), sets, known)
+        .map_err(|faults| ReproError::Unfit(format!("the node cannot be set so\n{faults}")))
 }
 
 fn payload(registry: &Registry, name: &str) -> Result<PortPayload, ReproError> {
@@ -194,12 +240,20 @@ fn joined(
     let mut slots = Vec::new();
     for port in &kind.description.inputs {
         let name = port.name;
-        let missing = || {
-            let kind = &bundle.node.kind;
-            let hint = "which the bundle lacks; run it with the program that saved it";
-            ReproError::Unfit(format!("{kind} has an input \"{name}\" here, {hint}"))
+        let kind = kind.description.kind;
+        let input = bundle.inputs.iter().find(|input| input.port == port.name);
+        let Some(input) = input else {
+            if port.optional {
+                let reason = "the node that failed had no such input".into();
+                let empty = Arc::new(Empty { node: bundle.node.name.as_str().into(), reason });
+                context.note_absent(port.name, empty.clone());
+                slots.push(Slot::Absent(empty));
+                continue;
+            }
+            let hint =
+                "which the bundle lacks; run it with the program that saved it, or set a kind with the same inputs";
+            return Err(ReproError::Unfit(format!("{kind} has an input \"{name}\" here, {hint}")));
         };
-        let input = bundle.inputs.iter().find(|input| input.port == port.name).ok_or_else(missing)?;
         let mut came = items.remove(port.name).unwrap_or_default();
         let expected = match &input.given {
             PortItems::Item => 1,
@@ -211,6 +265,11 @@ fn joined(
             let fault =
                 format!("input \"{name}\" has {n} items in inputs.mcap, {expected} expected; the bundle is damaged");
             return Err(ReproError::Files(fault));
+        }
+        let is_other = |ty: &&PayloadType| port.payload.ty().is_some_and(|takes| takes != *ty);
+        if let Some(other) = came.iter().filter_map(|item| item.body.value()).map(|value| value.ty()).find(is_other) {
+            let takes = port.payload.name();
+            return Err(ReproError::Unfit(format!("input \"{name}\" of {kind} takes {takes}, but got {}", other.name)));
         }
         slots.push(match &input.given {
             PortItems::Item => Slot::Item(came.remove(0)),

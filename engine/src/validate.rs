@@ -9,7 +9,9 @@ use crate::{
     recording::{
         RecordingError,
         findings::Findings,
-        format::{MetadataRecord, MetadataRecords, Outcome, PluginRecords, Recovered, RunRecord, WireCounts},
+        format::{
+            MetadataRecord, MetadataRecords, Outcome, PluginRecords, PluginTexts, Recovered, RunRecord, WireCounts,
+        },
         run_record,
         scan::{Passed, pass},
     },
@@ -151,6 +153,7 @@ fn check_metadata(
     };
     unreadable(Outcome::NAME, metadata.get::<Outcome>().and_then(Result::err));
     unreadable(PluginRecords::NAME, metadata.get::<PluginRecords>().and_then(Result::err));
+    unreadable(PluginTexts::NAME, metadata.get::<PluginTexts>().and_then(Result::err));
     unreadable(Recovered::NAME, metadata.get::<Recovered>().and_then(Result::err));
     if recovered {
         notes.push("it was recovered from a damaged file and is a part of what was recorded".into());

@@ -89,7 +89,18 @@ impl Plugins {
         let interpreter = Launcher::new(self.interpreter(), vec!["-c".into(), PYTHON_HELPER.into()]);
         let scripts = Some(Scripts { ending: "py", interpreter });
         let only = self.only.clone();
-        let finder = Finder { prober, store, asked, folders, launcher, scripts, only, plugins_apart, held: None };
+        let finder = Finder {
+            prober,
+            store,
+            asked,
+            folders,
+            launcher,
+            scripts,
+            only,
+            carried: Default::default(),
+            plugins_apart,
+            held: None,
+        };
         Ok(Kinds::new(registry(), finder))
     }
 }

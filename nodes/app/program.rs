@@ -58,7 +58,7 @@ pub(crate) fn about_command() -> serde_json::Value {
         "target": env!("OSTEOFLOW_BUILD_TARGET"),
         "target_features": env!("OSTEOFLOW_BUILD_TARGET_FEATURES"),
         "rustflags": env!("OSTEOFLOW_BUILD_RUSTFLAGS"),
-        "opt_level": env!("OSTEOFLOW_BUILD_OPT_LEVEL"),
+        "opt_level": osteoflow_algorithms::OPT_LEVEL,
         "profile": if cfg!(debug_assertions) { "debug" } else { "release" },
         "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
         "os": std::env::consts::OS,

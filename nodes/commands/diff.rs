@@ -2,12 +2,13 @@ use super::common::{Exit, Format, Global, print_json, progress::Reading, run_pat
 use crate::app::UsageError;
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::diff::{DiffOptions, DiffReport, Difference, Largest, Side, WireDiff, diff};
+use osteoflow_engine::diff::{DiffOptions, DiffReport, Difference, Largest, WireDiff, diff};
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
 
 /// Compare two recordings: where they diverge first, and by how much each wire differs.
 ///
+/// What differs in what made them comes first: entries of the graph, seed, program, plugins with what they load, input files.
 /// The first divergence is the earliest in the topological order of the graph in A, then by item number. Bits are compared,
 /// so NaN equals NaN and -0.0 differs from 0.0. Exit code 0: equal; 4: different.
 #[derive(Debug, Args)]
@@ -62,6 +63,11 @@ impl Diff {
             }
         }
         let mut out = terminal::stdout().lock();
+        if !global.quiet && !report.made.is_empty() {
+            writeln!(out, "made by")?;
+            report.made.iter().try_for_each(|difference| writeln!(out, "  {difference}"))?;
+            writeln!(out)?;
+        }
         if let Some(first) = &report.first {
             let (wire, item) = (&first.wire, first.item);
             writeln!(out, "{}: wire {wire}, item {item}", global.paint_out("first divergence", "1;31"))?;
@@ -83,8 +89,8 @@ impl Diff {
                 table.row(&wire.wire, [n_a.to_string(), n_b.to_string(), differ, ulp, remark(wire)]);
             }
             writeln!(out, "{}", table.lines())?;
-            for line in sides(report) {
-                writeln!(out, "{line}")?;
+            if report.same_results == Some(false) {
+                writeln!(out, "the results differ")?;
             }
         }
         let n_differ = report.wires.iter().filter(|wire| !wire.is_equal()).count();
@@ -133,28 +139,6 @@ fn remark(wire: &WireDiff) -> String {
     if parts.is_empty() && wire.is_equal() { "equal".into() } else { parts.join(", ") }
 }
 
-/// Differences between the runs themselves.
-fn sides(report: &DiffReport) -> Vec<String> {
-    let [a, b] = &report.sides;
-    let mut lines = Vec::new();
-    let mut compare = |what: &str, get: fn(&Side) -> Option<String>| {
-        let shown = |side: &Side| get(side).unwrap_or_else(|| "unknown".into());
-        if get(a) != get(b) {
-            lines.push(format!("{what}: A {}, B {}", shown(a), shown(b)));
-        }
-    };
-    compare("graph", |side| side.graph.clone());
-    compare("seed", |side| side.seed.map(|seed| seed.to_string()));
-    compare("version", |side| side.version.clone());
-    if report.same_graph == Some(false) {
-        lines.push("the resolved graphs differ".into());
-    }
-    if report.same_results == Some(false) {
-        lines.push("the results differ".into());
-    }
-    lines
-}
-
 fn as_json(report: &DiffReport, exit: Exit) -> Value {
     let wires = report.wires.iter().map(|wire| {
         json!({
@@ -177,6 +161,7 @@ fn as_json(report: &DiffReport, exit: Exit) -> Value {
         "outcome": exit.to_json(),
         "equal": report.is_equal(),
         "first": report.first,
+        "made": report.made,
         "same_graph": report.same_graph,
         "same_results": report.same_results,
         "a": report.sides[0],

@@ -7,9 +7,13 @@ use crate::app::{Leave, Plugins, UsageError, out_dir, refusal_in_short, run_erro
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
-    replay::{Difference, Moment, ReplayError, ReplayOptions, ReplayReport, WireComparison, WirePart},
+    replay::{
+        Difference, Mapping, Moment, ReplayError, ReplayOptions, ReplayReport, TopicReader, WireComparison, WirePart,
+    },
     run::{Outcome, RunOptions},
 };
+use osteoflow_node::Source;
+use osteoflow_standard::acquire::mcap::{self, Mcap};
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf, sync::Arc};
 
@@ -25,6 +29,7 @@ Examples:
   osteoflow replay run.mcap --set icp.max_pair_distance_mm=1     what a parameter changes, and where first
   osteoflow replay run.mcap --from icp --set icp.kind=icp.point_to_point --out again
   osteoflow replay run.mcap --graph other.toml                   the recorded streams through another graph
+  osteoflow replay bag.mcap --graph G --map scanner.cloud=/camera/scan   a file of ROS 2 or Foxglove, a port of G
   osteoflow replay run.mcap --rate 1 --start 10 --end 20.5       ten seconds of it, as fast as they went
 
 Exit codes: 0 equal, 4 differs; 3 if the run is refused again, for the same reason.")]
@@ -45,6 +50,10 @@ pub(crate) struct Replay {
     #[arg(long, value_name = "OTHER.toml")]
     graph: Option<PathBuf>,
 
+    /// Play this wire of the recording, or this topic of another program's, as this wire of the graph; may be given again.
+    #[arg(long = "map", value_name = "NODE.PORT=TOPIC")]
+    maps: Vec<Mapping>,
+
     /// Seconds of the recording per second of real time, or max; the result does not depend on it.
     #[arg(long, value_name = "RATE", default_value = "max", value_parser = rate)]
     rate: Rate,
@@ -57,6 +66,10 @@ pub(crate) struct Replay {
     /// End of playback, as for --from.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     end: Option<Moment>,
+
+    /// Run plugins in Python from the text that the recording carries. It is code of whoever wrote the file, with your rights.
+    #[arg(long, conflicts_with = "no_plugins")]
+    trust_recorded_plugins: bool,
 
     #[command(flatten)]
     plugins: Plugins,
@@ -92,6 +105,9 @@ impl Replay {
             from: self.from.clone(),
             sets: self.sets.clone(),
             graph: self.graph.clone(),
+            maps: self.maps.clone(),
+            trusts_recorded_plugins: self.trust_recorded_plugins,
+            reader: Some(TopicReader { kind: Mcap::KIND.into(), reads: mcap::reads }),
             rate: self.rate.0,
             start: self.start,
             end: self.end,
@@ -135,6 +151,10 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     if !report.computed_too.is_empty() {
         let (word, nodes) = (global.paint_err("note", "1;36"), report.computed_too.join(", "));
         writeln!(err, "{word}: also computed, because their outputs were not recorded: {nodes}")?;
+    }
+    if !report.own_sources.is_empty() {
+        let (word, nodes) = (global.paint_err("note", "1;36"), report.own_sources.join(", "));
+        writeln!(err, "{word}: run as the graph has them, because nothing recorded is played as theirs: {nodes}")?;
     }
     if let Outcome::Refused(refusal) = &report.run.outcome {
         let refusal = refusal_in_short(refusal, &report.run.results);
@@ -241,6 +261,7 @@ fn as_json(report: &ReplayReport, exit: Exit) -> Value {
         "truncated": report.truncated,
         "unsound": report.unsound,
         "computed_too": report.computed_too,
+        "own_sources": report.own_sources,
         "differences": report.differences,
         "wires": wires.collect::<Value>(),
         "results": report.run.results,

@@ -19,6 +19,7 @@ use std::{io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
 Examples:
   osteoflow repro runs/fibula-20260314-092653/repro/icp-0
   RUST_BACKTRACE=1 osteoflow repro runs/fibula-20260314-092653/repro/icp-0
+  osteoflow repro DIR --plugin my_icp.py --set icp.kind=my_icp.fit   the item through another kind
   osteoflow repro DIR --format json | jq .same
 
 Exit codes:
@@ -34,6 +35,10 @@ pub(crate) struct Repro {
     #[arg(long, value_name = "N")]
     workers: Option<NonZeroUsize>,
 
+    /// Change a key of the node, as `osteoflow run` does, such as its kind: is the item difficult, or the method? May be given again.
+    #[arg(long = "set", value_name = "NODE.KEY=VALUE")]
+    sets: Vec<String>,
+
     #[command(flatten)]
     plugins: Plugins,
 }
@@ -43,11 +48,12 @@ impl Repro {
         let options = running::options(self.workers, &Arc::default())?;
         let backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
         let program = Program::current(options.command);
-        let report =
-            repro::repro(&self.dir, self.plugins.kinds()?, program, backtrace).map_err(|error| match error {
+        let report = repro::repro(&self.dir, self.plugins.kinds()?, program, backtrace, &self.sets).map_err(
+            |error| match error {
                 ReproError::Unfit(why) => UsageError(why).into(),
                 other => anyhow::Error::from(other),
-            })?;
+            },
+        )?;
         let exit = if report.same { Exit::Done } else { Exit::Differs };
         match global.format {
             Format::Json => print_json(&as_json(&report, exit))?,
@@ -70,6 +76,9 @@ fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<
     let mut out = terminal::stdout().lock();
     let (name, kind) = (&bundle.node.name, &bundle.node.kind);
     writeln!(out, "node \"{name}\" ({kind}), item {}, {}", bundle.item, bundle.location)?;
+    if report.kind != bundle.node.kind {
+        writeln!(out, "run again as {}", report.kind)?;
+    }
     if global.verbose > 0 {
         writeln!(out, "\n{}", bundle.node.table)?;
     }
@@ -173,6 +182,7 @@ fn as_json(report: &ReproReport, exit: Exit) -> Value {
     let bundle = &report.bundle;
     json!({
         "outcome": exit.to_json(),
+        "run_as": report.kind,
         "same": report.same,
         "node": bundle.node.name,
         "kind": bundle.node.kind,

@@ -100,11 +100,13 @@ pub struct RecordSettings {
     pub compression: Compression,
     /// Whether payloads that viewers can show are also written in the viewers' format.
     pub views: bool,
+    /// Whether the text of plugins in an interpreted language is recorded.
+    pub plugins: bool,
 }
 
 impl Default for RecordSettings {
     fn default() -> Self {
-        Self { sources: Sources::Wires, compression: Compression::default(), views: true }
+        Self { sources: Sources::Wires, compression: Compression::default(), views: true, plugins: true }
     }
 }
 
@@ -139,7 +141,8 @@ pub struct PlanNode {
     pub role: Role,
     /// Where its table begins.
     pub location: Location,
-    /// The SHA-256 of the plugin library that the kind comes from; `None` for a kind of the program itself.
+    /// Identifies the plugin that the kind comes from, with what it loads and the environment variables that the node names;
+    /// `None` for a kind of the program itself.
     pub plugin: Option<Arc<str>>,
     /// Checked parameters, paths absolute.
     pub params: serde_json::Value,

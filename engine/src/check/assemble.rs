@@ -10,14 +10,17 @@ use super::{
 };
 use crate::{
     graph::{Table, Value, header::Header},
+    hash::Digest,
     panics,
     plan::{Link, Location, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
     plugin::Known,
 };
 use osteoflow_node::{BuildContext, Built, Kind, Role};
+use serde_json::json;
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 /// A graph without faults, resolved and ready to be planned.
@@ -39,9 +42,27 @@ pub(super) fn plugins(known: &Known, parsed_nodes: &[ParsedNode<'_>]) -> Vec<Pla
         let of_plugin = parsed_nodes.iter().filter_map(|parsed_node| parsed_node.kind);
         let of_plugin = of_plugin.filter(|kind| kind.plugin.as_ref() == Some(&plugin.identity));
         let kinds: BTreeSet<_> = of_plugin.map(|kind| kind.description.kind.to_owned()).collect();
-        (plugin.named || !kinds.is_empty()).then(|| plugin.in_plan(kinds.into_iter().collect()))
+        (plugin.named || !kinds.is_empty()).then(|| {
+            let mut plugin_in_plan = plugin.in_plan(kinds.into_iter().collect());
+            let named = parsed_nodes
+                .iter()
+                .filter(|node| node.kind.is_some_and(|kind| kind.plugin.as_ref() == Some(&plugin.identity)));
+            named.for_each(|node| {
+                plugin_in_plan.loads.add_environment(node.env.iter().map(|(_, entry)| entry.as_str()))
+            });
+            plugin_in_plan
+        })
     });
     used.collect()
+}
+
+/// What identifies the code of a node: its plugin, with the environment variables that the node names.
+fn identity(plugin: &Arc<str>, node: &ParsedNode<'_>) -> Arc<str> {
+    if node.env.is_empty() {
+        return plugin.clone();
+    }
+    let environment: Vec<_> = node.env.iter().map(|(_, entry)| entry).collect();
+    Digest::of_json(&json!([plugin.as_ref(), environment])).to_string().into()
 }
 
 /// The files that a source will read beside those that its parameters name. A source of a plugin is not asked.
@@ -140,7 +161,7 @@ impl Net<'_> {
             kind: parsed_node.kind_name().into(),
             role: parsed_node.role().unwrap_or(Role::Node),
             location: parsed_node.reported_at().location(),
-            plugin: parsed_node.kind.and_then(|kind| kind.plugin.clone()),
+            plugin: parsed_node.kind.and_then(|kind| kind.plugin.as_ref()).map(|plugin| identity(plugin, parsed_node)),
             params: parsed_node.params.clone(),
             param_places: param_places(parsed_node.table),
             files: parsed_node.input_files.clone(),

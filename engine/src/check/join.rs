@@ -123,7 +123,9 @@ impl Check<'_> {
         }
         let Some(producer) = input.from.map(|(node, _)| &parsed_nodes[node]) else { return };
         let live = producer.role().is_none_or(|role| role == Role::LiveSource);
-        if input.policy != Policy::Block && !live && !header.lossy {
+        // Which items a sample of a stream keeps depends on their numbers alone.
+        let thins = matches!(input.policy, Policy::Sample(_)) && producer.is_source();
+        if input.policy != Policy::Block && !live && !thins && !header.lossy {
             let message = format!("{owner} may lose items, but \"{}\" is no live source", producer.name);
             let fault = Fault::new(message).at(&entry.value.at, "loses items");
             let note = "a producer that does not follow the world's clock can wait: with \"block\" nothing is lost";

@@ -2,7 +2,7 @@ use super::{context::Check, schema::Walker};
 use crate::{
     fault::{Fault, Span},
     graph::{
-        Entry, Graph, MODULE, Table, Value,
+        Entry, Graph, MODULE, Spanned, Table, Value,
         extract::{self, Section},
         grammar,
         header::Header,
@@ -12,7 +12,7 @@ use crate::{
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, Place, PortPayload, Role};
 use serde_json::{Map, Value as Json};
-use std::{path::PathBuf, time::Duration};
+use std::{env, path::PathBuf, time::Duration};
 
 /// A node as read from its own table, before wires are resolved.
 pub(super) struct ParsedNode<'a> {
@@ -28,6 +28,8 @@ pub(super) struct ParsedNode<'a> {
     pub(super) outputs: Option<Vec<Output>>,
     pub(super) on_error: OnError,
     pub(super) place: Place,
+    /// The environment variables that decide what it computes, by name and as `NAME=VALUE` or `NAME unset`.
+    pub(super) env: Vec<(String, String)>,
 }
 
 /// An output of a parsed node.
@@ -126,6 +128,7 @@ impl<'r> Check<'r> {
             outputs: None,
             on_error: OnError::default(),
             place: Place::default(),
+            env: Vec::new(),
         };
         self.behaviour(&mut parsed_node);
         if let Some(kind) = kind {
@@ -172,6 +175,9 @@ impl<'r> Check<'r> {
         }
         let process = table.flag_if_set("process", &mut self.faults);
         parsed_node.place = Place { process, stop_after: None, pool: table.flag_if_set("pool", &mut self.faults) };
+        if let Some(entry) = table.get("env") {
+            parsed_node.env = self.environment(&entry.value, parsed_node.name, parsed_node.kind);
+        }
         if let Some(entry) = table.get("stop_after_s") {
             let limit = table.seconds("stop_after_s", &mut self.faults).map(Duration::from_secs_f64);
             if process == Some(false) {
@@ -182,6 +188,40 @@ impl<'r> Check<'r> {
             // Only a process can be stopped from outside.
             parsed_node.place = Place { process: Some(true), stop_after: limit, ..parsed_node.place };
         }
+    }
+
+    /// The environment variables that a node names, with their values.
+    fn environment(&mut self, value: &Spanned, node: &str, kind: Option<&Kind>) -> Vec<(String, String)> {
+        let Value::Array(items) = &value.value else {
+            let takes = format!("node \"{node}\": env takes a list of names");
+            let fault = extract::refused(value, takes, "a list is needed");
+            self.faults.push(fault.help("write env = [\"MY_ICP_MODEL\"]"));
+            return Vec::new();
+        };
+        if kind.is_some_and(|kind| kind.plugin.is_none()) {
+            let message =
+                format!("node \"{node}\": env is for kinds of plugins; a kind of the program reads no variable");
+            self.faults.push(Fault::new(message).at(&value.at, "no plugin").help("take env out"));
+        }
+        let mut found = Vec::new();
+        for item in items {
+            let Some(name) = extract::text(item, &format!("node \"{node}\": env"), &mut self.faults) else { continue };
+            if name.is_empty() || name.contains(['=', '\0', ' ']) {
+                let fault = Fault::new(format!("node \"{node}\": no environment variable is called {name:?}"));
+                self.faults.push(fault.at(&item.at, "no name"));
+                continue;
+            }
+            match env::var(name) {
+                Ok(value) => found.push((name.to_owned(), format!("{name}={value}"))),
+                Err(env::VarError::NotPresent) => found.push((name.to_owned(), format!("{name} unset"))),
+                Err(env::VarError::NotUnicode(_)) => {
+                    let fault = Fault::new(format!("node \"{node}\": the environment variable {name} is no text"));
+                    let help = "set it to UTF-8, or take it out of env: it cannot be recorded";
+                    self.faults.push(fault.at(&item.at, "not UTF-8").help(help));
+                }
+            }
+        }
+        found
     }
 
     fn params(&mut self, parsed_node: &mut ParsedNode<'_>, kind: &Kind) {

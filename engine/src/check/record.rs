@@ -50,6 +50,7 @@ impl Check<'_> {
                 settings.compression = way;
             }
             settings.views = table.flag("views", &mut self.faults);
+            settings.plugins = table.flag("plugins", &mut self.faults);
             if let Some(entry) = table.get("wires") {
                 match &entry.value.value {
                     Value::Array(items) => patterns.extend(items),

@@ -32,10 +32,13 @@ pub(super) fn text(net: &Net<'_>) -> String {
     }
     line(&mut out, "\n[record]");
     // Every wire is listed, including those of sources.
-    let RecordSettings { sources, compression, views } = net.record.settings;
+    let RecordSettings { sources, compression, views, plugins } = net.record.settings;
     line(&mut out, if sources == Sources::Hashes { "sources = \"hash\"" } else { "sources = false" });
     line(&mut out, &format!("compression = {}", quote(compression.name())));
     line(&mut out, &format!("views = {views}"));
+    if !plugins {
+        line(&mut out, "plugins = false");
+    }
     let wires = net.record.wires.iter().map(|wire| quote(&wires::name(*wire, &net.parsed_nodes)));
     line(&mut out, &format!("wires = {}", list(wires)));
     line(&mut out, "\n[results]");
@@ -66,6 +69,9 @@ fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed
     }
     if let Some(limit) = stop_after {
         line(out, &format!("stop_after_s = {:?}", limit.as_secs_f64()));
+    }
+    if !parsed_node.env.is_empty() {
+        line(out, &format!("env = {}", list(parsed_node.env.iter().map(|(name, _)| quote(name)))));
     }
     for input in inputs {
         if let Some(wire) = input.from {

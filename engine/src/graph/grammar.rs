@@ -88,7 +88,7 @@ pub(crate) static GRAPH: Keys = LazyLock::new(|| {
         "name": { "type": "string", "description": "The graph's name, which a run's folder begins with. Default: the file's name." },
         "seed": { "type": "integer", "minimum": 0, "default": 0, "description": "Of everything random in a run." },
         "frames": texts("The frames that the graph may name; any if not given."),
-        "lossy": { "type": "boolean", "default": false, "description": "Whether wires may lose items anywhere, not only directly after a live source." },
+        "lossy": { "type": "boolean", "default": false, "description": "Whether wires may lose items anywhere, not only directly after a live source, or as a sample of a source." },
     }))
 });
 
@@ -98,6 +98,7 @@ pub(crate) static NODE: Keys = LazyLock::new(|| {
         "kind": { "type": "string" },
         "in": inputs(),
         "out": { "type": "object" },
+        "env": texts("For a kind of a plugin: the environment variables that decide what it computes. Their values are recorded and compared."),
         "on_error": { "enum": ["stop", "skip"], "default": "stop", "description": "What happens when it fails on an item." },
         "process": { "type": "boolean", "description": "Whether it fires in a process of its own, which may crash alone." },
         "pool": {
@@ -159,6 +160,7 @@ pub(crate) static RECORD: Keys = LazyLock::new(|| {
         },
         "sources": { "enum": [true, false, "hash"], "default": true, "description": "Whether all outputs of sources are recorded as well; \"hash\" names their files instead." },
         "compression": { "enum": Compression::ALL.map(Compression::name), "description": "How the recording is packed." },
+        "plugins": { "type": "boolean", "default": true, "description": "Whether the text of plugins in Python is recorded, with that of their modules." },
         "views": { "type": "boolean", "default": true, "description": "Whether pictures for viewers are recorded beside the exact values." },
     }))
 });

@@ -230,6 +230,9 @@ impl Worker {
             return Err(("process".into(), format!("its process cannot be started: {error}")));
         }
         self.is_used = true;
+        if let ToWorker::Build(build) = build {
+            self.child.node.clone_from(&build.node);
+        }
         match self.reply(Some(BUILD_WITHIN), &mut || false) {
             Ok(FromWorker::Built { max_delay_ns, silent_after_ns, again, loads }) => {
                 self.take_loads(loads);
@@ -280,7 +283,7 @@ impl Worker {
             }
             match self.child.socket.receive::<FromWorker>() {
                 Ok(Received::Message(FromWorker::Log { level, target, message })) => {
-                    log_lines::log(level, &target, &message)
+                    log_lines::log(level, &format!("node \"{}\": {target}", self.child.node), &message)
                 }
                 Ok(Received::Message(message)) => return Ok(message),
                 Ok(Received::Nothing) => {}

@@ -59,6 +59,8 @@ pub struct Finder {
     /// The SHA-256 of the files that a graph may name; `None` for all. Of the files that a recording names, only those that
     /// the run had loaded may be, since loading one runs its code. The command line and the folders are the user's.
     pub only: Option<BTreeSet<String>>,
+    /// Files of plugins whose text the recording carries, which a refusal of one of them says.
+    pub carried: BTreeSet<PathBuf>,
     /// Whether the kinds of plugins fire in processes of their own where the graph does not say.
     pub plugins_apart: bool,
     /// Plugins as they were when they were looked at first, for commands that run many times; `None` looks anew each time.
@@ -284,6 +286,7 @@ impl Kinds {
         for library in finder.folders.iter().flat_map(|folder| libraries(folder)) {
             known.add(finder, &library, None, Origin::Folder);
         }
+        known.name_carried(finder);
         #[cfg(unix)]
         known.launch_by(finder, &self.registry);
         known
@@ -481,6 +484,14 @@ impl Known {
                 "the recording names the interpreter {interpreter}, which is not started without the user; if you trust \
                  it, add --python {interpreter}"
             ));
+        }
+    }
+
+    /// Adds to the refusal of a plugin that the recording carries its text.
+    fn name_carried(&mut self, finder: &Finder) {
+        for refused in self.refused.iter_mut().filter(|refused| finder.carried.contains(&refused.path)) {
+            let help = "the recording carries its text; if you trust it, add --trust-recorded-plugins to run that";
+            refused.help = Some(refused.help.take().map_or_else(|| help.into(), |other| format!("{other}; {help}")));
         }
     }
 

@@ -28,6 +28,8 @@ pub(crate) struct Child {
     forwarder: Option<JoinHandle<()>>,
     /// Whether its end is reported by an error, or was brought about.
     is_reported: bool,
+    /// The node that it serves, or served last.
+    pub(crate) node: String,
 }
 
 impl Child {
@@ -62,7 +64,14 @@ impl Child {
             }
         };
         let forwarder = thread::Builder::new().name("worker output".into()).spawn(forward)?;
-        Ok(Self { process, socket: Socket::new(ours), said, forwarder: Some(forwarder), is_reported: false })
+        Ok(Self {
+            process,
+            socket: Socket::new(ours),
+            said,
+            forwarder: Some(forwarder),
+            is_reported: false,
+            node: String::new(),
+        })
     }
 
     /// How the process ended, with what it printed last. Call when the connection is closed.
@@ -113,11 +122,15 @@ impl Drop for Child {
         self.socket.close();
         match self.wait(END_WITHIN) {
             Some(status) if status.success() || self.is_reported => {}
-            Some(status) => tracing::warn!("the process of a node that had ended {}{}", how(status), self.printed()),
+            Some(status) => {
+                let (printed, node) = (self.printed(), &self.node);
+                tracing::warn!("node \"{node}\": after its end its process {}{printed}", how(status));
+            }
             None => {
                 self.kill();
+                let node = &self.node;
                 tracing::warn!(
-                    "the process of a node that had ended did not end within {END_WITHIN:?}, and was stopped"
+                    "node \"{node}\": after its end its process did not end within {END_WITHIN:?}, and was stopped"
                 );
             }
         }

@@ -5,7 +5,7 @@ use super::{
     codec::{self, CodecError, RecordedItem},
     format::{
         self, Drops, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
-        RecordedFailure, Recovered, RunRecord, WireCounts,
+        PluginTexts, RecordedFailure, Recovered, RunRecord, WireCounts,
     },
     scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
@@ -52,6 +52,8 @@ pub struct Recording {
     pub inputs: BTreeMap<String, String>,
     /// The plugins of the graph, with the SHA-256 of their libraries.
     pub plugins: Vec<PlanPlugin>,
+    /// The text of plugins and of their modules, by SHA-256.
+    pub(crate) plugin_texts: BTreeMap<String, String>,
     /// Numbers of the items that policies dropped, by wire and input.
     pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
     /// Clock readings of firings, by node and number of the firing.
@@ -172,6 +174,7 @@ impl Recording {
             .or_else(|| (!metadata.has::<WireCounts>()).then(|| "the run did not finish it".into()));
         let limits = recovered.map(|recovered| recovered.before_damage);
         let plugins = readable::<PluginRecords>(path, metadata)?.unwrap_or_default().0;
+        let plugin_texts = readable::<PluginTexts>(path, metadata)?.unwrap_or_default().0;
         let inputs = metadata.entries(INPUT_HASHES).cloned().unwrap_or_default();
         let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
         for (name, gathered) in reading.wires {
@@ -192,6 +195,7 @@ impl Recording {
             wires,
             inputs,
             plugins,
+            plugin_texts,
             drops: reading.drops,
             readings: reading.readings,
             failures: outcome.map(|outcome| outcome.failures).unwrap_or_default(),

@@ -4,13 +4,15 @@
 //! tell which were written, a value that equals the default of the kind that the node had counts as not written.
 
 use crate::{
-    graph::{self, grammar, keys_set},
+    graph::{
+        self, keys_set,
+        written::{remove_unwritten, sets_kind},
+    },
     plan::Plan,
     plugin::Kinds,
     recording::format::RunRecord,
 };
 use serde_json::Value as Json;
-use std::collections::BTreeSet;
 use toml::{Table, Value};
 
 /// The recorded graph without the defaults of kinds that `sets` exchange; `None` if they exchange none.
@@ -28,7 +30,7 @@ pub(super) fn without_old_defaults(run: &RunRecord, sets: &[String], kinds: &Kin
         if let (Some(written), Some(node)) =
             (run.written.as_ref().and_then(|nodes| nodes.get(name.as_str())), node.as_table_mut())
         {
-            remove_unwritten(node, "", written);
+            remove_unwritten(node, written);
             continue;
         }
         let schema = node.get("kind").and_then(Value::as_str).and_then(|kind| registry.kind(kind));
@@ -39,12 +41,6 @@ pub(super) fn without_old_defaults(run: &RunRecord, sets: &[String], kinds: &Kin
     Some(graph.to_string())
 }
 
-/// Whether the setting is of this node's kind.
-fn sets_kind(set: &str, node: &str) -> bool {
-    let key = set.split('=').next().unwrap_or_default().trim();
-    key.strip_prefix("node.").unwrap_or(key) == format!("{node}.kind")
-}
-
 /// In the plan of a recorded graph, which states all: only what the recorded user wrote, or a setting does, was written.
 pub(super) fn keep_written(plan: &mut Plan, run: &RunRecord, sets: &[String]) {
     let set: Vec<String> = keys_set(sets).into_iter().map(|(key, _)| key.to_string()).collect();
@@ -53,23 +49,6 @@ pub(super) fn keep_written(plan: &mut Plan, run: &RunRecord, sets: &[String]) {
         let is_set = |key: &str| set.contains(&format!("{}.{key}", node.name));
         node.param_places.retain(|key, _| written.contains(key) || is_set(key));
     }
-}
-
-/// Removes the parameters that were not written, and tables that become empty.
-fn remove_unwritten(table: &mut Table, prefix: &str, written: &BTreeSet<String>) {
-    table.retain(|key, value| {
-        if prefix.is_empty() && grammar::has(&grammar::NODE, key) {
-            return true;
-        }
-        let path = format!("{prefix}{key}");
-        match value {
-            Value::Table(inner) => {
-                remove_unwritten(inner, &format!("{path}."), written);
-                !inner.is_empty()
-            }
-            _ => written.contains(&path),
-        }
-    });
 }
 
 /// Removes the parameters that equal the defaults of their schema, and tables that become empty.
@@ -114,29 +93,5 @@ mod tests {
         remove_defaults(&mut node, &schema, &schema);
         let expected: Table = "kind = \"a.b\"\nin = { a = \"c.d\" }\nn = 4\nrules = { least = 0.1 }\n".parse().unwrap();
         assert_eq!(node, expected);
-    }
-
-    #[test]
-    fn only_what_was_written_stays_whatever_the_defaults_are() {
-        let mut node: Table =
-            "kind = \"a.b\"\nin = { a = \"c.d\" }\nmm = 5.0\nn = 4\nrules = { most = 1.5, least = 0.1 }\n\
-                               other = { most = 1.5 }\n"
-                .parse()
-                .unwrap();
-        let written = ["mm", "rules", "rules.least"].map(str::to_owned).into();
-        remove_unwritten(&mut node, "", &written);
-        let expected: Table =
-            "kind = \"a.b\"\nin = { a = \"c.d\" }\nmm = 5.0\nrules = { least = 0.1 }\n".parse().unwrap();
-        assert_eq!(node, expected);
-    }
-
-    #[test]
-    fn a_setting_of_a_kind_is_known_by_its_key() {
-        assert!(sets_kind("icp.kind=my.fit", "icp") && sets_kind(" node.icp.kind = \"my.fit\"", "icp"));
-        assert!(
-            !sets_kind("icp.kinds=1", "icp")
-                && !sets_kind("icp.kind=my.fit", "cp")
-                && !sets_kind("x.icp.kind=1", "icp")
-        );
     }
 }

@@ -1,7 +1,8 @@
 //! What a range of a recording does not change.
 
-use super::{ReplayError, ReplayOptions, select, sets};
+use super::{ReplayError, ReplayOptions, select};
 use crate::{
+    graph::written::sets,
     partial::NodeMode,
     plan::{OutputId, Plan},
     recording::Recording,

@@ -4,7 +4,10 @@ use crate::{plan::PlanPlugin, recording::RecordingError, runtime::Injected};
 use osteoflow_node::{Empty, Role, StampNs};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 /// Version of the bundle; increased when older readers cannot read it.
 pub(super) const FORMAT_VERSION: u32 = 1;
@@ -66,6 +69,9 @@ pub struct Node {
     pub stop_after_s: Option<f64>,
     /// Its table in the resolved graph, in the text of a graph file; informative.
     pub table: String,
+    /// The parameters that the user wrote; `None` in a bundle that does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub written: Option<BTreeSet<String>>,
     /// The plugin that provides its kind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<PlanPlugin>,

@@ -25,7 +25,7 @@ fn run_plan(plan: &Plan, inject: Vec<Injection>) -> (tempfile::TempDir, RunRepor
 /// Runs the run's only bundle again.
 fn rerun(report: &RunReport) -> ReproReport {
     let [bundle] = &report.saved.bundles[..] else { panic!("{:?}", report.saved) };
-    repro(&bundle.dir, &registry(), Program::current(Json::Null), false).unwrap()
+    repro(&bundle.dir, &registry(), Program::current(Json::Null), false, &[]).unwrap()
 }
 
 #[test]

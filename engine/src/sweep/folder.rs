@@ -12,6 +12,7 @@ use super::{
 use crate::{
     check::sweep::Spec,
     durable,
+    graph::difference::{self, EntryDifference},
     plan::PlanPlugin,
     run::{Answer, Verdict},
 };
@@ -554,23 +555,17 @@ fn plugin_differences(then: &Json, now: &Json, is_same: impl Fn(&PlanPlugin, &Pl
 
 /// The first entry by which two frozen graphs differ, with its table.
 fn graph_difference(graph: &str, other: &str) -> Option<String> {
-    let mut table = "";
-    for (line, other) in graph.lines().zip(other.lines()) {
-        if line != other {
-            let (entry, other) = (entry(line, other), entry(other, line));
-            return Some(format!("its graph has `{entry}` in {table}, the other `{other}`"));
-        }
-        table = if line.starts_with('[') { line } else { table };
+    if graph == other {
+        return None;
     }
-    (graph.lines().count() != other.lines().count()).then(|| "its graph has more or fewer lines".into())
-}
-
-/// The entry of an inline table in which a line differs from another, or the whole line.
-fn entry<'a>(line: &'a str, other: &str) -> &'a str {
-    let same = line.char_indices().zip(other.chars()).find(|((_, a), b)| a != b);
-    let at = same.map_or(line.len().min(other.len()), |((at, _), _)| at);
-    let Some(begin) = line.get(..at).and_then(|same| same.rfind(", ")) else { return line };
-    line[begin + 2..].split(", ").next().unwrap_or(line).trim_end_matches(" }")
+    let first = difference::differences(graph, other).and_then(|differences| differences.into_iter().next());
+    let Some(EntryDifference { table, key, values }) = first else { return Some("its graph is another text".into()) };
+    let shown = |value: &Option<String>| match value {
+        Some(value) if !key.is_empty() => format!("`{key} = {value}`"),
+        Some(_) => "it".into(),
+        None => "nothing".into(),
+    };
+    Some(format!("its graph has {} in {table}, the other {}", shown(&values[0]), shown(&values[1])))
 }
 
 /// Name of an input file or a plugin in `sweep.json`.

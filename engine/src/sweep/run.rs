@@ -164,6 +164,8 @@ impl Sweep {
         options: &SweepOptions,
         found: &[Option<Arc<FinishedNode>>],
     ) -> (Option<Done>, Option<RunTimes>, Vec<Option<FinishedNode>>) {
+        // Names the run in what is logged of it.
+        let _span = tracing::error_span!("run", number = run.row.run).entered();
         let of_run = RunOptions {
             workers: 1,
             out_dir: None,

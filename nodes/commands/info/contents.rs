@@ -259,6 +259,8 @@ fn recording(file: &Path) -> Result<Contents> {
         Some(error) if read.notes.is_empty() => (vec![error.clone()], Vec::new()),
         Some(_) => (read.notes.clone(), Vec::new()),
     };
+    let mut notes = notes;
+    notes.extend(carried_plugins(&read));
     let name = file.display();
     let is_run = read.metadata.keys().any(|key| key.starts_with("osteoflow"));
     let topics: Vec<Topic> = read.topics().iter().map(|topic| of_topic(&read, topic)).collect();
@@ -286,6 +288,23 @@ fn recording(file: &Path) -> Result<Contents> {
         format!("{} with {n_messages} messages", if is_run { "a recording of a run" } else { "an MCAP recording" });
     let contents = Contents::new("recording", about).with_list("frames", frames, "frames");
     Ok(Contents { topics, problems, notes, used_by, ..contents })
+}
+
+/// The plugins whose text the recording of a run carries.
+fn carried_plugins(read: &Recording) -> Option<String> {
+    let (texts, plugins) = (read.metadata.get("osteoflow.plugin_texts")?, read.metadata.get("osteoflow.plugins")?);
+    let is_there = |about: &String| {
+        let about: Value = serde_json::from_str(about).ok()?;
+        texts.contains_key(about["sha256"].as_str()?).then_some(())
+    };
+    let files = plugins.iter().filter(|(_, about)| is_there(about).is_some()).map(|(path, _)| Path::new(path));
+    let names: Vec<_> = files.filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned())).collect();
+    Some(format!(
+        "it carries the text of {} with their modules, {} files in all, which osteoflow replay runs with \
+         --trust-recorded-plugins only",
+        names.join(", "),
+        texts.len()
+    ))
 }
 
 fn of_topic(read: &Recording, topic: &osteoflow_formats::mcap_read::Topic) -> Topic {

@@ -11,7 +11,8 @@ pub struct Loads {
     pub files: Vec<LoadedFile>,
     /// Distributions from which modules were imported: `NAME VERSION`.
     pub packages: Vec<String>,
-    /// The interpreter and the limits of threads: `CPython 3.11.7`, `OMP_NUM_THREADS=1`.
+    /// The interpreter, the limits of threads and the variables that nodes name: `CPython 3.11.7`, `OMP_NUM_THREADS=1`,
+    /// `MODEL unset`.
     pub environment: Vec<String>,
 }
 
@@ -52,14 +53,21 @@ impl Loads {
             }
         }
         for (then, now) in [(&self.packages, &now.packages), (&self.environment, &now.environment)] {
-            for (then, (name, version)) in then.iter().map(|then| (then, parts(then))) {
-                let other = now.iter().map(|now| parts(now)).find(|(other, _)| *other == name);
-                if let Some((_, other)) = other.filter(|(_, other)| *other != version) {
-                    differences.push(format!("{then} against {other}"));
-                }
+            for (then, name) in then.iter().map(|then| (then, parts(then).0)) {
+                let other = now.iter().find(|now| parts(now).0 == name).filter(|now| *now != then);
+                differences.extend(other.map(|other| format!("{then} against {}", parts(other).1)));
             }
         }
         differences
+    }
+
+    /// Adds variables, each `NAME=VALUE` or `NAME unset`; those that the process has reported stay as it has them.
+    pub fn add_environment<'a>(&mut self, entries: impl Iterator<Item = &'a str>) {
+        for entry in entries {
+            if self.environment.iter().all(|known| parts(known).0 != parts(entry).0) {
+                self.environment.push(entry.into());
+            }
+        }
     }
 
     /// Adds what is new in `more`; whether anything was.
@@ -102,6 +110,17 @@ mod tests {
         let expected = ["helper (/p/helper.py) differs", "numpy 1.26.4 against 2.0.2", "OMP_NUM_THREADS=1 against 2"];
         assert_eq!(then.differences(&now), expected);
         assert!(then.differences(&loads("a", &[], &[])).is_empty());
+    }
+
+    #[test]
+    fn a_variable_that_was_set_meanwhile_is_a_difference() {
+        let mut then = loads("a", &[], &["OMP_NUM_THREADS=1"]);
+        let mut now = then.clone();
+        then.add_environment(["MODEL unset", "OMP_NUM_THREADS=8"].into_iter());
+        now.add_environment(["MODEL=unset"].into_iter());
+        assert_eq!(then.environment, ["OMP_NUM_THREADS=1", "MODEL unset"], "what the process has reported stays");
+        assert_eq!(then.differences(&now), ["MODEL unset against unset"]);
+        assert_ne!(then.identity(), now.identity());
     }
 
     #[test]

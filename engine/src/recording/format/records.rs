@@ -1,7 +1,10 @@
 //! The metadata records of a recording.
 
 use super::{Entries, FORMAT_VERSION, MetadataRecord};
-use crate::plan::{PlanPlugin, Sources};
+use crate::{
+    hash::Digest,
+    plan::{PlanPlugin, Sources},
+};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value as Json;
 use std::{
@@ -100,6 +103,25 @@ impl MetadataRecord for PluginRecords {
 
     fn from_metadata(entries: &Entries) -> Result<Self, String> {
         entries.keys().map(|path| json(entries, path)).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// The text of plugins in an interpreted language and of their modules, by SHA-256.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(crate) struct PluginTexts(pub(crate) BTreeMap<String, String>);
+
+impl MetadataRecord for PluginTexts {
+    const NAME: &'static str = "osteoflow.plugin_texts";
+
+    fn to_metadata(&self) -> Entries {
+        self.0.clone()
+    }
+
+    fn from_metadata(entries: &Entries) -> Result<Self, String> {
+        match entries.iter().find(|(sha256, text)| Digest::of(text.as_bytes()).to_string() != **sha256) {
+            Some((sha256, _)) => Err(format!("the text of {sha256} has another SHA-256")),
+            None => Ok(Self(entries.clone())),
+        }
     }
 }
 

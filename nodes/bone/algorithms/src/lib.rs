@@ -41,6 +41,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+/// The level of optimization with which this crate, which computes, is compiled: `3`, `s`, `0`.
+pub const OPT_LEVEL: &str = env!("OSTEOFLOW_ALGORITHMS_OPT_LEVEL");
+
 pub mod axes;
 mod bvh;
 pub mod calibrate;

@@ -34,7 +34,16 @@ import types
 import typing
 import weakref
 
-import numpy as np
+try:
+    import numpy as np
+except ImportError as error:
+    WITHOUT_NUMPY = (f"the interpreter {sys.executable} ({sys.version.split()[0]}) cannot import numpy: {error}; install it there, "
+                     f"{sys.executable} -m pip install numpy, or name another interpreter: --python FILE, OSTEOFLOW_PYTHON, or "
+                     "plugins = [{ file = \"..\", interpreter = \"..\" }] in the graph")
+    if __name__ != "__main__":
+        raise ImportError(WITHOUT_NUMPY) from error
+    print("\nosteoflow plugin: " + json.dumps({"refused": WITHOUT_NUMPY}))
+    sys.exit(0 if sys.argv[1:2] == ["describe"] else WITHOUT_NUMPY)
 
 __all__ = [
     "Axes", "Cloud", "Context", "Flag", "Mesh", "NodeError", "Planes", "Points", "Pose", "Region", "Surface", "Text", "Value",

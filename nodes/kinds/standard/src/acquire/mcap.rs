@@ -8,7 +8,7 @@ use super::{
 };
 use osteoflow_formats::{
     mcap_read::{Message, Recording},
-    message_read::{Calibration, read_image},
+    message_read::{Calibration, MessageKind, read_image},
 };
 use osteoflow_geometry::Frame;
 use osteoflow_node::{
@@ -49,6 +49,16 @@ pub struct Params {
     /// Frames of the recording that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
     #[serde(default)]
     pub frames: BTreeMap<String, String>,
+}
+
+/// Whether a port with this payload reads messages of this schema without further parameters; images need a calibration.
+pub fn reads(payload: &str, schema: &str) -> bool {
+    match MessageKind::of(schema) {
+        Some(MessageKind::Cloud) => payload == "geometry/Cloud",
+        Some(MessageKind::Transform | MessageKind::Transforms) => payload == "geometry/Pose",
+        Some(MessageKind::Pose) => ["geometry/Pose", "geometry/Points"].contains(&payload),
+        None => false,
+    }
 }
 
 /// The body of an event. Clouds and images are decoded when they are due.

@@ -1,0 +1,73 @@
+//! The entries in which two graphs differ.
+
+use std::collections::BTreeSet;
+use toml::{Table, Value};
+
+/// An entry that only one of two graphs has, or in which they differ.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct EntryDifference {
+    /// The table, such as `[node.icp]`.
+    pub(crate) table: String,
+    /// The key in the table, with dots; empty for the table itself.
+    pub(crate) key: String,
+    /// The values as TOML; `None` where the graph does not have it.
+    pub(crate) values: [Option<String>; 2],
+}
+
+/// The differences of two graphs, as texts of graph files; `None` if one of them is no TOML.
+pub(crate) fn differences(a: &str, b: &str) -> Option<Vec<EntryDifference>> {
+    let [a, b]: [Table; 2] = [a.parse().ok()?, b.parse().ok()?];
+    let mut differences = Vec::new();
+    compare(&mut Vec::new(), Some(&Value::Table(a)), Some(&Value::Table(b)), &mut differences);
+    Some(differences)
+}
+
+fn compare(path: &mut Vec<String>, a: Option<&Value>, b: Option<&Value>, out: &mut Vec<EntryDifference>) {
+    match (a, b) {
+        (Some(Value::Table(a)), Some(Value::Table(b))) => {
+            let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+            for key in keys {
+                path.push(key.clone());
+                compare(path, a.get(key), b.get(key), out);
+                path.pop();
+            }
+        }
+        _ if a == b => {}
+        _ => {
+            let depth = match path.first().map(String::as_str) {
+                Some("node") => 2,
+                Some("sweep") => path.len().saturating_sub(1).clamp(1, 3),
+                _ => 1,
+            };
+            let (table, key) = path.split_at(depth.min(path.len()));
+            let value = |value: &Value| match value {
+                Value::Table(_) if key.is_empty() => String::new(),
+                value => value.to_string(),
+            };
+            let values = [a.map(value), b.map(value)];
+            out.push(EntryDifference { table: format!("[{}]", table.join(".")), key: key.join("."), values });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_entry_that_differs_is_named_with_its_table() {
+        let a = "[graph]\nseed = 1\n[node.a]\nmm = 4.0\nrules = { most = 1, least = 0 }\n[node.b]\nkind = \"x.y\"\n";
+        let b = "[graph]\nseed = 1\n[node.a]\nmm = 5.0\nrules = { most = 1, least = 2 }\nn = 3\n";
+        let found = differences(a, b).unwrap();
+        let found: Vec<_> =
+            found.iter().map(|d| (&*d.table, &*d.key, [d.values[0].as_deref(), d.values[1].as_deref()])).collect();
+        let expected = [
+            ("[node.a]", "mm", [Some("4.0"), Some("5.0")]),
+            ("[node.a]", "n", [None, Some("3")]),
+            ("[node.a]", "rules.least", [Some("0"), Some("2")]),
+            ("[node.b]", "", [Some(""), None]),
+        ];
+        assert_eq!(found, expected);
+        assert_eq!(differences(a, a), Some(Vec::new()));
+    }
+}

@@ -1,0 +1,297 @@
+//! Plays the topics of another program's recording into a graph: the sources that they stand for become readers of the file.
+
+use super::{
+    Mapping, ReplayError, ReplayOptions, ReplayReport, TopicReader, WireComparison, WirePart, map::listed, select,
+};
+use crate::{
+    check::{Checked, check_recorded, check_text},
+    options::RunOptions,
+    plan::{Plan, PlanNode, PlanOutput},
+    plugin::Kinds,
+    recording::{
+        format::RunRecord,
+        scan::{Carried, Gather, PassState, scan},
+    },
+    run,
+    runtime::Observer,
+};
+use osteoflow_container::Record;
+use osteoflow_node::Role;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::ControlFlow,
+    path::Path,
+};
+use toml::{Table, Value};
+
+/// Keys of a port of a source of topics that its reader takes as well.
+const PORT_KEYS: [&str; 11] =
+    ["type", "frame", "to", "from", "topic", "topics", "labels", "parent", "child", "optional", "lost_after_ms"];
+
+/// The topics of a recording of another program, with their schemas and numbers of messages.
+#[derive(Default)]
+pub(super) struct Topics {
+    schemas: BTreeMap<u16, String>,
+    channels: BTreeMap<u16, String>,
+    topics: BTreeMap<String, (String, u64)>,
+}
+
+impl Gather for Topics {
+    fn record(&mut self, record: &Record<'_>) -> ControlFlow<()> {
+        match record {
+            Record::Schema { id, name, .. } => {
+                self.schemas.insert(*id, (*name).to_owned());
+            }
+            Record::Channel(channel) => {
+                let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                self.channels.insert(channel.id, channel.topic.clone());
+                self.topics.entry(channel.topic.clone()).or_insert((schema, 0));
+            }
+            Record::Message(message) => {
+                let topic = self.channels.get(&message.channel_id).and_then(|topic| self.topics.get_mut(topic));
+                topic.into_iter().for_each(|(_, n)| *n += 1);
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn message(&mut self, _: Carried<'_>, _: &mut PassState) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+}
+
+impl Topics {
+    /// The topics of a file that is no recording of a run; `None` if it is one, or has no topics.
+    pub(super) fn of(path: &Path) -> Option<Self> {
+        let mut topics = Self::default();
+        let scanned = scan(path, &mut topics, &mut |_, _| {}).ok()?;
+        (!scanned.metadata.has::<RunRecord>() && !topics.topics.is_empty()).then_some(topics)
+    }
+
+    /// All topics with their schemas, for a message.
+    pub(super) fn all(&self) -> String {
+        listed(self.topics.iter().map(|(topic, (schema, _))| format!("{topic} ({schema})")))
+    }
+
+    /// The topics that a port with this payload can read, for a message.
+    fn fitting(&self, reader: &TopicReader, payload: &str) -> String {
+        let fits = self.topics.iter().filter(|(_, (schema, _))| (reader.reads)(payload, schema));
+        listed(fits.map(|(topic, (schema, _))| format!("{topic} ({schema})")))
+    }
+}
+
+/// Runs the graph on the topics of the file.
+///
+/// # Errors
+/// [`ReplayError`] if a port or a topic does not exist or they do not fit, or the graph has faults.
+pub(super) fn replay(
+    path: &Path,
+    topics: &Topics,
+    changes: &ReplayOptions,
+    kinds: &Kinds,
+    options: &RunOptions,
+    observer: &dyn Observer,
+) -> Result<ReplayReport, ReplayError> {
+    let unfit =
+        |what: String| ReplayError::Unfit(format!("{} is a recording of another program: {what}", path.display()));
+    let (Some(graph), Some(reader)) = (&changes.graph, &changes.reader) else {
+        let hint = "--graph names the graph that they play into, and --map NODE.PORT=TOPIC the port of one";
+        return Err(unfit(format!("its topics are {}; {hint}", topics.all())));
+    };
+    for (is_given, option) in [
+        (changes.from.is_some(), "--from"),
+        (changes.start.is_some(), "--start"),
+        (changes.end.is_some(), "--end"),
+        (changes.rate.is_some(), "--rate"),
+    ] {
+        if is_given {
+            return Err(unfit(format!("{option} needs the wires of a run; leave it out")));
+        }
+    }
+    let text = std::fs::read_to_string(graph)
+        .map_err(|error| ReplayError::Unfit(format!("cannot read {}: {error}", graph.display())))?;
+    let of_graph = |faults| ReplayError::Graph { faults, recorded: false };
+    let first = check_recorded(&text, graph, &changes.sets, kinds).map_err(of_graph)?;
+    let (text, played) =
+        with_readers(path, topics, reader, &changes.maps, &first.plan).map_err(|error| match error {
+            ReplayError::Unfit(what) if !what.starts_with("--map") => unfit(what),
+            other => other,
+        })?;
+    let Checked { plan, registry, .. } = check_text(&text, graph, &[], kinds).map_err(of_graph)?;
+    let report = run::run(&plan, &registry, options, observer)?;
+    let wires = played.into_iter().map(|(wire, topics_of)| {
+        let n_recorded = topics_of.iter().filter_map(|topic| topics.topics.get(topic)).map(|(_, n)| n).sum();
+        let n_replayed = plan.all_outputs().find(|id| plan.wire_name(*id) == wire).and_then(|id| {
+            let links = plan.links.iter().zip(&report.links).filter(|(link, _)| link.from == id);
+            links.map(|(_, stats)| stats.sent).max()
+        });
+        WireComparison {
+            wire,
+            part: WirePart::Played,
+            n_recorded,
+            n_replayed: n_replayed.unwrap_or(0),
+            n_compared: 0,
+            first_difference: None,
+            not_comparable: None,
+        }
+    });
+    Ok(ReplayReport {
+        wires: wires.collect(),
+        results_equal: None,
+        not_compared: Some(format!(
+            "{} is a recording of another program, with no wires to compare with",
+            path.display()
+        )),
+        truncated: None,
+        unsound: None,
+        computed_too: Vec::new(),
+        own_sources: own_sources(&plan, &reader.kind),
+        differences: Vec::new(),
+        warnings: first.warnings,
+        run: report,
+    })
+}
+
+/// Sources that are run as the graph has them.
+fn own_sources(plan: &Plan, reader: &str) -> Vec<String> {
+    let own = plan.nodes.iter().filter(|node| node.role != Role::Node && node.kind != reader);
+    own.map(|node| node.name.to_string()).collect()
+}
+
+/// Wires that are played, each with its topics.
+type Played = Vec<(String, Vec<String>)>;
+
+/// The resolved graph in which the sources of topics read the file, and the wires that they play.
+fn with_readers(
+    path: &Path,
+    topics: &Topics,
+    reader: &TopicReader,
+    maps: &[Mapping],
+    plan: &Plan,
+) -> Result<(String, Played), ReplayError> {
+    let mut graph: Table = plan.resolved.parse().map_err(|error| ReplayError::Unfit(format!("{error}")))?;
+    let mut mapped: BTreeMap<usize, BTreeMap<&str, &str>> = BTreeMap::new();
+    for map in maps {
+        let id = map.output(plan)?;
+        let output = &plan.nodes[id.node].outputs[id.port];
+        if plan.nodes[id.node].role != Role::Node {
+            fits(map, topics, reader, output)?;
+            mapped.entry(id.node).or_default().insert(&output.name, &map.topic);
+            continue;
+        }
+        return Err(ReplayError::Unfit(format!(
+            "{map}: \"{}\" is no source, and a topic plays a source only",
+            plan.nodes[id.node].name
+        )));
+    }
+    let (mut played, mut dropped) = (Played::new(), BTreeSet::new());
+    for (index, node) in plan.nodes.iter().enumerate().filter(|(_, node)| node.role != Role::Node) {
+        let of_node = mapped.remove(&index).unwrap_or_default();
+        let is_reader = node.declared.iter().any(|port| !topics_of(&port.params).is_empty());
+        if of_node.is_empty() && !is_reader {
+            if node.role == Role::LiveSource {
+                let ports = plan.outputs(index).map(|id| (plan.wire_name(id), &node.outputs[id.port]));
+                return Err(unmapped(topics, reader, ports));
+            }
+            continue;
+        }
+        let table = graph.get_mut("node").and_then(|nodes| nodes.get_mut(&*node.name)).and_then(Value::as_table_mut);
+        let Some(table) = table else { continue };
+        let mut out = Table::new();
+        for id in plan.outputs(index) {
+            let output = &node.outputs[id.port];
+            let declared = table.get("out").and_then(|out| out.get(&output.name)).and_then(Value::as_table);
+            if let Some(topic) = of_node.get(&*output.name) {
+                out.insert(output.name.clone(), port(output, topic).into());
+                played.push((plan.wire_name(id), vec![(*topic).to_owned()]));
+            } else if let Some(declared) = declared.filter(|_| is_reader) {
+                let of_port = node.declared.iter().find(|port| port.name == output.name);
+                played.push((plan.wire_name(id), of_port.map(|port| topics_of(&port.params)).unwrap_or_default()));
+                let mut declared = declared.clone();
+                declared.retain(|key, _| node.kind == reader.kind || PORT_KEYS.contains(&key));
+                out.insert(output.name.clone(), declared.into());
+            } else if select::is_used(plan, id) {
+                return Err(unmapped(topics, reader, [(plan.wire_name(id), output)]));
+            } else {
+                dropped.insert(plan.wire_name(id));
+            }
+        }
+        let kept =
+            if node.kind == reader.kind { &["on_error", "allow_truncated", "frames"][..] } else { &["on_error"] };
+        table.retain(|key, _| kept.contains(&key));
+        table.insert("kind".into(), reader.kind.clone().into());
+        table.insert(
+            "path".into(),
+            std::path::absolute(path).unwrap_or_else(|_| path.into()).display().to_string().into(),
+        );
+        table.insert("out".into(), out.into());
+    }
+    if played.is_empty() {
+        let what = format!("no source of the graph reads topics, and none is mapped; its topics are {}", topics.all());
+        return Err(ReplayError::Unfit(format!("{what}; {}", example(plan))));
+    }
+    let wires = graph.get_mut("record").and_then(|record| record.get_mut("wires")).and_then(Value::as_array_mut);
+    wires.into_iter().for_each(|wires| wires.retain(|wire| wire.as_str().is_none_or(|wire| !dropped.contains(wire))));
+    Ok((graph.to_string(), played))
+}
+
+/// How a source of this graph is mapped.
+fn example(plan: &Plan) -> String {
+    let source = |node: &&PlanNode| node.role != Role::Node && !node.outputs.is_empty();
+    let source = plan.nodes.iter().find(source).map(|node| format!("{}.{}", node.name, node.outputs[0].name));
+    format!("--map {}=TOPIC names one", source.unwrap_or_else(|| "NODE.PORT".into()))
+}
+
+/// The topics that the parameters of a declared port name.
+fn topics_of(params: &serde_json::Value) -> Vec<String> {
+    let one = params["topic"].as_str().into_iter();
+    one.chain(params["topics"].as_array().into_iter().flatten().filter_map(|topic| topic.as_str()))
+        .map(str::to_owned)
+        .collect()
+}
+
+/// Checks that the topic is there, and that a port with this payload can read it.
+fn fits(map: &Mapping, topics: &Topics, reader: &TopicReader, output: &PlanOutput) -> Result<(), ReplayError> {
+    let payload = output.payload.name();
+    let what = match topics.topics.get(&map.topic) {
+        Some((schema, _)) if (reader.reads)(payload, schema) => return Ok(()),
+        Some((schema, _)) => format!("{} carries {schema}", map.topic),
+        None => format!("the recording has no topic {}", map.topic),
+    };
+    let fit = topics.fitting(reader, payload);
+    Err(ReplayError::Unfit(format!("{map}: {what}; of {payload}, which {} gives, it has {fit}", map.port)))
+}
+
+fn unmapped<'a>(
+    topics: &Topics,
+    reader: &TopicReader,
+    ports: impl IntoIterator<Item = (String, &'a PlanOutput)>,
+) -> ReplayError {
+    let ports = ports.into_iter().map(|(name, output)| {
+        let payload = output.payload.name();
+        format!("--map {name}=TOPIC, of {payload}: {}", topics.fitting(reader, payload))
+    });
+    ReplayError::Unfit(format!(
+        "no topic is played as a source of the graph; name them: {}",
+        ports.collect::<Vec<_>>().join("; ")
+    ))
+}
+
+/// The declaration of a port that reads one topic, with the frames that the graph expects.
+fn port(output: &PlanOutput, topic: &str) -> Table {
+    let mut port = Table::new();
+    let frames = &output.frames;
+    let is_pose = frames.to.is_some() || frames.from.is_some();
+    let entries = [
+        ("type", Some(output.payload.name())),
+        ("topic", Some(topic)),
+        ("frame", frames.frame.as_deref()),
+        ("to", frames.to.as_deref()),
+        ("from", frames.from.as_deref()),
+        ("parent", frames.to.as_deref().filter(|_| is_pose)),
+        ("child", frames.from.as_deref().filter(|_| is_pose)),
+    ];
+    port.extend(entries.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?.into()))));
+    port
+}
