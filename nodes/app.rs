@@ -21,7 +21,7 @@ pub use archive::{ArchiveArgs, ExportRequest, Exported, Sameness, same};
 pub use error::Error;
 pub use files::{Content, read, write_cloud, write_mesh, write_points, write_pose};
 pub use options::{GraphArgs, Keep, Leave, SettingValue};
-pub use osteoflow_engine::inputs::WireInputs;
+pub use osteoflow_engine::{inputs::WireInputs, sweep::Ask};
 pub use osteoflow_formats::{
     Space,
     mesh_or_cloud::{CloudFileRead, MeshOrCloud, MeshRead},
@@ -30,7 +30,7 @@ pub use plugins::{Plugins, hosted_by};
 pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};
 pub use run::{Graph, GraphRun, RunRequest};
 pub use simulate::{SimulateRequest, StreamFormat};
-pub use sweep::{ShardFault, SweepRequest, SweepRun, check_shard, merge, summary};
+pub use sweep::{OneRun, OpenStudy, ShardFault, SweepRequest, SweepRun, check_shard, merge, summary};
 
 pub(crate) use error::{UsageError, with_causes};
 pub(crate) use options::space;

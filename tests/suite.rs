@@ -63,6 +63,7 @@ mod schema;
 mod simulate;
 mod simulated;
 mod store;
+mod studies;
 #[cfg(unix)]
 mod sweep_times;
 mod sweeps;

@@ -27,7 +27,7 @@ pub use module::{Module, ModuleDescription, ModuleInput, ModuleOutput, ModulePar
 
 use crate::{
     fault::{Fault, Faults, Severity},
-    graph::{self, Graph, Sets, header},
+    graph::{self, Graph, Sets, Variant, header},
     plan::Plan,
     plugin::{Kinds, Known},
 };
@@ -84,9 +84,15 @@ pub(crate) fn check_sweep(path: &Path, sets: &[String], kinds: &Kinds) -> Result
 }
 
 /// Checks a graph file for one run of its sweep, with the settings of the run's row, which are relative to the graph
-/// file. Its `[sweep]` has been checked already.
-pub(crate) fn check_row(path: &Path, sets: &[String], row: &[String], kinds: &Kinds) -> Result<Checked, Faults> {
-    let (mut graph, faults) = load(path, &[Sets::command_line(sets), Sets::row(row, path)])?;
+/// file, and the variants that they name. Its `[sweep]` has been checked already.
+pub(crate) fn check_row(
+    path: &Path,
+    sets: &[String],
+    row: &[String],
+    variants: &[Variant],
+    kinds: &Kinds,
+) -> Result<Checked, Faults> {
+    let (mut graph, faults) = load(path, &[Sets::command_line(sets), Sets::row(row, path, variants)])?;
     graph.table.remove("sweep");
     check_graph(&graph, path, kinds, Files::Needed, faults)
 }
@@ -96,10 +102,11 @@ pub(crate) fn check_frozen(
     text: String,
     path: &Path,
     row: &[String],
+    variants: &[Variant],
     sets: &[String],
     kinds: &Kinds,
 ) -> Result<Checked, Faults> {
-    check_source(text, path, &[Sets::row(row, path), Sets::command_line(sets)], kinds, Files::Needed)
+    check_source(text, path, &[Sets::row(row, path, variants), Sets::command_line(sets)], kinds, Files::Needed)
 }
 
 /// Checks the file at `path`, which may be a graph or a module.
@@ -226,7 +233,7 @@ impl Check<'_> {
         }
         let record = self.record(graph, &parsed_nodes);
         let results = self.results(graph, &parsed_nodes);
-        let sweep = sweep::read(&graph.table, &mut self.faults).map(Box::new);
+        let sweep = sweep::read(graph, &mut self.faults).map(Box::new);
         let found = faults::add_uses(faults::sorted(self.faults));
         let (errors, warnings): (Vec<_>, Vec<_>) = found.into_iter().partition(|f| f.severity == Severity::Error);
         match (order, frames) {

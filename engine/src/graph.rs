@@ -25,10 +25,11 @@ pub(crate) use {
     interface::{InputDecl, Interface, OutputDecl, ParamDecl},
     modules::{KIND as MODULE, Module, no_results},
     remove::Removed,
-    set::{SetKey, Sets, keys_set, table_of},
+    set::{SetKey, Sets, keys_set, setting_value, table_of},
     tree::{Entry, Spanned, Table, Value},
 };
 
+pub use extends::Variant;
 pub use set::CommandLineParam;
 
 use crate::{
@@ -61,6 +62,11 @@ pub(crate) struct Graph {
 }
 
 impl Graph {
+    /// The folder of the graph file, as the file is shown.
+    pub(crate) fn folder(&self) -> &Path {
+        self.texts[0].parent().unwrap_or(Path::new(""))
+    }
+
     /// The first byte of the graph file, for faults about something missing.
     pub(crate) fn start(&self) -> Span {
         Span::new(&self.main, 0..0)
@@ -83,11 +89,11 @@ pub(crate) fn load_text(text: String, path: &Path, sets: &[Sets<'_>], faults: &m
     let mut removed = Removed::default();
     let mut chain = extends::Chain::new(&mut removed, faults);
     let (main, mut table) = chain.load(path, text);
+    let edits = sets.iter().flat_map(|sets| set::apply(&mut table, sets, &mut chain)).collect();
     let n_texts = chain.len();
     let mut texts = vec![path.into()];
     texts.append(&mut chain.texts);
     let mut plugins = std::mem::take(&mut chain.plugins);
-    let edits = sets.iter().flat_map(|sets| set::apply(&mut table, sets, &mut removed, faults)).collect();
     let interface = interface::read(&mut table, faults);
     if let Some(interface) = &interface {
         modules::prepare_alone(&mut table, interface, faults);

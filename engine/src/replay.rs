@@ -1,7 +1,7 @@
 //! Runs a recording again: plays recorded wires, recomputes what follows from them and compares.
 
 mod compare;
-mod exchange;
+pub(crate) mod exchange;
 mod foreign;
 mod map;
 mod range;
@@ -267,7 +267,9 @@ pub fn replay(
             Err(_) => check(graph, sets, kinds),
         },
         None => {
-            let exchanged = exchange::without_old_defaults(&recording.run, sets, kinds);
+            let run = &recording.run;
+            let exchanged =
+                exchange::without_old_defaults(&run.graph, &run.graph_file, run.written.as_ref(), sets, kinds);
             let text = exchanged.as_deref().unwrap_or(&recording.run.graph);
             check_recorded(text, &recording.run.graph_file, sets, kinds)
         }

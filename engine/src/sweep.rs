@@ -12,23 +12,26 @@ mod folder;
 mod run;
 mod run_row;
 mod share;
+mod study;
 mod table;
 #[cfg(test)]
 mod tests;
 mod times;
 mod twice;
 
-pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
-pub use check::{again, check, check_as};
+pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec, Variant};
+pub use check::{again, check, check_as, check_only};
 pub use design::{SweepRow, rows};
 pub use folder::{
-    DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, TIMES, difference_of_plugins, merge,
+    Asked, DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, TIMES, difference_of_plugins, merge,
 };
 
-use folder::difference;
+pub use study::{Ask, Study, StudyError};
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};
 pub use times::{NodeTimes, RunTimes};
 pub use twice::Unsteady;
+
+use folder::difference;
 
 use crate::{
     fault::Fault,
@@ -43,6 +46,7 @@ use serde_json::{Value as Json, json};
 use std::{
     fmt,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 /// A checked sweep: no run has faults.
@@ -54,19 +58,25 @@ pub struct Sweep {
     pub warnings: Vec<Fault>,
     /// The graph itself.
     pub plan: Plan,
-    registry: Registry,
     runs: Vec<Run>,
     /// State of all input files when the sweep was checked.
     files: Stamps,
     hash: Digest,
 }
 
+/// A checked run of a sweep.
 #[derive(Debug)]
-struct Run {
-    row: SweepRow,
-    plan: Plan,
+pub struct Run {
+    /// Its row of the design.
+    pub row: SweepRow,
+    /// Its plan.
+    pub plan: Plan,
+    /// The kinds that it is built from.
+    pub registry: Arc<Registry>,
     /// Sharing key of each node.
     keys: Vec<Digest>,
+    /// What was asked for, in a study.
+    asked: Option<Asked>,
 }
 
 /// Part `index` of `of` of a sweep, counted from 1.
@@ -145,17 +155,24 @@ impl Sweep {
 
     /// What the sweep is of.
     fn about(&self, shard: Option<Shard>, command: &Json) -> Json {
+        self.about_part(&self.spec, &self.runs.iter().collect::<Vec<_>>(), self.hash, shard, command)
+    }
+
+    /// What the sweep is of, or of these runs with this specification.
+    fn about_part(&self, spec: &Spec, runs: &[&Run], hash: Digest, shard: Option<Shard>, command: &Json) -> Json {
+        let written = self.plan.nodes.iter().map(|node| (node.name.to_string(), json!(node.written())));
         json!({
             "graph": { "name": self.plan.name, "file": self.plan.path.display().to_string(), "seed": self.plan.seed },
-            "hash": self.hash.to_string(),
-            "n_runs": self.runs.len(),
+            "hash": hash.to_string(),
+            "n_runs": runs.len(),
             "shard": shard.map(|shard| shard.to_string()),
-            "sweep": self.spec,
+            "sweep": spec,
             "engine_version": env!("CARGO_PKG_VERSION"),
             "program_sha256": program::digest().map(|digest| digest.to_string()),
             "command": command,
-            "inputs": hashes(&input_files(&self.runs)),
+            "inputs": hashes(&input_files(runs)),
             "plugins": with_late_loads(&self.plugins()),
+            "written": written.collect::<serde_json::Map<_, _>>(),
         })
     }
 
@@ -180,26 +197,65 @@ impl Sweep {
         part.into_iter().map(|run| &self.runs[run].row)
     }
 
-    /// Resumes the sweep in its folder, with the part it was started with.
+    /// Resumes the sweep in its folder, with the part it was started with. A folder of the same sweep with fewer repeats gets the
+    /// numbers of this one.
     ///
     /// # Errors
     /// If the folder holds another sweep, another part, or no sweep.
-    pub fn resume(&self, dir: &Path, shard: Option<Shard>) -> Result<Folder, FolderError> {
-        let folder = Folder::open(dir)?;
-        if let Some(what) = difference(&self.about(shard, &Json::Null), &self.plan.resolved, &folder)? {
-            return Err(FolderError::Other { path: dir.display().to_string(), what });
+    pub fn resume(&self, dir: &Path, options: &SweepOptions) -> Result<Folder, FolderError> {
+        let (mut folder, shard) = (Folder::open(dir)?, options.shard);
+        let path = dir.display().to_string();
+        if folder.is_study() {
+            let what = "its runs were asked for one by one from Python, which also goes on with it".into();
+            return Err(FolderError::Other { path, what });
         }
-        let (there, asked) = (folder.about["shard"].as_str(), shard.map(|shard| shard.to_string()));
-        if there != asked.as_deref() {
-            let there = there.map(str::to_owned);
-            return Err(FolderError::Part { path: dir.display().to_string(), there, asked });
+        folder.finish_growth()?;
+        let n_repeats = folder.spec()?.repeat;
+        let is_smaller = n_repeats < self.spec.repeat && folder.hash() != self.hash.to_string();
+        let about = if is_smaller { self.about_repeats(n_repeats) } else { self.about(shard, &Json::Null) };
+        if let Some(what) = difference(&about, &self.plan.resolved, &folder)? {
+            return Err(FolderError::Other { path, what });
+        }
+        let (there, asked) = (folder.about["shard"].as_str().map(str::to_owned), shard.map(|shard| shard.to_string()));
+        if is_smaller && there.is_some() {
+            return Err(FolderError::Grown { path, there });
+        }
+        if there != asked {
+            return Err(FolderError::Part { path, there, asked });
+        }
+        if is_smaller {
+            self.grow(&mut folder, n_repeats, &options.run.command)?;
+            folder.finish_growth()?;
         }
         Ok(folder)
+    }
+
+    /// What the sweep would be of with fewer repeats.
+    fn about_repeats(&self, n_repeats: usize) -> Json {
+        let spec = Spec { repeat: n_repeats, ..self.spec.clone() };
+        let runs: Vec<&Run> = self.runs.iter().filter(|run| run.row.run % self.spec.repeat < n_repeats).collect();
+        let hash = check::hash(&spec, &runs, &mut |file| hashes(&[file.into()]));
+        self.about_part(&spec, &runs, hash, None, &Json::Null)
+    }
+
+    /// Gives the runs of a folder of fewer repeats the numbers of this sweep.
+    fn grow(&self, folder: &mut Folder, n_repeats: usize, command: &Json) -> Result<(), FolderError> {
+        let mut about = self.about(None, command);
+        for key in ["plugins", "merged", "grown"] {
+            if !folder.about[key].is_null() {
+                about[key] = folder.about[key].clone();
+            }
+        }
+        let before = json!({ "repeat": n_repeats, "hash": folder.hash(), "command": folder.about["command"] });
+        let mut grown = about["grown"].as_array().cloned().unwrap_or_default();
+        grown.push(before);
+        about["grown"] = grown.into();
+        folder.grow(about, |run| run / n_repeats * self.spec.repeat + run % n_repeats)
     }
 }
 
 /// Input files of all runs, without duplicates.
-fn input_files(runs: &[Run]) -> Vec<PathBuf> {
+fn input_files(runs: &[&Run]) -> Vec<PathBuf> {
     let mut files: Vec<_> = runs.iter().flat_map(|run| &run.plan.input_files).cloned().collect();
     files.sort();
     files.dedup();

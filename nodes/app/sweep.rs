@@ -2,6 +2,7 @@
 
 use super::{
     error::{Error, UsageError},
+    folder_lock::FolderLock,
     options::Keep,
     out_dir::{self, OutDir},
     plugins::Plugins,
@@ -9,14 +10,26 @@ use super::{
 };
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::sweep::{self, Folder, FolderError, Shard, Spec, Sweep, SweepCounts, SweepOptions, Watcher};
+use osteoflow_engine::{
+    plan::Plan,
+    run::RunOptions,
+    sweep::{
+        self, Ask, Done, Folder, FolderError, Run, Shard, Spec, Study, StudyError, Sweep, SweepCounts, SweepOptions,
+        SweepRow, Watcher,
+    },
+};
+use osteoflow_node::Registry;
 use osteoflow_report::summary;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::{
     num::NonZeroUsize,
+    ops::RangeInclusive,
     path::{Path, PathBuf},
     sync::{Arc, atomic::AtomicBool},
 };
+
+/// Most runs of --only: each is recorded.
+const MAX_ONLY: usize = 10_000;
 
 /// Many runs of a graph, as its table `[sweep]` says.
 #[derive(Debug, Clone, Args)]
@@ -45,6 +58,18 @@ pub struct SweepRequest {
     /// With --resume: run those again that failed, because a file could not be read or a package was missing.
     #[arg(long, requires = "resume")]
     pub retry_failed: bool,
+
+    /// Run these runs alone, each as `run` would with its settings, and record it: its results are those of its row. N, or a list of
+    /// numbers and ranges, 3,7-9, as --dry-run and runs.csv have them; each of several goes into a folder of its own, 000003. The
+    /// graph may be the folder of a finished sweep, whose frozen graph is run.
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = numbers,
+          conflicts_with_all = ["out", "resume", "retry_failed", "shard", "no_share"])]
+    pub only: Vec<RangeInclusive<usize>>,
+
+    /// With --only: the folder to write results.json, manifest.json and run.mcap into; refused if not empty. Default: a new one
+    /// under runs/.
+    #[arg(long, value_name = "DIR", requires = "only")]
+    pub record: Option<PathBuf>,
 
     /// Run the K-th of N parts of the sweep, from 1; --merge combines them.
     #[arg(long, value_name = "K/N", value_parser = shard)]
@@ -75,6 +100,25 @@ fn shard(text: &str) -> Result<Shard, String> {
     }
 }
 
+/// A number of a run, or the first and the last of a range.
+fn numbers(text: &str) -> Result<RangeInclusive<usize>, String> {
+    let (first, last) = text.split_once('-').unwrap_or((text, text));
+    match (first.trim().parse(), last.trim().parse()) {
+        (Ok(first), Ok(last)) if first <= last => Ok(first..=last),
+        _ => Err("runs must be numbers or ranges, such as 3 or 7-9".into()),
+    }
+}
+
+/// A run of a sweep that is run alone.
+pub struct OneRun {
+    /// Its row of the design.
+    pub row: SweepRow,
+    pub(crate) plan: Plan,
+    pub(crate) registry: Arc<Registry>,
+    /// What the sweep has stored of it.
+    pub(crate) stored: Option<Done>,
+}
+
 /// A checked sweep with its folder.
 pub struct SweepRun {
     pub(crate) sweep: Sweep,
@@ -93,6 +137,61 @@ impl SweepRequest {
         Ok(sweep::check_as(graph, &self.sets, kinds, workers, self.spec.clone())?)
     }
 
+    /// The runs of --only, checked.
+    ///
+    /// # Errors
+    /// All faults of the graph and of the runs, and numbers that the sweep does not have.
+    pub fn only(&self) -> Result<Vec<OneRun>> {
+        let graph = self.graph.as_deref().ok_or_else(|| UsageError("--only needs a graph file".into()))?;
+        let mut numbers: Vec<usize> = Vec::new();
+        for number in self.only.iter().cloned().flatten() {
+            if numbers.len() > MAX_ONLY {
+                return Err(UsageError(format!("--only takes at most {MAX_ONLY} runs; leave it out to run all")).into());
+            }
+            if !numbers.contains(&number) {
+                numbers.push(number);
+            }
+        }
+        let kinds = self.plugins.kinds_apart()?;
+        if !graph.is_dir() {
+            let runs = sweep::check_only(graph, &self.sets, kinds, &numbers, program::n_workers(self.workers))?;
+            let one = |Run { row, plan, registry, .. }: Run| OneRun { row, plan, registry, stored: None };
+            return Ok(runs.into_iter().map(one).collect());
+        }
+        let folder = Folder::open(graph).map_err(folder_error)?;
+        let kinds = kinds.held()?;
+        let stored = folder.runs().map_err(folder_error)?;
+        let one = |number: usize| -> Result<OneRun> {
+            if stored.binary_search(&number).is_err() {
+                let has = stored.last().map_or("none".into(), |last| format!("{} runs up to {last}", stored.len()));
+                let message = format!("{} has no run {number}; it has {has}", graph.display());
+                return Err(UsageError(message).into());
+            }
+            let done = folder.read(number).map_err(folder_error)?;
+            let sets = folder.sets(number).map_err(folder_error)?;
+            let row = SweepRow { run: number, values: done.values.clone(), seed: done.seed, sets };
+            let checked = sweep::again(&folder, number, &self.sets, &kinds).map_err(folder_error)??;
+            let registry = Arc::new(checked.registry);
+            Ok(OneRun { row, plan: checked.plan, registry, stored: Some(done) })
+        };
+        numbers.into_iter().map(one).collect()
+    }
+
+    /// The folder of one of the runs of --only.
+    pub(crate) fn folder_of(&self, run: &OneRun, is_alone: bool) -> Result<OutDir> {
+        match &self.record {
+            Some(dir) if is_alone => out_dir::make(Some(dir), &run.plan.name, false),
+            Some(dir) => out_dir::make(Some(&dir.join(format!("{:06}", run.row.run))), &run.plan.name, false),
+            None => out_dir::make(None, &format!("{}-{:06}", run.plan.name, run.row.run), false),
+        }
+    }
+
+    /// The options of the runs of --only, which record.
+    pub(crate) fn options_of_only(&self, cancelled: &Arc<AtomicBool>) -> Result<RunOptions> {
+        let options = program::options(self.workers, cancelled);
+        Ok(RunOptions { record: true, latency: true, store: self.keep.store()?, ..options })
+    }
+
     /// A new folder for the sweep, or the one to resume.
     ///
     /// # Errors
@@ -103,7 +202,10 @@ impl SweepRequest {
         let (shard, retry_failed) = (self.shard, self.retry_failed);
         let options = SweepOptions { workers: run.workers, run, share: !self.no_share, shard, retry_failed };
         let folder = match (&self.out, self.resume) {
-            (Some(dir), true) => sweep.resume(dir, self.shard),
+            (Some(dir), true) => {
+                let _lock = FolderLock::take(dir)?;
+                sweep.resume(dir, &options)
+            }
             (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options),
         };
         Ok(SweepRun { folder: folder.map_err(folder_error)?, sweep, options })
@@ -148,6 +250,80 @@ impl SweepRun {
     }
 }
 
+/// A study: a sweep whose rows are asked for one by one.
+pub struct OpenStudy {
+    study: Study,
+    options: SweepOptions,
+    _lock: FolderLock,
+}
+
+impl SweepRequest {
+    /// A new study in --out, or the one there to go on with.
+    ///
+    /// # Errors
+    /// All faults of the graph; the folder is in use, or of another study.
+    pub fn study(&self) -> Result<OpenStudy> {
+        let (Some(graph), Some(dir)) = (&self.graph, &self.out) else {
+            return Err(UsageError("a study needs a graph file and a folder".into()).into());
+        };
+        if !self.resume {
+            drop(new_dir(Some(dir), "")?);
+        }
+        let lock = FolderLock::take(dir)?;
+        let mut run = program::options(self.workers, &Arc::default());
+        run.store = self.keep.store()?;
+        let (workers, retry_failed) = (run.workers, self.retry_failed);
+        let options = SweepOptions { workers, run, share: !self.no_share, shard: None, retry_failed };
+        let kinds = self.plugins.kinds_apart()?;
+        let study = Study::open(graph, &self.sets, kinds, dir, self.resume, options.clone())?;
+        Ok(OpenStudy { study: study.map_err(folder_error)?, options, _lock: lock })
+    }
+}
+
+impl OpenStudy {
+    /// A row with the values of its columns.
+    pub fn row(&self, done: &Done) -> Value {
+        let columns = self.study.spec().columns.iter();
+        let value = |path: &str| sweep::at_path(&done.results, path).cloned().unwrap_or_default();
+        let columns: serde_json::Map<_, _> = columns.map(|column| (column.name.clone(), value(&column.path))).collect();
+        let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
+        json!({
+            "run": done.run, "seed": done.seed, "values": values, "status": done.status, "reason": done.reason,
+            "verdict": done.verdict().map(|answer| answer.name()), "warnings": done.warnings, "columns": columns,
+            "results": done.results,
+        })
+    }
+
+    /// The rows of these asks; those that the folder lacks are run.
+    ///
+    /// # Errors
+    /// [`Error`]: settings that cannot be asked for, a file that has changed, or the user stopped it.
+    pub fn run(
+        &mut self,
+        asks: &[Ask],
+        watcher: &dyn Watcher,
+        cancelled: &Arc<AtomicBool>,
+    ) -> Result<Vec<Done>, Error> {
+        let run = RunOptions { cancelled: cancelled.clone(), ..self.options.run.clone() };
+        let options = SweepOptions { run, ..self.options.clone() };
+        self.study.run(asks, &options, watcher).map_err(|error| match error {
+            StudyError::Ask(what) => Error::Usage(what),
+            StudyError::Folder(error) => folder_error(error).into(),
+            StudyError::Interrupted => Error::Interrupted,
+        })
+    }
+
+    /// Writes the tables and the summary of all rows so far.
+    ///
+    /// # Errors
+    /// A file of the folder cannot be read or written.
+    pub fn close(&mut self) -> Result<(), Error> {
+        self.study.close().map_err(folder_error)?;
+        summary(self.study.folder())?;
+        Ok(())
+    }
+}
+
 /// Combines the runs of shards in a new folder.
 ///
 /// # Errors
@@ -171,6 +347,7 @@ pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
         FolderError::NoSweep { .. }
         | FolderError::Other { .. }
         | FolderError::Part { .. }
+        | FolderError::Grown { .. }
         | FolderError::Missing { .. } => UsageError(error.to_string()).into(),
         other => other.into(),
     }

@@ -64,7 +64,7 @@ pub(crate) enum Command {
     Validate(validate::Validate),
     Recover(recover::Recover),
     Repro(repro::Repro),
-    Sweep(sweep::Sweep),
+    Sweep(Box<sweep::Sweep>),
     Export(export::Export),
     Report(report::Report),
     View(view::View),

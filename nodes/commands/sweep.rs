@@ -3,15 +3,18 @@ use super::common::{
     graph_args::or_faults,
     print_json,
     progress::{Progress, SweepProgress},
-    running, summary_table, terminal,
+    run_end, running, summary_table, terminal,
 };
 use crate::app::{
-    ArchiveArgs, SweepRequest,
+    ArchiveArgs, OneRun, SweepRequest, run_error,
     sweep::{folder_error, merge, summary},
 };
 use anyhow::Result;
 use clap::Args;
-use osteoflow_engine::sweep::{Folder, RUNS_DIR, Shard, Sweep as Checked, SweepCounts};
+use osteoflow_engine::{
+    run::{RunOptions, run},
+    sweep::{Folder, RUNS_DIR, SweepCounts, SweepRow},
+};
 use serde_json::{Value, json};
 use std::{
     io::Write,
@@ -34,12 +37,17 @@ Examples:
   osteoflow sweep graphs/paper/sensitivity.toml --out S --resume --retry-failed      runs that failed too
   osteoflow sweep G.toml --shard 2/8 --out S2                    the second of eight machines, or of a job array:
   osteoflow sweep --merge S1 S2 S3 S4 S5 S6 S7 S8 --out S
+  osteoflow sweep graphs/paper/sensitivity.toml --set sweep.repeat=20 --out S --resume      ten more repeats
+  osteoflow sweep S --only 152 --record R                        one of its runs again, recorded: then report R, replay R
+  osteoflow sweep G.toml --only 3,7-9 --record R                 before the sweep; R/000003, R/000007 ...
 
 In a graph file:
   [sweep]
   repeat = 10                                         seeds graph.seed, +1, +2 ...
   [sweep.factor]
   icp = { key = \"icp.kind\", values = [\"icp.point_to_point\", \"icp.point_to_plane\"] }
+  scan = { key = \"scan.path\", files = \"scans/*.ply\" }    every file of a folder
+  method = { variants = \"variants/*.toml\" }            files of changes, merged as by extends
   [sweep.columns]
   tre_mm = \"metrics.tre_true_mm.mean_abs.norm\"        path in results.json
 All keys: docs/use/sweeps.md")]
@@ -76,10 +84,14 @@ impl Sweep {
         }
         let cancelled = Arc::default();
         running::make_pool(request.workers)?;
+        if !request.only.is_empty() {
+            return self.execute_only(global);
+        }
         let sweep = or_faults(request.check(), |sweep| &sweep.warnings, global)?;
         let Some(sweep) = sweep else { return Ok(Exit::Usage) };
         if self.dry_run {
-            return list(&sweep, request.shard, global);
+            let hash = json!({ "hash": sweep.hash().to_string() });
+            return list(hash, sweep.part(request.shard), global);
         }
         let run = Arc::new(request.begin(sweep, &cancelled)?);
         let shard = request.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
@@ -93,19 +105,77 @@ impl Sweep {
         })?;
         ran.map_or(Ok(Exit::Interrupted), |swept| print_end(&run.folder, &swept, began.elapsed(), global))
     }
+
+    /// Runs the runs of --only, each recorded in a folder of its own; the exit code is that of the first without results.
+    fn execute_only(&self, global: &Global) -> Result<Exit> {
+        let Some(runs) = or_faults(self.request.only(), |_| &[], global)? else { return Ok(Exit::Usage) };
+        if self.dry_run {
+            let rows: Vec<_> = runs.iter().map(|run| run.row.clone()).collect();
+            return list(json!({}), rows.iter(), global);
+        }
+        let cancelled = Arc::default();
+        let options = self.request.options_of_only(&cancelled)?;
+        let progress = match &runs[..] {
+            [run] => Progress::of_run(&run.plan, options.workers, global),
+            _ => Progress::hidden(),
+        };
+        let (request, of_runs) = (self.request.clone(), global.clone());
+        let ran = running::watch(progress, cancelled, move |progress| {
+            let mut exits = Vec::new();
+            for one in &runs {
+                let exit = run_alone(one, &request, runs.len() == 1, &options, progress, &of_runs)?;
+                exits.push(exit);
+                if exit == Exit::Interrupted {
+                    break;
+                }
+            }
+            Ok(exits.into_iter().find(|exit| *exit != Exit::Done).unwrap_or(Exit::Done))
+        })?;
+        Ok(ran.unwrap_or(Exit::Interrupted))
+    }
 }
 
-fn list(sweep: &Checked, shard: Option<Shard>, global: &Global) -> Result<Exit> {
+/// Runs one run of a sweep, and says whether its results are those of the sweep.
+fn run_alone(
+    one: &OneRun,
+    request: &SweepRequest,
+    is_alone: bool,
+    options: &RunOptions,
+    progress: &Progress,
+    global: &Global,
+) -> Result<Exit> {
+    let dir = request.folder_of(one, is_alone)?;
+    let mut options = RunOptions { out_dir: Some(dir.to_path_buf()), ..options.clone() };
+    options.command["sweep_run"] = one.row.run.into();
+    let report = run(&one.plan, &one.registry, &options, progress).map_err(run_error)?;
+    progress.end();
+    let exit = run_end::print_end(&report, &dir, global)?;
+    let (Some(stored), Some(sweep)) = (&one.stored, &request.graph) else { return Ok(exit) };
+    let is_equal = stored.results == report.results;
+    if !is_equal && exit != Exit::Interrupted {
+        let word = global.paint_err("warning", "1;33");
+        let (number, sweep) = (one.row.run, sweep.display());
+        writeln!(
+            terminal::stderr(),
+            "{word}: run {number} has other results in {sweep}: an input file, a plugin or the program is another since, or a \
+             setting; compare manifest.json with {sweep}/sweep.json"
+        )?;
+    }
+    Ok(exit)
+}
+
+fn list<'r>(mut about: Value, rows: impl Iterator<Item = &'r SweepRow>, global: &Global) -> Result<Exit> {
     if global.format == Format::Json {
-        let runs = sweep.part(shard).map(|row| {
+        let runs = rows.map(|row| {
             let values: serde_json::Map<_, _> = row.values.iter().cloned().collect();
             json!({ "run": row.run, "seed": row.seed, "values": values, "set": row.sets })
         });
-        print_json(&json!({ "hash": sweep.hash().to_string(), "runs": runs.collect::<Vec<_>>() }))?;
+        about["runs"] = runs.collect();
+        print_json(&about)?;
         return Ok(Exit::Done);
     }
     let mut out = terminal::stdout().lock();
-    for row in sweep.part(shard) {
+    for row in rows {
         writeln!(out, "run {}: {}", row.run, row.sets.join(" "))?;
     }
     Ok(Exit::Done)

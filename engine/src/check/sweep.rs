@@ -2,16 +2,18 @@
 
 mod draw;
 mod factor;
+mod files;
 mod paths;
 mod sets;
 mod spec;
 
+pub use crate::graph::Variant;
 pub use spec::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec};
 
 use crate::{
     fault::{Fault, Span},
     graph::{
-        Entry, Spanned, Table, Value,
+        Entry, Graph, Spanned, Table, Value,
         extract::{self, Section},
         grammar,
     },
@@ -32,7 +34,8 @@ const OWN: [&str; 10] = ["run", "seed", "status", "verdict", "reason", "measure"
 const MAX_RUNS: u64 = 1_000_000;
 
 /// Reads `[sweep]` of a graph; `None` if it has none.
-pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
+pub(crate) fn read(graph: &Graph, faults: &mut Vec<Fault>) -> Option<Spec> {
+    let table = &graph.table;
     let entry = table.get("sweep")?;
     let results = table.get("results").and_then(|entry| entry.value.as_table());
     let results = results.into_iter().flat_map(Table::keys).filter(|key| *key != grammar::REQUIRE);
@@ -40,10 +43,11 @@ pub(crate) fn read(table: &Table, faults: &mut Vec<Fault>) -> Option<Spec> {
     let nodes = table.get("node").and_then(|entry| entry.value.as_table());
     let nodes = nodes.into_iter().flat_map(Table::keys).map(str::to_owned).collect();
     let table = extract::table(&entry.value, "sweep", faults)?;
-    Reader { at: &entry.key_at, faults }.spec(table, results, nodes)
+    Reader { graph, at: &entry.key_at, faults }.spec(table, results, nodes)
 }
 
 struct Reader<'a> {
+    graph: &'a Graph,
     at: &'a Span,
     faults: &'a mut Vec<Fault>,
 }

@@ -3,7 +3,7 @@ use std::{
     fmt,
     ops::Range,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, OnceLock},
 };
 
 /// A text that a graph was read from: a file of its `extends` chain, or the command line.
@@ -19,6 +19,8 @@ pub struct SourceText {
     pub order: usize,
     /// Whether it is the command line.
     pub command_line: bool,
+    /// Its position among the files that are merged one over the other into a graph or a module.
+    pub merged: OnceLock<usize>,
     /// The use of the module, if it is the file of a module or extended by one.
     pub used: Option<Use>,
 }
@@ -29,6 +31,24 @@ pub struct Use {
     pub node: String,
     /// Where the node begins.
     pub at: Span,
+}
+
+impl SourceText {
+    /// Whether it has the settings of a run of a sweep.
+    pub(crate) fn is_sweep(&self) -> bool {
+        self.command_line && self.name.to_string_lossy().starts_with("[sweep]")
+    }
+
+    /// Whether its values replace those of another text.
+    pub(crate) fn is_over(&self, other: &Self) -> bool {
+        let module = |text: &Self| text.used.as_ref().map(|used| used.node.clone());
+        match (self.command_line, other.command_line) {
+            (true, other) => !other,
+            (false, true) => false,
+            (false, false) if module(self) == module(other) => self.merged.get() > other.merged.get(),
+            (false, false) => self.order < other.order,
+        }
+    }
 }
 
 impl fmt::Debug for SourceText {

@@ -6,17 +6,18 @@ use super::{
     plugins::{self, NamedPlugin},
     remove::Removed,
     results,
-    tree::Table,
+    tree::{Entry, Table, Value},
 };
 use crate::{
     fault::{Fault, SourceText, Span, Use},
     hash::files::irregular,
     names::nearest,
 };
+use serde::{Deserialize, Serialize};
 use std::{
     fs, io,
     path::{Component, Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, OnceLock},
 };
 
 /// The text of a graph file.
@@ -41,10 +42,13 @@ pub(super) fn read(path: &Path) -> Result<String, Box<Fault>> {
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
-/// The files read so far, each extending the next.
+/// The files that a graph consists of, merged one after the other.
 pub(super) struct Chain<'f> {
-    /// Canonical paths, which detect a cycle through links, with the names shown.
-    seen: Vec<(PathBuf, PathBuf)>,
+    /// The files being read, each extending the next: canonical paths, which detect a cycle through links, with the names shown.
+    open: Vec<(PathBuf, PathBuf)>,
+    /// Canonical paths of all files read so far.
+    merged: Vec<PathBuf>,
+    n_merged: usize,
     /// The extended files, whether or not they could be read.
     pub(super) texts: Vec<PathBuf>,
     /// The plugins named by these files; those of a file follow those of the file it extends.
@@ -53,14 +57,14 @@ pub(super) struct Chain<'f> {
     order: usize,
     /// The node that uses the file as a module.
     used: Option<(String, Span)>,
-    removed: &'f mut Removed,
-    faults: &'f mut Vec<Fault>,
+    pub(super) removed: &'f mut Removed,
+    pub(super) faults: &'f mut Vec<Fault>,
 }
 
 impl<'f> Chain<'f> {
     pub(super) fn new(removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
-        let (seen, texts, plugins) = (Vec::new(), Vec::new(), Vec::new());
-        Self { seen, texts, plugins, order: 0, used: None, removed, faults }
+        let (open, merged, texts, plugins) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { open, merged, n_merged: 0, texts, plugins, order: 0, used: None, removed, faults }
     }
 
     /// The chain of a module's file.
@@ -69,57 +73,157 @@ impl<'f> Chain<'f> {
     }
 
     pub(super) fn len(&self) -> usize {
-        self.seen.len()
+        self.merged.len()
     }
 
     /// Loads a graph file with everything it extends.
     pub(super) fn load(&mut self, path: &Path, text: String) -> (Arc<SourceText>, Table) {
-        let name = tidy(path);
-        let dir = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
-        let used = self.used.as_ref().map(|(node, at)| Use { node: node.clone(), at: at.clone() });
-        let order = self.order + self.seen.len();
-        let source = Arc::new(SourceText { name, dir, text, order, command_line: false, used });
-        self.seen.push((canonical(path), source.name.clone()));
-        let mut over = parse(&source, self.faults);
-        results::flatten(&mut over, self.faults);
-        let named = plugins::take(&mut over, self.faults);
-        let mut base = self.base(&mut over, path);
-        self.plugins.extend(named);
-        self.removed.take_from(&mut base, &mut over, self.faults);
-        merge(&mut base, over);
-        (source, base)
+        let mut table = Table::default();
+        let source = self.load_over(&mut table, path, text);
+        (source, table)
     }
 
-    /// The table of the extended file; empty if the file extends nothing.
-    fn base(&mut self, over: &mut Table, path: &Path) -> Table {
-        let Some(entry) = over.remove("extends") else { return Table::default() };
-        let Some(text) = entry.value.as_text() else {
-            let fault = refused(&entry.value, "extends takes the path of a graph file", "a text is needed");
-            self.faults.push(fault.hides(&entry.value.at));
-            return Table::default();
-        };
-        let base = path.parent().unwrap_or(Path::new("")).join(text);
-        let same = canonical(&base);
-        if let Some(start) = self.seen.iter().position(|(seen, _)| *seen == same) {
-            let names: Vec<_> = self.seen[start..].iter().map(|(_, name)| name.display().to_string()).collect();
-            let message = format!("files extend each other in a circle: {} -> {}", names.join(" -> "), names[0]);
-            self.faults.push(Fault::new(message).at(&entry.value.at, "closes the circle").hides(&entry.value.at));
-            return Table::default();
+    /// Merges a graph file over `base`: the files that it extends in their order, then itself.
+    fn load_over(&mut self, base: &mut Table, path: &Path, text: String) -> Arc<SourceText> {
+        let source = self.source(path, text);
+        self.open.push((canonical(path), source.name.clone()));
+        let mut over = parse(&source, self.faults);
+        if let Some(entry) = over.remove("extends") {
+            self.extended(base, &entry, path);
         }
-        if self.seen.len() == MAX_EXTENDS {
-            let fault = Fault::new(format!("more than {MAX_EXTENDS} files extend each other"));
-            let fault = fault.at(&entry.value.at, "one too many").help("does a program write these files?");
-            self.faults.push(fault.hides(&entry.value.at));
-            return Table::default();
-        }
-        self.texts.push(base.clone());
-        match read(&base) {
-            Ok(text) => self.load(&base, text).1,
-            Err(fault) => {
-                self.faults.push(fault.at(&entry.value.at, "relative to this file").hides(&entry.value.at));
-                Table::default()
+        self.open.pop();
+        self.merge(base, over, &source);
+        source
+    }
+
+    /// Merges a variant over the graph. What it extends is part of the graph, which [`Variant::read`] has seen to.
+    pub(super) fn change(&mut self, base: &mut Table, path: &Path, variant: &Variant) {
+        self.texts.push(path.into());
+        let source = self.source(path, variant.text.clone());
+        let mut over = parse(&source, self.faults);
+        over.remove("extends");
+        self.merge(base, over, &source);
+    }
+
+    fn source(&mut self, path: &Path, text: String) -> Arc<SourceText> {
+        let used = self.used.as_ref().map(|(node, at)| Use { node: node.clone(), at: at.clone() });
+        let order = self.order + self.merged.len();
+        self.merged.push(canonical(path));
+        let dir = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
+        let (name, merged) = (tidy(path), OnceLock::new());
+        Arc::new(SourceText { name, dir, text, order, command_line: false, merged, used })
+    }
+
+    fn merge(&mut self, base: &mut Table, mut over: Table, source: &SourceText) {
+        let _ = source.merged.set(self.n_merged);
+        self.n_merged += 1;
+        results::flatten(&mut over, self.faults);
+        let named = plugins::take(&mut over, self.faults);
+        self.plugins.extend(named);
+        self.removed.take_from(base, &mut over, self.faults);
+        merge(base, over);
+    }
+
+    /// Merges the files that `extends` names over `base`.
+    fn extended(&mut self, base: &mut Table, entry: &Entry, path: &Path) {
+        for (file, at) in named(entry, path, self.faults) {
+            let same = canonical(&file);
+            if let Some(start) = self.open.iter().position(|(open, _)| *open == same) {
+                let names: Vec<_> = self.open[start..].iter().map(|(_, name)| name.display().to_string()).collect();
+                let message = format!("files extend each other in a circle: {} -> {}", names.join(" -> "), names[0]);
+                self.faults.push(Fault::new(message).at(at, "closes the circle").hides(at));
+                continue;
+            }
+            if self.merged.contains(&same) {
+                // Two files of a list may extend the same one, which is below both.
+                continue;
+            }
+            if self.open.len() == MAX_EXTENDS {
+                let fault = Fault::new(format!("more than {MAX_EXTENDS} files extend each other"));
+                let fault = fault.at(at, "one too many").help("does a program write these files?");
+                self.faults.push(fault.hides(at));
+                continue;
+            }
+            self.texts.push(file.clone());
+            match read(&file) {
+                Ok(text) => drop(self.load_over(base, &file, text)),
+                Err(fault) => self.faults.push(fault.at(at, "relative to this file").hides(at)),
             }
         }
+    }
+}
+
+/// The files that `extends` of the file at `path` names, each once.
+fn named<'e>(entry: &'e Entry, path: &Path, faults: &mut Vec<Fault>) -> Vec<(PathBuf, &'e Span)> {
+    let items = match &entry.value.value {
+        Value::Array(items) => items.as_slice(),
+        _ => std::slice::from_ref(&entry.value),
+    };
+    let mut files: Vec<(PathBuf, &Span)> = Vec::new();
+    for item in items {
+        let Some(text) = item.as_text() else {
+            let fault = refused(item, "extends takes the path of a graph file, or a list of them", "a text is needed");
+            faults.push(fault.hides(&item.at));
+            continue;
+        };
+        let file = path.parent().unwrap_or(Path::new("")).join(text);
+        match files.iter().find(|(known, _)| canonical(known) == canonical(&file)) {
+            Some((_, first)) => {
+                let fault = Fault::new(format!("extends names {} twice", tidy(&file).display()));
+                faults.push(fault.at(&item.at, "the second").also(first, "the first").help("take one of them away"));
+            }
+            None => files.push((file, &item.at)),
+        }
+    }
+    files
+}
+
+/// A file of changes of a graph, which is one of the values of a factor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Variant {
+    /// The file, relative to the graph's.
+    pub file: String,
+    /// Its content.
+    pub text: String,
+}
+
+impl Variant {
+    /// The setting of a run that has the variant.
+    pub(crate) fn setting(&self) -> String {
+        format!("extends={}", serde_json::Value::from(self.file.as_str()))
+    }
+
+    /// Reads the file at `path`, whose content is merged over a graph of the files `texts`.
+    ///
+    /// # Errors
+    /// If it cannot be read, is no TOML, changes the sweep, or extends what the graph does not.
+    pub(crate) fn read(file: String, path: &Path, texts: &[PathBuf]) -> Result<Self, Vec<Fault>> {
+        let variant = Self { file, text: read(path).map_err(|fault| vec![*fault])? };
+        let mut faults = Vec::new();
+        let table = variant.table(path, &mut faults);
+        if let Some(sweep) = table.get("sweep") {
+            let fault = Fault::new("a variant changes a run, and not the sweep").at(&sweep.key_at, "not of a run");
+            faults.push(fault.help("write [sweep] into the graph that is swept"));
+        }
+        let extended = table.get("extends").map(|entry| named(entry, path, &mut faults)).unwrap_or_default();
+        let is_part = |file: &Path| texts.iter().any(|text| canonical(text) == canonical(file));
+        for (file, at) in extended.into_iter().filter(|(file, _)| !is_part(file)) {
+            let message =
+                format!("the variant extends {}, which the graph of the sweep does not", tidy(&file).display());
+            let help = "leave extends out, since a variant is merged over the graph, or let the graph extend that file";
+            faults.push(Fault::new(message).at(at, "no part of the graph").help(help));
+        }
+        if faults.is_empty() { Ok(variant) } else { Err(faults) }
+    }
+
+    /// The content as a table.
+    pub(super) fn table(&self, path: &Path, faults: &mut Vec<Fault>) -> Table {
+        let (name, dir, text) = (tidy(path), PathBuf::new(), self.text.clone());
+        let merged = OnceLock::new();
+        let source = SourceText { name, dir, text, order: 0, command_line: false, merged, used: None };
+        let mut table = parse(&Arc::new(source), faults);
+        results::flatten(&mut table, faults);
+        table
     }
 }
 
@@ -139,5 +243,6 @@ pub(crate) fn tidy(path: &Path) -> PathBuf {
 }
 
 pub(super) fn canonical(path: &Path) -> PathBuf {
-    fs::canonicalize(path).unwrap_or_else(|_| std::path::absolute(path).unwrap_or_else(|_| path.into()))
+    fs::canonicalize(path)
+        .unwrap_or_else(|_| std::path::absolute(path).map_or_else(|_| path.into(), |path| tidy(&path)))
 }

@@ -62,7 +62,10 @@ pub(crate) static TOP: Keys = LazyLock::new(|| {
             "description": "What results.json holds: a key with dots, and the wire whose last value it takes.",
             "type": "object", "properties": *RESULTS, "additionalProperties": { "$ref": "#/definitions/result" },
         },
-        "extends": { "type": "string", "description": "The graph file that this one changes, relative to this file." },
+        "extends": {
+            "description": "The graph file that this one changes, relative to this file, or a list of them, of which each changes those before it.",
+            "anyOf": [{ "type": "string" }, { "type": "array", "items": { "type": "string" } }],
+        },
         "remove": texts("What is taken away from the extended graph: \"node.x\", \"node.x.key\", \"results.y\"."),
         "module": described(&MODULE, "What this file takes, gives and lets be set, when another graph uses it as a node."),
         "plugins": {
@@ -270,6 +273,11 @@ pub(crate) static FACTOR: Keys = LazyLock::new(|| {
     let own = keys(json!({
         "values": { "type": "array", "description": "The values; a table sets keys of its own." },
         "labels": texts("What stands in the tables for each value."),
+        "files": { "type": "string", "description": "The values are the files of this pattern, such as \"scans/*.ply\", in the order of names and numbers." },
+        "variants": {
+            "description": "The values are files of changes, merged over the graph as by extends: a pattern, or a list of files.",
+            "anyOf": [{ "type": "string" }, { "type": "array", "items": { "type": "string" } }],
+        },
         "from": { "type": "number", "description": "The first of n values." },
         "to": { "type": "number", "description": "The last of n values." },
         "n": { "type": "integer", "minimum": 2, "description": "How many values, evenly spaced." },

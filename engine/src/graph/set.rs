@@ -4,18 +4,17 @@ pub(crate) use keys::{SetKey, keys_set};
 
 use super::{
     edit::{Edit, Step},
-    extends::tidy,
+    extends::{Chain, Variant, tidy},
     grammar,
     merge::merge,
     parse::parse_value,
-    remove::Removed,
     tree::{Entry, Spanned, Table, Value},
 };
 use crate::fault::{Fault, SourceText, Span};
 use std::{
     ops::Range,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, OnceLock},
 };
 
 const PREFIX: &str = "--set ";
@@ -26,37 +25,51 @@ pub(crate) struct Sets<'a> {
     name: PathBuf,
     /// The folder that relative paths are relative to.
     dir: PathBuf,
+    /// The graph file, and the variants that settings of a run name.
+    variants: Option<(&'a Path, &'a [Variant])>,
 }
 
 impl<'a> Sets<'a> {
     /// Settings of the command line.
     pub(crate) fn command_line(sets: &'a [String]) -> Self {
-        Self { sets, name: "command line".into(), dir: std::env::current_dir().unwrap_or_default() }
+        Self { sets, name: "command line".into(), dir: std::env::current_dir().unwrap_or_default(), variants: None }
     }
 
-    /// Settings of one run of the sweep in the graph file at `path`.
-    pub(crate) fn row(sets: &'a [String], path: &Path) -> Self {
+    /// Settings of one run of the sweep in the graph file at `path`, whose factors have these variants.
+    pub(crate) fn row(sets: &'a [String], path: &'a Path, variants: &'a [Variant]) -> Self {
         let dir = std::path::absolute(path).ok().and_then(|path| path.parent().map(Path::to_path_buf));
-        Self { sets, name: format!("[sweep] of {}", tidy(path).display()).into(), dir: dir.unwrap_or_default() }
+        let name = format!("[sweep] of {}", tidy(path).display()).into();
+        Self { sets, name, dir: dir.unwrap_or_default(), variants: Some((path, variants)) }
+    }
+
+    /// The variant that a setting names, with its path.
+    fn variant(&self, set: &str) -> Option<(PathBuf, &'a Variant)> {
+        let (graph, variants) = self.variants?;
+        let variant = variants.iter().find(|variant| variant.setting() == set)?;
+        Some((graph.parent().unwrap_or(Path::new("")).join(&variant.file), variant))
     }
 }
 
 /// Applies settings to the graph in their order; returns the edits of nodes inside modules.
-pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, removed: &mut Removed, faults: &mut Vec<Fault>) -> Vec<Edit> {
+pub(super) fn apply(table: &mut Table, sets: &Sets<'_>, chain: &mut Chain<'_>) -> Vec<Edit> {
     let mut inside = Vec::new();
     if sets.sets.is_empty() {
         return inside;
     }
     let (source, ranges) = sets.source();
     for range in ranges {
+        if let Some((path, variant)) = sets.variant(&source.text[range.clone()]) {
+            chain.change(table, &path, variant);
+            continue;
+        }
         match Setting::read(&source, range, Some(table)) {
             Ok(Setting::Overlay(mut over)) => {
-                removed.take_from(table, &mut over, faults);
+                chain.removed.take_from(table, &mut over, chain.faults);
                 merge(table, over);
             }
             Ok(Setting::Edit(edit)) if edit.is_inside_a_module(table) => inside.push(edit),
-            Ok(Setting::Edit(edit)) => faults.extend(edit.apply(table).err().map(|fault| *fault)),
-            Err(fault) => faults.push(*fault),
+            Ok(Setting::Edit(edit)) => chain.faults.extend(edit.apply(table).err().map(|fault| *fault)),
+            Err(fault) => chain.faults.push(*fault),
         }
     }
     inside
@@ -86,7 +99,8 @@ fn source<'l>(
         text.push_str(value);
     }
     let (name, dir, order) = (name.into(), dir.into(), usize::MAX);
-    (Arc::new(SourceText { name, dir, text, order, command_line: true, used: None }), ranges)
+    let merged = OnceLock::new();
+    (Arc::new(SourceText { name, dir, text, order, command_line: true, merged, used: None }), ranges)
 }
 
 /// A parameter of a node that is not in a graph file, as given on the command line.
@@ -260,6 +274,20 @@ fn result_path(path: Vec<Key>, table: &Table) -> Vec<Key> {
         [results, keys @ ..] if !keys.is_empty() => vec![results.clone(), join(keys)],
         _ => path,
     }
+}
+
+/// The value of a setting as JSON.
+pub(crate) fn setting_value(text: &str) -> serde_json::Value {
+    let source = SourceText {
+        name: "command line".into(),
+        dir: PathBuf::new(),
+        text: text.into(),
+        order: usize::MAX,
+        command_line: true,
+        merged: OnceLock::new(),
+        used: None,
+    };
+    value(&Arc::new(source), 0..text.len()).to_json()
 }
 
 /// The value parsed as TOML, otherwise the bare text.

@@ -7,7 +7,7 @@ use crate::{
     run::{Finished, FullRun, RunError, RunReport, WireItems, run_part},
     runtime::{Failure, NodeStats, Observer, Replayed, RunOutcome, Substitutes, Warning},
 };
-use osteoflow_node::Registry;
+use osteoflow_node::{Body, Item, Registry};
 use std::sync::Arc;
 
 /// Items of a node from an earlier run.
@@ -27,6 +27,16 @@ impl FinishedNode {
             stats: finished.ended.nodes[index].clone(),
             warnings: of_node.cloned().collect(),
         }
+    }
+
+    /// Size of its items in memory.
+    pub(crate) fn n_bytes(&self) -> u64 {
+        let body = |item: &Item| match &item.body {
+            Body::Value(value) => value.n_bytes(),
+            Body::Empty(_) => 0,
+        };
+        let items = self.outputs.iter().flat_map(|wire| &wire.items);
+        (size_of::<Self>() + items.map(|item| size_of::<Item>() + body(item)).sum::<usize>()) as u64
     }
 }
 

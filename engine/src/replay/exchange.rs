@@ -13,23 +13,32 @@ use crate::{
     recording::format::RunRecord,
 };
 use serde_json::Value as Json;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
 use toml::{Table, Value};
 
-/// The recorded graph without the defaults of kinds that `sets` exchange; `None` if they exchange none.
-pub(super) fn without_old_defaults(run: &RunRecord, sets: &[String], kinds: &Kinds) -> Option<String> {
-    let mut graph: Table = run.graph.parse().ok()?;
+/// A graph that states every parameter, of the file `path`, without the defaults of kinds that `sets` exchange; `None` if they
+/// exchange none. `written` has the parameters of each node that the user wrote.
+pub(crate) fn without_old_defaults(
+    text: &str,
+    path: &Path,
+    written: Option<&BTreeMap<String, BTreeSet<String>>>,
+    sets: &[String],
+    kinds: &Kinds,
+) -> Option<String> {
+    let mut graph: Table = text.parse().ok()?;
     let nodes = graph.get_mut("node")?.as_table_mut()?;
     let mut exchanged: Vec<_> =
         nodes.iter_mut().filter(|(name, _)| sets.iter().any(|set| sets_kind(set, name))).collect();
     if exchanged.is_empty() {
         return None;
     }
-    let plugins = graph::load_text(run.graph.clone(), &run.graph_file, &[], &mut Vec::new()).plugins;
+    let plugins = graph::load_text(text.into(), path, &[], &mut Vec::new()).plugins;
     let registry = kinds.with(&plugins).registry;
     for (name, node) in &mut exchanged {
-        if let (Some(written), Some(node)) =
-            (run.written.as_ref().and_then(|nodes| nodes.get(name.as_str())), node.as_table_mut())
-        {
+        if let (Some(written), Some(node)) = (written.and_then(|nodes| nodes.get(name.as_str())), node.as_table_mut()) {
             remove_unwritten(node, written);
             continue;
         }

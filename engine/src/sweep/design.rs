@@ -40,20 +40,28 @@ pub fn rows(spec: &Spec, seed: u64) -> Vec<SweepRow> {
                 row.values.push((factor.name.clone(), level.label.clone()));
                 row.sets.extend(level.sets.iter().cloned());
             }
-            row.values.push((spec.repeat_name.clone(), repeat.into()));
-            for draw in &spec.draws {
-                let value = draw.value(seed, repeat as u64);
-                row.sets.extend(draw.keys.iter().map(|key| format!("{key}={}", toml(&value))));
-                row.values.push((draw.name.clone(), value));
-            }
-            if !spec.same_seed {
-                row.seed = seed.wrapping_add(repeat as u64);
-                row.sets.push(format!("graph.seed={}", row.seed));
-            }
+            row.repeat(spec, repeat);
             rows.push(row);
         }
     }
     rows
+}
+
+impl SweepRow {
+    /// Adds what a repeat sets: the draws and the seed.
+    pub(super) fn repeat(&mut self, spec: &Spec, repeat: usize) {
+        let seed = self.seed;
+        self.values.push((spec.repeat_name.clone(), repeat.into()));
+        for draw in &spec.draws {
+            let value = draw.value(seed, repeat as u64);
+            self.sets.extend(draw.keys.iter().map(|key| format!("{key}={}", toml(&value))));
+            self.values.push((draw.name.clone(), value));
+        }
+        if !spec.same_seed {
+            self.seed = seed.wrapping_add(repeat as u64);
+            self.sets.push(format!("graph.seed={}", self.seed));
+        }
+    }
 }
 
 impl Draw {

@@ -10,12 +10,13 @@ use super::{
     times::{RunTimes, write_times},
 };
 use crate::{
-    check::sweep::Spec,
+    check::sweep::{Factor, Level, Spec},
     durable,
     graph::difference::{self, EntryDifference},
     plan::PlanPlugin,
     run::{Answer, Verdict},
 };
+use serde::{Deserialize, Serialize};
 use serde_json::{Value as Json, json};
 use std::{
     fs, io,
@@ -28,14 +29,19 @@ pub const GRAPH: &str = "sweep.toml";
 pub const DESIGN: &str = "sweep.json";
 /// Folder of the runs.
 pub const RUNS_DIR: &str = "runs";
+/// Folder of the runs under their new numbers, while the sweep gets more repeats.
+const GROWN_DIR: &str = "runs.grown";
+/// Folder of the runs under their old numbers, until it is removed.
+const BEFORE_DIR: &str = "runs.before";
 /// One row for each run.
 pub const RUNS: &str = "runs.csv";
 /// One row for each run, point and axis.
 pub const POINTS: &str = "points.csv";
 /// One row for each run and node.
 pub const TIMES: &str = "times.csv";
-/// Folder of the times of the runs.
-const TIMES_DIR: &str = "times";
+
+/// Origin of runs that are asked for one by one.
+pub(super) const ASKED: &str = "asked";
 
 /// Increase when the layout of the files changes.
 const FORMAT: u64 = 2;
@@ -72,6 +78,18 @@ pub enum FolderError {
         there: Option<String>,
         /// The requested part.
         asked: Option<String>,
+    },
+    /// It holds a part of a sweep that is to have more repeats.
+    #[error(
+        "{path} holds {}, and a part gets no more repeats; combine the parts by --merge, then go on with the whole in its \
+         folder, without --shard",
+        part(.there)
+    )]
+    Grown {
+        /// The folder.
+        path: String,
+        /// Its part; all if none is given.
+        there: Option<String>,
     },
     /// An input file changed while the sweep ran.
     #[error(
@@ -126,6 +144,15 @@ fn option(shard: &Option<String>) -> String {
     shard.as_ref().map_or_else(|| "--resume without --shard".into(), |shard| format!("--shard {shard} --resume"))
 }
 
+/// What was asked for by settings, instead of by `[sweep]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Asked {
+    /// The settings, in the form of `--set`.
+    pub settings: Vec<String>,
+    /// Hash of the run's graph, its input files and plugins; `None` if its settings have a fault.
+    pub hash: Option<String>,
+}
+
 /// A run that ended.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Done {
@@ -145,6 +172,8 @@ pub struct Done {
     pub results: Json,
     /// If it was computed twice: the nodes that answered otherwise the second time.
     pub twice: Option<Vec<Unsteady>>,
+    /// What was asked for, in a study.
+    pub asked: Option<Asked>,
 }
 
 impl Done {
@@ -178,7 +207,8 @@ impl Done {
         results: Json,
     ) -> Self {
         let (values, status) = (row.values.clone(), status.to_owned());
-        Self { run: row.run, seed: row.seed, values, status, reason, warnings, results, twice: None }
+        let (run, seed, twice, asked) = (row.run, row.seed, None, None);
+        Self { run, seed, values, status, reason, warnings, results, twice, asked }
     }
 }
 
@@ -199,9 +229,7 @@ impl Folder {
         let mut about = about;
         about["format"] = FORMAT.into();
         let folder = Self { dir: dir.into(), about };
-        for name in [RUNS_DIR, TIMES_DIR] {
-            fs::create_dir_all(dir.join(name)).map_err(|source| folder.cannot_write(name, source))?;
-        }
+        fs::create_dir_all(dir.join(RUNS_DIR)).map_err(|source| folder.cannot_write(RUNS_DIR, source))?;
         folder.write(GRAPH, graph.as_bytes())?;
         // Written last: a folder that has this file is complete.
         folder.write(DESIGN, format!("{:#}\n", folder.about).as_bytes())?;
@@ -225,7 +253,7 @@ impl Folder {
         match about["format"].as_u64() {
             Some(FORMAT) => {
                 let folder = Self { dir: dir.into(), about };
-                folder.check_folders()?;
+                folder.check_runs_folder()?;
                 Ok(folder)
             }
             Some(other) => Err(form(format!("format {other}, this program reads {FORMAT}"))),
@@ -234,19 +262,25 @@ impl Folder {
     }
 
     /// Refuses a link: runs would be written outside of the folder.
-    fn check_folders(&self) -> Result<(), FolderError> {
-        for name in [RUNS_DIR, TIMES_DIR] {
-            let path = self.dir.join(name);
-            let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
-            match fs::symlink_metadata(&path) {
-                Ok(found) if found.is_dir() => {}
-                Ok(_) => return Err(form("it is a link or a file, not a folder".into())),
-                // Sweeps of earlier versions have no times.
-                Err(error) if name == TIMES_DIR && error.kind() == io::ErrorKind::NotFound => {}
-                Err(error) => return Err(form(error.to_string())),
-            }
+    fn check_runs_folder(&self) -> Result<(), FolderError> {
+        let path = self.runs_path();
+        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
+        match fs::symlink_metadata(&path) {
+            Ok(found) if found.is_dir() => Ok(()),
+            Ok(_) => Err(form("it is a link or a file, not a folder".into())),
+            Err(error) => Err(form(error.to_string())),
         }
-        Ok(())
+    }
+
+    /// The folder of the runs: under their new numbers if more repeats were asked for, and the folder was not renamed yet.
+    fn runs_path(&self) -> PathBuf {
+        let grown = self.dir.join(GROWN_DIR);
+        if self.about["runs_in"] == GROWN_DIR && grown.is_dir() { grown } else { self.dir.join(RUNS_DIR) }
+    }
+
+    /// Whether its runs were asked for one by one.
+    pub fn is_study(&self) -> bool {
+        self.about["origin"] == ASKED
     }
 
     /// Path of the folder.
@@ -279,7 +313,7 @@ impl Folder {
     /// # Errors
     /// If the folder cannot be read, or a file is named as another one would be of the same run.
     pub fn runs(&self) -> Result<Vec<usize>, FolderError> {
-        let dir = self.dir.join(RUNS_DIR);
+        let dir = self.runs_path();
         let cannot = |source| FolderError::Read { path: dir.display().to_string(), source };
         let mut runs = Vec::new();
         for entry in fs::read_dir(&dir).map_err(cannot)? {
@@ -325,7 +359,7 @@ impl Folder {
     /// # Errors
     /// If it is missing or cannot be parsed.
     pub fn read(&self, run: usize) -> Result<Done, FolderError> {
-        let path = self.dir.join(RUNS_DIR).join(file_name(run));
+        let path = self.runs_path().join(file_name(run));
         let text = fs::read_to_string(&path);
         let text = text.map_err(|source| FolderError::Read { path: path.display().to_string(), source })?;
         let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
@@ -344,6 +378,7 @@ impl Folder {
             warnings: warnings.filter_map(Json::as_str).map(str::to_owned).collect(),
             results: json["results"].clone(),
             twice: serde_json::from_value(json["twice"].clone()).map_err(|error| form(error.to_string()))?,
+            asked: serde_json::from_value(json["asked"].clone()).map_err(|error| form(error.to_string()))?,
         })
     }
 
@@ -352,7 +387,7 @@ impl Folder {
     /// # Errors
     /// If the times cannot be read.
     pub fn times(&self, run: usize) -> Result<Option<RunTimes>, FolderError> {
-        let path = self.dir.join(TIMES_DIR).join(file_name(run));
+        let path = self.runs_path().join(times_name(run));
         let shown = || path.display().to_string();
         match fs::read_to_string(&path) {
             Ok(text) => serde_json::from_str(&text)
@@ -381,8 +416,11 @@ impl Folder {
     }
 
     /// Settings of a run, in the form of `--set`.
-    pub(super) fn sets(&self, run: usize) -> Result<Vec<String>, FolderError> {
-        let path = self.dir.join(RUNS_DIR).join(file_name(run)).display().to_string();
+    ///
+    /// # Errors
+    /// If the run cannot be read.
+    pub fn sets(&self, run: usize) -> Result<Vec<String>, FolderError> {
+        let path = self.runs_path().join(file_name(run)).display().to_string();
         let text = fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.clone(), source })?;
         let json: Json = serde_json::from_str(&text)
             .map_err(|error| FolderError::Form { path: path.clone(), what: error.to_string() })?;
@@ -391,11 +429,20 @@ impl Folder {
     }
 
     /// Stores a run that ended, with its settings and times.
+    ///
+    /// # Errors
+    /// If it cannot be written, or its number is now that of another run.
     pub(super) fn keep(&self, done: &Done, sets: &[String], times: Option<&RunTimes>) -> Result<(), FolderError> {
+        if Self::open(&self.dir)?.hash() != self.hash() {
+            let what = "another process has given it more repeats".into();
+            return Err(FolderError::Other { path: self.dir.display().to_string(), what });
+        }
+        self.keep_in(RUNS_DIR, done, sets, times)
+    }
+
+    fn keep_in(&self, folder: &str, done: &Done, sets: &[String], times: Option<&RunTimes>) -> Result<(), FolderError> {
         if let Some(times) = times {
-            fs::create_dir_all(self.dir.join(TIMES_DIR)).map_err(|source| self.cannot_write(TIMES_DIR, source))?;
-            let name = format!("{TIMES_DIR}/{}", file_name(done.run));
-            self.write(&name, format!("{}\n", json!(times)).as_bytes())?;
+            self.write(&format!("{folder}/{}", times_name(done.run)), format!("{}\n", json!(times)).as_bytes())?;
         }
         let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
         let mut json = json!({
@@ -405,7 +452,59 @@ impl Folder {
         if let Some(unsteady) = &done.twice {
             json["twice"] = json!(unsteady);
         }
-        self.write(&format!("{RUNS_DIR}/{}", file_name(done.run)), format!("{json}\n").as_bytes())
+        if let Some(asked) = &done.asked {
+            json["asked"] = json!(asked);
+        }
+        self.write(&format!("{folder}/{}", file_name(done.run)), format!("{json}\n").as_bytes())
+    }
+
+    /// Describes the folder anew, with the plugins that are noted in it.
+    pub(super) fn describe(&mut self, mut about: Json) -> Result<(), FolderError> {
+        about["format"] = FORMAT.into();
+        self.about = about;
+        self.write(DESIGN, format!("{:#}\n", self.about).as_bytes())
+    }
+
+    /// Gives the runs the numbers `number` of a sweep with more repeats, which `about` describes. The new description decides at once
+    /// for all runs under which numbers they are read; until then the old files are as they were.
+    pub(super) fn grow(&mut self, mut about: Json, number: impl Fn(usize) -> usize) -> Result<(), FolderError> {
+        let grown = self.dir.join(GROWN_DIR);
+        let cannot = |source| FolderError::Write { path: grown.display().to_string(), source };
+        if grown.exists() {
+            fs::remove_dir_all(&grown).map_err(cannot)?;
+        }
+        fs::create_dir(&grown).map_err(cannot)?;
+        for run in self.runs()? {
+            let (done, sets) = (self.read(run)?, self.sets(run)?);
+            let (run, times) = (number(run), self.times(run)?);
+            let times = times.map(|times| RunTimes { run, ..times });
+            self.keep_in(GROWN_DIR, &Done { run, ..done }, &sets, times.as_ref())?;
+        }
+        about["runs_in"] = GROWN_DIR.into();
+        self.describe(about)
+    }
+
+    /// Ends what [`Self::grow`] began: the renumbered runs get the folder's usual name.
+    pub(super) fn finish_growth(&mut self) -> Result<(), FolderError> {
+        if self.about["runs_in"].is_null() {
+            return Ok(());
+        }
+        let [grown, runs, before] = [GROWN_DIR, RUNS_DIR, BEFORE_DIR].map(|name| self.dir.join(name));
+        let cannot = |source| FolderError::Write { path: runs.display().to_string(), source };
+        if grown.is_dir() {
+            if runs.exists() {
+                fs::rename(&runs, &before).map_err(cannot)?;
+            }
+            fs::rename(&grown, &runs).map_err(cannot)?;
+            durable::sync_folder_of(&runs).map_err(cannot)?;
+        }
+        let mut about = self.about.clone();
+        about.as_object_mut().map(|about| about.shift_remove("runs_in"));
+        self.describe(about)?;
+        if before.is_dir() {
+            fs::remove_dir_all(&before).map_err(cannot)?;
+        }
+        Ok(())
     }
 
     /// Writes `runs.csv`, `points.csv` and `times.csv` from the stored runs.
@@ -460,6 +559,10 @@ impl Folder {
 /// If the folders are of different sweeps, or a run is missing from all of them.
 pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     let first = &shards[0];
+    if let Some(study) = shards.iter().find(|folder| folder.is_study()) {
+        let what = "its runs were asked for one by one, so that numbers of two studies are of different runs".into();
+        return Err(FolderError::Other { path: study.dir.display().to_string(), what });
+    }
     for other in &shards[1..] {
         if let Some(what) = first.difference(other)? {
             return Err(FolderError::Other { path: other.dir.display().to_string(), what });
@@ -482,12 +585,12 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     }
     let folder = Folder::begin(dir, &first.graph()?, about)?;
     for (run, shard) in from {
-        for inside in [TIMES_DIR, RUNS_DIR] {
-            let name = format!("{inside}/{}", file_name(run));
-            let path = shard.dir.join(&name);
+        for name in [times_name(run), file_name(run)] {
+            let path = shard.runs_path().join(&name);
             match fs::read(&path) {
-                Ok(bytes) => folder.write(&name, &bytes)?,
-                Err(error) if inside == TIMES_DIR && error.kind() == io::ErrorKind::NotFound => {}
+                Ok(bytes) => folder.write(&format!("{RUNS_DIR}/{name}"), &bytes)?,
+                // Not measured by earlier versions.
+                Err(error) if name == times_name(run) && error.kind() == io::ErrorKind::NotFound => {}
                 Err(source) => return Err(FolderError::Read { path: path.display().to_string(), source }),
             }
         }
@@ -526,7 +629,10 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
         }
         differences.extend(graph_difference(&folder.graph()?, graph));
         if about["sweep"] != folder.about["sweep"] {
-            differences.push("its table [sweep] differs".into());
+            let of = |about: &Json| serde_json::from_value::<Spec>(about["sweep"].clone()).ok();
+            let named = of(about).zip(of(&folder.about)).map(|(ours, other)| spec_differences(&ours, &other));
+            let named = named.filter(|named| !named.is_empty()).map(|named| format!(": {}", named.join(", ")));
+            differences.push(format!("its table [sweep] differs{}", named.unwrap_or_default()));
         }
     }
     let is_same = |ours: &PlanPlugin, plugin: &PlanPlugin| ours.name == plugin.name && ours.sha256 == plugin.sha256;
@@ -544,6 +650,35 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
 /// `manifest.json`.
 pub fn difference_of_plugins(then: &Json, now: &Json) -> Vec<String> {
     plugin_differences(then, now, |now, then| now.name == then.name)
+}
+
+/// By what number of repeats and by which values of factors another table `[sweep]` differs.
+fn spec_differences(ours: &Spec, other: &Spec) -> Vec<String> {
+    let mut differences = Vec::new();
+    if ours.repeat != other.repeat {
+        differences.push(format!("its repeat is {}, not {}", other.repeat, ours.repeat));
+    }
+    for factor in &ours.factors {
+        let Some(same) = other.factors.iter().find(|same| same.name == factor.name) else {
+            differences.push(format!("it has no factor {}", factor.name));
+            continue;
+        };
+        for level in &factor.levels {
+            match same.levels.iter().find(|other| other.label == level.label) {
+                None => differences.push(format!("its factor {} has no value {}", factor.name, level.label)),
+                Some(other) if other != level => {
+                    differences.push(format!("its factor {} has another value {}", factor.name, level.label));
+                }
+                Some(_) => {}
+            }
+        }
+        let is_more = |level: &&Level| factor.levels.iter().all(|known| known.label != level.label);
+        let more = same.levels.iter().filter(is_more);
+        differences.extend(more.map(|level| format!("its factor {} has the value {}", factor.name, level.label)));
+    }
+    let is_more = |factor: &&Factor| ours.factors.iter().all(|known| known.name != factor.name);
+    differences.extend(other.factors.iter().filter(is_more).map(|factor| format!("it has the factor {}", factor.name)));
+    differences
 }
 
 fn plugin_differences(then: &Json, now: &Json, is_same: impl Fn(&PlanPlugin, &PlanPlugin) -> bool) -> Vec<String> {
@@ -572,6 +707,11 @@ fn graph_difference(graph: &str, other: &str) -> Option<String> {
 fn shown(entry: &Json) -> String {
     let name = ["path", "file", "name"].iter().find_map(|key| entry[*key].as_str());
     name.map_or_else(|| entry.to_string(), str::to_owned)
+}
+
+/// Beside the file of the run, whose content is the same each time.
+fn times_name(run: usize) -> String {
+    format!("{run:06}.times.json")
 }
 
 fn file_name(run: usize) -> String {

@@ -36,11 +36,25 @@ impl Sweep {
         let mut order = self.order(options.shard);
         let n_before = order.iter().filter(|run| before.binary_search(run).is_ok()).count();
         order.retain(|run| before.binary_search(run).is_err());
-        let shared = match options.share {
+        let mut shared = match options.share {
             true => Shared::of(order.iter().map(|&run| &self.runs[run].keys[..])),
             false => Shared::default(),
         };
-        let twice = twice::chosen(&self.runs, self.spec.twice);
+        let twice = twice::chosen(&self.runs, self.spec.repeat, self.spec.twice);
+        let swept = self.run_in_order(order, &mut shared, &|run| twice.contains(&run), folder, options, watcher)?;
+        Ok(SweepCounts { n_before, ..swept })
+    }
+
+    /// Runs these runs and stores each as it ends; `shared` has the nodes that they share.
+    pub(super) fn run_in_order(
+        &self,
+        order: Vec<usize>,
+        shared: &mut Shared,
+        is_twice: &(dyn Fn(usize) -> bool + Sync),
+        folder: &Folder,
+        options: &SweepOptions,
+        watcher: &dyn Watcher,
+    ) -> Result<SweepCounts, FolderError> {
         let loaded_before = folder.plugins();
         let plugins = loaded_before.clone();
         let swept = SweepCounts::default();
@@ -70,8 +84,7 @@ impl Sweep {
                         drop(now);
                         let n_shared = found.iter().flatten().count();
                         let (mut done, times, left) = self.run_one(run, options, &found);
-                        if let Some(first) = done.as_mut().filter(|done| twice.contains(&done.run) && !done.is_failed())
-                        {
+                        if let Some(first) = done.as_mut().filter(|done| is_twice(done.run) && !done.is_failed()) {
                             first.twice = self.run_again(run, options, first, &found, &left);
                         }
                         drop(found);
@@ -111,7 +124,7 @@ impl Sweep {
             return Err(error);
         }
         let n_missing = pending.len();
-        Ok(SweepCounts { n_before, n_missing, ..swept })
+        Ok(SweepCounts { n_missing, ..swept })
     }
 
     /// The runs of a part, or of the whole sweep, ordered so that runs that share nodes are adjacent.
@@ -153,7 +166,7 @@ impl Sweep {
         let options = SweepOptions { run: run_options, ..options.clone() };
         let (second, _, again) = self.run_one(run, &options, &vec![None; run.plan.nodes.len()]);
         let before: Vec<_> = found.iter().zip(left).map(|(found, left)| found.as_deref().or(left.as_ref())).collect();
-        let nodes = twice::compare(&run.plan, &self.registry, &before, &again);
+        let nodes = twice::compare(&run.plan, &run.registry, &before, &again);
         Some(twice::unsteady(&self.spec, &run.plan, &nodes, first, &second?))
     }
 
@@ -174,9 +187,9 @@ impl Sweep {
             cpu_time: true,
             ..options.run.clone()
         };
-        let (report, left) = run_row::run(&run.plan, &self.registry, &of_run, found);
+        let (report, left) = run_row::run(&run.plan, &run.registry, &of_run, found);
         let mut times = None;
-        let done = match report {
+        let mut done = match report {
             Ok(report) => {
                 let format = |warning: &Warning| {
                     format!("node \"{}\", item {}: {}", warning.node, warning.item, warning.message)
@@ -195,6 +208,7 @@ impl Sweep {
             }
             Err(error) => Done::of(&run.row, Done::FAILED, Some(error.to_string()), Vec::new(), Json::Null),
         };
+        done.asked.clone_from(&run.asked);
         (Some(done), times, left)
     }
 }
@@ -212,9 +226,9 @@ fn alone(work: &(dyn Fn() + Sync)) {
 }
 
 /// A sweep in progress.
-struct State {
+struct State<'s> {
     pending: VecDeque<usize>,
-    shared: Shared,
+    shared: &'s mut Shared,
     swept: SweepCounts,
     plugins: Vec<PlanPlugin>,
     error: Option<FolderError>,

@@ -65,31 +65,58 @@ struct SharedNode {
     /// Number of runs to come that share it.
     n_users: usize,
     state: State,
+    /// Number of the run that took or left its items last.
+    used: u64,
 }
 
-/// Nodes that several runs share, with their items so far; released after the last run that shares them.
+/// Nodes that several runs share, with their items so far. They are released after the last run that shares them, or, where more
+/// runs may be asked for, when newer ones need the memory.
 #[derive(Default)]
-pub(super) struct Shared(BTreeMap<Digest, SharedNode>);
+pub(super) struct Shared {
+    nodes: BTreeMap<Digest, SharedNode>,
+    /// Memory for nodes that no known run shares.
+    max_bytes: u64,
+    n_ended: u64,
+}
 
 impl Shared {
     /// Collects the keys of the runs to come; a key of only one run is not shared.
     pub(super) fn of<'a>(runs: impl Iterator<Item = &'a [Digest]>) -> Self {
-        let mut entries: BTreeMap<Digest, SharedNode> = BTreeMap::new();
+        let mut shared = Self::default();
+        shared.expect(runs);
+        shared.nodes.retain(|_, entry| entry.n_users > 1);
+        shared
+    }
+
+    /// Keeps nodes for runs that are not known yet.
+    pub(super) fn kept(max_bytes: u64) -> Self {
+        Self { max_bytes, ..Self::default() }
+    }
+
+    /// Adds runs to come.
+    pub(super) fn expect<'a>(&mut self, runs: impl Iterator<Item = &'a [Digest]>) {
         for key in runs.flatten() {
-            entries.entry(*key).or_insert(SharedNode { n_users: 0, state: State::Open }).n_users += 1;
+            let entry = self.nodes.entry(*key).or_insert(SharedNode { n_users: 0, state: State::Open, used: 0 });
+            entry.n_users += 1;
         }
-        entries.retain(|_, entry| entry.n_users > 1);
-        Self(entries)
+    }
+
+    /// Forgets runs to come, none of which is under way.
+    pub(super) fn expect_none(&mut self) {
+        self.nodes.retain(|_, entry| {
+            entry.n_users = 0;
+            matches!(entry.state, State::Done(_))
+        });
     }
 
     /// Whether a run can start without computing a node that another run is computing.
     pub(super) fn is_free(&self, keys: &[Digest]) -> bool {
-        !keys.iter().any(|key| matches!(self.0.get(key), Some(SharedNode { state: State::UnderWay, .. })))
+        !keys.iter().any(|key| matches!(self.nodes.get(key), Some(SharedNode { state: State::UnderWay, .. })))
     }
 
     /// Starts a run: returns its available items by node, and marks its other shared nodes as being computed.
     pub(super) fn begin(&mut self, keys: &[Digest]) -> Vec<Option<Arc<FinishedNode>>> {
-        let take = |key| match self.0.get_mut(key) {
+        let take = |key| match self.nodes.get_mut(key) {
             Some(SharedNode { state: State::Done(left), .. }) => Some(left.clone()),
             Some(entry) => {
                 entry.state = State::UnderWay;
@@ -102,14 +129,36 @@ impl Shared {
 
     /// Ends a run: takes the items of the nodes that it computed without failure.
     pub(super) fn end(&mut self, keys: &[Digest], mut left: Vec<Option<FinishedNode>>) {
+        self.n_ended += 1;
         for (index, key) in keys.iter().enumerate() {
-            let Some(entry) = self.0.get_mut(key) else { continue };
-            entry.n_users -= 1;
-            if entry.n_users == 0 {
-                self.0.remove(key);
-            } else if matches!(entry.state, State::UnderWay) {
+            let Some(entry) = self.nodes.get_mut(key) else { continue };
+            (entry.n_users, entry.used) = (entry.n_users - 1, self.n_ended);
+            let is_kept = entry.n_users > 0 || self.max_bytes > 0;
+            if is_kept && matches!(entry.state, State::UnderWay) {
                 let left = left.get_mut(index).and_then(Option::take);
                 entry.state = left.map_or(State::Open, |left| State::Done(Arc::new(left)));
+            }
+            if !is_kept || entry.n_users == 0 && !matches!(entry.state, State::Done(_)) {
+                self.nodes.remove(key);
+            }
+        }
+        self.release();
+    }
+
+    /// Releases the nodes used longest ago that no known run shares, until the others fit into the memory for them.
+    fn release(&mut self) {
+        let unused = |entry: &SharedNode| match &entry.state {
+            State::Done(left) if entry.n_users == 0 => Some(left.n_bytes()),
+            _ => None,
+        };
+        let mut nodes: Vec<_> =
+            self.nodes.iter().filter_map(|(key, entry)| Some((entry.used, *key, unused(entry)?))).collect();
+        nodes.sort_unstable_by(|a, b| b.cmp(a));
+        let mut n_bytes = 0;
+        for (_, key, size) in nodes {
+            n_bytes += size;
+            if n_bytes > self.max_bytes {
+                self.nodes.remove(&key);
             }
         }
     }
@@ -135,7 +184,7 @@ mod tests {
     fn nodes_shared_by_two_runs_are_computed_once_and_released_after_the_last() {
         let runs = [[key(1), key(2)], [key(1), key(3)]];
         let mut shared = Shared::of(runs.iter().map(|run| &run[..]));
-        assert_eq!(shared.0.len(), 1, "only what both have");
+        assert_eq!(shared.nodes.len(), 1, "only what both have");
         assert!(shared.begin(&runs[0]).iter().all(Option::is_none));
         assert!(!shared.is_free(&runs[1]), "the first run is computing it");
         shared.end(&runs[0], vec![Some(left()), Some(left())]);
@@ -143,7 +192,25 @@ mod tests {
         let found = shared.begin(&runs[1]);
         assert!(found[0].is_some() && found[1].is_none());
         shared.end(&runs[1], vec![None, Some(left())]);
-        assert!(shared.0.is_empty(), "nobody will ask for it any more");
+        assert!(shared.nodes.is_empty(), "nobody will ask for it any more");
+    }
+
+    #[test]
+    fn nodes_are_kept_for_runs_that_are_not_known_yet_as_far_as_there_is_memory() {
+        let size = left().n_bytes();
+        let mut shared = Shared::kept(2 * size);
+        for n in 1..=3 {
+            let keys = [key(n)];
+            shared.expect([&keys[..]].into_iter());
+            assert!(shared.begin(&keys)[0].is_none());
+            shared.end(&keys, vec![Some(left())]);
+        }
+        let keys = [key(1), key(2), key(3)];
+        shared.expect([&keys[..]].into_iter());
+        let kept: Vec<_> = shared.begin(&keys).iter().map(Option::is_some).collect();
+        assert_eq!(kept, [false, true, true], "the oldest was released");
+        shared.end(&keys, vec![None, None, None]);
+        assert_eq!(shared.nodes.len(), 2, "what failed is not kept");
     }
 
     #[test]

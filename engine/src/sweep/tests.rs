@@ -1,3 +1,7 @@
+mod files;
+mod growth;
+mod study;
+
 use super::*;
 use osteoflow_toy::{n_fired, registry};
 use serde_json::{Value as Json, json};
@@ -130,7 +134,7 @@ fn a_stopped_sweep_resumes_and_gives_the_same_tables() {
     fs::write(desk.path("cut/runs/000001.json.99.part"), "{\"run\":").unwrap();
     fs::remove_file(desk.path("cut").join(RUNS)).unwrap();
     let sweep = desk.check();
-    let folder = sweep.resume(&desk.path("cut"), None).unwrap();
+    let folder = sweep.resume(&desk.path("cut"), &options(1, true)).unwrap();
     let swept = sweep.run(&folder, &options(2, true), &()).unwrap();
     assert_eq!((swept.n_before, swept.n_run, swept.n_missing), (3, 3, 0));
     folder.write_tables().unwrap();
@@ -143,9 +147,9 @@ fn a_changed_graph_does_not_resume_in_the_folder_of_another() {
     let desk = Desk::new(&graph("sweep-changed", SIX));
     desk.sweep("out", &options(1, true));
     fs::write(&desk.graph, graph("sweep-changed", &SIX.replace("[false, true]", "[true, false]"))).unwrap();
-    let message = desk.check().resume(&desk.path("out"), None).unwrap_err().to_string();
+    let message = desk.check().resume(&desk.path("out"), &options(1, true)).unwrap_err().to_string();
     assert!(message.contains("its table [sweep] differs") && message.contains("sweep.toml"), "{message}");
-    let message = desk.check().resume(&desk.path("nothing"), None).unwrap_err().to_string();
+    let message = desk.check().resume(&desk.path("nothing"), &options(1, true)).unwrap_err().to_string();
     assert!(message.contains("holds no sweep"), "{message}");
 }
 
@@ -316,7 +320,8 @@ fn a_column_may_name_the_verdict_only_if_the_graph_has_one_and_none_may_be_calle
 fn paired_factors_go_together_and_others_are_crossed() {
     let factor = |name: &str, values: Json| {
         let levels = values.as_array().unwrap().iter();
-        let levels = levels.map(|label| Level { label: label.clone(), sets: vec![format!("n.{name}={label}")] });
+        let levels =
+            levels.map(|label| Level { label: label.clone(), sets: vec![format!("n.{name}={label}")], variant: None });
         Factor { name: name.into(), levels: levels.collect() }
     };
     let spec = Spec {
@@ -624,6 +629,7 @@ fn a_part_of_a_sweep_lists_its_own_runs_and_resumes_in_its_own_folder() {
     let desk = Desk::new(&graph("sweep-part", SIX));
     let sweep = desk.check();
     let shard = |index| Some(Shard { index, of: 3 });
+    let part = |shard| SweepOptions { shard, ..options(1, true) };
     let mut all = Vec::new();
     for index in 1..=3 {
         let listed: Vec<_> = sweep.part(shard(index)).map(|row| row.run).collect();
@@ -634,16 +640,16 @@ fn a_part_of_a_sweep_lists_its_own_runs_and_resumes_in_its_own_folder() {
     }
     all.sort_unstable();
     assert_eq!(all, [0, 1, 2, 3, 4, 5]);
-    sweep.resume(&desk.path("part1"), shard(1)).unwrap();
-    let message = sweep.resume(&desk.path("part1"), shard(2)).unwrap_err().to_string();
+    sweep.resume(&desk.path("part1"), &part(shard(1))).unwrap();
+    let message = sweep.resume(&desk.path("part1"), &part(shard(2))).unwrap_err().to_string();
     assert!(
         message.contains("holds part 1/3 of the sweep, not part 2/3") && message.contains("--shard 1/3"),
         "{message}"
     );
-    let message = sweep.resume(&desk.path("part1"), None).unwrap_err().to_string();
+    let message = sweep.resume(&desk.path("part1"), &part(None)).unwrap_err().to_string();
     assert!(message.contains("not the whole sweep"), "{message}");
     desk.sweep("whole", &options(1, true));
-    let message = sweep.resume(&desk.path("whole"), shard(2)).unwrap_err().to_string();
+    let message = sweep.resume(&desk.path("whole"), &part(shard(2))).unwrap_err().to_string();
     assert!(message.contains("holds the whole sweep") && message.contains("--resume without --shard"), "{message}");
 }
 

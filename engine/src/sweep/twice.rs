@@ -17,17 +17,19 @@ pub struct Unsteady {
     pub columns: BTreeMap<String, f64>,
 }
 
-/// The runs that are computed twice: a share by number, and the first run with each kind. All shards and a resumed sweep choose
-/// the same.
-pub(super) fn chosen(runs: &[Run], share: f64) -> BTreeSet<usize> {
-    if share <= 0.0 {
-        return BTreeSet::new();
-    }
-    let every = (1.0 / share).round().max(1.0) as usize;
+/// The runs that are computed twice: a share of them, and the first run with each kind. They are counted repeat by repeat, so that
+/// all shards, a resumed sweep and one with more repeats choose the same.
+pub(super) fn chosen(runs: &[Run], n_repeats: usize, share: f64) -> BTreeSet<usize> {
+    let Some(every) = every(share) else { return BTreeSet::new() };
     let mut kinds = BTreeSet::new();
     let mut is_first = |run: &Run| run.plan.nodes.iter().filter(|node| kinds.insert(node.kind.clone())).count() > 0;
-    let first: Vec<usize> = runs.iter().enumerate().filter_map(|(at, run)| is_first(run).then_some(at)).collect();
-    first.into_iter().chain((0..runs.len()).step_by(every)).collect()
+    let by_repeat = (0..n_repeats).flat_map(|repeat| (repeat..runs.len()).step_by(n_repeats)).enumerate();
+    by_repeat.filter_map(|(at, run)| (is_first(&runs[run]) || at.is_multiple_of(every)).then_some(run)).collect()
+}
+
+/// One run in this many is computed twice; `None` if none is.
+pub(super) fn every(share: f64) -> Option<usize> {
+    (share > 0.0).then(|| (1.0 / share).round().max(1.0) as usize)
 }
 
 /// The nodes that gave other items in the second run than in the first, though nothing upstream did; none that declares itself

@@ -45,6 +45,11 @@ impl Stamps {
         self
     }
 
+    /// The first path whose state is another now.
+    pub(crate) fn changed(&self) -> Option<&Path> {
+        self.0.iter().find(|(path, stamp)| of_path(path) != **stamp).map(|(path, _)| path.as_path())
+    }
+
     /// Stamp of a file; `None` if it is not included.
     pub(crate) fn get(&self, path: &Path) -> Option<&str> {
         self.0.get(path).map(String::as_str)

@@ -9,8 +9,8 @@ mod views;
 use errors::{exception, watched};
 use osteoflow::{
     app::{
-        self, GraphArgs, Keep, Leave, RegisterInput, RegisterRequest, Require, RunRequest, ShardFault, SimulateRequest,
-        Stop, StreamFormat, SweepRequest, WireInputs,
+        self, Ask, GraphArgs, Keep, Leave, RegisterInput, RegisterRequest, Require, RunRequest, ShardFault,
+        SimulateRequest, Stop, StreamFormat, SweepRequest, WireInputs,
     },
     progress::{self, Progress},
 };
@@ -26,7 +26,7 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     ffi::OsString,
     path::PathBuf,
-    sync::Arc,
+    sync::{Arc, Mutex, PoisonError},
 };
 
 /// The options of a registration, by the names that they have in Python.
@@ -358,6 +358,8 @@ impl Sweep {
             resume,
             retry_failed,
             shard: None,
+            only: Vec::new(),
+            record: None,
             workers: settings::workers(workers)?,
             no_share: !share,
             keep: Keep { no_cache: !cache },
@@ -378,9 +380,44 @@ impl Sweep {
         })
     }
 
+    /// Begins or resumes the folder as a study.
+    fn study(&self, py: Python<'_>) -> PyResult<Study> {
+        watched(py, &Arc::default(), || self.0.study()).map(|study| Study(Mutex::new(study)))
+    }
+
     /// Begins the folder of a sweep whose shards are run elsewhere; returns the numbers of the runs of each shard.
     fn shards(&self, py: Python<'_>, n_shards: Option<usize>) -> PyResult<Vec<Vec<usize>>> {
         watched(py, &Arc::default(), || self.0.shards(n_shards))
+    }
+}
+
+/// A sweep whose rows are asked for one by one.
+#[pyclass(frozen, module = "osteoflow._core")]
+struct Study(Mutex<app::OpenStudy>);
+
+#[pymethods]
+impl Study {
+    /// The rows of settings with the number of the repeat, each as JSON.
+    fn run(&self, py: Python<'_>, asks: Vec<(Bound<'_, PyAny>, usize)>, progress: bool) -> PyResult<Vec<String>> {
+        errors::check_threads()?;
+        let ask = |(settings, repeat): (Bound<'_, PyAny>, usize)| {
+            Ok(Ask { settings: settings::settings(Some(&settings))?, repeat })
+        };
+        let asks = asks.into_iter().map(ask).collect::<PyResult<Vec<_>>>()?;
+        let cancelled = Arc::default();
+        watched(py, &cancelled, || -> Result<_, app::Error> {
+            // One thread at a time: the rows of a call are run on all workers.
+            let mut study = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let bar = progress::SweepProgress::on_terminal(asks.len(), progress && asks.len() > 1);
+            let rows = study.run(&asks, &bar, &cancelled);
+            bar.end();
+            Ok(rows?.iter().map(|row| study.row(row).to_string()).collect())
+        })
+    }
+
+    /// Writes tables and summary.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        watched(py, &Arc::default(), || self.0.lock().unwrap_or_else(PoisonError::into_inner).close())
     }
 }
 
@@ -447,6 +484,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Refused", py.get_type::<errors::Refused>())?;
     module.add_class::<Graph>()?;
     module.add_class::<Sweep>()?;
+    module.add_class::<Study>()?;
     module.add_class::<Wires>()?;
     module.add_class::<SweepProgress>()?;
     for function in [

@@ -6,7 +6,15 @@ use std::sync::Arc;
 fn text(name: &str, order: usize, used: Option<(&str, &Span)>) -> Arc<SourceText> {
     let used = used.map(|(node, at)| Use { node: node.into(), at: at.clone() });
     let text = "first\nsecond\nthird\n".into();
-    Arc::new(SourceText { name: name.into(), dir: "".into(), text, order, command_line: false, used })
+    Arc::new(SourceText {
+        name: name.into(),
+        dir: "".into(),
+        text,
+        order,
+        command_line: false,
+        merged: Default::default(),
+        used,
+    })
 }
 
 fn at(text: &Arc<SourceText>, start: usize) -> Span {

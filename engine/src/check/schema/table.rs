@@ -141,8 +141,19 @@ impl<'a> Walker<'a> {
         let path = format!("{}.{prefix}{}", self.path, entry.key);
         fault.removes = (!entry.key_at.source.command_line).then(|| path.clone());
         match self.kind_at {
-            Some(kind_at) if kind_at.source.order < entry.key_at.source.order && !entry.key_at.source.command_line => {
-                let take_away = format!("take it away where the kind is chosen: remove = [\"{path}\"]");
+            Some(kind_at) if kind_at.source.is_over(&entry.key_at.source) => {
+                let take_away = match (kind_at.source.command_line, kind_at.source.is_sweep()) {
+                    (false, _) => format!("take it away where the kind is chosen: remove = [\"{path}\"]"),
+                    (true, false) => format!("take it away, too: --set 'remove=[\"{path}\"]'"),
+                    (true, true) => {
+                        let node = self.path.trim_start_matches("node.");
+                        format!(
+                            "take it away with this kind, whose value of the factor is then a table: {{ {node}.kind = \"{}\", \
+                             remove = [\"{path}\"] }}",
+                            self.kind
+                        )
+                    }
+                };
                 fault.also(kind_at, "the kind is chosen here").or_help(take_away)
             }
             _ => fault,

@@ -1,4 +1,4 @@
-//! Reads `[sweep.factor]`: a list of values, or a range of numbers.
+//! Reads `[sweep.factor]`: a list of values, a range of numbers, or files.
 
 use super::{
     Reader,
@@ -15,20 +15,38 @@ use crate::{
 use serde_json::Value as Json;
 
 /// Most values of a factor: each is compared with all others, and is a row of the tables.
-const MAX_LEVELS: u64 = 10_000;
+pub(super) const MAX_LEVELS: u64 = 10_000;
 
 impl Reader<'_> {
     pub(super) fn factor(&mut self, entry: &Entry) -> Option<Factor> {
-        let owner = format!("factor \"{}\"", entry.key);
+        let (owner, before) = (format!("factor \"{}\"", entry.key), self.faults.len());
         let table = extract::table(&entry.value, &owner, self.faults)?;
         let section = Section::new(table, &grammar::FACTOR, &owner, &*owner, self.faults);
-        let levels = match table.get("values") {
-            Some(values) => self.listed(&section, values, &owner)?,
+        let mut ways = ["values", "files", "variants"].iter().filter_map(|way| table.get(way));
+        let (way, second) = (ways.next(), ways.next());
+        if let (Some(way), Some(second)) = (way, second) {
+            let message = format!("{owner} has {} and {}", way.key, second.key);
+            self.fault(&second.key_at, message, "the second", "keep one of them");
+        }
+        let levels = match way {
+            Some(values) => {
+                if let Some(entry) = ["from", "to", "n", "log"].iter().find_map(|key| section.get(key)) {
+                    let message = format!("{owner} has {} and a range", values.key);
+                    self.fault(&entry.key_at, message, "a range", "keep one of them");
+                }
+                match values.key.as_str() {
+                    "values" => self.listed(&section, values, &owner)?,
+                    "files" => self.files(&section, values, &owner)?,
+                    _ => self.variants(&section, values, &owner)?,
+                }
+            }
             // Faults of the range do not name the factor.
             None => self.grid(&section, &Section::known(table, &grammar::FACTOR, ""), entry, &owner)?,
         };
         if levels.is_empty() {
-            self.fault(&entry.key_at, format!("{owner} has no value"), "empty", "give at least one value");
+            if self.faults.len() == before {
+                self.fault(&entry.key_at, format!("{owner} has no value"), "empty", "give at least one value");
+            }
             return None;
         }
         for (index, level) in levels.iter().enumerate() {
@@ -55,21 +73,7 @@ impl Reader<'_> {
         }
         let keyed = table.get("key").is_some() || table.get("keys").is_some();
         let keys = self.keys(table, owner, items.iter().any(|item| item.as_table().is_none()));
-        let labels = match table.get("labels") {
-            None => None,
-            Some(labels) => {
-                let texts = self.texts(&labels.value, &table.what("labels"));
-                if texts.len() != items.len() {
-                    let message = format!("{owner} has {} values and {} labels", items.len(), texts.len());
-                    self.fault(&labels.key_at, message, "one for each value", "give each value its label");
-                    return None;
-                }
-                Some(texts)
-            }
-        };
-        if let Some(entry) = ["from", "to", "n", "log"].iter().find_map(|key| table.get(key)) {
-            self.fault(&entry.key_at, format!("{owner} has values and a range"), "a range", "keep one of them");
-        }
+        let labels = self.labels(table, items.len(), owner)?;
         let level = |(index, item): (usize, &Spanned)| {
             let sets = match (item.as_table(), keyed) {
                 (Some(table), false) => leaves(table, ""),
@@ -79,9 +83,21 @@ impl Reader<'_> {
                 Some(labels) => labels[index].clone().into(),
                 None => item.to_json(),
             };
-            Level { label, sets }
+            Level { label, sets, variant: None }
         };
         Some(items.iter().enumerate().map(level).collect())
+    }
+
+    /// The labels of `n` values, if they have any; `None` after a fault.
+    pub(super) fn labels(&mut self, table: &Section<'_>, n: usize, owner: &str) -> Option<Option<Vec<String>>> {
+        let Some(labels) = table.get("labels") else { return Some(None) };
+        let texts = self.texts(&labels.value, &table.what("labels"));
+        if texts.len() != n {
+            let message = format!("{owner} has {n} values and {} labels", texts.len());
+            self.fault(&labels.key_at, message, "one for each value", "give each value its label");
+            return None;
+        }
+        Some(Some(texts))
     }
 
     /// `from = 0.0, to = 0.2, n = 5`: evenly spaced, or spaced in the logarithm with `log = true`.
@@ -126,7 +142,8 @@ impl Reader<'_> {
         };
         let level = |k| {
             let value = value(k);
-            Level { label: value.into(), sets: keys.iter().map(|key| format!("{key}={value:?}")).collect() }
+            let sets = keys.iter().map(|key| format!("{key}={value:?}")).collect();
+            Level { label: value.into(), sets, variant: None }
         };
         Some((0..n).map(level).collect())
     }

@@ -1,6 +1,6 @@
 //! The contents of `[sweep]`: the values a graph is run with, and the numbers extracted from each run.
 
-use crate::graph::{SetKey, keys_set};
+use crate::graph::{SetKey, Variant, keys_set};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 
@@ -50,6 +50,9 @@ pub struct Level {
     pub label: Json,
     /// The settings that it applies to the graph, in the form of `--set`.
     pub sets: Vec<String>,
+    /// The file of changes that it merges over the graph.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variant: Option<Variant>,
 }
 
 /// A quantity that is drawn at random.
@@ -78,7 +81,8 @@ impl Draw {
 impl Level {
     /// The keys that it sets.
     pub(crate) fn keys_set(&self) -> Vec<SetKey> {
-        keys_set(&self.sets).into_iter().map(|(key, _)| key).collect()
+        let of_sets = keys_set(&self.sets).into_iter().map(|(key, _)| key);
+        of_sets.chain(self.variant.iter().flat_map(Variant::keys)).collect()
     }
 }
 
@@ -147,7 +151,38 @@ pub struct Compare {
     pub margins: Vec<(String, f64)>,
 }
 
+impl Default for Spec {
+    /// One run, of which nothing is taken out.
+    fn default() -> Self {
+        Self {
+            repeat: 1,
+            repeat_name: super::REPEAT.into(),
+            same_seed: false,
+            twice: super::TWICE,
+            factors: Vec::new(),
+            pair: Vec::new(),
+            draws: Vec::new(),
+            units: vec![super::REPEAT.into()],
+            columns: Vec::new(),
+            points: Vec::new(),
+            limits: Vec::new(),
+            compare: Vec::new(),
+        }
+    }
+}
+
 impl Spec {
+    /// What is drawn and taken out of each run, without what is varied.
+    pub(crate) fn without_factors(self) -> Self {
+        let units = vec![self.repeat_name.clone()];
+        Self { repeat: 1, factors: Vec::new(), pair: Vec::new(), compare: Vec::new(), units, ..self }
+    }
+
+    /// The variants among the values of the factors.
+    pub(crate) fn variants(&self) -> Vec<Variant> {
+        self.factors.iter().flat_map(|factor| &factor.levels).filter_map(|level| level.variant.clone()).collect()
+    }
+
     /// Number of runs; `None` on overflow.
     pub(crate) fn n_runs(&self) -> Option<usize> {
         let blocks = self.blocks();

@@ -1,8 +1,8 @@
 //! The keys that settings assign, so that two settings of one key can be detected.
 
-use super::{PREFIX, Sets, Setting, Step, Table, Value};
+use super::{PREFIX, Sets, Setting, Step, Table, Value, Variant};
 use crate::fault::Span;
-use std::fmt;
+use std::{fmt, path::Path};
 
 /// A key that a setting assigns, split into its parts: `scan.calls[0]` is node, scan, calls, [0].
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -57,11 +57,32 @@ pub(crate) fn keys_set(sets: &[String]) -> Vec<(SetKey, Span)> {
     out
 }
 
+impl Variant {
+    /// The keys that it sets or removes.
+    pub(crate) fn keys(&self) -> Vec<SetKey> {
+        let mut table = self.table(Path::new(&self.file), &mut Vec::new());
+        table.0.retain(|entry| entry.key != "extends" && entry.key != "plugins");
+        let mut keys = Vec::new();
+        leaves(&table, &[], &mut |key| keys.push(SetKey(key)));
+        keys
+    }
+}
+
+/// The keys of the leaves; those that `remove` names are set, too.
 fn leaves(table: &Table, above: &[String], found: &mut impl FnMut(Vec<String>)) {
     for entry in &table.0 {
         let key = [above, std::slice::from_ref(&entry.key)].concat();
         match &entry.value.value {
             Value::Table(inner) => leaves(inner, &key, found),
+            Value::Array(items) if above.is_empty() && entry.key == "remove" => {
+                let removed = items.iter().filter_map(|item| item.as_text());
+                removed.for_each(|path| {
+                    found(match path.strip_prefix("results.") {
+                        Some(result) => vec!["results".into(), result.into()],
+                        None => path.split('.').map(str::to_owned).collect(),
+                    })
+                });
+            }
             _ => found(key),
         }
     }

@@ -209,6 +209,7 @@ mod tests {
                 warnings: Vec::new(),
                 results,
                 twice: None,
+                asked: None,
             }
         };
         of.iter().enumerate().map(run).collect()

@@ -25,11 +25,12 @@ import numpy as _np
 
 from . import _core
 from ._core import OsteoflowError, Refused, UsageError, __version__
+from ._study import Row, Study
 from ._types import Cloud, Item, Mesh, Recording, Wire, _Wires
 
 __all__ = [
     "Cloud", "Graph", "GraphRun", "Item", "Mesh", "OsteoflowError", "OsteoflowWarning", "Recording", "Refused",
-    "Registration", "UsageError", "Wire", "__version__", "read", "register", "simulate", "sweep", "write",
+    "Registration", "Row", "Study", "UsageError", "Wire", "__version__", "read", "register", "simulate", "sweep", "write",
 ]
 
 # Plugins are looked at by another process; a sweep is of this build of the program.

@@ -420,6 +420,7 @@ mod tests {
                         warnings: Vec::new(),
                         results: json!({ "tre_mm": number }),
                         twice: None,
+                        asked: None,
                     });
                 }
             }
