@@ -11,7 +11,7 @@ const PACKAGE: &str = "nodes/python";
 /// What the tests need beside the package and NumPy.
 const NEEDED: [&str; 2] = ["maturin>=1.7,<2", "pytest"];
 /// What single tests need, which are left out without it: installed with `SLOW_TESTS`.
-const OPTIONAL: [&str; 5] = ["pandas", "matplotlib", "nbclient", "ipykernel", "dask[distributed]"];
+const OPTIONAL: [&str; 6] = ["pandas", "matplotlib", "nbclient", "ipykernel", "dask[distributed]", "optuna"];
 
 fn skip(why: &str) {
     eprintln!("skipped: python package: {why}");
@@ -52,7 +52,7 @@ fn environment() -> Result<PathBuf, String> {
         }
     }
     // Compiles what is imported, which is a small part of the packages; the tests write no bytecode.
-    let optional = ["pandas", "matplotlib.pyplot", "nbclient", "ipykernel.kernelapp", "distributed"];
+    let optional = ["pandas", "matplotlib.pyplot", "nbclient", "ipykernel.kernelapp", "distributed", "optuna"];
     for package in ["pytest"].iter().chain(if is_slow_run() { &optional[..] } else { &[] }) {
         let mut import = Command::new(&python);
         let _ = import.args(["-c", &format!("import {package}")]).env_remove("PYTHONDONTWRITEBYTECODE").output();

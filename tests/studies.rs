@@ -168,7 +168,7 @@ fn a_shipped_variant_is_a_value_of_a_factor_and_two_are_extended_at_once() {
 fn single_runs_are_repeated_with_a_recording_and_their_results_are_those_of_the_rows() {
     let sweep = format!(
         "{PLANS}\n[sweep]\nrepeat = 2\n[sweep.factor]\nshape = {{ key = \"plan.bone.shape_seed\", values = [1, 2, 3] }}\n\
-         [sweep.draw]\nedge_mm = {{ key = \"plan.bone.edge_mm\", uniform = [4.0, 6.0] }}\n{COLUMNS}"
+         [sweep.draw]\nedge_mm = {{ key = \"plan.bone.edge_mm\", uniform = [3.0, 5.0] }}\n{COLUMNS}"
     );
     let desk = Desk::new(&[("g.toml", &sweep)]);
     desk.swept(&["g.toml", "--only", "3", "--record", "before"]);
@@ -217,7 +217,7 @@ fn a_sweep_that_gets_more_repeats_has_the_files_of_one_that_had_them_at_once() {
     let sweep = format!(
         "{PLANS}\n[sweep]\nrepeat = 2\ntwice = 0.3\nunits = [\"plan\"]\n[sweep.factor]\nshape = {{ key = \
          \"plan.bone.shape_seed\", values = [1, 2, 3] }}\n[sweep.draw]\nedge_mm = {{ key = \"plan.bone.edge_mm\", uniform = \
-         [4.0, 6.0] }}\n{COLUMNS}"
+         [3.0, 5.0] }}\n{COLUMNS}"
     );
     let desk = Desk::new(&[("g.toml", &sweep)]);
     let five = ["--set", "sweep.repeat=5"];
@@ -304,10 +304,18 @@ fn kinds_with_parameters_of_their_own_are_exchanged_within_a_sweep() {
     let tables = "[{ thin.kind = \"thin.first\" }, { thin.kind = \"thin.every\", thin.step = 5, remove = [\"node.thin.share\"] }, \
                   { thin.kind = \"crop.box\", thin.min_mm = [0.0, 0.0, 0.0], thin.max_mm = [8.5, 8.5, 8.5], \
                   remove = [\"node.thin.share\"] }], labels = [\"first\", \"every\", \"box\"]";
+    let more = THIN.replace("\"thin.", "\"more.");
+    let method = graph("[]").replace("kind = { values = [] }", "method = { variants = [\"own.toml\", \"half.toml\"] }");
+    let own =
+        "plugins = [\"more.py\"]\nremove = [\"node.thin.share\"]\n[node.thin]\nkind = \"more.every\"\nstep = 10\n";
     let files = [
         ("thin.py", THIN),
+        ("more.py", &*more),
         ("g.toml", &*graph(tables)),
-        ("names.toml", &graph("[\"thin.first\", \"thin.every\"], key = \"thin.kind\"")),
+        ("names.toml", &*graph("[\"thin.first\", \"thin.every\"], key = \"thin.kind\"")),
+        ("variants.toml", &*method),
+        ("own.toml", own),
+        ("half.toml", "[node.thin]\nshare = 0.5\n"),
     ];
     let Some(folder) = Folder::new("kinds that are exchanged", &files) else { return };
     let sweep = |arguments: &[&str]| {
@@ -322,11 +330,19 @@ fn kinds_with_parameters_of_their_own_are_exchanged_within_a_sweep() {
     }
     let read = |name: &str| fs::read_to_string(folder.path(name)).unwrap();
     assert_eq!(read("a/runs.csv"), read("b/runs.csv"));
-    let counts: Vec<_> =
-        read("a/runs.csv").lines().skip(1).map(|row| row.split(',').rev().nth(1).unwrap().to_owned()).collect();
-    assert_eq!(counts, ["25", "20", "3"]);
+    let counts = |out: &str| {
+        let table = read(&format!("{out}/runs.csv"));
+        table.lines().skip(1).map(|row| row.split(',').rev().nth(1).unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(counts("a"), ["25", "20", "3"]);
+    // A variant may name a plugin of its own.
+    let (err, code) = sweep(&["variants.toml", "--out", "v", "--no-cache"]);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(counts("v"), ["10", "50"]);
     // Each of them alone, from the frozen graph, which states the parameters of the first.
     let (err, code) = sweep(&["a", "--only", "0-2", "--record", "r"]);
+    assert!(code == 0 && !err.contains("other results"), "{err}");
+    let (err, code) = sweep(&["v", "--only", "0", "--record", "rv"]);
     assert!(code == 0 && !err.contains("other results"), "{err}");
     let (err, code) = sweep(&["names.toml", "--dry-run"]);
     let remedy = "{ thin.kind = \"thin.every\", remove = [\"node.thin.share\"] }";

@@ -230,6 +230,13 @@ impl Sweep {
         Ok(folder)
     }
 
+    /// Whether [`Self::resume`] would give the runs of the folder other numbers.
+    pub fn renumbers(&self, dir: &Path) -> bool {
+        let of =
+            |folder: Folder| Some(!folder.about["runs_in"].is_null() || folder.spec().ok()?.repeat < self.spec.repeat);
+        Folder::open(dir).ok().and_then(of).unwrap_or_default()
+    }
+
     /// What the sweep would be of with fewer repeats.
     fn about_repeats(&self, n_repeats: usize) -> Json {
         let spec = Spec { repeat: n_repeats, ..self.spec.clone() };

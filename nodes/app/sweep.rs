@@ -34,7 +34,7 @@ const MAX_ONLY: usize = 10_000;
 /// Many runs of a graph, as its table `[sweep]` says.
 #[derive(Debug, Clone, Args)]
 pub struct SweepRequest {
-    /// The graph file, with a table [sweep].
+    /// The graph file, with a table [sweep]; with --only also the folder of a sweep.
     #[arg(required_unless_present = "merge")]
     pub graph: Option<PathBuf>,
 
@@ -51,7 +51,8 @@ pub struct SweepRequest {
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 
-    /// Resume the sweep in --out: finished runs stay. Refused if graph, inputs, plugins or the program have changed.
+    /// Resume the sweep in --out: finished runs stay. Refused if graph, inputs, plugins or the program have changed; but
+    /// --set sweep.repeat=N may ask for more repeats, of which the new ones are run.
     #[arg(long, requires = "out")]
     pub resume: bool,
 
@@ -203,7 +204,7 @@ impl SweepRequest {
         let options = SweepOptions { workers: run.workers, run, share: !self.no_share, shard, retry_failed };
         let folder = match (&self.out, self.resume) {
             (Some(dir), true) => {
-                let _lock = FolderLock::take(dir)?;
+                let _lock = sweep.renumbers(dir).then(|| FolderLock::take(dir)).transpose()?;
                 sweep.resume(dir, &options)
             }
             (dir, _) => sweep.begin(&new_dir(dir.as_deref(), &sweep.plan.name)?, &options),
@@ -266,8 +267,9 @@ impl SweepRequest {
         let (Some(graph), Some(dir)) = (&self.graph, &self.out) else {
             return Err(UsageError("a study needs a graph file and a folder".into()).into());
         };
-        if !self.resume {
-            drop(new_dir(Some(dir), "")?);
+        match self.resume {
+            true => drop(Folder::open(dir).map_err(folder_error)?),
+            false => drop(new_dir(Some(dir), "")?),
         }
         let lock = FolderLock::take(dir)?;
         let mut run = program::options(self.workers, &Arc::default());

@@ -72,7 +72,8 @@ impl Study {
         options: SweepOptions,
     ) -> Result<Result<Self, FolderError>, Faults> {
         let kinds = kinds.into();
-        let texts = Stamps::of(graph_check::files(path, sets, &kinds));
+        // Plugins are held as they were at the start.
+        let texts = Stamps::of(graph_check::files(path, sets, kinds.registry()));
         let (base, spec) = Base::check(path, sets, kinds)?;
         Ok(Self::begin(base, spec, dir, resumes, options, texts))
     }

@@ -87,7 +87,7 @@ def test_what_cannot_be_asked_for_and_what_has_changed_is_refused_by_name(tmp_pa
     study.run({KEY: 1})
     with pytest.raises(osteoflow.UsageError, match="in use|is written"):
         osteoflow.Study(graph, out=tmp_path / "s", resume=True)
-    graph.write_text(graph.read_text().replace("bone.edge_mm = 5.0", "bone.edge_mm = 6.0"))
+    graph.write_text(graph.read_text().replace("bone.edge_mm = 5.0", "bone.edge_mm = 4.0"))
     with pytest.raises(osteoflow.OsteoflowError, match="small.toml has changed"):
         study.run({KEY: 2})
     study.close()
@@ -108,7 +108,7 @@ def test_an_optimiser_asks_for_rows(tmp_path):
     def optimise(out, n_trials, resume):
         with osteoflow.Study(graph, out=out, resume=resume, progress=False) as study:
             search = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=1))
-            search.optimize(lambda trial: study.run({"plan.bone.edge_mm": trial.suggest_float("edge_mm", 4.0, 8.0)})["x_mm"], n_trials)
+            search.optimize(lambda trial: study.run({"plan.bone.edge_mm": trial.suggest_float("edge_mm", 3.0, 5.0)})["x_mm"], n_trials)
         return search.best_value
 
     best = optimise(tmp_path / "s", 6, resume=False)
@@ -117,3 +117,41 @@ def test_an_optimiser_asks_for_rows(tmp_path):
     assert optimise(tmp_path / "cut", 3, resume=False) is not None
     assert optimise(tmp_path / "cut", 6, resume=True) == best
     assert runs_of(tmp_path / "cut") == runs_of(tmp_path / "s")
+
+
+COUNTED = '''
+from dataclasses import dataclass
+from osteoflow_node import Text, param, source
+
+N_BUILT = 0
+
+
+@dataclass
+class Params:
+    n: int = param(0, doc="Any number.")
+
+
+@source("counted.builds", output="text", unsteady=True)
+class Builds:
+    """How many nodes this process has built."""
+
+    def __init__(self, params: Params):
+        global N_BUILT
+        N_BUILT += 1
+
+    def items(self) -> Text:
+        yield 0, Text(str(N_BUILT))
+'''
+
+
+def test_one_process_of_a_plugin_serves_the_rows_of_all_calls(tmp_path, monkeypatch):
+    monkeypatch.setenv("OSTEOFLOW_PYTHON", sys.executable)
+    (tmp_path / "counted.py").write_text(COUNTED)
+    graph = tmp_path / "g.toml"
+    graph.write_text(
+        'plugins = ["counted.py"]\n[graph]\nformat = 1\n[node.a]\nkind = "counted.builds"\n[results]\nn = "a.text"\n'
+        '[sweep]\ntwice = 0\n[sweep.columns]\nn = "n"\n'
+    )
+    with osteoflow.Study(graph, out=tmp_path / "s", workers=1, progress=False) as study:
+        rows = [study.run({"a.n": n}) for n in (1, 2)] + study.run_many([{"a.n": 3}, {"a.n": 4}, {"a.n": 1}])
+    assert [row["n"] for row in rows] == ["1", "2", "3", "4", "1"], rows

@@ -73,17 +73,16 @@ impl Reader<'_> {
     fn matching(&mut self, pattern: &str, at: &Span, owner: &str) -> Option<Vec<String>> {
         let (folder, rest) = split(pattern);
         let start = at.dir().join(&folder);
-        let mut found = vec![folder.clone()];
+        let mut paths = vec![folder.clone()];
         for segment in &rest {
-            found = found.iter().flat_map(|dir| entries(&at.dir().join(dir), segment, dir)).collect();
+            paths = paths.iter().flat_map(|dir| entries(&at.dir().join(dir), segment, dir)).collect();
         }
-        found.retain(|file| at.dir().join(file).exists());
-        if found.len() as u64 > MAX_LEVELS {
-            let message = format!("{owner} has {} values, at most {MAX_LEVELS} are possible", found.len());
+        if paths.len() as u64 > MAX_LEVELS {
+            let message = format!("{owner} has {} values, at most {MAX_LEVELS} are possible", paths.len());
             self.fault(at, message, "too many", "split the sweep by narrower patterns");
             return None;
         }
-        if found.is_empty() {
+        if paths.is_empty() {
             let fault = Fault::new(format!("{owner}: no file matches {pattern}")).at(at, "relative to this file");
             let names = entries(&start, "*", Path::new(""));
             let names: Vec<_> = names.iter().filter_map(|name| name.to_str()).collect();
@@ -99,8 +98,8 @@ impl Reader<'_> {
             self.faults.push(fault.note_if(has).help("* stands for any part of a name, ? for one character"));
             return None;
         }
-        found.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
-        Some(found.iter().map(|file| self.relative(at, file)).collect())
+        paths.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+        Some(paths.iter().map(|file| self.relative(at, file)).collect())
     }
 
     /// A path that is written at `at`, relative to the graph if it is in the graph's folder.

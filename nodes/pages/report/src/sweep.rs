@@ -15,7 +15,9 @@ use crate::{
     summary::{self, SUMMARY, word},
 };
 use osteoflow_engine::plugin::Kinds;
-use osteoflow_engine::sweep::{Column, Distribution, Done, Factor, Folder, PointValue, Spec, at_path, point_values};
+use osteoflow_engine::sweep::{
+    Column, Distribution, Done, Factor, Folder, Level, PointValue, Spec, at_path, point_values,
+};
 use osteoflow_node::Registry;
 use serde_json::{Map, Value as Json};
 use std::{collections::BTreeMap, path::Path};
@@ -118,7 +120,9 @@ impl SweepResults {
     /// The values of the factors and draws that set a kind, in a run.
     fn kinds_set<'a>(&'a self, run: &'a Done) -> Vec<Option<&'a Json>> {
         let is_kind = |set: &str| set.split('=').next().is_some_and(|key| key.trim().ends_with(".kind"));
-        let sets_kind = |factor: &&Factor| factor.levels.iter().flat_map(|level| &level.sets).any(|set| is_kind(set));
+        // A variant may set kinds.
+        let level_sets_kind = |level: &Level| level.variant.is_some() || level.sets.iter().any(|set| is_kind(set));
+        let sets_kind = |factor: &&Factor| factor.levels.iter().any(level_sets_kind);
         let factors = self.spec.factors.iter().filter(sets_kind).map(|factor| &factor.name);
         let draws =
             self.spec.draws.iter().filter(|draw| draw.keys.iter().any(|key| is_kind(key))).map(|draw| &draw.name);

@@ -430,7 +430,7 @@ def sweep(
 
     set : changes of the graph in all runs, also of the sweep: {"sweep.repeat": 20}.
     out : folder to write into (runs.csv, points.csv, summary.json, ...). Default: a temporary one, which is removed.
-    resume : go on with the sweep in `out`.
+    resume : go on with the sweep in `out`; set={"sweep.repeat": 20} may ask for more repeats.
     retry_failed : with resume, run those again that failed.
     executor : a `concurrent.futures.Executor` whose workers have this package and the files of the graph under the same
         paths, such as of Dask (docs/use/clusters.md). The tables are byte for byte those of one machine. A task whose worker is lost
