@@ -97,13 +97,13 @@ impl Desk {
         assert!(output.status.success(), "{script}: {}", String::from_utf8_lossy(&output.stderr));
     }
 
-    /// The files of a sweep, except sweep.json, which names the machines.
+    /// The files of a sweep, except sweep.json, which names the machines, and times.
     fn files(&self, name: &str) -> BTreeMap<PathBuf, Vec<u8>> {
         let (dir, mut all) = (self.path(name), BTreeMap::new());
         for folder in [dir.clone(), dir.join("runs")] {
             for entry in fs::read_dir(folder).unwrap() {
                 let path = entry.unwrap().path();
-                if path.is_file() && !path.ends_with("sweep.json") {
+                if path.is_file() && !path.ends_with("sweep.json") && !path.ends_with("times.csv") {
                     all.insert(path.strip_prefix(&dir).unwrap().to_owned(), fs::read(&path).unwrap());
                 }
             }
@@ -134,8 +134,11 @@ fn the_job_array_and_the_merge_give_the_tables_of_one_machine_also_after_a_task_
     // Task 3 was killed between its runs, task 5 before its first.
     let task = "bash sweep.sbatch study.toml study";
     desk.ran(task, Some(3));
-    let runs: Vec<_> =
-        fs::read_dir(desk.path("study.parts/3/runs")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let runs: Vec<_> = fs::read_dir(desk.path("study.parts/3/runs"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|p| p.is_file())
+        .collect();
     assert_eq!(runs.len(), 12 * 3 / 8 - 12 * 2 / 8);
     fs::remove_file(&runs[0]).unwrap();
     fs::remove_file(desk.path("study.parts/3/runs.csv")).unwrap();
@@ -162,7 +165,7 @@ fn a_missing_shard_and_one_of_another_graph_are_named_by_the_merge() {
     fs::write(desk.path("study.toml"), STUDY.replace("5.0", "4.0")).unwrap();
     desk.ran("bash sweep.sbatch study.toml study", Some(2));
     let message = merge("other");
-    assert!(message.contains("2 holds another sweep: its graph has `edge_mm = 4.0` in [node.plan], the other `edge_mm = 5.0`; its hash is "), "{message}");
+    assert!(message.contains("2 holds another sweep: its graph has `bone.edge_mm = 4.0` in [node.plan], the other `bone.edge_mm = 5.0`; its hash is "), "{message}");
     let json = fs::read_to_string(desk.path("study.parts/2/sweep.json")).unwrap();
     let mut about: serde_json::Value = serde_json::from_str(&json).unwrap();
     about["program_sha256"] = "0".into();

@@ -104,7 +104,7 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
         "--out",
         "S",
     ];
-    for arguments in [&sweep[..], &["report", "S"]] {
+    for arguments in [&sweep[..], &["report", "S", "--plugin", "my_fit/my_fit.py"]] {
         let mut command = osteoflow();
         let output = command.current_dir(folder.0.path()).env("OSTEOFLOW_PYTHON", &folder.1).args(arguments).output();
         let output = output.unwrap();
@@ -122,12 +122,51 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
         assert!(ours[1] > 0.0 && theirs[1] > 0.0);
     }
     let page = fs::read_to_string(folder.path("S/report.html")).unwrap();
-    for words in ["my_fit.point_to_plane", "against icp cpu (ms)"] {
+    for words in ["my_fit.point_to_plane", "Chen &amp; Medioni 1992", "against icp cpu (ms)"] {
         assert!(page.contains(words), "{words}");
     }
     // As a plugin in any language: the recording replays to the same bits, and `process = false` is no way out.
     let refused = folder.run("my_fit/graphs/my_fit.toml", &["--set", "icp.process=false", "--set", small]);
     assert!(refused.code != Some(0) && refused.stderr.contains("take process = false out"), "{}", refused.stderr);
+}
+
+#[test]
+fn the_page_leads_from_a_node_to_a_report_and_to_somebody_else() {
+    let Some(folder) = Folder::new("the commands of the page", &[]) else { return };
+    let page = include_str!("../docs/extend/python-nodes.md");
+    let blocks: Vec<_> = page.split("```sh\n").skip(1).map(|block| block.split("```").next().unwrap()).collect();
+    let run = |line: &str, at: &Path, more: &[&str]| {
+        let words = line.split('#').next().unwrap().split_whitespace().skip(1);
+        let mut command = osteoflow();
+        command.current_dir(at).env("OSTEOFLOW_PYTHON", &folder.1).env("OSTEOFLOW_CACHE", folder.path("cache"));
+        let output = command.args(words).args(more).output().unwrap();
+        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        (output.status.code().unwrap(), said)
+    };
+    let small = ["--set", "recording.camera.n_points=3000"];
+    let of_sweep = [&small[..], &["--set", "sweep.repeat=1", "--set", "sweep.twice=0"]].concat();
+    assert!(blocks[0].starts_with("osteoflow new plugin my_icp --lang python && cd my_icp\n"));
+    assert_eq!(run("osteoflow new plugin my_icp --lang python", folder.0.path(), &[]).0, 0);
+    let at = folder.path("my_icp");
+    let mut n_lines = 0;
+    for line in blocks[1].lines() {
+        let more: &[&str] = match line.split_whitespace().nth(1).unwrap() {
+            "run" => &small,
+            "sweep" if line.contains("graphs/") => &of_sweep,
+            _ => &[],
+        };
+        let (code, said) = run(line, &at, more);
+        let expected = if line.contains(" replay ") { 4 } else { 0 };
+        assert_eq!(code, expected, "{line}: {said}");
+        if line.contains(" replay ") {
+            assert!(said.contains("not comparable"), "{said}");
+        }
+        n_lines += 1;
+    }
+    assert_eq!(n_lines, 8);
+    assert!(at.join("row3/run.mcap").is_file() && at.join("S/report.html").is_file());
+    let page = fs::read_to_string(at.join("S/report.html")).unwrap();
+    assert!(page.contains("Chen &amp; Medioni 1992") && !page.contains(folder.0.path().to_str().unwrap()));
 }
 
 #[test]

@@ -59,7 +59,8 @@ impl Desk {
     /// Compares the files that a sweep promises to be the same.
     fn assert_same(&self, a: &str, b: &str) {
         let of = |dir: &str| {
-            let mut runs: Vec<_> = fs::read_dir(self.0.path().join(dir).join("runs")).unwrap().collect();
+            let runs = fs::read_dir(self.0.path().join(dir).join("runs")).unwrap();
+            let mut runs: Vec<_> = runs.filter(|entry| entry.as_ref().unwrap().path().is_file()).collect();
             runs.sort_by_key(|entry| entry.as_ref().unwrap().file_name());
             let runs = runs.into_iter().map(|entry| format!("runs/{}", entry.unwrap().file_name().to_str().unwrap()));
             let tables = ["runs.csv", "points.csv", "summary.json", "sweep.toml"].map(str::to_owned);

@@ -6,8 +6,8 @@
 use super::{
     Unsteady,
     design::SweepRow,
-    table::{write_points, write_runs},
-    times::{RunTimes, write_times},
+    table::{write_points, write_runs, write_times},
+    times::RunTimes,
 };
 use crate::{
     check::sweep::{Factor, Level, Spec},
@@ -42,6 +42,9 @@ pub const TIMES: &str = "times.csv";
 
 /// Origin of runs that are asked for one by one.
 pub(super) const ASKED: &str = "asked";
+
+/// Folder of their times, inside that of the runs.
+const TIMES_DIR: &str = "times";
 
 /// Increase when the layout of the files changes.
 const FORMAT: u64 = 2;
@@ -442,6 +445,10 @@ impl Folder {
 
     fn keep_in(&self, folder: &str, done: &Done, sets: &[String], times: Option<&RunTimes>) -> Result<(), FolderError> {
         if let Some(times) = times {
+            let dir = self.dir.join(folder).join(TIMES_DIR);
+            if !fs::symlink_metadata(&dir).is_ok_and(|found| found.is_dir()) {
+                fs::create_dir(&dir).map_err(|source| self.cannot_write(&format!("{folder}/{TIMES_DIR}"), source))?;
+            }
             self.write(&format!("{folder}/{}", times_name(done.run)), format!("{}\n", json!(times)).as_bytes())?;
         }
         let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
@@ -584,6 +591,8 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
         return Err(FolderError::Missing { n: 1 + missing.count(), all, first: run });
     }
     let folder = Folder::begin(dir, &first.graph()?, about)?;
+    let times = format!("{RUNS_DIR}/{TIMES_DIR}");
+    fs::create_dir(dir.join(&times)).map_err(|source| folder.cannot_write(&times, source))?;
     for (run, shard) in from {
         for name in [times_name(run), file_name(run)] {
             let path = shard.runs_path().join(&name);
@@ -709,9 +718,9 @@ fn shown(entry: &Json) -> String {
     name.map_or_else(|| entry.to_string(), str::to_owned)
 }
 
-/// Beside the file of the run, whose content is the same each time.
+/// Not in the file of the run, whose content is the same each time.
 fn times_name(run: usize) -> String {
-    format!("{run:06}.times.json")
+    format!("{TIMES_DIR}/{run:06}.json")
 }
 
 fn file_name(run: usize) -> String {

@@ -20,7 +20,7 @@ pub fn at_path<'a>(results: &'a Json, path: &str) -> Option<&'a Json> {
 }
 
 /// Formats a cell: numbers in full precision, strings without quotes, null as empty.
-pub(super) fn cell(value: &Json) -> String {
+fn cell(value: &Json) -> String {
     match value {
         Json::Null => String::new(),
         Json::String(text) => text.clone(),
@@ -29,7 +29,7 @@ pub(super) fn cell(value: &Json) -> String {
 }
 
 /// Names of factors, draws and repeats, as columns.
-pub(super) fn names(spec: &Spec) -> impl Iterator<Item = &str> {
+fn names(spec: &Spec) -> impl Iterator<Item = &str> {
     let factors = spec.factors.iter().map(|factor| factor.name.as_str());
     factors.chain([spec.repeat_name.as_str()]).chain(spec.draws.iter().map(|draw| draw.name.as_str()))
 }
@@ -142,6 +142,38 @@ pub fn write_points(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(),
         }
     }
     table.flush().map_err(|e| folder.cannot_write(super::folder::POINTS, e))
+}
+
+/// Writes `times.csv`: run, factors, repeat, draws, seed, and for each node its kind, where its items come from, firings and times; the row
+/// without a node is the run's, with the sums over the nodes that it computed.
+///
+/// # Errors
+/// If a run cannot be read or the table cannot be written.
+pub(super) fn write_times(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
+    let mut table = csv::Writer::from_writer(out);
+    let failed = |error: csv::Error| folder.cannot_write(super::folder::TIMES, error);
+    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "node", "kind", "from", "firings"]);
+    table.write_record(head.chain(["busy_ms", "cpu_ms", "wall_ms"])).map_err(failed)?;
+    for done in folder.done()? {
+        let done = done?;
+        let Some(times) = folder.times(done.run)? else { continue };
+        let mut own = vec![done.run.to_string()];
+        own.extend(names(spec).map(|name| done.value(name).map(cell).unwrap_or_default()));
+        own.push(done.seed.to_string());
+        let mut row = |of: [&str; 4], times: [Option<f64>; 3]| {
+            let times = times.map(|time| time.map(|time| Json::from(time).to_string()).unwrap_or_default());
+            let row = own.iter().map(String::as_str).chain(of).chain(times.iter().map(String::as_str));
+            table.write_record(row).map_err(failed)
+        };
+        let (busy_ms, cpu_ms) = times.sums();
+        row(["", "", "", ""], [Some(busy_ms), cpu_ms, Some(times.wall_ms)])?;
+        for node in &times.nodes {
+            let firings = node.firings.to_string();
+            let measured = [Some(node.busy_ms), node.cpu_ms, Some(node.wall_ms)];
+            row([&node.node, &node.kind, &node.from, &firings], measured)?;
+        }
+    }
+    table.flush().map_err(|error| folder.cannot_write(super::folder::TIMES, error))
 }
 
 #[cfg(test)]

@@ -1,19 +1,10 @@
 //! How long the nodes of each run took. Times differ from run to run of the same sweep, so they are kept beside the results
 //! and enter these only where a column asks for one.
 
-use super::{
-    folder::{Folder, FolderError, TIMES},
-    table::{cell, names},
-};
-use crate::{
-    check::sweep::{Column, Spec},
-    partial::FinishedNode,
-    plan::Plan,
-    run::RunReport,
-};
+use crate::{check::sweep::Column, partial::FinishedNode, plan::Plan, run::RunReport};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value as Json, json};
-use std::{io::Write, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 /// Times of a run and of its nodes, in milliseconds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -66,7 +57,7 @@ impl RunTimes {
     }
 
     /// Sums over the nodes that this run computed itself: duration and processor time of firings.
-    fn sums(&self) -> (f64, Option<f64>) {
+    pub(super) fn sums(&self) -> (f64, Option<f64>) {
         let own = self.nodes.iter().filter(|node| node.from != "shared");
         own.fold((0.0, Some(0.0)), |(busy, cpu), node| {
             (busy + node.busy_ms, cpu.zip(node.cpu_ms).map(|(sum, cpu)| sum + cpu))
@@ -91,36 +82,4 @@ impl RunTimes {
             results.insert("run".into(), json!({ "busy_ms": busy_ms, "cpu_ms": cpu_ms, "wall_ms": self.wall_ms }));
         }
     }
-}
-
-/// Writes `times.csv`: run, factors, repeat, draws, seed, and for each node its kind, where its items come from, firings and times; the row
-/// without a node is the run's, with the sums over the nodes that it computed.
-///
-/// # Errors
-/// If a run cannot be read or the table cannot be written.
-pub(super) fn write_times(folder: &Folder, spec: &Spec, out: impl Write) -> Result<(), FolderError> {
-    let mut table = csv::Writer::from_writer(out);
-    let failed = |error: csv::Error| folder.cannot_write(TIMES, error);
-    let head = ["run"].into_iter().chain(names(spec)).chain(["seed", "node", "kind", "from", "firings"]);
-    table.write_record(head.chain(["busy_ms", "cpu_ms", "wall_ms"])).map_err(failed)?;
-    for done in folder.done()? {
-        let done = done?;
-        let Some(times) = folder.times(done.run)? else { continue };
-        let mut own = vec![done.run.to_string()];
-        own.extend(names(spec).map(|name| done.value(name).map(cell).unwrap_or_default()));
-        own.push(done.seed.to_string());
-        let mut row = |of: [&str; 4], times: [Option<f64>; 3]| {
-            let times = times.map(|time| time.map(|time| Json::from(time).to_string()).unwrap_or_default());
-            let row = own.iter().map(String::as_str).chain(of).chain(times.iter().map(String::as_str));
-            table.write_record(row).map_err(failed)
-        };
-        let (busy_ms, cpu_ms) = times.sums();
-        row(["", "", "", ""], [Some(busy_ms), cpu_ms, Some(times.wall_ms)])?;
-        for node in &times.nodes {
-            let firings = node.firings.to_string();
-            let measured = [Some(node.busy_ms), node.cpu_ms, Some(node.wall_ms)];
-            row([&node.node, &node.kind, &node.from, &firings], measured)?;
-        }
-    }
-    table.flush().map_err(|error| folder.cannot_write(TIMES, error))
 }

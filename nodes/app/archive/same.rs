@@ -7,7 +7,7 @@ use osteoflow_engine::{
     hash::Digest,
     recording::digest::{DigestReport, digest},
     run::files,
-    sweep::{self, difference_of_plugins},
+    sweep::{self, Column, difference_of_plugins},
 };
 use serde::Serialize;
 use serde_json::Value as Json;
@@ -60,10 +60,13 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
     let mut same = Sameness::default();
     match (a.join(sweep::DESIGN).is_file(), b.join(sweep::DESIGN).is_file()) {
         (true, true) => {
+            let about = [json(&a.join(sweep::DESIGN))?, json(&b.join(sweep::DESIGN))?];
+            let columns: Vec<Column> = serde_json::from_value(about[0]["sweep"]["columns"].clone()).unwrap_or_default();
+            let times: Vec<_> = columns.into_iter().filter(Column::is_time).map(|column| column.name).collect();
             for table in [sweep::RUNS, sweep::POINTS] {
-                tables(&a.join(table), &b.join(table), table, &mut same)?;
+                tables(&a.join(table), &b.join(table), table, &times, &mut same)?;
             }
-            provenance(&json(&a.join(sweep::DESIGN))?, &json(&b.join(sweep::DESIGN))?, &mut same);
+            provenance(&about[0], &about[1], &mut same);
         }
         (false, false) => {
             let of = |dir: &Path, shown: &Path| {
@@ -86,8 +89,8 @@ fn json(path: &Path) -> Result<Json> {
     serde_json::from_slice(&text).with_context(|| format!("{} is no JSON", path.display()))
 }
 
-/// Two tables, cell by cell.
-fn tables(a: &Path, b: &Path, name: &str, same: &mut Sameness) -> Result<()> {
+/// Two tables, cell by cell, but for times.
+fn tables(a: &Path, b: &Path, name: &str, times: &[String], same: &mut Sameness) -> Result<()> {
     let read = |path: &Path| {
         fs::read_to_string(path).with_context(|| format!("{} cannot be read; is the sweep finished?", path.display()))
     };
@@ -113,14 +116,18 @@ fn tables(a: &Path, b: &Path, name: &str, same: &mut Sameness) -> Result<()> {
     if a.len() != b.len() {
         same.differs(format!("{name} has {} and {} rows", a.len() - 1, b.len() - 1));
     }
-    let mut n_named = 0;
+    let (mut n_named, mut n_times) = (0, 0);
     for (a, b) in a.iter().zip(&b).skip(1) {
         for ((column, x), y) in head.iter().zip(a).zip(b).filter(|((_, x), y)| x != y) {
             match is_renamed(x, y) {
+                _ if times.contains(column) => n_times += 1,
                 true => n_named += 1,
                 false => same.differs(format!("{name}, run {}: {column} {x} and {y}{}", a[0], difference(x, y))),
             }
         }
+    }
+    if n_times > 0 {
+        same.notes.push(format!("{n_times} cells of {name} are times, which differ each time"));
     }
     if n_named > 0 {
         same.notes.push(format!("{n_named} cells of {name} name the same file in other folders"));
