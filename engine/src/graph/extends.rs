@@ -170,7 +170,8 @@ fn named<'e>(entry: &'e Entry, path: &Path, faults: &mut Vec<Fault>) -> Vec<(Pat
         match files.iter().find(|(known, _)| canonical(known) == canonical(&file)) {
             Some((_, first)) => {
                 let fault = Fault::new(format!("extends names {} twice", tidy(&file).display()));
-                faults.push(fault.at(&item.at, "the second").also(first, "the first").help("take one of them away"));
+                let fault = fault.at(&item.at, "the second").also(first, "the first").hides(&item.at);
+                faults.push(fault.help("take one of them away"));
             }
             None => files.push((file, &item.at)),
         }

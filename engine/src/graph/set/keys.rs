@@ -58,12 +58,13 @@ pub(crate) fn keys_set(sets: &[String]) -> Vec<(SetKey, Span)> {
 }
 
 impl Variant {
-    /// The keys that it sets or removes.
+    /// The keys that it sets or removes; its own name is none.
     pub(crate) fn keys(&self) -> Vec<SetKey> {
         let mut table = self.table(Path::new(&self.file), &mut Vec::new());
         table.0.retain(|entry| entry.key != "extends" && entry.key != "plugins");
         let mut keys = Vec::new();
         leaves(&table, &[], &mut |key| keys.push(SetKey(key)));
+        keys.retain(|SetKey(key)| *key != ["graph", "name"] && *key != ["graph", "format"]);
         keys
     }
 }

@@ -118,14 +118,16 @@ fn variants_are_merged_over_the_graph_frozen_and_told_apart_when_a_sweep_is_resu
 
 #[test]
 fn a_variant_and_a_factor_of_the_same_key_are_refused_and_its_faults_are_in_its_file() {
-    let sweep = "[sweep.factor]\nmethod = { variants = [\"a.toml\", \"b.toml\"] }\nslow = { key = \"last.sleep_us\", \
+    let sweep = "[sweep.factor]\nmethod = { variants = [\"a.toml\", \"b.toml\"] }\nnamed = { variants = \"named.toml\" }\nslow = { key = \"last.sleep_us\", \
                  values = [1] }\ntakes = { values = [{ remove = [\"node.shared.takes\"] }], labels = [\"none\"] }\n";
     let desk = Desk::new(&with_counter("sweep-variant-keys", sweep));
-    desk.write("a.toml", "[node.last]\nsleep_us = 1\n");
+    desk.write("a.toml", "[graph]\nname = \"a\"\n[node.last]\nsleep_us = 1\n");
+    desk.write("named.toml", "[graph]\nformat = 1\nname = \"named\"\n");
     desk.write("b.toml", "remove = [\"node.shared.takes\"]\n");
     let message = desk.faults();
     assert!(message.contains("factor \"method\" and factor \"slow\" both set last.sleep_us"), "{message}");
     assert!(message.contains("factor \"method\" and factor \"takes\" both set shared.takes"), "{message}");
+    assert_eq!(message.matches("both set").count(), 2, "a variant has a name of its own: {message}");
     let one = "[sweep.factor]\nmethod = { variants = [\"a.toml\"] }\n";
     fs::write(&desk.graph, with_counter("sweep-variant-keys", one)).unwrap();
     desk.write("a.toml", "[node.last]\nsleep_us = true\nsleep = 3\n");
