@@ -409,8 +409,12 @@ fn a_plugin_of_each_language_takes_the_place_of_a_recorded_kind_and_gives_it_bac
     let recording = base.path("run.mcap").display().to_string();
     // Each kind in all languages, which differ in how they are built alone.
     for (kind, node, others) in [
-        ("icp", "icp", ["icp.published", "icp.point_to_plane"]),
-        ("hole", "hole", ["hole.boundary", "hole.cloud_difference"]),
+        ("icp", "icp", [&["icp.kind=icp.published", "icp.reading=change_1e-5"][..], &["icp.kind=icp.point_to_plane"]]),
+        (
+            "hole",
+            "hole",
+            [&["hole.kind=hole.boundary", "hole.min_confidence=0.0"], &["hole.kind=hole.cloud_difference"]],
+        ),
     ] {
         for lang in if is_slow_run() { &LANGUAGES[..] } else { &["python", "c", "rust"] } {
             let Some((plugin, own, arguments)) = published(lang, kind) else { continue };
@@ -434,18 +438,16 @@ fn a_plugin_of_each_language_takes_the_place_of_a_recorded_kind_and_gives_it_bac
             // The recording of the plugin's run gives the kind of the base back, and takes another.
             let own_recording = out.join("run.mcap").display().to_string();
             for other in others {
-                let set = format!("{node}.kind={other}");
-                let (code, back, printed) = answer(&["replay", &own_recording], &arguments, &["--set", &set]);
-                let refused = code == Some(2) && printed.contains("there is no kind");
-                assert!(code == Some(4) || refused || code == Some(3), "{lang} {kind} {other}: {code:?} {printed}");
-                if other == others[1] {
-                    assert_eq!(back["results"]["poses"], base.results["poses"], "{lang} {kind}: {printed}");
-                }
+                let sets: Vec<_> = other.iter().flat_map(|set| ["--set", set]).collect();
+                let (code, back, printed) = answer(&["replay", &own_recording], &arguments, &sets);
+                assert_eq!(code, Some(4), "{lang} {kind} {other:?}: {printed}");
+                let is_back = back["results"]["poses"] == base.results["poses"];
+                assert_eq!(is_back, other.len() == 1, "{lang} {kind} {other:?}: {printed}");
             }
         }
     }
     // The published ICP as the old kind.
-    let set = ["--set", "icp.kind=icp.published"];
+    let set = ["--set", "icp.kind=icp.published", "--set", "icp.reading=change_1e-5"];
     let published_run = run_whole("graphs/fibula.toml", &[&SMALL[..], &set].concat());
     let recording = published_run.path("run.mcap").display().to_string();
     let Some((plugin, own, arguments)) = published("python", "icp") else { return };
@@ -456,26 +458,36 @@ fn a_plugin_of_each_language_takes_the_place_of_a_recorded_kind_and_gives_it_bac
 
 #[test]
 fn a_failed_item_is_run_again_through_another_kind() {
-    let failing = [&SMALL[..], &["--set", "hole.min_points=100000"]].concat();
+    let failing = [&SMALL[..], &["--set", "icp.max_pair_distance_mm=0.0001"]].concat();
     let ran = run("graphs/fibula.toml", &failing);
-    let bundle = fs::read_dir(ran.path("repro")).unwrap().next().unwrap().unwrap().path().display().to_string();
+    let bundle = ran.path("repro/icp-0").display().to_string();
     let (code, same, printed) = answer(&["repro", &bundle], &[], &[]);
     assert_eq!((code, &same["same"]), (Some(0), &true.into()), "{printed}");
-    let (code, less, printed) = answer(&["repro", &bundle], &[], &["--set", "hole.min_points=10"]);
-    assert_eq!((code, &less["failed_now"]), (Some(4), &Value::Null), "{printed}");
+    let (code, wider, printed) = answer(&["repro", &bundle], &[], &["--set", "icp.max_pair_distance_mm=5"]);
+    assert_eq!((code, &wider["failed_now"]), (Some(4), &Value::Null), "{printed}");
+    let published_kind = ["--set", "icp.kind=icp.published", "--set", "icp.reading=change_1e-5"];
+    let (code, again, printed) = answer(&["repro", &bundle], &[], &published_kind);
+    assert_eq!((code, &again["run_as"]), (Some(0), &"icp.published".into()), "it fails likewise: {printed}");
     for lang in ["python", "c", "rust"] {
-        let Some((_plugin, own, arguments)) = published(lang, "hole") else { continue };
-        // What was written for the old kind is a fault of one that lacks it; the template has it.
-        let sets = ["--set", &format!("hole.kind={own}"), "--set", "hole.min_points=10"];
+        let Some((_plugin, own, arguments)) = published(lang, "icp") else { continue };
+        // With what the user wrote, and without.
+        let kind = format!("icp.kind={own}");
+        let (code, failed, printed) = answer(&["repro", &bundle], &arguments, &["--set", &kind]);
+        assert!(code == Some(4) && failed["failed_now"]["reason"].is_string(), "{lang}: {printed} {failed:#}");
+        let sets = ["--set", &kind, "--set", "remove=[\"node.icp.max_pair_distance_mm\"]"];
         let (code, other, printed) = answer(&["repro", &bundle], &arguments, &sets);
         assert_eq!((code, &other["run_as"]), (Some(4), &own.as_str().into()), "{lang}: {printed}");
         assert!(other["failed_now"].is_null(), "{lang}: {other:#}");
     }
-    let cases: [(&[&str], &str); 4] = [
-        (&["--set", "icp.max_iterations=1"], "a bundle has one node, \"hole\""),
-        (&["--set", "hole.kind=no.such"], "there is no kind \"no.such\""),
-        (&["--set", "hole.no_such=1"], "no_such"),
-        (&["--set", "hole.kind=icp.point_to_plane"], "hole"),
+    let cases: [(&[&str], &str); 5] = [
+        (&["--set", "hole.min_points=1"], "a bundle has one node, \"icp\""),
+        (&["--set", "remove=[\"node.icp.max_pair_distance_mm\", \"node.hole.min_points\"]"], "a bundle has one node"),
+        (&["--set", "icp.kind=no.such"], "there is no kind \"no.such\""),
+        (&["--set", "icp.no_such=1"], "no_such"),
+        (
+            &["--set", "icp.kind=hole.boundary", "--set", "remove=[\"node.icp.max_pair_distance_mm\"]"],
+            "which the bundle lacks",
+        ),
     ];
     for (sets, expected) in cases {
         let (code, _, printed) = answer(&["repro", &bundle], &[], sets);
@@ -491,6 +503,8 @@ fn a_watch_runs_again_with_the_kind_that_is_edited_into_the_graph() {
         let base = root().join("graphs/fibula.toml");
         let small = "[node.recording]\ncamera.n_points = 8000\n[node.bone]\nexact = true\n";
         let text = format!("extends = {base:?}\nplugins = {files:?}\n{small}[node.icp]\nkind = \"{kind}\"\n");
+        let reading = if kind == "icp.published" { "reading = \"change_1e-5\"\n" } else { "" };
+        let text = format!("{text}{reading}");
         fs::write(dir.path().join("new"), text).unwrap();
         fs::rename(dir.path().join("new"), dir.path().join("graph.toml")).unwrap();
     };

@@ -240,6 +240,18 @@ fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trust
         "{text}"
     );
     ends_well(&folder, &["replay", "r", "--trust-recorded-plugins"]);
+    // A module that only a firing imports is carried, too, and named where it has changed.
+    let lazy = NODE.replace("import helper\n", "").replace("    return R", "    import helper\n    return R");
+    folder.write("st.py", &lazy);
+    folder.write("helper.py", "SCALE = 3.5\n");
+    ends_well(&folder, &["run", "g.toml", "--out", "lazy"]);
+    folder.write("helper.py", "SCALE = 4.5\n");
+    let (code, text) = command(&folder, &["replay", "lazy"]);
+    assert!(code == Some(4) && text.contains("helper.py) differs"), "{code:?} {text}");
+    fs::remove_file(folder.path("helper.py")).unwrap();
+    ends_well(&folder, &["validate", "lazy/run.mcap"]);
+    let text = ends_well(&folder, &["replay", "lazy", "--trust-recorded-plugins"]);
+    assert!(text.contains("0 differ, results equal"), "{text}");
     let (code, text) = command(&folder, &["replay", "without", "--trust-recorded-plugins"]);
     assert!(code == Some(2) && text.contains("carries the text of no plugin"), "{code:?} {text}");
     assert!(!String::from_utf8_lossy(&fs::read(folder.path("without/run.mcap")).unwrap()).contains("helper.SCALE"));

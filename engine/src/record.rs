@@ -22,11 +22,11 @@ use crate::{
     hash::Digest,
     options::RunOptions,
     panics,
-    plan::{OutputId, Plan},
+    plan::{OutputId, Plan, PlanPlugin},
     plugin,
     recording::format::{
-        Entries, FIRST_NS, INPUT_HASHES, LogLevel, MetadataRecord, Outcome, PROFILE, PROGRAM, PluginRecords,
-        PluginTexts, RecordedFailure, RunRecord, WireCounts,
+        Entries, FIRST_NS, INPUT_HASHES, LATE_PLUGIN_TEXTS, LATE_PLUGINS, LogLevel, MetadataRecord, Outcome, PROFILE,
+        PROGRAM, PluginRecords, PluginTexts, RecordedFailure, RunRecord, WireCounts,
     },
     runtime::{Failed, Tap},
     shown_paths::ShownPaths,
@@ -89,6 +89,9 @@ pub(crate) struct Recorder {
     wires: BTreeSet<OutputId>,
     path: PathBuf,
     shown: ShownPaths,
+    /// The plugins as they are named at its begin, and whether their text is recorded.
+    plugins: Vec<PlanPlugin>,
+    has_texts: bool,
     shared: Arc<Shared>,
     writer: JoinHandle<Result<RecordingSummary, Stopped>>,
 }
@@ -162,7 +165,16 @@ impl Recorder {
             written
         });
         let wires = plan.record.iter().copied().collect();
-        Ok(Self { wires, shared, writer: writer.map_err(create)?, path: path.to_owned(), shown: shown.clone() })
+        let (plugins, has_texts) = (plan.plugins.clone(), plan.recording.plugins);
+        Ok(Self {
+            wires,
+            plugins,
+            has_texts,
+            shared,
+            writer: writer.map_err(create)?,
+            path: path.to_owned(),
+            shown: shown.clone(),
+        })
     }
 
     /// Writes the remaining items and the outcome of the run, and closes the file.
@@ -185,6 +197,7 @@ impl Recorder {
         };
         let mut metadata = vec![(Outcome::NAME, outcome.to_metadata())];
         metadata.extend(inputs.map(|inputs| (INPUT_HASHES, all_inputs(inputs))));
+        metadata.extend(self.late_plugins());
         let queue = &self.shared.queue;
         queue.put(QueueItem::Firings(self.shared.take_firings()), 0);
         queue.put(QueueItem::End(End { metadata, complete: status == "complete", log }), 0);
@@ -199,6 +212,20 @@ impl Recorder {
             written.map_err(|error| RecordError::ended(&path, error))?;
         }
         Ok(counts)
+    }
+
+    /// The records of the plugins that have loaded more while their nodes fired.
+    fn late_plugins(&self) -> Vec<(&'static str, Entries)> {
+        let late: Vec<_> =
+            plugin::with_late_loads(&self.plugins).into_iter().filter(|late| !self.plugins.contains(late)).collect();
+        if late.is_empty() {
+            return Vec::new();
+        }
+        let (known, _) = plugin::texts(&self.plugins);
+        let (mut texts, left_out) = if self.has_texts { plugin::texts(&late) } else { Default::default() };
+        texts.retain(|sha256, _| !known.contains_key(sha256));
+        left_out.iter().for_each(|why| tracing::warn!("{why}"));
+        vec![(LATE_PLUGINS, PluginRecords(late).to_metadata()), (LATE_PLUGIN_TEXTS, PluginTexts(texts).to_metadata())]
     }
 
     fn log(&self, entry: LogEntry) {

@@ -308,11 +308,6 @@ pub(crate) fn replay_plan(
     if runs_sources && recording.run.sources == Sources::Hashes {
         inputs_are_the_same(plan, recording)?;
     }
-    let differences = recording.plugins.iter().filter_map(|then| {
-        let now = plan.plugins.iter().find(|now| now.name == then.name)?;
-        then.difference(now)
-    });
-    let differences = differences.collect();
     let computed_too = computed_too(plan, changes, &parts);
     let runs_itself = |(index, node): &(usize, &crate::plan::PlanNode)| node.role != Role::Node && computed(*index);
     let own_sources = plan.nodes.iter().enumerate().filter(|node| changes.graph.is_some() && runs_itself(node));
@@ -353,6 +348,14 @@ pub(crate) fn replay_plan(
         options.workers += replayed.substitutes.len();
     }
     let report = run::run_with(&reduced, registry, &options, observer, replayed, Some(&compare))?;
+
+    // A node may have loaded more while it fired.
+    let plugins = plugin::with_late_loads(&plan.plugins);
+    let differences = recording.plugins.iter().filter_map(|then| {
+        let now = plugins.iter().find(|now| now.name == then.name)?;
+        then.difference(now)
+    });
+    let differences = differences.collect();
 
     // Part of a recording gives other results than the whole.
     let partial = recording.interrupted || recording.truncated.is_some();

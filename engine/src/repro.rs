@@ -49,6 +49,8 @@ pub struct ReproReport {
     pub bundle: Bundle,
     /// The kind that ran.
     pub kind: String,
+    /// Whether the node was changed by settings.
+    pub is_changed: bool,
     /// How it failed this time; `None` if it did not fail.
     pub failure: Option<Failure>,
     /// Whether it is the failure of the bundle.
@@ -193,13 +195,28 @@ pub fn repro(
     let same = at_call && failed.as_ref().is_some_and(|failed| failed.is(&bundle.failure, same_program));
     let warnings = context.take_warnings();
     let kind = kind_name.to_owned();
-    Ok(ReproReport { bundle, kind, failure: failed, same, n_calls, warnings, differences, took })
+    Ok(ReproReport {
+        bundle,
+        kind,
+        is_changed: changed.is_some(),
+        failure: failed,
+        same,
+        n_calls,
+        warnings,
+        differences,
+        took,
+    })
 }
 
 /// The node of a bundle with settings; of one whose kind is exchanged, what its user did not write goes with the kind.
 fn changed(node: &Node, sets: &[String], is_exchanged: bool, known: &Known) -> Result<CheckedNode, ReproError> {
     let name = &node.name;
-    if let Some(other) = sets.iter().find(|set| !written::sets(set, name)) {
+    let own = format!("\"node.{name}.");
+    let is_of_node = |set: &&String| {
+        let removed = set.split_once('=').filter(|(key, _)| key.trim() == "remove").map(|(_, keys)| keys);
+        removed.map_or(written::sets(set, name), |keys| keys.matches('"').count() == 2 * keys.matches(&own).count())
+    };
+    if let Some(other) = sets.iter().find(|set| !is_of_node(set)) {
         let message = format!("--set {other}: a bundle has one node, \"{name}\"; set {name}.KEY");
         return Err(ReproError::Unfit(message));
     }

@@ -10,7 +10,8 @@ use crate::{
         RecordingError,
         findings::Findings,
         format::{
-            MetadataRecord, MetadataRecords, Outcome, PluginRecords, PluginTexts, Recovered, RunRecord, WireCounts,
+            LATE_PLUGIN_TEXTS, LATE_PLUGINS, MetadataRecord, MetadataRecords, Outcome, PluginRecords, PluginTexts,
+            Recovered, RunRecord, WireCounts,
         },
         run_record,
         scan::{Passed, pass},
@@ -154,6 +155,9 @@ fn check_metadata(
     unreadable(Outcome::NAME, metadata.get::<Outcome>().and_then(Result::err));
     unreadable(PluginRecords::NAME, metadata.get::<PluginRecords>().and_then(Result::err));
     unreadable(PluginTexts::NAME, metadata.get::<PluginTexts>().and_then(Result::err));
+    unreadable(LATE_PLUGINS, metadata.entries(LATE_PLUGINS).map(PluginRecords::from_metadata).and_then(Result::err));
+    let texts = metadata.entries(LATE_PLUGIN_TEXTS).map(PluginTexts::from_metadata);
+    unreadable(LATE_PLUGIN_TEXTS, texts.and_then(Result::err));
     unreadable(Recovered::NAME, metadata.get::<Recovered>().and_then(Result::err));
     if recovered {
         notes.push("it was recovered from a damaged file and is a part of what was recorded".into());

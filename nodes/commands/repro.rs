@@ -103,7 +103,7 @@ fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<
     if report.same && bundle.failure.panicked && !backtrace {
         writeln!(out, "RUST_BACKTRACE=1 shows the backtrace")?;
     }
-    if !report.same {
+    if !report.same && !report.is_changed {
         writeln!(out, "{}", why_not(bundle))?;
     }
     Ok(())

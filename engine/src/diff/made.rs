@@ -4,7 +4,7 @@ use super::index::Index;
 use crate::{
     graph::difference,
     plan::PlanPlugin,
-    recording::format::{INPUT_HASHES, PROGRAM, PluginRecords, PluginTexts},
+    recording::format::{INPUT_HASHES, PROGRAM, plugins as plugins_of},
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -68,9 +68,8 @@ pub(super) fn differences(a: &Index, b: &Index) -> Vec<String> {
 
 /// Adds how the plugins differ: their files, what they load, and the first line of a text that both recordings carry.
 fn plugins(a: &Index, b: &Index, found: &mut Vec<String>) {
-    let of = |index: &Index| index.metadata.sound::<PluginRecords>().unwrap_or_default().0;
-    let texts = |index: &Index| index.metadata.sound::<PluginTexts>().unwrap_or_default().0;
-    let (of_a, of_b, texts_a, texts_b) = (of(a), of(b), texts(a), texts(b));
+    let of = |index: &Index| plugins_of(&index.metadata).unwrap_or_default();
+    let ((of_a, texts_a), (of_b, texts_b)) = (of(a), of(b));
     let line = |a: &str, b: &str| first_line(&texts_a, a, &texts_b, b);
     for a in &of_a {
         let Some(b) = of_b.iter().find(|b| b.name == a.name) else {

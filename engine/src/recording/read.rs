@@ -4,8 +4,8 @@ use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
     format::{
-        self, Drops, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome, PluginRecords,
-        PluginTexts, RecordedFailure, Recovered, RunRecord, WireCounts,
+        self, Drops, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome, RecordedFailure,
+        Recovered, RunRecord, WireCounts,
     },
     scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
@@ -173,8 +173,8 @@ impl Recording {
             .or_else(|| recovered.is_some().then(|| "it was recovered from a damaged file".into()))
             .or_else(|| (!metadata.has::<WireCounts>()).then(|| "the run did not finish it".into()));
         let limits = recovered.map(|recovered| recovered.before_damage);
-        let plugins = readable::<PluginRecords>(path, metadata)?.unwrap_or_default().0;
-        let plugin_texts = readable::<PluginTexts>(path, metadata)?.unwrap_or_default().0;
+        let (plugins, plugin_texts) =
+            format::plugins(metadata).map_err(|error| RecordingError::foreign(path, error))?;
         let inputs = metadata.entries(INPUT_HASHES).cloned().unwrap_or_default();
         let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
         for (name, gathered) in reading.wires {

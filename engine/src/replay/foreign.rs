@@ -5,8 +5,9 @@ use super::{
 };
 use crate::{
     check::{Checked, check_recorded, check_text},
+    graph::grammar,
     options::RunOptions,
-    plan::{Plan, PlanNode, PlanOutput},
+    plan::{OutputId, Plan, PlanNode, PlanOutput},
     plugin::Kinds,
     recording::{
         format::RunRecord,
@@ -16,7 +17,8 @@ use crate::{
     runtime::Observer,
 };
 use osteoflow_container::Record;
-use osteoflow_node::Role;
+use osteoflow_node::{DeclaredPort, OutputPorts, Role};
+use serde_json::Value as Json;
 use std::{
     collections::{BTreeMap, BTreeSet},
     ops::ControlFlow,
@@ -24,9 +26,8 @@ use std::{
 };
 use toml::{Table, Value};
 
-/// Keys of a port of a source of topics that its reader takes as well.
-const PORT_KEYS: [&str; 11] =
-    ["type", "frame", "to", "from", "topic", "topics", "labels", "parent", "child", "optional", "lost_after_ms"];
+/// Parameters of a port of which one says what it reads of a recording.
+const WHAT_IS_READ: [&str; 4] = ["topic", "topics", "metadata", "present"];
 
 /// The topics of a recording of another program, with their schemas and numbers of messages.
 #[derive(Default)]
@@ -113,11 +114,17 @@ pub(super) fn replay(
         .map_err(|error| ReplayError::Unfit(format!("cannot read {}: {error}", graph.display())))?;
     let of_graph = |faults| ReplayError::Graph { faults, recorded: false };
     let first = check_recorded(&text, graph, &changes.sets, kinds).map_err(of_graph)?;
-    let (text, played) =
-        with_readers(path, topics, reader, &changes.maps, &first.plan).map_err(|error| match error {
-            ReplayError::Unfit(what) if !what.starts_with("--map") => unfit(what),
-            other => other,
-        })?;
+    let Some(kind) = first.registry.kind(&reader.kind) else {
+        return Err(unfit(format!("this program has no kind {}, which reads it", reader.kind)));
+    };
+    let OutputPorts::Declared { schema } = &kind.description.outputs else {
+        return Err(unfit(format!("{} declares no outputs", reader.kind)));
+    };
+    let file = File { path, topics, reader, params: &kind.description.params, port_params: schema };
+    let (text, played) = file.with_readers(&changes.maps, &first.plan).map_err(|error| match error {
+        ReplayError::Unfit(what) if !what.starts_with("--map") => unfit(what),
+        other => other,
+    })?;
     let Checked { plan, registry, .. } = check_text(&text, graph, &[], kinds).map_err(of_graph)?;
     let report = run::run(&plan, &registry, options, observer)?;
     let wires = played.into_iter().map(|(wire, topics_of)| {
@@ -162,78 +169,114 @@ fn own_sources(plan: &Plan, reader: &str) -> Vec<String> {
 /// Wires that are played, each with its topics.
 type Played = Vec<(String, Vec<String>)>;
 
-/// The resolved graph in which the sources of topics read the file, and the wires that they play.
-fn with_readers(
-    path: &Path,
-    topics: &Topics,
-    reader: &TopicReader,
-    maps: &[Mapping],
-    plan: &Plan,
-) -> Result<(String, Played), ReplayError> {
-    let mut graph: Table = plan.resolved.parse().map_err(|error| ReplayError::Unfit(format!("{error}")))?;
-    let mut mapped: BTreeMap<usize, BTreeMap<&str, &str>> = BTreeMap::new();
-    for map in maps {
-        let id = map.output(plan)?;
-        let output = &plan.nodes[id.node].outputs[id.port];
-        if plan.nodes[id.node].role != Role::Node {
-            fits(map, topics, reader, output)?;
-            mapped.entry(id.node).or_default().insert(&output.name, &map.topic);
-            continue;
-        }
-        return Err(ReplayError::Unfit(format!(
-            "{map}: \"{}\" is no source, and a topic plays a source only",
-            plan.nodes[id.node].name
-        )));
-    }
-    let (mut played, mut dropped) = (Played::new(), BTreeSet::new());
-    for (index, node) in plan.nodes.iter().enumerate().filter(|(_, node)| node.role != Role::Node) {
-        let of_node = mapped.remove(&index).unwrap_or_default();
-        let is_reader = node.declared.iter().any(|port| !topics_of(&port.params).is_empty());
-        if of_node.is_empty() && !is_reader {
-            if node.role == Role::LiveSource {
-                let ports = plan.outputs(index).map(|id| (plan.wire_name(id), &node.outputs[id.port]));
-                return Err(unmapped(topics, reader, ports));
+/// The file, and what reads it.
+struct File<'a> {
+    path: &'a Path,
+    topics: &'a Topics,
+    reader: &'a TopicReader,
+    /// The schemas of the reader's parameters and of those of its outputs.
+    params: &'a Json,
+    port_params: &'a Json,
+}
+
+impl File<'_> {
+    /// The resolved graph in which the sources of topics read the file, and the wires that they play.
+    fn with_readers(&self, maps: &[Mapping], plan: &Plan) -> Result<(String, Played), ReplayError> {
+        let mut graph: Table = plan.resolved.parse().map_err(|error| ReplayError::Unfit(format!("{error}")))?;
+        let mut mapped: BTreeMap<usize, BTreeMap<&str, &str>> = BTreeMap::new();
+        for map in maps {
+            let id = map.output(plan)?;
+            let node = &plan.nodes[id.node];
+            if node.role == Role::Node {
+                let what = format!("{map}: \"{}\" is no source, and a topic plays a source only", node.name);
+                return Err(ReplayError::Unfit(what));
             }
-            continue;
+            self.fits(map, &node.outputs[id.port])?;
+            mapped.entry(id.node).or_default().insert(&node.outputs[id.port].name, &map.topic);
         }
-        let table = graph.get_mut("node").and_then(|nodes| nodes.get_mut(&*node.name)).and_then(Value::as_table_mut);
-        let Some(table) = table else { continue };
-        let mut out = Table::new();
-        for id in plan.outputs(index) {
-            let output = &node.outputs[id.port];
-            let declared = table.get("out").and_then(|out| out.get(&output.name)).and_then(Value::as_table);
-            if let Some(topic) = of_node.get(&*output.name) {
-                out.insert(output.name.clone(), port(output, topic).into());
-                played.push((plan.wire_name(id), vec![(*topic).to_owned()]));
-            } else if let Some(declared) = declared.filter(|_| is_reader) {
-                let of_port = node.declared.iter().find(|port| port.name == output.name);
-                played.push((plan.wire_name(id), of_port.map(|port| topics_of(&port.params)).unwrap_or_default()));
-                let mut declared = declared.clone();
-                declared.retain(|key, _| node.kind == reader.kind || PORT_KEYS.contains(&key));
-                out.insert(output.name.clone(), declared.into());
-            } else if select::is_used(plan, id) {
-                return Err(unmapped(topics, reader, [(plan.wire_name(id), output)]));
-            } else {
-                dropped.insert(plan.wire_name(id));
+        let (mut played, mut dropped) = (Played::new(), BTreeSet::new());
+        for (index, node) in plan.nodes.iter().enumerate().filter(|(_, node)| node.role != Role::Node) {
+            let of_node = mapped.remove(&index).unwrap_or_default();
+            if of_node.is_empty() && !node.declared.iter().any(|port| !topics_of(&port.params).is_empty()) {
+                if node.role == Role::LiveSource {
+                    return Err(self.unmapped(plan.outputs(index).map(|id| (plan.wire_name(id), output(plan, id)))));
+                }
+                continue;
             }
+            let table = graph.get_mut("node").and_then(|nodes| nodes.get_mut(&*node.name));
+            let Some(table) = table.and_then(Value::as_table_mut) else { continue };
+            let mut out = Table::new();
+            for id in plan.outputs(index) {
+                let (name, output) = (plan.wire_name(id), output(plan, id));
+                let declared = node.declared.iter().find(|port| port.name == output.name);
+                let reads = |declared: &&DeclaredPort| WHAT_IS_READ.iter().any(|key| is_given(&declared.params[*key]));
+                let written = table.get("out").and_then(|out| out.get(&output.name)).and_then(Value::as_table);
+                if let Some(topic) = of_node.get(&*output.name) {
+                    out.insert(output.name.clone(), port(output, topic).into());
+                    played.push((name, vec![(*topic).to_owned()]));
+                } else if let Some((declared, written)) = declared.filter(reads).zip(written) {
+                    let mut written = written.clone();
+                    written.retain(|key, _| grammar::has(&grammar::OUTPUT, key) || has(self.port_params, key));
+                    out.insert(output.name.clone(), written.into());
+                    played.push((name, topics_of(&declared.params)));
+                } else if select::is_used(plan, id) {
+                    return Err(self.unmapped([(name, output)]));
+                } else {
+                    dropped.insert(name);
+                }
+            }
+            table.retain(|key, _| key == "on_error" || has(self.params, key));
+            let path = std::path::absolute(self.path).unwrap_or_else(|_| self.path.into()).display().to_string();
+            table.insert("kind".into(), self.reader.kind.clone().into());
+            table.insert("path".into(), path.into());
+            table.insert("out".into(), out.into());
         }
-        let kept =
-            if node.kind == reader.kind { &["on_error", "allow_truncated", "frames"][..] } else { &["on_error"] };
-        table.retain(|key, _| kept.contains(&key));
-        table.insert("kind".into(), reader.kind.clone().into());
-        table.insert(
-            "path".into(),
-            std::path::absolute(path).unwrap_or_else(|_| path.into()).display().to_string().into(),
-        );
-        table.insert("out".into(), out.into());
+        if played.is_empty() {
+            let all = self.topics.all();
+            let what = format!("no source of the graph reads topics, and none is mapped; its topics are {all}");
+            return Err(ReplayError::Unfit(format!("{what}; {}", example(plan))));
+        }
+        let wires = graph.get_mut("record").and_then(|record| record.get_mut("wires")).and_then(Value::as_array_mut);
+        let is_there = |wire: &Value| wire.as_str().is_none_or(|wire| !dropped.contains(wire));
+        wires.into_iter().for_each(|wires| wires.retain(is_there));
+        Ok((graph.to_string(), played))
     }
-    if played.is_empty() {
-        let what = format!("no source of the graph reads topics, and none is mapped; its topics are {}", topics.all());
-        return Err(ReplayError::Unfit(format!("{what}; {}", example(plan))));
+
+    /// Checks that the topic is there, and that a port with this payload can read it.
+    fn fits(&self, map: &Mapping, output: &PlanOutput) -> Result<(), ReplayError> {
+        let payload = output.payload.name();
+        let what = match self.topics.topics.get(&map.topic) {
+            Some((schema, _)) if (self.reader.reads)(payload, schema) => return Ok(()),
+            Some((schema, _)) => format!("{} carries {schema}", map.topic),
+            None => format!("the recording has no topic {}", map.topic),
+        };
+        let fit = self.topics.fitting(self.reader, payload);
+        Err(ReplayError::Unfit(format!("{map}: {what}; of {payload}, which {} gives, it has {fit}", map.port)))
     }
-    let wires = graph.get_mut("record").and_then(|record| record.get_mut("wires")).and_then(Value::as_array_mut);
-    wires.into_iter().for_each(|wires| wires.retain(|wire| wire.as_str().is_none_or(|wire| !dropped.contains(wire))));
-    Ok((graph.to_string(), played))
+
+    /// The error for ports that nothing plays, with the topics that fit each.
+    fn unmapped<'a>(&self, ports: impl IntoIterator<Item = (String, &'a PlanOutput)>) -> ReplayError {
+        let ports = ports.into_iter().map(|(name, output)| {
+            let payload = output.payload.name();
+            format!("--map {name}=TOPIC, of {payload}: {}", self.topics.fitting(self.reader, payload))
+        });
+        let ports = ports.collect::<Vec<_>>().join("; ");
+        ReplayError::Unfit(format!("no topic is played as a source of the graph; name them: {ports}"))
+    }
+}
+
+fn output(plan: &Plan, id: OutputId) -> &PlanOutput {
+    &plan.nodes[id.node].outputs[id.port]
+}
+
+/// Whether a schema has the property.
+fn has(schema: &Json, key: &str) -> bool {
+    schema["properties"].get(key).is_some()
+}
+
+/// Whether a parameter names something.
+fn is_given(value: &Json) -> bool {
+    value.is_string() || value.as_array().is_some_and(|list| !list.is_empty())
 }
 
 /// How a source of this graph is mapped.
@@ -244,38 +287,11 @@ fn example(plan: &Plan) -> String {
 }
 
 /// The topics that the parameters of a declared port name.
-fn topics_of(params: &serde_json::Value) -> Vec<String> {
+fn topics_of(params: &Json) -> Vec<String> {
     let one = params["topic"].as_str().into_iter();
     one.chain(params["topics"].as_array().into_iter().flatten().filter_map(|topic| topic.as_str()))
         .map(str::to_owned)
         .collect()
-}
-
-/// Checks that the topic is there, and that a port with this payload can read it.
-fn fits(map: &Mapping, topics: &Topics, reader: &TopicReader, output: &PlanOutput) -> Result<(), ReplayError> {
-    let payload = output.payload.name();
-    let what = match topics.topics.get(&map.topic) {
-        Some((schema, _)) if (reader.reads)(payload, schema) => return Ok(()),
-        Some((schema, _)) => format!("{} carries {schema}", map.topic),
-        None => format!("the recording has no topic {}", map.topic),
-    };
-    let fit = topics.fitting(reader, payload);
-    Err(ReplayError::Unfit(format!("{map}: {what}; of {payload}, which {} gives, it has {fit}", map.port)))
-}
-
-fn unmapped<'a>(
-    topics: &Topics,
-    reader: &TopicReader,
-    ports: impl IntoIterator<Item = (String, &'a PlanOutput)>,
-) -> ReplayError {
-    let ports = ports.into_iter().map(|(name, output)| {
-        let payload = output.payload.name();
-        format!("--map {name}=TOPIC, of {payload}: {}", topics.fitting(reader, payload))
-    });
-    ReplayError::Unfit(format!(
-        "no topic is played as a source of the graph; name them: {}",
-        ports.collect::<Vec<_>>().join("; ")
-    ))
 }
 
 /// The declaration of a port that reads one topic, with the frames that the graph expects.

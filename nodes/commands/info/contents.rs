@@ -293,6 +293,7 @@ fn recording(file: &Path) -> Result<Contents> {
 /// The plugins whose text the recording of a run carries.
 fn carried_plugins(read: &Recording) -> Option<String> {
     let (texts, plugins) = (read.metadata.get("osteoflow.plugin_texts")?, read.metadata.get("osteoflow.plugins")?);
+    let n_late = read.metadata.get("osteoflow.late_plugin_texts").map_or(0, |texts| texts.len());
     let is_there = |about: &String| {
         let about: Value = serde_json::from_str(about).ok()?;
         texts.contains_key(about["sha256"].as_str()?).then_some(())
@@ -303,7 +304,7 @@ fn carried_plugins(read: &Recording) -> Option<String> {
         "it carries the text of {} with their modules, {} files in all, which osteoflow replay runs with \
          --trust-recorded-plugins only",
         names.join(", "),
-        texts.len()
+        texts.len() + n_late
     ))
 }
 

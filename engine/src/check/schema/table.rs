@@ -156,6 +156,9 @@ impl<'a> Walker<'a> {
                 };
                 fault.also(kind_at, "the kind is chosen here").or_help(take_away)
             }
+            Some(kind_at) if kind_at.source.command_line && !entry.key_at.source.command_line => {
+                fault.or_help(format!("take it away with the old kind: --set 'remove=[\"{path}\"]'"))
+            }
             _ => fault,
         }
     }

@@ -1,6 +1,6 @@
 //! The metadata records of a recording.
 
-use super::{Entries, FORMAT_VERSION, MetadataRecord};
+use super::{Entries, FORMAT_VERSION, MetadataRecord, MetadataRecords};
 use crate::{
     hash::Digest,
     plan::{PlanPlugin, Sources},
@@ -123,6 +123,34 @@ impl MetadataRecord for PluginTexts {
             None => Ok(Self(entries.clone())),
         }
     }
+}
+
+/// Names of further records of these two types, of the plugins that loaded more while their nodes fired.
+pub(crate) const LATE_PLUGINS: &str = "osteoflow.late_plugins";
+pub(crate) const LATE_PLUGIN_TEXTS: &str = "osteoflow.late_plugin_texts";
+
+/// The plugins with what they had loaded in the end, and the text of their files.
+///
+/// # Errors
+/// Which record cannot be read.
+pub(crate) fn plugins(metadata: &MetadataRecords) -> Result<(Vec<PlanPlugin>, BTreeMap<String, String>), String> {
+    let unread = |name: &str, error: String| format!("its metadata record \"{name}\": {error}");
+    let of = |name| {
+        let entries = metadata.entries(name).map(PluginRecords::from_metadata).transpose();
+        entries.map(|records| records.unwrap_or_default().0).map_err(|error| unread(name, error))
+    };
+    let texts = |name| {
+        let entries = metadata.entries(name).map(PluginTexts::from_metadata).transpose();
+        entries.map(|texts| texts.unwrap_or_default().0).map_err(|error| unread(name, error))
+    };
+    let (mut plugins, mut all_texts) = (of(PluginRecords::NAME)?, texts(PluginTexts::NAME)?);
+    for late in of(LATE_PLUGINS)? {
+        if let Some(plugin) = plugins.iter_mut().find(|plugin| plugin.path == late.path) {
+            *plugin = late;
+        }
+    }
+    all_texts.extend(texts(LATE_PLUGIN_TEXTS)?);
+    Ok((plugins, all_texts))
 }
 
 /// The number of items of a wire, and of values among them.
