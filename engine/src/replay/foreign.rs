@@ -10,7 +10,7 @@ use crate::{
     plan::{OutputId, Plan, PlanNode, PlanOutput},
     plugin::Kinds,
     recording::{
-        format::RunRecord,
+        format::{RunRecord, Topic},
         scan::{Carried, Gather, PassState, scan},
     },
     run,
@@ -63,11 +63,13 @@ impl Gather for Topics {
 }
 
 impl Topics {
-    /// The topics of a file that is no recording of a run; `None` if it is one, or has no topics.
+    /// The topics of a file of another program; `None` if it is a recording of a run or the rest of one, or has no topics.
     pub(super) fn of(path: &Path) -> Option<Self> {
         let mut topics = Self::default();
         let scanned = scan(path, &mut topics, &mut |_, _| {}).ok()?;
-        (!scanned.metadata.has::<RunRecord>() && !topics.topics.is_empty()).then_some(topics)
+        let is_ours =
+            scanned.metadata.has::<RunRecord>() || topics.topics.keys().any(|topic| Topic::parse(topic).is_some());
+        (!is_ours && !topics.topics.is_empty()).then_some(topics)
     }
 
     /// All topics with their schemas, for a message.
