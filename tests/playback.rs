@@ -157,20 +157,30 @@ fn topics_of_another_program_play_into_any_graph_by_its_own_reader() {
 }
 
 #[test]
-fn a_bag_of_ros_2_plays_into_a_graph_whose_frames_it_has_and_not_into_another() {
+fn a_bag_of_ros_2_plays_into_a_graph_whose_frames_it_has_or_is_given() {
     let (_dir, graph) = scanner();
     let bag = root().join(BAG);
-    let topics = osteoflow_formats::mcap_read::Recording::open(&bag, false).unwrap();
-    let cloud = topics.topics().iter().find(|topic| topic.schema_name.contains("PointCloud2")).unwrap();
-    let text = fs::read_to_string(&graph).unwrap();
-    let only_cloud = text.replace("marker = \"tracker.marker\"\n", "");
-    let begin = only_cloud.find("[node.tracker]").unwrap();
-    let end = only_cloud.find("[node.few]").unwrap();
-    fs::write(&graph, format!("{}{}", &only_cloud[..begin], &only_cloud[end..])).unwrap();
-    let map = format!("scanner.cloud={}", cloud.name);
-    let (code, answer, printed) = replay(&bag, &["--graph", &graph, "--map", &map]);
-    assert_eq!(code, Some(0), "{printed}");
-    assert_eq!(answer["results"]["clouds"].as_array().unwrap().len(), cloud.n_messages);
+    let maps = ["--map", "scanner.cloud=/camera/points", "--map", "tracker.marker=/tf"];
+    let replay = |sets: &[&str]| {
+        let sets: Vec<_> = sets.iter().flat_map(|set| ["--set", set]).collect();
+        replay(&bag, &[&["--graph", &graph][..], &maps, &sets].concat())
+    };
+    let (code, _, printed) = replay(&[]);
+    let frame = "frame is \"optical\" in it, but \"camera\" on scanner.cloud of the graph";
+    assert!(code == Some(2) && printed.contains(frame), "{code:?} {printed}");
+    // As the error says.
+    let camera = printed.split("--set '").nth(1).unwrap().split('\'').next().unwrap();
+    let (code, answer, printed) = replay(&[camera]);
+    let words = "has no transform camera_marker -> world, but marker -> map";
+    assert!(code == Some(3) && answer.to_string().contains(words), "{code:?} {printed} {answer:#}");
+    let (code, answer, printed) = replay(&[camera, "tracker.frames={ map = \"world\", marker = \"camera_marker\" }"]);
+    assert_eq!(code, Some(0), "{printed} {answer:#}");
+    assert_eq!(answer["results"]["clouds"].as_array().unwrap().len(), 3);
+    assert_eq!(answer["results"]["clouds"][0]["frame"], "camera");
+    assert_eq!(
+        (&answer["results"]["marker"]["to"], &answer["results"]["marker"]["from"]),
+        (&"world".into(), &"camera_marker".into())
+    );
 }
 
 /// A node whose number comes from a module beside it.
@@ -317,6 +327,19 @@ fn the_values_of_named_variables_are_part_of_what_a_plugin_is() {
         assert_eq!(with(model, &["run", "g.toml", "--out", "again", "--force"]).0, Some(0));
         assert_eq!(json("again/results.json")["f"]["number"], number);
     }
+    // An item that failed is run again with the value named by which it differs.
+    folder.write(
+        "st.py",
+        &node.replace(
+            "    return R",
+            "    if os.environ[\"MODEL\"] == \"bad\":\n        raise ValueError(1)\n    return R",
+        ),
+    );
+    assert_eq!(with(Some("bad"), &["run", "g.toml", "--out", "failed"]).0, Some(3));
+    let (code, text) = with(Some("bad"), &["repro", "failed/repro/f-0"]);
+    assert!(code == Some(0) && !text.contains("against"), "{code:?} {text}");
+    let (code, text) = with(Some("good"), &["repro", "failed/repro/f-0"]);
+    assert!(text.contains("MODEL=bad against good"), "{code:?} {text}");
     // What env may not be.
     let faults = [
         ("env = [\"MODEL\"]", "env = \"MODEL\"", "env takes a list of names"),

@@ -221,11 +221,15 @@ impl Recorder {
         if late.is_empty() {
             return Vec::new();
         }
-        let (known, _) = plugin::texts(&self.plugins);
-        let (mut texts, left_out) = if self.has_texts { plugin::texts(&late) } else { Default::default() };
-        texts.retain(|sha256, _| !known.contains_key(sha256));
-        left_out.iter().for_each(|why| tracing::warn!("{why}"));
-        vec![(LATE_PLUGINS, PluginRecords(late).to_metadata()), (LATE_PLUGIN_TEXTS, PluginTexts(texts).to_metadata())]
+        let mut records = vec![(LATE_PLUGINS, PluginRecords(late.clone()).to_metadata())];
+        if self.has_texts {
+            let (known, _) = plugin::texts(&self.plugins);
+            let (mut texts, left_out) = plugin::texts(&late);
+            texts.retain(|sha256, _| !known.contains_key(sha256));
+            left_out.iter().for_each(|why| tracing::warn!("{why}"));
+            records.push((LATE_PLUGIN_TEXTS, PluginTexts(texts).to_metadata()));
+        }
+        records
     }
 
     fn log(&self, entry: LogEntry) {

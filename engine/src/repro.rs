@@ -188,7 +188,9 @@ pub fn repro(
     }
     let mut differences = bundle.program.differences(&program);
     if let (Some(then), Some(now)) = (&node.plugin, known.of_kind(&node.kind).filter(|_| !is_exchanged)) {
-        differences.extend(then.difference(&now.in_plan(Vec::new())));
+        let mut now = now.in_plan(Vec::new());
+        now.loads.add_variables_of(&then.loads);
+        differences.extend(then.difference(&now));
     }
     let same_program = bundle.program.sha256 == program.sha256 && program.sha256.is_some();
     let at_call = node.role == Role::Node || n_calls == bundle.item;

@@ -2,7 +2,7 @@
 
 mod loads;
 
-pub use loads::{LoadedFile, Loads};
+pub use loads::{LoadedFile, Loads, variable};
 
 use osteoflow_container::Compression;
 use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role};

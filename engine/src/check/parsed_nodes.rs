@@ -8,11 +8,11 @@ use crate::{
         header::Header,
     },
     names::nearest,
-    plan::{OnError, PortFrames},
+    plan::{OnError, PortFrames, variable},
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, Place, PortPayload, Role};
 use serde_json::{Map, Value as Json};
-use std::{env, path::PathBuf, time::Duration};
+use std::{path::PathBuf, time::Duration};
 
 /// A node as read from its own table, before wires are resolved.
 pub(super) struct ParsedNode<'a> {
@@ -211,10 +211,9 @@ impl<'r> Check<'r> {
                 self.faults.push(fault.at(&item.at, "no name"));
                 continue;
             }
-            match env::var(name) {
-                Ok(value) => found.push((name.to_owned(), format!("{name}={value}"))),
-                Err(env::VarError::NotPresent) => found.push((name.to_owned(), format!("{name} unset"))),
-                Err(env::VarError::NotUnicode(_)) => {
+            match variable(name) {
+                Some(entry) => found.push((name.to_owned(), entry)),
+                None => {
                     let fault = Fault::new(format!("node \"{node}\": the environment variable {name} is no text"));
                     let help = "set it to UTF-8, or take it out of env: it cannot be recorded";
                     self.faults.push(fault.at(&item.at, "not UTF-8").help(help));

@@ -1,12 +1,15 @@
 //! Plays the topics of another program's recording into a graph: the sources that they stand for become readers of the file.
 
 use super::{
-    Mapping, ReplayError, ReplayOptions, ReplayReport, TopicReader, WireComparison, WirePart, map::listed, select,
+    Mapping, ReplayError, ReplayOptions, ReplayReport, TopicReader, WireComparison, WirePart,
+    map::{FrameDifference, listed},
+    select,
 };
 use crate::{
     check::{Checked, check_recorded, check_text},
     graph::grammar,
     options::RunOptions,
+    panics,
     plan::{OutputId, Plan, PlanNode, PlanOutput},
     plugin::Kinds,
     recording::{
@@ -17,12 +20,13 @@ use crate::{
     runtime::Observer,
 };
 use osteoflow_container::Record;
-use osteoflow_node::{DeclaredPort, OutputPorts, Role};
+use osteoflow_node::{BuildContext, Built, Context, DeclaredPort, Emission, OutputPorts, Registry, Role};
 use serde_json::Value as Json;
 use std::{
     collections::{BTreeMap, BTreeSet},
     ops::ControlFlow,
     path::Path,
+    sync::Arc,
 };
 use toml::{Table, Value};
 
@@ -128,6 +132,16 @@ pub(super) fn replay(
         other => other,
     })?;
     let Checked { plan, registry, .. } = check_text(&text, graph, &[], kinds).map_err(of_graph)?;
+    let played_nodes = plan.nodes.iter().enumerate().filter(|(_, node)| node.kind == reader.kind);
+    for (index, _) in played_nodes {
+        if let Some((wire, FrameDifference { key, found, expected })) = other_frame(&plan, index, &registry) {
+            return Err(unfit(format!(
+                "{key} is \"{found}\" in it, but \"{expected}\" on {wire} of the graph; change it in the graph, or rename it \
+                 where the source reads topics: --set '{}.frames={{ {found:?} = {expected:?} }}'",
+                plan.nodes[index].name
+            )));
+        }
+    }
     let report = run::run(&plan, &registry, options, observer)?;
     let wires = played.into_iter().map(|(wire, topics_of)| {
         let n_recorded = topics_of.iter().filter_map(|topic| topics.topics.get(topic)).map(|(_, n)| n).sum();
@@ -160,6 +174,39 @@ pub(super) fn replay(
         warnings: first.warnings,
         run: report,
     })
+}
+
+/// The first wire of a source whose first value has another frame than the graph expects. What the source refuses is said when it
+/// runs.
+fn other_frame(plan: &Plan, node: usize, registry: &Registry) -> Option<(String, FrameDifference)> {
+    let of = &plan.nodes[node];
+    let (name, declared) = (of.name.clone(), of.declared.clone());
+    let place = Default::default();
+    let context =
+        BuildContext { node: name.clone(), seed: plan.seed, declared: declared.clone(), joins: Vec::new(), place };
+    let built = panics::catch(|| registry.build(registry.kind(&of.kind)?, &of.params, &context).ok());
+    let Ok(Some(Built::Source(mut source))) = built else { return None };
+    let mut context = Context::new(name.to_string(), plan.seed, Arc::default(), declared);
+    let mut waiting: BTreeSet<usize> = (0..of.outputs.len()).collect();
+    let mut number = 0;
+    while !waiting.is_empty() {
+        context.begin(number, 0);
+        number += 1;
+        let mut out = vec![Emission::Silent; of.outputs.len()];
+        if !matches!(panics::catch(|| source.next(&mut out, &mut context)), Ok(Ok(true))) {
+            return None;
+        }
+        for (port, emission) in out.iter().enumerate() {
+            let Emission::Value(value) = emission else { continue };
+            if let Some(difference) =
+                waiting.remove(&port).then(|| FrameDifference::of(&value.to_view(), &of.outputs[port].frames))
+                && let Some(difference) = difference
+            {
+                return Some((plan.wire_name(OutputId { node, port }), difference));
+            }
+        }
+    }
+    None
 }
 
 /// Sources that are run as the graph has them.
@@ -207,6 +254,7 @@ impl File<'_> {
             }
             let table = graph.get_mut("node").and_then(|nodes| nodes.get_mut(&*node.name));
             let Some(table) = table.and_then(Value::as_table_mut) else { continue };
+            let renamed = table.get("frames").and_then(Value::as_table).cloned().unwrap_or_default();
             let mut out = Table::new();
             for id in plan.outputs(index) {
                 let (name, output) = (plan.wire_name(id), output(plan, id));
@@ -214,7 +262,7 @@ impl File<'_> {
                 let reads = |declared: &&DeclaredPort| WHAT_IS_READ.iter().any(|key| is_given(&declared.params[*key]));
                 let written = table.get("out").and_then(|out| out.get(&output.name)).and_then(Value::as_table);
                 if let Some(topic) = of_node.get(&*output.name) {
-                    out.insert(output.name.clone(), port(output, topic).into());
+                    out.insert(output.name.clone(), port(output, topic, &renamed).into());
                     played.push((name, vec![(*topic).to_owned()]));
                 } else if let Some((declared, written)) = declared.filter(reads).zip(written) {
                     let mut written = written.clone();
@@ -296,20 +344,28 @@ fn topics_of(params: &Json) -> Vec<String> {
         .collect()
 }
 
-/// The declaration of a port that reads one topic, with the frames that the graph expects.
-fn port(output: &PlanOutput, topic: &str) -> Table {
-    let mut port = Table::new();
+/// The declaration of a port that reads one topic, with the frames that the graph expects; `renamed` has those of the file that have
+/// other names in the graph.
+fn port(output: &PlanOutput, topic: &str, renamed: &Table) -> Table {
+    let in_file = |frame: &Option<String>| {
+        let frame = frame.as_deref()?;
+        Some(
+            renamed
+                .iter()
+                .find(|(_, name)| name.as_str() == Some(frame))
+                .map_or(frame, |(of_file, _)| of_file)
+                .to_owned(),
+        )
+    };
     let frames = &output.frames;
-    let is_pose = frames.to.is_some() || frames.from.is_some();
     let entries = [
-        ("type", Some(output.payload.name())),
-        ("topic", Some(topic)),
-        ("frame", frames.frame.as_deref()),
-        ("to", frames.to.as_deref()),
-        ("from", frames.from.as_deref()),
-        ("parent", frames.to.as_deref().filter(|_| is_pose)),
-        ("child", frames.from.as_deref().filter(|_| is_pose)),
+        ("type", Some(output.payload.name().to_owned())),
+        ("topic", Some(topic.to_owned())),
+        ("frame", frames.frame.clone()),
+        ("to", frames.to.clone()),
+        ("from", frames.from.clone()),
+        ("parent", in_file(&frames.to)),
+        ("child", in_file(&frames.from)),
     ];
-    port.extend(entries.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?.into()))));
-    port
+    entries.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?.into()))).collect()
 }

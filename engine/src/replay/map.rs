@@ -5,7 +5,7 @@ use crate::{
     plan::{OutputId, Plan, PlanOutput, PortFrames},
     recording::{RecordedWire, Recording, codec},
 };
-use osteoflow_node::Role;
+use osteoflow_node::{Role, View};
 use std::{collections::BTreeMap, fmt, str::FromStr};
 
 /// Plays a recorded wire, or a topic of another program's recording, as a wire of the graph: `NODE.PORT=TOPIC`.
@@ -84,7 +84,7 @@ pub(super) fn apply(recording: &mut Recording, plan: &Plan, maps: &[Mapping]) ->
         if !wire.is_of(output.payload) {
             return Err(unfit(format!("{name} was recorded with {}", wire.payload)));
         }
-        if let Some((key, found, expected)) = frame_difference(wire, &output.frames) {
+        if let Some(FrameDifference { key, found, expected }) = FrameDifference::of_wire(wire, &output.frames) {
             let (port, file) = (&map.port, recording.path.display());
             return Err(ReplayError::Unfit(format!(
                 "{map}: {key} is \"{found}\" in {file}, but \"{expected}\" on {port} of the graph; change it in the graph, or \
@@ -99,15 +99,28 @@ pub(super) fn apply(recording: &mut Recording, plan: &Plan, maps: &[Mapping]) ->
     Ok(())
 }
 
-/// The first frame of a wire's values that the graph expects otherwise: its key, and both frames.
-fn frame_difference(wire: &RecordedWire, expected: &PortFrames) -> Option<(&'static str, String, String)> {
-    let items = wire.messages.iter().filter_map(|bytes| codec::decode(bytes).ok());
-    let view = items.filter_map(|item| item.body.ok()).next()?;
-    let keys = [("frame", &expected.frame), ("to", &expected.to), ("from", &expected.from)];
-    keys.into_iter().find_map(|(key, expected)| {
-        let (expected, found) = (expected.as_ref()?, view.shared_text(key).ok()?);
-        (*found != **expected).then(|| (key, found.to_string(), expected.clone()))
-    })
+/// A frame of a value that the graph expects otherwise.
+pub(super) struct FrameDifference {
+    pub(super) key: &'static str,
+    pub(super) found: String,
+    pub(super) expected: String,
+}
+
+impl FrameDifference {
+    /// The first one of a value, as far as the graph knows its frames.
+    pub(super) fn of(value: &View, expected: &PortFrames) -> Option<Self> {
+        let keys = [("frame", &expected.frame), ("to", &expected.to), ("from", &expected.from)];
+        keys.into_iter().find_map(|(key, expected)| {
+            let (expected, found) = (expected.as_ref()?, value.shared_text(key).ok()?);
+            (*found != **expected).then(|| Self { key, found: found.to_string(), expected: expected.clone() })
+        })
+    }
+
+    /// That of a wire's first value.
+    fn of_wire(wire: &RecordedWire, expected: &PortFrames) -> Option<Self> {
+        let items = wire.messages.iter().filter_map(|bytes| codec::decode(bytes).ok());
+        Self::of(&items.filter_map(|item| item.body.ok()).next()?, expected)
+    }
 }
 
 #[cfg(test)]

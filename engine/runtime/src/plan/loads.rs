@@ -1,7 +1,7 @@
 //! What a plugin has loaded beside its own file.
 
 use serde::{Deserialize, Serialize};
-use std::{fmt::Write as _, path::PathBuf};
+use std::{env, fmt::Write as _, path::PathBuf};
 
 /// What a plugin has loaded beside its own file, as the process reports that has loaded it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -70,6 +70,12 @@ impl Loads {
         }
     }
 
+    /// Adds the variables that `then` names, as they are in this process.
+    pub fn add_variables_of(&mut self, then: &Self) {
+        let entries: Vec<_> = then.environment.iter().filter_map(|entry| variable(parts(entry).0)).collect();
+        self.add_environment(entries.iter().map(String::as_str));
+    }
+
     /// Adds what is new in `more`; whether anything was.
     pub fn add(&mut self, more: &Self) -> bool {
         let before = (self.files.len(), self.packages.len());
@@ -80,6 +86,15 @@ impl Loads {
         self.packages.extend(more.packages.iter().filter(is_new).cloned().collect::<Vec<_>>());
         self.packages.sort();
         before != (self.files.len(), self.packages.len())
+    }
+}
+
+/// A variable of this process as `NAME=VALUE` or `NAME unset`; `None` if its value is no text.
+pub fn variable(name: &str) -> Option<String> {
+    match env::var(name) {
+        Ok(value) => Some(format!("{name}={value}")),
+        Err(env::VarError::NotPresent) => Some(format!("{name} unset")),
+        Err(env::VarError::NotUnicode(_)) => None,
     }
 }
 
