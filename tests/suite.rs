@@ -45,6 +45,8 @@ mod privacy;
 #[cfg(unix)]
 mod processes;
 #[cfg(unix)]
+mod python_live;
+#[cfg(unix)]
 mod python_nodes;
 mod python_package;
 mod readme;

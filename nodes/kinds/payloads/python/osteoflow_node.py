@@ -385,14 +385,24 @@ def node(kind, *, output=None, example="", literature=(), unsteady=False):
     return _kind(kind, "node", output, example, literature, unsteady)
 
 
-def source(kind, *, output=None, example="", literature=(), unsteady=False):
-    """Makes a generator function a source: it yields `(stamp_ns, payload)`."""
-    return _kind(kind, "source", output, example, literature, unsteady)
+def source(kind, *, output=None, example="", literature=(), unsteady=False, live=False, max_delay_ms=0.0, silent_after_s=None):
+    """Makes a generator function a source: it yields `(stamp_ns, payload)`. `live`: a device decides when and what; it stamps by
+    `ctx.clock_ns()`, waits by `ctx.wait(..)` and ends when that says so. An output of several that is None then stays silent.
+    `max_delay_ms`: by how much the stamp of an item may lie before that of an earlier one on another output. `silent_after_s`:
+    after how long without an item the user is told."""
+    if not live and (max_delay_ms or silent_after_s is not None):
+        raise TypeError(f"{kind}: max_delay_ms and silent_after_s are of a live source; add live=True")
+    if not 0.0 <= max_delay_ms < 1e9 or silent_after_s is not None and not 0.0 < silent_after_s < 1e6:
+        raise TypeError(f"{kind}: max_delay_ms must be 0 or more, silent_after_s above 0, found {max_delay_ms}, {silent_after_s}")
+    times = {"max_delay_ns": round(max_delay_ms * 1e6)}
+    if silent_after_s is not None:
+        times["silent_after_ns"] = round(silent_after_s * 1e9)
+    return _kind(kind, "source", output, example, literature, unsteady, times if live else None)
 
 
-def _kind(kind, role, output, example, literature, unsteady):
+def _kind(kind, role, output, example, literature, unsteady, live=None):
     def decorate(made):
-        KINDS.append(Kind(made, kind, role, output, example, list(literature), unsteady))
+        KINDS.append(Kind(made, kind, role, output, example, list(literature), unsteady, live))
         return made
 
     return decorate
@@ -401,7 +411,8 @@ def _kind(kind, role, output, example, literature, unsteady):
 class Kind:
     """A kind of node, as its function or class describes it."""
 
-    def __init__(self, made, kind, role, output, example, literature, unsteady):
+    def __init__(self, made, kind, role, output, example, literature, unsteady, live=None):
+        self.live = live
         self.made, self.kind, self.role, self.example, self.literature = made, kind, role, example, literature
         self.unsteady = unsteady
         self.is_class = inspect.isclass(made)
@@ -452,7 +463,7 @@ class Kind:
         outputs = {"Fixed": [output.described() for output in self.outputs]}
         return {
             "kind": self.kind, "doc": doc, "params": self.schema(), "example": self.example, "literature": self.literature,
-            "role": self.role, "constant": False, "unsteady": self.unsteady, "kept": "no", "outputs": outputs,
+            "role": "live_source" if self.live else self.role, "constant": False, "unsteady": self.unsteady, "kept": "no", "outputs": outputs,
             "inputs": [dict(port=p.described(), join=p.join, optional=p.optional, unused=False) for p in self.inputs],
         }
 
@@ -763,6 +774,13 @@ class Context:
     def cancelled(self):
         """Whether the user asked to stop. A long computation looks from time to time, and raises NodeError."""
         return self._stop_page[0] != 0
+
+    def wait(self, seconds):
+        """Waits, but not on when the user asks to stop; whether to go on."""
+        until = time.monotonic() + seconds
+        while not self.cancelled() and (left := until - time.monotonic()) > 0.0:
+            time.sleep(min(left, 0.02))
+        return not self.cancelled()
 
     def warn(self, message):
         """Warns the user about this item; shown, counted, and written to the manifest."""
@@ -1121,7 +1139,7 @@ class Server:
         out = []
         for port, answer in zip(ports, answers):
             if answer is None:
-                out.append({"empty": "the node gave no value"})
+                out.append("silent" if self.kind.live else {"empty": "the node gave no value"})
                 continue
             if getattr(answer, "payload", None) is None or (port.type is not Value and answer.payload != port.type.payload):
                 raise NodeError(f"output \"{port.name}\" must be a {port.type.__name__}, found a {type(answer).__name__}")
@@ -1178,7 +1196,7 @@ class Loaded:
             return None, {"refused": {"parameter": "", "message": str(error)}}
         except (Exception, SystemExit) as error:
             return None, {"refused": {"parameter": "", "message": where(error, file)}}
-        return server, {"built": {"again": True, "loads": self.news()}}
+        return server, {"built": {"again": True, "loads": self.news(), **(kind.live or {})}}
 
     def news(self):
         """What is loaded, if it is more than when this was last asked; else None."""
