@@ -26,9 +26,9 @@ pub use osteoflow_formats::{
     Space,
     mesh_or_cloud::{CloudFileRead, MeshOrCloud, MeshRead},
 };
-pub use plugins::{Plugins, hosted_by};
+pub use plugins::{PYTHON_HELPER, Plugins, hosted_by};
 pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};
-pub use run::{Graph, GraphRun, RunRequest};
+pub use run::{Functions, Graph, GraphRun, RunRequest};
 pub use simulate::{SimulateRequest, StreamFormat};
 pub use sweep::{OneRun, OpenStudy, ShardFault, SweepRequest, SweepRun, check_shard, merge, summary};
 

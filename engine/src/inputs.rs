@@ -6,7 +6,7 @@ use crate::{
     run::{RunError, RunOptions, RunReport, run_with},
     runtime::{Observer, Replayed, Tap, names::nearest},
 };
-use osteoflow_node::{Body, Item, Join, PortPayload, Registry};
+use osteoflow_node::{Body, Empty, Item, Join, PortPayload, Registry};
 use std::{
     collections::{BTreeMap, VecDeque},
     path::PathBuf,
@@ -17,6 +17,8 @@ use std::{
 #[derive(Debug, Default)]
 pub struct WireInputs {
     ports: BTreeMap<usize, Vec<Option<VecDeque<Item>>>>,
+    /// Outputs of computed nodes that carry no value.
+    without: Vec<OutputId>,
 }
 
 /// The output of a plan with the name `node.port`, or `node` if the node has one output.
@@ -53,6 +55,11 @@ impl WireInputs {
         plan.all_outputs().filter(has_inputs).map(|id| plan.wire_name(id)).collect()
     }
 
+    /// States that an output of a computed node gives empties only.
+    pub fn leave_out(&mut self, wire: OutputId) {
+        self.without.push(wire);
+    }
+
     /// Adds the items of a wire, in order.
     ///
     /// # Errors
@@ -80,8 +87,10 @@ impl WireInputs {
 /// Runs the graph as [`crate::run()`] does, with `inputs` in place of what their nodes would give, and returns the items
 /// of the wires that `keeps` names. A run with inputs writes no recording, as a replay would not have them.
 ///
+/// An output without inputs, of a node of which another has some, and one that is left out carry empties, and the results lack it.
+///
 /// # Errors
-/// As [`crate::run()`]; [`RunError::Inject`] if only some of a node's outputs that are in use have inputs.
+/// As [`crate::run()`]; [`RunError::Inject`] if a node needs what such an output would give.
 pub fn run_with_inputs(
     plan: &Plan,
     registry: &Registry,
@@ -101,22 +110,32 @@ pub fn run_with_inputs(
     };
     reduced.input_files.retain(reads);
     let mut replayed = Replayed::default();
+    let mut without = inputs.without;
     for (node, ports) in inputs.ports {
-        // An optional input that is taken once has no value where its wire ends without one.
-        let needs = |link: &Link| {
-            let input = &reduced.nodes[link.to_node].inputs[link.to_port].port;
-            !(input.optional && input.join == Join::Once)
+        let missing: Vec<_> = plan.outputs(node).filter(|id| ports[id.port].is_none()).collect();
+        let longest = ports.iter().flatten().max_by_key(|items| items.len());
+        let empties: VecDeque<Item> = longest.into_iter().flatten().map(|item| not_given(plan, node, item)).collect();
+        // An input that is taken once has no value where its wire ends without one.
+        let is_stream = |id: OutputId| {
+            reduced.consumers(id).any(|link| reduced.nodes[link.to_node].inputs[link.to_port].port.join != Join::Once)
         };
-        let is_used =
-            |id: &OutputId| reduced.consumers(*id).any(needs) || plan.results.iter().any(|entry| entry.from == *id);
-        if let Some(id) = plan.outputs(node).find(|id| ports[id.port].is_none() && is_used(id)) {
-            let wire = plan.wire_name(id);
-            let message =
-                format!("wire \"{wire}\" is in use, but only other outputs of its node are given; give it, too");
+        let items = |port: usize, items: Option<VecDeque<Item>>| {
+            items.unwrap_or_else(|| if is_stream(OutputId { node, port }) { empties.clone() } else { VecDeque::new() })
+        };
+        let ports = ports.into_iter().enumerate().map(|(port, given)| items(port, given)).collect();
+        replayed.substitutes.insert(node, Box::new(Player { ports, failure: None, pace: None }));
+        without.extend(missing);
+    }
+    for id in without {
+        let needs = |link: &&Link| !reduced.nodes[link.to_node].inputs[link.to_port].port.optional;
+        if let Some(link) = reduced.consumers(id).find(needs) {
+            let (wire, node) = (plan.wire_name(id), &reduced.nodes[link.to_node].name);
+            let message = format!(
+                "wire \"{wire}\" is in use by node \"{node}\", but only other outputs of its node are given; give it, too"
+            );
             return Err(RunError::Inject(message));
         }
-        let ports = ports.into_iter().map(Option::unwrap_or_default).collect();
-        replayed.substitutes.insert(node, Box::new(Player { ports, failure: None, pace: None }));
+        reduced.results.iter_mut().filter(|entry| entry.from == id).for_each(|entry| entry.optional = true);
     }
     let record = options.record && replayed.substitutes.is_empty();
     let options = RunOptions { record, ..options.clone() };
@@ -125,6 +144,12 @@ pub fn run_with_inputs(
     let report = run_with(&reduced, registry, &options, observer, replayed, Some(&kept))?;
     let items = |items: Mutex<Vec<Item>>| items.into_inner().unwrap_or_else(PoisonError::into_inner);
     Ok((report, kept.0.into_iter().map(|(id, kept)| (plan.wire_name(id), items(kept))).collect()))
+}
+
+/// The empty in place of an item that is not given.
+fn not_given(plan: &Plan, node: usize, item: &Item) -> Item {
+    let empty = Empty { node: plan.nodes[node].name.to_string(), reason: "it was not given".into() };
+    Item { number: item.number, stamp_ns: item.stamp_ns, body: Body::Empty(empty.into()) }
 }
 
 /// Tap that keeps the items of some wires.

@@ -8,6 +8,9 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
+/// Key of [`RunOptions::command`]: the names of nodes that are functions of the program that runs the graph.
+pub const GIVEN_NODES: &str = "given_nodes";
+
 /// How to run a graph and which files to write.
 #[derive(Debug, Clone)]
 pub struct RunOptions {

@@ -20,7 +20,7 @@ mod sink;
 use crate::{
     durable,
     hash::Digest,
-    options::RunOptions,
+    options::{GIVEN_NODES, RunOptions},
     panics,
     plan::{OutputId, Plan, PlanPlugin},
     plugin,
@@ -317,6 +317,7 @@ fn begin(
         sources: plan.recording.sources,
         version: env!("CARGO_PKG_VERSION").into(),
         written: Some(plan.nodes.iter().map(|node| (node.name.to_string(), node.written())).collect()),
+        functions: serde_json::from_value(options.command[GIVEN_NODES].clone()).unwrap_or_default(),
     };
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let program = options.command.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());

@@ -235,6 +235,15 @@ pub fn replay(
             None => return Err(error.into()),
         },
     };
+    if let (false, None) = (recording.run.functions.is_empty(), &changes.graph) {
+        let nodes = recording.run.functions.join(", ");
+        let message = format!(
+            "{}: {nodes} were functions of the program that ran it, such as a notebook, which no file holds, so it cannot be \
+             replayed; write them as a plugin, and run the graph with it",
+            path.display()
+        );
+        return Err(ReplayError::Unfit(message));
+    }
     let kinds = match changes.graph {
         // The user names this graph.
         Some(_) => kinds,

@@ -20,7 +20,7 @@ pub use crate::runtime::{
 };
 pub use crate::{
     answer_cache::CachedAnswer,
-    options::{ListenedChannel, Listener, RunOptions},
+    options::{GIVEN_NODES, ListenedChannel, Listener, RunOptions},
 };
 pub(crate) use finished::{Finished, WireItems};
 pub use report::{Outcome, RunError, RunReport};

@@ -27,7 +27,7 @@ const TIMEOUT: &str = "OSTEOFLOW_PLUGIN_TIMEOUT_S";
 static HOST: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 
 /// What serves nodes in Python, passed to the interpreter.
-const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow_node.py");
+pub const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow_node.py");
 
 /// Plugins in addition to those of a graph.
 #[derive(Debug, Clone, Default, Args)]

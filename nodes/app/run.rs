@@ -12,10 +12,10 @@ use osteoflow_engine::{
     check::Checked,
     inputs::{WireInputs, output, run_with_inputs},
     plan::{OutputId, Plan},
-    run::{Observer, Outcome, Refusal, RunOptions, Verdict},
+    run::{GIVEN_NODES, Observer, Outcome, Refusal, RunOptions, Verdict},
 };
 use osteoflow_node::{Item, Registry};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::{
     collections::BTreeMap,
     path::PathBuf,
@@ -47,6 +47,15 @@ pub struct RunRequest {
 pub struct Graph {
     pub(crate) checked: Checked,
     pub(crate) request: RunRequest,
+}
+
+/// Functions of the program in place of nodes.
+#[derive(Debug)]
+pub struct Functions {
+    /// The nodes.
+    pub nodes: Vec<String>,
+    /// The kinds, with a launcher that builds these nodes.
+    pub registry: Registry,
 }
 
 /// A complete run of a graph.
@@ -107,13 +116,15 @@ impl Graph {
         })
     }
 
-    /// Runs it with `given` in place of what its nodes would give; files are written if the request names a folder.
+    /// Runs it with `given` in place of what its nodes would give, and `functions` in place of nodes; files are written if the
+    /// request names a folder.
     ///
     /// # Errors
     /// [`Error`]; refused if it has no results.
     pub fn run(
         &self,
         given: WireInputs,
+        functions: Option<&Functions>,
         keeps: &(dyn Fn(&str) -> bool + Sync),
         observer: &dyn Observer,
         cancelled: &Arc<AtomicBool>,
@@ -126,10 +137,18 @@ impl Graph {
         if !given.is_empty() {
             options.command["given_wires"] = given.wires(plan).into();
         }
-        let (report, wires) =
-            run_with_inputs(plan, self.registry(), &options, observer, given, keeps).map_err(run_error)?;
+        if let Some(Functions { nodes, .. }) = functions {
+            options.command[GIVEN_NODES] = json!(nodes);
+            // An answer of the function is none of the kind's.
+            options.store = None;
+            options.fixed_results.push(("not_reproducible".into(), not_reproducible(nodes).into()));
+        }
+        let registry = functions.map_or(self.registry(), |functions| &functions.registry);
+        let (report, wires) = run_with_inputs(plan, registry, &options, observer, given, keeps).map_err(run_error)?;
         let warnings = report.warnings.iter();
-        let warnings = warnings.map(|w| format!("node \"{}\", item {}: {}", w.node, w.item, w.message)).collect();
+        let warnings = warnings.map(|w| format!("node \"{}\", item {}: {}", w.node, w.item, w.message));
+        let warnings =
+            functions.map(|functions| not_reproducible(&functions.nodes)).into_iter().chain(warnings).collect();
         match &report.outcome {
             Outcome::Complete => Ok(GraphRun { results: report.results, wires, warnings, out_dir: options.out_dir }),
             Outcome::Interrupted => Err(Error::Interrupted),
@@ -138,6 +157,14 @@ impl Graph {
             }
         }
     }
+}
+
+/// What a run says that had functions of its program as nodes.
+fn not_reproducible(nodes: &[String]) -> String {
+    let nodes = nodes.join(", ");
+    format!(
+        "{nodes} was computed by a function of the program that ran the graph, which no file holds: the run cannot be repeated"
+    )
 }
 
 /// The verdict, if a node judged the results; a run that failed has its reason on stderr.

@@ -2,6 +2,7 @@
 
 mod errors;
 mod foreign;
+mod functions;
 mod settings;
 mod shapes;
 mod views;
@@ -152,6 +153,9 @@ struct Graph(app::Graph);
 /// Results, warnings, folder, and the wires of a run.
 type RunOutput = (String, Vec<String>, Option<PathBuf>, Wires);
 
+/// Names of inputs, outputs with their payloads, and the run's seed.
+type NodePorts = (Vec<String>, Vec<(String, Option<&'static str>)>, u64);
+
 #[pymethods]
 impl Graph {
     #[new]
@@ -204,11 +208,23 @@ impl Graph {
         Ok(self.0.plan().wire_name(id))
     }
 
-    /// Runs it: items by wire in place of those of its nodes, and the wires to keep (None: all).
+    /// The names of a node's inputs, and its outputs with their payloads; None if there is no such node.
+    fn ports(&self, node: &str) -> Option<NodePorts> {
+        let plan = self.0.plan();
+        let node = &plan.nodes[plan.node(node)?];
+        let inputs = node.inputs.iter().map(|input| input.port.name.to_string()).collect();
+        let outputs =
+            node.outputs.iter().map(|output| (output.name.to_string(), output.payload.ty().map(|ty| ty.name)));
+        Some((inputs, outputs.collect(), plan.seed))
+    }
+
+    /// Runs it: items by wire in place of those of its nodes, functions by node with the outputs that they do not give, and the wires
+    /// to keep (None: all).
     fn run(
         &self,
         py: Python<'_>,
         inputs: Bound<'_, PyDict>,
+        functions: BTreeMap<String, (Py<PyAny>, Vec<String>)>,
         keep: Option<BTreeSet<String>>,
         progress: bool,
     ) -> PyResult<RunOutput> {
@@ -233,9 +249,18 @@ impl Graph {
         }
         let keeps = |wire: &str| keep.as_ref().is_none_or(|keep| keep.contains(wire));
         let cancelled = Arc::default();
+        let mut by_node = BTreeMap::new();
+        for (node, (function, without)) in functions {
+            for output in without {
+                let id = self.0.output(&format!("{node}.{output}")).map_err(|error| exception(py, error))?;
+                given.leave_out(id);
+            }
+            by_node.insert(node, function);
+        }
+        let functions = (!by_node.is_empty()).then(|| functions::registry(&self.0, by_node, &cancelled)).transpose()?;
         let ran = watched(py, &cancelled, || {
             let progress = Progress::on_terminal(self.0.plan(), progress);
-            let ran = self.0.run(given, &keeps, &progress, &cancelled);
+            let ran = self.0.run(given, functions.as_ref(), &keeps, &progress, &cancelled);
             progress.end();
             ran
         })?;
@@ -487,6 +512,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Study>()?;
     module.add_class::<Wires>()?;
     module.add_class::<SweepProgress>()?;
+    module.add("NODE_MODULE", app::PYTHON_HELPER)?;
     for function in [
         wrap_pyfunction!(register, module)?,
         wrap_pyfunction!(simulate, module)?,

@@ -59,12 +59,113 @@ def test_a_wire_is_replaced_by_an_array_and_gives_the_bits_of_its_file(files):
     start = by_file["coarse.t_target_source"].array
     report = by_file["coarse.report"][0]
     assert start.shape == (4, 4) and report.payload
-    with pytest.raises(osteoflow.UsageError, match="coarse.report.*is in use"):
-        graph.run(inputs={"coarse.t_target_source": start})
+    # A report that nobody needs may be left out; then the results lack it.
+    by_start = graph.run(inputs={"coarse.t_target_source": start})
+    assert by_start["icp.t_target_source"].array.tobytes() == by_file["icp.t_target_source"].array.tobytes()
+    assert "start" in by_file.results and "start" not in by_start.results
+    with pytest.raises(osteoflow.UsageError, match='wire "icp.t_target_source" is in use by node "verdict"'):
+        graph.run(inputs={"icp.report": by_file.results["icp"]})
     with pytest.raises(osteoflow.UsageError, match='carries geometry/Cloud, but geometry/Mesh was given'):
         graph.run(inputs={"scan": osteoflow.read(files / "bone.stl")})
     with pytest.raises(osteoflow.UsageError, match='no wire "scam".*scan'):
         graph.run(inputs={"scam": scan.points})
+
+
+def test_a_pose_is_tried_with_the_verdict_on(files):
+    graph = osteoflow.Graph(TWO_FILES)
+    found = graph.run()
+    pose = found["icp.t_target_source"].array
+    given = graph.run(inputs={"icp.t_target_source": pose, "icp.report": found.results["icp"]})
+    # The pose passes a matrix, whose rounding is below a femtometre.
+    reasons = [reason["rule"] for reason in found.results["verdict"]["reasons"]]
+    assert given.results["verdict"]["answer"] == found.results["verdict"]["answer"] and given.results["icp"] == found.results["icp"]
+    assert [reason["rule"] for reason in given.results["verdict"]["reasons"]] == reasons
+    # An item of another run is a dict, too.
+    again = graph.run(inputs={"icp.t_target_source": pose, "icp.report": found["icp.report"][0]})
+    assert again.results["verdict"] == given.results["verdict"]
+    # Without its report the verdict says so; with another, that is the one in the results.
+    alone = graph.run(inputs={"icp.t_target_source": pose})
+    no_report = "the registration converged; no report says whether it did"
+    assert no_report in alone.results["verdict"]["assumptions"] and "icp" not in alone.results
+    assert no_report not in given.results["verdict"]["assumptions"]
+    report = {**found.results["icp"], "converged": False, "remaining_mm": 5.0, "stop_reason": "iterations"}
+    assert graph.run(inputs={"icp.t_target_source": pose, "icp.report": report}).results["icp"] == report
+    with pytest.raises(ValueError, match="report/Icp.*missing field"):
+        graph.run(inputs={"icp.t_target_source": pose, "icp.report": {"converged": True}})
+    # A pose that is off is refused for what it is.
+    off = pose.copy()
+    off[:3, 3] += [40.0, 0.0, 0.0]
+    with pytest.raises(osteoflow.Refused):
+        graph.run(inputs={"icp.t_target_source": off})
+
+
+@pytest.mark.skipif(sys.version_info < (3, 10), reason="nodes in Python need 3.10")
+def test_a_function_is_a_node_of_a_run_and_the_run_says_that_it_cannot_be_repeated(files, command, tmp_path):
+    from osteoflow.nodes import Cloud, Context, NodeError, Pose, Surface, node
+
+    graph = osteoflow.Graph(TWO_FILES)
+    found = graph.run()
+    seen = []
+
+    def keep(cloud: Cloud, ctx: Context) -> Cloud:
+        seen.append((ctx.node, ctx.item, len(cloud), ctx.rng().random()))
+        return cloud.chosen(slice(None))
+
+    with pytest.warns(osteoflow.OsteoflowWarning, match="crop was computed by a function"):
+        run = graph.run(nodes={"crop": keep}, out=tmp_path / "r")
+    assert seen[0][:3] == ("crop", 0, len(found["crop.cloud"].array))
+    assert run["icp.t_target_source"].array.tobytes() == found["icp.t_target_source"].array.tobytes()
+    assert "crop was computed by a function" in run.results["not_reproducible"]
+    manifest = json.loads((tmp_path / "r/manifest.json").read_text())
+    assert manifest["command"]["given_nodes"] == ["crop"] and "cannot be repeated" in manifest["warnings"][0]["message"]
+    assert manifest["store"] is None, "an answer of the function is none of the kind"
+    replayed = command("replay", tmp_path / "r")
+    assert replayed.returncode != 0 and "crop were functions of the program" in replayed.stderr, replayed.stderr
+    packed = command("export", tmp_path / "r", tmp_path / "r.zip")
+    assert packed.returncode == 2 and "functions of a notebook" in packed.stderr, packed.stderr
+
+    # A fit of one's own: its report is not given, and the verdict judges the pose.
+    @node("mine.identity", output="t_target_source")
+    class Start:
+        """The start as it is."""
+
+        def process(self, source: Cloud, target: Surface, init: Pose) -> Pose:
+            assert len(target.points) > 1000 and source.frame == init.from_
+            return Pose(target.frame, source.frame, init.matrix)
+
+    with pytest.warns(osteoflow.OsteoflowWarning):
+        try:
+            fit = graph.run(nodes={"icp": Start})
+            assert "icp" not in fit.results and "verdict" in fit.results
+        except osteoflow.Refused as refused:
+            assert "icp" not in refused.report and refused.report["verdict"]["reasons"]
+
+    def fails(cloud: Cloud) -> Cloud:
+        raise ZeroDivisionError("by hand")
+
+    def refuses(cloud: Cloud) -> Cloud:
+        raise NodeError("nothing to see")
+
+    def gives_another(cloud: Cloud) -> Cloud:
+        return Pose("a", "b", np.eye(4))
+
+    for function, why in [(fails, r'"crop", item 0: test_graphs.py:\d+: ZeroDivisionError: by hand'), (refuses, "nothing to see"),
+                          (gives_another, 'output "cloud" must be a Cloud, found a Pose')]:
+        with pytest.raises(osteoflow.Refused, match=why):
+            graph.run(nodes={"crop": function})
+
+    def of_no_port(clouds: Cloud) -> Cloud:
+        return clouds
+
+    def of_no_output(cloud: Cloud) -> Pose:
+        return None
+
+    for name, function, why in [("crop", of_no_port, 'has no input clouds; it has cloud'), ("crip", keep, 'no node "crip"'),
+                                ("crop", of_no_output, 'has no output "pose" of geometry/Pose'), ("scan", keep, "is a source; give")]:
+        with pytest.raises(osteoflow.UsageError, match=why):
+            graph.run(nodes={name: function})
+    with pytest.raises(TypeError, match='port "cloud" has no type'):
+        graph.run(nodes={"crop": lambda cloud: cloud})
 
 
 def test_a_surface_is_given_in_memory(files):

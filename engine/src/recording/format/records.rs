@@ -51,6 +51,8 @@ pub struct RunRecord {
     pub version: String,
     /// The parameters of each node that the user wrote, as `rules.most`, and not its kind; `None` in a recording that does not say.
     pub written: Option<BTreeMap<String, BTreeSet<String>>>,
+    /// The nodes that were functions of the program that ran it, which no file holds.
+    pub functions: Vec<String>,
 }
 
 impl MetadataRecord for RunRecord {
@@ -67,6 +69,8 @@ impl MetadataRecord for RunRecord {
             ("version", self.version.clone()),
         ]);
         entries.extend(self.written.as_ref().map(|written| ("written".to_owned(), json_text(written))));
+        let functions = Some(&self.functions).filter(|functions| !functions.is_empty());
+        entries.extend(functions.map(|functions| ("functions".to_owned(), json_text(functions))));
         entries
     }
 
@@ -80,6 +84,11 @@ impl MetadataRecord for RunRecord {
             sources: if sources == Sources::Hashes.name() { Sources::Hashes } else { Sources::Wires },
             version: text(entries, "version")?,
             written: entries.contains_key("written").then(|| json(entries, "written")).transpose()?,
+            functions: entries
+                .contains_key("functions")
+                .then(|| json(entries, "functions"))
+                .transpose()?
+                .unwrap_or_default(),
         })
     }
 }

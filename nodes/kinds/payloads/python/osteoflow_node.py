@@ -1127,7 +1127,8 @@ class Server:
         item = self.views.item(place, self.types)
         return None if isinstance(item, Empty) else item
 
-    def emitted(self, answer):
+    def answers(self, answer):
+        """What was returned for each output, held to its payload; None for one without a value."""
         ports = self.kind.outputs
         if self.kind.tuple is None:
             answers = [answer] if ports else []
@@ -1136,15 +1137,15 @@ class Server:
         else:
             names = [port.name for port in ports]
             answers = [None] * len(names) if answer is None else [getattr(answer, name) for name in names]
-        out = []
         for port, answer in zip(ports, answers):
-            if answer is None:
-                out.append("silent" if self.kind.live else {"empty": "the node gave no value"})
-                continue
-            if getattr(answer, "payload", None) is None or (port.type is not Value and answer.payload != port.type.payload):
+            payload = getattr(answer, "payload", None)
+            if answer is not None and (payload is None or (port.type is not Value and payload != port.type.payload)):
                 raise NodeError(f"output \"{port.name}\" must be a {port.type.__name__}, found a {type(answer).__name__}")
-            out.append({"value": self.pool.put(answer)})
-        return out
+        return answers
+
+    def emitted(self, answer):
+        none = "silent" if self.kind.live else {"empty": "the node gave no value"}
+        return [none if answer is None else {"value": self.pool.put(answer)} for answer in self.answers(answer)]
 
 
 def serve(file, copies=None):

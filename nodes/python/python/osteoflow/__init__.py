@@ -19,7 +19,7 @@ import sys as _sys
 import tempfile as _tempfile
 import warnings as _warnings
 from pathlib import Path as _Path
-from typing import Any, Iterable, Mapping, Optional, Sequence, Union
+from typing import Any, Callable, Iterable, Mapping, Optional, Sequence, Union
 
 import numpy as _np
 
@@ -275,6 +275,16 @@ def _pose_item(matrix: Any, frames: tuple, wire: str, stamp_ns: int) -> tuple:
     return stamp_ns, {"to": to, "from": source, "stamp_ns": stamp_ns, "isometry": _core.seven(m.tolist())}, {}
 
 
+def _mapping_item(given: Mapping[str, Any], payload: str) -> tuple:
+    """The item of a dict: a report as in results.json, or the fields and columns of another payload."""
+    if payload.startswith("report/") and "json" not in given and payload not in ("report/Flag", "report/Text"):
+        return 0, {"json": _json.dumps(given, default=lambda value: _np.asarray(value).tolist())}, {}
+    stamp_ns = given.get("stamp_ns", 0) if not isinstance(given, Item) else given.stamp_ns
+    columns = {name: value for name, value in given.items() if isinstance(value, _np.ndarray) and name != "isometry"}
+    head = {name: value for name, value in given.items() if name not in columns and value is not None}
+    return int(stamp_ns), head, columns
+
+
 class Graph:
     """A graph file: `Graph("fibula.toml").run(set={...}, inputs={"scan": array})`."""
 
@@ -298,6 +308,7 @@ class Graph:
         set: Union[Mapping[str, Any], Sequence[str], None] = None,
         inputs: Optional[Mapping[str, Any]] = None,
         *,
+        nodes: Optional[Mapping[str, Callable[..., Any]]] = None,
         wires: Union[None, str, Sequence[str]] = "all",
         out: Union[str, "_os.PathLike[str]", None] = None,
         force: bool = False,
@@ -310,8 +321,12 @@ class Graph:
 
         set : changes of the graph, {"icp.kind": "icp.point_to_point", "graph.seed": 7}.
         inputs : by wire ("scan.cloud", or "scan" if the node has one output of that payload), what replaces the node's output: a `Cloud`, a
-            `Mesh`, an (n, 3) array in mm, a (4, 4) array (a pose), or a list of such, one item each. The node is not
-            built, but its parameters are checked. A run with inputs writes no recording.
+            `Mesh`, an (n, 3) array in mm, a (4, 4) array (a pose), a dict (a report, or the fields and columns of another payload), or a
+            list of such, one item each. The node is not built, but its parameters are checked. Outputs of it that are not given
+            carry no value, where no node needs one. A run with inputs writes no recording.
+        nodes : by node, a function that is called in its place, in this process: its typed parameters are inputs of the node, what
+            it returns is an output, as of a node in Python (`from osteoflow.nodes import Cloud, Pose, Surface`). Such a run cannot
+            be repeated, and its results, manifest and recording say so.
         wires : the wires to keep in memory: "all", some names, or None.
         out : folder for results.json, manifest.json and, with record, run.mcap. Default: no files are written.
 
@@ -325,7 +340,13 @@ class Graph:
             wire = self._wire(graph, known, name, value)
             given[wire] = self._items(wire, known[wire], value)
         keep = None if wires == "all" else {graph.wire(name) for name in ([wires] if isinstance(wires, str) else wires or ())}
-        run = GraphRun(graph.run(given, keep, progress))
+        functions = {}
+        if nodes:
+            from .nodes import Function
+
+            functions = {node: Function(function, node, graph.ports(node)) for node, function in nodes.items()}
+        by_node = {node: (function, function.without) for node, function in functions.items()}
+        run = GraphRun(graph.run(given, by_node, keep, progress))
         _warn(run.warnings)
         return run
 
@@ -333,6 +354,8 @@ class Graph:
     def _wire(graph: Any, known: Mapping[str, tuple], name: str, value: Any) -> str:
         """The wire of this name, or the one of this node that carries what `value` is."""
         first = value[0] if isinstance(value, (list, tuple)) and value and not _np.isscalar(value[0]) else value
+        if isinstance(first, Mapping):
+            return graph.wire(name)
         is_pose = not isinstance(first, (Mesh, Cloud)) and _np.shape(first) == (4, 4)
         payload = "geometry/Mesh" if isinstance(first, Mesh) else "geometry/Pose" if is_pose else "geometry/Cloud"
         of_node = {wire: about[0] or "" for wire, about in known.items() if wire.rpartition(".")[0] == name}
@@ -349,6 +372,12 @@ class Graph:
         many = value if isinstance(value, (list, tuple)) and not _np.isscalar(value) else [value]
         items, names = [], []
         for one in many:
+            if isinstance(one, Mapping):
+                if payload is None:
+                    raise UsageError(f"wire \"{wire}\" carries any payload, so a dict does not say which")
+                names.append(payload)
+                items.append(_mapping_item(one, payload))
+                continue
             if isinstance(one, _np.ndarray) and one.shape == (4, 4) and payload == "geometry/Pose":
                 names.append("geometry/Pose")
                 items.append(_pose_item(one, (to, source), wire, 0))

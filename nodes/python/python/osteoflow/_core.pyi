@@ -3,6 +3,7 @@
 from typing import Any, Optional
 
 __version__: str
+NODE_MODULE: str
 
 class OsteoflowError(Exception):
     """A file could not be read or written, or there was an internal error."""
@@ -22,7 +23,11 @@ class Graph:
     def warnings(self) -> list[str]: ...
     def wires(self) -> dict[str, tuple[Optional[str], Optional[str], Optional[str], Optional[str]]]: ...
     def wire(self, name: str) -> str: ...
-    def run(self, inputs: dict[str, tuple[str, list[Any]]], keep: Optional[set[str]], progress: bool) -> tuple[Any, ...]: ...
+    def ports(self, node: str) -> Optional[tuple[list[str], list[tuple[str, Optional[str]]], int]]: ...
+    def run(
+        self, inputs: dict[str, tuple[str, list[Any]]], functions: dict[str, tuple[Any, list[str]]], keep: Optional[set[str]],
+        progress: bool
+    ) -> tuple[Any, ...]: ...
 
 class Wires:
     @staticmethod
