@@ -19,10 +19,7 @@ fn text(plan: &Plan) -> String {
     for node in &plan.nodes {
         let _ = writeln!(out, "\n{} = {}", node.name, node.kind);
         for input in &node.inputs {
-            let from = match input.link {
-                Some(link) => plan.wire_name(plan.links[link].from),
-                None => "nothing".into(),
-            };
+            let from = plan.wires_of(input).unwrap_or_else(|| "nothing".into());
             let join = if input.port.unused { "unused".into() } else { format!("{:?}", input.port.join) };
             let _ = writeln!(out, "  {} <- {from} ({join})", input.port.name);
         }

@@ -69,6 +69,7 @@ mod studies;
 #[cfg(unix)]
 mod sweep_times;
 mod sweeps;
+mod tracking;
 mod untrusted;
 #[cfg(unix)]
 mod verdicts;

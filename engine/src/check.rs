@@ -5,6 +5,7 @@ mod command_line_params;
 mod context;
 mod declared;
 mod faults;
+mod feedback;
 mod frames;
 mod inputs;
 mod join;
@@ -227,9 +228,10 @@ impl Check<'_> {
             graph::no_results(&graph.table, "NODE.PORT", &mut self.faults);
         }
         let order = self.order(&parsed_nodes, &inputs);
-        let frames = order.as_ref().map(|order| self.frames(&parsed_nodes, &inputs, &header, order));
+        let frames = order.as_ref().map(|order| self.frames(&parsed_nodes, &inputs, &header, &order.nodes));
         if let Some(order) = &order {
-            self.faults.extend(starvation::warnings(&parsed_nodes, &inputs, order));
+            self.feedback(&parsed_nodes, &inputs, order);
+            self.faults.extend(starvation::warnings(&parsed_nodes, &inputs, &order.nodes));
         }
         let record = self.record(graph, &parsed_nodes);
         let results = self.results(graph, &parsed_nodes);
@@ -242,6 +244,7 @@ impl Check<'_> {
                     |interface| module::describe(interface, &header.name, &parsed_nodes, &inputs, &self.names);
                 let description = graph.interface.as_ref().map(describe);
                 let plugins = assemble::plugins(self.known, &parsed_nodes);
+                let order = order.nodes;
                 let net = assemble::Net { header, plugins, parsed_nodes, inputs, order, frames, record, results };
                 let plan = net.plan(path);
                 Ok(match description {

@@ -40,18 +40,17 @@ pub(crate) fn reduce(plan: &Plan, parts: &[NodeMode]) -> Plan {
         let mut node = node.clone();
         node.outputs.iter_mut().for_each(|output| output.links.clear());
         match parts[index] {
-            NodeMode::Computed => node.inputs.iter_mut().for_each(|input| input.link = None),
+            NodeMode::Computed => node.inputs.iter_mut().for_each(|input| input.links.clear()),
             _ => (node.inputs, node.role) = (Vec::new(), Role::Source),
         }
         nodes.push(node);
     }
     let moved = |id: OutputId| Some(OutputId { node: reduced_index[id.node]?, port: id.port });
     for (index, _) in plan.nodes.iter().enumerate().filter(|(index, _)| parts[*index] == NodeMode::Computed) {
-        for input in &plan.nodes[index].inputs {
-            let Some(link) = input.link.map(|link| &plan.links[link]) else { continue };
+        for link in plan.links_into(index) {
             let (Some(from), Some(to_node)) = (moved(link.from), reduced_index[index]) else { continue };
             nodes[from.node].outputs[from.port].links.push(links.len());
-            nodes[to_node].inputs[link.to_port].link = Some(links.len());
+            nodes[to_node].inputs[link.to_port].links.push(links.len());
             links.push(Link { from, to_node, ..link.clone() });
         }
     }

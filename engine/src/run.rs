@@ -1,6 +1,8 @@
 //! Runs a checked graph: options, events, report and the files written.
 
 mod closing_log;
+#[cfg(test)]
+mod feedback_tests;
 pub mod files;
 mod finished;
 #[cfg(test)]

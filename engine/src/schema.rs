@@ -4,7 +4,7 @@
 //! are branches of one `anyOf`, each with its kind as a constant, its ports and its parameters.
 
 use crate::graph::grammar::{self, JOINS};
-use osteoflow_node::{Description, FilePath, InputPort, Join, OutputPorts, Registry};
+use osteoflow_node::{Description, FilePath, InputPort, OutputPorts, Registry};
 use serde_json::{Map, Value, json};
 
 const DRAFT: &str = "http://json-schema.org/draft-07/schema#";
@@ -57,6 +57,10 @@ fn common(registry: &Registry) -> Map<String, Value> {
     let input = |joins: &[&str]| {
         let mut table = grammar::table(&grammar::INPUT);
         table["properties"]["join"]["enum"] = json!(joins);
+        if joins.contains(&"collect") {
+            table["properties"]["from"] = json!({ "anyOf": [reference("wire"), reference("wires")] });
+            return json!({ "anyOf": [reference("wire"), reference("wires"), table] });
+        }
         json!({ "anyOf": [reference("wire"), table] })
     };
     let (of_many, single): (Vec<_>, Vec<_>) = JOINS.iter().partition(|join| **join == "collect");
@@ -69,6 +73,10 @@ fn common(registry: &Registry) -> Map<String, Value> {
     partial.extend(of_every_kind());
     let Value::Object(mut out) = json!({
         "wire": { "type": "string", "pattern": "^[^.]+\\..+$", "description": "The producer: \"node.port\"." },
+        "wires": {
+            "type": "array", "items": reference("wire"), "minItems": 1, "uniqueItems": true,
+            "description": "Several producers, whose items come in the order of the list.",
+        },
         "input": input(&single),
         "input_of_many": input(&of_many),
         "payload": { "enum": payloads, "description": "The payload type." },
@@ -143,7 +151,7 @@ fn node(of: &Description) -> Value {
 }
 
 fn input(port: &InputPort) -> Value {
-    let definition = if matches!(port.join, Join::Collect { .. }) { "input_of_many" } else { "input" };
+    let definition = if port.join.collects() { "input_of_many" } else { "input" };
     let optional = if port.optional { " Optional." } else { "" };
     let doc = format!("Takes {}, joins by {}.{optional} {}", port.payload.name(), port.join.name(), one_line(port.doc));
     json!({ "description": doc.trim(), "anyOf": [{ "$ref": format!("#/definitions/{definition}") }] })

@@ -165,7 +165,7 @@ const CRATES: &[(&str, Floors)] = &[
         &[
             &["constant", "own_bone", "params"],
             &["calibrate", "crop", "hole", "icp", "output", "plane", "transform"],
-            &["acquire", "cloud", "coarse", "metrics", "plan", "refine", "surface", "verdict"],
+            &["acquire", "cloud", "coarse", "metrics", "plan", "refine", "surface", "track", "verdict"],
             &["landmarks", "send"],
         ],
     ),
@@ -231,7 +231,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["landmarks", "normals"],
             &["hole", "target"],
             &["icp", "metrics"],
-            &["calibrate", "coarse"],
+            &["calibrate", "coarse", "track"],
             &["slide"],
             &["trust"],
         ],

@@ -34,7 +34,7 @@ pub struct Diagram {
     pub notes: Vec<String>,
     /// The nodes in topological order.
     pub nodes: Vec<Node>,
-    /// The links, each from an earlier node to a later one.
+    /// The links, each from an earlier node to a later one; one that leads back, or to its own node, is drawn dashed.
     pub links: Vec<Link>,
 }
 
@@ -68,6 +68,13 @@ pub struct Link {
     pub dropped: u64,
     /// Details, shown by the SVG as a tooltip.
     pub tooltip: String,
+}
+
+impl Link {
+    /// Whether it closes a cycle.
+    fn leads_back(&self) -> bool {
+        self.from >= self.to
+    }
 }
 
 /// Colours of nodes by their share of the busy time: smallest share, fill colour, text of the legend.

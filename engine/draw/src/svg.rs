@@ -15,6 +15,8 @@ const LINE: f64 = 15.0;
 const LABEL_LINE: f64 = 12.0;
 /// Mean width of a character relative to the font size; generous, as every viewer has its own font.
 const CHARACTER_WIDTH: f64 = 0.58;
+/// Distance of a link that closes a cycle from boxes and from its label.
+const BACK_GAP: f64 = 8.0;
 /// Longer lines are truncated; the tooltip has them in full.
 const MAX_CHARACTERS: usize = 46;
 
@@ -28,6 +30,7 @@ text { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans',
 .dropped { fill: #c62828 }
 .wire { fill: none; stroke: #8b949e; stroke-width: 1.2 }
 .wire.lossy { stroke: #c62828; stroke-width: 2 }
+.wire.back { stroke-dasharray: 5 3 }
 .tip { fill: #8b949e }
 .tip.lossy { fill: #c62828 }
 .box { stroke: #57606a; stroke-width: 1 }
@@ -61,7 +64,7 @@ pub fn svg(diagram: &Diagram) -> String {
         let (from, to) = (link.from, link.to);
         bundles.entry((from, to)).or_insert(Bundle { from, to, links: Vec::new() }).links.push(link);
     }
-    let bundles: Vec<_> = bundles.into_values().collect();
+    let (back, bundles): (Vec<_>, Vec<_>) = bundles.into_values().partition(|bundle| bundle.from >= bundle.to);
     let sizes: Vec<_> = (0..diagram.nodes.len()).map(|node| node_size(diagram, node)).collect();
     let edges: Vec<_> =
         bundles.iter().map(|bundle| Edge { from: bundle.from, to: bundle.to, label: label_size(bundle) }).collect();
@@ -69,7 +72,8 @@ pub fn svg(diagram: &Diagram) -> String {
     let head = head(diagram);
     let (dx, dy) = (MARGIN, MARGIN + head.height);
     let width = (placed.size.width + 2.0 * MARGIN).max(head.width + 2.0 * MARGIN);
-    let height = dy + placed.size.height + MARGIN;
+    let back_heights: Vec<_> = back.iter().map(|bundle| label_size(bundle).height + 2.0 * BACK_GAP).collect();
+    let height = dy + placed.size.height + back_heights.iter().sum::<f64>() + MARGIN;
 
     let mut out = String::new();
     let (w, h) = (width.ceil(), height.ceil());
@@ -84,6 +88,11 @@ pub fn svg(diagram: &Diagram) -> String {
     let ends = ends(&bundles, &placed);
     for (index, bundle) in bundles.iter().enumerate() {
         draw_links(&mut out, bundle, &placed.edges[index], ends[index]);
+    }
+    let mut y = placed.size.height + BACK_GAP;
+    for (bundle, height) in back.iter().zip(&back_heights) {
+        draw_back(&mut out, bundle, &placed, y);
+        y += height;
     }
     for (index, rect) in placed.nodes.iter().enumerate() {
         draw_node(&mut out, diagram, index, rect);
@@ -229,6 +238,36 @@ fn draw_links(out: &mut String, bundle: &Bundle<'_>, chain: &[Rect], ends: ((f64
             let at = (rect.x + rect.size.width / 2.0, rect.y + (line as f64 + 0.75) * LABEL_LINE);
             text(out, at, &format!("class=\"{class}\" text-anchor=\"middle\""), &truncated(words));
         }
+    }
+    out.push_str("</g>\n");
+}
+
+/// Draws links that close a cycle: from the right of the producer's column to the left of the consumer's, below all boxes.
+fn draw_back(out: &mut String, bundle: &Bundle<'_>, placed: &Layout, lane: f64) {
+    let lossy = if bundle.links.iter().any(|link| link.dropped > 0) { " lossy" } else { "" };
+    let (from, to) = (&placed.nodes[bundle.from], &placed.nodes[bundle.to]);
+    let in_column = |of: &Rect| {
+        let middle = of.x + of.size.width / 2.0;
+        placed.nodes.iter().filter(move |rect| rect.x < middle && middle < rect.right()).cloned().collect::<Vec<_>>()
+    };
+    let right = in_column(from).iter().map(Rect::right).fold(from.right(), f64::max) + BACK_GAP;
+    let left = in_column(to).iter().map(|rect| rect.x).fold(to.x, f64::min) - BACK_GAP;
+    // Below the wires that leave and enter the boxes.
+    let (leaves, enters) = (from.y + from.size.height - 4.0, to.y + to.size.height - 4.0);
+    let tooltip: Vec<_> = bundle.links.iter().map(|link| link.tooltip.as_str()).collect();
+    let _ = writeln!(out, "<g><title>{}</title>", escape(&tooltip.join("\n")));
+    let _ = writeln!(
+        out,
+        "<path class=\"wire back{lossy}\" d=\"M{:.1} {leaves:.1} H{right:.1} V{lane:.1} H{left:.1} V{enters:.1} H{:.1}\"/>",
+        from.right(),
+        to.x - 6.0
+    );
+    let _ = writeln!(out, "<path class=\"tip{lossy}\" d=\"M{:.1} {enters:.1} l-7 -3.5 v7 z\"/>", to.x);
+    let labels = bundle.links.iter().flat_map(|link| link.label.iter().map(|line| (line, link.dropped > 0)));
+    for (line, (words, dropped)) in labels.enumerate() {
+        let class = if dropped { "label dropped" } else { "label" };
+        let at = ((left + right) / 2.0, lane + 2.0 + (line as f64 + 0.9) * LABEL_LINE);
+        text(out, at, &format!("class=\"{class}\" text-anchor=\"middle\""), &truncated(words));
     }
     out.push_str("</g>\n");
 }

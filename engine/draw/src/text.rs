@@ -17,7 +17,8 @@ pub fn mermaid(diagram: &Diagram) -> String {
     }
     for link in &diagram.links {
         let label = link.label.iter().map(|line| escape(line)).collect::<Vec<_>>().join("<br/>");
-        let _ = writeln!(out, "    n{} -- \"{label}\" --> n{}", link.from, link.to);
+        let (open, close) = if link.leads_back() { ("-.", ".->") } else { ("--", "-->") };
+        let _ = writeln!(out, "    n{} {open} \"{label}\" {close} n{}", link.from, link.to);
     }
     for (index, node) in diagram.nodes.iter().enumerate() {
         let fill = node.busy_share.map(|share| format!("fill:{},color:#1b1f24", share_colour(Some(share))));
@@ -59,7 +60,8 @@ pub fn dot(diagram: &Diagram) -> String {
     for link in &diagram.links {
         let text = quote(&link.label.join("\n"));
         let red = if link.dropped > 0 { ", color = \"#c62828\", fontcolor = \"#c62828\"" } else { "" };
-        let _ = writeln!(out, "    n{} -> n{} [label = {text}{red}];", link.from, link.to);
+        let back = if link.leads_back() { ", style = dashed, constraint = false" } else { "" };
+        let _ = writeln!(out, "    n{} -> n{} [label = {text}{red}{back}];", link.from, link.to);
     }
     out.push_str("}\n");
     out

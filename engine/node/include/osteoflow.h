@@ -331,7 +331,9 @@ enum {
     OSTEOFLOW_JOIN_COLLECT = 2,
     OSTEOFLOW_JOIN_LATEST = 3,
     OSTEOFLOW_JOIN_INTERPOLATE = 4,
-    OSTEOFLOW_JOIN_ONCE = 5
+    OSTEOFLOW_JOIN_ONCE = 5,
+    /* For an optional port: what its wire carried for the firing before. */
+    OSTEOFLOW_JOIN_PREVIOUS = 6
 };
 
 enum {

@@ -122,6 +122,8 @@ pub mod kind {
     pub const INTERPOLATE: u32 = 4;
     /// [`super::Input::join`]
     pub const ONCE: u32 = 5;
+    /// [`super::Input::join`]
+    pub const PREVIOUS: u32 = 6;
 }
 
 /// Declares the structs, and [`layout`] over all of them.

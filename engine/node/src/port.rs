@@ -101,6 +101,20 @@ pub enum Join {
         /// Number of items; all if `None`.
         n: Option<u32>,
     },
+    /// Windows of `n` items, of which each begins `step` items after the one before. Triggers.
+    CollectEvery {
+        /// Number of items.
+        n: u32,
+        /// Number of items from one window to the next.
+        step: u32,
+    },
+    /// Windows in time from the stamp of the first item on, each `step_ns` after the one before. Triggers.
+    CollectSpan {
+        /// Length of a window.
+        span_ns: i64,
+        /// Time from one window to the next.
+        step_ns: i64,
+    },
     /// The newest item at or before the firing stamp.
     Latest,
     /// Interpolated between the neighbours of the firing stamp, never across an empty or a longer gap.
@@ -110,6 +124,9 @@ pub enum Join {
     },
     /// A constant: one item for the whole run.
     Once,
+    /// What the wire carried for the firing before: item number k - 1 at firing k, and nothing at the first. The one join
+    /// over which wires may go in a cycle.
+    Previous,
 }
 
 impl Join {
@@ -118,16 +135,22 @@ impl Join {
         match self {
             Self::Each => "each",
             Self::Stamp { .. } => "stamp",
-            Self::Collect { .. } => "collect",
+            Self::Collect { .. } | Self::CollectEvery { .. } | Self::CollectSpan { .. } => "collect",
             Self::Latest => "latest",
             Self::Interpolate { .. } => "interpolate",
             Self::Once => "once",
+            Self::Previous => "previous",
         }
+    }
+
+    /// Whether a firing takes several items.
+    pub fn collects(&self) -> bool {
+        matches!(self, Self::Collect { .. } | Self::CollectEvery { .. } | Self::CollectSpan { .. })
     }
 
     /// Whether items make the node fire.
     pub fn triggers(&self) -> bool {
-        matches!(self, Self::Each | Self::Stamp { .. } | Self::Collect { .. })
+        matches!(self, Self::Each | Self::Stamp { .. }) || self.collects()
     }
 }
 

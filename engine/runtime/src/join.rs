@@ -60,6 +60,8 @@ pub(crate) struct Joiner {
     /// Fast path for nodes whose ports are all wired, plain and `each`. Items go directly to the slots of the firing;
     /// where an item is empty or missing, all items move to the ports and the general rules apply.
     pub in_lock_step: bool,
+    /// Whether a port joins by `previous`.
+    pub takes_previous: bool,
     /// In lock step: number of slots without an item.
     n_vacant: usize,
     /// In lock step: the slots belong to an activation that has not been released.
@@ -95,7 +97,10 @@ enum Choice {
 
 impl Joiner {
     pub(crate) fn new(node: Arc<str>, ports: Vec<PortSpec>) -> Self {
-        let ports: Vec<_> = ports.into_iter().map(|spec| Port::new(&node, spec)).collect();
+        let mut ports: Vec<_> = ports.into_iter().map(|spec| Port::new(&node, spec)).collect();
+        for further in (1..ports.len()).filter(|port| ports[*port].spec.continues).collect::<Vec<_>>() {
+            ports[further - 1..=further].iter_mut().for_each(|port| port.is_one_of_several = true);
+        }
         let mode = if ports.iter().any(Port::is_step) {
             Mode::Step
         } else if ports.iter().any(|p| p.is_stamp() && !p.spec.optional) {
@@ -108,6 +113,7 @@ impl Joiner {
         let in_lock_step = !ports.is_empty() && ports.iter().all(Port::is_plain_each);
         let n_vacant = if in_lock_step { ports.len() } else { 0 };
         Self {
+            takes_previous: ports.iter().any(Port::is_previous),
             mode,
             node,
             ports,
@@ -206,7 +212,8 @@ impl Joiner {
     }
 
     fn clear_slots(&mut self) {
-        for (slot, port) in self.joined.slots.drain(..).zip(&mut self.ports) {
+        let ports = self.ports.iter_mut().filter(|port| !port.spec.continues);
+        for (slot, port) in self.joined.slots.drain(..).zip(ports) {
             if let Slot::Items(items) = slot {
                 port.reuse(items);
             }
@@ -405,6 +412,11 @@ impl Joiner {
         }
         let anchor_of = |port: &Port| anchored(port).then_some(anchor);
 
+        // The item of the firing before is taken even where the node is skipped, so that it never runs ahead in a cycle.
+        if self.fired && self.ports.iter().any(|p| p.is_previous() && !p.has_previous()) {
+            return None;
+        }
+
         // The triggers decide first: where one brings no value, the other ports need not be waited for.
         let mut skip = None;
         for port in self.ports.iter().filter(|p| p.is_trigger()) {
@@ -419,7 +431,7 @@ impl Joiner {
             if !settled {
                 return None;
             }
-            for port in self.ports.iter().filter(|p| !p.is_trigger()) {
+            for port in self.ports.iter().filter(|p| !p.is_trigger() && !p.is_previous()) {
                 skip = skip.or_else(|| reason_to_skip(&self.node, port, &port.peek_constant(stamp_ns)));
             }
         }
@@ -428,22 +440,37 @@ impl Joiner {
         for port in &mut self.ports {
             let choice = match port.is_trigger() {
                 true => port.take_trigger(anchored(port).then_some(anchor)),
+                false if port.is_previous() => port.take_previous(self.fired),
                 false if skip.is_some() => continue,
                 false => port.peek_constant(stamp_ns),
             };
-            let (slot, reason) = match choice {
-                Choice::Slot(slot) => (slot, None),
-                Choice::Empty(empty) => (Slot::Absent(empty.clone()), Some(empty)),
-                Choice::Absent(reason) => {
-                    let empty = Arc::new(Empty { node: self.node.to_string(), reason });
-                    (Slot::Absent(empty.clone()), Some(empty))
-                }
+            let slot = match choice {
+                Choice::Slot(slot) => slot,
+                Choice::Empty(empty) => Slot::Absent(empty),
+                Choice::Absent(reason) => Slot::Absent(Arc::new(Empty { node: self.node.to_string(), reason })),
             };
-            if let Slot::Items(items) = &slot {
-                self.absent.extend(items.iter().find_map(empty_of).map(|empty| (port.spec.name, empty)));
-            }
+            let slot = match port.spec.continues.then(|| self.joined.slots.pop()).flatten() {
+                Some(Slot::Items(mut before)) => match slot {
+                    Slot::Items(mut items) => {
+                        before.append(&mut items);
+                        port.reuse(items);
+                        Slot::Items(before)
+                    }
+                    absent => absent,
+                },
+                Some(absent) => absent,
+                None => slot,
+            };
             self.joined.slots.push(slot);
-            self.absent.extend(reason.map(|empty| (port.spec.name, empty)));
+        }
+        let ports = self.ports.iter().filter(|port| !port.spec.continues);
+        for (slot, port) in self.joined.slots.iter().zip(ports) {
+            let empty = match slot {
+                Slot::Item(_) => None,
+                Slot::Items(items) => items.iter().find_map(empty_of),
+                Slot::Absent(empty) => Some(empty.clone()),
+            };
+            self.absent.extend(empty.map(|empty| (port.spec.name, empty)));
         }
         (self.last_stamp, self.fired) = (stamp_ns, true);
         if skip.is_some() {

@@ -11,11 +11,7 @@ use crate::{
     tap::Tap,
 };
 use osteoflow_node::{Role, StampNs};
-use std::{
-    collections::{BTreeSet, VecDeque},
-    sync::Mutex,
-    time::Duration,
-};
+use std::{collections::VecDeque, sync::Mutex, time::Duration};
 
 /// Number of answers remembered per source; a sink that lags further behind is measured from the oldest of them.
 const ANSWERS: usize = 1 << 16;
@@ -48,23 +44,16 @@ impl Latency {
     /// A tap for a run of the plan.
     pub fn new(plan: &Plan) -> Self {
         let answers = plan.nodes.iter().map(|node| (node.role != Role::Node).then(Mutex::default)).collect();
-        // Nodes are in topological order, so the sources upstream of a producer are known before its consumers need
-        // them.
-        let mut upstream: Vec<BTreeSet<usize>> = Vec::with_capacity(plan.nodes.len());
-        for (index, node) in plan.nodes.iter().enumerate() {
-            let producers = node.inputs.iter().filter_map(|input| Some(plan.links[input.link?].from.node));
-            let mut sources: BTreeSet<_> = producers.flat_map(|producer| upstream[producer].iter().copied()).collect();
-            if node.role != Role::Node {
-                sources.insert(index);
-            }
-            upstream.push(sources);
-        }
         let is_sink = |index: usize| plan.nodes[index].outputs.iter().all(|output| output.links.is_empty());
-        let of = |index: usize, sources: BTreeSet<usize>| match is_sink(index) && plan.nodes[index].role == Role::Node {
-            true => sources.into_iter().map(|source| (source, Mutex::default())).collect(),
+        let sources = |index: usize| {
+            let upstream = plan.upstream(index);
+            (0..plan.nodes.len()).filter(move |node| upstream[*node] && plan.nodes[*node].role != Role::Node)
+        };
+        let of = |index: usize| match is_sink(index) && plan.nodes[index].role == Role::Node {
+            true => sources(index).map(|source| (source, Mutex::default())).collect(),
             false => Vec::new(),
         };
-        let sinks = upstream.into_iter().enumerate().map(|(index, sources)| of(index, sources)).collect();
+        let sinks = (0..plan.nodes.len()).map(of).collect();
         Self { answers, sinks }
     }
 

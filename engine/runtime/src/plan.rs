@@ -23,7 +23,7 @@ pub struct Plan {
     pub seed: u64,
     /// The graph file.
     pub path: PathBuf,
-    /// The nodes in topological order, ties broken by the order of the file.
+    /// The nodes in topological order, ties broken by the order of the file. Links joined by `previous` do not count.
     pub nodes: Vec<PlanNode>,
     /// The links, one for each consumer of an output.
     pub links: Vec<Link>,
@@ -174,8 +174,9 @@ impl PlanNode {
 pub struct PlanInput {
     /// The port, with the join that the graph chose.
     pub port: InputPort,
-    /// The link that feeds it, as an index into [`Plan::links`]; an optional port may have none.
-    pub link: Option<usize>,
+    /// The links that feed it, as indices into [`Plan::links`], in the order of the graph: several where a port collects
+    /// from several wires, none where an optional port is not wired.
+    pub links: Vec<usize>,
 }
 
 /// An output of a plan's node.
@@ -334,12 +335,60 @@ impl Plan {
         (self.wire_name(link.from), format!("{}.{}", to.name, to.inputs[link.to_port].port.name))
     }
 
+    /// The links that feed a node.
+    pub fn links_into(&self, node: usize) -> impl Iterator<Item = &Link> {
+        self.nodes[node].inputs.iter().flat_map(|input| &input.links).map(|link| &self.links[*link])
+    }
+
+    /// The names of the wires that feed an input, separated by commas; `None` if it is not wired.
+    pub fn wires_of(&self, input: &PlanInput) -> Option<String> {
+        let wires: Vec<_> = input.links.iter().map(|link| self.wire_name(self.links[*link].from)).collect();
+        (!wires.is_empty()).then(|| wires.join(", "))
+    }
+
     /// Marks all nodes downstream of marked ones.
     pub fn mark_downstream(&self, marked: &mut [bool]) {
-        // Nodes are in topological order.
-        for (index, node) in self.nodes.iter().enumerate() {
-            let mut links = node.inputs.iter().filter_map(|input| Some(&self.links[input.link?]));
-            marked[index] = marked[index] || links.any(|link| marked[link.from.node]);
+        // Nodes are in topological order but for links that close a cycle.
+        loop {
+            for index in 0..self.nodes.len() {
+                marked[index] = marked[index] || self.links_into(index).any(|link| marked[link.from.node]);
+            }
+            if !self.closing_links().any(|link| marked[link.from.node] && !marked[link.to_node]) {
+                return;
+            }
         }
+    }
+
+    /// Marks a node and all nodes upstream of it.
+    pub fn upstream(&self, node: usize) -> Vec<bool> {
+        let (mut upstream, mut open) = (vec![false; self.nodes.len()], vec![node]);
+        while let Some(node) = open.pop() {
+            if !std::mem::replace(&mut upstream[node], true) {
+                open.extend(self.links_into(node).map(|link| link.from.node));
+            }
+        }
+        upstream
+    }
+
+    /// The cycle that each node is part of, as the index of its first node; a node in no cycle is its own.
+    pub fn cycles(&self) -> Vec<usize> {
+        let mut cycles: Vec<usize> = (0..self.nodes.len()).collect();
+        for closing in self.closing_links() {
+            let (first, last) = (closing.to_node, closing.from.node);
+            let mut after = vec![false; self.nodes.len()];
+            after[first] = true;
+            self.mark_downstream(&mut after);
+            let before = self.upstream(last);
+            let members: Vec<_> = (0..self.nodes.len()).filter(|node| after[*node] && before[*node]).collect();
+            let joined: BTreeSet<_> = members.iter().map(|node| cycles[*node]).collect();
+            let Some(&cycle) = joined.first() else { continue };
+            cycles.iter_mut().filter(|of| joined.contains(of)).for_each(|of| *of = cycle);
+        }
+        cycles
+    }
+
+    /// The links that close a cycle.
+    fn closing_links(&self) -> impl Iterator<Item = &Link> {
+        self.links.iter().filter(|link| link.from.node >= link.to_node)
     }
 }

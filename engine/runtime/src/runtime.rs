@@ -13,7 +13,7 @@ use crate::{
     messages::Messages,
     outcome::{Retired, RunOutcome},
     panics,
-    plan::{OutputId, Plan, PlanNode, Policy},
+    plan::{OutputId, Plan, PlanInput, PlanNode, Policy},
     report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning},
     scheduler::{Scheduler, Stepped, Turn, Work},
     sync::locked,
@@ -192,11 +192,9 @@ impl<'a> Runtime<'a> {
                 Built::Source(source) => Core::Source(source),
                 Built::Node(built) => Core::Node(built, joiner(plan, node)),
             };
-            let inputs = node
-                .inputs
-                .iter()
+            let inputs = lanes(node)
                 .enumerate()
-                .filter_map(|(port, input)| Some(Input { port, recv: recvs[input.link?].take()? }));
+                .filter_map(|(lane, (_, link))| Some(Input { lane, recv: recvs[link?].take()? }));
             let outputs = node.outputs.iter().enumerate().map(|(port, output)| {
                 let id = OutputId { node: index, port };
                 let links = output.links.iter().filter_map(|link| sends[*link].take());
@@ -437,8 +435,10 @@ impl<'a> Runtime<'a> {
 
     /// Enlarges the smallest full link on which a producer is blocked, and returns that producer.
     fn enlarge_smallest(&self) -> Option<usize> {
+        // A node takes what it sends to itself before it asks for room.
+        let is_own = |link: &usize| self.plan.links[*link].from.node == self.plan.links[*link].to_node;
         let n_links = 0..self.links.len();
-        let waited_for = n_links.filter(|link| self.links[*link].is_blocked());
+        let waited_for = n_links.filter(|link| self.links[*link].is_blocked() && !is_own(link));
         let growing = waited_for.filter_map(|index| {
             let state = &self.links[index];
             let grows = |send: &SendEnd| {
@@ -550,13 +550,22 @@ fn build(registry: &Registry, node: &PlanNode, seed: u64) -> Result<Built, Build
     }
 }
 
+/// The ports of a node, once for each link that feeds them; a port that is not wired has one lane without a link.
+fn lanes(node: &PlanNode) -> impl Iterator<Item = (&PlanInput, Option<usize>)> {
+    node.inputs.iter().flat_map(|input| {
+        let unwired = input.links.is_empty().then_some((input, None));
+        input.links.iter().map(move |link| (input, Some(*link))).chain(unwired)
+    })
+}
+
 fn joiner(plan: &Plan, node: &PlanNode) -> Joiner {
-    let ports = node.inputs.iter().map(|input| PortSpec {
+    let ports = lanes(node).map(|(input, link)| PortSpec {
         name: input.port.name,
         join: input.port.join,
         optional: input.port.optional,
         unused: input.port.unused,
-        wire: input.link.map(|link| plan.wire_name(plan.links[link].from)),
+        wire: link.map(|link| plan.wire_name(plan.links[link].from)),
+        continues: link.is_some() && link != input.links.first().copied(),
     });
     Joiner::new(node.name.clone(), ports.collect())
 }
@@ -571,7 +580,8 @@ fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<
     let link = &plan.links[index];
     let send: &SendEnd = cells[link.from.node].outputs[link.from.port].links.iter().find(|s| s.link == index)?;
     let consumer = &cells[link.to_node];
-    let recv: &RecvEnd = &consumer.inputs.iter().find(|input| input.recv.link == index)?.recv;
+    let input = consumer.inputs.iter().find(|input| input.recv.link == index)?;
+    let recv: &RecvEnd = &input.recv;
     let (from, to) = plan.link_names(&plan.links[index]);
     Some(LinkStats {
         from,
@@ -581,7 +591,7 @@ fn link_stats(plan: &Plan, cells: &[Cell], index: usize, stuck: bool) -> Option<
         // Items that still waited when a stuck graph was given up count as lost.
         dropped: if stuck { send.sent - recv.received } else { send.dropped },
         late: cells[link.from.node].outputs[link.from.port].n_late(),
-        unmatched: consumer.unmatched(link.to_port),
+        unmatched: consumer.unmatched(input.lane),
         highest_fill: send.highest_fill,
         capacity: send.limits.capacity,
     })

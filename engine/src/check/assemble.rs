@@ -106,11 +106,12 @@ impl Net<'_> {
         let mut links = Vec::new();
         for (to_node, &parsed_node) in self.order.iter().enumerate() {
             for (to_port, input) in self.inputs[parsed_node].iter().enumerate() {
-                let Some(from) = input.from.map(id) else { continue };
-                nodes[from.node].outputs[from.port].links.push(links.len());
-                nodes[to_node].inputs[to_port].link = Some(links.len());
                 let Input { capacity, max_bytes, policy, .. } = *input;
-                links.push(Link { from, to_node, to_port, capacity, max_bytes, policy });
+                for from in input.known_wires().map(|(wire, _)| id(wire)) {
+                    nodes[from.node].outputs[from.port].links.push(links.len());
+                    nodes[to_node].inputs[to_port].links.push(links.len());
+                    links.push(Link { from, to_node, to_port, capacity, max_bytes, policy });
+                }
             }
         }
         let mut record: Vec<_> = self.record.wires.iter().map(|&wire| id(wire)).collect();
@@ -166,7 +167,7 @@ impl Net<'_> {
             param_places: param_places(parsed_node.table),
             files: parsed_node.input_files.clone(),
             declared: parsed_node.declared.clone().into(),
-            inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), link: None }).collect(),
+            inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), links: Vec::new() }).collect(),
             outputs: outputs.filter_map(output).collect(),
             on_error: parsed_node.on_error,
             place: parsed_node.place,

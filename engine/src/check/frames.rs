@@ -62,13 +62,14 @@ impl Check<'_> {
             let scope = Scope { parsed_node, inputs: &inputs[node], frames: &frames };
             let mut reported: Vec<(&str, &str)> = Vec::new();
             for input in inputs[node].iter().filter(|input| !input.port.unused) {
-                let Some((fault, others)) = scope.meet(input, parsed_nodes) else { continue };
-                at_fault = true;
-                // Two ports that refer to each other both mismatch; report only the first.
-                if !others.iter().any(|other| reported.contains(&(other, input.port.name))) {
-                    self.faults.push(fault);
+                for (fault, others) in scope.meet(input, parsed_nodes) {
+                    at_fault = true;
+                    // Two ports that refer to each other both mismatch; report only the first.
+                    if !others.iter().any(|other| reported.contains(&(other, input.port.name))) {
+                        self.faults.push(fault);
+                    }
+                    reported.extend(others.iter().map(|other| (input.port.name, *other)));
                 }
-                reported.extend(others.iter().map(|other| (input.port.name, *other)));
             }
             // The outputs of a faulty node are not propagated, to avoid a fault at every node downstream.
             let outputs = parsed_node.outputs.iter().flatten().map(|output| {
@@ -83,6 +84,14 @@ impl Check<'_> {
             });
             let outputs = outputs.collect();
             frames[node] = outputs;
+        }
+        // The frames of a wire that closes a cycle were not known yet.
+        for (node, parsed_node) in parsed_nodes.iter().enumerate() {
+            let scope = Scope { parsed_node, inputs: &inputs[node], frames: &frames };
+            let place = |node: usize| order.iter().position(|other| *other == node);
+            let closes = |input: &&Input| input.producers().any(|from| place(from) >= place(node));
+            let found = inputs[node].iter().filter(closes).flat_map(|input| scope.meet(input, parsed_nodes));
+            self.faults.extend(found.map(|(fault, _)| fault));
         }
         frames
     }
@@ -145,16 +154,28 @@ impl Scope<'_, '_> {
 
     /// The frame of the wire connected to an input.
     fn found(&self, input: &Input, which: Which) -> Option<String> {
-        which.of(self.wired(input.from?)?).cloned()
+        let (wire, _) = input.known_wires().next()?;
+        which.of(self.wired(wire)?).cloned()
     }
 
     fn wired(&self, (node, port): OutputIndex) -> Option<&PortFrames> {
         self.frames[node].get(port)
     }
 
-    /// The fault of an input whose frames differ from those its port requires, and the ports that the requirement
-    /// refers to.
-    fn meet(&self, input: &Input, parsed_nodes: &[ParsedNode<'_>]) -> Option<(Fault, Vec<&'static str>)> {
+    /// The faults of wires whose frames differ from those that the port requires, and the ports that the requirement refers
+    /// to.
+    fn meet(&self, input: &Input, parsed_nodes: &[ParsedNode<'_>]) -> Vec<(Fault, Vec<&'static str>)> {
+        let wires = input.known_wires();
+        wires.filter_map(|(wire, at)| self.wire_meets(input, wire, at, parsed_nodes)).collect()
+    }
+
+    fn wire_meets(
+        &self,
+        input: &Input,
+        wire: OutputIndex,
+        at: &Span,
+        parsed_nodes: &[ParsedNode<'_>],
+    ) -> Option<(Fault, Vec<&'static str>)> {
         let exprs = [
             (Which::Frame, input.port.frames.frame),
             (Which::To, input.port.frames.to),
@@ -170,14 +191,13 @@ impl Scope<'_, '_> {
                 Which::From => &mut needed.from,
             };
             *slot = Some(expected.clone());
-            if self.found(input, which).is_some_and(|found| found != expected) {
+            if self.wired(wire).and_then(|frames| which.of(frames)).is_some_and(|found| *found != expected) {
                 differ.extend(expr);
             }
         }
         if differ.is_empty() {
             return None;
         }
-        let (wire, at) = (input.from?, input.at.as_ref()?);
         let has = say(self.wired(wire)?);
         let (node, port) = (self.parsed_node.name, input.port.name);
         let message = format!(
@@ -204,7 +224,8 @@ impl Scope<'_, '_> {
         }
         let (port, _) = refers(expr);
         let input = self.inputs.iter().find(|input| input.port.name == port);
-        let wired = input.and_then(|input| Some((input.at.as_ref()?, self.wired(input.from?)?)));
+        let wired = input.and_then(|input| input.known_wires().next());
+        let wired = wired.and_then(|(wire, at)| Some((at, self.wired(wire)?)));
         match wired {
             Some((at, frames)) => fault.also(at, say(frames)),
             None => fault,

@@ -42,6 +42,7 @@ impl Check<'_> {
                 "each" => Join::Each,
                 "latest" => Join::Latest,
                 "once" => Join::Once,
+                "previous" => Join::Previous,
                 _ if word == declared.name() => declared,
                 "stamp" => Join::Stamp { tolerance_ns: 0 },
                 "collect" => Join::Collect { n: None },
@@ -64,13 +65,52 @@ impl Check<'_> {
         {
             join = Join::Interpolate { max_gap_ns: Some(ns) };
         }
-        let collects = matches!(join, Join::Collect { .. });
-        if self.goes_with(table, "n", collects, "collect", join)
-            && let Some(n) = table.whole("n", u32::MAX.into(), &mut self.faults)
-        {
-            join = Join::Collect { n: Some(n) };
+        input.port.join = self.window(table, join);
+    }
+
+    /// Reads the windows of a port that collects.
+    fn window(&mut self, table: &Section<'_>, join: Join) -> Join {
+        let keys = ["n", "step", "span_ms", "step_ms"];
+        if keys.map(|key| self.goes_with(table, key, join.collects(), "collect", join)).contains(&false) {
+            return join;
         }
-        input.port.join = join;
+        for (key, with) in [("step", "n"), ("step_ms", "span_ms")] {
+            if let Some(entry) = table.get(key).filter(|_| table.get(with).is_none()) {
+                let message = format!("{} is given without {with}", table.what(key));
+                let fault = Fault::new(message).at(&entry.key_at, format!("only with {with}"));
+                self.faults.push(fault.help(format!("add {with}: the length of a window")));
+                return join;
+            }
+        }
+        if let (Some(n), Some(span)) = (table.get("n"), table.get("span_ms")) {
+            let fault = Fault::new(format!("{} and span_ms are two lengths of one window", table.what("n")));
+            let fault = fault.at(&span.key_at, "in time").also(&n.key_at, "in items");
+            self.faults.push(fault.help("take one of them away"));
+            return join;
+        }
+        let mut whole = |key: &str| table.whole(key, u32::MAX.into(), &mut self.faults);
+        let (n, step) = (whole("n"), whole("step"));
+        let mut time = |key: &str| table.milliseconds(key, &mut self.faults);
+        let (span_ns, step_ns) = (time("span_ms"), time("step_ms"));
+        match (n, span_ns) {
+            (Some(n), _) => match step.filter(|step| *step != n) {
+                Some(step) => Join::CollectEvery { n, step },
+                None => Join::Collect { n: Some(n) },
+            },
+            (_, Some(span_ns)) => {
+                let step_ns = step_ns.unwrap_or(span_ns);
+                for (key, ns) in [("span_ms", span_ns), ("step_ms", step_ns)] {
+                    if let Some(entry) = table.get(key).filter(|_| ns <= 0) {
+                        let fault = Fault::new(format!("{} is no length of time", table.what(key)));
+                        self.faults
+                            .push(fault.at(&entry.value.at, "shorter than a nanosecond").help("write a longer one"));
+                        return join;
+                    }
+                }
+                Join::CollectSpan { span_ns, step_ns }
+            }
+            _ => join,
+        }
     }
 
     /// Whether a key that is valid with one join only goes with the join of the input; a fault if not.
@@ -121,11 +161,16 @@ impl Check<'_> {
         if let Some(every) = every.filter(|_| word != "sample") {
             self.faults.push(only_sample(every, &format!("the policy is \"{word}\"")));
         }
-        let Some(producer) = input.from.map(|(node, _)| &parsed_nodes[node]) else { return };
-        let live = producer.role().is_none_or(|role| role == Role::LiveSource);
         // Which items a sample of a stream keeps depends on their numbers alone.
-        let thins = matches!(input.policy, Policy::Sample(_)) && producer.is_source();
-        if input.policy != Policy::Block && !live && !thins && !header.lossy {
+        let is_sample = matches!(input.policy, Policy::Sample(_));
+        let may_lose = |node: &usize| {
+            let producer = &parsed_nodes[*node];
+            producer.role().is_none_or(|role| role == Role::LiveSource) || is_sample && producer.is_source()
+        };
+        let Some(producer) = input.producers().find(|node| !may_lose(node)).map(|node| &parsed_nodes[node]) else {
+            return;
+        };
+        if input.policy != Policy::Block && !header.lossy {
             let message = format!("{owner} may lose items, but \"{}\" is no live source", producer.name);
             let fault = Fault::new(message).at(&entry.value.at, "loses items");
             let note = "a producer that does not follow the world's clock can wait: with \"block\" nothing is lost";
@@ -143,7 +188,7 @@ fn refuse_join(
     value: &Spanned,
     parsed_nodes: &[ParsedNode<'_>],
 ) -> Option<Fault> {
-    let (many, collects) = (matches!(input.port.join, Join::Collect { .. }), matches!(join, Join::Collect { .. }));
+    let (many, collects) = (input.port.join.collects(), join.collects());
     if many != collects {
         let declared = input.port.join.name();
         let (takes, label) =
@@ -154,7 +199,8 @@ fn refuse_join(
     if !matches!(join, Join::Interpolate { .. }) {
         return None;
     }
-    let gives = input.from.and_then(|wire| Some((wire, inputs::output(wire, parsed_nodes)?.payload?)));
+    let wire = input.known_wires().next();
+    let gives = wire.and_then(|(wire, _)| Some((wire, inputs::output(wire, parsed_nodes)?.payload?)));
     let (name, payload) = match gives {
         Some((wire, payload)) => (wires::name(wire, parsed_nodes), payload),
         None => (input.port.name.to_owned(), input.port.payload),

@@ -11,7 +11,7 @@ pub(super) fn fault(parsed_node: &ParsedNode<'_>, inputs: &[Input]) -> Option<Fa
     if inputs.is_empty() && parsed_node.kind.is_some_and(|kind| !kind.description.inputs.is_empty()) {
         return None;
     }
-    let used: Vec<_> = inputs.iter().filter(|input| input.at.is_some() && !input.port.unused).collect();
+    let used: Vec<_> = inputs.iter().filter(|input| !input.wires.is_empty() && !input.port.unused).collect();
     let once = !used.is_empty() && used.iter().all(|input| input.port.join == Join::Once);
     if once || used.iter().any(|input| input.port.join.triggers()) {
         return None;

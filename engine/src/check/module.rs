@@ -147,7 +147,7 @@ fn fed_by<'a, 'd>(
         .iter()
         .zip(inputs)
         .flat_map(|(parsed_node, inputs)| inputs.iter().map(move |input| (parsed_node, input)));
-    all.filter(move |(_, input)| input.outside.as_deref() == Some(input_decl))
+    all.filter(move |(_, input)| input.wires.iter().any(|wire| wire.outside.as_deref() == Some(input_decl)))
 }
 
 /// The interface of the module being checked.

@@ -1,33 +1,54 @@
 use super::{context::Check, inputs::Input, parsed_nodes::ParsedNode, wires};
 use crate::fault::{Fault, Span};
+use osteoflow_node::Join;
 use petgraph::{algo::tarjan_scc, graph::DiGraph};
 use std::collections::{BTreeSet, VecDeque};
 
+/// The nodes in an order in which they can be run, and the cycles that inputs joined by `previous` close.
+pub(super) struct Order {
+    /// The parsed nodes in topological order, ties broken by the order of the file; wires that close a cycle do not count.
+    pub(super) nodes: Vec<usize>,
+    /// The nodes of each cycle.
+    pub(super) cycles: Vec<BTreeSet<usize>>,
+}
+
 impl Check<'_> {
-    /// The parsed nodes in topological order, ties broken by the order of the file; faults for cycles.
-    pub(super) fn order(&mut self, parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>]) -> Option<Vec<usize>> {
-        let mut graph = DiGraph::<(), ()>::new();
-        let nodes: Vec<_> = parsed_nodes.iter().map(|_| graph.add_node(())).collect();
-        for (to, inputs) in inputs.iter().enumerate() {
-            for (from, _) in inputs.iter().filter_map(|input| input.from) {
-                graph.add_edge(nodes[from], nodes[to], ());
-            }
-        }
-        let mut circles: Vec<BTreeSet<usize>> = Vec::new();
-        for component in tarjan_scc(&graph) {
-            let members: BTreeSet<_> = component.iter().map(|node| node.index()).collect();
-            if members.len() > 1 || component.iter().any(|&node| graph.contains_edge(node, node)) {
-                circles.push(members);
-            }
-        }
-        circles.sort();
+    /// The order of the parsed nodes; faults for cycles without an input joined by `previous`.
+    pub(super) fn order(&mut self, parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>]) -> Option<Order> {
+        let circles = cycles(inputs, |input| input.port.join != Join::Previous);
         self.faults.extend(circles.iter().filter_map(|members| cycle(members, parsed_nodes, inputs)));
-        circles.is_empty().then(|| sort(inputs))
+        let cycles = cycles(inputs, |_| true);
+        circles.is_empty().then(|| Order { nodes: sort(inputs, &cycles), cycles })
     }
 }
 
-fn sort(inputs: &[Vec<Input>]) -> Vec<usize> {
-    let producers = |node: usize| inputs[node].iter().filter_map(|input| input.from).map(|(from, _)| from);
+/// The strongly connected nodes over the inputs that count.
+fn cycles(inputs: &[Vec<Input>], counts: impl Fn(&Input) -> bool) -> Vec<BTreeSet<usize>> {
+    let mut graph = DiGraph::<(), ()>::new();
+    let nodes: Vec<_> = inputs.iter().map(|_| graph.add_node(())).collect();
+    for (to, inputs) in inputs.iter().enumerate() {
+        for from in inputs.iter().filter(|input| counts(input)).flat_map(Input::producers) {
+            graph.add_edge(nodes[from], nodes[to], ());
+        }
+    }
+    let mut cycles: Vec<BTreeSet<usize>> = Vec::new();
+    for component in tarjan_scc(&graph) {
+        let members: BTreeSet<_> = component.iter().map(|node| node.index()).collect();
+        if members.len() > 1 || component.iter().any(|&node| graph.contains_edge(node, node)) {
+            cycles.push(members);
+        }
+    }
+    cycles.sort();
+    cycles
+}
+
+fn sort(inputs: &[Vec<Input>], cycles: &[BTreeSet<usize>]) -> Vec<usize> {
+    let closes = |input: &Input, from: usize, to: usize| {
+        input.port.join == Join::Previous && cycles.iter().any(|cycle| cycle.contains(&from) && cycle.contains(&to))
+    };
+    let producers = |node: usize| {
+        inputs[node].iter().flat_map(move |input| input.producers().filter(move |from| !closes(input, *from, node)))
+    };
     let mut waits: Vec<usize> = (0..inputs.len()).map(|node| producers(node).count()).collect();
     let mut ready: BTreeSet<_> = (0..inputs.len()).filter(|&node| waits[node] == 0).collect();
     let mut order = Vec::new();
@@ -48,8 +69,10 @@ fn sort(inputs: &[Vec<Input>]) -> Vec<usize> {
 fn cycle(members: &BTreeSet<usize>, parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>]) -> Option<Fault> {
     let &start = members.first()?;
     let wire = |from: usize, to: usize| -> Option<(&Span, String)> {
-        let input = inputs[to].iter().find(|input| input.from.is_some_and(|(node, _)| node == from))?;
-        Some((input.at.as_ref()?, wires::name(input.from?, parsed_nodes)))
+        let mut wires =
+            inputs[to].iter().filter(|input| input.port.join != Join::Previous).flat_map(Input::known_wires);
+        let (wire, at) = wires.find(|((node, _), _)| *node == from)?;
+        Some((at, wires::name(wire, parsed_nodes)))
     };
     let mut before: Vec<Option<usize>> = vec![None; parsed_nodes.len()];
     let mut open = VecDeque::from([start]);
@@ -78,5 +101,7 @@ fn cycle(members: &BTreeSet<usize>, parsed_nodes: &[ParsedNode<'_>], inputs: &[V
         let (at, from) = wire(pair[0], pair[1])?;
         fault = fault.also(at, format!("\"{from}\""));
     }
-    Some(fault.help("a node can only take what was made before it; take one of these wires away"))
+    let help = "a node can only take what was made before it; take one of these wires away, or join an optional input by \
+                \"previous\", which brings the item of the firing before";
+    Some(fault.help(help))
 }

@@ -55,8 +55,7 @@ impl ProducerSearch<'_, '_> {
             if std::mem::replace(&mut behind[index], true) {
                 continue;
             }
-            let fed =
-                |inputs: &Vec<Input>| inputs.iter().any(|input| input.from.is_some_and(|(from, _)| from == index));
+            let fed = |inputs: &Vec<Input>| inputs.iter().any(|input| input.producers().any(|from| from == index));
             open.extend((0..self.parsed_nodes.len()).filter(|&other| fed(&self.inputs[other])));
         }
         behind

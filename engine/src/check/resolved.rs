@@ -74,8 +74,10 @@ fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed
         line(out, &format!("env = {}", list(parsed_node.env.iter().map(|(name, _)| quote(name)))));
     }
     for input in inputs {
-        if let Some(wire) = input.from {
-            line(out, &format!("in.{} = {}", input.port.name, wired(input, &wires::name(wire, parsed_nodes))));
+        let wires: Vec<_> = input.known_wires().map(|(wire, _)| quote(&wires::name(wire, parsed_nodes))).collect();
+        if let [first, others @ ..] = wires.as_slice() {
+            let from = if others.is_empty() { first.clone() } else { list(wires.iter().cloned()) };
+            line(out, &format!("in.{} = {}", input.port.name, wired(input, &from)));
         }
     }
     for (output, port) in parsed_node.outputs.iter().flatten().zip(parsed_node.declared.iter()) {
@@ -95,11 +97,15 @@ fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed
 }
 
 fn wired(input: &Input, from: &str) -> String {
-    let mut parts = vec![format!("from = {}", quote(from)), format!("join = \"{}\"", input.port.join.name())];
+    let mut parts = vec![format!("from = {from}"), format!("join = \"{}\"", input.port.join.name())];
     match input.port.join {
         Join::Stamp { tolerance_ns } => parts.push(format!("tolerance_ms = {}", milliseconds(tolerance_ns))),
         Join::Interpolate { max_gap_ns: Some(ns) } => parts.push(format!("max_gap_ms = {}", milliseconds(ns))),
         Join::Collect { n: Some(n) } => parts.push(format!("n = {n}")),
+        Join::CollectEvery { n, step } => parts.push(format!("n = {n}, step = {step}")),
+        Join::CollectSpan { span_ns, step_ns } => {
+            parts.push(format!("span_ms = {}, step_ms = {}", milliseconds(span_ns), milliseconds(step_ns)));
+        }
         _ => {}
     }
     parts.push(format!("capacity = {}", input.capacity));

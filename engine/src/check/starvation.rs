@@ -1,7 +1,11 @@
 //! Warnings of joins that never fire, or fire only once on a stream, as far as roles and descriptions prove it.
 
-use super::{inputs::Input, parsed_nodes::ParsedNode, wires};
-use crate::fault::Fault;
+use super::{
+    inputs::Input,
+    parsed_nodes::ParsedNode,
+    wires::{self, OutputIndex},
+};
+use crate::fault::{Fault, Span};
 use osteoflow_node::{Join, OutputPorts, Role};
 
 /// Number of items that an output gives.
@@ -36,6 +40,15 @@ pub(super) fn warnings(parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>], o
     faults
 }
 
+/// A wire to an input.
+#[derive(Clone, Copy)]
+struct Fed<'a> {
+    input: &'a Input,
+    wire: OutputIndex,
+    at: &'a Span,
+    flow: Flow,
+}
+
 struct Node<'a, 'd> {
     parsed_node: &'a ParsedNode<'d>,
     inputs: &'a [Input],
@@ -44,15 +57,17 @@ struct Node<'a, 'd> {
 }
 
 impl<'a> Node<'a, '_> {
-    /// The wired inputs that are in use, each with its flow.
-    fn wired(&self) -> impl Iterator<Item = (&'a Input, Flow)> {
+    /// The wires to inputs that are in use.
+    fn wired(&self) -> impl Iterator<Item = Fed<'a>> {
         let flows = self.flows;
         let used = self.inputs.iter().filter(|input| !input.port.unused);
-        used.filter_map(move |input| Some((input, flows[input.from?.0])))
+        used.flat_map(move |input| {
+            input.known_wires().map(move |(wire, at)| Fed { input, wire, at, flow: flows[wire.0] })
+        })
     }
 
-    fn triggers(&self) -> impl Iterator<Item = (&'a Input, Flow)> {
-        self.wired().filter(|(input, _)| input.port.join.triggers())
+    fn triggers(&self) -> impl Iterator<Item = Fed<'a>> {
+        self.wired().filter(|fed| fed.input.port.join.triggers())
     }
 
     fn flow(&self) -> Flow {
@@ -69,27 +84,23 @@ impl<'a> Node<'a, '_> {
             _ => return unknown,
         }
         // Inputs fed from outside a module, and faulty ones, may carry anything.
-        if self.inputs.iter().any(|input| input.at.is_some() && input.from.is_none()) {
+        if self.inputs.iter().flat_map(|input| &input.wires).any(|wire| wire.from.is_none()) {
             return unknown;
         }
         let fires: Vec<_> = self.triggers().collect();
         if fires.is_empty() {
-            return Flow { count: Count::One, timeless: self.wired().all(|(_, flow)| flow.timeless) };
+            return Flow { count: Count::One, timeless: self.wired().all(|fed| fed.flow.timeless) };
         }
         // An optional port that has ended is ignored, so only the other ports limit how often the node fires.
-        let bounds = |(input, flow): &(&Input, Flow)| match input.port.join {
-            Join::Collect { n: None } => true,
-            _ => flow.count == Count::One,
-        };
-        let one = fires.iter().any(|trigger| !trigger.0.port.optional && bounds(trigger)) || fires.iter().all(bounds);
-        let each_of_a_stream =
-            |(input, flow): &(&Input, Flow)| matches!(input.port.join, Join::Each) && flow.count == Count::Stream;
+        let bounds = |fed: &Fed<'_>| fed.input.port.join == Join::Collect { n: None } || fed.flow.count == Count::One;
+        let one = fires.iter().any(|fed| !fed.input.port.optional && bounds(fed)) || fires.iter().all(bounds);
+        let each_of_a_stream = |fed: &Fed<'_>| fed.input.port.join == Join::Each && fed.flow.count == Count::Stream;
         let count = match one {
             true => Count::One,
             false if fires.iter().all(each_of_a_stream) => Count::Stream,
             false => Count::Unknown,
         };
-        Flow { count, timeless: fires.iter().all(|(_, flow)| flow.timeless) }
+        Flow { count, timeless: fires.iter().all(|fed| fed.flow.timeless) }
     }
 
     fn has_one_output_of_its_own(&self) -> bool {
@@ -99,11 +110,10 @@ impl<'a> Node<'a, '_> {
 
     fn warnings(&self) -> Vec<Fault> {
         // Its stamps follow a clock, so they are not all 0.
-        let stream = self.triggers().find(|(_, flow)| flow.count == Count::Stream);
+        let stream = self.triggers().find(|fed| fed.flow.count == Count::Stream);
         let mut faults = Vec::new();
-        for (input, flow) in self.wired() {
-            let (Some(at), Some(from)) = (&input.at, input.from) else { continue };
-            let (wire, port) = (wires::name(from, self.parsed_nodes), input.port.name);
+        for Fed { input, wire, at, flow } in self.wired() {
+            let (wire, port) = (wires::name(wire, self.parsed_nodes), input.port.name);
             let warn = |what: String| Fault::new(format!("node \"{}\": {what}", self.parsed_node.name)).warning();
             let never = if input.port.optional { "it never has a value" } else { "the node never has a result" };
             faults.extend(match input.port.join {
@@ -113,21 +123,20 @@ impl<'a> Node<'a, '_> {
                         .note("a second item on an input that joins by once fails the run")
                         .help("write join = \"latest\" for the newest, or join = \"each\" to go in step"),
                 ),
-                Join::Collect { n: Some(n) } if n > 1 && flow.count == Count::One => Some(
-                    warn(format!("input \"{port}\" collects {n} items, but \"{wire}\" gives one"))
-                        .at(at, format!("{n} never come"))
-                        .note(format!("{never}: 1 of {n} items came before the end"))
-                        .help("write n = 1, or take n away to collect all until the end"),
-                ),
-                Join::Each if flow.count == Count::One && !input.port.optional => stream.map(|(other, _)| {
-                    let other_wire = other.from.map(|from| wires::name(from, self.parsed_nodes)).unwrap_or_default();
+                Join::Collect { n: Some(n) } | Join::CollectEvery { n, .. } if n > 1 && flow.count == Count::One => {
+                    Some(
+                        warn(format!("input \"{port}\" collects {n} items, but \"{wire}\" gives one"))
+                            .at(at, format!("{n} never come"))
+                            .note(format!("{never}: 1 of {n} items came before the end"))
+                            .help("write n = 1, or take n away to collect all until the end"),
+                    )
+                }
+                Join::Each if flow.count == Count::One && !input.port.optional => stream.map(|other| {
+                    let other_wire = wires::name(other.wire, self.parsed_nodes);
                     let fault =
                         warn(format!("fires once: input \"{port}\" takes each item of \"{wire}\", which gives one"));
                     let fault = fault.at(at, "one item");
-                    let fault = match &other.at {
-                        Some(at) => fault.also(at, "a stream, of which the rest has no partner"),
-                        None => fault,
-                    };
+                    let fault = fault.also(other.at, "a stream, of which the rest has no partner");
                     let note = format!(
                         "inputs that join by each go in step, so all but one of \"{other_wire}\" are left over"
                     );

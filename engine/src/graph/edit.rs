@@ -86,6 +86,16 @@ impl Edit {
         if let (Value::Text(_), "record.wires") = (&slot.value, name.as_str()) {
             slot.value = Value::Array(vec![slot.clone()]);
         }
+        let is_input = matches!(&self.steps[..], [_, _, Step::Key(key, _), _] if key == "in");
+        let slot = match &mut slot.value {
+            Value::Table(table) if is_input && table.get("from").is_some() => {
+                &mut table.get_mut("from").expect("it was there").value
+            }
+            _ => slot,
+        };
+        if let (Value::Text(_), true) = (&slot.value, is_input) {
+            slot.value = Value::Array(vec![slot.clone()]);
+        }
         let found = slot.found();
         let Value::Array(items) = &mut slot.value else { return Err(no_list(&name, &found, &self.key_at)) };
         // Faults of the list as a whole point at this setting.

@@ -143,10 +143,13 @@ pub(crate) static INPUT: Keys = LazyLock::new(|| {
         "tolerance_ms": { "type": "number", "minimum": 0, "description": "With stamp: the largest difference of stamps." },
         "max_gap_ms": { "type": "number", "minimum": 0, "description": "With interpolate: the longest gap between the neighbours." },
         "n": { "type": "integer", "minimum": 1, "description": "With collect: how many items; all until the end if not given." },
+        "step": { "type": "integer", "minimum": 1, "description": "With n: how many items from one window to the next. Default: n." },
+        "span_ms": { "type": "number", "exclusiveMinimum": 0, "description": "With collect: the length of a window in time." },
+        "step_ms": { "type": "number", "exclusiveMinimum": 0, "description": "With span_ms: the time from one window to the next. Default: span_ms." },
     }))
 });
 /// The joins that a graph may choose.
-pub(crate) const JOINS: [&str; 6] = ["each", "stamp", "collect", "latest", "interpolate", "once"];
+pub(crate) const JOINS: [&str; 7] = ["each", "stamp", "collect", "latest", "interpolate", "once", "previous"];
 
 /// The keys of a declared output that are no parameters.
 pub(crate) static OUTPUT: Keys = LazyLock::new(|| {

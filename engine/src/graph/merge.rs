@@ -5,7 +5,7 @@ use super::{
 
 /// Merges `over` into `base`, key by key; values other than tables replace.
 ///
-/// An input or a result given as a text is short for a table with that `from` and is merged as one: a variant that
+/// An input or a result given as a text, or an input as a list of texts, is short for a table with that `from` and is merged as one: a variant that
 /// names another producer keeps the join, and a variant that changes the capacity keeps the producer.
 pub(super) fn merge(base: &mut Table, over: Table) {
     merge_at(base, over, &mut Vec::new());
@@ -27,7 +27,7 @@ fn merge_at(base: &mut Table, over: Table, path: &mut Vec<String>) {
         if old_is_table != new_is_table && has_short_form(path) {
             let mut value = entry.value;
             let short = if old_is_table { &mut value } else { &mut old.value };
-            if let Value::Text(_) | Value::Outside(_) = short.value {
+            if let Value::Text(_) | Value::Outside(_) | Value::Array(_) = short.value {
                 short.lengthen("from");
             }
             merge_values(old, value, path);

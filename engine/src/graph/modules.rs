@@ -340,7 +340,7 @@ fn feed(
     let there = nodes.get(&format!("{prefix}{node}"));
     let there = there.and_then(|node| node.value.as_table()?.get("in")?.value.as_table()?.get(port));
     let wired = there.filter(|port| match &port.value.value {
-        Value::Text(_) => true,
+        Value::Text(_) | Value::Array(_) => true,
         Value::Table(table) => table.get("from").is_some(),
         _ => false,
     });
@@ -392,14 +392,18 @@ fn rename(nodes: &mut Table, prefix: &str) {
         let Value::Table(table) = &mut entry.value.value else { continue };
         let Some(Value::Table(inputs)) = table.get_mut("in").map(|entry| &mut entry.value.value) else { continue };
         for input in &mut inputs.0 {
-            match &mut input.value.value {
-                Value::Text(wire) => wire.insert_str(0, prefix),
-                Value::Table(table) => {
-                    if let Some(Value::Text(wire)) = table.get_mut("from").map(|from| &mut from.value.value) {
-                        wire.insert_str(0, prefix);
-                    }
+            let from = match &mut input.value.value {
+                Value::Table(table) => table.get_mut("from").map(|from| &mut from.value.value),
+                value => Some(value),
+            };
+            let wires = match from {
+                Some(Value::Array(wires)) => wires.iter_mut().map(|wire| &mut wire.value).collect(),
+                from => from.into_iter().collect::<Vec<_>>(),
+            };
+            for wire in wires {
+                if let Value::Text(wire) = wire {
+                    wire.insert_str(0, prefix);
                 }
-                _ => {}
             }
         }
     }

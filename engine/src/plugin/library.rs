@@ -300,6 +300,7 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindDescrip
             kind::LATEST => Join::Latest,
             kind::INTERPOLATE => Join::Interpolate { max_gap_ns: Some(input.join_ns).filter(|ns| *ns >= 0) },
             kind::ONCE => Join::Once,
+            kind::PREVIOUS => Join::Previous,
             unknown => return Err(code(&format!("the join of port \"{}\"", port.name), unknown)),
         };
         let (optional, unused) = (input.flags & kind::OPTIONAL != 0, input.flags & kind::UNUSED != 0);

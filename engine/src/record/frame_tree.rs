@@ -151,7 +151,7 @@ fn is_stream(plan: &Plan, wire: OutputId) -> bool {
 /// start of a fit, do not count.
 fn is_composed(plan: &Plan, node: &PlanNode, to: &str, from: &str) -> bool {
     let mut joined = Components::default();
-    for link in node.inputs.iter().filter_map(|input| Some(&plan.links[input.link?])) {
+    for link in node.inputs.iter().flat_map(|input| &input.links).map(|link| &plan.links[*link]) {
         let frames = &plan.nodes[link.from.node].outputs[link.from.port].frames;
         if let (Some(a), Some(b)) = (&frames.to, &frames.from)
             && ![(to, from), (from, to)].contains(&(a, b))

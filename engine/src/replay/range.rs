@@ -50,12 +50,23 @@ pub(super) fn play_what_does_not_change(
             n_items += stamps.len();
             let is_whole = stamps.len() == 1
                 || stamps.iter().all(|stamp_ns| *stamp_ns < start_ns)
-                || is_taken(plan, id, |join| matches!(join, Join::Once | Join::Collect { n: Some(_) }));
+                || is_taken(plan, id, |join| {
+                    matches!(join, Join::Once | Join::Collect { n: Some(_) } | Join::CollectEvery { .. })
+                });
             is_stream |= !is_whole;
         }
         if n_items > 0 && !is_stream {
             parts[index] = NodeMode::Played;
             unchanged.insert(node.name.clone());
+        }
+    }
+    // A cycle is played or computed as a whole.
+    let cycles = plan.cycles();
+    for index in 0..plan.nodes.len() {
+        let is_split = |other: &usize| cycles[*other] == cycles[index] && parts[*other] == NodeMode::Computed;
+        if unchanged.contains(&plan.nodes[index].name) && (0..plan.nodes.len()).any(|other| is_split(&other)) {
+            parts[index] = NodeMode::Computed;
+            unchanged.remove(&plan.nodes[index].name);
         }
     }
     Ok(unchanged)

@@ -48,12 +48,14 @@ pub(super) fn from(
     let mut computed = vec![false; plan.nodes.len()];
     computed[node] = true;
     plan.mark_downstream(&mut computed);
-    for index in (0..plan.nodes.len()).rev().filter(|index| *index != node) {
-        let needed = || plan.outputs(index).filter(|id| plan.consumers(*id).any(|link| computed[link.to_node]));
-        let Some(wire) = (!computed[index]).then(needed).and_then(|mut ids| ids.find(|id| !recorded.contains(id)))
-        else {
-            continue;
-        };
+    let is_missing = |computed: &[bool], index: usize| {
+        let needed = plan.outputs(index).filter(|id| plan.consumers(*id).any(|link| computed[link.to_node]));
+        (!computed[index]).then_some(needed)?.find(|id| !recorded.contains(id))
+    };
+    // Again from the end after each node: it may be fed by a later one, in a cycle.
+    while let Some((index, wire)) =
+        (0..plan.nodes.len()).rev().find_map(|index| Some((index, is_missing(&computed, index)?)))
+    {
         if plan.nodes[index].role != Role::Node && !runs(index) {
             return Err(wire);
         }

@@ -173,7 +173,7 @@ fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) 
         inputs.push(Input {
             port: input.port.name.into(),
             join: input.port.join.name().into(),
-            wire: input.link.map(|link| plan.wire_name(plan.links[link].from)),
+            wire: plan.wires_of(input),
             given,
             items: shown,
         });

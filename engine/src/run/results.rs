@@ -236,7 +236,8 @@ fn silent_wire(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
     let node = &plan.nodes[wire.node];
     if node.role == Role::Node {
         let fed = |input: &&crate::plan::PlanInput| !input.port.unused && !input.port.optional;
-        let from = node.inputs.iter().filter(fed).filter_map(|input| Some(plan.links[input.link?].from));
+        let links = node.inputs.iter().filter(fed).flat_map(|input| &input.links);
+        let from = links.map(|link| plan.links[*link].from);
         if let Some(from) = from.clone().find(|from| run.outputs[from.node][from.port].n_items == 0) {
             return silent_wire(plan, run, from);
         }

@@ -14,41 +14,65 @@ use crate::{
 use serde_json::json;
 use std::{collections::BTreeMap, sync::Arc};
 
-/// Keys of a plan's nodes, in order.
+/// Keys of a plan's nodes, in order. The key of a node in a cycle is decided by the whole cycle.
 pub(super) fn keys(plan: &Plan, files: &Stamps) -> Vec<Digest> {
-    let mut keys: Vec<Digest> = Vec::with_capacity(plan.nodes.len());
-    for node in &plan.nodes {
-        let mut key = Key::of("node")
-            .text("name", &node.name)
-            .text("kind", &node.kind)
-            .text("plugin", node.plugin.as_deref().unwrap_or_default())
-            .number("seed", plan.seed)
-            .json("params", &node.params)
-            .text("on_error", &format!("{:?}", node.on_error))
-            .text("place", &format!("{:?}", node.place));
-        for port in node.declared.iter() {
-            key = key.text("out", &port.name).text("type", port.payload.name).json("params", &port.params);
-        }
-        for output in &node.outputs {
-            key = key.text("frames", &format!("{} {:?}", output.name, output.frames));
-        }
-        for file in &node.files {
-            key = key.text("file", &file.to_string_lossy()).text("stamp", files.get(file).unwrap_or_default());
-        }
-        for input in &node.inputs {
-            key = key.text("in", input.port.name).text("join", &format!("{:?}", input.port.join));
-            if let Some(link) = input.link.map(|link| &plan.links[link]) {
-                let port = &plan.nodes[link.from.node].outputs[link.from.port].name;
-                key = key.digest("from", keys[link.from.node]).text("port", port);
-                if link.policy != Policy::Block {
-                    let policy = json!([link.policy.to_string(), link.capacity, link.max_bytes]);
-                    key = key.json("policy", &policy);
-                }
+    let cycles = plan.cycles();
+    let mut keys: Vec<Option<Digest>> = vec![None; plan.nodes.len()];
+    while keys.contains(&None) {
+        for first in 0..plan.nodes.len() {
+            let cycle: Vec<usize> = (0..plan.nodes.len()).filter(|node| cycles[*node] == first).collect();
+            let upstream = cycle.iter().flat_map(|node| plan.links_into(*node)).map(|link| link.from.node);
+            let is_known = upstream.filter(|from| cycles[*from] != first).all(|from| keys[from].is_some());
+            if !is_known || cycle.first().is_none_or(|node| keys[*node].is_some()) {
+                continue;
+            }
+            let of_nodes: Vec<_> = cycle.iter().map(|node| own_key(plan, *node, files, &keys)).collect();
+            let whole = of_nodes.iter().fold(Key::of("cycle"), |key, own| key.digest("node", *own)).done().digest();
+            for (node, own) in cycle.iter().zip(of_nodes) {
+                let in_cycle = || Key::of("node in a cycle").digest("node", own).digest("cycle", whole).done().digest();
+                keys[*node] = Some(if cycle.len() == 1 { own } else { in_cycle() });
             }
         }
-        keys.push(key.done().digest());
     }
-    keys
+    keys.into_iter().flatten().collect()
+}
+
+/// The key of a node by what is known of its upstream; a producer without a key is in the same cycle and goes by its name.
+fn own_key(plan: &Plan, index: usize, files: &Stamps, keys: &[Option<Digest>]) -> Digest {
+    let node = &plan.nodes[index];
+    let mut key = Key::of("node")
+        .text("name", &node.name)
+        .text("kind", &node.kind)
+        .text("plugin", node.plugin.as_deref().unwrap_or_default())
+        .number("seed", plan.seed)
+        .json("params", &node.params)
+        .text("on_error", &format!("{:?}", node.on_error))
+        .text("place", &format!("{:?}", node.place));
+    for port in node.declared.iter() {
+        key = key.text("out", &port.name).text("type", port.payload.name).json("params", &port.params);
+    }
+    for output in &node.outputs {
+        key = key.text("frames", &format!("{} {:?}", output.name, output.frames));
+    }
+    for file in &node.files {
+        key = key.text("file", &file.to_string_lossy()).text("stamp", files.get(file).unwrap_or_default());
+    }
+    for input in &node.inputs {
+        key = key.text("in", input.port.name).text("join", &format!("{:?}", input.port.join));
+        for link in input.links.iter().map(|link| &plan.links[*link]) {
+            let from = &plan.nodes[link.from.node];
+            key = match keys[link.from.node] {
+                Some(upstream) => key.digest("from", upstream),
+                None => key.text("within", &from.name),
+            };
+            key = key.text("port", &from.outputs[link.from.port].name);
+            if link.policy != Policy::Block {
+                let policy = json!([link.policy.to_string(), link.capacity, link.max_bytes]);
+                key = key.json("policy", &policy);
+            }
+        }
+    }
+    key.done().digest()
 }
 
 /// State of a key that several runs share.

@@ -40,28 +40,36 @@ pub(super) fn compare(
     first: &[Option<&FinishedNode>],
     second: &[Option<FinishedNode>],
 ) -> Vec<usize> {
-    let mut differs = vec![false; plan.nodes.len()];
-    let mut unsteady = Vec::new();
-    for (index, node) in plan.nodes.iter().enumerate() {
-        let upstream = node.inputs.iter().filter_map(|input| input.link.map(|link| plan.links[link].from.node));
-        if upstream.into_iter().any(|from| differs[from]) {
-            differs[index] = true;
-            continue;
-        }
-        let (Some(first), Some(second)) = (first[index], &second[index]) else {
-            differs[index] = true;
-            continue;
+    let cycles = plan.cycles();
+    let pairs = first.iter().zip(second);
+    // A node that did not end differs from the first item on.
+    let differs: Vec<Option<usize>> = pairs
+        .map(|(first, second)| first.zip(second.as_ref()).map_or(Some(0), |(a, b)| first_difference(a, b)))
+        .collect();
+    let is_unsteady = |index: &usize| {
+        let Some(item) = differs[*index] else { return false };
+        let upstream = plan.upstream(*index);
+        let comes_from = |other: usize| match differs[other] {
+            // In a cycle all nodes follow each other: the one that differs at the earliest item differs by itself.
+            Some(earlier) if cycles[other] == cycles[*index] => (earlier, other) < (item, *index),
+            differs => differs.is_some(),
         };
-        let items = |node: &FinishedNode| -> Vec<Vec<u8>> {
-            node.outputs.iter().flat_map(|wire| &wire.items).map(bytes).collect()
-        };
-        if items(first) != items(second) {
-            differs[index] = true;
-            let is_declared = registry.kind(&node.kind).is_some_and(|kind| kind.description.unsteady);
-            unsteady.extend((!is_declared).then_some(index));
-        }
-    }
-    unsteady
+        let is_declared = || registry.kind(&plan.nodes[*index].kind).is_some_and(|kind| kind.description.unsteady);
+        let ended = first[*index].is_some() && second[*index].is_some();
+        ended && !(0..plan.nodes.len()).any(|other| upstream[other] && comes_from(other)) && !is_declared()
+    };
+    (0..plan.nodes.len()).filter(is_unsteady).collect()
+}
+
+/// The number of the first item in which a node's outputs differ.
+fn first_difference(first: &FinishedNode, second: &FinishedNode) -> Option<usize> {
+    let outputs = first.outputs.iter().zip(&second.outputs);
+    let of_wires = outputs.filter_map(|(first, second)| {
+        let n_items = first.items.len().min(second.items.len());
+        let same = first.items.iter().zip(&second.items).take_while(|(a, b)| bytes(a) == bytes(b)).count();
+        (same < n_items || first.items.len() != second.items.len()).then_some(same)
+    });
+    of_wires.min()
 }
 
 fn bytes(item: &Item) -> Vec<u8> {

@@ -72,19 +72,31 @@ impl PlanBuilder {
         let mut plan_inputs = Vec::new();
         for (to_port, port) in description.inputs.iter().enumerate() {
             let mut port = port.clone();
-            let wired = inputs.iter().find(|(name, ..)| *name == port.name);
-            let link = wired.map(|(_, from, join)| {
+            let mut links = Vec::new();
+            for (_, from, join) in inputs.iter().filter(|(name, ..)| *name == port.name) {
                 port.join = join.unwrap_or(port.join);
                 let from = self.wire(from);
-                let link = self.plan.links.len();
-                self.plan.nodes[from.node].outputs[from.port].links.push(link);
+                links.push(self.plan.links.len());
+                self.plan.nodes[from.node].outputs[from.port].links.push(self.plan.links.len());
                 let policy = Policy::Block;
                 self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_bytes: 1 << 20, policy });
-                link
-            });
-            plan_inputs.push(PlanInput { port, link });
+            }
+            plan_inputs.push(PlanInput { port, links });
         }
         self.push(name, kind, params, Arc::from([]), outputs, plan_inputs);
+        self
+    }
+
+    /// Wires an input joined by `previous` to a node that is there by now, such as one downstream.
+    pub(crate) fn previous(mut self, input: &str, from: &str) -> Self {
+        let (node, port) = input.rsplit_once('.').unwrap();
+        let (from, to_node) = (self.wire(from), self.plan.node(node).unwrap());
+        let to_port = self.plan.nodes[to_node].inputs.iter().position(|input| input.port.name == port).unwrap();
+        let link = self.plan.links.len();
+        let input = &mut self.plan.nodes[to_node].inputs[to_port];
+        (input.port.join, input.links) = (Join::Previous, vec![link]);
+        self.plan.nodes[from.node].outputs[from.port].links.push(link);
+        self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_bytes: 1 << 20, policy: Policy::Block });
         self
     }
 
@@ -129,7 +141,7 @@ impl PlanBuilder {
         let (node, port) = to.split_once('.').unwrap();
         let node = self.plan.node(node).unwrap();
         let input = self.plan.nodes[node].inputs.iter().find(|i| i.port.name == port).unwrap();
-        change(&mut self.plan.links[input.link.unwrap()]);
+        change(&mut self.plan.links[input.links[0]]);
         self
     }
 

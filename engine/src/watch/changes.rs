@@ -1,7 +1,7 @@
 //! Differences between two plans of a graph that affect what its nodes compute.
 
 use super::{Memory, Stamps};
-use crate::plan::{Plan, PlanNode, Policy};
+use crate::plan::{Plan, PlanInput, PlanNode, Policy};
 use serde_json::Value as Json;
 use std::collections::BTreeSet;
 
@@ -104,22 +104,21 @@ fn format_value(value: &Json) -> String {
 }
 
 fn inputs(old: &Plan, before: &PlanNode, plan: &Plan, node: &PlanNode, why: &mut Vec<String>) {
-    let wire = |plan: &Plan, link: Option<usize>| link.map(|link| plan.wire_name(plan.links[link].from));
     for input in &node.inputs {
         let port = input.port.name;
         let Some(was) = before.inputs.iter().find(|input| input.port.name == port) else { continue };
-        let (from, now) = (wire(old, was.link), wire(plan, input.link));
+        let (from, now) = (old.wires_of(was), plan.wires_of(input));
         if from != now {
             let told = |wire: Option<String>| wire.unwrap_or_else(|| "unwired".into());
             why.push(format!("in.{port} {} -> {}", told(from), told(now)));
-        } else if was.port.join != input.port.join || policy(old, was.link) != policy(plan, input.link) {
+        } else if was.port.join != input.port.join || policies(old, was) != policies(plan, input) {
             why.push(format!("in.{port}"));
         }
     }
 }
 
-/// What a wire may drop; the capacity of a wire that blocks has no effect on items.
-fn policy(plan: &Plan, link: Option<usize>) -> Option<(Policy, usize, u64)> {
-    let link = &plan.links[link?];
-    (link.policy != Policy::Block).then_some((link.policy, link.capacity, link.max_bytes))
+/// What the wires may drop; the capacity of a wire that blocks has no effect on items.
+fn policies(plan: &Plan, input: &PlanInput) -> Vec<(Policy, usize, u64)> {
+    let links = input.links.iter().map(|link| &plan.links[*link]).filter(|link| link.policy != Policy::Block);
+    links.map(|link| (link.policy, link.capacity, link.max_bytes)).collect()
 }

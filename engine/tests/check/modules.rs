@@ -134,7 +134,7 @@ in   = { cloud = { from = "one/fit/crop.cloud", capacity = 9 }, target = "ct.tar
     assert_eq!(params(&plan, "one/fit/icp")["max_pair_distance_mm"], 3.0);
     let node = plan.nodes.iter().find(|node| &*node.name == "one/fit/icp").unwrap();
     assert_eq!(node.location.file, Path::new("tests/broken/modules/register.toml"));
-    let into = plan.nodes.iter().find(|node| &*node.name == "two/crop").unwrap().inputs[0].link.unwrap();
+    let into = plan.nodes.iter().find(|node| &*node.name == "two/crop").unwrap().inputs[0].links[0];
     assert_eq!(plan.links[into].capacity, 9, "a setting of a module's input applies to the ports that it feeds");
 }
 

@@ -136,6 +136,10 @@ fn join(join: &Join) -> String {
     match join {
         Join::Stamp { tolerance_ns } => format!("`stamp`, within {} ms", ms(*tolerance_ns)),
         Join::Collect { n: Some(n) } => format!("`collect`, {n} at a time"),
+        Join::CollectEvery { n, step } => format!("`collect`, {n} at a time, every {step}"),
+        Join::CollectSpan { span_ns, step_ns } => {
+            format!("`collect`, {} ms at a time, every {} ms", ms(*span_ns), ms(*step_ns))
+        }
         Join::Collect { n: None } => "`collect`, all".into(),
         Join::Interpolate { max_gap_ns: Some(gap) } => format!("`interpolate`, gaps up to {} ms", ms(*gap)),
         other => format!("`{}`", other.name()),

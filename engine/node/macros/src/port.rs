@@ -232,8 +232,9 @@ fn join_of(attr: &PortAttr, many: bool, field: &Field) -> Result<TokenStream> {
             None => quote!(Interpolate { max_gap_ns: ::core::option::Option::None }),
         },
         "once" => quote!(Once),
+        "previous" => quote!(Previous),
         _ => {
-            let known = "a port joins by each, stamp, collect, latest, interpolate or once";
+            let known = "a port joins by each, stamp, collect, latest, interpolate, once or previous";
             return Err(Error::new_spanned(&attr.join, known));
         }
     };

@@ -124,6 +124,10 @@ fn input_of(port: &InputPort) -> abi::Input {
         Join::Latest => (kind::LATEST, 0, 0),
         Join::Interpolate { max_gap_ns } => (kind::INTERPOLATE, 0, max_gap_ns.unwrap_or(-1)),
         Join::Once => (kind::ONCE, 0, 0),
+        Join::Previous => (kind::PREVIOUS, 0, 0),
+        // A kind declares no windows: `#[port]` has no such keys.
+        Join::CollectEvery { n, .. } => (kind::COLLECT, n, 0),
+        Join::CollectSpan { .. } => (kind::COLLECT, 0, 0),
     };
     let [frame, to, from] = frames_of(&port.frames);
     let flag = |is: bool, flag: u32| if is { flag } else { 0 };

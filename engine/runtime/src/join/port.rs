@@ -15,6 +15,8 @@ pub(crate) struct PortSpec {
     pub unused: bool,
     /// The wire that feeds it, `node.port`, if one does.
     pub wire: Option<String>,
+    /// Whether it is a further wire of the port before it: its items go behind those of that wire.
+    pub continues: bool,
 }
 
 /// Role of a port in its node's joins.
@@ -24,6 +26,7 @@ enum Role {
     Stamp,
     Sampler,
     Once,
+    Previous,
     /// Not wired, or drained.
     Nothing,
 }
@@ -42,8 +45,16 @@ pub(crate) struct Port {
     pub(crate) ended: bool,
     pub(crate) n_received: u64,
     pub(crate) unmatched: u64,
+    /// Windows: number of waiting items that were part of an earlier window; they are the first.
+    n_seen: usize,
+    /// Windows of items: number of items to come that lie between two windows.
+    n_between: usize,
+    /// Windows in time: the begin of the next.
+    begin_ns: Option<StampNs>,
     /// Buffer reused for the next collection.
     spare: Vec<Item>,
+    /// Whether several wires feed the node's port.
+    pub(crate) is_one_of_several: bool,
     /// Why a port never brings a value, if it does not.
     nothing: Option<Arc<Empty>>,
 }
@@ -74,10 +85,11 @@ impl Port {
     pub(crate) fn new(node: &str, spec: PortSpec) -> Self {
         let role = match spec.join {
             _ if spec.wire.is_none() || spec.unused => Role::Nothing,
-            Join::Each | Join::Collect { .. } => Role::Step,
+            Join::Each | Join::Collect { .. } | Join::CollectEvery { .. } | Join::CollectSpan { .. } => Role::Step,
             Join::Stamp { .. } => Role::Stamp,
             Join::Latest | Join::Interpolate { .. } => Role::Sampler,
             Join::Once => Role::Once,
+            Join::Previous => Role::Previous,
         };
         let ended = spec.wire.is_none();
         let queue = VecDeque::new();
@@ -89,7 +101,22 @@ impl Port {
         };
         let nothing = reason.filter(|_| role == Role::Nothing);
         let nothing = nothing.map(|reason| Arc::new(Empty { node: node.into(), reason: reason.into() }));
-        Self { spec, role, queue, kept: None, progress, ended, n_received: 0, unmatched: 0, spare: Vec::new(), nothing }
+        Self {
+            spec,
+            role,
+            queue,
+            kept: None,
+            progress,
+            ended,
+            n_received: 0,
+            unmatched: 0,
+            n_seen: 0,
+            n_between: 0,
+            begin_ns: None,
+            is_one_of_several: false,
+            spare: Vec::new(),
+            nothing,
+        }
     }
 
     fn wired(&self) -> bool {
@@ -134,6 +161,10 @@ impl Port {
         self.role == Role::Once
     }
 
+    pub(crate) fn is_previous(&self) -> bool {
+        self.role == Role::Previous
+    }
+
     pub(crate) fn tolerance_ns(&self) -> StampNs {
         tolerance_of(self.spec.join)
     }
@@ -144,9 +175,11 @@ impl Port {
             return true;
         }
         match self.spec.join {
-            Join::Each | Join::Latest | Join::Interpolate { .. } => self.queue.is_empty(),
+            Join::Each | Join::Latest | Join::Interpolate { .. } | Join::Previous => self.queue.is_empty(),
             Join::Stamp { .. } => self.queue.len() < 2,
             Join::Collect { n } => n.is_none_or(|n| self.queue.len() < n as usize),
+            Join::CollectEvery { n, .. } => self.queue.len() < n as usize,
+            Join::CollectSpan { .. } => self.n_in_window() == self.queue.len(),
             Join::Once => true,
         }
     }
@@ -166,46 +199,114 @@ impl Port {
             };
         }
         match node {
-            NodeEnd::Open if self.wired() => self.queue.push_back(item),
-            NodeEnd::Ended if self.is_trigger() => self.unmatched += 1,
+            _ if self.n_between > 0 => self.n_between -= 1,
+            NodeEnd::Open if self.wired() => {
+                self.queue.push_back(item);
+                self.settle_window();
+            }
+            NodeEnd::Ended if self.counts_unmatched() => self.unmatched += 1,
             _ => {}
         }
         Ok(())
     }
 
+    /// Whether items that remain had no partner; some between two windows in time would have been left out anyhow.
+    fn counts_unmatched(&self) -> bool {
+        let has_gaps = matches!(self.spec.join, Join::CollectSpan { span_ns, step_ns } if step_ns > span_ns);
+        self.is_trigger() && !has_gaps
+    }
+
     /// The node has ended: waiting items had no partner.
     pub(crate) fn leave_unmatched(&mut self) {
-        if self.is_trigger() {
-            self.unmatched += self.queue.len() as u64;
+        if self.counts_unmatched() {
+            self.unmatched += (self.queue.len() - self.n_seen) as u64;
         }
         self.queue.clear();
+        self.n_seen = 0;
     }
 
     /// Stamp of the next item.
     pub(crate) fn head_stamp(&self) -> Option<StampNs> {
-        self.queue.front().map(|item| item.stamp_ns)
+        self.queue.get(self.n_seen).map(|item| item.stamp_ns)
     }
 
     /// Earliest stamp of the port's next item or collection; a collection may end with the items it has.
     pub(crate) fn bound(&self) -> StampNs {
-        let decisive = match self.spec.join {
-            Join::Collect { .. } => self.queue.back(),
-            _ => self.queue.front(),
+        let decisive = match self.spec.join.collects() {
+            true => self.n_in_window().checked_sub(1).filter(|last| *last >= self.n_seen),
+            false => Some(0),
         };
-        decisive.map_or(self.progress, |item| item.stamp_ns)
+        decisive.and_then(|at| self.queue.get(at)).map_or(self.progress, |item| item.stamp_ns)
+    }
+
+    /// Number of waiting items of the next collection.
+    fn n_in_window(&self) -> usize {
+        match (self.spec.join, self.begin_ns) {
+            (Join::CollectSpan { span_ns, .. }, Some(begin_ns)) => {
+                let end_ns = begin_ns.saturating_add(span_ns);
+                // At most the last item is behind the window.
+                self.queue.len() - usize::from(self.queue.back().is_some_and(|item| item.stamp_ns >= end_ns))
+            }
+            _ => self.queue.len(),
+        }
+    }
+
+    /// Windows in time: moves on to the first window with an item that was in none yet.
+    fn settle_window(&mut self) {
+        let Join::CollectSpan { span_ns, step_ns } = self.spec.join else { return };
+        while let Some(at) = self.head_stamp() {
+            let begin_ns = self.begin_ns.unwrap_or(at);
+            // Number of whole steps after which the window ends behind the item.
+            let late_ns = i128::from(at) - i128::from(begin_ns) - i128::from(span_ns);
+            let n_steps = if late_ns < 0 { 0 } else { late_ns / i128::from(step_ns) + 1 };
+            let begin_ns = i128::from(begin_ns) + n_steps * i128::from(step_ns);
+            let begin_ns = StampNs::try_from(begin_ns).unwrap_or(StampNs::MAX);
+            self.begin_ns = Some(begin_ns);
+            while self.queue.front().is_some_and(|item| item.stamp_ns < begin_ns) {
+                self.queue.pop_front();
+                self.n_seen = self.n_seen.saturating_sub(1);
+            }
+            if self.head_stamp() == Some(at) {
+                return;
+            }
+        }
+    }
+
+    /// Leaves the items of the collection that was taken, but for those of the next window.
+    fn pass_window(&mut self) {
+        let n_taken = self.n_in_window();
+        let n_passed = match self.spec.join {
+            Join::CollectEvery { n, step } if n_taken == n as usize => {
+                self.n_between = (step as usize).saturating_sub(n_taken);
+                n_taken.min(step as usize)
+            }
+            Join::CollectSpan { step_ns, .. } => {
+                self.begin_ns = self.begin_ns.map(|begin_ns| begin_ns.saturating_add(step_ns));
+                let begin_ns = self.begin_ns.unwrap_or(StampNs::MAX);
+                self.queue.iter().take(n_taken).take_while(|item| item.stamp_ns < begin_ns).count()
+            }
+            _ => n_taken,
+        };
+        self.queue.drain(..n_passed);
+        self.n_seen = n_taken - n_passed;
+        self.settle_window();
     }
 
     /// Whether `collect` is complete.
     fn collected(&self) -> bool {
         match self.spec.join {
-            Join::Collect { n: Some(n) } => self.queue.len() >= n as usize,
+            Join::Collect { n: Some(n) } | Join::CollectEvery { n, .. } => self.queue.len() >= n as usize,
+            Join::CollectSpan { span_ns, .. } => {
+                let passed = |begin_ns: StampNs| self.progress >= begin_ns.saturating_add(span_ns);
+                self.begin_ns.is_some_and(passed) || self.n_in_window() < self.queue.len()
+            }
             _ => false,
         }
     }
 
     /// Whether the port has nothing left for any further activation.
     pub(crate) fn finished(&self) -> bool {
-        self.ended && self.queue.is_empty()
+        self.ended && self.queue.len() <= self.n_seen
     }
 
     /// Whether no further item comes at or before `stamp_ns`, apart from the waiting ones.
@@ -218,11 +319,8 @@ impl Port {
         if self.finished() {
             return Ready::Ended;
         }
-        let complete = match self.spec.join {
-            Join::Collect { .. } => self.ended || self.collected(),
-            _ => true,
-        };
-        match complete && !self.queue.is_empty() {
+        let complete = !self.spec.join.collects() || self.ended || self.collected();
+        match complete && self.queue.len() > self.n_seen {
             true => Ready::At(self.bound()),
             false => Ready::Waiting,
         }
@@ -281,14 +379,22 @@ impl Port {
     /// triggers' stamp.
     pub(crate) fn trigger_gap(&self, anchor: Option<StampNs>) -> Option<Choice> {
         let choice = match (self.spec.join, self.queue.front()) {
-            (Join::Collect { n }, Some(_)) => {
-                let empty = self.queue.iter().find_map(empty_of).filter(|_| !self.spec.optional);
-                let n = n.map_or(0, |n| n as usize);
+            (join, Some(_)) if join.collects() => {
+                let n_in_window = self.n_in_window();
+                let empty = self.queue.iter().take(n_in_window).find_map(empty_of).filter(|_| !self.spec.optional);
+                let n = match join {
+                    Join::Collect { n } => n.map_or(0, |n| n as usize),
+                    Join::CollectEvery { n, .. } => n as usize,
+                    _ => 0,
+                };
                 match empty {
                     // An item may be missing because of an earlier failure.
                     Some(empty) => Choice::Empty(empty),
-                    None if self.queue.len() >= n => return None,
-                    None => Choice::Absent(format!("{} of {n} items came before the end", self.queue.len())),
+                    None if n_in_window >= n => return None,
+                    None => {
+                        let of = if self.is_one_of_several { format!(" of {}", self.wire()) } else { String::new() };
+                        Choice::Absent(format!("{n_in_window} of {n} items{of} came before the end"))
+                    }
                 }
             }
             (Join::Stamp { tolerance_ns }, head) => {
@@ -311,9 +417,15 @@ impl Port {
     /// What the trigger brings; consumes its items.
     pub(crate) fn take_trigger(&mut self, anchor: Option<StampNs>) -> Choice {
         let gap = self.trigger_gap(anchor);
-        if let Join::Collect { .. } = self.spec.join {
+        if self.spec.join.collects() {
             let mut items = std::mem::take(&mut self.spare);
-            items.extend(self.queue.drain(..));
+            match self.spec.join {
+                Join::Collect { .. } => items.extend(self.queue.drain(..)),
+                _ => {
+                    items.extend(self.queue.iter().take(self.n_in_window()).cloned());
+                    self.pass_window();
+                }
+            }
             return match gap {
                 Some(gap) => {
                     self.reuse(items);
@@ -328,6 +440,20 @@ impl Port {
                 let item = self.queue.pop_front();
                 gap.or(item.map(|item| Choice::Slot(Slot::Item(item)))).expect("a trigger without a gap has an item")
             }
+        }
+    }
+
+    /// Whether the item of the firing before is there, or will never be.
+    pub(crate) fn has_previous(&self) -> bool {
+        self.ended || !self.queue.is_empty()
+    }
+
+    /// What the wire carried for the firing before; `fired` tells whether there was one.
+    pub(crate) fn take_previous(&mut self, fired: bool) -> Choice {
+        match fired.then(|| self.queue.pop_front()).flatten() {
+            Some(item) => choice_of(item),
+            None if fired => Choice::Absent(self.nothing_left()),
+            None => Choice::Absent(format!("{} carries nothing before the first firing", self.wire())),
         }
     }
 

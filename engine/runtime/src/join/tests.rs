@@ -1,4 +1,6 @@
+mod previous;
 mod steps;
+mod windows;
 
 use super::*;
 use osteoflow_node::Value;
@@ -15,7 +17,7 @@ enum Offer {
 use Offer::{Empty as Lost, Value as V};
 
 fn plain(join: Join) -> PortSpec {
-    PortSpec { name: "port", join, optional: false, unused: false, wire: Some("from.wire".into()) }
+    PortSpec { name: "port", join, optional: false, unused: false, wire: Some("from.wire".into()), continues: false }
 }
 
 fn optional(join: Join) -> PortSpec {
@@ -364,6 +366,9 @@ fn join() -> impl Strategy<Value = Join> {
         2 => (0i64..4).prop_map(stamp),
         2 => Just(Join::Latest),
         2 => (1i64..9).prop_map(interpolate),
+        1 => Just(Join::Previous),
+        1 => (1u32..4, 1u32..5).prop_map(|(n, step)| Join::CollectEvery { n, step }),
+        1 => (1i64..9, 1i64..9).prop_map(|(span_ns, step_ns)| Join::CollectSpan { span_ns, step_ns }),
     ]
 }
 

@@ -107,8 +107,8 @@ struct Firing {
 
 /// A wired input.
 pub(crate) struct Input {
-    /// Index of the port in the node.
-    pub(crate) port: usize,
+    /// Index of its lane in the joins: of the port, or of one of several wires to a port.
+    pub(crate) lane: usize,
     pub(crate) recv: RecvEnd,
 }
 
@@ -236,9 +236,10 @@ impl Cell {
 
     fn step_node(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Option<Stepped> {
         // In lock step the node needs room only once all its items are there; blocking on room earlier would wake it
-        // for nothing.
-        let in_lock_step = self.core.node().1.in_lock_step;
-        if !in_lock_step && !self.has_room(run) {
+        // for nothing. In a cycle the room may be made by what the node itself takes.
+        let joiner = self.core.node().1;
+        let (in_lock_step, takes_previous) = (joiner.in_lock_step, joiner.takes_previous);
+        if !in_lock_step && !takes_previous && !self.has_room(run) {
             return Some(Stepped::Idle);
         }
         let pulled = self.pull(run);
@@ -246,7 +247,8 @@ impl Cell {
             self.end(run, turn);
             return None;
         }
-        if in_lock_step && !self.core.node().1.lacks_item() && !self.has_room(run) {
+        let may_fire = takes_previous || (in_lock_step && !self.core.node().1.lacks_item());
+        if may_fire && !self.has_room(run) {
             return Some(Stepped::Idle);
         }
         let (_, joiner) = self.core.node();
@@ -293,13 +295,13 @@ impl Cell {
     fn pull(&mut self, run: &Runtime<'_>) -> bool {
         let (Core::Node(_, joiner) | Core::Gone(Some(joiner))) = &mut self.core else { return false };
         let mut pulled = false;
-        for Input { port, recv } in &mut self.inputs {
+        for Input { lane, recv } in &mut self.inputs {
             let state = &run.links[recv.link];
-            while !recv.ended && joiner.wants(*port) {
+            while !recv.ended && joiner.wants(*lane) {
                 match recv.receive(state) {
                     Received::Item(item) => {
                         self.has_taken = true;
-                        if let Err(second) = joiner.offer(*port, item) {
+                        if let Err(second) = joiner.offer(*lane, item) {
                             let wire = run.plan.wire_name(run.plan.links[recv.link].from);
                             let reason = format!(
                                 "input \"{}\" takes one item for the whole run, but {wire} gives a second one; \
@@ -315,11 +317,11 @@ impl Cell {
                     }
                     Received::Nothing(progress) => {
                         // A sampler may need more items once the triggers have advanced.
-                        pulled |= joiner.progress(*port, progress);
+                        pulled |= joiner.progress(*lane, progress);
                         break;
                     }
                     Received::Ended => {
-                        joiner.end(*port);
+                        joiner.end(*lane);
                         pulled = true;
                     }
                 }
@@ -613,19 +615,18 @@ impl Cell {
         (self.name, built)
     }
 
-    pub(crate) fn unmatched(&self, port: usize) -> u64 {
+    pub(crate) fn unmatched(&self, lane: usize) -> u64 {
         match &self.core {
-            Core::Node(_, joiner) | Core::Gone(Some(joiner)) => joiner.unmatched(port),
+            Core::Node(_, joiner) | Core::Gone(Some(joiner)) => joiner.unmatched(lane),
             _ => 0,
         }
     }
 
     /// Warnings about items that had no partner.
     pub(crate) fn unmatched_warning(&self, plan: &Plan) -> Vec<(usize, Warning)> {
-        let ports = plan.nodes[self.index].inputs.iter().enumerate();
-        let unmatched = ports.filter_map(|(port, input)| {
-            let (n, wire) = (self.unmatched(port), plan.links[input.link?].from);
-            let (name, wire) = (input.port.name, plan.wire_name(wire));
+        let unmatched = self.inputs.iter().filter_map(|Input { lane, recv }| {
+            let (n, link) = (self.unmatched(*lane), &plan.links[recv.link]);
+            let (name, wire) = (plan.nodes[self.index].inputs[link.to_port].port.name, plan.wire_name(link.from));
             let items = if n == 1 { "item" } else { "items" };
             (n > 0).then(|| format!("input \"{name}\": {n} {items} of {wire} found no partner to fire with"))
         });

@@ -76,6 +76,7 @@ mod shapes;
 pub mod slide;
 pub mod still_average;
 pub mod target;
+pub mod track;
 pub mod trust;
 mod union_find;
 

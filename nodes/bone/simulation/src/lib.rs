@@ -43,11 +43,11 @@ pub use ct::{CtParams, ct_surface};
 pub use error::SimulationError;
 pub use params::{
     CameraParams, CheckParams, ImageMark, ImageParams, LaserDisc, LaserParams, MotionParams, PeriosteumParams,
-    PhantomParams, ProcedureParams, RulerParams, SlipsBefore, StylusParams, TissueParams, TrackerParams,
+    PhantomParams, ProcedureParams, RulerParams, SlipsBefore, StreamParams, StylusParams, TissueParams, TrackerParams,
 };
 pub use phantom::t_camera_camera_marker_nominal;
 pub use plan::plan;
-pub use procedure::{Procedure, Truth};
+pub use procedure::{Procedure, ScanStream, Truth};
 pub use ranges::without_table_defaults;
 pub use subject::Subject;
 

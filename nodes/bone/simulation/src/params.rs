@@ -564,6 +564,28 @@ pub struct MotionParams {
     pub knock_deg: f64,
 }
 
+/// Scans of the bone during its last motion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct StreamParams {
+    /// Scans per second. 5 Hz: assumed, a structured-light camera that projects a dozen patterns for each cloud.
+    #[schemars(range(min = 0.1, max = 100.0))]
+    pub rate_hz: f64,
+    /// Number of scans. 40: a second of rest, six of motion and one of rest.
+    #[schemars(range(min = 1, max = 10_000))]
+    pub n_scans: u32,
+    /// Duration of the motion by `motion.bone_mm` and `motion.bone_deg`. 6 s: assumed, a leg that is repositioned under the
+    /// camera; at most 3.75 mm from scan to scan at 5 Hz and 60 mm.
+    #[schemars(range(min = 0.1, max = 600.0))]
+    pub motion_s: f64,
+}
+
+impl Default for StreamParams {
+    fn default() -> Self {
+        Self { rate_hz: 5.0, n_scans: 40, motion_s: 6.0 }
+    }
+}
+
 /// The time at which the bone's marker slips.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

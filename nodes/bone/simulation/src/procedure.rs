@@ -50,6 +50,17 @@ pub struct Procedure {
     pub truth: Truth,
 }
 
+/// Scans of a bone that moves, from a second before its last motion on.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ScanStream {
+    /// The clouds, frame `camera`.
+    pub scans: Vec<Cloud>,
+    /// `t_world_camera_marker`, from before the first scan to after the last.
+    pub camera_marker: Vec<Pose>,
+    /// The true pose `t_ct_world` at each scan, for scoring only.
+    pub t_ct_world: Vec<Pose>,
+}
+
 /// The true poses and points, never an input of a registration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {

@@ -6,6 +6,7 @@ mod places;
 mod ruler;
 mod scans;
 mod setup;
+mod stream;
 mod touches;
 mod truth;
 mod written;

@@ -1,7 +1,7 @@
 //! Simulates a whole procedure.
 
 use crate::scene::Scene;
-use crate::{Procedure, ProcedureParams, SimulationError, Subject, phantom};
+use crate::{Procedure, ProcedureParams, ScanStream, SimulationError, StreamParams, Subject, phantom, ranges};
 
 impl Procedure {
     /// A procedure on the built-in bone. The same parameters and seed give the same bits on any number of threads.
@@ -22,5 +22,20 @@ impl Procedure {
     pub fn simulate_for(subject: &Subject, params: &ProcedureParams, seed: u64) -> Result<Self, SimulationError> {
         params.check()?;
         Scene::new(&subject.surface, &subject.plan, &phantom::mesh(), params, seed)?.run()
+    }
+
+    /// Scans of the moving bone in the procedure of the same subject, parameters and seed.
+    ///
+    /// # Errors
+    /// As [`Procedure::simulate_for`].
+    pub fn stream_for(
+        subject: &Subject,
+        params: &ProcedureParams,
+        stream: &StreamParams,
+        seed: u64,
+    ) -> Result<ScanStream, SimulationError> {
+        params.check()?;
+        ranges::check("stream", stream)?;
+        Scene::new(&subject.surface, &subject.plan, &phantom::mesh(), params, seed)?.stream(stream)
     }
 }

@@ -13,7 +13,7 @@ pub(crate) fn as_json(plan: &Plan, registry: &Registry) -> Value {
 fn node_json(plan: &Plan, registry: &Registry, node: &PlanNode) -> Value {
     let description = registry.kind(&node.kind).map(|kind| &kind.description);
     let inputs = node.inputs.iter().map(|input| {
-        let from = input.link.map(|link| plan.wire_name(plan.links[link].from));
+        let from = plan.wires_of(input);
         json!({ "name": input.port.name, "from": from, "doc": input.port.doc })
     });
     let outputs = node.outputs.iter().map(|output| json!({ "name": output.name, "payload": output.payload.name() }));

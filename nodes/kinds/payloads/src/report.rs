@@ -51,6 +51,7 @@ reports! {
     "Ruled" = osteoflow_algorithms::landmarks::RuledReport;
     "Slide" = osteoflow_algorithms::slide::SlideReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
+    "Track" = osteoflow_algorithms::track::TrackReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
     "VerdictScore" = osteoflow_algorithms::trust::VerdictScore;
     "Verdict" = osteoflow_algorithms::trust::Verdict;

@@ -14,6 +14,7 @@ mod playback;
 pub mod points;
 mod procedure_ports;
 pub mod simulated;
+pub mod simulated_stream;
 mod topics;
 
 pub use procedure_ports::{ProcedureOut, ProcedurePorts};

@@ -24,6 +24,7 @@ pub mod plane;
 pub mod refine;
 pub mod send;
 pub mod surface;
+pub mod track;
 pub mod transform;
 pub mod verdict;
 
@@ -49,6 +50,7 @@ pub fn registry() -> Registry {
         .source::<NetworkSource<acquire::openigtlink::OpenIgtLink>>()
         .source::<Once<acquire::points::PointsFile>>()
         .source::<acquire::simulated::Simulated>()
+        .source::<acquire::simulated_stream::SimulatedStream>()
         .source::<Once<plan::file::File>>()
         .source::<Once<plan::simulated::Simulated>>()
         .node::<plan::landmarks::Landmarks>()
@@ -92,6 +94,7 @@ pub fn registry() -> Registry {
         .function::<icp::generalized::Generalized>()
         .function::<icp::point_to_mesh::PointToMesh>()
         .function::<icp::published::Published>()
+        .node::<track::last_pose::LastPose>()
         .function::<plane::last::Last>()
         .function::<refine::slide::Slide>()
         .function::<plane::to_world::ToWorld>()

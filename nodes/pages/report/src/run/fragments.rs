@@ -43,7 +43,7 @@ pub(crate) fn wires(plan: &Plan) -> Option<Vec<String>> {
     let wanted = ["planes", "bone", "t_ct_world", "t_ct_world_true"];
     let wire = |name: &str| {
         let input = node.inputs.iter().find(|input| input.port.name == name)?;
-        Some(plan.wire_name(plan.links[input.link?].from))
+        plan.wires_of(input)
     };
     wanted.into_iter().map(wire).collect()
 }
