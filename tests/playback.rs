@@ -233,14 +233,14 @@ fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trust
     ends_well(&folder, &["run", "g.toml", "--out", "r"]);
     ends_well(&folder, &["run", "g.toml", "--out", "without", "--set", "record.plugins=false"]);
     let said = ends_well(&folder, &["info", "r/run.mcap"]);
-    assert!(said.contains("st.py") && said.contains("--trust-recorded-plugins"), "{said}");
+    assert!(said.contains("st.py") && said.contains("--allow-plugins"), "{said}");
     ends_well(&folder, &["validate", "r/run.mcap"]);
     for file in ["st.py", "helper.py"] {
         fs::remove_file(folder.path(file)).unwrap();
     }
     let (code, text) = command(&folder, &["replay", "r"]);
-    assert!(code == Some(2) && text.contains("add --trust-recorded-plugins"), "{code:?} {text}");
-    let text = ends_well(&folder, &["replay", "r", "--trust-recorded-plugins"]);
+    assert!(code == Some(2) && text.contains("add --allow-plugins"), "{code:?} {text}");
+    let text = ends_well(&folder, &["replay", "r", "--allow-plugins"]);
     assert!(text.contains("0 differ, results equal"), "{text}");
     // Another file at its place is not run instead.
     folder.write("st.py", "raise SystemExit(3)\n");
@@ -249,7 +249,7 @@ fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trust
         code == Some(2) && text.contains("not that of the recorded run") && text.contains("--trust-recorded"),
         "{text}"
     );
-    ends_well(&folder, &["replay", "r", "--trust-recorded-plugins"]);
+    ends_well(&folder, &["replay", "r", "--allow-plugins"]);
     // A module that only a firing imports is carried, too, and named where it has changed.
     let lazy = NODE.replace("import helper\n", "").replace("    return R", "    import helper\n    return R");
     folder.write("st.py", &lazy);
@@ -260,9 +260,9 @@ fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trust
     assert!(code == Some(4) && text.contains("helper.py) differs"), "{code:?} {text}");
     fs::remove_file(folder.path("helper.py")).unwrap();
     ends_well(&folder, &["validate", "lazy/run.mcap"]);
-    let text = ends_well(&folder, &["replay", "lazy", "--trust-recorded-plugins"]);
+    let text = ends_well(&folder, &["replay", "lazy", "--allow-plugins"]);
     assert!(text.contains("0 differ, results equal"), "{text}");
-    let (code, text) = command(&folder, &["replay", "without", "--trust-recorded-plugins"]);
+    let (code, text) = command(&folder, &["replay", "without", "--allow-plugins"]);
     assert!(code == Some(2) && text.contains("carries the text of no plugin"), "{code:?} {text}");
     assert!(!String::from_utf8_lossy(&fs::read(folder.path("without/run.mcap")).unwrap()).contains("helper.SCALE"));
     // Recovered with the rest; a changed text is found.
@@ -270,7 +270,7 @@ fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trust
     fs::write(folder.path("cut.mcap"), &bytes[..bytes.len() - 40]).unwrap();
     let recovered = command(&folder, &["recover", "cut.mcap", "saved.mcap"]);
     assert!(folder.path("saved.mcap").exists(), "{recovered:?}");
-    let (code, text) = command(&folder, &["replay", "saved.mcap", "--trust-recorded-plugins"]);
+    let (code, text) = command(&folder, &["replay", "saved.mcap", "--allow-plugins"]);
     assert_eq!(code, Some(0), "{text}");
     let at = bytes.windows(11).position(|window| window == b"SCALE = 1.5").unwrap();
     let mut changed = bytes.clone();
@@ -278,7 +278,7 @@ fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trust
     fs::write(folder.path("changed.mcap"), &changed).unwrap();
     let (code, text) = command(&folder, &["validate", "changed.mcap"]);
     assert!(code == Some(1) && text.contains("has another SHA-256"), "{code:?} {text}");
-    let (code, text) = command(&folder, &["replay", "changed.mcap", "--trust-recorded-plugins"]);
+    let (code, text) = command(&folder, &["replay", "changed.mcap", "--allow-plugins"]);
     assert!(code == Some(1) && text.contains("has another SHA-256"), "{code:?} {text}");
 }
 

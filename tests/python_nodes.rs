@@ -167,7 +167,11 @@ fn the_page_leads_from_a_node_to_a_report_and_to_somebody_else() {
     assert_eq!(n_lines, 8);
     assert!(at.join("row3/run.mcap").is_file() && at.join("S/report.html").is_file());
     let page = fs::read_to_string(at.join("S/report.html")).unwrap();
-    assert!(page.contains("chen1992") && page.contains("Registers a scan onto") && !page.contains(folder.0.path().to_str().unwrap()));
+    assert!(
+        page.contains("chen1992")
+            && page.contains("Registers a scan onto")
+            && !page.contains(folder.0.path().to_str().unwrap())
+    );
 }
 
 #[test]

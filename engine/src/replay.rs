@@ -51,7 +51,7 @@ pub struct ReplayOptions {
     /// Wires that are played under another name than that of the recording.
     pub maps: Vec<Mapping>,
     /// Whether plugins are run from the text that the recording carries.
-    pub trusts_recorded_plugins: bool,
+    pub allows_plugins: bool,
     /// Reads recordings of other programs; `None` if this program reads none.
     pub reader: Option<TopicReader>,
     /// Seconds of the recording per second; `None`: as fast as possible. The result does not depend on it.
@@ -252,10 +252,10 @@ pub fn replay(
     let kinds = kinds.over(recording.registry(kinds.registry())).with_moved(&recording.plugins);
     let (plugins, texts) = (&recording.plugins, &recording.plugin_texts);
     // Holds the files for as long as the run.
-    let (kinds, _folder) = match changes.trusts_recorded_plugins {
+    let (kinds, _folder) = match changes.allows_plugins {
         true if plugin::carried(plugins, texts).next().is_none() => {
             let message =
-                "--trust-recorded-plugins: the recording carries the text of no plugin; name the file: --plugin FILE";
+                "--allow-plugins: the recording carries the text of no plugin; name the file: --plugin FILE";
             return Err(ReplayError::Unfit(message.into()));
         }
         true => {

@@ -69,7 +69,7 @@ pub(crate) struct Replay {
 
     /// Run plugins in Python from the text that the recording carries. It is code of whoever wrote the file, with your rights.
     #[arg(long, conflicts_with = "no_plugins")]
-    trust_recorded_plugins: bool,
+    allow_plugins: bool,
 
     #[command(flatten)]
     plugins: Plugins,
@@ -106,7 +106,7 @@ impl Replay {
             sets: self.sets.clone(),
             graph: self.graph.clone(),
             maps: self.maps.clone(),
-            trusts_recorded_plugins: self.trust_recorded_plugins,
+            allows_plugins: self.allow_plugins,
             reader: Some(TopicReader { kind: Mcap::KIND.into(), reads: mcap::reads }),
             rate: self.rate.0,
             start: self.start,

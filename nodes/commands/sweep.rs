@@ -151,7 +151,7 @@ fn run_alone(
     progress.end();
     let exit = run_end::print_end(&report, &dir, global)?;
     let (Some(stored), Some(sweep)) = (&one.stored, &request.graph) else { return Ok(exit) };
-    let is_equal = stored.results == report.results;
+    let is_equal = stored.gave(&report.results);
     if !is_equal && exit != Exit::Interrupted {
         let word = global.paint_err("warning", "1;33");
         let (number, sweep) = (one.row.run, sweep.display());

@@ -490,7 +490,7 @@ impl Known {
     /// Adds to the refusal of a plugin that the recording carries its text.
     fn name_carried(&mut self, finder: &Finder) {
         for refused in self.refused.iter_mut().filter(|refused| finder.carried.contains(&refused.path)) {
-            let help = "the recording carries its text; if you trust it, add --trust-recorded-plugins to run that";
+            let help = "the recording carries its text; if you trust it, add --allow-plugins to run that";
             refused.help = Some(refused.help.take().map_or_else(|| help.into(), |other| format!("{other}; {help}")));
         }
     }

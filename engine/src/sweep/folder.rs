@@ -7,7 +7,7 @@ use super::{
     Unsteady,
     design::SweepRow,
     table::{write_points, write_runs, write_times},
-    times::RunTimes,
+    times::{OF_TIMES, RunTimes},
 };
 use crate::{
     check::sweep::{Factor, Level, Spec},
@@ -195,6 +195,15 @@ impl Done {
     /// Whether all results are available.
     pub fn is_complete(&self) -> bool {
         self.status == "complete"
+    }
+
+    /// Whether these results of a repeated run are the stored ones, but for times that columns asked for.
+    pub fn gave(&self, results: &Json) -> bool {
+        let mut stored = self.results.clone();
+        if let Some(stored) = stored.as_object_mut() {
+            stored.retain(|key, _| !OF_TIMES.contains(&key.as_str()) || results.get(key).is_some());
+        }
+        stored == *results
     }
 
     /// Answer of the verdict on the results; `None` if nothing judged them.

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value as Json, json};
 use std::{sync::Arc, time::Duration};
 
+/// The keys of times in the results.
+pub(super) const OF_TIMES: [&str; 2] = ["nodes", "run"];
+
 /// Times of a run and of its nodes, in milliseconds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunTimes {

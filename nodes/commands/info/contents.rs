@@ -302,7 +302,7 @@ fn carried_plugins(read: &Recording) -> Option<String> {
     let names: Vec<_> = files.filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned())).collect();
     Some(format!(
         "it carries the text of {} with their modules, {} files in all, which osteoflow replay runs with \
-         --trust-recorded-plugins only",
+         --allow-plugins only",
         names.join(", "),
         texts.len() + n_late
     ))
