@@ -34,7 +34,7 @@ Examples:
 
 Exit codes: 0 equal, 4 differs; 3 if the run is refused again, for the same reason.")]
 pub(crate) struct Replay {
-    /// A run's folder or its run.mcap, or a file of `osteoflow record`.
+    /// A run's folder or its run.mcap, or a file of `osteoflow record`; with --graph also an MCAP of ROS 2 or Foxglove.
     #[arg(value_name = "RUN")]
     file: PathBuf,
 
