@@ -11,7 +11,7 @@ use super::{
     twice,
 };
 use crate::{check as graph_check, fault::Faults, graph, hash::files::hashes, plugin::Kinds, watch::Stamps};
-use serde_json::Value as Json;
+use serde_json::{Value as Json, json};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
@@ -101,7 +101,10 @@ impl Study {
                     let what = "its runs are those of a table [sweep], with which `osteoflow sweep` goes on".into();
                     return Err(FolderError::Other { path, what });
                 }
-                if let Some(what) = difference(&about, &base.plan.resolved, &folder)? {
+                // What was asked for so far is no part of the study.
+                let mut begun = folder.clone();
+                begun.about["sweep"] = json!(folder.spec()?.without_factors());
+                if let Some(what) = difference(&about, &base.plan.resolved, &begun)? {
                     return Err(FolderError::Other { path, what });
                 }
                 folder
@@ -286,7 +289,7 @@ impl Study {
         }
         let mut about = self.folder.about.clone();
         let spec = Spec { factors, repeat: n_repeats, ..self.spec.clone() };
-        (about["n_runs"], about["sweep"]) = (done.len().into(), serde_json::json!(spec));
+        (about["n_runs"], about["sweep"]) = (done.len().into(), json!(spec));
         self.folder.describe(about)
     }
 }
