@@ -129,7 +129,7 @@ impl Study {
         &self.folder
     }
 
-    /// Path to the value of each column, by name.
+    /// What is drawn for each repeat, and taken out of each run.
     pub fn spec(&self) -> &Spec {
         &self.spec
     }
@@ -155,7 +155,7 @@ impl Study {
                 (Some(number), _) => *number,
                 (None, known) => {
                     let number = known.copied().or_else(|| free.next()).unwrap_or_default();
-                    rows.push(self.row(number, ask)?);
+                    rows.push(self.row(number, &key)?);
                     asked_now.insert(key, number);
                     number
                 }
@@ -229,7 +229,7 @@ impl Study {
         if swept?.n_missing > 0 { Err(StudyError::Interrupted) } else { Ok(()) }
     }
 
-    /// The row of an ask.
+    /// The row of an ask, whose settings are sorted, so that their order changes nothing.
     fn row(&self, number: usize, ask: &Ask) -> Result<SweepRow, StudyError> {
         let draws: Vec<_> = self
             .spec
