@@ -252,6 +252,9 @@ fn inputs_travel_with_a_sweep_or_are_found_by_their_contents() {
     places.ends_well("here", &["sweep", "g.toml", "--out", "s"]);
     places.ends_well("here", &["export", "s", "../s.zip"]);
     places.ends_well("here", &["export", "s", "../bare.zip", "--no-data"]);
+    places.ends_well("here", &["sweep", "g.toml", "--shard", "1/2", "--out", "part"]);
+    let (code, text) = places.says("here", &["export", "part", "../part.zip"]);
+    assert!(code == 2 && text.contains("part is part 1/2 of a sweep") && text.contains("--merge"), "{text}");
     places.ends_well("here", &["run", "g.toml", "--out", "r"]);
     places.unpacked("bare.zip");
     let unpacked = places.unpacked("s.zip");

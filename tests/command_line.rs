@@ -19,6 +19,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("validate", "sound"),
     ("recover", "OUT"),
     ("sweep", "--resume"),
+    ("export", "--no-data"),
     ("report", "citations.bib"),
     ("view", "--allow-origin"),
     ("compare", "paired"),

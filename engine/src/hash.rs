@@ -5,7 +5,7 @@ pub(crate) mod files;
 pub(crate) mod mapped;
 pub mod program;
 
-pub use files::sha256;
+pub use files::{copy_hashed, sha256};
 
 use sha2::{Digest as _, Sha256};
 use std::fmt;

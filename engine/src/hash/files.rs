@@ -6,7 +6,7 @@ use sha2::{Digest as _, Sha256};
 use std::{
     collections::BTreeSet,
     fs::File,
-    io::{self, Read},
+    io::{self, Read, Write},
     path::{Path, PathBuf},
     thread::{self, JoinHandle},
 };
@@ -105,15 +105,23 @@ pub fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
     if let Some(kind) = irregular(path) {
         return Err(io::Error::other(format!("it is {kind}, but a regular file is needed")));
     }
-    let mut file = File::open(path)?;
+    copy_hashed(File::open(path)?, &mut io::sink())
+}
+
+/// Copies what is read; its size and SHA-256.
+///
+/// # Errors
+/// If it cannot be read or written.
+pub fn copy_hashed(mut from: impl Read, to: &mut dyn Write) -> io::Result<(u64, Digest)> {
     let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
     loop {
-        let n = file.read(&mut buffer)?;
+        let n = from.read(&mut buffer)?;
         if n == 0 {
             break;
         }
         bytes += n as u64;
         hasher.update(&buffer[..n]);
+        to.write_all(&buffer[..n])?;
     }
     Ok((bytes, Digest(hasher.finalize().into())))
 }

@@ -12,7 +12,7 @@ use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use osteoflow_engine::{
     check,
-    hash::{Digest, sha256},
+    hash::{Digest, copy_hashed, sha256},
     plan::PlanPlugin,
     recover::copy_renamed,
     run::files,
@@ -22,7 +22,7 @@ use serde_json::Value as Json;
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs::{self, File},
-    io::{Read, Write},
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 use zip::{CompressionMethod, DateTime, ZipWriter, write::SimpleFileOptions};
@@ -75,6 +75,8 @@ pub struct Exported {
 enum Source {
     Bytes(Vec<u8>),
     File(PathBuf),
+    /// With the size and SHA-256 that it was found to have.
+    Known(PathBuf, u64, String),
     /// Left out: size and SHA-256.
     Absent(u64, String),
 }
@@ -117,6 +119,13 @@ impl Pack {
     fn open(dir: &Path) -> Result<Self> {
         let (what, about) = if dir.join(sweep::DESIGN).is_file() {
             let folder = Folder::open(dir).map_err(folder_error)?;
+            if let Some(shard) = folder.about["shard"].as_str() {
+                let dir = dir.display();
+                let message = format!(
+                    "{dir} is part {shard} of a sweep; combine the parts by `osteoflow sweep --merge`, and export that"
+                );
+                return Err(UsageError(message).into());
+            }
             (What::Sweep, folder.about)
         } else {
             let path = dir.join(files::MANIFEST);
@@ -210,9 +219,9 @@ impl Pack {
             let source = if request.no_data {
                 Source::Absent(bytes, digest)
             } else if has_content(&path, bytes, &digest) {
-                Source::File(path)
+                Source::Known(path, bytes, digest)
             } else if let Some(found) = search.find(bytes, &digest) {
-                Source::File(found)
+                Source::Known(found, bytes, digest)
             } else {
                 missing.push(format!("{} ({bytes} bytes, SHA-256 {digest})", path.display()));
                 continue;
@@ -289,14 +298,14 @@ impl Pack {
             );
             return Err(UsageError(message).into());
         }
-        if let Some((_, Source::File(other))) = self.files.get(name)
-            && !has_content(other, bytes, digest)
+        if let Some((_, Source::Known(other, _, of_other))) = self.files.get(name)
+            && of_other != digest
         {
             let message = format!("{} and {} would have one name in the archive", other.display(), path.display());
             return Err(UsageError(message).into());
         }
         self.renamed.add(path, name);
-        self.add(name, role, Source::File(path.into()));
+        self.add(name, role, Source::Known(path.into(), bytes, digest.into()));
         Ok(())
     }
 
@@ -403,6 +412,7 @@ impl Pack {
                     let found = sha256(file).with_context(|| format!("{} cannot be read", file.display()))?;
                     (found.0, found.1.to_string(), true)
                 }
+                Source::Known(_, bytes, digest) => (*bytes, digest.clone(), true),
                 Source::Absent(bytes, digest) => (*bytes, digest.clone(), false),
             };
             index.files.push(Entry { path: path.clone(), role: *role, bytes, sha256, included });
@@ -451,18 +461,11 @@ impl Pack {
             zip.start_file(&*entry.path, options(entry.bytes)).with_context(cannot)?;
             match &self.files[&entry.path].1 {
                 Source::Bytes(bytes) => zip.write_all(bytes).with_context(cannot)?,
-                Source::File(path) => {
-                    let unread = || format!("{} cannot be read", path.display());
-                    let mut from = File::open(path).with_context(unread)?;
-                    let mut buffer = vec![0; 1 << 18];
-                    loop {
-                        match from.read(&mut buffer).with_context(unread)? {
-                            0 => break,
-                            n => zip.write_all(&buffer[..n]).with_context(cannot)?,
-                        }
-                        progress(done, all);
-                    }
-                    if !has_content(path, entry.bytes, &entry.sha256) {
+                Source::File(path) | Source::Known(path, ..) => {
+                    let from = File::open(path).with_context(|| format!("{} cannot be read", path.display()))?;
+                    let mut to = Counted { to: &mut zip, n: done, progress: &mut |n| progress(n, all) };
+                    let (bytes, digest) = copy_hashed(from, &mut to).with_context(cannot)?;
+                    if (bytes, digest.to_string()) != (entry.bytes, entry.sha256.clone()) {
                         return Err(anyhow!("{} has changed while it was read; nothing was written", path.display()));
                     }
                 }
@@ -476,6 +479,26 @@ impl Pack {
         let bytes = file.as_file().metadata().with_context(cannot)?.len();
         file.persist_noclobber(to).with_context(cannot)?;
         Ok(bytes)
+    }
+}
+
+/// Tells how much has been written.
+struct Counted<'a> {
+    to: &'a mut dyn Write,
+    n: u64,
+    progress: &'a mut dyn FnMut(u64),
+}
+
+impl Write for Counted<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let n = self.to.write(bytes)?;
+        self.n += n as u64;
+        (self.progress)(self.n);
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
     }
 }
 

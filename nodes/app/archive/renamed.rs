@@ -69,6 +69,9 @@ impl Renamed {
 
     /// A text without known paths of the machine.
     pub(super) fn text(&self, text: &str) -> String {
+        if !text.contains('/') {
+            return text.into();
+        }
         self.texts.iter().fold(text.to_owned(), |text, (path, name)| replace_path(&text, path, name))
     }
 

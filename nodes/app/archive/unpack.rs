@@ -8,9 +8,12 @@ use super::{
 use crate::app::{error::UsageError, plugins::Plugins, sweep::folder_error};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
-use osteoflow_engine::sweep::{Folder, Spec};
+use osteoflow_engine::{
+    hash::copy_hashed,
+    sweep::{Folder, Spec},
+};
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     fs::{self, File},
     io::{self, Read},
     path::{Component, Path, PathBuf},
@@ -205,13 +208,15 @@ impl Archive {
                 unpacked.unwrap_or(u64::MAX)
             );
         }
+        let included = index.files.iter().filter(|listed| listed.included);
+        let listed: BTreeMap<&str, &Entry> = included.map(|listed| (&*listed.path, listed)).collect();
         for at in 0..zip.len() {
             let entry = zip.by_index_raw(at)?;
             let name = entry.name()?.into_owned();
             if name == INDEX {
                 continue;
             }
-            let listed = index.files.iter().find(|listed| listed.path == name && listed.included);
+            let listed = listed.get(&*name);
             let why = match listed {
                 None => "it is not listed",
                 Some(_) if !entry.is_file() || entry.is_symlink() => "it is a link or a folder",
@@ -260,10 +265,9 @@ impl Archive {
             let cannot = || format!("{} cannot be written", to.display());
             fs::create_dir_all(to.parent().unwrap_or(dir)).with_context(cannot)?;
             let mut file = File::create_new(&to).with_context(cannot)?;
-            io::copy(&mut packed.take(entry.bytes + 1), &mut file)
+            let (bytes, digest) = copy_hashed(packed.take(entry.bytes + 1), &mut file)
                 .map_err(|error| refused(&format!("cannot be unpacked: {error}")))?;
-            drop(file);
-            if !has_content(&to, entry.bytes, &entry.sha256) {
+            if (bytes, digest.to_string()) != (entry.bytes, entry.sha256.clone()) {
                 let _ = fs::remove_file(&to);
                 return Err(refused("is not what is listed: its SHA-256 is another"));
             }
