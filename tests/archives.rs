@@ -1,6 +1,6 @@
 //! A run or a sweep as one file, run again in another folder after the first is gone.
 
-use crate::common::{TOY_GRAPH, build, json, osteoflow_to_spawn, python, root};
+use crate::common::{TOY_GRAPH, build, copy_folder, json, osteoflow_to_spawn, python, root};
 use serde_json::{Value, json};
 use std::{
     env::consts::DLL_SUFFIX,
@@ -311,6 +311,41 @@ fn inputs_travel_with_a_sweep_or_are_found_by_their_contents() {
 }
 
 #[test]
+fn a_folder_that_is_read_as_a_whole_travels_with_the_files_of_it_that_are_named_too() {
+    let places = Places::new(None);
+    fs::create_dir_all(places.path("here/tests/data")).unwrap();
+    copy_folder(&root().join("graphs"), &places.path("here/graphs"));
+    copy_folder(&root().join("tests/data/folder"), &places.path("here/tests/data/folder"));
+    places.ends_well("here", &["run", "graphs/fibula_folder.toml", "--out", "r"]);
+    places.ends_well("here", &["export", "r", "../r.zip"]);
+    let unpacked = places.unpacked("r.zip");
+    assert!(
+        unpacked.join("inputs/1/folder/bone.stl").is_file() && unpacked.join("sources/fibula_recorded.toml").is_file()
+    );
+    fs::remove_dir_all(places.path("here")).unwrap();
+    places.ends_well("there", &["run", "../r.zip", "--out", "again"]);
+    let text = places.ends_well("there", &["compare", "../r.zip", "again"]);
+    assert!(text.contains("results.json: equal"), "{text}");
+}
+
+#[test]
+fn a_run_without_results_has_its_reason_again_at_another_line() {
+    let places = with_files();
+    let graph = fs::read_to_string(places.path("here/g.toml")).unwrap()
+        + "[sweep.draw]\nx = { key = \"crop.min_mm\", choice = [[900.0, 900.0, 900.0]] }\n";
+    places.write("here/g.toml", &graph);
+    places.says("here", &["sweep", "g.toml", "--out", "s"]);
+    let reasons = fs::read_to_string(places.path("here/s/runs.csv")).unwrap();
+    assert!(reasons.contains("g.toml:") && reasons.contains("node \"\"crop\"\""), "{reasons}");
+    places.ends_well("here", &["export", "s", "../s.zip"]);
+    places.unpacked("s.zip");
+    fs::remove_dir_all(places.path("here")).unwrap();
+    places.says("there", &["sweep", "../s.zip", "--out", "again"]);
+    let text = places.ends_well("there", &["compare", "../s.zip", "again"]);
+    assert!(text.contains("another line of the graph") && text.ends_with("equal\n"), "{text}");
+}
+
+#[test]
 fn a_compiled_plugin_travels_with_a_run() {
     let places = Places::new(None);
     let library = places.path(&format!("here/libtoy{DLL_SUFFIX}"));
@@ -415,6 +450,26 @@ fn an_archive_of_a_stranger_writes_nothing_outside_of_its_folder_and_unpacks_to_
     is_refused("a bomb that does not", "its size is not the listed one");
     forged(&from, &to, |name, bytes| (name != "experiment.json").then_some(bytes), |_| {});
     is_refused("another zip", "it has no experiment.json");
+
+    // A graph that names code outside of the archive: it is not loaded, also where the archive's own would be.
+    let mark = places.path("mark");
+    places.write("evil.py", &format!("open({:?}, 'w').close()\n", mark.display().to_string()));
+    let graph = format!("plugins = [{:?}]\n", places.path("evil.py").display().to_string());
+    let graph = graph + &fs::read_to_string(places.unpacked("r.zip").join("graph.toml")).unwrap();
+    let digest = osteoflow_engine::hash::Digest::of(graph.as_bytes()).to_string();
+    let list = listed(|index| {
+        let entry =
+            index["files"].as_array_mut().unwrap().iter_mut().find(|entry| entry["path"] == "graph.toml").unwrap();
+        (entry["sha256"], entry["bytes"]) = (digest.as_str().into(), graph.len().into());
+    });
+    let change = |name: &str, bytes: Vec<u8>| {
+        if name == "graph.toml" { Some(graph.clone().into_bytes()) } else { list(name, bytes) }
+    };
+    forged(&from, &to, change, |_| {});
+    for allow in [&[][..], &["--allow-plugins"]] {
+        let (code, text) = places.says("there", &[&["run", "../forged.zip", "--out", "again"][..], allow].concat());
+        assert!(code == 2 && text.contains("evil.py") && !mark.exists(), "{code} {text}");
+    }
 }
 
 #[test]

@@ -202,8 +202,20 @@ impl Pack {
             });
             format!("inputs/{}/{}", at + 1, path.file_name().unwrap_or_default().to_string_lossy())
         };
-        for path in self.named_paths(graph, &inputs) {
-            self.renamed.add(&path, &name_in(&path));
+        let named = self.named_paths(graph, &inputs);
+        // A file within a named folder stays there: the folder may be read as a whole.
+        let is_within = |path: &&PathBuf| named.iter().any(|folder| *path != folder && path.starts_with(folder));
+        for path in named.iter().filter(|path| !is_within(path)) {
+            self.renamed.add(path, &name_in(path));
+        }
+        for path in named.iter().filter(is_within) {
+            let above = path
+                .ancestors()
+                .skip(1)
+                .find_map(|above| Some((self.renamed.name(above)?, path.strip_prefix(above).ok()?)));
+            if let Some(name) = above.map(|(folder, below)| format!("{folder}/{}", below.display())) {
+                self.renamed.add(path, &name);
+            }
         }
         let search = Search::below(&request.data)?;
         let mut missing = Vec::new();
@@ -318,6 +330,7 @@ impl Pack {
                 self.renamed.add_text(format!("{}/", place.display()), String::new());
             }
         }
+        let mut texts = Vec::new();
         for path in check::files(&file, &[], &registry()).iter().map(|path| plain(path)) {
             let Ok(text) = fs::read_to_string(&path) else { continue };
             if path.extension().is_none_or(|end| end != "toml") {
@@ -325,6 +338,10 @@ impl Pack {
             }
             let below = path.strip_prefix(&dir).map_or_else(|_| base_name(&path), |below| below.display().to_string());
             let name = format!("sources/{below}");
+            self.renamed.add(&path, &name);
+            texts.push((name, text));
+        }
+        for (name, text) in texts {
             let text = self.renamed.text(&text);
             self.files.entry(name).or_insert((Role::Source, Source::Bytes(text.into_bytes())));
         }

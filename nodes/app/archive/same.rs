@@ -17,6 +17,8 @@ use std::{
     path::Path,
 };
 
+/// Most characters of a value that are listed.
+const MAX_CHARACTERS: usize = 100;
 /// Most differences of numbers that are listed.
 const MAX_NUMBERS: usize = 20;
 
@@ -130,15 +132,36 @@ fn tables(a: &Path, b: &Path, name: &str, times: &[String], same: &mut Sameness)
         same.notes.push(format!("{n_times} cells of {name} are times, which differ each time"));
     }
     if n_named > 0 {
-        same.notes.push(format!("{n_named} cells of {name} name the same file in other folders"));
+        same.notes.push(format!(
+            "{n_named} cells of {name} name the same file in other folders, or another line of the graph"
+        ));
     }
     Ok(())
 }
 
-/// Whether two texts are paths of a file of one name.
+/// A reason without the place in its graph file, which is another line of another file there.
+fn without_place(text: &str) -> &str {
+    match text.find(": node \"") {
+        Some(at) if text[..at].contains(".toml:") => &text[at..],
+        _ => text,
+    }
+}
+
+/// Whether two texts are paths of a file of one name, or reasons at other places.
 fn is_renamed(a: &str, b: &str) -> bool {
+    if without_place(a) == without_place(b) {
+        return true;
+    }
     let name = |text: &str| Path::new(text).file_name().map(ToOwned::to_owned);
     (a.contains('/') || b.contains('/')) && name(a).is_some() && name(a) == name(b)
+}
+
+/// The beginning of a long value.
+fn shortened(text: &str) -> String {
+    match text.char_indices().nth(MAX_CHARACTERS) {
+        Some((at, _)) => format!("{}\u{2026}", &text[..at]),
+        None => text.into(),
+    }
 }
 
 fn difference(a: &str, b: &str) -> String {
@@ -208,7 +231,7 @@ fn values_of(a: &Json, b: &Json, at: &str, same: &mut Sameness) {
         }
         (a, b) if a != b => {
             let (a, b) = (a.to_string(), b.to_string());
-            same.differs(format!("{at}: {a} and {b}{}", difference(&a, &b)));
+            same.differs(format!("{at}: {} and {}{}", shortened(&a), shortened(&b), difference(&a, &b)));
         }
         _ => {}
     }

@@ -13,6 +13,8 @@ from typing import Any as _Any
 from typing import Callable as _Callable
 from typing import Optional as _Optional
 
+import numpy as _np
+
 from . import _core
 
 
@@ -91,7 +93,9 @@ class Function:
                 if value is not None:
                     floats = {entry["name"] for entry in getattr(value, "_schema", ()) if entry.get("field") == "float"}
                     head = {name: float(field) if name in floats else field for name, field in value.head.items() if field is not None}
-                    given[index] = value.payload[0], (0, head, dict(value.columns))
+                    # A copy: what the function keeps, it may change.
+                    columns = {name: _np.array(column, order="C") for name, column in value.columns.items()}
+                    given[index] = value.payload[0], (0, head, columns)
         except _module.NodeError as error:
             return _json.dumps(context.done()), str(error), []
         except Exception as error:
