@@ -142,6 +142,12 @@ fn a_sweep_with_a_plugin_runs_again_from_one_file_after_its_folder_is_gone() {
     assert!(lock.lines().any(|line| line.starts_with("numpy==")) && lock.contains("# CPython 3."), "{lock}");
     fs::remove_dir_all(places.path("here")).unwrap();
 
+    let text = places.ends_well("there", &["info", "../s.zip"]);
+    assert!(
+        text.contains("a sweep of the graph numbers") && text.contains("plugins/1/helper.py, plugins/1/st.py"),
+        "{text}"
+    );
+    assert!(text.contains("osteoflow sweep ../s.zip --allow-plugins --out again"), "{text}");
     let (code, text) = places.says("there", &["sweep", "../s.zip", "--out", "again"]);
     assert!(code == 2 && text.contains("plugins/1/st.py") && text.contains("--allow-plugins"), "{text}");
     assert!(!places.path("there/s").exists(), "something was unpacked");

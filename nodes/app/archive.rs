@@ -15,7 +15,7 @@ pub use pack::{ExportRequest, Exported};
 pub use same::{Sameness, same};
 pub use unpack::ArchiveArgs;
 
-pub(crate) use unpack::is_archive;
+pub(crate) use unpack::{Summary, is_archive, summary};
 
 /// The list of the files of an archive.
 pub(crate) const INDEX: &str = "experiment.json";

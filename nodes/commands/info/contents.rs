@@ -1,6 +1,6 @@
 //! What a file or folder holds.
 
-use crate::app::files::picked_points;
+use crate::app::{archive, files::picked_points};
 use anyhow::{Result, anyhow, bail};
 use osteoflow_formats::{
     folder::ProcedureFolder,
@@ -117,6 +117,23 @@ impl Contents {
     }
 }
 
+/// A run or a sweep as one file.
+fn archived(file: &Path, summary: archive::Summary) -> Contents {
+    let archive::Summary { what, name, version, n_files, bytes, code, inputs, inputs_left_out } = summary;
+    let plugins = if code.is_empty() { "" } else { " --allow-plugins" };
+    let data = if inputs_left_out.is_empty() { "" } else { " --data DIR" };
+    let shown = file.display();
+    let used_by =
+        [format!("osteoflow {what} {shown}{plugins}{data} --out again"), format!("osteoflow compare {shown} again")];
+    Contents::new("archive", format!("a {what} of the graph {name}, as one file of osteoflow {version}"))
+        .with_count("n_files", n_files, "files")
+        .with("bytes", bytes, "unpacked", format!("{:.1} MB", bytes as f64 / 1e6))
+        .with_list("code", code, "code")
+        .with_list("inputs", inputs, "inputs")
+        .with_list("inputs_left_out", inputs_left_out, "without")
+        .used_by(used_by)
+}
+
 /// The contents of a file or folder.
 ///
 /// # Errors
@@ -127,6 +144,9 @@ pub(super) fn of(file: &Path) -> Result<Contents> {
     }
     if is_volume(file) {
         return volume(file);
+    }
+    if let Some(summary) = archive::summary(file)? {
+        return Ok(archived(file, summary));
     }
     let bytes = input::read(file)?;
     if bytes.is_empty() {
