@@ -500,6 +500,8 @@ fn the_metadata_of_an_archive_describes_each_of_its_files_and_is_a_workflow_run_
     let mut names: Vec<_> = (0..zip.len()).map(|at| zip.by_index(at).unwrap().name().unwrap().into_owned()).collect();
     names.sort();
     assert_eq!(parts, names);
+    let licence = &entity("./")["license"]["@id"];
+    assert_eq!(entity(licence.as_str().unwrap())["@type"], "CreativeWork");
     assert_eq!(entity("#run")["instrument"]["@id"], "graph.toml");
     assert_eq!(entity("#run")["object"].as_array().unwrap().len(), 3);
     assert!(entity("graph.toml")["@type"].as_array().unwrap().contains(&"ComputationalWorkflow".into()));

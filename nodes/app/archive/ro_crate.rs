@@ -17,7 +17,7 @@ const PROFILES: [(&str, &str, &str); 3] = [
 
 const BIOSCHEMAS: &str = "https://bioschemas.org/profiles/ComputationalWorkflow/1.0-RELEASE";
 const LANGUAGE: &str = "#osteoflow-graph";
-const PROGRAM: &str = "#osteoflow";
+const PROGRAM: &str = env!("CARGO_PKG_REPOSITORY");
 const ACTION: &str = "#run";
 
 /// The metadata of an archive. `about` is its `sweep.json` or `manifest.json`; `ended`: when it ended.
@@ -50,6 +50,9 @@ pub(super) fn metadata(index: &Index, about: &Json, ended: &str, licence: Option
         action["actionStatus"] = "http://schema.org/FailedActionStatus".into();
         action["error"] = reason.into();
     }
+    let licence = licence.unwrap_or("No licence is stated; ask whoever gave you this archive.");
+    let is_page = licence.starts_with("https://") || licence.starts_with("http://");
+    let licence_or_its_page = if is_page { json!({ "@id": licence }) } else { licence.into() };
     let mut graph = vec![
         json!({
             "@id": FILE, "@type": "CreativeWork", "about": { "@id": "./" },
@@ -59,7 +62,7 @@ pub(super) fn metadata(index: &Index, about: &Json, ended: &str, licence: Option
             "@id": "./", "@type": "Dataset", "name": format!("{name}: a {word} of osteoflow"),
             "description": format!("Graph, plugins, inputs, results and provenance of a {word} of the graph {name}. Research use only."),
             "datePublished": time(ended),
-            "license": licence.unwrap_or("No licence is stated; ask whoever gave you this archive."),
+            "license": licence_or_its_page,
             "conformsTo": PROFILES.map(|(id, ..)| json!({ "@id": id })),
             "hasPart": ids(&files), "mainEntity": { "@id": GRAPH }, "mentions": { "@id": ACTION },
         }),
@@ -78,6 +81,9 @@ pub(super) fn metadata(index: &Index, about: &Json, ended: &str, licence: Option
             |(id, name, version)| json!({ "@id": id, "@type": "CreativeWork", "name": name, "version": version }),
         ));
     graph.push(json!({ "@id": BIOSCHEMAS, "@type": "CreativeWork", "name": "Bioschemas ComputationalWorkflow", "version": "1.0-RELEASE" }));
+    if is_page {
+        graph.push(json!({ "@id": licence, "@type": "CreativeWork", "name": licence }));
+    }
     graph.extend(index.files.iter().map(|entry| file(entry, name, version)));
     json!({ "@context": ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"], "@graph": graph })
 }
