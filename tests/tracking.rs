@@ -50,7 +50,7 @@ fn every_scan_of_the_moving_bone_is_registered_from_the_one_before() {
     assert!(printed(&["diff", a.to_str().unwrap(), b.to_str().unwrap()]).contains("equal"));
     let replayed =
         printed(&["replay", b.to_str().unwrap(), "--from", "icp", "--out", eight.path("r").to_str().unwrap()]);
-    assert!(replayed.contains("0 differ, results equal"), "{replayed}");
+    assert!(replayed.contains("6 computed anew, 0 differ"), "{replayed}");
 }
 
 #[test]
@@ -205,7 +205,11 @@ def count(pose: Pose, before: Annotated[Optional[Points], port("The last.", join
     let run = ["run", path.to_str().unwrap(), "--out", out.to_str().unwrap()];
     printed(&[&run[..], &python].concat());
     let results = json(&out.join("results.json"));
-    assert_eq!(results["n"][0]["position_mm"][0], json!(24.0 + 24.0), "{results}");
+    let manifest = json(&out.join("manifest.json"));
+    let n_firings =
+        manifest["nodes"].as_array().unwrap().iter().find(|node| node["name"] == "count").unwrap()["items"].as_f64();
+    assert!(n_firings > Some(20.0), "{manifest}");
+    assert_eq!(results["n"][0]["position_mm"][0].as_f64(), n_firings, "{results}");
     let again = folder.path("again");
     let replayed =
         printed(&[&["replay", out.to_str().unwrap(), "--out", again.to_str().unwrap()][..], &python].concat());

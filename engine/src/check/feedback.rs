@@ -7,7 +7,7 @@ use super::{
     parsed_nodes::ParsedNode,
     wires::{self, OutputIndex},
 };
-use crate::fault::Fault;
+use crate::{fault::Fault, plan::Policy};
 use osteoflow_node::{Join, Role};
 
 /// How often something comes.
@@ -43,6 +43,12 @@ impl Check<'_> {
                         let fault = Fault::new(message).at(at, "waits for what comes after it, or leaves items out");
                         let help = "write join = \"each\": in a cycle each node takes each item of the node before it";
                         self.faults.push(fault.help(help));
+                    }
+                    if within && input.policy != Policy::Block {
+                        let fault = Fault::new(format!("{owner} is part of a cycle, and may lose items"));
+                        let fault = fault.at(at, "a lost item is known once the next has come, which waits for it");
+                        self.faults
+                            .push(fault.help("take policy away: in a cycle at most one item waits on each wire"));
                     }
                     let (carries, fires) = (rate_of(wire, parsed_nodes, &rates), rates[node]);
                     if join != Join::Previous || carries == fires || [carries, fires].contains(&Rate::Unknown) {

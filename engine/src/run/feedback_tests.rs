@@ -13,12 +13,18 @@ use crate::{
 use osteoflow_node::Join;
 use osteoflow_toy::registry;
 use serde_json::json;
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
 
 /// A scan of 1, 2, 3 .. through `start` and `fit`, whose answers come back to `start` at the next firing.
 fn cycle(script: &[(i64, usize, f64)]) -> PlanBuilder {
-    PlanBuilder::new()
-        .script("scan", 1, calls(script))
-        .node("start", "toy.add", json!({}), &[("a", "scan.p0", None)])
+    cycle_of(PlanBuilder::new().script("scan", 1, calls(script)))
+}
+
+fn cycle_of(scan: PlanBuilder) -> PlanBuilder {
+    scan.node("start", "toy.add", json!({}), &[("a", "scan.p0", None)])
         .node("fit", "toy.add", json!({}), &[("a", "start.out", None), ("b", "scan.p0", Some(Join::Each))])
         .previous("start.b", "fit.out")
         .record(&["scan.p0", "start.out", "fit.out"])
@@ -121,6 +127,44 @@ fn a_recorded_cycle_replays_equal_and_from_any_of_its_nodes() {
     let changes = ReplayOptions { start: Some(Moment::Stamp(10)), ..Default::default() };
     let part = replay_plan(&plan, &recording, &changes, &registry(), &RunOptions::default(), &()).unwrap();
     assert_eq!(part.run.results["fit"][0], json!(40.0));
+}
+
+#[test]
+fn a_live_cycle_gives_what_its_replay_gives() {
+    let dir = tempfile::tempdir().unwrap();
+    let script: Vec<_> = (1..30).map(|i| (i, 0, 2.0 * i as f64)).collect();
+    let plan = cycle_of(PlanBuilder::new().source("scan", "toy.live", 1, json!({ "calls": calls(&script) }))).plan();
+    let report = check(&narrow(plan.clone()));
+    assert_eq!(report.results["fit"][28], json!(1740.0), "the sum of 4 i up to 29");
+    let recorded = RunOptions { out_dir: Some(dir.path().join("out")), record: true, ..options(8) };
+    run(&plan, &registry(), &recorded, &()).unwrap();
+    let recording = Recording::open(&dir.path().join("out/run.mcap")).unwrap();
+    let replayed = replay_plan(&plan, &recording, &ReplayOptions::default(), &registry(), &options(1), &()).unwrap();
+    assert!(replayed.is_equal(), "{:#?}", replayed.wires);
+}
+
+/// Asks the run to stop once `fit` has fired ten times.
+struct StopAtTen(Arc<AtomicBool>);
+
+impl Observer for StopAtTen {
+    fn event(&self, event: &Event<'_>) {
+        if matches!(event, Event::Fired { node: "fit", item: 9, .. }) {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn a_stop_request_ends_a_cycle() {
+    let script: Vec<_> = (1..5000).map(|i| (i, 0, 2.0 * i as f64)).collect();
+    for workers in [1, 8] {
+        let options = options(workers);
+        let stop = StopAtTen(options.cancelled.clone());
+        let report = run(&narrow(cycle(&script).plan()), &registry(), &options, &stop).unwrap();
+        assert_eq!(report.outcome, Outcome::Interrupted, "{workers} workers");
+        let n_fired = report.nodes.iter().find(|node| node.name == "fit").unwrap().items;
+        assert!((10..4999).contains(&n_fired), "{n_fired}");
+    }
 }
 
 #[test]

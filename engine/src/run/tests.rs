@@ -553,7 +553,21 @@ pub(super) fn random_plan(seed: u64) -> Plan {
         let name = format!("n{layer}");
         let mut pick = || wires[draw(wires.len() as u64) as usize].clone();
         let (a, b) = (pick(), pick());
-        toy = match draw(4) {
+        toy = match draw(6) {
+            4 => {
+                let toy = toy.node(&name, "toy.add", json!({}), &[("a", &a, None)]);
+                toy.previous(&format!("{name}.b"), &format!("{name}.out"))
+            }
+            5 => {
+                let n = 1 + draw(3) as u32;
+                let joins = [
+                    Join::Collect { n: Some(n) },
+                    Join::CollectEvery { n, step: 1 + draw(4) as u32 },
+                    Join::CollectSpan { span_ns: 1 + draw(9) as i64, step_ns: 1 + draw(9) as i64 },
+                ];
+                let join = Some(joins[draw(3) as usize]);
+                toy.node(&name, "toy.some", json!({}), &[("all", &a, join), ("all", &b, join)])
+            }
             0 => {
                 let n = (draw(2) == 0).then_some(1 + draw(3) as u32);
                 toy.node(&name, "toy.sum", json!({}), &[("all", &a, Some(Join::Collect { n }))])

@@ -29,7 +29,7 @@ pub(super) fn keys(plan: &Plan, files: &Stamps) -> Vec<Digest> {
             let of_nodes: Vec<_> = cycle.iter().map(|node| own_key(plan, *node, files, &keys)).collect();
             let whole = of_nodes.iter().fold(Key::of("cycle"), |key, own| key.digest("node", *own)).done().digest();
             for (node, own) in cycle.iter().zip(of_nodes) {
-                let in_cycle = || Key::of("node in a cycle").digest("node", own).digest("cycle", whole).done().digest();
+                let in_cycle = || Key::of("cycle_node").digest("node", own).digest("cycle", whole).done().digest();
                 keys[*node] = Some(if cycle.len() == 1 { own } else { in_cycle() });
             }
         }

@@ -53,6 +53,10 @@ pub(crate) fn inputs(input: &DeriveInput) -> Result<TokenStream> {
         let many = matches!(ty, FieldType::Many(_) | FieldType::ManyOptional(_))
             || unused && attr.join.as_ref().is_some_and(|join| join.value() == "collect");
         let join = join_of(&attr, many, field)?;
+        if !optional && attr.join.as_ref().is_some_and(|join| join.value() == "previous") {
+            let message = "a port that joins by previous is an Option<T>: nothing comes to the first firing";
+            return Err(Error::new_spanned(field, message));
+        }
         let (doc, frames) = (doc_of(&field.attrs), frames_of(&attr));
         ports.push(quote! {
             ::osteoflow_node::InputPort {
