@@ -232,11 +232,19 @@ impl Port {
 
     /// Earliest stamp of the port's next item or collection; a collection may end with the items it has.
     pub(crate) fn bound(&self) -> StampNs {
-        let decisive = match self.spec.join.collects() {
-            true => self.n_in_window().checked_sub(1).filter(|last| *last >= self.n_seen),
-            false => Some(0),
+        let decisive = match self.spec.join {
+            Join::Collect { .. } => self.queue.back(),
+            Join::CollectEvery { .. } | Join::CollectSpan { .. } => self.last_of_window(),
+            _ => self.queue.front(),
         };
-        decisive.and_then(|at| self.queue.get(at)).map_or(self.progress, |item| item.stamp_ns)
+        decisive.map_or(self.progress, |item| item.stamp_ns)
+    }
+
+    /// The last item of the next window, if one of them is new.
+    #[inline(never)]
+    fn last_of_window(&self) -> Option<&Item> {
+        let last = self.n_in_window().checked_sub(1)?;
+        self.queue.get(last).filter(|_| last >= self.n_seen)
     }
 
     /// Number of waiting items of the next collection.
