@@ -141,10 +141,12 @@ impl Port {
     }
 
     /// `each` and `collect` advance together.
+    #[inline]
     pub(crate) fn is_step(&self) -> bool {
         self.role == Role::Step
     }
 
+    #[inline]
     pub(crate) fn is_stamp(&self) -> bool {
         self.role == Role::Stamp
     }
@@ -226,11 +228,13 @@ impl Port {
     }
 
     /// Stamp of the next item.
+    #[inline]
     pub(crate) fn head_stamp(&self) -> Option<StampNs> {
         self.queue.get(self.n_seen).map(|item| item.stamp_ns)
     }
 
     /// Earliest stamp of the port's next item or collection; a collection may end with the items it has.
+    #[inline]
     pub(crate) fn bound(&self) -> StampNs {
         let decisive = match self.spec.join {
             Join::Collect { .. } => self.queue.back(),
@@ -301,6 +305,7 @@ impl Port {
     }
 
     /// Whether `collect` is complete.
+    #[inline(never)]
     fn collected(&self) -> bool {
         match self.spec.join {
             Join::Collect { n: Some(n) } | Join::CollectEvery { n, .. } => self.queue.len() >= n as usize,
@@ -313,6 +318,7 @@ impl Port {
     }
 
     /// Whether the port has nothing left for any further activation.
+    #[inline]
     pub(crate) fn finished(&self) -> bool {
         self.ended && self.queue.len() <= self.n_seen
     }
@@ -323,11 +329,17 @@ impl Port {
     }
 
     /// The port's next item or collection.
+    #[inline]
     pub(crate) fn ready(&self) -> Ready {
         if self.finished() {
             return Ready::Ended;
         }
-        let complete = !self.spec.join.collects() || self.ended || self.collected();
+        let complete = match self.spec.join {
+            Join::Collect { .. } | Join::CollectEvery { .. } | Join::CollectSpan { .. } => {
+                self.ended || self.collected()
+            }
+            _ => true,
+        };
         match complete && self.queue.len() > self.n_seen {
             true => Ready::At(self.bound()),
             false => Ready::Waiting,
