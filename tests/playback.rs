@@ -246,7 +246,7 @@ fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trust
     folder.write("st.py", "raise SystemExit(3)\n");
     let (code, text) = command(&folder, &["replay", "r"]);
     assert!(
-        code == Some(2) && text.contains("not that of the recorded run") && text.contains("--trust-recorded"),
+        code == Some(2) && text.contains("not that of the recorded run") && text.contains("--allow-plugins"),
         "{text}"
     );
     ends_well(&folder, &["replay", "r", "--allow-plugins"]);

@@ -140,7 +140,8 @@ fn a_sweep_runs_from_plugin_and_modules_as_they_were_at_its_start() {
     sweep.current_dir(folder.0.path()).env("OSTEOFLOW_PYTHON", &folder.1);
     sweep.args(["sweep", "g.toml", "--out", "s", "--workers", "1", "-q"]).stderr(Stdio::piped());
     let sweep = sweep.stdout(Stdio::null()).spawn().unwrap();
-    let n_there = || fs::read_dir(folder.path("s/runs")).map_or(0, |runs| runs.count());
+    let is_run = |entry: &std::io::Result<fs::DirEntry>| entry.as_ref().is_ok_and(|entry| entry.path().is_file());
+    let n_there = || fs::read_dir(folder.path("s/runs")).map_or(0, |runs| runs.filter(is_run).count());
     let began = Instant::now();
     while n_there() < 2 && began.elapsed() < Duration::from_secs(120) {
         thread::sleep(Duration::from_millis(5));
@@ -406,7 +407,8 @@ fn a_library_that_changes_during_a_sweep_ends_in_failed_rows_with_its_name() {
     sweep.current_dir(folder.0.path()).env("OSTEOFLOW_PYTHON", &folder.1);
     sweep.args(["sweep", "g.toml", "--out", "s", "--workers", "1", "--set", "sweep.twice=0"]);
     let sweep = sweep.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
-    let n_there = || fs::read_dir(folder.path("s/runs")).map_or(0, |runs| runs.count());
+    let is_run = |entry: &std::io::Result<fs::DirEntry>| entry.as_ref().is_ok_and(|entry| entry.path().is_file());
+    let n_there = || fs::read_dir(folder.path("s/runs")).map_or(0, |runs| runs.filter(is_run).count());
     let began = Instant::now();
     while n_there() < 2 && began.elapsed() < Duration::from_secs(120) {
         thread::sleep(Duration::from_millis(5));

@@ -254,8 +254,7 @@ pub fn replay(
     // Holds the files for as long as the run.
     let (kinds, _folder) = match changes.allows_plugins {
         true if plugin::carried(plugins, texts).next().is_none() => {
-            let message =
-                "--allow-plugins: the recording carries the text of no plugin; name the file: --plugin FILE";
+            let message = "--allow-plugins: the recording carries the text of no plugin; name the file: --plugin FILE";
             return Err(ReplayError::Unfit(message.into()));
         }
         true => {

@@ -1,5 +1,6 @@
 """The Python of README.md and docs/use/python.md runs."""
 
+import importlib.util
 import re
 
 import numpy as np
@@ -12,11 +13,17 @@ def blocks(page):
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/use/python.md"])
-def test_the_python_of_a_page_runs(page, monkeypatch):
-    monkeypatch.chdir(ROOT)
+def test_the_python_of_a_page_runs(page, monkeypatch, tmp_path):
+    # What an example writes goes into another folder.
+    for name in ("graphs", "tests"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
     found = blocks(page)
     assert found, f"{page} has no Python"
     for block in found:
+        if "import optuna" in block and importlib.util.find_spec("optuna") is None:
+            print(f"skipped: the example of {page} that needs optuna")
+            continue
         names = {}
         exec(block, names)
     if page == "README.md":
