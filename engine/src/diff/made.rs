@@ -27,7 +27,6 @@ pub(super) fn differences(a: &Index, b: &Index) -> Vec<String> {
         // A graph names the folder of its plugins, which are compared below.
         let graph = graph
             .into_iter()
-            .flatten()
             .filter(|entry| entry.table != "[plugins]" && (&*entry.table, &*entry.key) != ("[graph]", "name"));
         found.extend(graph.map(|entry| match (entry.key.as_str(), entry.values) {
             ("", [Some(_), None]) => format!("{}: only in A", entry.table),

@@ -14,12 +14,30 @@ pub(crate) struct EntryDifference {
     pub(crate) values: [Option<String>; 2],
 }
 
-/// The differences of two graphs, as texts of graph files; `None` if one of them is no TOML.
-pub(crate) fn differences(a: &str, b: &str) -> Option<Vec<EntryDifference>> {
-    let [a, b]: [Table; 2] = [a.parse().ok()?, b.parse().ok()?];
+/// The differences of two graphs, as texts of graph files.
+pub(crate) fn differences(a: &str, b: &str) -> Vec<EntryDifference> {
+    let (Ok(a), Ok(b)) = (a.parse::<Table>(), b.parse::<Table>()) else { return by_lines(a, b) };
     let mut differences = Vec::new();
     compare(&mut Vec::new(), Some(&Value::Table(a)), Some(&Value::Table(b)), &mut differences);
-    Some(differences)
+    differences
+}
+
+/// The lines in which two graphs differ, where one has a number that TOML cannot hold: parameters may be greater than its integers.
+fn by_lines(a: &str, b: &str) -> Vec<EntryDifference> {
+    let (mut table, mut out) = ("", Vec::new());
+    for (a, b) in a.lines().zip(b.lines()) {
+        table = if a == b && a.starts_with('[') { a } else { table };
+        if a != b {
+            let [(key, a), (other, b)] = [a, b].map(|line| line.split_once(" = ").unwrap_or(("", line)));
+            let key = if key == other { key } else { "" };
+            out.push(EntryDifference {
+                table: table.into(),
+                key: key.into(),
+                values: [Some(a.into()), Some(b.into())],
+            });
+        }
+    }
+    out
 }
 
 fn compare(path: &mut Vec<String>, a: Option<&Value>, b: Option<&Value>, out: &mut Vec<EntryDifference>) {
@@ -58,7 +76,7 @@ mod tests {
     fn each_entry_that_differs_is_named_with_its_table() {
         let a = "[graph]\nseed = 1\n[node.a]\nmm = 4.0\nrules = { most = 1, least = 0 }\n[node.b]\nkind = \"x.y\"\n";
         let b = "[graph]\nseed = 1\n[node.a]\nmm = 5.0\nrules = { most = 1, least = 2 }\nn = 3\n";
-        let found = differences(a, b).unwrap();
+        let found = differences(a, b);
         let found: Vec<_> =
             found.iter().map(|d| (&*d.table, &*d.key, [d.values[0].as_deref(), d.values[1].as_deref()])).collect();
         let expected = [
@@ -68,6 +86,9 @@ mod tests {
             ("[node.b]", "", [Some(""), None]),
         ];
         assert_eq!(found, expected);
-        assert_eq!(differences(a, a), Some(Vec::new()));
+        assert_eq!(differences(a, a), Vec::new());
+        let large = "[node.a]\nn = 18446744073709551615\nmm = 4.0\n";
+        let found = differences(large, &large.replace("4.0", "5.0"));
+        assert_eq!((&*found[0].table, &*found[0].key, found.len()), ("[node.a]", "mm", 1));
     }
 }

@@ -14,11 +14,15 @@ use crate::{
     durable,
     graph::difference::{self, EntryDifference},
     plan::PlanPlugin,
+    plugin::Kinds,
+    replay::exchange::without_old_defaults,
     run::{Answer, Verdict},
 };
+use osteoflow_node::Registry;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value as Json, json};
 use std::{
+    collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
 };
@@ -419,6 +423,23 @@ impl Folder {
         fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.display().to_string(), source })
     }
 
+    /// The frozen graph to run again with the settings of the rows: nodes that rows give another kind state what the user wrote
+    /// only, since the defaults of the kind that they have in the graph itself are not those of another.
+    ///
+    /// # Errors
+    /// If a file of the folder cannot be read.
+    pub fn graph_of_rows(&self) -> Result<String, FolderError> {
+        let (spec, graph) = (self.spec()?, self.graph()?);
+        let written: Option<BTreeMap<_, _>> = serde_json::from_value(self.about["written"].clone()).ok();
+        let of_levels = spec.factors.iter().flat_map(|factor| &factor.levels).flat_map(|level| &level.sets).cloned();
+        let of_draws = spec.draws.iter().flat_map(|draw| &draw.keys).map(|key| format!("{key}="));
+        let of_variants = spec.variants().into_iter().flat_map(|variant| variant.keys());
+        let sets: Vec<_> = of_levels.chain(of_draws).chain(of_variants.map(|key| format!("{key}="))).collect();
+        let path = Path::new(self.about["graph"]["file"].as_str().unwrap_or(GRAPH));
+        let kinds = Kinds::from(&Registry::default());
+        Ok(without_old_defaults(&graph, path, written.as_ref(), &sets, &kinds).unwrap_or(graph))
+    }
+
     /// What makes `other` another sweep than this one; `None` if it is the same.
     ///
     /// # Errors
@@ -459,8 +480,11 @@ impl Folder {
     fn keep_in(&self, folder: &str, done: &Done, sets: &[String], times: Option<&RunTimes>) -> Result<(), FolderError> {
         if let Some(times) = times {
             let dir = self.dir.join(folder).join(TIMES_DIR);
-            if !fs::symlink_metadata(&dir).is_ok_and(|found| found.is_dir()) {
-                fs::create_dir(&dir).map_err(|source| self.cannot_write(&format!("{folder}/{TIMES_DIR}"), source))?;
+            let is_there = || fs::symlink_metadata(&dir).is_ok_and(|found| found.is_dir());
+            if let (false, Err(source)) = (is_there(), fs::create_dir(&dir))
+                && !is_there()
+            {
+                return Err(self.cannot_write(&format!("{folder}/{TIMES_DIR}"), source));
             }
             self.write(&format!("{folder}/{}", times_name(done.run)), format!("{}\n", json!(times)).as_bytes())?;
         }
@@ -592,7 +616,7 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     let of_shard = |shard: &Folder| json!({ "dir": shard.dir.display().to_string(), "shard": shard.about["shard"], "command": shard.about["command"] });
     about["merged"] = shards.iter().map(of_shard).collect();
     about["shard"] = Json::Null;
-    let mut from = std::collections::BTreeMap::new();
+    let mut from = BTreeMap::new();
     for shard in shards {
         for run in shard.runs()? {
             from.entry(run).or_insert(shard);
@@ -715,7 +739,7 @@ fn graph_difference(graph: &str, other: &str) -> Option<String> {
     if graph == other {
         return None;
     }
-    let first = difference::differences(graph, other).and_then(|differences| differences.into_iter().next());
+    let first = difference::differences(graph, other).into_iter().next();
     let Some(EntryDifference { table, key, values }) = first else { return Some("its graph is another text".into()) };
     let shown = |value: &Option<String>| match value {
         Some(value) if !key.is_empty() => format!("`{key} = {value}`"),

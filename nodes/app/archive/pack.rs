@@ -163,7 +163,9 @@ impl Pack {
     /// The graph as it ran.
     fn graph(&self) -> Result<String> {
         match self.what {
-            What::Sweep => Ok(Folder::open(&self.dir).and_then(|folder| folder.graph()).map_err(folder_error)?),
+            What::Sweep => {
+                Ok(Folder::open(&self.dir).and_then(|folder| folder.graph_of_rows()).map_err(folder_error)?)
+            }
             What::Run => {
                 let graph = self.about["resolved_graph"].as_str();
                 Ok(graph

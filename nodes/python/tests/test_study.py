@@ -19,7 +19,7 @@ def rows_of(folder):
 
 
 def runs_of(folder):
-    return {file.name: file.read_bytes() for file in sorted((folder / "runs").iterdir())}
+    return {file.name: file.read_bytes() for file in sorted((folder / "runs").glob("*.json"))}
 
 
 def test_rows_that_are_asked_for_are_those_of_a_sweep(tmp_path, command):

@@ -20,7 +20,8 @@ impl Desk {
     fn files(&self, out: &str) -> Vec<(String, String)> {
         let read =
             |path: PathBuf| (path.file_name().unwrap().to_str().unwrap().to_owned(), fs::read_to_string(path).unwrap());
-        let runs = fs::read_dir(self.path(out).join(RUNS_DIR)).unwrap().map(|entry| read(entry.unwrap().path()));
+        let runs = fs::read_dir(self.path(out).join(RUNS_DIR)).unwrap().map(|entry| entry.unwrap().path());
+        let runs = runs.filter(|path| path.is_file()).map(read);
         let mut files: Vec<_> = runs.chain([RUNS, POINTS].map(|name| read(self.path(out).join(name)))).collect();
         files.sort();
         files
