@@ -159,6 +159,13 @@ fn a_sweep_with_a_plugin_runs_again_from_one_file_after_its_folder_is_gone() {
     fs::remove_file(places.path("there/again/runs/000002.json")).unwrap();
     places.ends_well("there", &["sweep", "../s.zip", "--allow-plugins", "--out", "again", "--resume"]);
     places.ends_well("there", &["compare", "--same", "again", "../s.zip"]);
+    // One row of it, to look at.
+    places.ends_well("there", &["sweep", "../s.zip", "--allow-plugins", "--only", "2", "--record", "row"]);
+    let [one, row] = ["again/runs/000002.json", "row/results.json"].map(|name| {
+        let text = fs::read_to_string(places.path(&format!("there/{name}"))).unwrap();
+        serde_json::from_str::<Value>(&text).unwrap()
+    });
+    assert_eq!(one["results"], row);
     // An edited module is another experiment, and not taken for this one.
     places.write("there/s/plugins/1/helper.py", "SCALE = 2.5\n");
     let (code, text) = places.says("there", &["sweep", "../s.zip", "--allow-plugins", "--out", "other"]);

@@ -155,7 +155,8 @@ impl SweepRequest {
         }
         let kinds = self.plugins.kinds_apart()?;
         if !graph.is_dir() {
-            let runs = sweep::check_only(graph, &self.sets, kinds, &numbers, program::n_workers(self.workers))?;
+            let (workers, spec) = (program::n_workers(self.workers), self.spec.clone());
+            let runs = sweep::check_only(graph, &self.sets, kinds, &numbers, workers, spec)?;
             let one = |Run { row, plan, registry, .. }: Run| OneRun { row, plan, registry, stored: None };
             return Ok(runs.into_iter().map(one).collect());
         }

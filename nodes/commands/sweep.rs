@@ -85,7 +85,7 @@ impl Sweep {
         let cancelled = Arc::default();
         running::make_pool(request.workers)?;
         if !request.only.is_empty() {
-            return self.execute_only(global);
+            return self.execute_only(request, global);
         }
         let sweep = or_faults(request.check(), |sweep| &sweep.warnings, global)?;
         let Some(sweep) = sweep else { return Ok(Exit::Usage) };
@@ -107,19 +107,19 @@ impl Sweep {
     }
 
     /// Runs the runs of --only, each recorded in a folder of its own; the exit code is that of the first without results.
-    fn execute_only(&self, global: &Global) -> Result<Exit> {
-        let Some(runs) = or_faults(self.request.only(), |_| &[], global)? else { return Ok(Exit::Usage) };
+    fn execute_only(&self, request: SweepRequest, global: &Global) -> Result<Exit> {
+        let Some(runs) = or_faults(request.only(), |_| &[], global)? else { return Ok(Exit::Usage) };
         if self.dry_run {
             let rows: Vec<_> = runs.iter().map(|run| run.row.clone()).collect();
             return list(json!({}), rows.iter(), global);
         }
         let cancelled = Arc::default();
-        let options = self.request.options_of_only(&cancelled)?;
+        let options = request.options_of_only(&cancelled)?;
         let progress = match &runs[..] {
             [run] => Progress::of_run(&run.plan, options.workers, global),
             _ => Progress::hidden(),
         };
-        let (request, of_runs) = (self.request.clone(), global.clone());
+        let of_runs = global.clone();
         let ran = running::watch(progress, cancelled, move |progress| {
             let mut exits = Vec::new();
             for one in &runs {

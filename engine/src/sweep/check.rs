@@ -185,7 +185,7 @@ pub fn check_as(
     Ok(Sweep { spec, warnings: base.warnings, plan: base.plan, runs, files, hash })
 }
 
-/// Checks these runs of a sweep only.
+/// Checks these runs of a sweep only, or of the earlier one with this specification.
 ///
 /// # Errors
 /// As [`check`], and if the sweep has no run of a number.
@@ -195,8 +195,9 @@ pub fn check_only(
     kinds: impl Into<Kinds>,
     numbers: &[usize],
     workers: usize,
+    spec: Option<Spec>,
 ) -> Result<Vec<Run>, Faults> {
-    let (base, spec) = Base::swept(path, sets, kinds, None)?;
+    let (base, spec) = Base::swept(path, sets, kinds, spec)?;
     let rows = rows(&spec, base.plan.seed);
     let row = |number: &usize| {
         let fault = || Fault::new(format!("{} has no run {number}", path.display()));

@@ -195,11 +195,11 @@ last = "values.last"
 fn single_runs_are_checked_alone_and_numbers_that_are_not_there_are_named() {
     let desk = Desk::new(&graph("sweep-only", SIX));
     let kinds = Kinds::from(&registry());
-    let runs = check_only(&desk.graph, &[], &kinds, &[4, 1], 1).unwrap();
+    let runs = check_only(&desk.graph, &[], &kinds, &[4, 1], 1, None).unwrap();
     let whole = desk.check();
     for (run, number) in runs.iter().zip([4, 1]) {
         assert_eq!((&run.row, &run.plan.resolved), (&whole.runs[number].row, &whole.runs[number].plan.resolved));
     }
-    let message = check_only(&desk.graph, &[], &kinds, &[6], 1).unwrap_err().render(false);
+    let message = check_only(&desk.graph, &[], &kinds, &[6], 1, None).unwrap_err().render(false);
     assert!(message.contains("toy.toml has no run 6") && message.contains("runs 0 to 5"), "{message}");
 }
