@@ -1,6 +1,10 @@
 //! A run or a sweep as one file, run again in another folder after the first is gone.
 
-use crate::common::{TOY_GRAPH, build, copy_folder, json, osteoflow_to_spawn, python, root};
+use crate::common::{
+    TOY_GRAPH, build, copy_folder, json, osteoflow_to_spawn,
+    python::{self, HELPED},
+    root,
+};
 use serde_json::{Value, json};
 use std::{
     env::consts::DLL_SUFFIX,
@@ -74,31 +78,6 @@ impl Places {
     }
 }
 
-const NODE: &str = r#"
-import helper
-import numpy as np
-from osteoflow_node import Cloud, node, payload, source
-
-
-@payload("st/R")
-class R:
-    """A number."""
-
-    number: float
-
-
-@source("st.src", output="cloud")
-def src() -> Cloud:
-    """One cloud."""
-    yield 0, Cloud("camera", np.arange(30.0).reshape(10, 3))
-
-
-@node("st.f", output="r")
-def f(cloud: Cloud) -> R:
-    """A number that helper.py decides."""
-    return R(float(helper.SCALE))
-"#;
-
 const GRAPH: &str = r#"
 plugins = ["st.py"]
 [graph]
@@ -122,7 +101,7 @@ number = "f.number"
 /// A sweep and a run with a plugin that is two files; `None` without Python.
 fn with_plugin(test: &str) -> Option<Places> {
     let places = Places::new(Some(python::python(test)?));
-    for (name, text) in [("st.py", NODE), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.5\n")] {
+    for (name, text) in [("st.py", HELPED), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.5\n")] {
         places.write(&format!("here/{name}"), text);
     }
     Some(places)

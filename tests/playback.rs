@@ -1,7 +1,11 @@
 //! Playback through any method: recorded wires and topics of other programs in graphs with other names, and plugins whose files
 //! are gone.
 
-use crate::common::{osteoflow, python::Folder, root, run_whole, shared_run};
+use crate::common::{
+    osteoflow,
+    python::{Folder, HELPED},
+    root, run_whole, shared_run,
+};
 use serde_json::Value;
 use std::{
     fs,
@@ -183,109 +187,69 @@ fn a_bag_of_ros_2_plays_into_a_graph_whose_frames_it_has_or_is_given() {
     );
 }
 
-/// A node whose number comes from a module beside it.
-const NODE: &str = r#"
-import helper
-import numpy as np
-from osteoflow_node import Cloud, node, payload, source
-
-
-@payload("st/R")
-class R:
-    """A number."""
-
-    number: float
-
-
-@source("st.src", output="cloud")
-def src() -> Cloud:
-    """One cloud."""
-    yield 0, Cloud("camera", np.arange(30.0).reshape(10, 3))
-
-
-@node("st.f", output="r")
-def f(cloud: Cloud) -> R:
-    """A number that helper.py decides."""
-    return R(float(helper.SCALE))
-"#;
-
 const GRAPH: &str = "plugins = [\"st.py\"]\n[graph]\nformat = 1\nname = \"carried\"\n[node.src]\nkind = \"st.src\"\n[node.f]\n\
                      kind = \"st.f\"\nin = { cloud = \"src.cloud\" }\n[record]\nwires = [\"*\"]\n[results]\nf = \"f.r\"\n";
 
-/// Runs the program in the folder with its interpreter; the exit code, and what it printed.
-fn command(folder: &Folder, arguments: &[&str]) -> (Option<i32>, String) {
-    let mut command = osteoflow();
-    command.current_dir(folder.0.path()).env("OSTEOFLOW_PYTHON", &folder.1);
-    let output = command.args(arguments).output().unwrap();
-    (output.status.code(), String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned())
-}
-
-fn ends_well(folder: &Folder, arguments: &[&str]) -> String {
-    let (code, text) = command(folder, arguments);
-    assert_eq!(code, Some(0), "{arguments:?}: {text}");
-    text
-}
-
 #[test]
 fn a_recording_carries_the_text_of_its_plugins_which_runs_only_if_the_user_trusts_it() {
-    let files = [("st.py", NODE), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.5\n")];
+    let files = [("st.py", HELPED), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.5\n")];
     let Some(folder) = Folder::new("the text of plugins in a recording", &files) else { return };
-    ends_well(&folder, &["run", "g.toml", "--out", "r"]);
-    ends_well(&folder, &["run", "g.toml", "--out", "without", "--set", "record.plugins=false"]);
-    let said = ends_well(&folder, &["info", "r/run.mcap"]);
+    folder.ends_well(&["run", "g.toml", "--out", "r"]);
+    folder.ends_well(&["run", "g.toml", "--out", "without", "--set", "record.plugins=false"]);
+    let said = folder.ends_well(&["info", "r/run.mcap"]);
     assert!(said.contains("st.py") && said.contains("--allow-plugins"), "{said}");
-    ends_well(&folder, &["validate", "r/run.mcap"]);
+    folder.ends_well(&["validate", "r/run.mcap"]);
     for file in ["st.py", "helper.py"] {
         fs::remove_file(folder.path(file)).unwrap();
     }
-    let (code, text) = command(&folder, &["replay", "r"]);
+    let (code, text) = folder.says(&["replay", "r"]);
     assert!(code == Some(2) && text.contains("add --allow-plugins"), "{code:?} {text}");
-    let text = ends_well(&folder, &["replay", "r", "--allow-plugins"]);
+    let text = folder.ends_well(&["replay", "r", "--allow-plugins"]);
     assert!(text.contains("0 differ, results equal"), "{text}");
     // Another file at its place is not run instead.
     folder.write("st.py", "raise SystemExit(3)\n");
-    let (code, text) = command(&folder, &["replay", "r"]);
+    let (code, text) = folder.says(&["replay", "r"]);
     assert!(
         code == Some(2) && text.contains("not that of the recorded run") && text.contains("--allow-plugins"),
         "{text}"
     );
-    ends_well(&folder, &["replay", "r", "--allow-plugins"]);
+    folder.ends_well(&["replay", "r", "--allow-plugins"]);
     // A module that only a firing imports is carried, too, and named where it has changed.
-    let lazy = NODE.replace("import helper\n", "").replace("    return R", "    import helper\n    return R");
+    let lazy = HELPED.replace("import helper\n", "").replace("    return R", "    import helper\n    return R");
     folder.write("st.py", &lazy);
     folder.write("helper.py", "SCALE = 3.5\n");
-    ends_well(&folder, &["run", "g.toml", "--out", "lazy"]);
+    folder.ends_well(&["run", "g.toml", "--out", "lazy"]);
     folder.write("helper.py", "SCALE = 4.5\n");
-    let (code, text) = command(&folder, &["replay", "lazy"]);
+    let (code, text) = folder.says(&["replay", "lazy"]);
     assert!(code == Some(4) && text.contains("helper.py) differs"), "{code:?} {text}");
     fs::remove_file(folder.path("helper.py")).unwrap();
-    ends_well(&folder, &["validate", "lazy/run.mcap"]);
-    let text = ends_well(&folder, &["replay", "lazy", "--allow-plugins"]);
+    folder.ends_well(&["validate", "lazy/run.mcap"]);
+    let text = folder.ends_well(&["replay", "lazy", "--allow-plugins"]);
     assert!(text.contains("0 differ, results equal"), "{text}");
-    let (code, text) = command(&folder, &["replay", "without", "--allow-plugins"]);
+    let (code, text) = folder.says(&["replay", "without", "--allow-plugins"]);
     assert!(code == Some(2) && text.contains("carries the text of no plugin"), "{code:?} {text}");
     assert!(!String::from_utf8_lossy(&fs::read(folder.path("without/run.mcap")).unwrap()).contains("helper.SCALE"));
     // Recovered with the rest; a changed text is found.
     let bytes = fs::read(folder.path("r/run.mcap")).unwrap();
     fs::write(folder.path("cut.mcap"), &bytes[..bytes.len() - 40]).unwrap();
-    let recovered = command(&folder, &["recover", "cut.mcap", "saved.mcap"]);
+    let recovered = folder.says(&["recover", "cut.mcap", "saved.mcap"]);
     assert!(folder.path("saved.mcap").exists(), "{recovered:?}");
-    let (code, text) = command(&folder, &["replay", "saved.mcap", "--allow-plugins"]);
+    let (code, text) = folder.says(&["replay", "saved.mcap", "--allow-plugins"]);
     assert_eq!(code, Some(0), "{text}");
     let at = bytes.windows(11).position(|window| window == b"SCALE = 1.5").unwrap();
     let mut changed = bytes.clone();
     changed[at + 8] = b'9';
     fs::write(folder.path("changed.mcap"), &changed).unwrap();
-    let (code, text) = command(&folder, &["validate", "changed.mcap"]);
+    let (code, text) = folder.says(&["validate", "changed.mcap"]);
     assert!(code == Some(1) && text.contains("has another SHA-256"), "{code:?} {text}");
-    let (code, text) = command(&folder, &["replay", "changed.mcap", "--allow-plugins"]);
+    let (code, text) = folder.says(&["replay", "changed.mcap", "--allow-plugins"]);
     assert!(code == Some(1) && text.contains("has another SHA-256"), "{code:?} {text}");
 }
 
 #[test]
 fn the_values_of_named_variables_are_part_of_what_a_plugin_is() {
     let node =
-        NODE.replace("import helper\n", "import os\n").replace("helper.SCALE", "os.environ.get(\"MODEL\", \"0\")");
+        HELPED.replace("import helper\n", "import os\n").replace("helper.SCALE", "os.environ.get(\"MODEL\", \"0\")");
     let graph = GRAPH.replace("kind = \"st.f\"\n", "kind = \"st.f\"\nenv = [\"MODEL\"]\n");
     let graph = format!("{graph}[sweep]\nrepeat = 3\n[sweep.columns]\nnumber = \"f.number\"\n");
     let Some(folder) = Folder::new("variables of the environment", &[("st.py", &node), ("g.toml", &graph)]) else {
@@ -360,16 +324,16 @@ fn the_values_of_named_variables_are_part_of_what_a_plugin_is() {
 
 #[test]
 fn what_made_two_recordings_differ_is_named_above_the_numbers() {
-    let files = [("st.py", NODE), ("g.toml", GRAPH), ("helper.py", "A = 1\nSCALE = 1.5\n")];
+    let files = [("st.py", HELPED), ("g.toml", GRAPH), ("helper.py", "A = 1\nSCALE = 1.5\n")];
     let Some(folder) = Folder::new("what made two recordings", &files) else { return };
-    ends_well(&folder, &["run", "g.toml", "--out", "a"]);
-    ends_well(&folder, &["run", "g.toml", "--out", "same"]);
+    folder.ends_well(&["run", "g.toml", "--out", "a"]);
+    folder.ends_well(&["run", "g.toml", "--out", "same"]);
     folder.write("helper.py", "A = 1\nSCALE = 2.5\n");
     let parameters = format!("{GRAPH}# \n")
         .replace("in = { cloud = \"src.cloud\" }", "in.cloud = { from = \"src.cloud\", capacity = 9 }");
     folder.write("h.toml", &parameters);
-    ends_well(&folder, &["run", "h.toml", "--out", "b", "--set", "graph.seed=7"]);
-    let (code, text) = command(&folder, &["diff", "a", "b"]);
+    folder.ends_well(&["run", "h.toml", "--out", "b", "--set", "graph.seed=7"]);
+    let (code, text) = folder.says(&["diff", "a", "b"]);
     assert_eq!(code, Some(4), "{text}");
     let expected = [
         "[graph] seed: A 0, B 7",
@@ -382,24 +346,24 @@ fn what_made_two_recordings_differ_is_named_above_the_numbers() {
     for words in expected {
         assert!(text[..first].contains(words), "{words}: {text}");
     }
-    let (code, text) = command(&folder, &["diff", "a", "same"]);
+    let (code, text) = folder.says(&["diff", "a", "same"]);
     assert!(code == Some(0) && !text.contains("made by"), "{code:?} {text}");
     // The file of the plugin, by its line.
-    folder.write("st.py", &NODE.replace("np.arange(30.0)", "np.arange(1.0, 31.0)"));
-    ends_well(&folder, &["run", "g.toml", "--out", "c"]);
-    let (_, text) = command(&folder, &["diff", "b", "c"]);
+    folder.write("st.py", &HELPED.replace("np.arange(30.0)", "np.arange(1.0, 31.0)"));
+    folder.ends_well(&["run", "g.toml", "--out", "c"]);
+    let (_, text) = folder.says(&["diff", "b", "c"]);
     assert!(
         text.contains("plugin st: A ") && text.contains("B `yield 0, Cloud(\"camera\", np.arange(1.0, 31.0)"),
         "{text}"
     );
     let path: PathBuf = folder.path("a");
-    let (_, answer) = command(&folder, &["diff", "--format", "json", path.to_str().unwrap(), "b"]);
+    let (_, answer) = folder.says(&["diff", "--format", "json", path.to_str().unwrap(), "b"]);
     assert!(answer.contains("\"made\""), "{answer}");
 }
 
 #[test]
 fn an_interpreter_without_numpy_is_named_with_the_ways_to_another() {
-    let Some(folder) = Folder::new("an interpreter without numpy", &[("st.py", NODE), ("g.toml", GRAPH)]) else {
+    let Some(folder) = Folder::new("an interpreter without numpy", &[("st.py", HELPED), ("g.toml", GRAPH)]) else {
         return;
     };
     let hidden = folder.path("hidden");

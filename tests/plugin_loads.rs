@@ -1,6 +1,9 @@
 //! What a plugin loads beside its own file decides numbers, so it is named, hashed and held: modules, packages, libraries.
 
-use crate::common::{build, osteoflow, osteoflow_to_spawn, python::Folder};
+use crate::common::{
+    build, osteoflow, osteoflow_to_spawn,
+    python::{Folder, HELPED},
+};
 use serde_json::Value;
 use std::{
     fs,
@@ -9,32 +12,6 @@ use std::{
     thread,
     time::{Duration, Instant},
 };
-
-/// A source of one surface and a node whose number comes from a module beside it.
-const NODE: &str = r#"
-import helper
-import numpy as np
-from osteoflow_node import Cloud, node, payload, source
-
-
-@payload("st/R")
-class R:
-    """A number."""
-
-    number: float
-
-
-@source("st.src", output="cloud")
-def src() -> Cloud:
-    """One cloud."""
-    yield 0, Cloud("camera", np.arange(30.0).reshape(10, 3))
-
-
-@node("st.f", output="r")
-def f(cloud: Cloud) -> R:
-    """A number that helper.py decides."""
-    return R(float(helper.SCALE))
-"#;
 
 const GRAPH: &str = r#"
 plugins = ["st.py"]
@@ -54,25 +31,10 @@ repeat = 4
 number = "f.number"
 "#;
 
-struct Command<'a>(&'a Folder);
+/// What the program leaves in the folder.
+struct Results<'a>(&'a Folder);
 
-impl Command<'_> {
-    /// Runs the program in the folder; its exit code, and what it printed.
-    fn run(&self, arguments: &[&str]) -> (Option<i32>, String) {
-        let mut command = osteoflow();
-        command.current_dir(self.0.0.path()).env("OSTEOFLOW_CACHE", self.0.path("cache"));
-        let output = command.args(arguments).env("OSTEOFLOW_PYTHON", &self.0.1).output().unwrap();
-        let text = [output.stdout, output.stderr].concat();
-        (output.status.code(), String::from_utf8_lossy(&text).into_owned())
-    }
-
-    /// As [`Self::run`], which must end well.
-    fn ends_well(&self, arguments: &[&str]) -> String {
-        let (code, text) = self.run(arguments);
-        assert_eq!(code, Some(0), "{arguments:?}: {text}");
-        text
-    }
-
+impl Results<'_> {
     /// The column `number` of a sweep.
     fn numbers(&self, sweep: &str) -> Vec<String> {
         let table = fs::read_to_string(self.0.path(&format!("{sweep}/runs.csv"))).unwrap();
@@ -88,54 +50,54 @@ impl Command<'_> {
 
 #[test]
 fn a_sweep_is_not_continued_nor_merged_with_another_module_beside_the_plugin() {
-    let files = [("st.py", NODE), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.0\n")];
+    let files = [("st.py", HELPED), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.0\n")];
     let Some(folder) = Folder::new("a module beside a plugin", &files) else { return };
-    let command = Command(&folder);
-    command.ends_well(&["sweep", "g.toml", "--out", "s"]);
-    command.ends_well(&["sweep", "g.toml", "--shard", "1/2", "--out", "p1"]);
+    let results = Results(&folder);
+    folder.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    folder.ends_well(&["sweep", "g.toml", "--shard", "1/2", "--out", "p1"]);
     fs::remove_file(folder.path("s/runs/000003.json")).unwrap();
     folder.write("helper.py", "SCALE = 2.0\n");
-    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
     assert!(code == Some(2) && text.contains("helper (") && text.contains("helper.py) differs"), "{code:?} {text}");
-    command.ends_well(&["sweep", "g.toml", "--shard", "2/2", "--out", "p2"]);
-    let (code, text) = command.run(&["sweep", "--merge", "p1", "p2", "--out", "m"]);
+    folder.ends_well(&["sweep", "g.toml", "--shard", "2/2", "--out", "p2"]);
+    let (code, text) = folder.says(&["sweep", "--merge", "p1", "p2", "--out", "m"]);
     assert!(code == Some(2) && text.contains("helper.py) differs"), "{code:?} {text}");
     // As it was, it goes on; the number of a run is that of the module as it is.
-    command.ends_well(&["run", "g.toml", "--out", "r"]);
-    assert_eq!(command.json("r/results.json")["f"]["number"], 2.0);
+    folder.ends_well(&["run", "g.toml", "--out", "r"]);
+    assert_eq!(results.json("r/results.json")["f"]["number"], 2.0);
     folder.write("helper.py", "SCALE = 1.0\n");
-    command.ends_well(&["sweep", "g.toml", "--out", "s", "--resume"]);
-    assert_eq!(command.numbers("s"), ["1.0"; 4]);
+    folder.ends_well(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    assert_eq!(results.numbers("s"), ["1.0"; 4]);
     // A changed line of the graph is named, too.
     folder.write("g.toml", &GRAPH.replace("name = \"imports\"", "name = \"other\""));
-    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
     assert!(code == Some(2) && text.contains("`name = \"imports\"` in [graph]"), "{code:?} {text}");
 }
 
 #[test]
 fn a_module_that_only_a_firing_imports_is_named_and_held_to() {
-    let node = NODE.replace("import helper\n", "").replace("    return R", "    import helper\n    return R");
+    let node = HELPED.replace("import helper\n", "").replace("    return R", "    import helper\n    return R");
     let files = [("st.py", node.as_str()), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.0\n")];
     let Some(folder) = Folder::new("a module that a firing imports", &files) else { return };
-    let command = Command(&folder);
-    command.ends_well(&["run", "g.toml", "--out", "r"]);
-    assert_eq!(command.json("r/manifest.json")["plugins"][0]["loads"]["files"][0]["name"], "helper");
-    command.ends_well(&["sweep", "g.toml", "--out", "s"]);
-    assert_eq!(command.json("s/sweep.json")["plugins"][0]["loads"]["files"][0]["name"], "helper");
+    let results = Results(&folder);
+    folder.ends_well(&["run", "g.toml", "--out", "r"]);
+    assert_eq!(results.json("r/manifest.json")["plugins"][0]["loads"]["files"][0]["name"], "helper");
+    folder.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    assert_eq!(results.json("s/sweep.json")["plugins"][0]["loads"]["files"][0]["name"], "helper");
     fs::remove_file(folder.path("s/runs/000003.json")).unwrap();
     folder.write("helper.py", "SCALE = 2.0\n");
-    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
     assert!(code != Some(0) && text.contains("helper.py) differs"), "{code:?} {text}");
     assert!(!folder.path("s/runs/000003.json").exists());
 }
 
 #[test]
 fn a_sweep_runs_from_plugin_and_modules_as_they_were_at_its_start() {
-    let slow = NODE.replace("    return R", "    import time\n    time.sleep(0.1)\n    return R");
+    let slow = HELPED.replace("    return R", "    import time\n    time.sleep(0.1)\n    return R");
     let graph = GRAPH.replace("repeat = 4", "repeat = 12");
     let files = [("st.py", slow.as_str()), ("g.toml", &graph), ("helper.py", "SCALE = 1.0\n")];
     let Some(folder) = Folder::new("a plugin saved during a sweep", &files) else { return };
-    let command = Command(&folder);
+    let results = Results(&folder);
     let mut sweep = osteoflow_to_spawn();
     sweep.current_dir(folder.0.path()).env("OSTEOFLOW_PYTHON", &folder.1);
     sweep.args(["sweep", "g.toml", "--out", "s", "--workers", "1", "-q"]).stderr(Stdio::piped());
@@ -151,7 +113,7 @@ fn a_sweep_runs_from_plugin_and_modules_as_they_were_at_its_start() {
     fs::remove_file(folder.path("helper.py")).unwrap();
     let output = sweep.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(command.numbers("s"), ["1.0"; 12]);
+    assert_eq!(results.numbers("s"), ["1.0"; 12]);
 }
 
 #[test]
@@ -167,11 +129,11 @@ fn a_changed_default_in_an_imported_module_is_seen() {
     let graph = "plugins = [\"c.py\"]\n[graph]\nformat = 1\n[node.c]\nkind = \"c.x\"\n[results]\nt = \"c.t\"\n";
     let files = [("c.py", plugin), ("c.toml", graph), ("common.py", &common("1.0"))];
     let Some(folder) = Folder::new("a default in an imported module", &files) else { return };
-    let command = Command(&folder);
+    let results = Results(&folder);
     for k in ["1.0", "2.0"] {
         folder.write("common.py", &common(k));
-        command.ends_well(&["run", "c.toml", "--out", k]);
-        assert_eq!(command.json(&format!("{k}/results.json"))["t"], format!("k={k}"));
+        folder.ends_well(&["run", "c.toml", "--out", k]);
+        assert_eq!(results.json(&format!("{k}/results.json"))["t"], format!("k={k}"));
     }
 }
 
@@ -181,24 +143,24 @@ fn the_version_of_a_package_is_in_the_manifest_and_a_new_one_makes_another_sweep
     let of = |version: &str| format!("packages/helper-{version}.dist-info/METADATA");
     let path =
         "import sys, os\nsys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), \"packages\"))\n";
-    let node = format!("{path}{NODE}");
+    let node = format!("{path}{HELPED}");
     let files = [("st.py", node.as_str()), ("g.toml", GRAPH), ("packages/helper.py", "SCALE = 1.0\n")];
     let Some(folder) = Folder::new("a package of another version", &files) else { return };
-    let command = Command(&folder);
+    let results = Results(&folder);
     folder.write(&of("1.1"), &metadata("1.1"));
-    command.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    folder.ends_well(&["sweep", "g.toml", "--out", "s"]);
     fs::remove_file(folder.path("s/runs/000003.json")).unwrap();
     for version in ["1.1", "1.2"] {
         fs::remove_dir_all(folder.path("packages/helper-1.1.dist-info")).unwrap();
         folder.write(&of(version), &metadata(version));
-        command.ends_well(&["run", "g.toml", "--out", version]);
-        let loads = &command.json(&format!("{version}/manifest.json"))["plugins"][0]["loads"];
+        folder.ends_well(&["run", "g.toml", "--out", version]);
+        let loads = &results.json(&format!("{version}/manifest.json"))["plugins"][0]["loads"];
         let packages: Vec<_> = loads["packages"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect();
         assert!(packages.contains(&&*format!("helper {version}")), "{packages:?}");
         assert!(packages.iter().any(|package| package.starts_with("numpy ")), "{packages:?}");
         assert!(loads["environment"][0].as_str().unwrap().starts_with("CPython 3."), "{loads}");
     }
-    let (code, text) = command.run(&["sweep", "g.toml", "--out", "s", "--resume"]);
+    let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
     assert!(code == Some(2) && text.contains("helper 1.1 against 1.2"), "{code:?} {text}");
 }
 
@@ -300,20 +262,19 @@ class F:
                  in = { mesh = \"mesh.mesh\" }\n[results]\nr = \"f.r\"\n[sweep]\nrepeat = 5\n\
                  [sweep.columns]\npid = \"r.pid\"\nn_built = \"r.n_built\"\nn_fired = \"r.n_fired\"\nn_meshes = \"r.n_meshes\"\n";
     let Some(folder) = Folder::new("a process for many runs", &[("p.py", plugin), ("g.toml", graph)]) else { return };
-    let command = Command(&folder);
     let columns = |out: &str| -> Vec<Vec<f64>> {
         let table = fs::read_to_string(folder.path(&format!("{out}/runs.csv"))).unwrap();
         let row = |row: &str| row.split(',').skip(5).take(4).map(|cell| cell.parse().unwrap()).collect();
         table.lines().skip(1).map(row).collect()
     };
     // Each run has a seed of its own, and computes the mesh anew: it is the same all the same.
-    command.ends_well(&["sweep", "g.toml", "--out", "pooled", "--workers", "1", "--set", "sweep.twice=0"]);
+    folder.ends_well(&["sweep", "g.toml", "--out", "pooled", "--workers", "1", "--set", "sweep.twice=0"]);
     let pooled = columns("pooled");
     let pid = pooled[0][0];
     for (run, row) in pooled.iter().enumerate() {
         assert_eq!(row[..], [pid, (run + 1) as f64, 1.0, 1.0], "a node is built anew in the process: {pooled:?}");
     }
-    command.ends_well(&["sweep", "g.toml", "--out", "alone", "--workers", "1", "--set", "f.pool=false"]);
+    folder.ends_well(&["sweep", "g.toml", "--out", "alone", "--workers", "1", "--set", "f.pool=false"]);
     let alone = columns("alone");
     let mut pids: Vec<_> = alone.iter().map(|row| row[0] as u64).collect();
     pids.sort_unstable();
@@ -362,19 +323,19 @@ def relay(r: R) -> R:
     let files = [("u.py", plugin("")), ("declared.py", plugin(", unsteady=True")), ("g.toml", graph.into())];
     let files = files.each_ref().map(|(name, text)| (*name, text.as_str()));
     let Some(folder) = Folder::new("a kind that answers otherwise", &files) else { return };
-    let command = Command(&folder);
-    let printed = command.ends_well(&["sweep", "g.toml", "--out", "s"]);
+    let results = Results(&folder);
+    let printed = folder.ends_well(&["sweep", "g.toml", "--out", "s"]);
     assert!(printed.contains("u.random answers otherwise the second time, in 3 of 3 runs"), "{printed}");
     assert!(!printed.contains("u.relay answers"), "its input differed: {printed}");
-    let twice = &command.json("s/summary.json")["twice"];
+    let twice = &results.json("s/summary.json")["twice"];
     assert_eq!((&twice["n_runs"], &twice["unsteady"][0]["kind"]), (&3.into(), &"u.random".into()), "{twice}");
     assert!(twice["unsteady"][0]["columns"]["x"].as_f64().unwrap() > 0.0, "{twice}");
-    command.ends_well(&["report", "s", "--out", "r.html"]);
+    folder.ends_well(&["report", "s", "--out", "r.html"]);
     assert!(fs::read_to_string(folder.path("r.html")).unwrap().contains("u.random answers otherwise"));
     // By default the first run is, and none where the share is zero; a kind that says so is not named.
     let none = |arguments: &[&str], n_runs: Option<u64>, out: &str| {
-        let printed = command.ends_well(&[&["sweep", "g.toml", "--out", out], arguments].concat());
-        assert_eq!(command.json(&format!("{out}/summary.json"))["twice"]["n_runs"].as_u64(), n_runs, "{printed}");
+        let printed = folder.ends_well(&[&["sweep", "g.toml", "--out", out], arguments].concat());
+        assert_eq!(results.json(&format!("{out}/summary.json"))["twice"]["n_runs"].as_u64(), n_runs, "{printed}");
         printed
     };
     none(&["--set", "sweep.twice=0.02"], Some(1), "default");
@@ -389,7 +350,7 @@ const FOREIGN: &str = "import ctypes, os, time\nSCALE_OF = ctypes.CDLL(os.path.j
 
 #[test]
 fn a_library_that_changes_during_a_sweep_ends_in_failed_rows_with_its_name() {
-    let node = NODE.replace("import helper\n", FOREIGN).replace("helper.SCALE", "SCALE_OF()");
+    let node = HELPED.replace("import helper\n", FOREIGN).replace("helper.SCALE", "SCALE_OF()");
     let node = node.replace("    return R", "    time.sleep(0.1)\n    return R");
     let graph =
         GRAPH.replace("repeat = 4", "repeat = 8").replace("kind = \"st.f\"\n", "kind = \"st.f\"\npool = false\n");
@@ -418,7 +379,7 @@ fn a_library_that_changes_during_a_sweep_ends_in_failed_rows_with_its_name() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     let runs: Vec<Value> = (0..8)
         .filter(|run| folder.path(&format!("s/runs/{run:06}.json")).exists())
-        .map(|run| Command(&folder).json(&format!("s/runs/{run:06}.json")))
+        .map(|run| Results(&folder).json(&format!("s/runs/{run:06}.json")))
         .collect();
     let failed: Vec<_> = runs.iter().filter(|run| run["status"] != "complete").collect();
     assert!(!failed.is_empty() && runs.len() - failed.len() >= 2, "{said}: {runs:#?}");
@@ -470,16 +431,16 @@ def f(text: Text, ctx: Context) -> R:
     let graph = "plugins = [\"p.py\"]\n[graph]\nformat = 1\n[node.src]\nkind = \"p.src\"\n[node.f]\nkind = \"p.f\"\n\
                  in = { text = \"src.text\" }\n[results]\nr = \"f.r\"\n[sweep]\nrepeat = 4\ntwice = 0\n[sweep.columns]\npid = \"r.pid\"\n";
     let Some(folder) = Folder::new("a broken protocol", &[("p.py", plugin), ("g.toml", graph)]) else { return };
-    let command = Command(&folder);
-    let (_, text) = command.run(&["sweep", "g.toml", "--out", "s", "--workers", "1"]);
-    let run = |run: usize| command.json(&format!("s/runs/{run:06}.json"));
+    let results = Results(&folder);
+    let (_, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--workers", "1"]);
+    let run = |run: usize| results.json(&format!("s/runs/{run:06}.json"));
     let pid = |n: usize| run(n)["results"]["r"]["pid"].as_u64().unwrap_or_else(|| panic!("{n}: {:#} {text}", run(n)));
     let reason = run(1)["reason"].as_str().unwrap_or_default().to_owned();
     assert!(reason.contains("answers on 2 outputs of 1"), "{reason}");
     assert!(pid(0) != pid(2) && pid(2) == pid(3), "{} {} {}", pid(0), pid(2), pid(3));
     assert!(text.contains("node \"f\": after its end its process ended with exit code 7"), "{text}");
     // A process of its own for each run is named with its run.
-    let (_, text) = command.run(&["sweep", "g.toml", "--out", "alone", "--workers", "1", "--set", "f.pool=false"]);
+    let (_, text) = folder.says(&["sweep", "g.toml", "--out", "alone", "--workers", "1", "--set", "f.pool=false"]);
     let line = text.lines().find(|line| line.contains("exit code 7")).unwrap_or_else(|| panic!("{text}"));
     assert!(line.contains("run{number=3}") && line.contains("node \"f\""), "{line}");
 }

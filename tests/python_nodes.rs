@@ -129,6 +129,12 @@ fn the_page_leads_from_a_node_to_a_report_and_to_somebody_else() {
         n_lines += 1;
     }
     assert_eq!(n_lines, 8);
+    // Where it is unknown which parameters go with their kind, the rows of a rerun would not be those of the sweep.
+    let mut about: Value = serde_json::from_slice(&fs::read(at.join("S/sweep.json")).unwrap()).unwrap();
+    assert!(about.as_object_mut().unwrap().remove("written").is_some());
+    fs::write(at.join("S/sweep.json"), about.to_string()).unwrap();
+    let (code, said) = run("osteoflow export S unknown.zip", &at, &[]);
+    assert!(code != 0 && said.contains("which parameters were written") && !at.join("unknown.zip").exists(), "{said}");
     let rows = fs::read_to_string(at.join("S/runs.csv")).unwrap();
     let of = |kind: &str| -> Vec<Vec<f64>> {
         let of_kind = rows.lines().filter(|row| row.contains(kind));

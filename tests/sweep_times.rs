@@ -1,6 +1,6 @@
 //! How long nodes take in a sweep: in `times.csv`, as columns, in the report, and in no number that has to be repeated.
 
-use crate::common::{osteoflow, python::Folder};
+use crate::common::python::Folder;
 use serde_json::Value;
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -67,14 +67,6 @@ fn folder(test: &str, sweep: &str) -> Option<Folder> {
     Folder::new(test, &[("t.py", NODE), ("g.toml", &graph(sweep))])
 }
 
-fn run(folder: &Folder, arguments: &[&str]) -> (Option<i32>, String) {
-    let mut command = osteoflow();
-    command.current_dir(folder.0.path()).env("OSTEOFLOW_CACHE", folder.path("cache")).env_remove("OMP_NUM_THREADS");
-    let output = command.args(arguments).env("OSTEOFLOW_PYTHON", &folder.1).output().unwrap();
-    let text = [output.stdout, output.stderr].concat();
-    (output.status.code(), String::from_utf8_lossy(&text).into_owned())
-}
-
 /// The rows of a table, each by its heads.
 fn rows(file: &Path) -> Vec<BTreeMap<String, String>> {
     let text = fs::read_to_string(file).unwrap();
@@ -87,7 +79,7 @@ fn rows(file: &Path) -> Vec<BTreeMap<String, String>> {
 fn a_sweep_says_what_each_node_took_on_the_clock_and_of_the_processor() {
     let columns = "f_cpu_ms = \"nodes.f.cpu_ms\"\nall_wall_ms = \"run.wall_ms\"\nseen = \"r.processors\"\n";
     let Some(folder) = folder("times of nodes", columns) else { return };
-    let (code, text) = run(&folder, &["sweep", "g.toml", "--out", "s", "--workers", "1"]);
+    let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--workers", "1"]);
     assert_eq!(code, Some(0), "{text}");
     let times = rows(&folder.path("s/times.csv"));
     let number = |row: &BTreeMap<String, String>, key: &str| row[key].parse::<f64>().unwrap();
@@ -123,11 +115,11 @@ fn a_sweep_says_what_each_node_took_on_the_clock_and_of_the_processor() {
     if cfg!(target_os = "linux") {
         // With seeds of their own nothing is shared: the process of the first row fires again for the second.
         let arguments = ["sweep", "g.toml", "--out", "s2", "--workers", "1", "--set", "sweep.same_seed=false"];
-        assert_eq!(run(&folder, &arguments).0, Some(0));
+        assert_eq!(folder.says(&arguments).0, Some(0));
         let seen: Vec<_> = rows(&folder.path("s2/runs.csv")).iter().map(|row| row["seen"].clone()).collect();
         assert_eq!((&*seen[0], &*seen[1]), ("1", &*n.to_string()), "{seen:?}");
     }
-    let (code, text) = run(&folder, &["report", "s"]);
+    let (code, text) = folder.says(&["report", "s"]);
     assert_eq!(code, Some(0), "{text}");
     let page = fs::read_to_string(folder.path("s/report.html")).unwrap();
     assert!(page.contains("number against f cpu (ms)"), "the error is drawn against the time");
@@ -137,7 +129,7 @@ fn a_sweep_says_what_each_node_took_on_the_clock_and_of_the_processor() {
 fn times_are_no_part_of_what_has_to_be_repeated() {
     let Some(folder) = folder("times and repeated tables", "") else { return };
     for (out, workers) in [("one", "1"), ("two", "2")] {
-        let (code, text) = run(&folder, &["sweep", "g.toml", "--out", out, "--workers", workers]);
+        let (code, text) = folder.says(&["sweep", "g.toml", "--out", out, "--workers", workers]);
         assert_eq!(code, Some(0), "{text}");
     }
     for name in ["runs.csv", "points.csv", "summary.json", "runs/000002.json"] {
@@ -146,17 +138,17 @@ fn times_are_no_part_of_what_has_to_be_repeated() {
     }
     for part in ["1", "2"] {
         let (shard, out) = (format!("{part}/2"), format!("part{part}"));
-        let (code, text) = run(&folder, &["sweep", "g.toml", "--out", &out, "--shard", &shard]);
+        let (code, text) = folder.says(&["sweep", "g.toml", "--out", &out, "--shard", &shard]);
         assert_eq!(code, Some(0), "{text}");
     }
-    let (code, text) = run(&folder, &["sweep", "--merge", "part1", "part2", "--out", "whole"]);
+    let (code, text) = folder.says(&["sweep", "--merge", "part1", "part2", "--out", "whole"]);
     assert_eq!(code, Some(0), "{text}");
     let n = |out: &str| rows(&folder.path(&format!("{out}/times.csv"))).len();
     assert_eq!((n("whole"), n("part1") + n("part2")), (18, 18), "three rows for each of six runs");
     // A sweep of a version that measured nothing is still one.
     fs::remove_dir_all(folder.path("one/runs/times")).unwrap();
     fs::remove_file(folder.path("one/runs/000005.json")).unwrap();
-    let (code, text) = run(&folder, &["sweep", "g.toml", "--out", "one", "--resume"]);
+    let (code, text) = folder.says(&["sweep", "g.toml", "--out", "one", "--resume"]);
     assert_eq!(code, Some(0), "{text}");
     assert_eq!(n("one"), 3);
 }
@@ -170,13 +162,13 @@ fn a_time_that_there_is_not_is_a_fault_of_the_graph() {
     ];
     let columns: String = wrong.iter().enumerate().map(|(k, (path, _))| format!("c{k} = \"{path}\"\n")).collect();
     let Some(folder) = folder("faults of times", &columns) else { return };
-    let (code, text) = run(&folder, &["check", "g.toml"]);
+    let (code, text) = folder.says(&["check", "g.toml"]);
     assert_eq!(code, Some(2), "{text}");
     for (_, message) in wrong {
         assert!(text.contains(message), "{message}: {text}");
     }
     assert!(text.contains("write \"nodes.f.cpu_ms\"") && text.contains("busy_ms, cpu_ms, wall_ms"), "{text}");
-    let faults = run(&folder, &["check", "g.toml", "--format", "json"]).1;
+    let faults = folder.says(&["check", "g.toml", "--format", "json"]).1;
     let faults: Value = serde_json::from_str(faults.trim()).unwrap();
     let lines: Vec<_> =
         faults["faults"].as_array().unwrap().iter().map(|fault| fault["line"].as_u64().unwrap()).collect();

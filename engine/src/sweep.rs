@@ -23,7 +23,7 @@ pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level
 pub use check::{again, check, check_as, check_only};
 pub use design::{SweepRow, rows};
 pub use folder::{
-    Asked, DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, TIMES, difference_of_plugins, merge,
+    DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, StudyRow, TIMES, difference_of_plugins, merge,
 };
 
 pub use study::{Ask, Study, StudyError};
@@ -76,7 +76,7 @@ pub struct Run {
     /// Sharing key of each node.
     keys: Vec<Digest>,
     /// What was asked for, in a study.
-    asked: Option<Asked>,
+    asked: Option<StudyRow>,
 }
 
 /// Part `index` of `of` of a sweep, counted from 1.

@@ -1,5 +1,6 @@
 //! A Python interpreter with packages, for tests.
 
+use super::osteoflow;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -47,6 +48,32 @@ fn made() -> Option<PathBuf> {
     Some(interpreter)
 }
 
+/// A plugin whose source gives one cloud and whose node a number that `helper.py` beside it decides.
+pub(crate) const HELPED: &str = r#"
+import helper
+import numpy as np
+from osteoflow_node import Cloud, node, payload, source
+
+
+@payload("st/R")
+class R:
+    """A number."""
+
+    number: float
+
+
+@source("st.src", output="cloud")
+def src() -> Cloud:
+    """One cloud."""
+    yield 0, Cloud("camera", np.arange(30.0).reshape(10, 3))
+
+
+@node("st.f", output="r")
+def f(cloud: Cloud) -> R:
+    """A number that helper.py decides."""
+    return R(float(helper.SCALE))
+"#;
+
 /// A folder with files, and the interpreter for its plugins; `None` where there is no Python.
 pub(crate) struct Folder(pub(crate) tempfile::TempDir, pub(crate) PathBuf);
 
@@ -55,6 +82,22 @@ impl Folder {
         let folder = Self(tempfile::tempdir().unwrap(), python(test)?);
         files.iter().for_each(|(name, text)| folder.write(name, text));
         Some(folder)
+    }
+
+    /// Runs the program in the folder, with a store of its own; the exit code, and all that was printed.
+    pub(crate) fn says(&self, arguments: &[&str]) -> (Option<i32>, String) {
+        let mut command = osteoflow();
+        command.current_dir(self.0.path()).env("OSTEOFLOW_CACHE", self.path("cache")).env_remove("OMP_NUM_THREADS");
+        let output = command.args(arguments).env("OSTEOFLOW_PYTHON", &self.1).output().unwrap();
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.code(), String::from_utf8_lossy(&text).into_owned())
+    }
+
+    /// As [`Self::says`], which must end well.
+    pub(crate) fn ends_well(&self, arguments: &[&str]) -> String {
+        let (code, text) = self.says(arguments);
+        assert_eq!(code, Some(0), "{arguments:?}: {text}");
+        text
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {

@@ -76,19 +76,19 @@ mod tests {
     fn each_entry_that_differs_is_named_with_its_table() {
         let a = "[graph]\nseed = 1\n[node.a]\nmm = 4.0\nrules = { most = 1, least = 0 }\n[node.b]\nkind = \"x.y\"\n";
         let b = "[graph]\nseed = 1\n[node.a]\nmm = 5.0\nrules = { most = 1, least = 2 }\nn = 3\n";
-        let found = differences(a, b);
-        let found: Vec<_> =
-            found.iter().map(|d| (&*d.table, &*d.key, [d.values[0].as_deref(), d.values[1].as_deref()])).collect();
+        let entries = differences(a, b);
+        let entries: Vec<_> =
+            entries.iter().map(|d| (&*d.table, &*d.key, [d.values[0].as_deref(), d.values[1].as_deref()])).collect();
         let expected = [
             ("[node.a]", "mm", [Some("4.0"), Some("5.0")]),
             ("[node.a]", "n", [None, Some("3")]),
             ("[node.a]", "rules.least", [Some("0"), Some("2")]),
             ("[node.b]", "", [Some(""), None]),
         ];
-        assert_eq!(found, expected);
+        assert_eq!(entries, expected);
         assert_eq!(differences(a, a), Vec::new());
         let large = "[node.a]\nn = 18446744073709551615\nmm = 4.0\n";
-        let found = differences(large, &large.replace("4.0", "5.0"));
-        assert_eq!((&*found[0].table, &*found[0].key, found.len()), ("[node.a]", "mm", 1));
+        let entries = differences(large, &large.replace("4.0", "5.0"));
+        assert_eq!((&*entries[0].table, &*entries[0].key, entries.len()), ("[node.a]", "mm", 1));
     }
 }

@@ -337,11 +337,11 @@ impl Worker {
             let how = self.child.ending();
             return Err(self.gone(how).0);
         }
-        let asked = Instant::now();
+        let sent_at = Instant::now();
         match self.reply(stop_after, &mut || context.cancelled()) {
             Ok(FromWorker::Answer(answer)) if answer.item == number => {
                 // No process can spend more, whatever it says.
-                let most = asked.elapsed().saturating_mul(self.n_processors);
+                let most = sent_at.elapsed().saturating_mul(self.n_processors);
                 cpu_time::add_apart(Duration::from_nanos(answer.cpu_ns).min(most));
                 Ok(*answer)
             }

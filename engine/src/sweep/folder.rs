@@ -153,7 +153,7 @@ fn option(shard: &Option<String>) -> String {
 
 /// What was asked for by settings, instead of by `[sweep]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Asked {
+pub struct StudyRow {
     /// The settings, in the form of `--set`.
     pub settings: Vec<String>,
     /// Hash of the run's graph, its input files and plugins; `None` if its settings have a fault.
@@ -180,7 +180,7 @@ pub struct Done {
     /// If it was computed twice: the nodes that answered otherwise the second time.
     pub twice: Option<Vec<Unsteady>>,
     /// What was asked for, in a study.
-    pub asked: Option<Asked>,
+    pub asked: Option<StudyRow>,
 }
 
 impl Done {
@@ -435,6 +435,14 @@ impl Folder {
         let of_draws = spec.draws.iter().flat_map(|draw| &draw.keys).map(|key| format!("{key}="));
         let of_variants = spec.variants().into_iter().flat_map(|variant| variant.keys());
         let sets: Vec<_> = of_levels.chain(of_draws).chain(of_variants.map(|key| format!("{key}="))).collect();
+        if written.is_none()
+            && sets.iter().any(|set| set.split('=').next().is_some_and(|key| key.trim().ends_with(".kind")))
+        {
+            let path = self.dir.join(DESIGN).display().to_string();
+            let what = "its runs have several kinds, and it does not say which parameters were written (`written`), as sweeps of \
+                        earlier versions: sweep the graph again with this version, and export that";
+            return Err(FolderError::Form { path, what: what.into() });
+        }
         let path = Path::new(self.about["graph"]["file"].as_str().unwrap_or(GRAPH));
         let kinds = Kinds::from(&Registry::default());
         Ok(without_old_defaults(&graph, path, written.as_ref(), &sets, &kinds).unwrap_or(graph))

@@ -4,7 +4,7 @@
 //! its factors are the keys that are asked for. What was asked for before is answered from the folder.
 
 use super::{
-    Asked, Done, Factor, Folder, FolderError, Level, Run, Spec, Sweep, SweepOptions, SweepRow, Watcher,
+    Done, Factor, Folder, FolderError, Level, Run, Spec, StudyRow, Sweep, SweepOptions, SweepRow, Watcher,
     check::{self, Base},
     folder::{ASKED, difference},
     share::Shared,
@@ -184,7 +184,7 @@ impl Study {
     ) -> Result<(), StudyError> {
         let mut runs: Vec<Run> = Vec::new();
         let stored: BTreeSet<usize> = self.known.values().copied().collect();
-        let of = |number: usize, hash| Asked { settings: asked[&number].clone(), hash };
+        let of = |number: usize, hash| StudyRow { settings: asked[&number].clone(), hash };
         for checked in self.base.rows(rows, self.options.workers, false, &mut self.files) {
             let (row, hash) = match &checked {
                 Ok(run) => {
