@@ -10,11 +10,11 @@ mod evidence;
 mod extent;
 mod limits;
 mod misfit;
+mod nuisance;
 mod planned;
 mod predict;
 mod residuals;
 mod rules;
-mod scale;
 mod score;
 mod slid;
 mod spread;
@@ -27,6 +27,7 @@ pub use convergence::{Convergence, StopCause};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use limits::Limits;
 pub use misfit::Misfit;
+pub use nuisance::{Nuisance, NuisanceParams, NuisanceState};
 pub use osteoflow_verdict::{Answer, Reason};
 pub use planned::{OrderEvidence, landmark_order, plan_faults, planes_lost};
 pub use predict::{
@@ -34,7 +35,6 @@ pub use predict::{
 };
 pub use residuals::{Residual, Residuals};
 pub use rules::{Case, RuleParams, judge};
-pub use scale::Scale;
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
 pub use verdict::Verdict;

@@ -1,6 +1,6 @@
 //! What the data of a registration say about it.
 
-use super::{Misfit, Residual, Residuals, Scale, ShapeEvidence, Spread, contrary};
+use super::{Misfit, Residual, Residuals, ShapeEvidence, Spread, contrary};
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
@@ -16,7 +16,7 @@ const SEARCH_MM: f64 = 8.0;
 
 /// Edge of the cells whose residuals count as one draw, mm: the correlation length of a camera's distortion and of a CT
 /// surface's bumps.
-const CELL_MM: f64 = 10.0;
+pub(super) const CELL_MM: f64 = 10.0;
 
 /// Points inside the surface by more than this many robust standard deviations, and outside by more than that many, are not on
 /// it: soft tissue lies outside.
@@ -91,8 +91,6 @@ pub struct Evidence {
     pub misfit: Misfit,
     /// Share of the scan on the surface whose surface faces away from the camera; none without a viewpoint.
     pub facing_away: Option<f64>,
-    /// Size of the scan against the surface; none where the scan leaves it undetermined.
-    pub scale: Option<Scale>,
     /// RMS spread of the registration at the points that matter, by a jackknife over cells of 10 mm.
     pub spread_mm: Option<f64>,
     /// Mean distance, at the points that matter, to the pose at which a point-to-plane registration settles from this one.
@@ -149,7 +147,6 @@ impl Evidence {
             outside: 1.0 - residuals.share(|near| near.signed_mm <= off_mm),
             misfit,
             facing_away: facing_away(registered, &on),
-            scale: Scale::new(&on, CELL_MM),
             spread_mm: spread.as_ref().map(|spread| rms(&|p| spread.at(p).trace())),
             unsettled_mm: settled.as_ref().map(apart),
             shape: None,

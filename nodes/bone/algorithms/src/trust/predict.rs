@@ -1,9 +1,9 @@
 //! The error to expect, from the spread of the pose and the stated errors of the devices.
 
-use super::{Limits, Spread};
+use super::{Limits, NuisanceParams, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
-use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -45,11 +45,20 @@ pub struct PredictParams {
     /// the scan is in the first already.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub ct_bias_mm: f64,
+    /// What may be wrong beside the pose.
+    pub nuisances: NuisanceParams,
 }
 
 impl Default for PredictParams {
     fn default() -> Self {
-        Self { marker_mm: 0.06, marker_deg: 0.023, print_mm: 0.05, print_deg: 0.03, ct_bias_mm: 0.1 }
+        Self {
+            marker_mm: 0.06,
+            marker_deg: 0.023,
+            print_mm: 0.05,
+            print_deg: 0.03,
+            ct_bias_mm: 0.1,
+            nuisances: NuisanceParams::default(),
+        }
     }
 }
 
@@ -122,6 +131,35 @@ pub struct Cut {
     pub middle: NamedPoint,
     /// Its unit normal.
     pub normal: Vector3<f64>,
+}
+
+/// The tilt of a cut is that of its plane this far around its middle, mm: an error may change along the bone.
+const AROUND_MM: f64 = 0.1;
+
+impl Cut {
+    /// Two perpendicular arms from the middle, in the plane.
+    pub(super) fn arms(&self) -> [Vector3<f64>; 2] {
+        let other = if self.normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+        let u = self.normal.cross(&other).normalize();
+        [u * AROUND_MM, self.normal.cross(&u) * AROUND_MM]
+    }
+}
+
+impl Deformation {
+    /// Covariance of the error at a point, mm².
+    fn covariance_at(&self, p: &Point3<f64>) -> Matrix3<f64> {
+        let lever = (self.at)(p);
+        let covariance = &lever * &self.covariance * lever.transpose();
+        Matrix3::from_fn(|row, column| covariance[(row, column)])
+    }
+}
+
+/// Errors that are no rigid motion, as numbers with a covariance.
+pub struct Deformation {
+    /// Covariance of the numbers.
+    pub covariance: DMatrix<f64>,
+    /// What a number of 1 does to the answer at a point of the target's frame: a column for each, mm.
+    pub at: Box<dyn Fn(&Point3<f64>) -> DMatrix<f64>>,
 }
 
 /// Where the error is predicted, in the target's frame.
@@ -215,6 +253,7 @@ fn isotropic(mm: f64, deg: f64) -> Matrix6<f64> {
 pub fn predict(
     spread: &Spread,
     to_settled: &Isometry3<f64>,
+    deformation: Option<&Deformation>,
     tracking: Option<&Tracking>,
     at: &Where<'_>,
     limits: &Limits,
@@ -243,29 +282,35 @@ pub fn predict(
     let total: Matrix6<f64> = terms.iter().map(|(_, covariance)| covariance).sum();
     let bias = spread.beyond(params.ct_bias_mm);
     let all: Vec<Point3<f64>> = points.iter().chain(&cuts).map(|p| p.position).collect();
-    let rms = |covariance: &Matrix6<f64>| {
-        let squares: f64 = all.iter().map(|p| covariance_at(covariance, &centre, p).trace()).sum();
-        (squares / all.len().max(1) as f64).max(0.0).sqrt()
+    let rms_of = |variance: &dyn Fn(&Point3<f64>) -> f64| {
+        (all.iter().map(variance).sum::<f64>() / all.len().max(1) as f64).max(0.0).sqrt()
     };
+    let rms = |covariance: &Matrix6<f64>| rms_of(&|p| covariance_at(covariance, &centre, p).trace());
     let mut terms: Vec<Term> =
         terms.iter().map(|(name, covariance)| Term { name: (*name).to_owned(), tre_mm: rms(covariance) }).collect();
     terms.push(Term { name: "not settled".to_owned(), tre_mm: rms(&(mean * mean.transpose())) });
+    if let Some(deformation) = deformation {
+        let tre_mm = rms_of(&|p| deformation.covariance_at(p).trace());
+        terms.push(Term { name: "what may be wrong beside the pose".to_owned(), tre_mm });
+    }
     terms.push(Term { name: "stated bias of the CT".to_owned(), tre_mm: rms(&bias) });
-    let (given, biased) = (draws(&mean, &total), draws(&mean, &(total + bias)));
+    let draws = |covariance: &Matrix6<f64>| Draws::new(&mean, covariance, &centre, deformation);
+    let (given, biased) = (draws(&total), draws(&(total + bias)));
     let set = |named: &[NamedPoint]| {
-        let arms: Vec<Vector3<f64>> = named.iter().map(|p| p.position - centre).collect();
-        let (mean_tre_mm, interval_mm) = mean_error(&given, &arms)?;
-        let (_, interval_with_ct_bias_mm) = mean_error(&biased, &arms)?;
+        let positions: Vec<Point3<f64>> = named.iter().map(|p| p.position).collect();
+        let (mean_tre_mm, interval_mm) = given.mean_error(&positions)?;
+        let (_, interval_with_ct_bias_mm) = biased.mean_error(&positions)?;
         Some(PredictedSet { mean_tre_mm, interval_mm, interval_with_ct_bias_mm })
     };
     let moved = |p: &Point3<f64>| shift + turn.cross(&(p - centre));
     let point = |named: &NamedPoint| {
-        let covariance = covariance_at(&total, &centre, &named.position);
+        let own = deformation.map_or(Matrix3::zeros(), |deformation| deformation.covariance_at(&named.position));
+        let covariance = covariance_at(&total, &centre, &named.position) + own;
         let (semi_axes_mm, directions) = ellipsoid(&covariance);
         PredictedPoint {
             name: named.name.to_string(),
             tre_mm: (covariance.trace() + moved(&named.position).norm_squared()).max(0.0).sqrt(),
-            interval_mm: mean_error(&given, &[named.position - centre]).map_or([0.0; 2], |(_, interval)| interval),
+            interval_mm: given.mean_error(&[named.position]).map_or([0.0; 2], |(_, interval)| interval),
             semi_axes_mm,
             directions,
         }
@@ -275,7 +320,7 @@ pub fn predict(
         cuts: cuts.iter().map(point).collect(),
         assessment: set(points),
         all_cuts: set(&cuts),
-        beyond_limits: beyond_limits(&given, &centre, at, limits),
+        beyond_limits: given.beyond_limits(at, limits),
         terms,
     }
 }
@@ -285,54 +330,112 @@ fn covariance_at(covariance: &Matrix6<f64>, centre: &Point3<f64>, point: &Point3
     carried(covariance, centre, point).fixed_view::<3, 3>(0, 0).into_owned()
 }
 
-/// Share of the draws that are beyond a limit.
-fn beyond_limits(draws: &[Vector6<f64>], centre: &Point3<f64>, at: &Where<'_>, limits: &Limits) -> f64 {
-    let is_beyond = |draw: &&Vector6<f64>| {
-        let (shift, turn) = (draw.fixed_rows::<3>(0).into_owned(), draw.fixed_rows::<3>(3).into_owned());
-        let moved = |p: &Point3<f64>| shift + turn.cross(&(p - centre));
-        let tre_mm = at.limited.iter().map(|p| moved(p).norm()).sum::<f64>() / at.limited.len().max(1) as f64;
-        let offset = |cut: &Cut| moved(&cut.middle.position).dot(&cut.normal).abs();
-        let tilt = |cut: &Cut| turn.cross(&cut.normal).norm().to_degrees();
-        let largest = |of: &dyn Fn(&Cut) -> f64| at.cuts.iter().map(of).fold(0.0, f64::max);
-        limits.times(tre_mm, largest(&offset), largest(&tilt)) > 1.0
-    };
-    draws.iter().filter(is_beyond).count() as f64 / draws.len().max(1) as f64
-}
-
 fn ellipsoid(covariance: &Matrix3<f64>) -> ([f64; 3], [[f64; 3]; 3]) {
     let (directions, variances) = largest_first(covariance);
     (variances.map(|value| ELLIPSOID_SIGMAS * value.max(0.0).sqrt()), directions.map(Into::into))
 }
 
-/// Draws of shift and turn, always from the same random numbers.
-fn draws(mean: &Vector6<f64>, covariance: &Matrix6<f64>) -> Vec<Vector6<f64>> {
-    let eigen = covariance.symmetric_eigen();
-    let root = eigen.eigenvectors * Matrix6::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    (0..N_DRAWS).map(|_| mean + root * Vector6::from_fn(|_, _| normal(&mut rng))).collect()
+/// Draws of the errors, always from the same random numbers.
+struct Draws<'a> {
+    /// A column for each draw: shift and turn about the centre, then the numbers of the deformation.
+    columns: DMatrix<f64>,
+    centre: &'a Point3<f64>,
+    deformation: Option<&'a Deformation>,
+}
+
+impl<'a> Draws<'a> {
+    fn new(
+        mean: &Vector6<f64>,
+        covariance: &Matrix6<f64>,
+        centre: &'a Point3<f64>,
+        deformation: Option<&'a Deformation>,
+    ) -> Self {
+        let k = deformation.map_or(0, |deformation| deformation.covariance.nrows());
+        let mut columns = DMatrix::zeros(6 + k, N_DRAWS);
+        let mut draw = |first: usize, mean: &DVector<f64>, covariance: DMatrix<f64>, seed: u64| {
+            let n = mean.len();
+            let eigen = covariance.symmetric_eigen();
+            let root =
+                eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let standard = DMatrix::from_fn(n, N_DRAWS, |_, _| normal(&mut rng));
+            let mut rows = columns.rows_mut(first, n);
+            rows.copy_from(&(root * standard));
+            rows.column_iter_mut().for_each(|mut column| column += mean);
+        };
+        let pose = DMatrix::from_fn(6, 6, |row, column| covariance[(row, column)]);
+        draw(0, &DVector::from_column_slice(mean.as_slice()), pose, 1);
+        if let Some(deformation) = deformation {
+            draw(6, &DVector::zeros(k), deformation.covariance.clone(), 3);
+        }
+        Self { columns, centre, deformation }
+    }
+
+    /// What each number does at a point: 3 rows, mm.
+    fn lever(&self, p: &Point3<f64>) -> DMatrix<f64> {
+        let mut lever = DMatrix::zeros(3, self.columns.nrows());
+        lever.view_mut((0, 0), (3, 3)).copy_from(&Matrix3::identity());
+        lever.view_mut((0, 3), (3, 3)).copy_from(&-(p - self.centre).cross_matrix());
+        if let Some(deformation) = self.deformation {
+            let own = (deformation.at)(p);
+            lever.view_mut((0, 6), own.shape()).copy_from(&own);
+        }
+        lever
+    }
+
+    /// The errors of a point, mm, a column for each draw.
+    fn errors(&self, p: &Point3<f64>) -> DMatrix<f64> {
+        self.lever(p) * &self.columns
+    }
+
+    /// The mean error of points for each draw, mm.
+    fn means(&self, points: &[Point3<f64>]) -> Vec<f64> {
+        let mut means = vec![0.0; self.columns.ncols()];
+        for p in points {
+            let errors = self.errors(p);
+            means.iter_mut().zip(errors.column_iter()).for_each(|(mean, error)| *mean += error.norm());
+        }
+        means.iter().map(|sum| sum / points.len().max(1) as f64).collect()
+    }
+
+    /// Mean and 90 % interval of the mean error of points; `None` without points.
+    fn mean_error(&self, points: &[Point3<f64>]) -> Option<(f64, Interval)> {
+        if points.is_empty() {
+            return None;
+        }
+        let errors = self.means(points);
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut scaled: Vec<f64> = errors.iter().map(|e| e * (1.0 + SCALE_SIGMA * normal(&mut rng)).abs()).collect();
+        scaled.sort_by(f64::total_cmp);
+        let at = |share: f64| scaled[((scaled.len() - 1) as f64 * share).round() as usize];
+        Some((errors.iter().sum::<f64>() / errors.len() as f64, [at(TAIL), at(1.0 - TAIL)]))
+    }
+
+    /// Share of the draws that are beyond a limit.
+    fn beyond_limits(&self, at: &Where<'_>, limits: &Limits) -> f64 {
+        let n = self.columns.ncols();
+        let tre_mm = self.means(at.limited);
+        let (mut offset_mm, mut tilt_deg) = (vec![0.0_f64; n], vec![0.0_f64; n]);
+        for cut in at.cuts {
+            let (middle, normal) = (cut.middle.position, cut.normal);
+            let along = |lever: DMatrix<f64>| normal.transpose() * lever * &self.columns;
+            let offsets = along(self.lever(&middle));
+            let slopes =
+                cut.arms().map(|t| along((self.lever(&(middle + t)) - self.lever(&(middle - t))) / (2.0 * t.norm())));
+            for k in 0..n {
+                offset_mm[k] = offset_mm[k].max(offsets[k].abs());
+                tilt_deg[k] = tilt_deg[k].max(slopes[0][k].hypot(slopes[1][k]).to_degrees());
+            }
+        }
+        let is_beyond = |k: &usize| limits.times(tre_mm[*k], offset_mm[*k], tilt_deg[*k]) > 1.0;
+        (0..n).filter(is_beyond).count() as f64 / n.max(1) as f64
+    }
 }
 
 /// A standard normal number. Source: Box and Muller 1958.
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (u, v): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-}
-
-/// Mean and 90 % interval of the mean error of points at these arms from the centre; `None` without points.
-fn mean_error(draws: &[Vector6<f64>], arms: &[Vector3<f64>]) -> Option<(f64, Interval)> {
-    if arms.is_empty() {
-        return None;
-    }
-    let error = |draw: &Vector6<f64>| {
-        let (shift, turn) = (draw.fixed_rows::<3>(0), draw.fixed_rows::<3>(3).into_owned());
-        arms.iter().map(|arm| (shift + turn.cross(arm)).norm()).sum::<f64>() / arms.len() as f64
-    };
-    let errors: Vec<f64> = draws.iter().map(error).collect();
-    let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let mut scaled: Vec<f64> = errors.iter().map(|e| e * (1.0 + SCALE_SIGMA * normal(&mut rng)).abs()).collect();
-    scaled.sort_by(f64::total_cmp);
-    let at = |share: f64| scaled[((scaled.len() - 1) as f64 * share).round() as usize];
-    Some((errors.iter().sum::<f64>() / errors.len() as f64, [at(TAIL), at(1.0 - TAIL)]))
 }
 
 #[cfg(test)]

@@ -2,9 +2,10 @@
 
 use super::checked::{check_reason, is_checked};
 use super::convergence::{Convergence, convergence_reason};
-use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
+use super::evidence::{CELL_MM, Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::limits::Limits;
+use super::nuisance::Nuisances;
 use super::planned::{OrderEvidence, landmark_order, plan_faults};
 use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
 use super::slid::{slide_note, slide_reasons};
@@ -28,6 +29,10 @@ const MISFIT_PER_NOISE: f64 = 0.15;
 /// Thresholds of the rules.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
+#[schemars(extend("x-removed" = { "max_scale_error": {
+    "default": 0.025,
+    "warning": "max_scale_error is ignored: a stretch is measured along the bone, across it and in all directions (errors.nuisances)",
+} }))]
 pub struct RuleParams {
     /// Limits of a right answer.
     pub limits: Limits,
@@ -51,10 +56,6 @@ pub struct RuleParams {
     /// registration that started from it is doubtful. 0.3: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_shape_clearness: f64,
-    /// Doubtful if the scan is larger or smaller than the surface by more than this share, and by more than four standard
-    /// deviations. 0.025: 0.15 mm on the radius of a fibula, beyond what blur and threshold of a CT do.
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub max_scale_error: f64,
     /// Doubtful if a smaller share of the scan lies on the surface.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_on_surface: f64,
@@ -80,7 +81,6 @@ impl Default for RuleParams {
             max_inward_misfit_mm: 0.3,
             max_shape_apart_mm: 1.5,
             min_shape_clearness: CLEAR,
-            max_scale_error: 0.025,
             min_on_surface: 0.35,
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
@@ -144,14 +144,19 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
         reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, None)));
         let text = "the surface has no normals or the scan too few points, so nothing could be examined";
         reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
-        return Verdict::new(reasons, assumptions(case, rules, false), None, None);
+        return Verdict::new(reasons, assumptions(case, rules, false, &[]), None, None, Vec::new());
     };
     reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, evidence.unsettled_mm)));
     let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
     let limited = if assessed.is_empty() { points_that_matter(&registered) } else { assessed };
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
+    let nuisances =
+        Nuisances::examine(&registered, &place, evidence.noise_mm, CELL_MM, &rules.limits, &errors.nuisances);
+    reasons.extend(nuisances.as_ref().and_then(|nuisances| nuisances.reason.clone()));
+    let deformation = nuisances.as_ref().and_then(|nuisances| nuisances.deformation.as_ref());
     let predicted = spread.map(|spread| {
-        predict(&spread, &to_settled.unwrap_or_else(Isometry3::identity), case.tracking, &place, &rules.limits, errors)
+        let to_settled = to_settled.unwrap_or_else(Isometry3::identity);
+        predict(&spread, &to_settled, deformation, case.tracking, &place, &rules.limits, errors)
     });
     reasons.extend(spread_reason(predicted.as_ref(), &evidence, rules));
     reasons.extend(data_reasons(&evidence, order.as_ref(), rules));
@@ -162,13 +167,13 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     }
     // The error is told where points or cuts are planned.
     let predicted = predicted.filter(|_| !at.is_empty());
-    let assumptions = assumptions(case, rules, predicted.is_some());
-    Verdict::new(reasons, assumptions, predicted, Some(evidence))
+    let (nuisances, unseen) = nuisances.map(|nuisances| (nuisances.list, nuisances.assumptions)).unwrap_or_default();
+    let assumptions = assumptions(case, rules, predicted.is_some(), &unseen);
+    Verdict::new(reasons, assumptions, predicted, Some(evidence), nuisances)
 }
 
 /// The rules on scan and surface.
-const DATA: [&str; 8] =
-    ["misfit", "inward_misfit", "spread", "unsettled", "shape", "scale", "on_surface", "facing_away"];
+const DATA: [&str; 7] = ["misfit", "inward_misfit", "spread", "unsettled", "shape", "on_surface", "facing_away"];
 
 /// The planned cuts, each with the middle of the bone in it.
 fn cuts(case: &Case<'_>) -> Vec<Cut> {
@@ -226,22 +231,6 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
             Answer::Doubtful,
             reason,
             "check that CT and scan are of one bone, clean it and scan again, or check the CT's segmentation",
-        );
-    }
-    let off = evidence.scale.as_ref().map(|scale| (scale, (scale.ratio - 1.0).abs()));
-    if let Some((scale, off)) = off.filter(|(scale, off)| *off > rules.max_scale_error && *off > 4.0 * scale.sd) {
-        let reason = format!(
-            "the scan is {:.1} % too {} for the surface (standard deviation {:.1} %); likely cause: the camera's calibration, \
-             the CT's voxel size, or another bone",
-            100.0 * off,
-            if scale.ratio > 1.0 { "large" } else { "small" },
-            100.0 * scale.sd
-        );
-        add(
-            "scale",
-            Answer::Doubtful,
-            reason,
-            "measure an object of known size with the camera, and check the CT's spacing",
         );
     }
     if evidence.on_surface < rules.min_on_surface {
@@ -340,9 +329,10 @@ fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
     })
 }
 
-/// What is taken for granted: one list for every way to a verdict. `is_predicted` says whether the verdict states an error.
-fn assumptions(case: &Case<'_>, rules: &RuleParams, is_predicted: bool) -> Vec<String> {
-    let mut all = Vec::new();
+/// What is taken for granted: one list for every way to a verdict. `is_predicted` says whether the verdict states an error;
+/// `unseen` are the causes that the data do not limit.
+fn assumptions(case: &Case<'_>, rules: &RuleParams, is_predicted: bool, unseen: &[String]) -> Vec<String> {
+    let mut all: Vec<&str> = unseen.iter().map(String::as_str).collect();
     if case.tracking.is_some() {
         if !is_checked(case.check, case.registered.source.stamp_ns, rules.max_check_mm) {
             all.push(
@@ -352,7 +342,9 @@ fn assumptions(case: &Case<'_>, rules: &RuleParams, is_predicted: bool) -> Vec<S
         }
         all.push("the bone marker has not moved on the bone since the scan");
     }
-    all.push("the CT shows the bone at its true size, and its surface is not swollen or shrunk as a whole");
+    if unseen.is_empty() {
+        all.push("the CT shows the bone at its true size, and its surface is not swollen or shrunk as a whole");
+    }
     all.extend(case.assumptions);
     let is_planned = !case.assessment.is_empty() || case.planes.is_some();
     if case.tracking.is_none() && !is_planned {

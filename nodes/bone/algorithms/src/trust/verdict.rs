@@ -1,6 +1,6 @@
 //! The verdict on a result.
 
-use super::{Evidence, Predicted};
+use super::{Evidence, Nuisance, Predicted};
 use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,9 @@ pub struct Verdict {
     pub predicted: Option<Predicted>,
     /// The quantities behind the answer, where there was a registration.
     pub measured: Option<Evidence>,
+    /// What may be wrong beside the pose: measured, bounded by the data, or unseen by them.
+    #[serde(default)]
+    pub nuisances: Vec<Nuisance>,
 }
 
 impl Verdict {
@@ -28,6 +31,7 @@ impl Verdict {
         assumptions: Vec<String>,
         predicted: Option<Predicted>,
         measured: Option<Evidence>,
+        nuisances: Vec<Nuisance>,
     ) -> Self {
         reasons.sort_by_key(|reason| std::cmp::Reverse(reason.answer));
         let answer = reasons.first().map_or(Answer::Trusted, |reason| reason.answer);
@@ -36,6 +40,6 @@ impl Verdict {
             ([], None) => "no sign against it was found".to_owned(),
             ([first, others @ ..], _) => first.sentence(others.len()),
         };
-        Self { answer, sentence, reasons, assumptions, predicted, measured }
+        Self { answer, sentence, reasons, assumptions, predicted, measured, nuisances }
     }
 }

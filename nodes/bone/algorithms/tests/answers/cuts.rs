@@ -173,7 +173,7 @@ fn a_verdict_is_scored_as_it_was() {
                 Reason::new("off", Answer::Refused, "three", "four"),
             ],
         ] {
-            let verdict = Verdict::new(reasons, vec![], None, None);
+            let verdict = Verdict::new(reasons, vec![], None, None, vec![]);
             for params in [
                 VerdictScoreParams::default(),
                 VerdictScoreParams { is_sound: false, ..VerdictScoreParams::default() },

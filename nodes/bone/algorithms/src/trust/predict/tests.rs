@@ -39,7 +39,7 @@ fn predicted() -> Predicted {
     let to_settled = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.002, 0.001, -0.003));
     let spread = spread([0.1, 0.2, 0.3, 0.002, 0.001, 0.004]);
     let limits = Limits { max_tre_mm: 0.8, max_offset_mm: 0.9, max_tilt_deg: 0.4 };
-    predict(&spread, &to_settled, Some(&tracking()), &at, &limits, &PredictParams::default())
+    predict(&spread, &to_settled, None, Some(&tracking()), &at, &limits, &PredictParams::default())
 }
 
 #[test]
@@ -118,7 +118,8 @@ fn the_mean_error_of_a_gaussian_shift_is_that_of_maxwell() {
     let place = [named("P", [10.0, 20.0, 60.0])];
     let at = Where { points: &place, cuts: &[], limited: &[] };
     let spread = Spread { bias: Matrix6::zeros(), ..spread([0.5, 0.5, 0.5, 0.0, 0.0, 0.0]) };
-    let predicted = predict(&spread, &Isometry3::identity(), None, &at, &Limits::default(), &PredictParams::default());
+    let predicted =
+        predict(&spread, &Isometry3::identity(), None, None, &at, &Limits::default(), &PredictParams::default());
     let set = predicted.assessment.unwrap();
     let mean = 0.5 * (8.0 / std::f64::consts::PI).sqrt();
     assert!((set.mean_tre_mm / mean - 1.0).abs() < 0.02, "{} instead of {mean} mm", set.mean_tre_mm);
@@ -145,8 +146,8 @@ fn a_draw_is_beyond_the_limits_if_it_exceeds_one_of_them() {
     let at = Where { points: &[], cuts: &cuts, limited: &limited };
     let limits = Limits { max_tre_mm: 2.0, max_offset_mm: 1.0, max_tilt_deg: 60.0 };
     let share = |draws: &[[f64; 6]]| {
-        let draws: Vec<Vector6<f64>> = draws.iter().map(|draw| Vector6::from(*draw)).collect();
-        beyond_limits(&draws, &centre, &at, &limits)
+        let columns = DMatrix::from_fn(6, draws.len(), |row, column| draws[column][row]);
+        Draws { columns, centre: &centre, deformation: None }.beyond_limits(&at, &limits)
     };
     let shifted = |x: f64, z: f64| [x, 0.0, z, 0.0, 0.0, 0.0];
     assert_eq!(share(&[shifted(2.0, 0.0), shifted(0.0, -1.0), shifted(0.0, 1.0)]), 0.0);
@@ -160,4 +161,28 @@ fn a_draw_is_beyond_the_limits_if_it_exceeds_one_of_them() {
     // The mean error over both points is half the second's: 2 mm for a turn of 2 rad about z, at the limit, and 2.2 mm for 2.2.
     assert_eq!(share(&[turned(0.0, 0.0, 2.0), turned(0.0, 0.0, 2.2)]), 0.5);
     assert_eq!(share(&[]), 0.0);
+}
+
+#[test]
+fn a_deformation_widens_the_error_where_it_acts_and_nowhere_else() {
+    // 1 mm along x for each 50 mm above the centre, with a standard deviation of 0.4.
+    let lever = |p: &Point3<f64>| DMatrix::from_column_slice(3, 1, &[(p.z - 60.0) / 50.0, 0.0, 0.0]);
+    let deformation = Deformation { covariance: DMatrix::from_element(1, 1, 0.16), at: Box::new(lever) };
+    let place = [named("middle", [10.0, 20.0, 60.0]), named("end", [10.0, 20.0, 110.0])];
+    let cuts = [Cut { middle: named("across", [10.0, 20.0, 60.0]), normal: Vector3::x() }];
+    let limited = [place[0].position];
+    let at = Where { points: &place, cuts: &cuts, limited: &limited };
+    let spread = Spread { bias: Matrix6::zeros(), ..spread([0.01, 0.01, 0.01, 0.0, 0.0, 0.0]) };
+    let limits = Limits { max_tre_mm: 9.0, max_offset_mm: 9.0, max_tilt_deg: 0.5 };
+    let with = |deformation: Option<&Deformation>| {
+        predict(&spread, &Isometry3::identity(), deformation, None, &at, &limits, &PredictParams::default())
+    };
+    let (rigid, wide) = (with(None), with(Some(&deformation)));
+    assert_eq!(rigid.points[0], wide.points[0]);
+    let expected = (3.0 * 0.01_f64.powi(2) + 0.16).sqrt();
+    assert!((wide.points[1].tre_mm - expected).abs() < 1e-9, "{}", wide.points[1].tre_mm);
+    assert!(wide.points[1].interval_mm[1] > 0.6 && rigid.points[1].interval_mm[1] < 0.1);
+    // A slope of 0.4 / 50 is 0.46 degrees: 0.5 degrees are exceeded by 28 % of a Gaussian.
+    assert_eq!(rigid.beyond_limits, 0.0);
+    assert!((wide.beyond_limits - 0.276).abs() < 0.03, "{}", wide.beyond_limits);
 }

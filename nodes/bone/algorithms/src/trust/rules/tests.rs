@@ -1,6 +1,6 @@
 use super::*;
 use crate::coarse::RunnerUp;
-use crate::trust::{Misfit, Scale, ShapeEvidence};
+use crate::trust::{Misfit, ShapeEvidence};
 
 /// The evidence of a right registration.
 fn evidence() -> Evidence {
@@ -13,7 +13,6 @@ fn evidence() -> Evidence {
         outside: 0.02,
         misfit: Misfit { rms_mm: 0.05, inward_mm: 0.02 },
         facing_away: Some(0.01),
-        scale: Some(Scale { ratio: 1.001, sd: 0.002 }),
         spread_mm: Some(0.2),
         unsettled_mm: Some(0.01),
         shape: Some(shape(0.1, 0.9, 0.9, 0.6)),
@@ -46,13 +45,11 @@ fn each_sign_in_the_data_is_told_with_its_numbers() {
         on_surface: 0.25,
         facing_away: Some(0.4),
         misfit: Misfit { rms_mm: 0.5, inward_mm: 0.35 },
-        scale: Some(Scale { ratio: 0.95, sd: 0.01 }),
         shape: Some(shape(12.0, 0.8, 0.5, 0.1)),
         ..evidence()
     };
     let beside = Evidence {
         misfit: Misfit { rms_mm: 0.2, inward_mm: 0.02 },
-        scale: Some(Scale { ratio: 1.03, sd: 0.002 }),
         shape: Some(shape(12.0, 0.6, 0.5, 0.6)),
         ..evidence()
     };
@@ -66,13 +63,6 @@ fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
     let limit = 0.12 + 0.15 * 0.4;
     assert!(!has(&with(limit, 0.3), "misfit") && !has(&with(limit, 0.3), "inward_misfit"));
     assert!(has(&with(0.19, 0.3), "misfit") && has(&with(limit, 0.31), "inward_misfit"));
-
-    let with = |ratio, sd| Evidence { scale: Some(Scale { ratio, sd }), ..evidence() };
-    let rules = RuleParams { max_scale_error: 0.25, ..RuleParams::default() };
-    let scale = |ratio, sd| !data_reasons(&with(ratio, sd), None, &rules).is_empty();
-    assert!(!scale(1.25, 0.01) && !scale(0.75, 0.01) && scale(1.26, 0.01) && scale(0.74, 0.01));
-    // Four standard deviations.
-    assert!(!scale(1.5, 0.125) && scale(1.5, 0.124) && !scale(1.3, 0.08));
 
     let with = |on_surface, away| Evidence { on_surface, facing_away: Some(away), ..evidence() };
     assert!(!has(&with(0.35, 0.2), "on_surface") && !has(&with(0.35, 0.2), "facing_away"));

@@ -14,7 +14,7 @@ const STAMP: StampNs = 1_750_000_011_000_000_000;
 const MS: StampNs = 1_000_000;
 
 fn verdict(answer: Answer) -> Verdict {
-    let mut verdict = Verdict::new(Vec::new(), Vec::new(), None, None);
+    let mut verdict = Verdict::new(Vec::new(), Vec::new(), None, None, Vec::new());
     (verdict.answer, verdict.sentence) = (answer, "the scan slides".into());
     verdict
 }

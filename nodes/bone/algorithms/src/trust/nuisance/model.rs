@@ -1,0 +1,340 @@
+//! The causes of one registration, fitted and compared.
+
+use super::cause::{Cause, Mode};
+use super::effect::{Effect, error_at};
+use super::fit::{self, Fit, Problem, twist};
+use super::{Nuisance, NuisanceParams, NuisanceState, Nuisances, words};
+use crate::trust::Limits;
+use crate::trust::predict::{Deformation, Where};
+use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
+use osteoflow_verdict::Reason;
+
+/// The causes that may be told from the pose, a step apart.
+const FITTED: [Cause; 8] = [
+    Cause::Along,
+    Cause::Growth,
+    Cause::Shear,
+    Cause::Across,
+    Cause::Bend,
+    Cause::Twist,
+    Cause::Offset,
+    Cause::CameraScale,
+];
+
+/// The causes that look like another pose.
+const UNFITTED: [Cause; 4] = [Cause::FilmAlong, Cause::FilmAround, Cause::Film, Cause::CameraDepth];
+
+/// Where the best explanation is harmless, another has to explain as much but for this share, and at least for this much.
+const HARDLY: f64 = 0.05;
+const SLACK: f64 = 5.0;
+
+/// Places of a step are tried this far apart, mm.
+const STEP_EVERY_MM: f64 = 8.0;
+
+/// Another cause explains the same numbers if it takes this share of what the best one takes from the residuals.
+const AS_WELL: f64 = 0.75;
+
+/// A cause with this share of the effect that matters is fitted to its end.
+const NEAR: f64 = 0.3;
+
+/// Twice the logarithm of the odds against a fault: one in 400.
+const FAULT: f64 = 12.0;
+
+/// 90 % of a Gaussian's absolute values are below this many standard deviations.
+const BOUND_SIGMAS: f64 = 1.645;
+
+/// A fitted cause.
+#[derive(Clone)]
+struct Candidate {
+    cause: Cause,
+    fit: Fit,
+    /// Of its parameters.
+    covariance: DMatrix<f64>,
+    /// Its size in standard deviations.
+    score: f64,
+    effect: Effect,
+    /// How much it takes from the squares of the residuals, less what its prior asks for.
+    gain: f64,
+}
+
+impl Candidate {
+    /// Size of the estimate, in its parameters.
+    fn size(&self) -> f64 {
+        self.cause.size(&self.fit.values).abs()
+    }
+
+    /// Standard deviation of its size, from the data alone.
+    fn sd(&self) -> f64 {
+        self.covariance.diagonal().rows(0, self.cause.n_own()).mean().max(0.0).sqrt()
+    }
+}
+
+/// A registration whose causes of error are judged.
+pub(super) struct Model<'a> {
+    problem: Problem<'a>,
+    /// The fit of the pose alone, with the curvature of the camera's field.
+    rigid: Fit,
+    /// How much more the pose varies than with independent residuals.
+    inflation: f64,
+    place: &'a Where<'a>,
+    limits: &'a Limits,
+    params: &'a NuisanceParams,
+}
+
+impl<'a> Model<'a> {
+    /// The model at the pose at which the scan fits; `None` where that leaves a motion undetermined.
+    pub fn new(
+        problem: Problem<'a>,
+        place: &'a Where<'a>,
+        limits: &'a Limits,
+        params: &'a NuisanceParams,
+    ) -> Option<Self> {
+        let background = [Mode::Curvature];
+        let rigid = problem.fit(&background, &[params.curvature_mm], fit::THOROUGH)?;
+        let covariance = problem.covariance(&rigid, &background)?;
+        let mut model = Self { problem, rigid, inflation: 1.0, place, limits, params };
+        let (h, _, _) = model.blocks(&[]);
+        let inverse = h.try_inverse()?;
+        let inflation = (0..6).map(|k| covariance[(k, k)] / inverse[(k, k)]).sum::<f64>() / 6.0;
+        model.inflation = (inflation / model.rigid.sigma_mm.powi(2)).max(1.0);
+        Some(model)
+    }
+
+    /// What the data say of every cause.
+    pub fn judge(&self) -> Nuisances {
+        let mut fitted = FITTED.to_vec();
+        fitted.extend(self.step());
+        let candidates = self.candidates(&fitted);
+        let measured = self.measured(&candidates);
+        let (mut list, mut unseen, mut bounded) = (Vec::new(), Vec::new(), Vec::new());
+        for cause in fitted.into_iter().chain(UNFITTED) {
+            // The stretch beside a shear is a cause of its own.
+            let modes: Vec<Mode> = cause.modes(self.problem.axes).into_iter().take(cause.n_own()).collect();
+            if modes.is_empty() {
+                continue;
+            }
+            let candidate = candidates.iter().find(|c| c.cause == cause);
+            let prior = self.params.prior(cause);
+            let linear = self.linear(&modes, prior);
+            let bound = linear.worst.scaled(BOUND_SIGMAS * linear.data_sd);
+            let (state, effect) = match candidate {
+                Some(c) if measured.iter().any(|m| m.cause == cause) => (NuisanceState::Measured, c.effect),
+                _ if !cause.is_assumed() && bound.times <= 1.0 => (NuisanceState::Bounded, bound),
+                _ => (NuisanceState::Unseen, linear.worst.scaled(prior)),
+            };
+            let critical = 1.0 / linear.worst.times.max(1e-12);
+            match state {
+                NuisanceState::Bounded => bounded.extend(modes.iter().map(|mode| (*mode, prior))),
+                NuisanceState::Unseen => {
+                    let assumption = words::assumption(cause, critical, linear.worst, self.limits);
+                    unseen.push((critical / prior, assumption));
+                }
+                NuisanceState::Measured => {}
+            }
+            let (unit, by) = cause.unit();
+            let values = candidate.map(|c| &c.fit.values[..]);
+            list.push(Nuisance {
+                name: cause.name().to_owned(),
+                state,
+                estimate: values.map(|values| by * cause.size(values)),
+                sd: by * linear.sd,
+                unit: unit.to_owned(),
+                axis: cause.axis(self.problem.axes, values).map(Into::into),
+                at: cause.place(self.problem.axes).map(|p| p.coords.into()),
+                effect_mm: effect.mm,
+                effect_deg: effect.deg,
+                critical: by * critical,
+            });
+        }
+        unseen.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Nuisances {
+            list,
+            reason: self.reason(&measured),
+            assumptions: unseen.into_iter().map(|(_, text)| text).collect(),
+            deformation: self.deformation(&bounded),
+        }
+    }
+
+    /// The causes fitted, the one that explains most first.
+    fn candidates(&self, causes: &[Cause]) -> Vec<Candidate> {
+        let mut candidates: Vec<Candidate> =
+            causes.iter().filter_map(|cause| self.candidate(*cause, fit::LOOK)).collect();
+        self.compare(&mut candidates);
+        for candidate in &mut candidates {
+            if candidate.score >= self.params.min_score && candidate.gain > 0.0 && candidate.effect.times >= NEAR {
+                *candidate = self.candidate(candidate.cause, fit::THOROUGH).unwrap_or_else(|| candidate.clone());
+            }
+        }
+        self.compare(&mut candidates);
+        candidates
+    }
+
+    /// The causes that are there and large enough to matter: the best explanation, and those that explain about as much.
+    fn measured<'c>(&self, candidates: &'c [Candidate]) -> Vec<&'c Candidate> {
+        let Some(best) = candidates.first() else { return Vec::new() };
+        let matters = |c: &Candidate| c.effect.times >= 1.0 && c.size() >= self.params.least(c.cause);
+        // Where the best explanation is harmless, another must be hardly worse.
+        let least = if matters(best) { AS_WELL * best.gain } else { best.gain - (HARDLY * best.gain).max(SLACK) };
+        let is_measured =
+            |c: &&Candidate| c.gain > 0.0 && c.gain >= least && c.score >= self.params.min_score && matters(c);
+        candidates.iter().filter(is_measured).collect()
+    }
+
+    /// The sign that a cause was measured.
+    fn reason(&self, measured: &[&Candidate]) -> Option<Reason> {
+        let (first, others) = measured.split_first()?;
+        let (_, by) = first.cause.unit();
+        let others: Vec<(Cause, &[f64])> = others.iter().map(|c| (c.cause, &c.fit.values[..])).collect();
+        Some(words::measured((first.cause, &first.fit.values), by * first.sd(), first.effect, &others))
+    }
+
+    /// The place of a step that fits best, if any fits.
+    fn step(&self) -> Option<Cause> {
+        let half_mm = self.problem.axes.half_mm;
+        let every = (self.problem.points.len() / 500).max(1);
+        let few: Vec<Point3<f64>> = self.problem.points.iter().step_by(every).copied().collect();
+        let problem = Problem { points: &few, ..self.problem };
+        let cap_mm = 3.0 * self.rigid.sigma_mm;
+        let n = (half_mm / STEP_EVERY_MM).floor() as i32;
+        let places =
+            (-n..=n).map(|k| f64::from(k) * STEP_EVERY_MM).filter(|mm| mm.abs() < half_mm - 0.5 * STEP_EVERY_MM);
+        let squares = |beyond_mm: f64| {
+            let cause = Cause::Step { beyond_mm };
+            let (modes, priors) = self.with_background(cause);
+            Some((problem.fit(&modes, &priors, fit::LOOK)?.squares(cap_mm), cause))
+        };
+        places.filter_map(squares).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, cause)| cause)
+    }
+
+    /// How much each candidate explains, the best first.
+    fn compare(&self, candidates: &mut [Candidate]) {
+        let sigma_mm = candidates.iter().map(|c| c.fit.sigma_mm).fold(self.rigid.sigma_mm, f64::min);
+        let cap_mm = 3.0 * sigma_mm;
+        let rigid_squares = self.rigid.squares(cap_mm);
+        for candidate in candidates.iter_mut() {
+            let gained = (rigid_squares - candidate.fit.squares(cap_mm)) / (sigma_mm * sigma_mm * self.inflation);
+            candidate.gain = gained - self.penalty(candidate);
+        }
+        candidates.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    }
+
+    /// What an explanation costs, as twice the logarithm of its odds: as much as usual in a sound world, or a fault.
+    fn penalty(&self, candidate: &Candidate) -> f64 {
+        let (cause, size) = (candidate.cause, candidate.size());
+        let as_fault = (size / cause.usual()).powi(2) + FAULT;
+        as_fault.min((size / self.params.prior(cause)).powi(2))
+    }
+
+    /// A cause's modes with those that are always fitted beside it, and the priors of the latter.
+    fn with_background(&self, cause: Cause) -> (Vec<Mode>, Vec<f64>) {
+        let mut modes = cause.modes(self.problem.axes);
+        // A bend towards the camera is as a curved field.
+        if cause == Cause::Bend {
+            return (modes, Vec::new());
+        }
+        modes.push(Mode::Curvature);
+        (modes, vec![self.params.curvature_mm])
+    }
+
+    fn candidate(&self, cause: Cause, max_steps: usize) -> Option<Candidate> {
+        let axes = self.problem.axes;
+        let modes = cause.modes(axes);
+        if modes.is_empty() {
+            return None;
+        }
+        let (all, priors) = self.with_background(cause);
+        let mut fit = self.problem.fit(&all, &priors, max_steps)?;
+        let k = modes.len();
+        let covariance = self.problem.covariance(&fit, &all)?;
+        fit.values.truncate(k);
+        let covariance = DMatrix::from_fn(k, k, |row, column| covariance[(6 + row, 6 + column)]);
+        let n_own = cause.n_own();
+        let values = DVector::from_column_slice(&fit.values[..n_own]);
+        let own = covariance.view((0, 0), (n_own, n_own)).into_owned();
+        let score = own.cholesky().map_or(0.0, |c| values.dot(&c.solve(&values)).max(0.0).sqrt());
+        let pose = twist(&fit.motion) - twist(&self.rigid.motion);
+        let effect = Effect::new(self.place, self.limits, &|p| error_at(axes, &pose, &modes, &fit.values, p));
+        Some(Candidate { cause, fit, covariance, score, effect, gain: 0.0 })
+    }
+
+    /// Normal matrices at the rigid fit: of the pose, of pose and modes, of the modes.
+    fn blocks(&self, modes: &[Mode]) -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
+        let k = modes.len();
+        let mut h = DMatrix::zeros(6 + k, 6 + k);
+        for pair in self.rigid.pairs.iter().flatten() {
+            let rigid = self.problem.rigid_row(pair);
+            let responses = modes.iter().map(|mode| self.problem.response(pair, mode, &self.rigid.motion));
+            let row = DVector::from_iterator(6 + k, rigid.iter().copied().chain(responses));
+            h.ger(self.rigid.weight(pair), &row, &row, 1.0);
+        }
+        let part = |row, column, rows, columns| h.view((row, column), (rows, columns)).into_owned();
+        (part(0, 0, 6, 6), part(0, 6, 6, k), part(6, 6, k, k))
+    }
+
+    /// How the pose answers to modes at the rigid fit, and the information on them that the pose leaves.
+    fn schur(&self, modes: &[Mode]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+        let (h, cross, own) = self.blocks(modes);
+        let response = -h.cholesky()?.solve(&cross);
+        let information = (own + cross.transpose() * &response) / (self.rigid.sigma_mm.powi(2) * self.inflation);
+        Some((response, information))
+    }
+
+    /// What the data say of modes at the rigid fit, to first order.
+    fn linear(&self, modes: &[Mode], prior: f64) -> Linear {
+        let k = modes.len();
+        let (response, information) = self.schur(modes).unwrap_or_else(|| (DMatrix::zeros(6, k), DMatrix::zeros(k, k)));
+        let sd = |information: DMatrix<f64>| {
+            information.try_inverse().map_or(f64::INFINITY, |inverse| (inverse.trace() / k as f64).max(0.0).sqrt())
+        };
+        let at = |values: &Vec<f64>| {
+            let pose = &response * DVector::from_column_slice(values);
+            let pose = Vector6::from_fn(|row, _| pose[row]);
+            Effect::new(self.place, self.limits, &|p| error_at(self.problem.axes, &pose, modes, values, p))
+        };
+        let worst = directions(k).iter().map(at).max_by(|a, b| a.times.total_cmp(&b.times)).unwrap_or_default();
+        Linear { sd: sd(&information + DMatrix::identity(k, k) / (prior * prior)), data_sd: sd(information), worst }
+    }
+
+    /// The joint posterior of modes that the data limit, each with its prior.
+    fn deformation(&self, bounded: &[(Mode, f64)]) -> Option<Deformation> {
+        let modes: Vec<Mode> = bounded.iter().map(|(mode, _)| *mode).collect();
+        if modes.is_empty() {
+            return None;
+        }
+        let (response, information) = self.schur(&modes)?;
+        let priors = DVector::from_iterator(modes.len(), bounded.iter().map(|(_, sd)| sd.powi(-2)));
+        let covariance = (information + DMatrix::from_diagonal(&priors)).try_inverse()?;
+        let axes = self.problem.axes.clone();
+        let at = move |p: &Point3<f64>| {
+            let column = |k: usize| {
+                let pose = Vector6::from_fn(|row, _| response[(row, k)]);
+                error_at(&axes, &pose, &modes[k..=k], &[1.0], p)
+            };
+            let columns: Vec<Vector3<f64>> = (0..modes.len()).map(column).collect();
+            DMatrix::from_fn(3, columns.len(), |row, k| columns[k][row])
+        };
+        Some(Deformation { covariance, at: Box::new(at) })
+    }
+}
+
+/// To first order: the standard deviation of a parameter, and the effect of a size of 1 in the worst direction.
+struct Linear {
+    /// With the prior.
+    sd: f64,
+    /// From the data alone.
+    data_sd: f64,
+    worst: Effect,
+}
+
+/// Directions of up to three parameters of unit length.
+fn directions(k: usize) -> Vec<Vec<f64>> {
+    match k {
+        1 => vec![vec![1.0]],
+        2 => (0..8).map(|i| f64::from(i) * std::f64::consts::PI / 8.0).map(|a| vec![a.cos(), a.sin()]).collect(),
+        _ => {
+            let all = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9].map(|k| f64::from(k) - 1.0));
+            let unit = |v: [f64; 3]| Vector3::from(v).try_normalize(1e-9).map(|v| v.as_slice().to_vec());
+            all.filter_map(unit).collect()
+        }
+    }
+}
