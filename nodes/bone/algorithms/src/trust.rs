@@ -8,9 +8,11 @@ mod contrary;
 mod convergence;
 mod evidence;
 mod extent;
+mod inside;
 mod limits;
 mod misfit;
 mod nuisance;
+mod pattern;
 mod planned;
 mod predict;
 mod residuals;
@@ -18,6 +20,7 @@ mod rules;
 mod score;
 mod slid;
 mod spread;
+mod surface_error;
 #[cfg(test)]
 mod tests;
 mod verdict;
@@ -25,10 +28,12 @@ mod verdict;
 pub use contrary::{ShapeEvidence, mirrored};
 pub use convergence::{Convergence, StopCause};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
+pub use inside::Inside;
 pub use limits::Limits;
 pub use misfit::Misfit;
 pub use nuisance::{Nuisance, NuisanceParams, NuisanceState};
 pub use osteoflow_verdict::{Answer, Reason};
+pub use pattern::Pattern;
 pub use planned::{OrderEvidence, landmark_order, plan_faults, planes_lost};
 pub use predict::{
     Cut, Interval, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking, Where, predict,
@@ -37,4 +42,5 @@ pub use residuals::{Residual, Residuals};
 pub use rules::{Case, RuleParams, judge};
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
+pub use surface_error::SurfaceError;
 pub use verdict::Verdict;

@@ -5,3 +5,4 @@ mod answers;
 mod bones;
 mod common;
 mod one_target;
+mod real;

@@ -1,12 +1,13 @@
 //! What an independent registration says: by shape alone, and of the scan's mirror image.
 
-use super::Residuals;
 use super::evidence::{N_EXAMINED, Registered};
-use crate::coarse::{self, GlobalParams};
+use crate::coarse::{self, GlobalParams, thinned};
 use crate::icp::{self, IcpParams, Method};
 use nalgebra::{Isometry3, Point3, Translation3};
 use osteoflow_geometry::Cloud;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
 /// Maximum distance of a pair while a pose is settled, mm.
@@ -17,6 +18,15 @@ const REACH_MM: f64 = 2.0;
 const SUPPORT_SIGMAS: f64 = 3.0;
 const MIN_SUPPORT_MM: f64 = 0.2;
 
+/// Edge of the cells of a scan whose points are one draw when supports are compared, mm.
+const CELL_MM: f64 = 10.0;
+
+/// Share of the scan by which another pose has to be supported better to contradict, at least: less may be noise.
+pub(super) const BETTER: f64 = 0.1;
+
+/// And at least as many standard deviations of the comparison.
+const BETTER_SIGMAS: f64 = 3.0;
+
 /// A registration by shape alone beside the one that is judged.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShapeEvidence {
@@ -26,10 +36,65 @@ pub struct ShapeEvidence {
     pub support: f64,
     /// That of the registration judged.
     pub judged_support: f64,
+    /// Standard deviation of the difference of these two, by cells of 10 mm.
+    pub margin_sd: f64,
     /// Margin of the answer by shape over its runner-up; see [`coarse::GlobalReport`].
     pub clearness: f64,
     /// That of the scan's mirror image where it fits best, if it was tried.
     pub mirrored_support: Option<f64>,
+    /// Standard deviation of its difference to the best of the others.
+    pub mirrored_margin_sd: Option<f64>,
+}
+
+impl ShapeEvidence {
+    /// Whether the scan fits better by its shape alone than where it was judged, by more than the comparison's noise.
+    pub(super) fn is_better(&self) -> bool {
+        self.support > self.judged_support + BETTER.max(BETTER_SIGMAS * self.margin_sd)
+    }
+
+    /// Whether the scan's mirror image fits better than the scan, by more than the comparison's noise.
+    pub(super) fn is_mirror_better(&self) -> bool {
+        let (best, sd) = (self.support.max(self.judged_support), self.mirrored_margin_sd.unwrap_or(0.0));
+        self.mirrored_support.is_some_and(|mirrored| mirrored > best + BETTER.max(BETTER_SIGMAS * sd))
+    }
+}
+
+/// Which points of a scan, every n-th, lie on the surface at a pose.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Support(Vec<bool>);
+
+impl Support {
+    /// The support of the scan at a pose.
+    pub(super) fn new(registered: &Registered<'_>, pose: &Isometry3<f64>, noise_mm: f64) -> Self {
+        let limit_mm = (SUPPORT_SIGMAS * noise_mm).max(MIN_SUPPORT_MM);
+        let (target, points) = (registered.target, thinned(registered.source.points(), N_EXAMINED));
+        let normals = target.normals().unwrap_or_default();
+        let is_on = |p: &Point3<f64>| {
+            let moved = pose * p;
+            let near = target.nearest(&moved, 2.0 * limit_mm);
+            near.is_some_and(|(k, _)| (moved - target.points()[k]).dot(&normals[k]).abs() <= limit_mm)
+        };
+        Self(points.par_iter().map(is_on).collect())
+    }
+
+    /// Share of the points.
+    pub(super) fn share(&self) -> f64 {
+        self.0.iter().filter(|is_on| **is_on).count() as f64 / self.0.len().max(1) as f64
+    }
+
+    /// Standard deviation of the difference of two shares of a scan.
+    pub(super) fn margin_sd(&self, other: &Self, scan: &[Point3<f64>]) -> f64 {
+        let difference = |k: usize| f64::from(u8::from(self.0[k])) - f64::from(u8::from(other.0[k]));
+        let points = thinned(scan, N_EXAMINED);
+        let n = points.len().max(1) as f64;
+        let mean = (0..points.len()).map(difference).sum::<f64>() / n;
+        let mut cells: BTreeMap<[i64; 3], f64> = BTreeMap::new();
+        for (k, point) in points.iter().enumerate() {
+            let key = std::array::from_fn(|axis| (point[axis] / CELL_MM).floor() as i64);
+            *cells.entry(key).or_default() += difference(k) - mean;
+        }
+        cells.values().map(|sum| sum * sum).sum::<f64>().sqrt() / n
+    }
 }
 
 /// The scan's mirror image and that of its camera.
@@ -44,14 +109,6 @@ pub fn mirrored(scan: &Cloud) -> Cloud {
         }
         None => mirrored,
     }
-}
-
-/// Share of the scan that lies on the surface at a pose.
-pub(super) fn support(registered: &Registered<'_>, pose: &Isometry3<f64>, noise_mm: f64) -> f64 {
-    let limit_mm = (SUPPORT_SIGMAS * noise_mm).max(MIN_SUPPORT_MM);
-    let (target, points) = (registered.target, registered.source.points());
-    let residuals = Residuals::new(target, points, pose, 2.0 * limit_mm, N_EXAMINED);
-    residuals.map_or(0.0, |residuals| residuals.share(|near| near.signed_mm.abs() <= limit_mm))
 }
 
 /// The pose at which a point-to-plane registration from `start` comes to rest.
@@ -69,12 +126,12 @@ pub(super) fn by_shape(registered: &Registered<'_>) -> Option<(Isometry3<f64>, c
 }
 
 /// The support of the scan's mirror image where it fits best.
-pub(super) fn mirrored_support(registered: &Registered<'_>, noise_mm: f64) -> Option<f64> {
+pub(super) fn mirrored_support(registered: &Registered<'_>, noise_mm: f64) -> Option<Support> {
     let image = mirrored(registered.source);
     let fit = coarse::global(registered.target, &image, &GlobalParams::default()).ok()?;
     let image = Registered { source: &image, ..*registered };
     let pose = settled(&image, &fit.t_target_source)?;
-    Some(support(&image, &pose, noise_mm))
+    Some(Support::new(&image, &pose, noise_mm))
 }
 
 #[cfg(test)]
@@ -105,8 +162,8 @@ mod tests {
         let source = Cloud::new("scan", scan.map(Point3::from).to_vec()).unwrap();
         let pose = Isometry3::identity();
         let registered = Registered { target: &target, source: &source, t_target_source: &pose, at: &[] };
-        assert_eq!(support(&registered, &pose, 0.05), 0.4);
-        assert_eq!(support(&registered, &pose, 0.08), 0.6);
-        assert_eq!(support(&registered, &pose, 0.21), 0.8 + 0.2 * f64::from(2.0 * 0.63 > 1.0));
+        assert_eq!(Support::new(&registered, &pose, 0.05).share(), 0.4);
+        assert_eq!(Support::new(&registered, &pose, 0.08).share(), 0.6);
+        assert_eq!(Support::new(&registered, &pose, 0.21).share(), 0.8 + 0.2 * f64::from(2.0 * 0.63 > 1.0));
     }
 }

@@ -1,6 +1,8 @@
 //! What the data of a registration say about it.
 
-use super::{Misfit, Residual, Residuals, ShapeEvidence, Spread, contrary};
+use super::contrary::{self, Support};
+use super::spread::normal_matrix;
+use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
@@ -14,7 +16,7 @@ pub(super) const N_EXAMINED: usize = 5000;
 /// Residuals are searched within this distance, mm.
 const SEARCH_MM: f64 = 8.0;
 
-/// Edge of the cells whose residuals count as one draw, mm: the correlation length of a camera's distortion and of a CT
+/// Minimum edge of the cells whose residuals count as one draw, mm: the correlation length of a camera's distortion and of a CT
 /// surface's bumps.
 pub(super) const CELL_MM: f64 = 10.0;
 
@@ -85,14 +87,21 @@ pub struct Evidence {
     pub on_surface: f64,
     /// Share of the scan that lies inside the surface, by more than four times the noise and 0.3 mm.
     pub inside: f64,
+    /// Patches of 4 mm of the scan that lie inside the surface by as much.
+    pub inside_patches: Inside,
     /// Share that lies outside by as much.
     pub outside: f64,
     /// The residuals that noise does not explain.
     pub misfit: Misfit,
+    /// The error between scan and surface that these residuals have.
+    pub surface_error: SurfaceError,
     /// Share of the scan on the surface whose surface faces away from the camera; none without a viewpoint.
     pub facing_away: Option<f64>,
-    /// RMS spread of the registration at the points that matter, by a jackknife over cells of 10 mm.
+    /// RMS spread of the registration at the points that matter, by a jackknife over cells of 10 mm, or of twice the length of
+    /// the surface's error.
     pub spread_mm: Option<f64>,
+    /// The motion that is least certain; where nothing holds it, without a size.
+    pub pattern: Option<Pattern>,
     /// Mean distance, at the points that matter, to the pose at which a point-to-plane registration settles from this one.
     pub unsettled_mm: Option<f64>,
     /// The registration by shape alone, if it was made.
@@ -107,6 +116,19 @@ pub struct Examined {
     pub spread: Option<Spread>,
     /// The motion, in the target's frame, to the pose at which a point-to-plane registration settles from the one examined.
     pub to_settled: Option<Isometry3<f64>>,
+    /// Which points lie on the surface at the better of the pose examined and that by shape alone.
+    supported: Option<Support>,
+}
+
+impl Examined {
+    /// Adds the support of the scan's mirror image.
+    pub fn examine_mirrored(&mut self, registered: &Registered<'_>) {
+        let Some((shape, best)) = self.evidence.shape.as_mut().zip(self.supported.as_ref()) else { return };
+        if let Some(mirrored) = contrary::mirrored_support(registered, self.evidence.noise_mm) {
+            shape.mirrored_support = Some(mirrored.share());
+            shape.mirrored_margin_sd = Some(mirrored.margin_sd(best, registered.source.points()));
+        }
+    }
 }
 
 impl Evidence {
@@ -126,8 +148,15 @@ impl Evidence {
         let on: Vec<Residual> = residuals.near.iter().filter(|near| gate.contains(&near.signed_mm)).copied().collect();
         let off_mm = (4.0 * noise_mm).max(0.3);
         let misfit = Misfit::new(&on, noise_mm);
+        let surface_error = SurfaceError::new(&on);
         let rough_mm = (misfit.rms_mm.powi(2) - (NOISE_LEFT * noise_mm).powi(2)).max(0.0).sqrt();
-        let spread = Spread::new(&on, CELL_MM).map(|spread| spread.widened(rough_mm));
+        let spread = Spread::new(&on, surface_error.cell_mm()).or_else(|| Spread::new(&on, CELL_MM));
+        let spread = spread.map(|spread| spread.widened(rough_mm));
+        let points: Vec<Point3<f64>> = on.iter().map(|near| near.point).collect();
+        let pattern = match &spread {
+            Some(spread) => Pattern::largest(&spread.covariance, &points),
+            None => Pattern::free(&normal_matrix(&on), &points),
+        };
         let at = points_that_matter(registered);
         let apart = |other: &Isometry3<f64>| {
             let motion = other * t_target_source.inverse();
@@ -138,35 +167,39 @@ impl Evidence {
         };
         let settled = contrary::settled(registered, t_target_source);
         let shape = params.shape.then(|| contrary::by_shape(registered)).flatten();
+        let mut supported = None;
         let mut evidence = Evidence {
             noise_mm,
             median_mm: residuals.quantile_mm(0.5),
             p90_mm: Some(residuals.quantile_mm(0.9)).filter(|mm| mm.is_finite()),
             on_surface: on.len() as f64 / residuals.n.max(1) as f64,
             inside: residuals.share(|near| near.signed_mm < -off_mm),
+            inside_patches: Inside::new(&residuals.near, residuals.n, off_mm),
             outside: 1.0 - residuals.share(|near| near.signed_mm <= off_mm),
             misfit,
+            surface_error,
             facing_away: facing_away(registered, &on),
             spread_mm: spread.as_ref().map(|spread| rms(&|p| spread.at(p).trace())),
+            pattern,
             unsettled_mm: settled.as_ref().map(apart),
             shape: None,
         };
-        evidence.shape = shape.map(|(pose, report)| ShapeEvidence {
-            apart_mm: apart(&pose),
-            support: contrary::support(registered, &pose, noise_mm),
-            judged_support: contrary::support(registered, t_target_source, noise_mm),
-            clearness: report.clearness,
-            mirrored_support: None,
+        evidence.shape = shape.map(|(pose, report)| {
+            let [best, judged] = [&pose, t_target_source].map(|pose| Support::new(registered, pose, noise_mm));
+            let shape = ShapeEvidence {
+                apart_mm: apart(&pose),
+                support: best.share(),
+                judged_support: judged.share(),
+                margin_sd: best.margin_sd(&judged, source.points()),
+                clearness: report.clearness,
+                mirrored_support: None,
+                mirrored_margin_sd: None,
+            };
+            supported = Some(if best.share() > judged.share() { best } else { judged });
+            shape
         });
         let to_settled = settled.map(|settled| settled * t_target_source.inverse());
-        Some(Examined { evidence, spread, to_settled })
-    }
-
-    /// Adds the support of the scan's mirror image.
-    pub fn examine_mirrored(&mut self, registered: &Registered<'_>) {
-        if let Some(shape) = &mut self.shape {
-            shape.mirrored_support = contrary::mirrored_support(registered, self.noise_mm);
-        }
+        Some(Examined { evidence, spread, to_settled, supported })
     }
 }
 

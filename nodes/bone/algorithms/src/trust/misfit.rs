@@ -1,6 +1,7 @@
 //! The part of the residuals that noise does not explain.
 
-use super::Residual;
+use super::{Evidence, Residual, RuleParams};
+use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -9,6 +10,9 @@ const PATCH_MM: f64 = 4.0;
 
 /// Patches with fewer points are left out.
 const MIN_POINTS: usize = 5;
+
+/// The noise is estimated along the surface's normals, and a slanted surface has more: a share of it remains in the misfit.
+const MISFIT_PER_NOISE: f64 = 0.15;
 
 /// Mean residuals of patches, RMS over the points, without the part that the sensor's noise explains.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,4 +43,43 @@ impl Misfit {
         let rms = |squares: f64| if n_points > 0.0 { (squares.max(0.0) / n_points).sqrt() } else { 0.0 };
         Self { rms_mm: rms(squares), inward_mm: rms(inward) }
     }
+}
+
+/// The reason against a misfit that neither the noise nor the error of sensor and segmentation explains.
+///
+/// The inside of the surface decides between doubt and refusal: beyond what any segmentation does, no sensor explains it.
+pub(super) fn misfit_reason(evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
+    let (misfit, noise_mm) = (&evidence.misfit, evidence.noise_mm);
+    let stated_mm = rules.surface_error_mm.unwrap_or(0.0);
+    // Zero, as someone asks for whom no scan may lie inside, is not widened by noise.
+    let inside_mm = rules.max_inward_misfit_mm;
+    let limit_mm = if inside_mm > 0.0 { inside_mm.max(stated_mm).hypot(noise_mm) } else { 0.0 };
+    if misfit.inward_mm > limit_mm {
+        let reason = format!(
+            "parts of the scan lie inside the bone's surface by {:.2} mm (RMS of patches of 4 mm), which neither noise ({noise_mm:.2} \
+             mm) nor a segmentation ({:.1} mm) nor tissue explains; likely cause: another bone, its mirror image, or another \
+             place on it",
+            misfit.inward_mm,
+            inside_mm.max(stated_mm)
+        );
+        let remedy = "check that scan and CT are of the same bone, side and patient";
+        return Some(Reason::new("inward_misfit", Answer::Refused, reason, remedy));
+    }
+    let explained_mm = rules.surface_error_mm.unwrap_or(rules.max_misfit_mm);
+    (misfit.rms_mm > explained_mm + MISFIT_PER_NOISE * noise_mm).then(|| {
+        let reason = format!(
+            "scan and surface differ by {:.2} mm (RMS of patches of 4 mm; alike over {:.0} mm), beyond the noise of {noise_mm:.2} mm \
+             and the {explained_mm:.2} mm {}; likely cause: the sensor's own error, the CT's segmentation, film on the bone, or \
+             another bone of nearly this shape",
+            misfit.rms_mm,
+            evidence.surface_error.length_mm,
+            match rules.surface_error_mm {
+                Some(_) => "stated for sensor and segmentation",
+                None => "of a structured-light camera on a good segmentation",
+            }
+        );
+        let remedy = "state the error of sensor and segmentation if it is known (rules.surface_error_mm), clean the bone and scan again, \
+                      and check that CT and scan are of one bone";
+        Reason::new("misfit", Answer::Doubtful, reason, remedy)
+    })
 }

@@ -13,6 +13,8 @@ pub struct Residual {
     pub normal: Vector3<f64>,
     /// Signed distance along the normal, mm: positive outside.
     pub signed_mm: f64,
+    /// Distance of the nearest point of the surface aside of the normal, mm: large past the border of an open surface.
+    pub aside_mm: f64,
 }
 
 /// The signed distances of a registered scan.
@@ -40,9 +42,11 @@ impl Residuals {
         let examined: Vec<Point3<f64>> = source.iter().step_by(every).copied().collect();
         let of = |p: &Point3<f64>| {
             let point = t_target_source * p;
-            let (index, _) = target.nearest(&point, reach_mm)?;
+            let (index, distance_mm) = target.nearest(&point, reach_mm)?;
             let normal = normals[index];
-            Some(Residual { point, normal, signed_mm: (point - target.points()[index]).dot(&normal) })
+            let signed_mm = (point - target.points()[index]).dot(&normal);
+            let aside_mm = (distance_mm * distance_mm - signed_mm * signed_mm).max(0.0).sqrt();
+            Some(Residual { point, normal, signed_mm, aside_mm })
         };
         let near: Vec<Option<Residual>> = examined.par_iter().map(of).collect();
         Some(Self { near: near.into_iter().flatten().collect(), n: examined.len() })

@@ -1,10 +1,13 @@
 //! The rules of a verdict.
 
 use super::checked::{check_reason, is_checked};
+use super::contrary::BETTER;
 use super::convergence::{Convergence, convergence_reason};
-use super::evidence::{CELL_MM, Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
+use super::evidence::{CELL_MM, Evidence, EvidenceParams, Registered, When, points_that_matter};
 use super::extent::extent_reason;
+use super::inside::inside_reason;
 use super::limits::Limits;
+use super::misfit::misfit_reason;
 use super::nuisance::Nuisances;
 use super::planned::{OrderEvidence, landmark_order, plan_faults};
 use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
@@ -20,12 +23,6 @@ use osteoflow_verdict::{Answer, Reason};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Share of the scan by which another pose has to be supported better to contradict: less may be noise.
-const BETTER: f64 = 0.1;
-
-/// The noise is estimated along the surface's normals, and a slanted surface has more: a share of it remains in the misfit.
-const MISFIT_PER_NOISE: f64 = 0.15;
-
 /// Thresholds of the rules.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -40,13 +37,20 @@ pub struct RuleParams {
     /// one bone left out at a time.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_beyond_limits: f64,
-    /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger by more than 0.15 times the noise, mm: surface and
-    /// scan differ by more than noise, as with tissue, a rough CT or a bone of nearly the same shape. 0.12: fitted likewise; half
-    /// of a CT's voxel explains 0.05.
+    /// The error of scan and surface together over patches of some millimetres, as stated, mm (RMS): a misfit up to it is no sign
+    /// against the registration; what it does to the answer is in the predicted error. None: `max_misfit_mm`. Usual values:
+    /// structured light 0.03 to 0.1, laser triangulation 0.05 to 0.1, stereo 0.3, a stylus 0.3, tracked ultrasound 0.4 to 1, the
+    /// segmentation of a CT 0.2 to 0.8.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub surface_error_mm: Option<f64>,
+    /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger by more than 0.15 times the noise, mm, where no
+    /// `surface_error_mm` is stated: surface and scan differ by more than a structured-light camera and a good segmentation do.
+    /// 0.12: fitted likewise; half of a CT's voxel explains 0.05.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_misfit_mm: f64,
-    /// Refused if the misfit of the patches inside the surface is larger, mm: soft tissue lies outside, so this is another bone,
-    /// its mirror image, or another place on it.
+    /// Refused if the misfit of the patches inside the surface is larger, mm, beside the scan's noise and `surface_error_mm`: soft
+    /// tissue lies outside, so this is another bone, its mirror image, or another place on it. 0.8: no segmentation errs by
+    /// more; those of one CT by seven groups were as far from the bone (RMS; Soodmand 2018).
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_inward_misfit_mm: f64,
     /// Doubtful, or refused if it fits clearly better, if the registration by shape alone lies farther away, mm.
@@ -56,6 +60,10 @@ pub struct RuleParams {
     /// registration that started from it is doubtful. 0.3: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_shape_clearness: f64,
+    /// Doubtful if a larger share of the scan lies inside the surface in whole patches of 4 mm, each by more than four times the
+    /// noise and 0.3 mm. 0.1: outliers of a sensor are single points on both sides.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub max_inside: f64,
     /// Doubtful if a smaller share of the scan lies on the surface.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_on_surface: f64,
@@ -77,10 +85,12 @@ impl Default for RuleParams {
         Self {
             limits: Limits::default(),
             max_beyond_limits: 0.05,
+            surface_error_mm: None,
             max_misfit_mm: 0.12,
-            max_inward_misfit_mm: 0.3,
+            max_inward_misfit_mm: 0.8,
             max_shape_apart_mm: 1.5,
             min_shape_clearness: CLEAR,
+            max_inside: 0.1,
             min_on_surface: 0.35,
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
@@ -140,40 +150,43 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
             format!("the stylus finds the assessment points {mm:.1} mm (mean) from where the registration puts them");
         reasons.push(Reason::new("stylus", answer, text, "check bone, side and landmarks, and the stylus' tip"));
     }
-    let Some(Examined { mut evidence, spread, to_settled }) = Evidence::examine(&registered, examine) else {
+    let Some(mut examined) = Evidence::examine(&registered, examine) else {
         reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, None)));
         let text = "the surface has no normals or the scan too few points, so nothing could be examined";
         reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
         return Verdict::new(reasons, assumptions(case, rules, false, &[]), None, None, Vec::new());
     };
+    let (evidence, spread, to_settled) = (&examined.evidence, examined.spread.as_ref(), examined.to_settled);
     reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, evidence.unsettled_mm)));
     let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
     let limited = if assessed.is_empty() { points_that_matter(&registered) } else { assessed };
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
-    let nuisances =
-        Nuisances::examine(&registered, &place, evidence.noise_mm, CELL_MM, &rules.limits, &errors.nuisances);
+    let nuisances = [evidence.surface_error.cell_mm(), CELL_MM].into_iter().find_map(|cell_mm| {
+        Nuisances::examine(&registered, &place, evidence.noise_mm, cell_mm, &rules.limits, &errors.nuisances)
+    });
     reasons.extend(nuisances.as_ref().and_then(|nuisances| nuisances.reason.clone()));
     let deformation = nuisances.as_ref().and_then(|nuisances| nuisances.deformation.as_ref());
     let predicted = spread.map(|spread| {
         let to_settled = to_settled.unwrap_or_else(Isometry3::identity);
-        predict(&spread, &to_settled, deformation, case.tracking, &place, &rules.limits, errors)
+        predict(spread, &to_settled, deformation, case.tracking, &place, &rules.limits, errors)
     });
-    reasons.extend(spread_reason(predicted.as_ref(), &evidence, rules));
-    reasons.extend(data_reasons(&evidence, order.as_ref(), rules));
+    reasons.extend(spread_reason(predicted.as_ref(), evidence, rules));
+    reasons.extend(data_reasons(evidence, order.as_ref(), rules));
     let is_raised = reasons.iter().any(|reason| DATA.contains(&reason.rule.as_str()));
     if examine.mirror == When::Always || (examine.mirror == When::IfRaised && is_raised) {
-        evidence.examine_mirrored(&registered);
-        reasons.extend(mirror_reason(&evidence));
+        examined.examine_mirrored(&registered);
+        reasons.extend(mirror_reason(&examined.evidence));
     }
     // The error is told where points or cuts are planned.
     let predicted = predicted.filter(|_| !at.is_empty());
     let (nuisances, unseen) = nuisances.map(|nuisances| (nuisances.list, nuisances.assumptions)).unwrap_or_default();
     let assumptions = assumptions(case, rules, predicted.is_some(), &unseen);
-    Verdict::new(reasons, assumptions, predicted, Some(evidence), nuisances)
+    Verdict::new(reasons, assumptions, predicted, Some(examined.evidence), nuisances)
 }
 
 /// The rules on scan and surface.
-const DATA: [&str; 7] = ["misfit", "inward_misfit", "spread", "unsettled", "shape", "on_surface", "facing_away"];
+const DATA: [&str; 8] =
+    ["misfit", "inward_misfit", "inside", "spread", "unsettled", "shape", "on_surface", "facing_away"];
 
 /// The planned cuts, each with the middle of the bone in it.
 fn cuts(case: &Case<'_>) -> Vec<Cut> {
@@ -207,32 +220,12 @@ fn order_reason(order: &OrderEvidence) -> Option<Reason> {
 }
 
 fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &RuleParams) -> Vec<Reason> {
-    let mut reasons = Vec::new();
+    let mut reasons: Vec<Reason> =
+        [misfit_reason(evidence, rules), inside_reason(evidence, rules)].into_iter().flatten().collect();
     let mut add = |rule: &str, answer: Answer, reason: String, remedy: &str| {
         reasons.push(Reason::new(rule, answer, reason, remedy));
     };
-    let misfit = &evidence.misfit;
     let another = "check that scan and CT are of the same bone, side and patient";
-    if misfit.inward_mm > rules.max_inward_misfit_mm {
-        let reason = format!(
-            "parts of the scan lie inside the bone's surface by {:.2} mm (RMS of patches of 4 mm), which neither noise \
-             ({:.2} mm) nor tissue explains; likely cause: another bone, its mirror image, or another place on it",
-            misfit.inward_mm, evidence.noise_mm
-        );
-        add("inward_misfit", Answer::Refused, reason, another);
-    } else if misfit.rms_mm > rules.max_misfit_mm + MISFIT_PER_NOISE * evidence.noise_mm {
-        let reason = format!(
-            "scan and surface differ by {:.2} mm (RMS of patches of 4 mm), beyond the noise of {:.2} mm; likely cause: film \
-             on the bone, a rough CT surface, or another bone of nearly this shape",
-            misfit.rms_mm, evidence.noise_mm
-        );
-        add(
-            "misfit",
-            Answer::Doubtful,
-            reason,
-            "check that CT and scan are of one bone, clean it and scan again, or check the CT's segmentation",
-        );
-    }
     if evidence.on_surface < rules.min_on_surface {
         let share = 100.0 * evidence.on_surface;
         let reason =
@@ -249,7 +242,7 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
     }
     if let Some(shape) = evidence.shape.as_ref().filter(|shape| shape.apart_mm > rules.max_shape_apart_mm) {
         let mm = shape.apart_mm;
-        if shape.support > shape.judged_support + BETTER {
+        if shape.is_better() {
             let reason = format!(
                 "by its shape alone the scan fits better {mm:.0} mm away ({:.0} % of it on the surface, against {:.0} %); likely \
                  cause: landmarks exchanged or at the wrong place",
@@ -272,7 +265,8 @@ fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &Rule
 fn spread_reason(predicted: Option<&Predicted>, evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
     let remedy = "scan a longer stretch, or one with more shape; clean the bone, or check the CT's segmentation";
     let Some(predicted) = predicted else {
-        let reason = "the scan leaves a motion of the bone undetermined";
+        let which = evidence.pattern.map(|pattern| format!(": nothing holds the scan where it {}", pattern.words()));
+        let reason = format!("the scan leaves a motion of the bone undetermined{}", which.unwrap_or_default());
         return Some(Reason::new("spread", Answer::Doubtful, reason, remedy));
     };
     let (spread_mm, unsettled_mm) = (evidence.spread_mm?, evidence.unsettled_mm.unwrap_or(0.0));
@@ -292,7 +286,8 @@ fn spread_reason(predicted: Option<&Predicted>, evidence: &Evidence, rules: &Rul
             Answer::Doubtful,
             format!(
                 "the residuals leave the assessment points and cuts uncertain by {spread_mm:.2} mm (RMS): a chance of \
-                 {percent:.0} % of an error beyond the limits"
+                 {percent:.0} % of an error beyond the limits{}",
+                evidence.pattern.map(|p| format!("; least certain: the scan {}", p.words())).unwrap_or_default()
             ),
             remedy,
         ),
@@ -318,7 +313,7 @@ fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
     let shape = evidence.shape.as_ref()?;
     let mirrored = shape.mirrored_support?;
     let best = shape.support.max(shape.judged_support);
-    (mirrored > best + BETTER).then(|| {
+    shape.is_mirror_better().then(|| {
         let reason = format!(
             "the scan's mirror image fits better ({:.0} % of it on the surface, against {:.0} %); likely cause: a mirrored CT, or \
              the other leg",

@@ -96,6 +96,17 @@ impl Spread {
     }
 }
 
+/// The normal matrix of a shift and a turn about the centroid of pairs.
+pub(super) fn normal_matrix(pairs: &[Residual]) -> Matrix6<f64> {
+    let centre = centroid(&pairs.iter().map(|pair| pair.point).collect::<Vec<_>>());
+    let row = |pair: &Residual| {
+        let turn = (pair.point - centre).cross(&pair.normal);
+        let n = &pair.normal;
+        Vector6::new(n.x, n.y, n.z, turn.x, turn.y, turn.z)
+    };
+    pairs.iter().map(row).map(|row| row * row.transpose()).sum()
+}
+
 /// The outward unit normals of the scan itself, each of the plane through the points around, or else the surface's.
 fn scan_normals(pairs: &[Residual], points: &[Point3<f64>]) -> Vec<Vector3<f64>> {
     let tree = Nearest::new(points);

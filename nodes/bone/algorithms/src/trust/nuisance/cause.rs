@@ -8,22 +8,22 @@ use nalgebra::{Matrix3, Point3, Vector3};
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Axes {
     /// Centroid of the scan.
-    pub centre: Point3<f64>,
+    pub(super) centre: Point3<f64>,
     /// Unit direction of its longest extent: a shaft's axis.
-    pub along: Vector3<f64>,
+    pub(super) along: Vector3<f64>,
     /// Unit direction towards the camera, perpendicular to `along`; without a camera, the mean normal of the surface.
-    pub towards: Vector3<f64>,
+    pub(super) towards: Vector3<f64>,
     /// `along` x `towards`.
-    pub sideways: Vector3<f64>,
+    pub(super) sideways: Vector3<f64>,
     /// Half of the extent along `along`, mm.
-    pub half_mm: f64,
+    pub(super) half_mm: f64,
     /// Where the camera was.
-    pub camera: Option<Point3<f64>>,
+    pub(super) camera: Option<Point3<f64>>,
 }
 
 impl Axes {
     /// The directions of a scan whose points have these normals; `None` where it has none.
-    pub fn new(points: &[Point3<f64>], normals: &[Vector3<f64>], camera: Option<Point3<f64>>) -> Option<Self> {
+    pub(super) fn new(points: &[Point3<f64>], normals: &[Vector3<f64>], camera: Option<Point3<f64>>) -> Option<Self> {
         let centre = centroid(points);
         let scatter: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
         let ([along, ..], _) = largest_first(&scatter);
@@ -74,7 +74,7 @@ pub(super) enum Mode {
 
 impl Mode {
     /// The displacement at a point with this outward normal, mm.
-    pub fn at(&self, axes: &Axes, p: &Point3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
+    pub(super) fn at(&self, axes: &Axes, p: &Point3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
         let arm = p - axes.centre;
         match *self {
             Self::Strain { of, to } => to * of.dot(&arm),
@@ -103,7 +103,7 @@ impl Mode {
     }
 
     /// Whether it displaces the planned points with the bone; else it displaces the scan alone.
-    pub fn moves_bone(&self) -> bool {
+    pub(super) fn moves_bone(&self) -> bool {
         !matches!(
             self,
             Self::Offset | Self::Curvature | Self::Film { .. } | Self::FilmAround | Self::Scale(_) | Self::Depth(_)
@@ -131,7 +131,7 @@ pub(super) enum Cause {
 
 impl Cause {
     /// The name in the results.
-    pub fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Along => "stretch_along",
             Self::Growth => "growth",
@@ -150,7 +150,7 @@ impl Cause {
     }
 
     /// The unit of its size, and what a parameter is multiplied by to have it.
-    pub fn unit(self) -> (&'static str, f64) {
+    pub(super) fn unit(self) -> (&'static str, f64) {
         match self {
             Self::Along | Self::Growth | Self::Across | Self::CameraScale | Self::CameraDepth => ("%", 100.0),
             Self::Shear | Self::Twist => ("degrees", 1_f64.to_degrees()),
@@ -159,7 +159,7 @@ impl Cause {
     }
 
     /// The usual size of its parameters where it is there: stretches of 3 %, tilts of a gantry of 8 degrees.
-    pub fn usual(self) -> f64 {
+    pub(super) fn usual(self) -> f64 {
         match self {
             Self::Along | Self::Growth | Self::Across => 0.03,
             Self::CameraScale | Self::CameraDepth => 0.015,
@@ -171,7 +171,7 @@ impl Cause {
     }
 
     /// Number of its parameters that make its size: a shear is fitted beside a stretch.
-    pub fn n_own(self) -> usize {
+    pub(super) fn n_own(self) -> usize {
         match self {
             Self::Bend | Self::Step { .. } => 2,
             _ => 1,
@@ -179,7 +179,7 @@ impl Cause {
     }
 
     /// The direction in which a cause acts.
-    pub fn axis(self, axes: &Axes, values: Option<&[f64]>) -> Option<Vector3<f64>> {
+    pub(super) fn axis(self, axes: &Axes, values: Option<&[f64]>) -> Option<Vector3<f64>> {
         match (self, values) {
             (Self::Along | Self::FilmAlong | Self::Twist, _) => Some(axes.along),
             (Self::Bend | Self::Step { .. }, Some([a, b])) => {
@@ -194,7 +194,7 @@ impl Cause {
     }
 
     /// The place at which a cause acts.
-    pub fn place(self, axes: &Axes) -> Option<Point3<f64>> {
+    pub(super) fn place(self, axes: &Axes) -> Option<Point3<f64>> {
         match self {
             Self::Step { beyond_mm } => Some(axes.centre + axes.along * beyond_mm),
             _ => None,
@@ -202,7 +202,7 @@ impl Cause {
     }
 
     /// Its size, from its parameters.
-    pub fn size(self, values: &[f64]) -> f64 {
+    pub(super) fn size(self, values: &[f64]) -> f64 {
         match (self, values) {
             (Self::Shear, [shear, ..]) => *shear,
             (_, [value]) => *value,
@@ -212,7 +212,7 @@ impl Cause {
 
     /// Whether it is an assumption even where the data limit it: a film has any profile, and the camera's scale moves a bone at its
     /// working distance more than its size shows.
-    pub fn is_assumed(self) -> bool {
+    pub(super) fn is_assumed(self) -> bool {
         matches!(
             self,
             Self::CameraScale | Self::CameraDepth | Self::Step { .. } | Self::Film | Self::FilmAlong | Self::FilmAround
@@ -220,7 +220,7 @@ impl Cause {
     }
 
     /// Its parameters; none where it needs a camera that is not known.
-    pub fn modes(self, axes: &Axes) -> Vec<Mode> {
+    pub(super) fn modes(self, axes: &Axes) -> Vec<Mode> {
         let (along, towards, sideways) = (axes.along, axes.towards, axes.sideways);
         match self {
             Self::Along => vec![Mode::Strain { of: along, to: along }],

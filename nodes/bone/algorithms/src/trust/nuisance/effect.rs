@@ -9,16 +9,16 @@ use nalgebra::{Point3, Vector3, Vector6};
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Effect {
     /// The larger of the mean TRE and the displacements of cuts, mm.
-    pub mm: f64,
+    pub(super) mm: f64,
     /// The largest tilt of a cut, degrees.
-    pub deg: f64,
+    pub(super) deg: f64,
     /// The largest of error over limit.
-    pub times: f64,
+    pub(super) times: f64,
 }
 
 impl Effect {
     /// The effect of an error at the targets.
-    pub fn new(place: &Where<'_>, limits: &Limits, error: &dyn Fn(&Point3<f64>) -> Vector3<f64>) -> Self {
+    pub(super) fn new(place: &Where<'_>, limits: &Limits, error: &dyn Fn(&Point3<f64>) -> Vector3<f64>) -> Self {
         let tre_mm = place.limited.iter().map(|p| error(p).norm()).sum::<f64>() / place.limited.len().max(1) as f64;
         let (mut offset_mm, mut tilt_deg) = (0.0_f64, 0.0_f64);
         for cut in place.cuts {
@@ -32,7 +32,7 @@ impl Effect {
     }
 
     /// The effect of an error that is larger by a factor.
-    pub fn scaled(self, by: f64) -> Self {
+    pub(super) fn scaled(self, by: f64) -> Self {
         Self { mm: self.mm * by, deg: self.deg * by, times: self.times * by }
     }
 }

@@ -39,31 +39,31 @@ const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
 /// The scan and the surface that a fit begins from.
 #[derive(Clone, Copy)]
 pub(super) struct Problem<'a> {
-    pub target: &'a Target,
+    pub(super) target: &'a Target,
     /// Normals of the target's points.
-    pub normals: &'a [Vector3<f64>],
+    pub(super) normals: &'a [Vector3<f64>],
     /// The examined points of the scan at the registration, target's frame.
-    pub points: &'a [Point3<f64>],
-    pub axes: &'a Axes,
+    pub(super) points: &'a [Point3<f64>],
+    pub(super) axes: &'a Axes,
     /// The sensor's noise, mm.
-    pub noise_mm: f64,
+    pub(super) noise_mm: f64,
     /// Edge of the cells whose residuals count as one draw, mm.
-    pub cell_mm: f64,
+    pub(super) cell_mm: f64,
 }
 
 /// A fitted pose with the parameters of some modes.
 #[derive(Debug, Clone)]
 pub(super) struct Fit {
     /// The motion from the registration to the fitted pose, about the centroid.
-    pub motion: Isometry3<f64>,
+    pub(super) motion: Isometry3<f64>,
     /// The parameters.
-    pub values: Vec<f64>,
+    pub(super) values: Vec<f64>,
     /// Robust standard deviation of the residuals, mm.
-    pub sigma_mm: f64,
+    pub(super) sigma_mm: f64,
     /// Residuals beyond this have no weight, mm.
-    pub gate_mm: f64,
+    pub(super) gate_mm: f64,
     /// The pairs of all points with the residuals that are left; none where the surface is out of reach.
-    pub pairs: Vec<Option<Pair>>,
+    pub(super) pairs: Vec<Option<Pair>>,
 }
 
 /// A point of the scan with the surface nearest to it.
@@ -84,7 +84,7 @@ impl Problem<'_> {
     /// The last modes have priors of these standard deviations.
     ///
     /// `None` where the points leave one of them undetermined.
-    pub fn fit(&self, modes: &[Mode], priors: &[f64], max_steps: usize) -> Option<Fit> {
+    pub(super) fn fit(&self, modes: &[Mode], priors: &[f64], max_steps: usize) -> Option<Fit> {
         let first_prior = 6 + modes.len() - priors.len();
         let (mut motion, mut values) = (Isometry3::identity(), vec![0.0; modes.len()]);
         let mut normals = vec![Vector3::zeros(); self.points.len()];
@@ -161,13 +161,13 @@ impl Problem<'_> {
     }
 
     /// How far the point of a pair moves along its normal with shift and turn about the centroid.
-    pub fn rigid_row(&self, pair: &Pair) -> Vector6<f64> {
+    pub(super) fn rigid_row(&self, pair: &Pair) -> Vector6<f64> {
         let (n, turn) = (pair.normal, (pair.point - self.axes.centre).cross(&pair.normal));
         Vector6::new(n.x, n.y, n.z, turn.x, turn.y, turn.z)
     }
 
     /// How far the point of a pair moves along its normal with a mode.
-    pub fn response(&self, pair: &Pair, mode: &Mode, motion: &Isometry3<f64>) -> f64 {
+    pub(super) fn response(&self, pair: &Pair, mode: &Mode, motion: &Isometry3<f64>) -> f64 {
         pair.normal.dot(&(motion.rotation * mode.at(self.axes, &pair.registered, &pair.normal)))
     }
 
@@ -187,7 +187,7 @@ impl Problem<'_> {
     ///
     /// # Source
     /// White 1980; Liang and Zeger 1986, with the correction for the number of cells.
-    pub fn covariance(&self, fit: &Fit, modes: &[Mode]) -> Option<Normal> {
+    pub(super) fn covariance(&self, fit: &Fit, modes: &[Mode]) -> Option<Normal> {
         let n = 6 + modes.len();
         let rows = self.rows(&fit.pairs, modes, &fit.motion);
         let (h, _) = normal_equations(&fit.pairs, &rows, fit.gate_mm, n);
@@ -206,21 +206,15 @@ impl Problem<'_> {
 
 impl Fit {
     /// Weight of a pair.
-    pub fn weight(&self, pair: &Pair) -> f64 {
+    pub(super) fn weight(&self, pair: &Pair) -> f64 {
         weight(pair.residual_mm, self.gate_mm)
     }
 
     /// Sum over all points of the squares of the residuals, each at most `cap_mm`².
-    pub fn squares(&self, cap_mm: f64) -> f64 {
+    pub(super) fn squares(&self, cap_mm: f64) -> f64 {
         let square =
             |pair: &Option<Pair>| pair.as_ref().map_or(cap_mm, |pair| pair.residual_mm.abs().min(cap_mm)).powi(2);
         self.pairs.iter().map(square).sum()
-    }
-
-    /// Share of the points with weight.
-    pub fn share(&self) -> f64 {
-        let kept = self.pairs.iter().flatten().filter(|pair| self.weight(pair) > 0.0).count();
-        kept as f64 / self.pairs.len().max(1) as f64
     }
 }
 

@@ -83,7 +83,7 @@ pub(super) struct Model<'a> {
 
 impl<'a> Model<'a> {
     /// The model at the pose at which the scan fits; `None` where that leaves a motion undetermined.
-    pub fn new(
+    pub(super) fn new(
         problem: Problem<'a>,
         place: &'a Where<'a>,
         limits: &'a Limits,
@@ -101,7 +101,7 @@ impl<'a> Model<'a> {
     }
 
     /// What the data say of every cause.
-    pub fn judge(&self) -> Nuisances {
+    pub(super) fn judge(&self) -> Nuisances {
         let mut fitted = FITTED.to_vec();
         fitted.extend(self.step());
         let candidates = self.candidates(&fitted);

@@ -1,6 +1,6 @@
 use super::*;
 use crate::coarse::RunnerUp;
-use crate::trust::{Misfit, ShapeEvidence};
+use crate::trust::{Inside, Misfit, Pattern, ShapeEvidence, SurfaceError};
 
 /// The evidence of a right registration.
 fn evidence() -> Evidence {
@@ -10,17 +10,21 @@ fn evidence() -> Evidence {
         p90_mm: Some(0.1),
         on_surface: 0.95,
         inside: 0.0,
+        inside_patches: Inside { share: 0.0, depth_mm: 0.0 },
         outside: 0.02,
         misfit: Misfit { rms_mm: 0.05, inward_mm: 0.02 },
+        surface_error: SurfaceError { noise_mm: 0.05, level_mm: 0.04, length_mm: 3.0 },
         facing_away: Some(0.01),
         spread_mm: Some(0.2),
+        pattern: None,
         unsettled_mm: Some(0.01),
         shape: Some(shape(0.1, 0.9, 0.9, 0.6)),
     }
 }
 
 fn shape(apart_mm: f64, support: f64, judged_support: f64, clearness: f64) -> ShapeEvidence {
-    ShapeEvidence { apart_mm, support, judged_support, clearness, mirrored_support: None }
+    let (mirrored_support, mirrored_margin_sd) = (None, None);
+    ShapeEvidence { apart_mm, support, judged_support, margin_sd: 0.0, clearness, mirrored_support, mirrored_margin_sd }
 }
 
 /// The signs in evidence, as text.
@@ -44,7 +48,8 @@ fn each_sign_in_the_data_is_told_with_its_numbers() {
     let all = Evidence {
         on_surface: 0.25,
         facing_away: Some(0.4),
-        misfit: Misfit { rms_mm: 0.5, inward_mm: 0.35 },
+        misfit: Misfit { rms_mm: 1.5, inward_mm: 0.95 },
+        inside_patches: Inside { share: 0.4, depth_mm: 1.1 },
         shape: Some(shape(12.0, 0.8, 0.5, 0.1)),
         ..evidence()
     };
@@ -61,8 +66,22 @@ fn each_sign_in_the_data_is_told_with_its_numbers() {
 fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
     let with = |rms_mm, inward_mm| Evidence { misfit: Misfit { rms_mm, inward_mm }, noise_mm: 0.4, ..evidence() };
     let limit = 0.12 + 0.15 * 0.4;
-    assert!(!has(&with(limit, 0.3), "misfit") && !has(&with(limit, 0.3), "inward_misfit"));
-    assert!(has(&with(0.19, 0.3), "misfit") && has(&with(limit, 0.31), "inward_misfit"));
+    // Beside noise of 0.4 mm, 0.8 mm are 0.894 mm.
+    assert!(!has(&with(limit, 0.89), "misfit") && !has(&with(limit, 0.89), "inward_misfit"));
+    assert!(has(&with(0.19, 0.89), "misfit") && has(&with(limit, 0.9), "inward_misfit"));
+    // A stated error takes the place of the limits that it exceeds; nobody's refusal at zero is widened.
+    let told = |rms_mm, inward_mm, surface_error_mm, max_inward_misfit_mm| {
+        let rules = RuleParams { surface_error_mm, max_inward_misfit_mm, ..RuleParams::default() };
+        misfit_reason(&with(rms_mm, inward_mm), &rules).map(|reason| reason.rule)
+    };
+    assert_eq!(told(0.75, 0.5, Some(0.7), 0.8), None);
+    assert_eq!(told(0.77, 0.5, Some(0.7), 0.8).as_deref(), Some("misfit"));
+    assert_eq!(told(0.13, 0.1, Some(0.05), 0.8).as_deref(), Some("misfit"));
+    assert_eq!(told(1.2, 1.2, Some(1.2), 0.8), None);
+    assert_eq!(told(0.01, 0.01, None, 0.0).as_deref(), Some("inward_misfit"));
+
+    let with = |share| Evidence { inside_patches: Inside { share, depth_mm: 1.0 }, ..evidence() };
+    assert!(!has(&with(0.1), "inside") && has(&with(0.11), "inside"));
 
     let with = |on_surface, away| Evidence { on_surface, facing_away: Some(away), ..evidence() };
     assert!(!has(&with(0.35, 0.2), "on_surface") && !has(&with(0.35, 0.2), "facing_away"));
@@ -131,6 +150,12 @@ fn the_mirror_image_is_named_if_it_fits_better_by_a_tenth() {
     assert_eq!(reason(0.5, 0.4, Some(0.8)), Some((Answer::Refused, words.to_owned())));
     assert!(reason(0.4, 0.5, Some(0.61)).is_some() && reason(0.4, 0.5, Some(0.59)).is_none());
     assert_eq!((reason(0.0, 0.0, Some(BETTER)), reason(0.5, 0.4, None)), (None, None));
+    // By a tenth, and by three standard deviations of the comparison.
+    let shape =
+        |sd| ShapeEvidence { mirrored_support: Some(0.8), mirrored_margin_sd: Some(sd), ..shape(5.0, 0.5, 0.4, 0.5) };
+    assert!(shape(0.09).is_mirror_better() && !shape(0.11).is_mirror_better());
+    let shape = |sd| ShapeEvidence { support: 0.7, margin_sd: sd, ..shape(0.0) };
+    assert!(shape(0.09).is_better() && !shape(0.11).is_better());
 }
 
 #[test]
@@ -152,4 +177,19 @@ fn a_spread_is_a_sign_by_its_chance_and_named_by_the_larger_cause() {
     let open = spread_reason(None, &evidence(), &rules).unwrap();
     assert_eq!((open.rule.as_str(), open.answer), ("spread", Answer::Doubtful));
     assert_eq!(open.reason, "the scan leaves a motion of the bone undetermined");
+    let pattern = Pattern {
+        slide_mm: 1.2,
+        spin_deg: 0.1,
+        across_mm: 0.0,
+        tilt_deg: 0.0,
+        rms_mm: Some(1.2),
+        shares: [0.9, 0.1, 0.0, 0.0],
+    };
+    let slides = |rms_mm| Evidence { pattern: Some(Pattern { rms_mm, ..pattern }), ..evidence() };
+    let open = spread_reason(None, &slides(None), &rules).unwrap().reason;
+    assert!(open.ends_with("undetermined: nothing holds the scan where it slides along its long axis"), "{open}");
+    let predicted =
+        Predicted { points: vec![], cuts: vec![], assessment: None, all_cuts: None, beyond_limits: 0.4, terms: vec![] };
+    let wide = spread_reason(Some(&predicted), &slides(Some(1.2)), &rules).unwrap().reason;
+    assert!(wide.ends_with("limits; least certain: the scan slides along its long axis by 1.2 mm"), "{wide}");
 }

@@ -1,0 +1,295 @@
+//! The verdict on measured data with known answers, as the program is used on two files.
+//!
+//! Hip bones (CT against tracked ultrasound) and range scans (laser triangulation) of `shared/data/real`. With `SLOW_TESTS` there are
+//! more poses of each pair. Of every pair the right pose, the mirrored scan and starts beside the truth are judged.
+
+use crate::common::{data, stl};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use osteoflow_algorithms::coarse::{self, GlobalParams, GlobalReport};
+use osteoflow_algorithms::icp::{self, IcpParams, Method};
+use osteoflow_algorithms::mesh_query::MeshQuery;
+use osteoflow_algorithms::target::Target;
+use osteoflow_algorithms::trust::{self, Answer, Case, EvidenceParams, PredictParams, Registered, RuleParams, Verdict};
+use osteoflow_algorithms::{normals, sample};
+use osteoflow_geometry::{Cloud, Mesh, NamedPoint, SurfaceOrigin};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, UnitSphere};
+use std::{ops::ControlFlow, path::Path};
+
+/// A right pose of a hip bone, at the cloud's centroid: the protocol of its publication.
+const HIP_RIGHT: (f64, f64) = (4.0, 5.0);
+
+/// A right pose of a range scan: its points off by less on average, mm.
+const RANGE_RIGHT_MM: f64 = 1.5;
+
+/// How a registration starts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Start {
+    /// By shape alone.
+    Shape,
+    /// From the truth, turned about the centroid and shifted.
+    Near { deg: f64, mm: f64 },
+}
+
+/// Uncertainty of the stated true poses, mm: the hips' frames meet through markers on the bones, the range scans' poses were found
+/// by registration.
+const HIP_TRUTH_MM: f64 = 2.0;
+const RANGE_TRUTH_MM: f64 = 0.2;
+
+/// A measured scan where it belongs, and what a right pose of it is.
+struct Pair<'a> {
+    name: &'a str,
+    target: &'a Target,
+    /// The scan at its true pose.
+    placed: &'a [Point3<f64>],
+    is_hip: bool,
+}
+
+/// What came of a registration.
+struct Outcome {
+    what: String,
+    is_right: bool,
+    is_mirrored: bool,
+    /// Mean error of some of the scan's points, mm.
+    error_mm: f64,
+    off_deg: f64,
+    /// Why there is no verdict, or the verdict.
+    verdict: Result<Verdict, String>,
+    truth_mm: f64,
+}
+
+impl Outcome {
+    fn line(&self) -> String {
+        let right = if self.is_right { "right" } else { "wrong" };
+        let off = format!("{:32} {right} {:6.2} mm {:6.2} deg", self.what, self.error_mm, self.off_deg);
+        let verdict = match &self.verdict {
+            Ok(verdict) => verdict,
+            Err(failure) => return format!("{off}  no answer: {failure}"),
+        };
+        let rules: Vec<String> = verdict.reasons.iter().map(|r| format!("{} {:?}", r.rule, r.answer)).collect();
+        let interval = self.interval_mm().map(|[from, to]| format!("{from:.2} to {to:.2} mm")).unwrap_or_default();
+        let error = verdict.measured.as_ref().map(|evidence| evidence.surface_error);
+        format!("{off}  {:?} [{}] {interval} {error:.2?}", verdict.answer, rules.join(", "))
+    }
+
+    fn answer(&self) -> Option<Answer> {
+        self.verdict.as_ref().ok().map(|verdict| verdict.answer)
+    }
+
+    fn interval_mm(&self) -> Option<[f64; 2]> {
+        Some(self.verdict.as_ref().ok()?.predicted.as_ref()?.assessment.as_ref()?.interval_mm)
+    }
+
+    /// Whether the predicted interval, widened by the truth's own uncertainty, holds the error.
+    fn is_held(&self) -> bool {
+        let truth_mm = self.truth_mm;
+        self.interval_mm().is_some_and(|[from, to]| (from - truth_mm..=to + truth_mm).contains(&self.error_mm))
+    }
+}
+
+fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
+    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64)
+}
+
+fn target_of(mesh: &Mesh) -> Target {
+    let samples = sample::surface(mesh, 150_000, &mut ChaCha8Rng::seed_from_u64(1));
+    let target = Target::new("ct", SurfaceOrigin::User, samples.points, Some(samples.normals.into())).unwrap();
+    target.with_mesh(MeshQuery::new(mesh))
+}
+
+fn random_motion(rng: &mut ChaCha8Rng, deg: f64, mm: f64) -> Isometry3<f64> {
+    let axis: [f64; 3] = UnitSphere.sample(rng);
+    let way: [f64; 3] = UnitSphere.sample(rng);
+    Isometry3::new(Vector3::from(way) * mm, Vector3::from(axis) * deg.to_radians())
+}
+
+impl Pair<'_> {
+    /// Turns and shifts the scan, registers it and judges the answer.
+    fn registered(&self, start: Start, seed: u64) -> Outcome {
+        let Self { target, placed, is_hip, .. } = *self;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let centre = centroid(placed);
+        let about =
+            |motion: Isometry3<f64>| Translation3::from(centre.coords) * motion * Translation3::from(-centre.coords);
+        let (deg, mm) = (rng.random_range(0.0..180.0), rng.random_range(0.0..500.0));
+        let t_scan_truth = about(random_motion(&mut rng, deg, mm));
+        let cloud = Cloud::new("scan", placed.iter().map(|p| t_scan_truth * p).collect::<Vec<_>>()).unwrap();
+        let mut outcome = Outcome {
+            what: format!("{} {start:?} {seed}", self.name),
+            is_right: false,
+            is_mirrored: false,
+            error_mm: f64::NAN,
+            off_deg: f64::NAN,
+            verdict: Err(String::new()),
+            truth_mm: if is_hip { HIP_TRUTH_MM } else { RANGE_TRUTH_MM },
+        };
+        let mut report: Option<GlobalReport> = None;
+        let init = match start {
+            Start::Shape => match coarse::global(target, &cloud, &GlobalParams::default()) {
+                Ok(fit) => {
+                    report = Some(fit.report);
+                    fit.t_target_source
+                }
+                Err(error) => return Outcome { verdict: Err(error.to_string()), ..outcome },
+            },
+            Start::Near { deg, mm } => about(random_motion(&mut rng, deg, mm)) * t_scan_truth.inverse(),
+        };
+        let observer = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
+        let fit = icp::register(Method::PointToPlane, target, &cloud, &init, &IcpParams::default(), observer);
+        let fit = match fit {
+            Ok(fit) => fit,
+            Err(error) => return Outcome { verdict: Err(error.to_string()), ..outcome },
+        };
+        let off = fit.t_target_source * t_scan_truth;
+        let some: Vec<Point3<f64>> = placed.iter().step_by(placed.len() / 20).copied().collect();
+        outcome.error_mm = some.iter().map(|p| (off * p - p).norm()).sum::<f64>() / some.len() as f64;
+        outcome.off_deg = off.rotation.angle().to_degrees();
+        outcome.is_right = match is_hip {
+            true => (off * centre - centre).norm() < HIP_RIGHT.0 && outcome.off_deg < HIP_RIGHT.1,
+            false => outcome.error_mm < RANGE_RIGHT_MM,
+        };
+        // The error is predicted at points of the scan, as there is no plan.
+        let on_surface = |p: &Point3<f64>| target.points()[target.nearest(&(off * p), f64::INFINITY).unwrap().0];
+        let assessment: Vec<NamedPoint> =
+            some.iter().enumerate().map(|(k, p)| NamedPoint::new(format!("S{k}"), on_surface(p))).collect();
+        let case = Case {
+            registered: Registered { target, source: &cloud, t_target_source: &fit.t_target_source, at: &[] },
+            icp: None,
+            landmarks: &[],
+            located: &[],
+            assessment: &assessment,
+            planes: None,
+            tracking: None,
+            measured_tre_mm: None,
+            slide: None,
+            check: &[],
+            start: report.as_ref(),
+            reasons: &[],
+            assumptions: &[],
+        };
+        let (examine, errors) = (EvidenceParams::default(), PredictParams::default());
+        outcome.verdict = Ok(trust::judge(&case, &examine, &RuleParams::default(), &errors));
+        println!("{}", outcome.line());
+        outcome
+    }
+
+    /// The same of the scan's mirror image.
+    fn mirrored(&self, start: Start, seed: u64) -> Outcome {
+        let centre = centroid(self.placed);
+        let image: Vec<Point3<f64>> = self.placed.iter().map(|p| Point3::new(2.0 * centre.x - p.x, p.y, p.z)).collect();
+        let name = format!("{}, mirrored", self.name);
+        let outcome = Pair { name: &name, placed: &image, ..*self }.registered(start, seed);
+        Outcome { is_mirrored: true, is_right: false, ..outcome }
+    }
+}
+
+/// The numbers of a text file, a row each, after `skip` lines.
+fn rows(path: &Path, after: &str) -> Vec<Vec<f64>> {
+    let text = std::fs::read(path).unwrap();
+    let text = String::from_utf8_lossy(&text);
+    let body = if after.is_empty() { &text[..] } else { &text[text.find(after).unwrap() + after.len()..] };
+    body.lines().map(|line| line.split_whitespace().filter_map(|w| w.parse().ok()).collect()).collect()
+}
+
+fn xyz(rows: &[Vec<f64>], unit: f64) -> Vec<Point3<f64>> {
+    rows.iter().filter(|row| row.len() >= 3).map(|row| Point3::new(row[0], row[1], row[2]) * unit).collect()
+}
+
+/// The points of an ASCII PLY in metres, mm: those of its first element.
+fn ply(path: &Path) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+    let head = String::from_utf8_lossy(&std::fs::read(path).unwrap()).into_owned();
+    let count = |element: &str| -> usize {
+        let line = head.lines().find(|line| line.starts_with(&format!("element {element} "))).unwrap();
+        line.rsplit(' ').next().unwrap().trim().parse().unwrap()
+    };
+    let rows: Vec<Vec<f64>> = rows(path, "end_header").into_iter().skip(1).collect();
+    let n = count("vertex");
+    let faces = rows[n..].iter().filter(|row| row.len() == 4).map(|row| [1, 2, 3].map(|k| row[k] as u32)).collect();
+    (xyz(&rows[..n], 1000.0), faces)
+}
+
+fn is_slow() -> bool {
+    std::env::var_os("SLOW_TESTS").is_some()
+}
+
+const NEAR: Start = Start::Near { deg: 8.0, mm: 8.0 };
+
+fn hips() -> Vec<Outcome> {
+    let mut all = Vec::new();
+    for name in ["specimen00_left_femur", "specimen00_pelvis", "specimen01_right_femur"] {
+        let Some(path) = data("hips", &format!("real/hip/preoperative_{name}.stl")) else { return all };
+        let cloud = data("hips", &format!("real/hip/intraoperative_{name}.xyz")).unwrap();
+        let (target, placed) = (target_of(&stl(&path, "ct")), xyz(&rows(&cloud, ""), 1.0));
+        let pair = Pair { name: &name[8..], target: &target, placed: &placed, is_hip: true };
+        for seed in 0..if is_slow() { 7 } else { 1 } {
+            all.extend([Start::Shape, NEAR].map(|start| pair.registered(start, seed)));
+            all.push(pair.mirrored(Start::Shape, seed));
+        }
+    }
+    all
+}
+
+fn ranges() -> Vec<Outcome> {
+    let mut all = Vec::new();
+    let Some(conf) = data("ranges", "real/range/bun.conf") else { return all };
+    let folder = conf.parent().unwrap();
+    let (vertices, faces) = ply(&folder.join("bun_zipper.ply"));
+    let model = target_of(&Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap());
+    let text = std::fs::read_to_string(&conf).unwrap();
+    let scans = ["bun000", "bun045", "bun090"].map(|name| {
+        let line = text.lines().find(|line| line.contains(name)).unwrap();
+        let v: Vec<f64> = line.split_whitespace().skip(2).map(|w| w.parse().unwrap()).collect();
+        // The quaternion is that of the inverse turn.
+        let turn = UnitQuaternion::from_quaternion(Quaternion::new(v[6], v[3], v[4], v[5])).inverse();
+        let t = Isometry3::from_parts(Translation3::from(Vector3::new(v[0], v[1], v[2]) * 1000.0), turn);
+        let (points, _) = ply(&folder.join(format!("{name}.ply")));
+        (name, points.iter().map(|p| t * p).collect::<Vec<_>>())
+    });
+    for (name, placed) in &scans {
+        let pair = Pair { name: &format!("{name} on model"), target: &model, placed, is_hip: false };
+        all.extend((0..if is_slow() { 5 } else { 1 }).map(|seed| pair.registered(NEAR, seed)));
+        all.push(pair.mirrored(NEAR, 7));
+    }
+    for [a, b] in [[0, 1], [1, 0], [1, 2], [2, 1]] {
+        let ((name, placed), (other, on)) = (&scans[a], &scans[b]);
+        let normals = normals::of_surface(on).unwrap();
+        let target = Target::new("ct", SurfaceOrigin::User, on.clone(), Some(normals.into())).unwrap();
+        let name = format!("{name} on {other}");
+        all.push(Pair { name: &name, target: &target, placed, is_hip: false }.registered(NEAR, 3));
+    }
+    all
+}
+
+/// Nine in ten right poses are given, no wrong one is trusted, nor a mirrored one, and the intervals hold.
+fn check(all: &[Outcome]) {
+    let n = |is: &dyn Fn(&Outcome) -> bool| all.iter().filter(|outcome| is(outcome)).count();
+    let right = n(&|o| o.is_right);
+    let given = n(&|o| o.is_right && matches!(o.answer(), Some(Answer::Trusted | Answer::Doubtful)));
+    let held = n(&|o| o.is_right && o.is_held());
+    println!("{right} right, of these {given} given and {held} within their interval; {} wrong", all.len() - right);
+    assert!(10 * given >= 9 * right, "{given} of {right} right poses are given");
+    assert!(10 * held >= 9 * right, "{held} of {right} errors are within their interval");
+    for outcome in all.iter().filter(|o| !o.is_right) {
+        assert_ne!(outcome.answer(), Some(Answer::Trusted), "{}", outcome.line());
+    }
+}
+
+#[test]
+fn right_poses_of_hip_bones_are_given_and_wrong_and_mirrored_ones_never_trusted() {
+    let all = hips();
+    check(&all);
+    // A pelvis is nearly its own mirror image, a femur is not.
+    for outcome in all.iter().filter(|o| o.is_mirrored && o.what.contains("femur")) {
+        assert_eq!(outcome.answer(), Some(Answer::Refused), "{}", outcome.line());
+    }
+}
+
+#[test]
+fn right_poses_of_range_scans_are_given_and_wrong_and_mirrored_ones_never_trusted() {
+    let all = ranges();
+    check(&all);
+    for outcome in all.iter().filter(|o| o.is_mirrored) {
+        assert_eq!(outcome.answer(), Some(Answer::Refused), "{}", outcome.line());
+    }
+}
