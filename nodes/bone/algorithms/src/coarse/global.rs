@@ -90,6 +90,9 @@ pub struct GlobalReport {
     pub n_refined: usize,
     /// RMS distance of the scan from the surface, with distances limited to 2 mm, mm.
     pub score_mm: f64,
+    /// The scan's centroid there, in the target's frame, mm.
+    #[serde(default)]
+    pub middle_mm: [f64; 3],
     /// The best distinct registration, if there is one.
     pub runner_up: Option<RunnerUp>,
     /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up.
@@ -101,6 +104,9 @@ pub struct GlobalReport {
 pub struct RunnerUp {
     /// Its score, mm.
     pub score_mm: f64,
+    /// The scan's centroid there, in the target's frame, mm.
+    #[serde(default)]
+    pub middle_mm: [f64; 3],
     /// Distance of the scan's centroid from that of the answer, mm.
     pub shift_mm: f64,
     /// Angle to the answer, rad.
@@ -159,11 +165,14 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
     };
     let runner_up = ends.iter().find(|(_, end)| apart(end) > APART_MM).map(|(score_mm, end)| RunnerUp {
         score_mm: *score_mm,
+        middle_mm: (end * scan.middle).into(),
         shift_mm: (end * scan.middle - t_target_source * scan.middle).norm(),
         turn_rad: (end.rotation * t_target_source.rotation.inverse()).angle(),
     });
     let clearness = runner_up.as_ref().map_or(1.0, |other| 1.0 - score_mm / other.score_mm.max(f64::MIN_POSITIVE));
-    let report = GlobalReport { n_tried: starts.len(), n_refined: ends.len(), score_mm, runner_up, clearness };
+    let middle_mm = (t_target_source * scan.middle).into();
+    let (n_tried, n_refined) = (starts.len(), ends.len());
+    let report = GlobalReport { n_tried, n_refined, score_mm, middle_mm, runner_up, clearness };
     Ok(GlobalFit { t_target_source, report })
 }
 
@@ -204,6 +213,7 @@ mod tests {
     use super::*;
     use nalgebra::Vector3;
     use osteoflow_geometry::SurfaceOrigin;
+    use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
     #[test]
     fn poses_no_closer_than_the_limit_to_an_earlier_one_are_distinct() {
@@ -239,5 +249,36 @@ mod tests {
         assert!((score(&without, &scan, &t, 2.0) - rms(0.5, 2.0)).abs() < 1e-12);
         assert!((score(&without, &scan, &t, 6.0) - rms(0.5, 5.0)).abs() < 1e-12);
         assert_eq!(score(&without, &[], &t, 6.0), 0.0);
+    }
+
+    #[test]
+    fn of_two_equal_bones_neither_place_is_clear() {
+        let shaft = crate::shapes::shaft();
+        let beside = |mm: f64| shaft.transformed("ct", &Isometry3::translation(mm, 0.0, 0.0));
+        let mesh = |bones: &[osteoflow_geometry::Mesh]| {
+            let vertices: Vec<_> = bones.iter().flat_map(|bone| bone.vertices().to_vec()).collect();
+            let n = shaft.vertices().len() as u32;
+            let faces =
+                bones.iter().zip(0..).flat_map(|(bone, k)| bone.faces().iter().map(move |f| f.map(|v| v + k * n)));
+            osteoflow_geometry::Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces.collect::<Vec<_>>()).unwrap()
+        };
+        let target = |bones: &[osteoflow_geometry::Mesh]| {
+            let samples = crate::sample::surface(&mesh(bones), 60_000, &mut ChaCha8Rng::seed_from_u64(1));
+            Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap()
+        };
+        let seen = crate::sample::surface(&shaft, 20_000, &mut ChaCha8Rng::seed_from_u64(2));
+        let side = seen.points.iter().zip(&seen.normals).filter(|(p, n)| n.x > 0.2 && (15.0..105.0).contains(&p.z));
+        let scan = Cloud::new("scan", side.map(|(p, _)| *p).collect::<Vec<_>>()).unwrap();
+        let report = |bones: &[osteoflow_geometry::Mesh]| {
+            global(&target(bones), &scan, &GlobalParams::default()).unwrap().report
+        };
+        let one = report(&[beside(0.0)]);
+        assert!(one.clearness > CLEAR, "{one:?}");
+        for apart_mm in [30.0, 60.0, 150.0] {
+            let two = report(&[beside(0.0), beside(apart_mm)]);
+            let other = two.runner_up.as_ref().unwrap();
+            // Samples of the two are not at the same places.
+            assert!(two.clearness < 0.1 && (other.shift_mm - apart_mm).abs() < 0.5, "{apart_mm} mm: {two:?}");
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::evidence::{N_EXAMINED, Registered};
 use crate::coarse::{self, GlobalParams, thinned};
-use crate::icp::{self, IcpParams, Method};
+use crate::icp::{self, IcpParams, Method, Source};
 use nalgebra::{Isometry3, Point3, Translation3};
 use osteoflow_geometry::Cloud;
 use rayon::prelude::*;
@@ -12,6 +12,20 @@ use std::ops::ControlFlow;
 
 /// Maximum distance of a pair while a pose is settled, mm.
 const REACH_MM: f64 = 2.0;
+
+/// Number of scan points, evenly through their order, with which a pose is settled: it then differs from that of all points by
+/// a tenth of the spread at most, as residuals of one region are correlated.
+const N_SETTLED: usize = 10_000;
+
+/// Every how many of these points a pose is settled with first.
+const FIRST_LEVEL: u32 = 8;
+
+/// Settled if less than this is left, mm and rad: a twentieth of the least predicted error.
+const SETTLED_MM: f64 = 0.005;
+const SETTLED_RAD: f64 = 5e-5;
+
+/// Maximum number of steps; a pose that then still slides is far from where it started.
+const MAX_STEPS: u32 = 100;
 
 /// Points no farther from the surface support a pose: this many times the noise, and at least this many mm, the error of a CT's
 /// surface. A share of points does not mind where the others are, as tissue may be anywhere.
@@ -113,9 +127,19 @@ pub fn mirrored(scan: &Cloud) -> Cloud {
 
 /// The pose at which a point-to-plane registration from `start` comes to rest.
 pub(super) fn settled(registered: &Registered<'_>, start: &Isometry3<f64>) -> Option<Isometry3<f64>> {
-    let params = IcpParams { max_pair_distance_mm: REACH_MM, ..IcpParams::default() };
+    let params = IcpParams {
+        max_pair_distance_mm: REACH_MM,
+        levels: vec![FIRST_LEVEL],
+        stop_step_mm: SETTLED_MM,
+        stop_step_rad: SETTLED_RAD,
+        max_iterations: MAX_STEPS,
+        ..IcpParams::default()
+    };
+    let points = thinned(registered.source.points(), N_SETTLED);
+    let camera = registered.source.viewpoint.map(|t| t * Point3::origin());
+    let source = camera.map_or_else(|| Source::from(&points[..]), |camera| Source::seen_from(&points, camera));
     let observer = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
-    let fit = icp::register(Method::PointToPlane, registered.target, registered.source, start, &params, observer);
+    let fit = icp::register(Method::PointToPlane, registered.target, source, start, &params, observer);
     fit.ok().map(|fit| fit.t_target_source)
 }
 

@@ -297,11 +297,14 @@ fn spread_reason(predicted: Option<&Predicted>, evidence: &Evidence, rules: &Rul
 /// A start by shape alone that another place would have served as well.
 fn start_reason(start: &GlobalReport, min_clearness: f64) -> Option<Reason> {
     let other = start.runner_up.as_ref().filter(|_| start.clearness < min_clearness)?;
+    let place = |[x, y, z]: &[f64; 3]| format!("({x:.0}, {y:.0}, {z:.0})");
     let reason = format!(
-        "it started by shape alone, and the scan fits nearly as well {:.0} mm and {:.0} degrees away ({:.2} mm RMS against {:.2} \
-         mm)",
+        "it started by shape alone, and the scan fits nearly as well {:.0} mm and {:.0} degrees away, with its middle at {} mm \
+         instead of {} mm ({:.2} mm RMS against {:.2} mm)",
         other.shift_mm,
         other.turn_rad.to_degrees(),
+        place(&other.middle_mm),
+        place(&start.middle_mm),
         other.score_mm,
         start.score_mm,
     );

@@ -183,6 +183,53 @@ fn tissue_outside_does_not_count_as_misfit_and_a_dent_inside_does() {
 }
 
 #[test]
+fn parts_inside_the_bone_that_a_robust_fit_leaves_out_are_told_with_their_share_and_depth() {
+    let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 6));
+    let surface = MeshQuery::new(&shaft());
+    let sunk = |p: &Point3<f64>| {
+        let on = surface.closest_point(p).unwrap();
+        if (33.0..69.0).contains(&p.z) { p - on.normal * 1.0 } else { *p }
+    };
+    let points: Vec<Point3<f64>> = scan.points().iter().map(sunk).collect();
+    let scan = Cloud::new("scan", points).unwrap();
+    // The robust fit stays where the rest lies.
+    let params = crate::icp::IcpParams::default();
+    let observer = &mut |_: &crate::icp::IcpStep| std::ops::ControlFlow::Continue(());
+    let method = crate::icp::Method::PointToPlane;
+    let fit = crate::icp::register(method, &target, &scan, &Isometry3::identity(), &params, observer).unwrap();
+    let verdict = verdict(&target, &scan, &fit.t_target_source, &marks());
+    assert!(verdict.answer != Answer::Trusted && rules(&verdict).contains(&"inside"), "{:?}", verdict.reasons);
+    let Inside { share, depth_mm } = verdict.measured.unwrap().inside_patches;
+    assert!((share - 0.4).abs() < 0.08 && (depth_mm - 1.0).abs() < 0.1, "{share} of it {depth_mm} mm inside");
+}
+
+#[test]
+fn a_pose_settled_with_some_of_many_points_is_that_of_all() {
+    let target = target_of(&shaft());
+    let points: Vec<Point3<f64>> =
+        (20..26).flat_map(|seed| scan_of(&shaft(), [15.0, 105.0], seed).points().to_vec()).collect();
+    let few = Cloud::new("scan", points.iter().step_by(points.len().div_ceil(10_000)).copied().collect::<Vec<_>>());
+    let (all, few) = (Cloud::new("scan", points).unwrap(), few.unwrap());
+    assert!(all.len() > 3 * few.len(), "{} points", all.len());
+    let start = Isometry3::new(Vector3::new(0.1, -0.05, 1.5), Vector3::new(0.0, 0.002, 0.02));
+    let unsettled = |scan: &Cloud| {
+        let registered = Registered { target: &target, source: scan, t_target_source: &start, at: &[] };
+        Evidence::examine(&registered, &EvidenceParams::default()).unwrap().evidence.unsettled_mm.unwrap()
+    };
+    let (of_all, of_few) = (unsettled(&all), unsettled(&few));
+    // The same points are settled, and the distance is of other points of the scan.
+    assert!((of_all - of_few).abs() < 0.02 && of_all > 1.0, "{of_all:.4} and {of_few:.4} mm");
+    let params = crate::icp::IcpParams { max_pair_distance_mm: 2.0, ..crate::icp::IcpParams::default() };
+    let observer = &mut |_: &crate::icp::IcpStep| std::ops::ControlFlow::Continue(());
+    let method = crate::icp::Method::PointToPlane;
+    let whole = crate::icp::register(method, &target, &all, &start, &params, observer).unwrap().t_target_source;
+    let moved = |p: &Point3<f64>| (whole * start.inverse() * (start * p) - start * p).norm();
+    let mean = all.points().iter().map(moved).sum::<f64>() / all.len() as f64;
+    // A tenth of what the prediction knows better.
+    assert!((of_all - mean).abs() < 0.03, "{of_all:.4} mm with some, {mean:.4} mm with all");
+}
+
+#[test]
 fn the_noise_of_a_scan_is_found_without_the_surface() {
     for (seed, factor) in [(7, 1.0), (8, 4.0)] {
         let scan = scan_of(&shaft(), [15.0, 105.0], seed);

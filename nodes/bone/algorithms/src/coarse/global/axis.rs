@@ -4,9 +4,12 @@ use super::descent::{Placed, Points};
 use crate::Refusal;
 use crate::axes::largest_first;
 use crate::kabsch::centroid;
+use crate::nearest::Nearest;
 use crate::target::NearMap;
+use crate::union_find::UnionFind;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::Cloud;
+use std::collections::BTreeMap;
 
 /// Minimum number of points that tell the shape of a scan.
 const MIN_POINTS: usize = 200;
@@ -16,6 +19,9 @@ const MIN_ELONGATION: f64 = 1.5;
 
 /// Distance of the centroid of one face of a shaft from the shaft's axis, as a share of its mean radius.
 const FACE_OFFSET: f64 = 0.6;
+
+/// Minimum share of a surface's points in a bone of its own: less is a crumb of the segmentation.
+const MIN_BONE: f64 = 0.15;
 
 /// The scan's centroid, long axis and the side from which it was seen.
 pub(super) struct Scan {
@@ -96,10 +102,69 @@ impl Station {
     }
 }
 
-/// Positions along the bone at which at least half of the scan lies on it.
+/// Positions along each of the bones at which at least half of the scan lies on it.
+///
+/// A surface of several bones has those of each, and none within another: a marrow canal is no bone.
 pub(super) fn stations(map: &NearMap, half_length_mm: f64, slide_mm: f64) -> Vec<Station> {
     let points: Vec<Point3<f64>> = map.samples().iter().step_by(4).map(|s| Point3::from(s.point)).collect();
-    let (middle, axes, _) = principal(&points);
+    let mut all: Vec<Station> = Vec::new();
+    for bone in bones(&points) {
+        let n_before = all.len();
+        for station in along(&bone, half_length_mm, slide_mm) {
+            let within = |other: &Station| (station.middle - other.middle).norm() < other.radius_mm;
+            if !all[..n_before].iter().any(within) {
+                all.push(station);
+            }
+        }
+    }
+    all
+}
+
+/// The points of each bone, the largest first: connected parts of at least 15 % of the points. All points if there is one only.
+fn bones(points: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
+    let parts = connected(points);
+    let mut large: Vec<Vec<Point3<f64>>> =
+        parts.into_iter().filter(|part| part.len() as f64 >= MIN_BONE * points.len() as f64).collect();
+    large.sort_by_key(|part| std::cmp::Reverse(part.len()));
+    if large.len() < 2 { vec![points.to_vec()] } else { large }
+}
+
+/// Parts of which no point is far from the others, in cells of a few spacings.
+fn connected(points: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
+    let some = Nearest::new(points);
+    let every = points.len().div_ceil(50).max(1);
+    let mut spacings: Vec<f64> = points
+        .iter()
+        .step_by(every)
+        .filter_map(|p| some.nearest_n(p, 7).last().map(|&(k, _)| (points[k] - p).norm()))
+        .collect();
+    spacings.sort_by(f64::total_cmp);
+    let cell_mm = spacings.get(spacings.len() * 9 / 10).map_or(1.0, |mm| mm.max(1e-9));
+    let mut cells: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
+    for (k, p) in points.iter().enumerate() {
+        let key = std::array::from_fn(|axis| (p[axis] / cell_mm).floor() as i64);
+        cells.entry(key).or_default().push(k as u32);
+    }
+    let mut sets = UnionFind::new(points.len());
+    for ([x, y, z], members) in &cells {
+        let first = members[0];
+        members.iter().for_each(|k| sets.join(first, *k, false));
+        for (dx, dy, dz) in (-1..=1).flat_map(|dx| (-1..=1).flat_map(move |dy| (-1..=1).map(move |dz| (dx, dy, dz)))) {
+            if let Some(others) = cells.get(&[x + dx, y + dy, z + dz]) {
+                sets.join(first, others[0], false);
+            }
+        }
+    }
+    let (labels, n_parts) = sets.labels();
+    let mut parts = vec![Vec::new(); n_parts];
+    for (point, (part, _)) in points.iter().zip(labels) {
+        parts[part as usize].push(*point);
+    }
+    parts
+}
+
+fn along(points: &[Point3<f64>], half_length_mm: f64, slide_mm: f64) -> Vec<Station> {
+    let (middle, axes, _) = principal(points);
     let height = |p: &Point3<f64>| (p - middle).dot(&axes[0]);
     let (min, max) = points.iter().map(height).fold((f64::MAX, f64::MIN), |(a, b), h| (a.min(h), b.max(h)));
     let n = ((max - min) / slide_mm).ceil() as usize + 1;
@@ -254,5 +319,24 @@ mod tests {
         let far = stations(&map, 0.3, 12.0);
         // A ring of 41 points, every fourth of which is kept, is as wide as long: the axis is that of the tube.
         assert!(far.iter().all(|s| (s.along.z.abs() - 1.0).abs() < 1e-3), "{} stations", far.len());
+    }
+
+    #[test]
+    fn each_of_two_bones_has_stations_of_its_own_and_a_canal_or_a_crumb_has_none() {
+        let ring = || tube(0.0, 360.0 * 40.0 / 41.0);
+        let n_at = |points: Vec<Point3<f64>>, middle: [f64; 2]| {
+            let target = Target::new("ct", SurfaceOrigin::Exact, points, None).unwrap();
+            let map = NearMap::new(&target);
+            let off = |s: &Station| (s.middle + map.centre().coords).xy() - nalgebra::Vector2::from(middle);
+            stations(&map, 30.0, 12.0).iter().filter(|s| off(s).norm() < 0.5).count()
+        };
+        let beside = |mm: f64| ring().into_iter().map(move |p| p + Vector3::x() * mm);
+        let two = || ring().into_iter().chain(beside(40.0)).collect::<Vec<_>>();
+        assert_eq!((n_at(two(), [0.0, 0.0]), n_at(two(), [40.0, 0.0])), (10, 10));
+        let canal = ring().into_iter().map(|p| Point3::new(0.4 * p.x, 0.4 * p.y, p.z));
+        assert_eq!(n_at(ring().into_iter().chain(canal).collect(), [0.0, 0.0]), 10);
+        let crumb = beside(40.0).filter(|p| p.z > 40.0);
+        let all = ring().into_iter().chain(crumb).collect();
+        assert_eq!(n_at(all, [40.0, 0.0]), 0);
     }
 }

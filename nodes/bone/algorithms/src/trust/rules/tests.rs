@@ -130,9 +130,17 @@ fn another_order_of_landmarks_is_a_sign_only_if_it_fits_better() {
 
 #[test]
 fn a_start_by_shape_is_doubtful_below_its_clearness() {
-    let runner_up = Some(RunnerUp { score_mm: 0.25, shift_mm: 31.0, turn_rad: 0.5 });
-    let start = GlobalReport { n_tried: 9, n_refined: 3, score_mm: 0.2, runner_up, clearness: 0.2 };
-    let words = "it started by shape alone, and the scan fits nearly as well 31 mm and 29 degrees away (0.25 mm RMS against 0.20 mm)";
+    let runner_up = Some(RunnerUp { score_mm: 0.25, middle_mm: [40.0, -1.0, 7.0], shift_mm: 31.0, turn_rad: 0.5 });
+    let start = GlobalReport {
+        n_tried: 9,
+        n_refined: 3,
+        score_mm: 0.2,
+        middle_mm: [9.0, -1.0, 7.0],
+        runner_up,
+        clearness: 0.2,
+    };
+    let words = "it started by shape alone, and the scan fits nearly as well 31 mm and 29 degrees away, with its middle at (40, -1, 7) mm \
+                 instead of (9, -1, 7) mm (0.25 mm RMS against 0.20 mm)";
     assert_eq!(text(&start_reason(&start, 0.3).into_iter().collect::<Vec<_>>()), [format!("start Doubtful: {words}")]);
     assert_eq!(start_reason(&start, 0.2), None);
     assert_eq!(start_reason(&start, 0.1), None);
