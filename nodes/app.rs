@@ -5,6 +5,7 @@
 //! Progress goes to the observer that the caller hands over.
 
 pub(crate) mod archive;
+pub(crate) mod bind;
 mod error;
 pub(crate) mod files;
 pub(crate) mod folder_lock;

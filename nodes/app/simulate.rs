@@ -6,13 +6,15 @@ mod set;
 use super::{error::Error, out_dir, program::NOTICE};
 use anyhow::{Context, Result, anyhow};
 use clap::{Args, ValueEnum};
+use osteoflow_algorithms::trust::fingerprint;
 use osteoflow_formats::{
+    input::sha256,
     mcap_read::Attachment,
     plan_file,
     recording_write::{Stream, recording_bytes},
     write::write_stl,
 };
-use osteoflow_geometry::{Cloud, Points, Pose, matrix_rows};
+use osteoflow_geometry::{Cloud, Points, Pose, SurfaceKey, matrix_rows};
 use osteoflow_simulation::{BoneParams, CtParams, Procedure, Subject, ct_surface};
 use osteoflow_standard::own_bone;
 use serde_json::{Value, json};
@@ -96,18 +98,21 @@ impl SimulateRequest {
         let in_ct = ct_bone.map_or(Ok(subject), |bone| self.subject(&bone))?;
         procedure.plan = in_ct.plan.clone();
         if let Some(dir) = dir {
-            self.write_files(dir, &procedure, &in_ct, &ct)?;
+            self.write_files(dir, &mut procedure, &in_ct, &ct)?;
         }
         Ok(procedure)
     }
 
-    fn write_files(&self, dir: &Path, procedure: &Procedure, in_ct: &Subject, ct: &CtParams) -> Result<()> {
+    fn write_files(&self, dir: &Path, procedure: &mut Procedure, in_ct: &Subject, ct: &CtParams) -> Result<()> {
+        let (ct_surface, bone) = (ct_surface(in_ct.bone(), ct, self.seed)?, dir.join("bone.stl"));
+        write_stl(&bone, &ct_surface)?;
+        let points = fingerprint(ct_surface.vertices());
+        procedure.plan.surface =
+            Some(SurfaceKey { sha256: Some(sha256(&bone)?), frame_of_reference_uid: None, points });
         match self.format {
             StreamFormat::Mcap => write_streams(&dir.join("procedure.mcap"), procedure, self.seed)?,
             StreamFormat::Folder => folder::write(dir, procedure)?,
         }
-        let ct_surface = ct_surface(in_ct.bone(), ct, self.seed)?;
-        write_stl(&dir.join("bone.stl"), &ct_surface)?;
         write_stl(&dir.join("phantom.stl"), &procedure.phantom)?;
         plan_file::write_plan(&dir.join("plan.json"), &procedure.plan)?;
         write_file(&dir.join("truth.json"), format!("{:#}\n", self.truth_json(procedure)))?;

@@ -1,6 +1,7 @@
 use super::common::{Exit, Global, terminal};
 use crate::app::{
     UsageError,
+    bind::{Bone, bind},
     files::{check_new, picked_points, write_list},
     space,
 };
@@ -19,13 +20,16 @@ use osteoflow_geometry::{
 };
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
-use std::{io::Write, path::PathBuf};
+use std::{
+    io::Write,
+    path::{Path, PathBuf},
+};
 
-/// Convert a file of points, a surface, picked points or a CT into another format.
+/// Convert a file of points, a surface, picked points or a CT into another format, or bind a plan to its bone.
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd
 /// or .csv; clouds to .ply, .pcd, .vtk, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv;
-/// a CT to the surface of its largest part.
+/// a CT to the surface of its largest part; a plan, with --bind, to the same plan that says which surface it was drawn on.
 /// Lengths are millimetres after --scale. Files that state RAS are turned to LPS; where a file states no space its numbers stay as
 /// they are. Nothing is overwritten.
 #[derive(Debug, Args)]
@@ -35,6 +39,7 @@ Examples:
   osteoflow convert bone_in_metres.obj bone.stl --scale 1000
   osteoflow convert ct_series bone.stl --iso-hu 600
   osteoflow convert plan.mrk.json plan.csv
+  osteoflow convert plan.json bound.json --bind bone.stl
   osteoflow convert picked.pp picked.mrk.json --space RAS    MeshLab states no space; here its numbers are RAS")]
 pub(crate) struct Convert {
     /// The file to read.
@@ -56,11 +61,19 @@ pub(crate) struct Convert {
     /// The space of the numbers in IN, if IN does not state it; OUT is LPS then, as far as it can say so.
     #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
     space: Option<Space>,
+
+    /// IN is a plan, and OUT, .json, is the same plan bound to this surface or CT, on which it was drawn: a run then tells landmarks
+    /// that were all aimed wrong from a plan of another series. --scale, --space and --iso-hu are BONE's.
+    #[arg(long, value_name = "BONE")]
+    bind: Option<PathBuf>,
 }
 
 impl Convert {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         check_new(&self.output)?;
+        if let Some(bone) = &self.bind {
+            return self.bound(bone, global);
+        }
         if is_volume(&self.input) {
             let (done, notes) = self.ct()?;
             return self.done(&done, &notes, global);
@@ -74,6 +87,19 @@ impl Convert {
             None => self.shape(&bytes)?,
         };
         self.done(&done, &notes, global)
+    }
+
+    /// A plan bound to its bone.
+    fn bound(&self, path: &Path, global: &Global) -> Result<Exit> {
+        let bone = Bone { path, unit_mm: self.scale, space: self.space, threshold_hu: self.iso_hu };
+        let (key, notes) = bind(&self.input, &bone, &self.output)?;
+        let by = [
+            key.sha256.is_some().then(|| "its hash".to_owned()),
+            key.frame_of_reference_uid.is_some().then(|| "its frame of reference".to_owned()),
+            Some(format!("{} points on it", key.points.len())),
+        ];
+        let by = by.into_iter().flatten().collect::<Vec<_>>().join(", ");
+        self.done(&format!("the plan, bound to {} by {by}", path.display()), &notes, global)
     }
 
     /// Prints what was written.

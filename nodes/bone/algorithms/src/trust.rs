@@ -3,6 +3,7 @@
 //! [`Evidence`] measures, [`predict`] propagates, [`judge`] decides. Nothing here moves the scan: a verdict never replaces the
 //! registration that it judges.
 
+mod bound;
 mod checked;
 mod contrary;
 mod convergence;
@@ -25,6 +26,7 @@ mod surface_error;
 mod tests;
 mod verdict;
 
+pub use bound::{PlanReport, Said, fingerprint, plan_binding};
 pub use contrary::{ShapeEvidence, mirrored};
 pub use convergence::{Convergence, StopCause};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};

@@ -499,6 +499,7 @@ mod tests {
         write_stl(&at("phantom.stl"), &mesh).unwrap();
         let none = || Points::new("ct", Vec::new());
         let plan = SurgicalPlan {
+            surface: None,
             landmarks: none(),
             assessment: none(),
             planes: Planes::new("ct", Vec::new()),

@@ -4,8 +4,10 @@
 //! opened.
 
 use crate::FileError;
+use sha2::{Digest as _, Sha256};
 use std::{
     fs::{self, File, FileType},
+    io::Read as _,
     path::Path,
 };
 
@@ -48,6 +50,30 @@ pub fn read_text(path: &Path) -> Result<String, FileError> {
         let at = error.utf8_error().valid_up_to();
         FileError::content(path, format!("byte {at}"), "the file is no text in UTF-8; save it as UTF-8")
     })
+}
+
+/// SHA-256 of a regular file, 64 hexadecimal digits.
+///
+/// # Errors
+/// As [`open`].
+pub fn sha256(path: &Path) -> Result<String, FileError> {
+    let (mut file, mut hasher, mut buffer) = (open(path)?, Sha256::new(), vec![0; 1 << 16]);
+    loop {
+        let n = file.read(&mut buffer).map_err(FileError::read(path))?;
+        if n == 0 {
+            return Ok(hexadecimal(&hasher.finalize()));
+        }
+        hasher.update(&buffer[..n]);
+    }
+}
+
+/// SHA-256 of bytes, 64 hexadecimal digits.
+pub fn sha256_of(bytes: &[u8]) -> String {
+    hexadecimal(&Sha256::digest(bytes))
+}
+
+fn hexadecimal(digest: &[u8]) -> String {
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(unix)]

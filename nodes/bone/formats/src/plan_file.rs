@@ -8,19 +8,20 @@
 //!   "pca_axes_columns_xyz":        [[1,0,0], [0,1,0], [0,0,1]],
 //!   "malleolus_tip": [-92.7, -85.2, -1054.9], "proximal": [0,0,1], "lateral": [-1,0,0], "posterior": [0,1,0],
 //!   "phantom_marker_in_phantom":   [[1,0,0,-55], [0,1,0,-48], [0,0,1,30], [0,0,0,1]],
-//!   "camera_marker_nominal_C_T_Mc": [[1,0,0,32], [0,1,0,-61], [0,0,1,-18], [0,0,0,1]] }
+//!   "camera_marker_nominal_C_T_Mc": [[1,0,0,32], [0,1,0,-61], [0,0,1,-18], [0,0,0,1]],
+//!   "surface": { "sha256": "9f86d0..", "frame_of_reference_uid": "1.2.840.1", "points": [[-86.0, -84.7, -954.7]] } }
 //! ```
 //!
 //! Matrices are written row by row. Planes are `t_ct_plane`, the plane's own z axis being its normal; they are called
 //! `plane_1`, `plane_2` .. unless `planes` is an object of names, or its entries are objects with `name` and `matrix`.
 //! `proximal`, `lateral` and `posterior` are directions of any length. Every key may be missing, but not all of them; keys that are not
-//! read are noted. A file for several bones has such an object under each bone's name, as [`read_plan_of`] takes it.
+//! read are noted. `surface` binds the plan to the surface that it was drawn on; one of its keys suffices. A file for several bones has such an object under each bone's name, as [`read_plan_of`] takes it.
 
 use crate::{FileError, input, json};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Unit, Vector3};
 use osteoflow_geometry::{
-    Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan, TooFar, direction, matrix_rows,
-    nearest_isometry,
+    Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurfaceKey, SurgicalPlan, TooFar, direction,
+    matrix_rows, nearest_isometry,
 };
 use serde_json::{Map, Value, json};
 use std::{cell::RefCell, path::Path};
@@ -110,7 +111,7 @@ fn parse_root(path: &Path, text: &str) -> Result<Map<String, Value>, FileError> 
 }
 
 /// The keys that are read, but for units and frame.
-const KEYS: [&str; 11] = [
+const KEYS: [&str; 12] = [
     "landmarks",
     "assessment",
     "planes",
@@ -122,7 +123,14 @@ const KEYS: [&str; 11] = [
     "posterior",
     "phantom_marker_in_phantom",
     "camera_marker_nominal_C_T_Mc",
+    SURFACE,
 ];
+
+/// The key of the surface that the plan was drawn on.
+pub const SURFACE: &str = "surface";
+
+/// Minimum number of points that identify a surface: three may lie on many.
+const MIN_POINTS: usize = 6;
 
 /// Keys that state the unit of length, as [`names`] compares them.
 const UNITS: [&str; 4] = ["units", "unit", "lengthunit", "coordinateunits"];
@@ -135,7 +143,7 @@ const REMARKS: [&str; 7] = ["$schema", "mesh", "name", "side", "description", "c
 
 /// The plan, without a note on the keys that were not read.
 fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
-    if !KEYS.iter().any(|key| root.contains_key(*key)) {
+    if !KEYS.iter().any(|key| *key != SURFACE && root.contains_key(*key)) {
         let advice = if root.contains_key("markups") {
             "these are markups of 3D Slicer, points or planes without their meaning; write them as a plan"
         } else {
@@ -155,6 +163,7 @@ fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError
         anatomy: plan.anatomy()?,
         t_phantom_phantom_marker: plan.pose("phantom_marker_in_phantom", "phantom", "phantom_marker")?,
         t_camera_camera_marker_nominal: plan.pose("camera_marker_nominal_C_T_Mc", "camera", "camera_marker")?,
+        surface: plan.surface()?,
         landmarks,
         assessment,
         axes,
@@ -216,7 +225,21 @@ pub fn plan_json(plan: &SurgicalPlan) -> Value {
     if let Some(pose) = &plan.t_camera_camera_marker_nominal {
         root["camera_marker_nominal_C_T_Mc"] = json!(matrix_rows(&pose.isometry));
     }
+    if let Some(key) = &plan.surface {
+        root[SURFACE] = json!(key);
+    }
     root
+}
+
+/// The text of a plan with this key of its surface in place of what it has; all else is as it was.
+///
+/// # Errors
+/// As [`parse_plan`].
+pub fn bound_to(path: &Path, text: &str, surface: &SurfaceKey) -> Result<String, FileError> {
+    let mut root = parse_root(path, text)?;
+    plan_of(path, &root)?;
+    root.insert(SURFACE.into(), json!(surface));
+    Ok(format!("{:#}\n", Value::Object(root)))
 }
 
 /// Whether a key is one of the names, in any case and with or without `_`.
@@ -389,6 +412,60 @@ impl Keys<'_> {
         Ok(Some(Axes { frame: "ct".into(), centre, columns: *rotation.rotation.to_rotation_matrix().matrix() }))
     }
 
+    /// The surface that the plan was drawn on.
+    fn surface(&self) -> Result<Option<SurfaceKey>, FileError> {
+        let parts = match self.get(SURFACE) {
+            None => return Ok(None),
+            Some(Value::Object(parts)) => parts,
+            Some(other) => {
+                let message =
+                    format!("an object with sha256, frame_of_reference_uid or points is expected, found {other}");
+                return Err(self.fault(SURFACE, message));
+            }
+        };
+        let mut key = SurfaceKey::default();
+        for (part, value) in parts.iter().filter(|(_, value)| !value.is_null()) {
+            let name = format!("{SURFACE}.{part}");
+            match part.as_str() {
+                "sha256" => {
+                    let is_digest = |text: &&str| text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
+                    let digest = value.as_str().filter(is_digest);
+                    let digest = digest.ok_or_else(|| {
+                        self.fault(&name, format!("64 hexadecimal digits are expected, found {value}"))
+                    })?;
+                    key.sha256 = Some(digest.to_ascii_lowercase());
+                }
+                "frame_of_reference_uid" => {
+                    let is_uid =
+                        |text: &&str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit() || b == b'.');
+                    let uid = value.as_str().filter(is_uid);
+                    let uid =
+                        uid.ok_or_else(|| self.fault(&name, format!("digits and dots are expected, found {value}")))?;
+                    key.frame_of_reference_uid = Some(uid.into());
+                }
+                "points" => {
+                    let list = value.as_array().ok_or_else(|| self.fault(&name, "a list of points is expected"))?;
+                    let place = |(k, point)| Ok(self.place(&format!("{name}[{k}]"), point)?.into());
+                    key.points = list.iter().enumerate().map(place).collect::<Result<_, FileError>>()?;
+                    if key.points.len() < MIN_POINTS {
+                        let message = format!(
+                            "{} points are too few to tell one surface from another, {MIN_POINTS} are needed; write them with \
+                             osteoflow convert PLAN OUT --bind BONE",
+                            key.points.len()
+                        );
+                        return Err(self.fault(&name, message));
+                    }
+                }
+                _ if is_remark(part) => {}
+                _ => {
+                    let message = "a surface has no such key; its keys are sha256, frame_of_reference_uid and points";
+                    return Err(self.fault(&name, message));
+                }
+            }
+        }
+        Ok((key != SurfaceKey::default()).then_some(key))
+    }
+
     /// The anatomy, if the plan has all of it.
     fn anatomy(&self) -> Result<Option<Anatomy>, FileError> {
         let unit = |key: &str| -> Result<Option<Unit<Vector3<f64>>>, FileError> {
@@ -433,6 +510,11 @@ mod tests {
             }),
             t_phantom_phantom_marker: Some(Pose::new("phantom", "phantom_marker", motion(4.0))),
             t_camera_camera_marker_nominal: Some(Pose::new("camera", "camera_marker", motion(5.0))),
+            surface: Some(SurfaceKey {
+                sha256: Some("0123456789abcdef".repeat(4)),
+                frame_of_reference_uid: Some("1.2.840.113".into()),
+                points: vec![[1.0 / 3.0, -2e-7, 955.125]; MIN_POINTS],
+            }),
         }
     }
 
@@ -443,8 +525,8 @@ mod tests {
         let PlanRead { plan: back, notes, .. } = read_plan(file.path()).unwrap();
         assert_eq!(notes, [""; 0]);
         assert_eq!(
-            (&back.landmarks, &back.assessment, &back.anatomy),
-            (&example().landmarks, &example().assessment, &example().anatomy)
+            (&back.landmarks, &back.assessment, &back.anatomy, &back.surface),
+            (&example().landmarks, &example().assessment, &example().anatomy, &example().surface)
         );
         let off = |a: &Isometry3<f64>, b: &Isometry3<f64>| (a.to_homogeneous() - b.to_homogeneous()).amax();
         for (a, b) in back.planes.planes.iter().zip(example().planes.planes.iter()) {
@@ -603,6 +685,24 @@ mod tests {
             (
                 json!({"planes": [matrix(1.0011, 1.0)]}),
                 "key \"planes[0]\": the upper left 3 x 3 is not a rotation: it is off by 1.1e-3 where 1e-3 is allowed",
+            ),
+            (
+                json!({"planes": [], "surface": {"sha256": "abc"}}),
+                "key \"surface.sha256\": 64 hexadecimal digits are expected, found \"abc\"",
+            ),
+            (
+                json!({"planes": [], "surface": {"frame_of_reference_uid": "my CT"}}),
+                "key \"surface.frame_of_reference_uid\": digits and dots are expected",
+            ),
+            (
+                json!({"planes": [], "surface": {"points": [[1, 2]]}}),
+                "key \"surface.points[0]\": 3 numbers are expected",
+            ),
+            (json!({"planes": [], "surface": {"points": [[1, 2, 3]]}}), "key \"surface.points\": 1 points are too few"),
+            (json!({"planes": [], "surface": {"hash": "abc"}}), "key \"surface.hash\": a surface has no such key"),
+            (
+                json!({"planes": [], "surface": "bone.stl"}),
+                "key \"surface\": an object with sha256, frame_of_reference_uid or points",
             ),
             (json!([]), "line 1: a plan is a JSON object"),
         ] {

@@ -39,7 +39,7 @@ pub use farthest::{FARTHEST_MM, TooFar};
 pub use frame::{Frame, FrameError};
 pub use image::{Image, ImageError, Intrinsics};
 pub use mesh::{Mesh, MeshError, SurfaceOrigin};
-pub use plan::{Anatomy, SurgicalPlan};
+pub use plan::{Anatomy, SurfaceKey, SurgicalPlan};
 pub use plane::{Plane, PlanePlace, Planes};
 pub use points::{NamedPoint, Points};
 pub use pose::Pose;

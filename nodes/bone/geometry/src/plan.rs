@@ -1,5 +1,6 @@
 use crate::{Axes, Planes, Points, Pose};
 use nalgebra::{Point3, Unit, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// The surgical plan on the CT, in the CT frame, mm.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +19,23 @@ pub struct SurgicalPlan {
     pub t_phantom_phantom_marker: Option<Pose>,
     /// `t_camera_camera_marker` as designed, good to a few mm and degrees; the phantom's ICP starts there.
     pub t_camera_camera_marker_nominal: Option<Pose>,
+    /// The surface that the plan was drawn on, if the plan is bound to it.
+    pub surface: Option<SurfaceKey>,
+}
+
+/// What identifies the surface that a plan was drawn on; each part that is there suffices alone.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SurfaceKey {
+    /// SHA-256 of the surface file's bytes, 64 hexadecimal digits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+    /// FrameOfReferenceUID of the CT, which all series of the same coordinates share.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_of_reference_uid: Option<String>,
+    /// Points on the surface, spread over it, in the CT frame, mm.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub points: Vec<[f64; 3]>,
 }
 
 /// Directions and a landmark of a fibula, in its CT frame.

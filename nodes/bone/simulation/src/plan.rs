@@ -68,6 +68,7 @@ pub(crate) fn plan_on(surface: &MeshQuery, anatomy: &Anatomy) -> Result<Surgical
         anatomy: Some(anatomy.clone()),
         t_phantom_phantom_marker: Some(phantom_marker()),
         t_camera_camera_marker_nominal: Some(nominal_camera_marker()),
+        surface: None,
     })
 }
 

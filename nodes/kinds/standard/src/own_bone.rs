@@ -44,6 +44,15 @@ impl OwnBone {
         Ok(self.keyed(bone)?.1)
     }
 
+    /// The frame of reference of the bone's simulated CT: the same for every node that simulates this bone.
+    pub(crate) fn frame_of_reference_uid(&self, params: &BoneParams) -> Result<String, NodeError> {
+        let bytes = self.bone_file.as_ref().map(|file| input::read(file.as_ref())).transpose()?.unwrap_or_default();
+        let digest = input::sha256_of(&[format!("{params:?}").as_bytes(), &bytes].concat());
+        // A unique identifier that is derived from 128 bits.
+        let bits = u128::from_str_radix(&digest[..32], 16).expect("a digest has 64 hexadecimal digits");
+        Ok(format!("2.25.{bits}"))
+    }
+
     /// The CT's surface of the bone.
     pub(crate) fn ct_surface(&self, bone: &BoneParams, ct: &CtParams, seed: u64) -> Result<Mesh, NodeError> {
         static LAST: Memo<(Key, CtParams, u64), Mesh> = Memo::new();

@@ -78,6 +78,10 @@ pub struct RuleParams {
     /// most 0.72 mm of 100), and less than a knock of 1 mm leaves on average.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_check_mm: f64,
+    /// Doubtful if all located landmarks lie farther from the planned ones, the same way, and nothing binds the plan to the surface,
+    /// mm. 3: landmarks are aimed to 1 to 2 mm, and a cut that is off by 3 mm is twice beyond its limit.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_common_shift_mm: f64,
 }
 
 impl Default for RuleParams {
@@ -95,6 +99,7 @@ impl Default for RuleParams {
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
             max_check_mm: 0.8,
+            max_common_shift_mm: 3.0,
         }
     }
 }

@@ -43,7 +43,8 @@ pub(super) fn read_file(path: &Path) -> Result<VolumeRead, FileError> {
     let thickness = image.thickness_mm.filter(|t| *t > 0.0).unwrap_or(1.0);
     let step = image.row.cross(&image.column) * thickness;
     let volume = placed(&image, step, 1, voxels, image.unit());
-    Ok(VolumeRead { volume, source: format!("DICOM, {}, one layer", image.modality), notes })
+    let frame_of_reference_uid = image.frame_of_reference_uid.clone();
+    Ok(VolumeRead { volume, source: format!("DICOM, {}, one layer", image.modality), notes, frame_of_reference_uid })
 }
 
 /// The series in a folder and the folders in it.
@@ -136,7 +137,10 @@ fn assemble(path: &Path, series: Series, mut notes: Vec<String>) -> Result<Volum
         notes.push(format!("modality {}: the values are not stated to be HU", first.modality));
     }
     let volume = placed(first, order.step, order.images.len(), voxels, unit);
-    Ok(VolumeRead { volume, source: series.name(), notes })
+    let uid = &first.frame_of_reference_uid;
+    let is_shared = order.images.iter().all(|(_, image)| image.frame_of_reference_uid == *uid);
+    let frame_of_reference_uid = uid.clone().filter(|_| is_shared);
+    Ok(VolumeRead { volume, source: series.name(), notes, frame_of_reference_uid })
 }
 
 /// Layers from the first image on: columns along the rows' direction, rows along the columns' direction, layers by `step`.

@@ -35,6 +35,8 @@ pub struct VolumeRead {
     pub source: String,
     /// Suspicious properties of the files, one sentence each.
     pub notes: Vec<String>,
+    /// FrameOfReferenceUID, where a DICOM series has one and all its images the same.
+    pub frame_of_reference_uid: Option<String>,
 }
 
 /// The map of voxels whose axes (per voxel) and first centre are given in a space that differs from LPS by `signs`.

@@ -161,7 +161,7 @@ fn read_stream(path: &Path, reader: &mut impl Read, limits: &Limits) -> Result<V
     }
     let unit = assumed_unit(&voxels, "NIfTI", &mut notes);
     let volume = Volume { size: layout.size, voxels, t_lps_voxel, unit, is_oriented };
-    Ok(VolumeRead { volume, source: format!("NIfTI-{}", header.version), notes })
+    Ok(VolumeRead { volume, source: format!("NIfTI-{}", header.version), notes, frame_of_reference_uid: None })
 }
 
 /// Where the voxels are in the stream, and how they are stored.

@@ -82,7 +82,7 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     }
     let unit = assumed_unit(&voxels, "NRRD", &mut notes);
     let volume = Volume { size, voxels, t_lps_voxel, unit, is_oriented };
-    Ok(VolumeRead { volume, source: format!("NRRD, {encoding_name}"), notes })
+    Ok(VolumeRead { volume, source: format!("NRRD, {encoding_name}"), notes, frame_of_reference_uid: None })
 }
 
 /// The data of a volume, from their beginning on.

@@ -29,6 +29,7 @@ fn known() -> SurgicalPlan {
         }),
         t_phantom_phantom_marker: None,
         t_camera_camera_marker_nominal: None,
+        surface: None,
     }
 }
 

@@ -19,6 +19,10 @@ pub struct File;
 pub struct Params {
     /// The plan.
     pub path: FilePath,
+    /// Whether you have looked at plan and surface together and found that they belong to each other. The verdict then takes a
+    /// shift of all landmarks for aiming, as with a plan that is bound to its surface (its key `surface`), and says so.
+    #[serde(default)]
+    pub confirm: bool,
 }
 
 impl Constant for File {
@@ -32,6 +36,6 @@ impl Constant for File {
         if read.plan.planes.planes.is_empty() {
             ctx.warn(format!("{}: the plan has no planes, so no cut can be shown", params.path.0.display()));
         }
-        Ok(read.plan.into())
+        Ok(Out::new(read.plan, params.confirm))
     }
 }

@@ -1,5 +1,8 @@
 use osteoflow_geometry::{Axes, Planes, Points, Pose, SurgicalPlan};
 use osteoflow_node::{Emit, Outputs};
+use osteoflow_payloads::Json;
+use serde_json::json;
+use std::sync::Arc;
 
 /// A plan, port by port. A part that the plan lacks is an empty with the reason.
 #[derive(Outputs)]
@@ -22,11 +25,16 @@ pub struct Out {
     /// `t_camera_camera_marker` as designed, where the calibration starts.
     #[port(to = "@camera", from = "@camera_marker")]
     t_camera_camera_marker_nominal: Emit<Pose>,
+    /// What binds the plan to its surface, for `verdict.registration`: the plan's key `surface`, and `confirm`.
+    report: Json,
 }
 
-impl From<SurgicalPlan> for Out {
-    fn from(plan: SurgicalPlan) -> Self {
+impl Out {
+    /// The ports of a plan; `confirm` says whether the user has checked that it belongs to its surface.
+    pub(super) fn new(plan: SurgicalPlan, confirm: bool) -> Self {
+        let report = json!({ "surface": plan.surface, "confirm": confirm });
         Self {
+            report: Json(Arc::new(report)),
             landmarks: plan.landmarks,
             assessment: plan.assessment,
             planes: plan.planes,

@@ -2,10 +2,11 @@
 
 use super::Out;
 use crate::{constant::Constant, own_bone::OwnBone};
+use osteoflow_geometry::{SurfaceKey, SurgicalPlan};
 use osteoflow_node::{Context, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_simulation::BoneParams;
 
-/// The plan for the simulated bone.
+/// The plan for the simulated bone, bound to the surface that `surface.simulated` gives of the same bone.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "plan.simulated"
@@ -37,6 +38,8 @@ impl Constant for Simulated {
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
         let subject = params.own.subject(&params.bone)?;
         subject.notes.into_iter().for_each(|note| ctx.warn(note));
-        Ok(subject.plan.into())
+        let frame_of_reference_uid = Some(params.own.frame_of_reference_uid(&params.bone)?);
+        let surface = Some(SurfaceKey { frame_of_reference_uid, ..SurfaceKey::default() });
+        Ok(Out::new(SurgicalPlan { surface, ..subject.plan }, false))
     }
 }

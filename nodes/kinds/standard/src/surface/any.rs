@@ -6,7 +6,8 @@ use super::{
 };
 use crate::constant::Constant;
 use osteoflow_formats::{
-    Space, input,
+    Space,
+    input::{self, sha256_of},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     volume::{data_file, is_volume},
 };
@@ -74,15 +75,22 @@ pub struct Out {
     #[port(frame = "$frame")]
     points: Emit<Cloud>,
     /// What the file holds: `holds` (`surface`, `points` or `ct`), the `space` of its coordinates, and the `assumptions` that a
-    /// registration onto it makes; of a CT also what `surface.ct` reports.
+    /// registration onto it makes, and the `sha256` of a file, by which a plan may be bound to it; of a CT also what `surface.ct` reports.
     report: Json,
 }
 
 impl From<MeshOrCloud> for Out {
     fn from(read: MeshOrCloud) -> Self {
+        Self::of(read, None)
+    }
+}
+
+impl Out {
+    fn of(read: MeshOrCloud, sha256: Option<String>) -> Self {
         let space = read.space().to_string();
         let assumptions: &[&str] = if estimates_normals(&read) { &[ESTIMATED] } else { &[] };
-        let report = |holds: &str| json!({ "holds": holds, "space": space, "assumptions": assumptions });
+        let report =
+            |holds: &str| json!({ "holds": holds, "space": space, "sha256": sha256, "assumptions": assumptions });
         match read {
             MeshOrCloud::Mesh(read) => Self::surface(read.mesh, report("surface")),
             MeshOrCloud::Cloud(read, _) => Self {
@@ -92,9 +100,7 @@ impl From<MeshOrCloud> for Out {
             },
         }
     }
-}
 
-impl Out {
     fn surface(mesh: Mesh, report: serde_json::Value) -> Self {
         let points = Emit::Empty("the file holds a surface".into());
         Self { mesh: mesh.into(), points, report: Json(Arc::new(report)) }
@@ -200,6 +206,6 @@ impl Params {
                  guess, which matters only where the scan says where the camera was",
             );
         }
-        Ok(read.into())
+        Ok(Out::of(read, Some(sha256_of(&bytes))))
     }
 }

@@ -4,13 +4,19 @@ use crate::constant::Constant;
 use osteoflow_algorithms::ct_surface::{
     ComponentChoice, CtSurface, CtSurfaceParams, VolumeView, ct_surface, suggested_threshold,
 };
-use osteoflow_formats::volume::{Volume, VoxelUnit, data_file, read_volume};
+use osteoflow_formats::{
+    FileError, input,
+    volume::{Volume, VoxelUnit, data_file, read_volume},
+};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
-use std::{path::PathBuf, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 /// The surface of a bone in a CT: NIfTI, NRRD, or a DICOM series in a folder.
 ///
@@ -66,7 +72,8 @@ pub struct Out {
     /// The surface, once.
     #[port(frame = "$frame")]
     mesh: Mesh,
-    /// The volume, the components, and how far the surface moves with the threshold.
+    /// The volume, the components, how far the surface moves with the threshold, and by what a plan may be bound to it:
+    /// `frame_of_reference_uid` of a DICOM series, `sha256` of a single file.
     report: Json,
 }
 
@@ -168,6 +175,8 @@ pub fn read_bone(params: &Params, no_threshold: NoThreshold) -> Result<CtBone, N
         "t_lps_voxel": (0..4).map(|r| (0..4).map(|c| volume.t_lps_voxel[(r, c)]).collect()).collect::<Vec<Vec<f64>>>(),
         "unit": if volume.unit == VoxelUnit::Hu { "hu" } else { "unknown" },
         "is_oriented": volume.is_oriented,
+        "frame_of_reference_uid": read.frame_of_reference_uid,
+        "sha256": file_sha256(params.path.as_ref())?,
         "threshold": threshold,
         "n_components": surface.n_components,
         "components": surface.components,
@@ -181,6 +190,12 @@ pub fn read_bone(params: &Params, no_threshold: NoThreshold) -> Result<CtBone, N
         "shift_p95_mm_per_50": surface.shift_p95_mm_per_50,
     });
     Ok(CtBone { mesh: surface.open_mesh(params.frame.as_str())?, notes, report })
+}
+
+/// SHA-256 of a volume in one file; `None` for a folder, and for a header with its voxels in another file.
+fn file_sha256(path: &Path) -> Result<Option<String>, FileError> {
+    let is_one_file = path.is_file() && data_file(path).is_none();
+    is_one_file.then(|| input::sha256(path)).transpose()
 }
 
 fn without_threshold(view: &VolumeView<'_>, unit: VoxelUnit) -> String {
@@ -268,7 +283,6 @@ mod tests {
     use crate::constant::Once;
     use osteoflow_geometry::nalgebra::Point3;
     use osteoflow_node::Source;
-    use std::path::{Path, PathBuf};
 
     fn params(path: &Path) -> Params {
         Params {

@@ -1,9 +1,12 @@
 //! The kind `surface.file`.
 
 use crate::constant::Constant;
-use osteoflow_formats::{Space, mesh_or_cloud::read_mesh};
+use osteoflow_formats::{Space, input::sha256, mesh_or_cloud::read_mesh};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node::{Context, Describe, FilePath, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_payloads::Json;
+use serde_json::json;
+use std::sync::Arc;
 
 /// A triangle mesh from a file: STL, PLY, OBJ, OFF or VTK, recognised by its content.
 #[derive(Describe)]
@@ -59,6 +62,8 @@ pub struct Out {
     /// The mesh, once.
     #[port(frame = "$frame")]
     mesh: Mesh,
+    /// The file's `sha256`, by which a plan may be bound to it.
+    report: Json,
 }
 
 impl Constant for File {
@@ -78,6 +83,7 @@ impl Constant for File {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }
         read.notes.into_iter().for_each(|note| ctx.warn(note));
-        Ok(Out { mesh: read.mesh })
+        let report = json!({ "sha256": sha256(path.as_ref())? });
+        Ok(Out { mesh: read.mesh, report: Json(Arc::new(report)) })
     }
 }

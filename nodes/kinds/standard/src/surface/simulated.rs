@@ -3,7 +3,10 @@
 use crate::{constant::Constant, own_bone::OwnBone};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{Context, Describe, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_payloads::Json;
 use osteoflow_simulation::{BoneParams, CtParams};
+use serde_json::json;
+use std::sync::Arc;
 
 /// The simulated bone's surface: from a simulated CT, or exact.
 ///
@@ -38,6 +41,8 @@ pub struct Out {
     /// The surface, once.
     #[port(frame = "@ct")]
     mesh: Mesh,
+    /// The simulated CT's `frame_of_reference_uid`, by which the simulated plan is bound to it.
+    report: Json,
 }
 
 impl Constant for Simulated {
@@ -52,6 +57,7 @@ impl Constant for Simulated {
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
         let Params { exact, own, bone, ct } = params;
         let mesh = if *exact { own.subject(bone)?.bone().clone() } else { own.ct_surface(bone, ct, ctx.seed())? };
-        Ok(Out { mesh })
+        let report = json!({ "frame_of_reference_uid": own.frame_of_reference_uid(bone)? });
+        Ok(Out { mesh, report: Json(Arc::new(report)) })
     }
 }

@@ -7,10 +7,13 @@ use osteoflow_algorithms::metrics::{CheckReport, TreReport};
 use osteoflow_algorithms::slide::SlideReport;
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{
-    self, Case, Convergence, EvidenceParams, MarkerPoses, PredictParams, Reason, Registered, RuleParams, Tracking,
-    Verdict,
+    self, Case, Convergence, EvidenceParams, MarkerPoses, PlanReport, PredictParams, Reason, Registered, RuleParams,
+    Tracking, Verdict,
 };
-use osteoflow_geometry::{Cloud, NamedPoint, Plane, Planes, Points, Pose, nalgebra::Point3};
+use osteoflow_geometry::{
+    Cloud, NamedPoint, Plane, Planes, Points, Pose, SurfaceKey,
+    nalgebra::{Isometry3, Point3},
+};
 use osteoflow_node::{
     Context, Describe, Function, Inputs, NodeError, Outputs, Value, schemars::JsonSchema, serde::Deserialize,
 };
@@ -25,7 +28,7 @@ use osteoflow_payloads::Json;
 #[describe(
     example = r#"
 kind = "verdict.registration"
-in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report" }
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", plan = "plan.report", surface = "bone.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report" }
 "#,
     literature = [
         "Gelfand et al. 2003",
@@ -93,13 +96,18 @@ pub struct In {
     /// The report of the registration, of any kind: its `converged`, `remaining_mm` and `stop_reason` are used where it has
     /// them.
     icp: Option<Value>,
-    /// The report of the CT surface: each text in its list `assumptions` becomes one of the verdict.
+    /// The report of the CT surface: each text in its list `assumptions` becomes one of the verdict, and its `sha256` or
+    /// `frame_of_reference_uid` is compared with the plan's.
     #[port(join = "once")]
     surface: Option<Json>,
     /// The report of the registration by shape alone that it started from, if it did: unclear ones make it doubtful.
     start: Option<GlobalReport>,
     /// The slide profile about the registration.
     slide: Option<SlideReport>,
+    /// The report of the plan: whether it is bound to this surface. If it is not, landmarks that are all off the same way make the
+    /// answer doubtful.
+    #[port(join = "once")]
+    plan: Option<Json>,
     /// The planned landmarks.
     #[port(join = "once", frame = "target")]
     landmarks: Option<Points>,
@@ -152,7 +160,7 @@ impl Function for Registration {
         }
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let located: Vec<Points> = i.located.iter().flatten().cloned().collect();
-        let located = if located.is_empty() { Vec::new() } else { in_one_list(&located)?.points.to_vec() };
+        let located = (!located.is_empty()).then(|| in_one_list(&located)).transpose()?;
         let named = |points: &Option<Points>| -> Vec<NamedPoint> {
             points.as_ref().map(|points| points.points.to_vec()).unwrap_or_default()
         };
@@ -165,12 +173,24 @@ impl Function for Registration {
             Tracking::new(&poses, i.calibration.as_ref())
         });
         let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
-        let lost: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
+        let plan = i.plan.as_ref().map(|report| {
+            let carried = located.as_ref().map(|located| carried(located, &i.source, &t_target_source)).transpose()?;
+            let (key, max_mm) = (surface_key(i.surface.as_ref()), params.rules.max_common_shift_mm);
+            let report = PlanReport::deserialize(&*report.0);
+            let report = report.map_err(|error| NodeError::new(format!("plan is no report of a plan: {error}")))?;
+            let carried = carried.unwrap_or_default();
+            Ok::<_, NodeError>(trust::plan_binding(&report, &key, &i.target, &landmarks, &carried, max_mm))
+        });
+        let plan = plan.transpose()?.unwrap_or_default();
+        let located = named(&located);
+        let mut signs: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
+        signs.extend(plan.reasons);
         let check: Vec<CheckReport> = i.check.into_iter().flatten().collect();
         let ended = i.icp.map(|report| Convergence::deserialize(report.to_result()).unwrap_or_default());
         let assumed =
             i.surface.as_ref().and_then(|report| report.0.get("assumptions")).and_then(|list| list.as_array());
-        let assumed: Vec<&str> = assumed.into_iter().flatten().filter_map(|text| text.as_str()).collect();
+        let assumed = assumed.into_iter().flatten().filter_map(|text| text.as_str());
+        let assumed: Vec<&str> = plan.notes.iter().map(String::as_str).chain(assumed).collect();
         let case = Case {
             registered: Registered { target: &i.target, source: &i.source, t_target_source: &t_target_source, at: &[] },
             icp: ended.as_ref(),
@@ -183,7 +203,7 @@ impl Function for Registration {
             slide: i.slide.as_ref(),
             check: &check,
             start: i.start.as_ref(),
-            reasons: &lost,
+            reasons: &signs,
             assumptions: &assumed,
         };
         let Params { examine, rules, errors, .. } = params;
@@ -191,10 +211,27 @@ impl Function for Registration {
     }
 }
 
+/// Located landmarks as the registration carries them.
+fn carried(located: &Points, source: &Cloud, t_target_source: &Isometry3<f64>) -> Result<Vec<NamedPoint>, NodeError> {
+    located.frame.expect(&source.frame, "the located landmarks")?;
+    let carried = |p: &NamedPoint| NamedPoint { position: t_target_source * p.position, ..p.clone() };
+    Ok(located.points.iter().map(carried).collect())
+}
+
+/// What a surface's report has to identify it.
+fn surface_key(report: Option<&Json>) -> SurfaceKey {
+    let text = |key: &str| report?.0.get(key)?.as_str().map(str::to_owned);
+    SurfaceKey {
+        sha256: text("sha256"),
+        frame_of_reference_uid: text("frame_of_reference_uid"),
+        ..SurfaceKey::default()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_geometry::{SurfaceOrigin, nalgebra::Isometry3};
+    use osteoflow_geometry::SurfaceOrigin;
 
     #[test]
     fn a_plane_far_from_the_bone_is_named() {

@@ -15,6 +15,7 @@ pub(super) struct Image {
     pub(super) modality: String,
     pub(super) series_uid: String,
     pub(super) series_number: Option<i64>,
+    pub(super) frame_of_reference_uid: Option<String>,
     pub(super) n_rows: usize,
     pub(super) n_columns: usize,
     /// Centre of the first pixel, LPS, mm.
@@ -52,7 +53,7 @@ struct Elements {
     has_frames: bool,
 }
 
-const USED: [u32; 22] = [
+const USED: [u32; 23] = [
     0x0008_0016,
     0x0008_0060,
     0x0018_0050,
@@ -60,6 +61,7 @@ const USED: [u32; 22] = [
     0x0020_0011,
     0x0020_0032,
     0x0020_0037,
+    0x0020_0052,
     0x0028_0002,
     0x0028_0004,
     0x0028_0008,
@@ -224,10 +226,11 @@ impl Image {
         if slope == Some(0.0) {
             return Err("(0028,1053) RescaleSlope is 0, which makes all values equal".into());
         }
-        let uid = elements.text(0x0020_000e).unwrap_or_default();
+        let uid = |tag: u32| elements.text(tag).filter(|uid| uid.bytes().all(|b| b.is_ascii_digit() || b == b'.'));
         Ok(Self {
             modality,
-            series_uid: if uid.bytes().all(|b| b.is_ascii_digit() || b == b'.') { uid } else { String::new() },
+            series_uid: uid(0x0020_000e).unwrap_or_default(),
+            frame_of_reference_uid: uid(0x0020_0052),
             series_number: elements.text(0x0020_0011).and_then(|t| t.parse().ok()),
             n_rows: n_rows.into(),
             n_columns: n_columns.into(),

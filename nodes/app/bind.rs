@@ -1,0 +1,122 @@
+//! Binds a plan to the surface that it was drawn on.
+
+use super::{error::UsageError, files::check_new};
+use anyhow::{Context, Result, anyhow, bail};
+use osteoflow_algorithms::{
+    mesh_query::MeshQuery,
+    trust::{Answer, fingerprint, plan_faults},
+};
+use osteoflow_formats::{
+    Space, input,
+    mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
+    plan_file::{PlanRead, bound_to, parse_plan},
+    volume::is_volume,
+    write::ending,
+};
+use osteoflow_geometry::{NamedPoint, SurfaceKey};
+use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
+use serde::Deserialize as _;
+use serde_json::json;
+use std::{io::Write as _, path::Path};
+
+/// A bone that a plan was drawn on: a surface, points of one, or a CT.
+#[derive(Debug)]
+pub(crate) struct Bone<'a> {
+    /// The file, or the folder of a DICOM series.
+    pub(crate) path: &'a Path,
+    /// Millimetres in the unit of a surface or of points.
+    pub(crate) unit_mm: f64,
+    /// The space of its numbers, where it does not state it.
+    pub(crate) space: Option<Space>,
+    /// Bone is above this in a CT; unset: what the volume suggests.
+    pub(crate) threshold_hu: Option<f64>,
+}
+
+/// Writes a plan with what identifies the bone: `surface` with the file's hash, the frame of reference of a DICOM series, and points
+/// of the surface. Returns the key and notes.
+///
+/// # Errors
+/// A file cannot be read, OUT exists or is no `.json`, or the plan contradicts the bone.
+pub(crate) fn bind(plan: &Path, bone: &Bone<'_>, out: &Path) -> Result<(SurfaceKey, Vec<String>)> {
+    check_new(out)?;
+    if ending(out) != "json" {
+        return Err(UsageError(format!("{}: a plan is written as .json", out.display())).into());
+    }
+    let text = input::read_text(plan)?;
+    let PlanRead { plan: drawn, mut notes, .. } = parse_plan(plan, &text)?;
+    let BoneRead { mesh, key } = bone.read(&mut notes)?;
+    let points: Vec<NamedPoint> = drawn.landmarks.points.iter().chain(&*drawn.assessment.points).cloned().collect();
+    match &mesh {
+        Some(mesh) => {
+            let planes = Some(&drawn.planes).filter(|planes| !planes.planes.is_empty());
+            let faults = plan_faults(mesh, &points, planes);
+            if let Some(fault) = faults.iter().find(|fault| fault.answer == Answer::Refused) {
+                bail!("{} is not bound to {}: {fault}", plan.display(), bone.path.display());
+            }
+            notes.extend(faults.iter().map(ToString::to_string));
+        }
+        None => notes.push("the bone is points, so it was not examined whether the plan lies on it".into()),
+    }
+    if drawn.surface.is_some_and(|before| before != key) {
+        notes.push(format!("{} was bound to another surface before", plan.display()));
+    }
+    write_new(out, &bound_to(plan, &text, &key)?)?;
+    Ok((key, notes))
+}
+
+/// A bone as read.
+struct BoneRead {
+    mesh: Option<MeshQuery>,
+    key: SurfaceKey,
+}
+
+impl Bone<'_> {
+    fn read(&self, notes: &mut Vec<String>) -> Result<BoneRead> {
+        let Self { path, unit_mm, space, threshold_hu } = *self;
+        let usage = |message: String| UsageError(format!("{}: {message}", path.display()));
+        let (shape, report) = if is_volume(path) {
+            if unit_mm != 1.0 || space.is_some() {
+                return Err(usage("a CT states its unit and space; leave out --scale and --space".into()).into());
+            }
+            let params = serde_json::from_value(json!({ "path": path, "threshold_hu": threshold_hu }))?;
+            let bone =
+                read_bone(&params, NoThreshold::Suggest).map_err(|error| anyhow!("{}: {error}", path.display()))?;
+            let read = MeshRead { mesh: bone.mesh, n_degenerate: 0, space: Space::Lps, notes: bone.notes };
+            (MeshOrCloud::Mesh(read), bone.report)
+        } else {
+            if threshold_hu.is_some() {
+                return Err(usage("--iso-hu is for a CT".into()).into());
+            }
+            let bytes = input::read(path)?;
+            let mut shape = read_mesh_or_cloud(path, &bytes, unit_mm, "ct")?;
+            if let Some(space) = space {
+                shape = shape.in_space(space).map_err(|stated| usage(format!("{stated}; leave out --space")))?;
+            }
+            (shape, json!({ "sha256": input::sha256_of(&bytes) }))
+        };
+        let taken = shape.space().taken_for_lps(&"ct".into());
+        let named = |note: &String| format!("{}: {note}", path.display());
+        notes.extend(taken.iter().chain(shape.notes()).map(named));
+        let mut key = SurfaceKey::deserialize(report)?;
+        let (vertices, mesh) = match shape {
+            MeshOrCloud::Mesh(read) => (read.mesh.vertices().to_vec(), Some(MeshQuery::new(&read.mesh))),
+            MeshOrCloud::Cloud(read, _) => (read.cloud.points().to_vec(), None),
+        };
+        key.points = fingerprint(&vertices);
+        Ok(BoneRead { mesh, key })
+    }
+}
+
+/// Writes a file that is whole or not there; nothing is overwritten.
+fn write_new(out: &Path, text: &str) -> Result<()> {
+    let folder = out.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let cannot = || format!("{} cannot be written", out.display());
+    let mut builder = tempfile::Builder::new();
+    // As any other file: who may read it is the user's umask.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder.tempfile_in(folder).with_context(cannot)?;
+    file.write_all(text.as_bytes()).and_then(|()| file.as_file().sync_all()).with_context(cannot)?;
+    file.persist_noclobber(out).with_context(cannot)?;
+    Ok(())
+}
