@@ -61,6 +61,11 @@ fn every_plan_fits_its_schema_and_what_the_reader_refuses_does_not() {
         ("planes", serde_json::json!([matrix])),
         ("proximal", "up".into()),
         ("phantom_marker_in_phantom", matrix),
+        ("surface", "bone.stl".into()),
+        ("surface", serde_json::json!({ "sha256": "abc" })),
+        ("surface", serde_json::json!({ "frame_of_reference_uid": "my CT" })),
+        ("surface", serde_json::json!({ "points": [[1, 2, 3]] })),
+        ("surface", serde_json::json!({ "hash": "abc" })),
     ] {
         let plan = with(key, value);
         assert!(!validator.is_valid(&plan) && read(&plan).is_err(), "{key}: {}", plan[key]);

@@ -5,6 +5,7 @@
 
 mod archives;
 mod arrows;
+mod bound_plans;
 mod broken_graphs;
 #[cfg(unix)]
 mod clusters;

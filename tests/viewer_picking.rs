@@ -302,6 +302,8 @@ fn landmarks_clicked_where_the_plan_has_them_are_those_and_the_saved_plan_runs_f
     let saved = read.plan;
     assert_eq!(saved.landmarks.points.to_vec(), clicked, "to the last digit");
     assert_eq!(saved.assessment.points.to_vec(), picked(browser, "assessment"));
+    let points = osteoflow_algorithms::trust::fingerprint(bone.mesh().vertices());
+    assert_eq!(saved.surface.unwrap().points, points, "bound to the surface that it was picked on");
     let slicer = read_picked_points(&folder.join("landmarks.mrk.json")).unwrap();
     assert_eq!((slicer.points, slicer.space), (clicked.clone(), osteoflow_formats::Space::Lps));
     assert_eq!(read_picked_points(&folder.join("planes.mrk.json")).unwrap().planes.len(), 2);

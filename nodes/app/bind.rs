@@ -19,6 +19,9 @@ use serde::Deserialize as _;
 use serde_json::json;
 use std::{io::Write as _, path::Path};
 
+/// Distance from the surface beyond which a planned point is noted, mm: picks on a surface are on it, and its triangles are finer.
+const OFF_MM: f64 = 1.0;
+
 /// A bone that a plan was drawn on: a surface, points of one, or a CT.
 #[derive(Debug)]
 pub(crate) struct Bone<'a> {
@@ -54,6 +57,14 @@ pub(crate) fn bind(plan: &Path, bone: &Bone<'_>, out: &Path) -> Result<(SurfaceK
                 bail!("{} is not bound to {}: {fault}", plan.display(), bone.path.display());
             }
             notes.extend(faults.iter().map(ToString::to_string));
+            let off_mm =
+                |p: &NamedPoint| mesh.closest_point(&p.position).map_or(f64::INFINITY, |closest| closest.distance_mm);
+            let far =
+                points.iter().map(|p| (p, off_mm(p))).max_by(|a, b| a.1.total_cmp(&b.1)).filter(|far| far.1 > OFF_MM);
+            if let Some((point, mm)) = far {
+                let message = "a plan that was drawn on this surface has its points nearer; look at both together";
+                notes.push(format!("{} lies {mm:.1} mm off the surface: {message}", point.name));
+            }
         }
         None => notes.push("the bone is points, so it was not examined whether the plan lies on it".into()),
     }

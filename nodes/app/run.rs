@@ -179,3 +179,23 @@ pub(crate) fn refusal_in_short(refusal: &Refusal, results: &Value) -> String {
     let short = reasons.filter_map(|reason| text.strip_suffix(&format!("; {}", reason.remedy))).next();
     short.map(str::to_owned).unwrap_or(text)
 }
+
+/// The text of a refusal without its reason, which the verdict that is printed gives.
+pub(crate) fn without_reason(text: String, results: &Value) -> String {
+    let verdict = judged(results);
+    let mut reasons = verdict.iter().flat_map(Verdict::reasons);
+    let without = reasons.find_map(|reason| text.strip_suffix(&format!(": {}", reason.reason)));
+    without.map(str::to_owned).unwrap_or(text)
+}
+
+/// Rules, and how the warning of a node begins that says the same.
+const SAME: [(&str, &str); 2] = [("start", "the scan fits elsewhere nearly as well"), ("converged", "not converged")];
+
+/// Whether a reason of the verdict says what a warning says.
+pub(crate) fn is_said_by_verdict(warning: &str, results: &Value) -> bool {
+    let says = |rule: &str, reason: &str| {
+        let same = SAME.iter().any(|(of, begins)| *of == rule && warning.starts_with(begins));
+        same || (!reason.is_empty() && (warning.contains(reason) || reason.contains(warning)))
+    };
+    judged(results).is_some_and(|verdict| verdict.against().any(|reason| says(&reason.rule, &reason.reason)))
+}

@@ -3,7 +3,7 @@
 mod text;
 
 use super::common::{Exit, Format, Global, graph_args::or_faults, progress::Progress, running, terminal};
-use crate::app::{Register as Checked, RegisterRequest, Registration};
+use crate::app::{Register as Checked, RegisterRequest, Registration, is_said_by_verdict, without_reason};
 use anyhow::Result;
 use clap::Args;
 use std::{io::Write, sync::Arc};
@@ -76,12 +76,19 @@ impl Register {
                     writeln!(err, "{}: {note}", global.paint_err("note", "1"))?;
                 }
             }
-            for warning in registration.warnings(checked) {
+            let is_text = global.format == Format::Text;
+            let results = &registration.run.results;
+            let is_new = |warning: &String| !(is_text && is_said_by_verdict(warning, results));
+            for warning in registration.warnings(checked).iter().filter(|warning| is_new(warning)) {
                 writeln!(err, "{}: {warning}", global.paint_err("warning", "1;33"))?;
             }
         }
         match (exit, registration.refusal_text(checked)) {
             (Exit::Interrupted, _) => writeln!(err, "{}: there is no pose", global.paint_err("interrupted", "1;33"))?,
+            (_, Some(why)) if global.format == Format::Text => {
+                let why = without_reason(why, &registration.run.results);
+                writeln!(err, "{}: {why}", global.paint_err("refused", "1;31"))?
+            }
             (_, Some(why)) => writeln!(err, "{}: {why}", global.paint_err("refused", "1;31"))?,
             (_, None) => {}
         }

@@ -6,15 +6,28 @@ use serde_json::Value;
 const WIDTH: usize = 110;
 /// Keys whose numbers other tables show.
 const SHOWN: [&str; 6] = ["verdict", "refused", "poses", "laser_points", "planes_at_scan", "planes"];
+/// What the steps of a registration report of themselves. A verdict has judged it, so it is for --verbose.
+const OF_STEPS: [&str; 10] = [
+    "calibration",
+    "coarse",
+    "start",
+    "icp",
+    "slide",
+    "holes",
+    "metrics.tre_measured_mm",
+    "metrics.tre_true_mm",
+    "metrics.fre_mm",
+    "metrics.surface_mm",
+];
 /// Parts of the results of a target error that a table shows.
 const SHOWN_OF_TRE: [&str; 2] = ["points", "mean_abs"];
 /// How deep objects are followed below a key of the results; deeper numbers are counted.
 const MAX_DEPTH: usize = 2;
 
-/// Numbers by the path of what holds them, wrapped; `None` if the tables show all. Numbers of long lists and of nested parts
-/// are counted, with the file that has them.
-pub(crate) fn text(results: &Value) -> Option<String> {
-    let mut numbers = Numbers::default();
+/// Numbers by the path of what holds them, wrapped; `None` if the tables show all. Numbers of long lists and of nested parts, and
+/// those of the steps of a registration unless `shows_steps`, are counted, with the file that has them.
+pub(crate) fn text(results: &Value, shows_steps: bool) -> Option<String> {
+    let mut numbers = Numbers { shows_steps, ..Numbers::default() };
     for (key, value) in results.as_object()?.iter().filter(|(key, _)| !SHOWN.contains(&key.as_str())) {
         numbers.add(key, value, 0);
     }
@@ -22,6 +35,12 @@ pub(crate) fn text(results: &Value) -> Option<String> {
         return None;
     }
     let width = numbers.rows.iter().map(|(path, _)| path.chars().count()).max().unwrap_or_default();
+    if numbers.rows.is_empty() {
+        return Some(format!(
+            "{} more numbers of the steps in results.json (--verbose shows them)\n",
+            numbers.n_left_out
+        ));
+    }
     let mut out = String::from("other results\n");
     for (path, row) in &numbers.rows {
         let mut line = format!("  {path:width$}");
@@ -38,7 +57,8 @@ pub(crate) fn text(results: &Value) -> Option<String> {
         out.push('\n');
     }
     if numbers.n_left_out > 0 {
-        out.push_str(&format!("  {} more numbers, of lists and nested parts, in results.json\n", numbers.n_left_out));
+        let of = if shows_steps { "of lists and nested parts" } else { "of lists, nested parts and steps (--verbose)" };
+        out.push_str(&format!("  {} more numbers, {of}, in results.json\n", numbers.n_left_out));
     }
     Some(out)
 }
@@ -47,10 +67,15 @@ pub(crate) fn text(results: &Value) -> Option<String> {
 struct Numbers {
     rows: Vec<(String, Vec<String>)>,
     n_left_out: usize,
+    shows_steps: bool,
 }
 
 impl Numbers {
     fn add(&mut self, path: &str, value: &Value, depth: usize) {
+        if !self.shows_steps && OF_STEPS.contains(&path) {
+            self.n_left_out += count(value);
+            return;
+        }
         match value {
             Value::Number(_) => self.rows.push((path.into(), vec![shown(value)])),
             Value::Object(object) => {
@@ -133,7 +158,12 @@ mod tests {
             "holes": [{ "n_hole": 72 }, { "n_hole": 61 }],
             "icp": { "iterations": 13, "normal_matrix": [[1, 2, 3, 4, 5, 6]], "a": { "b": { "c": { "x": 1 } } } },
         });
-        let text = text(&results).unwrap();
+        let steps = text(&results, false).unwrap();
+        assert!(
+            steps.contains("metrics.own") && !steps.contains("holes.1") && !steps.contains("iterations"),
+            "{steps}"
+        );
+        let text = text(&results, true).unwrap();
         let line = |start: &str| {
             let numbers = text.lines().find(|line| line.trim_start().starts_with(&format!("{start} ")));
             numbers
@@ -156,6 +186,6 @@ mod tests {
 
     #[test]
     fn results_without_numbers_have_no_such_lines() {
-        assert_eq!(super::text(&json!({ "notice": "research use only", "simulated": true, "planes": [] })), None);
+        assert_eq!(super::text(&json!({ "notice": "research use only", "simulated": true, "planes": [] }), true), None);
     }
 }

@@ -1,7 +1,7 @@
 //! Tables of a run's results: the verdict, and the known keys of `results.json` in mm and degrees.
 
 use super::{global::Global, other_numbers, text_table::TextTable, verdict_lines};
-use crate::app::NOTICE;
+use crate::app::{NOTICE, judged};
 use osteoflow_geometry::{isometry_from_matrix, nalgebra::Matrix4};
 use osteoflow_report::summary::word;
 use serde::Deserialize;
@@ -25,10 +25,11 @@ pub(crate) fn text_beside(results: &Value, earlier: &Value, global: &Global) -> 
 }
 
 fn blocks(results: &Value, tables: Vec<TextTable>, global: &Global) -> String {
-    let mut blocks: Vec<_> = verdict_lines::text(results, global).into_iter().collect();
+    let mut blocks: Vec<_> = verdict_lines::text(results, "in results.json", global).into_iter().collect();
     blocks.push(banner(results));
     // Before the tables, which are then above the prompt.
-    blocks.extend(other_numbers::text(results));
+    let shows_steps = global.verbose > 0 || judged(results).is_none();
+    blocks.extend(other_numbers::text(results, shows_steps));
     blocks.extend(tables.iter().map(TextTable::lines));
     blocks.join("\n")
 }

@@ -6,7 +6,7 @@ use super::{
     result_table, run_table,
     terminal::{self, print_json},
 };
-use crate::app::{judged, refusal_in_short};
+use crate::app::{is_said_by_verdict, judged, refusal_in_short, without_reason};
 use anyhow::Result;
 use osteoflow_engine::run::{Outcome, RunReport, files};
 use serde_json::Value;
@@ -26,13 +26,17 @@ pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Resu
 pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) -> Result<Exit> {
     let exit = Exit::of(&report.outcome);
     let mut err = terminal::stderr().lock();
-    for warning in &report.warnings {
+    // What the verdict is printed to say is said once.
+    let is_text = global.format == Format::Text;
+    let is_new = |message: &str| !(is_text && is_said_by_verdict(message, &report.results));
+    for warning in report.warnings.iter().filter(|warning| is_new(&warning.message)) {
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
     }
     match &report.outcome {
         Outcome::Refused(refusal) => {
             let refusal = refusal_in_short(refusal, &report.results);
+            let refusal = if is_text { without_reason(refusal, &report.results) } else { refusal };
             writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?
         }
         Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,

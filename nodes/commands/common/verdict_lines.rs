@@ -5,23 +5,35 @@ use crate::app::judged;
 use osteoflow_engine::run::{Answer, Verdict};
 use serde_json::Value;
 
-/// The verdict of a node, with a line for each reason against the results; with --verbose also what it assumes. `None` if
-/// nothing judged the results.
-pub(crate) fn text(results: &Value, global: &Global) -> Option<String> {
-    judged(results).map(|verdict| lines(&verdict, global.verbose > 0, |text, style| global.paint_out(text, style)))
+/// Number of assumptions that are printed; the list begins with the most critical.
+const N_ASSUMED: usize = 3;
+
+/// The verdict of a node with each reason against the results once, and its most critical assumptions; with --verbose all. `more`
+/// says where the others are. `None` if nothing judged the results.
+pub(crate) fn text(results: &Value, more: &str, global: &Global) -> Option<String> {
+    let n_assumed = if global.verbose > 0 { usize::MAX } else { N_ASSUMED };
+    judged(results).map(|verdict| lines(&verdict, n_assumed, more, |text, style| global.paint_out(text, style)))
 }
 
-fn lines(verdict: &Verdict, assumptions: bool, paint: impl Fn(&str, &str) -> String) -> String {
+fn lines(verdict: &Verdict, n_assumed: usize, more: &str, paint: impl Fn(&str, &str) -> String) -> String {
     let answer = verdict.answer();
     let style = match answer {
         Answer::Trusted => "1;32",
         Answer::Doubtful => "1;33",
         Answer::Refused => "1;31",
     };
-    let mut out = format!("verdict  {}: {}\n", paint(answer.name(), style), verdict.sentence());
-    verdict.against().for_each(|reason| out += &format!("  - {reason}\n"));
-    if assumptions {
-        verdict.assumptions().for_each(|assumption| out += &format!("  assumed: {assumption}\n"));
+    // A sentence that is made of the first reason gives way to the reason with its remedy.
+    let sentence = verdict.sentence();
+    let first = verdict.first().filter(|first| sentence.starts_with(&first.reason));
+    let shown = first.map_or(sentence, ToString::to_string);
+    let mut out = format!("verdict  {}: {shown}\n", paint(answer.name(), style));
+    let others = verdict.against().filter(|reason| !first.is_some_and(|first| std::ptr::eq(first, *reason)));
+    others.for_each(|reason| out += &format!("  - {reason}\n"));
+    verdict.assumptions().take(n_assumed).for_each(|assumption| out += &format!("  assumed: {assumption}\n"));
+    match verdict.assumptions().count().saturating_sub(n_assumed) {
+        0 => {}
+        1 => out += &format!("  1 more assumption {more}\n"),
+        n => out += &format!("  {n} more assumptions {more}\n"),
     }
     out
 }
@@ -35,13 +47,13 @@ mod tests {
         json!({ "rule": rule, "answer": answer, "reason": format!("{rule} is odd"), "remedy": remedy })
     }
 
-    fn shown(verdict: Value, assumptions: bool) -> String {
+    fn shown(verdict: Value, n_assumed: usize) -> String {
         let verdict = judged(&json!({ "verdict": verdict })).unwrap();
-        lines(&verdict, assumptions, |text, style| format!("<{style}>{text}</>"))
+        lines(&verdict, n_assumed, "in results.json", |text, style| format!("<{style}>{text}</>"))
     }
 
     #[test]
-    fn the_answer_is_coloured_and_each_reason_against_the_results_has_a_line() {
+    fn the_answer_is_coloured_and_each_reason_against_the_results_is_said_once() {
         let doubts =
             [reason("order", "trusted", ""), reason("overlap", "doubtful", "scan more"), reason("rms", "doubtful", "")];
         for (verdict, expected) in [
@@ -51,18 +63,23 @@ mod tests {
             ),
             (
                 json!({ "answer": "doubtful", "reasons": doubts }),
-                "verdict  <1;33>doubtful</>: overlap is odd, and 1 more reason\n  - overlap is odd; scan more\n  - rms is odd\n",
+                "verdict  <1;33>doubtful</>: overlap is odd; scan more\n  - rms is odd\n",
             ),
             (
                 json!({ "answer": "refused", "sentence": "no", "reasons": [reason("rms", "refused", "aim again")] }),
                 "verdict  <1;31>refused</>: no\n  - rms is odd; aim again\n",
             ),
         ] {
-            assert_eq!(shown(verdict, false), expected);
+            assert_eq!(shown(verdict, 3), expected);
         }
-        let assumed = json!({ "answer": "trusted", "sentence": "it holds", "reasons": [], "assumptions": ["a", "b"] });
-        assert_eq!(shown(assumed.clone(), false).lines().count(), 1);
-        assert_eq!(shown(assumed, true), "verdict  <1;32>trusted</>: it holds\n  assumed: a\n  assumed: b\n");
+        let assumed =
+            json!({ "answer": "trusted", "sentence": "it holds", "reasons": [], "assumptions": ["a", "b", "c"] });
+        let all = "verdict  <1;32>trusted</>: it holds\n  assumed: a\n  assumed: b\n  assumed: c\n";
+        assert_eq!(shown(assumed.clone(), 3), all);
+        let two =
+            "verdict  <1;32>trusted</>: it holds\n  assumed: a\n  assumed: b\n  1 more assumption in results.json\n";
+        assert_eq!(shown(assumed.clone(), 2), two);
+        assert!(shown(assumed, 1).ends_with("  assumed: a\n  2 more assumptions in results.json\n"));
     }
 
     #[test]

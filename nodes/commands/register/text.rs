@@ -23,7 +23,7 @@ use std::fmt::Write as _;
 /// The verdict, the inputs, the pose if it is given, what the method reports, and the times.
 pub(super) fn text(registration: &Registration, checked: &Register, global: &Global) -> String {
     let (mut out, request, timings) = (String::new(), &checked.request, &registration.timings);
-    if let Some(lines) = verdict_lines::text(&registration.run.results, global) {
+    if let Some(lines) = verdict_lines::text(&registration.run.results, "with --verbose", global) {
         out += &format!("{lines}\n");
     }
     if global.verbose > 0 && registration.pose().is_some() {

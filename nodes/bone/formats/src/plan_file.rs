@@ -129,8 +129,8 @@ const KEYS: [&str; 12] = [
 /// The key of the surface that the plan was drawn on.
 pub const SURFACE: &str = "surface";
 
-/// Minimum number of points that identify a surface: three may lie on many.
-const MIN_POINTS: usize = 6;
+/// Minimum number of points that identify a surface: the fewest corners of a closed one.
+const MIN_POINTS: usize = 4;
 
 /// Keys that state the unit of length, as [`names`] compares them.
 const UNITS: [&str; 4] = ["units", "unit", "lengthunit", "coordinateunits"];

@@ -633,6 +633,18 @@ fn a_tilted_gantry_is_in_the_map_and_each_layer_has_its_own_scale() {
 
 use std::ops::AddAssign as _;
 
+#[test]
+fn the_frame_of_reference_is_that_of_all_images_or_of_none() {
+    let with = |uid: &[u8]| Dicom { more: vec![(0x0020_0052, "UI", uid.to_vec())], ..dicom() };
+    let of = |folder: &tempfile::TempDir| read(folder.path()).unwrap().frame_of_reference_uid;
+    assert_eq!(of(&dicom().folder(0..SIZE[2])), None);
+    let folder = with(b"1.2.3.99\0").folder(0..SIZE[2]);
+    assert_eq!(of(&folder).as_deref(), Some("1.2.3.99"));
+    assert_eq!(of(&with(b"my CT").folder(0..SIZE[2])), None, "a unique identifier has digits and dots");
+    with(b"1.2.3.98").write(folder.path(), [1]);
+    assert_eq!(of(&folder), None);
+}
+
 fn folder_refusal(folder: &tempfile::TempDir) -> String {
     let message = read(folder.path()).unwrap_err();
     assert!(!message.contains("Doe") && !message.contains("Jane"), "{message}");

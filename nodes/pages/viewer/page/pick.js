@@ -464,6 +464,7 @@ export class Picking {
   async save() {
     const { now } = this.history;
     const fault = this.fault();
+    const surface = this.surface();
     if (fault) return this.say(`not saved: ${fault}`);
     const along = this.anatomy() ? null : this.bearings()?.along ?? null;
     try {
@@ -471,7 +472,7 @@ export class Picking {
       const inOrder = pairs.map(({ name }) => /** @type {Pick} */ (now.scan.find((pick) => pick.name === name)));
       const saved = this.mode === "pairs"
         ? await post("save/pairs", { bone: pairs, scan: inOrder })
-        : await post("save/plan", planJson(now, this.shown.rest(), along));
+        : await post("save/plan", planJson(now, this.shown.rest(), along, surface));
       this.panel.saved(String(saved.message), saved.files ?? []);
     } catch (error) {
       this.say(`not saved: ${error instanceof Error ? error.message : error}`);

@@ -241,8 +241,9 @@ export function matrix(origin, rotation) {
  * @param {{axes: {centre: Vector, columns: number[]} | null, phantomMarker: number[] | null, cameraMarker: number[] | null}} seen what of the shown
  *   plan is not picked, as it was sent
  * @param {Vector | null} along where a tip was picked and no anatomy is known
+ * @param {Surface | null} surface that it was picked on, to which the plan is bound
  */
-export function planJson(picked, seen, along) {
+export function planJson(picked, seen, along, surface) {
   const points = (/** @type {Pick[]} */ all) => Object.fromEntries(all.map(({ name, position }) => [name, position]));
   const pose = (/** @type {number[]} */ p) => matrix(p.slice(0, 3), p.slice(3, 7));
   /** @type {Record<string, any>} */
@@ -252,6 +253,7 @@ export function planJson(picked, seen, along) {
     assessment: points(picked.assessment),
     planes: picked.planes.map(({ name, origin, rotation }) => ({ name, matrix: matrix(origin, rotation) })),
   };
+  if (surface) plan.surface = { points: surface.fingerprint() };
   if (picked.tip.length > 0) plan.malleolus_tip = picked.tip[0].position;
   if (picked.tip.length > 0 && along) plan.proximal = along;
   if (seen.axes) {

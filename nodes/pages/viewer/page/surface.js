@@ -18,6 +18,8 @@ export const unit = (a) => a.map((c) => c / norm(a));
 
 /** Triangles of one block: neighbours in a file are mostly neighbours on the surface. */
 const BLOCK = 64;
+/** Number of points that identify a surface. */
+const N_FINGERPRINT = 12;
 /** Distance from a plane's origin beyond which a cut belongs to another bone, mm. */
 const REACH_MM = 60;
 
@@ -54,6 +56,33 @@ export class Surface {
       }
       this.boxes.set(box, 6 * block);
     }
+  }
+
+  /**
+   * Vertices that identify the surface, as the program chooses them: each the farthest from those before it, the first the farthest
+   * from the middle. @returns {Vector[]}
+   */
+  fingerprint() {
+    const n = this.vertices.length / 3;
+    const at = (/** @type {number} */ k) => [...this.vertices.subarray(3 * k, 3 * k + 3)];
+    let last = [0, 0, 0];
+    for (let k = 0; k < n; k++) last = plus(last, at(k), 1 / n);
+    const distances = new Float64Array(n).fill(Infinity);
+    /** @type {Vector[]} */
+    const chosen = [];
+    while (chosen.length < N_FINGERPRINT) {
+      let farthest = -1;
+      for (let k = 0; k < n; k++) {
+        const v = minus(at(k), last);
+        // The middle is no vertex and only chooses the first.
+        distances[k] = chosen.length < 2 ? dot(v, v) : Math.min(distances[k], dot(v, v));
+        if (farthest < 0 || distances[k] > distances[farthest]) farthest = k;
+      }
+      if (farthest < 0 || !(distances[farthest] > 0)) break;
+      last = at(farthest);
+      chosen.push(last);
+    }
+    return chosen;
   }
 
   /** @param {number} face @param {0 | 1 | 2} corner @returns {Vector} */

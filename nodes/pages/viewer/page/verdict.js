@@ -32,13 +32,19 @@ export function showVerdict(holder, verdict, waiting, old = null) {
     words.append(of);
   }
   words.append(head);
-  if (verdict?.sentence) words.append(` ${verdict.sentence}`);
+  /** @type {{answer: string, reason: string, remedy: string}[]} */
   const reasons = (verdict?.reasons ?? []).filter((/** @type {any} */ reason) => reason.answer !== "trusted");
-  if (reasons.length > 0) {
+  const whole = (/** @type {{reason: string, remedy: string}} */ { reason, remedy }) => (remedy ? `${reason}; ${remedy}` : reason);
+  // A sentence that is made of the first reason gives way to the reason with its remedy.
+  const worst = reasons.find((reason) => reason.answer === answer) ?? reasons[0];
+  const first = worst && verdict.sentence?.startsWith(worst.reason) ? worst : null;
+  if (first || verdict?.sentence) words.append(` ${first ? whole(first) : verdict.sentence}`);
+  const others = reasons.filter((reason) => reason !== first);
+  if (others.length > 0) {
     const list = document.createElement("ul");
-    for (const { reason, remedy } of reasons) {
+    for (const reason of others) {
       const entry = document.createElement("li");
-      entry.textContent = remedy ? `${reason}; ${remedy}` : reason;
+      entry.textContent = whole(reason);
       list.append(entry);
     }
     words.append(list);

@@ -167,9 +167,9 @@ pub fn plan_binding(
         match (common, plan.confirm) {
             (Some(shift), false) => {
                 let reason = format!(
-                    "carried by the registration, all landmarks lie the same way off the planned ones, {}, and nothing binds the \
-                     plan to this surface; either they were all aimed wrong by the same shift, or the plan was drawn in another \
-                     series and its cuts are as far off",
+                    "after the registration all landmarks lie the same way off the planned ones, {}, and nothing binds the plan to \
+                     this surface: either all were aimed wrong by this shift, or the plan was drawn in another series and its cuts \
+                     are off by it",
                     shift.words(target)
                 );
                 let remedy = "look at plan and surface together; then bind the plan (osteoflow convert PLAN OUT --bind BONE) or set \

@@ -146,7 +146,6 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     reasons.extend(extent_reason(registered.source));
     reasons.extend(case.slide.map(slide_reasons).unwrap_or_default());
     reasons.extend(check_reason(case.check, registered.source.stamp_ns, rules.max_check_mm));
-    reasons.extend(case.start.and_then(|start| start_reason(start, rules.min_shape_clearness)));
     let order = landmark_order(case.landmarks, case.located);
     reasons.extend(order.as_ref().and_then(order_reason));
     if let Some(mm) = case.measured_tre_mm.filter(|mm| *mm > rules.max_measured_tre_mm) {
@@ -157,11 +156,14 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     }
     let Some(mut examined) = Evidence::examine(&registered, examine) else {
         reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, None)));
+        reasons.extend(case.start.and_then(|start| start_reason(start, rules.min_shape_clearness, false)));
         let text = "the surface has no normals or the scan too few points, so nothing could be examined";
         reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
         return Verdict::new(reasons, assumptions(case, rules, false, &[]), None, None, Vec::new());
     };
     let (evidence, spread, to_settled) = (&examined.evidence, examined.spread.as_ref(), examined.to_settled);
+    let has_surroundings = evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM);
+    reasons.extend(case.start.and_then(|start| start_reason(start, rules.min_shape_clearness, has_surroundings)));
     reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, evidence.unsettled_mm)));
     let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
     let limited = if assessed.is_empty() { points_that_matter(&registered) } else { assessed };
@@ -299,11 +301,16 @@ fn spread_reason(predicted: Option<&Predicted>, evidence: &Evidence, rules: &Rul
     })
 }
 
-/// A start by shape alone that another place would have served as well.
-fn start_reason(start: &GlobalReport, min_clearness: f64) -> Option<Reason> {
+/// Distance from the surface of a tenth of the scan beyond which surroundings are in it, mm: another bone, a wrong place on it and
+/// tissue leave less.
+const SURROUNDINGS_MM: f64 = 5.0;
+
+/// A start by shape alone that another place would have served as well; `has_surroundings` says whether much of the scan is far
+/// from the surface.
+fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroundings: bool) -> Option<Reason> {
     let other = start.runner_up.as_ref().filter(|_| start.clearness < min_clearness)?;
     let place = |[x, y, z]: &[f64; 3]| format!("({x:.0}, {y:.0}, {z:.0})");
-    let reason = format!(
+    let mut reason = format!(
         "it started by shape alone, and the scan fits nearly as well {:.0} mm and {:.0} degrees away, with its middle at {} mm \
          instead of {} mm ({:.2} mm RMS against {:.2} mm)",
         other.shift_mm,
@@ -313,7 +320,14 @@ fn start_reason(start: &GlobalReport, min_clearness: f64) -> Option<Reason> {
         other.score_mm,
         start.score_mm,
     );
-    let remedy = "start from landmarks or from a known pose, or scan a longer stretch, or one with more shape";
+    let mut remedy = "start from landmarks or from a known pose, or scan a longer stretch, or one with more shape";
+    if has_surroundings {
+        reason += &format!(
+            "; likely cause: surroundings in the scan, of which a tenth lies more than {SURROUNDINGS_MM:.0} mm from the surface"
+        );
+        remedy = "crop the scan to the bone (crop.box, or draw a region on the page of osteoflow view); else start from landmarks or \
+                  from a known pose";
+    }
     Some(Reason::new("start", Answer::Doubtful, reason, remedy))
 }
 

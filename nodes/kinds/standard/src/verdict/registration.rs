@@ -155,9 +155,6 @@ impl Function for Registration {
     type Outputs = Out;
 
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        if let Some(planes) = &i.planes {
-            params.far_planes(planes, &i.target).into_iter().for_each(|warning| ctx.warn(warning));
-        }
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let located: Vec<Points> = i.located.iter().flatten().cloned().collect();
         let located = (!located.is_empty()).then(|| in_one_list(&located)).transpose()?;
@@ -207,7 +204,12 @@ impl Function for Registration {
             assumptions: &assumed,
         };
         let Params { examine, rules, errors, .. } = params;
-        Ok(Out { verdict: trust::judge(&case, examine, rules, errors) })
+        let verdict = trust::judge(&case, examine, rules, errors);
+        if let Some(planes) = i.planes.as_ref().filter(|_| !verdict.reasons.iter().any(|reason| reason.rule == "plan"))
+        {
+            params.far_planes(planes, &i.target).into_iter().for_each(|warning| ctx.warn(warning));
+        }
+        Ok(Out { verdict })
     }
 }
 

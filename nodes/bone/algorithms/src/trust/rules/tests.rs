@@ -141,10 +141,18 @@ fn a_start_by_shape_is_doubtful_below_its_clearness() {
     };
     let words = "it started by shape alone, and the scan fits nearly as well 31 mm and 29 degrees away, with its middle at (40, -1, 7) mm \
                  instead of (9, -1, 7) mm (0.25 mm RMS against 0.20 mm)";
-    assert_eq!(text(&start_reason(&start, 0.3).into_iter().collect::<Vec<_>>()), [format!("start Doubtful: {words}")]);
-    assert_eq!(start_reason(&start, 0.2), None);
-    assert_eq!(start_reason(&start, 0.1), None);
-    assert_eq!(start_reason(&GlobalReport { runner_up: None, ..start }, 0.3), None);
+    let said = |has_surroundings| start_reason(&start, 0.3, has_surroundings).unwrap();
+    assert_eq!(text(&[said(false)]), [format!("start Doubtful: {words}")]);
+    assert!(said(false).remedy.starts_with("start from landmarks"), "{:?}", said(false));
+    let cluttered = said(true);
+    assert!(
+        cluttered.reason.starts_with(words) && cluttered.reason.contains("surroundings in the scan"),
+        "{cluttered:?}"
+    );
+    assert!(cluttered.remedy.starts_with("crop the scan to the bone"), "{cluttered:?}");
+    assert_eq!(start_reason(&start, 0.2, true), None);
+    assert_eq!(start_reason(&start, 0.1, true), None);
+    assert_eq!(start_reason(&GlobalReport { runner_up: None, ..start }, 0.3, true), None);
 }
 
 #[test]
