@@ -273,8 +273,8 @@ mod tests {
             Point3::new(at(0, -5.0, 15.0), at(1, 32.0, 48.0), at(2, -950.0, -650.0)) + Vector3::from(shift)
         };
         let vertices: Vec<Point3<f64>> = (0..8).map(corner).collect();
-        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        let faces = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
+        let quads: [[u32; 4]; 6] = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let faces: Vec<[u32; 3]> = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
         let mesh = Mesh::new("ct", SurfaceOrigin::Exact, vertices.clone(), faces).unwrap();
         Target::new("ct", SurfaceOrigin::Exact, vertices, None).unwrap().with_mesh(MeshQuery::new(&mesh))
     }
