@@ -178,7 +178,7 @@ fn each_surface_that_the_plan_may_have_been_drawn_on_binds_it() {
     let at = |name: &str| dir.join(name);
     fs::write(at("unbound.json"), plans.displaced(Vector3::zeros()).to_string()).unwrap();
     // Written by another program with other digits, the surface is the same by its points.
-    let done = osteoflow().arg("convert").arg(bone).arg(at("bone.obj")).args(["--space", "LPS"]).output().unwrap();
+    let done = osteoflow().arg("convert").arg(bone).arg(at("bone.obj")).output().unwrap();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     for (name, of) in [("stl.json", bone.clone()), ("obj.json", at("bone.obj"))] {
         let done = bind(&at("unbound.json"), &of, &at(name));

@@ -184,7 +184,10 @@ pub(crate) fn refusal_in_short(refusal: &Refusal, results: &Value) -> String {
 pub(crate) fn without_reason(text: String, results: &Value) -> String {
     let verdict = judged(results);
     let mut reasons = verdict.iter().flat_map(Verdict::reasons);
-    let without = reasons.find_map(|reason| text.strip_suffix(&format!(": {}", reason.reason)));
+    let without = reasons.find_map(|reason| {
+        let forms = [format!(": {}", reason.reason), format!(": {reason}")];
+        forms.iter().find_map(|form| text.strip_suffix(form))
+    });
     without.map(str::to_owned).unwrap_or(text)
 }
 

@@ -1,5 +1,7 @@
 //! Whether a plan belongs to the surface of the run, and what a common shift of all landmarks says.
 
+use crate::coarse::rms;
+use crate::kabsch::{centroid, kabsch};
 use crate::target::Target;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::{NamedPoint, SurfaceKey};
@@ -15,6 +17,9 @@ const SAME_SURFACE_MM: f64 = 0.05;
 /// Median distance of these points from the surface beyond which it is in another place, mm: another segmentation of the same CT
 /// differs by less.
 const ELSEWHERE_MM: f64 = 1.0;
+
+/// Share of the landmarks' distances from the planned ones that a rigid motion may leave if it is to explain them.
+const RIGID: f64 = 1.0 / 3.0;
 
 /// Ratio of the largest two principal variances from which a surface has a direction along it.
 const LONG: f64 = 4.0;
@@ -41,7 +46,7 @@ pub struct Said {
 /// Points that identify a surface: up to twelve of its own, each the farthest from those before it, the first the farthest from
 /// the middle. `O(n)`; ties go to the first point.
 pub fn fingerprint(points: &[Point3<f64>]) -> Vec<[f64; 3]> {
-    let middle = crate::kabsch::centroid(points);
+    let middle = centroid(points);
     let mut distances = vec![f64::INFINITY; points.len()];
     let mut chosen: Vec<[f64; 3]> = Vec::new();
     let mut last = middle;
@@ -139,8 +144,8 @@ pub fn plan_binding(
     let mut said = Said::default();
     let binding = plan.surface.as_ref().map_or(Binding::Unbound, |key| Binding::of(key, surface, target));
     let shift = Shift::of(planned, located);
-    let large = shift.as_ref().filter(|shift| shift.mean.norm() > max_common_shift_mm);
-    let common = large.filter(|shift| shift.is_common());
+    let large = shift.as_ref().filter(|shift| shift.is_large(max_common_shift_mm));
+    let displaced = large.filter(|shift| shift.is_common() || shift.is_turned(max_common_shift_mm));
     match &binding {
         Binding::Contradicted { how, .. } if plan.confirm => {
             said.notes.push(format!("the plan belongs to this surface, as confirm = true says, though {how}"));
@@ -164,12 +169,13 @@ pub fn plan_binding(
         Binding::Unbound => {}
     }
     if binding == Binding::Unbound {
-        match (common, plan.confirm) {
+        match (displaced, plan.confirm) {
             (Some(shift), false) => {
                 let reason = format!(
-                    "after the registration all landmarks lie the same way off the planned ones, {}, and nothing binds the plan to \
-                     this surface: either all were aimed wrong by this shift, or the plan was drawn in another series and its cuts \
-                     are off by it",
+                    "after the registration all landmarks lie {} off the planned ones, {}, and nothing binds the plan to this \
+                     surface: either all were aimed wrong by this shift, or the plan was drawn in another series and its cuts are off \
+                     by it",
+                    if shift.is_common() { "the same way" } else { "as if turned" },
                     shift.words(target)
                 );
                 let remedy = "look at plan and surface together; then bind the plan (osteoflow convert PLAN OUT --bind BONE) or set \
@@ -210,24 +216,40 @@ struct Shift {
     names: Vec<String>,
     shifts: Vec<Vector3<f64>>,
     mean: Vector3<f64>,
+    /// RMS residual of the rigid motion that best carries the planned ones to the located ones, mm; none of fewer than three.
+    rigid_rms_mm: Option<f64>,
 }
 
 impl Shift {
     /// `None` without landmarks of the same names.
     fn of(planned: &[NamedPoint], located: &[NamedPoint]) -> Option<Self> {
-        let pair = |p: &NamedPoint| {
-            let same = located.iter().find(|l| l.name == p.name)?;
-            Some((p.name.to_string(), same.position - p.position))
-        };
-        let (names, shifts): (Vec<String>, Vec<Vector3<f64>>) = planned.iter().filter_map(pair).unzip();
+        let pairs = planned.iter().filter_map(|p| Some((p, located.iter().find(|l| l.name == p.name)?)));
+        let pairs: Vec<(&NamedPoint, &NamedPoint)> = pairs.collect();
+        let shifts: Vec<Vector3<f64>> = pairs.iter().map(|(p, l)| l.position - p.position).collect();
+        let (from, to): (Vec<Point3<f64>>, Vec<Point3<f64>>) =
+            pairs.iter().map(|(p, l)| (p.position, l.position)).unzip();
+        let rigid_rms_mm = kabsch(&to, &from).ok().map(|t| rms(&t, &to, &from));
         let mean = shifts.iter().sum::<Vector3<f64>>() / shifts.len() as f64;
-        (!shifts.is_empty()).then_some(Self { names, shifts, mean })
+        let names = pairs.iter().map(|(p, _)| p.name.to_string()).collect();
+        (!shifts.is_empty()).then_some(Self { names, shifts, mean, rigid_rms_mm })
+    }
+
+    /// Whether the landmarks are off by more than this, in the mean or one by one.
+    fn is_large(&self, max_mm: f64) -> bool {
+        self.mean.norm() > max_mm || self.shifts.iter().all(|shift| shift.norm() > max_mm)
     }
 
     /// Whether each landmark is off by at least half of the mean, the same way: one that is where it was planned excludes that the
     /// plan is displaced.
     fn is_common(&self) -> bool {
         self.shifts.iter().all(|shift| shift.dot(&self.mean) >= 0.5 * self.mean.norm_squared())
+    }
+
+    /// Whether each landmark is off by more than this, and all are as a turn of the plan would leave them.
+    fn is_turned(&self, max_mm: f64) -> bool {
+        let rms_mm = (self.shifts.iter().map(Vector3::norm_squared).sum::<f64>() / self.shifts.len() as f64).sqrt();
+        let is_rigid = self.rigid_rms_mm.is_some_and(|left_mm| left_mm < RIGID * rms_mm);
+        is_rigid && self.shifts.iter().all(|shift| shift.norm() > max_mm)
     }
 
     /// Size, part along the bone with its direction, and each landmark.
@@ -245,7 +267,7 @@ impl Shift {
 
 /// The direction along a long surface; `None` if it has none.
 fn long_axis(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
-    let middle = crate::kabsch::centroid(points);
+    let middle = centroid(points);
     let covariance: Matrix3<f64> = points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum();
     let eigen = covariance.symmetric_eigen();
     let mut order = [0, 1, 2];
@@ -327,6 +349,18 @@ mod tests {
         let two = said(None, [[0.0, 0.0, 8.0], [0.0; 3], [0.0, 0.0, 8.0]], false);
         assert_eq!(two.reasons, []);
         assert!(two.notes[0].contains("5.3 mm on average") && two.notes[0].contains("not all the same way"), "{two:?}");
+        // A plan turned about the bone's middle by 40 degrees: the shifts are not the same way, but those of one rigid motion.
+        let turn = nalgebra::Rotation3::from_axis_angle(&Vector3::z_axis(), 40.0_f64.to_radians());
+        let middle = Point3::new(5.0, 40.0, 0.0);
+        let turned = landmarks([[0.0; 3]; 3]).into_iter().map(|p| {
+            let off = turn * (p.position - middle) - (p.position - middle);
+            off.into()
+        });
+        let turned: Vec<[f64; 3]> = turned.collect();
+        let reasons = said(None, [turned[0], turned[1], turned[2]], false).reasons;
+        assert!(reasons.len() == 1 && reasons[0].reason.contains("all landmarks lie as if turned"), "{reasons:?}");
+        let apart = said(None, [[0.0, 0.0, 4.0], [0.0, 0.0, -4.0], [0.0, 4.0, 0.0]], false);
+        assert_eq!(apart.reasons, [], "each off by itself");
         // Aimed 1 mm off on top of the plan's shift, they still agree.
         let noisy = said(None, [[1.0, 0.0, 7.0], [0.0, 1.0, 9.0], [-1.0, 0.0, 8.0]], false);
         assert_eq!(noisy.reasons.len(), 1);
