@@ -239,12 +239,24 @@ fn a_dicom_series_binds_by_its_frame_of_reference_or_its_surface() {
         .args(["--iso-hu", "600"])
         .output()
         .unwrap();
-    let stderr = String::from_utf8_lossy(&done.stderr).into_owned();
-    // The series shows the distal part alone: a plan of which a part lies elsewhere is refused.
-    if !done.status.success() {
-        assert!(stderr.contains("is not bound to") && !out.exists(), "{stderr}");
-        return;
-    }
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let key = &json(&out)["surface"];
     assert!(key.get("sha256").is_none() && key["points"].as_array().unwrap().len() == 12, "{key}");
+    let uid = key["frame_of_reference_uid"].as_str().unwrap().to_owned();
+    // In a run: with this series, whose surface is another bone's part here, the frame of reference binds; with the bone's file, which
+    // states none, the points are compared.
+    let plans = Plans::of(Case::development(test).unwrap());
+    let mut plan = plans.plan.clone();
+    plan["surface"] = json!({ "frame_of_reference_uid": uid });
+    let sets =
+        ["bone.kind=surface.ct".to_owned(), "bone.threshold_hu=600".into(), format!("bone.path={}", series.display())];
+    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+    let ran = plans.run(&plan, &sets);
+    assert!(!assumes(&ran, "nothing binds it") && reason(&ran, "plan_shift").is_none(), "{}", ran.results["verdict"]);
+    plan["surface"] = json!({ "frame_of_reference_uid": format!("{uid}.1") });
+    let ran = plans.run(&plan, &sets);
+    let text = reason(&ran, "plan").unwrap_or_else(|| panic!("{}", ran.results["verdict"]));
+    assert!(text.contains(&format!("frame of reference is {uid}.1, the surface's {uid}")), "{text}");
+    let ran = plans.run(&plan, &[]);
+    assert!(assumes(&ran, "nothing binds it"), "the file states no frame: {}", ran.results["verdict"]);
 }

@@ -455,9 +455,11 @@ fn planes_of_a_doubtful_answer_are_hatched_and_of_a_refused_one_not_drawn() {
     open(&mut browser, &served);
     browser.wait_until("document.getElementById('verdict').className === 'verdict doubtful'");
     browser.wait_until("osteoflow.scene.drawn.get('planes.planes')?.object.visible === true");
-    let reasons = browser.evaluate("[...document.querySelectorAll('#verdict li')].map((entry) => entry.textContent)");
-    let reason = results["verdict"]["reasons"][0]["reason"].as_str().unwrap();
-    assert!(reasons[0].as_str().unwrap().starts_with(reason), "{reasons}");
+    let said = browser.evaluate("document.getElementById('verdict').textContent");
+    let reasons = results["verdict"]["reasons"].as_array().unwrap().iter();
+    for whole in reasons.map(|r| format!("{}; {}", r["reason"].as_str().unwrap(), r["remedy"].as_str().unwrap())) {
+        assert_eq!(said.as_str().unwrap().matches(&whole).count(), 1, "{whole} is said once: {said}");
+    }
     let hatched = "(() => { let n = 0; osteoflow.scene.drawn.get('planes.planes').object.traverse((part) => { if (part.userData.isPlane) n += part.userData.isHatched ? 1 : 100; }); return n; })()";
     browser.wait_until(&format!("{hatched} === 2"));
     browser.screenshot("0-doubtful");

@@ -99,7 +99,12 @@ impl Convert {
             Some(format!("{} points on it", key.points.len())),
         ];
         let by = by.into_iter().flatten().collect::<Vec<_>>().join(", ");
-        self.done(&format!("the plan, bound to {} by {by}", path.display()), &notes, global)
+        if !global.quiet {
+            for note in notes {
+                writeln!(terminal::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
+            }
+        }
+        self.done(&format!("the plan, bound to {} by {by}", path.display()), &[], global)
     }
 
     /// Prints what was written.

@@ -256,12 +256,20 @@ fn json_file(file: &Path, bytes: &[u8]) -> Result<Contents> {
     }
     let read = read_plan(file)?;
     let plan = read.plan;
+    let mut notes = read.notes;
+    if plan.surface.is_none() {
+        notes.push(format!(
+            "{}: the plan does not say which surface it was drawn on; osteoflow convert {} OUT --bind BONE does",
+            file.display(),
+            file.display()
+        ));
+    }
     let labels = names(&plan.landmarks.points).chain(names(&plan.assessment.points));
     Ok(Contents::new("plan", "a surgical plan")
         .with_list("labels", labels.collect(), "named")
         .with_count("n_planes", plan.planes.planes.len(), "planes")
         .with_list("frames", vec![plan.landmarks.frame.to_string()], "frames")
-        .noted(read.notes)
+        .noted(notes)
         .used_by([format!("osteoflow run graphs/fibula_recorded.toml --set plan.path={}", file.display())]))
 }
 

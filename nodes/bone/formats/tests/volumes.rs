@@ -641,8 +641,9 @@ fn the_frame_of_reference_is_that_of_all_images_or_of_none() {
     let folder = with(b"1.2.3.99\0").folder(0..SIZE[2]);
     assert_eq!(of(&folder).as_deref(), Some("1.2.3.99"));
     assert_eq!(of(&with(b"my CT").folder(0..SIZE[2])), None, "a unique identifier has digits and dots");
-    with(b"1.2.3.98").write(folder.path(), [1]);
-    assert_eq!(of(&folder), None);
+    let mixed = with(b"1.2.3.99").folder(0..4);
+    with(b"1.2.3.98").write(&mixed.path().join("more"), [4]);
+    assert_eq!(of(&mixed), None);
 }
 
 fn folder_refusal(folder: &tempfile::TempDir) -> String {

@@ -14,8 +14,8 @@ const N_POINTS: usize = 12;
 /// Largest distance of such a point from the surface, mm: files round coordinates to some digits.
 const SAME_SURFACE_MM: f64 = 0.05;
 
-/// Median distance of these points from the surface beyond which it is in another place, mm: another segmentation of the same CT
-/// differs by less.
+/// Distance of these points from the surface that another segmentation of the same CT leaves, mm. If more than half of them are
+/// farther, the surface is in another place.
 const ELSEWHERE_MM: f64 = 1.0;
 
 /// Share of the landmarks' distances from the planned ones that a rigid motion may leave if it is to explain them.
@@ -74,6 +74,8 @@ enum Binding {
     Bound(&'static str),
     /// Nothing that both have can be compared.
     Unbound,
+    /// Not this surface, but one that is nowhere farther from it than this, mm, as of another segmentation.
+    Near(f64),
     /// Keys can be compared, and none agrees: in what they differ, and whether the surface is measurably elsewhere.
     Contradicted { how: String, is_elsewhere: bool },
 }
@@ -100,6 +102,9 @@ impl Binding {
         if let Some(largest) = off.last().copied() {
             if largest <= SAME_SURFACE_MM {
                 return Self::Bound("points on the surface");
+            }
+            if largest <= ELSEWHERE_MM {
+                return Self::Near(largest);
             }
             is_elsewhere = off[off.len() / 2] > ELSEWHERE_MM;
             // Between the points of a target without a mesh, its surface is not known.
@@ -166,9 +171,13 @@ pub fn plan_binding(
                 ));
             }
         }
+        Binding::Near(mm) => said.notes.push(format!(
+            "the plan was drawn on another surface of this bone, such as another segmentation of its CT: the points by which the plan \
+             knows it lie up to {mm:.2} mm off this one"
+        )),
         Binding::Unbound => {}
     }
-    if binding == Binding::Unbound {
+    if matches!(binding, Binding::Unbound | Binding::Near(_)) {
         match (displaced, plan.confirm) {
             (Some(shift), false) => {
                 let reason = format!(
@@ -388,7 +397,8 @@ mod tests {
         let unknown = SurfaceKey::default();
         assert_eq!(Binding::of(&frame("9.9"), &unknown, &target), Binding::Unbound);
         // Moved along its length, the sides of the box fall together, and its ends do not.
-        for (shift, elsewhere) in [([0.0, 0.0, 0.2], false), ([0.0, 0.0, 8.0], true), ([300.0, 0.0, 0.0], true)] {
+        assert!(matches!(binding(&bound_to(&bone([0.0, 0.0, 0.2]))), Binding::Near(mm) if (mm - 0.2).abs() < 1e-9));
+        for (shift, elsewhere) in [([0.0, 0.0, 8.0], true), ([300.0, 0.0, 0.0], true)] {
             let moved = bound_to(&bone(shift));
             let Binding::Contradicted { how, is_elsewhere } = binding(&moved) else { panic!("{shift:?}") };
             assert!(is_elsewhere == elsewhere && how.contains("points by which the plan knows"), "{shift:?}: {how}");
