@@ -94,6 +94,8 @@ pub(crate) struct Layout {
     pub(crate) pose: Option<Isometry3<f64>>,
     /// 1 writes each pose as a `FrameTransform`, more writes that number into each `FrameTransforms`.
     pub(crate) transforms_per_message: usize,
+    /// Topics whose messages have no timestamp of their own.
+    pub(crate) unstamped: Vec<String>,
 }
 
 impl Default for Layout {
@@ -113,6 +115,7 @@ impl Default for Layout {
             nan_every: 0,
             pose: None,
             transforms_per_message: 1,
+            unstamped: Vec::new(),
         }
     }
 }
@@ -242,6 +245,8 @@ impl Layout {
         };
         let mut messages = Vec::new();
         for (topic, stream) in streams {
+            let is_stamped = !self.unstamped.iter().any(|of| of == topic.as_ref());
+            let own = |time: Timestamp| is_stamped.then_some(time);
             let mut push = |time: Timestamp, (schema, data): (foxglove::Schema, Vec<u8>)| {
                 let stamp_ns = StampNs::from(time.sec()) * 1_000_000_000 + StampNs::from(time.nsec());
                 let log_time_ns = stamp_ns + StampNs::from(self.log_delay_ns);
@@ -251,7 +256,7 @@ impl Layout {
                 Stream::Clouds(clouds) => {
                     for cloud in clouds {
                         let time = time(cloud.stamp_ns);
-                        let cloud = self.cloud(cloud, time);
+                        let cloud = self.cloud(cloud, own(time));
                         let big_endian = self.encoding == Encoding::Cdr { big_endian: true };
                         let to_ros = |cloud: &PointCloud| ros_cloud(cloud, big_endian);
                         let ros_name = "sensor_msgs/msg/PointCloud2";
@@ -262,11 +267,19 @@ impl Layout {
                     let transforms: Vec<_> = poses.iter().map(|p| transform(p, time(p.stamp_ns))).collect();
                     for batch in transforms.chunks(self.transforms_per_message.max(1)) {
                         let time = batch[0].timestamp.unwrap();
+                        let batch: Vec<_> = batch
+                            .iter()
+                            .cloned()
+                            .map(|transform| FrameTransform {
+                                timestamp: transform.timestamp.and_then(own),
+                                ..transform
+                            })
+                            .collect();
                         if self.transforms_per_message <= 1 {
                             let ros_name = "geometry_msgs/msg/TransformStamped";
                             push(time, self.encoding.message(&batch[0], transform_json, ros_name, ros_transform));
                         } else {
-                            let batch = FrameTransforms { transforms: batch.to_vec() };
+                            let batch = FrameTransforms { transforms: batch };
                             let to_json = |batch: &FrameTransforms| json!({ "transforms": batch.transforms.iter().map(transform_json).collect::<Value>() });
                             let to_ros = |batch: &FrameTransforms| {
                                 batch.transforms.iter().map(ros_transform).collect::<Vec<_>>()
@@ -279,7 +292,7 @@ impl Layout {
                     for (frame, stamp_ns, position) in tips {
                         let time = time(*stamp_ns);
                         let pose = pose_message(&Isometry3::translation(position.x, position.y, position.z));
-                        let tip = PoseInFrame { timestamp: Some(time), frame_id: frame.to_string(), pose: Some(pose) };
+                        let tip = PoseInFrame { timestamp: own(time), frame_id: frame.to_string(), pose: Some(pose) };
                         let to_json = |tip: &PoseInFrame| {
                             json!({ "timestamp": time_json(tip.timestamp), "frame_id": tip.frame_id,
                                     "pose": tip.pose.as_ref().map(pose_json) })
@@ -328,7 +341,7 @@ impl Layout {
         (placed, offset + self.padding_bytes)
     }
 
-    fn cloud(&self, cloud: &Cloud, time: Timestamp) -> PointCloud {
+    fn cloud(&self, cloud: &Cloud, time: Option<Timestamp>) -> PointCloud {
         let (fields, stride) = self.fields(cloud.normals().is_some());
         let pose = self.pose.filter(|_| !matches!(self.encoding, Encoding::Cdr { .. }));
         let big_endian = self.encoding == Encoding::Cdr { big_endian: true };
@@ -376,7 +389,7 @@ impl Layout {
             r#type: kind.into(),
         };
         PointCloud {
-            timestamp: Some(time),
+            timestamp: time,
             frame_id: cloud.frame.to_string(),
             pose: Some(pose_message(&pose.unwrap_or_default())),
             point_stride: stride,

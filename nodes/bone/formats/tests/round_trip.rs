@@ -67,6 +67,7 @@ fn any_layout(rng: &mut ChaCha8Rng) -> Layout {
         pose: [None, Some(Isometry3::new(Vector3::new(50.0, -120.0, 300.0), Vector3::new(0.4, -1.1, 0.7)))]
             [pick(rng, 2)],
         transforms_per_message: [1, 4][pick(rng, 2)],
+        unstamped: Vec::new(),
     }
 }
 

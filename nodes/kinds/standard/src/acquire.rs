@@ -9,6 +9,7 @@ mod mcap_events;
 pub mod mcap_live;
 mod mcap_ports;
 pub mod network;
+mod one_stamp;
 pub mod openigtlink;
 mod playback;
 pub mod points;
@@ -16,5 +17,6 @@ mod procedure_ports;
 pub mod simulated;
 pub mod simulated_stream;
 mod topics;
+mod unstamped;
 
 pub use procedure_ports::{ProcedureOut, ProcedurePorts};

@@ -2,6 +2,7 @@
 
 use super::{
     frozen::Frozen,
+    one_stamp::OneStamp,
     playback::{Event, Playback, in_order},
     procedure_ports::{ProcedureOut, ProcedurePort, ProcedurePorts},
 };
@@ -38,8 +39,8 @@ pub struct Params {
     /// The folder with `procedure.toml`, or that file.
     pub path: FilePath,
     /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and its
-    /// poses are empties with the reason until they change. Unset: 2000, forty samples of a slow tracker, as a marker at rest
-    /// jitters by noise. 0: never.
+    /// poses are empties with the reason until they change. Unset: 2000, forty samples of a slow tracker: at rest one
+    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
@@ -89,6 +90,12 @@ impl Folder {
         let folder = ProcedureFolder::open(self.params.path.as_ref())?;
         let mut streams = folder.streams()?;
         let mut frozen = Frozen::new(self.params.frozen_after_ms);
+        let mut one_stamp = OneStamp::default();
+        streams.items.retain(|item| match &item.body {
+            FolderBody::Pose(Ok(pose)) => !one_stamp.is_repeat(&format!("t_{}_{}", pose.to, pose.from), pose),
+            _ => true,
+        });
+        streams.notes.extend(one_stamp.notes());
         for item in &mut streams.items {
             let FolderBody::Pose(Ok(pose)) = &item.body else { continue };
             let what = format!("t_{}_{}", pose.to, pose.from);

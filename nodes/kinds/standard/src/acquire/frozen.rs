@@ -4,8 +4,8 @@ use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
 use osteoflow_node::Emission;
 use std::collections::BTreeMap;
 
-/// Default time for which equal poses are passed on, ms: forty samples of a slow tracker (20 Hz). A marker at rest jitters by
-/// hundredths of a millimetre from sample to sample, so that even two poses that are equal to the last bit are rare.
+/// Default time for which equal poses are passed on, ms: forty samples of a slow tracker (20 Hz). A tracker that measures repeats a
+/// pose at rest to the last bit, too, where it rounds to a tenth of a millimetre: for up to 0.85 s as measured.
 const FROZEN_AFTER_MS: f64 = 2000.0;
 
 /// Finds poses that stay the same to the last bit while their stamps go on: the tracker, or what reads it, is stuck, and

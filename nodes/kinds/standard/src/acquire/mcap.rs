@@ -149,6 +149,7 @@ impl Mcap {
             corrections.note().into_iter().for_each(|note| ctx.warn(format!("topic {topic}: {note}")));
         }
         found.notes.into_iter().for_each(|note| ctx.warn(note));
+        found.stamps.notes().map_err(NodeError::new)?.into_iter().for_each(|note| ctx.warn(note));
         match frames.keys().find(|frame| !found.renamed.contains(*frame)) {
             Some(frame) => Err(NodeError::new(format!(
                 "frames names \"{frame}\", but no message that a port reads is in it; `osteoflow info` lists the frames"

@@ -4,8 +4,10 @@ use super::{
     frozen::Frozen,
     mcap::EventBody,
     mcap_ports::PortParams,
+    one_stamp::OneStamp,
     playback::silences,
     topics::{self, Constants, last_part},
+    unstamped::{MissingStamps, without_publish_time},
 };
 use osteoflow_formats::{
     PoseError, StampOrder,
@@ -42,6 +44,8 @@ pub(super) struct Findings {
     pub(super) renamed: BTreeSet<String>,
     /// What the user should know.
     pub(super) notes: Vec<String>,
+    /// Messages without a stamp.
+    pub(super) stamps: MissingStamps,
 }
 
 impl Port<'_> {
@@ -91,7 +95,7 @@ impl Port<'_> {
 
     fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let head = |port: &mut Self, message: &Message| {
-            let head = read_cloud_head(message)?;
+            let head = read_cloud_head(without_publish_time(message))?;
             port.found.corrections.entry(topic.into()).or_default().add(head.correction);
             Ok((head.frame, head.stamp_ns))
         };
@@ -109,12 +113,19 @@ impl Port<'_> {
         let (mut events, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let (frame, stamp_ns) = head(self, message).map_err(|error| self.at(topic, i, error))?;
+            let stamp_ns = self.stamp(topic, message, stamp_ns);
             stamps.add(message, i, format!("topic {topic}"), stamp_ns);
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
             events.push((stamp_ns, body(message.clone(), label.into(), self.renamed(&frame))));
         }
         self.found.notes.extend(stamps.notes());
         Ok(events)
+    }
+
+    /// The stamp of a message, as read from [`without_publish_time`].
+    fn stamp(&mut self, topic: &str, message: &Message, read_ns: StampNs) -> StampNs {
+        let port = (self.declared.name.as_str(), topic);
+        self.found.stamps.stamp(port, message, read_ns, self.params.unstamped)
     }
 
     /// The calibration of the images' camera; of a recording without images it is not needed.
@@ -146,7 +157,7 @@ impl Port<'_> {
         let Some(calibration) = calibration else {
             return Err(self.missing(self.params.calibration.as_deref().unwrap_or_default(), None));
         };
-        let head = |_: &mut Self, message: &Message| read_image_head(message);
+        let head = |_: &mut Self, message: &Message| read_image_head(without_publish_time(message));
         self.scans(topic, label, head, |message, label, frame| EventBody::Image {
             message,
             calibration: calibration.clone(),
@@ -179,17 +190,21 @@ impl Port<'_> {
         let mut poses = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let n_before = events.len() + poses.len();
-            for read in self.params.transforms.poses(topic, message).map_err(|error| self.at(topic, i, error))? {
+            let read = self.params.transforms.poses(topic, without_publish_time(message));
+            for read in read.map_err(|error| self.at(topic, i, error))? {
                 let (to, from, stamp_ns) = match read {
                     Ok(pose) => {
                         let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
                         self.rename(&mut pose.to, &mut pose.from);
+                        pose.stamp_ns = self.stamp(topic, message, pose.stamp_ns);
+                        self.found.stamps.track(topic, &pose);
                         let head = (pose.to.clone(), pose.from.clone(), pose.stamp_ns);
                         poses.push(pose);
                         head
                     }
                     Err(PoseError::Lost(mut lost)) => {
                         self.rename(&mut lost.to, &mut lost.from);
+                        lost.stamp_ns = self.stamp(topic, message, lost.stamp_ns);
                         events.push((lost.stamp_ns, EventBody::Ready(Emission::Empty(lost.to_string()))));
                         (lost.to, lost.from, lost.stamp_ns)
                     }
@@ -219,15 +234,19 @@ impl Port<'_> {
         Ok(events)
     }
 
-    /// The poses of a topic in the order of their stamps, with empties in place of those of a frozen tracker.
+    /// The poses of a topic in the order of their stamps, equal ones of one stamp once, with empties in place of those of a frozen
+    /// tracker.
     fn unless_frozen(&mut self, topic: &str, mut poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
         poses.sort_by_key(|pose| pose.stamp_ns);
         let (mut frozen, mut notes) = (Frozen::new(self.params.frozen_after_ms), Vec::new());
+        let mut one_stamp = OneStamp::default();
         let mut event = |pose: Pose| {
             let (stamp_ns, what) = (pose.stamp_ns, format!("t_{}_{}", pose.to, pose.from));
-            (stamp_ns, EventBody::Ready(frozen.emission(&what, pose, &mut notes)))
+            let is_repeat = one_stamp.is_repeat(&what, &pose);
+            (!is_repeat).then(|| (stamp_ns, EventBody::Ready(frozen.emission(&what, pose, &mut notes))))
         };
-        let events = poses.into_iter().map(&mut event).collect();
+        let events = poses.into_iter().filter_map(&mut event).collect();
+        notes.extend(one_stamp.notes());
         self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
         events
     }
@@ -258,7 +277,9 @@ impl Port<'_> {
     fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let (mut tips, mut stamps) = (Vec::new(), Stamps::default());
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            let tip = read_pose_in_frame(message).map_err(|error| self.at(topic, i, error))?;
+            let read = read_pose_in_frame(without_publish_time(message));
+            let mut tip = read.map_err(|error| self.at(topic, i, error))?;
+            tip.stamp_ns = self.stamp(topic, message, tip.stamp_ns);
             stamps.add(message, i, format!("topic {topic}"), tip.stamp_ns);
             tips.push(tip);
         }

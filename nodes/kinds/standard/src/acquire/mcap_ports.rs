@@ -1,4 +1,4 @@
-use super::topics::TransformFilter;
+use super::{topics::TransformFilter, unstamped::Unstamped};
 use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
 /// The messages that one port of `acquire.mcap` and `acquire.mcap_live` reads; `type` is the payload it gives.
@@ -27,10 +27,13 @@ pub struct PortParams {
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
     /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
-    /// jitters by noise. 0: never, for a constant that is sent again and again.
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
+    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
+    /// What the stamp is of messages that have none: `refuse`, or `publish_time`, the time at which they were published. `refuse`: if
+    /// a pose of the recording moves, that time pairs them wrongly; where none does, it is used and told.
+    pub unstamped: Unstamped,
     /// The metadata record that holds the region of interest, or the key named by `key`; such as `procedure`.
     pub metadata: Option<String>,
     /// The key of the metadata record whose value `true` means yes; anything else, or no such key, means no.

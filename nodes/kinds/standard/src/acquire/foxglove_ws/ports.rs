@@ -4,14 +4,15 @@ use super::protocol::Channel;
 use crate::acquire::{
     network::{Port, PortItems, StreamParams},
     topics::{self, Constants, TransformFilter, last_part},
+    unstamped,
 };
 use osteoflow_formats::{
     PoseError,
-    message_read::{Encoded, MessageError, MessageKind, read_pose_in_frame},
+    message_read::{Encoded, MessageError, MessageKind, read_cloud_head, read_pose_in_frame},
 };
 use osteoflow_geometry::{Frame, Nearest, ROTATION_NOISE};
 use osteoflow_node::{DeclaredPort, Emission, NodeError, schemars::JsonSchema, serde::Deserialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Encodings of messages that are read.
 const ENCODINGS: [&str; 3] = ["protobuf", "json", "cdr"];
@@ -61,6 +62,8 @@ impl TopicMessage<'_> {
 pub(crate) struct Content {
     transforms: TransformFilter,
     constants: Constants,
+    /// Topics of which a message was looked at for a stamp of its own.
+    is_looked_at: BTreeSet<String>,
 }
 
 impl Content {
@@ -82,7 +85,8 @@ impl Content {
                 return fault(&format!("topics give geometry/Cloud, Pose, Points and report/Flag, but not {other}"));
             }
         }
-        let content = Self { transforms: params.transforms, constants: Constants::default() };
+        let content =
+            Self { transforms: params.transforms, constants: Constants::default(), is_looked_at: BTreeSet::new() };
         Ok(Port::new(declared, params.stream, topics, content))
     }
 }
@@ -129,8 +133,26 @@ impl Port<Content> {
             let stamp_ns = self.not_before_last(message.encoded.publish_time_ns);
             return PortItems::refused(stamp_ns, format!("{topic}: {error}"));
         }
+        if self.content.is_looked_at.insert(topic.to_owned()) && !self.has_stamp(message) {
+            out.notes.push("its first message has no stamp; the time at which the server published it is used".into());
+        }
         out.notes.iter_mut().for_each(|note| *note = format!("{topic}: {note}"));
         out
+    }
+
+    /// Whether a message that could be read has a stamp of its own. Constants need none.
+    fn has_stamp(&self, message: &TopicMessage<'_>) -> bool {
+        let encoded = unstamped::without_publish_time(message.encoded.clone());
+        let stamps: Vec<_> = match self.payload {
+            _ if Constants::are_on(message.topic) => return true,
+            "geometry/Cloud" => read_cloud_head(encoded).into_iter().map(|head| head.stamp_ns).collect(),
+            "geometry/Pose" => {
+                let poses = self.content.transforms.poses(message.topic, encoded).into_iter().flatten();
+                poses.filter_map(Result::ok).map(|pose| pose.value.stamp_ns).collect()
+            }
+            _ => read_pose_in_frame(encoded).into_iter().map(|tip| tip.stamp_ns).collect(),
+        };
+        !stamps.into_iter().any(unstamped::is_missing)
     }
 
     fn cloud(&self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {

@@ -1,6 +1,6 @@
 //! The ports of a source over a network, and the items on their way to them.
 
-use crate::acquire::{frozen::Frozen, playback::Event};
+use crate::acquire::{frozen::Frozen, one_stamp::OneStamp, playback::Event};
 use osteoflow_formats::openigtlink::ClockOffset;
 use osteoflow_geometry::{Correction, Pose, StampNs};
 use osteoflow_node::{Context, DeclaredPort, Emission, Payload, schemars::JsonSchema, serde::Deserialize};
@@ -22,8 +22,8 @@ pub struct StreamParams {
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
     /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker, as a marker at rest
-    /// jitters by noise. 0: never, for a constant that is sent again and again.
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
+    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
     /// What a `report/Flag` gives with the first item of another port, if no message gave it a value before. Unset: it waits for one.
@@ -42,6 +42,7 @@ pub(crate) struct Port<T> {
     pub(crate) n_messages: usize,
     labels: Vec<String>,
     frozen: Frozen,
+    one_stamp: OneStamp,
     lost_after_ns: Option<StampNs>,
     /// The newest stamp of an item.
     last_ns: Option<StampNs>,
@@ -100,6 +101,7 @@ impl<T> Port<T> {
             n_messages: 0,
             labels: params.labels,
             frozen: Frozen::new(params.frozen_after_ms),
+            one_stamp: OneStamp::default(),
             lost_after_ns: params.lost_after_ms.map(|ms| (ms * 1e6).round() as StampNs),
             last_ns: None,
             is_lost: false,
@@ -120,12 +122,16 @@ impl<T> Port<T> {
         self.labels.get(index).map(String::as_str)
     }
 
-    /// Adds a pose called `what`, unless the tracker is frozen; `correction` is reported if it is above `limit`.
+    /// Adds a pose called `what`, unless it repeats one of its stamp or the tracker is frozen; `correction` is reported if it is
+    /// above `limit`.
     pub(crate) fn put_pose(&mut self, what: &str, pose: Pose, correction: Correction, limit: f64, out: &mut PortItems) {
         if correction.deviation > limit {
             out.notes.push(format!("{what}: a rotation is rounded, and the nearest one is used: {correction}"));
         }
-        out.items.push((pose.stamp_ns, self.frozen.emission(what, pose, &mut out.notes)));
+        if !self.one_stamp.is_repeat(what, &pose) {
+            out.notes.extend(self.one_stamp.first_note(what, &pose));
+            out.items.push((pose.stamp_ns, self.frozen.emission(what, pose, &mut out.notes)));
+        }
     }
 
     /// The newest stamp, or a later one.
