@@ -1,6 +1,11 @@
 //! The mean pose of a marker at rest.
 
 mod motion;
+mod take;
+mod wander;
+
+pub use take::{BonePose, Carries, MarkerMotion, TakeMotion};
+pub use wander::Wander;
 
 use motion::Motion;
 use nalgebra::{Isometry3, Matrix4, Point3, Quaternion, UnitQuaternion, Vector3, Vector4};
@@ -46,6 +51,21 @@ pub struct StillReport {
     pub explained_mm: f64,
     /// Rotation that the noise explains, rad: a marker at rest exceeds it in one of 2,000 windows.
     pub explained_rad: f64,
+    /// The straight line fitted to the origins, from the first sample to the last, in the frame that the poses lead to, mm.
+    #[serde(default)]
+    pub shift_mm: [f64; 3],
+    /// The straight line fitted to the rotations, from the first sample to the last, in that frame, rad.
+    #[serde(default)]
+    pub turn_rad: [f64; 3],
+    /// Time from the first sample to the last, s; 0 where the samples have no times.
+    #[serde(default)]
+    pub span_s: f64,
+    /// The largest distance between two poses of one stamp in the stream so far, mm.
+    #[serde(default)]
+    pub contradiction_mm: f64,
+    /// The largest angle between two poses of one stamp in the stream so far, rad.
+    #[serde(default)]
+    pub contradiction_rad: f64,
 }
 
 /// Errors of [`still_average()`].
@@ -114,10 +134,15 @@ pub fn still_average(poses: &[Isometry3<f64>], limit_mm: f64, limit_rad: f64) ->
         drift_rad,
         noise_mm: by_shift.noise,
         noise_rad: by_turn.noise,
-        moved_mm: by_shift.moved,
-        moved_rad: by_turn.moved,
+        moved_mm: by_shift.line.norm(),
+        moved_rad: by_turn.line.norm(),
         explained_mm: by_shift.explained,
         explained_rad: by_turn.explained,
+        shift_mm: by_shift.line.into(),
+        turn_rad: (mean.rotation * by_turn.line).into(),
+        span_s: 0.0,
+        contradiction_mm: 0.0,
+        contradiction_rad: 0.0,
     };
     Ok(StillAverage { mean, report })
 }

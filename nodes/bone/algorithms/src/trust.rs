@@ -3,24 +3,30 @@
 //! [`Evidence`] measures, [`predict`] propagates, [`judge`] decides. Nothing here moves the scan: a verdict never replaces the
 //! registration that it judges.
 
+mod attitude;
 mod bound;
 mod checked;
+mod contradiction;
 mod contrary;
 mod convergence;
 mod evidence;
 mod extent;
 mod inside;
 mod limits;
+mod loosened;
 mod misfit;
+mod motion;
 mod nuisance;
 mod pattern;
 mod planned;
 mod predict;
+mod predict_last;
 mod residuals;
 mod rules;
 mod score;
 mod slid;
 mod spread;
+mod stylus;
 mod surface_error;
 #[cfg(test)]
 mod tests;
@@ -40,9 +46,11 @@ pub use planned::{OrderEvidence, landmark_order, plan_faults, planes_lost};
 pub use predict::{
     Cut, Interval, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking, Where, predict,
 };
+pub use predict_last::{PredictedLast, PredictedLastCut};
 pub use residuals::{Residual, Residuals};
-pub use rules::{Case, RuleParams, judge};
+pub use rules::{Case, RuleParams, Takes, judge};
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
+pub use stylus::StylusErrors;
 pub use surface_error::SurfaceError;
 pub use verdict::Verdict;

@@ -9,7 +9,7 @@ use crate::common::{data_folder, stl};
 use osteoflow_algorithms::coarse::{CLEAR, GlobalParams, global};
 use osteoflow_algorithms::icp::{self, IcpFit, IcpParams, IcpReport, Method};
 use osteoflow_algorithms::target::Target;
-use osteoflow_algorithms::trust::{Answer, Case, Convergence, Registered, Verdict, judge};
+use osteoflow_algorithms::trust::{Answer, Case, Convergence, Registered, Takes, Verdict, judge};
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Anatomy, Cloud, SurgicalPlan};
 use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_surface, plan};
@@ -119,6 +119,7 @@ fn verdict(target: &Target, scan: &Cloud, t_target_source: &Isometry3<f64>, repo
         measured_tre_mm: None,
         slide: None,
         check: &[],
+        takes: Takes::default(),
         start: None,
         reasons: &[],
         assumptions: &[],

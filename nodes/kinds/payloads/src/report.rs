@@ -51,6 +51,7 @@ reports! {
     "Ruled" = osteoflow_algorithms::landmarks::RuledReport;
     "Slide" = osteoflow_algorithms::slide::SlideReport;
     "Surface" = osteoflow_algorithms::metrics::SurfaceReport;
+    "TakeMotion" = osteoflow_algorithms::still_average::TakeMotion;
     "Track" = osteoflow_algorithms::track::TrackReport;
     "Tre" = osteoflow_algorithms::metrics::TreReport;
     "VerdictScore" = osteoflow_algorithms::trust::VerdictScore;

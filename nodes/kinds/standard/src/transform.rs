@@ -11,4 +11,4 @@ pub mod to_bone_marker;
 pub mod to_world;
 
 pub use bone_frame::TrackingParams;
-pub(crate) use bone_frame::{note_motion, pose_at};
+pub(crate) use bone_frame::{marker_motion, note_motion, pose_at};

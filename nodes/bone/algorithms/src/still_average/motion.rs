@@ -11,8 +11,8 @@ const EXPLAINED: [f64; 14] = [30.6, 33.8, 11.9, 8.5, 7.4, 6.7, 6.3, 5.9, 5.8, 5.
 pub(super) struct Motion {
     /// Standard deviation along each axis.
     pub(super) noise: f64,
-    /// Length of the straight line fitted to the vectors.
-    pub(super) moved: f64,
+    /// The straight line fitted to the vectors, from the first to the last.
+    pub(super) line: Vector3<f64>,
     /// The length that noise exceeds in one of 2,000 windows.
     pub(super) explained: f64,
 }
@@ -42,11 +42,11 @@ impl Motion {
         let spread: f64 = (0..n).map(|k| (k as f64 - middle).powi(2)).sum();
         let length = (n - 1) as f64;
         let limit = EXPLAINED[(n - 3).min(EXPLAINED.len() - 1)];
-        Self { noise, moved: slope.norm() / spread * length, explained: limit * noise / spread.sqrt() * length }
+        Self { noise, line: slope * (length / spread), explained: limit * noise / spread.sqrt() * length }
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
     if values.len() % 2 == 1 { values[middle] } else { (values[middle - 1] + values[middle]) / 2.0 }
@@ -73,7 +73,7 @@ mod tests {
     }
 
     fn share(of: &[Motion]) -> f64 {
-        of.iter().filter(|m| m.moved > m.explained).count() as f64 / of.len() as f64
+        of.iter().filter(|m| m.line.norm() > m.explained).count() as f64 / of.len() as f64
     }
 
     #[test]
@@ -106,7 +106,7 @@ mod tests {
             let noise = (of.iter().map(|m| m.noise * m.noise).sum::<f64>() / of.len() as f64).sqrt();
             // Without the largest of ten differences it is a tenth less.
             assert!((0.026..0.031).contains(&noise), "{noise} mm with a drift of {motion} mm");
-            let moved = of.iter().map(|m| m.moved).sum::<f64>() / of.len() as f64;
+            let moved = of.iter().map(|m| m.line.norm()).sum::<f64>() / of.len() as f64;
             assert!((moved - motion).abs() < 0.06, "{moved} mm, not {motion} mm");
         }
         let two = [Vector3::zeros(), Vector3::x()];

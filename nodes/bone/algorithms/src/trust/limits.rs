@@ -1,10 +1,10 @@
 //! What counts as a wrong answer.
 
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Limits of a right answer: beyond any of them it is wrong.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
     /// Maximum mean TRE of the assessment points, mm. 1.5: half of what a cut may be off.

@@ -1,6 +1,6 @@
 //! The error to expect, from the spread of the pose and the stated errors of the devices.
 
-use super::{Limits, NuisanceParams, Spread};
+use super::{Limits, NuisanceParams, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
@@ -122,6 +122,9 @@ pub struct Predicted {
     pub beyond_limits: f64,
     /// Each source of error, RMS over all of these points.
     pub terms: Vec<Term>,
+    /// At the cuts as last followed, where they were: all else is of the scan's instant.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last: Option<PredictedLast>,
 }
 
 /// A planned cut.
@@ -322,6 +325,7 @@ pub fn predict(
         all_cuts: set(&cuts),
         beyond_limits: given.beyond_limits(at, limits),
         terms,
+        last: None,
     }
 }
 

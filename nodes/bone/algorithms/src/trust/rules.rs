@@ -1,30 +1,37 @@
 //! The rules of a verdict.
 
+use super::attitude::attitude_assumption;
 use super::checked::{check_reason, is_checked};
+use super::contradiction::contradiction_reason;
 use super::contrary::BETTER;
 use super::convergence::{Convergence, convergence_reason};
 use super::evidence::{CELL_MM, Evidence, EvidenceParams, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::inside::inside_reason;
 use super::limits::Limits;
+use super::loosened::loosened;
 use super::misfit::misfit_reason;
+use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::Nuisances;
 use super::planned::{OrderEvidence, landmark_order, plan_faults};
 use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
+use super::predict_last::predict_last;
 use super::slid::{slide_note, slide_reasons};
+use super::stylus::{StylusErrors, stylus_reason};
 use super::verdict::Verdict;
 use crate::coarse::{CLEAR, GlobalReport};
 use crate::metrics::CheckReport;
 use crate::section;
 use crate::slide::SlideReport;
+use crate::still_average::TakeMotion;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{NamedPoint, Planes};
 use osteoflow_verdict::{Answer, Reason};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Thresholds of the rules.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 #[schemars(extend("x-removed" = { "max_scale_error": {
     "default": 0.025,
@@ -70,9 +77,12 @@ pub struct RuleParams {
     /// Doubtful if the RMS residual of the landmarks is larger, mm, and the shape alone does not agree.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_fre_mm: f64,
-    /// Doubtful if the mean error measured with the stylus is larger, mm; refused from three times that.
+    /// Doubtful if the mean error measured with the stylus is larger, mm; refused from three times that. Below it, doubtful where the
+    /// predicted error and the stylus' own (`stylus`) explain it in less than one of 100 sound procedures.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_measured_tre_mm: f64,
+    /// Stated errors of the stylus, against which its reading contradicts the predicted error.
+    pub stylus: StylusErrors,
     /// Doubtful if the camera reads a check piece farther from where its marker has it, mean over its points, mm; refused from
     /// three times that. 0.8: four standard deviations above the mean of sound simulated procedures (0.35 mm, SD 0.12 mm, at
     /// most 0.72 mm of 100), and less than a knock of 1 mm leaves on average.
@@ -82,6 +92,15 @@ pub struct RuleParams {
     /// mm. 3: landmarks are aimed to 1 to 2 mm, and a cut that is off by 3 mm is twice beyond its limit.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_common_shift_mm: f64,
+    /// By how much the tracker's poses may be late against the camera's scans, s: doubtful if a motion during a scan, a landmark or
+    /// a touch then puts the answer beyond the limits. 0.1: two frames of a slow tracker (20 Hz), or an exposure that is stamped at
+    /// its end.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub max_latency_s: f64,
+    /// Doubtful, whatever the latency, if a marker moves by more over the samples before a scan, a landmark or a touch, and by more
+    /// than noise explains, mm. 1: as much smears a scan by two thirds of a limit.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_moved_mm: f64,
 }
 
 impl Default for RuleParams {
@@ -98,10 +117,26 @@ impl Default for RuleParams {
             min_on_surface: 0.35,
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
+            stylus: StylusErrors::default(),
             max_check_mm: 0.8,
             max_common_shift_mm: 3.0,
+            max_latency_s: 0.1,
+            max_moved_mm: 1.0,
         }
     }
+}
+
+/// How the markers moved while something was measured, in the scan's frame.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Takes<'a> {
+    /// At the scan.
+    pub scan: Option<&'a TakeMotion>,
+    /// At the landmarks.
+    pub located: &'a [TakeMotion],
+    /// At the touches of a stylus.
+    pub touched: &'a [TakeMotion],
+    /// The planes as last followed, in the world.
+    pub last: Option<&'a Planes>,
 }
 
 /// A registration with everything that is known beside it. What is not known is empty or none.
@@ -127,6 +162,8 @@ pub struct Case<'a> {
     pub slide: Option<&'a SlideReport>,
     /// Readings of a check piece.
     pub check: &'a [CheckReport],
+    /// How the markers moved while something was measured.
+    pub takes: Takes<'a>,
     /// The registration by shape alone that it started from, if it did.
     pub start: Option<&'a GlobalReport>,
     /// Signs found elsewhere.
@@ -148,26 +185,40 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     reasons.extend(check_reason(case.check, registered.source.stamp_ns, rules.max_check_mm));
     let order = landmark_order(case.landmarks, case.located);
     reasons.extend(order.as_ref().and_then(order_reason));
-    if let Some(mm) = case.measured_tre_mm.filter(|mm| *mm > rules.max_measured_tre_mm) {
-        let answer = if mm > 3.0 * rules.max_measured_tre_mm { Answer::Refused } else { Answer::Doubtful };
-        let text =
-            format!("the stylus finds the assessment points {mm:.1} mm (mean) from where the registration puts them");
-        reasons.push(Reason::new("stylus", answer, text, "check bone, side and landmarks, and the stylus' tip"));
-    }
-    let Some(mut examined) = Evidence::examine(&registered, examine) else {
-        reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, None)));
-        reasons.extend(case.start.and_then(|start| start_reason(start, rules.min_shape_clearness, false)));
-        let text = "the surface has no normals or the scan too few points, so nothing could be examined";
-        reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
-        return Verdict::new(reasons, assumptions(case, rules, false, &[]), None, None, Vec::new());
+    let stylus = |predicted: Option<&Predicted>| {
+        stylus_reason(case.measured_tre_mm, predicted, rules.max_measured_tre_mm, &rules.stylus)
     };
-    let (evidence, spread, to_settled) = (&examined.evidence, examined.spread.as_ref(), examined.to_settled);
-    let has_surroundings = evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM);
-    reasons.extend(case.start.and_then(|start| start_reason(start, rules.min_shape_clearness, has_surroundings)));
-    reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, evidence.unsettled_mm)));
     let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
     let limited = if assessed.is_empty() { points_that_matter(&registered) } else { assessed };
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
+    let RuleParams { max_latency_s, max_moved_mm, ref limits, .. } = *rules;
+    let motion_limits = MotionLimits { max_latency_s, max_moved_mm, limits };
+    let Takes { scan, located, touched, .. } = case.takes;
+    let takes: Vec<TakeMotion> = scan.into_iter().chain(located).chain(touched).cloned().collect();
+    let motion = motion_signs(&takes, registered.t_target_source, &place, &motion_limits);
+    reasons.extend(motion.reason);
+    reasons.extend(contradiction_reason(&takes, errors));
+    let planned: Vec<NamedPoint> = case.landmarks.iter().chain(case.assessment).cloned().collect();
+    let t_target_source = registered.t_target_source;
+    let attitude = attitude_assumption(&case.takes, &planned, case.located, case.measured_tre_mm, t_target_source);
+    let assumed = |is_predicted: bool, unseen: &[String]| -> Vec<String> {
+        let own = [loosened(rules, examine), motion.assumption.clone(), attitude.clone()];
+        assumptions(case, rules, is_predicted, unseen).into_iter().chain(own.into_iter().flatten()).collect()
+    };
+    let start = |has_surroundings: bool| {
+        case.start.and_then(|start| start_reason(start, rules.min_shape_clearness, has_surroundings))
+    };
+    let Some(mut examined) = Evidence::examine(&registered, examine) else {
+        reasons.extend(stylus(None));
+        reasons.extend(start(false));
+        reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, None)));
+        let text = "the surface has no normals or the scan too few points, so nothing could be examined";
+        reasons.push(Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals"));
+        return Verdict::new(reasons, assumed(false, &[]), None, None, Vec::new());
+    };
+    let (evidence, spread, to_settled) = (&examined.evidence, examined.spread.as_ref(), examined.to_settled);
+    reasons.extend(start(evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM)));
+    reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, evidence.unsettled_mm)));
     let nuisances = [evidence.surface_error.cell_mm(), CELL_MM].into_iter().find_map(|cell_mm| {
         Nuisances::examine(&registered, &place, evidence.noise_mm, cell_mm, &rules.limits, &errors.nuisances)
     });
@@ -177,6 +228,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
         let to_settled = to_settled.unwrap_or_else(Isometry3::identity);
         predict(spread, &to_settled, deformation, case.tracking, &place, &rules.limits, errors)
     });
+    reasons.extend(stylus(predicted.as_ref()));
     reasons.extend(spread_reason(predicted.as_ref(), evidence, rules));
     reasons.extend(data_reasons(evidence, order.as_ref(), rules));
     let is_raised = reasons.iter().any(|reason| DATA.contains(&reason.rule.as_str()));
@@ -186,8 +238,13 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     }
     // The error is told where points or cuts are planned.
     let predicted = predicted.filter(|_| !at.is_empty());
+    let mut predicted = predicted;
+    if let Some(predicted) = &mut predicted {
+        predicted.last = predict_last(predicted, &cuts, &case.takes, case.planes, t_target_source, errors);
+    }
+    let last = predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
     let (nuisances, unseen) = nuisances.map(|nuisances| (nuisances.list, nuisances.assumptions)).unwrap_or_default();
-    let assumptions = assumptions(case, rules, predicted.is_some(), &unseen);
+    let assumptions = assumed(predicted.is_some(), &unseen).into_iter().chain(last).collect();
     Verdict::new(reasons, assumptions, predicted, Some(examined.evidence), nuisances)
 }
 
@@ -353,8 +410,8 @@ fn assumptions(case: &Case<'_>, rules: &RuleParams, is_predicted: bool, unseen: 
     if case.tracking.is_some() {
         if !is_checked(case.check, case.registered.source.stamp_ns, rules.max_check_mm) {
             all.push(
-                "the camera marker has not moved on its camera since the calibration; a check piece read after the scan would \
-                 show it (metrics.check_points)",
+                "the camera marker has not moved on its camera since the calibration, and the camera measures lengths as it did then; \
+                 a check piece read after the scan would show it (metrics.check_points)",
             );
         }
         all.push("the bone marker has not moved on the bone since the scan");

@@ -99,6 +99,7 @@ fn bare<'a>(target: &'a Target, source: &'a Cloud, t_target_source: &'a Isometry
         measured_tre_mm: None,
         slide: None,
         check: &[],
+        takes: Takes::default(),
         start: None,
         reasons: &[],
         assumptions: &[],
@@ -265,7 +266,8 @@ fn what_the_stylus_measures_is_judged_by_its_limit() {
     let (target, scan) = (target_of(&shaft()), scan_of(&shaft(), [15.0, 105.0], 2));
     let limit = RuleParams::default().max_measured_tre_mm;
     for (measured, expected) in [
-        (limit, Answer::Trusted),
+        (0.5, Answer::Trusted),
+        (limit, Answer::Doubtful),
         (1.01 * limit, Answer::Doubtful),
         (2.99 * limit, Answer::Doubtful),
         (3.01 * limit, Answer::Refused),

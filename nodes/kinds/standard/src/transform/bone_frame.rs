@@ -1,5 +1,8 @@
-use osteoflow_algorithms::still_average::StillReport;
-use osteoflow_geometry::{Frame, Pose, nalgebra::Isometry3};
+use osteoflow_algorithms::still_average::{Carries, MarkerMotion, StillReport};
+use osteoflow_geometry::{
+    Frame, Pose,
+    nalgebra::{Isometry3, Point3},
+};
 use osteoflow_node::{Context, NodeError, schemars, serde};
 use osteoflow_payloads::Flag;
 use schemars::JsonSchema;
@@ -46,6 +49,17 @@ pub(crate) fn pose_at(
     Ok(pose)
 }
 
+/// How a marker moved about its pose, in the frame that the pose leads to; `None` where nothing is known.
+pub(crate) fn marker_motion(
+    marker: &str,
+    carries: Carries,
+    pose: &Pose,
+    motion: Option<&StillReport>,
+) -> Option<MarkerMotion> {
+    let origin = pose.isometry * Point3::origin();
+    motion.map(|motion| MarkerMotion::new(marker, carries, &origin, motion))
+}
+
 /// Reports a marker that moved while the scan was taken, by more than the parameters allow and than noise explains.
 pub(crate) fn note_motion(
     marker: &str,
@@ -67,7 +81,7 @@ pub(crate) fn note_motion(
     };
     ctx.warn(format!(
         "the {marker} marker moved by {moved} over the {} samples before {what} was taken; the tracker's noise explains \
-         {:.2} mm and {explained_deg:.3} degrees, and {limit_mm} mm and {limit_deg} degrees are allowed: the cloud may be \
+         {:.2} mm and {explained_deg:.3} degrees, and {limit_mm} mm and {limit_deg} degrees are allowed: {what} may be \
          smeared",
         motion.n, motion.explained_mm
     ));

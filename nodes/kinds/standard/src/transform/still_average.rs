@@ -1,11 +1,14 @@
 //! The kind `transform.still_average`.
 
-use osteoflow_algorithms::still_average::{StillAverage as Mean, StillError, StillReport, still_average};
+use osteoflow_algorithms::still_average::{StillAverage as Mean, StillError, StillReport, Wander, still_average};
 use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 use std::collections::VecDeque;
+
+/// Number of windows before the last whose samples show the tracker's noise.
+const HISTORY: StampNs = 20;
 
 /// A tracked pose, averaged over the time for which the marker has not moved.
 ///
@@ -22,7 +25,10 @@ window_ms = 500.0
 )]
 pub struct StillAverage {
     params: Params,
-    window: VecDeque<(StampNs, Isometry3<f64>)>,
+    /// The samples of the last [`HISTORY`] windows.
+    history: VecDeque<(StampNs, Isometry3<f64>)>,
+    /// The largest distance (mm) and angle (rad) between two poses of one stamp so far.
+    contradiction: (f64, f64),
 }
 
 /// Parameters of [`StillAverage`].
@@ -32,10 +38,12 @@ pub struct Params {
     /// Length of the window. 500 ms: ten samples at 20 Hz, which leaves a third of the tracker's noise.
     #[schemars(range(min = 0.0, max = 60_000.0))]
     pub window_ms: f64,
-    /// Maximum distance between the means of the window's halves for a marker at rest. 0.1 mm: three times a tracker's noise.
+    /// Maximum distance between the means of the window's halves for a marker at rest, unless its noise in the time before explains
+    /// more. 0.1 mm: three times an optical tracker's noise.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub still_mm: f64,
-    /// Maximum rotation between the means of the window's halves for a marker at rest. 0.05 degrees: five times a tracker's noise.
+    /// Maximum rotation between the means of the window's halves for a marker at rest, unless its noise in the time before explains
+    /// more. 0.05 degrees: five times an optical tracker's noise.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub still_deg: f64,
 }
@@ -70,28 +78,46 @@ impl Node for StillAverage {
     type Outputs = Out;
 
     fn new(params: Params) -> Result<Self, ParamError> {
-        Ok(Self { params, window: VecDeque::new() })
+        Ok(Self { params, history: VecDeque::new(), contradiction: (0.0, 0.0) })
     }
 
     fn process(&mut self, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let oldest_ns = ctx.stamp_ns() - (self.params.window_ms * 1e6) as StampNs;
-        self.window.push_back((ctx.stamp_ns(), i.pose.isometry));
-        while self.window.front().is_some_and(|(stamp_ns, _)| *stamp_ns < oldest_ns) {
-            self.window.pop_front();
+        let now_ns = ctx.stamp_ns();
+        for (_, other) in self.history.iter().rev().take_while(|(stamp_ns, _)| *stamp_ns == now_ns) {
+            let between = other.inverse() * i.pose.isometry;
+            let (mm, rad) = (between.translation.vector.norm(), between.rotation.angle());
+            self.contradiction = (self.contradiction.0.max(mm), self.contradiction.1.max(rad));
         }
-        let poses: Vec<Isometry3<f64>> = self.window.iter().map(|(_, pose)| *pose).collect();
-        let motion = still_average(&poses, f64::INFINITY, f64::INFINITY)?.report;
-        let isometry = self.still_part(&poses)?.mean;
+        let window_ns = (self.params.window_ms * 1e6) as StampNs;
+        self.history.push_back((now_ns, i.pose.isometry));
+        let forgotten_ns = now_ns.saturating_sub(window_ns.saturating_mul(HISTORY));
+        while self.history.front().is_some_and(|(stamp_ns, _)| *stamp_ns < forgotten_ns) {
+            self.history.pop_front();
+        }
+        let history = &*self.history.make_contiguous();
+        let window = &history[history.partition_point(|(stamp_ns, _)| *stamp_ns < now_ns.saturating_sub(window_ns))..];
+        let poses: Vec<Isometry3<f64>> = window.iter().map(|(_, pose)| *pose).collect();
+        let wander = Wander::of(history, poses.len(), window_ns);
+        let oldest_ns = window.first().map_or(now_ns, |(stamp_ns, _)| *stamp_ns);
+        let (contradiction_mm, contradiction_rad) = self.contradiction;
+        let motion = StillReport {
+            span_s: (now_ns - oldest_ns) as f64 / 1e9,
+            contradiction_mm,
+            contradiction_rad,
+            ..still_average(&poses, f64::INFINITY, f64::INFINITY)?.report.explained_by(&wander)
+        };
+        let isometry = self.still_part(&poses, &wander.of_halves())?.mean;
         Ok(Out { pose: Pose { isometry, ..i.pose }, motion })
     }
 }
 
 impl StillAverage {
-    /// The mean of the newest part of the window in which the marker was at rest.
-    fn still_part(&self, mut poses: &[Isometry3<f64>]) -> Result<Mean, StillError> {
-        let limit_rad = self.params.still_deg.to_radians();
+    /// The mean of the newest part of the window in which the marker was at rest, or moved by no more than its noise.
+    fn still_part(&self, mut poses: &[Isometry3<f64>], noise: &Wander) -> Result<Mean, StillError> {
+        let limit_mm = self.params.still_mm.max(noise.mm);
+        let limit_rad = self.params.still_deg.to_radians().max(noise.rad);
         loop {
-            match still_average(poses, self.params.still_mm, limit_rad) {
+            match still_average(poses, limit_mm, limit_rad) {
                 Err(StillError::Moved { .. }) => poses = &poses[poses.len().div_ceil(2)..],
                 answer => return answer,
             }

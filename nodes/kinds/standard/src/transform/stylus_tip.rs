@@ -1,5 +1,7 @@
 //! The kind `transform.stylus_tip`.
 
+use super::{TrackingParams, marker_motion, note_motion};
+use osteoflow_algorithms::still_average::{Carries, StillReport, TakeMotion};
 use osteoflow_geometry::{NamedPoint, Points, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
@@ -23,6 +25,9 @@ pub struct In {
     /// The tip in that marker's frame.
     #[port(join = "once", frame = "t_world_stylus_marker.from")]
     tip: Points,
+    /// How the marker moved in the time before a touch, from `transform.still_average`.
+    #[port(join = "latest")]
+    motion: Option<StillReport>,
 }
 
 /// Outputs of [`StylusTip`].
@@ -31,21 +36,26 @@ pub struct Out {
     /// The touch at the position of the tip.
     #[port(frame = "touched")]
     points: Points,
+    /// How the stylus' marker moved at the touch: for `transform.points_to_bone_marker` and the verdict.
+    take_motion: TakeMotion,
 }
 
 impl Function for StylusTip {
     const KIND: &'static str = "transform.stylus_tip";
-    type Params = crate::NoParams;
+    type Params = TrackingParams;
     type Inputs = In;
     type Outputs = Out;
 
-    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let [touch] = &i.touched.points[..] else {
             return Err(NodeError::new(format!("{} touches at once, where one is expected", i.touched.points.len())));
         };
         let tip = i.tip.points.first().ok_or_else(|| NodeError::new("the tip's list is empty"))?;
         let pose = i.t_world_stylus_marker.expect(&i.touched.frame, &i.tip.frame)?;
         let touch = NamedPoint { position: pose * tip.position, ..touch.clone() };
-        Ok(Out { points: Points::new(&i.touched.frame, vec![touch]) })
+        note_motion("stylus", i.motion.as_ref(), params, &touch.name, ctx);
+        let stylus = marker_motion("stylus", Carries::Data, &i.t_world_stylus_marker, i.motion.as_ref());
+        let take_motion = TakeMotion::new(&*touch.name).by(stylus);
+        Ok(Out { take_motion, points: Points::new(&i.touched.frame, vec![touch]) })
     }
 }

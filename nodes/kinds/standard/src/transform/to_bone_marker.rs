@@ -1,7 +1,7 @@
 //! The kind `transform.to_bone_marker`.
 
-use super::{TrackingParams, note_motion, pose_at};
-use osteoflow_algorithms::still_average::StillReport;
+use super::{TrackingParams, marker_motion, note_motion, pose_at};
+use osteoflow_algorithms::still_average::{Carries, StillReport, TakeMotion};
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 use osteoflow_payloads::Flag;
@@ -36,6 +36,8 @@ pub struct In {
     /// Whether the bone carries a marker at all. Unwired: it does.
     #[port(join = "once")]
     tracked: Option<Flag>,
+    /// How the camera's marker moved while the cloud was taken, from `transform.to_world`.
+    take_motion: Option<TakeMotion>,
 }
 
 /// Outputs of [`ToBoneMarker`].
@@ -47,6 +49,8 @@ pub struct Out {
     /// The pose of the bone marker; the world itself where there is no such marker.
     #[port(to = "t_world_bone_marker.to", from = "t_world_bone_marker.from")]
     t_world_bone_marker: Pose,
+    /// How the markers of camera and bone moved while the cloud was taken: for the verdict.
+    take_motion: TakeMotion,
 }
 
 impl Function for ToBoneMarker {
@@ -61,6 +65,11 @@ impl Function for ToBoneMarker {
         note_motion("bone", i.motion.as_ref(), params, what, ctx);
         let to_bone = pose.inverse();
         let cloud = i.cloud.transformed(&to_bone.to, &to_bone.isometry);
-        Ok(Out { cloud, t_world_bone_marker: pose.at(i.cloud.stamp_ns) })
+        // The world itself is no marker.
+        let on_bone = Some(&pose.isometry).filter(|_| pose.to != pose.from);
+        let bone = marker_motion("bone", Carries::Frame, &pose, i.motion.as_ref());
+        let take_motion =
+            i.take_motion.unwrap_or_else(|| TakeMotion::new(what)).by(bone).on_bone(on_bone).carried(&to_bone.isometry);
+        Ok(Out { cloud, take_motion, t_world_bone_marker: pose.at(i.cloud.stamp_ns) })
     }
 }

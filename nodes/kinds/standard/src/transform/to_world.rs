@@ -1,7 +1,7 @@
 //! The kind `transform.to_world`.
 
-use super::{TrackingParams, note_motion};
-use osteoflow_algorithms::still_average::StillReport;
+use super::{TrackingParams, marker_motion, note_motion};
+use osteoflow_algorithms::still_average::{Carries, StillReport, TakeMotion};
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
@@ -47,6 +47,8 @@ pub struct Out {
     /// The pose of the camera.
     #[port(to = "t_world_camera_marker.to", from = "cloud")]
     t_world_camera: Pose,
+    /// How the camera's marker moved while the cloud was taken: for the verdict.
+    take_motion: TakeMotion,
 }
 
 impl Function for ToWorld {
@@ -61,6 +63,8 @@ impl Function for ToWorld {
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
         note_motion("camera", i.motion.as_ref(), params, what, ctx);
         let cloud = i.cloud.transformed(&t_world_camera.to, &t_world_camera.isometry);
-        Ok(Out { cloud, t_world_camera: t_world_camera.at(i.cloud.stamp_ns) })
+        let camera = marker_motion("camera", Carries::Data, &i.t_world_camera_marker, i.motion.as_ref());
+        let take_motion = TakeMotion::new(what).by(camera);
+        Ok(Out { cloud, take_motion, t_world_camera: t_world_camera.at(i.cloud.stamp_ns) })
     }
 }

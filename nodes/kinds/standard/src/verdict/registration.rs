@@ -5,10 +5,11 @@ use osteoflow_algorithms::calibrate::PhantomReport;
 use osteoflow_algorithms::coarse::GlobalReport;
 use osteoflow_algorithms::metrics::{CheckReport, TreReport};
 use osteoflow_algorithms::slide::SlideReport;
+use osteoflow_algorithms::still_average::TakeMotion;
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{
     self, Case, Convergence, EvidenceParams, MarkerPoses, PlanReport, PredictParams, Reason, Registered, RuleParams,
-    Tracking, Verdict,
+    Takes, Tracking, Verdict,
 };
 use osteoflow_geometry::{
     Cloud, NamedPoint, Plane, Planes, Points, Pose, SurfaceKey,
@@ -28,7 +29,7 @@ use osteoflow_payloads::Json;
 #[describe(
     example = r#"
 kind = "verdict.registration"
-in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", plan = "plan.report", surface = "bone.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report" }
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", plan = "plan.report", surface = "bone.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report", take_motion = "to_bone.take_motion", located_motion = { from = "to_bone_laser.take_motion", n = 3 } }
 "#,
     literature = [
         "Gelfand et al. 2003",
@@ -139,6 +140,11 @@ pub struct In {
     /// camera's marker still sits as calibrated.
     #[port(join = "collect")]
     check: Vec<Option<CheckReport>>,
+    /// How the markers moved while the scan was taken, from `transform.to_bone_marker`.
+    take_motion: Option<TakeMotion>,
+    /// How the markers moved while the landmarks were located. How they moved while the stylus touched comes with `measured`.
+    #[port(join = "collect", n = 3)]
+    located_motion: Vec<Option<TakeMotion>>,
 }
 
 /// Outputs of [`Registration`].
@@ -188,6 +194,13 @@ impl Function for Registration {
             i.surface.as_ref().and_then(|report| report.0.get("assumptions")).and_then(|list| list.as_array());
         let assumed = assumed.into_iter().flatten().filter_map(|text| text.as_str());
         let assumed: Vec<&str> = plan.notes.iter().map(String::as_str).chain(assumed).collect();
+        let located_motion: Vec<TakeMotion> = i.located_motion.into_iter().flatten().collect();
+        let takes = Takes {
+            scan: i.take_motion.as_ref(),
+            located: &located_motion,
+            touched: i.measured.as_ref().map_or(&[][..], |report| &report.take_motions),
+            last: i.followed.as_ref(),
+        };
         let case = Case {
             registered: Registered { target: &i.target, source: &i.source, t_target_source: &t_target_source, at: &[] },
             icp: ended.as_ref(),
@@ -199,6 +212,7 @@ impl Function for Registration {
             measured_tre_mm: i.measured.as_ref().map(|report| report.mean_abs.norm),
             slide: i.slide.as_ref(),
             check: &check,
+            takes,
             start: i.start.as_ref(),
             reasons: &signs,
             assumptions: &assumed,

@@ -178,8 +178,15 @@ fn the_mirror_image_is_named_if_it_fits_better_by_a_tenth() {
 fn a_spread_is_a_sign_by_its_chance_and_named_by_the_larger_cause() {
     let rules = RuleParams { max_beyond_limits: 0.25, ..RuleParams::default() };
     let reason = |beyond_limits, unsettled_mm| {
-        let predicted =
-            Predicted { points: vec![], cuts: vec![], assessment: None, all_cuts: None, beyond_limits, terms: vec![] };
+        let predicted = Predicted {
+            points: vec![],
+            cuts: vec![],
+            assessment: None,
+            all_cuts: None,
+            beyond_limits,
+            terms: vec![],
+            last: None,
+        };
         let evidence = Evidence { unsettled_mm, spread_mm: Some(0.5), ..evidence() };
         spread_reason(Some(&predicted), &evidence, &rules).map(|reason| format!("{}: {}", reason.rule, reason.reason))
     };
