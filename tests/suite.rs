@@ -26,6 +26,7 @@ mod info;
 mod live;
 mod live_joins;
 mod live_overload;
+mod marker_verdicts;
 mod modules;
 mod new_plugin;
 mod new_plugin_like;
