@@ -89,12 +89,16 @@ fn verdict(ran: &Ran) -> (String, Vec<String>, String) {
     )
 }
 
-/// The marker moves at this speed, along a slanted line, about each stamp, where it is as recorded.
+/// Time from the nearest of these stamps to the pose, s, and 1 at most: a motion by it leaves the marker at each stamp as recorded.
+fn since(pose: &Pose, stamps: &[StampNs]) -> f64 {
+    let since_ns = stamps.iter().map(|stamp_ns| pose.stamp_ns - stamp_ns).min_by_key(|ns| ns.abs()).unwrap_or(0);
+    (since_ns as f64 / 1e9).clamp(-1.0, 1.0)
+}
+
+/// The marker moves at this speed, along a slanted line, about each stamp.
 fn moving(mm_s: f64, stamps: Vec<StampNs>) -> impl Fn(&Pose) -> Vec<Pose> {
     move |pose| {
-        let since_ns = stamps.iter().map(|stamp_ns| pose.stamp_ns - stamp_ns).min_by_key(|ns| ns.abs()).unwrap_or(0);
-        let s = (since_ns as f64 / 1e9).clamp(-1.0, 1.0);
-        let shift = Vector3::new(0.6, -0.64, 0.48) * (mm_s * s);
+        let shift = Vector3::new(0.6, -0.64, 0.48) * (mm_s * since(pose, &stamps));
         let isometry = Isometry3::from_parts((pose.isometry.translation.vector + shift).into(), pose.isometry.rotation);
         vec![Pose { isometry, ..pose.clone() }]
     }
@@ -134,13 +138,48 @@ fn a_camera_that_moves_while_it_scans_is_doubtful_with_the_lateness_that_would_m
 
 #[test]
 fn a_bone_that_moves_while_it_is_scanned_is_doubtful_and_between_scans_it_may() {
-    let at_scan = cloud_stamps("/camera/scan");
-    let (dir, case) = with_poses("/tracker/bone_marker", moving(20.0, at_scan.clone()));
+    let (dir, case) = with_poses("/tracker/bone_marker", moving(20.0, cloud_stamps("/camera/")));
     let (answer, rules, said) = verdict(&without_stylus(dir.path(), &case, &[]));
     assert!(answer == "doubtful" && rules.contains(&"motion".into()), "{said}");
     assert!(said.contains("the bone marker moved what it carries by ") && said.contains("during scan"), "{said}");
     let sound = without_stylus(dir.path(), &Case::shipped(), &[]);
     assert_eq!(verdict(&sound).0, "trusted", "the bone of the shipped recording moves on after the scans");
+}
+
+#[test]
+fn a_camera_that_turns_about_its_marker_moves_what_it_sees() {
+    let stamps = cloud_stamps("/camera/");
+    let turning = |pose: &Pose| {
+        let s = since(pose, &stamps);
+        let rotation =
+            pose.isometry.rotation * UnitQuaternion::from_scaled_axis(Vector3::x() * (8_f64.to_radians() * s));
+        vec![Pose { isometry: Isometry3::from_parts(pose.isometry.translation, rotation), ..pose.clone() }]
+    };
+    let (dir, case) = with_poses("/tracker/camera_marker", turning);
+    let (answer, rules, said) = verdict(&without_stylus(dir.path(), &case, &[]));
+    assert!(answer == "doubtful" && rules.contains(&"motion".into()), "{answer}: {said}");
+}
+
+#[test]
+fn a_stylus_that_contradicts_the_prediction_is_doubtful_though_below_its_limit() {
+    let mut all = streams();
+    for (_, stream) in all.iter_mut().filter(|(topic, _)| topic == "/stylus/assessment") {
+        let Stream::Tips(tips) = stream else { panic!("no tips") };
+        tips.iter_mut().for_each(|(_, _, position)| *position += Vector3::new(1.2, 1.2, -1.0));
+    }
+    let (_dir, case) = written(&recording_bytes(&all, &Default::default(), &[]).unwrap());
+    let ran = case.with_graph(crate::common::case::GRAPH, &case.plan, &["--no-record"]);
+    let (answer, rules, said) = verdict(&ran);
+    assert!(answer == "doubtful" && rules == ["stylus"], "{answer} {rules:?}: {said}");
+    assert!(
+        said.contains("which contradicts the predicted error of")
+            && said.contains("mm: both and the stylus' own error explain"),
+        "{said}"
+    );
+    // A worse stylus explains it, and is told.
+    let arguments = ["--no-record", "--set", "verdict.rules.stylus.tip_mm=1.0"];
+    let (answer, _, said) = verdict(&case.with_graph(crate::common::case::GRAPH, &case.plan, &arguments));
+    assert!(answer == "trusted" && said.contains("rules.stylus.tip_mm = 1 (default 0.2)"), "{answer}: {said}");
 }
 
 #[test]
@@ -164,10 +203,11 @@ fn transforms_that_contradict_each_other_at_one_stamp_are_told_and_doubtful_and_
     let twice = |by: Isometry3<f64>| {
         move |pose: &Pose| vec![pose.clone(), Pose { isometry: pose.isometry * by, ..pose.clone() }]
     };
-    let shipped = run(crate::common::case::GRAPH, &["--no-record"]);
+    let (_dir, case) = with_poses("/tracker/bone_marker", |pose| vec![pose.clone()]);
+    let once = case.with_graph(crate::common::case::GRAPH, &case.plan, &["--no-record"]);
     let (_dir, case) = with_poses("/tracker/bone_marker", twice(Isometry3::identity()));
     let equal = case.with_graph(crate::common::case::GRAPH, &case.plan, &["--no-record"]);
-    assert_eq!(equal.results["poses"], shipped.results["poses"]);
+    assert_eq!(equal.results["poses"], once.results["poses"]);
     assert!(!equal.stderr.contains("contradict"), "{}", equal.stderr);
     for (by, words) in [
         (Isometry3::translation(3.0, 0.0, 0.0), "up to 3.00 mm and 0.00 degrees apart"),
@@ -185,6 +225,20 @@ fn transforms_that_contradict_each_other_at_one_stamp_are_told_and_doubtful_and_
             assert!(answer != "trusted" && rules.contains(&"contradiction".into()), "{topic}: {answer} {said}");
         }
     }
+    // At the last sample alone the planes are unknown.
+    let all = streams();
+    let last_ns = all.iter().filter(|(topic, _)| topic == "/tracker/bone_marker").map(|(_, stream)| match stream {
+        Stream::Transforms(poses) => poses.iter().map(|pose| pose.stamp_ns).max().unwrap(),
+        _ => panic!("no poses"),
+    });
+    let last_ns = last_ns.max().unwrap();
+    let (dir, case) = with_poses("/tracker/bone_marker", |pose| match pose.stamp_ns == last_ns {
+        true => twice(Isometry3::translation(3.0, 0.0, 0.0))(pose),
+        false => vec![pose.clone()],
+    });
+    let (answer, rules, said) = verdict(&without_stylus(dir.path(), &case, &[]));
+    assert!(answer == "doubtful" && rules == ["planes_lost"], "{answer} {rules:?}: {said}");
+    assert!(said.contains("poses of one stamp that put them 3.0 mm"), "{said}");
     // Twice and once more, as where three programs send it.
     let thrice = |pose: &Pose| {
         [0.0, 3.0, 0.0]
@@ -218,6 +272,9 @@ fn messages_without_a_stamp_are_refused_where_a_pose_moves_unless_their_time_of_
             assert!(ran.stderr.contains(&words), "{topic}: {words}: {}", ran.stderr);
         }
     }
+    let topics: Vec<String> = streams().into_iter().map(|(topic, _)| topic).collect();
+    let (_dir, case) = without_stamps(&topics.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(case.with_graph(crate::common::case::GRAPH, &case.plan, &["--no-record"]).code, 3, "none has a stamp");
     let (_dir, case) = without_stamps(&["/camera/scan"]);
     let arguments = ["--no-record", "--set", "recording.out.scan.unstamped=publish_time"];
     let ran = case.with_graph(crate::common::case::GRAPH, &case.plan, &arguments);

@@ -13,7 +13,6 @@ mod evidence;
 mod extent;
 mod inside;
 mod limits;
-mod loosened;
 mod misfit;
 mod motion;
 mod nuisance;
@@ -28,11 +27,13 @@ mod slid;
 mod spread;
 mod stylus;
 mod surface_error;
+mod takes;
 #[cfg(test)]
 mod tests;
 mod verdict;
 
 pub use bound::{PlanReport, Said, fingerprint, plan_binding};
+pub use contradiction::planes_contradict;
 pub use contrary::{ShapeEvidence, mirrored};
 pub use convergence::{Convergence, StopCause};
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
@@ -48,9 +49,10 @@ pub use predict::{
 };
 pub use predict_last::{PredictedLast, PredictedLastCut};
 pub use residuals::{Residual, Residuals};
-pub use rules::{Case, RuleParams, Takes, judge};
+pub use rules::{Case, RuleParams, judge};
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
 pub use stylus::StylusErrors;
 pub use surface_error::SurfaceError;
+pub use takes::Takes;
 pub use verdict::Verdict;

@@ -2,17 +2,42 @@
 
 use super::PredictParams;
 use crate::still_average::TakeMotion;
+use osteoflow_geometry::{Plane, Planes};
 use osteoflow_verdict::{Answer, Reason};
 
 /// Standard deviations of the difference of two poses from which they contradict each other.
 const SIGMAS: f64 = 5.0;
 
+/// Distance (mm) and angle (rad) of two poses beyond which they contradict each other.
+fn limits(errors: &PredictParams) -> (f64, f64) {
+    // Each of both poses has the noise.
+    let sigmas = SIGMAS * std::f64::consts::SQRT_2;
+    (sigmas * errors.marker_mm, sigmas * errors.marker_deg.to_radians())
+}
+
+/// Why the last of the planes that followed a marker are unknown, if others of their stamp contradict them by more than the noise of a
+/// marker.
+pub fn planes_contradict(followed: &[Planes]) -> Option<String> {
+    let (limit_mm, limit_rad) = limits(&PredictParams::default());
+    let last = followed.last()?;
+    let first = |planes: &Planes| planes.planes.iter().find_map(Plane::isometry).copied();
+    let at_end = first(last)?;
+    let others = followed.iter().rev().take_while(|planes| planes.stamp_ns == last.stamp_ns).filter_map(first);
+    let apart = others.map(|other| {
+        let between = other.inverse() * at_end;
+        (between.translation.vector.norm(), between.rotation.angle())
+    });
+    let (mm, rad) = apart.fold((0.0_f64, 0.0_f64), |most, apart| (most.0.max(apart.0), most.1.max(apart.1)));
+    (mm > limit_mm || rad > limit_rad).then(|| {
+        let deg = rad.to_degrees();
+        format!("the bone marker has poses of one stamp that put them {mm:.1} mm and {deg:.1} degrees apart, and one of them is wrong")
+    })
+}
+
 /// The sign in the streams of the markers that carried these takes; `None` where no two poses of one stamp differ by more than the
 /// stated noise of a marker.
 pub(super) fn contradiction_reason(takes: &[TakeMotion], errors: &PredictParams) -> Option<Reason> {
-    // Each of both poses has the noise.
-    let sigmas = SIGMAS * std::f64::consts::SQRT_2;
-    let (limit_mm, limit_rad) = (sigmas * errors.marker_mm, sigmas * errors.marker_deg.to_radians());
+    let (limit_mm, limit_rad) = limits(errors);
     let markers = takes.iter().flat_map(|take| &take.markers);
     let times = |mm: f64, rad: f64| (mm / limit_mm).max(rad / limit_rad);
     let worst = markers.max_by(|a, b| {
@@ -35,6 +60,17 @@ mod tests {
     use super::*;
     use crate::still_average::{Carries, MarkerMotion, StillReport, still_average};
     use nalgebra::{Isometry3, Point3};
+
+    #[test]
+    fn the_last_planes_contradict_others_of_their_stamp_alone() {
+        let at = |x: f64, stamp_ns: i64| {
+            Planes::new("world", vec![Plane::new("a", Isometry3::translation(x, 0.0, 0.0))]).at(stamp_ns)
+        };
+        assert_eq!(planes_contradict(&[]), None);
+        assert_eq!(planes_contradict(&[at(0.0, 5), at(9.0, 6), at(9.1, 6)]), None);
+        let why = planes_contradict(&[at(9.0, 6), at(12.0, 6)]).unwrap();
+        assert!(why.contains("put them 3.0 mm and 0.0 degrees apart"), "{why}");
+    }
 
     #[test]
     fn poses_of_one_stamp_contradict_beyond_the_noise_in_place_or_in_rotation() {

@@ -9,7 +9,6 @@ use super::evidence::{CELL_MM, Evidence, EvidenceParams, Registered, When, point
 use super::extent::extent_reason;
 use super::inside::inside_reason;
 use super::limits::Limits;
-use super::loosened::loosened;
 use super::misfit::misfit_reason;
 use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::Nuisances;
@@ -18,6 +17,7 @@ use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
 use super::predict_last::predict_last;
 use super::slid::{slide_note, slide_reasons};
 use super::stylus::{StylusErrors, stylus_reason};
+use super::takes::Takes;
 use super::verdict::Verdict;
 use crate::coarse::{CLEAR, GlobalReport};
 use crate::metrics::CheckReport;
@@ -126,19 +126,6 @@ impl Default for RuleParams {
     }
 }
 
-/// How the markers moved while something was measured, in the scan's frame.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Takes<'a> {
-    /// At the scan.
-    pub scan: Option<&'a TakeMotion>,
-    /// At the landmarks.
-    pub located: &'a [TakeMotion],
-    /// At the touches of a stylus.
-    pub touched: &'a [TakeMotion],
-    /// The planes as last followed, in the world.
-    pub last: Option<&'a Planes>,
-}
-
 /// A registration with everything that is known beside it. What is not known is empty or none.
 #[derive(Debug, Clone)]
 pub struct Case<'a> {
@@ -202,7 +189,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let t_target_source = registered.t_target_source;
     let attitude = attitude_assumption(&case.takes, &planned, case.located, case.measured_tre_mm, t_target_source);
     let assumed = |is_predicted: bool, unseen: &[String]| -> Vec<String> {
-        let own = [loosened(rules, examine), motion.assumption.clone(), attitude.clone()];
+        let own = [motion.assumption.clone(), attitude.clone()];
         assumptions(case, rules, is_predicted, unseen).into_iter().chain(own.into_iter().flatten()).collect()
     };
     let start = |has_surroundings: bool| {

@@ -1,5 +1,6 @@
 //! The kind `plane.last`.
 
+use osteoflow_algorithms::trust;
 use osteoflow_geometry::{PlanePlace, Planes};
 use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError, Outputs};
 
@@ -24,7 +25,8 @@ pub struct In {
 /// Outputs of [`Last`].
 #[derive(Outputs)]
 pub struct Out {
-    /// The planes at the last sample; unknown, with the reason, if the marker was lost by then.
+    /// The planes at the last sample; unknown, with the reason, if the marker was lost by then or two of its poses contradict each
+    /// other there.
     #[port(frame = "planes")]
     planes: Emit<Planes>,
 }
@@ -38,7 +40,12 @@ impl Function for Last {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let planes: Vec<Planes> = i.planes.into_iter().flatten().collect();
         let is_known = |planes: &Planes| planes.planes.iter().any(|p| matches!(p.place, PlanePlace::Known(_)));
+        let contradiction = trust::planes_contradict(&planes);
         let last = if planes.iter().any(is_known) { planes.into_iter().next_back() } else { None };
+        let last = last.map(|last| match &contradiction {
+            Some(why) => last.unknown(&last.frame, last.stamp_ns, why),
+            None => last,
+        });
         Ok(Out { planes: last.map_or_else(|| Emit::Empty("the planes were never known".into()), Emit::Value) })
     }
 }

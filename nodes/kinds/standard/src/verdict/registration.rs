@@ -1,5 +1,6 @@
 //! The kind `verdict.registration`.
 
+use super::loosened::loosened;
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::calibrate::PhantomReport;
 use osteoflow_algorithms::coarse::GlobalReport;
@@ -192,8 +193,10 @@ impl Function for Registration {
         let ended = i.icp.map(|report| Convergence::deserialize(report.to_result()).unwrap_or_default());
         let assumed =
             i.surface.as_ref().and_then(|report| report.0.get("assumptions")).and_then(|list| list.as_array());
+        let Params { examine, rules, errors, .. } = params;
+        let laxer = loosened(rules, examine);
         let assumed = assumed.into_iter().flatten().filter_map(|text| text.as_str());
-        let assumed: Vec<&str> = plan.notes.iter().map(String::as_str).chain(assumed).collect();
+        let assumed: Vec<&str> = plan.notes.iter().map(String::as_str).chain(assumed).chain(laxer.as_deref()).collect();
         let located_motion: Vec<TakeMotion> = i.located_motion.into_iter().flatten().collect();
         let takes = Takes {
             scan: i.take_motion.as_ref(),
@@ -217,7 +220,6 @@ impl Function for Registration {
             reasons: &signs,
             assumptions: &assumed,
         };
-        let Params { examine, rules, errors, .. } = params;
         let verdict = trust::judge(&case, examine, rules, errors);
         if let Some(planes) = i.planes.as_ref().filter(|_| !verdict.reasons.iter().any(|reason| reason.rule == "plan"))
         {

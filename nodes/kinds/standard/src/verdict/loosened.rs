@@ -1,6 +1,6 @@
 //! Thresholds that are laxer than by default.
 
-use super::{EvidenceParams, RuleParams, When};
+use osteoflow_algorithms::trust::{EvidenceParams, RuleParams, When};
 use serde_json::Value;
 
 /// Thresholds whose names do not say which way is laxer.
@@ -50,7 +50,7 @@ fn collect(path: &str, value: &Value, into: &mut Vec<(String, f64)>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trust::Limits;
+    use osteoflow_algorithms::trust::Limits;
 
     fn told(rules: &RuleParams) -> Option<String> {
         loosened(rules, &EvidenceParams::default())

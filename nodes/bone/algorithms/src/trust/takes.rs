@@ -1,0 +1,17 @@
+//! What the markers did while something was measured.
+
+use crate::still_average::TakeMotion;
+use osteoflow_geometry::Planes;
+
+/// How the markers moved while something was measured, in the scan's frame.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Takes<'a> {
+    /// At the scan.
+    pub scan: Option<&'a TakeMotion>,
+    /// At the landmarks.
+    pub located: &'a [TakeMotion],
+    /// At the touches of a stylus.
+    pub touched: &'a [TakeMotion],
+    /// The planes as last followed, in the world.
+    pub last: Option<&'a Planes>,
+}
