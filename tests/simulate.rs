@@ -159,6 +159,70 @@ fn settings_are_written_into_the_files_and_wrong_ones_are_refused() {
     }
 }
 
+/// A CT that differs from the bone: its setting, and the offset (mm) and the tilt (degrees) of the second cut that it makes.
+const OTHER_CTS: [(&str, f64, f64); 3] = [
+    // Of the 95 mm from the middle of the landmarks.
+    ("stretch_percent=4.0", 3.8, 0.0),
+    ("growth_percent=-3.0", -2.9, 0.0),
+    // The cut stays in its slice while the bone tilts.
+    ("gantry_deg=10.0", 0.0, 10.0),
+];
+
+#[test]
+fn a_ct_that_differs_from_the_bone_is_an_error_at_the_cuts_by_the_truth_of_the_recording() {
+    let results = |sets: &[String]| {
+        let fixed = ["recording.camera.n_points=8000", r#"remove=["node.verdict", "node.export", "results.verdict"]"#];
+        let sets = fixed.into_iter().chain(sets.iter().map(String::as_str)).flat_map(|set| ["--set", set]);
+        run_whole("graphs/fibula.toml", &sets.chain(["--no-record"]).collect::<Vec<_>>()).results
+    };
+    let offset = |results: &Value| results["metrics"]["cuts"]["cuts"][1]["offset_mm"].as_f64().unwrap();
+    for (setting, expected_mm, expected_deg) in OTHER_CTS {
+        let found = results(&[format!("plan.bone.{setting}"), format!("bone.bone.{setting}")]);
+        let tilt_deg = found["metrics"]["cuts"]["cuts"][1]["tilt_rad"].as_f64().unwrap().to_degrees();
+        // The fit to another shape slides by up to a millimetre and turns by up to a degree.
+        let offset_mm = offset(&found);
+        assert!((offset_mm - expected_mm).abs() < 1.5, "{setting}: the cut is {offset_mm} mm off, not {expected_mm}");
+        assert!(
+            (tilt_deg - expected_deg).abs() < 1.5,
+            "{setting}: the cut is tilted by {tilt_deg}, not {expected_deg}"
+        );
+    }
+    let displaced = results(&["plan.displaced.along_mm=8.0".to_owned()]);
+    assert!((offset(&displaced) - 8.0).abs() < 1.0, "the cut is {} mm off", offset(&displaced));
+    let tre_mm = displaced["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap();
+    assert!((tre_mm - 8.0).abs() < 1.0, "{tre_mm} mm at the assessment points");
+}
+
+#[test]
+fn files_of_a_ct_that_differs_hold_the_plan_drawn_on_it_and_the_truth_of_the_bone() {
+    let dir = tempfile::tempdir().unwrap();
+    let made = |name: &str, sets: &[&str]| {
+        let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+        simulate(&dir.path().join(name), &sets);
+        ["plan.json", "truth.json"].map(|file| json(&dir.path().join(name).join(file)))
+    };
+    let [plan, truth] = made("plain", &[]);
+    let [stretched, same] = made("stretched", &["ct_bone.stretch_percent=5.0"]);
+    for key in ["W_T_CT", "assessment_W_true", "planes_W_scan", "laser_spots_W"] {
+        assert_eq!(truth[key], same[key], "{key} is of the bone");
+    }
+    let height = |plan: &Value, name: &str| {
+        let z = |name: &str| plan["landmarks"][name][2].as_f64().unwrap();
+        z(name) - z("P1")
+    };
+    for name in ["P2", "P3"] {
+        let ratio = height(&stretched, name) / height(&plan, name);
+        assert!((ratio - 1.05).abs() < 1e-6, "{name} is {ratio} times as far from P1 along the CT's z");
+    }
+    let [displaced, same] = made("displaced", &["displaced.along_mm=8.0", "displaced.across_mm=6.0"]);
+    assert_eq!(truth["planes_W_scan"], same["planes_W_scan"]);
+    for name in ["P1", "P2", "P3"] {
+        let at = |plan: &Value| crate::common::point(&plan["landmarks"][name]);
+        let moved_mm = (at(&displaced) - at(&plan)).norm();
+        assert!((moved_mm - 10.0).abs() < 1e-6, "{name} is displaced by {moved_mm} mm");
+    }
+}
+
 #[test]
 fn a_recording_with_swapped_scans_has_each_in_the_topic_of_its_label() {
     let dir = tempfile::tempdir().unwrap();

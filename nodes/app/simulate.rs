@@ -57,8 +57,9 @@ pub struct SimulateRequest {
     #[arg(long, value_name = "FILE", requires = "bone")]
     pub plan: Option<PathBuf>,
 
-    /// Change any parameter of `acquire.simulated`, TABLE.PARAMETER=VALUE; of the CT, `ct.PARAMETER`; or of the bone in CT
-    /// and plan alone, `ct_bone.PARAMETER`; may be given again.
+    /// Change any parameter of `acquire.simulated`, TABLE.PARAMETER=VALUE; of the CT, `ct.PARAMETER`; of the bone in CT
+    /// and plan alone, `ct_bone.PARAMETER`; or of a displaced plan, `displaced.along_mm` and `displaced.across_mm`; may be
+    /// given again.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
 
@@ -87,7 +88,7 @@ impl SimulateRequest {
 
     /// Simulates, and writes the files if there is a folder for them.
     pub(crate) fn simulate(&self, dir: Option<&Path>, warn: &mut dyn FnMut(&str)) -> Result<Procedure> {
-        let Parameters { procedure: params, ct, ct_bone } = Parameters::new(self.points, &self.sets)?;
+        let Parameters { procedure: params, ct, ct_bone, displaced } = Parameters::new(self.points, &self.sets)?;
         if let Some(dir) = dir {
             out_dir::make_plain(dir, self.force, "name another folder, or replace what is in it with --force")?;
         }
@@ -96,7 +97,7 @@ impl SimulateRequest {
         let mut procedure = Procedure::simulate_for(&subject, &params, self.seed)?;
         // The plan was made on the CT.
         let in_ct = ct_bone.map_or(Ok(subject), |bone| self.subject(&bone))?;
-        procedure.plan = in_ct.plan.clone();
+        procedure.plan = osteoflow_simulation::displaced(in_ct.plan.clone(), &displaced)?;
         if let Some(dir) = dir {
             self.write_files(dir, &mut procedure, &in_ct, &ct)?;
         }

@@ -2,16 +2,17 @@
 
 use crate::app::error::UsageError;
 use anyhow::Result;
-use osteoflow_simulation::{BoneParams, CtParams, ProcedureParams};
+use osteoflow_simulation::{BoneParams, CtParams, DisplacedParams, ProcedureParams};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use toml::{Table, Value};
 
-/// The procedure, the CT, and the bone in the CT if it is not the scanned one.
+/// The procedure, the CT, the bone in the CT if it is not the scanned one, and a displacement of the plan.
 pub(super) struct Parameters {
     pub(super) procedure: ProcedureParams,
     pub(super) ct: CtParams,
     pub(super) ct_bone: Option<BoneParams>,
+    pub(super) displaced: DisplacedParams,
 }
 
 impl Parameters {
@@ -34,7 +35,8 @@ impl Parameters {
             read(bone, "ct_bone")
         });
         let ct = read(tables.remove("ct").unwrap_or_default(), "ct")?;
-        Ok(Self { ct, ct_bone: ct_bone.transpose()?, procedure: read(tables, "procedure")? })
+        let displaced = read(tables.remove("displaced").unwrap_or_default(), "displaced")?;
+        Ok(Self { ct, displaced, ct_bone: ct_bone.transpose()?, procedure: read(tables, "procedure")? })
     }
 }
 

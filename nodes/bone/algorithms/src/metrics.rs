@@ -16,7 +16,7 @@ pub use cut_difference::{
     CutDifferenceParams, CutDifferenceReport, CutVariant, DistanceSummary, EndReport, FragmentDifference,
     PlannedFragment, cut_difference, error_at_points, signed_distances,
 };
-pub use cuts::{CutReport, CutsReport, SegmentReport, cuts};
+pub use cuts::{CutReport, CutsReport, SegmentReport, achieved, cuts};
 pub use fre::{FrePoint, FreReport, fre};
 pub use laser_spot::{LaserSpotReport, laser_spot};
 pub use pose_error::{PoseErrorReport, pose_error};

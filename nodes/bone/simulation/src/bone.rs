@@ -47,6 +47,34 @@ pub struct BoneParams {
     pub warp_mm: f64,
     /// Seed of that field. Not the run's seed: repeated procedures are on one bone.
     pub warp_seed: u64,
+    /// Excess of the length along the CT's z, with anatomy and plan: a CT that was read with slices farther apart than they
+    /// are. 0: off; 4 for slices of 0.625 mm read as 0.65 mm. As all that follow, it is for plan and surface and not for
+    /// the recording, and for a bone of your own too.
+    #[schemars(range(min = -20.0, max = 20.0))]
+    pub stretch_percent: f64,
+    /// Excess of all lengths. 0: off; negative for a bone that has grown since its CT, or a CT of a wrong pixel size.
+    #[schemars(range(min = -20.0, max = 20.0))]
+    pub growth_percent: f64,
+    /// Tilt of the gantry, left out when the slices were stacked: y is larger by tan(angle) times z. 0: off; 10 to 20 in
+    /// CTs of the head.
+    #[schemars(range(min = -45.0, max = 45.0))]
+    pub gantry_deg: f64,
+    /// Bend towards lateral: sagitta of the arc over 100 mm of a straight bone. 0: off, a bone that has not yielded.
+    #[schemars(range(min = -20.0, max = 20.0))]
+    pub bend_mm: f64,
+    /// Twist about the long axis over 100 mm. 0: off.
+    #[schemars(range(min = -30.0, max = 30.0))]
+    pub twist_deg: f64,
+    /// Displacement of the distal part towards lateral. 0: off, a bone that is whole; a fracture, or a part that loosened
+    /// since the CT.
+    #[schemars(range(min = -30.0, max = 30.0))]
+    pub step_mm: f64,
+    /// Rotation of the distal part, about the posterior direction through the bone at the step. 0: off.
+    #[schemars(range(min = -45.0, max = 45.0))]
+    pub step_deg: f64,
+    /// The step's place, along the bone from the malleolus tip. 118 mm: the middle of the default scan.
+    #[schemars(range(min = 0.0, max = 450.0))]
+    pub step_at_mm: f64,
 }
 
 impl Default for BoneParams {
@@ -61,6 +89,14 @@ impl Default for BoneParams {
             mirrored: false,
             warp_mm: 0.0,
             warp_seed: 1,
+            stretch_percent: 0.0,
+            growth_percent: 0.0,
+            gantry_deg: 0.0,
+            bend_mm: 0.0,
+            twist_deg: 0.0,
+            step_mm: 0.0,
+            step_deg: 0.0,
+            step_at_mm: 118.0,
         }
     }
 }

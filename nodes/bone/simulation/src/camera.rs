@@ -241,28 +241,59 @@ pub(crate) struct Wound {
     pub(crate) tissue: Option<MeshQuery>,
 }
 
-/// A patchy film on the bone.
+/// A film on the bone: patches, and what grows along and around it.
 pub(crate) struct Periosteum {
     waves: Waves,
     thickness_mm: f64,
     threshold: f64,
+    grows_mm: f64,
+    around_mm: f64,
+    site: Option<FilmSite>,
+}
+
+/// Where on the bone a film is, frame of the bone.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FilmSite {
+    /// Middles of the bone's sections at the start and the end of the stripped stretch.
+    pub(crate) from: Point3<f64>,
+    pub(crate) to: Point3<f64>,
+    /// Where a film that grows around the bone is thinnest, and where it is thickest.
+    pub(crate) lateral: Unit<Vector3<f64>>,
+    pub(crate) posterior: Unit<Vector3<f64>>,
+}
+
+impl FilmSite {
+    /// Shares of the way along the stretch, and from the lateral side to the posterior one.
+    fn shares(&self, point: &Point3<f64>) -> [f64; 2] {
+        let (length, off) = (self.to - self.from, point - self.from);
+        let along = (off.dot(&length) / length.norm_squared()).clamp(0.0, 1.0);
+        let aside = off - length * along;
+        let around = aside.dot(&self.posterior).atan2(aside.dot(&self.lateral));
+        [along, (around / std::f64::consts::FRAC_PI_2).clamp(0.0, 1.0)]
+    }
 }
 
 impl Periosteum {
-    pub(crate) fn new(params: &PeriosteumParams, seed: u64) -> Option<Self> {
+    pub(crate) fn new(params: &PeriosteumParams, site: Option<FilmSite>, seed: u64) -> Self {
         let rng = &mut stream(params.film_seed.unwrap_or(seed), Term::Periosteum, 0);
         // Logistic approximation of the normal distribution, within 0.01.
         let threshold = -(params.share / (1.0 - params.share)).ln() / 1.702;
-        (params.thickness_mm > 0.0).then(|| Self {
+        Self {
             waves: Waves::new(rng, params.patch_mm),
             thickness_mm: params.thickness_mm,
             threshold,
-        })
+            grows_mm: params.grows_mm,
+            around_mm: params.around_mm,
+            site,
+        }
     }
 
     /// Thickness along the normal, mm: 0 where it is scraped off.
     fn at(&self, point: &Point3<f64>) -> f64 {
-        self.thickness_mm * smoothstep(self.waves.scaled(1.0, point) - self.threshold)
+        let patches = self.thickness_mm * smoothstep(self.waves.scaled(1.0, point) - self.threshold);
+        let Some(site) = &self.site else { return patches };
+        let [along, around] = site.shares(point);
+        patches + self.grows_mm * along + self.around_mm * around
     }
 
     /// Moves what pixels see of the bone towards the camera, until it is as far off the bone as the film is thick.

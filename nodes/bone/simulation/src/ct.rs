@@ -50,6 +50,10 @@ pub struct CtParams {
     /// The wavelength of those bumps. 20 mm: assumed, a few along a scan.
     #[schemars(range(min = 2.0, max = 500.0))]
     pub bumps_wavelength_mm: f64,
+    /// Distance by which the surface is moved outward along its normals: a segmentation at too low a threshold, or less
+    /// than 0 at too high a one. 0: off. The plan stays.
+    #[schemars(range(min = -3.0, max = 3.0))]
+    pub offset_mm: f64,
     /// Seed of the grid's position, the noise and the bumps. None: the run's seed; a number for many procedures on one
     /// patient, who has one CT.
     pub scan_seed: Option<u64>,
@@ -68,6 +72,7 @@ impl Default for CtParams {
             smoothing: 0,
             bumps_mm: 0.0,
             bumps_wavelength_mm: 20.0,
+            offset_mm: 0.0,
             scan_seed: None,
         }
     }
@@ -151,11 +156,11 @@ pub fn ct_surface(bone: &Mesh, params: &CtParams, seed: u64) -> Result<Mesh, Sim
         )));
     }
     smooth(&mut vertices, &faces, params.smoothing);
-    if params.bumps_mm > 0.0 {
+    if params.bumps_mm > 0.0 || params.offset_mm != 0.0 {
         let waves = Waves::new(&mut stream(seed, Term::CtBumps, 0), params.bumps_wavelength_mm);
         let normals = vertex_normals(&vertices, &faces);
         for (vertex, normal) in vertices.iter_mut().zip(normals) {
-            *vertex += normal * waves.scaled(params.bumps_mm, vertex);
+            *vertex += normal * (params.offset_mm + waves.scaled(params.bumps_mm, vertex));
         }
     }
     Ok(Mesh::new(&bone.frame, SurfaceOrigin::SimulatedCt, vertices, faces)?)

@@ -53,6 +53,7 @@ pub(crate) enum Term {
     ImageNoise = 41,
     ImageGlare = 42,
     ImageReflection = 43,
+    CameraSpeed = 44,
 }
 
 /// The stream of `term`; `item` distinguishes scans, markers or placements.

@@ -18,6 +18,7 @@ pub mod bone;
 mod camera;
 mod check_piece;
 pub mod ct;
+mod distortion;
 mod draws;
 mod error;
 mod image;
@@ -46,7 +47,7 @@ pub use params::{
     PhantomParams, ProcedureParams, RulerParams, SlipsBefore, StreamParams, StylusParams, TissueParams, TrackerParams,
 };
 pub use phantom::t_camera_camera_marker_nominal;
-pub use plan::plan;
+pub use plan::{DisplacedParams, displaced, plan};
 pub use procedure::{Procedure, ScanStream, Truth};
 pub use ranges::without_table_defaults;
 pub use subject::Subject;

@@ -1,5 +1,6 @@
-//! Another bone made of a bone: a smooth deformation, and the mirror image.
+//! Another bone made of a bone: a smooth deformation, the mirror image, and what a CT has different from the bone.
 
+use crate::distortion::Distortion;
 use crate::draws::{Term, stream};
 use crate::waves::Waves;
 use crate::{BoneParams, SimulationError};
@@ -9,10 +10,12 @@ use osteoflow_geometry::{Anatomy, Axes, Mesh, NamedPoint, Plane, PlanePlace, Pla
 /// Range of the wavelengths of the deformation, mm: shorter than a bone, longer than its ridges.
 const WARP_WAVELENGTHS_MM: [f64; 2] = [40.0, 120.0];
 
-/// A map of a bone's points and directions: deformed first, then mirrored.
+/// A map of a bone's points and directions: deformed first, then mirrored, then distorted.
+#[derive(Default)]
 pub(crate) struct OtherBone {
     warp: Option<Warp>,
     mirror: Option<Mirror>,
+    distortion: Option<Distortion>,
 }
 
 struct Warp {
@@ -60,24 +63,38 @@ impl OtherBone {
     pub(crate) fn new(params: &BoneParams, bone: &Mesh, anatomy: &Anatomy) -> Option<Self> {
         let warp = (params.warp_mm > 0.0).then(|| Warp::new(params, bone));
         let mirror = params.mirrored.then(|| Mirror::new(bone, &anatomy.lateral));
-        (warp.is_some() || mirror.is_some()).then_some(Self { warp, mirror })
+        (warp.is_some() || mirror.is_some()).then_some(Self { warp, mirror, distortion: None })
+    }
+
+    /// The map onto the CT of a bone whose plan is made; `None` if the CT shows the bone as it is.
+    pub(crate) fn in_ct(
+        params: &BoneParams,
+        bone: &Mesh,
+        plan: &SurgicalPlan,
+    ) -> Result<Option<Self>, SimulationError> {
+        let distortion = Distortion::new(params, bone, plan)?;
+        Ok(distortion.map(|distortion| Self { distortion: Some(distortion), ..Self::default() }))
     }
 
     fn point(&self, point: &Point3<f64>) -> Point3<f64> {
         let deformed = self.warp.as_ref().map_or(*point, |warp| point + warp.at(point));
-        match &self.mirror {
+        let mirrored = match &self.mirror {
             Some(mirror) => mirror.on_plane + mirror.direction(&(deformed - mirror.on_plane)),
             None => deformed,
-        }
+        };
+        self.distortion.as_ref().map_or(mirrored, |distortion| distortion.point(&mirrored))
     }
 
-    fn direction(&self, v: &Vector3<f64>) -> Vector3<f64> {
-        self.mirror.as_ref().map_or(*v, |mirror| mirror.direction(v))
+    /// A direction at a point. The deformation turns none.
+    fn direction(&self, at: &Point3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+        let mirrored = self.mirror.as_ref().map_or(*v, |mirror| mirror.direction(v));
+        self.distortion.as_ref().map_or(mirrored, |distortion| distortion.direction(at, &mirrored))
     }
 
-    /// Axes or the frame of a plane: y and z are mapped, and x makes them right-handed.
-    fn columns(&self, columns: &Matrix3<f64>) -> Matrix3<f64> {
-        let [y, z] = [1, 2].map(|k| self.direction(&columns.column(k).into_owned()));
+    /// Axes or the frame of a plane at a point: the plane of x and y and the direction of y are mapped.
+    fn columns(&self, at: &Point3<f64>, columns: &Matrix3<f64>) -> Matrix3<f64> {
+        let [x, y, z] = [0, 1, 2].map(|k| self.direction(at, &columns.column(k).into_owned()));
+        let (y, z) = if self.distortion.is_some() { (y.normalize(), x.cross(&y).normalize()) } else { (y, z) };
         Matrix3::from_columns(&[y.cross(&z), y, z])
     }
 
@@ -90,7 +107,7 @@ impl OtherBone {
     }
 
     pub(crate) fn anatomy(&self, anatomy: &Anatomy) -> Anatomy {
-        let direction = |v: &Unit<Vector3<f64>>| Unit::new_normalize(self.direction(v));
+        let direction = |v: &Unit<Vector3<f64>>| Unit::new_normalize(self.direction(&anatomy.malleolus_tip, v));
         Anatomy {
             malleolus_tip: self.point(&anatomy.malleolus_tip),
             proximal: direction(&anatomy.proximal),
@@ -107,7 +124,7 @@ impl OtherBone {
             planes: self.planes(&plan.planes),
             axes: plan.axes.as_ref().map(|axes| Axes {
                 centre: self.point(&axes.centre),
-                columns: self.columns(&axes.columns),
+                columns: self.columns(&axes.centre, &axes.columns),
                 ..axes.clone()
             }),
             anatomy: plan.anatomy.as_ref().map(|anatomy| self.anatomy(anatomy)),
@@ -123,9 +140,10 @@ impl OtherBone {
     fn planes(&self, planes: &Planes) -> Planes {
         let map = |plane: &Plane| match &plane.place {
             PlanePlace::Known(t) => {
-                let columns = self.columns(t.rotation.to_rotation_matrix().matrix());
+                let origin = t.translation.vector.into();
+                let columns = self.columns(&origin, t.rotation.to_rotation_matrix().matrix());
                 let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(columns));
-                let middle = self.point(&t.translation.vector.into());
+                let middle = self.point(&origin);
                 Plane::new(plane.name.clone(), Isometry3::from_parts(middle.into(), rotation))
             }
             PlanePlace::Unknown(_) => plane.clone(),

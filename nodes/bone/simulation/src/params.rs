@@ -115,6 +115,14 @@ pub struct CameraParams {
     /// millimetres; 0.001 if it gives metres that are taken for millimetres, 1000 the other way round.
     #[schemars(range(min = 0.000_001, max = 1_000_000.0))]
     pub unit_factor: f64,
+    /// Excess of every coordinate in the clouds of the bone, the region of interest and the check piece at the bone, and not
+    /// in the phantom's scan: a camera that has warmed up or was bumped since its calibration. 0: off.
+    #[schemars(range(min = -20.0, max = 20.0))]
+    pub scale_percent: f64,
+    /// Excess of z alone, along the optical axis, in the same clouds: a baseline or a focal length that has changed since.
+    /// 0: off.
+    #[schemars(range(min = -20.0, max = 20.0))]
+    pub depth_percent: f64,
 }
 
 impl Default for CameraParams {
@@ -142,6 +150,8 @@ impl Default for CameraParams {
             depth_bias_wavelength_mm: 60.0,
             bias_seed: None,
             unit_factor: 1.0,
+            scale_percent: 0.0,
+            depth_percent: 0.0,
         }
     }
 }
@@ -175,6 +185,10 @@ pub struct TrackerParams {
     /// Time for which a marker is tracked before and after each cloud. 0.6 s: assumed, a dozen samples on either side.
     #[schemars(range(min = 0.1, max = 1.9))]
     pub burst_s: f64,
+    /// Time by which all poses are stamped too late, s: the localiser's transport, or a clock of its own. 0: off; it is seen
+    /// where a marker moves.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub late_s: f64,
     /// Whether there is no localiser, as in vivo: the camera at the full scan is the world, its marker's poses are
     /// identities, and there are no bone marker, stylus and check piece. false: the paper's bench.
     pub none: bool,
@@ -191,6 +205,7 @@ impl Default for TrackerParams {
             noise_deg: 0.0115,
             drift_mm_per_min: 0.05,
             burst_s: 0.6,
+            late_s: 0.0,
             none: false,
         }
     }
@@ -438,13 +453,21 @@ pub struct PeriosteumParams {
     /// The wavelength of the patches. 15 mm: assumed, a few strokes of a scraper.
     #[schemars(range(min = 1.0, max = 500.0))]
     pub patch_mm: f64,
+    /// Thickness, at the end of the stripped stretch, of a film that covers it all and grows evenly from 0 at its start:
+    /// blood that has run down, or a scraper that was lifted. 0: off.
+    #[schemars(range(min = 0.0, max = 3.0))]
+    pub grows_mm: f64,
+    /// Thickness on the posterior side of a film that covers it all and grows evenly around the bone from 0 on the lateral
+    /// side. 0: off.
+    #[schemars(range(min = 0.0, max = 3.0))]
+    pub around_mm: f64,
     /// Seed of the patches. None: the run's seed; a number for many procedures on one stripped bone.
     pub film_seed: Option<u64>,
 }
 
 impl Default for PeriosteumParams {
     fn default() -> Self {
-        Self { thickness_mm: 0.0, share: 0.5, patch_mm: 15.0, film_seed: None }
+        Self { thickness_mm: 0.0, share: 0.5, patch_mm: 15.0, grows_mm: 0.0, around_mm: 0.0, film_seed: None }
     }
 }
 
@@ -547,6 +570,10 @@ pub struct MotionParams {
     /// Rotation of the camera between two scans. 0: assumed, it is on an arm.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub camera_between_scans_deg: f64,
+    /// Speed of the camera at every cloud of the bone, for a second before and after it, in a direction drawn per run, mm/s.
+    /// 0: off, it is held still. A cloud is taken in an instant.
+    #[schemars(range(min = 0.0, max = 200.0))]
+    pub camera_speed_mm_s: f64,
     /// Slip of the bone's marker, in a direction drawn per run. 0: off, a marker that holds.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub marker_slip_mm: f64,
@@ -607,6 +634,7 @@ impl Default for MotionParams {
             bone_between_scans_deg: 0.0,
             camera_between_scans_mm: 0.0,
             camera_between_scans_deg: 0.0,
+            camera_speed_mm_s: 0.0,
             marker_slip_mm: 0.0,
             marker_slip_deg: 0.0,
             marker_slips_before: SlipsBefore::Touches,

@@ -1,10 +1,12 @@
 //! The surgical plan on the bone: landmarks, assessment points and two cuts, by distances from the malleolus tip.
 
-use crate::{SimulationError, phantom};
+use crate::{SimulationError, phantom, ranges};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::landmarks::{self, RecipeParams};
 use osteoflow_algorithms::{axes, mesh_query::MeshQuery, section};
-use osteoflow_geometry::{Anatomy, Mesh, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan};
+use osteoflow_geometry::{Anatomy, Axes, Mesh, NamedPoint, Plane, Planes, Points, Pose, SurgicalPlan};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// A face of the bone.
 #[derive(Debug, Clone, Copy)]
@@ -69,6 +71,41 @@ pub(crate) fn plan_on(surface: &MeshQuery, anatomy: &Anatomy) -> Result<Surgical
         t_phantom_phantom_marker: Some(phantom_marker()),
         t_camera_camera_marker_nominal: Some(nominal_camera_marker()),
         surface: None,
+    })
+}
+
+/// A plan that is not where it was meant to be: drawn in another series of the same CT study, whose origin differs.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DisplacedParams {
+    /// Displacement of the whole plan along the bone, towards proximal. 0: off.
+    #[schemars(range(min = -100.0, max = 100.0))]
+    pub along_mm: f64,
+    /// Displacement of the whole plan across the bone, towards lateral. 0: off.
+    #[schemars(range(min = -100.0, max = 100.0))]
+    pub across_mm: f64,
+}
+
+/// The plan displaced as a whole: points, planes, axes and anatomy; marker poses stay.
+///
+/// # Errors
+/// [`SimulationError`] if a parameter is out of range, or the plan has no anatomy, by which directions are known.
+pub fn displaced(plan: SurgicalPlan, params: &DisplacedParams) -> Result<SurgicalPlan, SimulationError> {
+    ranges::check("displaced", params)?;
+    if *params == DisplacedParams::default() {
+        return Ok(plan);
+    }
+    let anatomy = plan.anatomy.as_ref().ok_or_else(SimulationError::no_anatomy)?;
+    let shift = *anatomy.proximal * params.along_mm + *anatomy.lateral * params.across_mm;
+    let anatomy = Anatomy { malleolus_tip: anatomy.malleolus_tip + shift, ..anatomy.clone() };
+    let motion = Isometry3::from_parts(shift.into(), UnitQuaternion::identity());
+    Ok(SurgicalPlan {
+        landmarks: plan.landmarks.transformed(&plan.landmarks.frame, &motion),
+        assessment: plan.assessment.transformed(&plan.assessment.frame, &motion),
+        planes: plan.planes.transformed(&plan.planes.frame, &motion),
+        axes: plan.axes.map(|axes| Axes { centre: axes.centre + shift, ..axes }),
+        anatomy: Some(anatomy),
+        ..plan
     })
 }
 

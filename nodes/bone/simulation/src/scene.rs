@@ -32,6 +32,8 @@ const LASER_EVERY_S: f64 = 4.0;
 /// outside every burst.
 const KNOCK_S: f64 = 6.0;
 const SLIP_BEFORE_LASER_S: f64 = 13.0;
+/// Prefix of the check piece's holes where it is scanned at the bone.
+const WORKING: &str = "working";
 /// Time between touches of marks and holes, and rate of the palpation.
 const TOUCH_EVERY_S: f64 = 0.5;
 const PALPATION_RATE_HZ: f64 = 20.0;
@@ -151,7 +153,7 @@ impl Scene<'_> {
         let scan = |name, s, distance_mm| PieceScan { name, s, t_world_camera: self.camera.at(s), distance_mm };
         let scans = [
             scan("calibration", CALIBRATION_S, params.phantom.distance_mm.unwrap_or(working_mm)),
-            scan("working", SCAN_S, working_mm),
+            scan(WORKING, SCAN_S, working_mm),
         ];
         let spread_rad = params.camera.view_spread_deg.to_radians();
         let holes = read_holes(&scans, tracker, bias, &params.check, spread_rad).into_iter();

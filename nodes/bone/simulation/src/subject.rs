@@ -30,7 +30,14 @@ impl Subject {
         }
         let surface = MeshQuery::new(&bone);
         let plan = plan_on(&surface, &anatomy)?;
-        Ok(Self { surface, plan, notes: Vec::new() })
+        Self { surface, plan, notes: Vec::new() }.in_ct(params)
+    }
+
+    /// The bone with its plan as a CT shows it that differs from the bone by `params`.
+    fn in_ct(self, params: &BoneParams) -> Result<Self, SimulationError> {
+        let Some(other) = OtherBone::in_ct(params, self.bone(), &self.plan)? else { return Ok(self) };
+        let surface = MeshQuery::new(&other.mesh(self.bone())?);
+        Ok(Self { surface, plan: other.plan(&self.plan), notes: self.notes })
     }
 
     /// Any closed surface, with a plan or with an anatomy alone, from which the plan is made. Missing axes and marker
@@ -43,8 +50,8 @@ impl Subject {
         Self::altered(bone, plan, &BoneParams::default())
     }
 
-    /// As [`Subject::of`], deformed and mirrored with its plan by `warp_mm`, `warp_seed` and `mirrored` of `params`, of
-    /// which nothing else is used.
+    /// As [`Subject::of`], deformed, mirrored and distorted with its plan by `warp_mm`, `warp_seed`, `mirrored`, and the
+    /// differences of a CT of `params`, of which nothing else is used.
     ///
     /// # Errors
     /// As [`Subject::of`].
@@ -69,7 +76,7 @@ impl Subject {
         };
         let surface = MeshQuery::new(&bone);
         let plan = complete(plan, &surface)?;
-        Ok(Self { surface, plan, notes })
+        Self { surface, plan, notes }.in_ct(params)
     }
 
     /// The surface as a mesh.

@@ -8,11 +8,33 @@ use osteoflow_geometry::{Pose, StampNs};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// The pose of a rigid object over time: at rest between moves.
+/// The pose of a rigid object over time: at rest between moves, but where it passes.
 #[derive(Debug, Clone)]
 pub(crate) struct Path {
     start: Isometry3<f64>,
     moves: Vec<Move>,
+    passes: Option<Passes>,
+}
+
+/// Moments at which an object is in its place, but at a constant velocity.
+#[derive(Debug, Clone)]
+struct Passes {
+    mm_per_s: Vector3<f64>,
+    /// In order, several seconds apart.
+    moments_s: Vec<f64>,
+}
+
+impl Passes {
+    /// Time for which the velocity is constant, before and after each moment; half of the time from rest and to rest.
+    const HALF_S: f64 = 1.0;
+
+    /// The displacement from the place.
+    fn at(&self, s: f64) -> Vector3<f64> {
+        let near = self.moments_s.iter().min_by(|a, b| (**a - s).abs().total_cmp(&(**b - s).abs()));
+        let off_s = near.map_or(0.0, |moment| s - moment);
+        let back_s = (2.0 * Self::HALF_S - off_s.abs()).clamp(0.0, Self::HALF_S);
+        self.mm_per_s * if off_s.abs() <= Self::HALF_S { off_s } else { back_s * off_s.signum() }
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -27,7 +49,12 @@ struct Move {
 
 impl Path {
     pub(crate) fn resting(start: Isometry3<f64>) -> Self {
-        Self { start, moves: Vec::new() }
+        Self { start, moves: Vec::new(), passes: None }
+    }
+
+    /// Lets the object pass its place at this velocity at these moments: between them it goes back as fast.
+    pub(crate) fn passing(&mut self, mm_per_s: Vector3<f64>, moments_s: Vec<f64>) {
+        self.passes = Some(Passes { mm_per_s, moments_s });
     }
 
     /// Adds a move after all others: `shift` (mm) and `turn` (rotation vector), both in world, about `pivot` of the
@@ -38,14 +65,15 @@ impl Path {
 
     /// The true pose, `s` seconds after the start.
     pub(crate) fn at(&self, s: f64) -> Isometry3<f64> {
-        self.moves.iter().fold(self.start, |at, m| {
+        let place = self.moves.iter().fold(self.start, |at, m| {
             let share = m.share(s);
             let pivot = (at * m.pivot).coords;
             let turn = Translation3::from(pivot)
                 * UnitQuaternion::from_scaled_axis(m.turn * share)
                 * Translation3::from(-pivot);
             Translation3::from(m.shift * share) * turn * at
-        })
+        });
+        self.passes.as_ref().map_or(place, |passes| Translation3::from(passes.at(s)) * place)
     }
 
     /// The index of the resting place, and the share of the move to the next one.
@@ -134,7 +162,7 @@ impl Tracker<'_> {
                 }
                 let truth = path.at(s) * t_object_marker(s);
                 let seen = Translation3::from(self.drift(s)) * truth * placement(s) * jitter;
-                samples.push(Pose::new("world", marker.frame(), seen).at(self.stamp(s)));
+                samples.push(Pose::new("world", marker.frame(), seen).at(self.stamp(s + self.params.late_s)));
             }
         }
         samples

@@ -67,10 +67,12 @@ fn again(node: &PlanNode) -> Option<SurgicalPlan> {
 }
 
 fn simulated_plan(params: &Value) -> Option<SurgicalPlan> {
-    let simulated::Params { own, bone } = serde_json::from_value(params.clone()).ok()?;
-    let (Some(FilePath(file)), Some(FilePath(plan))) = (&own.bone_file, &own.plan_file) else {
-        return Some(Subject::built_in(&bone).ok()?.plan);
+    let simulated::Params { own, bone, displaced } = serde_json::from_value(params.clone()).ok()?;
+    let plan = match (&own.bone_file, &own.plan_file) {
+        (Some(FilePath(file)), Some(FilePath(plan))) => {
+            read_plan_of(plan, &file.file_stem()?.to_string_lossy()).ok()?.plan
+        }
+        _ => Subject::built_in(&bone).ok()?.plan,
     };
-    let name = file.file_stem()?.to_string_lossy().into_owned();
-    Some(read_plan_of(plan, &name).ok()?.plan)
+    osteoflow_simulation::displaced(plan, &displaced).ok()
 }

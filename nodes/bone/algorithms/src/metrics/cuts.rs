@@ -5,7 +5,7 @@ use crate::{
     section,
 };
 use nalgebra::{Isometry3, Point3, Vector3};
-use osteoflow_geometry::{Axes, Mesh, Planes};
+use osteoflow_geometry::{Axes, Mesh, Plane, Planes};
 use serde::{Deserialize, Serialize};
 
 /// Errors of the achieved cuts.
@@ -32,6 +32,9 @@ pub struct CutReport {
     pub tilt_rad: f64,
     /// Rotation about the bone's z axis, rad, right-handed: the twist about z of the motion between the planes.
     pub roll_rad: f64,
+    /// Displacement of the point `at` by that motion, mm. None in reports of older recordings.
+    #[serde(default)]
+    pub moved_mm: Option<f64>,
 }
 
 /// The length of the segment between two cuts, from centre to centre.
@@ -102,6 +105,23 @@ pub fn cuts(planned: &Planes, achieved: &Planes, axes: &Axes, bone: Option<&Mesh
     Ok(CutsReport { n: cuts.len(), cuts, segments })
 }
 
+/// The achieved planes in the frame of the planned ones, where each of them is meant to be at `truth` in the world: displaced
+/// from the planned one as the plane by the registration is from the one that was meant.
+///
+/// # Errors
+/// [`Refusal`] if a plane has no counterpart or is unknown.
+pub fn achieved(planned: &Planes, truth: &Planes, t_ct_world: &Isometry3<f64>) -> Result<Planes, Refusal> {
+    let one = |plane: &Plane| {
+        let meant = truth.planes.iter().find(|p| p.name == plane.name);
+        let meant = meant.ok_or_else(|| unpaired(&plane.name, "true", truth.planes.iter().map(|p| &*p.name)))?;
+        let (plan, t_world_meant) = (known(plane)?, known(meant)?);
+        let slip = t_world_meant.inverse() * t_ct_world.inverse() * plan;
+        Ok(Plane::new(plane.name.clone(), plan * slip))
+    };
+    let planes = planned.planes.iter().map(one).collect::<Result<Vec<_>, Refusal>>()?;
+    Ok(Planes::new(&planned.frame, planes))
+}
+
 fn compare(name: &str, plan: &Isometry3<f64>, cut: &Isometry3<f64>, at: &Point3<f64>, z: &Vector3<f64>) -> CutReport {
     let (n, n_cut) = (plan * Vector3::z(), cut * Vector3::z());
     let motion = (cut.rotation * plan.rotation.inverse()).into_inner();
@@ -120,5 +140,6 @@ fn compare(name: &str, plan: &Isometry3<f64>, cut: &Isometry3<f64>, at: &Point3<
         offset_mm: (cut * Point3::origin() - at).dot(&n_cut) / n.dot(&n_cut),
         tilt_rad: n.angle(&n_cut),
         roll_rad,
+        moved_mm: Some((cut * (plan.inverse() * at) - at).norm()),
     }
 }

@@ -2,9 +2,10 @@
 
 use super::{CALIBRATION_S, SCAN_S, Scene, laser_s};
 use crate::SimulationError;
-use crate::camera::{DepthBias, Hole, Periosteum, Pixel, Shot, Sight, Stretch, Wound, scan, view};
+use crate::camera::{DepthBias, FilmSite, Hole, Periosteum, Pixel, Shot, Sight, Stretch, Wound, scan, view};
 use crate::draws::{Term, stream};
 use crate::image;
+use crate::plan::section_centre;
 use crate::scene::places::towards_camera;
 use crate::tissue::{Site, tissue};
 use crate::tracker::Tracker;
@@ -52,7 +53,7 @@ impl Scene<'_> {
         bias: &DepthBias,
     ) -> Result<Vec<Cloud>, SimulationError> {
         let is_still = self.is_still_between_scans();
-        let film = Periosteum::new(&self.params.periosteum, self.seed);
+        let film = self.film()?;
         let one = |(k, spot): (usize, &osteoflow_geometry::NamedPoint)| {
             let s = laser_s(k);
             let hole = self.hole_on_film(k, &spot.position, film.as_ref());
@@ -78,7 +79,7 @@ impl Scene<'_> {
     ) -> Result<Vec<Image>, SimulationError> {
         let (params, stretch) = (&self.params.image, self.stretch());
         let sight = Sight { lumps: wound.tissue.as_ref(), ..self.sight(&stretch) };
-        let film = Periosteum::new(&self.params.periosteum, self.seed);
+        let film = self.film()?;
         let view = |s: f64| image::View::new(&sight, &self.t_ct_camera(s), params);
         let still = self.is_still_between_scans().then(|| view(SCAN_S));
         let one = |(k, spot): (usize, &osteoflow_geometry::NamedPoint)| {
@@ -91,6 +92,22 @@ impl Scene<'_> {
             Ok(view.image(&shot, params, self.seed)?.labelled(self.label(&spot.name)))
         };
         spots.points.iter().enumerate().map(one).collect()
+    }
+
+    /// The film on the bone, if there is one.
+    fn film(&self) -> Result<Option<Periosteum>, SimulationError> {
+        let (film, camera) = (&self.params.periosteum, &self.params.camera);
+        let grows = film.grows_mm > 0.0 || film.around_mm > 0.0;
+        let site = grows.then(|| {
+            Ok::<_, SimulationError>(FilmSite {
+                from: section_centre(self.bone, self.anatomy, camera.scan_from_mm)?,
+                to: section_centre(self.bone, self.anatomy, camera.scan_to_mm)?,
+                lateral: self.anatomy.lateral,
+                posterior: self.anatomy.posterior,
+            })
+        });
+        let site = site.transpose()?;
+        Ok((film.thickness_mm > 0.0 || grows).then(|| Periosteum::new(film, site, self.seed)))
     }
 
     /// The hole of a spot in the frame of the bone, where its light falls on the film, if there is one.
@@ -174,7 +191,7 @@ impl Scene<'_> {
             let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
             return Err(SimulationError::nothing_visible("bone", hint));
         }
-        if let Some(film) = Periosteum::new(&self.params.periosteum, self.seed) {
+        if let Some(film) = self.film()? {
             film.cover(&mut pixels, &self.t_ct_camera(s), self.bone_surface);
         }
         Ok(pixels)

@@ -2,7 +2,7 @@
 
 use super::places::{bone_marker_pose, bone_pose, camera_offset_at_phantom, phantom_pose, scan_pose, towards_camera};
 use super::ruler::Ruler;
-use super::{CALIBRATION_S, LASER_EVERY_S, MOTION_S, PALPATION_RATE_HZ, SCAN_S, Scene, TOUCH_EVERY_S};
+use super::{CALIBRATION_S, LASER_EVERY_S, MOTION_S, PALPATION_RATE_HZ, SCAN_S, Scene, TOUCH_EVERY_S, laser_s};
 use crate::draws::{Term, direction, small_motion, stream};
 use crate::params::PhantomParams;
 use crate::phantom::t_camera_camera_marker_nominal;
@@ -52,6 +52,7 @@ impl<'a> Scene<'a> {
 
         let mut bone_path = Path::resting(t_world_ct);
         move_between_scans(&mut bone_path, &mut camera, n_laser, &focus, params, seed);
+        pass_at_scans(&mut camera, n_laser, params, seed);
         let touches_s = SCAN_S + n_laser as f64 * LASER_EVERY_S + 2.0;
         let n_touches = landmarks.points.len() + assessment.points.len();
         let palpation_s = params.stylus.n_palpated as f64 / PALPATION_RATE_HZ;
@@ -185,6 +186,15 @@ fn move_between_scans(
             let (shift, turn) = random_motion(&mut stream(seed, term, gap as u64), shift_mm, turn_deg);
             path.then(s - 0.1, s + 0.1, shift, turn, pivot);
         }
+    }
+}
+
+/// Lets the camera move at every cloud of the bone.
+fn pass_at_scans(camera: &mut Path, n_laser: usize, params: &ProcedureParams, seed: u64) {
+    let mm_per_s = params.motion.camera_speed_mm_s;
+    if mm_per_s > 0.0 {
+        let way = direction(&mut stream(seed, Term::CameraSpeed, 0));
+        camera.passing(way * mm_per_s, std::iter::once(SCAN_S).chain((0..n_laser).map(laser_s)).collect());
     }
 }
 

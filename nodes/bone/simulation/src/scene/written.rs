@@ -1,6 +1,6 @@
 //! Clouds as the camera's program wrote them: their unit, the scale and handedness of the phantom's, and their labels.
 
-use super::Scene;
+use super::{Scene, WORKING};
 use crate::SimulationError;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Cloud, CloudError, NamedPoint, Points, Region};
@@ -14,21 +14,31 @@ impl Scene<'_> {
         scaled(cloud, &Vector3::new(if phantom.scan_mirrored { -scale } else { scale }, scale, scale))
     }
 
-    /// A cloud of the bone in the camera's unit.
+    /// The factors of the coordinates at the bone: the camera's unit, and its scale since the calibration.
+    fn factors_at_bone(&self) -> Vector3<f64> {
+        let camera = &self.params.camera;
+        let scale = camera.unit_factor * (1.0 + camera.scale_percent / 100.0);
+        Vector3::new(scale, scale, scale * (1.0 + camera.depth_percent / 100.0))
+    }
+
+    /// A cloud of the bone in the camera's unit and scale.
     pub(super) fn bone_as_written(&self, cloud: Cloud) -> Result<Cloud, CloudError> {
-        scaled(cloud, &Vector3::repeat(self.params.camera.unit_factor))
+        scaled(cloud, &self.factors_at_bone())
     }
 
     /// The region of interest, drawn on the cloud as written.
     pub(super) fn region_as_written(&self, region: Region) -> Region {
-        let unit = self.params.camera.unit_factor;
-        Region { min: region.min * unit, max: region.max * unit, ..region }
+        let corner = |at: &Point3<f64>| Point3::from(at.coords.component_mul(&self.factors_at_bone()));
+        Region { min: corner(&region.min), max: corner(&region.max), ..region }
     }
 
-    /// The check piece's holes as read from a cloud as written.
+    /// The check piece's holes as read from a cloud as written, at the calibration or at the bone.
     pub(super) fn holes_as_written(&self, holes: Points) -> Points {
-        let unit = self.params.camera.unit_factor;
-        let one = |hole: &NamedPoint| NamedPoint { position: hole.position * unit, ..hole.clone() };
+        let is_at_bone = holes.points.first().is_some_and(|hole| hole.name.starts_with(WORKING));
+        let unit = Vector3::repeat(self.params.camera.unit_factor);
+        let factors = if is_at_bone { self.factors_at_bone() } else { unit };
+        let position = |hole: &NamedPoint| hole.position.coords.component_mul(&factors).into();
+        let one = |hole: &NamedPoint| NamedPoint { position: position(hole), ..hole.clone() };
         Points { points: holes.points.iter().map(one).collect(), ..holes }
     }
 

@@ -1,4 +1,4 @@
-use osteoflow_geometry::{Cloud, Image, Points, Pose, Region};
+use osteoflow_geometry::{Cloud, Image, Planes, Points, Pose, Region};
 use osteoflow_node::{Emission, Emit, OutputPorts, Outputs};
 use osteoflow_payloads::Flag;
 
@@ -88,11 +88,18 @@ procedure_ports! {
     /// A colour image at each scan of `laser`, labelled as it; only a simulation with `image.taken` has them.
     #[port(frame = "@camera")]
     Image = image: Image,
+    /// Where the planned assessment points truly are at the full scan, for scoring, also where CT and plan differ from the
+    /// bone; only a simulation has them.
+    #[port(frame = "@world")]
+    AssessmentTrue = assessment_true: Points,
+    /// Where the planned planes truly are at the full scan, for scoring; only a simulation has them.
+    #[port(frame = "@world")]
+    PlanesTrue = planes_true: Planes,
 }
 
 impl ProcedurePort {
     /// The ports that only a simulation or a bench fills.
-    pub(crate) const OF_EXPERIMENTS: [Self; 8] = [
+    pub(crate) const OF_EXPERIMENTS: [Self; 10] = [
         Self::LaserSpotsTrue,
         Self::LaserMarksTrue,
         Self::CheckCamera,
@@ -101,6 +108,8 @@ impl ProcedurePort {
         Self::StylusMarker,
         Self::LaserAssessment,
         Self::Image,
+        Self::AssessmentTrue,
+        Self::PlanesTrue,
     ];
 }
 
@@ -135,7 +144,7 @@ mod tests {
         let OutputPorts::Fixed(ports) = ProcedurePorts::ports() else { panic!("the ports are fixed") };
         assert_eq!(ports[ProcedurePort::PhantomScan as usize].name, "phantom_scan");
         assert_eq!(ports[ProcedurePort::TCtWorldTrue as usize].name, "t_ct_world_true");
-        assert_eq!(ports.last().map(|port| port.name), Some("image"));
-        assert_eq!(ports.len() - 1, ProcedurePort::Image as usize);
+        assert_eq!(ports.last().map(|port| port.name), Some("planes_true"));
+        assert_eq!(ports.len() - 1, ProcedurePort::PlanesTrue as usize);
     }
 }

@@ -109,6 +109,9 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     {
         events.add(port, start_ns, Emission::value(points.transformed(&at_scan.to, &at_scan.isometry)));
     }
+    let assessment = procedure.plan.assessment.transformed(&at_scan.to, &at_scan.isometry);
+    events.add(ProcedurePort::AssessmentTrue, start_ns, Emission::value(assessment));
+    events.add(ProcedurePort::PlanesTrue, start_ns, Emission::value(truth.planes_world_at_scan));
     for (read, known) in procedure.check {
         let stamp_ns = read.points.first().map_or(start_ns, |point| point.stamp_ns);
         events.add(ProcedurePort::CheckCamera, stamp_ns, Emission::value(read));

@@ -7,12 +7,13 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
 ///
-/// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, signed, along the bone's axes.
+/// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, signed, along the bone's axes; with `truth`, where CT and
+/// plan may differ from the bone, `e = t_ct_world * truth - p`.
 #[derive(Describe)]
 #[describe(
     example = r#"
 kind = "metrics.tre_true"
-in   = { planned = "plan.assessment", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true", axes = "plan.axes", bone = "bone.mesh" }
+in   = { planned = "plan.assessment", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true", truth = "recording.assessment_true", axes = "plan.axes", bone = "bone.mesh" }
 "#,
     literature = ["section 3.2.1 of the paper"]
 )]
@@ -30,6 +31,9 @@ pub struct In {
     /// The true registration.
     #[port(join = "once", to = "planned", from = "t_ct_world.from")]
     t_ct_world_true: Pose,
+    /// Where the planned points truly are in the world, by name.
+    #[port(join = "once", frame = "t_ct_world.from")]
+    truth: Option<Points>,
     /// The axes along which errors are resolved.
     #[port(join = "once", frame = "planned")]
     axes: Option<Axes>,
@@ -49,6 +53,13 @@ impl Function for TreTrue {
         let error = error.expect(&i.planned.frame, &i.planned.frame)?;
         let axes = axes(i.axes, i.bone.as_ref())?;
         axes.frame.expect(&i.planned.frame, "the axes")?;
-        Ok(TreOut { report: tre(&i.planned.points, &i.planned.points, &error, &axes)? })
+        let report = match &i.truth {
+            Some(truth) => {
+                truth.frame.expect(&i.t_ct_world.from, "the true points")?;
+                tre(&i.planned.points, &truth.points, &i.t_ct_world.isometry, &axes)?
+            }
+            None => tre(&i.planned.points, &i.planned.points, &error, &axes)?,
+        };
+        Ok(TreOut { report })
     }
 }

@@ -1,6 +1,6 @@
 //! The kind `metrics.verdict`.
 
-use osteoflow_algorithms::metrics::{CutsReport, TreReport};
+use osteoflow_algorithms::metrics::{CutReport, CutsReport, TreReport};
 use osteoflow_algorithms::trust::{Verdict as Judged, VerdictScore, VerdictScoreParams, verdict_score};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
@@ -49,8 +49,10 @@ impl Function for Verdict {
 
     fn process(params: &VerdictScoreParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let error = i.t_ct_world_true.compose(&i.t_ct_world.inverse())?.isometry;
+        // Reports of older recordings do not have it; their CT and bone differ by the registration alone.
         let moved = |at: &[f64; 3]| (error * Point3::from(*at) - Point3::from(*at)).norm();
-        let cut_errors_mm: Vec<f64> = i.cuts.cuts.iter().map(|cut| moved(&cut.at)).collect();
+        let cut_error_mm = |cut: &CutReport| cut.moved_mm.unwrap_or_else(|| moved(&cut.at));
+        let cut_errors_mm: Vec<f64> = i.cuts.cuts.iter().map(cut_error_mm).collect();
         Ok(Out { report: verdict_score(&i.verdict, &i.tre, &i.cuts, &cut_errors_mm, params) })
     }
 }

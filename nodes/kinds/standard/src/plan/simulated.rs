@@ -4,7 +4,7 @@ use super::Out;
 use crate::{constant::Constant, own_bone::OwnBone};
 use osteoflow_geometry::{SurfaceKey, SurgicalPlan};
 use osteoflow_node::{Context, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
-use osteoflow_simulation::BoneParams;
+use osteoflow_simulation::{BoneParams, DisplacedParams, displaced};
 
 /// The plan for the simulated bone, bound to the surface that `surface.simulated` gives of the same bone.
 #[derive(Describe)]
@@ -24,6 +24,8 @@ pub struct Params {
     /// The built-in bone, and what makes another of it. The same for every node that simulates it, but to simulate the
     /// plan of a wrong bone.
     pub bone: BoneParams,
+    /// A plan that was drawn beside its place.
+    pub displaced: DisplacedParams,
 }
 
 impl Constant for Simulated {
@@ -38,8 +40,12 @@ impl Constant for Simulated {
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
         let subject = params.own.subject(&params.bone)?;
         subject.notes.into_iter().for_each(|note| ctx.warn(note));
-        let frame_of_reference_uid = Some(params.own.frame_of_reference_uid(&params.bone)?);
-        let surface = Some(SurfaceKey { frame_of_reference_uid, ..SurfaceKey::default() });
-        Ok(Out::new(SurgicalPlan { surface, ..subject.plan }, false))
+        // A displaced plan was drawn in another series, so nothing binds it to this surface.
+        let surface = (params.displaced == DisplacedParams::default())
+            .then(|| params.own.frame_of_reference_uid(&params.bone))
+            .transpose()?
+            .map(|uid| SurfaceKey { frame_of_reference_uid: Some(uid), ..SurfaceKey::default() });
+        let plan = SurgicalPlan { surface, ..subject.plan };
+        Ok(Out::new(displaced(plan, &params.displaced)?, false))
     }
 }
