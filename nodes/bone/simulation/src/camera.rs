@@ -9,6 +9,7 @@ use osteoflow_algorithms::mesh_query::{MeshQuery, SurfacePoint};
 use osteoflow_geometry::{Cloud, CloudError, StampNs};
 use rand::RngExt;
 use rayon::prelude::*;
+use std::collections::HashMap;
 
 /// One pixel that sees the surface.
 #[derive(Debug, Clone, Copy)]
@@ -23,6 +24,10 @@ pub(crate) struct Pixel {
     pub(crate) normal: Vector3<f64>,
     /// Whether the pixel sees the object, not its surroundings.
     pub(crate) on_object: bool,
+    /// Column and row in the grid.
+    cell: [i64; 2],
+    /// Whether the surface ends close by.
+    at_edge: bool,
     /// Film on the bone, along the ray, mm.
     film_mm: f64,
     /// Error of the distance that all clouds of the view share, mm.
@@ -35,6 +40,11 @@ impl Pixel {
     /// The true point of the surface, camera frame.
     pub(crate) fn point(&self) -> Point3<f64> {
         Point3::from(self.ray * self.distance_mm)
+    }
+
+    /// Factor of an error along the ray: 1 where the surface faces the camera.
+    fn slanted(&self, params: &CameraParams) -> f64 {
+        self.cos_incidence.powf(-params.depth_noise_growth)
     }
 
     /// The true point of the film on it, which the light falls on; of the surface where it is bare.
@@ -107,7 +117,7 @@ pub(crate) fn view(
                 (first..=last)
                     .filter_map(|column| {
                         let ray = Vector3::new(column as f64 * step, row as f64 * step, 1.0).normalize();
-                        look(sight, t_object_camera, params, ray)
+                        look(sight, t_object_camera, params, ray).map(|pixel| Pixel { cell: [column, row], ..pixel })
                     })
                     .collect()
             })
@@ -121,12 +131,39 @@ pub(crate) fn view(
     if solid_angle == 0.0 {
         return Vec::new();
     }
-    let mut pixels = cast((solid_angle / (params.n_points as f64 * SURPLUS)).sqrt());
+    let step = (solid_angle / (params.n_points as f64 * SURPLUS)).sqrt();
+    let mut pixels = cast(step);
     pixels.par_iter_mut().for_each(|pixel| {
-        pixel.bias_mm = bias.at(&pixel.point());
-        pixel.noise_mm = params.depth_noise_mm * pixel.cos_incidence.powf(-params.depth_noise_growth);
+        pixel.bias_mm = bias.at(&pixel.point()) + pixel.slanted(params) * bias.across(&pixel.point());
+        pixel.noise_mm = params.depth_noise_mm * pixel.slanted(params);
     });
+    if params.edge_outliers > 0.0 {
+        mark_edges(&mut pixels, (EDGE_MM / (step * params.working_distance_mm)).ceil() as i64);
+    }
     pixels
+}
+
+/// Width of the band along an edge in which points may be outliers.
+const EDGE_MM: f64 = 0.5;
+
+/// Marks the pixels within `reach` columns and rows of one beside which there is nothing, or something else in depth.
+fn mark_edges(pixels: &mut [Pixel], reach: i64) {
+    /// A larger step from pixel to pixel is another surface.
+    const JUMP_MM: f64 = 2.0;
+    let at: HashMap<[i64; 2], usize> = pixels.iter().enumerate().map(|(k, pixel)| (pixel.cell, k)).collect();
+    let goes_on = |pixel: &Pixel, [dx, dy]: [i64; 2]| {
+        let beside = at.get(&[pixel.cell[0] + dx, pixel.cell[1] + dy]).map(|&k| &pixels[k]);
+        beside.is_some_and(|beside| (beside.distance_mm - pixel.distance_mm).abs() < JUMP_MM)
+    };
+    let ends = |pixel: &&Pixel| ![[1, 0], [-1, 0], [0, 1], [0, -1]].iter().all(|&step| goes_on(pixel, step));
+    let ends: Vec<[i64; 2]> = pixels.iter().filter(ends).map(|pixel| pixel.cell).collect();
+    for [column, row] in ends {
+        for near in (-reach..=reach).flat_map(|dx| (-reach..=reach).map(move |dy| [column + dx, row + dy])) {
+            if let Some(&k) = at.get(&near) {
+                pixels[k].at_edge = true;
+            }
+        }
+    }
 }
 
 /// The pixel of a ray that meets the object within its stretch, or its surroundings, up to the maximum incidence.
@@ -159,6 +196,8 @@ fn look(
         cos_incidence,
         normal: hit.normal,
         on_object,
+        cell: [0, 0],
+        at_edge: false,
         film_mm: 0.0,
         bias_mm: 0.0,
         noise_mm: 0.0,
@@ -190,17 +229,30 @@ pub(crate) fn hole_share(
     (0..N_RAYS).filter(shows).count() as f64 / N_RAYS as f64
 }
 
-/// The smooth error of depth that the camera's own calibration leaves, mm: a field in the camera's frame, the same for
-/// every cloud of a run.
+/// The smooth error of depth that the camera's own calibration leaves, and the shorter one across the surface, mm: fields in
+/// the camera's frame, the same for every cloud of a run.
 pub(crate) struct DepthBias {
     waves: Waves,
     rms_mm: f64,
+    short: Waves,
+    short_rms_mm: f64,
 }
 
 impl DepthBias {
     pub(crate) fn new(params: &CameraParams, seed: u64) -> Self {
         let rng = &mut stream(params.bias_seed.unwrap_or(seed), Term::DepthBias, 0);
-        Self { waves: Waves::new(rng, params.depth_bias_wavelength_mm), rms_mm: params.depth_bias_mm }
+        let short = &mut stream(seed, Term::SurfaceError, 0);
+        Self {
+            waves: Waves::new(rng, params.depth_bias_wavelength_mm),
+            rms_mm: params.depth_bias_mm,
+            short: Waves::new(short, params.surface_error_wavelength_mm),
+            short_rms_mm: params.surface_error_mm,
+        }
+    }
+
+    /// Added across the surface.
+    fn across(&self, point: &Point3<f64>) -> f64 {
+        self.short.scaled(self.short_rms_mm, point)
     }
 
     /// Added to the distance along the ray.
@@ -377,11 +429,19 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
     let projector = Point3::new(params.projector_mm, 0.0, 0.0);
     let (mut noise, mut dropout) = (stream(seed, Term::DepthNoise, number), stream(seed, Term::Dropout, number));
     let mut thinning = stream(seed, Term::Thinning, number);
+    let n_at_edge = pixels.iter().filter(|pixel| pixel.at_edge).count();
+    let outlier_share = params.edge_outliers * pixels.len() as f64 / n_at_edge.max(1) as f64;
+    let mut outliers = (n_at_edge > 0).then(|| stream(seed, Term::EdgeOutliers, number));
     let within = |p: &Point3<f64>, centre: &Point3<f64>, radius_mm: f64| (p - centre).norm() < radius_mm;
 
     let mut kept: Vec<(u64, Point3<f64>)> = Vec::with_capacity(pixels.len());
     for pixel in pixels {
         let (noise, drop, key) = (normal(&mut noise), dropout.random::<f64>(), thinning.random::<u64>());
+        let outlier_mm = outliers.as_mut().map_or(0.0, |rng| {
+            let (chance, error) = (rng.random::<f64>(), normal(rng));
+            let is_outlier = pixel.at_edge && chance < outlier_share;
+            if is_outlier { error * params.edge_outlier_mm * pixel.slanted(params) } else { 0.0 }
+        });
         let shines = specular.as_mut().is_some_and(|rng| rng.random::<f64>() < params.specular_dropout);
         let truth = pixel.point();
         if drop < params.dropout
@@ -398,7 +458,7 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
                 continue;
             }
         }
-        let distance_mm = pixel.distance_mm - pixel.film_mm + pixel.noise_mm * noise + pixel.bias_mm;
+        let distance_mm = pixel.distance_mm - pixel.film_mm + pixel.noise_mm * noise + pixel.bias_mm + outlier_mm;
         kept.push((key, Point3::from(pixel.ray * distance_mm)));
     }
     if kept.len() > params.n_points {

@@ -54,6 +54,9 @@ pub(crate) enum Term {
     ImageGlare = 42,
     ImageReflection = 43,
     CameraSpeed = 44,
+    SurfaceError = 45,
+    EdgeOutliers = 46,
+    TrackerRepeats = 47,
 }
 
 /// The stream of `term`; `item` distinguishes scans, markers or placements.

@@ -111,6 +111,20 @@ pub struct CameraParams {
     pub depth_bias_wavelength_mm: f64,
     /// Seed of that error's field. None: the run's seed; a number for many procedures with one camera.
     pub bias_seed: Option<u64>,
+    /// RMS of the error across the surface that neighbouring points share: fringes, laser lines and lenses err alike over some
+    /// millimetres. One field in the camera's space for a run, so that scans of one view share it. 0: off.
+    #[schemars(range(min = 0.0, max = 2.0))]
+    pub surface_error_mm: f64,
+    /// Wavelength of that error. 20 mm: with the other terms residuals are correlated by 0.6 at 2 mm and 0.45 at 4 mm, as in
+    /// the Stanford scans, see docs/method/simulation.md.
+    #[schemars(range(min = 1.0, max = 200.0))]
+    pub surface_error_wavelength_mm: f64,
+    /// The share of the points that are outliers, all within half a millimetre of where the surface ends in the image. 0: off.
+    #[schemars(range(min = 0.0, max = 0.2))]
+    pub edge_outliers: f64,
+    /// Standard deviation of an outlier's error across the surface. 1 mm: assumed, so that two thirds are beyond 0.45 mm.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub edge_outlier_mm: f64,
     /// Factor of every coordinate that the camera gives: clouds, region of interest, and the check piece's holes. 1: off,
     /// millimetres; 0.001 if it gives metres that are taken for millimetres, 1000 the other way round.
     #[schemars(range(min = 0.000_001, max = 1_000_000.0))]
@@ -149,6 +163,10 @@ impl Default for CameraParams {
             depth_bias_mm: 0.05,
             depth_bias_wavelength_mm: 60.0,
             bias_seed: None,
+            surface_error_mm: 0.0,
+            surface_error_wavelength_mm: 20.0,
+            edge_outliers: 0.0,
+            edge_outlier_mm: 1.0,
             unit_factor: 1.0,
             scale_percent: 0.0,
             depth_percent: 0.0,
@@ -166,18 +184,30 @@ pub struct TrackerParams {
     /// The share of samples that are lost. 0.03: other simulator.
     #[schemars(range(min = 0.0, max = 0.9))]
     pub lost: f64,
+    /// Mean number of samples that are lost in a row. 0: off, each is lost by itself.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub lost_run: f64,
     /// Standard deviation, per axis, of the constant error of a marker at one place. 0.06 mm: other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub placement_mm: f64,
     /// Standard deviation of that error about each axis. 0.023 degrees (0.0004 rad): other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub placement_deg: f64,
-    /// Standard deviation, per axis, of the white noise of each sample. 0.03 mm: other simulator.
+    /// Standard deviation, per axis, of the noise of each sample. 0.03 mm: other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub noise_mm: f64,
     /// Standard deviation of that noise about each axis. 0.0115 degrees (0.0002 rad): other simulator.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub noise_deg: f64,
+    /// Correlation of a sample's noise with that of the sample before. 0: off, white noise.
+    #[schemars(range(min = 0.0, max = 0.999))]
+    pub noise_lag1: f64,
+    /// Step of the coordinates of a position, as a localiser writes them. 0: off.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub step_mm: f64,
+    /// The share of samples that repeat the one before to the bit, with a new stamp. 0: off.
+    #[schemars(range(min = 0.0, max = 0.99))]
+    pub repeats: f64,
     /// Drift of the localiser's world per minute, in one direction per run. 0.05 mm: assumed, a localiser that warms
     /// up.
     #[schemars(range(min = 0.0, max = 5.0))]
@@ -199,10 +229,14 @@ impl Default for TrackerParams {
         Self {
             rate_hz: 20.0,
             lost: 0.03,
+            lost_run: 0.0,
             placement_mm: 0.06,
             placement_deg: 0.023,
             noise_mm: 0.03,
             noise_deg: 0.0115,
+            noise_lag1: 0.0,
+            step_mm: 0.0,
+            repeats: 0.0,
             drift_mm_per_min: 0.05,
             burst_s: 0.6,
             late_s: 0.0,

@@ -146,8 +146,11 @@ impl Tracker<'_> {
             let (place, share) = place.map_or_else(|| path.place(s), |place| (place, 0.0));
             self.placement(marker, place, share)
         };
-        let (mut noise, mut loss) =
-            (stream(self.seed, Term::TrackerNoise, item), stream(self.seed, Term::TrackerLoss, item));
+        let [mut noise, mut loss, mut repeats] =
+            [Term::TrackerNoise, Term::TrackerLoss, Term::TrackerRepeats].map(|term| stream(self.seed, term, item));
+        let mut jitter = Jitter::default();
+        let mut is_lost = false;
+        let mut last_seen: Option<Isometry3<f64>> = None;
         let period_s = 1.0 / self.params.rate_hz;
         let mut samples = Vec::new();
         for &(from_s, to_s) in spans {
@@ -156,16 +159,40 @@ impl Tracker<'_> {
             let last = (to_s / period_s).floor() as i64;
             for tick in first..=last {
                 let s = (tick as f64 + PHASE) * period_s;
-                let jitter = small_motion(&mut noise, self.params.noise_mm, self.params.noise_deg.to_radians());
-                if loss.random::<f64>() < self.params.lost {
+                let jitter = jitter.next(&mut noise, tick, self.params);
+                let is_repeated = self.params.repeats > 0.0 && repeats.random::<f64>() < self.params.repeats;
+                is_lost = loss.random::<f64>() < self.lost_after(is_lost);
+                if is_lost {
                     continue;
                 }
                 let truth = path.at(s) * t_object_marker(s);
-                let seen = Translation3::from(self.drift(s)) * truth * placement(s) * jitter;
+                let seen = self.written(Translation3::from(self.drift(s)) * truth * placement(s) * jitter);
+                let seen = last_seen.filter(|_| is_repeated).unwrap_or(seen);
+                last_seen = Some(seen);
                 samples.push(Pose::new("world", marker.frame(), seen).at(self.stamp(s + self.params.late_s)));
             }
         }
         samples
+    }
+
+    /// The chance that a sample is lost, after one that was or was not.
+    fn lost_after(&self, is_lost: bool) -> f64 {
+        let TrackerParams { lost, lost_run, .. } = *self.params;
+        match lost_run {
+            run if run <= 1.0 => lost,
+            run if is_lost => 1.0 - 1.0 / run,
+            // So that the share of all samples is `lost`.
+            run => (lost / (1.0 - lost) / run).min(1.0),
+        }
+    }
+
+    /// A pose with the step of its coordinates.
+    fn written(&self, mut pose: Isometry3<f64>) -> Isometry3<f64> {
+        let step_mm = self.params.step_mm;
+        if step_mm > 0.0 {
+            pose.translation.vector.apply(|c| *c = (*c / step_mm).round() * step_mm);
+        }
+        pose
     }
 
     /// The constant error of a marker at rest, interpolated during a move between those of both places.
@@ -198,7 +225,27 @@ impl Tracker<'_> {
         let (shift, turn) = self.placement_at(marker, place);
         let jitter = small_motion(noise, self.params.noise_mm, self.params.noise_deg.to_radians());
         let seen = Translation3::from(self.drift(s)) * t_world_marker * Isometry3::new(shift, turn) * jitter;
-        Pose::new("world", marker.frame(), seen).at(self.stamp(s))
+        Pose::new("world", marker.frame(), self.written(seen)).at(self.stamp(s))
+    }
+}
+
+/// The noise of one marker from sample to sample: each the last one times a correlation, and something new.
+#[derive(Default)]
+struct Jitter {
+    /// Shift and rotation, in standard deviations.
+    last: (Vector3<f64>, Vector3<f64>),
+    tick: Option<i64>,
+}
+
+impl Jitter {
+    fn next(&mut self, rng: &mut ChaCha8Rng, tick: i64, params: &TrackerParams) -> Isometry3<f64> {
+        let fresh = (normal3(rng), normal3(rng));
+        let n_since = self.tick.map_or(f64::INFINITY, |last| (tick - last) as f64);
+        let kept = params.noise_lag1.powf(n_since);
+        let of_fresh = (1.0 - kept * kept).sqrt();
+        self.last = (self.last.0 * kept + fresh.0 * of_fresh, self.last.1 * kept + fresh.1 * of_fresh);
+        self.tick = Some(tick);
+        Isometry3::new(self.last.0 * params.noise_mm, self.last.1 * params.noise_deg.to_radians())
     }
 }
 

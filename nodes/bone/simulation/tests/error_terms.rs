@@ -22,8 +22,15 @@ type Switch = fn(&mut ProcedureParams);
 fn switching_one_term_on_or_off_does_not_change_the_others() {
     let full = simulate(&ProcedureParams::default(), 7);
     // Each with what of the procedure it may change; everything else is the same to the bit.
-    let terms: [(&str, Switch, &[&str]); 20] = [
+    let tracked: &[&str] = &["camera_marker", "phantom_marker", "bone_marker", "check"];
+    let terms: [(&str, Switch, &[&str]); 26] = [
         ("bias_seed", |p| p.camera.bias_seed = Some(3), &["clouds", "check"]),
+        ("surface_error_mm", |p| p.camera.surface_error_mm = 0.04, &["clouds"]),
+        ("edge_outliers", |p| p.camera.edge_outliers = 0.01, &["clouds"]),
+        ("noise_lag1", |p| p.tracker.noise_lag1 = 0.5, tracked),
+        ("step_mm", |p| p.tracker.step_mm = 0.1, tracked),
+        ("repeats", |p| p.tracker.repeats = 0.5, tracked),
+        ("lost_run", |p| (p.tracker.lost, p.tracker.lost_run) = (0.3, 5.0), tracked),
         ("print_seed", |p| p.phantom.print_seed = Some(3), &["phantom_marker"]),
         ("mounting_seed", |p| p.phantom.mounting_seed = Some(3), &["camera_marker"]),
         ("check.reading_mm", |p| p.check.reading_mm = 0.0, &["check"]),

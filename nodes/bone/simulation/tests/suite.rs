@@ -4,6 +4,7 @@
 mod common;
 mod error_terms;
 mod holes;
+mod measured_noise;
 mod mistakes;
 mod phantom;
 mod procedure;

@@ -7,10 +7,12 @@ use super::ProcedureParams;
 pub(crate) fn without_errors(mut params: ProcedureParams) -> ProcedureParams {
     let camera = &mut params.camera;
     (camera.depth_noise_mm, camera.depth_bias_mm, camera.unit_factor) = (0.0, 0.0, 1.0);
+    (camera.surface_error_mm, camera.edge_outliers) = (0.0, 0.0);
     (camera.scale_percent, camera.depth_percent) = (0.0, 0.0);
     (camera.dropout, camera.specular_dropout, camera.n_patches, camera.n_pools) = (0.0, 0.0, 0, 0);
     let tracker = &mut params.tracker;
     (tracker.lost, tracker.drift_mm_per_min, tracker.late_s) = (0.0, 0.0, 0.0);
+    (tracker.lost_run, tracker.noise_lag1, tracker.step_mm, tracker.repeats) = (0.0, 0.0, 0.0, 0.0);
     (tracker.placement_mm, tracker.placement_deg, tracker.noise_mm, tracker.noise_deg) = (0.0, 0.0, 0.0, 0.0);
     let laser = &mut params.laser;
     (laser.aim_across_mm, laser.aim_along_mm) = (0.0, 0.0);
