@@ -209,3 +209,47 @@ fn without_a_reading_of_the_piece_the_verdict_is_given_and_keeps_its_assumption(
     let ran = run(file.to_str().unwrap(), &["--no-record"]);
     assert_eq!((ran.code, assumes_camera_marker(&ran)), (0, true), "{}", ran.stderr);
 }
+
+/// Sweeps the detection curves on one bone, one run of each of these mistakes, and gives the table of its script.
+fn curves(mistakes: &str) -> String {
+    let dir = tempfile::tempdir().unwrap();
+    let sets = [
+        format!("sweep.factor.mistake={mistakes}"),
+        r#"sweep.factor.bone={ values = [{ recording.bone.shape_seed = 1 }], labels = ["built-in 1"] }"#.to_owned(),
+        "sweep.repeat=1".to_owned(),
+        "recording.camera.n_points=8000".to_owned(),
+    ];
+    let out = dir.path().join("curves");
+    let mut sweep = osteoflow();
+    sweep.args(["sweep", "graphs/trust/curves.toml", "-q", "--out"]).arg(&out);
+    sweep.args(sets.iter().flat_map(|set| ["--set", set])).assert().success();
+    let mut script = std::process::Command::new("python3");
+    let printed = script.arg(root().join("graphs/trust/curves.py")).arg(&out).output().unwrap();
+    assert!(printed.status.success(), "{}", String::from_utf8_lossy(&printed.stderr));
+    String::from_utf8(printed.stdout).unwrap()
+}
+
+#[test]
+fn detection_curves_say_from_which_size_an_answer_is_wrong_and_from_which_it_is_told() {
+    if std::process::Command::new("python3").arg("--version").output().is_err() {
+        println!(
+            "skipped: detection_curves_say_from_which_size_an_answer_is_wrong_and_from_which_it_is_told: no python3"
+        );
+        return;
+    }
+    let table = curves(
+        r#"{ values = [{ bone.ct.offset_mm = 0.0 }, { plan.displaced.across_mm = 0.5 }, { plan.displaced.across_mm = 6.0 },
+        { plan.bone.step_mm = 0.1, bone.bone.step_mm = 0.1 }, { plan.bone.step_mm = 4.0, bone.bone.step_mm = 4.0 }],
+        labels = ["none", "plan across: 0.5 mm", "plan across: 6 mm", "step: 0.1 mm", "step: 4 mm"] }"#,
+    );
+    let rows: Vec<Vec<&str>> = table.lines().skip(2).map(|line| line.split('|').map(str::trim).collect()).collect();
+    assert_eq!(rows.iter().map(|row| row[1]).collect::<Vec<_>>(), ["none", "plan across", "step"], "{table}");
+    assert_eq!((rows[0][3], rows[0][5], rows[0][6]), ("never", "0 of 0", "0: 100, 100"), "{table}");
+    for (row, largest_mm) in [(&rows[1], "6 mm"), (&rows[2], "4 mm")] {
+        // Beyond the limit of 1.5 mm, or 0.5 degrees; the first size is harmless, the second is told.
+        let wrong_from: f64 = row[3].split(' ').next().unwrap().parse().unwrap();
+        assert!((0.1..2.0).contains(&wrong_from), "{table}");
+        assert_eq!((row[4], row[5]), (largest_mm, "0 of 1"), "{table}");
+        assert!(row[6].contains(": 100, 100; "), "{table}");
+    }
+}
