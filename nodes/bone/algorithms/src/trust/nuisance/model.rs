@@ -220,9 +220,15 @@ impl<'a> Model<'a> {
 
     /// What an explanation costs, as twice the logarithm of its odds: as much as usual in a sound world, or a fault.
     fn penalty(&self, candidate: &Candidate) -> f64 {
-        let (cause, size) = (candidate.cause, candidate.size());
-        let as_fault = (size / cause.usual()).powi(2) + FAULT;
-        as_fault.min((size / self.params.prior(cause)).powi(2))
+        let of = |cause: Cause, size: f64| {
+            let as_fault = (size / cause.usual()).powi(2) + FAULT;
+            as_fault.min((size / self.params.prior(cause)).powi(2))
+        };
+        let beside = match (candidate.cause, &candidate.fit.values[..]) {
+            (Cause::Shear, [_, stretch]) => of(Cause::Along, *stretch),
+            _ => 0.0,
+        };
+        of(candidate.cause, candidate.size()) + beside
     }
 
     /// A cause's modes with those that are always fitted beside it, and the priors of the latter.
