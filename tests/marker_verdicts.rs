@@ -47,6 +47,16 @@ fn cloud_stamps(of: &str) -> Vec<StampNs> {
     clouds.map(|cloud| cloud.stamp_ns).collect()
 }
 
+/// The stamps of the points on a topic.
+fn tip_stamps(of: &str) -> Vec<StampNs> {
+    let all = streams();
+    let tips = all.iter().filter(|(topic, _)| topic == of).flat_map(|(_, stream)| match stream {
+        Stream::Tips(tips) => tips.clone(),
+        _ => Vec::new(),
+    });
+    tips.map(|(_, stamp_ns, _)| stamp_ns).collect()
+}
+
 /// The shipped recording in a folder, with the poses of one topic replaced.
 fn with_poses(topic: &str, change: impl Fn(&Pose) -> Vec<Pose>) -> (TempDir, Case) {
     let mut all = streams();
@@ -89,10 +99,12 @@ fn verdict(ran: &Ran) -> (String, Vec<String>, String) {
     )
 }
 
-/// Time from the nearest of these stamps to the pose, s, and 1 at most: a motion by it leaves the marker at each stamp as recorded.
+/// Time from the nearest of these stamps to the pose, s; from half a second on it returns to zero. A motion by it leaves the marker at
+/// each stamp, and far from all, as recorded.
 fn since(pose: &Pose, stamps: &[StampNs]) -> f64 {
     let since_ns = stamps.iter().map(|stamp_ns| pose.stamp_ns - stamp_ns).min_by_key(|ns| ns.abs()).unwrap_or(0);
-    (since_ns as f64 / 1e9).clamp(-1.0, 1.0)
+    let s = since_ns as f64 / 1e9;
+    s.signum() * s.abs().min((1.0 - s.abs()).max(0.0))
 }
 
 /// The marker moves at this speed, along a slanted line, about each stamp.
@@ -142,6 +154,12 @@ fn a_bone_that_moves_while_it_is_scanned_is_doubtful_and_between_scans_it_may() 
     let (answer, rules, said) = verdict(&without_stylus(dir.path(), &case, &[]));
     assert!(answer == "doubtful" && rules.contains(&"motion".into()), "{said}");
     assert!(said.contains("the bone marker moved what it carries by ") && said.contains("during scan"), "{said}");
+    // Under the stylus it counts where the stylus measures.
+    let (dir, case) = with_poses("/tracker/bone_marker", moving(10.0, tip_stamps("/stylus/assessment")));
+    let measured = case.with_graph(crate::common::case::GRAPH, &case.plan, &["--no-record"]);
+    let (answer, rules, said) = verdict(&measured);
+    assert!(answer == "doubtful" && rules.contains(&"motion".into()) && said.contains("during M1"), "{answer}: {said}");
+    assert_eq!(verdict(&without_stylus(dir.path(), &case, &[])).0, "trusted", "nothing was measured");
     let sound = without_stylus(dir.path(), &Case::shipped(), &[]);
     assert_eq!(verdict(&sound).0, "trusted", "the bone of the shipped recording moves on after the scans");
 }
@@ -210,8 +228,8 @@ fn transforms_that_contradict_each_other_at_one_stamp_are_told_and_doubtful_and_
     assert_eq!(equal.results["poses"], once.results["poses"]);
     assert!(!equal.stderr.contains("contradict"), "{}", equal.stderr);
     for (by, words) in [
-        (Isometry3::translation(3.0, 0.0, 0.0), "up to 3.00 mm and 0.00 degrees apart"),
-        (Isometry3::rotation(Vector3::x() * 0.02), "up to 0.00 mm and 1.15 degrees apart"),
+        (Isometry3::translation(2.0, 0.0, 0.0), "up to 2.00 mm and 0.00 degrees apart"),
+        (Isometry3::rotation(Vector3::x() * 0.01), "up to 0.00 mm and 0.57 degrees apart"),
     ] {
         for topic in ["/tracker/bone_marker", "/tracker/camera_marker"] {
             let (dir, case) = with_poses(topic, twice(by));
@@ -247,6 +265,30 @@ fn transforms_that_contradict_each_other_at_one_stamp_are_told_and_doubtful_and_
     };
     let (dir, case) = with_poses("/tracker/bone_marker", thrice);
     assert!(verdict(&without_stylus(dir.path(), &case, &[])).1.contains(&"contradiction".into()));
+}
+
+#[test]
+fn rows_of_a_table_that_contradict_each_other_at_one_stamp_are_told_and_doubtful() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("folder");
+    crate::common::copy_folder(&crate::common::root().join("tests/data/folder"), &folder);
+    let table = fs::read_to_string(folder.join("poses.csv")).unwrap();
+    let twice = |row: &str| {
+        let mut fields: Vec<String> = row.split(',').map(str::to_owned).collect();
+        if fields[2] != "bone_marker" {
+            return row.to_owned();
+        }
+        fields[3] = (fields[3].parse::<f64>().unwrap() + 2.0).to_string();
+        format!("{row}\n{row}\n{}", fields.join(","))
+    };
+    let rows: Vec<String> = table.lines().map(twice).collect();
+    fs::write(folder.join("poses.csv"), rows.join("\n")).unwrap();
+    let path = format!("recording.path={}", folder.display());
+    let ran = run("graphs/fibula_folder.toml", &["--no-record", "--set", &path]);
+    let words = ["t_world_bone_marker: ", "stamps have poses that contradict each other", "up to 2.00 mm and 0.00 degrees apart"];
+    assert!(words.iter().all(|words| ran.stderr.contains(words)), "{}", ran.stderr);
+    let (answer, rules, said) = verdict(&ran);
+    assert!(answer != "trusted" && rules.contains(&"contradiction".into()), "{answer}: {said}");
 }
 
 /// The shipped recording with the stamps of these topics left out.

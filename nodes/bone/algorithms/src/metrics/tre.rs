@@ -1,7 +1,6 @@
 use super::paired::{not_finite, paired};
 use super::quantile::quantile;
 use crate::Refusal;
-use crate::still_average::TakeMotion;
 use nalgebra::{Isometry3, Vector3};
 use osteoflow_geometry::{Axes, NamedPoint};
 use serde::{Deserialize, Serialize};
@@ -26,9 +25,6 @@ pub struct TreReport {
     pub max: TreSummary,
     /// Number of points.
     pub n: usize,
-    /// How the markers moved while the points were touched, where that is known; in the points' own frame.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub take_motions: Vec<TakeMotion>,
 }
 
 /// The error at one point, mm.
@@ -100,7 +96,6 @@ pub fn tre(
         p95: summary(&points, |sorted| quantile(sorted, 0.95).unwrap_or(0.0)),
         max: summary(&points, |sorted| sorted.last().copied().unwrap_or(0.0)),
         n: points.len(),
-        take_motions: Vec::new(),
         points,
     })
 }

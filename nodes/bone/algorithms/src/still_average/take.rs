@@ -131,8 +131,10 @@ impl TakeMotion {
     /// While the bone's marker was at this pose in the world.
     #[must_use]
     pub fn on_bone(self, t_world_bone_marker: Option<&Isometry3<f64>>) -> Self {
-        let bone = t_world_bone_marker
-            .map(|t| BonePose { position_mm: t.translation.vector.into(), rotation_xyzw: t.rotation.coords.into() });
+        let bone = t_world_bone_marker.map(|t| BonePose {
+            position_mm: t.translation.vector.into(),
+            rotation_xyzw: (t.rotation.coords * 1.0_f64.copysign(t.rotation.w)).into(),
+        });
         Self { bone, ..self }
     }
 

@@ -110,9 +110,95 @@ impl<'a> Moved<'a> {
 
     fn consequence(&self, latency_s: f64) -> String {
         let Self { late_mm, critical_s, .. } = self;
+        if *critical_s > MAY_MATTER * latency_s {
+            return "what was measured may be smeared by as much".to_owned();
+        }
         format!(
             "poses that are {latency_s} s late put the answer {late_mm:.1} mm off, and poses later than {critical_s:.2} s put it \
              beyond the limits"
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::still_average::{Carries, StillReport, still_average};
+    use osteoflow_geometry::NamedPoint;
+
+    /// Eleven samples over half a second of a marker that moved and turned, without noise.
+    fn still(shift: Vector3<f64>, turn: Vector3<f64>) -> StillReport {
+        let pose = |k: i32| {
+            let share = f64::from(k) / 10.0;
+            Isometry3::new(shift * share, turn * share)
+        };
+        let report = still_average(&(0..11).map(pose).collect::<Vec<_>>(), 1e9, 1e9).unwrap().report;
+        StillReport { span_s: 0.5, ..report }
+    }
+
+    /// The signs of a take, for points 100 mm along x from the marker's origin and a cut across x; the target's frame is turned.
+    fn signs(markers: &[(Carries, StillReport)], max_moved_mm: f64) -> MotionSigns {
+        let t_target_source = Isometry3::rotation(Vector3::z() * std::f64::consts::FRAC_PI_2);
+        let mut take = TakeMotion::new("scan");
+        for (carries, report) in markers {
+            let name = if *carries == Carries::Data { "camera" } else { "bone" };
+            take = take.by(Some(MarkerMotion::new(name, *carries, &Point3::origin(), report)));
+        }
+        let point = t_target_source * Point3::new(100.0, 0.0, 0.0);
+        let cuts = [Cut { middle: NamedPoint::new("a", point), normal: t_target_source * Vector3::x() }];
+        let place = Where { points: &[], cuts: &cuts, limited: &[point] };
+        let limits = Limits::default();
+        motion_signs(&[take], &t_target_source, &place, &MotionLimits { max_latency_s: 0.1, max_moved_mm, limits: &limits })
+    }
+
+    const LAX: f64 = 1e9;
+
+    #[test]
+    fn a_speed_is_an_error_by_the_lateness_of_the_poses() {
+        let camera = |mm: f64| [(Carries::Data, still(Vector3::new(0.6, -0.8, 0.0) * mm, Vector3::zeros()))];
+        // 20 mm/s: 1.5 mm after 0.075 s.
+        let late = signs(&camera(10.0), LAX).reason.unwrap();
+        assert_eq!((late.rule.as_str(), late.answer), ("motion", Answer::Doubtful));
+        let words = "the camera marker moved what it carries by 10.0 mm (20.0 mm/s) during scan: poses that are 0.1 s late put the answer 2.0 \
+                     mm off, and poses later than 0.07 s put it beyond the limits";
+        assert_eq!(late.reason.replace("0.08 s", "0.07 s"), words);
+        // 14 mm/s are within the limits for a tenth of a second, and named; 1 mm/s would matter after a second and a half.
+        let within = signs(&camera(7.0), LAX);
+        assert!(within.reason.is_none() && within.assumption.unwrap().contains("poses later than 0.11 s"), "7 mm");
+        assert_eq!(signs(&camera(0.5), LAX), MotionSigns::default());
+        // Beyond a millimetre it is doubtful whatever the lateness.
+        assert!(signs(&camera(1.1), 1.0).reason.is_some() && signs(&camera(0.9), 1.0).reason.is_none());
+    }
+
+    #[test]
+    fn a_turn_acts_over_its_lever_arm_and_tilts_cuts() {
+        let turning = |deg: f64| {
+            [(Carries::Data, still(Vector3::zeros(), Vector3::z() * deg.to_radians()))]
+        };
+        // 4 degrees in half a second are 8 degrees a second: 0.5 degrees after 0.0625 s, long before 1.5 mm at 100 mm.
+        let reason = signs(&turning(4.0), LAX).reason.unwrap().reason;
+        assert!(reason.contains("by 7.0 mm") && reason.ends_with("poses later than 0.06 s put it beyond the limits"), "{reason}");
+        assert!(signs(&turning(1.0), 1.0).reason.is_some(), "1.7 mm at the points");
+        assert!(signs(&turning(0.4), 1.0).reason.is_none(), "0.7 mm at the points");
+    }
+
+    #[test]
+    fn markers_of_one_tracker_that_move_together_are_late_together() {
+        let same = still(Vector3::new(0.0, 10.0, 0.0), Vector3::zeros());
+        assert_eq!(signs(&[(Carries::Data, same.clone()), (Carries::Frame, same.clone())], LAX), MotionSigns::default());
+        let away = still(Vector3::new(0.0, -5.0, 0.0), Vector3::zeros());
+        let apart = signs(&[(Carries::Data, same.clone()), (Carries::Frame, away)], LAX).reason.unwrap().reason;
+        assert!(apart.contains("put the answer 3.0 mm off"), "{apart}");
+        let both = signs(&[(Carries::Data, same.clone()), (Carries::Frame, same)], 1.0).reason.unwrap().reason;
+        assert!(both.ends_with("during scan: what was measured may be smeared by as much"), "{both}");
+    }
+
+    #[test]
+    fn a_marker_at_rest_and_one_that_its_noise_explains_say_nothing() {
+        let rest = still(Vector3::zeros(), Vector3::zeros());
+        assert_eq!(signs(&[(Carries::Data, rest)], 1.0), MotionSigns::default());
+        let noisy = StillReport { explained_mm: 6.0, explained_rad: 1.0, ..still(Vector3::x() * 5.0, Vector3::zeros()) };
+        assert_eq!(signs(&[(Carries::Data, noisy)], 1.0), MotionSigns::default());
+        assert_eq!(signs(&[], 1.0), MotionSigns::default());
     }
 }

@@ -22,6 +22,7 @@ struct Stream {
     first_ns: StampNs,
     largest_mm: f64,
     largest_rad: f64,
+    is_told: bool,
 }
 
 impl OneStamp {
@@ -63,17 +64,16 @@ impl OneStamp {
         contrary.map(|(what, stream)| stream.note(what)).collect()
     }
 
-    /// The sentence for a marker, at its first contradiction alone: for sources that do not end.
-    pub(crate) fn first_note(&mut self, what: &str, pose: &Pose) -> Option<String> {
-        let stream = self.streams.get(what)?;
-        let is_first = stream.n_stamps == 1 && stream.first_ns == pose.stamp_ns && stream.poses.len() == 2;
-        is_first.then(|| stream.note(what))
+    /// The sentence for a marker, once, after its first contradiction: for sources that do not end.
+    pub(crate) fn first_note(&mut self, what: &str) -> Option<String> {
+        let stream = self.streams.get_mut(what).filter(|stream| stream.n_stamps > 0)?;
+        (!std::mem::replace(&mut stream.is_told, true)).then(|| stream.note(what))
     }
 }
 
 impl Stream {
     fn new(stamp_ns: StampNs) -> Self {
-        Self { stamp_ns, poses: Vec::new(), n_stamps: 0, first_ns: 0, largest_mm: 0.0, largest_rad: 0.0 }
+        Self { stamp_ns, poses: Vec::new(), n_stamps: 0, first_ns: 0, largest_mm: 0.0, largest_rad: 0.0, is_told: false }
     }
 
     fn note(&self, what: &str) -> String {
@@ -122,7 +122,7 @@ mod tests {
         assert!(!one.is_repeat("cad", &pose(1.0, 0.0, 0)) && !one.is_repeat("cad", &pose(9.0, 0.0, 0)));
         let mut told = |what: &str, x, ns| {
             let pose = pose(x, 0.0, ns);
-            (!one.is_repeat(what, &pose)).then(|| one.first_note(what, &pose).is_some())
+            (!one.is_repeat(what, &pose)).then(|| one.first_note(what).is_some())
         };
         assert_eq!((told("a", 1.0, 5), told("b", 2.0, 5)), (Some(false), Some(false)));
         assert_eq!((told("a", 4.0, 5), told("a", 7.0, 5), told("a", 7.0, 5)), (Some(true), Some(false), None));

@@ -2,10 +2,7 @@
 
 use super::{TreOut, axes};
 use crate::transform::points::in_one_list;
-use osteoflow_algorithms::{
-    metrics::{TreReport, tre},
-    still_average::TakeMotion,
-};
+use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
@@ -40,9 +37,6 @@ pub struct In {
     /// The bone's surface, whose principal axes are used where the plan has none.
     #[port(join = "once", frame = "planned")]
     bone: Option<Mesh>,
-    /// How the markers moved at the touches, from `transform.points_to_bone_marker`: for the verdict.
-    #[port(join = "collect")]
-    take_motion: Vec<Option<TakeMotion>>,
 }
 
 impl Function for TreMeasured {
@@ -56,8 +50,6 @@ impl Function for TreMeasured {
         let t_ct_bone_marker = i.t_ct_bone_marker.expect(&i.planned.frame, &measured.frame)?;
         let axes = axes(i.axes, i.bone.as_ref())?;
         axes.frame.expect(&i.planned.frame, "the axes")?;
-        let report = tre(&i.planned.points, &measured.points, &t_ct_bone_marker, &axes)?;
-        let take_motions = i.take_motion.into_iter().flatten().filter(|take| !take.markers.is_empty()).collect();
-        Ok(TreOut { report: TreReport { take_motions, ..report } })
+        Ok(TreOut { report: tre(&i.planned.points, &measured.points, &t_ct_bone_marker, &axes)? })
     }
 }

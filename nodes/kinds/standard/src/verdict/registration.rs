@@ -143,9 +143,13 @@ pub struct In {
     check: Vec<Option<CheckReport>>,
     /// How the markers moved while the scan was taken, from `transform.to_bone_marker`.
     take_motion: Option<TakeMotion>,
-    /// How the markers moved while the landmarks were located. How they moved while the stylus touched comes with `measured`.
+    /// How the markers moved while the landmarks were located.
     #[port(join = "collect", n = 3)]
     located_motion: Vec<Option<TakeMotion>>,
+    /// How the markers moved while the stylus touched what `measured` is of, from `transform.points_to_bone_marker`: all until the
+    /// wire ends.
+    #[port(join = "collect")]
+    touched_motion: Vec<Option<TakeMotion>>,
 }
 
 /// Outputs of [`Registration`].
@@ -198,10 +202,13 @@ impl Function for Registration {
         let assumed = assumed.into_iter().flatten().filter_map(|text| text.as_str());
         let assumed: Vec<&str> = plan.notes.iter().map(String::as_str).chain(assumed).chain(laxer.as_deref()).collect();
         let located_motion: Vec<TakeMotion> = i.located_motion.into_iter().flatten().collect();
+        // Touches that measured nothing do not matter.
+        let touched_motion: Vec<TakeMotion> =
+            i.touched_motion.into_iter().flatten().filter(|_| i.measured.is_some()).collect();
         let takes = Takes {
             scan: i.take_motion.as_ref(),
             located: &located_motion,
-            touched: i.measured.as_ref().map_or(&[][..], |report| &report.take_motions),
+            touched: &touched_motion,
             last: i.followed.as_ref(),
         };
         let case = Case {

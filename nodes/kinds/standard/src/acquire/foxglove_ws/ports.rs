@@ -174,7 +174,9 @@ impl Port<Content> {
                         out.items.extend(constant.map(|pose| (pose.stamp_ns, Emission::value(pose))));
                     } else {
                         let what = format!("t_{}_{}", pose.to, pose.from);
-                        self.put_pose(&what, pose, correction, ROTATION_NOISE, out);
+                        if !self.is_repeat(&what, &pose, out) {
+                            self.put_pose(&what, pose, correction, ROTATION_NOISE, out);
+                        }
                     }
                 }
                 Err(PoseError::Lost(mut lost)) => {

@@ -122,16 +122,19 @@ impl<T> Port<T> {
         self.labels.get(index).map(String::as_str)
     }
 
-    /// Adds a pose called `what`, unless it repeats one of its stamp or the tracker is frozen; `correction` is reported if it is
-    /// above `limit`.
+    /// Whether a pose called `what` repeats one of its stamp; one that contradicts another is told.
+    pub(crate) fn is_repeat(&mut self, what: &str, pose: &Pose, out: &mut PortItems) -> bool {
+        let is_repeat = self.one_stamp.is_repeat(what, pose);
+        out.notes.extend(self.one_stamp.first_note(what));
+        is_repeat
+    }
+
+    /// Adds a pose called `what`, unless the tracker is frozen; `correction` is reported if it is above `limit`.
     pub(crate) fn put_pose(&mut self, what: &str, pose: Pose, correction: Correction, limit: f64, out: &mut PortItems) {
         if correction.deviation > limit {
             out.notes.push(format!("{what}: a rotation is rounded, and the nearest one is used: {correction}"));
         }
-        if !self.one_stamp.is_repeat(what, &pose) {
-            out.notes.extend(self.one_stamp.first_note(what, &pose));
-            out.items.push((pose.stamp_ns, self.frozen.emission(what, pose, &mut out.notes)));
-        }
+        out.items.push((pose.stamp_ns, self.frozen.emission(what, pose, &mut out.notes)));
     }
 
     /// The newest stamp, or a later one.

@@ -192,7 +192,10 @@ impl Port<Content> {
         let isometry = if is_ct(to) { turn * isometry } else { isometry };
         let isometry = if is_ct(from) { isometry * turn } else { isometry };
         let (pose, mut out) = (Pose::new(to, from, isometry).at(stamp_ns), PortItems::default());
-        self.put_pose(device, pose, correction, SINGLE_PRECISION, &mut out);
+        // A time of arrival is no stamp that two messages share by intent.
+        if message.stamp_ns == 0 || !self.is_repeat(device, &pose, &mut out) {
+            self.put_pose(device, pose, correction, SINGLE_PRECISION, &mut out);
+        }
         Ok(out)
     }
 
