@@ -148,7 +148,12 @@ mod tests {
         let cuts = [Cut { middle: NamedPoint::new("a", point), normal: t_target_source * Vector3::x() }];
         let place = Where { points: &[], cuts: &cuts, limited: &[point] };
         let limits = Limits::default();
-        motion_signs(&[take], &t_target_source, &place, &MotionLimits { max_latency_s: 0.1, max_moved_mm, limits: &limits })
+        motion_signs(
+            &[take],
+            &t_target_source,
+            &place,
+            &MotionLimits { max_latency_s: 0.1, max_moved_mm, limits: &limits },
+        )
     }
 
     const LAX: f64 = 1e9;
@@ -172,12 +177,13 @@ mod tests {
 
     #[test]
     fn a_turn_acts_over_its_lever_arm_and_tilts_cuts() {
-        let turning = |deg: f64| {
-            [(Carries::Data, still(Vector3::zeros(), Vector3::z() * deg.to_radians()))]
-        };
+        let turning = |deg: f64| [(Carries::Data, still(Vector3::zeros(), Vector3::z() * deg.to_radians()))];
         // 4 degrees in half a second are 8 degrees a second: 0.5 degrees after 0.0625 s, long before 1.5 mm at 100 mm.
         let reason = signs(&turning(4.0), LAX).reason.unwrap().reason;
-        assert!(reason.contains("by 7.0 mm") && reason.ends_with("poses later than 0.06 s put it beyond the limits"), "{reason}");
+        assert!(
+            reason.contains("by 7.0 mm") && reason.ends_with("poses later than 0.06 s put it beyond the limits"),
+            "{reason}"
+        );
         assert!(signs(&turning(1.0), 1.0).reason.is_some(), "1.7 mm at the points");
         assert!(signs(&turning(0.4), 1.0).reason.is_none(), "0.7 mm at the points");
     }
@@ -185,7 +191,10 @@ mod tests {
     #[test]
     fn markers_of_one_tracker_that_move_together_are_late_together() {
         let same = still(Vector3::new(0.0, 10.0, 0.0), Vector3::zeros());
-        assert_eq!(signs(&[(Carries::Data, same.clone()), (Carries::Frame, same.clone())], LAX), MotionSigns::default());
+        assert_eq!(
+            signs(&[(Carries::Data, same.clone()), (Carries::Frame, same.clone())], LAX),
+            MotionSigns::default()
+        );
         let away = still(Vector3::new(0.0, -5.0, 0.0), Vector3::zeros());
         let apart = signs(&[(Carries::Data, same.clone()), (Carries::Frame, away)], LAX).reason.unwrap().reason;
         assert!(apart.contains("put the answer 3.0 mm off"), "{apart}");
@@ -197,7 +206,8 @@ mod tests {
     fn a_marker_at_rest_and_one_that_its_noise_explains_say_nothing() {
         let rest = still(Vector3::zeros(), Vector3::zeros());
         assert_eq!(signs(&[(Carries::Data, rest)], 1.0), MotionSigns::default());
-        let noisy = StillReport { explained_mm: 6.0, explained_rad: 1.0, ..still(Vector3::x() * 5.0, Vector3::zeros()) };
+        let noisy =
+            StillReport { explained_mm: 6.0, explained_rad: 1.0, ..still(Vector3::x() * 5.0, Vector3::zeros()) };
         assert_eq!(signs(&[(Carries::Data, noisy)], 1.0), MotionSigns::default());
         assert_eq!(signs(&[], 1.0), MotionSigns::default());
     }

@@ -73,7 +73,15 @@ impl OneStamp {
 
 impl Stream {
     fn new(stamp_ns: StampNs) -> Self {
-        Self { stamp_ns, poses: Vec::new(), n_stamps: 0, first_ns: 0, largest_mm: 0.0, largest_rad: 0.0, is_told: false }
+        Self {
+            stamp_ns,
+            poses: Vec::new(),
+            n_stamps: 0,
+            first_ns: 0,
+            largest_mm: 0.0,
+            largest_rad: 0.0,
+            is_told: false,
+        }
     }
 
     fn note(&self, what: &str) -> String {

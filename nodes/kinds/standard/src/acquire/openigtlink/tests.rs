@@ -370,12 +370,19 @@ fn equal_transforms_of_one_stamp_are_one_and_those_that_contradict_are_told_once
     assert_eq!(ran.items.len(), 5, "the second is the first once more");
     let told: Vec<_> = ran.warnings.iter().filter(|warning| warning.contains("contradict")).collect();
     assert_eq!(told.len(), 1, "{:?}", ran.warnings);
-    let words = format!("StylusToReference: 1 stamp has poses that contradict each other, first at {} ns, up to 3.00 mm", STAMP + MS);
+    let words = format!(
+        "StylusToReference: 1 stamp has poses that contradict each other, first at {} ns, up to 3.00 mm",
+        STAMP + MS
+    );
     assert!(told[0].contains(&words), "{}", told[0]);
     // Without stamps of the sender's they share a time of arrival by chance.
     let all = [1.0, 4.0].map(|x| transform("StylusToReference", 0, x));
     let ran = sent(messages(&all), &[stylus()]);
-    assert!(ran.items.len() == 2 && !ran.warnings.iter().any(|warning| warning.contains("contradict")), "{:?}", ran.warnings);
+    assert!(
+        ran.items.len() == 2 && !ran.warnings.iter().any(|warning| warning.contains("contradict")),
+        "{:?}",
+        ran.warnings
+    );
 }
 
 #[test]
