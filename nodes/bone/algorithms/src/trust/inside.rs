@@ -1,4 +1,4 @@
-//! Parts of a scan that lie inside the bone's surface, which a robust fit leaves out.
+//! Parts of a scan that lie inside the bone's surface. A robust fit leaves them out, so its residuals do not show them.
 
 use super::{Evidence, Residual, RuleParams};
 use osteoflow_verdict::{Answer, Reason};
@@ -50,9 +50,9 @@ pub(super) fn inside_reason(evidence: &Evidence, rules: &RuleParams) -> Option<R
     let Inside { share, depth_mm } = evidence.inside_patches;
     (share > rules.max_inside).then(|| {
         let reason = format!(
-            "{:.0} % of the scan lies {depth_mm:.1} mm inside the bone's surface, whole patches of it, which the registration left \
-             out; neither noise ({:.2} mm) nor tissue does that; likely cause: the segmentation's threshold there, a part of the \
-             bone that has moved or is gone, or another bone",
+            "{:.0} % of the scan lies {depth_mm:.1} mm inside the bone's surface, in whole patches, where neither noise ({:.2} mm) nor \
+             tissue puts it; likely cause: the segmentation's threshold there, a part of the bone that has moved or is gone, or \
+             another bone",
             100.0 * share,
             evidence.noise_mm
         );

@@ -4,6 +4,7 @@ use super::{Evidence, Residual, RuleParams};
 use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Edge of a patch, mm: several patches around the visible side of a bone, a dozen points or more in each.
 const PATCH_MM: f64 = 4.0;
@@ -50,17 +51,17 @@ impl Misfit {
 /// The inside of the surface decides between doubt and refusal: beyond what any segmentation does, no sensor explains it.
 pub(super) fn misfit_reason(evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
     let (misfit, noise_mm) = (&evidence.misfit, evidence.noise_mm);
-    let stated_mm = rules.surface_error_mm.unwrap_or(0.0);
-    // Zero, as someone asks for whom no scan may lie inside, is not widened by noise.
-    let inside_mm = rules.max_inward_misfit_mm;
-    let limit_mm = if inside_mm > 0.0 { inside_mm.max(stated_mm).hypot(noise_mm) } else { 0.0 };
+    // Half of an error's squares lies inside. Zero, as someone asks for whom no scan may lie inside, is not widened by noise.
+    let stated_mm = rules.surface_error_mm.unwrap_or(0.0) * FRAC_1_SQRT_2;
+    let is_zero = rules.max_inward_misfit_mm == 0.0;
+    let inside_mm = rules.max_inward_misfit_mm.max(stated_mm);
+    let limit_mm = if is_zero { 0.0 } else { inside_mm.hypot(noise_mm) };
     if misfit.inward_mm > limit_mm {
         let reason = format!(
             "parts of the scan lie inside the bone's surface by {:.2} mm (RMS of patches of 4 mm), which neither noise ({noise_mm:.2} \
-             mm) nor a segmentation ({:.1} mm) nor tissue explains; likely cause: another bone, its mirror image, or another \
+             mm) nor the {inside_mm:.2} mm of a poor segmentation nor tissue explains; likely cause: another bone, its mirror image, or another \
              place on it",
             misfit.inward_mm,
-            inside_mm.max(stated_mm)
         );
         let remedy = "check that scan and CT are of the same bone, side and patient";
         return Some(Reason::new("inward_misfit", Answer::Refused, reason, remedy));

@@ -66,18 +66,20 @@ fn each_sign_in_the_data_is_told_with_its_numbers() {
 fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
     let with = |rms_mm, inward_mm| Evidence { misfit: Misfit { rms_mm, inward_mm }, noise_mm: 0.4, ..evidence() };
     let limit = 0.12 + 0.15 * 0.4;
-    // Beside noise of 0.4 mm, 0.8 mm are 0.894 mm.
-    assert!(!has(&with(limit, 0.89), "misfit") && !has(&with(limit, 0.89), "inward_misfit"));
-    assert!(has(&with(0.19, 0.89), "misfit") && has(&with(limit, 0.9), "inward_misfit"));
+    // Beside noise of 0.4 mm, 0.57 mm are 0.696 mm.
+    assert!(!has(&with(limit, 0.69), "misfit") && !has(&with(limit, 0.69), "inward_misfit"));
+    assert!(has(&with(0.19, 0.69), "misfit") && has(&with(limit, 0.7), "inward_misfit"));
     // A stated error takes the place of the limits that it exceeds; nobody's refusal at zero is widened.
     let told = |rms_mm, inward_mm, surface_error_mm, max_inward_misfit_mm| {
         let rules = RuleParams { surface_error_mm, max_inward_misfit_mm, ..RuleParams::default() };
         misfit_reason(&with(rms_mm, inward_mm), &rules).map(|reason| reason.rule)
     };
-    assert_eq!(told(0.75, 0.5, Some(0.7), 0.8), None);
-    assert_eq!(told(0.77, 0.5, Some(0.7), 0.8).as_deref(), Some("misfit"));
-    assert_eq!(told(0.13, 0.1, Some(0.05), 0.8).as_deref(), Some("misfit"));
-    assert_eq!(told(1.2, 1.2, Some(1.2), 0.8), None);
+    assert_eq!(told(0.75, 0.5, Some(0.7), 0.57), None);
+    assert_eq!(told(0.77, 0.5, Some(0.7), 0.57).as_deref(), Some("misfit"));
+    assert_eq!(told(0.13, 0.1, Some(0.05), 0.57).as_deref(), Some("misfit"));
+    // Half of 1.2 mm inside is 0.85 mm, with the noise 0.94 mm.
+    assert_eq!(told(1.2, 0.93, Some(1.2), 0.57), None);
+    assert_eq!(told(1.2, 0.95, Some(1.2), 0.57).as_deref(), Some("inward_misfit"));
     assert_eq!(told(0.01, 0.01, None, 0.0).as_deref(), Some("inward_misfit"));
 
     let with = |share| Evidence { inside_patches: Inside { share, depth_mm: 1.0 }, ..evidence() };
