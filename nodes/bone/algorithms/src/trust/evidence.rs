@@ -2,6 +2,7 @@
 
 use super::contrary::{self, Support};
 use super::spread::normal_matrix;
+use super::surface_error::CELL_MM;
 use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::Target;
@@ -15,10 +16,6 @@ pub(super) const N_EXAMINED: usize = 5000;
 
 /// Residuals are searched within this distance, mm.
 const SEARCH_MM: f64 = 8.0;
-
-/// Minimum edge of the cells whose residuals count as one draw, mm: the correlation length of a camera's distortion and of a CT
-/// surface's bumps.
-pub(super) const CELL_MM: f64 = 10.0;
 
 /// Points inside the surface by more than this many robust standard deviations, and outside by more than that many, are not on
 /// it: soft tissue lies outside.

@@ -1,6 +1,6 @@
 //! Parts of a scan that lie inside the bone's surface. A robust fit leaves them out, so its residuals do not show them.
 
-use super::{Evidence, Residual, RuleParams};
+use super::Residual;
 use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -46,15 +46,14 @@ impl Inside {
 }
 
 /// The reason against a scan of which patches lie inside the bone.
-pub(super) fn inside_reason(evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
-    let Inside { share, depth_mm } = evidence.inside_patches;
-    (share > rules.max_inside).then(|| {
+pub(super) fn inside_reason(inside: &Inside, noise_mm: f64, max_share: f64) -> Option<Reason> {
+    let Inside { share, depth_mm } = *inside;
+    (share > max_share).then(|| {
         let reason = format!(
-            "{:.0} % of the scan lies {depth_mm:.1} mm inside the bone's surface, in whole patches, where neither noise ({:.2} mm) nor \
+            "{:.0} % of the scan lies {depth_mm:.1} mm inside the bone's surface, in whole patches, where neither noise ({noise_mm:.2} mm) nor \
              tissue puts it; likely cause: the segmentation's threshold there, a part of the bone that has moved or is gone, or \
              another bone",
-            100.0 * share,
-            evidence.noise_mm
+            100.0 * share
         );
         let remedy = "look where the scan lies inside the surface; check the CT's segmentation, and that CT and scan are of one bone";
         Reason::new("inside", Answer::Doubtful, reason, remedy)

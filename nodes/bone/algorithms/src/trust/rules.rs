@@ -5,7 +5,7 @@ use super::checked::{check_reason, is_checked};
 use super::contradiction::contradiction_reason;
 use super::contrary::BETTER;
 use super::convergence::{Convergence, convergence_reason};
-use super::evidence::{CELL_MM, Evidence, EvidenceParams, Registered, When, points_that_matter};
+use super::evidence::{Evidence, EvidenceParams, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::inside::inside_reason;
 use super::limits::Limits;
@@ -17,6 +17,7 @@ use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
 use super::predict_last::predict_last;
 use super::slid::{slide_note, slide_reasons};
 use super::stylus::{StylusErrors, stylus_reason};
+use super::surface_error::CELL_MM;
 use super::takes::Takes;
 use super::verdict::Verdict;
 use crate::coarse::{CLEAR, GlobalReport};
@@ -272,7 +273,10 @@ fn order_reason(order: &OrderEvidence) -> Option<Reason> {
 
 fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &RuleParams) -> Vec<Reason> {
     let mut reasons: Vec<Reason> =
-        [misfit_reason(evidence, rules), inside_reason(evidence, rules)].into_iter().flatten().collect();
+        [misfit_reason(evidence, rules), inside_reason(&evidence.inside_patches, evidence.noise_mm, rules.max_inside)]
+            .into_iter()
+            .flatten()
+            .collect();
     let mut add = |rule: &str, answer: Answer, reason: String, remedy: &str| {
         reasons.push(Reason::new(rule, answer, reason, remedy));
     };

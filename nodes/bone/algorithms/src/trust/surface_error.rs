@@ -1,10 +1,13 @@
 //! The error between scan and surface, estimated from the residuals.
 
 use super::Residual;
-use super::evidence::CELL_MM;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// Minimum edge of the cells whose residuals count as one draw, mm: the correlation length of a camera's distortion and of a CT
+/// surface's bumps.
+pub(super) const CELL_MM: f64 = 10.0;
 
 /// Number of points whose residuals are multiplied in pairs: level and length are then known to a tenth in half a million
 /// products.
