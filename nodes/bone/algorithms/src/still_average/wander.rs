@@ -12,6 +12,9 @@ const N_PAIRS: usize = 200;
 /// up to 12 samples, less than one window of 100 exceeds it.
 const AT_REST: f64 = 6.0;
 
+/// The same for the difference between the means of a window's halves.
+const HALVES: f64 = 4.5;
+
 /// Share of the differences that are smaller than the one that is taken, and its length for a standard deviation of one.
 const SHARE: f64 = 0.9;
 const LENGTH: f64 = 2.5;
@@ -67,9 +70,11 @@ impl Wander {
         }
     }
 
-    /// What it explains of the difference between the means of a window's halves: half a window lies between them.
+    /// What it explains of the difference between the means of a window's halves: 4.5 standard deviations of the difference of two samples
+    /// half a window apart.
     pub fn of_halves(&self) -> Self {
-        Self { mm: self.mm / 2.0, rad: self.rad / 2.0 }
+        let share = HALVES / AT_REST;
+        Self { mm: share * self.mm, rad: share * self.rad }
     }
 }
 
@@ -158,8 +163,10 @@ mod tests {
             let history = &samples[end.saturating_sub(200)..=*end];
             let poses: Vec<_> = samples[end - 10..=*end].iter().map(|(_, pose)| *pose).collect();
             let report = still_average(&poses, f64::INFINITY, f64::INFINITY).unwrap().report;
-            let report = report.explained_by(&Wander::of(history, 11, 500_000_000));
-            report.moved_mm > report.explained_mm.max(0.1)
+            let wander = Wander::of(history, 11, 500_000_000);
+            let report = report.explained_by(&wander);
+            // By the fitted line, or by the halves, which end an average.
+            report.moved_mm > report.explained_mm.max(0.1) || report.drift_mm > wander.of_halves().mm.max(0.1)
         };
         let (mut n_moved, mut n_all) = (0, 0);
         for end in of {
