@@ -164,6 +164,7 @@ impl Pair<'_> {
             measured_tre_mm: None,
             slide: None,
             check: &[],
+            takes: trust::Takes::default(),
             start: report.as_ref(),
             reasons: &[],
             assumptions: &[],

@@ -213,8 +213,15 @@ fn a_spread_is_a_sign_by_its_chance_and_named_by_the_larger_cause() {
     let slides = |rms_mm| Evidence { pattern: Some(Pattern { rms_mm, ..pattern }), ..evidence() };
     let open = spread_reason(None, &slides(None), &rules).unwrap().reason;
     assert!(open.ends_with("undetermined: nothing holds the scan where it slides along its long axis"), "{open}");
-    let predicted =
-        Predicted { points: vec![], cuts: vec![], assessment: None, all_cuts: None, beyond_limits: 0.4, terms: vec![] };
+    let predicted = Predicted {
+        points: vec![],
+        cuts: vec![],
+        assessment: None,
+        all_cuts: None,
+        beyond_limits: 0.4,
+        terms: vec![],
+        last: None,
+    };
     let wide = spread_reason(Some(&predicted), &slides(Some(1.2)), &rules).unwrap().reason;
     assert!(wide.ends_with("limits; least certain: the scan slides along its long axis by 1.2 mm"), "{wide}");
 }
