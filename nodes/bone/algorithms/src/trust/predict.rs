@@ -1,6 +1,7 @@
 //! The error to expect, from the spread of the pose and the stated errors of the devices.
 
-use super::{Limits, NuisanceParams, PredictedLast, Spread};
+use super::nuisance::params::NuisanceParams;
+use super::{Limits, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};

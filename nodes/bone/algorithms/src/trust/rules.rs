@@ -11,7 +11,7 @@ use super::inside::inside_reason;
 use super::limits::Limits;
 use super::misfit::misfit_reason;
 use super::motion::{MotionLimits, motion_signs};
-use super::nuisance::Nuisances;
+use super::nuisance;
 use super::planned::{OrderEvidence, landmark_order, plan_faults};
 use super::predict::{Cut, PredictParams, Predicted, Tracking, Where, predict};
 use super::predict_last::predict_last;
@@ -189,7 +189,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let planned: Vec<NamedPoint> = case.landmarks.iter().chain(case.assessment).cloned().collect();
     let t_target_source = registered.t_target_source;
     let attitude = attitude_assumption(&case.takes, &planned, case.located, case.measured_tre_mm, t_target_source);
-    let assumed = |is_predicted: bool, unseen: &[String]| -> Vec<String> {
+    let assumed = |is_predicted: bool, unseen: &[(bool, String)]| -> Vec<String> {
         let own = [motion.assumption.clone(), attitude.clone()];
         assumptions(case, rules, is_predicted, unseen).into_iter().chain(own.into_iter().flatten()).collect()
     };
@@ -208,7 +208,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     reasons.extend(start(evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM)));
     reasons.extend(case.icp.and_then(|ended| convergence_reason(ended, evidence.unsettled_mm)));
     let nuisances = [evidence.surface_error.cell_mm(), CELL_MM].into_iter().find_map(|cell_mm| {
-        Nuisances::examine(&registered, &place, evidence.noise_mm, cell_mm, &rules.limits, &errors.nuisances)
+        nuisance::examine(&registered, &place, evidence.noise_mm, cell_mm, &rules.limits, &errors.nuisances)
     });
     reasons.extend(nuisances.as_ref().and_then(|nuisances| nuisances.reason.clone()));
     let deformation = nuisances.as_ref().and_then(|nuisances| nuisances.deformation.as_ref());
@@ -395,11 +395,13 @@ fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
 }
 
 /// What is taken for granted: one list for every way to a verdict. `is_predicted` says whether the verdict states an error;
-/// `unseen` are the causes that the data do not limit.
-fn assumptions(case: &Case<'_>, rules: &RuleParams, is_predicted: bool, unseen: &[String]) -> Vec<String> {
-    let mut all: Vec<&str> = unseen.iter().map(String::as_str).collect();
+/// `unseen` are the causes that the data do not limit, each with whether it is of the camera.
+fn assumptions(case: &Case<'_>, rules: &RuleParams, is_predicted: bool, unseen: &[(bool, String)]) -> Vec<String> {
+    let is_checked = is_checked(case.check, case.registered.source.stamp_ns, rules.max_check_mm);
+    let left = unseen.iter().filter(|(is_of_camera, _)| !(is_checked && *is_of_camera));
+    let mut all: Vec<&str> = left.map(|(_, text)| text.as_str()).collect();
     if case.tracking.is_some() {
-        if !is_checked(case.check, case.registered.source.stamp_ns, rules.max_check_mm) {
+        if !is_checked {
             all.push(
                 "the camera marker has not moved on its camera since the calibration, and the camera measures lengths as it did then; \
                  a check piece read after the scan would show it (metrics.check_points)",

@@ -210,6 +210,11 @@ impl Cause {
         }
     }
 
+    /// Whether it is of the camera, which a check piece tests.
+    pub(super) fn is_of_camera(self) -> bool {
+        matches!(self, Self::CameraScale | Self::CameraDepth)
+    }
+
     /// Whether it is an assumption even where the data limit it: a film has any profile, and the camera's scale moves a bone at its
     /// working distance more than its size shows.
     pub(super) fn is_assumed(self) -> bool {

@@ -3,7 +3,9 @@
 use super::cause::{Cause, Mode};
 use super::effect::{Effect, error_at};
 use super::fit::{self, Fit, Problem, twist};
-use super::{Nuisance, NuisanceParams, NuisanceState, Nuisances, words};
+use super::params::NuisanceParams;
+use super::report::{Nuisance, NuisanceState, Nuisances};
+use super::words;
 use crate::trust::Limits;
 use crate::trust::predict::{Deformation, Where};
 use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
@@ -127,7 +129,7 @@ impl<'a> Model<'a> {
                 NuisanceState::Bounded => bounded.extend(modes.iter().map(|mode| (*mode, prior))),
                 NuisanceState::Unseen => {
                     let assumption = words::assumption(cause, critical, linear.worst, self.limits);
-                    unseen.push((critical / prior, assumption));
+                    unseen.push((critical / prior, (cause.is_of_camera(), assumption)));
                 }
                 NuisanceState::Measured => {}
             }
@@ -150,7 +152,7 @@ impl<'a> Model<'a> {
         Nuisances {
             list,
             reason: self.reason(&measured),
-            assumptions: unseen.into_iter().map(|(_, text)| text).collect(),
+            assumptions: unseen.into_iter().map(|(_, assumption)| assumption).collect(),
             deformation: self.deformation(&bounded),
         }
     }

@@ -1,0 +1,94 @@
+//! Priors of what may be wrong beside the pose.
+
+use super::cause::Cause;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// What may be wrong beside the pose in a sound procedure, as standard deviations, and when it counts as measured.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct NuisanceParams {
+    /// Standardised score from which a cause is measured. 5: beyond what the errors of real scanners, as they are simulated, leave in a sound scan.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub min_score: f64,
+    /// Stretch of the CT along the bone, across it, or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
+    /// a table that lags by half a slice in 100 is as much.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub stretch_percent: f64,
+    /// Shear of the CT's slices, as by a tilt of the gantry, degrees. 0.1: scanners state a tilt to as much, and it is corrected or
+    /// it is many degrees.
+    #[schemars(range(min = 0.001, max = 90.0))]
+    pub shear_deg: f64,
+    /// Bend of the bone against the CT, mm at the ends of the scan against its middle. 0.1: a fibula without load.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub bend_mm: f64,
+    /// Twist of the bone against the CT, degrees from the middle of the scan to its ends. 0.1: a fibula without load.
+    #[schemars(range(min = 0.001, max = 90.0))]
+    pub twist_deg: f64,
+    /// Offset of the CT's surface, as by a segmentation's threshold, mm. 0.2: a quarter of a voxel of 0.8 mm.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub offset_mm: f64,
+    /// Film on the bone, mm. 0.3: what remains after cleaning.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub film_mm: f64,
+    /// Displacement of a part of the bone across it, mm. 0.1: a bone in one piece.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub step_mm: f64,
+    /// Scale of the camera and of its depth against the calibration, percent. 0.2: the drift of a structured-light camera that
+    /// warms up.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub camera_percent: f64,
+    /// Scale of the camera from which it is told, percent. 1.5: less is a stretch of the CT as well, which moves the cuts less.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub min_camera_percent: f64,
+    /// Bend from which it is told, mm. 0.3: less is the curvature of a camera's field.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub min_bend_mm: f64,
+    /// Curvature of the camera's depth over the scan, mm at its ends against its middle. 0.1: a calibrated structured-light camera.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub curvature_mm: f64,
+}
+
+impl Default for NuisanceParams {
+    fn default() -> Self {
+        Self {
+            min_score: 5.0,
+            stretch_percent: 0.5,
+            shear_deg: 0.1,
+            bend_mm: 0.1,
+            twist_deg: 0.1,
+            offset_mm: 0.2,
+            film_mm: 0.3,
+            step_mm: 0.1,
+            camera_percent: 0.2,
+            min_camera_percent: 1.5,
+            min_bend_mm: 0.3,
+            curvature_mm: 0.1,
+        }
+    }
+}
+
+impl NuisanceParams {
+    /// Prior standard deviation of a cause's parameters.
+    pub(super) fn prior(&self, cause: Cause) -> f64 {
+        match cause {
+            Cause::Along | Cause::Growth | Cause::Across => self.stretch_percent / 100.0,
+            Cause::Shear => self.shear_deg.to_radians(),
+            Cause::Bend => self.bend_mm,
+            Cause::Twist => self.twist_deg.to_radians(),
+            Cause::Offset => self.offset_mm,
+            Cause::FilmAlong | Cause::FilmAround | Cause::Film => self.film_mm,
+            Cause::Step { .. } => self.step_mm,
+            Cause::CameraScale | Cause::CameraDepth => self.camera_percent / 100.0,
+        }
+    }
+
+    /// The least size of a cause that is told.
+    pub(super) fn least(&self, cause: Cause) -> f64 {
+        match cause {
+            Cause::CameraScale => self.min_camera_percent / 100.0,
+            Cause::Bend => self.min_bend_mm,
+            _ => 0.0,
+        }
+    }
+}
