@@ -10,7 +10,9 @@ mod bone;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_algorithms::target::Target;
-use osteoflow_algorithms::trust::{Case, EvidenceParams, PredictParams, Registered, RuleParams, Verdict, When, judge};
+use osteoflow_algorithms::trust::{
+    Case, EvidenceParams, PredictParams, Registered, RuleParams, Takes, Verdict, When, judge,
+};
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
 use rustix::time::{ClockId, clock_gettime};
 
@@ -42,6 +44,7 @@ fn verdict(target: &Target, scan: &Cloud, examine: &EvidenceParams) -> Verdict {
         measured_tre_mm: None,
         slide: None,
         check: &[],
+        takes: Takes::default(),
         start: None,
         reasons: &[],
         assumptions: &[],

@@ -158,12 +158,15 @@ impl Deformation {
     }
 }
 
+/// What a number of 1 does to the answer at a point of the target's frame: a column of 3 for each number, mm.
+pub type Levers = dyn Fn(&Point3<f64>) -> DMatrix<f64>;
+
 /// Errors that are no rigid motion, as numbers with a covariance.
 pub struct Deformation {
     /// Covariance of the numbers.
     pub covariance: DMatrix<f64>,
-    /// What a number of 1 does to the answer at a point of the target's frame: a column for each, mm.
-    pub at: Box<dyn Fn(&Point3<f64>) -> DMatrix<f64>>,
+    /// Its levers at a point.
+    pub at: Box<Levers>,
 }
 
 /// Where the error is predicted, in the target's frame.
