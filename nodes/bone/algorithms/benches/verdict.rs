@@ -10,9 +10,7 @@ mod bone;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_algorithms::target::Target;
-use osteoflow_algorithms::trust::{
-    Case, EvidenceParams, PredictParams, Registered, RuleParams, Takes, Verdict, When, judge,
-};
+use osteoflow_algorithms::trust::{Case, EvidenceParams, PredictParams, Registered, RuleParams, Verdict, When, judge};
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
 use rustix::time::{ClockId, clock_gettime};
 
@@ -33,22 +31,7 @@ fn read_xyz(path: &str) -> Vec<Point3<f64>> {
 
 fn verdict(target: &Target, scan: &Cloud, examine: &EvidenceParams) -> Verdict {
     let pose = Isometry3::identity();
-    let case = Case {
-        registered: Registered { target, source: scan, t_target_source: &pose, at: &[] },
-        icp: None,
-        landmarks: &[],
-        located: &[],
-        assessment: &[],
-        planes: None,
-        tracking: None,
-        measured_tre_mm: None,
-        slide: None,
-        check: &[],
-        takes: Takes::default(),
-        start: None,
-        reasons: &[],
-        assumptions: &[],
-    };
+    let case = Case::new(Registered { target, source: scan, t_target_source: &pose, at: &[] });
     judge(&case, examine, &RuleParams::default(), &PredictParams::default())
 }
 

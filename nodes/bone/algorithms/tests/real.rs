@@ -154,20 +154,9 @@ impl Pair<'_> {
         let assessment: Vec<NamedPoint> =
             some.iter().enumerate().map(|(k, p)| NamedPoint::new(format!("S{k}"), on_surface(p))).collect();
         let case = Case {
-            registered: Registered { target, source: &cloud, t_target_source: &fit.t_target_source, at: &[] },
-            icp: None,
-            landmarks: &[],
-            located: &[],
             assessment: &assessment,
-            planes: None,
-            tracking: None,
-            measured_tre_mm: None,
-            slide: None,
-            check: &[],
-            takes: trust::Takes::default(),
             start: report.as_ref(),
-            reasons: &[],
-            assumptions: &[],
+            ..Case::new(Registered { target, source: &cloud, t_target_source: &fit.t_target_source, at: &[] })
         };
         let (examine, errors) = (EvidenceParams::default(), PredictParams::default());
         outcome.verdict = Ok(trust::judge(&case, &examine, &RuleParams::default(), &errors));

@@ -9,7 +9,7 @@ use crate::common::{data_folder, stl};
 use osteoflow_algorithms::coarse::{CLEAR, GlobalParams, global};
 use osteoflow_algorithms::icp::{self, IcpFit, IcpParams, IcpReport, Method};
 use osteoflow_algorithms::target::Target;
-use osteoflow_algorithms::trust::{Answer, Case, Convergence, Registered, Takes, Verdict, judge};
+use osteoflow_algorithms::trust::{Answer, Case, Convergence, Registered, Verdict, judge};
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Anatomy, Cloud, SurgicalPlan};
 use osteoflow_simulation::{CtParams, Procedure, ProcedureParams, Subject, ct_surface, plan};
@@ -108,22 +108,7 @@ fn cpu_ms() -> Option<f64> {
 
 fn verdict(target: &Target, scan: &Cloud, t_target_source: &Isometry3<f64>, report: &IcpReport) -> Verdict {
     let ended = Convergence::from(report);
-    let case = Case {
-        registered: Registered { target, source: scan, t_target_source, at: &[] },
-        icp: Some(&ended),
-        landmarks: &[],
-        located: &[],
-        assessment: &[],
-        planes: None,
-        tracking: None,
-        measured_tre_mm: None,
-        slide: None,
-        check: &[],
-        takes: Takes::default(),
-        start: None,
-        reasons: &[],
-        assumptions: &[],
-    };
+    let case = Case { icp: Some(&ended), ..Case::new(Registered { target, source: scan, t_target_source, at: &[] }) };
     judge(&case, &Default::default(), &Default::default(), &Default::default())
 }
 

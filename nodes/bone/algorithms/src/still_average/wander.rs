@@ -188,13 +188,13 @@ mod tests {
     fn a_millimetre_in_half_a_second_is_found_after_any_rest_and_within_any_drift() {
         for noise in [WHITE, OPTICAL, MAGNETIC, REPEATED] {
             let after_rest = |k: usize| 0.1 * (k % 100).saturating_sub(80) as f64;
-            let found = share(noise, 4000, after_rest, (90..4000).step_by(100));
-            assert!(found > 0.95, "{found} after a rest, correlation {}", noise.correlation);
-            let found = share(noise, 400, |k| 0.1 * k as f64, 10..400);
-            assert!(found > 0.95, "{found} within a drift, correlation {}", noise.correlation);
+            let share_moved = share(noise, 4000, after_rest, (90..4000).step_by(100));
+            assert!(share_moved > 0.95, "{share_moved} after a rest, correlation {}", noise.correlation);
+            let share_moved = share(noise, 400, |k| 0.1 * k as f64, 10..400);
+            assert!(share_moved > 0.95, "{share_moved} within a drift, correlation {}", noise.correlation);
         }
-        let found = share(WHITE, 400, |k| 0.03 * k as f64, 60..400);
-        assert!(found > 0.9, "a steady drift of 0.3 mm with white noise of 0.03 mm: {found}");
+        let share_moved = share(WHITE, 400, |k| 0.03 * k as f64, 60..400);
+        assert!(share_moved > 0.9, "a steady drift of 0.3 mm with white noise of 0.03 mm: {share_moved}");
     }
 
     #[test]

@@ -5,8 +5,8 @@ use crate::still_average::BonePose;
 use nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion};
 use osteoflow_geometry::NamedPoint;
 
-/// A misread attitude is seen where it displaces a located point by so many times what the point is off by, and by at least so
-/// much, mm: a landmark is located to 1 or 2 mm.
+/// A misread attitude is detected if it displaces a located point by at least this many times the point's residual, and by at
+/// least this much, mm: a landmark is located to 1 or 2 mm.
 const SEEN_TIMES: f64 = 3.0;
 const SEEN_MM: f64 = 5.0;
 

@@ -5,7 +5,7 @@ use crate::still_average::{MarkerMotion, TakeMotion};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_verdict::{Answer, Reason};
 
-/// A motion is told from so many times the stated lateness on at which it would matter.
+/// A motion that would matter at up to this many times the stated lateness is an assumption.
 const MAY_MATTER: f64 = 10.0;
 
 /// Thresholds of the rule.

@@ -160,6 +160,28 @@ pub struct Case<'a> {
     pub assumptions: &'a [&'a str],
 }
 
+impl<'a> Case<'a> {
+    /// A registration with nothing beside it.
+    pub fn new(registered: Registered<'a>) -> Self {
+        Self {
+            registered,
+            icp: None,
+            landmarks: &[],
+            located: &[],
+            assessment: &[],
+            planes: None,
+            tracking: None,
+            measured_tre_mm: None,
+            slide: None,
+            check: &[],
+            takes: Takes::default(),
+            start: None,
+            reasons: &[],
+            assumptions: &[],
+        }
+    }
+}
+
 /// The verdict on a registration.
 pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, errors: &PredictParams) -> Verdict {
     let mut reasons = case.reasons.to_vec();

@@ -88,22 +88,7 @@ fn measured_by_stylus(
 
 /// A registration with nothing beside it.
 fn bare<'a>(target: &'a Target, source: &'a Cloud, t_target_source: &'a Isometry3<f64>) -> Case<'a> {
-    Case {
-        registered: Registered { target, source, t_target_source, at: &[] },
-        icp: None,
-        landmarks: &[],
-        located: &[],
-        assessment: &[],
-        planes: None,
-        tracking: None,
-        measured_tre_mm: None,
-        slide: None,
-        check: &[],
-        takes: Takes::default(),
-        start: None,
-        reasons: &[],
-        assumptions: &[],
-    }
+    Case::new(Registered { target, source, t_target_source, at: &[] })
 }
 
 fn rules(verdict: &Verdict) -> Vec<&str> {

@@ -8,7 +8,8 @@ use serde::Deserialize;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NuisanceParams {
-    /// Standardised score from which a cause is measured. 5: beyond what the errors of real scanners, as they are simulated, leave in a sound scan.
+    /// Standardised score from which a cause is measured. 5: a choice, not fitted. A cause
+    /// below it is bounded or unseen.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub min_score: f64,
     /// Stretch of the CT along the bone, across it, or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
