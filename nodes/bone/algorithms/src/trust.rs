@@ -3,19 +3,25 @@
 //! [`Evidence`] measures, [`predict`] propagates, [`judge`] decides. Nothing here moves the scan: a verdict never replaces the
 //! registration that it judges.
 
+mod assumptions;
 mod attitude;
 mod bound;
+mod by_shape;
+mod case;
 mod checked;
 mod contradiction;
 mod contrary;
 mod convergence;
+mod cut;
 mod evidence;
 mod extent;
 mod inside;
+mod judge;
 mod limits;
 mod misfit;
 mod motion;
 mod nuisance;
+mod on_surface;
 mod pattern;
 mod planned;
 mod predict;
@@ -30,14 +36,18 @@ mod surface_error;
 mod takes;
 #[cfg(test)]
 mod tests;
+mod uncertainty;
 mod verdict;
 
 pub use bound::{PlanReport, Said, fingerprint, plan_binding};
+pub use case::Case;
 pub use contradiction::planes_contradict;
 pub use contrary::{ShapeEvidence, mirrored};
 pub use convergence::{Convergence, StopCause};
+pub use cut::Cut;
 pub use evidence::{Evidence, EvidenceParams, Examined, Registered, When};
 pub use inside::Inside;
+pub use judge::judge;
 pub use limits::Limits;
 pub use misfit::Misfit;
 pub use nuisance::{Nuisance, NuisanceParams, NuisanceState};
@@ -45,12 +55,12 @@ pub use osteoflow_verdict::{Answer, Reason};
 pub use pattern::Pattern;
 pub use planned::{OrderEvidence, landmark_order, plan_faults, planes_lost};
 pub use predict::{
-    Cut, Deformation, Interval, Levers, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term,
-    Tracking, Where, predict,
+    Deformation, Interval, Levers, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking,
+    Where, predict,
 };
 pub use predict_last::{PredictedLast, PredictedLastCut};
 pub use residuals::{Residual, Residuals};
-pub use rules::{Case, RuleParams, judge};
+pub use rules::RuleParams;
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
 pub use stylus::StylusErrors;

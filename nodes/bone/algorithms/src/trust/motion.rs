@@ -1,6 +1,7 @@
 //! What the motion of markers says against a registration: the error of poses that are late.
 
-use super::{Cut, Limits, Where};
+use super::cut::Displaced;
+use super::{Limits, Where};
 use crate::still_average::{MarkerMotion, TakeMotion};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_verdict::{Answer, Reason};
@@ -85,12 +86,13 @@ impl<'a> Moved<'a> {
             markers.iter().map(|marker| (*marker, size(marker))).max_by(|a, b| a.1.total_cmp(&b.1))?;
         // Poses of one tracker are late together, so motions of two markers add up with their signs.
         let velocity = |p: &Point3<f64>| -> Vector3<f64> { markers.iter().map(|m| m.displacement(p) / m.span_s).sum() };
-        let spin: Vector3<f64> = markers.iter().map(|m| Vector3::from(m.turn_rad) / m.span_s).sum();
-        let largest = |of: &dyn Fn(&Cut) -> f64| at.cuts.iter().map(of).fold(0.0, f64::max);
+        let largest = |of: &dyn Fn(&Displaced) -> f64| {
+            at.cuts.iter().map(|cut| of(&cut.displaced_by(&velocity))).fold(0.0, f64::max)
+        };
         let per_s = limits.limits.times(
             mean(&|p| velocity(p).norm()),
-            largest(&|cut| velocity(&cut.middle.position).dot(&cut.normal).abs()),
-            largest(&|cut| spin.cross(&cut.normal).norm().to_degrees()),
+            largest(&|displaced| displaced.offset_mm),
+            largest(&|displaced| displaced.slope.to_degrees()),
         );
         let late_mm = limits.max_latency_s * mean(&|p| velocity(p).norm());
         Some(Self { take, marker, moved_mm, late_mm, critical_s: 1.0 / per_s })
@@ -124,6 +126,7 @@ impl<'a> Moved<'a> {
 mod tests {
     use super::*;
     use crate::still_average::{Carries, StillReport, still_average};
+    use crate::trust::Cut;
     use osteoflow_geometry::NamedPoint;
 
     /// Eleven samples over half a second of a marker that moved and turned, without noise.

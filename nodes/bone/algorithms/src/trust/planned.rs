@@ -1,5 +1,7 @@
 //! What the plan says about itself: the order of its landmarks, and whether it belongs to the surface.
 
+use super::evidence::Evidence;
+use super::rules::RuleParams;
 use crate::coarse::{best_other_order, rms};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
@@ -35,6 +37,28 @@ pub fn landmark_order(planned: &[NamedPoint], located: &[NamedPoint]) -> Option<
     let t = kabsch(&target, &source).ok()?;
     let (best_other_fre_mm, best_other) = best_other_order(&target, &located)?;
     Some(OrderEvidence { fre_mm: rms(&t, &target, &source), best_other_fre_mm, best_other })
+}
+
+/// The sign that the landmarks fit better in another order.
+pub(super) fn order_reason(order: &OrderEvidence) -> Option<Reason> {
+    let OrderEvidence { fre_mm, best_other_fre_mm, best_other } = order;
+    (best_other_fre_mm < fre_mm).then(|| {
+        let reason = format!(
+            "the landmarks fit better in another order: {} by {best_other_fre_mm:.1} mm (RMS), as named {fre_mm:.1} mm",
+            best_other.join(", ")
+        );
+        let remedy = "check which landmark each scan shows; two were probably exchanged";
+        Reason::new("landmark_order", Answer::Doubtful, reason, remedy)
+    })
+}
+
+/// The sign that the landmarks miss the planned ones where the registration by shape alone lies elsewhere.
+pub(super) fn landmarks_reason(order: &OrderEvidence, evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
+    let is_apart = evidence.shape.as_ref().is_some_and(|shape| shape.apart_mm > rules.max_shape_apart_mm);
+    (is_apart && order.fre_mm > rules.max_fre_mm).then(|| {
+        let reason = format!("the landmarks miss the planned ones by {:.1} mm (RMS)", order.fre_mm);
+        Reason::new("landmarks", Answer::Doubtful, reason, "locate the landmarks again")
+    })
 }
 
 /// The reason against a result whose planes are unknown at the end of the recording; `None` if all are known.

@@ -1,10 +1,11 @@
 //! The error to expect, from the spread of the pose and the stated errors of the devices.
 
+use super::cut::Cut;
 use super::nuisance::params::NuisanceParams;
 use super::{Limits, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector6};
 use osteoflow_geometry::NamedPoint;
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -126,27 +127,6 @@ pub struct Predicted {
     /// At the cuts as last followed, where they were: all else is of the scan's instant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last: Option<PredictedLast>,
-}
-
-/// A planned cut.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Cut {
-    /// Its name, and the middle of the bone in it.
-    pub middle: NamedPoint,
-    /// Its unit normal.
-    pub normal: Vector3<f64>,
-}
-
-/// The tilt of a cut is that of its plane this far around its middle, mm: an error may change along the bone.
-const AROUND_MM: f64 = 0.1;
-
-impl Cut {
-    /// Two perpendicular arms from the middle, in the plane.
-    pub(super) fn arms(&self) -> [Vector3<f64>; 2] {
-        let other = if self.normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
-        let u = self.normal.cross(&other).normalize();
-        [u * AROUND_MM, self.normal.cross(&u) * AROUND_MM]
-    }
 }
 
 impl Deformation {
@@ -425,14 +405,12 @@ impl<'a> Draws<'a> {
         let tre_mm = self.means(at.limited);
         let (mut offset_mm, mut tilt_deg) = (vec![0.0_f64; n], vec![0.0_f64; n]);
         for cut in at.cuts {
-            let (middle, normal) = (cut.middle.position, cut.normal);
-            let along = |lever: DMatrix<f64>| normal.transpose() * lever * &self.columns;
-            let offsets = along(self.lever(&middle));
-            let slopes =
-                cut.arms().map(|t| along((self.lever(&(middle + t)) - self.lever(&(middle - t))) / (2.0 * t.norm())));
+            let errors = cut.probes().map(|p| self.errors(&p));
             for k in 0..n {
-                offset_mm[k] = offset_mm[k].max(offsets[k].abs());
-                tilt_deg[k] = tilt_deg[k].max(slopes[0][k].hypot(slopes[1][k]).to_degrees());
+                let displaced =
+                    cut.displaced(std::array::from_fn(|probe| errors[probe].fixed_view::<3, 1>(0, k).into()));
+                offset_mm[k] = offset_mm[k].max(displaced.offset_mm);
+                tilt_deg[k] = tilt_deg[k].max(displaced.slope.to_degrees());
             }
         }
         let is_beyond = |k: &usize| limits.times(tre_mm[*k], offset_mm[*k], tilt_deg[*k]) > 1.0;

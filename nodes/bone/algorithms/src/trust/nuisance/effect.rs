@@ -21,12 +21,9 @@ impl Effect {
     pub(super) fn new(place: &Where<'_>, limits: &Limits, error: &dyn Fn(&Point3<f64>) -> Vector3<f64>) -> Self {
         let tre_mm = place.limited.iter().map(|p| error(p).norm()).sum::<f64>() / place.limited.len().max(1) as f64;
         let (mut offset_mm, mut tilt_deg) = (0.0_f64, 0.0_f64);
-        for cut in place.cuts {
-            let (middle, normal) = (cut.middle.position, cut.normal);
-            offset_mm = offset_mm.max(error(&middle).dot(&normal).abs());
-            let slope = |t: Vector3<f64>| (error(&(middle + t)) - error(&(middle - t))).dot(&normal) / (2.0 * t.norm());
-            let [u, v] = cut.arms().map(slope);
-            tilt_deg = tilt_deg.max(u.hypot(v).atan().to_degrees());
+        for displaced in place.cuts.iter().map(|cut| cut.displaced_by(error)) {
+            offset_mm = offset_mm.max(displaced.offset_mm);
+            tilt_deg = tilt_deg.max(displaced.slope.atan().to_degrees());
         }
         Self { mm: tre_mm.max(offset_mm), deg: tilt_deg, times: limits.times(tre_mm, offset_mm, tilt_deg) }
     }

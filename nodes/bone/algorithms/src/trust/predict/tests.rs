@@ -1,5 +1,6 @@
 use super::*;
 use nalgebra::UnitQuaternion;
+use nalgebra::Vector3;
 
 fn named(name: &str, position: [f64; 3]) -> NamedPoint {
     NamedPoint::new(name, Point3::from(position))

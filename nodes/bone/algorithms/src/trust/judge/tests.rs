@@ -1,5 +1,6 @@
 use super::*;
-use crate::coarse::RunnerUp;
+use crate::coarse::{GlobalReport, RunnerUp};
+use crate::trust::contrary::BETTER;
 use crate::trust::{Inside, Misfit, Pattern, ShapeEvidence, SurfaceError};
 
 /// The evidence of a right registration.

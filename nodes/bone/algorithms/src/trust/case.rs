@@ -1,0 +1,66 @@
+//! What a verdict is given on.
+
+use super::convergence::Convergence;
+use super::evidence::Registered;
+use super::predict::Tracking;
+use super::takes::Takes;
+use crate::coarse::GlobalReport;
+use crate::metrics::CheckReport;
+use crate::slide::SlideReport;
+use osteoflow_geometry::{NamedPoint, Planes};
+use osteoflow_verdict::Reason;
+
+/// A registration with everything that is known beside it. What is not known is empty or none.
+#[derive(Debug, Clone)]
+pub struct Case<'a> {
+    /// The registered scan.
+    pub registered: Registered<'a>,
+    /// How the registration ended.
+    pub icp: Option<&'a Convergence>,
+    /// The planned landmarks.
+    pub landmarks: &'a [NamedPoint],
+    /// The landmarks as located.
+    pub located: &'a [NamedPoint],
+    /// The planned assessment points.
+    pub assessment: &'a [NamedPoint],
+    /// The planned cuts; none where cuts are of no concern.
+    pub planes: Option<&'a Planes>,
+    /// Where the markers were.
+    pub tracking: Option<&'a Tracking>,
+    /// Mean error measured with a stylus, mm.
+    pub measured_tre_mm: Option<f64>,
+    /// The slide profile about the registration.
+    pub slide: Option<&'a SlideReport>,
+    /// Readings of a check piece.
+    pub check: &'a [CheckReport],
+    /// How the markers moved while something was measured.
+    pub takes: Takes<'a>,
+    /// The registration by shape alone that it started from, if it did.
+    pub start: Option<&'a GlobalReport>,
+    /// Signs found elsewhere.
+    pub reasons: &'a [Reason],
+    /// What was taken for granted elsewhere, one sentence each.
+    pub assumptions: &'a [&'a str],
+}
+
+impl<'a> Case<'a> {
+    /// A registration with nothing beside it.
+    pub fn new(registered: Registered<'a>) -> Self {
+        Self {
+            registered,
+            icp: None,
+            landmarks: &[],
+            located: &[],
+            assessment: &[],
+            planes: None,
+            tracking: None,
+            measured_tre_mm: None,
+            slide: None,
+            check: &[],
+            takes: Takes::default(),
+            start: None,
+            reasons: &[],
+            assumptions: &[],
+        }
+    }
+}

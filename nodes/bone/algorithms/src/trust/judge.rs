@@ -1,0 +1,201 @@
+//! The verdict on a registration: the signs in each kind of evidence, put together.
+
+use super::assumptions::assumptions;
+use super::attitude::attitude_assumption;
+use super::by_shape::{has_surroundings, mirror_reason, shape_reason, start_reason};
+use super::case::Case;
+use super::checked::check_reason;
+use super::contradiction::contradiction_reason;
+use super::convergence::convergence_reason;
+use super::cut::planned_cuts;
+use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
+use super::extent::extent_reason;
+use super::inside::inside_reason;
+use super::misfit::misfit_reason;
+use super::motion::{MotionLimits, motion_signs};
+use super::nuisance::{self, Nuisance, Nuisances};
+use super::on_surface::{facing_away_reason, on_surface_reason};
+use super::planned::{OrderEvidence, landmark_order, landmarks_reason, order_reason, plan_faults};
+use super::predict::{PredictParams, Predicted, Where, predict};
+use super::predict_last::predict_last;
+use super::rules::RuleParams;
+use super::slid::slide_reasons;
+use super::stylus::stylus_reason;
+use super::surface_error::CELL_MM;
+use super::uncertainty::spread_reason;
+use super::verdict::Verdict;
+use crate::still_average::TakeMotion;
+use nalgebra::{Isometry3, Point3};
+use osteoflow_geometry::NamedPoint;
+use osteoflow_verdict::{Answer, Reason};
+
+/// The rules on scan and surface.
+const DATA: [&str; 8] =
+    ["misfit", "inward_misfit", "inside", "spread", "unsettled", "shape", "on_surface", "facing_away"];
+
+/// The verdict on a registration.
+pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, errors: &PredictParams) -> Verdict {
+    let cuts = planned_cuts(case.registered.target, case.planes);
+    let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
+    let at: Vec<Point3<f64>> = assessed.iter().copied().chain(cuts.iter().map(|cut| cut.middle.position)).collect();
+    let case = &Case { registered: Registered { at: &at, ..case.registered }, ..case.clone() };
+    let limited = if assessed.is_empty() { points_that_matter(&case.registered) } else { assessed };
+    let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
+    let order = landmark_order(case.landmarks, case.located);
+    let judging = Judging { case, place, order, examine, rules, errors };
+
+    let (takes, scan) = (judging.of_takes(), judging.of_scan());
+    let reasons = [case.reasons.to_vec(), judging.of_plan_and_readings(), takes.reasons, scan.reasons].concat();
+    let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
+    let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
+    let assumed = assumed.into_iter().chain(takes.assumptions).chain(last).collect();
+    Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances)
+}
+
+/// What the markers' motions say.
+struct OfTakes {
+    reasons: Vec<Reason>,
+    assumptions: Vec<String>,
+}
+
+/// What scan and surface say.
+#[derive(Default)]
+struct OfScan {
+    reasons: Vec<Reason>,
+    predicted: Option<Predicted>,
+    measured: Option<Evidence>,
+    nuisances: Vec<Nuisance>,
+    /// The causes that the data do not limit, each with whether it is of the camera.
+    unseen: Vec<(bool, String)>,
+}
+
+/// A case with the places that matter, and how it is judged.
+struct Judging<'a> {
+    case: &'a Case<'a>,
+    place: Where<'a>,
+    order: Option<OrderEvidence>,
+    examine: &'a EvidenceParams,
+    rules: &'a RuleParams,
+    errors: &'a PredictParams,
+}
+
+impl Judging<'_> {
+    /// The signs in the plan, the landmarks, the scan's extent, the slide profile and the check piece.
+    fn of_plan_and_readings(&self) -> Vec<Reason> {
+        let Case { registered, landmarks, assessment, planes, .. } = *self.case;
+        let points: Vec<NamedPoint> = landmarks.iter().chain(assessment).cloned().collect();
+        let mut reasons = registered.target.mesh().map(|mesh| plan_faults(mesh, &points, planes)).unwrap_or_default();
+        reasons.extend(extent_reason(registered.source));
+        reasons.extend(self.case.slide.map(slide_reasons).unwrap_or_default());
+        reasons.extend(check_reason(self.case.check, registered.source.stamp_ns, self.rules.max_check_mm));
+        reasons.extend(self.order.as_ref().and_then(order_reason));
+        reasons
+    }
+
+    /// The signs in the markers' poses, and what is taken for granted about them.
+    fn of_takes(&self) -> OfTakes {
+        let Case { registered, landmarks, located, assessment, measured_tre_mm, takes, .. } = *self.case;
+        let RuleParams { max_latency_s, max_moved_mm, ref limits, .. } = *self.rules;
+        let all: Vec<TakeMotion> = takes.scan.into_iter().chain(takes.located).chain(takes.touched).cloned().collect();
+        let motion_limits = MotionLimits { max_latency_s, max_moved_mm, limits };
+        let motion = motion_signs(&all, registered.t_target_source, &self.place, &motion_limits);
+        let planned: Vec<NamedPoint> = landmarks.iter().chain(assessment).cloned().collect();
+        let attitude = attitude_assumption(&takes, &planned, located, measured_tre_mm, registered.t_target_source);
+        OfTakes {
+            reasons: motion.reason.into_iter().chain(contradiction_reason(&all, self.errors)).collect(),
+            assumptions: motion.assumption.into_iter().chain(attitude).collect(),
+        }
+    }
+
+    /// The signs in scan and surface, and the predicted error.
+    fn of_scan(&self) -> OfScan {
+        let registered = &self.case.registered;
+        let Some(mut examined) = Evidence::examine(registered, self.examine) else { return self.unexamined() };
+        let nuisances = self.nuisances(&examined.evidence);
+        let predicted = self.predicted(&examined, nuisances.as_ref());
+        let (found, nuisances, unseen) = nuisances.map(|n| (n.reason, n.list, n.assumptions)).unwrap_or_default();
+        let mut reasons = self.of_end(&examined.evidence);
+        reasons.extend(found);
+        reasons.extend(self.stylus(predicted.as_ref()));
+        reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules));
+        reasons.extend(data_reasons(&examined.evidence, self.order.as_ref(), self.rules));
+        if self.is_mirror_due(&reasons) {
+            examined.examine_mirrored(registered);
+            reasons.extend(mirror_reason(&examined.evidence));
+        }
+        // The error is told where points or cuts are planned.
+        let mut predicted = predicted.filter(|_| !registered.at.is_empty());
+        if let Some(predicted) = &mut predicted {
+            let Case { takes, planes, .. } = self.case;
+            predicted.last =
+                predict_last(predicted, self.place.cuts, takes, *planes, registered.t_target_source, self.errors);
+        }
+        OfScan { reasons, predicted, measured: Some(examined.evidence), nuisances, unseen }
+    }
+
+    /// What is said of a scan that cannot be examined.
+    fn unexamined(&self) -> OfScan {
+        let text = "the surface has no normals or the scan too few points, so nothing could be examined";
+        let unexamined = Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals");
+        let start = self.case.start.and_then(|start| start_reason(start, self.rules.min_shape_clearness, false));
+        let converged = self.case.icp.and_then(|ended| convergence_reason(ended, None));
+        let reasons = [self.stylus(None), start, converged, Some(unexamined)].into_iter().flatten().collect();
+        OfScan { reasons, ..OfScan::default() }
+    }
+
+    /// The signs in where the registration started and ended.
+    fn of_end(&self, evidence: &Evidence) -> Vec<Reason> {
+        let start = |start| start_reason(start, self.rules.min_shape_clearness, has_surroundings(evidence));
+        let converged = |ended| convergence_reason(ended, evidence.unsettled_mm);
+        let (start, converged) = (self.case.start.and_then(start), self.case.icp.and_then(converged));
+        start.into_iter().chain(converged).collect()
+    }
+
+    fn stylus(&self, predicted: Option<&Predicted>) -> Option<Reason> {
+        let RuleParams { max_measured_tre_mm, stylus, .. } = self.rules;
+        stylus_reason(self.case.measured_tre_mm, predicted, *max_measured_tre_mm, stylus)
+    }
+
+    /// What may be wrong beside the pose.
+    fn nuisances(&self, evidence: &Evidence) -> Option<Nuisances> {
+        let examine = |cell_mm: f64| {
+            let (limits, priors) = (&self.rules.limits, &self.errors.nuisances);
+            nuisance::examine(&self.case.registered, &self.place, evidence.noise_mm, cell_mm, limits, priors)
+        };
+        [evidence.surface_error.cell_mm(), CELL_MM].into_iter().find_map(examine)
+    }
+
+    fn predicted(&self, examined: &Examined, nuisances: Option<&Nuisances>) -> Option<Predicted> {
+        let deformation = nuisances.and_then(|nuisances| nuisances.deformation.as_ref());
+        let to_settled = examined.to_settled.unwrap_or_else(Isometry3::identity);
+        let (tracking, limits) = (self.case.tracking, &self.rules.limits);
+        let spread = examined.spread.as_ref()?;
+        Some(predict(spread, &to_settled, deformation, tracking, &self.place, limits, self.errors))
+    }
+
+    /// Whether the scan's mirror image is registered, too.
+    fn is_mirror_due(&self, reasons: &[Reason]) -> bool {
+        let is_of_data = |reason: &Reason| DATA.contains(&reason.rule.as_str());
+        match self.examine.mirror {
+            When::Always => true,
+            When::IfRaised => self.case.reasons.iter().chain(reasons).any(is_of_data),
+            When::Never => false,
+        }
+    }
+}
+
+/// The signs in the residuals, and in the registration by shape alone.
+fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &RuleParams) -> Vec<Reason> {
+    let signs = [
+        misfit_reason(evidence, rules),
+        inside_reason(&evidence.inside_patches, evidence.noise_mm, rules.max_inside),
+        on_surface_reason(evidence, rules),
+        facing_away_reason(evidence),
+        shape_reason(evidence, rules),
+        order.and_then(|order| landmarks_reason(order, evidence, rules)),
+    ];
+    signs.into_iter().flatten().collect()
+}
+
+#[cfg(test)]
+mod tests;
