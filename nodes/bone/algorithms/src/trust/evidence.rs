@@ -162,7 +162,7 @@ impl Evidence {
         let rms = |square: &dyn Fn(&Point3<f64>) -> f64| {
             (at.iter().map(square).sum::<f64>() / at.len() as f64).max(0.0).sqrt()
         };
-        let settled = contrary::settled(registered, t_target_source);
+        let settled = contrary::settled(registered);
         let shape = params.shape.then(|| contrary::by_shape(registered)).flatten();
         let mut supported = None;
         let mut evidence = Evidence {

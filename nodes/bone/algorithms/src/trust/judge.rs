@@ -47,8 +47,9 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let (takes, scan) = (judging.of_takes(), judging.of_scan());
     let reasons = [case.reasons.to_vec(), judging.of_plan_and_readings(), takes.reasons, scan.reasons].concat();
     let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
+    let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
-    let assumed = assumed.into_iter().chain(takes.assumptions).chain(last).collect();
+    let assumed = assumed.into_iter().chain(takes.assumptions).chain(devices).chain(last).collect();
     Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances)
 }
 

@@ -124,6 +124,10 @@ pub struct Predicted {
     pub beyond_limits: f64,
     /// Each source of error, RMS over all of these points.
     pub terms: Vec<Term>,
+    /// The interval of the mean TRE of the assessment points, else of the cuts, if the stated errors of markers and phantom were
+    /// all twice as large, mm: no residual shows them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub devices_twice_mm: Option<Interval>,
     /// At the cuts as last followed, where they were: all else is of the scan's instant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last: Option<PredictedLast>,
@@ -199,6 +203,17 @@ pub struct Term {
 }
 
 impl Predicted {
+    /// What the interval takes for granted of the devices.
+    pub(super) fn devices_assumption(&self, params: &PredictParams) -> Option<String> {
+        let [from_mm, to_mm] = self.devices_twice_mm?;
+        let of = if self.assessment.is_some() { "at the assessment points" } else { "at the cuts" };
+        let PredictParams { marker_mm, marker_deg, print_mm, print_deg, .. } = params;
+        Some(format!(
+            "markers are tracked to {marker_mm} mm and {marker_deg} degrees and the phantom is printed to {print_mm} mm and {print_deg} \
+             degrees, as stated: errors twice as large would leave {from_mm:.1} to {to_mm:.1} mm {of} (90 %)"
+        ))
+    }
+
     /// The prediction in a sentence.
     pub(super) fn sentence(&self) -> String {
         let set = |what: &str, set: &Option<PredictedSet>| {
@@ -225,6 +240,19 @@ fn isotropic(mm: f64, deg: f64) -> Matrix6<f64> {
     Matrix6::from_diagonal(&Vector6::new(mm, mm, mm, rad, rad, rad).map(|sd| sd * sd))
 }
 
+/// The stated errors of the markers and the phantom, each with its name.
+fn stated(tracking: &Tracking, centre: &Point3<f64>, params: &PredictParams) -> Vec<(&'static str, Matrix6<f64>)> {
+    let marker = isotropic(params.marker_mm, params.marker_deg);
+    let camera_marker = carried(&marker, &tracking.camera_marker, centre);
+    let mut terms = vec![("camera marker at the scan", camera_marker)];
+    if let Some(phantom_marker) = &tracking.phantom_marker {
+        terms.push(("camera marker at the calibration", camera_marker));
+        terms.push(("phantom marker", carried(&marker, phantom_marker, centre)));
+        terms.push(("phantom", carried(&isotropic(params.print_mm, params.print_deg), phantom_marker, centre)));
+    }
+    terms
+}
+
 /// Predicts the error at points and cuts.
 ///
 /// The terms are independent rigid errors: the spread of the registration; the camera's marker at the scan and at the
@@ -249,24 +277,16 @@ pub fn predict(
     let centre = spread.centre;
     let points = at.points;
     let cuts: Vec<NamedPoint> = at.cuts.iter().map(|cut| cut.middle.clone()).collect();
-    let mut terms = vec![("registration", spread.covariance)];
-    if let Some(tracking) = tracking {
-        let marker = isotropic(params.marker_mm, params.marker_deg);
-        let camera_marker = carried(&marker, &tracking.camera_marker, &centre);
-        terms.push(("camera marker at the scan", camera_marker));
-        if let Some(phantom_marker) = &tracking.phantom_marker {
-            terms.push(("camera marker at the calibration", camera_marker));
-            terms.push(("phantom marker", carried(&marker, phantom_marker, &centre)));
-            terms.push(("phantom", carried(&isotropic(params.print_mm, params.print_deg), phantom_marker, &centre)));
-        }
-        if let Some((covariance, about)) = &tracking.phantom_fit {
-            terms.push(("phantom's fit", carried(covariance, about, &centre)));
-        }
-    }
+    let stated = tracking.map(|tracking| stated(tracking, &centre, params)).unwrap_or_default();
+    let fit = tracking.and_then(|tracking| tracking.phantom_fit.as_ref());
+    let fit = fit.map(|(covariance, about)| ("phantom's fit", carried(covariance, about, &centre)));
+    let found = [("registration", spread.covariance)];
+    let terms: Vec<(&str, Matrix6<f64>)> = found.into_iter().chain(stated.iter().copied()).chain(fit).collect();
     let shift = to_settled * centre - centre;
     let turn = to_settled.rotation.scaled_axis();
     let mean = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
-    let total: Matrix6<f64> = terms.iter().map(|(_, covariance)| covariance).sum();
+    let sum = |terms: &[(&str, Matrix6<f64>)]| terms.iter().map(|(_, covariance)| covariance).sum::<Matrix6<f64>>();
+    let (total, devices) = (sum(&terms), sum(&stated));
     let bias = spread.beyond(params.ct_bias_mm);
     let all: Vec<Point3<f64>> = points.iter().chain(&cuts).map(|p| p.position).collect();
     let rms_of = |variance: &dyn Fn(&Point3<f64>) -> f64| {
@@ -289,6 +309,14 @@ pub fn predict(
         let (_, interval_with_ct_bias_mm) = biased.mean_error(&positions)?;
         Some(PredictedSet { mean_tre_mm, interval_mm, interval_with_ct_bias_mm })
     };
+    let devices_twice_mm = (!stated.is_empty()).then(|| {
+        let draws = draws(&(total + devices * 3.0));
+        let mean = |named: &[NamedPoint]| {
+            let positions: Vec<Point3<f64>> = named.iter().map(|p| p.position).collect();
+            draws.mean_error(&positions)
+        };
+        mean(points).or_else(|| mean(&cuts)).map(|(_, interval)| interval)
+    });
     let moved = |p: &Point3<f64>| shift + turn.cross(&(p - centre));
     let point = |named: &NamedPoint| {
         let own = deformation.map_or(Matrix3::zeros(), |deformation| deformation.covariance_at(&named.position));
@@ -309,6 +337,7 @@ pub fn predict(
         all_cuts: set(&cuts),
         beyond_limits: given.beyond_limits(at, limits),
         terms,
+        devices_twice_mm: devices_twice_mm.flatten(),
         last: None,
     }
 }

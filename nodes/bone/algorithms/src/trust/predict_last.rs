@@ -105,6 +105,7 @@ mod tests {
             all_cuts: None,
             beyond_limits: 0.0,
             terms: vec![],
+            devices_twice_mm: None,
             last: None,
         };
         predict_last(&predicted, &[cut], &takes, Some(&planned), &registration, &PredictParams::default()).unwrap()

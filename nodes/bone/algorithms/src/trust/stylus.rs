@@ -89,6 +89,7 @@ mod tests {
             all_cuts: None,
             beyond_limits: 0.0,
             terms: vec![],
+            devices_twice_mm: None,
             last: None,
         }
     }

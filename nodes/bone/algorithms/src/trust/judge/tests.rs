@@ -188,6 +188,7 @@ fn a_spread_is_a_sign_by_its_chance_and_named_by_the_larger_cause() {
             all_cuts: None,
             beyond_limits,
             terms: vec![],
+            devices_twice_mm: None,
             last: None,
         };
         let evidence = Evidence { unsettled_mm, spread_mm: Some(0.5), ..evidence() };
@@ -221,6 +222,7 @@ fn a_spread_is_a_sign_by_its_chance_and_named_by_the_larger_cause() {
         all_cuts: None,
         beyond_limits: 0.4,
         terms: vec![],
+        devices_twice_mm: None,
         last: None,
     };
     let wide = spread_reason(Some(&predicted), &slides(Some(1.2)), &rules).unwrap().reason;

@@ -20,7 +20,8 @@ pub struct NuisanceParams {
     /// it is many degrees.
     #[schemars(range(min = 0.001, max = 90.0))]
     pub shear_deg: f64,
-    /// Bend of the bone against the CT, mm at the ends of the scan against its middle. 0.1: a fibula without load.
+    /// Bend of the bone against the CT, mm at the ends of the scan against its middle. 0.02: what 1.6 N at an arm of 100 mm bend 100 mm
+    /// of a fibula (17 GPa, 600 mm^4), which lies free.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub bend_mm: f64,
     /// Twist of the bone against the CT, degrees from the middle of the scan to its ends. 0.1: a fibula without load.
@@ -56,7 +57,7 @@ impl Default for NuisanceParams {
             min_score: 5.0,
             stretch_percent: 0.5,
             shear_deg: 0.1,
-            bend_mm: 0.1,
+            bend_mm: 0.02,
             twist_deg: 0.1,
             offset_mm: 0.2,
             film_mm: 0.3,

@@ -33,6 +33,10 @@ fn tracking() -> Tracking {
 
 /// All errors of a seeded case.
 fn predicted() -> Predicted {
+    predicted_with(&PredictParams::default())
+}
+
+fn predicted_with(errors: &PredictParams) -> Predicted {
     let points = [named("P1", [12.0, 20.0, 30.0]), named("P2", [10.0, 27.0, 95.0])];
     let cuts = [cut("a", [9.0, 20.0, 40.0]), cut("b", [10.0, 21.0, 110.0]), cut("c", [10.0, 20.0, 60.0])];
     let limited = points.each_ref().map(|p| p.position);
@@ -40,7 +44,31 @@ fn predicted() -> Predicted {
     let to_settled = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.002, 0.001, -0.003));
     let spread = spread([0.1, 0.2, 0.3, 0.002, 0.001, 0.004]);
     let limits = Limits { max_tre_mm: 0.8, max_offset_mm: 0.9, max_tilt_deg: 0.4 };
-    predict(&spread, &to_settled, None, Some(&tracking()), &at, &limits, &PredictParams::default())
+    predict(&spread, &to_settled, None, Some(&tracking()), &at, &limits, errors)
+}
+
+#[test]
+fn devices_twice_as_bad_leave_what_twice_the_stated_errors_predict() {
+    let stated = PredictParams::default();
+    let twice = PredictParams {
+        marker_mm: 2.0 * stated.marker_mm,
+        marker_deg: 2.0 * stated.marker_deg,
+        print_mm: 2.0 * stated.print_mm,
+        print_deg: 2.0 * stated.print_deg,
+        ..stated.clone()
+    };
+    let told = predicted().devices_twice_mm.unwrap();
+    let expected = predicted_with(&twice).assessment.unwrap().interval_mm;
+    assert!(
+        told.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9),
+        "{told:?} instead of {expected:?}, rounding alone"
+    );
+    assert!(told[1] > predicted().assessment.unwrap().interval_mm[1] + 0.1, "{told:?}");
+    let text = predicted().devices_assumption(&stated).unwrap();
+    let words = format!("would leave {:.1} to {:.1} mm at the assessment points", expected[0], expected[1]);
+    assert!(text.starts_with("markers are tracked to 0.06 mm") && text.contains(&words), "{text}");
+    let untracked = Predicted { devices_twice_mm: None, ..predicted() };
+    assert_eq!(untracked.devices_assumption(&stated), None);
 }
 
 #[test]
