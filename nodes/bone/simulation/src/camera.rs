@@ -491,7 +491,15 @@ mod tests {
     }
 
     fn quiet() -> CameraParams {
-        CameraParams { depth_noise_mm: 0.0, dropout: 0.0, n_patches: 0, depth_bias_mm: 0.0, ..CameraParams::default() }
+        CameraParams {
+            depth_noise_mm: 0.0,
+            dropout: 0.0,
+            n_patches: 0,
+            depth_bias_mm: 0.0,
+            surface_error_mm: 0.0,
+            edge_outliers: 0.0,
+            ..CameraParams::default()
+        }
     }
 
     fn shot(pixels: &[Pixel]) -> Shot<'_> {

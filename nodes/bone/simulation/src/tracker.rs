@@ -267,6 +267,10 @@ mod tests {
             placement_deg: 0.0,
             noise_mm: 0.0,
             noise_deg: 0.0,
+            noise_lag1: 0.0,
+            step_mm: 0.0,
+            repeats: 0.0,
+            lost_run: 0.0,
             drift_mm_per_min: 0.0,
             ..TrackerParams::default()
         }

@@ -2,6 +2,7 @@
 
 use crate::common::exact::without_errors;
 use crate::common::shared::simulate;
+use crate::common::white::white_noise;
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Points, Pose};
@@ -247,7 +248,7 @@ fn ruled_marks_share_the_malleolus_stay_on_the_bone_and_are_what_laser_and_stylu
 
 #[test]
 fn without_a_localiser_the_camera_is_the_world_and_the_laser_shows_the_assessment_marks_too() {
-    let mut params = ProcedureParams::default();
+    let mut params = white_noise();
     (params.tracker.none, params.laser.assessment) = (true, true);
     let procedure = simulate(&params, 5);
     assert!(procedure.bone_marker.is_empty() && procedure.stylus_assessment.points.is_empty());

@@ -60,7 +60,7 @@ fn residuals(params: &ProcedureParams, seed: u64) -> Residuals {
 #[test]
 fn a_scans_residuals_are_correlated_over_millimetres_and_have_outliers_at_edges_as_those_of_real_scanners() {
     const SEEDS: u64 = 6;
-    let mut params = real_noise(ProcedureParams::default());
+    let mut params = ProcedureParams::default();
     // As far apart as the pixels of the laser scanner, and few enough to compare all with all.
     params.camera.n_points = 5000;
     let of: Vec<Residuals> = (0..SEEDS).map(|seed| residuals(&params, seed)).collect();
@@ -87,7 +87,7 @@ fn a_scans_residuals_are_correlated_over_millimetres_and_have_outliers_at_edges_
 
 #[test]
 fn a_marker_at_rest_has_steps_correlated_noise_repeats_and_losses_in_a_row_as_real_ones() {
-    let params = real_noise(ProcedureParams::default());
+    let params = ProcedureParams::default();
     let (mut products, mut squares, mut n_repeats, mut n_lost, mut n_in_a_row, mut n) = (0.0, 0.0, 0, 0, 0, 0);
     for seed in 0..40 {
         let procedure = simulate(&ProcedureParams { camera: few_points(&params), ..params.clone() }, seed);
@@ -125,14 +125,4 @@ fn a_marker_at_rest_has_steps_correlated_noise_repeats_and_losses_in_a_row_as_re
 
 fn few_points(params: &ProcedureParams) -> osteoflow_simulation::CameraParams {
     osteoflow_simulation::CameraParams { n_points: 500, ..params.camera.clone() }
-}
-
-/// The noise that was measured on real devices.
-fn real_noise(mut params: ProcedureParams) -> ProcedureParams {
-    let camera = &mut params.camera;
-    (camera.depth_noise_mm, camera.edge_outliers) = (0.045, 0.025);
-    (camera.surface_error_mm, camera.surface_error_wavelength_mm) = (0.08, 20.0);
-    let tracker = &mut params.tracker;
-    (tracker.noise_lag1, tracker.step_mm, tracker.repeats, tracker.lost_run) = (0.85, 0.01, 0.1, 3.0);
-    params
 }

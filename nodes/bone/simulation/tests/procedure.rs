@@ -1,6 +1,7 @@
 //! What a simulated procedure promises, measured from its clouds and streams against the exact surface.
 
 use crate::common::shared::simulate;
+use crate::common::white::white_noise;
 use osteoflow_algorithms::hole::{HoleParams, cloud_difference};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::nalgebra::{Isometry3, Point3};
@@ -245,6 +246,8 @@ fn the_marker_is_followed_at_every_cloud_and_touch_and_the_bone_comes_to_rest() 
     let rest: Vec<&Pose> = procedure.bone_marker.iter().filter(|p| end.stamp_ns - p.stamp_ns < 2_900_000_000).collect();
     let spread = rest.iter().map(|p| (p.isometry.translation.vector - end.isometry.translation.vector).norm());
     assert!(spread.fold(0.0, f64::max) < 0.4, "white noise of 0.03 mm alone");
+    // An outlier may be farther off than the region's margin.
+    let procedure = simulate(&white_noise(), 5);
     let region = procedure.region.as_ref().unwrap();
     assert!(procedure.scan.points().iter().all(|p| region.contains(p)));
 }

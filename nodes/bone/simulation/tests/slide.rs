@@ -4,6 +4,7 @@
 //! docs/method/sliding.md.
 
 use crate::common::bench::{Bench, built_in, measured};
+use crate::common::white::white_noise;
 use osteoflow_algorithms::icp::{self, IcpParams, Method, PublishedParams, PublishedReading, register_published};
 use osteoflow_algorithms::slide::{SlideFit, SlideParams, slide};
 use osteoflow_geometry::nalgebra::{Isometry3, Vector3};
@@ -75,7 +76,7 @@ fn ruled_starts_agree_at_the_cuts_after_any_variant() {
     let measured = ["MC22_fibula_r", "TLEM2_CT_fibula_r"].into_iter().filter_map(|name| measured(test, name));
     let bones = measured.chain([built_in(2), built_in(1)]);
     for bone in bones.take(if is_slow() { 4 } else { 1 }) {
-        let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 1);
+        let bench = Bench::new(bone, &white_noise(), &CtParams::default(), 1);
         starts_agree(&bench.thinned(every()), n);
     }
 }
@@ -85,7 +86,7 @@ fn a_slid_and_spun_start_comes_home() {
     let test = "a_slid_and_spun_start_comes_home";
     let bones = measured(test, "TLEM2_CT_fibula_r").into_iter().chain([built_in(1)]);
     for bone in bones.take(if is_slow() { 2 } else { 1 }) {
-        let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 2).thinned(every());
+        let bench = Bench::new(bone, &white_noise(), &CtParams::default(), 2).thinned(every());
         let home = slid(&bench, &bench.truth);
         for (along_mm, turn_deg) in [(25.0, 0.0), (-25.0, 0.0), (12.0, 40.0), (-12.0, -40.0)] {
             let fit = slid(&bench, &bench.displaced(along_mm, f64::to_radians(turn_deg)));
@@ -124,7 +125,7 @@ fn made(bones: &[u64], n_seeds: u64, change: impl Fn(&mut ProcedureParams, &mut 
 fn made_of(bones: &[u64], n_seeds: u64, length_mm: f64, change: impl Fn(&mut ProcedureParams, &mut CtParams)) -> Made {
     let mut made = Made::default();
     for (bone, seed) in bones.iter().flat_map(|bone| (0..n_seeds).map(move |seed| (*bone, seed))) {
-        let (mut params, mut ct) = (ProcedureParams::default(), CtParams::default());
+        let (mut params, mut ct) = (white_noise(), CtParams::default());
         params.laser.max_attempts = 3;
         change(&mut params, &mut ct);
         let bench = Bench::new(built_in(bone), &params, &ct, 100 + seed).cropped(length_mm).thinned(every());
