@@ -8,6 +8,7 @@
 mod blobs;
 mod boundary;
 mod cloud_difference;
+mod depth_outliers;
 mod footprint;
 mod image;
 mod params;

@@ -1,4 +1,5 @@
 use super::blobs::{areas, neighbours};
+use super::depth_outliers::corrected;
 use super::image::{Grid, seen};
 use super::scene::{Scene, no_points, no_viewpoint};
 use super::spot::{Missing, find};
@@ -48,6 +49,8 @@ const MIN_AROUND: usize = 24;
 /// camera's image replaces.
 pub fn boundary(cloud: &Cloud, params: &HoleParams) -> Result<Hole, Refusal> {
     let t_cloud_camera = cloud.viewpoint.ok_or_else(no_viewpoint)?;
+    let points = corrected(cloud);
+    let cloud = &Cloud::new(cloud.frame.clone(), points).map_err(|_| no_viewpoint())?.seen_from(t_cloud_camera);
     let fill = fill(cloud, &t_cloud_camera, params)?;
     let n_seen = cloud.len();
     let margin_mm = fill.margin_mm;

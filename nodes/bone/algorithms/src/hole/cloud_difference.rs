@@ -38,7 +38,7 @@ pub fn cloud_difference(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -
 }
 
 /// Reference points farther from the scan with the laser than its spacing explains.
-pub(super) fn missing(scene: &Scene<'_>, params: &HoleParams) -> Missing {
+pub(super) fn missing(scene: &Scene, params: &HoleParams) -> Missing {
     // The distance between the scans must not look like a gap.
     let apart_mm = 2.0 * scene.residual_mm * scene.sight.depth_share();
     let factor = (WIDEST * params.spot_radius_mm / scene.median_spacing_mm).clamp(NARROWEST, GAP);

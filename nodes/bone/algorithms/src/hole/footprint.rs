@@ -35,7 +35,7 @@ const SIGNIFICANT: f64 = 3.0;
 
 /// Points of the surface around a hole.
 pub(super) struct Footprint<'a> {
-    scene: &'a Scene<'a>,
+    scene: &'a Scene,
     points: Vec<Point3<f64>>,
     /// Whether each of them is missing.
     is_missing: Vec<bool>,
@@ -69,7 +69,7 @@ struct Beam {
 
 impl<'a> Footprint<'a> {
     /// The surroundings of a hole.
-    pub(super) fn of_hole(scene: &'a Scene<'a>, missing: &Missing, centre: &Point3<f64>, params: &HoleParams) -> Self {
+    pub(super) fn of_hole(scene: &'a Scene, missing: &Missing, centre: &Point3<f64>, params: &HoleParams) -> Self {
         let radius_mm = params.spot_radius_mm;
         let around = scene.within(&scene.reference, centre, REACH * radius_mm);
         Self {

@@ -25,7 +25,7 @@ pub(super) struct Patch {
 
 impl Patch {
     /// `None` if too few points are within `reach_mm`.
-    pub(super) fn new(scene: &Scene<'_>, origin: &Point3<f64>, reach_mm: f64) -> Option<Self> {
+    pub(super) fn new(scene: &Scene, origin: &Point3<f64>, reach_mm: f64) -> Option<Self> {
         let around: Vec<Point3<f64>> = scene
             .within(&scene.reference, origin, reach_mm)
             .into_iter()

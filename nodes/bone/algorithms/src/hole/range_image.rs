@@ -24,7 +24,7 @@ pub fn range_image(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Res
 }
 
 /// `None` if the scan is not in front of the camera.
-fn missing(scene: &Scene<'_>, t_camera_cloud: &Isometry3<f64>) -> Option<Missing> {
+fn missing(scene: &Scene, t_camera_cloud: &Isometry3<f64>) -> Option<Missing> {
     let image = |p: &Point3<f64>| seen(&(t_camera_cloud * p));
     let of_cloud: Vec<Point3<f64>> = scene.cloud.points.iter().filter_map(image).collect();
     let of_reference: Vec<Option<Point3<f64>>> = scene.reference.points.iter().map(image).collect();

@@ -171,7 +171,7 @@ struct Candidate {
 
 /// The bone in the image.
 struct Search<'a> {
-    scene: &'a Scene<'a>,
+    scene: &'a Scene,
     image: &'a Image,
     t_cloud_image: Isometry3<f64>,
     params: &'a RgbSpotParams,
@@ -187,14 +187,14 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(
-        scene: &'a Scene<'a>,
+        scene: &'a Scene,
         image: &'a Image,
         t_cloud_image: Isometry3<f64>,
         params: &'a RgbSpotParams,
     ) -> Result<Self, Refusal> {
         let t_image_cloud = t_cloud_image.inverse();
         let [width, height] = [image.width(), image.height()].map(f64::from);
-        let points = scene.reference.points;
+        let points = &scene.reference.points;
         let seen: Vec<([f64; 2], f64, usize)> = points
             .iter()
             .enumerate()

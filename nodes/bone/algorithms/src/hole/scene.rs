@@ -1,6 +1,7 @@
 //! The reference scan and the scan with the laser, prepared for comparison.
 
 use super::HoleParams;
+use super::depth_outliers::corrected;
 use super::sight::Sight;
 use crate::Refusal;
 use crate::nearest::Nearest;
@@ -20,9 +21,9 @@ const SAMPLED: usize = 1000;
 const AROUND: usize = 12;
 
 /// Both scans in one frame, with trees and spacing.
-pub(super) struct Scene<'a> {
-    pub(super) reference: Scan<'a>,
-    pub(super) cloud: Scan<'a>,
+pub(super) struct Scene {
+    pub(super) reference: Scan,
+    pub(super) cloud: Scan,
     pub(super) sight: Sight,
     /// Ratio of the spacings of the laser scan and the reference, at least 1.
     coarser: f64,
@@ -39,16 +40,16 @@ pub(super) struct Scene<'a> {
 }
 
 /// One scan as the camera of the scan with the laser sees it.
-pub(super) struct Scan<'a> {
-    /// Points in the frame of the clouds.
-    pub(super) points: &'a [Point3<f64>],
+pub(super) struct Scan {
+    /// Points in the frame of the clouds, without outliers in depth.
+    pub(super) points: Vec<Point3<f64>>,
     /// The points as [`Sight`] flattens them, and their tree.
     pub(super) flat: Vec<Point3<f64>>,
     tree: Nearest,
 }
 
-impl<'a> Scan<'a> {
-    fn new(points: &'a [Point3<f64>], sight: &Sight) -> Self {
+impl Scan {
+    fn new(points: Vec<Point3<f64>>, sight: &Sight) -> Self {
         let flat: Vec<Point3<f64>> = points.iter().map(|p| sight.flatten(p)).collect();
         Self { points, tree: Nearest::new(&flat), flat }
     }
@@ -83,17 +84,17 @@ impl<'a> Scan<'a> {
     }
 }
 
-impl<'a> Scene<'a> {
+impl Scene {
     /// # Errors
     /// [`Refusal`] if a scan is empty, or both lie apart.
-    pub(super) fn new(reference: &'a Cloud, cloud: &'a Cloud, params: &HoleParams) -> Result<Self, Refusal> {
+    pub(super) fn new(reference: &Cloud, cloud: &Cloud, params: &HoleParams) -> Result<Self, Refusal> {
         for (what, scan) in [("reference", reference), ("laser", cloud)] {
             if scan.len() <= AROUND {
                 return Err(no_points(what));
             }
         }
         let sight = Sight::of(cloud);
-        let (reference, cloud) = (Scan::new(reference.points(), &sight), Scan::new(cloud.points(), &sight));
+        let (reference, cloud) = (Scan::new(corrected(reference), &sight), Scan::new(corrected(cloud), &sight));
         let ([of_reference, _], [of_cloud, grid_mm]) = (reference.median_spacing(), cloud.median_spacing());
         let mut scene = Self {
             grid_mm: sight.is_known().then_some(grid_mm),
@@ -142,7 +143,7 @@ impl<'a> Scene<'a> {
     }
 
     /// Indices and squared distances (mm²) of the points of a scan no farther than `radius_mm` in space, by index.
-    pub(super) fn within(&self, scan: &Scan<'_>, point: &Point3<f64>, radius_mm: f64) -> Vec<(usize, f64)> {
+    pub(super) fn within(&self, scan: &Scan, point: &Point3<f64>, radius_mm: f64) -> Vec<(usize, f64)> {
         let mut neighbours = scan.tree.within(&self.sight.flatten(point), self.sight.reach_mm(point, radius_mm));
         neighbours.iter_mut().for_each(|(i, square)| *square = (scan.points[*i] - point).norm_squared());
         neighbours.retain(|(_, square)| *square <= radius_mm * radius_mm);

@@ -99,7 +99,7 @@ impl Candidate {
     }
 
     /// The hole where disc or beam explain it, with the confidence that the distance between these places leaves.
-    fn placed(&self, scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, Refusal> {
+    fn placed(&self, scene: &Scene, missing: &Missing, params: &HoleParams) -> Result<Hole, Refusal> {
         let mut hole = self.hole.clone();
         hole.place(&Footprint::of_hole(scene, missing, &hole.centre, params), params);
         if hole.report.tier > 1 && params.min_confidence_agreeing >= params.min_confidence {
@@ -123,7 +123,7 @@ impl Candidate {
 }
 
 /// The one hole among the missing points.
-pub(super) fn find(scene: &Scene<'_>, missing: &Missing, params: &HoleParams) -> Result<Hole, Refusal> {
+pub(super) fn find(scene: &Scene, missing: &Missing, params: &HoleParams) -> Result<Hole, Refusal> {
     let mut is_missing = vec![false; scene.reference.len()];
     missing.indices.iter().for_each(|&i| is_missing[i] = true);
     let seeds = seeds(scene, missing, &is_missing, params.spot_radius_mm);
@@ -186,7 +186,7 @@ pub(super) fn sector(offset: &Vector2<f64>) -> usize {
     ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
-fn too_sparse(scene: &Scene<'_>, spacing_mm: f64, params: &HoleParams) -> Refusal {
+fn too_sparse(scene: &Scene, spacing_mm: f64, params: &HoleParams) -> Refusal {
     let grid = scene.grid_mm.map(|mm| format!(" ({mm:.2} mm in the camera's grid)")).unwrap_or_default();
     Refusal::of(format!(
         "points of the {} scan are {spacing_mm:.2} mm apart on the surface{grid}, and {:.2} mm on the surface surely show a hole \
@@ -198,7 +198,7 @@ fn too_sparse(scene: &Scene<'_>, spacing_mm: f64, params: &HoleParams) -> Refusa
 }
 
 /// The error that describes why there is no hole.
-fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> Refusal {
+fn not_found(scene: &Scene, missing: &Missing, best: Option<&Candidate>, params: &HoleParams) -> Refusal {
     let spacing_mm = scene.surface_spacing_mm;
     if spacing_mm > SURE_SPACING * params.spot_radius_mm {
         return too_sparse(scene, spacing_mm, params);
@@ -238,7 +238,7 @@ fn not_found(scene: &Scene<'_>, missing: &Missing, best: Option<&Candidate>, par
 }
 
 /// Missing points with the most missing points around, no two within a radius of each other.
-fn seeds(scene: &Scene<'_>, missing: &Missing, is_missing: &[bool], radius_mm: f64) -> Vec<Point3<f64>> {
+fn seeds(scene: &Scene, missing: &Missing, is_missing: &[bool], radius_mm: f64) -> Vec<Point3<f64>> {
     let crowd = |&i: &usize| {
         let around = scene.within(&scene.reference, &scene.reference.points[i], radius_mm);
         let n = around.iter().filter(|(j, _)| is_missing[*j]).count();
@@ -265,7 +265,7 @@ fn seeds(scene: &Scene<'_>, missing: &Missing, is_missing: &[bool], radius_mm: f
 
 /// Fits a disc to the missing points around `seed` and rates it.
 fn rate(
-    scene: &Scene<'_>,
+    scene: &Scene,
     missing: &Missing,
     is_missing: &[bool],
     seed: &Point3<f64>,
@@ -289,7 +289,7 @@ fn rate(
     let patch = Patch::new(scene, &rough, 2.0 * radius).unwrap_or(patch);
     let centre = patch.fit(&inside, inner, &outside, radius + band, band);
 
-    let count = |scan: &Scan<'_>, reach: f64| scene.within(scan, &centre, reach).len() as f64;
+    let count = |scan: &Scan, reach: f64| scene.within(scan, &centre, reach).len() as f64;
     let core = (radius - step_mm / 2.0).max(0.5 * radius);
     let expected = |reach: f64| scene.density * count(&scene.reference, reach);
     let empty_share = (1.0 - count(&scene.cloud, core) / expected(core).max(1.0)).clamp(0.0, 1.0);
@@ -335,9 +335,9 @@ fn rate(
 }
 
 /// Numbers of sectors of the rim that the scan covers, and that only the reference covers.
-fn rim(scene: &Scene<'_>, patch: &Patch, centre: &Point3<f64>, radius: f64, spacing_mm: f64) -> (usize, usize) {
+fn rim(scene: &Scene, patch: &Patch, centre: &Point3<f64>, radius: f64, spacing_mm: f64) -> (usize, usize) {
     let reach = radius + (0.6 * radius).max(2.0 * spacing_mm);
-    let sectors = |scan: &Scan<'_>| {
+    let sectors = |scan: &Scan| {
         let mut sectors = [0.0; SECTORS];
         for (i, square) in scene.within(scan, centre, reach) {
             if square > radius * radius {
