@@ -66,7 +66,7 @@ pub struct CameraParams {
     /// Standard deviation, per axis, of the hand-held camera's attitude from that view. 3 degrees: assumed.
     #[schemars(range(min = 0.0, max = 15.0))]
     pub view_spread_deg: f64,
-    /// Standard deviation of the depth of single points along the ray, at normal incidence. 0.045 mm: 0.045 to 0.051 mm in
+    /// Standard deviation of the depth of single points along the ray, at normal incidence. 0.05 mm: 0.045 to 0.051 mm in
     /// laser scans of the Stanford repository.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub depth_noise_mm: f64,
@@ -113,7 +113,7 @@ pub struct CameraParams {
     /// Seed of that error's field. None: the run's seed; a number for many procedures with one camera.
     pub bias_seed: Option<u64>,
     /// RMS of the error across the surface that neighbouring points share: fringes, laser lines and lenses err alike over some
-    /// millimetres. One field in the camera's space for a run, so that scans of one view share it. 0.08 mm: so that
+    /// millimetres. One field in the camera's space for a run, so that scans of one view share it. 0.075 mm: so that
     /// residuals have the 0.09 to 0.1 mm of those scans; 0 is off.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub surface_error_mm: f64,
@@ -152,7 +152,7 @@ impl Default for CameraParams {
             surroundings: false,
             view_azimuth_deg: 45.0,
             view_spread_deg: 3.0,
-            depth_noise_mm: 0.045,
+            depth_noise_mm: 0.05,
             depth_noise_growth: 1.0,
             max_incidence_deg: 72.0,
             dropout: 0.02,
@@ -166,7 +166,7 @@ impl Default for CameraParams {
             depth_bias_mm: 0.05,
             depth_bias_wavelength_mm: 60.0,
             bias_seed: None,
-            surface_error_mm: 0.08,
+            surface_error_mm: 0.075,
             surface_error_wavelength_mm: 20.0,
             edge_outliers: 0.025,
             edge_outlier_mm: 1.0,
@@ -187,8 +187,8 @@ pub struct TrackerParams {
     /// The share of samples that are lost. 0.03: other simulator.
     #[schemars(range(min = 0.0, max = 0.9))]
     pub lost: f64,
-    /// Mean number of samples that are lost in a row. 3: assumed, a marker that is hidden for a moment; 0: each is lost by
-    /// itself.
+    /// Mean number of samples that are lost in a row. 0: each is lost by itself, as the gaps of two periods in the test data of
+    /// PLUS, 4 of 995; more for a marker that is hidden for a moment.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub lost_run: f64,
     /// Standard deviation, per axis, of the constant error of a marker at one place. 0.06 mm: other simulator.
@@ -236,7 +236,7 @@ impl Default for TrackerParams {
         Self {
             rate_hz: 20.0,
             lost: 0.03,
-            lost_run: 3.0,
+            lost_run: 0.0,
             placement_mm: 0.06,
             placement_deg: 0.023,
             noise_mm: 0.03,

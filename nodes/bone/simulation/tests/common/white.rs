@@ -6,8 +6,8 @@ use osteoflow_simulation::ProcedureParams;
 pub(crate) fn white_noise() -> ProcedureParams {
     let mut params = ProcedureParams::default();
     let camera = &mut params.camera;
-    (camera.depth_noise_mm, camera.surface_error_mm, camera.edge_outliers) = (0.05, 0.0, 0.0);
+    (camera.surface_error_mm, camera.edge_outliers) = (0.0, 0.0);
     let tracker = &mut params.tracker;
-    (tracker.lost_run, tracker.noise_lag1, tracker.step_mm, tracker.repeats) = (0.0, 0.0, 0.0, 0.0);
+    (tracker.noise_lag1, tracker.step_mm, tracker.repeats) = (0.0, 0.0, 0.0);
     params
 }
