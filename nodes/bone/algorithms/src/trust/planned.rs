@@ -39,10 +39,14 @@ pub fn landmark_order(planned: &[NamedPoint], located: &[NamedPoint]) -> Option<
     Some(OrderEvidence { fre_mm: rms(&t, &target, &source), best_other_fre_mm, best_other })
 }
 
-/// The sign that the landmarks fit better in another order.
+/// Landmarks were exchanged where another order leaves less than this share of the squares: landmarks that are aimed 5 mm off fit
+/// a little better in another order by chance.
+const EXCHANGED: f64 = 0.5;
+
+/// The sign that the landmarks fit much better in another order.
 pub(super) fn order_reason(order: &OrderEvidence) -> Option<Reason> {
     let OrderEvidence { fre_mm, best_other_fre_mm, best_other } = order;
-    (best_other_fre_mm < fre_mm).then(|| {
+    (best_other_fre_mm.powi(2) < EXCHANGED * fre_mm.powi(2)).then(|| {
         let reason = format!(
             "the landmarks fit better in another order: {} by {best_other_fre_mm:.1} mm (RMS), as named {fre_mm:.1} mm",
             best_other.join(", ")

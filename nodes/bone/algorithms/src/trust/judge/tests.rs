@@ -121,12 +121,13 @@ fn landmarks_that_miss_the_plan_are_a_sign_where_the_shape_does_not_agree() {
 }
 
 #[test]
-fn another_order_of_landmarks_is_a_sign_only_if_it_fits_better() {
+fn another_order_of_landmarks_is_a_sign_only_if_it_fits_much_better() {
     let reason = |best_other_fre_mm| {
         let best_other = vec!["P1".to_owned(), "P3".to_owned(), "P2".to_owned()];
         order_reason(&OrderEvidence { fre_mm: 2.5, best_other_fre_mm, best_other })
     };
-    assert_eq!((reason(2.5), reason(2.6)), (None, None));
+    assert_eq!((reason(1.8), reason(2.5), reason(2.6)), (None, None, None));
+    assert!(reason(1.7).is_some());
     let words = "the landmarks fit better in another order: P1, P3, P2 by 0.4 mm (RMS), as named 2.5 mm";
     assert_eq!(reason(0.4).unwrap().reason, words);
 }
