@@ -153,23 +153,24 @@ impl Tracker<'_> {
         let period_s = 1.0 / self.params.rate_hz;
         let mut samples = Vec::new();
         for &(from_s, to_s) in spans {
-            // What the localiser wrote between spans, when objects move, is not known here.
-            let mut last_seen: Option<Isometry3<f64>> = None;
+            // What the localiser gave between spans, when objects move, is not known here.
+            let mut last: Option<Isometry3<f64>> = None;
             // The localiser's clock continues between spans and is not synchronous with the camera's.
-            let first = (from_s / period_s).ceil() as i64;
-            let last = (to_s / period_s).floor() as i64;
-            for tick in first..=last {
+            let first_tick = (from_s / period_s).ceil() as i64;
+            let last_tick = (to_s / period_s).floor() as i64;
+            for tick in first_tick..=last_tick {
                 let s = (tick as f64 + PHASE) * period_s;
                 let jitter = jitter.next(&mut noise, tick, self.params);
                 let is_repeated = self.params.repeats > 0.0 && repeats.random::<f64>() < self.params.repeats;
                 is_lost = loss.random::<f64>() < self.lost_after(is_lost);
+                let truth = path.at(s) * t_object_marker(s);
+                let seen = self.written(Translation3::from(self.drift(s)) * truth * placement(s) * jitter);
+                // A lost sample is repeated as any other, so that losses change no other sample.
+                let seen = last.filter(|_| is_repeated).unwrap_or(seen);
+                last = Some(seen);
                 if is_lost {
                     continue;
                 }
-                let truth = path.at(s) * t_object_marker(s);
-                let seen = self.written(Translation3::from(self.drift(s)) * truth * placement(s) * jitter);
-                let seen = last_seen.filter(|_| is_repeated).unwrap_or(seen);
-                last_seen = Some(seen);
                 samples.push(Pose::new("world", marker.frame(), seen).at(self.stamp(s + self.params.late_s)));
             }
         }
