@@ -5,6 +5,7 @@
 //! silhouette, or takes from the surface what no laser hides.
 
 use super::scene::median;
+use super::sight::LEAST_COS;
 use crate::nearest::Nearest;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Cloud;
@@ -22,7 +23,7 @@ const FAR: f64 = 6.0;
 /// ...and at least, in spacings of the points: what is closer counts at the same place.
 const LEAST_SPACINGS: f64 = 1.0;
 
-/// Share of the neighbours that have to lie on their plane: elsewhere, as at a step in depth, nothing is known.
+/// Share of the neighbours that have to lie on their plane: elsewhere nothing is known.
 const AGREEING: f64 = 0.6;
 
 /// Share of that distance within which all neighbours of a point lie on a least-squares plane, so that none is an outlier: it would
@@ -79,6 +80,8 @@ struct Plane {
     inverse: Vector3<f64>,
     /// Depth in the direction of the point, mm.
     depth_mm: f64,
+    /// Cosine of the angle between its normal and the line of sight.
+    cos: f64,
     /// Distance from the plane per difference of the inverse depth.
     mm: f64,
 }
@@ -130,7 +133,8 @@ impl<'a> Image<'a> {
     /// The depth of the plane of a point's neighbours, if most of them agree and the point does not.
     fn contradicted(&self, i: usize, far_mm: f64) -> Option<f64> {
         let around = self.around(i);
-        let plane = around.robust()?;
+        // A plane more slanted than surfaces that a camera sees is one through a step in depth.
+        let plane = around.robust().filter(|plane| plane.cos >= LEAST_COS)?;
         let n_agreeing = around.near.iter().filter(|&&j| around.off_mm(j, &plane).abs() < far_mm).count();
         let agree = n_agreeing as f64 >= AGREEING * around.near.len() as f64;
         (agree && around.off_mm(i, &plane).abs() > far_mm).then_some(plane.depth_mm)
@@ -163,7 +167,8 @@ impl Around<'_> {
         let depth_mm = self.image.depth_mm / inverse.x;
         // Slope of the depth, mm per mm across the line of sight.
         let slope = inverse.yz().norm() * depth_mm / self.reach_mm;
-        (inverse.x > 0.0).then(|| Plane { inverse, depth_mm, mm: depth_mm / inverse.x / 1f64.hypot(slope) })
+        let cos = 1.0 / 1f64.hypot(slope);
+        (inverse.x > 0.0).then(|| Plane { inverse, depth_mm, cos, mm: depth_mm / inverse.x * cos })
     }
 
     /// The plane of most of the neighbours: weights of a Cauchy distribution as wide as half of them.
@@ -207,7 +212,7 @@ mod tests {
     /// A tenth of the points beside the left end are off by millimetres, all by hundredths.
     fn errs(k: usize) -> f64 {
         let noise = 0.02 * ((k * 7919 % 101) as f64 / 50.0 - 1.0);
-        if k % 60 < 2 && k / 60 % 5 == 0 { 4.0 - (k / 60 % 3) as f64 * 4.5 + noise } else { noise }
+        if k % 60 < 2 && k / 60 % 5 == 0 { [4.0, -5.0, 2.5][k / 60 % 3] + noise } else { noise }
     }
 
     #[test]

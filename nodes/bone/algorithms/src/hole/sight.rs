@@ -10,7 +10,7 @@ use osteoflow_geometry::Cloud;
 const DEPTH_SHARE: f64 = 0.15;
 
 /// Cosine of the largest angle of incidence at which a surface still gives points.
-const LEAST_COS: f64 = 0.25;
+pub(super) const LEAST_COS: f64 = 0.25;
 
 /// Depth, as a share of the median, up to which points are scaled by their depth: a point beside the camera has no image.
 const NEAREST: f64 = 0.2;
