@@ -7,6 +7,7 @@ mod declared;
 mod faults;
 mod feedback;
 mod frames;
+mod inherited;
 mod inputs;
 mod join;
 mod missing_trigger;
@@ -221,6 +222,7 @@ impl Check<'_> {
         self.names = wires::Names { modules: graph.modules.clone(), removed: graph.removed.clone() };
         let header = header::read(&graph.table, &graph.main, &mut self.faults);
         let parsed_nodes = self.parsed_nodes(graph, &header);
+        let parsed_nodes = self.without_unfed(parsed_nodes, graph);
         let inputs = self.inputs(&parsed_nodes, &header);
         self.check_outputs(graph, &parsed_nodes);
         if let Some(interface) = &graph.interface {

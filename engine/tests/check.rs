@@ -4,6 +4,7 @@ mod command_line_params;
 mod damage;
 mod frames;
 mod golden;
+mod inherited;
 mod modules;
 mod own_nodes;
 mod plans;

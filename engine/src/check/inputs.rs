@@ -95,6 +95,9 @@ impl Check<'_> {
         for entry in &table.0 {
             let owner = format!("node \"{}\": input \"{}\"", parsed_node.name, entry.key);
             let index = inputs.iter().position(|input| input.port.name == entry.key);
+            if index.is_some_and(|index| self.is_left_out(parsed_node, entry, &inputs[index].port, parsed_nodes)) {
+                continue;
+            }
             let wires = self.wires(entry, &owner, parsed_nodes);
             match index {
                 Some(index) => {
@@ -216,7 +219,7 @@ impl Check<'_> {
 }
 
 /// What names the wires of an input: the entry, or `from` of its table.
-fn from_of(entry: &Entry) -> &Spanned {
+pub(super) fn from_of(entry: &Entry) -> &Spanned {
     match &entry.value.value {
         Value::Table(table) => table.get("from").map_or(&entry.value, |from| &from.value),
         _ => &entry.value,

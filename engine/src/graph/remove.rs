@@ -21,6 +21,11 @@ impl Removed {
         self.done.iter().rev().find(|(removed, _)| removed == path).map(|(_, at)| at)
     }
 
+    /// Notes a path that is left out because of what is removed or replaced at `at`.
+    pub(crate) fn leave_out(&mut self, path: &str, at: &Span) {
+        self.done.push((path.into(), at.clone()));
+    }
+
     /// Removes from `base` the paths listed in `remove` of `over`.
     pub(super) fn take_from(&mut self, base: &mut Table, over: &mut Table, faults: &mut Vec<Fault>) {
         let Some(entry) = over.remove("remove") else { return };
