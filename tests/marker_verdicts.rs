@@ -149,6 +149,42 @@ fn a_camera_that_moves_while_it_scans_is_doubtful_with_the_lateness_that_would_m
 }
 
 #[test]
+fn a_camera_that_moves_after_the_stamp_of_its_scan_by_more_than_a_millimetre_is_doubtful() {
+    let stamps = cloud_stamps("/camera/");
+    for (mm_s, is_doubtful) in [(5.0, true), (1.5, false)] {
+        let away = |pose: &Pose| {
+            let shift = Vector3::new(0.6, -0.8, 0.0) * (mm_s * since(pose, &stamps).max(0.0));
+            let isometry =
+                Isometry3::from_parts((pose.isometry.translation.vector + shift).into(), pose.isometry.rotation);
+            vec![Pose { isometry, ..pose.clone() }]
+        };
+        let (dir, case) = with_poses("/tracker/camera_marker", away);
+        let (answer, rules, said) = verdict(&without_stylus(dir.path(), &case, &[]));
+        assert_eq!((answer == "doubtful", rules == ["motion"]), (is_doubtful, is_doubtful), "{mm_s} mm/s: {said}");
+        assert_eq!(said.contains("s after scan, P1, P2 and P3: poses that are 0.1 s late"), is_doubtful, "{said}");
+    }
+}
+
+#[test]
+fn poses_half_a_second_late_are_doubtful_where_the_recording_begins_with_the_scan() {
+    let stamps = cloud_stamps("/camera/");
+    let late_ns = 500_000_000;
+    let late = |mm_s: f64| {
+        let (moved, calibrated_ns) = (moving(mm_s, stamps.clone()), stamps.iter().min().unwrap() + late_ns);
+        move |pose: &Pose| {
+            let later = |moved: Pose| Pose { stamp_ns: moved.stamp_ns + late_ns, ..moved };
+            let is_calibration = pose.stamp_ns < calibrated_ns;
+            moved(pose).into_iter().map(|moved| if is_calibration { pose.clone() } else { later(moved) }).collect()
+        }
+    };
+    for (mm_s, expected) in [(5.0, "doubtful"), (0.0, "trusted")] {
+        let (dir, case) = with_poses("/tracker/camera_marker", late(mm_s));
+        let (answer, rules, said) = verdict(&without_stylus(dir.path(), &case, &[]));
+        assert_eq!(answer, expected, "{mm_s} mm/s: {rules:?} {said}");
+    }
+}
+
+#[test]
 fn a_bone_that_moves_while_it_is_scanned_is_doubtful_and_between_scans_it_may() {
     let (dir, case) = with_poses("/tracker/bone_marker", moving(20.0, cloud_stamps("/camera/")));
     let (answer, rules, said) = verdict(&without_stylus(dir.path(), &case, &[]));

@@ -117,6 +117,11 @@ pub enum Join {
     },
     /// The newest item at or before the firing stamp.
     Latest,
+    /// The newest item up to this long after the firing stamp, for which the node waits in the time of the stamps.
+    LatestAfter {
+        /// The time after the firing stamp.
+        after_ns: i64,
+    },
     /// Interpolated between the neighbours of the firing stamp, never across an empty or a longer gap.
     Interpolate {
         /// Maximum gap between the neighbours; unlimited if `None`.
@@ -136,7 +141,7 @@ impl Join {
             Self::Each => "each",
             Self::Stamp { .. } => "stamp",
             Self::Collect { .. } | Self::CollectEvery { .. } | Self::CollectSpan { .. } => "collect",
-            Self::Latest => "latest",
+            Self::Latest | Self::LatestAfter { .. } => "latest",
             Self::Interpolate { .. } => "interpolate",
             Self::Once => "once",
             Self::Previous => "previous",

@@ -40,10 +40,10 @@ impl Check<'_> {
             let Some(word) = table.word("join", &mut self.faults) else { return };
             join = match word {
                 "each" => Join::Each,
-                "latest" => Join::Latest,
                 "once" => Join::Once,
                 "previous" => Join::Previous,
                 _ if word == declared.name() => declared,
+                "latest" => Join::Latest,
                 "stamp" => Join::Stamp { tolerance_ns: 0 },
                 "collect" => Join::Collect { n: None },
                 _ => Join::Interpolate { max_gap_ns: None },
@@ -64,6 +64,12 @@ impl Check<'_> {
             && let Some(ns) = table.milliseconds("max_gap_ms", &mut self.faults)
         {
             join = Join::Interpolate { max_gap_ns: Some(ns) };
+        }
+        let is_latest = matches!(join, Join::Latest | Join::LatestAfter { .. });
+        if self.goes_with(table, "after_ms", is_latest, "latest", join)
+            && let Some(ns) = table.milliseconds("after_ms", &mut self.faults)
+        {
+            join = Join::LatestAfter { after_ns: ns };
         }
         input.port.join = self.window(table, join);
     }

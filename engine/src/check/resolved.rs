@@ -100,6 +100,7 @@ fn wired(input: &Input, from: &str) -> String {
     let mut parts = vec![format!("from = {from}"), format!("join = \"{}\"", input.port.join.name())];
     match input.port.join {
         Join::Stamp { tolerance_ns } => parts.push(format!("tolerance_ms = {}", milliseconds(tolerance_ns))),
+        Join::LatestAfter { after_ns } => parts.push(format!("after_ms = {}", milliseconds(after_ns))),
         Join::Interpolate { max_gap_ns: Some(ns) } => parts.push(format!("max_gap_ms = {}", milliseconds(ns))),
         Join::Collect { n: Some(n) } => parts.push(format!("n = {n}")),
         Join::CollectEvery { n, step } => parts.push(format!("n = {n}, step = {step}")),

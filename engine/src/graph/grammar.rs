@@ -141,6 +141,7 @@ pub(crate) static INPUT: Keys = LazyLock::new(|| {
         "every": { "type": "integer", "minimum": 1, "description": "With sample: one item in this many is kept." },
         "join": { "enum": JOINS, "description": "How items are chosen for a firing. Default: as the kind declares it." },
         "tolerance_ms": { "type": "number", "minimum": 0, "description": "With stamp: the largest difference of stamps." },
+        "after_ms": { "type": "number", "minimum": 0, "description": "With latest: how long after the firing stamp an item may be. Default: 0." },
         "max_gap_ms": { "type": "number", "minimum": 0, "description": "With interpolate: the longest gap between the neighbours." },
         "n": { "type": "integer", "minimum": 1, "description": "With collect: how many items; all until the end if not given." },
         "step": { "type": "integer", "minimum": 1, "description": "With n: how many items from one window to the next. Default: n." },

@@ -297,6 +297,7 @@ unsafe fn read_kind(given: &abi::Kind, sizes: &abi::Sizes) -> Result<KindDescrip
             kind::EACH => Join::Each,
             kind::STAMP => Join::Stamp { tolerance_ns: input.join_ns },
             kind::COLLECT => Join::Collect { n: Some(input.join_n).filter(|n| *n > 0) },
+            kind::LATEST if input.join_ns > 0 => Join::LatestAfter { after_ns: input.join_ns },
             kind::LATEST => Join::Latest,
             kind::INTERPOLATE => Join::Interpolate { max_gap_ns: Some(input.join_ns).filter(|ns| *ns >= 0) },
             kind::ONCE => Join::Once,

@@ -142,6 +142,7 @@ fn join(join: &Join) -> String {
         }
         Join::Collect { n: None } => "`collect`, all".into(),
         Join::Interpolate { max_gap_ns: Some(gap) } => format!("`interpolate`, gaps up to {} ms", ms(*gap)),
+        Join::LatestAfter { after_ns } => format!("`latest`, up to {} ms after", ms(*after_ns)),
         other => format!("`{}`", other.name()),
     }
 }

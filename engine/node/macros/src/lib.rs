@@ -11,7 +11,7 @@ mod port;
 ///
 /// A field of type `T` is a port that takes `T`; `Option<T>` may stay unwired and receives empties; `Vec<T>` collects;
 /// `Unused<T>` is drained; `Value` takes any payload, and `Option<Value>` any or none. `#[port(join = "each" | "stamp" |
-/// "collect" | "latest" | "interpolate" | "once" | "previous", tolerance_ms = .., n = .., max_gap_ms = .., frame = "..", to = "..",
+/// "collect" | "latest" | "interpolate" | "once" | "previous", tolerance_ms = .., n = .., max_gap_ms = .., after_ms = .., frame = "..", to = "..",
 /// from = "..")]`.
 #[proc_macro_derive(Inputs, attributes(port))]
 pub fn inputs(input: TokenStream) -> TokenStream {

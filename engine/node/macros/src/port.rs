@@ -13,6 +13,7 @@ struct PortAttr {
     n: Option<u32>,
     tolerance_ms: Option<f64>,
     max_gap_ms: Option<f64>,
+    after_ms: Option<f64>,
     frame: Option<LitStr>,
     to: Option<LitStr>,
     from: Option<LitStr>,
@@ -90,7 +91,8 @@ pub(crate) fn outputs(input: &DeriveInput) -> Result<TokenStream> {
     for field in named_fields(input)? {
         let (ident, name) = name_of(field)?;
         let attr = attr_of(field)?;
-        if attr.join.is_some() || attr.n.is_some() || attr.tolerance_ms.is_some() || attr.max_gap_ms.is_some() {
+        let times = [attr.tolerance_ms, attr.max_gap_ms, attr.after_ms];
+        if attr.join.is_some() || attr.n.is_some() || times.iter().any(Option::is_some) {
             return Err(Error::new_spanned(field, "an output does not join; only frame, to and from are known here"));
         }
         let (payload, put) = match field_type(&field.ty) {
@@ -202,6 +204,8 @@ fn attr_of(field: &Field) -> Result<PortAttr> {
                 out.tolerance_ms = Some(meta.value()?.parse::<LitFloat>()?.base10_parse()?);
             } else if meta.path.is_ident("max_gap_ms") {
                 out.max_gap_ms = Some(meta.value()?.parse::<LitFloat>()?.base10_parse()?);
+            } else if meta.path.is_ident("after_ms") {
+                out.after_ms = Some(meta.value()?.parse::<LitFloat>()?.base10_parse()?);
             } else if meta.path.is_ident("frame") {
                 out.frame = Some(meta.value()?.parse()?);
             } else if meta.path.is_ident("to") {
@@ -209,7 +213,7 @@ fn attr_of(field: &Field) -> Result<PortAttr> {
             } else if meta.path.is_ident("from") {
                 out.from = Some(meta.value()?.parse()?);
             } else {
-                return Err(meta.error("known here: join, n, tolerance_ms, max_gap_ms, frame, to, from"));
+                return Err(meta.error("known here: join, n, tolerance_ms, max_gap_ms, after_ms, frame, to, from"));
             }
             Ok(())
         })?;
@@ -230,7 +234,10 @@ fn join_of(attr: &PortAttr, many: bool, field: &Field) -> Result<TokenStream> {
             Some(n) => quote!(Collect { n: ::core::option::Option::Some(#n) }),
             None => quote!(Collect { n: ::core::option::Option::None }),
         },
-        "latest" => quote!(Latest),
+        "latest" => match attr.after_ms.map(ns) {
+            Some(after) => quote!(LatestAfter { after_ns: #after }),
+            None => quote!(Latest),
+        },
         "interpolate" => match attr.max_gap_ms.map(ns) {
             Some(gap) => quote!(Interpolate { max_gap_ns: ::core::option::Option::Some(#gap) }),
             None => quote!(Interpolate { max_gap_ns: ::core::option::Option::None }),

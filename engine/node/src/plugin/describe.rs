@@ -122,6 +122,7 @@ fn input_of(port: &InputPort) -> abi::Input {
         Join::Stamp { tolerance_ns } => (kind::STAMP, 0, tolerance_ns),
         Join::Collect { n } => (kind::COLLECT, n.unwrap_or(0), 0),
         Join::Latest => (kind::LATEST, 0, 0),
+        Join::LatestAfter { after_ns } => (kind::LATEST, 0, after_ns),
         Join::Interpolate { max_gap_ns } => (kind::INTERPOLATE, 0, max_gap_ns.unwrap_or(-1)),
         Join::Once => (kind::ONCE, 0, 0),
         Join::Previous => (kind::PREVIOUS, 0, 0),

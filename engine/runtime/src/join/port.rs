@@ -87,7 +87,7 @@ impl Port {
             _ if spec.wire.is_none() || spec.unused => Role::Nothing,
             Join::Each | Join::Collect { .. } | Join::CollectEvery { .. } | Join::CollectSpan { .. } => Role::Step,
             Join::Stamp { .. } => Role::Stamp,
-            Join::Latest | Join::Interpolate { .. } => Role::Sampler,
+            Join::Latest | Join::LatestAfter { .. } | Join::Interpolate { .. } => Role::Sampler,
             Join::Once => Role::Once,
             Join::Previous => Role::Previous,
         };
@@ -177,7 +177,9 @@ impl Port {
             return true;
         }
         match self.spec.join {
-            Join::Each | Join::Latest | Join::Interpolate { .. } | Join::Previous => self.queue.is_empty(),
+            Join::Each | Join::Latest | Join::LatestAfter { .. } | Join::Interpolate { .. } | Join::Previous => {
+                self.queue.is_empty()
+            }
             Join::Stamp { .. } => self.queue.len() < 2,
             Join::Collect { n } => n.is_none_or(|n| self.queue.len() < n as usize),
             Join::CollectEvery { n, .. } => self.queue.len() < n as usize,
@@ -491,9 +493,18 @@ impl Port {
     /// Keeps the newest item not after `stamp_ns`, the earliest stamp that can still be asked for.
     pub(crate) fn advance(&mut self, stamp_ns: StampNs) {
         if self.is_sampler() {
-            while self.head_stamp().is_some_and(|at| at <= stamp_ns) {
+            let last_ns = self.last_sampled(stamp_ns);
+            while self.head_stamp().is_some_and(|at| at <= last_ns) {
                 self.kept = self.queue.pop_front();
             }
+        }
+    }
+
+    /// Stamp up to which a sampler takes items for a firing at `stamp_ns`.
+    fn last_sampled(&self, stamp_ns: StampNs) -> StampNs {
+        match self.spec.join {
+            Join::LatestAfter { after_ns } => stamp_ns.saturating_add(after_ns),
+            _ => stamp_ns,
         }
     }
 
@@ -504,7 +515,7 @@ impl Port {
             && self.kept.as_ref().is_none_or(|kept| kept.stamp_ns < stamp_ns && matches!(kept.body, Body::Value(_)));
         // Also before the first item, the next one is waited for: the reason names its distance.
         let needs_next = between || self.kept.is_none();
-        !self.queue.is_empty() || self.ended || (!needs_next && self.passed(stamp_ns))
+        !self.queue.is_empty() || self.ended || (!needs_next && self.passed(self.last_sampled(stamp_ns)))
     }
 
     /// What a constant or a sampler brings at `stamp_ns`.

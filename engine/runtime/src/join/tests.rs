@@ -358,6 +358,17 @@ fn wire() -> impl Strategy<Value = Vec<Offer>> {
     })
 }
 
+#[test]
+fn latest_may_look_a_stated_time_ahead_and_takes_what_is_there_at_the_end() {
+    let ahead = Join::LatestAfter { after_ns: 5 };
+    let offers = [vec![V(1, 1.0), V(5, 5.0), V(7, 7.0)], vec![V(2, 20.0), V(5, 50.0), V(6, 60.0), V(11, 110.0)]];
+    check(&[plain(EACH), plain(ahead)], &offers, &["1: 1 60", "5: 5 60", "7: 7 110"]);
+    let first = "1: 1 <the first sample of from.wire is 6 ns after the stamp>";
+    let offers = [vec![V(1, 1.0), V(3, 3.0)], vec![V(7, 70.0), Lost(8)]];
+    check(&[plain(EACH), optional(ahead)], &offers, &[first, "3: 3 <lost>"]);
+    check(&[plain(EACH), optional(ahead)], &[vec![V(3, 3.0)], vec![V(4, 40.0)]], &["3: 3 40"]);
+}
+
 fn join() -> impl Strategy<Value = Join> {
     prop_oneof![
         3 => Just(EACH),
@@ -365,6 +376,7 @@ fn join() -> impl Strategy<Value = Join> {
         1 => Just(ALL),
         2 => (0i64..4).prop_map(stamp),
         2 => Just(Join::Latest),
+        1 => (1i64..9).prop_map(|after_ns| Join::LatestAfter { after_ns }),
         2 => (1i64..9).prop_map(interpolate),
         1 => Just(Join::Previous),
         1 => (1u32..4, 1u32..5).prop_map(|(n, step)| Join::CollectEvery { n, step }),

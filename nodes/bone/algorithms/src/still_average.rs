@@ -9,6 +9,7 @@ pub use wander::Wander;
 
 use motion::Motion;
 use nalgebra::{Isometry3, Matrix4, Point3, Quaternion, UnitQuaternion, Vector3, Vector4};
+use osteoflow_geometry::StampNs;
 use serde::{Deserialize, Serialize};
 
 /// The mean of the poses of a marker at rest.
@@ -57,9 +58,15 @@ pub struct StillReport {
     /// The straight line fitted to the rotations, from the first sample to the last, in that frame, rad.
     #[serde(default)]
     pub turn_rad: [f64; 3],
+    /// The mean of the origins, in that frame, mm.
+    #[serde(default)]
+    pub at_mm: [f64; 3],
     /// Time from the first sample to the last, s; 0 where the samples have no times.
     #[serde(default)]
     pub span_s: f64,
+    /// Stamp of the last sample; 0 where the samples have no times.
+    #[serde(default)]
+    pub until_ns: StampNs,
     /// The largest distance between two poses of one stamp in the stream so far, mm.
     #[serde(default)]
     pub contradiction_mm: f64,
@@ -140,7 +147,9 @@ pub fn still_average(poses: &[Isometry3<f64>], limit_mm: f64, limit_rad: f64) ->
         explained_rad: by_turn.explained,
         shift_mm: by_shift.line.into(),
         turn_rad: (mean.rotation * by_turn.line).into(),
+        at_mm: mean.translation.vector.into(),
         span_s: 0.0,
+        until_ns: 0,
         contradiction_mm: 0.0,
         contradiction_rad: 0.0,
     };

@@ -69,6 +69,7 @@ pub fn registry() -> Registry {
         .function::<transform::to_world::ToWorld>()
         .function::<transform::to_bone_marker::ToBoneMarker>()
         .function::<transform::points_to_bone_marker::PointsToBoneMarker>()
+        .function::<transform::motion_after::MotionAfter>()
         .function::<transform::points::Points>()
         .function::<transform::cloud::Cloud>()
         .function::<transform::first_of::FirstOf>()

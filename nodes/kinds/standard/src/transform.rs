@@ -3,6 +3,7 @@
 mod bone_frame;
 pub mod cloud;
 pub mod first_of;
+pub mod motion_after;
 pub mod points;
 pub mod points_to_bone_marker;
 pub mod still_average;

@@ -2,15 +2,28 @@
 
 use super::StillReport;
 use nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3};
+use osteoflow_geometry::StampNs;
 use serde::{Deserialize, Serialize};
+
+/// Fewer samples do not tell motion from noise.
+const MIN_SAMPLES: usize = 3;
+
+/// Samples that end earlier after a scan say nothing about the time after it, s.
+const MIN_AFTER_S: f64 = 0.1;
 
 /// How the markers moved while a scan was taken or a point was touched.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TakeMotion {
     /// The scan or the point, such as `P1`.
     pub what: String,
-    /// The markers by which it was carried.
+    /// The markers by which it was carried, in the time before it.
     pub markers: Vec<MarkerMotion>,
+    /// The same markers in the time after it, where that was looked at.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub after: Vec<MarkerMotion>,
+    /// The markers of which too few samples show whether they moved, before it and after it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unseen: Vec<String>,
     /// Where the bone's marker was in the world, if the bone has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bone: Option<BonePose>,
@@ -118,13 +131,39 @@ impl MarkerMotion {
 impl TakeMotion {
     /// What no marker carries.
     pub fn new(what: impl Into<String>) -> Self {
-        Self { what: what.into(), markers: Vec::new(), bone: None }
+        Self { what: what.into(), markers: Vec::new(), after: Vec::new(), unseen: Vec::new(), bone: None }
     }
 
     /// Also carried by another marker.
     #[must_use]
     pub fn by(mut self, marker: Option<MarkerMotion>) -> Self {
         self.markers.extend(marker);
+        self
+    }
+
+    /// With the motion of a marker in the time after the stamp of the scan, in the frame that the marker's poses lead to; `motion` is of
+    /// the window that ends last in that time.
+    #[must_use]
+    pub fn followed_by(
+        mut self,
+        marker: &str,
+        carries: Carries,
+        stamp_ns: StampNs,
+        motion: Option<&StillReport>,
+    ) -> Self {
+        let before = self.markers.iter().find(|before| before.marker == marker);
+        let is_seen = |n: usize| n >= MIN_SAMPLES;
+        let after = motion.filter(|motion| {
+            let until_s = (motion.until_ns - stamp_ns) as f64 / 1e9;
+            is_seen(motion.n) && until_s >= MIN_AFTER_S
+        });
+        if before.is_none_or(|before| !is_seen(before.n)) || after.is_none() {
+            self.unseen.push(marker.to_owned());
+        }
+        let world = self.bone.as_ref().map_or_else(Isometry3::identity, |bone| bone.isometry().inverse());
+        self.after.extend(
+            after.map(|motion| MarkerMotion::new(marker, carries, &motion.at_mm.into(), motion).carried(&world)),
+        );
         self
     }
 
@@ -141,6 +180,7 @@ impl TakeMotion {
     /// In another frame.
     #[must_use]
     pub fn carried(self, t: &Isometry3<f64>) -> Self {
-        Self { markers: self.markers.into_iter().map(|marker| marker.carried(t)).collect(), ..self }
+        let carried = |markers: Vec<MarkerMotion>| markers.into_iter().map(|marker| marker.carried(t)).collect();
+        Self { markers: carried(self.markers), after: carried(self.after), ..self }
     }
 }

@@ -104,7 +104,7 @@ impl Judging<'_> {
         let attitude = attitude_assumption(&takes, &planned, located, measured_tre_mm, registered.t_target_source);
         OfTakes {
             reasons: motion.reason.into_iter().chain(contradiction_reason(&all, self.errors)).collect(),
-            assumptions: motion.assumption.into_iter().chain(attitude).collect(),
+            assumptions: motion.assumptions.into_iter().chain(attitude).collect(),
         }
     }
 

@@ -22,10 +22,10 @@ impl Markers {
 }
 
 impl Scene<'_> {
-    /// Samples in bursts around the clouds; of the bone's marker also from the touches to the end.
+    /// Samples whose stamps lie in bursts around the clouds: poses that are late are those of earlier times. Of the bone's marker also from the touches to the end.
     pub(super) fn markers(&self, tracker: &Tracker<'_>, n_laser: usize) -> Markers {
-        let burst_s = self.params.tracker.burst_s;
-        let burst = |s: f64| (s - burst_s, s + burst_s);
+        let (burst_s, late_s) = (self.params.tracker.burst_s, self.params.tracker.late_s);
+        let burst = |s: f64| (s - late_s - burst_s, s - late_s + burst_s);
         let scans: Vec<(f64, f64)> = (0..=n_laser).map(|k| burst(SCAN_S + k as f64 * LASER_EVERY_S)).collect();
         let calibration = [burst(CALIBRATION_S)];
         let camera_spans = [&calibration[..], &scans].concat();

@@ -60,12 +60,13 @@ pub(crate) fn marker_motion(
     motion.map(|motion| MarkerMotion::new(marker, carries, &origin, motion))
 }
 
-/// Reports a marker that moved while the scan was taken, by more than the parameters allow and than noise explains.
+/// Reports a marker that moved `when`, before or after the scan was taken, by more than the parameters allow and than noise explains.
 pub(crate) fn note_motion(
     marker: &str,
     motion: Option<&StillReport>,
     params: &TrackingParams,
     what: &str,
+    when: &str,
     ctx: &mut Context,
 ) {
     let Some(motion) = motion else { return };
@@ -80,7 +81,7 @@ pub(crate) fn note_motion(
         (true, true) => format!("{:.2} mm and {moved_deg:.3} degrees", motion.moved_mm),
     };
     ctx.warn(format!(
-        "the {marker} marker moved by {moved} over the {} samples before {what} was taken; the tracker's noise explains \
+        "the {marker} marker moved by {moved} over the {} samples {when} {what} was taken; the tracker's noise explains \
          {:.2} mm and {explained_deg:.3} degrees, and {limit_mm} mm and {limit_deg} degrees are allowed: {what} may be \
          smeared",
         motion.n, motion.explained_mm
@@ -106,7 +107,7 @@ mod tests {
         };
         let poses: Vec<_> = (0..11).map(sample).collect();
         let motion = still_average(&poses, f64::INFINITY, f64::INFINITY).unwrap().report;
-        note_motion("camera", Some(&motion), &TrackingParams::default(), "the scan", &mut ctx);
+        note_motion("camera", Some(&motion), &TrackingParams::default(), "the scan", "before", &mut ctx);
         ctx.warnings().to_vec()
     }
 

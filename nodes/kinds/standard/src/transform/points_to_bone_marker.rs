@@ -57,7 +57,7 @@ impl Function for PointsToBoneMarker {
     fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let what = i.points.points.first().map_or("a point", |p| &*p.name);
         let pose = pose_at(&i.points.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
-        note_motion("bone", i.motion.as_ref(), params, what, ctx);
+        note_motion("bone", i.motion.as_ref(), params, what, "before", ctx);
         let to_bone = pose.inverse();
         // The world itself is no marker.
         let on_bone = Some(&pose.isometry).filter(|_| pose.to != pose.from);

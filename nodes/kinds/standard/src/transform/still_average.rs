@@ -102,6 +102,7 @@ impl Node for StillAverage {
         let (contradiction_mm, contradiction_rad) = self.contradiction;
         let motion = StillReport {
             span_s: (now_ns - oldest_ns) as f64 / 1e9,
+            until_ns: now_ns,
             contradiction_mm,
             contradiction_rad,
             ..still_average(&poses, f64::INFINITY, f64::INFINITY)?.report.explained_by(&wander)

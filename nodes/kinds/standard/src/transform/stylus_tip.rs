@@ -53,7 +53,7 @@ impl Function for StylusTip {
         let tip = i.tip.points.first().ok_or_else(|| NodeError::new("the tip's list is empty"))?;
         let pose = i.t_world_stylus_marker.expect(&i.touched.frame, &i.tip.frame)?;
         let touch = NamedPoint { position: pose * tip.position, ..touch.clone() };
-        note_motion("stylus", i.motion.as_ref(), params, &touch.name, ctx);
+        note_motion("stylus", i.motion.as_ref(), params, &touch.name, "before", ctx);
         let stylus = marker_motion("stylus", Carries::Data, &i.t_world_stylus_marker, i.motion.as_ref());
         let take_motion = TakeMotion::new(&*touch.name).by(stylus);
         Ok(Out { take_motion, points: Points::new(&i.touched.frame, vec![touch]) })

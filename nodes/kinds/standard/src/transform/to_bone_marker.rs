@@ -62,7 +62,7 @@ impl Function for ToBoneMarker {
     fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
         let pose = pose_at(&i.cloud.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
-        note_motion("bone", i.motion.as_ref(), params, what, ctx);
+        note_motion("bone", i.motion.as_ref(), params, what, "before", ctx);
         let to_bone = pose.inverse();
         let cloud = i.cloud.transformed(&to_bone.to, &to_bone.isometry);
         // The world itself is no marker.

@@ -61,7 +61,7 @@ impl Function for ToWorld {
         let t_world_camera = i.t_world_camera_marker.compose(&i.calibration.inverse())?;
         i.cloud.frame.expect(&t_world_camera.from, "the cloud")?;
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
-        note_motion("camera", i.motion.as_ref(), params, what, ctx);
+        note_motion("camera", i.motion.as_ref(), params, what, "before", ctx);
         let cloud = i.cloud.transformed(&t_world_camera.to, &t_world_camera.isometry);
         let camera = marker_motion("camera", Carries::Data, &i.t_world_camera_marker, i.motion.as_ref());
         let take_motion = TakeMotion::new(what).by(camera);
