@@ -260,3 +260,21 @@ fn a_dicom_series_binds_by_its_frame_of_reference_or_its_surface() {
     let ran = plans.run(&plan, &[]);
     assert!(assumes(&ran, "nothing binds it"), "the file states no frame: {}", ran.results["verdict"]);
 }
+
+#[test]
+fn an_unbound_plan_is_the_first_assumption_where_no_landmark_could_show_a_shift() {
+    let plans = Plans::of(Case::shipped());
+    let graph = plans.dir.path().join("no_points.toml");
+    let base = root().join("graphs/fibula_no_points.toml");
+    fs::write(&graph, format!("extends = {base:?}\nremove = [\"node.verdict.in.measured\"]\n")).unwrap();
+    let first = |plan: &Value| {
+        let file = plans.dir.path().join("plan.json");
+        fs::write(&file, plan.to_string()).unwrap();
+        let ran = plans.case.with_graph(graph.to_str().unwrap(), &file, &["--no-record"]);
+        ran.results["verdict"]["assumptions"][0].as_str().unwrap_or_else(|| panic!("{}", ran.stderr)).to_owned()
+    };
+    let unbound = first(&plans.displaced(Vector3::new(0.0, 0.0, 5.0)));
+    let words = "the plan was drawn on this surface, to which nothing binds it, and no landmark would show that it is displaced";
+    assert!(unbound.starts_with(words), "{unbound}");
+    assert!(!first(&plans.plan).contains("the plan was drawn"), "the shipped plan is bound");
+}

@@ -234,3 +234,29 @@ fn a_doubtful_pose_is_given_unless_a_trusted_one_is_required_and_none_is_judged_
     let both = case.register("bone.stl scan.ply --init init.txt --no-verdict --require trusted");
     assert_eq!(both.status.code(), Some(2), "nothing is required of what is not judged");
 }
+
+#[test]
+fn a_scan_with_surroundings_is_refused_or_doubted_by_that_cause_first_with_the_remedy_to_crop_it() {
+    let case = Case::new();
+    let anatomy = &case.anatomy;
+    let across = anatomy.proximal.cross(&anatomy.lateral).normalize();
+    // A drape behind the bone, along it or as wide as long.
+    for (name, width_mm) in [("along.ply", 60.0), ("wide.ply", 240.0)] {
+        let mut points = case.scan.clone();
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        for _ in 0..30_000 {
+            let [u, v, w] = [(); 3].map(|()| rng.random::<f64>());
+            let at = anatomy.malleolus_tip + anatomy.proximal.scale(-20.0 + 200.0 * u) - anatomy.lateral.scale(8.0)
+                + across * (width_mm * (v - 0.5))
+                + anatomy.lateral.scale(4.0 * (12.0 * v).sin() + 0.1 * w);
+            points.push(case.t_target_source.inverse() * at);
+        }
+        write_ply(&case.dir.path().join(name), &Cloud::new("camera", points).unwrap(), 1.0).unwrap();
+        let output = case.register(&format!("bone.stl {name}"));
+        let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+        let first = said.lines().find(|line| line.contains("verdict  ") || line.contains("times as long as wide"));
+        let first = first.unwrap_or_else(|| panic!("{name}: {said}"));
+        assert!(!first.contains("trusted"), "{name}: {said}");
+        assert!(first.contains("surroundings") && first.contains("crop the scan to the bone"), "{name}: {said}");
+    }
+}

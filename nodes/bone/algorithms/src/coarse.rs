@@ -4,6 +4,7 @@ mod doubtful;
 mod global;
 
 pub use doubtful::{DoubtParams, confirm};
+pub(crate) use global::CROP;
 pub use global::{CLEAR, GlobalFit, GlobalParams, GlobalReport, RunnerUp, global};
 pub(crate) use global::{Placed, Points, descended, distinct, motion, thinned};
 

@@ -4,5 +4,6 @@
 mod answers;
 mod bones;
 mod common;
+mod gross;
 mod one_target;
 mod real;

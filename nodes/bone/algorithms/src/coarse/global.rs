@@ -46,6 +46,9 @@ const SAME_MM: f64 = 1.5;
 /// Clearness below which an answer may be wrong. 0.3: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
 pub const CLEAR: f64 = 0.3;
 
+/// What to do with surroundings in a scan.
+pub(crate) const CROP: &str = "crop the scan to the bone (crop.box, or draw a region on the page of osteoflow view)";
+
 /// Spacing and number of the starts of [`global()`].
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -127,7 +130,7 @@ pub struct RunnerUp {
 /// # Source
 /// Multi-start ICP, as Besl and McKay 1992, section IV-B, with starts along the principal axes.
 pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<GlobalFit, Refusal> {
-    let scan = Scan::new(source)?;
+    let scan = Scan::new(source, target.points())?;
     let map = target.index().near_map(target);
     let stations = stations(map, scan.half_length_mm, params.slide_mm);
     let starts: Vec<Placed> = stations
@@ -156,7 +159,8 @@ pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<
     let Some(&(score_mm, t_target_source)) = ends.first() else {
         let n_tried = starts.len();
         return Err(Refusal::of(format!(
-            "none of {n_tried} starts came to lie on the surface; are scan and surface of the same bone, both in mm?"
+            "none of {n_tried} starts came to lie on the surface; are scan and surface of the same bone, both in mm? If \
+             surroundings are in the scan, {CROP}"
         )));
     };
     let apart = |other: &Isometry3<f64>| {

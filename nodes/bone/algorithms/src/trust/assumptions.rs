@@ -15,7 +15,7 @@ pub(super) fn assumptions(
 ) -> Vec<String> {
     let is_checked = is_checked(case.check, case.registered.source.stamp_ns, rules.max_check_mm);
     let left = unseen.iter().filter(|(is_of_camera, _)| !(is_checked && *is_of_camera));
-    let mut all: Vec<&str> = left.map(|(_, text)| text.as_str()).collect();
+    let mut all: Vec<&str> = case.untested.iter().copied().chain(left.map(|(_, text)| text.as_str())).collect();
     if case.tracking.is_some() {
         if !is_checked {
             all.push(

@@ -41,6 +41,8 @@ pub struct Said {
     pub reasons: Vec<Reason>,
     /// Assumptions and notes, one sentence each.
     pub notes: Vec<String>,
+    /// An assumption that nothing in the run would contradict.
+    pub untested: Option<String>,
 }
 
 /// Points that identify a surface: up to twelve of its own, each the farthest from those before it, the first the farthest from
@@ -203,17 +205,19 @@ pub fn plan_binding(
                         shift.words(target)
                     ));
                 }
-                said.notes.push(match (is_confirmed, &shift) {
-                    (true, _) => "the plan belongs to this surface, as confirm = true says".into(),
-                    (false, Some(shift)) => format!(
+                match (is_confirmed, &shift) {
+                    (true, _) => said.notes.push("the plan belongs to this surface, as confirm = true says".into()),
+                    (false, Some(shift)) => said.notes.push(format!(
                         "the plan was drawn on this surface, to which nothing binds it; the landmarks would show a shift of all of \
                          it beyond {max_common_shift_mm:.1} mm, and show {:.1} mm",
                         shift.mean.norm()
-                    ),
-                    (false, None) => "the plan was drawn on this surface, to which nothing binds it, and no landmark would show that \
-                                      it is displaced (osteoflow convert PLAN OUT --bind BONE)"
-                        .into(),
-                });
+                    )),
+                    (false, None) => {
+                        let text = "the plan was drawn on this surface, to which nothing binds it, and no landmark would show that \
+                                    it is displaced (osteoflow convert PLAN OUT --bind BONE)";
+                        said.untested = Some(text.into());
+                    }
+                }
             }
         }
     }
@@ -351,6 +355,18 @@ mod tests {
         assert!(reason.contains(words), "{reason}");
         let across = &said(None, [[-5.0, 0.0, 0.0]; 3], false).reasons[0].reason;
         assert!(across.contains("5.0 mm on average (0.0 mm of it along the bone"), "{across}");
+    }
+
+    #[test]
+    fn without_landmarks_an_unbound_plan_is_an_assumption_that_nothing_tests() {
+        let run = SurfaceKey { sha256: Some("a".repeat(64)), ..SurfaceKey::default() };
+        let without = |surface: Option<SurfaceKey>, confirm: bool| {
+            plan_binding(&PlanReport { surface, confirm }, &run, &bone([0.0; 3]), &[], &[], 3.0)
+        };
+        assert!(without(None, false).untested.unwrap().contains("no landmark would show that it is displaced"));
+        assert_eq!(without(None, true).untested, None);
+        assert_eq!(without(Some(bound_to(&bone([0.0; 3]))), false).untested, None);
+        assert_eq!(said(None, [[0.0; 3]; 3], false).untested, None);
     }
 
     #[test]

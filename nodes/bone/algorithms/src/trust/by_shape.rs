@@ -3,7 +3,7 @@
 use super::contrary::BETTER;
 use super::evidence::Evidence;
 use super::rules::RuleParams;
-use crate::coarse::GlobalReport;
+use crate::coarse::{CROP, GlobalReport};
 use osteoflow_verdict::{Answer, Reason};
 
 /// The sign that by its shape alone the scan fits elsewhere better, or as well and clearly.
@@ -50,15 +50,42 @@ pub(super) fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroun
         other.score_mm,
         start.score_mm,
     );
-    let mut remedy = "start from landmarks or from a known pose, or scan a longer stretch, or one with more shape";
+    let remedy = "start from landmarks or from a known pose, or scan a longer stretch, or one with more shape";
     if has_surroundings {
         reason += &format!(
             "; likely cause: surroundings in the scan, of which a tenth lies more than {SURROUNDINGS_MM:.0} mm from the surface"
         );
-        remedy = "crop the scan to the bone (crop.box, or draw a region on the page of osteoflow view); else start from landmarks or \
-                  from a known pose";
+        let remedy = format!("{CROP}; else start from landmarks or from a known pose");
+        return Some(Reason::new("start", Answer::Doubtful, reason, &remedy));
     }
     Some(Reason::new("start", Answer::Doubtful, reason, remedy))
+}
+
+/// Names surroundings first where they hide the bone from a search by shape: what else is wrong with a refused answer follows from it.
+pub(super) fn name_surroundings_first(reasons: &mut [Reason], has_surroundings: bool) {
+    let is_refused = reasons.iter().any(|reason| reason.answer == Answer::Refused);
+    let start = reasons.iter().position(|reason| reason.rule == "start");
+    if let Some(start) = start.filter(|_| has_surroundings && is_refused) {
+        reasons[start].answer = Answer::Refused;
+        reasons[..=start].rotate_right(1);
+    }
+}
+
+/// The sign that the scan's mirror image fits as well, beside a cause that explains the residuals by the CT or the camera: neither image
+/// fits, and the surface is hardly of this bone.
+pub(super) fn another_bone_reason(evidence: &Evidence) -> Option<Reason> {
+    let shape = evidence.shape.as_ref().filter(|shape| !shape.is_mirror_better())?;
+    let (best, mirrored) = (shape.support.max(shape.judged_support), shape.mirrored_support?);
+    (mirrored > best - BETTER).then(|| {
+        let reason = format!(
+            "the scan's mirror image fits as well ({:.0} % of it on the surface, against {:.0} %); likely cause: another bone or another \
+             patient, a mirrored CT, or the other leg, rather than what would explain the rest",
+            100.0 * mirrored,
+            100.0 * best
+        );
+        let remedy = "check that scan and CT are of the same bone, side and patient";
+        Reason::new("another_bone", Answer::Doubtful, reason, remedy)
+    })
 }
 
 /// The sign that the scan's mirror image fits better.

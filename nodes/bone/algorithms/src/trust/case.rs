@@ -39,6 +39,8 @@ pub struct Case<'a> {
     pub start: Option<&'a GlobalReport>,
     /// Signs found elsewhere.
     pub reasons: &'a [Reason],
+    /// What was taken for granted elsewhere and nothing in the run would contradict, of no stated size: listed first.
+    pub untested: &'a [&'a str],
     /// What was taken for granted elsewhere, one sentence each.
     pub assumptions: &'a [&'a str],
 }
@@ -60,6 +62,7 @@ impl<'a> Case<'a> {
             takes: Takes::default(),
             start: None,
             reasons: &[],
+            untested: &[],
             assumptions: &[],
         }
     }

@@ -2,7 +2,9 @@
 
 use super::assumptions::assumptions;
 use super::attitude::attitude_assumption;
-use super::by_shape::{has_surroundings, mirror_reason, shape_reason, start_reason};
+use super::by_shape::{
+    another_bone_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason, start_reason,
+};
 use super::case::Case;
 use super::checked::check_reason;
 use super::contradiction::contradiction_reason;
@@ -116,14 +118,21 @@ impl Judging<'_> {
         let predicted = self.predicted(&examined, nuisances.as_ref());
         let (found, nuisances, unseen) = nuisances.map(|n| (n.reason, n.list, n.assumptions)).unwrap_or_default();
         let mut reasons = self.of_end(&examined.evidence);
+        let cause = found.as_ref().map(|found| found.rule.clone());
         reasons.extend(found);
         reasons.extend(self.stylus(predicted.as_ref()));
         reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules));
         reasons.extend(data_reasons(&examined.evidence, self.order.as_ref(), self.rules));
-        if self.is_mirror_due(&reasons) {
+        if self.is_mirror_due(&reasons, cause.is_some()) {
             examined.examine_mirrored(registered);
+            // A gross mistake is named before the cause that would explain it.
+            let at = cause.as_ref().and_then(|cause| reasons.iter().position(|reason| reason.rule == *cause));
+            if let Some((at, another)) = at.zip(another_bone_reason(&examined.evidence)) {
+                reasons.insert(at, another);
+            }
             reasons.extend(mirror_reason(&examined.evidence));
         }
+        name_surroundings_first(&mut reasons, has_surroundings(&examined.evidence));
         // The error is told where points or cuts are planned.
         let mut predicted = predicted.filter(|_| !registered.at.is_empty());
         if let Some(predicted) = &mut predicted {
@@ -175,11 +184,11 @@ impl Judging<'_> {
     }
 
     /// Whether the scan's mirror image is registered, too.
-    fn is_mirror_due(&self, reasons: &[Reason]) -> bool {
+    fn is_mirror_due(&self, reasons: &[Reason], has_cause: bool) -> bool {
         let is_of_data = |reason: &Reason| DATA.contains(&reason.rule.as_str());
         match self.examine.mirror {
             When::Always => true,
-            When::IfRaised => self.case.reasons.iter().chain(reasons).any(is_of_data),
+            When::IfRaised => has_cause || self.case.reasons.iter().chain(reasons).any(is_of_data),
             When::Never => false,
         }
     }

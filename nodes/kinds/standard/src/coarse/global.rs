@@ -62,7 +62,8 @@ impl Function for Global {
         if let Some(other) = fit.report.runner_up.as_ref().filter(|_| fit.report.clearness < CLEAR) {
             ctx.warn(format!(
                 "the scan fits elsewhere nearly as well: {:.2} mm RMS against {:.2} mm, {:.0} mm and {:.0} degrees away; \
-                 the answer may be wrong, so use landmarks (coarse.three_point) or scan more of the bone",
+                 the answer may be wrong, so use landmarks (coarse.three_point), scan more of the bone, or crop the scan to it if \
+                 surroundings are in it",
                 other.score_mm,
                 fit.report.score_mm,
                 other.shift_mm,

@@ -200,6 +200,7 @@ impl Function for Registration {
         let Params { examine, rules, errors, .. } = params;
         let laxer = loosened(rules, examine);
         let assumed = assumed.into_iter().flatten().filter_map(|text| text.as_str());
+        let untested: Vec<&str> = plan.untested.as_deref().into_iter().collect();
         let assumed: Vec<&str> = plan.notes.iter().map(String::as_str).chain(assumed).chain(laxer.as_deref()).collect();
         let located_motion: Vec<TakeMotion> = i.located_motion.into_iter().flatten().collect();
         // Touches that measured nothing do not matter.
@@ -225,6 +226,7 @@ impl Function for Registration {
             takes,
             start: i.start.as_ref(),
             reasons: &signs,
+            untested: &untested,
             assumptions: &assumed,
         };
         let verdict = trust::judge(&case, examine, rules, errors);

@@ -1,5 +1,6 @@
 //! Long axes of scan and bone.
 
+use super::CROP;
 use super::descent::{Placed, Points};
 use crate::Refusal;
 use crate::axes::largest_first;
@@ -23,6 +24,9 @@ const FACE_OFFSET: f64 = 0.6;
 /// Minimum share of a surface's points in a bone of its own: less is a crumb of the segmentation.
 const MIN_BONE: f64 = 0.15;
 
+/// A scan this many times as wide as the bone has more in it than the bone.
+const MUCH_WIDER: f64 = 1.3;
+
 /// The scan's centroid, long axis and the side from which it was seen.
 pub(super) struct Scan {
     pub(super) middle: Point3<f64>,
@@ -34,7 +38,8 @@ pub(super) struct Scan {
 }
 
 impl Scan {
-    pub(super) fn new(source: &Cloud) -> Result<Self, Refusal> {
+    /// `target` are points of the whole bone: a scan that is wider has surroundings in it.
+    pub(super) fn new(source: &Cloud, target: &[Point3<f64>]) -> Result<Self, Refusal> {
         let points = source.points();
         if points.len() < MIN_POINTS {
             return Err(Refusal::of(format!(
@@ -45,9 +50,19 @@ impl Scan {
         let (middle, axes, spread) = principal(points);
         let elongation = (spread[0] / spread[1].max(f64::MIN_POSITIVE)).sqrt();
         let no_direction = || {
+            let wide_mm = 2.0 * spread[1].sqrt();
+            let bone_mm = 2.0 * principal(target).2[1].sqrt();
+            let (why, what) = match wide_mm > MUCH_WIDER * bone_mm {
+                true => (
+                    format!(
+                        " and {wide_mm:.0} mm wide (two standard deviations) where the whole bone has {bone_mm:.0} mm, so surroundings are in it"
+                    ),
+                    format!("{CROP}, or use landmarks (coarse.three_point)"),
+                ),
+                false => (String::new(), "scan more of the shaft, or use landmarks (coarse.three_point)".to_owned()),
+            };
             Refusal::of(format!(
-                "the scan is {elongation:.1} times as long as wide, {MIN_ELONGATION} is needed to lay it along the bone; scan more \
-                 of the shaft, or use landmarks (coarse.three_point)"
+                "the scan is {elongation:.1} times as long as wide{why}, {MIN_ELONGATION} is needed to lay it along the bone; {what}"
             ))
         };
         if elongation < MIN_ELONGATION {
@@ -216,10 +231,15 @@ mod tests {
         assert!((vector - Vector3::from(expected)).norm() < 1e-9, "{vector} is not {expected:?}");
     }
 
+    /// A scan of a bone that is as wide.
+    fn scanned(source: &Cloud) -> Result<Scan, Refusal> {
+        Scan::new(source, source.points())
+    }
+
     #[test]
     fn a_scan_lies_along_its_longest_side_and_its_outside_is_towards_the_camera_or_where_it_bulges() {
         let points = tube(30.0, 150.0);
-        let bare = Scan::new(&cloud(points.clone())).unwrap();
+        let bare = scanned(&cloud(points.clone())).unwrap();
         assert_near(&(bare.along * bare.along.z), [0.0, 0.0, 1.0]);
         assert_near(&bare.outward, [0.0, 1.0, 0.0]);
         assert!((bare.half_length_mm - 50.0).abs() < 1e-9 && bare.camera.is_none());
@@ -227,13 +247,13 @@ mod tests {
         // The other way round, the camera decides, not the bulge; what it has along the scan does not count.
         for (camera, outward) in [([0.0, -90.0, 70.0], [0.0, -1.0, 0.0]), ([0.0, 90.0, -300.0], [0.0, 1.0, 0.0])] {
             let seen = cloud(points.clone()).seen_from(Isometry3::translation(camera[0], camera[1], camera[2]));
-            let scan = Scan::new(&seen).unwrap();
+            let scan = scanned(&seen).unwrap();
             assert_near(&scan.outward, outward);
             assert_eq!(scan.camera, Some(Point3::from(camera)));
             let about = scan.thinned(&[], 1).camera.unwrap();
             assert_near(&about, (Point3::from(camera) - scan.middle).into());
         }
-        let hollow = Scan::new(&cloud(tube(210.0, 330.0))).unwrap();
+        let hollow = scanned(&cloud(tube(210.0, 330.0))).unwrap();
         assert_near(&hollow.outward, [0.0, -1.0, 0.0]);
         let few = bare.thinned(&points, 1000).points;
         assert_eq!(few.len(), 829, "every fifth of 4141");
@@ -246,16 +266,22 @@ mod tests {
         let sheet = |nx: u32, nz: u32| -> Cloud {
             cloud((0..nx * nz).map(|k| Point3::new(f64::from(k % nx), 0.0, f64::from(k / nx))).collect())
         };
-        let message = |cloud: &Cloud| Scan::new(cloud).err().map(|error| error.to_string()).unwrap_or_default();
+        let message = |cloud: &Cloud| scanned(cloud).err().map(|error| error.to_string()).unwrap_or_default();
         assert!(message(&sheet(1, 199)).starts_with("the scan has 199 points, 200 are needed"));
-        assert!(Scan::new(&sheet(4, 50)).is_ok());
+        assert!(scanned(&sheet(4, 50)).is_ok());
         // The variance of n points in a row is (n² - 1) / 12.
         let elongation = ((29.0_f64 * 29.0 - 1.0) / (20.0 * 20.0 - 1.0)).sqrt();
         let (.., spread) = principal(sheet(20, 29).points());
         let ratio = (spread[0] / spread[1]).sqrt();
         assert!((ratio - elongation).abs() < 1e-9, "{ratio}");
         assert!(message(&sheet(20, 29)).starts_with("the scan is 1.5 times as long as wide, 1.5 is needed"));
-        assert!(Scan::new(&sheet(20, 31)).is_ok());
+        assert!(scanned(&sheet(20, 31)).is_ok());
+        // As wide as a bone it is too short a stretch; much wider, there is more than the bone in it.
+        let short = message(&sheet(20, 20));
+        assert!(short.ends_with("scan more of the shaft, or use landmarks (coarse.three_point)"), "{short}");
+        let bone = cloud(tube(30.0, 150.0));
+        let wide = Scan::new(&sheet(90, 90), bone.points()).err().unwrap().to_string();
+        assert!(wide.contains("surroundings are in it") && wide.contains("crop the scan to the bone"), "{wide}");
     }
 
     #[test]
@@ -273,7 +299,7 @@ mod tests {
     #[test]
     fn a_scan_is_laid_along_a_station_and_turned_about_it_both_ways_round() {
         let points = tube(30.0, 150.0);
-        let scan = Scan::new(&cloud(points)).unwrap();
+        let scan = scanned(&cloud(points)).unwrap();
         let (middle, along, side) = (Vector3::new(1.0, 2.0, 3.0), Vector3::x(), Vector3::y());
         let station = Station { middle, along, side, radius_mm: 4.0 };
         // A quarter of a turn from y about x is z; the centroid is 0.6 of the radius off the axis.
@@ -311,7 +337,7 @@ mod tests {
             assert!((station.along.z * down - 1.0).abs() < 1e-3 && station.side.dot(&station.along).abs() < 1e-9);
             assert!((station.radius_mm - 5.0).abs() < 0.1, "{} mm", station.radius_mm);
         }
-        let scan = Scan::new(&cloud(tube(30.0, 150.0))).unwrap();
+        let scan = scanned(&cloud(tube(30.0, 150.0))).unwrap();
         let placed = places[4].place(&scan, 5, 12);
         let motion = motion(&map, &scan.middle, &placed);
         assert_near(&(motion * scan.middle).coords, (map.centre().coords + placed.translation.vector).into());

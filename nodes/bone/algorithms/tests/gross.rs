@@ -1,0 +1,87 @@
+//! What is named first where scan and surface are of different bones, or one is mirrored. With `SLOW_TESTS` more stretches are scanned.
+
+use crate::common::{Bone, USUAL, bones, own_bone};
+use nalgebra::{Isometry3, Point3};
+use osteoflow_algorithms::coarse::{GlobalParams, global};
+use osteoflow_algorithms::icp::{self, IcpParams, Method};
+use osteoflow_algorithms::mesh_query::MeshQuery;
+use osteoflow_algorithms::sample;
+use osteoflow_algorithms::target::Target;
+use osteoflow_algorithms::trust::{self, Answer, Case, EvidenceParams, PredictParams, Registered, RuleParams, Verdict};
+use osteoflow_geometry::{Cloud, Mesh, NamedPoint, SurfaceOrigin};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use std::ops::ControlFlow;
+
+/// The causes beside the pose that a verdict may name.
+const CAUSES: [&str; 9] =
+    ["stretch_along", "stretch_across", "growth", "shear", "bend", "twist", "offset", "step", "camera_scale"];
+
+fn target_of(mesh: &Mesh) -> Target {
+    let samples = sample::surface(mesh, 100_000, &mut ChaCha8Rng::seed_from_u64(1));
+    let target = Target::new("ct", SurfaceOrigin::User, samples.points, Some(samples.normals.into())).unwrap();
+    target.with_mesh(MeshQuery::new(mesh))
+}
+
+/// The mirror image of a surface.
+fn mirrored(mesh: &Mesh) -> Mesh {
+    let vertices: Vec<Point3<f64>> = mesh.vertices().iter().map(|p| Point3::new(-p.x, p.y, p.z)).collect();
+    let faces: Vec<[u32; 3]> = mesh.faces().iter().map(|&[a, b, c]| [a, c, b]).collect();
+    Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap()
+}
+
+fn scan(bone: &Bone, heights_mm: [f64; 2], seed: u64) -> Cloud {
+    bone.scan(&bone.camera((heights_mm[0] + heights_mm[1]) / 2.0), heights_mm, 0.5, &USUAL, None, seed)
+}
+
+/// The verdict on a scan registered by shape alone; `None` where nothing fits.
+fn judged(target: &Target, scan: &Cloud) -> Option<Verdict> {
+    let start = global(target, scan, &GlobalParams::default()).ok()?;
+    let observer = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
+    let fit =
+        icp::register(Method::PointToPlane, target, scan, &start.t_target_source, &IcpParams::default(), observer);
+    let t: Isometry3<f64> = fit.ok()?.t_target_source;
+    let some = scan.points().iter().step_by(scan.len() / 10);
+    let on = |p: &Point3<f64>| target.points()[target.nearest(&(t * p), f64::INFINITY).unwrap().0];
+    let points: Vec<NamedPoint> = some.enumerate().map(|(k, p)| NamedPoint::new(format!("S{k}"), on(p))).collect();
+    let case = Case {
+        assessment: &points,
+        start: Some(&start.report),
+        ..Case::new(Registered { target, source: scan, t_target_source: &t, at: &[] })
+    };
+    Some(trust::judge(&case, &EvidenceParams::default(), &RuleParams::default(), &PredictParams::default()))
+}
+
+#[test]
+fn a_gross_mistake_is_never_first_named_a_stretch_of_the_ct() {
+    let mut all = bones("a_gross_mistake_is_never_first_named_a_stretch_of_the_ct");
+    all.push(own_bone());
+    let targets: Vec<[Target; 2]> =
+        all.iter().map(|bone| [target_of(&bone.mesh), target_of(&mirrored(&bone.mesh))]).collect();
+    let mut n_named = 0;
+    for (k, bone) in all.iter().enumerate() {
+        let n_windows = if std::env::var_os("SLOW_TESTS").is_some() { 3 } else { 1 };
+        for heights_mm in [[70.0, 165.0], [10.0, 120.0], [100.0, 190.0]].into_iter().take(n_windows) {
+            let scan = scan(bone, heights_mm, 3);
+            for (j, other) in all.iter().enumerate() {
+                for (is_mirrored, target) in targets[j].iter().enumerate() {
+                    let what = format!("{} {heights_mm:?} on {} {is_mirrored}", bone.name, other.name);
+                    let Some(verdict) = judged(target, &scan) else { continue };
+                    let rules: Vec<&str> = verdict.reasons.iter().map(|reason| reason.rule.as_str()).collect();
+                    if j == k && is_mirrored == 0 {
+                        assert_eq!(verdict.answer, Answer::Trusted, "{what}: {rules:?}");
+                        continue;
+                    }
+                    assert_ne!(verdict.answer, Answer::Trusted, "{what}");
+                    // A cause beside the pose comes after the sign of a gross mistake.
+                    let at = |of: &dyn Fn(&&str) -> bool| rules.iter().position(|rule| of(&rule));
+                    let gross = at(&|rule| ["mirrored", "another_bone", "inward_misfit", "shape"].contains(rule));
+                    if let Some(cause) = at(&|rule| CAUSES.contains(rule)) {
+                        assert!(gross.is_some_and(|gross| gross < cause), "{what}: {rules:?}");
+                        n_named += 1;
+                    }
+                }
+            }
+        }
+    }
+    assert!(all.len() == 1 || n_named > 5, "{n_named} causes were named beside gross mistakes");
+}
