@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::icp::{self, IcpParams, Method};
+use crate::trust::cut::{Displaced, planned_cuts};
 use osteoflow_geometry::Planes;
 use std::ops::ControlFlow;
 
@@ -118,6 +119,60 @@ fn a_part_that_is_displaced_across_the_bone_is_measured_with_its_place() {
     assert!((step.at.unwrap()[2] - 75.0).abs() < 8.0, "{step:?}");
 }
 
+/// The points of a scan, each elsewhere, seen by the same camera.
+fn displaced(scan: &Cloud, to: impl Fn(&Point3<f64>) -> Point3<f64>) -> Cloud {
+    let points: Vec<Point3<f64>> = scan.points().iter().map(to).collect();
+    Cloud::new("scan", points).unwrap().seen_from(scan.viewpoint.unwrap())
+}
+
+/// How many times the limits the answer is off, against that of the sound registration, once a scan is registered anew on a CT that shows
+/// the bone at `to`.
+fn refitted(ct: &Mesh, scan: &Cloud, to: &dyn Fn(&Point3<f64>) -> Point3<f64>, sound: &Isometry3<f64>) -> f64 {
+    let (pose, _) = judged(ct, scan, to);
+    let error = |p: &Point3<f64>| pose.inverse() * to(p) - sound.inverse() * p;
+    let (points, planes) = plan(&|p| *p);
+    let tre_mm = points.iter().map(|p| error(&p.position).norm()).sum::<f64>() / points.len() as f64;
+    let cuts = planned_cuts(&target_of(&shaft()), Some(&planes));
+    let off: Vec<_> = cuts.iter().map(|cut| cut.displaced_by(&error)).collect();
+    let most = |of: fn(&Displaced) -> f64| off.iter().map(of).fold(0.0, f64::max);
+    Limits::default().times(tre_mm, most(|cut| cut.offset_mm), most(|cut| cut.slope.to_degrees()))
+}
+
+#[test]
+fn the_critical_size_of_each_cause_is_that_at_which_a_refit_is_wrong() {
+    let scan = scan_of(&shaft(), HEIGHTS, 36);
+    let (sound, verdict) = judged(&shaft(), &scan, &|p| *p);
+    let camera = scan.viewpoint.unwrap() * Point3::origin();
+    let middle = Point3::from(scan.points().iter().map(|p| p.coords).sum::<Vector3<f64>>() / scan.len() as f64);
+    let surface = MeshQuery::new(&shaft());
+    let of_ct = |to: &dyn Fn(&Point3<f64>) -> Point3<f64>| refitted(&moved(&shaft(), to), &scan, to, &sound);
+    let of_scan = |to: &dyn Fn(&Point3<f64>) -> Point3<f64>| refitted(&shaft(), &displaced(&scan, to), &|p| *p, &sound);
+    let times = |name: &str, size: f64| match name {
+        "stretch_along" => of_ct(&|p| Point3::new(p.x, p.y, middle.z + (p.z - middle.z) * (1.0 + size / 100.0))),
+        "growth" => of_ct(&|p| middle + (p - middle) * (1.0 + size / 100.0)),
+        "shear" => of_ct(&|p| Point3::new(p.x, p.y, p.z + size.to_radians() * (p.y - middle.y))),
+        "camera_scale" => of_scan(&|p| camera + (p - camera) * (1.0 + size / 100.0)),
+        "camera_depth" => {
+            let view = (middle - camera).normalize();
+            of_scan(&|p| p + view * (view.dot(&(p - camera)) * size / 100.0))
+        }
+        // A surface that is drawn outside of the bone is a scan inside of it.
+        "offset" => of_scan(&|p| p - surface.closest_point(p).unwrap().normal * size),
+        _ => unreachable!("{name}"),
+    };
+    for name in ["stretch_along", "growth", "shear", "camera_scale", "camera_depth", "offset"] {
+        let critical = nuisance(&verdict, name).critical;
+        let [more, less] = [critical, -critical].map(|size| times(name, size));
+        println!("{name}: critical {critical:.2}: {more:.2} and {less:.2} times the limits");
+        for ratio in [more, less] {
+            assert!(
+                (1.0 / 1.5..1.5).contains(&ratio),
+                "{name}: at its critical size of {critical:.2} the refit is wrong {ratio:.2} times"
+            );
+        }
+    }
+}
+
 #[test]
 fn the_critical_size_of_a_growing_film_is_that_at_which_a_refit_is_wrong() {
     let scan = scan_of(&shaft(), HEIGHTS, 35);
@@ -130,19 +185,7 @@ fn the_critical_size_of_a_growing_film_is_that_at_which_a_refit_is_wrong() {
             let facing = closest.normal.dot(&(camera - p).normalize()).max(0.0);
             p + closest.normal * (end_mm * facing * (p.z - HEIGHTS[0]) / (HEIGHTS[1] - HEIGHTS[0]))
         };
-        let points: Vec<Point3<f64>> = scan.points().iter().map(grown).collect();
-        let grown = Cloud::new("scan", points).unwrap().seen_from(scan.viewpoint.unwrap());
-        let (pose, _) = judged(&shaft(), &grown, &|p| *p);
-        let error = pose * sound.inverse();
-        let (points, planes) = plan(&|p| *p);
-        let tre = points.iter().map(|p| (error * p.position - p.position).norm()).sum::<f64>() / points.len() as f64;
-        let (mut offset, mut tilt) = (0.0_f64, 0.0_f64);
-        for t in planes.planes.iter().filter_map(|plane| plane.isometry().copied()) {
-            let (middle, normal) = (t * Point3::origin(), t * Vector3::z());
-            offset = offset.max((error * middle - middle).dot(&normal).abs());
-            tilt = tilt.max((error * normal).angle(&normal).to_degrees());
-        }
-        Limits::default().times(tre, offset, tilt)
+        refitted(&shaft(), &displaced(&scan, grown), &|p| *p, &sound)
     };
     // Its ends are at 98 % of the scan, and whichever end it grows towards.
     let ratio = times(film.critical);
