@@ -171,6 +171,10 @@ impl Ran {
     }
 }
 
+/// Settings that leave the simulated camera white noise without outliers, for tests of what one part does with a plain scan.
+pub(crate) const WHITE: [&str; 4] =
+    ["--set", "recording.camera.surface_error_mm=0.0", "--set", "recording.camera.edge_outliers=0.0"];
+
 /// Runs a graph into a new folder.
 pub(crate) fn run(graph: &str, arguments: &[&str]) -> Ran {
     run_into(tempfile::tempdir().unwrap(), graph, arguments)

@@ -1,6 +1,6 @@
 //! `osteoflow info` and `osteoflow runs`: what files and folders hold.
 
-use crate::common::{copied_run, osteoflow, root, shared_run};
+use crate::common::{WHITE, copied_run, osteoflow, root, shared_run};
 use serde_json::{Value, json};
 use std::{fs, path::Path, process::Output};
 
@@ -95,7 +95,7 @@ fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_r
 
 #[test]
 fn runs_are_listed_with_verdict_and_error_and_a_broken_one_with_its_problem() {
-    let (dir, run) = copied_run("graphs/fibula.toml", &["--no-record"]);
+    let (dir, run) = copied_run("graphs/fibula.toml", &[&["--no-record"], &WHITE[..]].concat());
     let out = dir.path().join("one");
     fs::rename(run, &out).unwrap();
     assert_eq!(found(&out)["verdict"], "trusted");

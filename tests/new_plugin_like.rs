@@ -32,7 +32,10 @@ const KINDS: [&str; 6] = ["icp", "hole", "crop", "metric", "source", "sink"];
 const NAME: &str = "my_plugin";
 
 /// Settings of a procedure that takes less time.
-const SMALL: [&str; 4] = ["--set", "recording.camera.n_points=8000", "--set", "bone.exact=true"];
+const SMALL: [&str; 8] = {
+    let [a, b, c, d] = crate::common::WHITE;
+    ["--set", "recording.camera.n_points=8000", "--set", "bone.exact=true", a, b, c, d]
+};
 
 /// A plugin in its folder, ready to run.
 struct Plugin {
@@ -224,11 +227,11 @@ fn a_crop_of_each_language_keeps_the_points_of_the_built_in_sphere() {
 fn a_metric_of_each_language_is_the_built_in_error_of_the_points() {
     for lang in languages_of("metric") {
         let Some(plugin) = Plugin::new(lang, "metric") else { continue };
-        let results = plugin.run(&["--set", "own_tre.limit_mm=0.16"]).results;
+        let results = plugin.run(&["--set", "own_tre.limit_mm=0.19"]).results;
         let points = results["metrics"]["tre_true_mm"]["points"].as_array().unwrap();
         let off_mm: Vec<f64> = points.iter().map(|point| number(&point["norm"])).collect();
         let n = off_mm.len() as f64;
-        let n_good = off_mm.iter().filter(|&&off_mm| off_mm <= 0.16).count() as f64;
+        let n_good = off_mm.iter().filter(|&&off_mm| off_mm <= 0.19).count() as f64;
         assert!(n_good > 0.0 && n_good < n, "the limit divides the points: {off_mm:?}");
         let expected = [off_mm.iter().sum::<f64>() / n, off_mm.iter().copied().fold(0.0, f64::max), n_good / n];
         for (name, expected) in ["mean_mm", "max_mm", "share_good"].iter().zip(expected) {
@@ -510,7 +513,8 @@ fn a_watch_runs_again_with_the_kind_that_is_edited_into_the_graph() {
     let dir = tempfile::tempdir().unwrap();
     let graph = |kind: &str, files: &[&str]| {
         let base = root().join("graphs/fibula.toml");
-        let small = "[node.recording]\ncamera.n_points = 8000\n[node.bone]\nexact = true\n";
+        let camera = "camera = { n_points = 8000, surface_error_mm = 0.0, edge_outliers = 0.0 }";
+        let small = format!("[node.recording]\n{camera}\n[node.bone]\nexact = true\n");
         let text = format!("extends = {base:?}\nplugins = {files:?}\n{small}[node.icp]\nkind = \"{kind}\"\n");
         let reading = if kind == "icp.published" { "reading = \"change_1e-5\"\n" } else { "" };
         let text = format!("{text}{reading}");

@@ -1,6 +1,6 @@
 //! Nodes in Python: they agree with built-in ones, and what is wrong in them is said at its place.
 
-use crate::common::{is_slow_run, osteoflow, osteoflow_to_spawn, python::Folder, root};
+use crate::common::{WHITE, is_slow_run, osteoflow, osteoflow_to_spawn, python::Folder, root};
 use osteoflow_geometry::nalgebra::{Matrix4, Point3};
 use serde_json::{Value, json};
 use std::{
@@ -63,7 +63,9 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
     let said = String::from_utf8(new.stdout).unwrap();
     assert!(new.status.success() && said.contains("osteoflow run graphs/my_fit.toml"), "{said}");
     let small = "recording.camera.n_points=5000";
+    // Outliers let the pairs of the template change in a cycle.
     let stop = ["--set", "icp.stop_step_mm=1e-8", "--set", "results.fit=icp.t_target_source", "--set", small];
+    let stop = [&stop[..], &WHITE[..]].concat();
     let here = folder.run("my_fit/graphs/my_fit.toml", &stop);
     assert_eq!(here.code, Some(0), "{}", here.stderr);
     let graph = "extends = \"fibula.toml\"\n[node.icp]\ngate_sigmas = 0.0\none_sided = false\nlevels = []\npairing = \"tree\"\n\

@@ -2,7 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::served::Served;
-use crate::common::{copied_run, osteoflow, shared_run, skips_slow};
+use crate::common::{WHITE, copied_run, osteoflow, shared_run, skips_slow};
 use osteoflow_geometry::{
     isometry_from_matrix,
     nalgebra::{Matrix4, Point3},
@@ -380,7 +380,7 @@ fn place(browser: &mut Browser, frame: &str) -> Vec<f64> {
 
 #[test]
 fn the_page_shows_a_recording_as_it_ended_and_as_it_was_before() {
-    let run = shared_run(GRAPH, &[]);
+    let run = shared_run(GRAPH, &WHITE);
     let results = &run.results;
     let served = Served::start(&["view", run.dir.path().to_str().unwrap()]);
     let Some(mut browser) = Browser::start("the_page_shows_a_recording") else { return };

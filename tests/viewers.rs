@@ -2,7 +2,7 @@
 
 mod file;
 
-use crate::common::{isometry, json, point, run, run_whole, shared_run};
+use crate::common::{WHITE, isometry, json, point, run, run_whole, shared_run};
 use file::{Edge, File, median};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_geometry::{
@@ -185,7 +185,7 @@ fn what_cannot_be_shown_with_the_rest_is_told() {
     };
     // Nothing recorded joins the bone's marker to the camera.
     let wires = "record.wires=[\"to_bone.cloud\", \"calibration.*\"]";
-    let ran = run_whole(GRAPH, &["--set", wires, "--set", "record.sources=false"]);
+    let ran = run_whole(GRAPH, &[&["--set", wires, "--set", "record.sources=false"], &WHITE[..]].concat());
     let file = File::read(&ran.dir.path().join("run.mcap"));
     assert_eq!(
         told(&file),

@@ -117,7 +117,7 @@ pub struct CameraParams {
     /// residuals have the 0.09 to 0.1 mm of those scans; 0 is off.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub surface_error_mm: f64,
-    /// Wavelength of that error. 20 mm: with the other terms residuals are correlated by 0.6 at 2 mm and 0.45 at 4 mm, as in
+    /// Wavelength of that error. 20 mm: with the other terms residuals are correlated by 0.55 at 2 mm and 0.42 at 4 mm, as in
     /// the Stanford scans, see docs/method/simulation.md.
     #[schemars(range(min = 1.0, max = 200.0))]
     pub surface_error_wavelength_mm: f64,
