@@ -26,6 +26,7 @@ pub use osteoflow_engine::{inputs::WireInputs, sweep::Ask};
 pub use osteoflow_formats::{
     Space,
     mesh_or_cloud::{CloudFileRead, MeshOrCloud, MeshRead},
+    write::Precision,
 };
 pub use plugins::{PYTHON_HELPER, Plugins, hosted_by};
 pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};

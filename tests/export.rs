@@ -8,7 +8,7 @@ use osteoflow_formats::{
     picked_points::read_picked_points,
     plan_file::{plan_json, read_plan},
     pose_file::read_pose,
-    write::write_mesh,
+    write::{Precision, write_mesh},
 };
 use osteoflow_geometry::{SurfaceOrigin, isometry_from_matrix, nalgebra::Matrix4};
 use serde_json::Value;
@@ -165,7 +165,7 @@ fn a_surface_that_states_no_space_is_told_and_turned_where_the_graph_says_ras() 
     let stated = read_mesh("tests/data/folder/bone.stl".as_ref(), 1.0, "ct", SurfaceOrigin::User).unwrap();
     let write = |name: &str, space: Space, says: bool| {
         let path = dir.path().join(name);
-        write_mesh(&path, &stated.mesh, space).unwrap();
+        write_mesh(&path, &stated.mesh, space, Precision::Double).unwrap();
         if !says {
             let mut bytes = fs::read(&path).unwrap();
             bytes[..80].fill(0);
@@ -204,4 +204,45 @@ fn a_surface_that_states_no_space_is_told_and_turned_where_the_graph_says_ras() 
     let (code, mesh, said) = exported(&write("ras.stl", Space::Ras, true), "space = \"LPS\"");
     assert_eq!((code, mesh), (Some(3), None));
     assert!(said.contains("the file states SPACE=RAS, but space = \"LPS\"; leave space out"), "{said}");
+}
+
+#[test]
+fn clouds_are_written_for_programs_that_know_floats_alone_with_colours_and_distances_and_doubles_are_told() {
+    let ran = run_whole("graphs/fibula.toml", &["--no-record"]);
+    let scan = ran.dir.path().join("export/scan.ply");
+    let head = |path: &Path| String::from_utf8_lossy(&fs::read(path).unwrap()[..600]).into_owned();
+    let text = head(&scan);
+    for property in ["float x", "float z", "uchar red", "uchar blue", "float scalar_distance_mm"] {
+        assert!(text.contains(&format!("property {property}\n")), "{property}: {text}");
+    }
+    let cloud = read_cloud(&scan, 1.0, "ct").unwrap().cloud;
+    let bone = read_mesh(&ran.dir.path().join("export/bone.stl"), 1.0, "ct", SurfaceOrigin::User).unwrap().mesh;
+    let surface = MeshQuery::new(&bone);
+    let column = |name: &str| cloud.extras().iter().find(|(other, _)| &**other == name).unwrap().1.clone();
+    let (distances, red, blue) = (column("scalar_distance_mm"), column("red"), column("blue"));
+    for (k, point) in cloud.points().iter().enumerate() {
+        let off = (surface.closest_point(point).unwrap().distance_mm - distances[k].abs()).abs();
+        assert!(off < 1e-4, "point {k}: its distance is {off} mm off");
+        assert!(distances[k].abs() < 0.1 || (distances[k] > 0.0) == (red[k] > blue[k]), "outside is orange: {k}");
+    }
+    let converted = |name: &str, options: &[&str]| {
+        let out = ran.dir.path().join(name);
+        let output = osteoflow().arg("convert").args([&scan, &out]).args(options).output().unwrap();
+        assert!(output.status.success());
+        (head(&out), String::from_utf8(output.stderr).unwrap())
+    };
+    let (text, said) = converted("scan.pcd", &[]);
+    assert!(text.contains("FIELDS x y z scalar_distance_mm rgb\nSIZE 4 4 4 4 4\n") && said.is_empty(), "{text}{said}");
+    let (text, said) = converted("double.pcd", &["--double"]);
+    assert!(text.contains("SIZE 8 8 8 8 4\n"), "{text}");
+    assert!(
+        said.contains("the coordinates are doubles, as requested; PCL and Open3D read zeros from such a PCD"),
+        "{said}"
+    );
+    let output = osteoflow().args(["convert", "NOSUCH", "out.stl", "--iso-hu", "300"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("NOSUCH") && !said.contains("is for a CT"), "{said}");
+    let output = osteoflow().arg("convert").arg(&scan).args(["out.stl", "--iso-hu", "300"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("--iso-hu is for a CT, and this file holds a cloud; leave it out"), "{said}");
 }

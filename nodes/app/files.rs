@@ -8,7 +8,7 @@ use osteoflow_formats::{
     picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
     pose_file::{itk_text, read_pose},
     volume::is_volume,
-    write,
+    write::{self, Precision},
 };
 use osteoflow_geometry::{
     Cloud, Mesh, NamedPoint,
@@ -120,22 +120,23 @@ pub(crate) fn check_new(file: &Path) -> Result<()> {
     Err(UsageError(format!("{} exists already; name another file, nothing is overwritten", file.display())).into())
 }
 
-/// Writes a surface as PLY, STL or OBJ, by the ending of the file; nothing is overwritten.
+/// Writes a surface as PLY, STL or OBJ, by the ending of the file, and returns what its reader should know; nothing is overwritten.
 ///
 /// # Errors
 /// [`Error`] if the file exists, has another ending, or cannot be written.
-pub fn write_mesh(file: &Path, mesh: &Mesh, space: Space) -> Result<(), Error> {
+pub fn write_mesh(file: &Path, mesh: &Mesh, space: Space, precision: Precision) -> Result<Vec<String>, Error> {
     check_new(file)?;
-    Ok(write::write_mesh(file, mesh, space)?)
+    Ok(write::write_mesh(file, mesh, space, precision)?)
 }
 
-/// Writes a cloud as PLY, PCD, VTK, OBJ or CSV, by the ending of the file; nothing is overwritten.
+/// Writes a cloud as PLY, PCD, VTK, OBJ or CSV, by the ending of the file, and returns what its reader should know; nothing is
+/// overwritten.
 ///
 /// # Errors
 /// As [`write_mesh`].
-pub fn write_cloud(file: &Path, cloud: &Cloud, space: Space) -> Result<(), Error> {
+pub fn write_cloud(file: &Path, cloud: &Cloud, space: Space, precision: Precision) -> Result<Vec<String>, Error> {
     check_new(file)?;
-    Ok(write::write_cloud(file, cloud, space)?)
+    Ok(write::write_cloud(file, cloud, space, precision)?)
 }
 
 /// Writes named points as `.mrk.json`, `.fcsv` or `.csv`; nothing is overwritten.

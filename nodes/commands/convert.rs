@@ -12,7 +12,7 @@ use osteoflow_formats::{
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points},
     volume::is_volume,
-    write::{ending, write_cloud, write_mesh},
+    write::{Precision, ending, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{
     NamedPoint,
@@ -62,6 +62,11 @@ pub(crate) struct Convert {
     #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
     space: Option<Space>,
 
+    /// Write the numbers of a .ply or .pcd as doubles, bit for bit. Without it they are 32-bit floats, which every program reads,
+    /// where these keep them to 1e-4 mm, and else doubles, which is noted: PCL reads zeros from them, and so does Open3D from a PCD.
+    #[arg(long)]
+    double: bool,
+
     /// IN is a plan, and OUT, .json, is the same plan bound to this surface or CT, on which it was drawn: a run then tells landmarks
     /// that were all aimed wrong from a plan of another series. --scale, --space and --iso-hu are BONE's.
     #[arg(long, value_name = "BONE")]
@@ -78,10 +83,19 @@ impl Convert {
             let (done, notes) = self.ct()?;
             return self.done(&done, &notes, global);
         }
-        if self.iso_hu.is_some() {
-            return Err(UsageError(format!("{}: --iso-hu is for a CT", self.input.display())).into());
-        }
         let bytes = input::read(&self.input)?;
+        if self.iso_hu.is_some() {
+            // What cannot be read at all says so itself.
+            let holds = match picked_points(&self.input, &bytes) {
+                Some(_) => "picked points",
+                None => match read_mesh_or_cloud(&self.input, &bytes, 1.0, "ct")? {
+                    MeshOrCloud::Mesh(_) => "a surface",
+                    MeshOrCloud::Cloud(..) => "a cloud",
+                },
+            };
+            let message = format!("--iso-hu is for a CT, and this file holds {holds}; leave it out");
+            return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+        }
         let (done, notes) = match self.picked(&bytes) {
             Some(picked) => self.points(picked?)?,
             None => self.shape(&bytes)?,
@@ -129,9 +143,10 @@ impl Convert {
         };
         let params = serde_json::from_value(json!({ "path": self.input, "threshold_hu": iso_hu }))?;
         let bone = read_bone(&params, NoThreshold::Refuse).map_err(|error| anyhow!("{error}"))?;
-        write_mesh(&self.output, &bone.mesh, Space::Lps)?;
+        let mut notes = bone.notes;
+        notes.extend(self.told(write_mesh(&self.output, &bone.mesh, Space::Lps, self.precision())?));
         let (n_vertices, n_faces) = (bone.mesh.vertices().len(), bone.mesh.faces().len());
-        Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(Space::Lps)), bone.notes))
+        Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(Space::Lps)), notes))
     }
 
     /// The picked points in the bytes; `None` if it is a surface or a cloud. A text of numbers alone is a list of points if OUT is.
@@ -165,9 +180,12 @@ impl Convert {
             MeshOrCloud::Mesh(read) if ["ply", "stl", "obj"].contains(&ending.as_str()) => {
                 let (turn, space) = self.to_lps(read.space)?;
                 let mesh = read.mesh.transformed("ct", &Isometry3::from_parts(Translation3::identity(), turn));
-                write_mesh(&self.output, &mesh, space)?;
+                let told = write_mesh(&self.output, &mesh, space, self.precision())?;
                 let (n_vertices, n_faces) = (mesh.vertices().len(), mesh.faces().len());
-                Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(space)), read.notes))
+                Ok((
+                    format!("{n_vertices} vertices, {n_faces} faces{}", in_space(space)),
+                    with(read.notes, self.told(told)),
+                ))
             }
             other => {
                 let (read, notes) = other.into_cloud();
@@ -175,10 +193,19 @@ impl Convert {
                 let cloud = read.cloud.transformed("ct", &Isometry3::from_parts(Translation3::identity(), turn));
                 // A comment before the heading would keep other programs from reading it.
                 let stated = if ending == "csv" { Space::Unknown } else { space };
-                write_cloud(&self.output, &cloud, stated)?;
-                Ok((format!("{} points{}", cloud.len(), in_space(space)), notes))
+                let told = write_cloud(&self.output, &cloud, stated, self.precision())?;
+                Ok((format!("{} points{}", cloud.len(), in_space(space)), with(notes, self.told(told))))
             }
         }
+    }
+
+    fn precision(&self) -> Precision {
+        if self.double { Precision::Double } else { Precision::Single }
+    }
+
+    /// Notes about the file that was written.
+    fn told(&self, notes: Vec<String>) -> Vec<String> {
+        notes.into_iter().map(|note| format!("in {} {note}", self.output.display())).collect()
     }
 
     /// The rotation that takes what was read to LPS, and the space that it is in then.
@@ -197,6 +224,11 @@ impl Convert {
             }
         }
     }
+}
+
+fn with(mut notes: Vec<String>, more: Vec<String>) -> Vec<String> {
+    notes.extend(more);
+    notes
 }
 
 fn in_space(space: Space) -> &'static str {

@@ -58,6 +58,8 @@ pub struct Registration {
     pub(super) moved: Option<Cloud>,
     /// The files that were written.
     pub(crate) written: Vec<PathBuf>,
+    /// What the readers of these should know.
+    pub(super) notes_of_files: Vec<String>,
     pub(crate) timings: Timings,
     /// Whether all repeats gave the same bits.
     pub(super) same_bits: bool,
@@ -225,6 +227,9 @@ impl Registration {
         };
         let request = &of.request;
         [of.notes.clone(), of_file("bone", &request.target, "target"), of_file("scan", &request.source, "source")]
+            .into_iter()
+            .chain([self.notes_of_files.clone()])
+            .collect::<Vec<_>>()
             .concat()
     }
 
@@ -353,7 +358,7 @@ impl Registration {
         );
         let [target, source] =
             names.map(|name| name.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()));
-        files.write(
+        self.notes_of_files = files.write(
             |form| match form {
                 Form::Json => format!("{}\n", self.to_json(of, json!({ "status": "done", "exit_code": 0 }), false)),
                 Form::Text => {

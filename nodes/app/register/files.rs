@@ -7,7 +7,7 @@ use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{
     Space,
     pose_file::itk_text,
-    write::{ending, write_cloud},
+    write::{Precision, ending, write_cloud},
 };
 use osteoflow_geometry::{
     Cloud,
@@ -104,23 +104,27 @@ impl OutFiles {
         self.poses.iter().map(|(file, _)| file).chain(&self.source).chain(&self.trace)
     }
 
-    /// Writes the poses, each with the text that `text_of` gives, the moved source and the steps.
+    /// Writes the poses, each with the text that `text_of` gives, the moved source and the steps; returns what their readers should
+    /// know.
     pub(super) fn write(
         &self,
         text_of: impl Fn(Form) -> String,
         moved: Option<&Cloud>,
         steps: impl Fn() -> String,
-    ) -> Result<()> {
+    ) -> Result<Vec<String>> {
         if let Some(folder) = &self.folder {
             fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
         }
+        let mut notes = Vec::new();
         for (file, form) in &self.poses {
             write_new(file, &text_of(*form))?;
         }
         if let (Some(file), Some(moved)) = (&self.source, moved) {
-            write_cloud(file, moved, Space::Unknown)?;
+            let told = write_cloud(file, moved, Space::Unknown, Precision::Single)?;
+            notes.extend(told.into_iter().map(|note| format!("{}: {note}", file.display())));
         }
-        self.trace.iter().try_for_each(|file| write_new(file, &steps()))
+        self.trace.iter().try_for_each(|file| write_new(file, &steps()))?;
+        Ok(notes)
     }
 }
 

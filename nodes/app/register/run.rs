@@ -196,6 +196,7 @@ impl Register {
             scan_report: scan_report.unwrap_or_default(),
             moved,
             written: Vec::new(),
+            notes_of_files: Vec::new(),
             timings,
             same_bits,
             run: report,

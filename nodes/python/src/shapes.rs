@@ -5,7 +5,7 @@ use crate::{
     foreign, views,
 };
 use numpy::PyArrayDyn;
-use osteoflow::app::{self, CloudFileRead, Content, MeshOrCloud, MeshRead, Space};
+use osteoflow::app::{self, CloudFileRead, Content, MeshOrCloud, MeshRead, Precision, Space};
 use osteoflow_geometry::{
     Cloud, Mesh, NamedPoint, Pose, SurfaceOrigin, matrix_rows,
     nalgebra::{Isometry3, Matrix4, Point3, Vector3},
@@ -127,13 +127,23 @@ pub(crate) fn read<'py>(
     })
 }
 
-/// Writes a cloud or surface.
+/// Writes a cloud or surface; returns what the reader of the file should know.
 #[pyfunction]
-pub(crate) fn write_shape(py: Python<'_>, file: PathBuf, shape: Bound<'_, PyAny>) -> PyResult<()> {
+pub(crate) fn write_shape(
+    py: Python<'_>,
+    file: PathBuf,
+    shape: Bound<'_, PyAny>,
+    double: bool,
+) -> PyResult<Vec<String>> {
     let cancelled = Arc::default();
+    let precision = if double { Precision::Double } else { Precision::Single };
     match given(&shape, "what is to be written")? {
-        MeshOrCloud::Mesh(read) => watched(py, &cancelled, || app::write_mesh(&file, &read.mesh, read.space)),
-        MeshOrCloud::Cloud(read, _) => watched(py, &cancelled, || app::write_cloud(&file, &read.cloud, read.space)),
+        MeshOrCloud::Mesh(read) => {
+            watched(py, &cancelled, || app::write_mesh(&file, &read.mesh, read.space, precision))
+        }
+        MeshOrCloud::Cloud(read, _) => {
+            watched(py, &cancelled, || app::write_cloud(&file, &read.cloud, read.space, precision))
+        }
     }
 }
 

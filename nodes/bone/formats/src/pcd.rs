@@ -12,6 +12,9 @@ use std::path::Path;
 /// The most that LZF can unpack from one byte, rounded up: a copy of 264 bytes takes three.
 const LZF_RATIO: u64 = 100;
 
+/// More zeros than this behind the points are no padding: the largest page of memory of common machines.
+const MAX_PADDING_BYTES: usize = 64 << 10;
+
 /// Whether the first line that is no comment begins a header.
 pub(crate) fn is_pcd(bytes: &[u8]) -> bool {
     let mut lines = bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii).take(50);
@@ -62,6 +65,11 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
             return Err(cursor.fault(message));
         }
     };
+    // PCL makes a binary file longer by the rest of the page that its header takes.
+    let padding = cursor.rest();
+    if cursor.is_binary && padding.len() < MAX_PADDING_BYTES && padding.iter().all(|&byte| byte == 0) {
+        cursor.at += padding.len();
+    }
     let stride = Some(header.stride).filter(|_| header.data == "binary");
     header.notes.extend(cursor.end("point", "points", stride)?);
     let place = |name: &str| {
@@ -427,6 +435,24 @@ mod tests {
             assert_eq!(extras, [("id_0", &[7.0, 9.0][..]), ("id_1", &[8.0, 65535.0][..])]);
             assert_eq!(content.notes, [""; 0]);
         }
+    }
+
+    #[test]
+    fn the_zeros_that_pcl_writes_behind_the_points_are_no_points_and_anything_else_is_told() {
+        let mut bytes = format!("{HEAD}DATA binary\n").into_bytes();
+        rows().iter().for_each(|row| bytes.extend(row));
+        // 4060 zeros are 116 rows.
+        bytes.extend([0; 4060]);
+        let content = read(&bytes).unwrap();
+        assert_eq!((content.cloud.len(), content.notes), (2, vec![]));
+        bytes.push(1);
+        assert_eq!(
+            read(&bytes).unwrap().notes,
+            ["4061 bytes follow the last point, from byte 296 on, and were not read"]
+        );
+        bytes.pop();
+        *bytes.last_mut().unwrap() = 1;
+        assert!(said(&bytes).contains("116 more points follow"), "{}", said(&bytes));
     }
 
     #[test]

@@ -27,12 +27,23 @@ pub(crate) fn refusal(bytes: &[u8]) -> Option<String> {
         _ if at(0, b"%PDF") => ("a PDF document", SURFACE),
         _ if at(0, b"\x89PNG") || at(0, b"\xff\xd8\xff") || at(0, b"GIF8") => ("a picture", SURFACE),
         _ if at(0, b"Kaydara FBX") => ("FBX", SURFACE),
+        _ if at(0, b"CCB2") => ("CloudCompare's own format (.bin)", "save it there as PLY, a surface or a cloud"),
+        _ if at(0, b"#VRML") => ("VRML", SURFACE),
+        _ if is_mgh(bytes) => ("MGH of FreeSurfer", IMAGE),
         _ if at(0, b"BLENDER") => ("a Blender scene", SURFACE),
         _ if at(0, b"ISO-10303-21") => ("STEP", SURFACE),
         _ if at(0, b"\xff\xfe") || at(0, b"\xfe\xff") => ("UTF-16 text", "save it as UTF-8"),
         _ => return text(bytes),
     };
     Some(sentence(kind, advice))
+}
+
+/// Whether the bytes begin as an MGH volume: version 1, four sizes and a type of voxels, in big-endian order.
+pub(crate) fn is_mgh(bytes: &[u8]) -> bool {
+    let number =
+        |k: usize| bytes.get(4 * k..4 * k + 4).map(|four| i32::from_be_bytes([four[0], four[1], four[2], four[3]]));
+    let is_size = |k: usize| number(k).is_some_and(|n| (1..1 << 16).contains(&n));
+    number(0) == Some(1) && (1..5).all(is_size) && number(5).is_some_and(|kind| (0..=10).contains(&kind))
 }
 
 fn sentence(kind: &str, advice: &str) -> String {
@@ -105,6 +116,13 @@ mod tests {
             (at(0, b"GIF89a"), "a picture", SURFACE),
             (at(0, b"Kaydara FBX Binary"), "FBX", SURFACE),
             (at(0, b"BLENDER-v404"), "a Blender scene", SURFACE),
+            (
+                at(0, b"CCB22\0"),
+                "CloudCompare's own format (.bin)",
+                "is not read; save it there as PLY, a surface or a cloud",
+            ),
+            (at(0, b"#VRML V2.0 utf8\n"), "VRML", SURFACE),
+            ([1, 8, 9, 10, 1, 3, 0].iter().flat_map(|n: &i32| n.to_be_bytes()).collect(), "MGH of FreeSurfer", IMAGE),
             (at(0, b"ISO-10303-21;"), "STEP", SURFACE),
             (at(0, b"\xff\xfe1\0"), "UTF-16 text", "is not read; save it as UTF-8"),
             (at(0, b"\xfe\xff\x001"), "UTF-16 text", "is not read; save it as UTF-8"),

@@ -11,16 +11,42 @@ const CLOUD_ENDINGS: &str = "a cloud is written as .ply, .pcd, .vtk, .obj or .cs
 /// What every file for other programs says in its header or in a comment, where its format has one.
 pub const NOTICE: &str = "research use only, not for clinical use";
 
-/// Writes a surface, mm: `.ply` (binary, double precision), `.stl` (binary, single precision) or `.obj`.
+/// The precision of the numbers in a PLY or PCD.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// 32-bit floats, which all programs read, where they keep the numbers to [`KEPT`]; else doubles.
+    #[default]
+    Single,
+    /// Doubles, which keep every bit. PCL reads none of them, nor does Open3D from a PCD.
+    Double,
+}
+
+/// How far a 32-bit float may be from the number that it stands for: 1e-4 mm, a hundredth of what a tracker resolves. Floats keep it
+/// up to 2 m from the origin.
+pub const KEPT: f64 = 1e-4;
+
+/// Writes a surface, mm: `.ply` (binary), `.stl` (binary, always 32-bit floats) or `.obj`, and returns what the reader of the file
+/// should know.
 ///
 /// `mesh` is LPS if `space` is known; the file then states `space`, and for RAS x and y are negated. It has [`NOTICE`].
 ///
 /// # Errors
 /// [`FileError`] if the ending is another, or the file cannot be written.
-pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space) -> Result<(), FileError> {
+pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space, precision: Precision) -> Result<Vec<String>, FileError> {
+    let coordinates = || mesh.vertices().iter().flat_map(|p| p.iter().copied());
+    let mut notes = Vec::new();
     let bytes = match ending(path).as_str() {
-        "ply" => mesh_ply(mesh, space),
-        "stl" => stl(mesh, space, Some(NOTICE)),
+        "ply" => {
+            let width = width_of_points(coordinates(), precision, "a PLY", &mut notes);
+            mesh_ply(mesh, space, width)
+        }
+        "stl" => {
+            let off = largest_rounding(coordinates());
+            if off > KEPT {
+                notes.push(format!("the coordinates are 32-bit floats, as always in an STL, which move points by up to {off:.1e} mm; write .ply or .obj"));
+            }
+            stl(mesh, space, Some(NOTICE))
+        }
         "obj" => {
             let mut text = obj_head(mesh.frame.as_str(), space);
             mesh.vertices().iter().for_each(|&p| line(&mut text, "v", placed(p, space)));
@@ -32,12 +58,15 @@ pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space) -> Result<(), FileErro
         }
         other => return Err(unknown(path, other, MESH_ENDINGS)),
     };
-    std::fs::write(path, bytes).map_err(FileError::write(path))
+    std::fs::write(path, bytes).map_err(FileError::write(path))?;
+    Ok(notes)
 }
 
-/// Writes a cloud, mm: `.ply` and `.pcd` (binary, double precision), `.vtk` (legacy, text), `.csv` or `.obj`.
+/// Writes a cloud, mm: `.ply` and `.pcd` (binary), `.vtk` (legacy, text), `.csv` or `.obj`, and returns what the reader of the file
+/// should know.
 ///
-/// 3D Slicer draws a `.vtk`, whose points are vertices, and nothing of a `.ply` without faces.
+/// 3D Slicer draws a `.vtk`, whose points are vertices, and nothing of a `.ply` without faces. Columns `red`, `green` and `blue` of
+/// whole numbers up to 255 are the colours of the points in `.ply` and `.pcd`.
 ///
 /// Normals are written if the cloud has them, further columns by all but `.obj`. `cloud` is LPS if `space` is known; the file
 /// then states `space`, and for RAS x and y of points and normals are negated. It has [`NOTICE`], a `.csv` if it has comments.
@@ -45,11 +74,13 @@ pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space) -> Result<(), FileErro
 /// # Errors
 /// [`FileError`] if the ending is another, a column's name is one of a coordinate or given twice, an `.obj` would lose
 /// further columns, or the file cannot be written.
-pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space) -> Result<(), FileError> {
+pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space, precision: Precision) -> Result<Vec<String>, FileError> {
+    let mut notes = Vec::new();
+    let mut packing = |format: &str| Packing::new(cloud, precision, format, &mut notes);
     let bytes = match ending(path).as_str() {
-        "ply" => cloud_ply(path, cloud, 1.0, space, Some(NOTICE))?,
+        "ply" => cloud_ply(path, cloud, 1.0, space, Some(NOTICE), &packing("a PLY"))?,
         "vtk" => vtk(path, cloud, space)?.into_bytes(),
-        "pcd" => pcd(path, cloud, space)?,
+        "pcd" => pcd(path, cloud, space, &packing("a PCD"))?,
         "csv" => csv(path, cloud, space)?.into_bytes(),
         "obj" => {
             if let Some((name, _)) = cloud.extras().first() {
@@ -63,7 +94,8 @@ pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space) -> Result<(), FileE
         }
         other => return Err(unknown(path, other, CLOUD_ENDINGS)),
     };
-    std::fs::write(path, bytes).map_err(FileError::write(path))
+    std::fs::write(path, bytes).map_err(FileError::write(path))?;
+    Ok(notes)
 }
 
 /// Writes a surface as binary STL, mm, in single precision; in frame `ct` it states LPS.
@@ -80,7 +112,105 @@ pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
 /// # Errors
 /// [`FileError`] if the file cannot be written, or a further column has the name of a coordinate.
 pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileError> {
-    std::fs::write(path, cloud_ply(path, cloud, unit_mm, Space::Unknown, None)?).map_err(FileError::write(path))
+    let doubles = Packing::doubles(cloud);
+    std::fs::write(path, cloud_ply(path, cloud, unit_mm, Space::Unknown, None, &doubles)?)
+        .map_err(FileError::write(path))
+}
+
+/// The type of a number in a PLY or PCD.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Width {
+    /// A 32-bit float.
+    Single,
+    /// A double.
+    Double,
+    /// A byte, of a colour.
+    Byte,
+}
+
+impl Width {
+    const fn ply(self) -> &'static str {
+        match self {
+            Self::Single => "float",
+            Self::Double => "double",
+            Self::Byte => "uchar",
+        }
+    }
+
+    fn push(self, value: f64, bytes: &mut Vec<u8>) {
+        match self {
+            Self::Single => bytes.extend((value as f32).to_le_bytes()),
+            Self::Double => bytes.extend(value.to_le_bytes()),
+            Self::Byte => bytes.push(value as u8),
+        }
+    }
+}
+
+/// The types of the columns of a cloud: coordinates, normals, further columns.
+pub(crate) struct Packing {
+    columns: Vec<Width>,
+    /// The places of red, green and blue in a row.
+    colour: Option<[usize; 3]>,
+}
+
+impl Packing {
+    fn new(cloud: &Cloud, precision: Precision, format: &str, notes: &mut Vec<String>) -> Self {
+        let points = cloud.points().iter().flat_map(|p| p.iter().copied());
+        let mut columns = vec![width_of_points(points, precision, format, notes); 3];
+        // A normal is a direction, whose rounding is 6e-8 rad.
+        let normals = if precision == Precision::Double { Width::Double } else { Width::Single };
+        columns.extend(cloud.normals().iter().flat_map(|_| [normals; 3]));
+        let first = columns.len();
+        let of = |name: &str| cloud.extras().iter().position(|(column, _)| &**column == name);
+        let is_byte = |k: &usize| cloud.extras()[*k].1.iter().all(|v| v.fract() == 0.0 && (0.0..=255.0).contains(v));
+        let colour = [of("red"), of("green"), of("blue")];
+        let colour = colour.into_iter().flatten().filter(is_byte).map(|k| k + first).collect::<Vec<_>>();
+        let colour: Option<[usize; 3]> = colour.try_into().ok();
+        for (k, (_, values)) in cloud.extras().iter().enumerate() {
+            let is_colour = colour.is_some_and(|colour| colour.contains(&(k + first)));
+            let narrow = precision == Precision::Single && largest_rounding(values.iter().copied()) <= KEPT;
+            columns.push(if is_colour {
+                Width::Byte
+            } else if narrow {
+                Width::Single
+            } else {
+                Width::Double
+            });
+        }
+        Self { columns, colour }
+    }
+
+    /// All columns as doubles.
+    pub(crate) fn doubles(cloud: &Cloud) -> Self {
+        let n = if cloud.normals().is_some() { 6 } else { 3 };
+        Self { columns: vec![Width::Double; n + cloud.extras().len()], colour: None }
+    }
+}
+
+/// The largest distance of a finite number from the 32-bit float next to it.
+fn largest_rounding(values: impl Iterator<Item = f64>) -> f64 {
+    let off = |value: f64| if value.is_finite() { (f64::from(value as f32) - value).abs() } else { 0.0 };
+    values.map(off).fold(0.0, f64::max)
+}
+
+/// The type of coordinates, with a note where it is double.
+fn width_of_points(
+    coordinates: impl Iterator<Item = f64>,
+    precision: Precision,
+    format: &str,
+    notes: &mut Vec<String>,
+) -> Width {
+    let off = largest_rounding(coordinates);
+    if precision == Precision::Single && off <= KEPT {
+        return Width::Single;
+    }
+    let why = match precision {
+        Precision::Single => format!("since 32-bit floats would move points by up to {off:.1e} mm"),
+        Precision::Double => "as requested".into(),
+    };
+    let readers = if format == "a PCD" { "PCL and Open3D read" } else { "PCL reads" };
+    notes.push(format!("the coordinates are doubles, {why}; {readers} zeros from such {format}"));
+    Width::Double
 }
 
 const ANY_TEXT: &str = "a string takes any text";
@@ -139,25 +269,28 @@ fn row(cloud: &Cloud, k: usize, space: Space) -> impl Iterator<Item = f64> {
     placed(cloud.points()[k], space).into_iter().chain(normal.into_iter().flatten()).chain(extras)
 }
 
-/// A cloud as little-endian PLY in double precision.
+/// A cloud as little-endian PLY.
 pub(crate) fn cloud_ply(
     path: &Path,
     cloud: &Cloud,
     unit_mm: f64,
     space: Space,
     notice: Option<&str>,
+    packing: &Packing,
 ) -> Result<Vec<u8>, FileError> {
     let names = column_names(path, cloud)?;
     let mut header = ply_head("cloud", cloud.frame.as_str(), space, notice);
     writeln!(header, "element vertex {}", cloud.len()).expect(ANY_TEXT);
-    names.iter().for_each(|name| writeln!(header, "property double {name}").expect(ANY_TEXT));
+    for (name, width) in names.iter().zip(&packing.columns) {
+        writeln!(header, "property {} {name}", width.ply()).expect(ANY_TEXT);
+    }
     header.push_str("end_header\n");
     let mut bytes = header.into_bytes();
     bytes.reserve(8 * names.len() * cloud.len());
     for k in 0..cloud.len() {
         for (column, value) in row(cloud, k, space).enumerate() {
             let value = if column < 3 { value / unit_mm } else { value };
-            bytes.extend(value.to_le_bytes());
+            packing.columns[column].push(value, &mut bytes);
         }
     }
     Ok(bytes)
@@ -170,19 +303,20 @@ fn ply_head(what: &str, frame: &str, space: Space, notice: Option<&str>) -> Stri
     format!("ply\nformat binary_little_endian 1.0\ncomment osteoflow {what}, frame {frame}\n{notice}{tag}")
 }
 
-fn mesh_ply(mesh: &Mesh, space: Space) -> Vec<u8> {
+fn mesh_ply(mesh: &Mesh, space: Space, width: Width) -> Vec<u8> {
     let mut header = ply_head("surface", mesh.frame.as_str(), space, Some(NOTICE));
+    let float = width.ply();
     write!(
         header,
-        "element vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
-         element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+        "element vertex {}\nproperty {float} x\nproperty {float} y\nproperty {float} z\n\
+         element face {}\nproperty list uchar int vertex_indices\nend_header\n",
         mesh.vertices().len(),
         mesh.faces().len()
     )
     .expect(ANY_TEXT);
     let mut bytes = header.into_bytes();
     for &vertex in mesh.vertices() {
-        bytes.extend(placed(vertex, space).iter().flat_map(|c| c.to_le_bytes()));
+        placed(vertex, space).into_iter().for_each(|c| width.push(c, &mut bytes));
     }
     for face in mesh.faces() {
         bytes.push(3);
@@ -210,7 +344,7 @@ pub(crate) fn stl(mesh: &Mesh, space: Space, notice: Option<&str>) -> Vec<u8> {
     bytes
 }
 
-fn pcd(path: &Path, cloud: &Cloud, space: Space) -> Result<Vec<u8>, FileError> {
+fn pcd(path: &Path, cloud: &Cloud, space: Space, packing: &Packing) -> Result<Vec<u8>, FileError> {
     let mut names = column_names(path, cloud)?;
     if cloud.normals().is_some() {
         // The names of PCL.
@@ -220,19 +354,37 @@ fn pcd(path: &Path, cloud: &Cloud, space: Space) -> Result<Vec<u8>, FileError> {
         let message = format!("column \"{name}\" would be read as a packed colour in a PCD; rename it");
         return Err(FileError::content(path, "columns", message));
     }
-    let same = |word: &str| vec![word; names.len()].join(" ");
+    let is_colour = |column: usize| packing.colour.is_some_and(|colour| colour.contains(&column));
+    let mut fields: Vec<(&str, &str)> = Vec::new();
+    for (k, (name, width)) in names.iter().zip(&packing.columns).enumerate().filter(|(k, _)| !is_colour(*k)) {
+        fields.push((name, if *width == Width::Double { "8" } else { "4" }));
+        debug_assert!(*width != Width::Byte, "column {k} is a part of a colour");
+    }
+    // The colour of PCL: 0x00rrggbb in the bits of a float.
+    fields.extend(packing.colour.map(|_| ("rgb", "4")));
+    let joined = |words: Vec<&str>| words.join(" ");
     let tag = space.tag().map_or_else(String::new, |tag| format!("# {tag}\n"));
     let n = cloud.len();
     let header = format!(
         "# .PCD v0.7 - Point Cloud Data file format\n# {NOTICE}\n{tag}VERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\nWIDTH {n}\n\
          HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n",
-        names.join(" "),
-        same("8"),
-        same("F"),
-        same("1"),
+        joined(fields.iter().map(|(name, _)| *name).collect()),
+        joined(fields.iter().map(|(_, size)| *size).collect()),
+        joined(vec!["F"; fields.len()]),
+        joined(vec!["1"; fields.len()]),
     );
     let mut bytes = header.into_bytes();
-    (0..n).for_each(|k| row(cloud, k, space).for_each(|value| bytes.extend(value.to_le_bytes())));
+    for k in 0..n {
+        let mut rgb = [0; 3];
+        for (column, value) in row(cloud, k, space).enumerate() {
+            match packing.colour.and_then(|colour| colour.iter().position(|&of| of == column)) {
+                Some(part) => rgb[part] = value as u8,
+                None => packing.columns[column].push(value, &mut bytes),
+            }
+        }
+        let [red, green, blue] = rgb;
+        bytes.extend(packing.colour.iter().flat_map(|_| [blue, green, red, 0]));
+    }
     Ok(bytes)
 }
 
@@ -299,17 +451,62 @@ mod tests {
             for cloud in [cloud(), with_normals.clone(), with_extras.clone()] {
                 for space in SPACES {
                     if ending == "obj" && !cloud.extras().is_empty() {
-                        let message = write_cloud(&path, &cloud, space).unwrap_err().to_string();
+                        let message = write_cloud(&path, &cloud, space, Precision::Double).unwrap_err().to_string();
                         assert!(message.contains("an OBJ cannot hold the column \"intensity\""), "{message}");
                         continue;
                     }
-                    write_cloud(&path, &cloud, space).unwrap();
+                    write_cloud(&path, &cloud, space, Precision::Double).unwrap();
                     let back = read_cloud(&path, 1.0, "ct").unwrap();
                     assert_eq!((&back.cloud, back.space, back.n_dropped), (&cloud, space, 0), "{ending} {space}");
                     assert_eq!(back.notes.len(), usize::from(space == Space::Ras), "{:?}", back.notes);
                 }
             }
         }
+    }
+
+    #[test]
+    fn numbers_are_32_bit_floats_where_these_keep_them_and_doubles_elsewhere() {
+        let dir = tempfile::tempdir().unwrap();
+        let near =
+            Cloud::new("ct", vec![Point3::new(1.0 / 3.0, -1999.9999, 7.0), Point3::new(-0.1, 0.2, 1.0)]).unwrap();
+        let near = near.with_normals(vec![Vector3::z(), Vector3::new(0.6, 0.0, -0.8)]).unwrap();
+        let columns = [("time", [1.6e9 + 0.25, 0.0]), ("red", [0.0, 255.0]), ("heat", [0.1, f64::NAN])];
+        let columns = columns.into_iter().chain([("blue", [7.0, 8.0]), ("green", [1.0, 2.0])]);
+        let near = columns.fold(near, |cloud, (name, values)| cloud.with_extra(name, values.to_vec()).unwrap());
+        for (ending, float, double) in [
+            ("ply", "property float x\n", "property double x\n"),
+            ("pcd", "\nSIZE 4 4 4 4 4 4 8 4 4\n", "\nSIZE 8 8 8\n"),
+        ] {
+            let path = dir.path().join(format!("cloud.{ending}"));
+            assert_eq!(write_cloud(&path, &near, Space::Lps, Precision::Single).unwrap(), [""; 0]);
+            let text = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
+            assert!(text.contains(float), "{text}");
+            let back = read_cloud(&path, 1.0, "ct").unwrap().cloud;
+            let off = near.points().iter().zip(back.points()).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            assert!(off < KEPT, "{off} mm");
+            for (name, values) in near.extras() {
+                let (_, found) = back.extras().iter().find(|(other, _)| other == name).unwrap();
+                let same = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-7 || a.is_nan() && b.is_nan();
+                assert!(values.iter().zip(found.iter()).all(same), "{name}: {values:?} {found:?}");
+            }
+            let farther = Cloud::new("ct", vec![Point3::new(9000.1, 0.0, 0.0)]).unwrap();
+            let notes = write_cloud(&path, &farther, Space::Lps, Precision::Single).unwrap();
+            assert!(
+                notes[0].starts_with("the coordinates are doubles, since 32-bit floats would move points by up to"),
+                "{notes:?}"
+            );
+            assert!(String::from_utf8_lossy(&std::fs::read(&path).unwrap()).contains(double));
+            assert_eq!(read_cloud(&path, 1.0, "ct").unwrap().cloud, farther, "bit for bit, and not shifted");
+        }
+        let path = dir.path().join("far.stl");
+        let vertices =
+            vec![Point3::new(9000.1, 0.0, 0.0), Point3::new(9000.2, 1.0, 0.0), Point3::new(9000.1, 0.0, 1.0)];
+        let mesh = Mesh::new("ct", SurfaceOrigin::User, vertices, vec![[0, 1, 2]]).unwrap();
+        let notes = write_mesh(&path, &mesh, Space::Lps, Precision::Single).unwrap();
+        assert!(notes[0].contains("as always in an STL") && notes[0].ends_with("write .ply or .obj"), "{notes:?}");
+        let path = dir.path().join("far.ply");
+        assert_eq!(write_mesh(&path, &mesh, Space::Lps, Precision::Single).unwrap().len(), 1);
+        assert_eq!(read_mesh(&path, 1.0, "ct", SurfaceOrigin::User).unwrap().mesh.vertices(), mesh.vertices());
     }
 
     #[test]
@@ -326,7 +523,7 @@ mod tests {
         for ending in ["ply", "stl", "obj"] {
             let path = dir.path().join(format!("mesh.{ending}"));
             for space in SPACES {
-                write_mesh(&path, &mesh, space).unwrap();
+                write_mesh(&path, &mesh, space, Precision::Single).unwrap();
                 let back = read_mesh(&path, 1.0, "ct", SurfaceOrigin::User).unwrap();
                 assert_eq!(back.space, space, "{ending}");
                 let corners = |mesh: &Mesh| (0..4).map(|face| mesh.corners(face)).collect::<Vec<_>>();
@@ -337,16 +534,17 @@ mod tests {
 
     #[test]
     fn an_unknown_ending_or_a_name_that_is_taken_is_refused() {
-        let message = write_cloud("a.xyzrgb".as_ref(), &cloud(), Space::Lps).unwrap_err().to_string();
+        let message =
+            write_cloud("a.xyzrgb".as_ref(), &cloud(), Space::Lps, Precision::Single).unwrap_err().to_string();
         assert_eq!(
             message,
             "a.xyzrgb: name: nothing is written as \".xyzrgb\"; a cloud is written as .ply, .pcd, .vtk, .obj or .csv"
         );
         let mesh = Mesh::new("ct", SurfaceOrigin::User, vec![Point3::origin(); 3], vec![[0, 1, 2]]).unwrap();
-        let message = write_mesh("a.pcd".as_ref(), &mesh, Space::Lps).unwrap_err().to_string();
+        let message = write_mesh("a.pcd".as_ref(), &mesh, Space::Lps, Precision::Single).unwrap_err().to_string();
         assert_eq!(message, "a.pcd: name: nothing is written as \".pcd\"; a surface is written as .ply, .stl or .obj");
         let twice = cloud().with_extra("X", vec![0.0; 2]).unwrap();
-        let message = write_cloud("a.ply".as_ref(), &twice, Space::Lps).unwrap_err().to_string();
+        let message = write_cloud("a.ply".as_ref(), &twice, Space::Lps, Precision::Single).unwrap_err().to_string();
         assert!(message.contains("columns: a further column is called \"X\", which is taken"), "{message}");
     }
 }

@@ -485,7 +485,7 @@ fn no_damage_to_a_file_makes_its_reader_panic_or_ask_for_absurd_memory() {
 fn shapes() -> Vec<(&'static str, Vec<u8>)> {
     use osteoflow_formats::{
         Space,
-        write::{write_cloud, write_mesh},
+        write::{Precision, write_cloud, write_mesh},
     };
     use osteoflow_geometry::{Mesh, SurfaceOrigin};
     let dir = tempfile::tempdir().unwrap();
@@ -496,12 +496,18 @@ fn shapes() -> Vec<(&'static str, Vec<u8>)> {
     let mut files = Vec::new();
     for ending in ["ply", "stl", "obj"] {
         let path = dir.path().join(format!("mesh.{ending}"));
-        write_mesh(&path, &mesh, Space::Ras).unwrap();
+        write_mesh(&path, &mesh, Space::Ras, Precision::Single).unwrap();
         files.push((ending, std::fs::read(path).unwrap()));
     }
     for ending in ["ply", "pcd", "csv"] {
         let path = dir.path().join(format!("cloud.{ending}"));
-        write_cloud(&path, &cloud.clone().with_extra("heat", vec![1.0, 2.0, 3.0, 4.0]).unwrap(), Space::Lps).unwrap();
+        write_cloud(
+            &path,
+            &cloud.clone().with_extra("heat", vec![1.0, 2.0, 3.0, 4.0]).unwrap(),
+            Space::Lps,
+            Precision::Single,
+        )
+        .unwrap();
         files.push((ending, std::fs::read(path).unwrap()));
     }
     let pcd = "# .PCD v0.7\nFIELDS x y z _ id\nSIZE 4 4 4 1 2\nTYPE F F F U I\nCOUNT 1 1 1 2 1\nWIDTH 2\nHEIGHT 2\n\

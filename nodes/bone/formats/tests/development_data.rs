@@ -9,7 +9,7 @@ use osteoflow_formats::{
     message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms},
     picked_points::read_picked_points,
     plan_file::{parse_plan, read_plan},
-    write::write_mesh,
+    write::{Precision, write_mesh},
 };
 use osteoflow_geometry::{StampNs, SurfaceOrigin};
 use std::path::PathBuf;
@@ -265,7 +265,7 @@ fn a_bone_survives_being_written_in_every_format_and_space() {
     for ending in ["ply", "stl", "obj"] {
         for space in [Space::Lps, Space::Ras, Space::Unknown] {
             let path = dir.path().join(format!("bone.{ending}"));
-            write_mesh(&path, &bone, space).unwrap();
+            write_mesh(&path, &bone, space, Precision::Double).unwrap();
             let back = read_mesh(&path, 1.0, "ct", SurfaceOrigin::User).unwrap();
             assert_eq!((back.space, back.mesh.faces().len()), (space, bone.faces().len()), "{ending}");
             for face in 0..bone.faces().len() {

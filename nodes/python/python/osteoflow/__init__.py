@@ -108,12 +108,14 @@ def read(
     )
 
 
-def write(path: Union[str, "_os.PathLike[str]"], content: Any, *, space: Optional[str] = None) -> None:
+def write(path: Union[str, "_os.PathLike[str]"], content: Any, *, space: Optional[str] = None, double: bool = False) -> None:
     """Write a file; its ending names the format. Nothing is overwritten.
 
     content : a `Mesh` (.ply, .stl, .obj), a `Cloud` or an (n, 3) array in mm (.ply, .pcd, .vtk, .obj, .csv), a dict of name to
         point in mm (.mrk.json, .fcsv, .csv), or a (4, 4) array, a rigid motion in mm (.txt, .json, .tfm).
     space : "LPS" or "RAS", the space of the numbers, which some formats state. Default: that of `content`.
+    double : the numbers of a .ply or .pcd as doubles. Default: as 32-bit floats, which PCL and Open3D read, where these keep
+        1e-4 mm, else as doubles with an `OsteoflowWarning`.
     """
     file = _os.fspath(path)
     if isinstance(content, Mapping):
@@ -127,7 +129,7 @@ def write(path: Union[str, "_os.PathLike[str]"], content: Any, *, space: Optiona
     shape = content._shape()
     if space is not None:
         shape = (*shape[:-1], space)
-    return _core.write_shape(file, shape)
+    _warn(_core.write_shape(file, shape, double))
 
 
 class Registration:

@@ -1,12 +1,16 @@
 //! The kind `output.export`.
 
 use super::{NOTICE, NoOutputs, is_refused, lps, not_a_link};
-use osteoflow_algorithms::trust::Verdict;
+use osteoflow_algorithms::{
+    mesh_query::MeshQuery,
+    metrics::{distance_colour, distance_outside},
+    trust::Verdict,
+};
 use osteoflow_formats::{
     Space,
     picked_points::{write_mrk_json, write_planes_mrk_json},
     pose_file::itk_text,
-    write::{write_cloud, write_mesh},
+    write::{Precision, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
@@ -17,7 +21,8 @@ use std::path::PathBuf;
 ///
 /// `bone.stl` (of a bone that is known by points only `bone.ply`), `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and
 /// the plan; `scan.vtk` (drawn by 3D Slicer),
-/// `scan.ply` (for CloudCompare) and `scan_to_ct.tfm` the scan on the CT and the motion that takes it there. Of a refused
+/// `scan.ply` (for CloudCompare, with the distance from the bone as scalar field, mm, positive outside, and its colours as on the page) and
+/// `scan_to_ct.tfm` the scan on the CT and the motion that takes it there. Of a refused
 /// registration, and where there is none, the last three are not written. Every file says that it is for research use only.
 #[derive(Describe)]
 #[describe(example = r#"
@@ -72,12 +77,12 @@ impl Function for Export {
         let dir = not_a_link(dir.join(format!("{}{number}", ctx.node())))?;
         std::fs::create_dir_all(&dir)?;
         let file = |name: &str| not_a_link(dir.join(name));
-        match (&i.bone, &i.bone_points) {
-            (Some(mesh), _) => write_mesh(&file("bone.stl")?, mesh, space)?,
-            (None, points) => points
-                .iter()
-                .try_for_each(|points| write_cloud(&file("bone.ply")?, points, space).map_err(NodeError::from))?,
-        }
+        let notes = match (&i.bone, &i.bone_points) {
+            (Some(mesh), _) => write_mesh(&file("bone.stl")?, mesh, space, Precision::Single)?,
+            (None, Some(points)) => write_cloud(&file("bone.ply")?, points, space, Precision::Single)?,
+            (None, None) => Vec::new(),
+        };
+        notes.into_iter().for_each(|note| ctx.warn(note));
         if let Some(landmarks) = &i.landmarks {
             landmarks.frame.expect(frame, "the landmarks")?;
             write_mrk_json(&file("landmarks.mrk.json")?, &landmarks.points, space)?;
@@ -92,7 +97,9 @@ impl Function for Export {
             return Ok(NoOutputs {});
         };
         if !is_refused(i.verdict.as_ref(), ctx) {
-            write_scan(&file, scan, &t_ct_scan.clone().expect(frame, &scan.frame)?, space)?;
+            let notes =
+                write_scan(&file, scan, &t_ct_scan.clone().expect(frame, &scan.frame)?, i.bone.as_ref(), space)?;
+            notes.into_iter().for_each(|note| ctx.warn(note));
         }
         Ok(NoOutputs {})
     }
@@ -102,12 +109,36 @@ fn write_scan(
     file: &dyn Fn(&str) -> Result<PathBuf, NodeError>,
     scan: &Cloud,
     t_ct_scan: &osteoflow_geometry::nalgebra::Isometry3<f64>,
+    bone: Option<&Mesh>,
     space: Space,
-) -> Result<(), NodeError> {
+) -> Result<Vec<String>, NodeError> {
     let on_ct = scan.transformed("ct", t_ct_scan);
-    write_cloud(&file("scan.ply")?, &on_ct, space)?;
-    write_cloud(&file("scan.vtk")?, &on_ct, space)?;
+    let coloured = match bone {
+        Some(bone) => coloured(on_ct.clone(), &MeshQuery::new(bone))?,
+        None => on_ct.clone(),
+    };
+    let notes = write_cloud(&file("scan.ply")?, &coloured, space, Precision::Single)?;
+    write_cloud(&file("scan.vtk")?, &on_ct, space, Precision::Single)?;
     let frames = format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.frame);
     std::fs::write(file("scan_to_ct.tfm")?, itk_text(t_ct_scan, &[frames, NOTICE.into()]))?;
-    Ok(())
+    Ok(notes)
+}
+
+/// The column of the distance from the bone. CloudCompare takes what begins so for a scalar field, and shows it without asking.
+const DISTANCE: &str = "scalar_distance_mm";
+
+/// A cloud with its distance from a surface and the colours of that; those that a camera saw are kept instead.
+fn coloured(cloud: Cloud, surface: &MeshQuery) -> Result<Cloud, NodeError> {
+    let distances: Vec<f64> = cloud.points().iter().map(|p| distance_outside(p, surface).unwrap_or(f64::NAN)).collect();
+    let colours = ["red", "green", "blue"];
+    let has = |name: &str| cloud.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(name));
+    let (has_distance, has_colours) = (has(DISTANCE), colours.into_iter().any(has));
+    let mut cloud = cloud;
+    if !has_colours {
+        for (k, name) in colours.into_iter().enumerate() {
+            let part: Vec<f64> = distances.iter().map(|&distance| distance_colour(distance)[k].into()).collect();
+            cloud = cloud.with_extra(name, part)?;
+        }
+    }
+    Ok(if has_distance { cloud } else { cloud.with_extra(DISTANCE, distances)? })
 }

@@ -1,7 +1,10 @@
 //! The kind `output.mesh`.
 
 use super::{NoOutputs, file_of};
-use osteoflow_formats::{Space, write::write_mesh};
+use osteoflow_formats::{
+    Space,
+    write::{Precision, write_mesh},
+};
 use osteoflow_geometry::Mesh as MeshPayload;
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
@@ -28,7 +31,8 @@ impl Function for Mesh {
 
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         if let Some(path) = file_of(ctx, "stl")? {
-            write_mesh(&path, &i.mesh, Space::of(&i.mesh.frame))?;
+            let notes = write_mesh(&path, &i.mesh, Space::of(&i.mesh.frame), Precision::Single)?;
+            notes.into_iter().for_each(|note| ctx.warn(note));
         }
         Ok(NoOutputs {})
     }

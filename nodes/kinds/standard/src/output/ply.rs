@@ -2,11 +2,16 @@
 
 use super::{NoOutputs, file_of, is_refused};
 use osteoflow_algorithms::trust::Verdict;
-use osteoflow_formats::{Space, write::write_cloud};
+use osteoflow_formats::{
+    Space,
+    write::{Precision, write_cloud},
+};
 use osteoflow_geometry::Cloud;
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// Clouds as PLY files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
+///
+/// The numbers are 32-bit floats where these keep them to 1e-4 mm, else doubles, with a warning.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.ply"
@@ -34,7 +39,8 @@ impl Function for Ply {
             return Ok(NoOutputs {});
         }
         if let Some(path) = file_of(ctx, "ply")? {
-            write_cloud(&path, &i.cloud, Space::of(&i.cloud.frame))?;
+            let notes = write_cloud(&path, &i.cloud, Space::of(&i.cloud.frame), Precision::Single)?;
+            notes.into_iter().for_each(|note| ctx.warn(note));
         }
         Ok(NoOutputs {})
     }
