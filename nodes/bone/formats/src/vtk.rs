@@ -155,12 +155,17 @@ impl File<'_> {
             return self.fault(format!("\"{}\" is no array of a FIELD", line.trim()));
         };
         let (n_components, n) = (self.cursor.count(n_components)?, self.cursor.count(n)?);
-        if matches!(kind, "string" | "bit") {
+        if kind == "bit" {
             return self.fault(format!("array \"{name}\" of type {kind} is not read; leave it out"));
         }
-        let values = self.values(n, n_components, self.kind(kind)?)?;
-        if n == self.shape.points.len() {
-            self.keep(name, name.eq_ignore_ascii_case("normals"), n_components, values)?;
+        if kind == "string" {
+            // Texts say nothing of the shape: names of materials, comments of the writer.
+            (0..n.saturating_mul(n_components)).try_for_each(|_| self.skip_text())?;
+        } else {
+            let values = self.values(n, n_components, self.kind(kind)?)?;
+            if n == self.shape.points.len() {
+                self.keep(name, name.eq_ignore_ascii_case("normals"), n_components, values)?;
+            }
         }
         // Metadata may follow the array.
         let start = self.cursor;
@@ -169,6 +174,27 @@ impl File<'_> {
             _ => self.cursor = start,
         }
         Ok(())
+    }
+
+    /// Passes over a text of an array: a line, or in binary its length and its bytes.
+    ///
+    /// # Source
+    /// `vtkDataReader::ReadArray`: the upper two bits of the first byte say how many bytes the length has, big-endian: 3 one, 2 two, 1
+    /// four, 0 eight; the others belong to it.
+    fn skip_text(&mut self) -> Result<(), FileError> {
+        let cursor = &mut self.cursor;
+        if !cursor.is_binary {
+            return match cursor.line() {
+                Some(_) => Ok(()),
+                None => self.fault("the file ends within the texts of a FIELD; was it cut short?"),
+            };
+        }
+        let first = cursor.rest().first().copied().unwrap_or_default();
+        let n_length = 1 << (3 - (first >> 6));
+        let length = cursor.take(n_length, "the length of a text")?;
+        let length = length.iter().skip(1).fold(u64::from(first & 0x3f), |sum, &byte| sum << 8 | u64::from(byte));
+        let length = usize::try_from(length).unwrap_or(usize::MAX);
+        cursor.take(length, "a text").map(drop)
     }
 
     /// Reads an attribute of `n` points or cells.
@@ -392,6 +418,32 @@ mod tests {
     }
 
     const CORNERS: [f32; 12] = [0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 0.0];
+
+    #[test]
+    fn texts_in_the_field_data_are_passed_over_in_text_and_in_binary() {
+        let field = "FIELD FieldData 2\nnote 1 2 string\nof the bone\n\nage 1 1 int\n7\n";
+        let text = ascii("POLYGONS 1 5\n4 0 1 2 3\n").replace("POINTS", &format!("{field}POINTS"));
+        assert_eq!(mesh(text.as_bytes()).unwrap().mesh.faces().len(), 2);
+        let long = "x".repeat(300);
+        let mut texts = vec![0xc0 | 3];
+        texts.extend(b"abc");
+        texts.extend([0x80 | 1, 44]);
+        texts.extend(long.bytes());
+        let ints = |values: &[i32]| values.iter().flat_map(|v| v.to_be_bytes()).collect::<Vec<u8>>();
+        let parts = |texts: Vec<u8>| {
+            binary(&[
+                ("FIELD FieldData 1\nnote 1 2 string", texts),
+                ("POINTS 4 float", floats(&CORNERS)),
+                ("POLYGONS 1 5", ints(&[4, 0, 1, 2, 3])),
+            ])
+        };
+        assert_eq!(mesh(&parts(texts)).unwrap().mesh.faces().len(), 2);
+        let error = mesh(&parts(vec![0x7f, 255, 255, 255])).unwrap_err().to_string();
+        assert!(
+            error.contains("a text needs 1073741823 bytes") && error.contains("was the file cut short?"),
+            "{error}"
+        );
+    }
 
     #[test]
     fn the_same_square_is_read_from_every_layout() {

@@ -186,8 +186,10 @@ impl Header {
         // What stops a stream early shows in the number of bytes.
         let _ = reader.by_ref().take(4).read_to_end(&mut bytes);
         let (version, is_big) = version_and_order(&bytes).ok_or_else(|| {
-            let message =
-                "the first four bytes are not 348 or 540, the size of a NIfTI header; of gzip files only .nii.gz is read";
+            let message = match bytes[..] {
+                [0, 0, 0, 1] => "an MGZ of FreeSurfer is not read; convert it to .nii.gz (mri_convert)",
+                _ => "the first four bytes are not 348 or 540, the size of a NIfTI header; of gzip files only .nii.gz is read",
+            };
             ("byte 0", message.to_owned())
         })?;
         let n_bytes = if version == 1 { 348 } else { 540 };

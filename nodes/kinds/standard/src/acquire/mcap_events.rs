@@ -310,7 +310,7 @@ impl Port<'_> {
         }
         let record = self.params.metadata.as_ref().and_then(|name| self.recording.metadata.get(name));
         let value = self.params.key.as_ref().and_then(|key| record?.get(key));
-        value.is_some_and(|value| value == "true")
+        value.map_or(self.params.default.unwrap_or(false), |value| value == "true")
     }
 
     /// First publish time of the messages that were read.

@@ -7,7 +7,7 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 /// `foxglove.FrameTransform(s)`, `tf2_msgs/TFMessage`, `geometry_msgs/TransformStamped` and poses in a frame
 /// (`foxglove.PoseInFrame`, `geometry_msgs/PoseStamped`); `geometry/Points`, one point at a time, from poses in a frame;
 /// `geometry/Image` from `foxglove.RawImage` and `foxglove.CompressedImage` (PNG) with the `foxglove.CameraCalibration` of `calibration`;
-/// `geometry/Region` and `report/Flag` from `metadata` and `present`.
+/// `geometry/Region` and `report/Flag` from `metadata` and `present`, a flag that no recording states from `default`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PortParams {
@@ -38,6 +38,8 @@ pub struct PortParams {
     pub metadata: Option<String>,
     /// The key of the metadata record whose value `true` means yes; anything else, or no such key, means no.
     pub key: Option<String>,
+    /// What a `report/Flag` gives that nothing in the recording states: neither `metadata` with `key` nor `present`. Unset: no.
+    pub default: Option<bool>,
     /// The topic with the calibration of the images' camera; it must be of their size and frame, without distortion, and the same in
     /// all its messages.
     pub calibration: Option<String>,
