@@ -7,7 +7,7 @@ use std::{
     collections::BTreeMap,
     io::{ErrorKind, Read, Write},
     net::{Shutdown, SocketAddr, TcpListener, TcpStream, ToSocketAddrs},
-    sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
+    sync::mpsc::{self, RecvTimeoutError, SyncSender, sync_channel},
     thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
@@ -53,13 +53,57 @@ struct Receivers {
     role: Role,
     addresses: Vec<SocketAddr>,
     listener: Option<TcpListener>,
-    streams: Vec<(TcpStream, SocketAddr)>,
-    lasting: BTreeMap<(String, String), Vec<u8>>,
+    streams: Vec<Receiver>,
+    lasting: BTreeMap<(String, String), Message>,
     tried: Option<Instant>,
     fresh_until: Option<Instant>,
     /// The last status of the node, and whether it has been followed by the report of old planes.
     status: Option<Message>,
     is_stale: bool,
+}
+
+/// A receiver that is connected.
+struct Receiver {
+    stream: TcpStream,
+    peer: SocketAddr,
+    /// The first bytes that it sent: the version of its header.
+    said: Vec<u8>,
+}
+
+impl Receiver {
+    /// Whether its own messages have header version 2 or later. Until it has sent one it gets version 1, which all receivers read:
+    /// the library 1.11 of the distributions knows no other, and loses its place in the stream.
+    fn reads_extended(&self) -> bool {
+        matches!(self.said[..], [0, version] if version >= 2)
+    }
+
+    /// # Errors
+    /// The message does not fit, or the receiver does not take it.
+    fn send(&mut self, message: &Message) -> Result<(), String> {
+        let bytes = if self.reads_extended() {
+            message.to_bytes()
+        } else {
+            Message { extended: None, ..message.clone() }.to_bytes()
+        };
+        let bytes = bytes.map_err(|error| format!("{}: {error}", message.device))?;
+        self.stream.write_all(&bytes).map_err(|error| error.to_string())
+    }
+
+    /// Takes what it says; returns whether it is still there.
+    fn listen(&mut self) -> bool {
+        let mut unread = [0; 4096];
+        let _ = self.stream.set_nonblocking(true);
+        let is_open = loop {
+            match self.stream.read(&mut unread) {
+                Ok(0) => break false,
+                Ok(n) => self.said.extend(&unread[..n.min(2 - self.said.len())]),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => break error.kind() == ErrorKind::WouldBlock,
+            }
+        };
+        let _ = self.stream.set_nonblocking(false);
+        is_open
+    }
 }
 
 impl Outlet {
@@ -115,14 +159,14 @@ impl Drop for Outlet {
     }
 }
 
-/// A status in header version 2.
+/// A status; header version 2 has its sender, too.
 pub(super) fn status(code: u16, name: &str, message: &str) -> Message {
     let body = Body::Status(Status::new(code, name, message));
     Message::new(DEVICE, 0, body).extended(0, vec![Metadata::new("Sender", "osteoflow; research use only")])
 }
 
 impl Receivers {
-    fn run(mut self, tasks: &Receiver<Task>) {
+    fn run(mut self, tasks: &mpsc::Receiver<Task>) {
         let mut looked: Option<Instant> = None;
         loop {
             if looked.is_none_or(|looked| looked.elapsed() >= LOOK) {
@@ -159,7 +203,7 @@ impl Receivers {
         self.leave();
     }
 
-    /// Accepts or connects, and discards what receivers say.
+    /// Accepts or connects, and takes the version of its header from what a receiver says first.
     fn look(&mut self) {
         match &self.listener {
             Some(listener) => {
@@ -181,63 +225,57 @@ impl Receivers {
             }
             None => {}
         }
-        let mut unread = [0; 4096];
-        self.streams.retain_mut(|(stream, peer)| {
-            let _ = stream.set_nonblocking(true);
-            let is_open = loop {
-                match stream.read(&mut unread) {
-                    Ok(0) => break false,
-                    Ok(_) => {}
-                    Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                    Err(error) => break error.kind() == ErrorKind::WouldBlock,
-                }
-            };
-            let _ = stream.set_nonblocking(false);
+        let lasting = &self.lasting;
+        self.streams.retain_mut(|receiver| {
+            let was_known = receiver.reads_extended();
+            let is_open = receiver.listen();
             if !is_open {
-                tracing::info!(%peer, "the receiver left");
+                tracing::info!(peer = %receiver.peer, "the receiver left");
+            } else if receiver.reads_extended() && !was_known {
+                // What lasts again, now with its metadata.
+                return lasting.values().all(|message| receiver.send(message).is_ok());
             }
             is_open
         });
     }
 
     fn greet(
-        streams: &mut Vec<(TcpStream, SocketAddr)>,
-        lasting: &BTreeMap<(String, String), Vec<u8>>,
-        mut stream: TcpStream,
+        streams: &mut Vec<Receiver>,
+        lasting: &BTreeMap<(String, String), Message>,
+        stream: TcpStream,
         peer: SocketAddr,
     ) {
         let is_ready = stream.set_nonblocking(false).and_then(|()| stream.set_nodelay(true)).is_ok()
-            && stream.set_write_timeout(Some(STUCK)).is_ok()
-            && lasting.values().all(|bytes| stream.write_all(bytes).is_ok());
-        if is_ready {
+            && stream.set_write_timeout(Some(STUCK)).is_ok();
+        let mut receiver = Receiver { stream, peer, said: Vec::new() };
+        if is_ready && lasting.values().all(|message| receiver.send(message).is_ok()) {
             tracing::info!(%peer, "a receiver connected");
-            streams.push((stream, peer));
+            streams.push(receiver);
         }
     }
 
     fn send(&mut self, message: &Message, lasts: bool) {
-        let bytes = match message.to_bytes() {
-            Ok(bytes) => bytes,
-            Err(error) => return tracing::warn!("{} is not sent: {error}", message.device),
-        };
-        self.streams.retain_mut(|(stream, peer)| {
+        if let Err(error) = message.to_bytes() {
+            return tracing::warn!("{} is not sent: {error}", message.device);
+        }
+        self.streams.retain_mut(|receiver| {
             // After part of a message nothing else can be read, so the receiver is left.
-            let is_taken = stream.write_all(&bytes);
+            let is_taken = receiver.send(message);
             if let Err(error) = &is_taken {
-                tracing::warn!(%peer, "the receiver is left: {error}");
+                tracing::warn!(peer = %receiver.peer, "the receiver is left: {error}");
             }
             is_taken.is_ok()
         });
         if lasts {
-            self.lasting.insert((message.device.clone(), message.body.type_name().to_owned()), bytes);
+            self.lasting.insert((message.device.clone(), message.body.type_name().to_owned()), message.clone());
         }
     }
 
     /// Lets receivers take what was sent: closing a socket with unread bytes would discard it.
     fn leave(mut self) {
         let until = Instant::now() + LAST_WORDS;
-        for (stream, _) in &self.streams {
-            let _ = stream.shutdown(Shutdown::Write);
+        for receiver in &self.streams {
+            let _ = receiver.stream.shutdown(Shutdown::Write);
         }
         while !self.streams.is_empty() && Instant::now() < until {
             self.listener = None;

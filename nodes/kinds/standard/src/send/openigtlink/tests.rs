@@ -2,7 +2,7 @@ use super::*;
 use osteoflow_formats::openigtlink::Decoder;
 use osteoflow_geometry::{NamedPoint, Plane, nalgebra::Vector3};
 use std::{
-    io::Read,
+    io::{Read, Write},
     net::{TcpListener, TcpStream},
     path::Path,
     sync::Arc,
@@ -206,7 +206,13 @@ fn a_receiver_that_comes_late_gets_what_lasts_and_hears_when_planes_are_old_and_
     let mut stream = TcpStream::connect(address).unwrap();
     let mut decoder = Decoder::default();
     let registration = read_until(&mut stream, &mut decoder, |m| m.device == "WorldToRas").unwrap();
+    assert_eq!(registration.extended, None, "header version 1 until the receiver has said what it reads");
+    let speak = |stream: &mut TcpStream, message: &Message| stream.write_all(&message.to_bytes().unwrap()).unwrap();
+    speak(&mut stream, &outlet::status(Status::OK, "ready", "a receiver of header version 2"));
+    let registration = read_until(&mut stream, &mut decoder, |m| m.device == "WorldToRas").unwrap();
     assert_eq!(registration.metadata("Verdict"), Some("trusted"));
+    let mut old = TcpStream::connect(address).unwrap();
+    speak(&mut old, &Message { extended: None, ..outlet::status(Status::OK, "ready", "") });
     let began = Instant::now();
     let is_stale = |m: &Message| is_status(m, "stale");
     let is_plane = |m: &Message| m.device == "PlaneTopToWorld";
@@ -220,6 +226,9 @@ fn a_receiver_that_comes_late_gets_what_lasts_and_hears_when_planes_are_old_and_
     let last = read_until(&mut stream, &mut decoder, |m| is_status(m, "exiting")).unwrap();
     assert!(matches!(last.body, Body::Status(Status { code: 19, .. })));
     assert_eq!(read_until(&mut stream, &mut decoder, |_| true), None, "the connection is closed");
+    let mut decoder = Decoder::default();
+    let extended = read_until(&mut old, &mut decoder, |message| message.extended.is_some());
+    assert_eq!(extended, None, "one that says version 1 gets no other");
 }
 
 #[test]
