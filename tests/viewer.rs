@@ -3,6 +3,7 @@
 use crate::common::browser::Browser;
 use crate::common::served::Served;
 use crate::common::{WHITE, copied_run, osteoflow, shared_run, skips_slow};
+use crate::viewers::{DRAWN_MM, file::File, off_its_place_mm, place_of_scan};
 use osteoflow_geometry::{
     isometry_from_matrix,
     nalgebra::{Matrix4, Point3},
@@ -107,7 +108,10 @@ impl Viewer {
             {
                 let subscription = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
                 let time = u64::from_le_bytes(bytes[5..13].try_into().unwrap());
-                return Some((self.topics[&subscription].clone(), time, bytes[13..].to_vec()));
+                let topic = self.topics[&subscription].clone();
+                // An item is a sequence of bytes in CDR: 4 bytes of its head, 4 of its length.
+                let at = if topic.starts_with("/exact/") { 13 + 8 } else { 13 };
+                return Some((topic, time, bytes[at..].to_vec()));
             }
         }
     }
@@ -264,7 +268,7 @@ fn a_viewer_gets_every_channel_with_its_schema_and_who_comes_late_the_last_of_ea
     let mut viewer = served.view();
     for (topic, encoding, schema) in [
         ("/view/icp.t_target_source", "protobuf", "foxglove.FrameTransform"),
-        ("/exact/icp.t_target_source", "osteoflow-view", "geometry/Pose@1"),
+        ("/exact/icp.t_target_source", "cdr", "geometry/msg/PoseV1"),
         ("/run/log", "json", "foxglove.Log"),
     ] {
         let channel = &viewer.channels[topic];
@@ -314,6 +318,52 @@ fn a_viewer_that_does_not_read_never_holds_up_the_run() {
     let ran = osteoflow().args(["run", graph, "--quiet", "--out"]).arg(&other).args(arguments).output().unwrap();
     assert_eq!(ran.status.code(), Some(0));
     assert_eq!(digest(&run), digest(&other));
+    assert_eq!(served.interrupt().code(), Some(0));
+}
+
+#[test]
+fn the_registered_scan_stays_on_its_place_on_the_bone_at_every_second_of_the_stream() {
+    let out = tempfile::tempdir().unwrap();
+    let run = out.path().join("run");
+    let arguments = ["run", "graphs/variants/fibula_live.toml", "--serve", "--set", "recording.rate=20", "--out"];
+    let served = Served::start(&[&arguments[..], &[run.to_str().unwrap()]].concat());
+    let mut viewer = served.view();
+    let is_wanted = |topic: &str| topic.starts_with("/view/") || ["/run/registered", "/viewer/state"].contains(&topic);
+    while !["/run/registered", "/view/to_bone.cloud"].iter().all(|topic| viewer.channels.contains_key(*topic)) {
+        viewer.next().unwrap();
+    }
+    viewer.subscribe(is_wanted);
+    let mut received = Vec::new();
+    loop {
+        let (topic, time_ns, data) = viewer.data().unwrap();
+        if topic == "/viewer/state" {
+            if serde_json::from_slice::<Value>(&data).unwrap()["state"] != "running" {
+                break;
+            }
+            continue;
+        }
+        let schema = viewer.channels[&topic]["schemaName"].as_str().unwrap().to_owned();
+        received.push((topic, schema, time_ns, data));
+    }
+    let place = place_of_scan(&run);
+    let registered = received.iter().position(|(topic, ..)| topic == "/run/registered").unwrap();
+    let mut second = 0;
+    let mut n_drawn = 0;
+    for n in registered + 1..received.len() {
+        // What a viewer has at each second of the run, as it came.
+        let now_ns = received[..n].iter().map(|(_, _, time_ns, _)| *time_ns).max().unwrap();
+        if now_ns / 1_000_000_000 == second {
+            continue;
+        }
+        second = now_ns / 1_000_000_000;
+        let file = File::received(received[..n].iter().cloned());
+        for topic in ["/view/to_bone.cloud", "/run/registered"] {
+            let off_mm = off_its_place_mm(&file, topic, now_ns, &place, None).unwrap();
+            assert!(off_mm < DRAWN_MM, "{topic} is drawn {off_mm} mm beside its place, {n} messages in");
+            n_drawn += 1;
+        }
+    }
+    assert!(n_drawn > 10, "drawn {n_drawn} times");
     assert_eq!(served.interrupt().code(), Some(0));
 }
 

@@ -3,7 +3,7 @@
 //! Items are cheap handles. Views are made, compressed and written on a separate thread, so that a node waits only when
 //! the disk is slower than the graph. Each wire has an exact channel, `/exact/<node.port>`, and, if its payload has a
 //! picture for viewers, a second one, `/view/<node.port>`. Firing times are on `/run/timing`, dropped items on
-//! `/run/drops`, clock readings on `/run/live`, transforms of frames on `/run/frames`, messages of nodes on `/run/log`.
+//! `/run/drops`, clock readings on `/run/live`, messages of nodes on `/run/log`.
 //!
 //! Everything that a replay needs comes first in the file, and waiting items are written as a chunk several times a
 //! second: a run that is killed leaves a recording that can be read and replayed up to its last whole chunk.
@@ -333,10 +333,7 @@ fn begin(
         }
     }
     inputs.iter().try_for_each(|inputs| file.write_metadata(INPUT_HASHES, inputs))?;
-    let mut sink = Sink::begin(Output { file, listener: options.listener.clone() }, plan, shown)?;
-    // From here on, a truncated file names the wires it was to hold.
-    sink.output.file.flush()?;
-    Ok(sink)
+    Sink::begin(Output { file, listener: options.listener.clone() }, plan, shown)
 }
 
 fn write<T: MetadataRecord>(file: &mut Writer<File>, record: &T) -> io::Result<()> {

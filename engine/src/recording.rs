@@ -11,6 +11,7 @@ pub(crate) mod scan;
 mod types;
 pub(crate) mod wires;
 
+pub use codec::item_bytes;
 pub use format::{RecordedFailure, RunRecord};
 pub use read::{RecordedWire, Recording, RecordingError};
 pub(crate) use read::{run_record, typed};

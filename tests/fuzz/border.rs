@@ -50,7 +50,12 @@ fn accept(ty: &'static PayloadType, view: &View) -> bool {
     let again = value.to_view();
     assert!(again.check(ty.schema).is_ok(), "the view of {ty:?} does not fit its schema");
     assert!(ty.from_view(&again).is_ok(), "{ty:?} is accepted once, but not again");
-    let _ = value.to_display(&DisplayContext { stamp_ns: 1, wire: "node.port", edge: FrameEdge::Unplanned });
+    let _ = value.to_display(&DisplayContext {
+        stamp_ns: 1,
+        wire: "node.port",
+        edge: FrameEdge::Unplanned,
+        anchored: false,
+    });
     let _ = (value.to_result(), value.display_centre(), value.n_bytes());
     true
 }

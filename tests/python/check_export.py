@@ -81,8 +81,8 @@ export = run / "export"
 recorded = {}
 with open(run / "run.mcap", "rb") as file:
     for _, channel, message in make_reader(file).iter_messages():
-        if channel.topic.startswith("/exact/") and message.data[24] == 0:
-            recorded.setdefault(channel.topic.removeprefix("/exact/"), message.data)
+        if channel.topic.startswith("/exact/") and message.data[8 + 24] == 0:
+            recorded.setdefault(channel.topic.removeprefix("/exact/"), message.data[8:])
 item = {wire: read_item(recorded[wire]) for wire in ("bone.mesh", "plan.landmarks", "plan.planes", "to_bone.cloud")}
 turn, shift = matrix(read_item(recorded["icp.t_target_source"])["isometry"])
 scan = item["to_bone.cloud"]["points"] @ turn.T + shift

@@ -14,6 +14,7 @@ use std::{
 #[derive(Debug, Clone)]
 pub(crate) struct Edge {
     pub(crate) time_ns: u64,
+    pub(crate) topic: String,
     pub(crate) parent: String,
     pub(crate) child: String,
     pub(crate) t_parent_child: Isometry3<f64>,
@@ -50,16 +51,49 @@ impl File {
             time_ns: message.log_time,
             data: message.data.to_vec(),
         };
-        let mut messages: Vec<_> = stream.map(|m| message(m.unwrap())).collect();
+        Self::of_messages(stream.map(|m| message(m.unwrap())).collect())
+    }
+
+    /// Messages that a viewer has received: topic, schema, time and data.
+    pub(crate) fn received(all: impl IntoIterator<Item = (String, String, u64, Vec<u8>)>) -> Self {
+        let message = |(topic, schema, time_ns, data)| Message { topic, schema, time_ns, data };
+        Self::of_messages(all.into_iter().map(message).collect())
+    }
+
+    fn of_messages(mut messages: Vec<Message>) -> Self {
         messages.sort_by_key(|message| message.time_ns);
         let transforms = messages.iter().filter(|message| message.schema == "foxglove.FrameTransform");
         let edges = transforms.map(|message| {
             let t = FrameTransform::decode(&message.data[..]).unwrap();
             let t_parent_child = pose(&Pose { position: t.translation, orientation: t.rotation });
-            Edge { time_ns: message.time_ns, parent: t.parent_frame_id, child: t.child_frame_id, t_parent_child }
+            let (parent, child, topic) = (t.parent_frame_id, t.child_frame_id, message.topic.clone());
+            Edge { time_ns: message.time_ns, topic, parent, child, t_parent_child }
         });
         let edges = edges.collect();
         Self { messages, edges }
+    }
+
+    /// The first and the last time of a message.
+    pub(crate) fn times(&self) -> (u64, u64) {
+        (self.messages[0].time_ns, self.messages[self.messages.len() - 1].time_ns)
+    }
+
+    /// The messages of a topic in JSON.
+    pub(crate) fn json(&self, topic: &str) -> Vec<serde_json::Value> {
+        self.of(topic).map(|message| serde_json::from_slice(&message.data).unwrap()).collect()
+    }
+
+    /// Where a frame is below the top of its chain, by the newest transform before a time, else by the first of the frame.
+    pub(crate) fn t_top(&self, frame: &str, time_ns: u64) -> Isometry3<f64> {
+        let (mut t, mut at) = (Isometry3::identity(), frame);
+        for _ in 0..=self.edges.len() {
+            let of_frame = || self.edges.iter().filter(|edge| edge.child == at);
+            let Some(edge) = of_frame().rfind(|edge| edge.time_ns <= time_ns).or_else(|| of_frame().next()) else {
+                return t;
+            };
+            (t, at) = (edge.t_parent_child * t, &edge.parent);
+        }
+        panic!("{frame} is in a circle")
     }
 
     fn of<'a>(&'a self, topic: &'a str) -> impl Iterator<Item = &'a Message> {
@@ -103,7 +137,9 @@ impl File {
         let (mut t, mut at) = (Isometry3::identity(), frame);
         for _ in 0..=self.edges.len() {
             let known = self.edges.iter().filter(|edge| edge.child == at && edge.time_ns <= time_ns);
-            let Some(edge) = known.max_by_key(|edge| edge.time_ns) else { return (at != frame).then_some(t) };
+            let Some(edge) = known.max_by_key(|edge| edge.time_ns) else {
+                return (at != frame || self.edges.iter().any(|edge| edge.parent == frame)).then_some(t);
+            };
             (t, at) = (edge.t_parent_child * t, &edge.parent);
         }
         None

@@ -45,6 +45,13 @@ impl Segments {
         self.segments.push(shared.clone());
     }
 
+    /// The bytes with others before them; none are copied.
+    pub fn behind(mut self, prefix: Vec<u8>) -> Self {
+        self.n_bytes += prefix.len();
+        self.segments.insert(0, Arc::new(prefix));
+        self
+    }
+
     /// All bytes in one buffer.
     pub fn into_vec(self) -> Vec<u8> {
         if self.segments.is_empty() { self.tail } else { self.contiguous().into_owned() }

@@ -130,6 +130,8 @@ pub struct Writer<W: Sink> {
     last_channel: u16,
     /// Bytes of the records that wait for their chunk to be written.
     n_pending: usize,
+    /// Whether a message is among them.
+    has_message: bool,
 }
 
 impl<W: Sink> Writer<W> {
@@ -159,7 +161,8 @@ impl<W: Sink> Writer<W> {
             .create(NoSeek::new(appender))
             .map_err(io_error)?;
         let chunk_bytes = options.chunk_bytes;
-        let mut writer = Self { mcap: Some(mcap), chunk_bytes, last_schema: 0, last_channel: 0, n_pending: 0 };
+        let mut writer =
+            Self { mcap: Some(mcap), chunk_bytes, last_schema: 0, last_channel: 0, n_pending: 0, has_message: false };
         writer.mcap().flush().map_err(io_error)?;
         Ok(writer)
     }
@@ -212,6 +215,7 @@ impl<W: Sink> Writer<W> {
         }
         self.mcap().write_to_known_channel(&header, &data.contiguous()).map_err(io_error)?;
         self.n_pending += n_bytes;
+        self.has_message = true;
         if self.n_pending >= self.chunk_bytes { self.flush() } else { Ok(()) }
     }
 
@@ -244,12 +248,17 @@ impl<W: Sink> Writer<W> {
         self.n_pending > 0
     }
 
-    /// Writes the pending records as a chunk.
+    /// Writes the pending records as a chunk, if a message is among them: a chunk without one has the time 0, from which viewers
+    /// would begin.
     ///
     /// # Errors
     /// If the chunk cannot be written; the file then ends before it.
     pub fn flush(&mut self) -> io::Result<()> {
-        if std::mem::take(&mut self.n_pending) > 0 { self.mcap().flush().map_err(io_error) } else { Ok(()) }
+        if !std::mem::take(&mut self.has_message) {
+            return Ok(());
+        }
+        self.n_pending = 0;
+        self.mcap().flush().map_err(io_error)
     }
 
     /// Writes the pending chunk and the end of the file.

@@ -16,6 +16,8 @@ pub struct Display {
     /// Whether the message shows an answer of the run: it is then written when the run has ended, unless the run is
     /// refused.
     pub answer: bool,
+    /// Whether other payloads are registered onto what it shows, such as a bone: what is shown is placed by its frame.
+    pub anchor: bool,
     /// The message that removes all that the channel has shown. Without one, an answer is not shown before the run has ended.
     pub removal: Vec<u8>,
 }
@@ -29,6 +31,9 @@ pub struct DisplayContext<'a> {
     pub wire: &'a str,
     /// Where a pose lies in the tree of frames; other payloads ignore it.
     pub edge: FrameEdge<'a>,
+    /// Whether the root of the tree is the frame of a surface that others are registered onto. What belongs to that surface at its
+    /// stamp then stays on it as viewers place it by its stamp, in whatever frame it is given.
+    pub anchored: bool,
 }
 
 /// Where a pose lies in the tree of frames. Viewers need a tree: a frame with two parents jumps between them.
@@ -74,7 +79,8 @@ mod tests {
 
     #[test]
     fn a_pose_is_shown_as_its_edge_and_never_displaces_another() {
-        let shown = |edge, to, from| frame_edge(&DisplayContext { stamp_ns: 1, wire: "n.p", edge }, to, from);
+        let shown =
+            |edge, to, from| frame_edge(&DisplayContext { stamp_ns: 1, wire: "n.p", edge, anchored: false }, to, from);
         let edge = |parent: &str, child: &str, inverted| (parent.to_owned(), child.to_owned(), inverted);
         let tree = FrameEdge::Tree { parent: "world", child: "ct" };
         assert_eq!(shown(FrameEdge::Unplanned, "ct", "world"), edge("ct", "world", false));

@@ -67,6 +67,7 @@ impl PayloadType {
             interpolate: |_, _, _| None,
             display: || None,
             to_display: |_, _| None,
+            to_display_on: |_, _, _, _| None,
             display_centre: |_| None,
         }));
         types.push(ty);

@@ -56,6 +56,12 @@ pub trait Payload<By>: Clone + Send + Sync + 'static {
         None
     }
 
+    /// The message for viewers that shows it where `pose` places it on a surface, encoded as [`Payload::display`] says; `None` if it
+    /// is nothing that lies on surfaces.
+    fn to_display_on(&self, _surface: &Value, _pose: &Value, _about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        None
+    }
+
     /// Where a viewer's camera should look to see it, in metres in its frame; `None` if it has no extent.
     fn display_centre(&self) -> Option<[f64; 3]> {
         None
@@ -81,6 +87,7 @@ pub struct PayloadType {
     pub(crate) interpolate: fn(&dyn Any, &dyn Any, f64) -> Option<Value>,
     pub(crate) display: fn() -> Option<Display>,
     pub(crate) to_display: fn(&dyn Any, &DisplayContext<'_>) -> Option<Vec<u8>>,
+    pub(crate) to_display_on: fn(&dyn Any, &Value, &Value, &DisplayContext<'_>) -> Option<Vec<u8>>,
     pub(crate) display_centre: fn(&dyn Any) -> Option<[f64; 3]>,
 }
 
@@ -100,6 +107,7 @@ impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
         interpolate: |a, b, s| T::interpolate(cast(a), cast(b), s).map(Value::new),
         display: T::display,
         to_display: |any, about| cast::<T>(any).to_display(about),
+        to_display_on: |any, surface, pose, about| cast::<T>(any).to_display_on(surface, pose, about),
         display_centre: |any| cast::<T>(any).display_centre(),
     };
 }
@@ -138,6 +146,7 @@ impl PayloadType {
             interpolate: |_, _, _| None,
             display: || None,
             to_display: |_, _| None,
+            to_display_on: |_, _, _, _| None,
             display_centre: |_| None,
         }))
     }
@@ -252,6 +261,11 @@ impl Value {
     /// The message for viewers.
     pub fn to_display(&self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
         (self.ty.to_display)(&*self.inner, about)
+    }
+
+    /// The message for viewers that shows it where `pose` places it on a surface.
+    pub fn to_display_on(&self, surface: &Self, pose: &Self, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        (self.ty.to_display_on)(&*self.inner, surface, pose, about)
     }
 
     /// Where a viewer's camera should look to see it, in metres in its frame.

@@ -29,6 +29,8 @@ pub(super) struct IndexEntry {
     pub(super) number: u64,
     pub(super) digest: Digest,
     pub(super) place: Location,
+    /// Bytes between the head of the message and the item.
+    n_before: u32,
     n_bytes: u32,
 }
 
@@ -85,10 +87,11 @@ impl Index {
 
     fn read(&mut self, entry: &IndexEntry) -> io::Result<Vec<u8>> {
         let Some(at) = entry.place.in_chunk else {
-            return self.reader.bytes_at(entry.place.offset + MESSAGE_HEADER_BYTES, entry.n_bytes.into());
+            let start = entry.place.offset + MESSAGE_HEADER_BYTES + u64::from(entry.n_before);
+            return self.reader.bytes_at(start, entry.n_bytes.into());
         };
         let chunk = self.chunk(entry.place.offset)?;
-        let start = usize::try_from(at + MESSAGE_HEADER_BYTES).unwrap_or(usize::MAX);
+        let start = usize::try_from(at + MESSAGE_HEADER_BYTES + u64::from(entry.n_before)).unwrap_or(usize::MAX);
         let bytes = start.checked_add(entry.n_bytes as usize).and_then(|end| chunk.get(start..end));
         bytes.map(<[u8]>::to_vec).ok_or_else(|| io::Error::other("the file has changed while it was read"))
     }
@@ -121,7 +124,7 @@ impl Gather for Wires {
     }
 
     fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
-        let Carried { carries, message, place } = carried;
+        let Carried { carries, message, place, n_before } = carried;
         if let Carries::Exact(wire) = carries
             && let Some(indexed) = self.0.get_mut(&wire.name)
             && let Some(number) = codec::number(message.data)
@@ -129,7 +132,7 @@ impl Gather for Wires {
         {
             state.allowance.take(size_of::<IndexEntry>())?;
             let digest = Digest::of(message.data);
-            indexed.entries.push(IndexEntry { number, digest, place, n_bytes });
+            indexed.entries.push(IndexEntry { number, digest, place, n_before, n_bytes });
         }
         ControlFlow::Continue(())
     }

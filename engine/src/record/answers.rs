@@ -75,6 +75,11 @@ impl Answers {
         channel.removed(id, time_ns)
     }
 
+    /// The wire of the run's verdict.
+    pub(super) fn verdict(&self) -> Option<OutputId> {
+        self.verdict
+    }
+
     /// Follows the verdict. Returns what listeners get: the last pictures once it trusts, their removal once it does not.
     pub(super) fn judge(&mut self, wire: OutputId, item: &Item, time_ns: u64) -> Vec<Message> {
         if self.verdict != Some(wire) {

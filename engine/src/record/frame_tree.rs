@@ -6,7 +6,7 @@
 //! order of arrival nor on the number of workers. The other wires get frames of their own; see [`FrameEdge::Own`].
 
 use crate::plan::{OutputId, Plan, PlanNode};
-use osteoflow_node::{FrameEdge, Join, Role};
+use osteoflow_node::{FrameEdge, Join, PayloadType, Role};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How much a wire of poses has to say about the frames it joins; the smallest is asked first.
@@ -35,6 +35,12 @@ struct PoseWire {
 #[derive(Debug, Default)]
 pub(super) struct FrameTree {
     root: Option<String>,
+    /// The frame that most samples are given in, which is the root unless something is registered onto a surface.
+    origin: Option<String>,
+    /// Whether the root is the frame of a surface that others are registered onto.
+    is_anchored: bool,
+    /// The wire of the pose that registers onto the surface in the root.
+    fit: Option<OutputId>,
     /// Parent of each frame, and the wire that places it.
     parents: BTreeMap<String, (String, OutputId)>,
     /// For each wire that has a frame of its own, the frame of its pose that is the parent.
@@ -44,17 +50,39 @@ pub(super) struct FrameTree {
 impl FrameTree {
     /// Plans the tree of the recorded wires.
     pub(super) fn new(plan: &Plan) -> Self {
-        Self::of(pose_wires(plan))
+        Self::of(pose_wires(plan), &anchors(plan))
     }
 
-    fn of(mut wires: Vec<PoseWire>) -> Self {
+    fn of(mut wires: Vec<PoseWire>, anchors: &BTreeSet<String>) -> Self {
         let latest_first = |wire: &PoseWire| (wire.rank == Rank::Computed).then_some(std::cmp::Reverse(wire.id));
         wires.sort_by_key(|wire| (wire.rank, latest_first(wire), wire.id));
-        let mut tree = Self { root: root(&wires), ..Self::default() };
         let mut joined = Components::default();
         let (edges, others): (Vec<_>, Vec<_>) = wires.iter().partition(|wire| joined.join(&wire.to, &wire.from));
+        let origin = root(&wires);
+        let mut tree = Self { root: origin.clone(), origin, ..Self::default() };
+        tree.grow(&edges);
+        // What another wire says of a frame is shown beside it: in the tracker's frame, even where that is not the root.
+        for wire in others {
+            let nearer = if tree.depth(&wire.from) < tree.depth(&wire.to) { &wire.from } else { &wire.to };
+            tree.own.insert(wire.id, nearer.clone());
+        }
+        // Of several registrations the last in the graph counts: that of the bone, not of the phantom before it.
+        let onto = |edge: &&&PoseWire| {
+            edge.rank == Rank::Computed && anchors.contains(&edge.to) != anchors.contains(&edge.from)
+        };
+        if let Some(fit) = edges.iter().filter(onto).max_by_key(|edge| edge.id) {
+            let anchor = if anchors.contains(&fit.to) { &fit.to } else { &fit.from };
+            (tree.root, tree.is_anchored, tree.fit) = (Some(anchor.clone()), true, Some(fit.id));
+            tree.grow(&edges);
+        }
+        tree
+    }
+
+    /// Gives each frame its parent, walking the edges from the root.
+    fn grow(&mut self, edges: &[&PoseWire]) {
+        self.parents.clear();
         // Each component is walked from its root; components without the root begin with the `to` of their first wire.
-        let roots = tree.root.clone().into_iter().chain(edges.iter().map(|edge| edge.to.clone()));
+        let roots = self.root.clone().into_iter().chain(edges.iter().map(|edge| edge.to.clone()));
         let mut seen = BTreeSet::new();
         for root in roots.collect::<Vec<_>>() {
             let mut next = vec![root];
@@ -62,29 +90,44 @@ impl FrameTree {
                 if !seen.insert(parent.clone()) {
                     continue;
                 }
-                for edge in &edges {
+                for edge in edges {
                     let child = match (&edge.to, &edge.from) {
                         (to, from) if *to == parent => from,
                         (to, from) if *from == parent => to,
                         _ => continue,
                     };
                     if !seen.contains(child) {
-                        tree.parents.insert(child.clone(), (parent.clone(), edge.id));
+                        self.parents.insert(child.clone(), (parent.clone(), edge.id));
                         next.push(child.clone());
                     }
                 }
             }
         }
-        for wire in others {
-            let nearer = if tree.depth(&wire.from) < tree.depth(&wire.to) { &wire.from } else { &wire.to };
-            tree.own.insert(wire.id, nearer.clone());
-        }
-        tree
+    }
+
+    /// The frame that most samples are given in, the tracker's.
+    pub(super) fn origin(&self) -> Option<&str> {
+        self.origin.as_deref()
+    }
+
+    /// Whether the root is the frame of a surface that others are registered onto.
+    pub(super) fn is_anchored(&self) -> bool {
+        self.is_anchored
+    }
+
+    /// The wire of the pose that registers onto the surface in the root.
+    pub(super) fn fit(&self) -> Option<OutputId> {
+        self.fit
     }
 
     /// The frame that the others are shown in; `None` if no recorded wire has poses with known frames.
     pub(super) fn root(&self) -> Option<&str> {
         self.root.as_deref()
+    }
+
+    /// All frames that a wire places, and the root.
+    pub(super) fn frames(&self) -> BTreeSet<&str> {
+        self.parents.keys().map(String::as_str).chain(self.root()).collect()
     }
 
     /// Where the poses of a wire lie.
@@ -112,6 +155,14 @@ impl FrameTree {
     fn depth(&self, frame: &str) -> usize {
         std::iter::successors(self.parents.get(frame), |(parent, _)| self.parents.get(parent)).count()
     }
+}
+
+/// The frames of the recorded surfaces onto which something may be registered.
+fn anchors(plan: &Plan) -> BTreeSet<String> {
+    let outputs = plan.record.iter().map(|&id| &plan.nodes[id.node].outputs[id.port]);
+    let surfaces = outputs
+        .filter(|output| output.payload.ty().and_then(PayloadType::display).is_some_and(|display| display.anchor));
+    surfaces.filter_map(|output| output.frames.frame.clone()).collect()
 }
 
 /// The frame that most samples are given in, the tracker's; ties go to the first.
@@ -194,7 +245,18 @@ mod tests {
             from: (*from).into(),
             rank: *rank,
         };
-        FrameTree::of(wires.iter().enumerate().map(wire).collect())
+        FrameTree::of(wires.iter().enumerate().map(wire).collect(), &BTreeSet::new())
+    }
+
+    fn onto(anchors: &[&str], wires: &[(&str, &str, Rank)]) -> FrameTree {
+        let ids = (0..wires.len()).map(|node| OutputId { node, port: 0 });
+        let wire = |(id, &(to, from, rank)): (OutputId, &(&str, &str, Rank))| PoseWire {
+            id,
+            to: to.into(),
+            from: from.into(),
+            rank,
+        };
+        FrameTree::of(ids.zip(wires).map(wire).collect(), &anchors.iter().map(|&frame| frame.to_owned()).collect())
     }
 
     fn edges(tree: &FrameTree) -> Vec<(&str, &str, usize)> {
@@ -241,6 +303,28 @@ mod tests {
     }
 
     #[test]
+    fn the_surface_that_others_are_registered_onto_is_the_root_and_what_is_beside_stays_there() {
+        let tree = onto(&["ct", "phantom"], FIBULA);
+        assert_eq!((tree.root(), tree.is_anchored()), (Some("ct"), true));
+        assert_eq!(tree.fit(), Some(OutputId { node: 10, port: 0 }));
+        let expected = [
+            ("ct", "bone_marker", 10),
+            ("camera_marker", "camera", 6),
+            ("world", "camera_marker", 0),
+            ("phantom_marker", "phantom", 4),
+            ("world", "phantom_marker", 1),
+            ("bone_marker", "world", 2),
+        ];
+        assert_eq!(edges(&tree), expected);
+        let own = |node| tree.edge(OutputId { node, port: 0 });
+        assert_eq!(own(3), FrameEdge::Own { parent: Some("world") }, "the truth is shown where the tracker has it");
+        assert_eq!(own(9), FrameEdge::Own { parent: Some("bone_marker") });
+        // A constant places nothing onto a surface, and so the tracker stays the root.
+        let tree = onto(&["phantom"], FIBULA);
+        assert_eq!((tree.root(), tree.is_anchored(), tree.fit()), (Some("world"), false, None));
+    }
+
+    #[test]
     fn each_frame_has_one_parent_and_every_chain_ends_at_the_root_whatever_is_left_out() {
         for left_out in 0..1_u32 << FIBULA.len() {
             let wires = FIBULA.iter().enumerate().filter(|(bit, _)| left_out >> bit & 1 == 0).map(|(_, wire)| *wire);
@@ -274,6 +358,6 @@ mod tests {
     fn a_fit_of_two_files_is_shown_in_the_frame_of_its_target() {
         let tree = tree(&[("ct", "camera", Computed), ("ct", "camera", Computed)]);
         assert_eq!((tree.root(), edges(&tree)), (Some("ct"), vec![("ct", "camera", 1)]));
-        assert_eq!(FrameTree::of(Vec::new()).root(), None);
+        assert_eq!(FrameTree::of(Vec::new(), &BTreeSet::new()).root(), None);
     }
 }

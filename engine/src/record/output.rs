@@ -48,6 +48,11 @@ impl Output {
         }
     }
 
+    /// Writes a message of which the listener is not told, since it would take it for the last of its channel.
+    pub(super) fn write_unheard(&mut self, header: MessageHeader, bytes: Vec<u8>) -> io::Result<()> {
+        self.file.write_message(header, bytes.into())
+    }
+
     pub(super) fn write_message(&mut self, header: MessageHeader, data: Segments) -> io::Result<()> {
         if let Some(listener) = &self.listener {
             let mut bytes = Vec::with_capacity(data.len());

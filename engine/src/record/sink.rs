@@ -9,8 +9,8 @@ use crate::{
     recording::{
         codec,
         format::{
-            Drops, EXACT_ENCODING, FIRST_NS, Live, Log, LogLevel, RUN_ENCODING, RunMessage, Timing, Topic, WireCount,
-            WireCounts, WireHeader,
+            Drops, EXACT_ENCODING, EXACT_SCHEMA_ENCODING, FIRST_NS, Live, Log, LogLevel, RUN_ENCODING, RunMessage,
+            Timing, Topic, WireCount, WireCounts, WireHeader,
         },
     },
     shown_paths::ShownPaths,
@@ -106,8 +106,8 @@ impl Sink {
                 units: Json::Object(units).to_string(),
                 schema: ty.map(|ty| serde_json::to_string(ty.schema)).transpose()?,
             };
-            let schema =
-                Schema { name: &header.schema_name(), encoding: EXACT_ENCODING, data: codec::LAYOUT.as_bytes() };
+            let text = codec::schema_text();
+            let schema = Schema { name: &header.schema_name(), encoding: EXACT_SCHEMA_ENCODING, data: text.as_bytes() };
             let exact =
                 output.add_channel(&schema, &Topic::Exact(&name).name(), EXACT_ENCODING, &header.to_metadata())?;
             let payload = port.payload;
@@ -270,7 +270,7 @@ impl Sink {
                 parts.len()
             )));
         }
-        self.output.write_message(head(*exact), parts)?;
+        self.output.write_message(head(*exact), codec::framed(parts))?;
         self.pictures.follow(&self.output, id, item, time_ns);
         match &item.body {
             Body::Value(value) => Ok(self.pictures.write(&mut self.output, id, (item, value), time_ns)?),

@@ -3,6 +3,7 @@
 //! The layout of the bytes is [`LAYOUT`]. A value names its payload on a wire that takes any; columns are aligned to 8 bytes
 //! from the start of the message, so that their rows can be used in place.
 
+use super::format::{BARE_ENCODING, EXACT_ENCODING};
 use osteoflow_container::Segments;
 use osteoflow_node::{
     Body, Buffer, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
@@ -22,6 +23,38 @@ Column (n_columns times): text name; u8 type (1 f64, 2 f32, 3 i64, 4 u32, 5 u8);
 zero bytes up to a multiple of 8 from the start of the message; n_bytes of rows.
 Lengths are millimetres, angles radians, times nanoseconds.
 ";
+
+/// The text of an exact channel's schema: what the bytes are, as comments, and the one field that holds them.
+pub(crate) fn schema_text() -> String {
+    let lines = LAYOUT.lines().flat_map(|line| ["# ", line, "\n"]);
+    lines.chain(["uint8[] view\n"]).collect()
+}
+
+/// The head of a little-endian message in CDR; the number of bytes follows.
+const CDR_HEAD: [u8; 4] = [0, 1, 0, 0];
+
+/// An item as a sequence of bytes in CDR, which viewers read without knowing what it holds.
+pub(crate) fn framed(item: Segments) -> Segments {
+    let n_bytes = item.len() as u32;
+    item.behind([CDR_HEAD, n_bytes.to_le_bytes()].concat())
+}
+
+/// The item in a sequence of bytes in CDR; the bytes as they are if they are no such sequence, for a reader to refuse.
+pub(crate) fn unframed(message: &[u8]) -> &[u8] {
+    match message.split_at_checked(8) {
+        Some((head, item)) if head[..4] == CDR_HEAD && head[4..] == (item.len() as u32).to_le_bytes() => item,
+        _ => message,
+    }
+}
+
+/// The item in a message of an exact channel with this encoding; `None` if it is none that exact channels have.
+pub fn item_bytes<'a>(encoding: &str, message: &'a [u8]) -> Option<&'a [u8]> {
+    match encoding {
+        EXACT_ENCODING => Some(unframed(message)),
+        BARE_ENCODING => Some(message),
+        _ => None,
+    }
+}
 
 const MAGIC: &[u8; 8] = b"OSTEOVW1";
 /// Maximum number of fields and of columns. A larger number is damage, and each would cost more memory than it has

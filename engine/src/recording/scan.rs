@@ -35,8 +35,11 @@ pub(crate) trait Gather {
 /// A message, where it lies, and what its channel carries.
 pub(crate) struct Carried<'a> {
     pub(crate) carries: &'a Carries,
+    /// With the item alone as its data, where that is in a sequence of bytes.
     pub(crate) message: &'a Message<'a>,
     pub(crate) place: Location,
+    /// Number of bytes between the head of the message and its data.
+    pub(crate) n_before: u32,
 }
 
 /// The memory that may still be taken, and what is wrong in the file.
@@ -164,7 +167,12 @@ impl<G: Gather> Visitor for Pass<'_, G> {
             Record::Message(message) => match self.channels.get(message.channel_id) {
                 Some(carries) => {
                     self.stopped_at = place.offset;
-                    return self.gather.message(Carried { carries, message: &message, place }, &mut self.state);
+                    let data = carries.content(message.data);
+                    let n_before = (message.data.len() - data.len()) as u32;
+                    let message = Message { data, ..message };
+                    return self
+                        .gather
+                        .message(Carried { carries, message: &message, place, n_before }, &mut self.state);
                 }
                 None => self.n_unknown += 1,
             },

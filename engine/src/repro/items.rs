@@ -2,7 +2,7 @@
 
 use crate::recording::{
     RecordingError, codec,
-    format::{EXACT_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
+    format::{EXACT_ENCODING, EXACT_SCHEMA_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
     scan::{Carried, Gather, PassState, Scanned, scan},
     typed,
     wires::Carries,
@@ -42,7 +42,8 @@ impl Items {
     pub(super) fn port(&mut self, name: &str, payload: PortPayload, ty: Option<&PayloadType>) -> io::Result<Port> {
         let version = payload.ty().map_or(0, |ty| ty.version);
         let header = WireHeader { payload: payload.name().into(), version, ..WireHeader::default() };
-        let schema = self.writer.add_schema(&header.schema_name(), EXACT_ENCODING, codec::LAYOUT.as_bytes())?;
+        let schema =
+            self.writer.add_schema(&header.schema_name(), EXACT_SCHEMA_ENCODING, codec::schema_text().as_bytes())?;
         let exact =
             self.writer.add_channel(schema, &Topic::Exact(name).name(), EXACT_ENCODING, &header.to_metadata())?;
         let view = match ty.and_then(PayloadType::display) {
@@ -64,7 +65,7 @@ impl Items {
         let header = |channel_id| MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
         let message = codec::parts_on(port.payload, item);
         let n_bytes = message.len() as u64;
-        self.writer.write_message(header(port.exact), message)?;
+        self.writer.write_message(header(port.exact), codec::framed(message))?;
         if let (Some(view), Body::Value(value)) = (port.view, &item.body)
             && let Some(picture) = value.to_display(&unplanned(log_time_ns))
         {
@@ -80,7 +81,7 @@ impl Items {
 
 /// The items of one firing have no tree of frames.
 fn unplanned(stamp_ns: StampNs) -> DisplayContext<'static> {
-    DisplayContext { stamp_ns, wire: "", edge: FrameEdge::Unplanned }
+    DisplayContext { stamp_ns, wire: "", edge: FrameEdge::Unplanned, anchored: false }
 }
 
 /// Reads the items of each port, in the order in which they were written.

@@ -2,7 +2,7 @@ use super::ValidatedWire;
 use crate::recording::{
     RecordedTypes, codec,
     findings::{Finding, Findings},
-    format::{FIRST_NS, MetadataRecord, MetadataRecords, Recovered, WireCount, WireCounts},
+    format::{FIRST_NS, MetadataRecord, MetadataRecords, OPENING, Recovered, WireCount, WireCounts},
     number_set::NumberSet,
     scan::{Carried, Gather, PassState},
     wires::{Carries, Wire},
@@ -146,6 +146,9 @@ impl<'a> Items<'a> {
             "protobuf" if !is_protobuf(message.data) => wrong("is no protobuf".into()),
             _ => {}
         }
+        if message.sequence == OPENING {
+            return ControlFlow::Continue(());
+        }
         let views = &mut self.wires.entry(wire.into()).or_default().views;
         if number > views.len() {
             allowance.take(0)?;
@@ -261,7 +264,7 @@ impl Gather for Items<'_> {
     }
 
     fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
-        let Carried { carries, message, place } = carried;
+        let Carried { carries, message, place, .. } = carried;
         match carries {
             Carries::Exact(wire) => self.item(wire, place, message, state),
             Carries::View { wire, encoding } => self.view((wire, encoding), place, message, state),

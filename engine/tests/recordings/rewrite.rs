@@ -89,8 +89,14 @@ fn write(
             log_time: message.log_time,
             publish_time: message.publish_time,
         };
-        let mut data = message.data.to_vec();
+        // Changed is the item, not the sequence of bytes that it is in.
+        let is_framed = channel.message_encoding == "cdr";
+        let mut data = message.data[if is_framed { 8 } else { 0 }..].to_vec();
         if change(&channel.topic, &mut header, &mut data) {
+            if is_framed {
+                let head = [[0, 1, 0, 0], (data.len() as u32).to_le_bytes()].concat();
+                data.splice(..0, head);
+            }
             writer.write_to_known_channel(&header, &data).unwrap();
         }
     }

@@ -57,6 +57,7 @@ fn json_display(schema_name: &str) -> Display {
         schema_data: b"{}".to_vec(),
         message_encoding: "json".into(),
         answer: false,
+        anchor: false,
         removal: Vec::new(),
     }
 }

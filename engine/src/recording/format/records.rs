@@ -343,9 +343,24 @@ pub(crate) struct WireHeader {
 }
 
 impl WireHeader {
-    /// The name of the channel's schema.
+    /// The name of the channel's schema: `geometry/msg/CloudV1`, as ROS 2 names types, which strict readers of its schemas demand. A
+    /// payload that cannot be named so keeps `payload@version`.
     pub(crate) fn schema_name(&self) -> String {
-        format!("{}@{}", self.payload, self.version)
+        let Self { payload, version, .. } = self;
+        let is_package = |name: &str| {
+            name.starts_with(|c: char| c.is_ascii_lowercase())
+                && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+                && !name.contains("__")
+                && !name.ends_with('_')
+        };
+        let is_name = |name: &str| {
+            name.starts_with(|c: char| c.is_ascii_uppercase()) && name.chars().all(|c| c.is_ascii_alphanumeric())
+        };
+        match payload.split_once('/') {
+            Some((package, name)) if is_package(package) && is_name(name) => format!("{package}/msg/{name}V{version}"),
+            _ if payload == "any" => format!("osteoflow/msg/AnyV{version}"),
+            _ => format!("{payload}@{version}"),
+        }
     }
 
     pub(crate) fn to_metadata(&self) -> Entries {

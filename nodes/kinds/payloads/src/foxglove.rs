@@ -2,7 +2,7 @@
 
 mod scene;
 
-pub(crate) use scene::{mesh, named_points, no_planes, planes, scene_schema, surface_points};
+pub(crate) use scene::{mesh, named_points, no_planes, planes, scene_schema, surface_points, surface_schema};
 
 use foxglove::{
     Encode,
@@ -12,11 +12,16 @@ use foxglove::{
         packed_element_field::NumericType,
     },
 };
+use osteoflow_algorithms::{
+    mesh_query::MeshQuery,
+    metrics::{distance_colour, distance_outside},
+    target::Target,
+};
 use osteoflow_geometry::{
-    Frame, Image, MM_PER_M, Pose,
+    Cloud, Frame, Image, MM_PER_M, Mesh, Pose,
     nalgebra::{Isometry3, Point3},
 };
-use osteoflow_node::{Display, DisplayContext, StampNs, frame_edge};
+use osteoflow_node::{Display, DisplayContext, StampNs, Value, frame_edge};
 
 const NS_PER_S: i64 = 1_000_000_000;
 
@@ -38,6 +43,7 @@ fn schema<M: Encode>() -> Option<Display> {
         schema_data: schema.data.into_owned(),
         message_encoding: M::get_message_encoding(),
         answer: false,
+        anchor: false,
         removal: Vec::new(),
     })
 }
@@ -59,6 +65,51 @@ pub(crate) fn points(frame: &Frame, stamp_ns: StampNs, points: &[Point3<f64>]) -
         data: Bytes::from(data),
     })
 }
+
+/// The points of a cloud where a pose places them on a surface: `distance_mm` from it, positive outside, and its colour on the page.
+/// They are given in the surface's own frame, so that they stay on it in every viewer.
+pub(crate) fn points_on(cloud: &Cloud, surface: &Value, pose: &Pose, stamp_ns: StampNs) -> Option<Vec<u8>> {
+    let (frame, t) = match () {
+        () if pose.from == cloud.frame => (&pose.to, pose.isometry),
+        () if pose.to == cloud.frame => (&pose.from, pose.isometry.inverse()),
+        () => return None,
+    };
+    let mesh = surface.get::<Mesh>().map(MeshQuery::new);
+    let target = surface.get::<Target>();
+    let surface_frame = target.map(|target| &target.frame).or(mesh.as_ref().map(|query| &query.mesh().frame))?;
+    if surface_frame != frame {
+        return None;
+    }
+    let query = mesh.as_ref().or_else(|| target?.mesh());
+    let mut data = Vec::with_capacity(cloud.len() * POINT_ON_BYTES as usize);
+    for point in cloud.points() {
+        let point = t * point;
+        let distance_mm = query.and_then(|query| distance_outside(&point, query)).unwrap_or(f64::NAN);
+        let metres = point.coords / MM_PER_M;
+        data.extend([metres.x, metres.y, metres.z, distance_mm].iter().flat_map(|&c| (c as f32).to_le_bytes()));
+        data.extend(distance_colour(distance_mm));
+        data.push(u8::MAX);
+    }
+    let field = |(name, offset, ty): (&str, u32, NumericType)| PackedElementField {
+        name: name.into(),
+        offset,
+        r#type: i32::from(ty),
+    };
+    let floats = [("x", 0), ("y", 4), ("z", 8), ("distance_mm", 12)].map(|(name, at)| (name, at, NumericType::Float32));
+    let bytes =
+        [("red", 16), ("green", 17), ("blue", 18), ("alpha", 19)].map(|(name, at)| (name, at, NumericType::Uint8));
+    encode(&PointCloud {
+        timestamp: timestamp(stamp_ns),
+        frame_id: frame.to_string(),
+        pose: Some(self::pose(&Isometry3::identity())),
+        point_stride: POINT_ON_BYTES,
+        fields: floats.into_iter().chain(bytes).map(field).collect(),
+        data: Bytes::from(data),
+    })
+}
+
+/// Bytes of a point with its distance and colour.
+const POINT_ON_BYTES: u32 = 20;
 
 /// The channel of [`image`].
 pub(crate) fn image_schema() -> Option<Display> {

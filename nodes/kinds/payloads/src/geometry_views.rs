@@ -13,7 +13,7 @@ use osteoflow_geometry::{
 };
 use osteoflow_node::{ColumnType, Payload, SchemaEntry, View, ViewError};
 #[cfg(feature = "viewer")]
-use osteoflow_node::{Display, DisplayContext};
+use osteoflow_node::{Display, DisplayContext, Value};
 use serde_json::{Value as Json, json};
 
 /// Separator of names in one text field; a name holds no line break.
@@ -131,6 +131,11 @@ impl Payload<Table> for Cloud {
     }
 
     #[cfg(feature = "viewer")]
+    fn to_display_on(&self, surface: &Value, pose: &Value, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
+        foxglove::points_on(self, surface, pose.get()?, about.stamp_ns)
+    }
+
+    #[cfg(feature = "viewer")]
     fn display_centre(&self) -> Option<[f64; 3]> {
         foxglove::centre(self.points())
     }
@@ -169,7 +174,7 @@ impl Payload<Table> for Mesh {
 
     #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
-        foxglove::scene_schema()
+        foxglove::surface_schema()
     }
 
     #[cfg(feature = "viewer")]

@@ -108,7 +108,7 @@ impl Payload<Table> for Target {
 
     #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
-        foxglove::scene_schema()
+        foxglove::surface_schema()
     }
 
     #[cfg(feature = "viewer")]

@@ -5,7 +5,7 @@ const MESSAGE = 1;
 const PLAYBACK_STATE = 5;
 const PLAYBACK_CONTROL = 3;
 
-/** @typedef {{id: number, topic: string, encoding: string, schemaName: string}} Channel */
+/** @typedef {{id: number, topic: string, encoding: string, schemaName: string, origin?: string}} Channel */
 
 /** @typedef {{status: "playing" | "paused" | "buffering" | "ended", atNs: bigint, speed: number, didSeek: boolean}} Playback */
 

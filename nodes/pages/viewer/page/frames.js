@@ -10,6 +10,8 @@ export class Frames {
     this.edges = new Map();
     /** Why a wire has no value now. @type {Map<string, string>} */
     this.unknown = new Map();
+    /** The tracker's frame, in which all is shown that is connected to it, whatever the top of the tree is. @type {string | null} */
+    this.origin = null;
   }
 
   clear() {
@@ -26,22 +28,56 @@ export class Frames {
     this.edges.set(child, { parent, matrix, wire });
   }
 
-  /** The frames from one to the top of its chain. @param {string} frame */
+  /** The frames that place one: up from it, and down to the tracker's. @param {string} frame */
   chain(frame) {
-    const all = [frame];
-    for (let edge = this.edges.get(frame); edge && all.length <= this.edges.size; edge = this.edges.get(edge.parent)) all.push(edge.parent);
-    return all;
+    const { up, down } = this.way(frame);
+    return [frame, ...up, ...down];
   }
 
-  /** The frame at the top of a frame's chain. @param {string} frame */
+  /** The frame at the top of a frame's chain, or the tracker's, if that is connected to it. @param {string} frame */
   root(frame) {
+    return this.way(frame).root;
+  }
+
+  /**
+   * The frames below the top of a frame's chain that lead there, the frame itself first, and the top.
+   * @param {string} frame
+   */
+  path(frame) {
+    /** @type {string[]} */
+    const below = [];
     let at = frame;
     for (let n = 0; n <= this.edges.size; n++) {
       const edge = this.edges.get(at);
-      if (!edge) return at;
+      if (!edge) return { below, top: at };
+      below.push(at);
       at = edge.parent;
     }
     throw new Error(`frame ${frame} is in a circle`);
+  }
+
+  /** Takes coordinates from the lowest of these frames to the parent of the highest. @param {string[]} below */
+  along(below) {
+    const matrix = new Matrix4();
+    for (const child of below) matrix.premultiply(/** @type {{matrix: Matrix4}} */ (this.edges.get(child)).matrix);
+    return matrix;
+  }
+
+  /**
+   * The way from a frame to its root: frames whose edges are gone up, those whose edges are gone down, and the root.
+   * @param {string} frame
+   */
+  way(frame) {
+    const { below: up, top } = this.path(frame);
+    const of = this.origin === null ? null : this.path(this.origin);
+    if (this.origin === null || of === null || of.top !== top) return { up, down: [], root: top };
+    const down = of.below;
+    // What both have in common is gone up and down again, and says nothing.
+    while (up.length > 0 && up.at(-1) === down.at(-1)) {
+      up.pop();
+      down.pop();
+    }
+    return { up, down, root: this.origin };
   }
 
   /**
@@ -50,16 +86,9 @@ export class Frames {
    * @returns {{root: string, matrix: Matrix4, unknown: string | null}}
    */
   toRoot(frame) {
-    const matrix = new Matrix4();
-    let unknown = null;
-    let at = frame;
-    for (let n = 0; n <= this.edges.size; n++) {
-      const edge = this.edges.get(at);
-      if (!edge) return { root: at, matrix, unknown };
-      matrix.premultiply(edge.matrix);
-      unknown ??= this.unknown.get(edge.wire) ?? null;
-      at = edge.parent;
-    }
-    throw new Error(`frame ${frame} is in a circle`);
+    const { up, down, root } = this.way(frame);
+    const why = [...up, ...down].map((child) => this.unknown.get(this.edges.get(child)?.wire ?? ""));
+    const matrix = this.along(up).premultiply(this.along(down).invert());
+    return { root, matrix, unknown: why.find((reason) => reason !== undefined) ?? null };
   }
 }

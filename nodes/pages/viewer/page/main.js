@@ -6,7 +6,7 @@ import { Devices } from "./devices.js";
 import { GraphList } from "./graph.js";
 import { Frames } from "./frames.js";
 import { LayerList, showItem } from "./layers.js";
-import { readItem, readTransform } from "./message.js";
+import { payloadOf, readItem, readTransform } from "./message.js";
 import { Picking } from "./pick.js";
 import { RegionTool } from "./region.js";
 import { Scene } from "./scene.js";
@@ -132,8 +132,8 @@ function log(text) {
   while (list.childElementCount > MAX_MESSAGES) list.lastElementChild?.remove();
 }
 
-/** Schemas of which only the last item of a wire is drawn. */
-const LAST_COUNTS = new Set(["geometry/Cloud@1", "geometry/Mesh@1", "geometry/Planes@1"]);
+/** Payloads of which only the last item of a wire is drawn. */
+const LAST_COUNTS = new Set(["geometry/Cloud", "geometry/Mesh", "geometry/Planes"]);
 /** What waits to be drawn, by wire. @type {Map<string, {payload: string, data: DataView}>} */
 const pending = new Map();
 
@@ -184,19 +184,21 @@ function receive(channel, data) {
     return;
   }
   if (channel.topic.startsWith(VIEW)) {
+    frames.origin = channel.origin ?? null;
     frames.place(channel.topic.slice(VIEW.length), readTransform(data));
     scene.redraw();
     return;
   }
   const wire = channel.topic.slice(EXACT.length);
   heard.set(wire, { at: performance.now(), n: (heard.get(wire)?.n ?? 0) + 1 });
-  if (LAST_COUNTS.has(channel.schemaName)) {
+  const named = payloadOf(channel.schemaName);
+  if (LAST_COUNTS.has(named)) {
     // Read when it is drawn: of a stream that is faster than the screen only the last.
-    pending.set(wire, { payload: channel.schemaName.split("@")[0], data });
+    pending.set(wire, { payload: named, data });
     return;
   }
   const item = readItem(data);
-  const payload = item.payload ?? channel.schemaName.split("@")[0];
+  const payload = item.payload ?? named;
   picking.item(wire, payload, item);
   if (payload === "report/Verdict") {
     verdicts.set(wire, item.empty ? null : JSON.parse(String(item.fields.json)));
@@ -242,7 +244,7 @@ address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
 const connection = new Connection(address.href, {
   info: (info) => setRange(info),
   wants: ({ topic, encoding, schemaName }) =>
-    [STATE, LOG, GRAPH, NODES].includes(topic) || encoding === "osteoflow-view" ||
+    [STATE, LOG, GRAPH, NODES].includes(topic) || topic.startsWith(EXACT) ||
     (topic.startsWith(VIEW) && schemaName === "foxglove.FrameTransform"),
   message: (channel, _time, data) => {
     const began = performance.now();

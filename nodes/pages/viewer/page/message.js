@@ -16,6 +16,9 @@
  */
 
 const MAGIC = "OSTEOVW1";
+/** Bytes before an item: the head of a sequence of bytes in CDR. Recordings before format 3 have none. */
+const FRAME_BYTES = 8;
+const CDR_HEAD = 0x00010000;
 const EMPTY = 1;
 const NAMED = 2;
 const MAX_PARTS = 65536;
@@ -50,12 +53,18 @@ class Bytes {
   }
 }
 
+/** The payload that the schema of an exact channel names: `geometry/msg/CloudV1`, before format 3 `geometry/Cloud@1`. @param {string} schemaName */
+export const payloadOf = (schemaName) => schemaName.replace(/^(.+)\/msg\/(.+)V\d+$/, "$1/$2").split("@")[0];
+
 /**
  * Reads an exact message. Columns are copied only where they are not aligned.
  * @param {DataView} view
  * @returns {Item}
  */
 export function readItem(view) {
+  if (view.byteLength >= FRAME_BYTES && view.getUint32(0, false) === CDR_HEAD && view.getUint32(4, true) === view.byteLength - FRAME_BYTES) {
+    view = new DataView(view.buffer, view.byteOffset + FRAME_BYTES, view.byteLength - FRAME_BYTES);
+  }
   const bytes = new Bytes(view);
   const buffer = /** @type {ArrayBuffer} */ (view.buffer);
   const magic = String.fromCharCode(...new Uint8Array(view.buffer, view.byteOffset + bytes.take(8), 8));

@@ -13,7 +13,7 @@ pub(crate) const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websock
 /// Opcodes of the server's binary messages.
 const MESSAGE: u8 = 1;
 const SERVICE_RESPONSE: u8 = 3;
-const PLAYBACK_STATE: u8 = 5;
+pub(crate) const PLAYBACK_STATE: u8 = 5;
 
 /// Opcodes of the client's binary messages.
 const SERVICE_REQUEST: u8 = 2;
@@ -100,10 +100,15 @@ pub(crate) fn advertise<'a>(channels: impl IntoIterator<Item = (&'a u32, &'a Lis
             "protobuf" | "flatbuffer" => STANDARD.encode(&channel.schema),
             _ => String::from_utf8_lossy(&channel.schema).into_owned(),
         };
-        json!({
+        let mut row = json!({
             "id": id, "topic": channel.topic, "encoding": channel.encoding, "schemaName": channel.schema_name,
             "schemaEncoding": channel.schema_encoding, "schema": schema,
-        })
+        });
+        // For our own page: the frame in which it shows the others.
+        if let Some(origin) = channel.metadata.get("origin") {
+            row["origin"] = json!(origin);
+        }
+        row
     };
     json!({ "op": "advertise", "channels": channels.into_iter().map(row).collect::<Vec<_>>() }).to_string()
 }

@@ -253,7 +253,8 @@ fn serve(mut connection: TcpStream, shared: &Arc<Shared>) {
             Err(message) => Response::refused(400, message),
             Ok(head) => {
                 if connection.write_all(head.as_bytes()).is_ok() {
-                    view(connection, shared);
+                    let plays = request.words("sec-websocket-protocol").any(|word| word == SUBPROTOCOLS[0]);
+                    view(connection, shared, plays);
                 }
                 return;
             }
@@ -316,8 +317,8 @@ impl Write for Duplex {
     }
 }
 
-/// Serves a viewer until it leaves.
-fn view(connection: TcpStream, shared: &Arc<Shared>) {
+/// Serves a viewer until it leaves; `plays` if its subprotocol has the control of playback.
+fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool) {
     let (Ok(for_writer), Ok(to_close)) = (connection.try_clone(), connection.try_clone()) else { return };
     let (Ok(a), Ok(b)) = (connection.try_clone(), connection.try_clone()) else { return };
     let _ = connection.set_read_timeout(None);
@@ -333,6 +334,9 @@ fn view(connection: TcpStream, shared: &Arc<Shared>) {
         return;
     }
     let viewer = shared.stream.join();
+    if plays {
+        viewer.take_playback();
+    }
     if let Some(state) = shared.app.playback() {
         viewer.send(Out::Binary(protocol::playback_state(&state, false, "")));
     }
@@ -415,6 +419,7 @@ impl Shared {
                 if !(speed > 0.0 && speed <= 1e6) {
                     return Err(format!("a playback speed of {speed} is not possible"));
                 }
+                viewer.take_playback();
                 let state = self.app.play(request.plays, speed, request.seek_ns);
                 let state = state.ok_or("nothing is played back: this is live")?;
                 // The playback announces a jump to all viewers, before what follows it.

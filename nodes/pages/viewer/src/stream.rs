@@ -25,8 +25,10 @@ const OWN_CHANNELS: u32 = u32::MAX;
 /// Channels of a run whose messages add up, and the one that has their sums.
 pub(crate) const TIMING: &str = "/run/timing";
 pub(crate) const DROPS: &str = "/run/drops";
-/// Channel of a run with the transforms for viewers, which a recording has at its end, with a time before all others.
+/// Channel of older recordings with the first transforms, with a time before all others.
 pub(crate) const FRAMES: &str = "/run/frames";
+/// The schema of transforms.
+pub(crate) const TRANSFORM: &str = "foxglove.FrameTransform";
 const NODES: &str = "/viewer/nodes";
 
 /// What a node has done so far.
@@ -263,6 +265,8 @@ struct Queue {
     n_of: BTreeMap<u32, usize>,
     /// Channel of each subscription.
     subscriptions: BTreeMap<u32, u32>,
+    /// Whether the viewer knows the state of a playback.
+    takes_playback: bool,
     n_sent: u64,
     n_dropped: u64,
     /// Messages lost when the viewer was last informed.
@@ -276,9 +280,19 @@ impl Viewer {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Sends the state of a playback from now on. A viewer of the subprotocol before takes it for an error.
+    pub(crate) fn take_playback(&self) {
+        self.queue().takes_playback = true;
+    }
+
     pub(crate) fn send(&self, message: Out) {
-        self.queue().control.push_back(message);
-        self.filled.notify_one();
+        let mut queue = self.queue();
+        if queue.takes_playback
+            || !matches!(&message, Out::Binary(bytes) if bytes.first() == Some(&protocol::PLAYBACK_STATE))
+        {
+            queue.control.push_back(message);
+            self.filled.notify_one();
+        }
     }
 
     fn subscribe(&self, subscription: u32, channel: u32) -> Result<(), String> {

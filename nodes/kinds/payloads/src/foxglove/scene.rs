@@ -34,6 +34,11 @@ pub(crate) fn scene_schema() -> Option<Display> {
     schema::<SceneUpdate>()
 }
 
+/// The channel of surfaces.
+pub(crate) fn surface_schema() -> Option<Display> {
+    Some(Display { anchor: true, ..scene_schema()? })
+}
+
 /// A mesh as triangles.
 pub(crate) fn mesh(mesh: &Mesh, about: &DisplayContext<'_>) -> Option<Vec<u8>> {
     let points = mesh.vertices().iter().map(point).collect();
@@ -82,6 +87,8 @@ pub(crate) fn planes(planes: &Planes, about: &DisplayContext<'_>) -> Option<Vec<
                 triangles: vec![square(t)],
                 arrows: vec![normal(t)],
                 texts: vec![text(&(t * Point3::new(0.0, 0.0, NORMAL_MM + TEXT_MM)), &plane.name)],
+                // Planes belong to the bone, whatever frame they are given in: where the bone is the root they stay on it.
+                frame_locked: !about.anchored,
                 ..entity(&planes.frame, &plane.name, about)
             }),
             PlanePlace::Unknown(_) => deletions.push(SceneEntityDeletion {

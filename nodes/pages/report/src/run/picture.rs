@@ -9,7 +9,7 @@ use crate::{
 use base64::{Engine, engine::general_purpose::STANDARD};
 use nalgebra::Isometry3;
 use osteoflow_algorithms::mesh_query::MeshQuery;
-use osteoflow_engine::recording::RecordedWire;
+use osteoflow_engine::recording::{RecordedWire, item_bytes};
 use osteoflow_geometry::{Cloud, Mesh};
 use osteoflow_node::Item;
 use osteoflow_viewer::last_messages;
@@ -54,7 +54,7 @@ impl Picture {
     pub(super) fn of(page: &mut Page, run: &RunFolder) -> Result<Self, String> {
         let path = run.recording_path()?;
         let wanted = last_messages(path, |channel| {
-            channel.encoding == "osteoflow-view"
+            is_exact(&channel.topic, &channel.encoding)
                 || (channel.topic.starts_with(VIEW) && channel.schema_name == "foxglove.FrameTransform")
         });
         let (mut transforms, mut items) = (Vec::new(), Vec::new());
@@ -64,7 +64,8 @@ impl Picture {
                 let read = Transform::read(wire, &message.data);
                 transforms.push(read.ok_or_else(|| format!("the transform of the wire {wire} is damaged"))?);
             } else if let Some(wire) = topic.strip_prefix(EXACT) {
-                items.extend(LastItem::read(run, wire, &message.channel.schema_name, message.data)?);
+                let data = item_bytes(&message.channel.encoding, &message.data).unwrap_or_default().to_vec();
+                items.extend(LastItem::read(run, wire, &message.channel.schema_name, data)?);
             }
         }
         if items.iter().all(|item| !item.is_drawn()) {
@@ -82,11 +83,23 @@ impl Picture {
     }
 }
 
+fn is_exact(topic: &str, encoding: &str) -> bool {
+    topic.starts_with(EXACT) && item_bytes(encoding, &[]).is_some()
+}
+
 impl LastItem {
     /// Reads the last item of a wire; `None` if the page shows nothing of it.
     fn read(run: &RunFolder, wire: &str, schema: &str, data: Vec<u8>) -> Result<Option<Self>, String> {
         let damaged = |why: String| format!("the last item of the wire {wire} cannot be read: {why}");
-        let (payload, version) = schema.split_once('@').unwrap_or((schema, "1"));
+        // As ROS 2 names types; before format 3 by payload@version.
+        let named = schema.split_once("/msg/").and_then(|(package, name)| {
+            let (name, version) = name.rsplit_once('V')?;
+            Some((format!("{package}/{name}"), version))
+        });
+        let (payload, version) = match &named {
+            Some((payload, version)) => (payload.as_str(), *version),
+            None => schema.split_once('@').unwrap_or((schema, "1")),
+        };
         let version = version.parse().map_err(|_| damaged(format!("its schema is {schema}")))?;
         let recorded = RecordedWire { payload: payload.into(), version, source: false, messages: vec![data.clone()] };
         let items = recorded.items().map_err(|(_, error)| damaged(error.to_string()))?;
