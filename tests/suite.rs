@@ -8,6 +8,7 @@ mod arrows;
 mod bound_plans;
 mod broken_graphs;
 #[cfg(unix)]
+mod clients;
 mod clusters;
 mod command_line;
 mod common;
