@@ -7,7 +7,7 @@ use osteoflow_formats::{
     mesh_or_cloud::{read_cloud, read_mesh},
     picked_points::write_mrk_json,
     pose_file::read_pose,
-    write::{write_ply, write_stl},
+    write::{KEPT, write_ply, write_stl},
 };
 use osteoflow_geometry::{
     Cloud, Mesh, NamedPoint, SurfaceOrigin, isometry_from_matrix, matrix_rows,
@@ -539,9 +539,10 @@ fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
     assert!((read("pose.tfm") - expected * flip).amax() < 1e-9);
     let moved = read_cloud(&found("source.ply"), 1.0, "target").unwrap().cloud;
     let place = |k: usize| pose(&answer) * case.scan[k];
-    assert!((0..moved.len()).all(|k| (moved.points()[k] - place(k)).norm() < 1e-9));
+    // A PLY for others has 32-bit floats, which keep this much.
+    assert!((0..moved.len()).all(|k| (moved.points()[k] - place(k)).amax() < KEPT));
     let text = fs::read(found("source.ply")).unwrap();
-    assert!(String::from_utf8_lossy(&text[..400]).contains("property double residual_mm"));
+    assert!(String::from_utf8_lossy(&text[..400]).contains("property float residual_mm"));
 
     for (file, expected) in [
         ("pose.ply", "no pose is written so; end it with .txt (the matrix), .json (the whole answer) or .tfm"),

@@ -239,6 +239,10 @@ impl Sink {
         }
         self.time_ns = Some(time_ns as u64);
         self.n_waiting_bytes = 0;
+        // From here on, a truncated file names the wires it was to hold: their channels are written at once, in a chunk with a
+        // message, since one without has no time.
+        self.write_run(run_bytes(&Timing { firings: Vec::new() }))?;
+        self.output.file.flush()?;
         std::mem::take(&mut self.waiting).into_iter().try_for_each(|waiting| match waiting {
             Waiting::Item(id, item) => self.write(id, &item),
             Waiting::Run(message) => self.write_run(message),

@@ -505,7 +505,7 @@ fn viewers_see_constants_at_the_first_time_of_the_run() {
         ("/exact/plan.p0", (0, 5_000)),
         ("/exact/scan.p0", (0, 5_000)),
         ("/run/log", (0, 5_000)),
-        ("/run/timing", (0, 5_000)),
+        ("/run/timing", (1, 5_000)),
         ("/view/add.out", (0, 5_000)),
         ("/view/plan.p0", (0, 5_000)),
         ("/view/scan.p0", (0, 5_000)),

@@ -22,6 +22,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{Display, DisplayContext, StampNs, Value, frame_edge};
+use std::cell::RefCell;
 
 const NS_PER_S: i64 = 1_000_000_000;
 
@@ -74,7 +75,7 @@ pub(crate) fn points_on(cloud: &Cloud, surface: &Value, pose: &Pose, stamp_ns: S
         () if pose.to == cloud.frame => (&pose.from, pose.isometry.inverse()),
         () => return None,
     };
-    let mesh = surface.get::<Mesh>().map(MeshQuery::new);
+    let mesh = surface.get::<Mesh>().map(query_of);
     let target = surface.get::<Target>();
     let surface_frame = target.map(|target| &target.frame).or(mesh.as_ref().map(|query| &query.mesh().frame))?;
     if surface_frame != frame {
@@ -105,6 +106,21 @@ pub(crate) fn points_on(cloud: &Cloud, surface: &Value, pose: &Pose, stamp_ns: S
         point_stride: POINT_ON_BYTES,
         fields: floats.into_iter().chain(bytes).map(field).collect(),
         data: Bytes::from(data),
+    })
+}
+
+/// The query of a mesh, whose search structure is built once where the same mesh comes again, as for each fit of a live scan.
+fn query_of(mesh: &Mesh) -> MeshQuery {
+    thread_local! {
+        static LAST: RefCell<Option<MeshQuery>> = const { RefCell::new(None) };
+    }
+    LAST.with_borrow_mut(|last| {
+        // The query keeps its mesh, so no other can have its place in memory.
+        let is_same = |query: &&mut MeshQuery| std::ptr::eq(query.mesh().vertices(), mesh.vertices());
+        match last.as_mut().filter(is_same) {
+            Some(query) => query.clone(),
+            None => last.insert(MeshQuery::new(mesh)).clone(),
+        }
     })
 }
 
