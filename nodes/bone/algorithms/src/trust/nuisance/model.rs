@@ -36,8 +36,12 @@ const STEP_EVERY_MM: f64 = 8.0;
 /// Another cause explains the same numbers if it takes this share of what the best one takes from the residuals.
 const AS_WELL: f64 = 0.75;
 
-/// A cause with this share of the effect that matters is fitted to its end.
+/// A cause with this share of the effect that matters, and of the score from which it is measured, is fitted to its end: along and about
+/// a shaft a first look finds a half of it.
 const NEAR: f64 = 0.3;
+
+/// A size that may be larger by this many of its standard deviations matters: a chance of 7 % that it is, as of the predicted error.
+const BEYOND_SIGMAS: f64 = 1.48;
 
 /// Twice the logarithm of the odds against a fault: one in 400.
 const FAULT: f64 = 12.0;
@@ -163,7 +167,7 @@ impl<'a> Model<'a> {
             causes.iter().filter_map(|cause| self.candidate(*cause, fit::LOOK)).collect();
         self.compare(&mut candidates);
         for candidate in &mut candidates {
-            if candidate.score >= self.params.min_score && candidate.gain > 0.0 && candidate.effect.times >= NEAR {
+            if candidate.score >= NEAR * self.params.min_score && candidate.effect.times >= NEAR {
                 *candidate = self.candidate(candidate.cause, fit::THOROUGH).unwrap_or_else(|| candidate.clone());
             }
         }
@@ -174,7 +178,8 @@ impl<'a> Model<'a> {
     /// The causes that are there and large enough to matter: the best explanation, and those that explain about as much.
     fn measured<'c>(&self, candidates: &'c [Candidate]) -> Vec<&'c Candidate> {
         let Some(best) = candidates.first() else { return Vec::new() };
-        let matters = |c: &Candidate| c.effect.times >= 1.0 && c.size() >= self.params.least(c.cause);
+        let most = |c: &Candidate| c.effect.times * (1.0 + BEYOND_SIGMAS * c.sd() / c.size().max(f64::MIN_POSITIVE));
+        let matters = |c: &Candidate| most(c) >= 1.0 && c.size() >= self.params.least(c.cause);
         // Where the best explanation is harmless, another must be hardly worse.
         let least = if matters(best) { AS_WELL * best.gain } else { best.gain - (HARDLY * best.gain).max(SLACK) };
         let is_measured =
