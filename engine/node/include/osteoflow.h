@@ -353,7 +353,7 @@ typedef struct osteoflow_input {
     uint32_t join;
     /* COLLECT: number of items; 0: all. */
     uint32_t join_n;
-    /* STAMP: the tolerance. INTERPOLATE: the maximum gap; negative: unlimited. */
+    /* STAMP: the tolerance. INTERPOLATE: the maximum gap; negative: unlimited. LATEST: how long after the firing stamp; usually 0. */
     int64_t join_ns;
     /* The expected frames, where known: "source" (the frame of that port), "@ct", "$frame"; see
      * docs/extend/writing-a-node.md. A pose has to and from, everything else frame. */

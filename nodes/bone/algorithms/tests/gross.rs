@@ -73,9 +73,9 @@ fn a_gross_mistake_is_never_first_named_a_stretch_of_the_ct() {
                     }
                     assert_ne!(verdict.answer, Answer::Trusted, "{what}");
                     // A cause beside the pose comes after the sign of a gross mistake.
-                    let at = |of: &dyn Fn(&&str) -> bool| rules.iter().position(|rule| of(&rule));
-                    let gross = at(&|rule| ["mirrored", "another_bone", "inward_misfit", "shape"].contains(rule));
-                    if let Some(cause) = at(&|rule| CAUSES.contains(rule)) {
+                    let at = |of: fn(&&str) -> bool| rules.iter().position(of);
+                    let gross = at(|rule| ["mirrored", "another_bone", "inward_misfit", "shape"].contains(rule));
+                    if let Some(cause) = at(|rule| CAUSES.contains(rule)) {
                         assert!(gross.is_some_and(|gross| gross < cause), "{what}: {rules:?}");
                         n_named += 1;
                     }
