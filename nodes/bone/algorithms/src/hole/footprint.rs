@@ -42,6 +42,8 @@ pub(super) struct Footprint<'a> {
     radius_mm: f64,
     /// Distance within the rim at which points may still be present, mm.
     margin_mm: f64,
+    /// Where an image shows the spot.
+    shown_at: Option<Point3<f64>>,
 }
 
 /// The place of a spot.
@@ -78,7 +80,13 @@ impl<'a> Footprint<'a> {
             is_missing: around.iter().map(|(i, _)| missing.indices.binary_search(i).is_ok()).collect(),
             radius_mm,
             margin_mm: missing.margin_mm,
+            shown_at: None,
         }
+    }
+
+    /// With the place at which an image shows the spot: it counts as one that explains it, too.
+    pub(super) fn shown_at(self, place: Point3<f64>) -> Self {
+        Self { shown_at: Some(place), ..self }
     }
 
     /// The place of the spot: `disc`, the centre of a fitted disc, where a disc explains the footprint, else the middle of the
@@ -127,7 +135,8 @@ impl<'a> Footprint<'a> {
             explaining.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)))?.centre
         };
         let beams = explaining.iter().filter(|spot| spot.beam.is_some());
-        let farthest_mm = beams.map(|spot| (spot.centre - centre).norm()).fold(0.0, f64::max);
+        let others = beams.map(|spot| spot.centre).chain(self.shown_at);
+        let farthest_mm = others.map(|other| (other - centre).norm()).fold(0.0, f64::max);
         // Places closer than the points are not told apart, whatever the footprint.
         let uncertainty_mm = (farthest_mm - self.scene.surface_spacing_mm).max(0.0);
         Some(Place { centre, uncertainty_mm })

@@ -325,7 +325,7 @@ impl<'a> Search<'a> {
         if self.params.mark == Mark::Laser && self.params.require_hole {
             let params = self.params.of_holes();
             let missing = missing(self.scene, &params);
-            let footprint = Footprint::of_hole(self.scene, &missing, &hole.centre, &params);
+            let footprint = Footprint::of_hole(self.scene, &missing, &hole.centre, &params).shown_at(hole.centre);
             hole.place(&footprint, &params);
         }
         hole
