@@ -212,7 +212,7 @@ mod tests {
     /// A tenth of the points beside the left end are off by millimetres, all by hundredths.
     fn errs(k: usize) -> f64 {
         let noise = 0.02 * ((k * 7919 % 101) as f64 / 50.0 - 1.0);
-        if k % 60 < 2 && k / 60 % 5 == 0 { [4.0, -5.0, 2.5][k / 60 % 3] + noise } else { noise }
+        if k % 60 < 2 && (k / 60).is_multiple_of(5) { [4.0, -5.0, 2.5][k / 60 % 3] + noise } else { noise }
     }
 
     #[test]
