@@ -384,7 +384,10 @@ impl<'a> Search<'a> {
             ));
         }
         let hint = match (is_swapped, self.params.mark) {
-            (true, _) => "; with red and blue exchanged there is one: is the image BGR?",
+            (true, Mark::Laser) => {
+                "; is the laser on and red? With red and blue exchanged there is one: is the image BGR?"
+            }
+            (true, Mark::Pen) => "; with red and blue exchanged there is one: is the image BGR?",
             (false, Mark::Laser) => "; is the laser on and red, and the exposure short enough for its colour?",
             (false, Mark::Pen) => "; is the mark in view, and lit well enough to have a colour?",
         };
