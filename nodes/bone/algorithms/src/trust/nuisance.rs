@@ -14,11 +14,11 @@ mod words;
 use super::Limits;
 use super::evidence::Registered;
 use super::predict::Where;
+use super::{Residual, Residuals};
 use crate::nearest::Nearest;
-use crate::target::Target;
 use cause::Axes;
 use model::Model;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 pub use params::NuisanceParams;
 use rayon::prelude::*;
 pub(super) use report::Nuisances;
@@ -41,9 +41,9 @@ pub(super) fn examine(
 ) -> Option<Nuisances> {
     let Registered { target, source, t_target_source, .. } = *registered;
     let normals = target.normals()?;
-    let every = source.len().div_ceil(N_READ).max(1);
-    let read: Vec<Point3<f64>> = source.points().iter().step_by(every).map(|p| t_target_source * p).collect();
-    let (points, seen): (Vec<_>, Vec<_>) = middling(target, normals, &read, N_FITTED).into_iter().unzip();
+    let read = Residuals::new(target, source.points(), t_target_source, fit::REACH_MM, N_READ)?.near;
+    let (points, seen): (Vec<_>, Vec<_>) =
+        middling(&read, N_FITTED).into_iter().map(|at| (at.point, at.normal)).unzip();
     let noise_mm = noise_mm / (read.len() as f64 / N_FITTED as f64).max(1.0).sqrt();
     let camera = source.viewpoint.map(|viewpoint| t_target_source * (viewpoint * Point3::origin()));
     let axes = Axes::new(&points, &seen, camera)?;
@@ -51,26 +51,14 @@ pub(super) fn examine(
     Some(Model::new(problem, place, limits, params)?.judge())
 }
 
-/// At most about `n` registered points within reach of the surface, each with the surface's normal: of the points around one of an
-/// even thinning, the one of median residual, so that the noise of single points is averaged and outliers are left out.
-fn middling(
-    target: &Target,
-    normals: &[Vector3<f64>],
-    points: &[Point3<f64>],
-    n: usize,
-) -> Vec<(Point3<f64>, Vector3<f64>)> {
-    let thinned: Vec<Point3<f64>> = points.iter().step_by(points.len().div_ceil(n).max(1)).copied().collect();
+/// At most about `n` of the residuals: of those around one of an even thinning, the median one, so that the noise of single points is
+/// averaged and outliers are left out.
+fn middling(all: &[Residual], n: usize) -> Vec<Residual> {
+    let thinned: Vec<Point3<f64>> =
+        all.iter().step_by(all.len().div_ceil(n).max(1)).map(|residual| residual.point).collect();
     let tree = Nearest::new(&thinned);
-    let paired = |p: &Point3<f64>| {
-        let (index, _) = target.nearest(p, fit::REACH_MM)?;
-        let (around, _) = tree.nearest(p)?;
-        Some((around, (p - target.points()[index]).dot(&normals[index]), *p, normals[index]))
-    };
-    let mut paired: Vec<_> = points.par_iter().filter_map(paired).collect();
-    paired.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    paired
-        .chunk_by(|a, b| a.0 == b.0)
-        .map(|group| group[group.len() / 2])
-        .map(|(_, _, p, normal)| (p, normal))
-        .collect()
+    let around = |residual: &Residual| Some((tree.nearest(&residual.point)?.0, *residual));
+    let mut grouped: Vec<(usize, Residual)> = all.par_iter().filter_map(around).collect();
+    grouped.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.signed_mm.total_cmp(&b.1.signed_mm)));
+    grouped.chunk_by(|a, b| a.0 == b.0).map(|group| group[group.len() / 2].1).collect()
 }

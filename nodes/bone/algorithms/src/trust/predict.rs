@@ -280,8 +280,9 @@ pub fn predict(
     let stated = tracking.map(|tracking| stated(tracking, &centre, params)).unwrap_or_default();
     let fit = tracking.and_then(|tracking| tracking.phantom_fit.as_ref());
     let fit = fit.map(|(covariance, about)| ("phantom's fit", carried(covariance, about, &centre)));
-    let found = [("registration", spread.covariance)];
-    let terms: Vec<(&str, Matrix6<f64>)> = found.into_iter().chain(stated.iter().copied()).chain(fit).collect();
+    let registration = ("registration", spread.covariance);
+    let terms: Vec<(&str, Matrix6<f64>)> =
+        [registration].into_iter().chain(stated.iter().copied()).chain(fit).collect();
     let shift = to_settled * centre - centre;
     let turn = to_settled.rotation.scaled_axis();
     let mean = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
