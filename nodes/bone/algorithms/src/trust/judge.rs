@@ -168,10 +168,9 @@ impl Judging<'_> {
 
     /// What may be wrong beside the pose.
     fn nuisances(&self, evidence: &Evidence) -> Option<Nuisances> {
-        let examine = |cell_mm: f64| {
-            let (limits, priors) = (&self.rules.limits, &self.errors.nuisances);
-            nuisance::examine(&self.case.registered, &self.place, evidence.noise_mm, cell_mm, limits, priors)
-        };
+        let (registered, priors) = (&self.case.registered, &self.errors.nuisances);
+        let examine =
+            |cell_mm: f64| nuisance::examine(registered, &self.place, evidence.noise_mm, cell_mm, self.rules, priors);
         [evidence.surface_error.cell_mm(), CELL_MM].into_iter().find_map(examine)
     }
 

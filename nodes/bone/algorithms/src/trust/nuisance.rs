@@ -5,18 +5,20 @@
 
 mod cause;
 mod effect;
+mod field;
 mod fit;
 mod model;
 pub(super) mod params;
 mod report;
 mod words;
 
-use super::Limits;
+use super::RuleParams;
 use super::evidence::Registered;
 use super::predict::Where;
 use super::{Residual, Residuals};
 use crate::nearest::Nearest;
 use cause::Axes;
+use field::Field;
 use model::Model;
 use nalgebra::Point3;
 pub use params::NuisanceParams;
@@ -36,7 +38,7 @@ pub(super) fn examine(
     place: &Where<'_>,
     noise_mm: f64,
     cell_mm: f64,
-    limits: &Limits,
+    rules: &RuleParams,
     params: &NuisanceParams,
 ) -> Option<Nuisances> {
     let Registered { target, source, t_target_source, .. } = *registered;
@@ -47,8 +49,9 @@ pub(super) fn examine(
     let noise_mm = noise_mm / (read.len() as f64 / N_FITTED as f64).max(1.0).sqrt();
     let camera = source.viewpoint.map(|viewpoint| t_target_source * (viewpoint * Point3::origin()));
     let axes = Axes::new(&points, &seen, camera)?;
-    let problem = fit::Problem { target, normals, points: &points, axes: &axes, noise_mm, cell_mm };
-    Some(Model::new(problem, place, limits, params)?.judge())
+    let field = Field::new(&axes, &points, params.field_mm);
+    let problem = fit::Problem { target, normals, points: &points, axes: &axes, field: &field, noise_mm, cell_mm };
+    Some(Model::new(problem, place, rules, params)?.judge())
 }
 
 /// At most about `n` of the residuals: of those around one of an even thinning, the median one, so that the noise of single points is

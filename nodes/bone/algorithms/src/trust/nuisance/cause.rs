@@ -37,7 +37,7 @@ impl Axes {
     }
 
     /// Position along the axis, from -1 at one end of the scan to 1 at the other.
-    fn along_share(&self, p: &Point3<f64>) -> f64 {
+    pub(super) fn along_share(&self, p: &Point3<f64>) -> f64 {
         (p - self.centre).dot(&self.along) / self.half_mm
     }
 }
@@ -51,8 +51,6 @@ pub(super) enum Mode {
     Growth,
     /// Away from the axis, in proportion to the distance.
     Across,
-    /// Towards the camera by 1 mm at both ends of the scan against its middle, as the curved field of a camera's depth.
-    Curvature,
     /// Towards a direction by 1 mm at both ends of the scan against its middle, with the turn of the sections that goes with it.
     Bend(Vector3<f64>),
     /// A turn about the axis by 1 rad at one end and -1 rad at the other.
@@ -80,7 +78,6 @@ impl Mode {
             Self::Strain { of, to } => to * of.dot(&arm),
             Self::Growth => arm,
             Self::Across => arm - axes.along * axes.along.dot(&arm),
-            Self::Curvature => axes.towards * axes.along_share(p).powi(2),
             Self::Bend(to) => {
                 let s = axes.along_share(p);
                 to * (s * s) - axes.along * (2.0 * s * to.dot(&arm) / axes.half_mm)
@@ -104,10 +101,7 @@ impl Mode {
 
     /// Whether it displaces the planned points with the bone; else it displaces the scan alone.
     pub(super) fn moves_bone(&self) -> bool {
-        !matches!(
-            self,
-            Self::Offset | Self::Curvature | Self::Film { .. } | Self::FilmAround | Self::Scale(_) | Self::Depth(_)
-        )
+        !matches!(self, Self::Offset | Self::Film { .. } | Self::FilmAround | Self::Scale(_) | Self::Depth(_))
     }
 }
 

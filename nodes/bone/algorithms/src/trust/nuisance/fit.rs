@@ -1,13 +1,17 @@
 //! The pose and a few numbers more, fitted to a scan.
 
 use super::cause::{Axes, Mode};
+use super::field::{Field, N_FIELD};
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of unknowns: a shift, a turn, and at most four numbers more.
-pub(super) const N: usize = 10;
+/// Number of unknowns: a shift, a turn, the camera's field, and at most two numbers more.
+pub(super) const N: usize = N_BEFORE + 2;
+
+/// Number of unknowns that every fit has.
+pub(super) const N_BEFORE: usize = 6 + N_FIELD;
 
 pub(super) type Normal = SMatrix<f64, N, N>;
 pub(super) type Row = SVector<f64, N>;
@@ -27,8 +31,9 @@ pub(super) const LOOK: usize = 10;
 /// Largest number of steps of a fit whose size is told: a shear slides along a shaft, slowly.
 pub(super) const THOROUGH: usize = 100;
 
-/// Number of residuals that say as much as one that is independent, for the weight of a prior.
-const N_TOGETHER: f64 = 5.0;
+/// Number of residuals that say as much as one that is independent, for the weight of a prior. 10: so much more the pose varies in
+/// simulated scans, beside such a field, than with independent residuals.
+const N_TOGETHER: f64 = 10.0;
 
 /// A fit ends where no point moves farther in a step, mm.
 const STEP_MM: f64 = 0.001;
@@ -45,10 +50,33 @@ pub(super) struct Problem<'a> {
     /// The examined points of the scan at the registration, target's frame.
     pub(super) points: &'a [Point3<f64>],
     pub(super) axes: &'a Axes,
+    pub(super) field: &'a Field,
     /// The sensor's noise, mm.
     pub(super) noise_mm: f64,
     /// Edge of the cells whose residuals count as one draw, mm.
     pub(super) cell_mm: f64,
+}
+
+/// What a fit has reached.
+struct Unknowns {
+    motion: Isometry3<f64>,
+    values: Vec<f64>,
+    field_mm: [f64; N_FIELD],
+}
+
+impl Unknowns {
+    /// The field's waves among the unknowns.
+    fn row(&self) -> Row {
+        field(|k| self.field_mm[k])
+    }
+
+    fn add(&mut self, delta: &Row) {
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(delta[3], delta[4], delta[5]));
+        let shift = Translation3::new(delta[0], delta[1], delta[2]);
+        self.motion = Isometry3::from_parts(shift * self.motion.translation, turn * self.motion.rotation);
+        self.field_mm.iter_mut().zip(delta.iter().skip(6)).for_each(|(value, delta)| *value += delta);
+        self.values.iter_mut().zip(delta.iter().skip(N_BEFORE)).for_each(|(value, delta)| *value += delta);
+    }
 }
 
 /// A fitted pose with the parameters of some modes.
@@ -58,6 +86,8 @@ pub(super) struct Fit {
     pub(super) motion: Isometry3<f64>,
     /// The parameters.
     pub(super) values: Vec<f64>,
+    /// The waves of the camera's field, mm.
+    pub(super) field_mm: [f64; N_FIELD],
     /// Robust standard deviation of the residuals, mm.
     pub(super) sigma_mm: f64,
     /// Residuals beyond this have no weight, mm.
@@ -80,34 +110,28 @@ pub(super) struct Pair {
 }
 
 impl Problem<'_> {
-    /// Fits the pose and the modes, from the registration on, with pairs and weights found anew in each step from all points.
-    /// The last modes have priors of these standard deviations.
+    /// Fits the pose, the camera's field and the modes, from the registration on, with pairs and weights found anew in each step from
+    /// all points. `field_sds_mm` are the priors of the field's waves.
     ///
     /// `None` where the points leave one of them undetermined.
-    pub(super) fn fit(&self, modes: &[Mode], priors: &[f64], max_steps: usize) -> Option<Fit> {
-        let first_prior = 6 + modes.len() - priors.len();
-        let (mut motion, mut values) = (Isometry3::identity(), vec![0.0; modes.len()]);
+    pub(super) fn fit(&self, modes: &[Mode], field_sds_mm: &[f64; N_FIELD], max_steps: usize) -> Option<Fit> {
+        let (values, field_mm) = (vec![0.0; modes.len()], [0.0; N_FIELD]);
+        let mut at = Unknowns { motion: Isometry3::identity(), values, field_mm };
         let mut normals = vec![Vector3::zeros(); self.points.len()];
         for step in 0.. {
-            let pairs = self.pairs(modes, &motion, &values, &normals);
+            let pairs = self.pairs(modes, &at, &normals);
             let sigma_mm = self.sigma_mm(&pairs);
             let gate_mm = (GATE_SIGMAS * sigma_mm).max(GATES_MM.get(step).copied().unwrap_or(0.0));
-            let rows = self.rows(&pairs, modes, &motion);
-            let (mut h, mut b) = normal_equations(&pairs, &rows, gate_mm, 6 + modes.len());
-            for (k, sd) in priors.iter().enumerate() {
-                // The residuals of a neighbourhood count as one.
-                let information = N_TOGETHER * (sigma_mm / sd).powi(2);
-                h[(first_prior + k, first_prior + k)] += information;
-                b[first_prior + k] -= information * values[first_prior - 6 + k];
-            }
+            let rows = self.rows(&pairs, modes, &at.motion);
+            let (mut h, mut b) = normal_equations(&pairs, &rows, gate_mm, N_BEFORE + modes.len());
+            let prior = prior(field_sds_mm, sigma_mm);
+            h += Normal::from_diagonal(&prior);
+            b -= prior.component_mul(&at.row());
             let delta = h.cholesky()?.solve(&b);
             if !delta.iter().all(|value| value.is_finite()) {
                 return None;
             }
-            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(delta[3], delta[4], delta[5]));
-            let shift = Translation3::new(delta[0], delta[1], delta[2]);
-            motion = Isometry3::from_parts(shift * motion.translation, turn * motion.rotation);
-            values.iter_mut().zip(delta.iter().skip(6)).for_each(|(value, delta)| *value += delta);
+            at.add(&delta);
             for (normal, pair) in normals.iter_mut().zip(&pairs) {
                 *normal = pair.as_ref().map_or(*normal, |pair| pair.normal);
             }
@@ -117,53 +141,50 @@ impl Problem<'_> {
                 for (pair, row) in left.iter_mut().zip(&rows) {
                     pair.iter_mut().for_each(|pair| pair.residual_mm -= row.dot(&delta));
                 }
-                return Some(Fit { motion, values, sigma_mm, gate_mm, pairs: left });
+                let Unknowns { motion, values, field_mm } = at;
+                return Some(Fit { motion, values, field_mm, sigma_mm, gate_mm, pairs: left });
             }
         }
         None
     }
 
-    /// The pairs at a pose with the modes' parameters; none where the surface is out of reach. `normals` are those of the last
-    /// pairs.
-    fn pairs(
-        &self,
-        modes: &[Mode],
-        motion: &Isometry3<f64>,
-        values: &[f64],
-        normals: &[Vector3<f64>],
-    ) -> Vec<Option<Pair>> {
+    /// The pairs at a pose with the field and the modes' parameters; none where the surface is out of reach. `normals` are those of
+    /// the last pairs.
+    fn pairs(&self, modes: &[Mode], at: &Unknowns, normals: &[Vector3<f64>]) -> Vec<Option<Pair>> {
         let centre = self.axes.centre;
-        let pair = |(p, normal): (&Point3<f64>, &Vector3<f64>)| {
-            let shifts = modes.iter().zip(values).map(|(mode, value)| mode.at(self.axes, p, normal) * *value);
-            let warped = p + shifts.sum::<Vector3<f64>>();
-            let point = centre + motion.rotation * (warped - centre) + motion.translation.vector;
-            let (index, _) = self.target.nearest(&point, REACH_MM)?;
-            let normal = self.normals[index];
-            let residual_mm = (self.target.points()[index] - point).dot(&normal);
+        let pair = |((index, p), normal): ((usize, &Point3<f64>), &Vector3<f64>)| {
+            let shifts = modes.iter().zip(&at.values).map(|(mode, value)| mode.at(self.axes, p, normal) * *value);
+            let warped = p + shifts.sum::<Vector3<f64>>() + self.axes.towards * self.field.at(index, &at.field_mm);
+            let point = centre + at.motion.rotation * (warped - centre) + at.motion.translation.vector;
+            let (nearest, _) = self.target.nearest(&point, REACH_MM)?;
+            let normal = self.normals[nearest];
+            let residual_mm = (self.target.points()[nearest] - point).dot(&normal);
             Some(Pair { registered: *p, point, normal, residual_mm })
         };
-        self.points.par_iter().zip(normals.par_iter()).map(pair).collect()
+        self.points.par_iter().enumerate().zip(normals.par_iter()).map(pair).collect()
     }
 
     /// How far each point moves along its pair's normal with each unknown.
     fn rows(&self, pairs: &[Option<Pair>], modes: &[Mode], motion: &Isometry3<f64>) -> Vec<Row> {
-        let row = |pair: &Option<Pair>| {
+        let row = |(index, pair): (usize, &Option<Pair>)| {
             let mut row = Row::zeros();
             if let Some(pair) = pair {
-                row.fixed_rows_mut::<6>(0).copy_from(&self.rigid_row(pair));
+                row.fixed_rows_mut::<N_BEFORE>(0).copy_from(&self.row_before(index, pair, motion));
                 for (k, mode) in modes.iter().enumerate() {
-                    row[6 + k] = self.response(pair, mode, motion);
+                    row[N_BEFORE + k] = self.response(pair, mode, motion);
                 }
             }
             row
         };
-        pairs.iter().map(row).collect()
+        pairs.iter().enumerate().map(row).collect()
     }
 
-    /// How far the point of a pair moves along its normal with shift and turn about the centroid.
-    pub(super) fn rigid_row(&self, pair: &Pair) -> Vector6<f64> {
+    /// How far the point of a pair moves along its normal with shift and turn about the centroid, and with the field's waves.
+    pub(super) fn row_before(&self, index: usize, pair: &Pair, motion: &Isometry3<f64>) -> SVector<f64, N_BEFORE> {
         let (n, turn) = (pair.normal, (pair.point - self.axes.centre).cross(&pair.normal));
-        Vector6::new(n.x, n.y, n.z, turn.x, turn.y, turn.z)
+        let facing = n.dot(&(motion.rotation * self.axes.towards));
+        let waves = self.field.waves(index).iter().map(|wave| facing * wave);
+        SVector::from_iterator(n.iter().chain(&turn).copied().chain(waves))
     }
 
     /// How far the point of a pair moves along its normal with a mode.
@@ -187,10 +208,12 @@ impl Problem<'_> {
     ///
     /// # Source
     /// White 1980; Liang and Zeger 1986, with the correction for the number of cells.
-    pub(super) fn covariance(&self, fit: &Fit, modes: &[Mode]) -> Option<Normal> {
-        let n = 6 + modes.len();
+    pub(super) fn covariance(&self, fit: &Fit, modes: &[Mode], field_sds_mm: &[f64; N_FIELD]) -> Option<Normal> {
+        let n = N_BEFORE + modes.len();
         let rows = self.rows(&fit.pairs, modes, &fit.motion);
-        let (h, _) = normal_equations(&fit.pairs, &rows, fit.gate_mm, n);
+        let (mut h, _) = normal_equations(&fit.pairs, &rows, fit.gate_mm, n);
+        let prior = prior(field_sds_mm, fit.sigma_mm);
+        h += Normal::from_diagonal(&prior);
         let mut cells: BTreeMap<[i64; 3], Row> = BTreeMap::new();
         for (pair, row) in fit.pairs.iter().zip(&rows) {
             let Some(pair) = pair else { continue };
@@ -198,9 +221,14 @@ impl Problem<'_> {
             *cells.entry(key).or_insert_with(Row::zeros) += row * (fit.weight(pair) * pair.residual_mm);
         }
         let scores: Normal = cells.values().map(|score| score * score.transpose()).sum();
-        let n_cells = cells.len();
         let inverse = h.cholesky()?.inverse();
-        (n_cells > n).then(|| inverse * scores * inverse * (n_cells as f64 / (n_cells - n) as f64))
+        // The prior determines the rest.
+        let n_determined = n as f64 - inverse.diagonal().dot(&prior);
+        let n_cells = cells.len() as f64;
+        let correction = (n_cells > n_determined + 1.0).then(|| n_cells / (n_cells - n_determined))?;
+        // What the prior holds back of the field is error, too.
+        let held_back = prior.component_mul(&prior).component_mul(&field(|k| field_sds_mm[k].powi(2)));
+        Some(inverse * (scores * correction + Normal::from_diagonal(&held_back)) * inverse)
     }
 }
 
@@ -222,6 +250,16 @@ impl Fit {
 fn weight(residual_mm: f64, gate_mm: f64) -> f64 {
     let u = residual_mm / gate_mm;
     if u.abs() < 1.0 { (1.0 - u * u).powi(2) } else { 0.0 }
+}
+
+/// A row of the unknowns with these values for the field's waves.
+fn field(of: impl Fn(usize) -> f64) -> Row {
+    Row::from_fn(|k, _| if (6..N_BEFORE).contains(&k) { of(k - 6) } else { 0.0 })
+}
+
+/// What the priors of the field's waves say of them, in residuals.
+pub(super) fn prior(field_sds_mm: &[f64; N_FIELD], sigma_mm: f64) -> Row {
+    field(|k| N_TOGETHER * (sigma_mm / field_sds_mm[k]).powi(2))
 }
 
 /// Normal matrix and right-hand side; unknowns beyond the first `n` are held at zero.

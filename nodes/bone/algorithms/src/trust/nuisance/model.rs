@@ -2,14 +2,16 @@
 
 use super::cause::{Cause, Mode};
 use super::effect::{Effect, error_at};
-use super::fit::{self, Fit, Problem, twist};
+use super::field::N_FIELD;
+use super::fit::{self, Fit, N_BEFORE, Problem, twist};
 use super::params::NuisanceParams;
 use super::report::{Nuisance, NuisanceState, Nuisances};
 use super::words;
-use crate::trust::Limits;
+use crate::trust::RuleParams;
 use crate::trust::predict::{Deformation, Where};
 use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
 use osteoflow_verdict::Reason;
+use statrs::distribution::{ContinuousCDF, Normal};
 
 /// The causes that may be told from the pose, a step apart.
 const FITTED: [Cause; 8] = [
@@ -26,7 +28,7 @@ const FITTED: [Cause; 8] = [
 /// The causes that look like another pose.
 const UNFITTED: [Cause; 4] = [Cause::FilmAlong, Cause::FilmAround, Cause::Film, Cause::CameraDepth];
 
-/// Where the best explanation is harmless, another has to explain as much but for this share, and at least for this much.
+/// Explanations are as good as each other that differ by this share, and by this much at least.
 const HARDLY: f64 = 0.05;
 const SLACK: f64 = 5.0;
 
@@ -40,8 +42,8 @@ const AS_WELL: f64 = 0.75;
 /// a shaft a first look finds a half of it.
 const NEAR: f64 = 0.3;
 
-/// A size that may be larger by this many of its standard deviations matters: a chance of 7 % that it is, as of the predicted error.
-const BEYOND_SIGMAS: f64 = 1.48;
+/// A wave of the camera's field that is not fitted has this standard deviation, mm.
+const NONE_MM: f64 = 1e-6;
 
 /// Twice the logarithm of the odds against a fault: one in 400.
 const FAULT: f64 = 12.0;
@@ -69,6 +71,12 @@ impl Candidate {
         self.cause.size(&self.fit.values).abs()
     }
 
+    /// Probability that it displaces the targets beyond the limits.
+    fn beyond_limits(&self) -> f64 {
+        let critical = self.size() / self.effect.times;
+        Normal::new(self.size(), self.sd()).map_or(0.0, |size| size.sf(critical))
+    }
+
     /// Standard deviation of its size, from the data alone.
     fn sd(&self) -> f64 {
         self.covariance.diagonal().rows(0, self.cause.n_own()).mean().max(0.0).sqrt()
@@ -78,12 +86,12 @@ impl Candidate {
 /// A registration whose causes of error are judged.
 pub(super) struct Model<'a> {
     problem: Problem<'a>,
-    /// The fit of the pose alone, with the curvature of the camera's field.
+    /// The fit of pose and field alone.
     rigid: Fit,
     /// How much more the pose varies than with independent residuals.
     inflation: f64,
     place: &'a Where<'a>,
-    limits: &'a Limits,
+    rules: &'a RuleParams,
     params: &'a NuisanceParams,
 }
 
@@ -92,13 +100,12 @@ impl<'a> Model<'a> {
     pub(super) fn new(
         problem: Problem<'a>,
         place: &'a Where<'a>,
-        limits: &'a Limits,
+        rules: &'a RuleParams,
         params: &'a NuisanceParams,
     ) -> Option<Self> {
-        let background = [Mode::Curvature];
-        let rigid = problem.fit(&background, &[params.curvature_mm], fit::THOROUGH)?;
-        let covariance = problem.covariance(&rigid, &background)?;
-        let mut model = Self { problem, rigid, inflation: 1.0, place, limits, params };
+        let rigid = problem.fit(&[], &problem.field.sds_mm, fit::THOROUGH)?;
+        let covariance = problem.covariance(&rigid, &[], &problem.field.sds_mm)?;
+        let mut model = Self { problem, rigid, inflation: 1.0, place, rules, params };
         let (h, _, _) = model.blocks(&[]);
         let inverse = h.try_inverse()?;
         let inflation = (0..6).map(|k| covariance[(k, k)] / inverse[(k, k)]).sum::<f64>() / 6.0;
@@ -132,7 +139,7 @@ impl<'a> Model<'a> {
             match state {
                 NuisanceState::Bounded => bounded.extend(modes.iter().map(|mode| (*mode, prior))),
                 NuisanceState::Unseen => {
-                    let assumption = words::assumption(cause, critical, linear.worst, self.limits);
+                    let assumption = words::assumption(cause, critical, linear.worst, &self.rules.limits);
                     unseen.push((critical / prior, (cause.is_of_camera(), assumption)));
                 }
                 NuisanceState::Measured => {}
@@ -178,12 +185,16 @@ impl<'a> Model<'a> {
     /// The causes that are there and large enough to matter: the best explanation, and those that explain about as much.
     fn measured<'c>(&self, candidates: &'c [Candidate]) -> Vec<&'c Candidate> {
         let Some(best) = candidates.first() else { return Vec::new() };
-        let most = |c: &Candidate| c.effect.times * (1.0 + BEYOND_SIGMAS * c.sd() / c.size().max(f64::MIN_POSITIVE));
-        let matters = |c: &Candidate| most(c) >= 1.0 && c.size() >= self.params.least(c.cause);
+        let matters =
+            |c: &Candidate| c.beyond_limits() > self.rules.max_beyond_limits && c.size() >= self.params.least(c.cause);
         // Where the best explanation is harmless, another must be hardly worse.
         let least = if matters(best) { AS_WELL * best.gain } else { best.gain - (HARDLY * best.gain).max(SLACK) };
-        let is_measured =
-            |c: &&Candidate| c.gain > 0.0 && c.gain >= least && c.score >= self.params.min_score && matters(c);
+        // A shear is fitted beside a stretch: it is there where the stretch alone explains less.
+        let stretch = candidates.iter().find(|c| c.cause == Cause::Along);
+        let is_stretch = |c: &Candidate| c.cause == Cause::Shear && stretch.is_some_and(|s| s.gain + SLACK > c.gain);
+        let is_measured = |c: &&Candidate| {
+            c.gain > 0.0 && c.gain >= least && c.score >= self.params.min_score && matters(c) && !is_stretch(c)
+        };
         candidates.iter().filter(is_measured).collect()
     }
 
@@ -200,15 +211,16 @@ impl<'a> Model<'a> {
         let half_mm = self.problem.axes.half_mm;
         let every = (self.problem.points.len() / 500).max(1);
         let few: Vec<Point3<f64>> = self.problem.points.iter().step_by(every).copied().collect();
-        let problem = Problem { points: &few, ..self.problem };
+        let field = self.problem.field.thinned(every);
+        let problem = Problem { points: &few, field: &field, ..self.problem };
         let cap_mm = 3.0 * self.rigid.sigma_mm;
         let n = (half_mm / STEP_EVERY_MM).floor() as i32;
         let places =
             (-n..=n).map(|k| f64::from(k) * STEP_EVERY_MM).filter(|mm| mm.abs() < half_mm - 0.5 * STEP_EVERY_MM);
         let squares = |beyond_mm: f64| {
             let cause = Cause::Step { beyond_mm };
-            let (modes, priors) = self.with_background(cause);
-            Some((problem.fit(&modes, &priors, fit::LOOK)?.squares(cap_mm), cause))
+            let fit = problem.fit(&cause.modes(self.problem.axes), &self.field_sds_mm(cause), fit::LOOK)?;
+            Some((fit.squares(cap_mm), cause))
         };
         places.filter_map(squares).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, cause)| cause)
     }
@@ -217,9 +229,13 @@ impl<'a> Model<'a> {
     fn compare(&self, candidates: &mut [Candidate]) {
         let sigma_mm = candidates.iter().map(|c| c.fit.sigma_mm).fold(self.rigid.sigma_mm, f64::min);
         let cap_mm = 3.0 * sigma_mm;
-        let rigid_squares = self.rigid.squares(cap_mm);
+        let left = |fit: &Fit, sds_mm: &[f64; N_FIELD]| {
+            let field: f64 = fit.field_mm.iter().zip(sds_mm).map(|(mm, sd_mm)| (mm / sd_mm).powi(2)).sum();
+            fit.squares(cap_mm) / (sigma_mm * sigma_mm * self.inflation) + field
+        };
+        let rigid = left(&self.rigid, &self.problem.field.sds_mm);
         for candidate in candidates.iter_mut() {
-            let gained = (rigid_squares - candidate.fit.squares(cap_mm)) / (sigma_mm * sigma_mm * self.inflation);
+            let gained = rigid - left(&candidate.fit, &self.field_sds_mm(candidate.cause));
             candidate.gain = gained - self.penalty(candidate);
         }
         candidates.sort_by(|a, b| b.gain.total_cmp(&a.gain));
@@ -238,15 +254,13 @@ impl<'a> Model<'a> {
         of(candidate.cause, candidate.size()) + beside
     }
 
-    /// A cause's modes with those that are always fitted beside it, and the priors of the latter.
-    fn with_background(&self, cause: Cause) -> (Vec<Mode>, Vec<f64>) {
-        let mut modes = cause.modes(self.problem.axes);
-        // A bend towards the camera is as a curved field.
+    /// Priors of the camera's field beside a cause: a bend is its longest wave.
+    fn field_sds_mm(&self, cause: Cause) -> [f64; N_FIELD] {
+        let mut sds_mm = self.problem.field.sds_mm;
         if cause == Cause::Bend {
-            return (modes, Vec::new());
+            sds_mm[0] = NONE_MM;
         }
-        modes.push(Mode::Curvature);
-        (modes, vec![self.params.curvature_mm])
+        sds_mm
     }
 
     fn candidate(&self, cause: Cause, max_steps: usize) -> Option<Candidate> {
@@ -255,41 +269,44 @@ impl<'a> Model<'a> {
         if modes.is_empty() {
             return None;
         }
-        let (all, priors) = self.with_background(cause);
-        let mut fit = self.problem.fit(&all, &priors, max_steps)?;
+        let sds_mm = self.field_sds_mm(cause);
+        let fit = self.problem.fit(&modes, &sds_mm, max_steps)?;
         let k = modes.len();
-        let covariance = self.problem.covariance(&fit, &all)?;
-        fit.values.truncate(k);
-        let covariance = DMatrix::from_fn(k, k, |row, column| covariance[(6 + row, 6 + column)]);
+        let covariance = self.problem.covariance(&fit, &modes, &sds_mm)?;
+        let covariance = DMatrix::from_fn(k, k, |row, column| covariance[(N_BEFORE + row, N_BEFORE + column)]);
         let n_own = cause.n_own();
         let values = DVector::from_column_slice(&fit.values[..n_own]);
         let own = covariance.view((0, 0), (n_own, n_own)).into_owned();
         let score = own.cholesky().map_or(0.0, |c| values.dot(&c.solve(&values)).max(0.0).sqrt());
         let pose = twist(&fit.motion) - twist(&self.rigid.motion);
-        let effect = Effect::new(self.place, self.limits, &|p| error_at(axes, &pose, &modes, &fit.values, p));
+        let effect = Effect::new(self.place, &self.rules.limits, &|p| error_at(axes, &pose, &modes, &fit.values, p));
         Some(Candidate { cause, fit, covariance, score, effect, gain: 0.0 })
     }
 
-    /// Normal matrices at the rigid fit: of the pose, of pose and modes, of the modes.
+    /// Normal matrices at the rigid fit: of pose and field, of these and modes, of the modes.
     fn blocks(&self, modes: &[Mode]) -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
         let k = modes.len();
-        let mut h = DMatrix::zeros(6 + k, 6 + k);
-        for pair in self.rigid.pairs.iter().flatten() {
-            let rigid = self.problem.rigid_row(pair);
-            let responses = modes.iter().map(|mode| self.problem.response(pair, mode, &self.rigid.motion));
-            let row = DVector::from_iterator(6 + k, rigid.iter().copied().chain(responses));
-            h.ger(self.rigid.weight(pair), &row, &row, 1.0);
+        let (problem, rigid) = (&self.problem, &self.rigid);
+        let mut h = DMatrix::zeros(N_BEFORE + k, N_BEFORE + k);
+        for (index, pair) in rigid.pairs.iter().enumerate() {
+            let Some(pair) = pair else { continue };
+            let before = problem.row_before(index, pair, &rigid.motion);
+            let responses = modes.iter().map(|mode| problem.response(pair, mode, &rigid.motion));
+            let row = DVector::from_iterator(N_BEFORE + k, before.iter().copied().chain(responses));
+            h.ger(rigid.weight(pair), &row, &row, 1.0);
         }
+        let prior = fit::prior(&problem.field.sds_mm, rigid.sigma_mm);
+        (0..N_BEFORE).for_each(|k| h[(k, k)] += prior[k]);
         let part = |row, column, rows, columns| h.view((row, column), (rows, columns)).into_owned();
-        (part(0, 0, 6, 6), part(0, 6, 6, k), part(6, 6, k, k))
+        (part(0, 0, N_BEFORE, N_BEFORE), part(0, N_BEFORE, N_BEFORE, k), part(N_BEFORE, N_BEFORE, k, k))
     }
 
-    /// How the pose answers to modes at the rigid fit, and the information on them that the pose leaves.
+    /// How the registration's pose answers to modes, and the information on them that pose and field leave.
     fn schur(&self, modes: &[Mode]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
         let (h, cross, own) = self.blocks(modes);
-        let response = -h.cholesky()?.solve(&cross);
-        let information = (own + cross.transpose() * &response) / (self.rigid.sigma_mm.powi(2) * self.inflation);
-        Some((response, information))
+        let response = -h.view((0, 0), (6, 6)).into_owned().cholesky()?.solve(&cross.rows(0, 6).into_owned());
+        let left = own - cross.transpose() * h.cholesky()?.solve(&cross);
+        Some((response, left / (self.rigid.sigma_mm.powi(2) * self.inflation)))
     }
 
     /// What the data say of modes at the rigid fit, to first order.
@@ -300,9 +317,12 @@ impl<'a> Model<'a> {
             information.try_inverse().map_or(f64::INFINITY, |inverse| (inverse.trace() / k as f64).max(0.0).sqrt())
         };
         let at = |values: &Vec<f64>| {
-            let pose = &response * DVector::from_column_slice(values);
+            // A size that may be: a tilt is no multiple of an angle that is not small.
+            let values: Vec<f64> = values.iter().map(|value| value * prior).collect();
+            let pose = &response * DVector::from_column_slice(&values);
             let pose = Vector6::from_fn(|row, _| pose[row]);
-            Effect::new(self.place, self.limits, &|p| error_at(self.problem.axes, &pose, modes, values, p))
+            Effect::new(self.place, &self.rules.limits, &|p| error_at(self.problem.axes, &pose, modes, &values, p))
+                .scaled(1.0 / prior)
         };
         let worst = directions(k).iter().map(at).max_by(|a, b| a.times.total_cmp(&b.times)).unwrap_or_default();
         Linear { sd: sd(&information + DMatrix::identity(k, k) / (prior * prior)), data_sd: sd(information), worst }

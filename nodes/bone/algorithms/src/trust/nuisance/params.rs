@@ -33,22 +33,24 @@ pub struct NuisanceParams {
     /// Film on the bone, mm. 0.3: what remains after cleaning.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub film_mm: f64,
-    /// Displacement of a part of the bone across it, mm. 0.1: a bone in one piece.
+    /// Displacement of a part of the bone across it, mm. 0.02: a bone in one piece, as its bend.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub step_mm: f64,
     /// Scale of the camera and of its depth against the calibration, percent. 0.2: the drift of a structured-light camera that
     /// warms up.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub camera_percent: f64,
-    /// Scale of the camera from which it is told, percent. 1.5: less is a stretch of the CT as well, which moves the cuts less.
+    /// Scale of the camera from which it is told, percent. 1.3: simulated estimates scatter by 0.3 %, so that 2 % is told; less is a stretch of
+    /// the CT as well, which moves the cuts less.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_camera_percent: f64,
-    /// Bend from which it is told, mm. 0.3: less is the curvature of a camera's field.
+    /// Bend from which it is told, mm. 0.3: less is an error of the camera's depth.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_bend_mm: f64,
-    /// Curvature of the camera's depth over the scan, mm at its ends against its middle. 0.1: a calibrated structured-light camera.
+    /// Amplitude of the error of the camera's depth that is one wave over the scan, mm; a shorter wave has less in proportion to its
+    /// length. 0.1: a calibrated structured-light camera.
     #[schemars(range(min = 0.001, max = 100.0))]
-    pub curvature_mm: f64,
+    pub field_mm: f64,
 }
 
 impl Default for NuisanceParams {
@@ -61,11 +63,11 @@ impl Default for NuisanceParams {
             twist_deg: 0.1,
             offset_mm: 0.2,
             film_mm: 0.3,
-            step_mm: 0.1,
+            step_mm: 0.02,
             camera_percent: 0.2,
-            min_camera_percent: 1.5,
+            min_camera_percent: 1.3,
             min_bend_mm: 0.3,
-            curvature_mm: 0.1,
+            field_mm: 0.1,
         }
     }
 }

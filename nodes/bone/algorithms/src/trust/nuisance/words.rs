@@ -9,7 +9,9 @@ use osteoflow_verdict::{Answer, Reason};
 fn size(cause: Cause, values: &[f64], sd: Option<f64>) -> String {
     let (unit, by) = cause.unit();
     let value = by * cause.size(values);
-    let digits = if unit == "mm" { 2 } else { 1 };
+    let least = if unit == "mm" { 2 } else { 1 };
+    // As many digits as show the spread.
+    let digits = if sd.is_some_and(|sd| sd * 10_f64.powi(least) < 1.0) { least + 1 } else { least } as usize;
     let spread = sd.map(|sd| format!(" +- {sd:.digits$}")).unwrap_or_default();
     let amount = format!("{:.digits$}{spread} {unit}", value.abs());
     let sign = |positive: &'static str, negative: &'static str| if value > 0.0 { positive } else { negative };
