@@ -154,6 +154,49 @@ fn no_lost_patch_counts_as_a_spot_where_the_laser_is_off() {
 }
 
 #[test]
+fn a_spot_that_is_not_found_lies_on_a_side_that_turns_away_from_the_camera() {
+    const NAME: &str = "a_spot_that_is_not_found_lies_on_a_side_that_turns_away_from_the_camera";
+    // The camera measures nothing beyond 72 degrees, so less than half of the disc around a spot there is in any scan.
+    const AWAY_DEG: f64 = 70.0;
+    let mut tallies = [(0, 0, 0, Vec::new()), (0, 0, 0, Vec::new())];
+    for (name, subject) in subjects(NAME) {
+        // From the sides on which one landmark or the other is at the silhouette, and from between them.
+        for azimuth_deg in [20.0, 45.0, 70.0] {
+            let mut params = ProcedureParams::default();
+            params.camera.view_azimuth_deg = azimuth_deg;
+            for procedure in procedures(subject, &params).take(10) {
+                let (scan, spots, truth) = (cropped(&procedure), spots(&procedure), &procedure.truth);
+                let t_ct_camera = truth.t_world_ct_at_scan.isometry.inverse() * truth.t_world_camera_at_scan.isometry;
+                for ((_, detect), (n, turned, refused, facing)) in DETECTORS.iter().zip(&mut tallies) {
+                    for (k, cloud) in procedure.laser.iter().enumerate() {
+                        let normal = subject.surface.closest_point(&(t_ct_camera * spots[k].position)).unwrap().normal;
+                        let sight = t_ct_camera * spots[k].position.coords.normalize();
+                        let incidence_deg = (-sight.dot(&normal)).acos().to_degrees();
+                        *n += 1;
+                        *turned += usize::from(incidence_deg > AWAY_DEG);
+                        let Err(error) = detect(&scan, cloud, &HoleParams::default()) else { continue };
+                        *refused += 1;
+                        let message = error.to_string();
+                        let is_none = message.starts_with("no hole");
+                        assert_eq!(is_none, message.contains("on a side that faces the camera"), "{name}: {message}");
+                        if incidence_deg <= AWAY_DEG {
+                            let place = format!("{name} from {azimuth_deg} degrees, P{}", k + 1);
+                            facing.push(format!("{place}: seen at {incidence_deg:.0} degrees, {error}"));
+                        }
+                    }
+                }
+            }
+        }
+    }
+    for ((detector, _), (n, turned, refused, facing)) in DETECTORS.iter().zip(tallies) {
+        println!("{detector}: of {n} spots {turned} are seen at more than {AWAY_DEG} degrees, {refused} are not found");
+        // Beside a lost patch one is not told apart now and then.
+        assert!(100 * facing.len() <= n - turned, "{detector}: {}", facing.join("\n"));
+        assert!((1..turned).contains(&refused), "{detector}: {refused} of {turned} are not found");
+    }
+}
+
+#[test]
 fn nearly_every_spot_that_the_screen_shows_is_found_and_none_is_off() {
     const NAME: &str = "nearly_every_spot_that_the_screen_shows_is_found_and_none_is_off";
     type Change = fn(&mut ProcedureParams);

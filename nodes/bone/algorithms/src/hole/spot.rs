@@ -231,7 +231,7 @@ fn not_found(scene: &Scene, missing: &Missing, best: Option<&Candidate>, params:
     };
     Refusal::of(format!(
         "no hole of {} mm radius: {} reference points have no counterpart in the laser scan, and {best}; is the laser on, and its \
-         spot inside the region of interest?",
+         spot inside the region of interest, on a side that faces the camera?",
         params.spot_radius_mm,
         missing.indices.len()
     ))
