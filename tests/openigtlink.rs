@@ -14,20 +14,6 @@ use std::{
 const LIVE: &str = "graphs/variants/fibula_live_openigtlink.toml";
 const RECORDED: &str = "graphs/fibula_recorded.toml";
 
-/// White noise without outliers: as the recording that ships has it, and trusted whatever the verdict says of correlated errors.
-const WHITE: [&str; 10] = [
-    "--set",
-    "camera.surface_error_mm=0.0",
-    "--set",
-    "camera.edge_outliers=0.0",
-    "--set",
-    "tracker.noise_lag1=0.0",
-    "--set",
-    "tracker.step_mm=0.0",
-    "--set",
-    "tracker.repeats=0.0",
-];
-
 /// A simulated rig at a free port; ended when dropped.
 struct Rig {
     process: Child,
@@ -85,7 +71,7 @@ fn the_whole_method_over_openigtlink_gives_the_results_of_the_same_procedure_fro
         &["--no-record", "--set", r#"remove=["node.verdict.in.measured", "node.verdict.in.followed"]"#],
     );
     for (workers, scans) in [("1", "polydata"), ("8", "point")] {
-        let rig = Rig::start(&[&["--points", "10000", "--rate", "1e6", "--scans", scans], &WHITE[..]].concat());
+        let rig = Rig::start(&["--points", "10000", "--rate", "1e6", "--scans", scans]);
         let address = format!("recording.address={}", rig.address);
         let navigation = format!("navigation.address={}", free_address());
         let arguments = ["--no-record", "--workers", workers, "--set", &address, "--set", &navigation];
@@ -126,7 +112,7 @@ fn receive(address: SocketAddr) -> Vec<Message> {
 
 #[test]
 fn a_receiver_gets_registration_and_planes_of_the_results_while_they_are_trusted() {
-    let rig = Rig::start(&[&["--points", "10000", "--rate", "10"], &WHITE[..]].concat());
+    let rig = Rig::start(&["--points", "10000", "--rate", "10"]);
     let navigation = free_address();
     let receiver = thread::spawn(move || receive(navigation));
     let [address, navigation] = [("recording", rig.address.clone()), ("navigation", navigation.to_string())]

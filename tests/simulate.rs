@@ -1,6 +1,7 @@
 //! The built-in procedure as files for other programs, and as the data that the shipped graphs use.
 
 use crate::common::{json, osteoflow, root, run_whole};
+use osteoflow_formats::mesh_or_cloud::read_cloud;
 use serde_json::Value;
 use std::{fs, path::Path};
 
@@ -95,6 +96,13 @@ fn the_data_that_ships_is_what_its_command_makes() {
         for dir in [&*kept, fresh.path()] {
             let hash = osteoflow_formats::input::sha256(&dir.join("bone.stl")).unwrap();
             assert_eq!(json(&dir.join("plan.json"))["surface"]["sha256"], hash.as_str(), "{folder}: bound to its bone");
+        }
+        if folder == "folder" {
+            let [kept, fresh] =
+                [&*kept, fresh.path()].map(|dir| read_cloud(&dir.join("scan.ply"), 1.0, "camera").unwrap().cloud);
+            assert_eq!(kept.len(), fresh.len(), "points of {folder}/scan.ply");
+            let apart = kept.points().iter().zip(fresh.points()).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            assert!(apart < 1e-6, "{folder}/scan.ply is {apart} mm off what its command gives");
         }
         let [size, fresh_size] = [&*kept, fresh.path()].map(|dir| fs::metadata(dir.join("bone.stl")).unwrap().len());
         assert_eq!(size, fresh_size, "{folder}/bone.stl has another number of faces");
