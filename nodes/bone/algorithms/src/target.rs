@@ -3,7 +3,7 @@
 mod near_map;
 
 pub use crate::point_grid::GridColumns;
-pub(crate) use near_map::NearMap;
+pub(crate) use near_map::{NearMap, Sample};
 
 use crate::Refusal;
 use crate::kabsch::centroid;
@@ -200,7 +200,17 @@ pub(crate) struct Subset {
 impl Index {
     pub(crate) fn new(points: &Column<Point3<f64>>) -> Self {
         let (cell_mm, cells, normals, thinned, tree, near_map) = Default::default();
-        Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thinned, tree, near_map }
+        Self {
+            centre: centroid(points),
+            points: points.clone(),
+            cell_mm,
+            cells,
+            normals,
+            thinned,
+            tree,
+            near_map,
+            side,
+        }
     }
 
     pub(crate) fn len(&self) -> usize {

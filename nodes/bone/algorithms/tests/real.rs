@@ -272,7 +272,7 @@ fn ranges() -> Vec<Outcome> {
     for (name, placed) in &scans {
         let pair = Pair { name: &format!("{name} on model"), target: &model, placed, is_hip: false };
         for seed in seeds(5) {
-            all.push(pair.registered(NEAR, seed));
+            all.extend([Start::Shape, NEAR].map(|start| pair.registered(start, seed)));
             all.push(pair.mirrored(NEAR, seed));
         }
     }
@@ -282,7 +282,9 @@ fn ranges() -> Vec<Outcome> {
         let target = Target::new("ct", SurfaceOrigin::User, on.clone(), Some(normals.into())).unwrap();
         let name = format!("{name} on {other}");
         let pair = Pair { name: &name, target: &target, placed, is_hip: false };
-        all.extend(seeds(3).map(|seed| pair.registered(NEAR, seed)));
+        for seed in seeds(3) {
+            all.extend([Start::Shape, NEAR].map(|start| pair.registered(start, seed)));
+        }
     }
     all
 }

@@ -4,6 +4,7 @@
 mod answers;
 mod bones;
 mod common;
+mod compact;
 mod gross;
 mod one_target;
 mod real;

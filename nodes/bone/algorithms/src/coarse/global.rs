@@ -1,5 +1,6 @@
 //! Registration by shape alone.
 
+mod anywhere;
 mod axis;
 mod descent;
 
@@ -7,7 +8,10 @@ pub(crate) use descent::{Placed, Points, descended, distinct, motion, thinned};
 
 use crate::Refusal;
 use crate::icp::{self, IcpParams, Method, Source};
-use crate::target::Target;
+use crate::kabsch::centroid;
+use crate::sensor_noise::sensor_noise_mm;
+use crate::target::{NearMap, Target};
+use anywhere::{Shape, anywhere};
 use axis::{Scan, stations};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
@@ -15,6 +19,9 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
+
+/// Minimum number of points that tell the shape of a scan.
+const MIN_POINTS: usize = 200;
 
 /// Number of scan points by which every start is scored, by which the better ones are refined on the map, and by which the
 /// best are registered.
@@ -25,23 +32,29 @@ const N_REGISTERED: usize = 1000;
 /// Number of scan points by which the ends are compared.
 const N_COMPARED: usize = 2500;
 
-/// Maximum distance counted for a point while starts are scored, mm: about half the distance between neighbouring starts.
-const START_REACH_MM: f64 = 6.0;
-
-/// Maximum distance of a pair in the last steps, and counted for a point at the end, mm: soft tissue must not decide.
-/// The same on the way, mm.
-const MID_REACH_MM: f64 = 3.5;
-
 /// As many times the starts that are refined are first looked at more closely with few points.
 const MORE: usize = 5;
 
-const END_REACH_MM: f64 = 2.0;
+/// A scan is looked for along the bone alone if it is at least this many times as long as wide...
+const SHAFT: f64 = 2.5;
 
-/// Minimum RMS distance between the points of two distinct registrations, mm.
-const APART_MM: f64 = 4.0;
+/// ...its best place leaves less than this share of the reach...
+const MISFIT: f64 = 0.25;
 
-/// Starts that come to lie closer together than this on the map are one, mm.
-const SAME_MM: f64 = 1.5;
+/// ...and is clear, or leaves less than this many times the sensor's noise, so that no other place fits much better.
+const MISFIT_SIGMAS: f64 = 4.0;
+
+/// The reach at the end is at least this many standard deviations of what the best place leaves, by its better quarter.
+const REACH_SIGMAS: f64 = 3.0;
+
+/// A quarter of a Gaussian's absolute values are below this many standard deviations.
+const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
+
+/// As many times the reach at most.
+const MAX_REACH: f64 = 4.0;
+
+/// Rivals of a place anywhere on a surface are also looked for at this distance from each other, as a share of the scan's radius.
+const FAR: f64 = 0.4;
 
 /// Clearness below which an answer may be wrong. 0.3: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
 pub const CLEAR: f64 = 0.3;
@@ -91,7 +104,8 @@ pub struct GlobalReport {
     pub n_tried: usize,
     /// Number of starts refined.
     pub n_refined: usize,
-    /// RMS distance of the scan from the surface, with distances limited to 2 mm, mm.
+    /// RMS distance of the scan from the surface, mm, with distances limited to 2 mm; to more for a noisy scan, up to 8 mm, and to less for
+    /// one smaller than a fingertip.
     pub score_mm: f64,
     /// The scan's centroid there, in the target's frame, mm.
     #[serde(default)]
@@ -100,6 +114,9 @@ pub struct GlobalReport {
     pub runner_up: Option<RunnerUp>,
     /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up.
     pub clearness: f64,
+    /// Where the scan was looked for; null in reports of older versions.
+    #[serde(default)]
+    pub searched: Option<Searched>,
 }
 
 /// The best distinct registration.
@@ -116,79 +133,272 @@ pub struct RunnerUp {
     pub turn_rad: f64,
 }
 
-/// Registers a scan of a long bone to its surface by shape alone.
+/// Distances for a scan of some size, mm.
+#[derive(Clone, Copy)]
+struct Reach {
+    /// Maximum distance counted for a point while starts along a bone are scored: about half the distance between neighbouring
+    /// ones.
+    start: f64,
+    /// On the way.
+    mid: f64,
+    /// Maximum distance of a pair in the last steps, and counted for a point at the end: soft tissue must not decide.
+    end: f64,
+    /// Starts that come to lie closer together than this on the map are one.
+    same: f64,
+    /// Minimum RMS distance between the points of two distinct registrations.
+    apart: f64,
+}
+
+impl Reach {
+    /// In mm for scans of more than a finger's width, else in shares of the scan.
+    fn new(radius_mm: f64) -> Self {
+        let unit = (radius_mm / 10.0).min(1.0);
+        Self { start: 6.0 * unit, mid: 3.5 * unit, end: 2.0 * unit, same: 1.5 * unit, apart: 4.0 * unit }
+    }
+}
+
+/// Where a scan is looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Searched {
+    /// Along a bone, turned about its axis.
+    Along,
+    /// In any orientation, anywhere on the surface.
+    Anywhere,
+    /// Both.
+    Both,
+}
+
+/// A scan in the numbers of points that the steps take.
+struct Search<'a> {
+    target: &'a Target,
+    map: &'a NearMap,
+    params: &'a GlobalParams,
+    middle: Point3<f64>,
+    camera: Option<Point3<f64>>,
+    reach: Reach,
+    few: Points,
+    some: Points,
+    registered: Vec<Point3<f64>>,
+    compared: Vec<Point3<f64>>,
+}
+
+impl<'a> Search<'a> {
+    fn new(target: &'a Target, source: &Cloud, params: &'a GlobalParams) -> Self {
+        let points = source.points();
+        let middle = centroid(points);
+        let camera = source.viewpoint.map(|t| t * Point3::origin());
+        let squares = points.iter().map(|p| (p - middle).norm_squared()).sum::<f64>();
+        let radius_mm = (squares / points.len() as f64).sqrt();
+        Self {
+            target,
+            map: target.index().near_map(target),
+            params,
+            middle,
+            camera,
+            reach: Reach::new(radius_mm),
+            few: Points::thinned(points, N_SCORED, &middle, camera),
+            some: Points::thinned(points, N_MAPPED, &middle, camera),
+            registered: thinned(points, N_REGISTERED),
+            compared: thinned(points, N_COMPARED),
+        }
+    }
+
+    /// The starts after some steps on the map, the best `n` that are apart.
+    fn better(
+        &self,
+        starts: &[Placed],
+        points: &Points,
+        reach_mm: f64,
+        n_steps: usize,
+        apart_mm: f64,
+        n: usize,
+    ) -> Vec<Placed> {
+        // Four points of the scan's extent tell poses apart.
+        distinct(descended(self.map, points, starts, reach_mm, n_steps), &self.few, 4, apart_mm, n)
+    }
+
+    /// Registrations from the best starts along the bone, and the number of all.
+    fn along(&self, scan: &Scan) -> (Vec<End>, usize) {
+        let (params, reach) = (self.params, &self.reach);
+        let stations = stations(self.map, scan.half_length_mm, params.slide_mm);
+        let starts: Vec<Placed> = stations
+            .iter()
+            .flat_map(|station| (0..2 * params.n_turns).map(|turn| station.place(scan, turn, params.n_turns)))
+            .collect();
+        let near = self.better(&starts, &self.few, reach.start, 3, reach.same, MORE * params.n_refined);
+        let near = self.better(&near, &self.few, reach.mid, 8, reach.same, params.n_refined);
+        let near = self.better(&near, &self.some, reach.end, 8, reach.apart, params.n_registered);
+        (self.ends(&near), starts.len())
+    }
+
+    /// Registrations from the best starts anywhere, and the number of all.
+    fn anywhere(&self, source: &Cloud) -> (Vec<End>, usize) {
+        let shape = Shape::new(source.points(), &self.middle, self.camera);
+        let (starts, n_tried) = anywhere(self.target, &shape);
+        let ends = descended(self.map, &self.few, &starts, self.reach.mid, 8);
+        // Rivals are looked for far away, too, as near ones may all come to lie in one place.
+        let n_far = self.params.n_refined / 2;
+        let far_mm = FAR * shape.radius_mm;
+        let far_mm = far_mm.max(self.reach.apart);
+        let mut near = distinct(ends.clone(), &self.few, 4, self.reach.same, self.params.n_refined - n_far);
+        near.extend(distinct(ends, &self.few, 4, far_mm, n_far));
+        let ends = descended(self.map, &self.some, &near, self.reach.end, 8);
+        let n_far = self.params.n_registered.div_ceil(2);
+        let mut near = distinct(ends.clone(), &self.few, 4, far_mm, n_far);
+        for one in distinct(ends, &self.few, 4, self.reach.apart, self.params.n_registered) {
+            if !near.contains(&one) {
+                near.push(one);
+            }
+        }
+        (self.ends(&near), n_tried)
+    }
+
+    /// Registrations from poses on the map.
+    fn ends(&self, near: &[Placed]) -> Vec<End> {
+        let reach_mm = self.reach.end;
+        let one = |placed: &Placed| {
+            let start = motion(self.map, &self.middle, placed);
+            let pose = refined(self.target, &self.registered, &start, self.camera, reach_mm)?;
+            Some(End { score_mm: score(self.target, &self.compared, &pose, reach_mm), pose })
+        };
+        near.par_iter().filter_map(one).collect()
+    }
+
+    /// Sorts the ends by their scores, best first, with the reach that the best of them asks for.
+    fn sort(&self, ends: &mut [End]) {
+        ends.sort_by(|a, b| a.score_mm.total_cmp(&b.score_mm));
+        let Some(best) = ends.first() else { return };
+        let mut distances: Vec<f64> =
+            self.compared.iter().map(|p| distance_mm(self.target, p, &best.pose, MAX_REACH * self.reach.end)).collect();
+        let quarter = distances.len() / 4;
+        let sigma_mm = *distances.select_nth_unstable_by(quarter, f64::total_cmp).1 / QUARTER_SIGMAS;
+        let reach_mm = (REACH_SIGMAS * sigma_mm).min(MAX_REACH * self.reach.end);
+        if reach_mm > self.reach.end {
+            ends.par_iter_mut().for_each(|end| end.score_mm = score(self.target, &self.compared, &end.pose, reach_mm));
+            ends.sort_by(|a, b| a.score_mm.total_cmp(&b.score_mm));
+        }
+    }
+
+    /// Whether the best of the sorted ends fits so well that no other search would find a better one.
+    fn is_placed(&self, ends: &[End], source: &Cloud) -> bool {
+        let Some(best) = ends.first().filter(|best| best.score_mm < MISFIT * self.reach.end) else { return false };
+        let rival = self.rival(ends);
+        rival.is_none_or(|rival| best.clearness(rival) >= CLEAR)
+            || sensor_noise_mm(source.points()).is_some_and(|noise_mm| best.score_mm < MISFIT_SIGMAS * noise_mm)
+    }
+
+    /// The best of the sorted ends that is another place than the first.
+    fn rival<'b>(&self, ends: &'b [End]) -> Option<&'b End> {
+        let (best, others) = ends.split_first()?;
+        others.iter().find(|end| self.apart_mm(&end.pose, &best.pose) > self.reach.apart)
+    }
+
+    fn apart_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
+        let squares: f64 = self.registered.iter().map(|p| (a * p - b * p).norm_squared()).sum();
+        (squares / self.registered.len() as f64).sqrt()
+    }
+}
+
+/// A registration from a start, and its score.
+struct End {
+    score_mm: f64,
+    pose: Isometry3<f64>,
+}
+
+impl End {
+    /// Margin over a rival; see [`GlobalReport`].
+    fn clearness(&self, rival: &Self) -> f64 {
+        1.0 - self.score_mm / rival.score_mm.max(f64::MIN_POSITIVE)
+    }
+}
+
+/// Registers a scan to a surface by shape alone.
 ///
-/// The scan's long axis is laid along the bone's centre line both ways, in steps along it and in turns about it. Starts
-/// that score better than their neighbours are refined, and the best refined one is the answer. The side from which the
+/// The long axis of a scan that is 1.5 times as long as wide is laid along the bone's centre line both ways, in steps along it and in
+/// turns about it. A scan that is not, and one that fits badly so, is laid in any orientation anywhere on the surface: points of it
+/// onto samples of the surface with their normals, in turns about these. Starts that score better than their neighbours are refined, and the
+/// best refined one of both searches is the answer, by one score. The side from which a long
 /// scan was seen (its viewpoint, else the way it bulges) is turned outward. A shaft is nearly a cylinder, so the answer
 /// may be wrong along or about it although it fits well; the report gives the score of the runner-up. The result does
 /// not depend on the number of threads.
 ///
 /// # Errors
-/// [`Refusal`] if the scan is too small or as wide as long, or nothing fits anywhere.
+/// [`Refusal`] if the scan is too small, or nothing fits anywhere.
 ///
 /// # Source
-/// Multi-start ICP, as Besl and McKay 1992, section IV-B, with starts along the principal axes.
+/// Multi-start ICP, as Besl and McKay 1992, section IV-B, with starts along the principal axes. Oriented points as bases: Drost
+/// et al. 2010; theirs vote for pairs of points, ours are scored by the distance of the others from the surface.
 pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<GlobalFit, Refusal> {
-    let scan = Scan::new(source, target.points())?;
-    let map = target.index().near_map(target);
-    let stations = stations(map, scan.half_length_mm, params.slide_mm);
-    let starts: Vec<Placed> = stations
-        .iter()
-        .flat_map(|station| (0..2 * params.n_turns).map(|turn| station.place(&scan, turn, params.n_turns)))
-        .collect();
-    let few = scan.thinned(source.points(), N_SCORED);
-    let some = scan.thinned(source.points(), N_MAPPED);
-    // Four points of the scan's extent tell poses apart.
-    let better = |starts: &[Placed], points: &Points, reach_mm: f64, n_steps: usize, apart_mm: f64, n: usize| {
-        distinct(descended(map, points, starts, reach_mm, n_steps), &few, 4, apart_mm, n)
+    global_by(target, source, params, None)
+}
+
+/// [`global()`], by the searches that are named if any are.
+pub(crate) fn global_by(
+    target: &Target,
+    source: &Cloud,
+    params: &GlobalParams,
+    searched: Option<Searched>,
+) -> Result<GlobalFit, Refusal> {
+    let n = source.points().len();
+    if n < MIN_POINTS {
+        return Err(Refusal::of(format!(
+            "the scan has {n} points, {MIN_POINTS} are needed to tell its shape; is the region of interest around the bone?"
+        )));
+    }
+    let search = Search::new(target, source, params);
+    let long = Scan::new(source).filter(|_| searched != Some(Searched::Anywhere));
+    let (mut ends, mut n_tried) = long.as_ref().map_or_else(Default::default, |scan| search.along(scan));
+    let is_along = match searched {
+        Some(searched) => searched == Searched::Along && long.is_some(),
+        None => {
+            search.sort(&mut ends);
+            long.as_ref().is_some_and(|scan| scan.elongation >= SHAFT) && search.is_placed(&ends, source)
+        }
     };
-    let near = better(&starts, &few, START_REACH_MM, 3, SAME_MM, MORE * params.n_refined);
-    let near = better(&near, &few, MID_REACH_MM, 8, SAME_MM, params.n_refined);
-    let near = better(&near, &some, END_REACH_MM, 8, APART_MM, params.n_registered);
-    let (registered, compared) = (thinned(source.points(), N_REGISTERED), thinned(source.points(), N_COMPARED));
-    let mut ends: Vec<(f64, Isometry3<f64>)> = near
-        .par_iter()
-        .filter_map(|placed| {
-            let start = motion(map, &scan.middle, placed);
-            let end = refined(target, &registered, &start, scan.camera)?;
-            Some((score(target, &compared, &end, END_REACH_MM), end))
-        })
-        .collect();
-    ends.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let Some(&(score_mm, t_target_source)) = ends.first() else {
-        let n_tried = starts.len();
+    if !is_along {
+        let (more, n_more) = search.anywhere(source);
+        ends.extend(more);
+        n_tried += n_more;
+    }
+    let searched = match (long.is_some(), is_along) {
+        (_, true) => Searched::Along,
+        (true, false) => Searched::Both,
+        (false, false) => Searched::Anywhere,
+    };
+    search.sort(&mut ends);
+    let Some(best @ &End { score_mm, pose }) = ends.first() else {
         return Err(Refusal::of(format!(
             "none of {n_tried} starts came to lie on the surface; are scan and surface of the same bone, both in mm? If \
              surroundings are in the scan, {CROP}"
         )));
     };
-    let apart = |other: &Isometry3<f64>| {
-        let squares: f64 = registered.iter().map(|p| (other * p - t_target_source * p).norm_squared()).sum();
-        (squares / registered.len() as f64).sqrt()
-    };
-    let runner_up = ends.iter().find(|(_, end)| apart(end) > APART_MM).map(|(score_mm, end)| RunnerUp {
-        score_mm: *score_mm,
-        middle_mm: (end * scan.middle).into(),
-        shift_mm: (end * scan.middle - t_target_source * scan.middle).norm(),
-        turn_rad: (end.rotation * t_target_source.rotation.inverse()).angle(),
+    let middle = search.middle;
+    let rival = search.rival(&ends);
+    let clearness = rival.map_or(1.0, |rival| best.clearness(rival));
+    let runner_up = rival.map(|end| RunnerUp {
+        score_mm: end.score_mm,
+        middle_mm: (end.pose * middle).into(),
+        shift_mm: (end.pose * middle - pose * middle).norm(),
+        turn_rad: (end.pose.rotation * pose.rotation.inverse()).angle(),
     });
-    let clearness = runner_up.as_ref().map_or(1.0, |other| 1.0 - score_mm / other.score_mm.max(f64::MIN_POSITIVE));
-    let middle_mm = (t_target_source * scan.middle).into();
-    let (n_tried, n_refined) = (starts.len(), ends.len());
-    let report = GlobalReport { n_tried, n_refined, score_mm, middle_mm, runner_up, clearness };
-    Ok(GlobalFit { t_target_source, report })
+    let (middle_mm, n_refined) = ((pose * middle).into(), ends.len());
+    let report =
+        GlobalReport { n_tried, n_refined, score_mm, middle_mm, runner_up, clearness, searched: Some(searched) };
+    Ok(GlobalFit { t_target_source: pose, report })
 }
 
 /// RMS distance of the moved points from the surface, with distances limited to `reach_mm`.
 fn score(target: &Target, points: &[Point3<f64>], t_target_source: &Isometry3<f64>, reach_mm: f64) -> f64 {
-    let square = |p: &Point3<f64>| {
-        let moved = t_target_source * p;
-        let Some((index, distance)) = target.nearest(&moved, reach_mm) else { return reach_mm * reach_mm };
-        let along = target.normals().map(|normals| (moved - target.points()[index]).dot(&normals[index]));
-        along.unwrap_or(distance).powi(2)
-    };
-    (points.iter().map(square).sum::<f64>() / points.len().max(1) as f64).sqrt()
+    let squares = points.iter().map(|p| distance_mm(target, p, t_target_source, reach_mm).powi(2));
+    (squares.sum::<f64>() / points.len().max(1) as f64).sqrt()
+}
+
+/// Distance of a moved point from the surface, along the normal if it is known, up to `reach_mm`.
+fn distance_mm(target: &Target, point: &Point3<f64>, t_target_source: &Isometry3<f64>, reach_mm: f64) -> f64 {
+    let moved = t_target_source * point;
+    let Some((index, distance)) = target.nearest(&moved, reach_mm) else { return reach_mm };
+    target.normals().map_or(distance, |normals| (moved - target.points()[index]).dot(&normals[index]).abs())
 }
 
 /// A registration from a start; `None` if there are too few pairs.
@@ -197,10 +407,11 @@ fn refined(
     points: &[Point3<f64>],
     start: &Isometry3<f64>,
     camera: Option<Point3<f64>>,
+    reach_mm: f64,
 ) -> Option<Isometry3<f64>> {
     let method = if target.normals().is_some() { Method::PointToPlane } else { Method::PointToPoint };
     let params = IcpParams {
-        max_pair_distance_mm: END_REACH_MM,
+        max_pair_distance_mm: reach_mm,
         levels: Vec::new(),
         max_iterations: 40,
         stop_step_mm: 0.01,

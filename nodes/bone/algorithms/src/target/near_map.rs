@@ -1,13 +1,16 @@
 //! Nearest samples of a surface by a map of voxels: approximate, in a few nanoseconds.
 
 use super::Target;
+use crate::kabsch::centroid;
 use nalgebra::{Point3, Vector3};
 
-/// Edge of a voxel, mm: within a third of a bone's radius the nearest samples of its points differ little.
+/// Maximum edge of a voxel, mm: within a third of a bone's radius the nearest samples of its points differ little. Surfaces of less
+/// than 100 mm have as many along their longest side.
 const VOXEL_MM: f64 = 2.0;
+const N_ALONG: f64 = 50.0;
 
-/// Margin around the surface, mm: starts lie within it.
-const MARGIN_MM: f64 = 8.0;
+/// Margin around the surface, voxels: starts lie within it.
+const MARGIN: f64 = 4.0;
 
 /// About as many samples are mapped: a fibula has one in a millimetre.
 const N_MAPPED: usize = 20_000;
@@ -35,28 +38,39 @@ pub(crate) struct Sample {
     pub(crate) normal: Vector3<f64>,
 }
 
-/// Edge of the voxels over this extent, mm.
-fn voxel_mm(extent: &Vector3<f64>) -> f64 {
-    VOXEL_MM.max((extent.product() / MAX_VOXELS).cbrt())
+fn bounds(samples: &[Sample]) -> (Vector3<f64>, Vector3<f64>) {
+    let first = samples[0].point;
+    samples.iter().fold((first, first), |(a, b), s| (a.inf(&s.point), b.sup(&s.point)))
 }
 
 impl NearMap {
     pub(crate) fn new(target: &Target) -> Self {
-        let centre = target.index().centre;
-        let every = target.points().len().div_ceil(N_MAPPED).max(1);
-        let samples: Vec<Sample> = (0..target.points().len())
+        let samples = Self::samples_of(target, N_MAPPED);
+        let (min, max) = bounds(&samples);
+        let voxel_mm = VOXEL_MM.min((max - min).max() / N_ALONG).max(f64::MIN_POSITIVE);
+        Self::of(samples, centroid(target.points()), voxel_mm, MARGIN * voxel_mm)
+    }
+
+    /// About `n` samples of the target, evenly through their order.
+    pub(crate) fn samples_of(target: &Target, n: usize) -> Vec<Sample> {
+        let centre = centroid(target.points());
+        let every = target.points().len().div_ceil(n).max(1);
+        (0..target.points().len())
             .step_by(every)
             .map(|i| Sample {
                 point: target.points()[i] - centre,
                 normal: target.normals().map_or_else(Vector3::zeros, |normals| normals[i]),
             })
-            .collect();
-        let first = samples[0].point;
-        let (min, max) = samples.iter().fold((first, first), |(a, b), s| (a.inf(&s.point), b.sup(&s.point)));
-        let extent = (max - min).add_scalar(2.0 * MARGIN_MM);
-        let voxel_mm = voxel_mm(&extent);
+            .collect()
+    }
+
+    /// The map of these samples, which are about `centre`, with voxels of at least `voxel_mm`.
+    pub(crate) fn of(samples: Vec<Sample>, centre: Point3<f64>, voxel_mm: f64, margin_mm: f64) -> Self {
+        let (min, max) = bounds(&samples);
+        let extent = (max - min).add_scalar(2.0 * margin_mm);
+        let voxel_mm = voxel_mm.max((extent.product() / MAX_VOXELS).cbrt());
         let size: [usize; 3] = std::array::from_fn(|k| (extent[k] / voxel_mm).ceil() as usize + 1);
-        let origin = min.add_scalar(-MARGIN_MM);
+        let origin = min.add_scalar(-margin_mm);
         let mut map = Self { origin, centre, voxel_mm, size, nearest: vec![NONE; size.iter().product()], samples };
         map.spread();
         map
@@ -134,6 +148,16 @@ impl NearMap {
         self.samples.get(self.nearest[self.voxel(point)?] as usize)
     }
 
+    /// The corner of the first voxel, about the centre, the edge of a voxel, mm, and their numbers.
+    pub(crate) fn grid(&self) -> (Vector3<f64>, f64, [usize; 3]) {
+        (self.origin, self.voxel_mm, self.size)
+    }
+
+    /// Distance of a voxel's middle from its sample, mm.
+    pub(crate) fn distance_mm(&self, voxel: usize) -> f64 {
+        self.samples.get(self.nearest[voxel] as usize).map_or(f64::INFINITY, |s| (s.point - self.middle(voxel)).norm())
+    }
+
     /// The centre that all positions are about.
     pub(crate) fn centre(&self) -> &Point3<f64> {
         &self.centre
@@ -156,13 +180,14 @@ mod tests {
 
     #[test]
     fn each_voxel_has_a_sample_nearly_as_near_to_its_middle_as_the_nearest() {
-        let points: Vec<Point3<f64>> = (0..900_u32)
+        let samples: Vec<Sample> = (0..900_u32)
             .map(|k| {
                 let (turn, z) = (f64::from(k) * 2.4, f64::from(k) * 0.05);
-                Point3::new(6.0 * turn.cos() + 100.0, 9.0 * turn.sin(), z)
+                let point = Vector3::new(6.0 * turn.cos() + 100.0, 9.0 * turn.sin(), z);
+                Sample { point, normal: Vector3::zeros() }
             })
             .collect();
-        let map = map(points, None);
+        let map = NearMap::of(samples, Point3::origin(), 2.0, 8.0);
         // 8 mm more on each side, in voxels of 2 mm, and one more.
         assert_eq!((map.size, map.voxel_mm), ([15, 18, 32], 2.0));
         let (mut worst, mut n_exact) = (0.0_f64, 0);
@@ -192,7 +217,8 @@ mod tests {
 
     #[test]
     fn the_neighbours_of_a_voxel_are_those_across_its_six_faces() {
-        let map = map(vec![Point3::origin(), Point3::new(4.0, 0.0, 8.0)], None);
+        let at = |x: f64, z: f64| Sample { point: Vector3::new(x, 0.0, z), normal: Vector3::zeros() };
+        let map = NearMap::of(vec![at(0.0, 0.0), at(4.0, 8.0)], Point3::origin(), 2.0, 8.0);
         let [nx, ny, nz] = map.size;
         assert_eq!([nx, ny, nz], [11, 9, 13]);
         let at = |x: usize, y: usize, z: usize| (x * ny + y) * nz + z;
@@ -216,7 +242,11 @@ mod tests {
         assert_eq!(third.normal, Vector3::new(3.0, 0.0, 1.0));
         assert!((third.point + map.centre().coords - points[3].coords).norm() < 1e-9);
         // 200 by 200 by 400 mm are two million voxels of 2 mm; eight times the volume makes them twice as wide.
-        assert_eq!(voxel_mm(&Vector3::new(30.0, 30.0, 400.0)), 2.0);
-        assert!((voxel_mm(&Vector3::new(400.0, 400.0, 800.0)) - 4.0).abs() < 1e-9);
+        let edge = |x: f64, y: f64, z: f64| {
+            let corners = [Point3::origin(), Point3::new(x - 16.0, y - 16.0, z - 16.0)];
+            self::map(corners.to_vec(), None).grid().1
+        };
+        assert_eq!((edge(30.0, 30.0, 400.0), edge(66.0, 20.0, 30.0)), (2.0, 1.0));
+        assert!((edge(400.0, 400.0, 800.0) - 4.0).abs() < 1e-9);
     }
 }

@@ -1,8 +1,10 @@
 //! What an independent registration says: by shape alone, and of the scan's mirror image.
 
 use super::evidence::{N_EXAMINED, Registered};
-use crate::coarse::{self, GlobalParams, thinned};
+use crate::coarse::{self, GlobalParams, Searched, thinned};
+
 use crate::icp::{self, IcpParams, Method, Source};
+use crate::kabsch::centroid;
 use nalgebra::{Isometry3, Point3, Translation3};
 use osteoflow_geometry::Cloud;
 use rayon::prelude::*;
@@ -148,16 +150,33 @@ fn settled_from(registered: &Registered<'_>, start: &Isometry3<f64>, levels: Vec
     fit.ok().map(|fit| fit.t_target_source)
 }
 
-/// The registration by shape alone, settled, and its report.
-pub(super) fn by_shape(registered: &Registered<'_>) -> Option<(Isometry3<f64>, coarse::GlobalReport)> {
+/// The registration by shape alone, settled, and its report. Where the one that is judged started there, with this report, and still is
+/// there, it is that one.
+pub(super) fn by_shape(
+    registered: &Registered<'_>,
+    start: Option<&coarse::GlobalReport>,
+    settled: Option<&Isometry3<f64>>,
+) -> Option<(Isometry3<f64>, coarse::GlobalReport)> {
+    let middle = centroid(registered.source.points());
+    let is_there = |start: &&coarse::GlobalReport| {
+        let at = [registered.t_target_source, settled.unwrap_or(registered.t_target_source)].map(|pose| pose * middle);
+        at.iter().all(|at| (at - Point3::from(start.middle_mm)).norm() < REACH_MM)
+    };
+    if let Some((start, settled)) = start.filter(is_there).zip(settled) {
+        return Some((*settled, start.clone()));
+    }
     let fit = coarse::global(registered.target, registered.source, &GlobalParams::default()).ok()?;
     Some((settled_from(registered, &fit.t_target_source, vec![FIRST_LEVEL])?, fit.report))
 }
 
-/// The support of the scan's mirror image where it fits best.
-pub(super) fn mirrored_support(registered: &Registered<'_>, noise_mm: f64) -> Option<Support> {
+/// The support of the scan's mirror image where it fits best, which is looked for where the scan was.
+pub(super) fn mirrored_support(
+    registered: &Registered<'_>,
+    noise_mm: f64,
+    searched: Option<Searched>,
+) -> Option<Support> {
     let image = mirrored(registered.source);
-    let fit = coarse::global(registered.target, &image, &GlobalParams::default()).ok()?;
+    let fit = coarse::global_by(registered.target, &image, &GlobalParams::default(), searched).ok()?;
     let image = Registered { source: &image, ..*registered };
     let pose = settled_from(&image, &fit.t_target_source, vec![FIRST_LEVEL])?;
     Some(Support::new(&image, &pose, noise_mm))

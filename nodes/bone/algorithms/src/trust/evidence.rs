@@ -4,6 +4,7 @@ use super::contrary::{self, Support};
 use super::spread::normal_matrix;
 use super::surface_error::CELL_MM;
 use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
+use crate::coarse::{GlobalReport, Searched};
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::Target;
 use nalgebra::{Isometry3, Point3};
@@ -115,13 +116,15 @@ pub struct Examined {
     pub to_settled: Option<Isometry3<f64>>,
     /// Which points lie on the surface at the better of the pose examined and that by shape alone.
     supported: Option<Support>,
+    /// Where the registration by shape alone was looked for.
+    searched: Option<Searched>,
 }
 
 impl Examined {
     /// Adds the support of the scan's mirror image.
     pub fn examine_mirrored(&mut self, registered: &Registered<'_>) {
         let Some((shape, best)) = self.evidence.shape.as_mut().zip(self.supported.as_ref()) else { return };
-        if let Some(mirrored) = contrary::mirrored_support(registered, self.evidence.noise_mm) {
+        if let Some(mirrored) = contrary::mirrored_support(registered, self.evidence.noise_mm, self.searched) {
             shape.mirrored_support = Some(mirrored.share());
             shape.mirrored_margin_sd = Some(mirrored.margin_sd(best, registered.source.points()));
         }
@@ -129,14 +132,18 @@ impl Examined {
 }
 
 impl Evidence {
-    /// Examines a registration.
+    /// Examines a registration, which started by shape alone if there is a report of it.
     ///
     /// `None` if the target has no normals or the scan fewer than 30 points. The result does not depend on the number of threads.
     ///
     /// # Source
     /// Jackknife over groups: Quenouille 1956; the equivalent clustered sandwich: White 1980, Liang and Zeger 1986, with the
     /// small-sample correction of Bell and McCaffrey 2002 (CR3).
-    pub fn examine(registered: &Registered<'_>, params: &EvidenceParams) -> Option<Examined> {
+    pub fn examine(
+        registered: &Registered<'_>,
+        params: &EvidenceParams,
+        start: Option<&GlobalReport>,
+    ) -> Option<Examined> {
         let Registered { target, source, t_target_source, .. } = *registered;
         let residuals = Residuals::new(target, source.points(), t_target_source, SEARCH_MM, N_EXAMINED)?;
         let noise_mm = sensor_noise_mm(source.points())?;
@@ -163,7 +170,8 @@ impl Evidence {
             (at.iter().map(square).sum::<f64>() / at.len() as f64).max(0.0).sqrt()
         };
         let settled = contrary::settled(registered);
-        let shape = params.shape.then(|| contrary::by_shape(registered)).flatten();
+        let shape = params.shape.then(|| contrary::by_shape(registered, start, settled.as_ref())).flatten();
+        let searched = shape.as_ref().and_then(|(_, report)| report.searched);
         let mut supported = None;
         let mut evidence = Evidence {
             noise_mm,
@@ -196,7 +204,7 @@ impl Evidence {
             shape
         });
         let to_settled = settled.map(|settled| settled * t_target_source.inverse());
-        Some(Examined { evidence, spread, to_settled, supported })
+        Some(Examined { evidence, spread, to_settled, supported, searched })
     }
 }
 

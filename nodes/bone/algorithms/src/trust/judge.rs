@@ -113,7 +113,9 @@ impl Judging<'_> {
     /// The signs in scan and surface, and the predicted error.
     fn of_scan(&self) -> OfScan {
         let registered = &self.case.registered;
-        let Some(mut examined) = Evidence::examine(registered, self.examine) else { return self.unexamined() };
+        let Some(mut examined) = Evidence::examine(registered, self.examine, self.case.start) else {
+            return self.unexamined();
+        };
         let nuisances = self.nuisances(&examined.evidence);
         let predicted = self.predicted(&examined, nuisances.as_ref());
         let (found, nuisances, unseen) = nuisances.map(|n| (n.reason, n.list, n.assumptions)).unwrap_or_default();

@@ -200,7 +200,7 @@ fn a_pose_settled_with_some_of_many_points_is_that_of_all() {
     let start = Isometry3::new(Vector3::new(0.1, -0.05, 1.5), Vector3::new(0.0, 0.002, 0.02));
     let unsettled = |scan: &Cloud| {
         let registered = Registered { target: &target, source: scan, t_target_source: &start, at: &[] };
-        Evidence::examine(&registered, &EvidenceParams::default()).unwrap().evidence.unsettled_mm.unwrap()
+        Evidence::examine(&registered, &EvidenceParams::default(), None).unwrap().evidence.unsettled_mm.unwrap()
     };
     let (of_all, of_few) = (unsettled(&all), unsettled(&few));
     // The same points are settled, and the distance is of other points of the scan.

@@ -1,8 +1,6 @@
 //! Long axes of scan and bone.
 
-use super::CROP;
-use super::descent::{Placed, Points};
-use crate::Refusal;
+use super::descent::Placed;
 use crate::axes::largest_first;
 use crate::kabsch::centroid;
 use crate::nearest::Nearest;
@@ -11,9 +9,6 @@ use crate::union_find::UnionFind;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::Cloud;
 use std::collections::BTreeMap;
-
-/// Minimum number of points that tell the shape of a scan.
-const MIN_POINTS: usize = 200;
 
 /// Minimum ratio of length to width of a scan whose long axis can be laid along the bone.
 const MIN_ELONGATION: f64 = 1.5;
@@ -24,49 +19,23 @@ const FACE_OFFSET: f64 = 0.6;
 /// Minimum share of a surface's points in a bone of its own: less is a crumb of the segmentation.
 const MIN_BONE: f64 = 0.15;
 
-/// A scan this many times as wide as the bone has more in it than the bone.
-const MUCH_WIDER: f64 = 1.3;
-
-/// The scan's centroid, long axis and the side from which it was seen.
+/// The scan's long axis and the side from which it was seen.
 pub(super) struct Scan {
-    pub(super) middle: Point3<f64>,
-    /// The camera's place, if known.
-    pub(super) camera: Option<Point3<f64>>,
     along: Vector3<f64>,
     outward: Vector3<f64>,
     pub(super) half_length_mm: f64,
+    /// Ratio of length to width.
+    pub(super) elongation: f64,
 }
 
 impl Scan {
-    /// `target` are points of the whole bone: a scan that is wider has surroundings in it.
-    pub(super) fn new(source: &Cloud, target: &[Point3<f64>]) -> Result<Self, Refusal> {
+    /// `None` of a scan that is too short for its width to be laid along a bone.
+    pub(super) fn new(source: &Cloud) -> Option<Self> {
         let points = source.points();
-        if points.len() < MIN_POINTS {
-            return Err(Refusal::of(format!(
-                "the scan has {} points, {MIN_POINTS} are needed to tell its shape; is the region of interest around the bone?",
-                points.len()
-            )));
-        }
         let (middle, axes, spread) = principal(points);
         let elongation = (spread[0] / spread[1].max(f64::MIN_POSITIVE)).sqrt();
-        let no_direction = || {
-            let wide_mm = 2.0 * spread[1].sqrt();
-            let bone_mm = 2.0 * principal(target).2[1].sqrt();
-            let (why, what) = match wide_mm > MUCH_WIDER * bone_mm {
-                true => (
-                    format!(
-                        " and {wide_mm:.0} mm wide (two standard deviations) where the whole bone has {bone_mm:.0} mm, so surroundings are in it"
-                    ),
-                    format!("{CROP}, or use landmarks (coarse.three_point)"),
-                ),
-                false => (String::new(), "scan more of the shaft, or use landmarks (coarse.three_point)".to_owned()),
-            };
-            Refusal::of(format!(
-                "the scan is {elongation:.1} times as long as wide{why}, {MIN_ELONGATION} is needed to lay it along the bone; {what}"
-            ))
-        };
         if elongation < MIN_ELONGATION {
-            return Err(no_direction());
+            return None;
         }
         let along = axes[0];
         let across = |v: Vector3<f64>| (v - along * v.dot(&along)).try_normalize(1e-6);
@@ -74,16 +43,10 @@ impl Scan {
         let seen = camera.and_then(|camera| across(camera - middle));
         // The way it bulges: points far out to both sides lie lower.
         let bulge: f64 = points.iter().map(|p| (p - middle).dot(&axes[1]).powi(2) * (p - middle).dot(&axes[2])).sum();
-        let outward = seen.or_else(|| across(axes[2] * if bulge > 0.0 { -1.0 } else { 1.0 }));
-        let outward = outward.ok_or_else(no_direction)?;
+        let outward = seen.or_else(|| across(axes[2] * if bulge > 0.0 { -1.0 } else { 1.0 }))?;
         let heights = points.iter().map(|p| (p - middle).dot(&along));
         let (min, max) = heights.fold((f64::MAX, f64::MIN), |(a, b), h| (a.min(h), b.max(h)));
-        Ok(Self { middle, camera, along, outward, half_length_mm: (max - min) / 2.0 })
-    }
-
-    /// About `n` of its points.
-    pub(super) fn thinned(&self, points: &[Point3<f64>], n: usize) -> Points {
-        Points::thinned(points, n, &self.middle, self.camera)
+        Some(Self { along, outward, half_length_mm: (max - min) / 2.0, elongation })
     }
 }
 
@@ -231,57 +194,31 @@ mod tests {
         assert!((vector - Vector3::from(expected)).norm() < 1e-9, "{vector} is not {expected:?}");
     }
 
-    /// A scan of a bone that is as wide.
-    fn scanned(source: &Cloud) -> Result<Scan, Refusal> {
-        Scan::new(source, source.points())
-    }
-
     #[test]
     fn a_scan_lies_along_its_longest_side_and_its_outside_is_towards_the_camera_or_where_it_bulges() {
         let points = tube(30.0, 150.0);
-        let bare = scanned(&cloud(points.clone())).unwrap();
+        let bare = Scan::new(&cloud(points.clone())).unwrap();
         assert_near(&(bare.along * bare.along.z), [0.0, 0.0, 1.0]);
         assert_near(&bare.outward, [0.0, 1.0, 0.0]);
-        assert!((bare.half_length_mm - 50.0).abs() < 1e-9 && bare.camera.is_none());
-        assert_near(&bare.middle.coords, [0.0, centroid(&points).y, 0.0]);
+        assert!((bare.half_length_mm - 50.0).abs() < 1e-9);
         // The other way round, the camera decides, not the bulge; what it has along the scan does not count.
         for (camera, outward) in [([0.0, -90.0, 70.0], [0.0, -1.0, 0.0]), ([0.0, 90.0, -300.0], [0.0, 1.0, 0.0])] {
             let seen = cloud(points.clone()).seen_from(Isometry3::translation(camera[0], camera[1], camera[2]));
-            let scan = scanned(&seen).unwrap();
+            let scan = Scan::new(&seen).unwrap();
             assert_near(&scan.outward, outward);
-            assert_eq!(scan.camera, Some(Point3::from(camera)));
-            let about = scan.thinned(&[], 1).camera.unwrap();
-            assert_near(&about, (Point3::from(camera) - scan.middle).into());
         }
-        let hollow = scanned(&cloud(tube(210.0, 330.0))).unwrap();
+        let hollow = Scan::new(&cloud(tube(210.0, 330.0))).unwrap();
         assert_near(&hollow.outward, [0.0, -1.0, 0.0]);
-        let few = bare.thinned(&points, 1000).points;
-        assert_eq!(few.len(), 829, "every fifth of 4141");
-        assert_near(&few[1], (points[5] - bare.middle).into());
-        assert_eq!(bare.thinned(&points[..7], 1000).points.len(), 7);
     }
 
     #[test]
-    fn a_scan_of_few_points_or_hardly_longer_than_wide_is_refused() {
-        let sheet = |nx: u32, nz: u32| -> Cloud {
-            cloud((0..nx * nz).map(|k| Point3::new(f64::from(k % nx), 0.0, f64::from(k / nx))).collect())
+    fn a_scan_hardly_longer_than_wide_has_no_long_axis() {
+        let is_long = |nx: u32, nz: u32| {
+            let points = (0..nx * nz).map(|k| Point3::new(f64::from(k % nx), 0.0, f64::from(k / nx)));
+            Scan::new(&cloud(points.collect())).is_some()
         };
-        let message = |cloud: &Cloud| scanned(cloud).err().map(|error| error.to_string()).unwrap_or_default();
-        assert!(message(&sheet(1, 199)).starts_with("the scan has 199 points, 200 are needed"));
-        assert!(scanned(&sheet(4, 50)).is_ok());
-        // The variance of n points in a row is (n² - 1) / 12.
-        let elongation = ((29.0_f64 * 29.0 - 1.0) / (20.0 * 20.0 - 1.0)).sqrt();
-        let (.., spread) = principal(sheet(20, 29).points());
-        let ratio = (spread[0] / spread[1]).sqrt();
-        assert!((ratio - elongation).abs() < 1e-9, "{ratio}");
-        assert!(message(&sheet(20, 29)).starts_with("the scan is 1.5 times as long as wide, 1.5 is needed"));
-        assert!(scanned(&sheet(20, 31)).is_ok());
-        // As wide as a bone it is too short a stretch; much wider, there is more than the bone in it.
-        let short = message(&sheet(20, 20));
-        assert!(short.ends_with("scan more of the shaft, or use landmarks (coarse.three_point)"), "{short}");
-        let bone = cloud(tube(30.0, 150.0));
-        let wide = Scan::new(&sheet(90, 90), bone.points()).err().unwrap().to_string();
-        assert!(wide.contains("surroundings are in it") && wide.contains("crop the scan to the bone"), "{wide}");
+        // The variance of n points in a row is (n² - 1) / 12: 1.4504 and 1.5508 times as long as wide.
+        assert!(!is_long(20, 29) && is_long(20, 31) && is_long(4, 50));
     }
 
     #[test]
@@ -299,7 +236,7 @@ mod tests {
     #[test]
     fn a_scan_is_laid_along_a_station_and_turned_about_it_both_ways_round() {
         let points = tube(30.0, 150.0);
-        let scan = scanned(&cloud(points)).unwrap();
+        let scan = Scan::new(&cloud(points)).unwrap();
         let (middle, along, side) = (Vector3::new(1.0, 2.0, 3.0), Vector3::x(), Vector3::y());
         let station = Station { middle, along, side, radius_mm: 4.0 };
         // A quarter of a turn from y about x is z; the centroid is 0.6 of the radius off the axis.
@@ -337,10 +274,11 @@ mod tests {
             assert!((station.along.z * down - 1.0).abs() < 1e-3 && station.side.dot(&station.along).abs() < 1e-9);
             assert!((station.radius_mm - 5.0).abs() < 0.1, "{} mm", station.radius_mm);
         }
-        let scan = scanned(&cloud(tube(30.0, 150.0))).unwrap();
+        let scan = Scan::new(&cloud(tube(30.0, 150.0))).unwrap();
         let placed = places[4].place(&scan, 5, 12);
-        let motion = motion(&map, &scan.middle, &placed);
-        assert_near(&(motion * scan.middle).coords, (map.centre().coords + placed.translation.vector).into());
+        let middle = centroid(&tube(30.0, 150.0));
+        let motion = motion(&map, &middle, &placed);
+        assert_near(&(motion * middle).coords, (map.centre().coords + placed.translation.vector).into());
         assert_eq!(motion.rotation, placed.rotation);
         let far = stations(&map, 0.3, 12.0);
         // A ring of 41 points, every fourth of which is kept, is as wide as long: the axis is that of the tube.

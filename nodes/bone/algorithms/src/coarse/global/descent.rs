@@ -113,8 +113,9 @@ fn residual(
         return None;
     }
     let along = off.dot(&sample.normal);
-    // A sample may be a millimetre aside of the closest point.
-    (along.abs() <= reach_mm && off.norm_squared() <= (reach_mm + 2.0).powi(2)).then_some((sample.normal, along))
+    // A sample may be half a voxel aside of the closest point.
+    (along.abs() <= reach_mm && off.norm_squared() <= (reach_mm + map.grid().1).powi(2))
+        .then_some((sample.normal, along))
 }
 
 /// `n_steps` point-to-plane steps with pairs no farther than `reach_mm`; ends early where too few pairs are left.
@@ -178,6 +179,20 @@ mod tests {
         assert!((rms(&points) - f64::sqrt((4.0 + 9.0 + 9.0) / 4.0)).abs() < 1e-12);
     }
 
+    #[test]
+    fn points_are_taken_evenly_about_their_centroid_with_their_camera() {
+        let points: Vec<Point3<f64>> = (0..10).map(|k| Point3::new(f64::from(k), 0.0, 5.0)).collect();
+        let of = |n: usize| Points::thinned(&points, n, &Point3::new(1.0, 0.0, 5.0), Some(Point3::new(1.0, 2.0, 3.0)));
+        let xs: Vec<f64> = of(3).points.iter().map(|p| p.x).collect();
+        assert_eq!((xs, of(100).points.len()), (vec![-1.0, 3.0, 7.0], 10));
+        assert_eq!(of(3).camera, Some(Vector3::new(0.0, 2.0, -2.0)));
+    }
+
+    /// A map with voxels of 2 mm.
+    fn map_of(target: &Target) -> NearMap {
+        NearMap::of(NearMap::samples_of(target, 20_000), target.index().centre, 2.0, 8.0)
+    }
+
     /// A plate of 25 mm, 0.5 mm between samples, with edges of the heights of a bowl.
     fn bowl() -> (NearMap, Vec<Vector3<f64>>) {
         let at = |k: i32| (f64::from(k % 101 - 50) * 0.5, f64::from(k / 101 - 50) * 0.5);
@@ -188,7 +203,7 @@ mod tests {
             .map(|(x, y)| Vector3::new(-0.04 * x - 0.004 * y, -0.02 * y - 0.004 * x, 1.0).normalize())
             .collect();
         let target = Target::new("ct", SurfaceOrigin::Exact, points.clone(), Some(normals.into())).unwrap();
-        let map = NearMap::new(&target);
+        let map = map_of(&target);
         let scan = points.iter().step_by(17).map(|p| p - map.centre()).filter(|p| p.xy().amax() < 15.0).collect();
         (map, scan)
     }
@@ -241,7 +256,7 @@ mod tests {
     #[test]
     fn samples_without_normals_pull_along_the_distance_to_them() {
         let points = vec![Point3::origin(), Point3::new(0.0, 0.0, 40.0)];
-        let map = NearMap::new(&Target::new("ct", SurfaceOrigin::Exact, points, None).unwrap());
+        let map = map_of(&Target::new("ct", SurfaceOrigin::Exact, points, None).unwrap());
         let near = |x: f64, y: f64| residual(&map, &Vector3::new(x, y, -20.0), None, 5.0);
         assert_eq!(near(3.0, 4.0), Some((Vector3::new(0.6, 0.8, 0.0), 5.0)));
         assert_eq!(near(3.0, 4.01), None);

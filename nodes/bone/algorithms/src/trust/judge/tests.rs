@@ -142,6 +142,7 @@ fn a_start_by_shape_is_doubtful_below_its_clearness() {
         middle_mm: [9.0, -1.0, 7.0],
         runner_up,
         clearness: 0.2,
+        searched: None,
     };
     let words = "it started by shape alone, and the scan fits nearly as well 31 mm and 29 degrees away, with its middle at (40, -1, 7) mm \
                  instead of (9, -1, 7) mm (0.25 mm RMS against 0.20 mm)";

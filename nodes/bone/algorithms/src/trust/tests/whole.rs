@@ -119,7 +119,7 @@ fn the_shares_and_quantiles_of_bands_above_a_plane_are_known() {
         let pose = Isometry3::identity();
         let registered = Registered { target: &target, source: &cloud, t_target_source: &pose, at: &[] };
         let params = EvidenceParams { shape: false, mirror: When::Never };
-        Evidence::examine(&registered, &params).unwrap().evidence
+        Evidence::examine(&registered, &params, None).unwrap().evidence
     };
     let evidence = examined(None);
     assert!(evidence.noise_mm < 1e-9, "a plane: {}", evidence.noise_mm);
