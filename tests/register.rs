@@ -877,6 +877,94 @@ fn with_a_camera_points_pair_only_with_the_side_that_it_saw() {
     assert!(answer["source"]["camera"].is_array());
 }
 
+/// A socket with an overhanging rim, open towards z and wound towards a camera there, and a scan of its bottom.
+fn socket() -> (Mesh, Vec<Point3<f64>>) {
+    let (rings, around) = (80_u32, 160_u32);
+    let place = |tilt: f64, turn: f64| {
+        let radius = 25.0
+            + 1.2 * (3.0 * turn + 0.4).sin() * tilt.sin().powi(2)
+            + 0.9 * (2.0 * turn - 1.0).cos() * (2.0 * tilt).sin()
+            + 0.5 * (5.0 * tilt).sin();
+        Point3::from(Vector3::new(tilt.sin() * turn.cos(), tilt.sin() * turn.sin(), -tilt.cos()) * radius)
+    };
+    let turn = |j: u32| f64::from(j) / f64::from(around) * std::f64::consts::TAU;
+    let vertices: Vec<_> =
+        (0..rings * around).map(|k| place(0.02 + f64::from(k / around) * 0.0244, turn(k % around))).collect();
+    let mut faces = Vec::new();
+    for (i, j) in (0..rings - 1).flat_map(|i| (0..around).map(move |j| (i, j))) {
+        let [a, b] = [i * around + j, i * around + (j + 1) % around];
+        faces.extend([[a, a + around, b], [b, a + around, b + around]]);
+    }
+    let mesh = Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap();
+    assert!(mesh.area_vector(0).z > 0.0, "towards the camera");
+    let n = 6000;
+    let scan = (0..n).map(|k| {
+        let share = (f64::from(k) + 0.5) / f64::from(n);
+        place((1.0 - share * (1.0 - 1.1_f64.cos())).acos(), 2.399_963 * f64::from(k))
+    });
+    (mesh, scan.collect())
+}
+
+#[test]
+fn points_picked_above_a_surface_through_the_origin_are_not_said_to_be_in_micrometres() {
+    let case = Case::new();
+    let height = |x: f64, y: f64| 3.0 * (x / 9.0).sin() * (y / 11.0).cos();
+    let at = |k: i32| (f64::from(k % 81 - 40), f64::from(k / 81 - 40));
+    let sheet: Vec<_> = (0..6561).map(at).map(|(x, y)| Point3::new(x, y, height(x, y))).collect();
+    write_ply(&case.path("sheet.ply"), &Cloud::new("ct", sheet.clone()).unwrap(), 1.0).unwrap();
+    let rows = |dz: f64, unit: f64| {
+        let row = |(name, k): (usize, &usize)| {
+            let p = sheet[*k];
+            format!("P{name},{},{},{}\n", p.x * unit, p.y * unit, (p.z + dz) * unit)
+        };
+        "label,x,y,z\n".to_owned() + &[400, 2000, 4100, 6000].iter().enumerate().map(row).collect::<String>()
+    };
+    let said = |target: &str| {
+        fs::write(case.path("target.csv"), target).unwrap();
+        fs::write(case.path("source.csv"), rows(0.0, 1.0)).unwrap();
+        let output =
+            case.register(&["sheet.ply", "sheet.ply", "--landmarks", "target.csv", "source.csv", "--no-cache"]);
+        stderr_of(&output)
+    };
+    let off = said(&rows(4.0, 1.0));
+    assert!(off.contains("off its surface; were they picked on this surface?"), "{off}");
+    assert!(said(&rows(0.0, 1000.0)).contains("they are in micrometres"), "{}", said(&rows(0.0, 1000.0)));
+}
+
+#[test]
+fn the_true_camera_keeps_the_right_answer_on_a_socket_and_names_one_that_is_inside_out() {
+    let case = Case::new();
+    let (mesh, scan) = socket();
+    let turned: Vec<[u32; 3]> = mesh.faces().iter().map(|&[a, b, c]| [a, c, b]).collect();
+    let turned = Mesh::new("ct", SurfaceOrigin::Exact, mesh.vertices().to_vec(), turned).unwrap();
+    write_stl(&case.path("socket.stl"), &mesh).unwrap();
+    write_stl(&case.path("turned.stl"), &turned).unwrap();
+    write_ply(&case.path("socket.ply"), &Cloud::new("ct", mesh.vertices().to_vec()).unwrap(), 1.0).unwrap();
+    let t_scan = Isometry3::new(Vector3::new(40.0, 90.0, 600.0), Vector3::new(2.0, 0.3, -0.5));
+    let moved: Vec<_> = scan.iter().map(|p| t_scan * p).collect();
+    write_ply(&case.path("socket_scan.ply"), &Cloud::new("camera", moved.clone()).unwrap(), 1.0).unwrap();
+    let camera = t_scan * Point3::new(0.0, 0.0, 150.0);
+    let camera = format!("{},{},{}", camera.x, camera.y, camera.z);
+    for target in ["socket.stl", "turned.stl", "socket.ply"] {
+        for with_camera in [false, true] {
+            let camera: &[&str] = if with_camera { &["--camera", &camera] } else { &[] };
+            let all = [&[target, "socket_scan.ply", "--no-cache", "--format", "json"], camera].concat();
+            let output = case.register(&all);
+            if target == "turned.stl" && with_camera {
+                assert_eq!(output.status.code(), Some(3), "{all:?}: {}", stderr_of(&output));
+                let said = stderr_of(&output);
+                let remedy = "Flip its faces (in MeshLab: Invert Faces Orientation), or leave the camera out";
+                assert!(said.contains("an open surface that is inside out") && said.contains(remedy), "{said}");
+                continue;
+            }
+            assert_eq!(output.status.code(), Some(0), "{all:?}: {}", stderr_of(&output));
+            let found = pose(&last_line(&output)) * t_scan;
+            let off_mm = scan.iter().map(|p| (found * p - p).norm()).fold(0.0, f64::max);
+            assert!(off_mm < 0.2, "{all:?}: {off_mm} mm");
+        }
+    }
+}
+
 #[test]
 fn the_pairing_of_earlier_versions_is_read_as_cached_with_one_note() {
     let case = Case::new();

@@ -129,7 +129,12 @@ pub(super) fn off_surface(target: &Target, picked: &[NamedPoint]) -> Option<Stri
         ("a thousand times as large they lie on it: they are in metres", |p| p * 1e3),
         ("a thousandth as large they lie on it: they are in micrometres", |p| p * 1e-3),
     ];
-    let cause = causes.iter().find(|(_, moved)| farthest(*moved) <= OFF_SURFACE_MM);
+    // Points that a smaller unit gathers in one place lie on any surface that passes there.
+    let is_spread = |moved: Moved| {
+        let apart = |p: &NamedPoint| (moved(&p.position) - moved(&picked[0].position)).norm();
+        picked.iter().map(apart).fold(0.0, f64::max) > OFF_SURFACE_MM
+    };
+    let cause = causes.iter().find(|(_, moved)| farthest(*moved) <= OFF_SURFACE_MM && is_spread(*moved));
     let cause = cause.map_or("were they picked on this surface?", |(cause, _)| cause);
     Some(format!("points picked in the target are up to {off_mm:.1} mm off its surface; {cause}"))
 }

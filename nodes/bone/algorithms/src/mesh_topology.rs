@@ -5,10 +5,30 @@ use crate::union_find::UnionFind;
 use nalgebra::Point3;
 use osteoflow_geometry::Mesh;
 
+/// The faces over vertices of which none is where another is, without those that have no area then. `O(n log n)`.
+pub(crate) fn welded(mesh: &Mesh) -> Vec<[u32; 3]> {
+    let vertices = mesh.vertices();
+    // Zeros of either sign are in one place.
+    let bits = |k: u32| vertices[k as usize].coords.map(|c| (c + 0.0).to_bits());
+    let mut keyed: Vec<([u64; 3], u32)> = (0..vertices.len() as u32).map(|k| (bits(k).into(), k)).collect();
+    keyed.sort_unstable();
+    let mut first = vec![0; vertices.len()];
+    for group in keyed.chunk_by(|a, b| a.0 == b.0) {
+        group.iter().for_each(|&(_, k)| first[k as usize] = group[0].1);
+    }
+    let faces = mesh.faces().iter().map(|face| face.map(|k| first[k as usize]));
+    faces.filter(|[a, b, c]| a != b && b != c && c != a).collect()
+}
+
 /// Number of edges that are not shared by exactly two faces running along them in opposite directions. `O(m log m)`.
 pub fn open_edges(mesh: &Mesh) -> usize {
-    let mut edges: Vec<(u64, bool)> = Vec::with_capacity(3 * mesh.faces().len());
-    for &[a, b, c] in mesh.faces() {
+    open_edges_of(mesh.faces())
+}
+
+/// The number of such edges of these faces.
+pub(crate) fn open_edges_of(faces: &[[u32; 3]]) -> usize {
+    let mut edges: Vec<(u64, bool)> = Vec::with_capacity(3 * faces.len());
+    for &[a, b, c] in faces {
         for (from, to) in [(a, b), (b, c), (c, a)] {
             edges.push((u64::from(from.min(to)) << 32 | u64::from(from.max(to)), from < to));
         }

@@ -1,9 +1,11 @@
 //! A surface prepared for registration.
 
 mod near_map;
+mod side;
 
 pub use crate::point_grid::GridColumns;
 pub(crate) use near_map::{NearMap, Sample};
+pub(crate) use side::Side;
 
 use crate::Refusal;
 use crate::kabsch::centroid;
@@ -36,6 +38,7 @@ pub struct Target {
     normals: Option<Column<Vector3<f64>>>,
     mesh: Option<MeshQuery>,
     index: Arc<OnceLock<Index>>,
+    side: Arc<OnceLock<Side>>,
 }
 
 impl Target {
@@ -72,12 +75,12 @@ impl Target {
             return Err(Refusal::of(format!("target point {index}: {far}")));
         }
         let index = Arc::new(OnceLock::new());
-        Ok(Self { frame, origin, points, normals, mesh: None, index })
+        Ok(Self { frame, origin, points, normals, mesh: None, index, side: Arc::default() })
     }
 
     /// The target with the mesh that its points were drawn from, in the same frame.
     pub fn with_mesh(self, mesh: MeshQuery) -> Self {
-        Self { mesh: Some(mesh), ..self }
+        Self { mesh: Some(mesh), side: Arc::default(), ..self }
     }
 
     /// The mesh that the points were drawn from, if given.
@@ -200,17 +203,7 @@ pub(crate) struct Subset {
 impl Index {
     pub(crate) fn new(points: &Column<Point3<f64>>) -> Self {
         let (cell_mm, cells, normals, thinned, tree, near_map) = Default::default();
-        Self {
-            centre: centroid(points),
-            points: points.clone(),
-            cell_mm,
-            cells,
-            normals,
-            thinned,
-            tree,
-            near_map,
-            side,
-        }
+        Self { centre: centroid(points), points: points.clone(), cell_mm, cells, normals, thinned, tree, near_map }
     }
 
     pub(crate) fn len(&self) -> usize {

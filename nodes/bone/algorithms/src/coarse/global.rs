@@ -10,7 +10,7 @@ use crate::Refusal;
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::kabsch::centroid;
 use crate::sensor_noise::sensor_noise_mm;
-use crate::target::{NearMap, Target};
+use crate::target::{NearMap, Side, Target};
 use anywhere::{Shape, anywhere};
 use axis::{Scan, stations};
 use nalgebra::{Isometry3, Point3};
@@ -187,7 +187,8 @@ impl<'a> Search<'a> {
     fn new(target: &'a Target, source: &Cloud, params: &'a GlobalParams) -> Self {
         let points = source.points();
         let middle = centroid(points);
-        let camera = source.viewpoint.map(|t| t * Point3::origin());
+        // An open surface may be inside out, and its side does not matter here.
+        let camera = source.viewpoint.filter(|_| target.side() == Side::Outward).map(|t| t * Point3::origin());
         let squares = points.iter().map(|p| (p - middle).norm_squared()).sum::<f64>();
         let radius_mm = (squares / points.len() as f64).sqrt();
         Self {

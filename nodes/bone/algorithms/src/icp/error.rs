@@ -18,6 +18,29 @@ pub enum IcpError {
         /// Distance of the source point nearest to the target, mm.
         nearest_mm: f64,
     },
+    /// Few source points, or of a thousand of them, are near the part of the target that faces the camera, but many are near any part of it.
+    #[error(
+        "{n_pairs} of {n_source} source points lie within {max_pair_distance_mm} mm of the part of the target that faces the camera, \
+         but {n_any} lie as near to any part of it; is the target an open surface that is inside out, or a cloud \
+         with normals of the wrong side? Flip its faces (in MeshLab: Invert Faces Orientation), or leave the camera out; else check the \
+         camera's position, in the source's frame and in mm"
+    )]
+    TooFewFacing {
+        /// Number of pairs found.
+        n_pairs: usize,
+        /// Number of source points.
+        n_source: usize,
+        /// Number of source points near any part of the target.
+        n_any: usize,
+        /// Largest distance of a pair, mm.
+        max_pair_distance_mm: f64,
+    },
+    /// No part of the target faces the camera.
+    #[error(
+        "no part of the target faces the camera; is its position in the source's frame and in mm? If so, the target is an open surface \
+         that is inside out: flip its faces (in MeshLab: Invert Faces Orientation), or leave the camera out"
+    )]
+    NothingFaces,
     /// There are too few source points.
     #[error("{n_source} source points, {min_pairs} are needed; is the crop empty?")]
     TooFewPoints {

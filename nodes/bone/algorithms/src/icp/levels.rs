@@ -16,7 +16,7 @@ use super::weights::Weights;
 use super::{IcpError, gauss_newton};
 use crate::kabsch::finite;
 use crate::point_grid::{PointGrid, cell_mm};
-use crate::target::Target;
+use crate::target::{Side, Target};
 use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use std::ops::ControlFlow;
 
@@ -122,7 +122,7 @@ fn run<R: Residual>(
     let params = &IcpParams { one_sided, ..params.clone() };
     let all = PreparedSource::new(&source, R::SOURCE_NORMALS || params.max_normal_angle_deg < 180.0);
     let mut state = State { rotation: init.rotation, centroid: init * all.centroid };
-    let surface = visible_surface(target, &source, &all, &state, init, params);
+    let surface = visible_surface(target, &source, &all, &state, init, params)?;
     let grid = params.reciprocal.then(|| grid(&all));
     let pairings = Pairings::new::<R>(target, &surface, params);
     let mut weights = Weights::open(params, params.max_pair_distance_mm * FIRST_RADIUS);
@@ -175,11 +175,17 @@ fn visible_surface<'a>(
     start: &State,
     init: &Isometry3<f64>,
     params: &IcpParams,
-) -> VisibleSurface<'a> {
+) -> Result<VisibleSurface<'a>, IcpError> {
     let camera = source.camera.filter(finite).map(|c| init * c);
-    let near: Vec<Point3<f64>> = match target.normals() {
-        Some(_) => Vec::new(),
-        None => prepared.points.iter().map(|p| start.centroid + start.rotation * p).collect(),
+    let is_told = || match target.side() {
+        Side::Outward | Side::Inward => true,
+        Side::Stated => !target.is_open(),
+        Side::Unknown => false,
+    };
+    let is_known = target.normals().is_some() && (camera.is_none() || is_told());
+    let near: Vec<Point3<f64>> = match is_known {
+        true => Vec::new(),
+        false => prepared.points.iter().map(|p| start.centroid + start.rotation * p).collect(),
     };
     VisibleSurface::new(target, camera.as_ref(), &near, params.max_pair_distance_mm)
 }

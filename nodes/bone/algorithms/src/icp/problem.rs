@@ -263,11 +263,21 @@ impl<'a, R: Residual> Problem<'a, R> {
             let found = self.surface.nearest(&(pose.centroid + pose.rotation * point), f64::MAX.sqrt());
             found.nearest.map_or(f64::INFINITY, |(_, square)| square)
         };
+        let max_pair_distance_mm = self.params.max_pair_distance_mm;
+        let is_near = |point: &&Vector3<f64>| {
+            let moved = pose.centroid + pose.rotation * **point;
+            self.surface.index.nearest(&moved, max_pair_distance_mm).nearest.is_some()
+        };
+        let n_source = self.source.points.len();
+        let n_any = self.surface.outward().map_or(0, |_| self.source.points.iter().filter(is_near).count());
+        if n_any >= min_pairs.max(n_source / 2) {
+            return IcpError::TooFewFacing { n_pairs, n_source, n_any, max_pair_distance_mm };
+        }
         IcpError::TooFewPairs {
             n_pairs,
             min_pairs,
-            n_source: self.source.points.len(),
-            max_pair_distance_mm: self.params.max_pair_distance_mm,
+            n_source,
+            max_pair_distance_mm,
             nearest_mm: self.source.points.iter().map(nearest).fold(f64::INFINITY, f64::min).sqrt(),
         }
     }

@@ -84,6 +84,53 @@ fn too_few_pairs_say_how_far_away_the_target_is() {
 }
 
 #[test]
+fn an_open_surface_that_is_inside_out_is_told_from_a_wrong_start_and_a_camera_that_sees_nothing() {
+    // A socket seen from within, wound towards the camera and away from it, and as a cloud.
+    let (rings, around) = (40_u32, 80_u32);
+    let place = |i: u32, j: u32| {
+        let (tilt, turn) = (0.02 + f64::from(i) * 0.045, f64::from(j) / f64::from(around) * std::f64::consts::TAU);
+        let radius = 25.0 + 1.2 * (3.0 * turn).sin() * tilt.sin().powi(2) + 0.5 * (5.0 * tilt).sin();
+        Point3::from(Vector3::new(tilt.sin() * turn.cos(), tilt.sin() * turn.sin(), -tilt.cos()) * radius)
+    };
+    let index = |i: u32, j: u32| i * around + j % around;
+    let vertices: Vec<Point3<f64>> = (0..rings * around).map(|k| place(k / around, k % around)).collect();
+    let towards = (0..rings - 1).flat_map(|i| {
+        (0..around).flat_map(move |j| {
+            let [a, b, c, d] = [index(i, j), index(i, j + 1), index(i + 1, j), index(i + 1, j + 1)];
+            [[a, b, c], [b, d, c]]
+        })
+    });
+    let towards: Vec<[u32; 3]> = towards.map(|[a, b, c]| [a, c, b]).collect();
+    let mesh = |faces: Vec<[u32; 3]>| Mesh::new("ct", SurfaceOrigin::Exact, vertices.clone(), faces).unwrap();
+    let inwards: Vec<[u32; 3]> = towards.iter().map(|&[a, b, c]| [a, c, b]).collect();
+    let (right, inside_out) = (mesh(towards), mesh(inwards));
+    let camera = Point3::new(0.0, 0.0, 150.0);
+    let up = right.area_vector(0).z > 0.0;
+    let (right, inside_out) = if up { (right, inside_out) } else { (inside_out, right) };
+    let points: Vec<Point3<f64>> = vertices.iter().filter(|p| p.z < -8.0).copied().collect();
+    let run = |target: &Target, camera: Point3<f64>, start: &Isometry3<f64>| {
+        let source = Source::seen_from(&points, camera);
+        register(Method::PointToPlane, target, source, start, &IcpParams::default(), &mut go_on)
+    };
+    let start = Isometry3::translation(0.4, -0.3, 0.6);
+    let with_mesh = |mesh: &Mesh| target(mesh, 20_000).with_mesh(MeshQuery::new(mesh));
+    let is_right = |fit: IcpFit| off(&fit, &Isometry3::identity(), &points) < 0.2;
+    assert!(is_right(run(&with_mesh(&right), camera, &start).unwrap()));
+    // Normals of a cloud may have been estimated, so the scan decides.
+    assert!(is_right(run(&target(&right, 20_000), camera, &start).unwrap()));
+    assert!(is_right(run(&target(&inside_out, 20_000), camera, &start).unwrap()));
+    let error = run(&with_mesh(&inside_out), camera, &start).unwrap_err();
+    assert!(matches!(error, IcpError::TooFewFacing { n_source, n_any, .. } if n_source == n_any), "{error}");
+    assert!(error.to_string().contains("Invert Faces Orientation"), "{error}");
+    let far = run(&with_mesh(&inside_out), camera, &Isometry3::translation(400.0, 0.0, 0.0)).unwrap_err();
+    assert!(matches!(far, IcpError::TooFewPairs { .. }), "{far}");
+    // Within a closed surface nothing faces the camera.
+    let closed = cuboid([-40.0; 3], [40.0; 3]);
+    let error = run(&with_mesh(&closed), Point3::origin(), &Isometry3::identity()).unwrap_err();
+    assert_eq!(error, IcpError::NothingFaces);
+}
+
+#[test]
 fn undetermined_motions_of_a_plane_are_reported_and_stay_at_the_start() {
     let slab = target(&cuboid([0.0, 0.0, -30.0], [100.0, 100.0, 0.0]), 60_000);
     let on_top: Vec<_> =

@@ -1,8 +1,9 @@
 //! The part of a target that faces the camera.
 
+use super::IcpError;
 use crate::normals;
 use crate::point_grid::{All, Around, Nearby, PointFilter};
-use crate::target::{Index, Subset, Target, ThinnedTarget};
+use crate::target::{Index, Side, Subset, Target, ThinnedTarget};
 use nalgebra::{Point3, Vector3};
 use std::{borrow::Cow, sync::OnceLock};
 
@@ -10,9 +11,9 @@ use std::{borrow::Cow, sync::OnceLock};
 /// off.
 const PAST_SILHOUETTE: f64 = 0.34;
 
-/// Mean cosine between normals and directions from the centroid, below which the side of the normals is unknown (a flat or
-/// open surface). A ball has 1, a bone thirty times as long as thick 0.05.
-const OUTWARD_SHARE: f64 = 0.02;
+/// About as many points of the scan at its start tell the side of an open surface, and the number of them needed.
+const N_TOLD: usize = 1000;
+const MIN_TOLD: usize = 20;
 
 /// Normals are estimated within this many pair distances of the scan's start.
 const ESTIMATED_REACH: f64 = 4.0;
@@ -39,14 +40,35 @@ struct Camera {
 }
 
 impl<'a> VisibleSurface<'a> {
-    /// The part of `target` that faces `camera`; `near` is the scan at its start, around which missing normals are estimated.
-    pub(super) fn new(target: &'a Target, camera: Option<&Point3<f64>>, near: &[Point3<f64>], pair_mm: f64) -> Self {
+    /// The part of `target` that faces `camera`; `near` is the scan at its start, around which missing normals are estimated, and
+    /// beside which an open cloud faces the camera.
+    ///
+    /// # Errors
+    /// [`IcpError::NothingFaces`].
+    pub(super) fn new(
+        target: &'a Target,
+        camera: Option<&Point3<f64>>,
+        near: &[Point3<f64>],
+        pair_mm: f64,
+    ) -> Result<Self, IcpError> {
         let index = target.index();
-        let (normals, camera) = match target.normals() {
-            Some(normals) => (normals.into(), camera.and_then(|c| Camera::new(index, normals, c - index.centre))),
-            None => (Cow::Owned(estimated(index, near, ESTIMATED_REACH * pair_mm)), None),
+        let (normals, camera): (Cow<'_, [Vector3<f64>]>, _) = match (target.normals(), camera) {
+            (Some(normals), Some(camera)) => {
+                let beside = || Beside::new(target, normals, camera, near, pair_mm);
+                let side = match target.side() {
+                    Side::Outward => Some(1.0),
+                    Side::Inward => Some(-1.0),
+                    Side::Stated if target.is_open() => beside().believed().map(Some)?,
+                    Side::Stated => Some(1.0),
+                    Side::Unknown => beside().side(),
+                };
+                let camera = side.map(|side| Camera::new(index, normals, camera - index.centre, side)).transpose()?;
+                (normals.into(), camera)
+            }
+            (Some(normals), None) => (normals.into(), None),
+            (None, _) => (Cow::Owned(estimated(index, near, ESTIMATED_REACH * pair_mm)), None),
         };
-        Self { index, normals, cell_normals: target.cell_normals(), camera, visible: OnceLock::new() }
+        Ok(Self { index, normals, cell_normals: target.cell_normals(), camera, visible: OnceLock::new() })
     }
 
     /// A point and its normal, by its index and, where known, its place in the cells.
@@ -120,16 +142,15 @@ impl<'a> VisibleSurface<'a> {
 }
 
 impl Camera {
-    /// `None` if the side of the normals is unknown, or no point is visible.
-    fn new(index: &Index, normals: &[Vector3<f64>], eye: Vector3<f64>) -> Option<Self> {
+    fn new(index: &Index, normals: &[Vector3<f64>], eye: Vector3<f64>, side: f64) -> Result<Self, IcpError> {
         let (all, items) = (index.thinned().places(), index.cells().items());
-        let side = side_of_normals(index, normals, all.iter().map(|place| items[*place as usize]))?;
         let sees = |place: &u32| {
             let i = items[*place as usize] as usize;
             faces(&(eye - index.local(i)), &(normals[i] * side))
         };
         let visible: Vec<u32> = all.iter().copied().filter(sees).collect();
-        (!visible.is_empty()).then(|| Self { eye, side, thinned: ThinnedTarget::new(index, visible) })
+        let is_seen = !visible.is_empty();
+        is_seen.then(|| Self { eye, side, thinned: ThinnedTarget::new(index, visible) }).ok_or(IcpError::NothingFaces)
     }
 
     #[inline]
@@ -159,15 +180,49 @@ fn faces(sight: &Vector3<f64>, outward: &Vector3<f64>) -> bool {
     outward.dot(sight) > -PAST_SILHOUETTE * sight.norm()
 }
 
-/// 1 if the normals of these points are outward, -1 if they are inward, `None` if that is unknown.
-fn side_of_normals(index: &Index, normals: &[Vector3<f64>], items: impl Iterator<Item = u32>) -> Option<f64> {
-    let (mut along, mut length) = (0.0, 0.0);
-    for i in items {
-        let (p, n) = (index.local(i as usize), &normals[i as usize]);
-        along += p.dot(n);
-        length += p.norm() * n.norm();
+/// An open surface beside the scan at its start.
+struct Beside {
+    n_source: usize,
+    /// Number of points that are beside it, and of those where it faces the camera.
+    n_any: usize,
+    n_facing: usize,
+    max_pair_distance_mm: f64,
+}
+
+impl Beside {
+    fn new(
+        target: &Target,
+        normals: &[Vector3<f64>],
+        camera: &Point3<f64>,
+        near: &[Point3<f64>],
+        max_pair_distance_mm: f64,
+    ) -> Self {
+        let some = near.iter().step_by(near.len().div_ceil(N_TOLD).max(1));
+        let mut beside = Self { n_source: 0, n_any: 0, n_facing: 0, max_pair_distance_mm };
+        for p in some {
+            beside.n_source += 1;
+            let Some((i, _)) = target.nearest(p, max_pair_distance_mm) else { continue };
+            beside.n_any += 1;
+            beside.n_facing += usize::from(normals[i].dot(&(camera - target.points()[i])) > 0.0);
+        }
+        beside
     }
-    ((along / length).abs() > OUTWARD_SHARE).then_some(along.signum())
+
+    /// 1 if most normals point to the camera, -1 if they point away; none if too few points are beside the surface.
+    fn side(&self) -> Option<f64> {
+        (self.n_any >= MIN_TOLD).then(|| if 2 * self.n_facing >= self.n_any { 1.0 } else { -1.0 })
+    }
+
+    /// 1, as the faces say.
+    ///
+    /// # Errors
+    /// [`IcpError::TooFewFacing`] if nearly all of them say that the camera saw the back of the surface.
+    fn believed(self) -> Result<f64, IcpError> {
+        let Self { n_source, n_any, n_facing, max_pair_distance_mm } = self;
+        let is_back = n_any >= MIN_TOLD && 10 * n_facing < n_any;
+        let error = IcpError::TooFewFacing { n_pairs: n_facing, n_source, n_any, max_pair_distance_mm };
+        if is_back { Err(error) } else { Ok(1.0) }
+    }
 }
 
 /// Unoriented normals of the points within `reach_mm` of the bounding box of `near`; zero for all others.

@@ -2,7 +2,7 @@
 
 use crate::coarse::thinned;
 use crate::kabsch::centroid;
-use crate::target::Target;
+use crate::target::{Side, Target};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::Cloud;
 
@@ -48,7 +48,7 @@ impl<'a> Scene<'a> {
     /// The target must have normals.
     pub(super) fn new(target: &'a Target, source: &'a Cloud) -> Self {
         let points = thinned(source.points(), N_COMPARED);
-        let camera = source.viewpoint.map(|t| t * Point3::origin());
+        let camera = source.viewpoint.filter(|_| target.side() == Side::Outward).map(|t| t * Point3::origin());
         let normals = target.normals().unwrap_or_default();
         Self { target, source, normals, centroid: centroid(&points), points, camera }
     }

@@ -6,7 +6,7 @@ use super::surface_error::CELL_MM;
 use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
 use crate::coarse::{GlobalReport, Searched};
 use crate::sensor_noise::sensor_noise_mm;
-use crate::target::Target;
+use crate::target::{Side, Target};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
 use schemars::JsonSchema;
@@ -85,7 +85,7 @@ pub struct Evidence {
     pub on_surface: f64,
     /// Share of the scan that lies inside the surface, by more than four times the noise and 0.3 mm.
     pub inside: f64,
-    /// Patches of 4 mm of the scan that lie inside the surface by as much.
+    /// Patches of 4 mm of the scan that lie inside the surface by as much; none of an open surface, which has no inside.
     pub inside_patches: Inside,
     /// Share that lies outside by as much.
     pub outside: f64,
@@ -151,7 +151,11 @@ impl Evidence {
         let gate = -GATE_SIGMAS * sigma_mm..=OUTSIDE_SIGMAS * sigma_mm;
         let on: Vec<Residual> = residuals.near.iter().filter(|near| gate.contains(&near.signed_mm)).copied().collect();
         let off_mm = (4.0 * noise_mm).max(0.3);
-        let misfit = Misfit::new(&on, noise_mm);
+        let is_open = target.is_open();
+        let mut misfit = Misfit::new(&on, noise_mm);
+        if is_open {
+            misfit.inward_mm = 0.0;
+        }
         let surface_error = SurfaceError::new(&on);
         let rough_mm = (misfit.rms_mm.powi(2) - (NOISE_LEFT * noise_mm).powi(2)).max(0.0).sqrt();
         let spread = Spread::new(&on, surface_error.cell_mm()).or_else(|| Spread::new(&on, CELL_MM));
@@ -179,7 +183,10 @@ impl Evidence {
             p90_mm: Some(residuals.quantile_mm(0.9)).filter(|mm| mm.is_finite()),
             on_surface: on.len() as f64 / residuals.n.max(1) as f64,
             inside: residuals.share(|near| near.signed_mm < -off_mm),
-            inside_patches: Inside::new(&residuals.near, residuals.n, off_mm),
+            inside_patches: match is_open {
+                true => Inside { share: 0.0, depth_mm: 0.0 },
+                false => Inside::new(&residuals.near, residuals.n, off_mm),
+            },
             outside: 1.0 - residuals.share(|near| near.signed_mm <= off_mm),
             misfit,
             surface_error,
@@ -217,9 +224,14 @@ pub(super) fn points_that_matter(registered: &Registered<'_>) -> Vec<Point3<f64>
     points.iter().step_by((points.len() / 50).max(1)).map(|p| registered.t_target_source * p).collect()
 }
 
-/// Share of the points whose surface faces away from the camera.
+/// Share of the points whose surface faces away from the camera; the smaller one where the side of its normals is unknown.
 fn facing_away(registered: &Registered<'_>, on: &[Residual]) -> Option<f64> {
     let camera = registered.t_target_source * (registered.source.viewpoint? * Point3::origin());
     let away = on.iter().filter(|near| near.normal.dot(&(camera - near.point)) < 0.0).count();
-    Some(away as f64 / on.len().max(1) as f64)
+    let share = away as f64 / on.len().max(1) as f64;
+    Some(match registered.target.side() {
+        Side::Outward | Side::Stated => share,
+        Side::Inward => 1.0 - share,
+        Side::Unknown => share.min(1.0 - share),
+    })
 }

@@ -20,7 +20,8 @@ const MISFIT_PER_NOISE: f64 = 0.15;
 pub struct Misfit {
     /// Of all patches, mm.
     pub rms_mm: f64,
-    /// Of the patches inside the surface, mm: soft tissue lies outside, another bone on both sides.
+    /// Of the patches inside the surface, mm: soft tissue lies outside, another bone on both sides. Zero of an open surface, which has no
+    /// inside.
     pub inward_mm: f64,
 }
 

@@ -70,7 +70,7 @@ mod tests {
         let normals = vec![Vector3::z(); points.len()];
         let target = Target::new("ct", SurfaceOrigin::Exact, points, Some(normals.into())).unwrap();
         target.prepare();
-        let surface = VisibleSurface::new(&target, None, &[], 5.0);
+        let surface = VisibleSurface::new(&target, None, &[], 5.0).unwrap();
         let samples: Vec<Vector3<f64>> = (0..surface.index.len()).map(|i| surface.index.local(i)).collect();
         let mut sources: Vec<Vector3<f64>> =
             (0..200).map(|k| samples[k * 20] + Vector3::new(0.1, -0.2, 0.15) * part(k as u32, 31)).collect();

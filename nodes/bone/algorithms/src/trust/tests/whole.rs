@@ -107,20 +107,24 @@ fn the_shares_and_quantiles_of_bands_above_a_plane_are_known() {
     let grid = |k: u32| Point3::new(f64::from(k / 20), f64::from(k % 20), 0.0);
     let points: Vec<Point3<f64>> = (0..320 * 20).map(grid).collect();
     let normals = vec![Vector3::z(); points.len()];
-    let target = Target::new("ct", SurfaceOrigin::Exact, points, Some(normals.into())).unwrap();
+    let cloud = Target::new("ct", SurfaceOrigin::Exact, points, Some(normals.into())).unwrap();
+    let corners = [[0.0, 0.0], [319.0, 0.0], [319.0, 19.0], [0.0, 19.0]].map(|[x, y]| Point3::new(x, y, 0.0));
+    let mesh = Mesh::new("ct", SurfaceOrigin::Exact, corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]]).unwrap();
+    let target = cloud.clone().with_mesh(MeshQuery::new(&mesh));
     // Bands of 49 points over samples of the plane, far enough apart that each has its own neighbours.
     let heights = [0.0, 0.0, -0.3, 0.3, 0.3, -4.6, -5.1, 2.3, 2.6];
     let band =
         |i: u32, z: f64| (0..49).map(move |k| Point3::new(f64::from(8 + 32 * i + k / 7), f64::from(4 + k % 7), z));
     let scan: Vec<Point3<f64>> = (0..).zip(heights).flat_map(|(i, z)| band(i, z)).collect();
-    let examined = |camera: Option<Point3<f64>>| {
+    let examined_on = |target: &Target, camera: Option<Point3<f64>>| {
         let cloud = Cloud::new("scan", scan.clone()).unwrap();
         let cloud = camera.into_iter().fold(cloud, |cloud, p| cloud.seen_from(Isometry3::translation(p.x, p.y, p.z)));
         let pose = Isometry3::identity();
-        let registered = Registered { target: &target, source: &cloud, t_target_source: &pose, at: &[] };
+        let registered = Registered { target, source: &cloud, t_target_source: &pose, at: &[] };
         let params = EvidenceParams { shape: false, mirror: When::Never };
         Evidence::examine(&registered, &params, None).unwrap().evidence
     };
+    let examined = |camera| examined_on(&target, camera);
     let evidence = examined(None);
     assert!(evidence.noise_mm < 1e-9, "a plane: {}", evidence.noise_mm);
     assert_eq!((evidence.median_mm, evidence.p90_mm), (0.3, Some(5.1)));
@@ -134,6 +138,11 @@ fn the_shares_and_quantiles_of_bands_above_a_plane_are_known() {
     let camera = |z: f64| examined(Some(Point3::new(150.0, 8.0, z))).facing_away.unwrap();
     assert_eq!((camera(100.0), camera(-100.0)), (0.0, 1.0));
     assert_eq!(camera(0.0), 3.0 / 7.0);
+    // Without faces the side of a sheet may have been guessed, and the smaller part counts.
+    let of_cloud = |z: f64| examined_on(&cloud, Some(Point3::new(150.0, 8.0, z))).facing_away.unwrap();
+    assert_eq!((of_cloud(100.0), of_cloud(-100.0), of_cloud(0.0)), (0.0, 0.0, 3.0 / 7.0));
+    // An open surface has no inside.
+    assert_eq!((evidence.misfit.inward_mm, evidence.inside_patches.share), (0.0, 0.0));
 }
 
 #[test]
