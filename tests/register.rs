@@ -906,6 +906,36 @@ fn socket() -> (Mesh, Vec<Point3<f64>>) {
 }
 
 #[test]
+fn a_big_scan_is_thinned_with_a_note_and_its_pose_moves_by_less_than_its_standard_error() {
+    let case = Case::new();
+    let (mesh, _) = socket();
+    let seen = sample::surface(&mesh, 260_000, &mut ChaCha8Rng::seed_from_u64(7));
+    let mut noise = 0.5_f64;
+    let mut next = || {
+        // Evenly spread, as the square root of 3 is irrational.
+        noise = (noise + 3_f64.sqrt()).fract();
+        0.2 * (noise - 0.5)
+    };
+    let points: Vec<_> = seen.points.iter().zip(&seen.normals).map(|(p, n)| p + n * next()).collect();
+    write_stl(&case.path("socket.stl"), &mesh).unwrap();
+    write_ply(&case.path("big.ply"), &Cloud::new("camera", points.clone()).unwrap(), 1.0).unwrap();
+    let answer = |more: &[&str]| {
+        let all = [&["socket.stl", "big.ply", "--init", "identity", "--format", "json"], more].concat();
+        let output = case.register(&all);
+        assert_eq!(output.status.code(), Some(0), "{all:?}: {}", stderr_of(&output));
+        last_line(&output)
+    };
+    let (few, all) = (answer(&[]), answer(&["--max-points", "0"]));
+    let note = "big.ply: 1 in 3 of 260000 points is used, 86667 in all: more would move the pose by less than its standard error; \
+                --max-points 0 takes all";
+    assert!(few["notes"].as_array().unwrap().contains(&note.into()), "{}", few["notes"]);
+    assert!(!all["notes"].to_string().contains("is used"), "{}", all["notes"]);
+    let spread_mm = few["verdict"]["measured"]["spread_mm"].as_f64().unwrap();
+    let apart_mm = points.iter().map(|p| (pose(&few) * p - pose(&all) * p).norm()).fold(0.0, f64::max);
+    assert!(apart_mm > 0.0 && apart_mm < spread_mm, "{apart_mm} mm apart, standard error {spread_mm} mm");
+}
+
+#[test]
 fn points_picked_above_a_surface_through_the_origin_are_not_said_to_be_in_micrometres() {
     let case = Case::new();
     let height = |x: f64, y: f64| 3.0 * (x / 9.0).sin() * (y / 11.0).cos();

@@ -135,6 +135,11 @@ pub struct RegisterRequest {
     #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
     pub target_points: u64,
 
+    /// Maximum number of points of SOURCE that are registered: of more, every n-th is. 0: all. 100000: more would move the pose by less
+    /// than its standard error.
+    #[arg(long, default_value_t = 100_000, value_name = "N", value_parser = clap::value_parser!(u64).range(..=100_000_000))]
+    pub max_points: u64,
+
     /// Seed of the sampling.
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     pub seed: u64,
@@ -365,7 +370,7 @@ impl RegisterRequest {
         let path = |path: &Path| Some(path.display().to_string().into());
         let unit = |unit_mm: f64| (unit_mm != 1.0).then(|| unit_mm.into());
         let [target_mm, source_mm] = self.units_mm();
-        let keys: [(&str, Option<toml::Value>); 11] = [
+        let keys: [(&str, Option<toml::Value>); 12] = [
             ("bone.path", path(&self.target.path)),
             ("scan.path", path(&self.source.path)),
             ("icp.kind", Some(kind.into())),
@@ -375,6 +380,7 @@ impl RegisterRequest {
             ("bone.series", self.series.clone().map(Into::into)),
             ("scan.camera", self.camera.map(|camera| camera.coords.as_slice().to_vec().into())),
             ("ct_surface.n_points", Some((self.target_points as i64).into())),
+            ("thin.max_points", Some((self.max_points as i64).into())),
             ("graph.seed", Some((self.seed as i64).into())),
             ("results.require", (self.require == Require::Trusted).then(|| "trusted".into())),
         ];

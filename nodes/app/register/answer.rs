@@ -14,6 +14,7 @@ use anyhow::Result;
 use osteoflow_algorithms::{
     icp::{IcpReport, IcpStep},
     mesh_query::MeshQuery,
+    metrics::rms_apart_mm,
     target::Target,
     trust,
 };
@@ -151,9 +152,8 @@ impl Registration {
     /// Millimetres RMS and degrees by which the method moved the source from the start.
     pub(crate) fn moved_by(&self) -> Option<(f64, f64)> {
         let (pose, init, source) = (self.pose?, self.init?, self.source.as_ref()?);
-        let sum: f64 = source.points().iter().map(|p| (pose * p - init * p).norm_squared()).sum();
         let turn_deg = pose.rotation.angle_to(&init.rotation).to_degrees();
-        Some(((sum / source.len().max(1) as f64).sqrt(), turn_deg))
+        Some((rms_apart_mm(source.points(), &pose, &init), turn_deg))
     }
 
     /// The target in a few words.
@@ -219,18 +219,16 @@ impl Registration {
             let of_node = self.run.warnings.iter().filter(|warning| warning.node == node);
             // The readers name a parameter, which is an option here.
             let note = |message: &str| {
-                format!("{}: {}", input.path.display(), message.replace("unit_mm = ", &format!("--{option}-unit-mm ")))
+                let message = message.replace("unit_mm = ", &format!("--{option}-unit-mm "));
+                format!("{}: {}", input.path.display(), message.replace("max_points = ", "--max-points "))
             };
             // The pose is in the numbers of the files; only a .tfm has a space, and asks for it.
             let of_node = of_node.filter(|warning| !warning.message.starts_with(Space::TAKEN_FOR_LPS));
             of_node.map(|warning| note(&warning.message)).collect::<Vec<_>>()
         };
         let request = &of.request;
-        [of.notes.clone(), of_file("bone", &request.target, "target"), of_file("scan", &request.source, "source")]
-            .into_iter()
-            .chain([self.notes_of_files.clone()])
-            .collect::<Vec<_>>()
-            .concat()
+        let of_source = ["scan", THIN].map(|node| of_file(node, &request.source, "source")).concat();
+        [of.notes.clone(), of_file("bone", &request.target, "target"), of_source, self.notes_of_files.clone()].concat()
     }
 
     /// Everything as JSON, with every step if `with_trace`.
@@ -380,7 +378,10 @@ impl Registration {
 }
 
 /// The nodes that read the files.
-const FILES: [&str; 2] = ["bone", "scan"];
+const FILES: [&str; 3] = ["bone", "scan", THIN];
+
+/// The node that thins the source.
+const THIN: &str = "thin";
 
 impl Register {
     /// The name of the built-in method, or the kind of the plugin.

@@ -21,7 +21,7 @@ pub use cuts::{CutReport, CutsReport, SegmentReport, achieved, cuts};
 pub use distance_colour::{distance_colour, distance_outside};
 pub use fre::{FrePoint, FreReport, fre};
 pub use laser_spot::{LaserSpotReport, laser_spot};
-pub use pose_error::{PoseErrorReport, pose_error};
+pub use pose_error::{PoseErrorReport, pose_error, rms_apart_mm};
 pub use surface::{SurfaceReport, surface_residual};
 pub use tre::{TrePoint, TreReport, TreSummary, tre};
 
@@ -33,6 +33,14 @@ mod tests {
     use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
     use osteoflow_geometry::{Axes, NamedPoint, Plane, Planes, SurfaceOrigin};
     use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+    #[test]
+    fn points_at_two_poses_are_apart_by_their_rms_distance() {
+        let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]].map(Point3::from);
+        let turned = Isometry3::rotation(Vector3::z() * std::f64::consts::PI);
+        assert!((rms_apart_mm(&points, &Isometry3::identity(), &turned) - 2.0_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(rms_apart_mm(&[], &Isometry3::identity(), &turned), 0.0);
+    }
 
     fn named(points: &[[f64; 3]]) -> Vec<NamedPoint> {
         points.iter().enumerate().map(|(k, p)| NamedPoint::new(format!("M{}", k + 1), Point3::from(*p))).collect()

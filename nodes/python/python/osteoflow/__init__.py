@@ -190,6 +190,7 @@ def register(
     threshold_hu: Optional[float] = None,
     series: Optional[str] = None,
     target_points: int = 150_000,
+    max_points: int = 100_000,
     seed: int = 1,
     unit_mm: float = 1.0,
     target_unit_mm: Optional[float] = None,
@@ -242,7 +243,7 @@ def register(
     options = dict(
         init=init, method=method, landmarks=landmarks, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm,
         max_iterations=max_iterations, step_mm=step_mm, step_rad=step_rad, stop=stop, threshold_hu=threshold_hu, series=series,
-        target_points=target_points, seed=seed, unit_mm=unit_mm, target_unit_mm=target_unit_mm, source_unit_mm=source_unit_mm,
+        target_points=target_points, max_points=max_points, seed=seed, unit_mm=unit_mm, target_unit_mm=target_unit_mm, source_unit_mm=source_unit_mm,
         init_unit_mm=init_unit_mm, camera=camera, workers=workers, cache=cache, repeat=repeat, verdict=verdict, require=require,
         out=out, write_source=write_source, space=space,
     )

@@ -9,7 +9,6 @@ pub(crate) use descent::{Placed, Points, descended, distinct, motion, thinned};
 use crate::Refusal;
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::kabsch::centroid;
-use crate::sensor_noise::sensor_noise_mm;
 use crate::target::{NearMap, Side, Target};
 use anywhere::{Shape, anywhere};
 use axis::{Scan, stations};
@@ -38,11 +37,8 @@ const MORE: usize = 5;
 /// A scan is looked for along the bone alone if it is at least this many times as long as wide...
 const SHAFT: f64 = 2.5;
 
-/// ...its best place leaves less than this share of the reach...
+/// ...and its best place leaves less than this share of the reach. Where a shaft fits so well, it fits as well where more starts lead.
 const MISFIT: f64 = 0.25;
-
-/// ...and is clear, or leaves less than this many times the sensor's noise, so that no other place fits much better.
-const MISFIT_SIGMAS: f64 = 4.0;
 
 /// The reach at the end is at least this many standard deviations of what the best place leaves, by its better quarter.
 const REACH_SIGMAS: f64 = 3.0;
@@ -240,8 +236,7 @@ impl<'a> Search<'a> {
         let ends = descended(self.map, &self.few, &starts, self.reach.mid, 8);
         // Rivals are looked for far away, too, as near ones may all come to lie in one place.
         let n_far = self.params.n_refined / 2;
-        let far_mm = FAR * shape.radius_mm;
-        let far_mm = far_mm.max(self.reach.apart);
+        let far_mm = self.reach.apart.max(FAR * shape.radius_mm);
         let mut near = distinct(ends.clone(), &self.few, 4, self.reach.same, self.params.n_refined - n_far);
         near.extend(distinct(ends, &self.few, 4, far_mm, n_far));
         let ends = descended(self.map, &self.some, &near, self.reach.end, 8);
@@ -281,14 +276,6 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Whether the best of the sorted ends fits so well that no other search would find a better one.
-    fn is_placed(&self, ends: &[End], source: &Cloud) -> bool {
-        let Some(best) = ends.first().filter(|best| best.score_mm < MISFIT * self.reach.end) else { return false };
-        let rival = self.rival(ends);
-        rival.is_none_or(|rival| best.clearness(rival) >= CLEAR)
-            || sensor_noise_mm(source.points()).is_some_and(|noise_mm| best.score_mm < MISFIT_SIGMAS * noise_mm)
-    }
-
     /// The best of the sorted ends that is another place than the first.
     fn rival<'b>(&self, ends: &'b [End]) -> Option<&'b End> {
         let (best, others) = ends.split_first()?;
@@ -317,9 +304,9 @@ impl End {
 /// Registers a scan to a surface by shape alone.
 ///
 /// The long axis of a scan that is 1.5 times as long as wide is laid along the bone's centre line both ways, in steps along it and in
-/// turns about it. A scan that is not, and one that fits badly so, is laid in any orientation anywhere on the surface: points of it
-/// onto samples of the surface with their normals, in turns about these. Starts that score better than their neighbours are refined, and the
-/// best refined one of both searches is the answer, by one score. The side from which a long
+/// turns about it. A scan that is less than 2.5 times as long as wide, and one that fits badly so, is laid in any orientation anywhere on the
+/// surface: points of it onto samples of the surface with their normals, in turns about these. Starts that score better than their
+/// neighbours are refined, and the best refined one of both searches is the answer, by one score. The side from which a long
 /// scan was seen (its viewpoint, else the way it bulges) is turned outward. A shaft is nearly a cylinder, so the answer
 /// may be wrong along or about it although it fits well; the report gives the score of the runner-up. The result does
 /// not depend on the number of threads.
@@ -353,8 +340,8 @@ pub(crate) fn global_by(
     let is_along = match searched {
         Some(searched) => searched == Searched::Along && long.is_some(),
         None => {
-            search.sort(&mut ends);
-            long.as_ref().is_some_and(|scan| scan.elongation >= SHAFT) && search.is_placed(&ends, source)
+            let is_shaft = long.as_ref().is_some_and(|scan| scan.elongation >= SHAFT);
+            is_shaft && ends.iter().any(|end| end.score_mm < MISFIT * search.reach.end)
         }
     };
     if !is_along {

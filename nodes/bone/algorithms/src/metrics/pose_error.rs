@@ -30,6 +30,12 @@ pub fn pose_error(error: &Isometry3<f64>, point: &Point3<f64>) -> PoseErrorRepor
     }
 }
 
+/// RMS distance between points at two poses, mm; zero without points.
+pub fn rms_apart_mm(points: &[Point3<f64>], a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
+    let sum: f64 = points.iter().map(|p| (a * p - b * p).norm_squared()).sum();
+    (sum / points.len().max(1) as f64).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

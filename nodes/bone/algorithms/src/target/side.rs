@@ -1,6 +1,7 @@
 //! The side of a surface that its normals point to.
 
 use super::Target;
+use crate::mesh_query::MeshQuery;
 use crate::mesh_topology::{open_edges_of, welded};
 use nalgebra::Vector3;
 
@@ -10,7 +11,7 @@ const N_TOLD: usize = 5000;
 /// Length of the mean normal from which a surface is open: a closed one has 0, a bone with an end cut off 0.02, a ball's half 0.5.
 const OPEN: f64 = 0.15;
 
-/// The same of a mesh whose enclosed volume tells its side, and the maximum share of its edges that are open or doubled.
+/// The same of a mesh whose volume tells that it is inside out, and the maximum share of its edges that are open or doubled.
 const NEARLY_CLOSED: f64 = 0.02;
 const OPEN_EDGES: f64 = 0.001;
 
@@ -21,7 +22,7 @@ const OUTWARD_SHARE: f64 = 0.02;
 /// The side of a surface that its normals point to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Side {
-    /// Out of a closed surface.
+    /// Out of a closed surface, or one with ends cut off.
     Outward,
     /// Into a closed surface.
     Inward,
@@ -74,23 +75,25 @@ impl Target {
     fn side_of(&self, normals: &[Vector3<f64>]) -> Side {
         let sums = Sums::new(self, normals);
         let sign = |outward: f64| if outward < 0.0 { Side::Inward } else { Side::Outward };
-        if let Some(mesh) = self.mesh().map(|query| query.mesh()) {
-            let closed = || {
-                let faces = welded(mesh);
-                open_edges_of(&faces) as f64 <= OPEN_EDGES * 1.5 * faces.len() as f64
-            };
-            let is_closed = sums.mean_normal() < NEARLY_CLOSED && closed();
-            return if is_closed { sign(mesh.volume_mm3()) } else { Side::Stated };
-        }
         let is_told = sums.mean_normal() <= OPEN && sums.outward.abs() > OUTWARD_SHARE * sums.length;
-        if is_told { sign(sums.outward) } else { Side::Unknown }
+        let Some(mesh) = self.mesh().map(MeshQuery::mesh) else {
+            return if is_told { sign(sums.outward) } else { Side::Unknown };
+        };
+        if is_told && sums.outward > 0.0 {
+            return Side::Outward;
+        }
+        // A bore is no inside-out shaft.
+        let is_closed = || {
+            let faces = welded(mesh);
+            open_edges_of(&faces) as f64 <= OPEN_EDGES * 1.5 * faces.len() as f64
+        };
+        if sums.mean_normal() < NEARLY_CLOSED && is_closed() { sign(mesh.volume_mm3()) } else { Side::Stated }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh_query::MeshQuery;
     use crate::shapes::{cuboid, shaft};
     use osteoflow_geometry::{Mesh, SurfaceOrigin};
     use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -124,6 +127,6 @@ mod tests {
         let open = [(Side::Stated, Side::Unknown, true); 2];
         assert_eq!(sides(&soup(&shaft(), |p| p.x > 2.0)), open);
         let tube = sides(&soup(&shaft(), |p| (10.0..110.0).contains(&p.z)));
-        assert_eq!(tube, [(Side::Stated, Side::Outward, false), (Side::Stated, Side::Inward, false)]);
+        assert_eq!(tube, [(Side::Outward, Side::Outward, false), (Side::Stated, Side::Inward, false)]);
     }
 }

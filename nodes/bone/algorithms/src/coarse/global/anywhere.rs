@@ -1,6 +1,6 @@
 //! Starts of a scan of any shape: in any orientation, anywhere on the surface.
 
-use super::descent::{Placed, Points, descended, distinct};
+use super::descent::{Placed, Points, descended, distinct, thinned};
 use crate::kabsch::centroid;
 use crate::morton::order_by_index;
 use crate::normals::without_side;
@@ -8,6 +8,9 @@ use crate::target::{NearMap, Sample, Target};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
+
+/// Number of scan points, evenly through their order, of which some are taken.
+const N_LOOKED_AT: usize = 100_000;
 
 /// Number of scan points whose normals are estimated: their neighbourhoods are then as wide as the coarse steps need.
 const N_PLANES: usize = 4000;
@@ -53,7 +56,7 @@ pub(crate) struct Shape {
 
 impl Shape {
     pub(crate) fn new(points: &[Point3<f64>], middle: &Point3<f64>, camera: Option<Point3<f64>>) -> Self {
-        let about: Vec<Vector3<f64>> = points.iter().map(|p| p - middle).collect();
+        let about: Vec<Vector3<f64>> = thinned(points, N_LOOKED_AT).iter().map(|p| p - middle).collect();
         let camera = camera.map(|camera| camera - middle);
         let points = spread(&about, N_PLANES);
         let mut normals = without_side(&points);
@@ -193,7 +196,7 @@ pub(crate) fn anywhere(target: &Target, shape: &Shape) -> (Vec<Placed>, usize) {
     let n_tried = sides.len() * places.len() * N_SPINS;
     let spin = |k: usize| (k as f64 / N_SPINS as f64 * TAU).sin_cos();
     let spins: Vec<(f32, f32)> = (0..N_SPINS).map(|k| (spin(k).0 as f32, spin(k).1 as f32)).collect();
-    // The two best spins of each anchor on each sample, so that one place does not take all starts.
+    // Of each anchor on each sample only the spins that are better than their neighbours, so that one place does not take all starts.
     let scored: Vec<Vec<(u16, Start)>> = sides
         .par_iter()
         .enumerate()
