@@ -76,7 +76,7 @@ fn ruled_starts_agree_at_the_cuts_after_any_variant() {
     let measured = ["MC22_fibula_r", "TLEM2_CT_fibula_r"].into_iter().filter_map(|name| measured(test, name));
     let bones = measured.chain([built_in(2), built_in(1)]);
     for bone in bones.take(if is_slow() { 4 } else { 1 }) {
-        let bench = Bench::new(bone, &white_noise(), &CtParams::default(), 1);
+        let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 1);
         starts_agree(&bench.thinned(every()), n);
     }
 }
@@ -86,7 +86,7 @@ fn a_slid_and_spun_start_comes_home() {
     let test = "a_slid_and_spun_start_comes_home";
     let bones = measured(test, "TLEM2_CT_fibula_r").into_iter().chain([built_in(1)]);
     for bone in bones.take(if is_slow() { 2 } else { 1 }) {
-        let bench = Bench::new(bone, &white_noise(), &CtParams::default(), 2).thinned(every());
+        let bench = Bench::new(bone, &ProcedureParams::default(), &CtParams::default(), 2).thinned(every());
         let home = slid(&bench, &bench.truth);
         for (along_mm, turn_deg) in [(25.0, 0.0), (-25.0, 0.0), (12.0, 40.0), (-12.0, -40.0)] {
             let fit = slid(&bench, &bench.displaced(along_mm, f64::to_radians(turn_deg)));
@@ -114,6 +114,8 @@ struct Made {
     n_undetermined: usize,
     n_rivals: usize,
     n_moved: usize,
+    /// Number of results more than 1.5 mm off that are neither undetermined nor have a rival.
+    n_untold: usize,
 }
 
 /// Scans with these errors of several bones and seeds, from ruled starts.
@@ -125,7 +127,7 @@ fn made(bones: &[u64], n_seeds: u64, change: impl Fn(&mut ProcedureParams, &mut 
 fn made_of(bones: &[u64], n_seeds: u64, length_mm: f64, change: impl Fn(&mut ProcedureParams, &mut CtParams)) -> Made {
     let mut made = Made::default();
     for (bone, seed) in bones.iter().flat_map(|bone| (0..n_seeds).map(move |seed| (*bone, seed))) {
-        let (mut params, mut ct) = (white_noise(), CtParams::default());
+        let (mut params, mut ct) = (ProcedureParams::default(), CtParams::default());
         params.laser.max_attempts = 3;
         change(&mut params, &mut ct);
         let bench = Bench::new(built_in(bone), &params, &ct, 100 + seed).cropped(length_mm).thinned(every());
@@ -142,6 +144,9 @@ fn made_of(bones: &[u64], n_seeds: u64, length_mm: f64, change: impl Fn(&mut Pro
         made.n_undetermined += usize::from(!report.determined);
         made.n_rivals += usize::from(report.runner_up.as_ref().is_some_and(|other| !other.is_told_apart));
         made.n_moved += usize::from(report.moved_along_mm.abs() > 1.5);
+        let is_told = !report.determined || report.runner_up.as_ref().is_some_and(|other| !other.is_told_apart);
+        let is_off = bench.apart_mm(&fit.t_target_source, &bench.truth) > 1.5;
+        made.n_untold += usize::from(is_off && !is_told);
     }
     made
 }
@@ -220,13 +225,23 @@ fn film_and_tissue_do_not_make_it_run_away() {
         }
     };
     let tissue = |share: f64| move |params: &mut ProcedureParams, _: &mut CtParams| params.tissue.share = share;
+    let white_tissue = |share: f64| {
+        move |params: &mut ProcedureParams, _: &mut CtParams| {
+            *params = ProcedureParams { laser: params.laser.clone(), ..white_noise() };
+            params.tissue.share = share;
+        }
+    };
     let check = |name: &str, made: Made| {
         made.print(name);
         let [before, after] = [made.largest(0), made.largest(1)];
         assert!(after < before.max(1.0) + 0.3, "{name}: {after} mm, before {before}");
     };
     check("film 2 mm, 50 %", made(&[2], n_seeds(), film(2.0, 0.5)));
-    check("tissue 50 %", made(&[2], n_seeds(), tissue(0.5)));
+    // With the noise that was measured it may run away, and says so.
+    check("tissue 50 %, white noise", made(&[2], n_seeds(), white_tissue(0.5)));
+    let measured = made(&[2], n_seeds(), tissue(0.5));
+    measured.print("tissue 50 %");
+    assert_eq!(measured.n_untold, 0, "tissue 50 %: results off by more than 1.5 mm that are not told");
     if is_slow() {
         check("film 0.5 mm, 30 %", made(&[2], n_seeds(), film(0.5, 0.3)));
         check("film 2 mm, 30 %", made(&[2], n_seeds(), film(2.0, 0.3)));
@@ -251,7 +266,8 @@ fn a_shorter_scan_has_a_wider_profile() {
     println!("{}", Made::HEAD);
     let mut widths = Vec::new();
     for length_mm in [95.0, 60.0, 40.0, 25.0] {
-        let made = made_of(&[2], n_seeds(), length_mm, |_, _| ());
+        // Of one scan the noise decides.
+        let made = made_of(&[2], n_seeds().max(4), length_mm, |_, _| ());
         made.print(&format!("{length_mm} mm of shaft"));
         widths.push(made.widths.iter().sum::<f64>());
     }

@@ -88,26 +88,28 @@ impl Bench {
     }
 
     /// Three-point fits of landmarks with ruler errors: the first within 10 mm along the bone, the others within 2 mm of it, the
-    /// second within 3 mm across.
+    /// second within 3 mm across. Marks that come to lie on a line are no start and drawn anew.
     pub(crate) fn ruled_starts(&self, n: usize, seed: u64) -> Vec<Isometry3<f64>> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut within = |mm: f64| mm * (2.0 * rng.random::<f64>() - 1.0);
         let planned = &self.subject.plan.landmarks.points;
-        (0..n)
-            .map(|_| {
-                let errors = RulerErrors {
-                    first_mm: within(10.0),
-                    second_mm: within(2.0),
-                    third_mm: within(2.0),
-                    across_mm: within(3.0),
-                    ..RulerErrors::default()
-                };
-                let marks = ruled(&self.subject.surface, planned, &self.along(), &errors).unwrap().points;
-                let seen = |mark: &NamedPoint| NamedPoint::new(mark.name.clone(), self.truth.inverse() * mark.position);
-                let located: Vec<NamedPoint> = marks.iter().map(seen).collect();
-                three_point(planned, &located).unwrap().t_target_source
-            })
-            .collect()
+        std::iter::repeat_with(|| {
+            let errors = RulerErrors {
+                first_mm: within(10.0),
+                second_mm: within(2.0),
+                third_mm: within(2.0),
+                across_mm: within(3.0),
+                ..RulerErrors::default()
+            };
+            let marks = ruled(&self.subject.surface, planned, &self.along(), &errors).unwrap().points;
+            let seen = |mark: &NamedPoint| NamedPoint::new(mark.name.clone(), self.truth.inverse() * mark.position);
+            let located: Vec<NamedPoint> = marks.iter().map(seen).collect();
+            three_point(planned, &located).ok()
+        })
+        .flatten()
+        .map(|fit| fit.t_target_source)
+        .take(n)
+        .collect()
     }
 
     /// The scan's centroid, in its own frame.
