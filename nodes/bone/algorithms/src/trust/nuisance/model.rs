@@ -28,9 +28,9 @@ const FITTED: [Cause; 8] = [
 /// The causes that look like another pose.
 const UNFITTED: [Cause; 4] = [Cause::FilmAlong, Cause::FilmAround, Cause::Film, Cause::CameraDepth];
 
-/// Explanations are as good as each other that differ by this share, and by this much at least.
+/// Explanations are as good as each other that differ by this share of what the better explains, or by odds of 1 in 20.
 const HARDLY: f64 = 0.05;
-const SLACK: f64 = 5.0;
+const SLACK: f64 = 6.0;
 
 /// Places of a step are tried this far apart, mm.
 const STEP_EVERY_MM: f64 = 8.0;
