@@ -949,16 +949,16 @@ fn points_picked_above_a_surface_through_the_origin_are_not_said_to_be_in_microm
         };
         "label,x,y,z\n".to_owned() + &[400, 2000, 4100, 6000].iter().enumerate().map(row).collect::<String>()
     };
-    let said = |target: &str| {
+    let message = |target: &str| {
         fs::write(case.path("target.csv"), target).unwrap();
         fs::write(case.path("source.csv"), rows(0.0, 1.0)).unwrap();
         let output =
             case.register(&["sheet.ply", "sheet.ply", "--landmarks", "target.csv", "source.csv", "--no-cache"]);
         stderr_of(&output)
     };
-    let off = said(&rows(4.0, 1.0));
+    let off = message(&rows(4.0, 1.0));
     assert!(off.contains("off its surface; were they picked on this surface?"), "{off}");
-    assert!(said(&rows(0.0, 1000.0)).contains("they are in micrometres"), "{}", said(&rows(0.0, 1000.0)));
+    assert!(message(&rows(0.0, 1000.0)).contains("they are in micrometres"), "{}", message(&rows(0.0, 1000.0)));
 }
 
 #[test]
@@ -982,14 +982,17 @@ fn the_true_camera_keeps_the_right_answer_on_a_socket_and_names_one_that_is_insi
             let output = case.register(&all);
             if target == "turned.stl" && with_camera {
                 assert_eq!(output.status.code(), Some(3), "{all:?}: {}", stderr_of(&output));
-                let said = stderr_of(&output);
+                let message = stderr_of(&output);
                 let remedy = "Flip its faces (in MeshLab: Invert Faces Orientation), or leave the camera out";
-                assert!(said.contains("an open surface that is inside out") && said.contains(remedy), "{said}");
+                assert!(
+                    message.contains("an open surface that is inside out") && message.contains(remedy),
+                    "{message}"
+                );
                 continue;
             }
             assert_eq!(output.status.code(), Some(0), "{all:?}: {}", stderr_of(&output));
-            let found = pose(&last_line(&output)) * t_scan;
-            let off_mm = scan.iter().map(|p| (found * p - p).norm()).fold(0.0, f64::max);
+            let registered = pose(&last_line(&output)) * t_scan;
+            let off_mm = scan.iter().map(|p| (registered * p - p).norm()).fold(0.0, f64::max);
             assert!(off_mm < 0.2, "{all:?}: {off_mm} mm");
         }
     }

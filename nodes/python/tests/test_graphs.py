@@ -60,6 +60,8 @@ def test_a_wire_is_replaced_by_an_array_and_gives_the_bits_of_its_file(files):
     report = by_file["coarse.report"][0]
     assert start.shape == (4, 4) and report.payload
     # A report that nobody needs may be left out; then the results lack it.
+    by_item = graph.run(inputs={"coarse.t_target_source": by_file["coarse.t_target_source"][0]})
+    assert by_item["icp.t_target_source"].array.tobytes() == by_file["icp.t_target_source"].array.tobytes()
     by_start = graph.run(inputs={"coarse.t_target_source": start})
     # The start passes a matrix, whose rounding may change the last bits of what follows.
     difference = by_start["icp.t_target_source"].array - by_file["icp.t_target_source"].array

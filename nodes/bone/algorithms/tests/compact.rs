@@ -2,7 +2,8 @@
 //! them from many poses; `OSTEOFLOW_CASES` takes those whose names have one of these words, separated by commas.
 
 use crate::common::{data, stl};
-use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use crate::measured::{centroid, ply, range_scans, rows, xyz};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use osteoflow_algorithms::coarse::{CLEAR, GlobalParams, global};
 use osteoflow_algorithms::icp::{self, IcpParams, Method};
 use osteoflow_algorithms::mesh_query::MeshQuery;
@@ -13,7 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal, UnitSphere};
 use std::f64::consts::{PI, TAU};
-use std::{ops::ControlFlow, path::Path};
+use std::ops::ControlFlow;
 
 /// A scan where it belongs, and what a right pose of it is.
 struct Case {
@@ -35,8 +36,8 @@ impl Case {
         let shift = Vector3::from_fn(|_, _| rng.random_range(-500.0..500.0));
         let t = Translation3::from(centre + shift) * turn * Translation3::from(-centre);
         let cloud = Cloud::new("scan", self.placed.iter().map(|p| t * p).collect::<Vec<_>>()).unwrap();
-        let seen = |camera: Point3<f64>| cloud.clone().seen_from(Isometry3::from((t * camera).coords));
-        (self.camera.map_or_else(|| cloud.clone(), seen), t)
+        let with_camera = |camera: Point3<f64>| cloud.clone().seen_from(Isometry3::from((t * camera).coords));
+        (self.camera.map_or_else(|| cloud.clone(), with_camera), t)
     }
 
     /// Registers the scan from `n` poses.
@@ -112,10 +113,6 @@ fn cpu_ms() -> Option<f64> {
     Some(counted.split(' ').next()?.parse::<f64>().ok()? / 1e6)
 }
 
-fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
-    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64)
-}
-
 /// RMS distance of points from their centroid, mm.
 fn radius_mm(points: &[Point3<f64>]) -> f64 {
     let middle = centroid(points);
@@ -125,28 +122,6 @@ fn radius_mm(points: &[Point3<f64>]) -> f64 {
 fn target_of(mesh: &Mesh) -> Target {
     let samples = sample::surface(mesh, 150_000, &mut ChaCha8Rng::seed_from_u64(1));
     Target::new("ct", SurfaceOrigin::User, samples.points, Some(samples.normals.into())).unwrap()
-}
-
-/// The numbers of a text file, a row each, after a line.
-fn rows(path: &Path, after: &str) -> Vec<Vec<f64>> {
-    let text = std::fs::read(path).unwrap();
-    let text = String::from_utf8_lossy(&text);
-    let body = if after.is_empty() { &text[..] } else { &text[text.find(after).unwrap() + after.len()..] };
-    body.lines().map(|line| line.split_whitespace().filter_map(|w| w.parse().ok()).collect()).collect()
-}
-
-fn xyz(rows: &[Vec<f64>], unit_mm: f64) -> Vec<Point3<f64>> {
-    rows.iter().filter(|row| row.len() >= 3).map(|row| Point3::new(row[0], row[1], row[2]) * unit_mm).collect()
-}
-
-/// The vertices of an ASCII PLY in metres, mm, and its triangles.
-fn ply(path: &Path) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
-    let head = String::from_utf8_lossy(&std::fs::read(path).unwrap()).into_owned();
-    let line = head.lines().find(|line| line.starts_with("element vertex ")).unwrap();
-    let n: usize = line.rsplit(' ').next().unwrap().trim().parse().unwrap();
-    let rows: Vec<Vec<f64>> = rows(path, "end_header").into_iter().skip(1).collect();
-    let faces = rows[n..].iter().filter(|row| row.len() == 4).map(|row| [1, 2, 3].map(|k| row[k] as u32)).collect();
-    (xyz(&rows[..n], 1000.0), faces)
 }
 
 /// What a camera at 600 mm sees of a mesh within a ball, with depth noise, and where the camera is.
@@ -227,15 +202,7 @@ fn hips(test: &str) -> Vec<Case> {
 fn ranges(test: &str) -> Vec<Case> {
     let Some(conf) = data(test, "real/range/bun.conf") else { return Vec::new() };
     let folder = conf.parent().unwrap();
-    let text = std::fs::read_to_string(&conf).unwrap();
-    let scans = ["bun000", "bun045", "bun090"].map(|name| {
-        let line = text.lines().find(|line| line.contains(name)).unwrap();
-        let v: Vec<f64> = line.split_whitespace().skip(2).map(|w| w.parse().unwrap()).collect();
-        // The quaternion is that of the inverse turn.
-        let turn = UnitQuaternion::from_quaternion(Quaternion::new(v[6], v[3], v[4], v[5])).inverse();
-        let t = Isometry3::from_parts(Translation3::from(Vector3::new(v[0], v[1], v[2]) * 1000.0), turn);
-        (name, ply(&folder.join(format!("{name}.ply"))).0.iter().map(|p| t * p).collect::<Vec<_>>())
-    });
+    let scans = range_scans(&conf);
     let (vertices, faces) = ply(&folder.join("bun_zipper.ply"));
     let model = target_of(&Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap());
     let mut all = Vec::new();

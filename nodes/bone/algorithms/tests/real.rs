@@ -7,7 +7,8 @@
 mod page;
 
 use crate::common::{data, stl};
-use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use crate::measured::{centroid, ply, range_scans, rows, xyz};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use osteoflow_algorithms::coarse::{self, GlobalParams, GlobalReport};
 use osteoflow_algorithms::icp::{self, IcpParams, Method};
 use osteoflow_algorithms::mesh_query::MeshQuery;
@@ -19,8 +20,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};
 use rustix::time::{ClockId, clock_gettime};
+use std::ops::ControlFlow;
 use std::sync::{Mutex, PoisonError};
-use std::{ops::ControlFlow, path::Path};
 
 /// A right pose of a hip bone, at the cloud's centroid: the protocol of its publication.
 const HIP_RIGHT: (f64, f64) = (4.0, 5.0);
@@ -97,10 +98,6 @@ impl Outcome {
         let truth_mm = self.truth_mm;
         self.interval_mm().is_some_and(|[from, to]| (from - truth_mm..=to + truth_mm).contains(&self.error_mm))
     }
-}
-
-fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
-    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64)
 }
 
 fn target_of(mesh: &Mesh) -> Target {
@@ -197,31 +194,6 @@ fn cpu_s() -> f64 {
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }
 
-/// The numbers of a text file, a row each, after `skip` lines.
-fn rows(path: &Path, after: &str) -> Vec<Vec<f64>> {
-    let text = std::fs::read(path).unwrap();
-    let text = String::from_utf8_lossy(&text);
-    let body = if after.is_empty() { &text[..] } else { &text[text.find(after).unwrap() + after.len()..] };
-    body.lines().map(|line| line.split_whitespace().filter_map(|w| w.parse().ok()).collect()).collect()
-}
-
-fn xyz(rows: &[Vec<f64>], unit: f64) -> Vec<Point3<f64>> {
-    rows.iter().filter(|row| row.len() >= 3).map(|row| Point3::new(row[0], row[1], row[2]) * unit).collect()
-}
-
-/// The points of an ASCII PLY in metres, mm: those of its first element.
-fn ply(path: &Path) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
-    let head = String::from_utf8_lossy(&std::fs::read(path).unwrap()).into_owned();
-    let count = |element: &str| -> usize {
-        let line = head.lines().find(|line| line.starts_with(&format!("element {element} "))).unwrap();
-        line.rsplit(' ').next().unwrap().trim().parse().unwrap()
-    };
-    let rows: Vec<Vec<f64>> = rows(path, "end_header").into_iter().skip(1).collect();
-    let n = count("vertex");
-    let faces = rows[n..].iter().filter(|row| row.len() == 4).map(|row| [1, 2, 3].map(|k| row[k] as u32)).collect();
-    (xyz(&rows[..n], 1000.0), faces)
-}
-
 fn is_slow() -> bool {
     std::env::var_os("SLOW_TESTS").is_some()
 }
@@ -259,16 +231,7 @@ fn ranges() -> Vec<Outcome> {
     let folder = conf.parent().unwrap();
     let (vertices, faces) = ply(&folder.join("bun_zipper.ply"));
     let model = target_of(&Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap());
-    let text = std::fs::read_to_string(&conf).unwrap();
-    let scans = ["bun000", "bun045", "bun090"].map(|name| {
-        let line = text.lines().find(|line| line.contains(name)).unwrap();
-        let v: Vec<f64> = line.split_whitespace().skip(2).map(|w| w.parse().unwrap()).collect();
-        // The quaternion is that of the inverse turn.
-        let turn = UnitQuaternion::from_quaternion(Quaternion::new(v[6], v[3], v[4], v[5])).inverse();
-        let t = Isometry3::from_parts(Translation3::from(Vector3::new(v[0], v[1], v[2]) * 1000.0), turn);
-        let (points, _) = ply(&folder.join(format!("{name}.ply")));
-        (name, points.iter().map(|p| t * p).collect::<Vec<_>>())
-    });
+    let scans = range_scans(&conf);
     for (name, placed) in &scans {
         let pair = Pair { name: &format!("{name} on model"), target: &model, placed, is_hip: false };
         for seed in seeds(5) {

@@ -6,5 +6,6 @@ mod bones;
 mod common;
 mod compact;
 mod gross;
+mod measured;
 mod one_target;
 mod real;
