@@ -247,6 +247,7 @@ fn ranges() -> Vec<Outcome> {
         let pair = Pair { name: &name, target: &target, placed, is_hip: false };
         for seed in seeds(3) {
             all.extend([Start::Shape, NEAR].map(|start| pair.registered(start, seed)));
+            all.push(pair.mirrored(NEAR, seed));
         }
     }
     all

@@ -158,7 +158,7 @@ impl Evidence {
         }
         let surface_error = SurfaceError::new(&on);
         let rough_mm = (misfit.rms_mm.powi(2) - (NOISE_LEFT * noise_mm).powi(2)).max(0.0).sqrt();
-        let spread = Spread::new(&on, surface_error.cell_mm()).or_else(|| Spread::new(&on, CELL_MM));
+        let spread = Spread::new(&on, surface_error.cell_mm(CELL_MM)).or_else(|| Spread::new(&on, CELL_MM));
         let spread = spread.map(|spread| spread.widened(rough_mm));
         let points: Vec<Point3<f64>> = on.iter().map(|near| near.point).collect();
         let pattern = match &spread {

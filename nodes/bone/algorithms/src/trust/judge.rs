@@ -23,7 +23,6 @@ use super::predict_last::predict_last;
 use super::rules::RuleParams;
 use super::slid::slide_reasons;
 use super::stylus::stylus_reason;
-use super::surface_error::CELL_MM;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
 use crate::still_average::TakeMotion;
@@ -171,9 +170,7 @@ impl Judging<'_> {
     /// What may be wrong beside the pose.
     fn nuisances(&self, evidence: &Evidence) -> Option<Nuisances> {
         let (registered, priors) = (&self.case.registered, &self.errors.nuisances);
-        let examine =
-            |cell_mm: f64| nuisance::examine(registered, &self.place, evidence.noise_mm, cell_mm, self.rules, priors);
-        [evidence.surface_error.cell_mm(), CELL_MM].into_iter().find_map(examine)
+        nuisance::examine(registered, &self.place, evidence.noise_mm, self.rules, priors)
     }
 
     fn predicted(&self, examined: &Examined, nuisances: Option<&Nuisances>) -> Option<Predicted> {

@@ -37,7 +37,6 @@ pub(super) fn examine(
     registered: &Registered<'_>,
     place: &Where<'_>,
     noise_mm: f64,
-    cell_mm: f64,
     rules: &RuleParams,
     params: &NuisanceParams,
 ) -> Option<Nuisances> {
@@ -49,8 +48,8 @@ pub(super) fn examine(
     let noise_mm = noise_mm / (read.len() as f64 / N_FITTED as f64).max(1.0).sqrt();
     let camera = source.viewpoint.map(|viewpoint| t_target_source * (viewpoint * Point3::origin()));
     let axes = Axes::new(&points, &seen, camera)?;
-    let field = Field::new(&axes, &points, params.field_mm);
-    let problem = fit::Problem { target, normals, points: &points, axes: &axes, field: &field, noise_mm, cell_mm };
+    let field = Field::new(&axes, &points, params.field_mm, params.offset_mm);
+    let problem = fit::Problem { target, normals, points: &points, axes: &axes, field: &field, noise_mm };
     Some(Model::new(problem, place, rules, params)?.judge())
 }
 

@@ -74,9 +74,9 @@ impl SurfaceError {
         Self { noise_mm: (variance - level).sqrt(), level_mm: level.sqrt(), length_mm }
     }
 
-    /// Edge of cells whose residuals are nearly independent of each other, mm.
-    pub fn cell_mm(&self) -> f64 {
-        (2.0 * self.length_mm).max(CELL_MM)
+    /// Edge of cells whose residuals are nearly independent of each other, at least `least_mm`, mm.
+    pub(super) fn cell_mm(&self, least_mm: f64) -> f64 {
+        (2.0 * self.length_mm).max(least_mm)
     }
 }
 

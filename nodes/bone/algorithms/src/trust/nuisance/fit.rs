@@ -3,11 +3,12 @@
 use super::cause::{Axes, Mode};
 use super::field::{Field, N_FIELD};
 use crate::target::Target;
+use crate::trust::Residual;
 use nalgebra::{Isometry3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of unknowns: a shift, a turn, the camera's field, and at most two numbers more.
+/// Number of unknowns: a shift, a turn, the field, and at most two numbers more.
 pub(super) const N: usize = N_BEFORE + 2;
 
 /// Number of unknowns that every fit has.
@@ -35,6 +36,9 @@ pub(super) const THOROUGH: usize = 100;
 /// simulated scans, beside such a field, than with independent residuals.
 const N_TOGETHER: f64 = 10.0;
 
+/// The least standard deviation of residuals for the weight of a prior, mm: no surface of a segmentation is truer.
+const SURFACE_MM: f64 = 0.05;
+
 /// A fit ends where no point moves farther in a step, mm.
 const STEP_MM: f64 = 0.001;
 
@@ -53,8 +57,6 @@ pub(super) struct Problem<'a> {
     pub(super) field: &'a Field,
     /// The sensor's noise, mm.
     pub(super) noise_mm: f64,
-    /// Edge of the cells whose residuals count as one draw, mm.
-    pub(super) cell_mm: f64,
 }
 
 /// What a fit has reached.
@@ -65,7 +67,7 @@ struct Unknowns {
 }
 
 impl Unknowns {
-    /// The field's waves among the unknowns.
+    /// The field's amplitudes among the unknowns.
     fn row(&self) -> Row {
         field(|k| self.field_mm[k])
     }
@@ -86,7 +88,7 @@ pub(super) struct Fit {
     pub(super) motion: Isometry3<f64>,
     /// The parameters.
     pub(super) values: Vec<f64>,
-    /// The waves of the camera's field, mm.
+    /// The amplitudes of the field, mm.
     pub(super) field_mm: [f64; N_FIELD],
     /// Robust standard deviation of the residuals, mm.
     pub(super) sigma_mm: f64,
@@ -110,8 +112,8 @@ pub(super) struct Pair {
 }
 
 impl Problem<'_> {
-    /// Fits the pose, the camera's field and the modes, from the registration on, with pairs and weights found anew in each step from
-    /// all points. `field_sds_mm` are the priors of the field's waves.
+    /// Fits the pose, the field and the modes, from the registration on, with pairs and weights found anew in each step from
+    /// all points. `field_sds_mm` are the priors of the field's amplitudes.
     ///
     /// `None` where the points leave one of them undetermined.
     pub(super) fn fit(&self, modes: &[Mode], field_sds_mm: &[f64; N_FIELD], max_steps: usize) -> Option<Fit> {
@@ -154,7 +156,8 @@ impl Problem<'_> {
         let centre = self.axes.centre;
         let pair = |((index, p), normal): ((usize, &Point3<f64>), &Vector3<f64>)| {
             let shifts = modes.iter().zip(&at.values).map(|(mode, value)| mode.at(self.axes, p, normal) * *value);
-            let warped = p + shifts.sum::<Vector3<f64>>() + self.axes.towards * self.field.at(index, &at.field_mm);
+            let field = self.field.displacement(index, &self.axes.towards, normal, &at.field_mm);
+            let warped = p + shifts.sum::<Vector3<f64>>() + field;
             let point = centre + at.motion.rotation * (warped - centre) + at.motion.translation.vector;
             let (nearest, _) = self.target.nearest(&point, REACH_MM)?;
             let normal = self.normals[nearest];
@@ -179,12 +182,12 @@ impl Problem<'_> {
         pairs.iter().enumerate().map(row).collect()
     }
 
-    /// How far the point of a pair moves along its normal with shift and turn about the centroid, and with the field's waves.
+    /// How far the point of a pair moves along its normal with shift and turn about the centroid, and with the field's amplitudes.
     pub(super) fn row_before(&self, index: usize, pair: &Pair, motion: &Isometry3<f64>) -> SVector<f64, N_BEFORE> {
         let (n, turn) = (pair.normal, (pair.point - self.axes.centre).cross(&pair.normal));
         let facing = n.dot(&(motion.rotation * self.axes.towards));
-        let waves = self.field.waves(index).iter().map(|wave| facing * wave);
-        SVector::from_iterator(n.iter().chain(&turn).copied().chain(waves))
+        let along = n.dot(&(motion.rotation * n));
+        SVector::from_iterator(n.iter().chain(&turn).copied().chain(self.field.at(index, facing, along)))
     }
 
     /// How far the point of a pair moves along its normal with a mode.
@@ -204,11 +207,17 @@ impl Problem<'_> {
         (*quarter / QUARTER_SIGMAS).max(self.noise_mm)
     }
 
-    /// Covariance of the unknowns of a fit, with the residuals of one cell taken for one draw; `None` with too few cells.
+    /// Covariance of the unknowns of a fit, with the residuals of one cell of `cell_mm` taken for one draw; `None` with too few cells.
     ///
     /// # Source
     /// White 1980; Liang and Zeger 1986, with the correction for the number of cells.
-    pub(super) fn covariance(&self, fit: &Fit, modes: &[Mode], field_sds_mm: &[f64; N_FIELD]) -> Option<Normal> {
+    pub(super) fn covariance(
+        &self,
+        fit: &Fit,
+        modes: &[Mode],
+        field_sds_mm: &[f64; N_FIELD],
+        cell_mm: f64,
+    ) -> Option<Normal> {
         let n = N_BEFORE + modes.len();
         let rows = self.rows(&fit.pairs, modes, &fit.motion);
         let (mut h, _) = normal_equations(&fit.pairs, &rows, fit.gate_mm, n);
@@ -217,7 +226,7 @@ impl Problem<'_> {
         let mut cells: BTreeMap<[i64; 3], Row> = BTreeMap::new();
         for (pair, row) in fit.pairs.iter().zip(&rows) {
             let Some(pair) = pair else { continue };
-            let key = std::array::from_fn(|k| ((pair.point[k] - self.axes.centre[k]) / self.cell_mm).floor() as i64);
+            let key = std::array::from_fn(|k| ((pair.point[k] - self.axes.centre[k]) / cell_mm).floor() as i64);
             *cells.entry(key).or_insert_with(Row::zeros) += row * (fit.weight(pair) * pair.residual_mm);
         }
         let scores: Normal = cells.values().map(|score| score * score.transpose()).sum();
@@ -238,6 +247,18 @@ impl Fit {
         weight(pair.residual_mm, self.gate_mm)
     }
 
+    /// The residuals of the pairs that have weight.
+    pub(super) fn left(&self) -> Vec<Residual> {
+        let pairs = self.pairs.iter().flatten().filter(|pair| self.weight(pair) > 0.0);
+        let left = |pair: &Pair| Residual {
+            point: pair.point,
+            normal: pair.normal,
+            signed_mm: -pair.residual_mm,
+            aside_mm: 0.0,
+        };
+        pairs.map(left).collect()
+    }
+
     /// Sum over all points of the squares of the residuals, each at most `cap_mm`².
     pub(super) fn squares(&self, cap_mm: f64) -> f64 {
         let square =
@@ -252,14 +273,14 @@ fn weight(residual_mm: f64, gate_mm: f64) -> f64 {
     if u.abs() < 1.0 { (1.0 - u * u).powi(2) } else { 0.0 }
 }
 
-/// A row of the unknowns with these values for the field's waves.
+/// A row of the unknowns with these values for the field's amplitudes.
 fn field(of: impl Fn(usize) -> f64) -> Row {
     Row::from_fn(|k, _| if (6..N_BEFORE).contains(&k) { of(k - 6) } else { 0.0 })
 }
 
-/// What the priors of the field's waves say of them, in residuals.
+/// What the priors of the field's amplitudes say of them, in residuals.
 pub(super) fn prior(field_sds_mm: &[f64; N_FIELD], sigma_mm: f64) -> Row {
-    field(|k| N_TOGETHER * (sigma_mm / field_sds_mm[k]).powi(2))
+    field(|k| N_TOGETHER * (sigma_mm.max(SURFACE_MM) / field_sds_mm[k]).powi(2))
 }
 
 /// Normal matrix and right-hand side; unknowns beyond the first `n` are held at zero.

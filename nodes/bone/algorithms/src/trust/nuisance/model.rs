@@ -2,13 +2,13 @@
 
 use super::cause::{Cause, Mode};
 use super::effect::{Effect, error_at};
-use super::field::N_FIELD;
+use super::field::{self, N_FIELD};
 use super::fit::{self, Fit, N_BEFORE, Problem, twist};
 use super::params::NuisanceParams;
 use super::report::{Nuisance, NuisanceState, Nuisances};
 use super::words;
-use crate::trust::RuleParams;
 use crate::trust::predict::{Deformation, Where};
+use crate::trust::{RuleParams, SurfaceError};
 use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
 use osteoflow_verdict::Reason;
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -42,8 +42,15 @@ const AS_WELL: f64 = 0.75;
 /// a shaft a first look finds a half of it.
 const NEAR: f64 = 0.3;
 
-/// A wave of the camera's field that is not fitted has this standard deviation, mm.
+/// An amplitude of the field that is not fitted has this standard deviation, mm.
 const NONE_MM: f64 = 1e-6;
+
+/// The least edge of the cells whose residuals count as one draw, mm: some points of the scan are in each.
+const MIN_CELL_MM: f64 = 4.0;
+
+/// Standard deviations over those that the residuals tell: so much more do sizes scatter in simulated sound scans, as errors of camera and
+/// CT that are no wave of the field are in none of the residuals.
+const UNMODELLED: f64 = 2.8;
 
 /// Twice the logarithm of the odds against a fault: one in 400.
 const FAULT: f64 = 12.0;
@@ -88,6 +95,8 @@ pub(super) struct Model<'a> {
     problem: Problem<'a>,
     /// The fit of pose and field alone.
     rigid: Fit,
+    /// Edge of the cells whose residuals count as one draw, mm.
+    cell_mm: f64,
     /// How much more the pose varies than with independent residuals.
     inflation: f64,
     place: &'a Where<'a>,
@@ -104,9 +113,11 @@ impl<'a> Model<'a> {
         params: &'a NuisanceParams,
     ) -> Option<Self> {
         let rigid = problem.fit(&[], &problem.field.sds_mm, fit::THOROUGH)?;
-        let covariance = problem.covariance(&rigid, &[], &problem.field.sds_mm)?;
-        let mut model = Self { problem, rigid, inflation: 1.0, place, rules, params };
-        let (h, _, _) = model.blocks(&[]);
+        // The field explains what is correlated over longer distances.
+        let cell_mm = SurfaceError::new(&rigid.left()).cell_mm(MIN_CELL_MM);
+        let covariance = problem.covariance(&rigid, &[], &problem.field.sds_mm, cell_mm)?;
+        let mut model = Self { problem, rigid, cell_mm, inflation: 1.0, place, rules, params };
+        let (h, _, _) = model.blocks(&[], &model.problem.field.sds_mm);
         let inverse = h.try_inverse()?;
         let inflation = (0..6).map(|k| covariance[(k, k)] / inverse[(k, k)]).sum::<f64>() / 6.0;
         model.inflation = (inflation / model.rigid.sigma_mm.powi(2)).max(1.0);
@@ -121,23 +132,22 @@ impl<'a> Model<'a> {
         let measured = self.measured(&candidates);
         let (mut list, mut unseen, mut bounded) = (Vec::new(), Vec::new(), Vec::new());
         for cause in fitted.into_iter().chain(UNFITTED) {
-            // The stretch beside a shear is a cause of its own.
-            let modes: Vec<Mode> = cause.modes(self.problem.axes).into_iter().take(cause.n_own()).collect();
+            let modes = self.own_modes(cause);
             if modes.is_empty() {
                 continue;
             }
             let candidate = candidates.iter().find(|c| c.cause == cause);
             let prior = self.params.prior(cause);
-            let linear = self.linear(&modes, prior);
+            let linear = self.linear(cause, &modes);
             let bound = linear.worst.scaled(BOUND_SIGMAS * linear.data_sd);
             let (state, effect) = match candidate {
                 Some(c) if measured.iter().any(|m| m.cause == cause) => (NuisanceState::Measured, c.effect),
-                _ if !cause.is_assumed() && bound.times <= 1.0 => (NuisanceState::Bounded, bound),
+                Some(_) if !cause.is_assumed() && bound.times <= 1.0 => (NuisanceState::Bounded, bound),
                 _ => (NuisanceState::Unseen, linear.worst.scaled(prior)),
             };
             let critical = 1.0 / linear.worst.times.max(1e-12);
             match state {
-                NuisanceState::Bounded => bounded.extend(modes.iter().map(|mode| (*mode, prior))),
+                NuisanceState::Bounded => bounded.push(cause),
                 NuisanceState::Unseen => {
                     let assumption = words::assumption(cause, critical, linear.worst, &self.rules.limits);
                     unseen.push((critical / prior, (cause.is_of_camera(), assumption)));
@@ -166,6 +176,11 @@ impl<'a> Model<'a> {
             assumptions: unseen.into_iter().map(|(_, assumption)| assumption).collect(),
             deformation: self.deformation(&bounded),
         }
+    }
+
+    /// The modes of a cause without what is fitted beside it: the stretch beside a shear is a cause of its own.
+    fn own_modes(&self, cause: Cause) -> Vec<Mode> {
+        cause.modes(self.problem.axes).into_iter().take(cause.n_own()).collect()
     }
 
     /// The causes fitted, the one that explains most first.
@@ -254,11 +269,14 @@ impl<'a> Model<'a> {
         of(candidate.cause, candidate.size()) + beside
     }
 
-    /// Priors of the camera's field beside a cause: a bend is its longest wave.
+    /// Priors of the field beside a cause: a bend is its longest wave, and the side that a camera sees does not tell a CT too wide from one with
+    /// an offset.
     fn field_sds_mm(&self, cause: Cause) -> [f64; N_FIELD] {
         let mut sds_mm = self.problem.field.sds_mm;
-        if cause == Cause::Bend {
-            sds_mm[0] = NONE_MM;
+        match cause {
+            Cause::Bend => sds_mm[field::LONGEST] = NONE_MM,
+            Cause::Offset | Cause::Across => sds_mm[field::OFFSET] = NONE_MM,
+            _ => {}
         }
         sds_mm
     }
@@ -272,7 +290,7 @@ impl<'a> Model<'a> {
         let sds_mm = self.field_sds_mm(cause);
         let fit = self.problem.fit(&modes, &sds_mm, max_steps)?;
         let k = modes.len();
-        let covariance = self.problem.covariance(&fit, &modes, &sds_mm)?;
+        let covariance = self.problem.covariance(&fit, &modes, &sds_mm, self.cell_mm)? * UNMODELLED.powi(2);
         let covariance = DMatrix::from_fn(k, k, |row, column| covariance[(N_BEFORE + row, N_BEFORE + column)]);
         let n_own = cause.n_own();
         let values = DVector::from_column_slice(&fit.values[..n_own]);
@@ -284,7 +302,7 @@ impl<'a> Model<'a> {
     }
 
     /// Normal matrices at the rigid fit: of pose and field, of these and modes, of the modes.
-    fn blocks(&self, modes: &[Mode]) -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
+    fn blocks(&self, modes: &[Mode], field_sds_mm: &[f64; N_FIELD]) -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
         let k = modes.len();
         let (problem, rigid) = (&self.problem, &self.rigid);
         let mut h = DMatrix::zeros(N_BEFORE + k, N_BEFORE + k);
@@ -295,24 +313,25 @@ impl<'a> Model<'a> {
             let row = DVector::from_iterator(N_BEFORE + k, before.iter().copied().chain(responses));
             h.ger(rigid.weight(pair), &row, &row, 1.0);
         }
-        let prior = fit::prior(&problem.field.sds_mm, rigid.sigma_mm);
+        let prior = fit::prior(field_sds_mm, rigid.sigma_mm);
         (0..N_BEFORE).for_each(|k| h[(k, k)] += prior[k]);
         let part = |row, column, rows, columns| h.view((row, column), (rows, columns)).into_owned();
         (part(0, 0, N_BEFORE, N_BEFORE), part(0, N_BEFORE, N_BEFORE, k), part(N_BEFORE, N_BEFORE, k, k))
     }
 
     /// How the registration's pose answers to modes, and the information on them that pose and field leave.
-    fn schur(&self, modes: &[Mode]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-        let (h, cross, own) = self.blocks(modes);
+    fn schur(&self, modes: &[Mode], field_sds_mm: &[f64; N_FIELD]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+        let (h, cross, own) = self.blocks(modes, field_sds_mm);
         let response = -h.view((0, 0), (6, 6)).into_owned().cholesky()?.solve(&cross.rows(0, 6).into_owned());
         let left = own - cross.transpose() * h.cholesky()?.solve(&cross);
-        Some((response, left / (self.rigid.sigma_mm.powi(2) * self.inflation)))
+        Some((response, left / ((self.rigid.sigma_mm * UNMODELLED).powi(2) * self.inflation)))
     }
 
-    /// What the data say of modes at the rigid fit, to first order.
-    fn linear(&self, modes: &[Mode], prior: f64) -> Linear {
-        let k = modes.len();
-        let (response, information) = self.schur(modes).unwrap_or_else(|| (DMatrix::zeros(6, k), DMatrix::zeros(k, k)));
+    /// What the data say of a cause's own modes at the rigid fit, to first order.
+    fn linear(&self, cause: Cause, modes: &[Mode]) -> Linear {
+        let (k, prior) = (modes.len(), self.params.prior(cause));
+        let nothing = || (DMatrix::zeros(6, k), DMatrix::zeros(k, k));
+        let (response, information) = self.schur(modes, &self.field_sds_mm(cause)).unwrap_or_else(nothing);
         let sd = |information: DMatrix<f64>| {
             information.try_inverse().map_or(f64::INFINITY, |inverse| (inverse.trace() / k as f64).max(0.0).sqrt())
         };
@@ -328,14 +347,17 @@ impl<'a> Model<'a> {
         Linear { sd: sd(&information + DMatrix::identity(k, k) / (prior * prior)), data_sd: sd(information), worst }
     }
 
-    /// The joint posterior of modes that the data limit, each with its prior.
-    fn deformation(&self, bounded: &[(Mode, f64)]) -> Option<Deformation> {
-        let modes: Vec<Mode> = bounded.iter().map(|(mode, _)| *mode).collect();
+    /// The joint posterior of causes that the data limit, each with its prior.
+    fn deformation(&self, bounded: &[Cause]) -> Option<Deformation> {
+        let modes: Vec<Mode> = bounded.iter().flat_map(|cause| self.own_modes(*cause)).collect();
         if modes.is_empty() {
             return None;
         }
-        let (response, information) = self.schur(&modes)?;
-        let priors = DVector::from_iterator(modes.len(), bounded.iter().map(|(_, sd)| sd.powi(-2)));
+        // An offset is not there twice.
+        let field_sds_mm = bounded.iter().find(|cause| **cause == Cause::Offset).map(|cause| self.field_sds_mm(*cause));
+        let (response, information) = self.schur(&modes, &field_sds_mm.unwrap_or(self.problem.field.sds_mm))?;
+        let prior = |cause: &Cause| vec![self.params.prior(*cause).powi(-2); cause.n_own()];
+        let priors = DVector::from_iterator(modes.len(), bounded.iter().flat_map(prior));
         let covariance = (information + DMatrix::from_diagonal(&priors)).try_inverse()?;
         let axes = self.problem.axes.clone();
         let at = move |p: &Point3<f64>| {

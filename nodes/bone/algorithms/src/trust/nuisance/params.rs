@@ -8,8 +8,8 @@ use serde::Deserialize;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NuisanceParams {
-    /// Standardised score from which a cause is measured. 5: a choice, not fitted. A cause
-    /// below it is bounded or unseen.
+    /// Standardised score from which a cause is measured; below it is bounded or unseen. 3.3: the level of false alarms over all causes. The
+    /// largest score of 58 simulated sound scans with the measured errors of scanners is 3.4, and below 2.9 in 95 % of them.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub min_score: f64,
     /// Stretch of the CT along the bone, across it, or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
@@ -56,7 +56,7 @@ pub struct NuisanceParams {
 impl Default for NuisanceParams {
     fn default() -> Self {
         Self {
-            min_score: 5.0,
+            min_score: 3.3,
             stretch_percent: 0.5,
             shear_deg: 0.1,
             bend_mm: 0.02,
