@@ -220,9 +220,11 @@ fn clouds_are_written_for_programs_that_know_floats_alone_with_colours_and_dista
     let surface = MeshQuery::new(&bone);
     let column = |name: &str| cloud.extras().iter().find(|(other, _)| &**other == name).unwrap().1.clone();
     let (distances, red, blue) = (column("scalar_distance_mm"), column("red"), column("blue"));
+    let on_bone = column("on_bone");
     for (k, point) in cloud.points().iter().enumerate() {
         let off = (surface.closest_point(point).unwrap().distance_mm - distances[k].abs()).abs();
         assert!(off < 1e-4, "point {k}: its distance is {off} mm off");
+        assert_eq!(on_bone[k] == 1.0, distances[k].abs() <= 5.0, "point {k}");
         assert!(distances[k].abs() < 0.1 || (distances[k] > 0.0) == (red[k] > blue[k]), "outside is orange: {k}");
     }
     let converted = |name: &str, options: &[&str]| {
@@ -232,9 +234,12 @@ fn clouds_are_written_for_programs_that_know_floats_alone_with_colours_and_dista
         (head(&out), String::from_utf8(output.stderr).unwrap())
     };
     let (text, said) = converted("scan.pcd", &[]);
-    assert!(text.contains("FIELDS x y z scalar_distance_mm rgb\nSIZE 4 4 4 4 4\n") && said.is_empty(), "{text}{said}");
+    assert!(
+        text.contains("FIELDS x y z scalar_distance_mm on_bone rgb\nSIZE 4 4 4 4 4 4\n") && said.is_empty(),
+        "{text}{said}"
+    );
     let (text, said) = converted("double.pcd", &["--double"]);
-    assert!(text.contains("SIZE 8 8 8 8 4\n"), "{text}");
+    assert!(text.contains("SIZE 8 8 8 8 8 4\n"), "{text}");
     assert!(
         said.contains("the coordinates are doubles, as requested; PCL and Open3D read zeros from such a PCD"),
         "{said}"

@@ -69,6 +69,7 @@ mod simulate;
 mod simulated;
 mod store;
 mod studies;
+mod surroundings;
 #[cfg(unix)]
 mod sweep_times;
 mod sweeps;

@@ -26,6 +26,7 @@ use clap::{
 use files::OutFiles;
 use landmarks::Picked;
 use method::{REPORT, has_output};
+use osteoflow_algorithms::parts::PartChoice;
 use osteoflow_engine::{
     Fault,
     check::{Checked, CommandLineParam, check_recorded, parameters},
@@ -41,9 +42,11 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::Kind;
+use osteoflow_standard::parts;
 use serde_json::Value;
 use std::{
     collections::BTreeSet,
+    fmt::Display,
     num::NonZeroUsize,
     path::{Path, PathBuf},
     time::Instant,
@@ -131,6 +134,28 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "SERIES")]
     pub series: Option<String>,
 
+    /// Which part of TARGET: largest, its number by size, such as 2, or nearest:X,Y,Z, the part nearest to a point, mm; info lists
+    /// them. Default: of a CT the largest, else all of them, which is noted if some are about equal.
+    #[arg(long, value_name = "PART", value_parser = part, allow_hyphen_values = true)]
+    pub component: Option<String>,
+
+    /// Which part of SOURCE, likewise. Of points a part is a cluster: gaps in it are at most five times the median distance to the
+    /// nearest other point. Default: all of it.
+    #[arg(long, value_name = "PART", value_parser = part, allow_hyphen_values = true)]
+    pub source_component: Option<String>,
+
+    /// Only the points of SOURCE in this box, two opposite corners in its frame, mm. Of several regions, what is in all of them.
+    #[arg(long = "box", value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = box_mm, allow_hyphen_values = true)]
+    pub box_mm: Option<[f64; 6]>,
+
+    /// Only the points of SOURCE in this ball, its centre in SOURCE's frame and its radius, mm.
+    #[arg(long = "sphere", value_name = "X,Y,Z,R", value_parser = sphere_mm, allow_hyphen_values = true)]
+    pub sphere_mm: Option<[f64; 4]>,
+
+    /// Only the points of SOURCE in a region that was drawn on the page of `osteoflow view` (region.json).
+    #[arg(long, value_name = "FILE")]
+    pub region: Option<PathBuf>,
+
     /// Number of points sampled from a target that is a surface.
     #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
     pub target_points: u64,
@@ -189,7 +214,9 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "FILE|DIR")]
     pub out: Option<PathBuf>,
 
-    /// Write SOURCE as registered, with the distance of each point from the surface in the column residual_mm (.ply, .pcd, .csv).
+    /// Write SOURCE as registered (.ply, .pcd, .csv), with the distance of each point from the surface in the column residual_mm, positive
+    /// outside, and in the column on_bone 1 for the points that belong to the bone: in the regions, and within the largest distance
+    /// of a pair; 0 for the others.
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 
@@ -249,6 +276,48 @@ fn camera(text: &str) -> Result<Point3<f64>, String> {
     }
 }
 
+/// The text of a part, as an option.
+pub(crate) fn part(text: &str) -> Result<String, String> {
+    text.parse::<PartChoice>().map(|_| text.trim().to_owned())
+}
+
+fn numbers<const N: usize>(text: &str, example: &str) -> Result<[f64; N], String> {
+    let cells: Option<Vec<f64>> = text.split(',').map(|cell| cell.trim().parse().ok()).collect();
+    let cells = cells.and_then(|cells| <[f64; N]>::try_from(cells).ok());
+    cells
+        .filter(|cells| cells.iter().all(|c| c.is_finite()))
+        .ok_or_else(|| format!("{N} finite numbers in mm are expected, such as {example}"))
+}
+
+/// A box by its lower and its upper corner.
+fn box_mm(text: &str) -> Result<[f64; 6], String> {
+    let example = "-60,-40,150,60,40,250";
+    let corners: [f64; 6] = numbers(text, example)?;
+    ordered(corners).ok_or_else(|| {
+        format!("two opposite corners are expected, such as {example}, but these have a coordinate in common")
+    })
+}
+
+fn ordered(corners: [f64; 6]) -> Option<[f64; 6]> {
+    let ordered = std::array::from_fn(|k| {
+        let (a, b) = (corners[k % 3], corners[k % 3 + 3]);
+        if k < 3 { a.min(b) } else { a.max(b) }
+    });
+    (0..3).all(|k| ordered[k] < ordered[k + 3]).then_some(ordered)
+}
+
+fn sphere_mm(text: &str) -> Result<[f64; 4], String> {
+    let example = "0,0,200,80";
+    let sphere: [f64; 4] = numbers(text, example)?;
+    let usable = RADII_MM.contains(&sphere[3]);
+    usable
+        .then_some(sphere)
+        .ok_or_else(|| format!("the radius is {} mm, but must be between 0.001 and 1e6, as in {example}", sphere[3]))
+}
+
+/// Radii that `crop.sphere` takes, mm.
+const RADII_MM: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
+
 impl RegisterRequest {
     /// A registration with every option at its default.
     pub fn new(target: impl Into<PathBuf>, source: impl Into<PathBuf>) -> Self {
@@ -272,6 +341,7 @@ impl RegisterRequest {
                 input::check(&input.path)?;
             }
         }
+        self.region.as_deref().map_or(Ok(()), input::check)?;
         let (kinds, kind_name) = self.kind()?;
         let known = kinds.known();
         let kind = known.registry.kind(&kind_name).context("the kind of the method was found")?;
@@ -286,6 +356,8 @@ impl RegisterRequest {
         };
         sets.push(format!("remove={:?}", self.removed(&start, has_output(kind, REPORT))));
         sets.extend(self.graph_sets(&kind_name, &params));
+        sets.extend(self.region_sets()?);
+        self.choose_parts(&mut notes)?;
         let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &sets, kinds)?;
         Ok(Register { request: self, checked, kind_name, params: params.all, files, start, init_ms, notes })
     }
@@ -370,7 +442,7 @@ impl RegisterRequest {
         let path = |path: &Path| Some(path.display().to_string().into());
         let unit = |unit_mm: f64| (unit_mm != 1.0).then(|| unit_mm.into());
         let [target_mm, source_mm] = self.units_mm();
-        let keys: [(&str, Option<toml::Value>); 12] = [
+        let keys: [(&str, Option<toml::Value>); 14] = [
             ("bone.path", path(&self.target.path)),
             ("scan.path", path(&self.source.path)),
             ("icp.kind", Some(kind.into())),
@@ -378,6 +450,8 @@ impl RegisterRequest {
             ("scan.unit_mm", unit(source_mm)),
             ("bone.threshold_hu", self.threshold_hu.map(Into::into)),
             ("bone.series", self.series.clone().map(Into::into)),
+            ("bone.component", self.component.clone().map(Into::into)),
+            ("scan.component", self.source_component.clone().map(Into::into)),
             ("scan.camera", self.camera.map(|camera| camera.coords.as_slice().to_vec().into())),
             ("ct_surface.n_points", Some((self.target_points as i64).into())),
             ("thin.max_points", Some((self.max_points as i64).into())),
@@ -391,7 +465,81 @@ impl RegisterRequest {
             .filter_map(|key| Some(format!("icp.{key}={}", toml::Value::try_from(params.all.get(key)?).ok()?)));
         keys.chain(of_method).collect()
     }
+
+    /// The nodes that crop the scan, in the order in which it passes them, with what they keep.
+    fn crops(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        let given = [
+            ("crop_region", "region", self.region.is_some()),
+            ("crop_sphere", "sphere", self.sphere_mm.is_some()),
+            ("crop", "box", self.box_mm.is_some()),
+        ];
+        given.into_iter().filter_map(|(node, option, is_given)| is_given.then_some((node, option)))
+    }
+
+    /// The settings that insert a node for each region; the box is that of the graph's own node, which comes last.
+    fn region_sets(&self) -> Result<Vec<String>> {
+        let mut sets = Vec::new();
+        let mut wire = "scan.cloud".to_owned();
+        for (node, _) in self.crops() {
+            sets.push(format!("node.{node}.in.cloud={wire:?}"));
+            match node {
+                "crop_region" => {
+                    let path = self.region.as_ref().map(|file| toml::Value::from(file.display().to_string()));
+                    sets.push(format!("node.{node}.kind=\"crop.file\""));
+                    sets.extend(path.map(|path| format!("node.{node}.path={path}")));
+                }
+                "crop_sphere" => {
+                    let [x, y, z, radius] = self.sphere_mm.unwrap_or_default();
+                    sets.push(format!("node.{node}.kind=\"crop.sphere\""));
+                    sets.push(format!("node.{node}.centre_mm=[{x:?}, {y:?}, {z:?}]"));
+                    sets.push(format!("node.{node}.radius_mm={radius:?}"));
+                }
+                _ => {}
+            }
+            wire = format!("{node}.cloud");
+        }
+        if wire != "crop.cloud" {
+            sets.push(format!("node.crop.in.cloud={wire:?}"));
+        }
+        if let Some(corners) = self.box_mm {
+            let Some([x0, y0, z0, x1, y1, z1]) = ordered(corners) else {
+                return Err(
+                    UsageError(format!("the box {corners:?} has two corners with a coordinate in common")).into()
+                );
+            };
+            sets.push(format!("node.crop.min_mm=[{x0:?}, {y0:?}, {z0:?}]"));
+            sets.push(format!("node.crop.max_mm=[{x1:?}, {y1:?}, {z1:?}]"));
+        }
+        Ok(sets)
+    }
+
+    /// Chooses the parts of files that are in memory, as their nodes would.
+    fn choose_parts(&mut self, notes: &mut Vec<String>) -> Result<()> {
+        let usage = |error: &dyn Display| UsageError(error.to_string());
+        let choice = |part: &Option<String>| -> Result<Option<PartChoice>> {
+            part.as_deref().map(str::parse).transpose().map_err(|error: String| usage(&error).into())
+        };
+        let (target, source) = (choice(&self.component)?, choice(&self.source_component)?);
+        let is_scan = [false, true];
+        for ((input, choice), is_scan) in
+            [(&mut self.target, target), (&mut self.source, source)].into_iter().zip(is_scan)
+        {
+            let Some(content) = input.content.take() else { continue };
+            let chosen = if is_scan { parts::of_scan(content, choice) } else { parts::of_target(content, choice) };
+            let (content, of_parts) = chosen.map_err(|error| usage(&format!("{}: {error}", input.path.display())))?;
+            input.content = Some(content);
+            let option = if is_scan { SOURCE_PART } else { TARGET_PART };
+            let note = |note: String| format!("{}: {}", input.path.display(), note.replace(PART_KEY, option));
+            notes.extend(of_parts.into_iter().map(note));
+        }
+        Ok(())
+    }
 }
+
+/// A part in the notes of nodes, and as options.
+pub(crate) const PART_KEY: &str = "component = ";
+pub(crate) const TARGET_PART: &str = "--component ";
+const SOURCE_PART: &str = "--source-component ";
 
 impl RegisterInput {
     /// The space that the file states. Reads it, since picked points are turned as the file that they were picked in.

@@ -3,6 +3,7 @@ use crate::app::{
     UsageError,
     bind::{Bone, bind},
     files::{check_new, picked_points, write_list},
+    register::{PART_KEY, TARGET_PART, part},
     space,
 };
 use anyhow::{Result, anyhow, bail};
@@ -18,7 +19,10 @@ use osteoflow_geometry::{
     NamedPoint,
     nalgebra::{Isometry3, Translation3, UnitQuaternion},
 };
-use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
+use osteoflow_standard::{
+    parts,
+    surface::ct::{NoThreshold, read_bone},
+};
 use serde_json::json;
 use std::{
     io::Write,
@@ -38,6 +42,7 @@ Examples:
   osteoflow convert scan.pcd scan.ply
   osteoflow convert bone_in_metres.obj bone.stl --scale 1000
   osteoflow convert ct_series bone.stl --iso-hu 600
+  osteoflow convert legs.stl left.stl --component nearest:80,0,-400
   osteoflow convert plan.mrk.json plan.csv
   osteoflow convert plan.json bound.json --bind bone.stl
   osteoflow convert picked.pp picked.mrk.json --space RAS    MeshLab states no space; here its numbers are RAS")]
@@ -57,6 +62,11 @@ pub(crate) struct Convert {
     /// The surface of IN, a CT, at this value, HU; its largest part above it.
     #[arg(long, value_name = "HU", allow_hyphen_values = true)]
     iso_hu: Option<f64>,
+
+    /// Which part of IN: largest, its number by size, such as 2, or nearest:X,Y,Z, the part nearest to a point, mm; info lists them.
+    /// Default: of a CT the largest, else all of them.
+    #[arg(long, value_name = "PART", value_parser = part, allow_hyphen_values = true, conflicts_with = "bind")]
+    component: Option<String>,
 
     /// The space of the numbers in IN, if IN does not state it; OUT is LPS then, as far as it can say so.
     #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
@@ -97,6 +107,11 @@ impl Convert {
             return Err(UsageError(format!("{}: {message}", self.input.display())).into());
         }
         let (done, notes) = match self.picked(&bytes) {
+            Some(_) if self.component.is_some() => {
+                let message =
+                    "--component is for a surface, a cloud or a CT, and this file holds picked points; leave it out";
+                return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+            }
             Some(picked) => self.points(picked?)?,
             None => self.shape(&bytes)?,
         };
@@ -141,7 +156,9 @@ impl Convert {
         let Some(iso_hu) = self.iso_hu else {
             return Err(UsageError(format!("{}: give --iso-hu; bone is above it", self.input.display())).into());
         };
-        let params = serde_json::from_value(json!({ "path": self.input, "threshold_hu": iso_hu }))?;
+        let params = serde_json::from_value(json!({
+            "path": self.input, "threshold_hu": iso_hu, "component": self.component.as_deref().unwrap_or("largest")
+        }))?;
         let bone = read_bone(&params, NoThreshold::Refuse).map_err(|error| anyhow!("{error}"))?;
         let mut notes = bone.notes;
         notes.extend(self.told(write_mesh(&self.output, &bone.mesh, Space::Lps, self.precision())?));
@@ -176,6 +193,10 @@ impl Convert {
     fn shape(&self, bytes: &[u8]) -> Result<(String, Vec<String>)> {
         let read = read_mesh_or_cloud(&self.input, bytes, self.scale, "ct")?;
         let ending = ending(&self.output);
+        let choice = self.component.as_deref().map(str::parse).transpose().map_err(UsageError)?;
+        let chosen = parts::of_target(read, choice);
+        let (read, of_parts) = chosen.map_err(|error| UsageError(format!("{}: {error}", self.input.display())))?;
+        let with_parts = |notes| with(notes, of_parts.iter().map(|note| note.replace(PART_KEY, TARGET_PART)).collect());
         match read {
             MeshOrCloud::Mesh(read) if ["ply", "stl", "obj"].contains(&ending.as_str()) => {
                 let (turn, space) = self.to_lps(read.space)?;
@@ -184,7 +205,7 @@ impl Convert {
                 let (n_vertices, n_faces) = (mesh.vertices().len(), mesh.faces().len());
                 Ok((
                     format!("{n_vertices} vertices, {n_faces} faces{}", in_space(space)),
-                    with(read.notes, self.told(told)),
+                    with(with_parts(read.notes), self.told(told)),
                 ))
             }
             other => {
@@ -194,7 +215,7 @@ impl Convert {
                 // A comment before the heading would keep other programs from reading it.
                 let stated = if ending == "csv" { Space::Unknown } else { space };
                 let told = write_cloud(&self.output, &cloud, stated, self.precision())?;
-                Ok((format!("{} points{}", cloud.len(), in_space(space)), with(notes, self.told(told))))
+                Ok((format!("{} points{}", cloud.len(), in_space(space)), with(with_parts(notes), self.told(told))))
             }
         }
     }

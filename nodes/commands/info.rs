@@ -23,6 +23,7 @@ Examples:
 Keys of --format json, where they apply:
   kind        mesh, cloud, points, ct, pose, plan, recording, procedure, run, results, archive
   n_points    number of points, those that were dropped left out; n_dropped: those that were not finite
+  parts       of a surface or a cloud, the largest first: number, n_points, n_faces, area_mm2, extent_mm, centre_mm; n_parts
   extent_mm   edges of the box around the points
   space       LPS or RAS where the file states it, else unknown
   topics      with schema, encoding, number of messages, rate and times

@@ -30,6 +30,8 @@ Examples:
   osteoflow register bone.stl scan.xyz --source-unit-mm 1000 --camera 0,0,0 --out pose.txt
   osteoflow register bone.stl scan.ply --init pose.json --set trim_fraction=0.2 --trace steps.csv
   osteoflow register bone.stl scan.ply --plugin my_icp/my_icp.py       with the registration of a plugin
+  osteoflow register legs.stl scan.ply --component 2 --box=-60,-40,150,60,40,250
+  osteoflow register bone.stl scan.ply --region region.json              drawn on the page of osteoflow view
   osteoflow register bone.stl scan.ply --repeat 10 --workers 1 --format json | jq .align_ms
 
 The parameters for --set: osteoflow inspect icp.point_to_plane

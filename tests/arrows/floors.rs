@@ -165,7 +165,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/kinds/standard/src",
         &[
-            &["constant", "own_bone", "params"],
+            &["constant", "own_bone", "params", "parts"],
             &["calibrate", "crop", "hole", "icp", "output", "plane", "transform"],
             &["acquire", "cloud", "coarse", "metrics", "plan", "refine", "surface", "track", "verdict"],
             &["landmarks", "send"],
@@ -193,7 +193,19 @@ const CRATES: &[(&str, Floors)] = &[
         &[
             // Names that `lib.rs` hands on are on the floor of their module.
             &["FileError", "LostPose", "PoseError", "Space", "StampOrder"],
-            &["error", "json", "lost", "normals", "png", "refused", "ros2", "scalar", "space", "stamp_order"],
+            &[
+                "error",
+                "invalid",
+                "json",
+                "lost",
+                "normals",
+                "png",
+                "refused",
+                "ros2",
+                "scalar",
+                "space",
+                "stamp_order",
+            ],
             &["cursor", "foxglove_json", "input", "shape"],
             &["columns", "mcap_read", "obj", "off", "openigtlink", "pcd", "ply", "stl", "volume", "vtk", "write"],
             &["cloud_text", "message_read", "table"],
@@ -230,7 +242,7 @@ const CRATES: &[(&str, Floors)] = &[
             ],
             &["ct_surface", "mesh_topology", "morton", "nearest"],
             &["fragment", "mesh_query", "point_blocks", "sensor_noise"],
-            &["landmarks", "normals"],
+            &["landmarks", "normals", "parts"],
             &["hole", "target"],
             &["icp", "metrics"],
             &["calibrate", "coarse", "track"],

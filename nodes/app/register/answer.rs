@@ -1,7 +1,7 @@
 //! What a registration gives: the verdict, the pose, the reports of its nodes, and the files.
 
 use super::{
-    IDENTITY, ReadStart, Register, RegisterInput, Stop,
+    IDENTITY, PART_KEY, ReadStart, Register, RegisterInput, SOURCE_PART, Stop, TARGET_PART,
     files::{Form, itk_file, space_of},
     steps,
     words::{converged, describe, short, stop_reason},
@@ -59,6 +59,8 @@ pub struct Registration {
     pub(super) moved: Option<Cloud>,
     /// The files that were written.
     pub(crate) written: Vec<PathBuf>,
+    /// How many points are in each region.
+    pub(super) cropped: Vec<String>,
     /// What the readers of these should know.
     pub(super) notes_of_files: Vec<String>,
     pub(crate) timings: Timings,
@@ -219,7 +221,8 @@ impl Registration {
             let of_node = self.run.warnings.iter().filter(|warning| warning.node == node);
             // The readers name a parameter, which is an option here.
             let note = |message: &str| {
-                let message = message.replace("unit_mm = ", &format!("--{option}-unit-mm "));
+                let part = if node == "bone" { TARGET_PART } else { SOURCE_PART };
+                let message = message.replace("unit_mm = ", &format!("--{option}-unit-mm ")).replace(PART_KEY, part);
                 format!("{}: {}", input.path.display(), message.replace("max_points = ", "--max-points "))
             };
             // The pose is in the numbers of the files; only a .tfm has a space, and asks for it.
@@ -228,7 +231,8 @@ impl Registration {
         };
         let request = &of.request;
         let of_source = ["scan", THIN].map(|node| of_file(node, &request.source, "source")).concat();
-        [of.notes.clone(), of_file("bone", &request.target, "target"), of_source, self.notes_of_files.clone()].concat()
+        let notes = [of.notes.clone(), of_file("bone", &request.target, "target"), of_source, self.cropped.clone()];
+        [notes.concat(), self.notes_of_files.clone()].concat()
     }
 
     /// Everything as JSON, with every step if `with_trace`.

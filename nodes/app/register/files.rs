@@ -33,6 +33,9 @@ pub(super) enum Form {
 /// The name of the column of residuals in the moved source.
 pub(super) const RESIDUAL: &str = "residual_mm";
 
+/// The name of the column that says which points belong to the bone.
+const OF_BONE: &str = "on_bone";
+
 /// The endings under which the moved source can be written with its residuals.
 const MOVED: [&str; 3] = ["ply", "pcd", "csv"];
 
@@ -162,11 +165,31 @@ pub(super) fn space_of(stated: Space, option: Option<Space>) -> Space {
     }
 }
 
-/// The source moved to the target, with each point's distance from its surface, positive outside, mm.
-pub(super) fn moved_source(target: &Target, source: &Cloud, t_target_source: &Isometry3<f64>) -> Result<Cloud> {
+/// The source moved to the target, with each point's distance from its surface, positive outside, mm, and whether it belongs to the
+/// bone: 1 for the points of `cropped` that are within the reach of a pair, which are those that the registration fits.
+pub(super) fn moved_source(
+    target: &Target,
+    source: &Cloud,
+    t_target_source: &Isometry3<f64>,
+    cropped: Option<&Cloud>,
+    reach_mm: Option<f64>,
+) -> Result<Cloud> {
     let moved = source.transformed(target.frame.clone(), t_target_source);
     let residuals: Vec<f64> = moved.points().iter().map(|point| residual(target, point)).collect();
-    Ok(moved.with_extra(RESIDUAL, residuals)?)
+    let of_bone = reach_mm.map(|reach_mm| {
+        // A crop keeps the order.
+        let mut kept = cropped.unwrap_or(source).points().iter().peekable();
+        let is_kept = |point: &Point3<f64>| kept.next_if(|next| *next == point).is_some();
+        let is_kept: Vec<bool> = source.points().iter().map(is_kept).collect();
+        let of_point = |(residual, kept): (&f64, bool)| f64::from(u8::from(kept && residual.abs() <= reach_mm));
+        residuals.iter().zip(is_kept).map(of_point).collect::<Vec<f64>>()
+    });
+    let moved = moved.with_extra(RESIDUAL, residuals)?;
+    let has = moved.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(OF_BONE));
+    match of_bone.filter(|_| !has) {
+        Some(of_bone) => Ok(moved.with_extra(OF_BONE, of_bone)?),
+        None => Ok(moved),
+    }
 }
 
 fn residual(target: &Target, point: &Point3<f64>) -> f64 {

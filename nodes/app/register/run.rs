@@ -159,6 +159,21 @@ impl Register {
         Ok(given)
     }
 
+    /// How many points are in each region of the request.
+    fn cropped(&self, wires: &Wires) -> Vec<String> {
+        let n_of = |wire: &str| value::<Cloud>(wires, wire).map(|cloud| cloud.len());
+        let mut before = n_of("scan.cloud");
+        let mut notes = Vec::new();
+        for (node, option) in self.request.crops() {
+            let after = n_of(&format!("{node}.cloud"));
+            if let (Some(before), Some(after)) = (before, after) {
+                notes.push(format!("{} of {} points are in the {option}", grouped(after), grouped(before)));
+            }
+            before = after;
+        }
+        notes
+    }
+
     fn registration(
         &self,
         report: RunReport,
@@ -175,7 +190,10 @@ impl Register {
         };
         let is_done = report.outcome == Outcome::Complete;
         let moved = match (&target, &source, &pose, &self.files.source) {
-            (Some(target), Some(source), Some(pose), Some(_)) if is_done => Some(moved_source(target, source, pose)?),
+            (Some(target), Some(source), Some(pose), Some(_)) if is_done => {
+                let cropped: Option<Cloud> = value(wires, "crop.cloud");
+                Some(moved_source(target, source, pose, cropped.as_ref(), self.max_pair_distance_mm())?)
+            }
             _ => None,
         };
         let [bone_report, scan_report] =
@@ -195,6 +213,7 @@ impl Register {
             bone_report: bone_report.unwrap_or_default(),
             scan_report: scan_report.unwrap_or_default(),
             moved,
+            cropped: self.cropped(wires),
             written: Vec::new(),
             notes_of_files: Vec::new(),
             timings,
@@ -202,6 +221,19 @@ impl Register {
             run: report,
         })
     }
+}
+
+/// A count with commas between thousands.
+fn grouped(n: usize) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (k, digit) in digits.chars().enumerate() {
+        if k > 0 && (digits.len() - k).is_multiple_of(3) {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
 }
 
 /// Names a file in messages as the request does: a node knows its absolute path.

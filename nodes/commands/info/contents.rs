@@ -1,7 +1,12 @@
 //! What a file or folder holds.
 
-use crate::app::{archive, files::picked_points};
+use crate::app::{
+    archive,
+    files::picked_points,
+    register::{PART_KEY, TARGET_PART},
+};
 use anyhow::{Result, anyhow, bail};
+use osteoflow_algorithms::parts::{MAX_LISTED, Parts};
 use osteoflow_formats::{
     folder::ProcedureFolder,
     input,
@@ -15,6 +20,7 @@ use osteoflow_formats::{
     volume::{VoxelUnit, read_volume},
 };
 use osteoflow_geometry::{NamedPoint, nalgebra::Point3};
+use osteoflow_standard::parts::of_bone;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::{fs, path::Path};
@@ -84,6 +90,26 @@ impl Contents {
     /// Adds a list, unless it is empty.
     fn with_list(self, key: &str, list: Vec<String>, name: &'static str) -> Self {
         if list.is_empty() { self } else { self.with(key, &list, name, list.join(", ")) }
+    }
+
+    /// Adds the parts of a surface, or the clusters of a cloud, if there are several.
+    fn with_parts(mut self, parts: &Parts) -> Self {
+        let n = parts.list.len();
+        let listed = &parts.list[..n.min(MAX_LISTED)];
+        self.facts.insert("n_parts".into(), n.into());
+        self.facts.insert("parts".into(), json!(listed));
+        if n < 2 {
+            return self;
+        }
+        let rest = if n > listed.len() {
+            format!(", the {} largest of which are listed", listed.len())
+        } else {
+            String::new()
+        };
+        let gap = parts.gap_mm.map_or_else(String::new, |mm| format!(", gaps within each up to {mm:.2} mm"));
+        self.lines.push(("parts", format!("{n}{gap}{rest}")));
+        self.lines.extend(listed.iter().map(|part| ("", format!("{}: {}", part.number, part.describe()))));
+        self
     }
 
     fn with_space(self, space: impl ToString) -> Self {
@@ -183,16 +209,22 @@ fn is_matrix(bytes: &[u8]) -> bool {
 fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
     let name = file.display();
     Ok(match read_mesh_or_cloud(file, bytes, 1.0, "file")? {
-        MeshOrCloud::Mesh(read) => Contents::new("mesh", "a surface of triangles")
-            .with_count("n_points", read.mesh.vertices().len(), "points")
-            .with_count("n_faces", read.mesh.faces().len(), "faces")
-            .with_box(read.mesh.vertices().iter().copied())
-            .with_space(read.space)
-            .noted(read.notes)
-            .used_by([
-                format!("osteoflow register {name} SCAN"),
-                format!("osteoflow run graphs/two_files.toml --set bone.path={name} --set scan.path=SCAN"),
-            ]),
+        MeshOrCloud::Mesh(read) => {
+            let parts = Parts::of_mesh(&read.mesh);
+            let (_, of_parts) = of_bone(read.mesh.clone(), None)?;
+            let of_parts = of_parts.into_iter().map(|note| note.replace(PART_KEY, TARGET_PART));
+            Contents::new("mesh", "a surface of triangles")
+                .with_count("n_points", read.mesh.vertices().len(), "points")
+                .with_count("n_faces", read.mesh.faces().len(), "faces")
+                .with_box(read.mesh.vertices().iter().copied())
+                .with_space(read.space)
+                .with_parts(&parts)
+                .noted(read.notes.into_iter().chain(of_parts).collect())
+                .used_by([
+                    format!("osteoflow register {name} SCAN"),
+                    format!("osteoflow run graphs/two_files.toml --set bone.path={name} --set scan.path=SCAN"),
+                ])
+        }
         MeshOrCloud::Cloud(read, notes) => {
             let normals = read.cloud.normals().is_some();
             let columns = read.cloud.extras().iter().map(|(column, _)| column.to_string()).collect();
@@ -207,6 +239,7 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
                 .with("normals", normals, "normals", if normals { "yes" } else { "no" })
                 .with_space(read.space)
                 .with_list("columns", columns, "columns")
+                .with_parts(&Parts::of_points(read.cloud.points()))
                 .noted(notes)
                 .used_by([
                     format!("osteoflow register BONE {name}"),

@@ -72,7 +72,7 @@ pub(crate) fn given(shape: &Bound<'_, PyAny>, what: &str) -> PyResult<MeshOrClou
                 cloud = cloud.with_extra(name, values).map_err(|e| invalid(what, e))?;
             }
             let (n_points_in_file, space) = (cloud.len(), space_of(&space)?);
-            let read = CloudFileRead { cloud, n_points_in_file, n_dropped: 0, space, notes: Vec::new() };
+            let read = CloudFileRead { cloud, n_points_in_file, n_dropped: 0, n_invalid: 0, space, notes: Vec::new() };
             Ok(MeshOrCloud::Cloud(read, Vec::new()))
         }
     }

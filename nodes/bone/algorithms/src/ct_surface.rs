@@ -66,6 +66,8 @@ pub enum ComponentChoice {
     Rank(usize),
     /// The component at a point, LPS, mm.
     Seed(Point3<f64>),
+    /// The component with the voxel nearest to a point, LPS, mm.
+    Nearest(Point3<f64>),
 }
 
 /// Parameters of [`ct_surface()`].
@@ -219,6 +221,21 @@ pub fn ct_surface(volume: &VolumeView<'_>, params: &CtSurfaceParams) -> Result<C
             return Err(Refusal::of(format!(
                 "component {rank} was asked for, but {n} are above the threshold; take 1 to {n}"
             )));
+        }
+        ComponentChoice::Nearest(at) => {
+            let voxel = |x: f64, run: &regions::Run| {
+                let row = run.row as usize;
+                linear * Vector3::new(x, (row % size[1]) as f64, (row / size[1]) as f64) + origin
+            };
+            let along = linear.column(0).into_owned();
+            let distance = |run: &regions::Run| {
+                let x = (at.coords - voxel(0.0, run)).dot(&along) / along.norm_squared();
+                (voxel(x.clamp(f64::from(run.from), f64::from(run.to) - 1.0), run) - at.coords).norm_squared()
+            };
+            let nearest =
+                (0..parts.runs.len()).min_by(|a, b| distance(&parts.runs[*a]).total_cmp(&distance(&parts.runs[*b])));
+            let region = parts.labels[nearest.expect("there is a voxel above the threshold")] as usize;
+            by_size.iter().position(|r| *r == region).expect("every region has its place")
         }
         ComponentChoice::Seed(seed) => {
             let at = inverse * (seed.coords - origin);

@@ -63,6 +63,7 @@ pub mod metrics;
 mod morton;
 pub mod nearest;
 pub mod normals;
+pub mod parts;
 mod point_blocks;
 mod point_grid;
 mod refusal;

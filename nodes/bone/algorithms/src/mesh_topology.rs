@@ -7,7 +7,13 @@ use osteoflow_geometry::Mesh;
 
 /// The faces over vertices of which none is where another is, without those that have no area then. `O(n log n)`.
 pub(crate) fn welded(mesh: &Mesh) -> Vec<[u32; 3]> {
-    let vertices = mesh.vertices();
+    let mut faces = first_in_place(mesh.vertices(), mesh.faces());
+    faces.retain(|[a, b, c]| a != b && b != c && c != a);
+    faces
+}
+
+/// The faces over the first of the vertices in each place. `O(n log n)`.
+pub(crate) fn first_in_place(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Vec<[u32; 3]> {
     // Zeros of either sign are in one place.
     let bits = |k: u32| vertices[k as usize].coords.map(|c| (c + 0.0).to_bits());
     let mut keyed: Vec<([u64; 3], u32)> = (0..vertices.len() as u32).map(|k| (bits(k).into(), k)).collect();
@@ -16,13 +22,37 @@ pub(crate) fn welded(mesh: &Mesh) -> Vec<[u32; 3]> {
     for group in keyed.chunk_by(|a, b| a.0 == b.0) {
         group.iter().for_each(|&(_, k)| first[k as usize] = group[0].1);
     }
-    let faces = mesh.faces().iter().map(|face| face.map(|k| first[k as usize]));
-    faces.filter(|[a, b, c]| a != b && b != c && c != a).collect()
+    faces.iter().map(|face| face.map(|k| first[k as usize])).collect()
 }
 
 /// Number of edges that are not shared by exactly two faces running along them in opposite directions. `O(m log m)`.
 pub fn open_edges(mesh: &Mesh) -> usize {
     open_edges_of(mesh.faces())
+}
+
+/// Calls `see` with each edge: its higher vertex, whether a face runs along it from the lower one, and that face, for each face at it. Faces with
+/// two equal corners have no edge. `O(m)` where few faces meet in a vertex.
+pub(crate) fn each_edge(faces: &[[u32; 3]], mut see: impl FnMut(&[(u32, bool, u32)])) {
+    let n = faces.iter().flatten().max().map_or(0, |v| *v as usize + 1);
+    let ways = || {
+        let faces = (0_u32..).zip(faces).filter(|(_, [a, b, c])| a != b && b != c && c != a);
+        faces.flat_map(|(k, &[a, b, c])| [(a, b, k), (b, c, k), (c, a, k)])
+    };
+    // Edges by their lower vertex.
+    let mut starts = vec![0_usize; n + 1];
+    ways().for_each(|(from, to, _)| starts[from.min(to) as usize + 1] += 1);
+    (0..n).for_each(|v| starts[v + 1] += starts[v]);
+    let (mut next, mut sorted) = (starts.clone(), vec![(0, false, 0); starts[n]]);
+    for (from, to, face) in ways() {
+        let place = &mut next[from.min(to) as usize];
+        sorted[*place] = (from.max(to), from < to, face);
+        *place += 1;
+    }
+    for v in 0..n {
+        let own = &mut sorted[starts[v]..starts[v + 1]];
+        own.sort_unstable();
+        own.chunk_by(|a, b| a.0 == b.0).for_each(&mut see);
+    }
 }
 
 /// The number of such edges of these faces.

@@ -45,6 +45,7 @@ mod error;
 pub mod folder;
 mod foxglove_json;
 pub mod input;
+mod invalid;
 mod json;
 mod lost;
 pub mod mcap_read;

@@ -76,7 +76,7 @@ impl MeshOrCloud {
                 let cloud = cloud.expect("the vertices of a mesh are finite");
                 notes.insert(0, "a surface; its vertices are taken as the points".into());
                 let n_points_in_file = cloud.len();
-                (CloudFileRead { cloud, n_points_in_file, n_dropped: 0, space, notes: Vec::new() }, notes)
+                (CloudFileRead { cloud, n_points_in_file, n_dropped: 0, n_invalid: 0, space, notes: Vec::new() }, notes)
             }
         }
     }

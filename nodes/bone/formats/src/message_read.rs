@@ -22,9 +22,11 @@ pub use image::{
 use crate::{
     LostPose, PoseError,
     foxglove_json::{self, JsonCloud, JsonPose, JsonPoseInFrame, JsonTransform, JsonTransforms},
+    invalid,
     mcap_read::{Message, Recording},
     normals::unit_normals,
     ros2::{POINT_CLOUD_2, POSE_STAMPED, TF_MESSAGE, TRANSFORM_STAMPED},
+    shape::retain,
 };
 use bytes::Bytes;
 use foxglove::{
@@ -111,6 +113,8 @@ pub struct CloudRead {
     pub n_points_in_message: usize,
     /// How many of them were NaN or infinite and were left out.
     pub n_dropped: usize,
+    /// How many were pixels without depth, such as 0, 0, 0 far from all others, and were left out.
+    pub n_invalid: usize,
     /// The correction of the message's pose.
     pub correction: Correction,
     /// Changes to the normals, one sentence each.
@@ -200,24 +204,36 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
     let layout = Layout::of(&raw, big_endian)?;
     let n_points_in_message = layout.n_points;
     let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), Vec::new());
+    let mut points_in_sensor = Vec::with_capacity(n_points_in_message);
     for (k, bytes) in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message).enumerate() {
         let at_m = layout.position.map(|field| field.value(bytes));
         if !at_m.iter().all(|c| c.is_finite()) {
             continue;
         }
-        let point = Point3::from(Vector3::from(at_m) * MM_PER_M);
-        let point = pose.map_or(point, |t| t * point);
+        let in_sensor = Point3::from(Vector3::from(at_m) * MM_PER_M);
+        let point = pose.map_or(in_sensor, |t| t * in_sensor);
         TooFar::check(point.coords.as_slice()).map_err(|far| {
             MessageError(format!("point {}, at byte {} of the data: {far}", k + 1, k * layout.stride))
         })?;
+        points_in_sensor.push(in_sensor);
         points.push(point);
         if let Some(fields) = layout.normal {
             normals.push(Vector3::from(fields.map(|field| field.value(bytes))));
         }
     }
     let n_dropped = n_points_in_message - points.len();
+    let values = invalid::invalid(&points_in_sensor);
+    if !values.is_empty() {
+        let keep: Vec<bool> = points_in_sensor.iter().map(|p| values.iter().all(|(value, _)| value != p)).collect();
+        retain(&mut points, &keep);
+        if layout.normal.is_some() {
+            retain(&mut normals, &keep);
+        }
+    }
+    let n_invalid = values.iter().map(|(_, n)| n).sum();
     let stamp_ns = nanoseconds(raw.timestamp).unwrap_or(message.publish_time_ns);
-    let (normals, notes) = unit_normals(normals);
+    let (normals, mut notes) = unit_normals(normals);
+    notes.extend(invalid::note(&values, n_points_in_message));
     let mut cloud =
         Cloud::new(raw.frame_id, points).expect("points that are not finite were left out, and none is far");
     if let Some(mut normals) = normals.filter(|_| layout.normal.is_some()) {
@@ -228,7 +244,7 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
     }
     cloud.stamp_ns = stamp_ns;
     cloud.viewpoint = if is_sensor_frame(cloud.frame.as_str()) { Some(Isometry3::identity()) } else { pose };
-    Ok(CloudRead { cloud, n_points_in_message, n_dropped, correction, notes })
+    Ok(CloudRead { cloud, n_points_in_message, n_dropped, n_invalid, correction, notes })
 }
 
 /// The cloud of a message of that kind, and whether the numbers of its points are big-endian.

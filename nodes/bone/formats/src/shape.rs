@@ -1,7 +1,7 @@
 //! What every format holds: points, and where it has them normals, further columns and faces; and the surface or cloud that
 //! this becomes.
 
-use crate::{FileError, Space, normals::unit_normals, space::StatedSpace};
+use crate::{FileError, Space, invalid, normals::unit_normals, space::StatedSpace};
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Cloud, FARTHEST_MM, Frame, Mesh, MeshError, SurfaceOrigin, TooFar};
 use std::path::Path;
@@ -48,6 +48,8 @@ pub struct CloudFileRead {
     pub n_points_in_file: usize,
     /// How many of them were NaN or infinite and were left out.
     pub n_dropped: usize,
+    /// How many were pixels without depth, such as 0, 0, 0 far from all others, and were left out.
+    pub n_invalid: usize,
     /// The axes that the file states; `cloud` is LPS if it states any.
     pub space: Space,
     /// Changes to the content and what was left out, one sentence each.
@@ -176,6 +178,15 @@ impl Shape {
             self.extras.iter_mut().for_each(|(_, values)| retain(values, &keep));
         }
         let n_dropped = n_points_in_file - self.points.len();
+        let values = invalid::invalid(&self.points);
+        if !values.is_empty() {
+            let keep: Vec<bool> = self.points.iter().map(|p| values.iter().all(|(value, _)| value != p)).collect();
+            retain(&mut self.points, &keep);
+            self.normals.iter_mut().for_each(|normals| retain(normals, &keep));
+            self.extras.iter_mut().for_each(|(_, values)| retain(values, &keep));
+            self.notes.extend(invalid::note(&values, n_points_in_file));
+        }
+        let n_invalid = values.iter().map(|(_, n)| n).sum();
         if n_points_in_file == 0 {
             let message = "there is no point in the file; was it exported from an empty selection?";
             return Err(FileError::content(path, "points", message));
@@ -193,7 +204,7 @@ impl Shape {
         for (name, values) in self.extras {
             cloud = cloud.with_extra(name, values).expect("each kept point has its value");
         }
-        Ok(CloudFileRead { cloud, n_points_in_file, n_dropped, space, notes })
+        Ok(CloudFileRead { cloud, n_points_in_file, n_dropped, n_invalid, space, notes })
     }
 
     /// The surface.
@@ -239,7 +250,7 @@ impl Shape {
     }
 }
 
-fn retain<T>(values: &mut Vec<T>, keep: &[bool]) {
+pub(crate) fn retain<T>(values: &mut Vec<T>, keep: &[bool]) {
     let mut keep = keep.iter();
     values.retain(|_| *keep.next().expect("one for each value"));
 }

@@ -31,6 +31,7 @@ pub mod verdict;
 mod constant;
 pub mod own_bone;
 mod params;
+pub mod parts;
 pub use params::NoParams;
 
 use acquire::network::NetworkSource;

@@ -189,6 +189,11 @@ def register(
     stop: str = "converge",
     threshold_hu: Optional[float] = None,
     series: Optional[str] = None,
+    component: Union[str, int, None] = None,
+    source_component: Union[str, int, None] = None,
+    box: Optional[Sequence[float]] = None,
+    sphere: Optional[Sequence[float]] = None,
+    region: Union[str, "_os.PathLike[str]", None] = None,
     target_points: int = 150_000,
     max_points: int = 100_000,
     seed: int = 1,
@@ -217,6 +222,9 @@ def register(
     landmarks : two files of picked points, of target and source, to start from.
     set : any parameter of the method, {"trim_fraction": 0.2}; `osteoflow inspect icp.point_to_plane` lists them.
     camera : (3,), position of the camera in the source's frame, mm.
+    component, source_component : which part of target and source: "largest", its number by size, or "nearest:X,Y,Z" (mm).
+    box, sphere, region : (6,) two opposite corners, (4,) centre and radius in the source's frame, mm, or a file that the page saved;
+        only the points of `source` that are in all of them are registered.
     workers : number of threads; the pose does not depend on it. Default: the number of cores.
     cache : False neither loads a prepared target file from the store nor saves one.
     verdict : False saves the time to judge the pose.
@@ -243,6 +251,8 @@ def register(
     options = dict(
         init=init, method=method, landmarks=landmarks, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm,
         max_iterations=max_iterations, step_mm=step_mm, step_rad=step_rad, stop=stop, threshold_hu=threshold_hu, series=series,
+        component=component if component is None else str(component), region=region, sphere=sphere, box=box,
+        source_component=source_component if source_component is None else str(source_component),
         target_points=target_points, max_points=max_points, seed=seed, unit_mm=unit_mm, target_unit_mm=target_unit_mm, source_unit_mm=source_unit_mm,
         init_unit_mm=init_unit_mm, camera=camera, workers=workers, cache=cache, repeat=repeat, verdict=verdict, require=require,
         out=out, write_source=write_source, space=space,

@@ -56,7 +56,8 @@ const FAR: f64 = 0.4;
 pub const CLEAR: f64 = 0.3;
 
 /// What to do with surroundings in a scan.
-pub(crate) const CROP: &str = "crop the scan to the bone (crop.box, or draw a region on the page of osteoflow view)";
+pub(crate) const CROP: &str = "crop the scan to the bone (register: --box, --sphere, or --region with a region drawn on the page of \
+                              osteoflow view; in a graph: crop.box)";
 
 /// Spacing and number of the starts of [`global()`].
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]

@@ -1,6 +1,6 @@
 //! The kind `acquire.cloud`.
 
-use crate::constant::Constant;
+use crate::{constant::Constant, parts};
 use osteoflow_formats::{
     input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
@@ -15,7 +15,9 @@ use std::sync::Arc;
 
 /// A scan from a file of points, of any format that `register` reads; of a surface the vertices.
 ///
-/// Points that are not finite are left out, with a warning that counts them.
+/// Points that are not finite are left out, with a warning that counts them. So are pixels without depth: points at 0, 0, 0, or at one value
+/// that more than 1 % of the points share, if it is outside of the box around all others and farther from each of them than 20 times
+/// the median distance between neighbours.
 #[derive(Describe)]
 #[describe(example = r#"
 kind   = "acquire.cloud"
@@ -41,6 +43,11 @@ pub struct Params {
     /// pair only with the side of the bone that faces it. Unset: unknown, as after a turntable or a merge of scans.
     #[serde(default)]
     pub camera: Option<[f64; 3]>,
+    /// Which part of the file is the scan: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part nearest to
+    /// a point, mm; `osteoflow info` lists them. Parts of a surface share corners; of points a part is a cluster: gaps in it are at
+    /// most five times the median distance to the nearest other point. Unset: all of it.
+    #[serde(default)]
+    pub component: Option<String>,
 }
 
 fn camera() -> String {
@@ -53,8 +60,8 @@ pub struct Out {
     /// The cloud, once.
     #[port(frame = "$frame")]
     cloud: Cloud,
-    /// What the file holds: `holds` (`points`, or `vertices` of a surface), `n_dropped` points that are not finite, and the
-    /// `space` of its coordinates.
+    /// What the file holds: `holds` (`points`, or `vertices` of a surface), `n_dropped` points that are not finite, `n_invalid`
+    /// that are pixels without depth, and the `space` of its coordinates.
     report: Json,
 }
 
@@ -63,7 +70,7 @@ impl Out {
     pub fn of(scan: MeshOrCloud, camera: Option<[f64; 3]>) -> (Self, Vec<String>) {
         let holds = if matches!(scan, MeshOrCloud::Mesh(_)) { "vertices" } else { "points" };
         let (read, notes) = scan.into_cloud();
-        let report = json!({ "holds": holds, "n_dropped": read.n_dropped, "space": read.space.to_string() });
+        let report = json!({ "holds": holds, "n_dropped": read.n_dropped, "n_invalid": read.n_invalid, "space": read.space.to_string() });
         let cloud = match camera {
             // Only the camera's position is used.
             Some([x, y, z]) => read.cloud.seen_from(Isometry3::translation(x, y, z)),
@@ -82,15 +89,16 @@ impl Constant for CloudFile {
         if params.camera.is_some_and(|camera| camera.iter().any(|c| !c.is_finite())) {
             return Err(ParamError::new("camera", "three finite numbers are expected, such as [0.0, 0.0, 0.0]"));
         }
-        Ok(())
+        parts::choice(params.component.as_deref()).map(drop)
     }
 
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
-        let Params { path, frame, unit_mm, camera } = params;
+        let Params { path, frame, unit_mm, camera, component } = params;
         let bytes = input::read(path.as_ref())?;
         let read = read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())?;
+        let (read, of_parts) = parts::of_scan(read, parts::choice(component.as_deref())?)?;
         let (out, notes) = Out::of(read, *camera);
-        notes.into_iter().for_each(|note| ctx.warn(note));
+        notes.into_iter().chain(of_parts).for_each(|note| ctx.warn(note));
         Ok(out)
     }
 }

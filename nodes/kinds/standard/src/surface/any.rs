@@ -4,7 +4,7 @@ use super::{
     ct::{self, CtBone, NoThreshold, read_bone},
     file::SpaceName,
 };
-use crate::constant::Constant;
+use crate::{constant::Constant, parts};
 use osteoflow_formats::{
     Space,
     input::{self, sha256_of},
@@ -56,8 +56,9 @@ pub struct Params {
     pub threshold_hu: Option<f64>,
     /// Which DICOM series of the folder: its number, or the ending of its identifier. Unset: the only one.
     pub series: Option<String>,
-    /// Which connected part of a CT above the threshold is the bone: `"largest"`, or its rank by size, such as `"2"`. Unset: the
-    /// largest.
+    /// Which connected part is the bone: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part nearest to a
+    /// point, mm; `osteoflow info` lists them. Of points a part is a cluster: gaps in it are at most five times the median distance
+    /// to the nearest other point. Unset: of a CT the largest above the threshold, else all of them.
     pub component: Option<String>,
     /// A point in the bone's cortex, LPS, which chooses the part of a CT instead of `component`.
     pub seed_mm: Option<[f64; 3]>,
@@ -120,7 +121,6 @@ impl Params {
         let given = [
             ("threshold_hu", self.threshold_hu.is_some()),
             ("series", self.series.is_some()),
-            ("component", self.component.is_some()),
             ("seed_mm", self.seed_mm.is_some()),
             ("fill_cavities", self.fill_cavities.is_some()),
         ];
@@ -157,6 +157,7 @@ impl Constant for Any {
             let file = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
             return Err(ParamError::new(name, format!("{name} is for a CT, and {file} is none; leave it out")));
         }
+        parts::choice(params.component.as_deref())?;
         Ok(())
     }
 
@@ -196,10 +197,11 @@ impl Params {
                 |stated| NodeError::new(format!("{stated}, but space = \"{}\"; leave space out", name.space()));
             read = read.in_space(name.space()).map_err(contradicts)?;
         }
+        let (read, notes) = parts::of_target(read, parts::choice(self.component.as_deref())?)?;
         if let Some(note) = read.space().taken_for_lps(&self.frame.as_str().into()) {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }
-        read.notes().iter().for_each(|note| ctx.warn(note));
+        read.notes().iter().chain(&notes).for_each(|note| ctx.warn(note));
         if estimates_normals(&read) {
             ctx.warn(
                 "no normals; they are estimated from the points, outwards if the surface is closed; on an open one their side is a \

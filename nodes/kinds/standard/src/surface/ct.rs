@@ -1,9 +1,10 @@
 //! The kind `surface.ct`.
 
-use crate::constant::Constant;
+use crate::{constant::Constant, parts};
 use osteoflow_algorithms::ct_surface::{
     ComponentChoice, CtSurface, CtSurfaceParams, VolumeView, ct_surface, suggested_threshold,
 };
+use osteoflow_algorithms::parts::PartChoice;
 use osteoflow_formats::{
     FileError, input,
     volume::{Volume, VoxelUnit, data_file, read_volume},
@@ -43,7 +44,8 @@ pub struct Params {
     /// Bone is above, in HU; in the file's own values if they are not HU. None: refused with a suggestion from the histogram,
     /// as the threshold moves the surface.
     pub threshold_hu: Option<f64>,
-    /// Which connected part above the threshold is the bone: `"largest"`, or its rank by size, such as `"2"`.
+    /// Which connected part above the threshold is the bone: `"largest"`, its number by size, such as `"2"`, or
+    /// `"nearest:X,Y,Z"`, the part nearest to a point, LPS, mm.
     #[serde(default = "largest")]
     pub component: String,
     /// A point in the bone's cortex, LPS, which chooses the part instead of `component`.
@@ -93,13 +95,10 @@ impl Params {
                 Err(ParamError::new("seed_mm", "the seed and component both choose a part; give one of them"))
             }
             (Some(seed), _) => Ok(ComponentChoice::Seed((*seed).into())),
-            (None, "largest") => Ok(ComponentChoice::Rank(1)),
-            (None, rank) => match rank.parse() {
-                Ok(rank) if rank >= 1 => Ok(ComponentChoice::Rank(rank)),
-                _ => Err(ParamError::new(
-                    "component",
-                    format!("\"{rank}\" is neither \"largest\" nor a rank such as \"2\""),
-                )),
+            (None, component) => match parts::choice(Some(component))? {
+                Some(PartChoice::Nearest(place)) => Ok(ComponentChoice::Nearest(place)),
+                Some(PartChoice::Rank(rank)) => Ok(ComponentChoice::Rank(rank)),
+                None => Ok(ComponentChoice::Rank(1)),
             },
         }
     }
@@ -242,6 +241,7 @@ fn warnings(volume: &Volume, surface: &CtSurface, params: &CtSurfaceParams) -> V
     if surface.n_components > 1 {
         let by = match params.component {
             ComponentChoice::Seed(_) => "the one at the seed",
+            ComponentChoice::Nearest(_) => "the nearest",
             ComponentChoice::Rank(1) => "the largest",
             ComponentChoice::Rank(_) => "the one asked for",
         };
@@ -369,7 +369,7 @@ mod tests {
         let message = refused(Params { threshold_hu: None, ..params(unknown.path()) });
         assert!(message.contains("the values are not HU"), "{message}");
         let message = refused(Params { component: "0".into(), ..params(file.path()) });
-        assert!(message.contains("\"0\" is neither \"largest\" nor a rank"), "{message}");
+        assert!(message.contains("\"0\" names no part; give largest"), "{message}");
         let message = refused(Params { component: "2".into(), seed_mm: Some([0.0; 3]), ..params(file.path()) });
         assert!(message.contains("give one of them"), "{message}");
         let message = refused(Params { component: "3".into(), ..params(file.path()) });

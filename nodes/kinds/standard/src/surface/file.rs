@@ -1,9 +1,11 @@
 //! The kind `surface.file`.
 
-use crate::constant::Constant;
+use crate::{constant::Constant, parts};
 use osteoflow_formats::{Space, input::sha256, mesh_or_cloud::read_mesh};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
-use osteoflow_node::{Context, Describe, FilePath, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+};
 use osteoflow_payloads::Json;
 use serde_json::json;
 use std::sync::Arc;
@@ -33,6 +35,9 @@ pub struct Params {
     /// The axes of the file's numbers, where it does not state them; RAS is turned to LPS. Unset: in frame `ct` they are taken
     /// for LPS, as 3D Slicer takes them, with a warning.
     pub space: Option<SpaceName>,
+    /// Which connected part of the surface is the bone: `"largest"`, its number by area, such as `"2"`, or `"nearest:X,Y,Z"`, the
+    /// part nearest to a point, mm; `osteoflow info` lists them. Unset: all of them.
+    pub component: Option<String>,
 }
 
 /// The axes of a patient's coordinates.
@@ -71,8 +76,12 @@ impl Constant for File {
     type Params = Params;
     type Outputs = Out;
 
+    fn check(params: &Params) -> Result<(), ParamError> {
+        parts::choice(params.component.as_deref()).map(drop)
+    }
+
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
-        let Params { path, frame, unit_mm, space } = params;
+        let Params { path, frame, unit_mm, space, component } = params;
         let mut read = read_mesh(path.as_ref(), *unit_mm, frame.as_str(), SurfaceOrigin::User)?;
         if let Some(name) = space {
             let space = name.space();
@@ -83,7 +92,9 @@ impl Constant for File {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }
         read.notes.into_iter().for_each(|note| ctx.warn(note));
+        let (mesh, notes) = parts::of_bone(read.mesh, parts::choice(component.as_deref())?)?;
+        notes.into_iter().for_each(|note| ctx.warn(note));
         let report = json!({ "sha256": sha256(path.as_ref())? });
-        Ok(Out { mesh: read.mesh, report: Json(Arc::new(report)) })
+        Ok(Out { mesh, report: Json(Arc::new(report)) })
     }
 }

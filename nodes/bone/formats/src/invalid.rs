@@ -1,0 +1,117 @@
+//! Points that stand for pixels without depth.
+
+use nalgebra::Point3;
+
+/// A value that more than this share of the points have is no place on a surface.
+const SHARED: f64 = 0.01;
+
+/// Points that are farther from all others than this many times the distance between neighbours are no part of their surface.
+const ISOLATED: f64 = 20.0;
+
+/// Number of points that are looked at for values that many of them share.
+const LOOKED_AT: usize = 4096;
+
+/// Number of points whose nearest neighbours tell the distance between neighbours.
+const MEDIAN_OF: usize = 50;
+
+/// Values of pixels without depth, in the scanner's own numbers, and how many points have each.
+///
+/// That is 0, 0, 0, and a value that more than 1 % of the points share, if it is outside of the box around all other points and farther from
+/// each of them than 20 times the median distance between neighbours. `O(n)`.
+pub(crate) fn invalid(points: &[Point3<f64>]) -> Vec<(Point3<f64>, usize)> {
+    let mut values = shared(points);
+    if points.contains(&Point3::origin()) && !values.contains(&Point3::origin()) {
+        values.push(Point3::origin());
+    }
+    if values.is_empty() {
+        return values.into_iter().map(|value| (value, 0)).collect();
+    }
+    let others: Vec<Point3<f64>> = points.iter().filter(|p| !values.contains(p)).copied().collect();
+    let Some(&first) = others.first() else { return Vec::new() };
+    let (low, high) = others.iter().fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
+    let far_mm = ISOLATED * spacing(&others);
+    let is_invalid = |value: &Point3<f64>| {
+        let is_outside = (0..3).any(|k| value[k] < low[k] || value[k] > high[k]);
+        is_outside && others.iter().all(|p| (p - value).norm() > far_mm)
+    };
+    let counted = |value: Point3<f64>| (value, points.iter().filter(|p| **p == value).count());
+    values.into_iter().filter(is_invalid).map(counted).collect()
+}
+
+/// A note on values of pixels without depth that were left out of `n_points`.
+pub(crate) fn note(values: &[(Point3<f64>, usize)], n_points: usize) -> Option<String> {
+    let shown: Vec<String> = values.iter().map(|(p, n)| format!("{n} at {}, {}, {}", p.x, p.y, p.z)).collect();
+    let n: usize = values.iter().map(|(_, n)| n).sum();
+    (n > 0).then(|| {
+        let shown = shown.join(", ");
+        format!("{n} of {n_points} points are pixels without depth, far from all others ({shown}), and were left out")
+    })
+}
+
+/// The values that more than [`SHARED`] of the points, and at least two, have.
+fn shared(points: &[Point3<f64>]) -> Vec<Point3<f64>> {
+    let step = points.len().div_ceil(LOOKED_AT).max(1);
+    let mut sample: Vec<Point3<f64>> = points.iter().step_by(step).copied().collect();
+    let key = |p: &Point3<f64>| (p.x + 0.0, p.y + 0.0, p.z + 0.0);
+    sample.sort_unstable_by(|a, b| {
+        let (a, b) = (key(a), key(b));
+        a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
+    });
+    // Half the share, as the sample may have fewer of them.
+    let enough = (sample.len() as f64 * SHARED / 2.0).max(1.0);
+    let often = sample.chunk_by(|a, b| a == b).filter(|same| same.len() as f64 > enough).map(|same| same[0]);
+    let n_of = |value: &Point3<f64>| points.iter().filter(|p| *p == value).count();
+    often.filter(|value| n_of(value) as f64 > (SHARED * points.len() as f64).max(1.0)).collect()
+}
+
+/// Median distance of points to the nearest that is elsewhere.
+fn spacing(points: &[Point3<f64>]) -> f64 {
+    let nearest = |at: &Point3<f64>| {
+        let squares = points.iter().map(|p| (p - at).norm_squared()).filter(|square| *square > 0.0);
+        squares.fold(f64::INFINITY, f64::min).sqrt()
+    };
+    let mut all: Vec<f64> = points.iter().step_by(points.len().div_ceil(MEDIAN_OF).max(1)).map(nearest).collect();
+    all.sort_unstable_by(f64::total_cmp);
+    all[all.len() / 2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sheet of 1 mm, 300 mm in front of the camera.
+    fn sheet() -> Vec<Point3<f64>> {
+        (0..2500).map(|k| Point3::new(f64::from(k % 50) - 25.0, f64::from(k / 50) - 25.0, 300.0)).collect()
+    }
+
+    #[test]
+    fn pixels_without_depth_are_those_at_zero_or_at_one_value_that_nothing_surrounds() {
+        let with = |more: &[(Point3<f64>, usize)]| {
+            let mut points = sheet();
+            more.iter().for_each(|(value, n)| points.splice(7..7, vec![*value; *n]).for_each(drop));
+            invalid(&points)
+        };
+        let (zero, clipped) = (Point3::origin(), Point3::new(0.0, 0.0, 9999.0));
+        assert_eq!(with(&[]), []);
+        assert_eq!(with(&[(zero, 1)]), [(zero, 1)]);
+        assert_eq!(with(&[(zero, 700), (clipped, 900)]), [(zero, 700), (clipped, 900)]);
+        // Too few of a value that is not zero, a value on the surface, and one beside it.
+        assert_eq!(with(&[(clipped, 20)]), []);
+        assert_eq!(with(&[(Point3::new(0.0, 0.0, 300.0), 400)]), []);
+        assert_eq!(with(&[(Point3::new(0.0, 0.0, 310.0), 400)]), []);
+        // A corner of a surface at the origin, and a scan around it.
+        let moved: Vec<_> = sheet().iter().map(|p| Point3::new(p.x + 25.0, p.y + 25.0, 0.0)).collect();
+        assert_eq!(invalid(&moved), []);
+        let around: Vec<_> = sheet().iter().flat_map(|p| [*p, Point3::new(p.x, p.y, -300.0)]).chain([zero]).collect();
+        assert_eq!(invalid(&around), []);
+        assert_eq!(invalid(&[zero; 9]), []);
+        assert_eq!(invalid(&[]), []);
+    }
+
+    #[test]
+    fn the_note_counts_them() {
+        let note = note(&[(Point3::origin(), 3), (Point3::new(0.0, 1.5, 2.0), 4)], 100).unwrap();
+        assert!(note.starts_with("7 of 100 points are pixels without depth"), "{note}");
+        assert!(note.contains("(3 at 0, 0, 0, 4 at 0, 1.5, 2)"), "{note}");
+    }
+}
