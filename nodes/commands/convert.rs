@@ -59,7 +59,7 @@ pub(crate) struct Convert {
     #[arg(long, default_value_t = 1.0, value_name = "FACTOR", value_parser = factor)]
     scale: f64,
 
-    /// The surface of IN, a CT, at this value, HU; its largest part above it.
+    /// The surface of IN, a CT, at this value, HU: of the part that --component takes.
     #[arg(long, value_name = "HU", allow_hyphen_values = true)]
     iso_hu: Option<f64>,
 

@@ -25,13 +25,13 @@ pub(crate) fn first_in_place(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Ve
     faces.iter().map(|face| face.map(|k| first[k as usize])).collect()
 }
 
-/// Number of edges that are not shared by exactly two faces running along them in opposite directions. `O(m log m)`.
+/// Number of edges that are not shared by exactly two faces running along them in opposite directions.
 pub fn open_edges(mesh: &Mesh) -> usize {
     open_edges_of(mesh.faces())
 }
 
-/// Calls `see` with each edge: its higher vertex, whether a face runs along it from the lower one, and that face, for each face at it. Faces with
-/// two equal corners have no edge. `O(m)` where few faces meet in a vertex.
+/// Calls `see` with each edge: for each face at it the edge's higher vertex, whether the face runs along it from the lower one, and the
+/// face. Faces with two equal corners have no edge. `O(m)` where few faces meet in a vertex.
 pub(crate) fn each_edge(faces: &[[u32; 3]], mut see: impl FnMut(&[(u32, bool, u32)])) {
     let n = faces.iter().flatten().max().map_or(0, |v| *v as usize + 1);
     let ways = || {
@@ -57,14 +57,9 @@ pub(crate) fn each_edge(faces: &[[u32; 3]], mut see: impl FnMut(&[(u32, bool, u3
 
 /// The number of such edges of these faces.
 pub(crate) fn open_edges_of(faces: &[[u32; 3]]) -> usize {
-    let mut edges: Vec<(u64, bool)> = Vec::with_capacity(3 * faces.len());
-    for &[a, b, c] in faces {
-        for (from, to) in [(a, b), (b, c), (c, a)] {
-            edges.push((u64::from(from.min(to)) << 32 | u64::from(from.max(to)), from < to));
-        }
-    }
-    edges.sort_unstable();
-    edges.chunk_by(|a, b| a.0 == b.0).filter(|ways| !matches!(ways, [(_, false), (_, true)])).count()
+    let mut n = 0;
+    each_edge(faces, |ways| n += usize::from(!matches!(ways, [(_, false, _), (_, true, _)])));
+    n
 }
 
 /// For each vertex the number of its connected component, and the number of components. `O(n + m)`.

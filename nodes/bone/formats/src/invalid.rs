@@ -14,17 +14,39 @@ const LOOKED_AT: usize = 4096;
 /// Number of points whose nearest neighbours tell the distance between neighbours.
 const MEDIAN_OF: usize = 50;
 
+/// Pixels without depth among points.
+pub(crate) struct Invalid {
+    /// For each point whether it is none of them.
+    pub(crate) keep: Vec<bool>,
+    /// Number of them.
+    pub(crate) n: usize,
+    /// Says how many there are, and where.
+    pub(crate) note: String,
+}
+
+/// The pixels without depth among the finite ones of `n_points` points, if there are some.
+pub(crate) fn invalid(points: &[Point3<f64>], n_points: usize) -> Option<Invalid> {
+    let values = values(points);
+    let keep: Vec<bool> = points.iter().map(|p| values.iter().all(|(value, _)| value != p)).collect();
+    let n = values.iter().map(|(_, n)| n).sum();
+    let shown: Vec<String> = values.iter().map(|(p, n)| format!("{n} at {}, {}, {}", p.x, p.y, p.z)).collect();
+    let shown = shown.join(", ");
+    let note =
+        format!("{n} of {n_points} points are pixels without depth, far from all others ({shown}), and were left out");
+    (n > 0).then_some(Invalid { keep, n, note })
+}
+
 /// Values of pixels without depth, in the scanner's own numbers, and how many points have each.
 ///
-/// That is 0, 0, 0, and a value that more than 1 % of the points share, if it is outside of the box around all other points and farther from
-/// each of them than 20 times the median distance between neighbours. `O(n)`.
-pub(crate) fn invalid(points: &[Point3<f64>]) -> Vec<(Point3<f64>, usize)> {
+/// That is 0, 0, 0, and a value that more than 1 % of the points share, if it is outside of the box around all other points and
+/// farther from each of them than 20 times the median distance between neighbours. `O(n)`.
+fn values(points: &[Point3<f64>]) -> Vec<(Point3<f64>, usize)> {
     let mut values = shared(points);
     if points.contains(&Point3::origin()) && !values.contains(&Point3::origin()) {
         values.push(Point3::origin());
     }
     if values.is_empty() {
-        return values.into_iter().map(|value| (value, 0)).collect();
+        return Vec::new();
     }
     let others: Vec<Point3<f64>> = points.iter().filter(|p| !values.contains(p)).copied().collect();
     let Some(&first) = others.first() else { return Vec::new() };
@@ -36,16 +58,6 @@ pub(crate) fn invalid(points: &[Point3<f64>]) -> Vec<(Point3<f64>, usize)> {
     };
     let counted = |value: Point3<f64>| (value, points.iter().filter(|p| **p == value).count());
     values.into_iter().filter(is_invalid).map(counted).collect()
-}
-
-/// A note on values of pixels without depth that were left out of `n_points`.
-pub(crate) fn note(values: &[(Point3<f64>, usize)], n_points: usize) -> Option<String> {
-    let shown: Vec<String> = values.iter().map(|(p, n)| format!("{n} at {}, {}, {}", p.x, p.y, p.z)).collect();
-    let n: usize = values.iter().map(|(_, n)| n).sum();
-    (n > 0).then(|| {
-        let shown = shown.join(", ");
-        format!("{n} of {n_points} points are pixels without depth, far from all others ({shown}), and were left out")
-    })
 }
 
 /// The values that more than [`SHARED`] of the points, and at least two, have.
@@ -89,7 +101,7 @@ mod tests {
         let with = |more: &[(Point3<f64>, usize)]| {
             let mut points = sheet();
             more.iter().for_each(|(value, n)| points.splice(7..7, vec![*value; *n]).for_each(drop));
-            invalid(&points)
+            values(&points)
         };
         let (zero, clipped) = (Point3::origin(), Point3::new(0.0, 0.0, 9999.0));
         assert_eq!(with(&[]), []);
@@ -101,17 +113,20 @@ mod tests {
         assert_eq!(with(&[(Point3::new(0.0, 0.0, 310.0), 400)]), []);
         // A corner of a surface at the origin, and a scan around it.
         let moved: Vec<_> = sheet().iter().map(|p| Point3::new(p.x + 25.0, p.y + 25.0, 0.0)).collect();
-        assert_eq!(invalid(&moved), []);
+        assert_eq!(values(&moved), []);
         let around: Vec<_> = sheet().iter().flat_map(|p| [*p, Point3::new(p.x, p.y, -300.0)]).chain([zero]).collect();
-        assert_eq!(invalid(&around), []);
-        assert_eq!(invalid(&[zero; 9]), []);
-        assert_eq!(invalid(&[]), []);
+        assert_eq!(values(&around), []);
+        assert_eq!(values(&[zero; 9]), []);
+        assert_eq!(values(&[]), []);
     }
 
     #[test]
-    fn the_note_counts_them() {
-        let note = note(&[(Point3::origin(), 3), (Point3::new(0.0, 1.5, 2.0), 4)], 100).unwrap();
-        assert!(note.starts_with("7 of 100 points are pixels without depth"), "{note}");
-        assert!(note.contains("(3 at 0, 0, 0, 4 at 0, 1.5, 2)"), "{note}");
+    fn the_note_counts_them_and_the_others_are_kept() {
+        let points: Vec<_> = sheet().into_iter().chain([Point3::origin(); 3]).collect();
+        let Invalid { keep, n, note } = invalid(&points, 2600).unwrap();
+        assert_eq!((n, keep.iter().filter(|keep| **keep).count(), keep[2500..].to_vec()), (3, 2500, vec![false; 3]));
+        assert!(note.starts_with("3 of 2600 points are pixels without depth"), "{note}");
+        assert!(note.contains("(3 at 0, 0, 0)"), "{note}");
+        assert!(invalid(&sheet(), 2500).is_none());
     }
 }

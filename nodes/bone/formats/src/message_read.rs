@@ -22,7 +22,7 @@ pub use image::{
 use crate::{
     LostPose, PoseError,
     foxglove_json::{self, JsonCloud, JsonPose, JsonPoseInFrame, JsonTransform, JsonTransforms},
-    invalid,
+    invalid::{Invalid, invalid},
     mcap_read::{Message, Recording},
     normals::unit_normals,
     ros2::{POINT_CLOUD_2, POSE_STAMPED, TF_MESSAGE, TRANSFORM_STAMPED},
@@ -113,11 +113,9 @@ pub struct CloudRead {
     pub n_points_in_message: usize,
     /// How many of them were NaN or infinite and were left out.
     pub n_dropped: usize,
-    /// How many were pixels without depth, such as 0, 0, 0 far from all others, and were left out.
-    pub n_invalid: usize,
     /// The correction of the message's pose.
     pub correction: Correction,
-    /// Changes to the normals, one sentence each.
+    /// Changes to the normals, and pixels without depth that were left out, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -222,18 +220,16 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
         }
     }
     let n_dropped = n_points_in_message - points.len();
-    let values = invalid::invalid(&points_in_sensor);
-    if !values.is_empty() {
-        let keep: Vec<bool> = points_in_sensor.iter().map(|p| values.iter().all(|(value, _)| value != p)).collect();
-        retain(&mut points, &keep);
+    let invalid = invalid(&points_in_sensor, n_points_in_message);
+    if let Some(Invalid { keep, .. }) = &invalid {
+        retain(&mut points, keep);
         if layout.normal.is_some() {
-            retain(&mut normals, &keep);
+            retain(&mut normals, keep);
         }
     }
-    let n_invalid = values.iter().map(|(_, n)| n).sum();
     let stamp_ns = nanoseconds(raw.timestamp).unwrap_or(message.publish_time_ns);
     let (normals, mut notes) = unit_normals(normals);
-    notes.extend(invalid::note(&values, n_points_in_message));
+    notes.extend(invalid.map(|invalid| invalid.note));
     let mut cloud =
         Cloud::new(raw.frame_id, points).expect("points that are not finite were left out, and none is far");
     if let Some(mut normals) = normals.filter(|_| layout.normal.is_some()) {
@@ -244,7 +240,7 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
     }
     cloud.stamp_ns = stamp_ns;
     cloud.viewpoint = if is_sensor_frame(cloud.frame.as_str()) { Some(Isometry3::identity()) } else { pose };
-    Ok(CloudRead { cloud, n_points_in_message, n_dropped, n_invalid, correction, notes })
+    Ok(CloudRead { cloud, n_points_in_message, n_dropped, correction, notes })
 }
 
 /// The cloud of a message of that kind, and whether the numbers of its points are big-endian.

@@ -1,7 +1,12 @@
 //! What every format holds: points, and where it has them normals, further columns and faces; and the surface or cloud that
 //! this becomes.
 
-use crate::{FileError, Space, invalid, normals::unit_normals, space::StatedSpace};
+use crate::{
+    FileError, Space,
+    invalid::{Invalid, invalid},
+    normals::unit_normals,
+    space::StatedSpace,
+};
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Cloud, FARTHEST_MM, Frame, Mesh, MeshError, SurfaceOrigin, TooFar};
 use std::path::Path;
@@ -165,28 +170,29 @@ impl Shape {
         (space, notes)
     }
 
-    /// The points that are finite, with their normals and further columns.
+    /// Keeps some of the points, with their normals and further columns.
+    fn retain(&mut self, keep: &[bool]) {
+        retain(&mut self.points, keep);
+        self.normals.iter_mut().for_each(|normals| retain(normals, keep));
+        self.extras.iter_mut().for_each(|(_, values)| retain(values, keep));
+    }
+
+    /// The points that are finite and have depth, with their normals and further columns.
     pub(crate) fn into_cloud(mut self, path: &Path, unit_mm: f64, frame: Frame) -> Result<CloudFileRead, FileError> {
         self.check_lengths(path, unit_mm)?;
         let n_points_in_file = self.points.len();
         let is_finite = |p: &Point3<f64>| p.x.is_finite() & p.y.is_finite() & p.z.is_finite();
         // No early end: a loop without branches is the fastest, and points that are not finite are rare.
         if !self.points.iter().fold(true, |finite, p| finite & is_finite(p)) {
-            let keep: Vec<bool> = self.points.iter().map(is_finite).collect();
-            retain(&mut self.points, &keep);
-            self.normals.iter_mut().for_each(|normals| retain(normals, &keep));
-            self.extras.iter_mut().for_each(|(_, values)| retain(values, &keep));
+            self.retain(&self.points.iter().map(is_finite).collect::<Vec<_>>());
         }
         let n_dropped = n_points_in_file - self.points.len();
-        let values = invalid::invalid(&self.points);
-        if !values.is_empty() {
-            let keep: Vec<bool> = self.points.iter().map(|p| values.iter().all(|(value, _)| value != p)).collect();
-            retain(&mut self.points, &keep);
-            self.normals.iter_mut().for_each(|normals| retain(normals, &keep));
-            self.extras.iter_mut().for_each(|(_, values)| retain(values, &keep));
-            self.notes.extend(invalid::note(&values, n_points_in_file));
+        let mut n_invalid = 0;
+        if let Some(Invalid { keep, n, note }) = invalid(&self.points, n_points_in_file) {
+            self.retain(&keep);
+            self.notes.push(note);
+            n_invalid = n;
         }
-        let n_invalid = values.iter().map(|(_, n)| n).sum();
         if n_points_in_file == 0 {
             let message = "there is no point in the file; was it exported from an empty selection?";
             return Err(FileError::content(path, "points", message));
@@ -250,6 +256,7 @@ impl Shape {
     }
 }
 
+/// Keeps the values of the points to keep.
 pub(crate) fn retain<T>(values: &mut Vec<T>, keep: &[bool]) {
     let mut keep = keep.iter();
     values.retain(|_| *keep.next().expect("one for each value"));
