@@ -90,6 +90,18 @@ fn a_sound_scan_bounds_the_stretch_and_leaves_film_and_depth_as_assumptions_with
 }
 
 #[test]
+fn a_cause_that_cannot_be_fitted_is_an_assumption_and_not_bounded() {
+    // So short a scan has fewer cells than unknowns.
+    let (_, verdict) = judged(&shaft(), &scan_of(&shaft(), [50.0, 61.0], 35), &|p| *p);
+    let fitted: Vec<&Nuisance> =
+        verdict.nuisances.iter().filter(|n| !n.name.starts_with("film") && n.name != "camera_depth").collect();
+    assert!(fitted.iter().any(|n| n.estimate.is_none()), "{fitted:?}");
+    for nuisance in fitted.iter().filter(|n| n.estimate.is_none()) {
+        assert_eq!(nuisance.state, NuisanceState::Unseen, "{nuisance:?}");
+    }
+}
+
+#[test]
 fn a_scan_that_is_too_large_is_the_cameras_scale_or_a_growth() {
     let scan = scan_of(&shaft(), HEIGHTS, 33);
     let camera = scan.viewpoint.unwrap() * Point3::origin();
