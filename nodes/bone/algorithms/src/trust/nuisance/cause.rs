@@ -164,6 +164,18 @@ impl Cause {
         }
     }
 
+    /// The largest size that is what its name says: beyond it, tissue or another bone is explained. A slice spacing may be any.
+    pub(super) fn largest(self) -> f64 {
+        match self {
+            Self::Along => f64::INFINITY,
+            Self::Growth | Self::Across => 0.15,
+            Self::CameraScale | Self::CameraDepth => 0.1,
+            Self::Shear | Self::Twist => 30_f64.to_radians(),
+            Self::Bend | Self::Offset | Self::Step { .. } => 10.0,
+            Self::FilmAlong | Self::FilmAround | Self::Film => 5.0,
+        }
+    }
+
     /// Number of its parameters that make its size: a shear is fitted beside a stretch.
     pub(super) fn n_own(self) -> usize {
         match self {

@@ -58,6 +58,12 @@ pub(super) fn measured(
         effect.mm,
         effect.deg
     );
+    if cause.size(values).abs() > cause.largest() {
+        let reason =
+            format!("no bone, CT or camera differs as much as would explain the residuals: it would be that {reason}");
+        let remedy = "check that the scan shows this bone, of this side, and crop what is not bone";
+        return Reason::new(cause.name(), Answer::Doubtful, reason, remedy);
+    }
     let mut remedy = remedy(cause).to_owned();
     if !others.is_empty() {
         let others: Vec<String> = others.iter().map(|(cause, values)| size(*cause, values, None)).collect();
@@ -112,4 +118,20 @@ pub(super) fn assumption(cause: Cause, critical: f64, worst: Effect, limits: &Li
         format!("would move the targets by {} mm", limits.max_tre_mm.min(limits.max_offset_mm))
     };
     format!("{taken}: {size} {does}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_that_no_ct_has_names_tissue_and_another_bone_and_a_spacing_may_be_any() {
+        let of = |cause: Cause, size: f64| measured((cause, &[size]), 1.0, Effect::default(), &[]);
+        let grown = of(Cause::Growth, 0.04);
+        assert!(grown.reason.starts_with("the CT is 4.0 +- 1.0 % too large in all directions"), "{}", grown.reason);
+        let shrunk = of(Cause::Growth, -0.65);
+        assert!(shrunk.reason.contains("it would be that the CT is 65.0 +- 1.0 % too small"), "{}", shrunk.reason);
+        assert!(shrunk.remedy.contains("crop what is not bone"), "{}", shrunk.remedy);
+        assert!(of(Cause::Along, 1.0).reason.starts_with("the CT is 100.0 +- 1.0 % too long along the bone"));
+    }
 }
