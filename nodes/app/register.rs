@@ -215,8 +215,8 @@ pub struct RegisterRequest {
     pub out: Option<PathBuf>,
 
     /// Write SOURCE as registered (.ply, .pcd, .csv), with the distance of each point from the surface in the column residual_mm, positive
-    /// outside, and in the column on_bone 1 for the points that belong to the bone: in the regions, and within the largest distance
-    /// of a pair; 0 for the others.
+    /// outside, and in the column on_bone 1 for the points that belong to the bone, which are in the regions and no farther from it
+    /// than the inliers of the registration, 0 for the others.
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 

@@ -166,22 +166,23 @@ pub(super) fn space_of(stated: Space, option: Option<Space>) -> Space {
 }
 
 /// The source moved to the target, with each point's distance from its surface, positive outside, mm, and whether it belongs to the
-/// bone: 1 for the points of `cropped` that are within the reach of a pair, which are those that the registration fits.
+/// bone: 1 for the points of `cropped` whose distance is among those of the inliers.
 pub(super) fn moved_source(
     target: &Target,
     source: &Cloud,
     t_target_source: &Isometry3<f64>,
     cropped: Option<&Cloud>,
-    reach_mm: Option<f64>,
+    inliers_mm: Option<[f64; 2]>,
 ) -> Result<Cloud> {
     let moved = source.transformed(target.frame.clone(), t_target_source);
     let residuals: Vec<f64> = moved.points().iter().map(|point| residual(target, point)).collect();
-    let of_bone = reach_mm.map(|reach_mm| {
+    let of_bone = inliers_mm.map(|[inside_mm, outside_mm]| {
         // A crop keeps the order.
         let mut kept = cropped.unwrap_or(source).points().iter().peekable();
         let is_kept = |point: &Point3<f64>| kept.next_if(|next| *next == point).is_some();
         let is_kept: Vec<bool> = source.points().iter().map(is_kept).collect();
-        let of_point = |(residual, kept): (&f64, bool)| f64::from(u8::from(kept && residual.abs() <= reach_mm));
+        let fits = |residual: &f64| (inside_mm..=outside_mm).contains(residual);
+        let of_point = |(residual, kept): (&f64, bool)| f64::from(u8::from(kept && fits(residual)));
         residuals.iter().zip(is_kept).map(of_point).collect::<Vec<f64>>()
     });
     let moved = moved.with_extra(RESIDUAL, residuals)?;

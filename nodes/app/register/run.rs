@@ -189,10 +189,15 @@ impl Register {
             ReadStart::Shape | ReadStart::Pose(_) => &[],
         };
         let is_done = report.outcome == Outcome::Complete;
+        let method_report = last(wires, &format!("{NODE}.{REPORT}")).map(Value::to_result);
         let moved = match (&target, &source, &pose, &self.files.source) {
             (Some(target), Some(source), Some(pose), Some(_)) if is_done => {
                 let cropped: Option<Cloud> = value(wires, "crop.cloud");
-                Some(moved_source(target, source, pose, cropped.as_ref(), self.max_pair_distance_mm())?)
+                // A plugin need not report its inliers.
+                let reported = method_report.as_ref().map(|report| report["inliers_mm"].clone());
+                let reported: Option<[f64; 2]> = reported.and_then(|mm| serde_json::from_value(mm).ok());
+                let inliers_mm = reported.or_else(|| self.max_pair_distance_mm().map(|reach_mm| [-reach_mm, reach_mm]));
+                Some(moved_source(target, source, pose, cropped.as_ref(), inliers_mm)?)
             }
             _ => None,
         };
@@ -202,7 +207,7 @@ impl Register {
             pose,
             init: value::<Pose>(wires, "coarse.t_target_source").map(|pose| pose.isometry),
             start_report: last(wires, "coarse.report").map(Value::to_result),
-            report: last(wires, &format!("{NODE}.{REPORT}")).map(Value::to_result),
+            report: method_report,
             icp_report: value(wires, &format!("{NODE}.{REPORT}")),
             steps: value::<IcpTrace>(wires, "icp.trace").map(|trace| trace.steps).unwrap_or_default(),
             doubt: target.as_ref().and_then(|target| off_surface(target, picked)),

@@ -97,6 +97,42 @@ def test_options_have_the_words_of_the_command_and_its_errors_too(files, command
     assert raised.value.report["verdict"]["answer"] == "refused"
 
 
+def test_parts_and_regions_are_those_of_the_command(files, command_json, tmp_path):
+    scan = osteoflow.read(files / "scan.ply")
+    low, high = scan.points.min(axis=0), scan.points.max(axis=0)
+    away = scan.points[:500] + (high - low) * [3.0, 0.0, 0.0]
+    osteoflow.write(tmp_path / "around.ply", osteoflow.Cloud(np.vstack([scan.points, away])))
+    box = [*(low - 1.0), *(high + 1.0)]
+    sphere = [*((low + high) / 2.0), float(np.linalg.norm(high - low))]
+    region = tmp_path / "region.json"
+    shape = {"shape": "box", "min": box[:3], "max": box[3:]}
+    region.write_text(json.dumps({"format": "osteoflow-region", "version": 1, "units": "mm", "frame": "camera", "keep": [shape]}))
+    bone, around = files / "bone.stl", tmp_path / "around.ply"
+    commas = lambda numbers: ",".join(repr(float(number)) for number in numbers)
+    for options, words in [
+        (dict(box=box), [f"--box={commas(box)}"]),
+        (dict(sphere=sphere), [f"--sphere={commas(sphere)}"]),
+        (dict(region=region), [f"--region={region}"]),
+        (dict(source_component=1), ["--source-component=1"]),
+        (dict(source_component="largest", component=1), ["--source-component=largest", "--component=1"]),
+    ]:
+        told = command_json("register", bone, around, "--init=identity", "--no-verdict", *words)
+        fit = osteoflow.register(bone, around, "identity", verdict=False, **options)
+        assert fit.t_target_source.tobytes() == np.array(told["T"]).tobytes(), options
+        assert fit.report["notes"] == told["notes"], options
+        n = fit.report["report"]["n_source"]
+        assert n <= len(scan.points), f"{n} points of {options}"
+        # Of what was read the same part is taken.
+        fit = osteoflow.register(bone, osteoflow.read(around), "identity", verdict=False, **options)
+        assert fit.report["report"]["n_source"] == n, options
+    with pytest.raises(osteoflow.UsageError, match="corners with a coordinate in common"):
+        osteoflow.register(bone, around, box=[0, 0, 0, 1, 0, 1])
+    with pytest.raises((osteoflow.UsageError, osteoflow.OsteoflowError), match="radius"):
+        osteoflow.register(bone, around, sphere=[0, 0, 0, -1])
+    with pytest.raises(osteoflow.UsageError, match="names no part"):
+        osteoflow.register(bone, osteoflow.read(around), source_component="smallest")
+
+
 def test_what_is_wrong_with_an_array_is_said(files):
     bone = osteoflow.read(files / "bone.stl")
     points = osteoflow.read(files / "scan.ply").points.copy()

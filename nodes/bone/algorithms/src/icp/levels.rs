@@ -163,7 +163,9 @@ fn run<R: Residual>(
     // Normals of the source, too, decide how far a symmetric or generalized step may go, but not what the surface determines.
     let h = (!R::SOURCE_NORMALS).then(|| end.equations.h / end.equations.weight);
     let observability = Observability::at(&surface, last.pairing, params, &last.source, &end.state, end.weights, h);
-    let report = report(&last.source, params, &end, &observer.trace, observability);
+    let mut report = report(&last.source, params, &end, &observer.trace, observability);
+    let [inside, outside] = end.equations.largest_squares.map(f64::sqrt);
+    report.inliers_mm = Some([-inside, if is_one_sided { outside } else { inside }]);
     Ok(IcpFit { t_target_source: end.state.isometry(&last.source.centroid), report, trace: observer.trace })
 }
 
@@ -291,6 +293,7 @@ fn report(
         remaining_mm: end.remaining_mm,
         resolution_mm: by_points.then(|| solve::resolution_mm(equations)),
         left_mm: None,
+        inliers_mm: None,
         normal_matrix: std::array::from_fn(|i| std::array::from_fn(|j| normal_matrix[(i, j)])),
         centroid_mm: end.state.centroid.coords.into(),
         observability,

@@ -11,6 +11,8 @@ pub(super) struct NormalEquations {
     pub(super) weight: f64,
     /// Weighted sum of squared residuals, mm².
     pub(super) squares: f64,
+    /// Largest squared residuals of the inliers, mm²: where outside of the surface counts less, of those inside and of those outside.
+    pub(super) largest_squares: [f64; 2],
     /// Weighted sum of squared distances between the points, mm².
     pub(super) point_squares: f64,
     /// `point_to_point` only: weighted sum of squared distances along the target's normals, mm².
@@ -36,6 +38,7 @@ impl NormalEquations {
         n_pairs: 0,
         weight: 0.0,
         squares: 0.0,
+        largest_squares: [0.0; 2],
         point_squares: 0.0,
         plane_squares: 0.0,
         cost: 0.0,
@@ -51,6 +54,9 @@ impl NormalEquations {
         self.n_pairs += other.n_pairs;
         self.weight += other.weight;
         self.squares += other.squares;
+        for (largest, other) in self.largest_squares.iter_mut().zip(other.largest_squares) {
+            *largest = largest.max(other);
+        }
         self.point_squares += other.point_squares;
         self.plane_squares += other.plane_squares;
         self.cost += other.cost;

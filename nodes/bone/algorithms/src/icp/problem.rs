@@ -321,6 +321,8 @@ impl<'a, R: Residual> Sum<'a, R> {
         equations.n_pairs += 1;
         equations.weight += weight;
         equations.squares += weight * square;
+        let largest = &mut equations.largest_squares[usize::from(is_outside)];
+        *largest = largest.max(square);
         equations.point_squares += weight * pair.difference.norm_squared();
         R::accumulate(pair, weight, problem.source.lever_arm_mm, equations);
     }

@@ -55,6 +55,10 @@ pub struct IcpReport {
     /// source points): the error that it leaves, mostly along the bone. All points within `max_pair_distance_mm` pair anew,
     /// whatever the gate left out. None for others.
     pub left_mm: Option<f64>,
+    /// Residuals of the inliers of the last step, mm, from the one farthest inside the surface to the one farthest outside. Where both sides
+    /// count alike, the larger of both, either way. None in reports of earlier versions.
+    #[serde(default)]
+    pub inliers_mm: Option<[f64; 2]>,
     /// `JᵀWJ` of the last step, unknowns (shift in mm, turn in rad about `centroid_mm`), target's axes. Along the target's
     /// normals for `point_to_point`.
     pub normal_matrix: [[f64; 6]; 6],

@@ -235,6 +235,36 @@ fn a_report_survives_json_and_unknown_parameters_are_refused() {
     assert!(serde_json::from_str::<IcpParams>(r#"{"max_pair_distance": 3}"#).is_err());
 }
 
+#[test]
+fn the_inliers_of_a_report_reach_from_the_lowest_to_the_highest_point_that_fits() {
+    let (target, mesh) = (whole_target(&shaft(), 40_000), MeshQuery::new(&shaft()));
+    let drawn = sample::surface(&shaft(), 5000, &mut ChaCha8Rng::seed_from_u64(2));
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    // Noise of up to 0.1 mm, and one point in five 2 mm outside of the surface.
+    let off_mm = |k: usize, noise: f64| if k % 5 == 0 { 2.0 } else { 0.2 * (noise - 0.5) };
+    let placed = drawn.points.iter().zip(&drawn.normals).enumerate();
+    let source: Vec<_> = placed.map(|(k, (p, n))| p + n * off_mm(k, rng.random())).collect();
+    for method in Method::ALL {
+        let fit = register(method, &target, &source, &start(), &IcpParams::default(), &mut go_on).unwrap();
+        let [inside, outside] = fit.report.inliers_mm.unwrap();
+        assert!(inside == -outside && (0.09..0.6).contains(&outside), "{method:?}: {inside} to {outside} mm");
+        let n =
+            source.iter().filter(|p| mesh.closest_point(&(fit.t_target_source * *p)).unwrap().distance_mm <= outside);
+        // At the edges of the shaft the plane of a sample is not the surface.
+        let (n, n_pairs) = (n.count(), fit.report.n_pairs);
+        let are_all = [n, n_pairs].iter().all(|n| (3990..=4010).contains(n));
+        assert!(are_all, "{method:?}: {n} points, {n_pairs} pairs, {inside} to {outside} mm");
+    }
+    // With a camera tissue outside the bone counts less.
+    let camera = Point3::new(400.0, 0.0, 50.0);
+    let seen: Vec<_> =
+        source.iter().zip(&drawn.normals).filter(|(p, n)| n.dot(&(camera - *p)) > 0.0).map(|(p, _)| *p).collect();
+    let given = Source { points: &seen, normals: None, camera: Some(camera) };
+    let fit = register(Method::PointToPlane, &target, given, &start(), &IcpParams::default(), &mut go_on).unwrap();
+    let [inside, outside] = fit.report.inliers_mm.unwrap();
+    assert!(inside < -0.09 && (0.05..0.2).contains(&outside), "{inside} to {outside} mm");
+}
+
 /// A target for every variant and every pairing.
 fn whole_target(mesh: &Mesh, n: usize) -> Target {
     target(mesh, n).with_mesh(MeshQuery::new(mesh))

@@ -13,7 +13,7 @@ use osteoflow_formats::{
     write::{Precision, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Value};
 use std::path::PathBuf;
 
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
@@ -22,30 +22,14 @@ use std::path::PathBuf;
 /// `bone.stl` (of a bone that is known by points only `bone.ply`), `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and
 /// the plan; `scan.vtk` (drawn by 3D Slicer),
 /// `scan.ply` (for CloudCompare, with the distance from the bone as scalar field, mm, positive outside, its colours as on the page, and a
-/// column `on_bone`) and `scan_to_ct.tfm` the scan on the CT and the motion that takes it there. Of a refused
+/// column `on_bone` that says which points belong to the bone) and `scan_to_ct.tfm` the scan on the CT and the motion that takes it there. Of a refused
 /// registration, and where there is none, the last three are not written. Every file says that it is for research use only.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.export"
-in   = { bone = "bone.mesh", scan = "to_bone.cloud", t_ct_scan = "icp.t_target_source", landmarks = "plan.landmarks", planes = "plan.planes", verdict = "verdict.verdict" }
+in   = { bone = "bone.mesh", scan = "to_bone.cloud", t_ct_scan = "icp.t_target_source", landmarks = "plan.landmarks", planes = "plan.planes", icp = "icp.report", verdict = "verdict.verdict" }
 "#)]
 pub struct Export;
-
-/// Parameters of [`Export`].
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Params {
-    /// Points up to here from the bone belong to it: 1 in the column `on_bone`, 0 elsewhere. 5 mm: the largest distance of a pair of
-    /// `icp.*`, so these are the points that a registration fits.
-    #[schemars(range(min = 0.0, max = 1e6))]
-    pub on_bone_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { on_bone_mm: 5.0 }
-    }
-}
 
 /// Inputs of [`Export`].
 #[derive(Inputs)]
@@ -68,17 +52,20 @@ pub struct In {
     /// The planned planes.
     #[port(join = "once", frame = "@ct")]
     planes: Option<Planes>,
+    /// How the registration ended. Points whose distance from the bone is among those of its inliers (`inliers_mm`) are 1 in the
+    /// column `on_bone`, the others 0. Unwired: there is no such column.
+    icp: Option<Value>,
     /// The verdict on the registration. Unwired: the scan is written whatever the verdict.
     verdict: Option<Verdict>,
 }
 
 impl Function for Export {
     const KIND: &'static str = "output.export";
-    type Params = Params;
+    type Params = crate::NoParams;
     type Inputs = In;
     type Outputs = NoOutputs;
 
-    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         let frame = match (&i.bone, &i.bone_points) {
             (Some(mesh), _) => &mesh.frame,
             (None, Some(points)) => &points.frame,
@@ -113,14 +100,10 @@ impl Function for Export {
             return Ok(NoOutputs {});
         };
         if !is_refused(i.verdict.as_ref(), ctx) {
-            let notes = write_scan(
-                &file,
-                scan,
-                &t_ct_scan.clone().expect(frame, &scan.frame)?,
-                i.bone.as_ref(),
-                space,
-                params,
-            )?;
+            let t_ct_scan = t_ct_scan.clone().expect(frame, &scan.frame)?;
+            let inliers_mm =
+                i.icp.and_then(|report| serde_json::from_value(report.to_result()["inliers_mm"].take()).ok());
+            let notes = write_scan(&file, scan, &t_ct_scan, i.bone.as_ref(), space, inliers_mm)?;
             notes.into_iter().for_each(|note| ctx.warn(note));
         }
         Ok(NoOutputs {})
@@ -133,11 +116,11 @@ fn write_scan(
     t_ct_scan: &osteoflow_geometry::nalgebra::Isometry3<f64>,
     bone: Option<&Mesh>,
     space: Space,
-    params: &Params,
+    inliers_mm: Option<[f64; 2]>,
 ) -> Result<Vec<String>, NodeError> {
     let on_ct = scan.transformed("ct", t_ct_scan);
     let coloured = match bone {
-        Some(bone) => coloured(on_ct.clone(), &MeshQuery::new(bone), params.on_bone_mm)?,
+        Some(bone) => coloured(on_ct.clone(), &MeshQuery::new(bone), inliers_mm)?,
         None => on_ct.clone(),
     };
     let notes = write_cloud(&file("scan.ply")?, &coloured, space, Precision::Single)?;
@@ -154,12 +137,13 @@ const DISTANCE: &str = "scalar_distance_mm";
 const ON_BONE: &str = "on_bone";
 
 /// A cloud with its distance from a surface, whether it belongs to that, and the colours of that; those that a camera saw are kept instead.
-fn coloured(cloud: Cloud, surface: &MeshQuery, on_bone_mm: f64) -> Result<Cloud, NodeError> {
+fn coloured(cloud: Cloud, surface: &MeshQuery, inliers_mm: Option<[f64; 2]>) -> Result<Cloud, NodeError> {
     let distances: Vec<f64> = cloud.points().iter().map(|p| distance_outside(p, surface).unwrap_or(f64::NAN)).collect();
     let colours = ["red", "green", "blue"];
     let has = |name: &str| cloud.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(name));
     let (has_distance, has_colours, has_bone) = (has(DISTANCE), colours.into_iter().any(has), has(ON_BONE));
-    let on_bone: Vec<f64> = distances.iter().map(|mm| f64::from(u8::from(mm.abs() <= on_bone_mm))).collect();
+    let is_inlier = |[inside, outside]: [f64; 2], mm: &f64| f64::from(u8::from((inside..=outside).contains(mm)));
+    let on_bone = inliers_mm.map(|range| distances.iter().map(|mm| is_inlier(range, mm)).collect::<Vec<f64>>());
     let mut cloud = cloud;
     if !has_colours {
         for (k, name) in colours.into_iter().enumerate() {
@@ -170,5 +154,8 @@ fn coloured(cloud: Cloud, surface: &MeshQuery, on_bone_mm: f64) -> Result<Cloud,
     if !has_distance {
         cloud = cloud.with_extra(DISTANCE, distances)?;
     }
-    Ok(if has_bone { cloud } else { cloud.with_extra(ON_BONE, on_bone)? })
+    match on_bone.filter(|_| !has_bone) {
+        Some(on_bone) => Ok(cloud.with_extra(ON_BONE, on_bone)?),
+        None => Ok(cloud),
+    }
 }

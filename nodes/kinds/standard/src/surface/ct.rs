@@ -341,6 +341,8 @@ mod tests {
 
         for choice in [
             Params { component: "2".into(), ..params(file.path()) },
+            // Nearer to the centre of the other ball than to that of this one, but not to its surface.
+            Params { component: "nearest:17.8,10,2".into(), ..params(file.path()) },
             Params { seed_mm: Some([24.0, 10.0, 1.0]), ..params(file.path()) },
         ] {
             let (out, warnings) = run(choice).unwrap();
