@@ -53,6 +53,7 @@ mod python_live;
 mod python_nodes;
 mod python_package;
 mod readme;
+mod real_sets;
 mod recorded;
 mod recorded_no_points;
 mod refusals;

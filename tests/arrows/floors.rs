@@ -166,7 +166,7 @@ const CRATES: &[(&str, Floors)] = &[
         "nodes/kinds/standard/src",
         &[
             &["constant", "own_bone", "params", "parts"],
-            &["calibrate", "crop", "hole", "icp", "output", "plane", "transform"],
+            &["calibrate", "crop", "hole", "icp", "output", "plane", "pose", "transform"],
             &["acquire", "cloud", "coarse", "metrics", "plan", "refine", "surface", "track", "verdict"],
             &["landmarks", "send"],
         ],
@@ -240,7 +240,7 @@ const CRATES: &[(&str, Floors)] = &[
                 "still_average",
                 "union_find",
             ],
-            &["ct_surface", "mesh_topology", "morton", "nearest"],
+            &["ct_surface", "mesh_topology", "morton", "nearest", "perturb"],
             &["fragment", "mesh_query", "point_blocks", "sensor_noise"],
             &["landmarks", "normals", "parts"],
             &["hole", "target"],

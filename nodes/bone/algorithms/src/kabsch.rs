@@ -54,7 +54,7 @@ pub(crate) fn from_covariance(
 
 /// The mean of the points, summed relative to the first so that a distant origin costs no digits; the origin if there
 /// are none.
-pub(crate) fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
+pub fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
     let Some(&first) = points.first() else { return Point3::origin() };
     let sum: Vector3<f64> = points.iter().map(|p| p - first).sum();
     first + sum / points.len() as f64

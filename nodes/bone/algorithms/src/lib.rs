@@ -64,6 +64,7 @@ mod morton;
 pub mod nearest;
 pub mod normals;
 pub mod parts;
+pub mod perturb;
 mod point_blocks;
 mod point_grid;
 mod refusal;

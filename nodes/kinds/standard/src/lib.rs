@@ -21,6 +21,7 @@ pub mod metrics;
 pub mod output;
 pub mod plan;
 pub mod plane;
+pub mod pose;
 pub mod refine;
 pub mod send;
 pub mod surface;
@@ -74,6 +75,7 @@ pub fn registry() -> Registry {
         .function::<transform::points::Points>()
         .function::<transform::cloud::Cloud>()
         .function::<transform::first_of::FirstOf>()
+        .function::<pose::perturb::Perturb>()
         .node::<crop::r#box::Box>()
         .function::<crop::sphere::Sphere>()
         .node::<crop::polygon::Polygon>()
@@ -110,6 +112,7 @@ pub fn registry() -> Registry {
         .function::<metrics::calibration::Calibration>()
         .function::<metrics::check_points::CheckPoints>()
         .function::<metrics::laser_spot::LaserSpot>()
+        .function::<metrics::pose::Pose>()
         .function::<metrics::verdict::Verdict>()
         .function::<verdict::registration::Registration>()
         .function::<output::export::Export>()

@@ -6,6 +6,7 @@ pub mod cut_difference;
 pub mod cuts;
 pub mod fre;
 pub mod laser_spot;
+pub mod pose;
 pub mod surface;
 pub mod tre_measured;
 pub mod tre_true;

@@ -241,7 +241,7 @@ fn the_inliers_of_a_report_reach_from_the_lowest_to_the_highest_point_that_fits(
     let drawn = sample::surface(&shaft(), 5000, &mut ChaCha8Rng::seed_from_u64(2));
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     // Noise of up to 0.1 mm, and one point in five 2 mm outside of the surface.
-    let off_mm = |k: usize, noise: f64| if k % 5 == 0 { 2.0 } else { 0.2 * (noise - 0.5) };
+    let off_mm = |k: usize, noise: f64| if k.is_multiple_of(5) { 2.0 } else { 0.2 * (noise - 0.5) };
     let placed = drawn.points.iter().zip(&drawn.normals).enumerate();
     let source: Vec<_> = placed.map(|(k, (p, n))| p + n * off_mm(k, rng.random())).collect();
     for method in Method::ALL {

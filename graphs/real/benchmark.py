@@ -1,0 +1,185 @@
+#!/usr/bin/env python3
+"""Turns and shifts the scans of a public set at random, registers them by shape alone, and prints a table in Markdown.
+
+benchmark.py FOLDER                            FOLDER/preoperative/NAME.stl and FOLDER/intraoperative/NAME*.xyz, mm, in one frame
+benchmark.py FOLDER --set range                FOLDER/NAME.ply, FOLDER/bun.conf and FOLDER/bun_zipper.ply, metres
+benchmark.py FOLDER --peers --python PYTHON    with Open3D and KISS-Matcher beside us (graphs/real/peers.py)
+
+Each row is a sweep of graphs/real/recover.toml. `preoperative_NAME.stl` and `intraoperative_NAME.xyz` beside each other are pairs, too.
+Points are centred before they are compared, so that a pose is right at the scan. It needs Python 3.9 and nothing else.
+"""
+
+import argparse
+import collections
+import csv
+import json
+import math
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ANSWERS = ["trusted", "doubtful", "refused"]
+
+
+def pairs_in_one_frame(folder):
+    """(name, surface, scan, true pose) of each scan whose surface is there."""
+    names = [
+        (sorted((folder / "preoperative").glob("*.stl")), sorted((folder / "intraoperative").glob("*.xyz")), ""),
+        (sorted(folder.glob("preoperative_*.stl")), sorted(folder.glob("intraoperative_*.xyz")), "operative_"),
+    ]
+    found = []
+    for surfaces, scans, mark in names:
+        for scan in scans:
+            name = scan.stem.split(mark)[-1] if mark else scan.stem
+            fitting = [s for s in surfaces if name == (s.stem.split(mark)[-1] if mark else s.stem)]
+            # The scans of several cameras share a surface.
+            fitting = fitting or [s for s in surfaces if not mark and name.startswith(s.stem + "_")]
+            if not fitting:
+                print(f"{scan}: no surface of that name, left out", file=sys.stderr)
+                continue
+            found.append((name, max(fitting, key=lambda s: len(s.stem)), scan, None))
+    if not found:
+        sys.exit(f"{folder}: no pair of preoperative/NAME.stl and intraoperative/NAME.xyz; docs/method/real-sets.md has the layouts")
+    return found
+
+
+def range_pairs(folder, out):
+    """The scans of bun.conf on the model. Its lines are translation in metres and quaternion x y z w of the inverse rotation."""
+    found = []
+    for line in (folder / "bun.conf").read_text().splitlines():
+        words = line.split()
+        if not words or words[0] != "bmesh" or not (folder / words[1]).exists():
+            continue
+        x, y, z, qx, qy, qz, qw = map(float, words[2:9])
+        qx, qy, qz = -qx, -qy, -qz
+        rows = [
+            [1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy), 1000 * x],
+            [2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx), 1000 * y],
+            [2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy), 1000 * z],
+            [0, 0, 0, 1],
+        ]
+        truth = out / (Path(words[1]).stem + ".txt")
+        truth.write_text("\n".join(" ".join(repr(float(c)) for c in row) for row in rows) + "\n")
+        found.append((Path(words[1]).stem, folder / "bun_zipper.ply", folder / words[1], truth))
+    if not found:
+        sys.exit(f"{folder}/bun.conf: none of its scans is in the folder")
+    return found
+
+
+def toml(value):
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return json.dumps(value)
+
+
+def values_of(pairs, is_range):
+    of_range = {"bone.unit_mm": 1000.0, "scan.unit_mm": 1000.0, "score.right_mm": 1.5, "score.right_deg": 2.0}
+    values = []
+    for _, surface, scan, truth in pairs:
+        value = {"bone.path": str(surface.resolve()), "scan.path": str(scan.resolve())}
+        value.update({"perturb.truth": str(truth.resolve())} if truth else {})
+        value.update(of_range if is_range else {})
+        values.append(value)
+    return values
+
+
+def methods(is_range, has_kiss):
+    """Ours, then each peer as fast and as good as its settings make it."""
+    fast_mm, fine_mm = (5.0, 2.0) if is_range else (8.0, 4.0)
+    instead = {
+        "score.in.t_target_source": "coarse.t_target_source",
+        "verdict.in.t_target_source": "coarse.t_target_source",
+        "remove": ["node.icp", "node.verdict.in.icp", "node.verdict.in.start", "results.icp", "results.start",
+                   "results.t_ct_camera", "results.poses.t_ct_camera", "record"],
+    }
+    ransac = {"coarse.kind": "peers.fpfh_ransac", **instead}
+    found = {
+        "osteoflow": {"coarse.kind": "coarse.global"},
+        f"FPFH and RANSAC, {fast_mm:g} mm, 100,000": {**ransac, "coarse.voxel_mm": fast_mm},
+        f"FPFH and RANSAC, {fine_mm:g} mm, 4,000,000": {
+            **ransac, "coarse.voxel_mm": fine_mm, "coarse.max_iterations": 4_000_000, "coarse.confidence": 1.0,
+        },
+    }
+    if has_kiss:
+        kiss = {"coarse.kind": "peers.kiss_matcher", **instead}
+        found[f"KISS-Matcher, {fast_mm:g} mm"] = {**kiss, "coarse.voxel_mm": fast_mm}
+        found[f"KISS-Matcher, {fine_mm:g} mm"] = {**kiss, "coarse.voxel_mm": fine_mm}
+    return found
+
+
+def table(runs):
+    """Rows of Markdown: of each method and pair, and of each method."""
+    groups = collections.OrderedDict()
+    for run in runs:
+        method = run.get("method", "osteoflow")
+        groups.setdefault((method, run["pair"]), []).append(run)
+        groups.setdefault((method, "all"), []).append(run)
+    several = len({pair for _, pair in groups}) > 2
+    head = ["Method", "Pair", "Starts", "Right", "Recall", "Error of right, mm", "degrees", "Right: " + ANSWERS[0], *ANSWERS[1:],
+            "Wrong: " + ANSWERS[0], *ANSWERS[1:], "no pose", "CPU, s"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for (method, pair), group in groups.items():
+        if pair == "all" and not several:
+            continue
+        is_right = [run.get("right") not in ("", None) and float(run["right"]) == 1.0 for run in group]
+        right = [run for run, it in zip(group, is_right) if it]
+        wrong = [run for run, it in zip(group, is_right) if not it and run.get("right")]
+
+        def median(column, digits):
+            cells = sorted(float(run[column]) for run in right if run[column])
+            return f"{statistics.median(cells):.{digits}f}" if cells else ""
+
+        def answers(of):
+            return [sum(run.get("answer") == answer for run in of) for answer in ANSWERS]
+
+        cpu = [sum(float(run[c]) for c in ("search_ms", "icp_ms") if run.get(c)) / 1000 for run in group]
+        row = [method, pair, len(group), len(right), f"{len(right) / len(group):.2f}", median("error_mm", 2), median("error_deg", 2),
+               *answers(right), *answers(wrong), len(group) - len(right) - len(wrong), f"{statistics.median(cpu):.2f}"]
+        lines.append("| " + " | ".join(map(str, row)) + " |")
+    return "\n".join(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="the set")
+    parser.add_argument("--set", choices=["bones", "range"], default="bones", help="its layout")
+    parser.add_argument("--repeat", type=int, default=10, help="number of starts of each pair")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--program", default="osteoflow")
+    parser.add_argument("--out", type=Path, help="keeps the sweep here")
+    parser.add_argument("--peers", action="store_true", help="other libraries beside us")
+    parser.add_argument("--python", default=sys.executable, help="the interpreter that has them")
+    parser.add_argument("--workers", type=int, default=1)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        scratch = Path(scratch)
+        is_range = given.set == "range"
+        pairs = range_pairs(given.folder, scratch) if is_range else pairs_in_one_frame(given.folder)
+        sweep = {"repeat": given.repeat, "factor": {"pair": {"values": values_of(pairs, is_range), "labels": [p[0] for p in pairs]}}}
+        graph = [f"extends = {json.dumps(str(HERE / 'recover.toml'))}"]
+        if given.peers:
+            has_kiss = subprocess.run([given.python, "-c", "import kiss_matcher"], capture_output=True).returncode == 0
+            if not has_kiss:
+                print(f"{given.python} has no kiss_matcher, which is left out", file=sys.stderr)
+            compared = methods(is_range, has_kiss)
+            graph.append(f"plugins = [{{ file = {json.dumps(str(HERE / 'peers.py'))}, interpreter = {json.dumps(given.python)} }}]")
+            sweep["factor"]["method"] = {"values": list(compared.values()), "labels": list(compared)}
+        graph += [f"[graph]\nname = \"recover_set\"\nseed = {given.seed}", f"[sweep]\nrepeat = {given.repeat}", "[sweep.factor]"]
+        graph += [f"{name} = {toml(factor)}" for name, factor in sweep["factor"].items()]
+        file, out = scratch / "recover_set.toml", given.out or scratch / "sweep"
+        file.write_text("\n".join(graph) + "\n")
+        ended = subprocess.run([given.program, "sweep", str(file), "--out", str(out), "--workers", str(given.workers)])
+        if not (out / "runs.csv").exists():
+            sys.exit(ended.returncode or 1)
+        with open(out / "runs.csv", newline="", encoding="utf-8") as rows:
+            print(table(list(csv.DictReader(rows))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""Registrations by shape alone of other libraries, as nodes that take the place of `coarse.global` and `icp.*`.
+
+Open3D 0.19 or later and numpy are needed, for `peers.kiss_matcher` also kiss-matcher. Each gives the pose that its own point-to-plane ICP
+ends at. The features of the surface are computed at each firing, so they are part of its processor time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from osteoflow_node import Cloud, Context, NodeError, Pose, Surface, node, param
+
+
+@dataclass
+class Ransac:
+    voxel_mm: float = param(5.0, gt=0, doc="Edge of the grid that both clouds are thinned to, mm; radii of normals and features follow it.")
+    max_iterations: int = param(100_000, gt=0, doc="Largest number of samples. 100000: Open3D's own.")
+    confidence: float = param(0.999, gt=0, le=1, doc="Samples end at this probability of a better one. 0.999: Open3D's own.")
+
+
+@dataclass
+class Kiss:
+    voxel_mm: float = param(5.0, gt=0, doc="Edge of the grid that both clouds are thinned to, mm.")
+
+
+def open3d_cloud(points, normals=None):
+    import open3d as o3d
+
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points, float)))
+    if normals is not None:
+        cloud.normals = o3d.utility.Vector3dVector(np.array(normals, float))
+    return cloud
+
+
+def refined(cloud, surface, start, voxel_mm):
+    """Point-to-plane ICP onto all points of the surface, with pairs within two voxels, then within 5 mm."""
+    import open3d as o3d
+
+    method = o3d.pipelines.registration
+    source, target = open3d_cloud(cloud.points), open3d_cloud(surface.points, surface.normals)
+    if surface.normals is None:
+        target.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
+    ends = method.ICPConvergenceCriteria(1e-7, 1e-7, 100)
+    for reach_mm in (2.0 * voxel_mm, min(2.0 * voxel_mm, 5.0)):
+        start = method.registration_icp(
+            source, target, reach_mm, start, method.TransformationEstimationPointToPlane(), ends
+        ).transformation
+    return start
+
+
+def pose(surface, cloud, matrix):
+    # An ICP without pairs leaves what it began with.
+    u, _, v = np.linalg.svd(matrix[:3, :3])
+    rigid = np.eye(4)
+    rigid[:3, :3], rigid[:3, 3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v, matrix[:3, 3]
+    return Pose(surface.frame, cloud.frame, rigid)
+
+
+@node("peers.fpfh_ransac", output="t_target_source")
+def fpfh_ransac(cloud: Cloud, surface: Surface, params: Ransac, ctx: Context) -> Pose:
+    """FPFH features and RANSAC of Open3D, then its point-to-plane ICP."""
+    import open3d as o3d
+
+    method = o3d.pipelines.registration
+    o3d.utility.random.seed(ctx.seed)
+
+    def prepared(points):
+        thin = open3d_cloud(points).voxel_down_sample(params.voxel_mm)
+        thin.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2.0 * params.voxel_mm, 30))
+        near = o3d.geometry.KDTreeSearchParamHybrid(5.0 * params.voxel_mm, 100)
+        return thin, method.compute_fpfh_feature(thin, near)
+
+    (source, of_source), (target, of_target) = prepared(cloud.points), prepared(surface.points)
+    reach_mm = 1.5 * params.voxel_mm
+    checks = [method.CorrespondenceCheckerBasedOnEdgeLength(0.9), method.CorrespondenceCheckerBasedOnDistance(reach_mm)]
+    found = method.registration_ransac_based_on_feature_matching(
+        source, target, of_source, of_target, True, reach_mm,
+        method.TransformationEstimationPointToPoint(False), 3, checks,
+        method.RANSACConvergenceCriteria(params.max_iterations, params.confidence),
+    )
+    if not found.correspondence_set:
+        raise NodeError("no pose agrees with the matched features; try another voxel_mm")
+    return pose(surface, cloud, refined(cloud, surface, found.transformation, params.voxel_mm))
+
+
+@node("peers.kiss_matcher", output="t_target_source")
+def kiss_matcher(cloud: Cloud, surface: Surface, params: Kiss, ctx: Context) -> Pose:
+    """KISS-Matcher, then Open3D's point-to-plane ICP."""
+    import kiss_matcher as kiss
+
+    matcher = kiss.KISSMatcher(kiss.KISSMatcherConfig(params.voxel_mm))
+    found = matcher.estimate(np.array(cloud.points, np.float32), np.array(surface.points, np.float32))
+    start = np.eye(4)
+    start[:3, :3], start[:3, 3] = found.rotation, np.ravel(found.translation)
+    return pose(surface, cloud, refined(cloud, surface, start, params.voxel_mm))

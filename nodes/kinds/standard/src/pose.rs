@@ -1,0 +1,3 @@
+//! Poses that are known, to measure a registration with.
+
+pub mod perturb;
