@@ -271,7 +271,7 @@ impl Found {
     }
 }
 
-/// Surroundings, their share of the points, and how many of 20 scans were found without cropping (docs/method/search.md).
+/// Surroundings, their share of the points, and how many of the scans of seeds 1 to 20 were found without cropping (docs/method/search.md).
 const MEASURED: [(Around, f64, usize); 9] = [
     (Around::Skin, 0.1, 20),
     (Around::Skin, 0.3, 20),
@@ -281,6 +281,7 @@ const MEASURED: [(Around, f64, usize); 9] = [
     (Around::Table, 0.6, 0),
     (Around::SecondBone, 0.1, 20),
     (Around::SecondBone, 0.3, 17),
+    // Not measured: only that none is wrong and trusted.
     (Around::SecondBone, 0.6, 0),
 ];
 
@@ -289,23 +290,18 @@ fn bones_among_surroundings_are_found_as_often_as_measured_and_cropped_ones_are_
     let is_slow = std::env::var_os("SLOW_TESTS").is_some();
     for (around, share, of_20) in MEASURED {
         // A box around the bone cannot part it from the skin that it lies in.
-        let is_cropped = around != Around::Skin;
-        // Others than those of the page.
-        let seeds = 101..=if is_slow { 120 } else { 102 };
-        let found = Found::of(around, share, seeds, is_cropped && (is_slow || share == 0.6));
-        println!("{around:?}, {share} of the points: {found:?}");
-        let what = format!("{around:?}, {share} of the points: {found:?}");
-        assert_eq!((found.wrong_and_trusted, found.without_advice), (0, 0), "{what}");
-        // Two standard errors of a difference below what was measured.
-        let slack = if is_slow {
-            2.0 * (2.0 * (of_20 * (20 - of_20)) as f64 / 20.0).sqrt()
-        } else {
-            f64::from(u8::from(of_20 < 20))
-        };
-        let least = (of_20 * found.n) as f64 / 20.0 - slack;
-        assert!(found.right as f64 >= least, "{what}, at least {least:.1} are expected");
-        if is_cropped && (is_slow || share == 0.6) {
-            assert_eq!(found.cropped_right_and_trusted, found.n, "{what}");
+        let is_cropped = around != Around::Skin && share == 0.6;
+        // Beside those of the page, which take ten minutes.
+        let beside = Found::of(around, share, 101..=102, is_cropped);
+        let of_page = Found::of(around, share, 1..=if is_slow { 20 } else { 0 }, is_cropped);
+        // Of two, one may be missed of those that are not always found.
+        let least = [0, 1, 2][usize::from(of_20 > 0) + usize::from(of_20 == 20)];
+        for (found, least) in [(&beside, least), (&of_page, if is_slow { of_20 } else { 0 })] {
+            let what = format!("{around:?}, {share} of the points: {found:?}");
+            println!("{what}");
+            assert!(found.right >= least, "{what}, at least {least} are expected");
+            assert_eq!((found.wrong_and_trusted, found.without_advice), (0, 0), "{what}");
+            assert!(!is_cropped || found.cropped_right_and_trusted == found.n, "{what}");
         }
     }
 }

@@ -6,7 +6,7 @@ benchmark.py FOLDER --set range                FOLDER/NAME.ply, FOLDER/bun.conf 
 benchmark.py FOLDER --peers --python PYTHON    with Open3D and KISS-Matcher beside us (graphs/real/peers.py)
 
 Each row is a sweep of graphs/real/recover.toml. `preoperative_NAME.stl` and `intraoperative_NAME.xyz` beside each other are pairs, too.
-Points are centred before they are compared, so that a pose is right at the scan. It needs Python 3.9 and nothing else.
+It needs Python 3.9 and nothing else.
 """
 
 import argparse
@@ -124,7 +124,9 @@ def table(runs):
     head = ["Method", "Pair", "Starts", "Right", "Recall", "Error of right, mm", "degrees", "Right: " + ANSWERS[0], *ANSWERS[1:],
             "Wrong: " + ANSWERS[0], *ANSWERS[1:], "no pose", "CPU, s"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for (method, pair), group in groups.items():
+    methods = list(dict.fromkeys(method for method, _ in groups))
+    order = sorted(groups, key=lambda key: (methods.index(key[0]), key[1] == "all"))
+    for (method, pair), group in ((key, groups[key]) for key in order):
         if pair == "all" and not several:
             continue
         is_right = [run.get("right") not in ("", None) and float(run["right"]) == 1.0 for run in group]

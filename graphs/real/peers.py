@@ -1,7 +1,7 @@
 """Registrations by shape alone of other libraries, as nodes that take the place of `coarse.global` and `icp.*`.
 
-Open3D 0.19 or later and numpy are needed, for `peers.kiss_matcher` also kiss-matcher. Each gives the pose that its own point-to-plane ICP
-ends at. The features of the surface are computed at each firing, so they are part of its processor time.
+Open3D 0.19 or later and numpy are needed, for `peers.kiss_matcher` also kiss-matcher. Each gives the pose that Open3D's point-to-plane ICP
+ends at. Both clouds are moved to their centroids first, since ICP far from the origin diverges. The features of the surface are computed at each firing, so they are part of its processor time.
 """
 
 from dataclasses import dataclass
@@ -32,12 +32,18 @@ def open3d_cloud(points, normals=None):
     return cloud
 
 
-def refined(cloud, surface, start, voxel_mm):
+def centred(shape):
+    """The points about their centroid, and that."""
+    centre = np.mean(shape.points, axis=0)
+    return np.array(shape.points, float) - centre, centre
+
+
+def refined(points, surface, start, voxel_mm):
     """Point-to-plane ICP onto all points of the surface, with pairs within two voxels, then within 5 mm."""
     import open3d as o3d
 
     method = o3d.pipelines.registration
-    source, target = open3d_cloud(cloud.points), open3d_cloud(surface.points, surface.normals)
+    source, target = open3d_cloud(points), open3d_cloud(centred(surface)[0], surface.normals)
     if surface.normals is None:
         target.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
     ends = method.ICPConvergenceCriteria(1e-7, 1e-7, 100)
@@ -49,10 +55,11 @@ def refined(cloud, surface, start, voxel_mm):
 
 
 def pose(surface, cloud, matrix):
-    # An ICP without pairs leaves what it began with.
+    """The pose between the clouds where they are, with the nearest rotation."""
     u, _, v = np.linalg.svd(matrix[:3, :3])
     rigid = np.eye(4)
-    rigid[:3, :3], rigid[:3, 3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v, matrix[:3, 3]
+    rigid[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    rigid[:3, 3] = matrix[:3, 3] + centred(surface)[1] - rigid[:3, :3] @ centred(cloud)[1]
     return Pose(surface.frame, cloud.frame, rigid)
 
 
@@ -70,7 +77,8 @@ def fpfh_ransac(cloud: Cloud, surface: Surface, params: Ransac, ctx: Context) ->
         near = o3d.geometry.KDTreeSearchParamHybrid(5.0 * params.voxel_mm, 100)
         return thin, method.compute_fpfh_feature(thin, near)
 
-    (source, of_source), (target, of_target) = prepared(cloud.points), prepared(surface.points)
+    points = centred(cloud)[0]
+    (source, of_source), (target, of_target) = prepared(points), prepared(centred(surface)[0])
     reach_mm = 1.5 * params.voxel_mm
     checks = [method.CorrespondenceCheckerBasedOnEdgeLength(0.9), method.CorrespondenceCheckerBasedOnDistance(reach_mm)]
     found = method.registration_ransac_based_on_feature_matching(
@@ -80,7 +88,7 @@ def fpfh_ransac(cloud: Cloud, surface: Surface, params: Ransac, ctx: Context) ->
     )
     if not found.correspondence_set:
         raise NodeError("no pose agrees with the matched features; try another voxel_mm")
-    return pose(surface, cloud, refined(cloud, surface, found.transformation, params.voxel_mm))
+    return pose(surface, cloud, refined(points, surface, found.transformation, params.voxel_mm))
 
 
 @node("peers.kiss_matcher", output="t_target_source")
@@ -89,7 +97,8 @@ def kiss_matcher(cloud: Cloud, surface: Surface, params: Kiss, ctx: Context) -> 
     import kiss_matcher as kiss
 
     matcher = kiss.KISSMatcher(kiss.KISSMatcherConfig(params.voxel_mm))
-    found = matcher.estimate(np.array(cloud.points, np.float32), np.array(surface.points, np.float32))
+    points = centred(cloud)[0]
+    found = matcher.estimate(points.astype(np.float32), centred(surface)[0].astype(np.float32))
     start = np.eye(4)
     start[:3, :3], start[:3, 3] = found.rotation, np.ravel(found.translation)
-    return pose(surface, cloud, refined(cloud, surface, start, params.voxel_mm))
+    return pose(surface, cloud, refined(points, surface, start, params.voxel_mm))

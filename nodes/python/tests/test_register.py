@@ -97,7 +97,9 @@ def test_options_have_the_words_of_the_command_and_its_errors_too(files, command
     assert raised.value.report["verdict"]["answer"] == "refused"
 
 
-def test_parts_and_regions_are_those_of_the_command(files, command_json, tmp_path):
+def test_parts_and_regions_are_those_of_the_command(files, fit, command_json, tmp_path):
+    start = tmp_path / "start.txt"
+    np.savetxt(start, fit.t_target_source)
     scan = osteoflow.read(files / "scan.ply")
     low, high = scan.points.min(axis=0), scan.points.max(axis=0)
     away = scan.points[:500] + (high - low) * [3.0, 0.0, 0.0]
@@ -116,15 +118,15 @@ def test_parts_and_regions_are_those_of_the_command(files, command_json, tmp_pat
         (dict(source_component=1), ["--source-component=1"]),
         (dict(source_component="largest", component=1), ["--source-component=largest", "--component=1"]),
     ]:
-        told = command_json("register", bone, around, "--init=identity", "--no-verdict", *words)
-        fit = osteoflow.register(bone, around, "identity", verdict=False, **options)
-        assert fit.t_target_source.tobytes() == np.array(told["T"]).tobytes(), options
-        assert fit.report["notes"] == told["notes"], options
-        n = fit.report["report"]["n_source"]
+        told = command_json("register", bone, around, f"--init={start}", "--no-verdict", *words)
+        ours = osteoflow.register(bone, around, start, verdict=False, **options)
+        assert ours.t_target_source.tobytes() == np.array(told["T"]).tobytes(), options
+        assert ours.report["notes"] == told["notes"], options
+        n = ours.report["report"]["n_source"]
         assert n <= len(scan.points), f"{n} points of {options}"
         # Of what was read the same part is taken.
-        fit = osteoflow.register(bone, osteoflow.read(around), "identity", verdict=False, **options)
-        assert fit.report["report"]["n_source"] == n, options
+        ours = osteoflow.register(bone, osteoflow.read(around), start, verdict=False, **options)
+        assert ours.report["report"]["n_source"] == n, options
     with pytest.raises(osteoflow.UsageError, match="corners with a coordinate in common"):
         osteoflow.register(bone, around, box=[0, 0, 0, 1, 0, 1])
     with pytest.raises((osteoflow.UsageError, osteoflow.OsteoflowError), match="radius"):
