@@ -70,7 +70,7 @@ fn the_whole_method_over_openigtlink_gives_the_results_of_the_same_procedure_fro
         RECORDED,
         &["--no-record", "--set", r#"remove=["node.verdict.in.measured", "node.verdict.in.followed"]"#],
     );
-    for (workers, scans) in [("1", "polydata"), ("8", "point")] {
+    for (workers, scans) in [("1", "image"), ("8", "polydata"), ("2", "point")] {
         let rig = Rig::start(&["--points", "10000", "--rate", "1e6", "--scans", scans]);
         let address = format!("recording.address={}", rig.address);
         let navigation = format!("navigation.address={}", free_address());

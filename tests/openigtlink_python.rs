@@ -2,7 +2,8 @@
 
 use crate::common::python::python;
 use osteoflow_formats::openigtlink::{
-    Affine, Body, Cells, Decoder, Fiducial, Message, Metadata, PolyData, Position, Status, TrackedTool,
+    Affine, Body, Cells, Decoder, Fiducial, Message, Metadata, PixelImage, PolyData, Position, Scalar, Status,
+    TrackedTool,
 };
 use osteoflow_geometry::nalgebra::{Isometry3, Matrix4, Vector3};
 use serde_json::{Value, json};
@@ -69,7 +70,7 @@ for version in (1, 2):
         PositionMessage([7, 8, 9], [0.0, 0.0, 1.0, 0.0], names=["Q"], timestamp=stamp, device_name="Position"),
         PolyDataMessage(points=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]]), polygons=np.array([3, 0, 1, 2]),
                         timestamp=stamp, device_name="Mesh"),
-        pyigtl.ImageMessage(np.zeros([2, 3, 4], np.uint8), timestamp=stamp, device_name="Image"),
+        pyigtl.ImageMessage(0.5 * np.arange(36, dtype=np.float32).reshape(1, 3, 4, 3), timestamp=stamp, device_name="Image"),
     ):
         message.header_version = version
         if version == 2:
@@ -121,7 +122,11 @@ fn messages_of_pyigtl_are_read_in_both_header_versions() {
         assert_eq!(found[3].body, Body::Positions(vec![position]), "a list, which only pyigtl sends");
         let mesh = PolyData { points: points.clone(), polygons: Cells::new([[0, 1, 2]]), ..PolyData::default() };
         assert_eq!(found[4].body, Body::PolyData(mesh));
-        assert!(matches!(&found[5].body, Body::Other { type_name, n_bytes: 96 } if type_name == "IMAGE"));
+        let Body::Image(image) = &found[5].body else { panic!("{:?}", found[5]) };
+        assert_eq!((image.form().as_str(), image.is_whole()), ("4 x 3 pixels of 3 float32", true));
+        assert_eq!(image.values().collect::<Vec<_>>(), (0..36).map(|k| 0.5 * f64::from(k)).collect::<Vec<_>>());
+        // Its matrix is the identity at the first pixel; the protocol sends the centre.
+        assert_eq!(image.t_space_index(), Matrix4::identity());
     }
 }
 
@@ -131,7 +136,7 @@ import pyigtl
 
 client = pyigtl.OpenIGTLinkClient(port=int(sys.argv[1]))
 for version in (1, 2):
-    for device in ("StylusToReference", "Note", "Points", "Position", "Last"):
+    for device in ("StylusToReference", "Note", "Points", "Position", "Scan", "Last"):
         m = client.wait_for_message(device + str(version), timeout=20)
         out = {"device": m.device_name, "version": m.header_version, "stamp": m.timestamp, "type": m.message_type,
                "metadata": m.metadata}
@@ -143,6 +148,8 @@ for version in (1, 2):
             out["value"] = [[n, list(p)] for n, p in zip(m.names, m.positions)]
         elif m.message_type == "POSITION":
             out["value"] = m.positions
+        elif m.message_type == "IMAGE":
+            out["value"] = [str(m.image.dtype), list(m.image.shape), m.image.ravel().tolist(), m.ijk_to_world_matrix.tolist()]
         print(json.dumps(out), flush=True)
 os._exit(0)
 "#;
@@ -165,6 +172,7 @@ fn pyigtl_reads_what_is_written_in_both_header_versions() {
         ("Note", Body::Text("hello".into())),
         ("Points", Body::Points(vec![Fiducial::new("P1", [1.0, 2.0, 3.5])])),
         ("Position", Body::Positions(vec![position])),
+        ("Scan", Body::Image(PixelImage::new([3, 2], 1, Scalar::U16, (0..12).collect()))),
         ("Last", Body::Text("end".into())),
     ];
     for version in [1, 2] {
@@ -178,8 +186,8 @@ fn pyigtl_reads_what_is_written_in_both_header_versions() {
     }
     let stdout = BufReader::new(receiver.0.stdout.take().unwrap());
     let read: Vec<Value> = stdout.lines().map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect();
-    assert_eq!(read.len(), 10, "{read:#?}");
-    for (version, read) in [(1, &read[..5]), (2, &read[5..])] {
+    assert_eq!(read.len(), 12, "{read:#?}");
+    for (version, read) in [(1, &read[..6]), (2, &read[6..])] {
         for message in read {
             assert_eq!((&message["version"], &message["stamp"]), (&json!(version), &json!(1_750_000_011.25)));
             let metadata = if version == 2 { json!({ "TransformStatus": "OK" }) } else { json!({}) };
@@ -194,6 +202,9 @@ fn pyigtl_reads_what_is_written_in_both_header_versions() {
         assert_eq!(read[2]["value"], json!([["P1", [1.0, 2.0, 3.5]]]));
         // pyigtl expects lists of 152 bytes each, so it finds none in the 28 bytes of the specification.
         assert_eq!(read[3]["value"], json!([]));
-        assert_eq!(read[4]["value"], "end");
+        let depths: Vec<u16> = (0..6).map(|k| u16::from_le_bytes([2 * k, 2 * k + 1])).collect();
+        let matrix: Vec<Vec<f64>> = (0..4).map(|row| (0..4).map(|k| f64::from(u8::from(row == k))).collect()).collect();
+        assert_eq!(read[4]["value"], json!(["uint16", [1, 2, 3], depths, matrix]));
+        assert_eq!(read[5]["value"], "end");
     }
 }

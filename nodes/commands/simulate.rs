@@ -36,7 +36,7 @@ pub(crate) struct Simulate {
     rate: f64,
 
     /// The type of the scans of --openigtlink.
-    #[arg(long, value_enum, default_value_t = ScanType::Polydata, value_name = "TYPE", requires = "openigtlink")]
+    #[arg(long, value_enum, default_value_t = ScanType::Image, value_name = "TYPE", requires = "openigtlink")]
     scans: ScanType,
 
     /// The folder to write into.

@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <igtlClientSocket.h>
+#include <igtlImageMessage.h>
 #include <igtlMath.h>
 #include <igtlMessageHeader.h>
 #include <igtlOSUtil.h>
@@ -110,6 +111,12 @@ static int receive(const char* host, int port, double seconds) {
                 points->GetPoint(i, p);
                 for (float value : p) add(value);
             }
+        } else if (type == "IMAGE") {
+            auto message = body<igtl::ImageMessage>(socket, header, ok);
+            int n = ok && message->GetScalarType() == igtl::ImageMessage::TYPE_FLOAT32 ? message->GetSubVolumeImageSize() / 4 : 0;
+            const float* values = (const float*)message->GetScalarPointer();
+            for (int i = 0; i < n; i++) add(values[i]);
+            ok = ok && n > 0 && message->GetNumComponents() == 3;
         } else if (type == "STATUS") {
             auto message = body<igtl::StatusMessage>(socket, header, ok);
             add(message->GetCode());
@@ -190,6 +197,42 @@ static int send(int port, unsigned int count) {
         surface->SetPoints(corners);
         surface->SetPolygons(faces);
         put(socket, surface, "Scan", round);
+
+        // As the drivers of PLUS for depth cameras: a point image of 4 x 3 pixels, and its depth in steps of 0.1 mm.
+        float spacing[3] = {1, 1, 1};
+        igtl::Matrix4x4 still;
+        igtl::IdentityMatrix(still);
+        igtl::ImageMessage::Pointer cloud = igtl::ImageMessage::New();
+        cloud->SetDimensions(4, 3, 1);
+        cloud->SetSpacing(spacing);
+        cloud->SetNumComponents(3);
+        cloud->SetScalarType(igtl::ImageMessage::TYPE_FLOAT32);
+        cloud->SetEndian(igtl::ImageMessage::ENDIAN_LITTLE);  // the library states the other
+        cloud->AllocateScalars();
+        igtl::ImageMessage::Pointer depth = igtl::ImageMessage::New();
+        depth->SetDimensions(4, 3, 1);
+        depth->SetSpacing(spacing);
+        depth->SetScalarType(igtl::ImageMessage::TYPE_UINT16);
+        depth->SetEndian(igtl::ImageMessage::ENDIAN_LITTLE);  // the library states the other
+        depth->AllocateScalars();
+        igtl::ImageMessage::Pointer grey = igtl::ImageMessage::New();
+        grey->SetDimensions(4, 3, 1);
+        grey->SetSpacing(spacing);
+        grey->SetScalarType(igtl::ImageMessage::TYPE_UINT8);
+        grey->SetEndian(igtl::ImageMessage::ENDIAN_LITTLE);  // the library states the other
+        grey->AllocateScalars();
+        for (int k = 0; k < 12; k++) {
+            float z = 300.0f + round + k;
+            float point[3] = {(k % 4 - 1.5f) * z / 500, (k / 4 - 1.0f) * z / 400, z};
+            // The last pixel sees nothing.
+            for (int c = 0; c < 3; c++) ((float*)cloud->GetScalarPointer())[3 * k + c] = k == 11 ? 0 : point[c];
+            ((unsigned short*)depth->GetScalarPointer())[k] = k == 11 ? 0 : (unsigned short)(10 * (300 + round + k));
+            ((unsigned char*)grey->GetScalarPointer())[k] = (unsigned char)(round + k);
+        }
+        for (auto& image : {cloud, depth, grey}) image->SetMatrix(still);
+        put(socket, cloud, "VideoStreamPCL", round);
+        put(socket, depth, "VideoStreamDEPTH", round);
+        put(socket, grey, "VideoStreamIR", round);
 
         igtl::StringMessage::Pointer said = igtl::StringMessage::New();
         said->SetString("of the bone");

@@ -124,6 +124,9 @@ out.tool      = {{ type = "geometry/Pose", device = "ToolToWorld", to = "world",
 out.marks     = {{ type = "geometry/Points", device = "Marks", frame = "world" }}
 out.scan      = {{ type = "geometry/Mesh", device = "Scan", frame = "world" }}
 out.cloud     = {{ type = "geometry/Cloud", device = "Cloud", frame = "world" }}
+out.points    = {{ type = "geometry/Cloud", device = "VideoStreamPCL", frame = "camera" }}
+out.depth     = {{ type = "geometry/Cloud", device = "VideoStreamDEPTH", frame = "camera", depth_unit_mm = 0.1, intrinsics = {camera} }}
+out.grey      = {{ type = "geometry/Image", device = "VideoStreamIR", frame = "camera", intrinsics = {camera} }}
 out.note      = {{ type = "report/Text", device = "Note" }}
 out.state     = {{ type = "report/Text", device = "State" }}
 
@@ -135,13 +138,25 @@ wires = ["*"]
 def read_here(port, name):
     """What this program reads of a sender at a port, until that closes."""
     graph = folder() / f"{name}.toml"
-    lines = GRAPH.format(port=port).splitlines()
+    lines = GRAPH.format(port=port, camera="{ fx = 500.0, fy = 400.0, cx = 1.5, cy = 1.0 }").splitlines()
     graph.write_text("\n".join(line for line in lines if name != "igtl" or "out.cloud" not in line) + "\n")
     _SENT[graph, port] = True
     out = folder() / f"from-{name}-{len(_SENT)}"
     said = ended(program("run", graph, "--out", out), "the run")
     assert "CRC" not in said, said
     return out
+
+
+def camera_images(round_number):
+    """Images of 4 x 3 pixels as the drivers of PLUS for depth cameras send them; the last pixel sees nothing."""
+    pixel = np.arange(12)
+    z = np.where(pixel < 11, 300 + round_number + pixel, 0)
+    points = np.stack([(pixel % 4 - 1.5) * z / 500, (pixel // 4 - 1.0) * z / 400, z], axis=1)
+    return {
+        "PCL": points.astype(np.float32).reshape(1, 3, 4, 3),
+        "DEPTH": (10 * z).astype(np.uint16).reshape(1, 3, 4),
+        "IR": (round_number + pixel).astype(np.uint8).reshape(1, 3, 4),
+    }
 
 
 def turned(round_number):
@@ -167,6 +182,15 @@ def compare_read(out, n, wires):
             elif wire == "marks":
                 off = float(np.abs(row.columns["positions"] - [at + [j, 0, at[2] * j - at[2]] for j in range(3)]).max())
                 assert row.fields["names"].split("\n") == ["P1", "P2", "P3"]
+            elif wire in ("points", "depth"):
+                z = 300.0 + k + np.arange(11)
+                pixel = np.arange(11)
+                expected = np.stack([(pixel % 4 - 1.5) * z / 500, (pixel // 4 - 1.0) * z / 400, z], axis=1)
+                assert len(row.columns["points"]) == 11, "the pixel without a point is left out"
+                off = float(np.abs(row.columns["points"] - expected).max())
+            elif wire == "grey":
+                assert (row.fields["width"], row.fields["height"], row.fields["channels"]) == (4, 3, 1), row.fields
+                off = float(np.abs(np.asarray(row.columns["pixels"], float).ravel() - (k + np.arange(12))).max())
             elif wire == "scan":
                 corners = [at + [j & 1, j >> 1, j * j] for j in range(4)]
                 off = float(np.abs(row.columns["vertices"] - corners).max())
@@ -175,8 +199,36 @@ def compare_read(out, n, wires):
                 text = row.fields.get("text", "")
                 off = 0.0 if text == {"note": "of the bone"}.get(wire, text) and text else math.inf
             worst = max(worst, off)
-        what = {"transform": "TRANSFORM", "position": "POSITION", "tool": "TDATA", "marks": "POINT", "scan": "POLYDATA", "note": "STRING", "state": "STATUS"}[wire]
+        what = {"transform": "TRANSFORM", "position": "POSITION", "tool": "TDATA", "marks": "POINT", "scan": "POLYDATA", "points": "IMAGE (points)", "depth": "IMAGE (depth)", "grey": "IMAGE (grey)", "note": "STRING", "state": "STATUS"}[wire]
         yield Row(f"{what} sent, read here {len(rows)} times", worst, tolerance=SINGLE_MM)
+
+
+def scans_of_simulation(peer, scans):
+    """What a receiver unpacks of the scans that `simulate` sends in a type of message."""
+    port = free_port()
+    rig = program("simulate", "--points", "5000", "--openigtlink", port, "--rate", "1e6", "--scans", scans)
+    try:
+        rig.stderr.readline()
+        done = subprocess.run([peer, "receive", "127.0.0.1", str(port), "20"], capture_output=True, text=True, timeout=200)
+    finally:
+        rig.kill()
+        rig.wait()
+    messages = [json.loads(line) for line in done.stdout.splitlines()]
+    found = [message for message in messages if message["type"] == {"image": "IMAGE"}.get(scans, scans.upper())]
+    assert found and all(message["ok"] for message in found), f"{len(found)} of {len(messages)} messages are {scans}"
+    return {message["device"]: np.array(message["numbers"]).reshape(-1, 3) for message in found}
+
+
+def compare_scans(peer):
+    """A row for the point images of a simulation, against the same scans as POLYDATA."""
+    images, points = (scans_of_simulation(peer, scans) for scans in ("image", "polydata"))
+    assert images.keys() == points.keys() and len(images) == 5, f"{images.keys()} and {points.keys()}"
+    worst = 0.0
+    for device, found in images.items():
+        expected = points[device]
+        assert len(found) >= len(expected) and not found[len(expected):].any(), "what is left of the last row is zero"
+        worst = max(worst, float(np.abs(found[: len(expected)] - expected).max()))
+    yield Row("IMAGE (points) received", worst, tolerance=1e-5)
 
 
 def both_ways(program_of):
@@ -188,6 +240,7 @@ def both_ways(program_of):
 
     out, messages = run_that_sends(receive)
     yield from compare_received(out, messages)
+    yield from compare_scans(peer)
     port, n = free_port(), 40
     sender = subprocess.Popen([peer, "send", str(port), str(n)], stdout=subprocess.PIPE, text=True)
     assert sender.stdout.readline().strip() == "ready"
@@ -196,7 +249,7 @@ def both_ways(program_of):
     finally:
         sender.kill()
         sender.wait()
-    yield from compare_read(out, n, ["transform", "position", "tool", "marks", "scan", "note", "state"])
+    yield from compare_read(out, n, ["transform", "position", "tool", "marks", "scan", "points", "depth", "grey", "note", "state"])
 
 
 @client("OpenIGTLink (C++)", version=lambda: debian("libopenigtlink-dev"))
@@ -257,6 +310,7 @@ def of_pyigtl():
                 pyigtl.TransformMessage(matrix, device_name="StylusToWorld", timestamp=stamp),
                 pyigtl.PointMessage(points, names=["P1", "P2", "P3"], device_name="Marks", timestamp=stamp),
                 pyigtl.StringMessage("of the bone", device_name="Note", timestamp=stamp),
+                *(pyigtl.ImageMessage(image, device_name=f"VideoStream{name}", timestamp=stamp) for name, image in camera_images(k).items()),
             ]:
                 server.send_message(message, wait=True)
             time.sleep(0.03)
@@ -268,4 +322,4 @@ def of_pyigtl():
         out = read_here(port, "pyigtl")
     finally:
         sending.join()
-    yield from compare_read(out, n, ["transform", "marks", "note"])
+    yield from compare_read(out, n, ["transform", "marks", "points", "depth", "grey", "note"])

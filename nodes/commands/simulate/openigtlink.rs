@@ -4,7 +4,9 @@ use crate::app::simulate::laser_number;
 use crate::commands::common::{Global, terminal};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use osteoflow_formats::openigtlink::{Affine, Body, Fiducial, Message, Metadata, PolyData, Status, device_name};
+use osteoflow_formats::openigtlink::{
+    Affine, Body, Fiducial, Message, Metadata, PixelImage, PolyData, Scalar, Status, device_name,
+};
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
 use osteoflow_simulation::Procedure;
 use std::{
@@ -20,6 +22,8 @@ const LAST_WORDS: Duration = Duration::from_secs(60);
 /// The messages in which scans are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum ScanType {
+    /// IMAGE of three float32, x y z, as the drivers of PLUS for depth cameras send it; pixels without a point are zero.
+    Image,
     /// POLYDATA: 12 bytes a point.
     Polydata,
     /// POINT: 136 bytes a point.
@@ -78,6 +82,7 @@ fn messages(procedure: &Procedure, scans: ScanType) -> Result<Vec<(StampNs, Vec<
     let scan = |device: &str, cloud: &Cloud| {
         let points = cloud.points().iter().map(single);
         let body = match scans {
+            ScanType::Image => Body::Image(point_image(&points.collect::<Vec<_>>())),
             ScanType::Polydata => Body::PolyData(PolyData::of_points(points.collect())),
             ScanType::Point => Body::Points(points.map(|point| Fiducial::new("", point)).collect()),
         };
@@ -124,6 +129,17 @@ fn touches(device: &str, points: &Points) -> Vec<Message> {
         Message::new(device, point.stamp_ns, Body::Points(vec![fiducial]))
     };
     points.points.iter().map(touch).collect()
+}
+
+/// A point image that is about as wide as high; the pixels that are left in its last row are zero.
+fn point_image(points: &[[f32; 3]]) -> PixelImage {
+    let width = points.len().isqrt().max(1);
+    let height = points.len().div_ceil(width).max(1);
+    let empty = std::iter::repeat_n([0.0; 3], width * height - points.len());
+    let pixels = points.iter().copied().chain(empty).flatten().flat_map(f32::to_le_bytes).collect();
+    // Even the largest scan of a simulation has 65535 rows or fewer: four billion points.
+    let size = [width, height].map(|n| u16::try_from(n).unwrap_or(u16::MAX));
+    PixelImage::new(size, 3, Scalar::F32, pixels)
 }
 
 fn single(point: &Point3<f64>) -> [f32; 3] {

@@ -14,6 +14,7 @@
 //! | POSITION | position alone, with a quaternion of 3 or 4 numbers, and the list of named positions that pyigtl sends | one, with 4 numbers |
 //! | POINT | yes | yes |
 //! | POLYDATA | yes | yes |
+//! | IMAGE | yes | yes |
 //! | STATUS | yes | yes |
 //! | STRING | yes | yes |
 //! | STT_TDATA | yes | yes |
@@ -37,6 +38,7 @@ mod content;
 mod crc;
 mod decoder;
 mod header;
+mod image;
 mod metadata;
 mod poly_data;
 
@@ -46,6 +48,7 @@ pub use content::{Affine, Body, Fiducial, Position, Status, TrackedTool};
 pub use crc::crc64;
 pub use decoder::{Damage, Decoder};
 pub use header::{HEADER_BYTES, MAX_BODY_BYTES};
+pub use image::{PixelImage, Scalar};
 pub use metadata::{Extended, Metadata};
 pub use poly_data::{Attribute, Cells, PolyData};
 

@@ -70,6 +70,13 @@ impl ClockOffset {
         Some(ClockNote::Rate((stamp_ns - first_stamp_ns) as f64 / elapsed_ns as f64))
     }
 
+    /// Reports the offset that is known so far, if none was reported yet.
+    pub fn settle(&mut self) -> Option<ClockNote> {
+        let now = self.window.iter().min().copied().filter(|_| self.reported_ns.is_none())?;
+        self.reported_ns = Some(now);
+        Some(ClockNote::Offset(now))
+    }
+
     /// The offset, ns; `None` before enough messages came.
     pub fn offset_ns(&self) -> Option<StampNs> {
         (self.reported_ns.is_some() || self.window.len() >= N_FIRST).then(|| self.window.iter().min().copied())?

@@ -2,6 +2,7 @@
 
 use super::{
     bytes::{EncodeError, Reader, put_floats, put_name},
+    image::PixelImage,
     metadata::encoding_of,
     poly_data::PolyData,
 };
@@ -21,6 +22,8 @@ pub enum Body {
     Points(Vec<Fiducial>),
     /// POLYDATA.
     PolyData(PolyData),
+    /// IMAGE.
+    Image(PixelImage),
     /// STATUS.
     Status(Status),
     /// STRING.
@@ -154,6 +157,7 @@ impl Body {
             Self::Positions(_) => "POSITION",
             Self::Points(_) => "POINT",
             Self::PolyData(_) => "POLYDATA",
+            Self::Image(_) => "IMAGE",
             Self::Status(_) => "STATUS",
             Self::Text(_) => "STRING",
             Self::StartTracking { .. } => "STT_TDATA",
@@ -168,6 +172,7 @@ impl Body {
             "POSITION" => Self::Positions(positions(reader)?),
             "POINT" => Self::Points(list(reader, 136, fiducial)?),
             "POLYDATA" => Self::PolyData(PolyData::parse(reader)?),
+            "IMAGE" => Self::Image(PixelImage::parse(reader)?),
             "STATUS" => Self::Status(Status {
                 code: reader.u16()?,
                 sub_code: reader.i64()?,
@@ -214,6 +219,7 @@ impl Body {
                 }
             }
             Self::PolyData(poly_data) => poly_data.put(out)?,
+            Self::Image(image) => image.put(out)?,
             Self::Status(Status { code, sub_code, name, message }) => {
                 out.extend(code.to_be_bytes());
                 out.extend(sub_code.to_be_bytes());

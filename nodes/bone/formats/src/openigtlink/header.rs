@@ -72,6 +72,7 @@ fn can_have(type_name: &str, version: u16, n: usize) -> bool {
         "TDATA" => n.is_multiple_of(70),
         "POSITION" => matches!(n, 12 | 24 | 28) || n.is_multiple_of(152),
         "POINT" => n.is_multiple_of(136),
+        "IMAGE" => n >= 72,
         "STATUS" => (30..=30 + (1 << 16)).contains(&n),
         "STRING" => (4..=4 + (1 << 16)).contains(&n),
         _ => true,
@@ -106,7 +107,7 @@ pub(super) fn timestamp(stamp_ns: StampNs) -> Option<u64> {
 ///
 /// Only types that are decoded, with a body: among zeros, any two letters are a message whose empty body has the CRC 0.
 pub(super) fn find(bytes: &[u8]) -> Option<usize> {
-    const TYPES: [&str; 7] = ["TRANSFORM", "TDATA", "POSITION", "POINT", "POLYDATA", "STATUS", "STRING"];
+    const TYPES: [&str; 8] = ["TRANSFORM", "TDATA", "POSITION", "POINT", "POLYDATA", "IMAGE", "STATUS", "STRING"];
     bytes.windows(HEADER_BYTES).enumerate().skip(1).find_map(|(at, window)| {
         // Nearly all bytes fail here.
         let may_be = window[0] == 0 && (1..=3).contains(&window[1]) && window[2].is_ascii_uppercase();
@@ -128,7 +129,8 @@ mod tests {
             ("POINT", vec![136, 272], vec![135]),
             ("STATUS", vec![30, 30 + (1 << 16)], vec![29, 31 + (1 << 16)]),
             ("STRING", vec![4, 4 + (1 << 16)], vec![3, 5 + (1 << 16)]),
-            ("IMAGE", vec![0, 7, MAX_BODY_BYTES], vec![MAX_BODY_BYTES + 1]),
+            ("IMAGE", vec![72, 79, MAX_BODY_BYTES], vec![0, 71, MAX_BODY_BYTES + 1]),
+            ("SENSOR", vec![0, 7, MAX_BODY_BYTES], vec![MAX_BODY_BYTES + 1]),
         ] {
             assert!(sizes.iter().all(|&n| can_have(type_name, 1, n)), "{type_name}: {sizes:?}");
             assert!(!others.iter().any(|&n| can_have(type_name, 1, n)), "{type_name}: {others:?}");

@@ -49,6 +49,7 @@ fn every_kind() -> Vec<Message> {
         Body::Positions(vec![position]),
         Body::Points(vec![Fiducial::new("P1", [1.0, 2.0, 3.0]), Fiducial::new("P2", [4.0, 5.0, 6.0])]),
         Body::PolyData(mesh),
+        Body::Image(PixelImage::new([2, 3], 1, Scalar::U16, (0..12).collect())),
         Body::Status(Status::new(Status::OK, "OK", "all is well")),
         Body::Text("Grüße".into()),
         Body::StartTracking { interval_ms: 50, coordinates: "Reference".into() },
@@ -60,7 +61,8 @@ fn every_kind() -> Vec<Message> {
 
 #[test]
 fn messages_of_the_reference_library_are_read_and_written_byte_for_byte() {
-    for name in ["transform", "position", "tdata", "point", "polydata", "status", "string"] {
+    for name in ["transform", "position", "tdata", "point", "polydata", "status", "string", "image_float", "image_part"]
+    {
         let bytes = vector(name);
         let message = decode(&bytes);
         assert_eq!((message.device.as_str(), message.stamp_ns), ("DeviceName", 287_445_237), "{name}");
@@ -110,6 +112,42 @@ fn the_numbers_of_the_reference_messages_are_those_that_its_tests_set() {
     assert_eq!((cube.points.len(), cube.polygons.iter().count(), cube.points[6]), (8, 6, [1.0; 3]));
     assert_eq!(cube.polygons.iter().last().unwrap(), [3, 0, 4, 7]);
     assert_eq!((cube.attributes[0].name.as_str(), cube.attributes[0].values[7]), ("attr", 7.0));
+    let Body::Image(scan) = decode(&vector("image_float")).body else { panic!("no image") };
+    assert_eq!((scan.form().as_str(), scan.is_whole()), ("4 x 3 pixels of 3 float32", true));
+    assert_eq!(scan.values().collect::<Vec<_>>(), (0..36).map(|i| 0.25 * f64::from(i) - 3.0).collect::<Vec<_>>());
+    // A quarter turn about z, 0.5 mm by 2 mm; the middle of the image is at (10, 20, 30).
+    let middle = scan.t_space_index() * nalgebra::Vector4::new(1.5, 1.0, 0.0, 1.0);
+    assert!((middle.xyz() - Vector3::new(10.0, 20.0, 30.0)).norm() < 1e-5, "{middle}");
+    let step = scan.t_space_index() * nalgebra::Vector4::new(1.0, 0.0, 0.0, 0.0);
+    assert!((step.xyz() - Vector3::new(0.0, 0.5, 0.0)).norm() < 1e-5, "{step}");
+    let Body::Image(part) = decode(&vector("image_part")).body else { panic!("no image") };
+    assert_eq!((part.size, part.part_offset, part.part_size), ([4, 3, 1], [1, 1, 0], [2, 2, 1]));
+    assert_eq!(part.values().collect::<Vec<_>>(), [7.0, 1007.0, 2007.0, 3007.0]);
+}
+
+#[test]
+fn numbers_of_an_image_are_those_of_its_type_in_both_byte_orders() {
+    let one = |scalar: Scalar, is_little_endian: bool, bytes: &[u8]| {
+        let image = PixelImage { is_little_endian, ..PixelImage::new([1, 1], 1, scalar, bytes.to_vec()) };
+        let Body::Image(read) = decode(&Message::new("I", 0, Body::Image(image)).to_bytes().unwrap()).body else {
+            panic!("no image")
+        };
+        read.values().collect::<Vec<_>>()
+    };
+    for (scalar, number, bytes) in [
+        (Scalar::I8, -2.0, (-2i8).to_le_bytes().to_vec()),
+        (Scalar::U8, 254.0, vec![254]),
+        (Scalar::I16, -300.0, (-300i16).to_le_bytes().to_vec()),
+        (Scalar::U16, 65_000.0, 65_000u16.to_le_bytes().to_vec()),
+        (Scalar::I32, -70_000.0, (-70_000i32).to_le_bytes().to_vec()),
+        (Scalar::U32, 4e9, 4_000_000_000u32.to_le_bytes().to_vec()),
+        (Scalar::F32, -0.75, (-0.75f32).to_le_bytes().to_vec()),
+        (Scalar::F64, 0.1, 0.1f64.to_le_bytes().to_vec()),
+    ] {
+        assert_eq!(one(scalar, true, &bytes), [number], "{}", scalar.name());
+        let reversed: Vec<u8> = bytes.into_iter().rev().collect();
+        assert_eq!(one(scalar, false, &reversed), [number], "{}, highest byte first", scalar.name());
+    }
 }
 
 #[test]
@@ -356,5 +394,5 @@ fn names_that_do_not_fit_are_refused_instead_of_cut() {
     assert_eq!(error, "the device \"PhantomMarkerToTracker\" has 22 bytes, and 20 fit");
     assert!(Message::new("a\0b", 0, text()).to_bytes().is_err());
     assert!(Message::new("D", 0, Body::Text("x".repeat(70_000))).to_bytes().is_err());
-    assert!(Message::new("D", 0, Body::Other { type_name: "IMAGE".into(), n_bytes: 0 }).to_bytes().is_err());
+    assert!(Message::new("D", 0, Body::Other { type_name: "SENSOR".into(), n_bytes: 0 }).to_bytes().is_err());
 }

@@ -99,6 +99,16 @@ pub(crate) trait Protocol: Describe + Send + Sized + 'static {
         None
     }
 
+    /// What came from a device or topic of a port in place of what the port reads, and the remedy; `None` if nothing did.
+    fn instead(&self, _port: &Port<Self::Port>) -> Option<String> {
+        None
+    }
+
+    /// Devices or topics that no port reads, to be listed once; empty where they were listed or there are none.
+    fn unread(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// What the peer has beside the missing devices or topics, in messages.
     fn others(&self) -> String;
 }
@@ -223,8 +233,11 @@ impl<P: Protocol> Run<P> {
                 }
                 Incoming::Damage(damage) => self.inbox.warn("damage", damage, ctx),
                 Incoming::Nothing => {}
-                Incoming::End { reason, is_orderly } => self.end(&reason, is_orderly, P::network(params), ctx),
+                Incoming::End { reason, is_orderly } => self.end(&reason, is_orderly, P::network(params), ctx)?,
             }
+        }
+        if let Some(fault) = self.inbox.take_fault() {
+            return Err(NodeError::new(fault));
         }
         self.check(P::network(params), ctx)
     }
@@ -252,7 +265,13 @@ impl<P: Protocol> Run<P> {
         Ok(())
     }
 
-    fn end(&mut self, reason: &str, is_orderly: bool, params: &NetworkParams, ctx: &mut Context) {
+    fn end(
+        &mut self,
+        reason: &str,
+        is_orderly: bool,
+        params: &NetworkParams,
+        ctx: &mut Context,
+    ) -> Result<(), NodeError> {
         if params.reconnect {
             ctx.warn(format!("{reason}; waiting for the {} again", P::PEER));
             self.inbox.lose(reason, |_| true);
@@ -260,11 +279,12 @@ impl<P: Protocol> Run<P> {
             if !is_orderly {
                 ctx.warn(reason);
             }
-            self.check_missing(ctx);
+            self.check_missing(ctx)?;
             self.is_over = true;
         }
         self.conversation = None;
         self.connector.restart();
+        Ok(())
     }
 
     fn check(&mut self, params: &NetworkParams, ctx: &mut Context) -> Result<(), NodeError> {
@@ -281,21 +301,35 @@ impl<P: Protocol> Run<P> {
             _ => {}
         }
         if self.first.is_some_and(|first| first.elapsed().as_secs_f64() > params.silent_after_s) {
-            self.check_missing(ctx);
+            self.check_missing(ctx)?;
         }
         Ok(())
     }
 
-    /// Reports, once, the devices or topics of ports that the peer does not have.
-    fn check_missing(&mut self, ctx: &mut Context) {
-        let Some(conversation) = self.conversation.as_ref().filter(|_| !self.has_checked_missing) else { return };
+    /// Reports, once, the devices or topics of ports that the peer does not have, and those that no port reads; fails if a port
+    /// names one that sends something else.
+    fn check_missing(&mut self, ctx: &mut Context) -> Result<(), NodeError> {
+        let Some(conversation) = self.conversation.as_ref().filter(|_| !self.has_checked_missing) else {
+            return Ok(());
+        };
         self.has_checked_missing = true;
+        let faults: Vec<String> = self.inbox.ports.iter().filter_map(|port| conversation.instead(port)).collect();
+        if !faults.is_empty() {
+            return Err(NodeError::new(faults.join("; ")));
+        }
+        let mut is_listed = false;
         for port in self.inbox.ports.iter().filter(|port| port.default.is_none()) {
             let missing = port.missing();
             if !missing.is_empty() {
                 let (name, others) = (&port.name, conversation.others());
                 ctx.warn(format!("port \"{name}\": {} {}; {others}", missing.join(", "), P::MISSING));
+                is_listed = true;
             }
         }
+        let unread = conversation.unread();
+        if !is_listed && !unread.is_empty() {
+            ctx.warn(format!("no port reads {}", unread.join(", ")));
+        }
+        Ok(())
     }
 }

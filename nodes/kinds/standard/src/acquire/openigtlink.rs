@@ -1,17 +1,20 @@
 //! The kind `acquire.openigtlink`.
 
+mod images;
 mod ports;
 
+pub use images::IntrinsicsParams;
 pub use ports::{PatientSpace, PortParams};
 
 use super::network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting};
 use osteoflow_formats::openigtlink::{Body, Decoder, Message, Status};
+use osteoflow_geometry::StampNs;
 use osteoflow_node::{
     Context, DeclaredPort, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize, tracing,
 };
 use ports::Content;
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     io::{Read, Write},
     net::TcpStream,
     time::{Duration, Instant},
@@ -25,12 +28,14 @@ const PIECE: usize = 64 << 10;
 const ADDRESS: &str = "HOST:PORT, such as 127.0.0.1:18944";
 /// Devices without a port that are remembered.
 const N_UNREAD: usize = 100;
+/// Longest time for which messages wait until the offset of the sender's clock is known.
+const SETTLE: Duration = Duration::from_secs(1);
 
 /// Trackers, scans and points over OpenIGTLink, from a PLUS server, 3D Slicer or anything that speaks it.
 ///
 /// Each entry of `out` is a port with a `type`, its frames and a device; PLUS calls the pose of `stylus` in `reference`
-/// `StylusToReference`. TRANSFORM, TDATA, POSITION, POINT, POLYDATA, STATUS and STRING of header versions 1 and 2 are read, with
-/// their CRC checked; damaged messages are reported and left out. Lengths are millimetres in single precision, transforms are
+/// `StylusToReference`. TRANSFORM, TDATA, POSITION, POINT, POLYDATA, IMAGE, STATUS and STRING of header versions 1 and 2 are read,
+/// with their CRC checked; damaged messages are reported and left out. Lengths are millimetres in single precision, transforms are
 /// taken as they are, and coordinates in `ct` are turned to LPS. Stamps are the sender's; the offset of its clock is reported
 /// once, and again when it jumps. A lost tool is an empty with the reason. docs/use/openigtlink.md has the rest.
 #[derive(Describe)]
@@ -48,10 +53,27 @@ pub struct OpenIgtLink {
     waits_since: Option<Instant>,
     /// Why the connection has ended, and whether in order.
     end: Option<(String, bool)>,
-    /// Devices that no port reads; with their type where a port names them.
-    unread: BTreeSet<String>,
+    /// Devices that no port reads, with the type of their messages.
+    unread: BTreeMap<String, String>,
+    /// Devices that ports name, with the type of the messages that none of these ports reads.
+    instead: BTreeMap<String, String>,
     /// Devices that send no stamps.
     without_stamp: BTreeSet<String>,
+    clock: Clock,
+    /// Messages that wait for the offset of the sender's clock, with their times of arrival.
+    held: VecDeque<(Message, StampNs)>,
+    /// When the first of them came.
+    held_since: Option<Instant>,
+}
+
+/// The clock of the stamps that a source gives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Clock {
+    /// That of the sender, as it wrote them.
+    Sender,
+    /// That of this machine: the sender's stamps and the offset of its clock.
+    Receiver,
 }
 
 /// Parameters of [`OpenIgtLink`].
@@ -66,6 +88,10 @@ pub struct Params {
     /// asked for.
     #[schemars(range(min = 0, max = 60_000))]
     pub tdata_ms: Option<u32>,
+    /// The clock of the stamps. `sender`: as they are sent. `receiver`: corrected by the offset of the sender's clock, for joins with
+    /// another source; its first messages wait for at most 1 s until 20 of them give the offset, which is corrected again when the
+    /// clock jumps. sender: one sender's stamps agree with each other, and the offset contains the shortest delay of a message.
+    pub clock: Clock,
     /// What every source over a network has.
     #[serde(flatten)]
     pub network: NetworkParams,
@@ -74,7 +100,7 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Self {
         let network = NetworkParams::default();
-        Self { address: "127.0.0.1:18944".into(), role: Role::Client, tdata_ms: None, network }
+        Self { address: "127.0.0.1:18944".into(), role: Role::Client, tdata_ms: None, clock: Clock::Sender, network }
     }
 }
 
@@ -133,16 +159,33 @@ impl Protocol for OpenIgtLink {
             decoder: Decoder::default(),
             waits_since: None,
             end: None,
-            unread: BTreeSet::new(),
+            unread: BTreeMap::new(),
+            instead: BTreeMap::new(),
             without_stamp: BTreeSet::new(),
+            clock: params.clock,
+            held: VecDeque::new(),
+            held_since: None,
         })
     }
 
     fn receive(&mut self, inbox: &mut Inbox<Content>, ctx: &mut Context) -> Result<Incoming, NodeError> {
+        if let Some((message, arrived_ns)) = self.held(inbox, ctx) {
+            let now_ns = inbox.arrived_ns();
+            inbox.arrived_at(arrived_ns);
+            self.message(&message, inbox, ctx);
+            inbox.arrived_at(now_ns);
+            return Ok(Incoming::Message);
+        }
         match self.decoder.next() {
             Some(Ok(message)) => {
                 self.waits_since = None;
-                self.message(&message, inbox, ctx);
+                inbox.observe(sent_ns(&message), ctx);
+                if self.clock == Clock::Receiver && !inbox.is_corrected() {
+                    self.held_since.get_or_insert_with(Instant::now);
+                    self.held.push_back((message, inbox.arrived_ns()));
+                } else {
+                    self.message(&message, inbox, ctx);
+                }
                 return Ok(Incoming::Message);
             }
             Some(Err(damage)) => {
@@ -175,33 +218,69 @@ impl Protocol for OpenIgtLink {
         Ok(Incoming::Nothing)
     }
 
+    fn instead(&self, port: &Port<Content>) -> Option<String> {
+        if port.n_messages > 0 {
+            return None;
+        }
+        let (device, kind) = port.streams.iter().find_map(|device| Some((device, self.instead.get(device)?)))?;
+        let (name, payload) = (&port.name, port.payload);
+        let remedy = match ports::payloads_of(kind) {
+            [] => "no port reads that type; let its sender send another".into(),
+            payloads => format!("a port of {} reads it", payloads.join(" or ")),
+        };
+        Some(format!("port \"{name}\": {device} sends {kind}, which gives no {payload}; {remedy}"))
+    }
+
+    fn unread(&self) -> Vec<String> {
+        self.unread.iter().map(|(device, kind)| format!("{device} ({kind})")).collect()
+    }
+
     fn others(&self) -> String {
-        let unread: Vec<&str> = self.unread.iter().map(String::as_str).collect();
+        let named = self.instead.iter().map(|(device, kind)| format!("{device} as {kind}"));
+        let unread: Vec<String> = self.unread.keys().cloned().chain(named).collect();
         if unread.is_empty() { "nothing else came".into() } else { format!("unread are {}", unread.join(", ")) }
     }
 }
 
+/// The sender's stamp, if it gives one.
+fn sent_ns(message: &Message) -> Option<StampNs> {
+    Some(message.stamp_ns).filter(|ns| *ns > 0)
+}
+
 impl OpenIgtLink {
+    /// The next message that has waited long enough for the offset of the sender's clock.
+    fn held(&mut self, inbox: &mut Inbox<Content>, ctx: &mut Context) -> Option<(Message, StampNs)> {
+        let has_waited = self.held_since.is_some_and(|since| since.elapsed() > SETTLE) || self.end.is_some();
+        if self.held.is_empty() || !(inbox.knows_clock() || has_waited) {
+            return None;
+        }
+        if !inbox.is_corrected() {
+            inbox.settle(ctx);
+        }
+        self.held.pop_front()
+    }
+
     fn message(&mut self, message: &Message, inbox: &mut Inbox<Content>, ctx: &mut Context) {
         let Message { device, body, .. } = message;
-        let sent_ns = Some(message.stamp_ns).filter(|ns| *ns > 0);
+        let sent_ns = sent_ns(message);
         if sent_ns.is_none() && self.without_stamp.len() < N_UNREAD && self.without_stamp.insert(device.clone()) {
             let note = format!("{device} has no stamp; the time of its arrival is used");
             inbox.warn("no stamp", note, ctx);
         }
-        let stamp_ns = inbox.stamp(sent_ns, ctx);
+        let stamp_ns = inbox.corrected(sent_ns);
         let tools: Vec<_> = match body {
             Body::Tracking(tools) => tools.iter().map(|tool| (&tool.name, Some(&tool.matrix))).collect(),
             _ => vec![(device, None)],
         };
         for (device, matrix) in tools {
             let taken = inbox.offer(device, ctx, |port| port.read(message, device, matrix, stamp_ns));
-            if taken.is_some() || matches!(body, Body::Status(_)) || self.unread.len() >= N_UNREAD {
+            if taken.is_some() || matches!(body, Body::Status(_)) {
                 continue;
             }
             let is_named = inbox.ports.iter().any(|port| port.reads(device));
             let kind = body.type_name();
-            if self.unread.insert(if is_named { format!("{device} as {kind}") } else { device.clone() }) {
+            let map = if is_named { &mut self.instead } else { &mut self.unread };
+            if map.len() < N_UNREAD && map.insert(device.clone(), kind.into()).is_none() {
                 tracing::info!(device, kind, "no port reads this device");
             }
         }

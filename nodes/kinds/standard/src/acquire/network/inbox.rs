@@ -1,7 +1,7 @@
 //! The ports of a source over a network, and the items on their way to them.
 
 use crate::acquire::{frozen::Frozen, one_stamp::OneStamp, playback::Event};
-use osteoflow_formats::openigtlink::ClockOffset;
+use osteoflow_formats::openigtlink::{ClockNote, ClockOffset};
 use osteoflow_geometry::{Correction, Pose, StampNs};
 use osteoflow_node::{Context, DeclaredPort, Emission, Payload, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_payloads::Flag;
@@ -57,6 +57,8 @@ pub(crate) struct Port<T> {
 pub(crate) struct PortItems {
     pub(crate) items: Vec<(StampNs, Emission)>,
     pub(crate) notes: Vec<String>,
+    /// Why the graph cannot read what comes; the source fails with it.
+    pub(crate) fault: Option<String>,
 }
 
 /// The ports, and their items in the order in which they are given.
@@ -66,9 +68,13 @@ pub(crate) struct Inbox<T> {
     /// The items of the message that is read.
     message: Vec<Event<Emission>>,
     clock: ClockOffset,
+    /// What is added to the sender's stamps, if they are corrected.
+    shift_ns: Option<StampNs>,
     arrived_ns: StampNs,
     /// The newest stamp.
     newest_ns: StampNs,
+    /// Why the graph cannot read what came.
+    fault: Option<String>,
     /// Number of warnings by sort.
     n_warnings: BTreeMap<String, usize>,
 }
@@ -76,12 +82,17 @@ pub(crate) struct Inbox<T> {
 impl PortItems {
     /// A value.
     pub(crate) fn value<V: Payload<By>, By: 'static>(stamp_ns: StampNs, value: V) -> Self {
-        Self { items: vec![(stamp_ns, Emission::value(value))], notes: Vec::new() }
+        Self { items: vec![(stamp_ns, Emission::value(value))], ..Self::default() }
     }
 
     /// An empty.
     pub(crate) fn empty(stamp_ns: StampNs, reason: String) -> Self {
-        Self { items: vec![(stamp_ns, Emission::Empty(reason))], notes: Vec::new() }
+        Self { items: vec![(stamp_ns, Emission::Empty(reason))], ..Self::default() }
+    }
+
+    /// A message that the graph has to be changed for.
+    pub(crate) fn fault(fault: String) -> Self {
+        Self { fault: Some(fault), ..Self::default() }
     }
 
     /// An empty for a message that cannot be used, of which the user is told.
@@ -155,10 +166,17 @@ impl<T> Inbox<T> {
             events: VecDeque::new(),
             message: Vec::new(),
             clock: ClockOffset::default(),
+            shift_ns: None,
             arrived_ns: 0,
             newest_ns: 0,
+            fault: None,
             n_warnings: BTreeMap::new(),
         }
+    }
+
+    /// Why the graph cannot read what came, if it cannot.
+    pub(super) fn take_fault(&mut self) -> Option<String> {
+        self.fault.take()
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -192,13 +210,64 @@ impl<T> Inbox<T> {
 
     /// The stamp of a message in this run, from the sender's stamp: the only place where one becomes the other.
     ///
-    /// Stamps are taken as they are; the offset of the sender's clock is reported. Without a stamp it is the time of arrival.
+    /// Stamps are taken as they are, or with the offset of the sender's clock once [`Inbox::settle`] was called; the offset is
+    /// reported. Without a stamp it is the time of arrival.
     pub(crate) fn stamp(&mut self, sent_ns: Option<StampNs>, ctx: &mut Context) -> StampNs {
-        let Some(sent_ns) = sent_ns else { return self.arrived_ns };
-        if let Some(note) = self.clock.add(sent_ns, self.arrived_ns) {
-            ctx.warn(format!("of the sender: {note}"));
-        }
-        sent_ns
+        self.observe(sent_ns, ctx);
+        self.corrected(sent_ns)
+    }
+
+    /// Takes the stamp of a message that has just arrived into account for the offset of the sender's clock.
+    pub(crate) fn observe(&mut self, sent_ns: Option<StampNs>, ctx: &mut Context) {
+        let note = sent_ns.and_then(|sent_ns| self.clock.add(sent_ns, self.arrived_ns));
+        self.note_clock(note, ctx);
+    }
+
+    /// The stamp of a message that was [observed](Inbox::observe).
+    pub(crate) fn corrected(&self, sent_ns: Option<StampNs>) -> StampNs {
+        sent_ns.map_or(self.arrived_ns, |sent_ns| sent_ns.saturating_add(self.shift_ns.unwrap_or(0)))
+    }
+
+    /// From here on stamps are corrected by the offset that is known, and by that after each jump.
+    pub(crate) fn settle(&mut self, ctx: &mut Context) {
+        let note = self.clock.settle();
+        self.note_clock(note, ctx);
+        let shift_ns = self.clock.offset_ns().unwrap_or(0);
+        self.shift_ns = Some(shift_ns);
+        ctx.warn(format!("stamps are corrected by {:.3} s, the offset of the sender's clock", shift_ns as f64 * 1e-9));
+    }
+
+    /// Whether stamps are corrected.
+    pub(crate) fn is_corrected(&self) -> bool {
+        self.shift_ns.is_some()
+    }
+
+    /// Whether the offset of the sender's clock was reported.
+    pub(crate) fn knows_clock(&self) -> bool {
+        self.clock.offset_ns().is_some()
+    }
+
+    /// When the last bytes arrived.
+    pub(crate) fn arrived_ns(&self) -> StampNs {
+        self.arrived_ns
+    }
+
+    /// Goes back to a message that arrived then.
+    pub(crate) fn arrived_at(&mut self, arrived_ns: StampNs) {
+        self.arrived_ns = arrived_ns;
+    }
+
+    fn note_clock(&mut self, note: Option<ClockNote>, ctx: &mut Context) {
+        let Some(note) = note else { return };
+        let corrected = match (note, &mut self.shift_ns) {
+            (ClockNote::Offset(now) | ClockNote::Jump(_, now), Some(shift_ns)) => {
+                *shift_ns = now;
+                "; stamps are corrected by the new offset"
+            }
+            (ClockNote::Rate(_), Some(_)) => "; stamps are corrected by the last offset, which does not hold",
+            (_, None) => "",
+        };
+        ctx.warn(format!("of the sender: {note}{corrected}"));
     }
 
     /// The peer has this device or topic.
@@ -223,6 +292,7 @@ impl<T> Inbox<T> {
             port.n_messages += 1;
             port.present.insert(stream.into());
             notes.extend(out.notes);
+            self.fault = self.fault.take().or(out.fault);
             for (stamp_ns, body) in out.items {
                 port.last_ns = port.last_ns.max(Some(stamp_ns));
                 port.is_lost = false;

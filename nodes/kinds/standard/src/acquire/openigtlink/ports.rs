@@ -1,5 +1,6 @@
 //! Messages to the payloads of declared ports.
 
+use super::images::{Camera, IntrinsicsParams, Refusal};
 use crate::acquire::network::{Port, PortItems, StreamParams};
 use osteoflow_formats::{
     Space,
@@ -22,8 +23,8 @@ const SMALLEST_CLOUD_MM: f64 = 2.0;
 /// The messages that one port of `acquire.openigtlink` reads; `type` is the payload it gives, `frame`, `to` and `from` its
 /// frames, which OpenIGTLink does not state.
 ///
-/// `geometry/Pose` from TRANSFORM, POSITION and the tools of TDATA; `geometry/Cloud` from POLYDATA and POINT; `geometry/Mesh`
-/// from POLYDATA; `geometry/Points` from POINT and POSITION; `geometry/Region` from a POINT with two corners; `report/Text` from
+/// `geometry/Pose` from TRANSFORM, POSITION and the tools of TDATA; `geometry/Cloud` from IMAGE (three components of floating point,
+/// which are coordinates, or one of depth), POLYDATA and POINT; `geometry/Image` from IMAGE of 8 bits; `geometry/Mesh` from POLYDATA; `geometry/Points` from POINT and POSITION; `geometry/Region` from a POINT with two corners; `report/Text` from
 /// STRING and STATUS; `report/Flag` from the STRING `true` or `false`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -38,6 +39,16 @@ pub struct PortParams {
     /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: it does; a
     /// constant of a configuration may need false.
     pub identity_is_lost: Option<bool>,
+    /// The camera of a depth image or a picture, which PLUS does not send: `{ fx = .., fy = .., cx = .., cy = .. }`, px. Not for a
+    /// point image.
+    pub intrinsics: Option<IntrinsicsParams>,
+    /// The depth of one step of a depth image, mm: 0.1 for Revopoint, 1 for Kinect and RealSense as they are set by default. Required
+    /// for depth.
+    #[schemars(range(min = 1e-6, max = 1000.0))]
+    pub depth_unit_mm: Option<f64>,
+    /// Whether the matrix of an IMAGE moves the points that its pixels give. false: the components of a point image, and the rays of
+    /// a camera, are coordinates of the camera already, and PLUS sends spacings or a pose of the image in its matrix.
+    pub use_matrix: bool,
     /// The frame of coordinates.
     pub frame: Option<String>,
     /// The frame that a pose leads to.
@@ -64,9 +75,24 @@ pub(crate) struct Content {
     identity_is_lost: bool,
     /// The rotation of coordinates in `ct` to LPS.
     turn: Isometry3<f64>,
-    frame: Frame,
+    pub(super) frame: Frame,
     to: Frame,
     from: Frame,
+    pub(super) camera: Camera,
+}
+
+/// The payloads of ports that read a type of message.
+pub(super) fn payloads_of(type_name: &str) -> &'static [&'static str] {
+    match type_name {
+        "TRANSFORM" | "TDATA" => &["geometry/Pose"],
+        "POSITION" => &["geometry/Pose", "geometry/Points"],
+        "POINT" => &["geometry/Points", "geometry/Cloud", "geometry/Region"],
+        "POLYDATA" => &["geometry/Cloud", "geometry/Mesh"],
+        "IMAGE" => &["geometry/Cloud", "geometry/Image"],
+        "STRING" => &["report/Text", "report/Flag"],
+        "STATUS" => &["report/Text"],
+        _ => &[],
+    }
 }
 
 impl Content {
@@ -77,11 +103,13 @@ impl Content {
         let payload = declared.payload.name;
         let needed: &[_] = match payload {
             "geometry/Pose" => &[("to", &params.to), ("from", &params.from)],
-            "geometry/Cloud" | "geometry/Points" | "geometry/Mesh" | "geometry/Region" => &[("frame", &params.frame)],
+            "geometry/Cloud" | "geometry/Points" | "geometry/Mesh" | "geometry/Region" | "geometry/Image" => {
+                &[("frame", &params.frame)]
+            }
             "report/Text" | "report/Flag" => &[],
             other => {
                 return Err(fault(format!(
-                    "OpenIGTLink gives geometry/Pose, Cloud, Mesh, Points, Region, report/Text and Flag, but not {other}"
+                    "OpenIGTLink gives geometry/Pose, Cloud, Image, Mesh, Points, Region, report/Text and Flag, but not {other}"
                 )));
             }
         };
@@ -124,7 +152,35 @@ impl Content {
             )));
         }
         let identity_is_lost = params.identity_is_lost.unwrap_or(true);
-        Ok(Port::new(declared, params.stream, devices, Self { identity_is_lost, turn, frame, to, from }))
+        let intrinsics = params.intrinsics.map(IntrinsicsParams::checked).transpose().map_err(&fault)?;
+        match payload {
+            "geometry/Image" if intrinsics.is_none() => {
+                return Err(fault(
+                    "intrinsics are not given, and no IMAGE has them; set intrinsics = { fx = .., fy = .., cx = .., \
+                                  cy = .. } in pixels of the image as sent"
+                        .into(),
+                ));
+            }
+            "geometry/Cloud" => {}
+            "geometry/Image" if params.depth_unit_mm.is_none() && !params.use_matrix => {}
+            _ if intrinsics.is_some() || params.depth_unit_mm.is_some() || params.use_matrix => {
+                return Err(fault(format!(
+                    "intrinsics, depth_unit_mm and use_matrix are for images, and the port is of {payload}; remove \
+                                          them"
+                )));
+            }
+            _ => {}
+        }
+        if params.depth_unit_mm.is_some_and(|unit_mm| !(unit_mm.is_finite() && unit_mm > 0.0)) {
+            return Err(fault("depth_unit_mm is not a positive length".into()));
+        }
+        let camera = Camera {
+            intrinsics,
+            depth_unit_mm: params.depth_unit_mm,
+            use_matrix: params.use_matrix,
+            ..Camera::default()
+        };
+        Ok(Port::new(declared, params.stream, devices, Self { identity_is_lost, turn, frame, to, from, camera }))
     }
 }
 
@@ -147,6 +203,20 @@ impl Port<Content> {
             ("geometry/Cloud", Body::Points(points)) => {
                 self.cloud(points.iter().map(|point| point.position), device, stamp_ns)
             }
+            ("geometry/Cloud", Body::Image(image)) => match self.image_cloud(image, device, stamp_ns) {
+                Ok(items) => Ok(items),
+                Err(Refusal::Graph(fault)) => {
+                    return Some(PortItems::fault(format!("port \"{}\": {fault}", self.name)));
+                }
+                Err(Refusal::Message(reason)) => Err(reason),
+            },
+            ("geometry/Image", Body::Image(image)) => match self.picture(image, device, stamp_ns) {
+                Ok(items) => Ok(items),
+                Err(Refusal::Graph(fault)) => {
+                    return Some(PortItems::fault(format!("port \"{}\": {fault}", self.name)));
+                }
+                Err(Refusal::Message(reason)) => Err(reason),
+            },
             ("geometry/Mesh", Body::PolyData(data)) => self.mesh(data, stamp_ns),
             ("geometry/Points", Body::Points(points)) => self.points(points, device, stamp_ns),
             ("geometry/Points", Body::Positions(positions)) => {
@@ -205,16 +275,34 @@ impl Port<Content> {
         device: &str,
         stamp_ns: StampNs,
     ) -> Result<PortItems, String> {
-        let Content { turn, frame, .. } = &self.content;
         let (mut n_all, mut kept) = (0, Vec::new());
         for point in points {
             n_all += 1;
-            kept.extend(finite(point).map(|point| turn * point));
+            kept.extend(finite(point.map(f64::from)));
         }
-        let Some(first) = kept.first() else { return Err(format!("none of {n_all} points is finite")) };
+        if kept.is_empty() {
+            return Err(format!("none of {n_all} points is finite"));
+        }
         let n_dropped = n_all - kept.len();
-        let mut note = (n_dropped > 0)
-            .then(|| format!("{device}: {n_dropped} of {n_all} points are NaN or infinite and were left out"));
+        let mut out = self.cloud_of(kept, n_all, device, stamp_ns)?;
+        if n_dropped > 0 && out.notes.is_empty() {
+            out.notes.push(format!("{device}: {n_dropped} of {n_all} points are NaN or infinite and were left out"));
+        }
+        Ok(out)
+    }
+
+    /// The cloud of the points that were left of `n_all`.
+    pub(super) fn cloud_of(
+        &self,
+        mut kept: Vec<Point3<f64>>,
+        n_all: usize,
+        device: &str,
+        stamp_ns: StampNs,
+    ) -> Result<PortItems, String> {
+        let Content { turn, frame, .. } = &self.content;
+        kept.iter_mut().for_each(|point| *point = turn * *point);
+        let Some(first) = kept.first() else { return Err(format!("none of {n_all} points is left")) };
+        let mut note = None;
         let is_small = kept.iter().all(|point| (point - first).norm() < SMALLEST_CLOUD_MM);
         if n_all > 1 && is_small {
             note = Some(format!("{device}: {n_all} points within {SMALLEST_CLOUD_MM} mm; is the cloud in metres?"));
@@ -228,7 +316,7 @@ impl Port<Content> {
     }
 
     fn mesh(&self, data: &PolyData, stamp_ns: StampNs) -> Result<PortItems, String> {
-        let turned = |point: &[f32; 3]| finite(*point).map(|p| self.content.turn * p);
+        let turned = |point: &[f32; 3]| finite(point.map(f64::from)).map(|p| self.content.turn * p);
         let vertices: Option<Vec<_>> = data.points.iter().map(turned).collect();
         let vertices = vertices.ok_or("a vertex is not finite")?;
         let corners =
@@ -294,11 +382,11 @@ fn lost(message: &Message, device: &str) -> Option<String> {
 
 /// A usable point.
 fn near(point: [f32; 3]) -> Result<Point3<f64>, String> {
-    let point = finite(point).ok_or("it is not finite")?;
+    let point = finite(point.map(f64::from)).ok_or("it is not finite")?;
     TooFar::check(point.coords.as_slice()).map_err(|far| far.to_string())?;
     Ok(point)
 }
 
-fn finite(point: [f32; 3]) -> Option<Point3<f64>> {
-    point.iter().all(|c| c.is_finite()).then(|| Point3::from(point.map(f64::from)))
+pub(super) fn finite(point: [f64; 3]) -> Option<Point3<f64>> {
+    point.iter().all(|c| c.is_finite()).then(|| Point3::from(point))
 }

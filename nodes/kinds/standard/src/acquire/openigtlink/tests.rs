@@ -4,10 +4,10 @@ use crate::acquire::network::{
     tests::{MS, Outcome, PortSpec, STAMP, context, take_until},
 };
 use osteoflow_formats::openigtlink::{
-    Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, TrackedTool,
+    Affine, Body, Cells, Fiducial, Message, Metadata, PixelImage, PolyData, Position, Scalar, Status, TrackedTool,
 };
 use osteoflow_geometry::{
-    Cloud, Mesh, Points, Pose, Region, StampNs,
+    Cloud, Image, Mesh, Points, Pose, Region, StampNs,
     nalgebra::{Isometry3, Point3, Vector3},
 };
 use osteoflow_node::{Emission, Source};
@@ -468,4 +468,222 @@ fn no_sender_within_the_timeout_is_an_error_that_names_the_address() {
         assert!(error.contains(part) && error.contains(&address.to_string()), "{error}");
     }
     assert!(OpenIgtLink::peer(&Params { address: "tracker".into(), ..Params::default() }).is_err());
+}
+
+fn scan_port() -> PortSpec {
+    ("scan", "geometry/Cloud", json!({ "device": "Scan", "frame": "camera" }))
+}
+
+fn intrinsics() -> serde_json::Value {
+    json!({ "fx": 500.0, "fy": 400.0, "cx": 1.0, "cy": 0.5 })
+}
+
+fn image(body: PixelImage) -> Vec<u8> {
+    messages(&[Message::new("Scan", STAMP, Body::Image(body))])
+}
+
+fn floats(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+/// The error with which a source ends, after these bytes and an end in order.
+fn failed(bytes: Vec<u8>, ports: &[PortSpec]) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let sender = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.write_all(&bytes).unwrap();
+        stream.shutdown(std::net::Shutdown::Write).unwrap();
+        // The source may leave before it has read all.
+        let _ = std::io::copy(&mut stream, &mut std::io::sink());
+    });
+    let error = take_all(&mut source(address, |_| {}), &mut context(ports)).unwrap_err();
+    sender.join().unwrap();
+    error
+}
+
+#[test]
+fn a_point_image_is_a_cloud_of_the_pixels_that_have_a_point() {
+    let values = [1.0, 2.0, 300.0, 0.0, 0.0, 0.0, f32::NAN, 0.0, 1.0, -4.0, 5.0, 310.0];
+    let body = PixelImage::new([2, 2], 3, Scalar::F32, floats(&values));
+    let ran = sent(image(body.clone()), &[scan_port()]);
+    let cloud: Cloud = value(ran.of_port(0)[0].1);
+    assert_eq!(cloud.points(), [Point3::new(1.0, 2.0, 300.0), Point3::new(-4.0, 5.0, 310.0)]);
+    assert_eq!((cloud.frame.as_str(), cloud.stamp_ns), ("camera", STAMP));
+    assert_eq!(cloud.viewpoint, Some(Isometry3::identity()));
+    assert_eq!(ran.warnings, Vec::<String>::new(), "pixels without a point are not worth a word");
+    let wrong = PixelImage {
+        is_little_endian: false,
+        pixels: floats(&[1.0, 2.0, 300.0]),
+        ..PixelImage::new([1, 1], 3, Scalar::F32, vec![])
+    };
+    let ran = sent(image(wrong), &[scan_port()]);
+    let said = reason(ran.of_port(0)[0].1);
+    assert!(
+        said.contains("mm with the highest byte first, as it states, and 300.0 mm with the lowest first"),
+        "{said}"
+    );
+    let body = PixelImage { pixels: floats(&[0.0; 12]), ..body };
+    let ran = sent(image(body), &[scan_port()]);
+    assert_eq!(reason(ran.of_port(0)[0].1), "Scan, message 1: none of its 4 pixels has a point");
+}
+
+#[test]
+fn the_matrix_of_a_point_image_moves_its_points_only_if_asked() {
+    // A quarter turn about z; the centre of one pixel is the pixel.
+    let matrix = Affine([0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0]);
+    let body = PixelImage { matrix, ..PixelImage::new([1, 1], 3, Scalar::F32, floats(&[1.0, 2.0, 3.0])) };
+    let ran = sent(image(body.clone()), &[scan_port()]);
+    assert_eq!(value::<Cloud>(ran.of_port(0)[0].1).points(), [Point3::new(1.0, 2.0, 3.0)]);
+    assert!(ran.warnings[0].contains("set use_matrix = true if it takes them to camera"), "{:?}", ran.warnings);
+    let mut port = scan_port();
+    port.2["use_matrix"] = json!(true);
+    let ran = sent(image(body.clone()), &[port.clone()]);
+    let moved = value::<Cloud>(ran.of_port(0)[0].1).points()[0];
+    assert!((moved - Point3::new(8.0, 21.0, 33.0)).norm() < 1e-6, "{moved}");
+    let scaled = PixelImage { matrix: Affine(matrix.0.map(|c| 0.2 * c)), ..body };
+    let ran = sent(image(scaled), &[port]);
+    assert!(reason(ran.of_port(0)[0].1).contains("its matrix is no rigid motion"), "{:?}", ran.items);
+}
+
+#[test]
+fn a_depth_image_is_placed_by_the_intrinsics_of_the_port() {
+    let depths: Vec<u8> = [3000u16, 0, 3100, 3200, 3300, 0].iter().flat_map(|depth| depth.to_le_bytes()).collect();
+    let body = PixelImage::new([3, 2], 1, Scalar::U16, depths);
+    let mut port = scan_port();
+    port.2["intrinsics"] = intrinsics();
+    port.2["depth_unit_mm"] = json!(0.1);
+    let ran = sent(image(body.clone()), &[port.clone()]);
+    let cloud: Cloud = value(ran.of_port(0)[0].1);
+    let expected = [(0.0, 0.0, 300.0), (2.0, 0.0, 310.0), (0.0, 1.0, 320.0), (1.0, 1.0, 330.0)]
+        .map(|(u, v, z)| Point3::new((u - 1.0) / 500.0 * z, (v - 0.5) / 400.0 * z, z));
+    assert_eq!(cloud.len(), 4);
+    for (found, expected) in cloud.points().iter().zip(expected) {
+        assert!((found - expected).norm() < 1e-9, "{found} is not {expected}");
+    }
+    // A part of a larger image keeps its place in it.
+    let part = PixelImage { size: [13, 12, 1], part_offset: [10, 10, 0], ..body.clone() };
+    let moved: Cloud = value(sent(image(part), &[port]).of_port(0)[0].1);
+    assert!((moved.points()[0] - Point3::new(9.0 / 500.0 * 300.0, 9.5 / 400.0 * 300.0, 300.0)).norm() < 1e-9);
+    let error = failed(image(body), &[scan_port()]);
+    assert_eq!(
+        error,
+        "port \"scan\": Scan sends an IMAGE of 3 x 2 pixels of 1 uint16: depth, for which the port needs intrinsics = { fx = .., fy = .., \
+         cx = .., cy = .. } and depth_unit_mm, the depth of one step (0.1 for Revopoint, 1 for Kinect and RealSense)"
+    );
+}
+
+#[test]
+fn pictures_are_grey_or_colour_and_no_cloud() {
+    let port = ("image", "geometry/Image", json!({ "device": "Scan", "frame": "camera", "intrinsics": intrinsics() }));
+    for (n_components, channels, expected) in [
+        (1, 1, vec![0, 1, 2, 3, 4, 5]),
+        (3, 3, (0..18).collect()),
+        (4, 3, vec![0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 16, 17, 18, 20, 21, 22]),
+    ] {
+        let bytes = (0..6 * n_components).collect();
+        let body = PixelImage::new([3, 2], n_components, Scalar::U8, bytes);
+        let ran = sent(image(body.clone()), std::slice::from_ref(&port));
+        let found: Image = value(ran.of_port(0)[0].1);
+        assert_eq!((found.width(), found.height(), found.channels()), (3, 2, channels));
+        assert_eq!((found.pixels(), found.stamp_ns, found.intrinsics().fx), (&expected[..], STAMP, 500.0));
+        let error = failed(image(body), &[scan_port()]);
+        assert!(error.contains("a picture is of type = \"geometry/Image\""), "{error}");
+    }
+    let depth = PixelImage::new([3, 2], 1, Scalar::U16, vec![0; 12]);
+    let error = failed(image(depth), &[port]);
+    assert!(error.contains("3 x 2 pixels of 1 uint16, and geometry/Image is of 1, 3 or 4 uint8"), "{error}");
+    let error = fault(&[("image", "geometry/Image", json!({ "device": "Scan", "frame": "camera" }))]);
+    assert!(error.contains("intrinsics are not given, and no IMAGE has them"), "{error}");
+    let mut pose = stylus();
+    pose.2["depth_unit_mm"] = json!(0.1);
+    assert!(fault(&[pose]).contains("are for images, and the port is of geometry/Pose"));
+}
+
+#[test]
+fn a_device_that_sends_another_type_than_its_port_reads_is_a_fault_by_name() {
+    let scan =
+        || Message::new("StylusToReference", STAMP, Body::Image(PixelImage::new([1, 1], 3, Scalar::F32, vec![0; 12])));
+    let error = failed(messages(&[scan()]), &[stylus()]);
+    assert_eq!(
+        error,
+        "port \"stylus\": StylusToReference sends IMAGE, which gives no geometry/Pose; a port of geometry/Cloud or geometry/Image reads it"
+    );
+    let error = failed(messages(&[transform("Scan", STAMP, 0.0)]), &[scan_port()]);
+    assert!(
+        error.contains("Scan sends TRANSFORM, which gives no geometry/Cloud; a port of geometry/Pose reads it"),
+        "{error}"
+    );
+    // A device may send two types, of which the port reads one.
+    let ran = sent(messages(&[scan(), transform("StylusToReference", STAMP, 0.0)]), &[stylus()]);
+    assert_eq!(ran.items.len(), 1);
+}
+
+#[test]
+fn devices_that_no_port_reads_are_listed_with_their_types() {
+    let body = Body::Image(PixelImage::new([1, 1], 1, Scalar::U8, vec![0]));
+    let all = [
+        transform("StylusToReference", STAMP, 0.0),
+        transform("ProbeToReference", STAMP, 0.0),
+        Message::new("Video", STAMP, body),
+    ];
+    let ran = sent(messages(&all), &[stylus()]);
+    assert_eq!(ran.warnings, ["no port reads ProbeToReference (TRANSFORM), Video (IMAGE)"]);
+}
+
+#[test]
+fn stamps_are_corrected_by_the_offset_of_the_senders_clock_and_by_that_after_a_jump() {
+    // A sender an hour behind that sends at the times of its stamps, and then at once an hour and a half behind.
+    let (slow, jump) = (3600 * 1000 * MS, 1800 * 1000 * MS);
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let now_ns = || std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_nanos() as StampNs;
+    let sender = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut sent_at = Vec::new();
+        for k in 0..60 {
+            let now = now_ns();
+            let behind = if k < 30 { slow } else { slow - jump };
+            stream.write_all(&transform("StylusToReference", now - behind, f64::from(k)).to_bytes().unwrap()).unwrap();
+            sent_at.push(now);
+            thread::sleep(Duration::from_millis(10));
+        }
+        sent_at
+    });
+    let ran =
+        take_all(&mut source(address, |params| params.clock = Clock::Receiver), &mut context(&[stylus()])).unwrap();
+    let sent_at = sender.join().unwrap();
+    assert_eq!(ran.items.len(), 60, "{:?}", ran.warnings);
+    for ((stamp_ns, _, _), sent_ns) in ran.items.iter().zip(sent_at) {
+        // The shortest delay of a message on one machine.
+        assert!((stamp_ns - sent_ns).abs() < 200 * MS, "{} ms off", (stamp_ns - sent_ns) / MS);
+    }
+    let told = ran.warnings.iter().filter(|w| w.starts_with("stamps are corrected by 3600.")).count();
+    assert_eq!(told, 1, "{:?}", ran.warnings);
+    let jumped =
+        ran.warnings.iter().any(|w| w.contains("jumped") && w.ends_with("; stamps are corrected by the new offset"));
+    assert!(jumped, "{:?}", ran.warnings);
+}
+
+#[test]
+fn few_messages_wait_a_second_for_the_offset_and_keep_their_order() {
+    let all: Vec<_> = (0..3).map(|k| transform("StylusToReference", STAMP + k * MS, k as f64)).collect();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let sender = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.write_all(&messages(&all)).unwrap();
+        stream.shutdown(std::net::Shutdown::Write).unwrap();
+        let _ = std::io::copy(&mut stream, &mut std::io::sink());
+    });
+    let ran =
+        take_all(&mut source(address, |params| params.clock = Clock::Receiver), &mut context(&[stylus()])).unwrap();
+    sender.join().unwrap();
+    let stamps: Vec<_> = ran.items.iter().map(|item| item.0 - ran.items[0].0).collect();
+    assert_eq!(stamps, [0, MS, 2 * MS], "{:?}", ran.warnings);
+    assert!(
+        ran.items[0].0 > STAMP + 3600 * 1000 * MS,
+        "the time of this machine, not of the stamps: {}",
+        ran.items[0].0
+    );
 }
