@@ -11,7 +11,9 @@ use foxglove::{
 use osteoflow_formats::{
     mcap_read::Recording,
     message_read::{CAMERA_CALIBRATION, COMPRESSED_IMAGE, RAW_IMAGE},
-    openigtlink::{Affine, Body, Cells, Fiducial, Message, Metadata, PolyData, Position, Status, TrackedTool},
+    openigtlink::{
+        Affine, Body, Cells, Fiducial, Message, Metadata, PixelImage, PolyData, Position, Scalar, Status, TrackedTool,
+    },
     recording_write::Stream,
 };
 use osteoflow_geometry::{
@@ -272,6 +274,7 @@ fn messages() -> Vec<Message> {
         }]),
         Body::Points(vec![Fiducial::new("P1", [1.0, 2.0, 3.0])]),
         Body::PolyData(triangle),
+        Body::Image(PixelImage::new([2, 2], 3, Scalar::F32, vec![0; 48])),
         Body::Status(Status::new(Status::OK, "OK", "well")),
         Body::Text("text".into()),
         Body::StartTracking { interval_ms: 50, coordinates: "Reference".into() },

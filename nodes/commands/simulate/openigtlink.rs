@@ -5,12 +5,12 @@ use crate::commands::common::{Global, terminal};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use osteoflow_formats::openigtlink::{
-    Affine, Body, Fiducial, Message, Metadata, PixelImage, PolyData, Scalar, Status, device_name,
+    Affine, Body, Decoder, Fiducial, Message, Metadata, PixelImage, PolyData, Scalar, Status, device_name,
 };
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs, nalgebra::Point3};
 use osteoflow_simulation::Procedure;
 use std::{
-    io::{ErrorKind, Write},
+    io::{ErrorKind, Read, Write},
     net::{Shutdown, TcpListener, TcpStream},
     thread,
     time::{Duration, Instant},
@@ -18,6 +18,9 @@ use std::{
 
 /// How long a client that has all may take to read it.
 const LAST_WORDS: Duration = Duration::from_secs(60);
+
+/// How long a client may take to say that it reads header version 2.
+const HELLO: Duration = Duration::from_millis(300);
 
 /// The messages in which scans are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -32,13 +35,13 @@ pub(super) enum ScanType {
 
 /// Waits for one client at a port of the loopback and plays the procedure to it.
 pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, scans: ScanType, global: &Global) -> Result<()> {
-    let messages = messages(procedure, scans)?;
     let listener =
         TcpListener::bind(("127.0.0.1", port)).with_context(|| format!("cannot listen at 127.0.0.1:{port}"))?;
     // A program that asked for a free port needs it, quiet or not.
     writeln!(terminal::stderr(), "SIMULATED procedure over OpenIGTLink at {}", listener.local_addr()?)?;
     let (mut stream, peer) = listener.accept()?;
     stream.set_nodelay(true)?;
+    let messages = messages(procedure, scans, reads_version_2(&mut stream)?)?;
     let began = Instant::now();
     let first_ns = messages.first().map_or(0, |(stamp_ns, _)| *stamp_ns);
     for (stamp_ns, bytes) in &messages {
@@ -55,9 +58,22 @@ pub(super) fn serve(procedure: &Procedure, port: u16, rate: f64, scans: ScanType
     Ok(())
 }
 
+/// Whether the client has sent a message of header version 2, which PLUS takes for a client that reads it: the library 1.11 does not.
+fn reads_version_2(stream: &mut TcpStream) -> Result<bool> {
+    stream.set_read_timeout(Some(HELLO))?;
+    let mut hello = [0; 1024];
+    let n = match stream.read(&mut hello) {
+        Ok(n) => n,
+        Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => 0,
+        Err(error) => return Err(error.into()),
+    };
+    let mut decoder = Decoder::default();
+    decoder.push(&hello[..n]);
+    Ok(decoder.flatten().any(|message| message.extended.is_some()))
+}
+
 /// Lets the client read what was sent: a socket that is closed with unread bytes discards what it has not yet sent.
 fn finish(stream: &mut TcpStream) -> Result<()> {
-    use std::io::Read;
     stream.shutdown(Shutdown::Write)?;
     stream.set_read_timeout(Some(Duration::from_millis(200)))?;
     let until = Instant::now() + LAST_WORDS;
@@ -73,8 +89,8 @@ fn finish(stream: &mut TcpStream) -> Result<()> {
     Ok(())
 }
 
-/// All messages in the order of their stamps.
-fn messages(procedure: &Procedure, scans: ScanType) -> Result<Vec<(StampNs, Vec<u8>)>> {
+/// All messages in the order of their stamps; metadata where header version 2 is read.
+fn messages(procedure: &Procedure, scans: ScanType, is_version_2: bool) -> Result<Vec<(StampNs, Vec<u8>)>> {
     let mut messages = Vec::new();
     for pose in procedure.camera_marker.iter().chain(&procedure.phantom_marker).chain(&procedure.bone_marker) {
         messages.push(transform(pose));
@@ -109,7 +125,11 @@ fn messages(procedure: &Procedure, scans: ScanType) -> Result<Vec<(StampNs, Vec<
     let exiting = Status::new(Status::EXITING, "Exiting", "the simulated procedure is over");
     let tail = Message::new("Simulation", last_ns, Body::Status(exiting));
     let all = head.into_iter().chain(messages).chain([tail]);
-    all.map(|message| Ok((message.stamp_ns, message.to_bytes()?))).collect()
+    let readable = |mut message: Message| {
+        message.extended = message.extended.filter(|_| is_version_2);
+        Ok((message.stamp_ns, message.to_bytes()?))
+    };
+    all.map(readable).collect()
 }
 
 /// A pose as PLUS sends it.
