@@ -1,7 +1,9 @@
-//! Calibration of the camera to its marker, from one scan of a phantom of known shape; and of a stylus' tip.
+//! Calibration of the camera to its marker, from one scan of a phantom of known shape or from many poses of a target; and of a
+//! stylus' tip.
 
 mod align;
 mod contradiction;
+mod hand_eye;
 mod mirror;
 mod noise;
 mod pairs;
@@ -9,6 +11,7 @@ mod pivot;
 mod report;
 mod spread;
 
+pub use hand_eye::{HandEyeFit, HandEyeReport, Method as HandEyeMethod, hand_eye};
 pub use pivot::{PivotReport, pivot};
 pub use report::{PhantomFit, PhantomReport};
 

@@ -41,6 +41,7 @@ reports! {
     "CutDifference" = osteoflow_algorithms::metrics::CutDifferenceReport;
     "Cuts" = osteoflow_algorithms::metrics::CutsReport;
     "Fre" = osteoflow_algorithms::metrics::FreReport;
+    "HandEye" = osteoflow_algorithms::calibrate::HandEyeReport;
     "Hole" = osteoflow_algorithms::hole::HoleReport;
     "Icp" = osteoflow_algorithms::icp::IcpReport;
     "IcpTrace" = osteoflow_algorithms::icp::IcpTrace;

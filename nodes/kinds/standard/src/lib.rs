@@ -65,6 +65,7 @@ pub fn registry() -> Registry {
         .function::<surface::prepare_any::PrepareAny>()
         .function::<surface::prepare_cloud::PrepareCloud>()
         .function::<calibrate::phantom_icp::PhantomIcp>()
+        .function::<calibrate::hand_eye::HandEye>()
         .function::<calibrate::stylus_pivot::StylusPivot>()
         .function::<transform::stylus_tip::StylusTip>()
         .node::<transform::still_average::StillAverage>()

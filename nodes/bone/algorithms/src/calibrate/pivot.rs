@@ -1,25 +1,50 @@
 //! Pivot calibration: the tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 
 use crate::Refusal;
-use nalgebra::{DMatrix, DVector, Isometry3, Point3};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point3, Vector3};
+use rand::RngExt;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 
 /// Maximum condition number of the equations: poses turned about one axis alone give infinity, a cone of 15 degrees
 /// about 8.
 const MAX_CONDITION: f64 = 100.0;
 
+/// Residuals beyond this many standard deviations are outliers. 5: one of 60 000 poses by chance.
+const GATE_SIGMAS: f64 = 5.0;
+/// Median length of a vector of three normal numbers, in standard deviations.
+const MEDIAN_LENGTH: f64 = 1.538_2;
+/// Residuals up to this are no outliers, mm: rounding.
+const EXACT_MM: f64 = 1e-6;
+/// Fits to few poses from which the search for outliers starts: with a third of outliers 60 of 300 are without any.
+const N_STARTS: usize = 300;
+/// Poses of such a fit.
+const N_OF_START: usize = 4;
+/// Maximum number of times that outliers are sought again after a fit.
+const N_ROUNDS: usize = 20;
+
 /// A stylus' tip and its accuracy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PivotReport {
     /// Number of poses.
     pub n_poses: usize,
-    /// RMS distance between the tip of each pose and the pivot, mm.
+    /// Number of poses that were left out: the tip was elsewhere.
+    #[serde(default)]
+    pub n_outliers: usize,
+    /// Largest distance between the tip of a pose that was left out and the pivot, mm; 0 without any.
+    #[serde(default)]
+    pub outlier_max_mm: f64,
+    /// Number of independent poses that tell as much as those used, whose errors depend on those before them.
+    #[serde(default)]
+    pub n_effective: f64,
+    /// RMS distance between the tip of each pose used and the pivot, mm.
     pub rms_mm: f64,
     /// Largest such distance, mm.
     pub max_mm: f64,
     /// Condition number of the equations: ratio of the largest to the smallest singular value.
     pub condition: f64,
-    /// Standard deviation of the tip predicted from the residuals, RMS over its three directions, mm.
+    /// Standard deviation of the tip predicted from the residuals and the number of independent poses, RMS over its three
+    /// directions, mm.
     pub tip_sd_mm: f64,
     /// The tip in the marker's frame, mm.
     pub tip: [f64; 3],
@@ -27,14 +52,19 @@ pub struct PivotReport {
     pub pivot: [f64; 3],
 }
 
-/// The tip `t` of a stylus in its marker's frame and the pivot `p`, from `R_i t + x_i = p` for all poses, in the
-/// least-squares sense; `O(n)`.
+/// The tip `t` of a stylus in its marker's frame and the pivot `p`, from `R_i t + x_i = p` for all poses in the order in which they
+/// were taken, in the least-squares sense; `O(n)`.
+///
+/// Poses whose tip is farther from the pivot than five standard deviations, by the median of all, are left out: the tip had slipped,
+/// or had not arrived. Where none is, the answer is that of all poses. Errors of poses that follow each other are alike, so the
+/// predicted error counts as many independent poses as the autocorrelation of the residuals leaves.
 ///
 /// # Errors
-/// [`Refusal`] if there are fewer than three poses, one is not finite, or they do not determine the tip.
+/// [`Refusal`] if there are fewer than three poses, one is not finite, fewer than half agree, or they do not determine the tip.
 ///
 /// # Source
-/// Yaniv 2015, "Which pivot calibration?", Proc. SPIE 9415: the algebraic one-step method.
+/// Yaniv 2015, "Which pivot calibration?", Proc. SPIE 9415: the algebraic one-step method. The start of the search for outliers: least
+/// median of squares, Rousseeuw 1984. The number of independent poses: the initial positive sequence of Geyer 1992.
 pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, Refusal> {
     let n = t_world_marker.len();
     if n < 3 {
@@ -45,50 +75,150 @@ pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, Refusal> 
     if let Some(index) = t_world_marker.iter().position(|t| !t.to_homogeneous().iter().all(|x| x.is_finite())) {
         return Err(Refusal::of(format!("pose {index} of the stylus is not finite; drop it before calibrating")));
     }
-    // Relative to the first marker, so that a distant world origin costs no digits.
-    let first = t_world_marker[0].translation.vector;
-    let mut equations = DMatrix::zeros(3 * n, 6);
-    let mut right = DVector::zeros(3 * n);
-    for (k, t) in t_world_marker.iter().enumerate() {
-        equations.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(t.rotation.to_rotation_matrix().matrix());
-        equations.fixed_view_mut::<3, 3>(3 * k, 3).copy_from(&-nalgebra::Matrix3::identity());
-        right.fixed_rows_mut::<3>(3 * k).copy_from(&(first - t.translation.vector));
+    let mut fit = Fit::of(t_world_marker)?;
+    let lengths = |fit: &Fit| -> Vec<f64> { t_world_marker.iter().map(|t| fit.residual(t).norm()).collect() };
+    let all = lengths(&fit);
+    let mut inliers: Vec<bool> = within_gate(&all);
+    if inliers.contains(&false) || fit.condition > MAX_CONDITION {
+        if let Some(start) = least_median(t_world_marker, median(&all)) {
+            inliers = within_gate(&lengths(&start));
+        }
+        for _ in 0..N_ROUNDS {
+            fit = Fit::of(&selected(t_world_marker, &inliers))?;
+            let next = within_gate(&lengths(&fit));
+            if std::mem::replace(&mut inliers, next.clone()) == next {
+                break;
+            }
+        }
     }
-    let svd = equations.svd(true, true);
-    let (largest, smallest) = (svd.singular_values.max(), svd.singular_values.min());
-    let condition = largest / smallest;
+    let used = selected(t_world_marker, &inliers);
+    if used.len() < 3 || 2 * used.len() < n {
+        return Err(Refusal::of(format!(
+            "{} of {n} poses of the stylus agree on a tip, and half are needed; keep the tip in one place, and cut the recording \
+             to the time when it was",
+            used.len()
+        )));
+    }
+    fit = Fit::of(&used)?;
+    let condition = fit.condition;
     if condition.is_nan() || condition > MAX_CONDITION {
         return Err(Refusal::of(format!(
             "the poses leave the tip open (condition {condition:.0}, at most {MAX_CONDITION} is allowed); tilt the stylus \
              farther, in all directions"
         )));
     }
-    let solution = svd.solve(&right, 0.0).expect("both factors were asked for");
-    let tip = Point3::new(solution[0], solution[1], solution[2]);
-    let pivot = Point3::new(solution[3], solution[4], solution[5]) + first;
-    let squares: Vec<f64> = t_world_marker.iter().map(|t| (t * tip - pivot).norm_squared()).collect();
+    let residuals: Vec<Vector3<f64>> = used.iter().map(|t| fit.residual(t)).collect();
+    let squares: Vec<f64> = residuals.iter().map(Vector3::norm_squared).collect();
     let sum: f64 = squares.iter().sum();
-    // The covariance of the solution: the inverse of the normal matrix times the residuals' variance.
-    let factor = svd.v_t.expect("both factors were asked for");
-    let of_tip = |k: usize| (0..6).map(|i| (factor[(i, k)] / svd.singular_values[i]).powi(2)).sum::<f64>();
-    let variance = sum / (3 * n - 6) as f64;
+    let out = lengths(&fit).into_iter().zip(&inliers).filter(|(_, is_inlier)| !**is_inlier);
+    let n_effective = used.len() as f64 / correlation_length(&residuals);
+    // Three poses determine the tip, and leave nothing over to predict an error from beyond rounding.
+    let variance = sum / (3 * used.len() - 6).max(1) as f64 * (used.len() as f64 / n_effective);
     Ok(PivotReport {
         n_poses: n,
-        rms_mm: (sum / n as f64).sqrt(),
+        n_outliers: n - used.len(),
+        outlier_max_mm: out.map(|(length, _)| length).fold(0.0, f64::max),
+        n_effective,
+        rms_mm: (sum / used.len() as f64).sqrt(),
         max_mm: squares.iter().copied().fold(0.0, f64::max).sqrt(),
         condition,
-        tip_sd_mm: (variance * (0..3).map(of_tip).sum::<f64>() / 3.0).sqrt(),
-        tip: tip.coords.into(),
-        pivot: pivot.coords.into(),
+        tip_sd_mm: (variance * fit.tip_variance / 3.0).sqrt(),
+        tip: fit.tip.coords.into(),
+        pivot: fit.pivot.coords.into(),
     })
+}
+
+/// A least-squares fit.
+struct Fit {
+    tip: Point3<f64>,
+    pivot: Point3<f64>,
+    condition: f64,
+    /// Sum of the variances of the tip's coordinates for residuals of variance 1.
+    tip_variance: f64,
+}
+
+impl Fit {
+    fn of(t_world_marker: &[Isometry3<f64>]) -> Result<Self, Refusal> {
+        let n = t_world_marker.len();
+        // Relative to the first marker, so that a distant world origin costs no digits.
+        let first = t_world_marker.first().map(|t| t.translation.vector).unwrap_or_default();
+        let mut equations = DMatrix::zeros(3 * n, 6);
+        let mut right = DVector::zeros(3 * n);
+        for (k, t) in t_world_marker.iter().enumerate() {
+            equations.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(t.rotation.to_rotation_matrix().matrix());
+            equations.fixed_view_mut::<3, 3>(3 * k, 3).copy_from(&-Matrix3::identity());
+            right.fixed_rows_mut::<3>(3 * k).copy_from(&(first - t.translation.vector));
+        }
+        let svd = equations.svd(true, true);
+        let (largest, smallest) = (svd.singular_values.max(), svd.singular_values.min());
+        let solution =
+            svd.solve(&right, 0.0).map_err(|error| Refusal::of(format!("the poses give no tip: {error}")))?;
+        // The covariance of the solution: the inverse of the normal matrix times the residuals' variance.
+        let factor = svd.v_t.expect("both factors were asked for");
+        let of_tip = |k: usize| (0..6).map(|i| (factor[(i, k)] / svd.singular_values[i]).powi(2)).sum::<f64>();
+        Ok(Self {
+            tip: Point3::new(solution[0], solution[1], solution[2]),
+            pivot: Point3::new(solution[3], solution[4], solution[5]) + first,
+            condition: largest / smallest,
+            tip_variance: (0..3).map(of_tip).sum::<f64>(),
+        })
+    }
+
+    fn residual(&self, t_world_marker: &Isometry3<f64>) -> Vector3<f64> {
+        t_world_marker * self.tip - self.pivot
+    }
+}
+
+fn median(lengths: &[f64]) -> f64 {
+    let mut sorted = lengths.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Which residuals are within the gate that their median gives.
+fn within_gate(lengths: &[f64]) -> Vec<bool> {
+    let gate_mm = (GATE_SIGMAS * median(lengths) / MEDIAN_LENGTH).max(EXACT_MM);
+    // A NaN is no inlier.
+    lengths.iter().map(|length| *length <= gate_mm).collect()
+}
+
+fn selected(poses: &[Isometry3<f64>], inliers: &[bool]) -> Vec<Isometry3<f64>> {
+    poses.iter().zip(inliers).filter(|(_, is_inlier)| **is_inlier).map(|(pose, _)| *pose).collect()
+}
+
+/// The fit to few poses with the least median residual of all poses, if it is below `median_mm`.
+fn least_median(poses: &[Isometry3<f64>], median_mm: f64) -> Option<Fit> {
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let (mut best, mut best_mm) = (None, median_mm);
+    for _ in 0..N_STARTS {
+        let few: Vec<_> = (0..N_OF_START).map(|_| poses[rng.random_range(0..poses.len())]).collect();
+        let Some(fit) = Fit::of(&few).ok().filter(|fit| fit.condition <= MAX_CONDITION) else { continue };
+        let of_all: Vec<f64> = poses.iter().map(|t| fit.residual(t).norm()).collect();
+        let found_mm = median(&of_all);
+        if found_mm < best_mm {
+            (best, best_mm) = (Some(fit), found_mm);
+        }
+    }
+    best
+}
+
+/// Number of residuals that tell as much as one independent residual, at least 1: the integrated autocorrelation time, summed in
+/// pairs of lags up to the first that is not positive; `O(n²)` at worst.
+fn correlation_length(residuals: &[Vector3<f64>]) -> f64 {
+    let n = residuals.len();
+    let at = |lag: usize| residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a.dot(b)).sum::<f64>();
+    let variance = at(0);
+    if !(variance.is_finite() && variance > 0.0) {
+        return 1.0;
+    }
+    let pairs = (0..n / 2).map(|k| (at(2 * k) + at(2 * k + 1)) / variance).take_while(|pair| *pair > 0.0);
+    (2.0 * pairs.sum::<f64>() - 1.0).clamp(1.0, n as f64)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Translation3, UnitQuaternion, Vector3};
-    use rand::RngExt;
-    use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+    use nalgebra::{Translation3, UnitQuaternion};
 
     const TIP: [f64; 3] = [12.0, -4.0, 158.0];
 
@@ -129,6 +259,54 @@ mod tests {
         // 600 errors, correlated within a calibration: 10 %.
         assert!((found / predicted - 1.0).abs() < 0.1, "the tip errs by {found} mm per axis, {predicted} predicted");
         assert!((rms - 0.1 * 3f64.sqrt()).abs() < 0.01, "{rms} mm");
+    }
+
+    #[test]
+    fn poses_whose_tip_is_elsewhere_are_left_out_and_told() {
+        let clean = pivot(&poses(60, 25.0, 0.1, 3)).unwrap();
+        assert_eq!((clean.n_outliers, clean.outlier_max_mm), (0, 0.0));
+        // The tip slips by 3.9 mm for eight poses, and the stylus is lifted for twelve more.
+        let mut slipped = poses(60, 25.0, 0.1, 3);
+        slipped[20..28].iter_mut().for_each(|t| t.translation.vector.x += 3.9);
+        slipped[48..].iter_mut().enumerate().for_each(|(k, t)| t.translation.vector.z += 20.0 + 3.0 * k as f64);
+        let report = pivot(&slipped).unwrap();
+        assert_eq!((report.n_poses, report.n_outliers), (60, 20), "{report:?}");
+        assert!((report.outlier_max_mm - 53.0).abs() < 0.5, "{report:?}");
+        // 40 of 60 poses, three standard deviations.
+        assert!(off(&report) < 3.0 * 3f64.sqrt() * report.tip_sd_mm, "{} mm off, {report:?}", off(&report));
+        let kept: Vec<_> = slipped[..20].iter().chain(&slipped[28..48]).copied().collect();
+        assert_eq!(pivot(&kept).unwrap().tip, report.tip, "the answer is that of the others");
+    }
+
+    #[test]
+    fn correlated_poses_count_as_few_and_the_tip_errs_as_predicted() {
+        // A tip that wanders within its divot: a first-order process with a time constant of ten poses.
+        let (mut found, mut predicted, mut n_effective) = (0.0, 0.0, 0.0);
+        let keep = (-0.1_f64).exp();
+        for seed in 0..200 {
+            let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
+            let mut one = || 2.0 * rng.random::<f64>() - 1.0;
+            let (mut at, mut tilt) = (Vector3::zeros(), Vector3::zeros());
+            let poses: Vec<_> = (0..120)
+                .map(|k| {
+                    let push = Vector3::new(one(), one(), one()) * 0.2 * 3f64.sqrt();
+                    at = at * keep + push * (1.0 - keep * keep).sqrt();
+                    let angle = 0.15 * f64::from(k);
+                    tilt = Vector3::new(angle.cos(), angle.sin(), (0.3 * angle).sin()) * 0.4;
+                    let turn = UnitQuaternion::from_scaled_axis(tilt);
+                    Translation3::from(Vector3::new(500.0, -800.0, 1200.0) + at - turn * Vector3::from(TIP)) * turn
+                })
+                .collect();
+            let report = pivot(&poses).unwrap();
+            found += off(&report).powi(2) / 3.0 / 200.0;
+            predicted += report.tip_sd_mm.powi(2) / 200.0;
+            n_effective += report.n_effective / 200.0;
+        }
+        let (found, predicted) = (found.sqrt(), predicted.sqrt());
+        // 120 poses of a process whose sum of autocorrelations is 20, of which the fit takes some.
+        assert!((6.0..25.0).contains(&n_effective), "{n_effective} independent poses");
+        let ratio = predicted / found;
+        assert!((0.75..1.5).contains(&ratio), "the tip errs by {found} mm per axis, {predicted} predicted");
     }
 
     #[test]

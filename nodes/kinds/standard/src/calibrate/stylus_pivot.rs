@@ -6,7 +6,9 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 ///
-/// Least squares over `R_i tip + x_i = pivot`. Poses that are tilted too little, or about one axis only, are refused.
+/// Least squares over `R_i tip + x_i = pivot`. Poses whose tip is farther from the pivot than five standard deviations are left out
+/// and told, and the predicted error counts poses that follow each other as far as their errors are independent. Poses that are tilted
+/// too little, or about one axis only, are refused.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -31,7 +33,7 @@ pub struct Out {
     /// One point, `tip`, in the marker's frame.
     #[port(frame = "pose.from")]
     tip: Points,
-    /// Residual, condition, tip and pivot.
+    /// Residual, outliers, number of independent poses, condition, tip and pivot.
     report: PivotReport,
 }
 
@@ -41,11 +43,17 @@ impl Function for StylusPivot {
     type Inputs = In;
     type Outputs = Out;
 
-    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let first = i.pose.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker was received"))?;
         let poses: Vec<Isometry3<f64>> =
             i.pose.iter().map(|pose| pose.expect(&first.to, &first.from)).collect::<Result<_, _>>()?;
         let report = pivot(&poses)?;
+        if report.n_outliers > 0 {
+            ctx.warn(format!(
+                "{} of {} poses are left out: their tip is up to {:.2} mm from the pivot, where the others are within {:.2} mm",
+                report.n_outliers, report.n_poses, report.outlier_max_mm, report.max_mm
+            ));
+        }
         Ok(Out { tip: Points::new(&first.from, vec![NamedPoint::new("tip", report.tip.into())]), report })
     }
 }

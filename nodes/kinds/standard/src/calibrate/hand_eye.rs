@@ -1,0 +1,106 @@
+//! The kind `calibrate.hand_eye`.
+
+use osteoflow_algorithms::calibrate::{HandEyeMethod, HandEyeReport, hand_eye};
+use osteoflow_geometry::{Pose, nalgebra::Isometry3};
+use osteoflow_node::{
+    Context, Describe, Function, Inputs, NodeError, Outputs,
+    schemars::{self, JsonSchema},
+    serde::Deserialize,
+};
+
+/// The pose of the camera's marker in the camera, from poses of the marker and of a target that does not move: `A X = X B`.
+///
+/// The target is a phantom or a board whose pose the camera sees, in any frame of its own; its place need not be known, which
+/// `calibrate.phantom_icp` asks for. The camera is turned by 30 degrees or more about two axes or more, and held still at each pose.
+/// Motions about one axis alone are refused, and the report says how far the methods differ and how well the motions determine the
+/// answer.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "calibrate.hand_eye"
+in   = { marker = "recording.camera_marker", target = "recording.board" }
+method = "park_martin"
+"#,
+    literature = [
+        "Park and Martin 1994, Robot sensor calibration: solving AX = XB on the Euclidean group",
+        "Tsai and Lenz 1989, A new technique for fully autonomous and efficient 3D robotics hand/eye calibration",
+        "Daniilidis 1999, Hand-eye calibration using dual quaternions"
+    ]
+)]
+pub struct HandEye;
+
+/// Parameters of [`HandEye`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// The method. park_martin: rotation by least squares, then translation; the others show in the report how far they differ.
+    pub method: HandEyeMethod,
+    /// Largest difference between the stamps of a pose of the target and the nearest one of the marker, ms. 25: half an interval
+    /// of a slow tracker; the camera is held still.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
+    pub max_stamp_difference_ms: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { method: HandEyeMethod::default(), max_stamp_difference_ms: 25.0 }
+    }
+}
+
+/// Inputs of [`HandEye`].
+#[derive(Inputs)]
+pub struct In {
+    /// The camera's marker in the tracker's frame, all poses until the end.
+    #[port(join = "collect")]
+    marker: Vec<Pose>,
+    /// The target in the camera's frame, all poses until the end.
+    #[port(join = "collect")]
+    target: Vec<Pose>,
+}
+
+/// Outputs of [`HandEye`].
+#[derive(Outputs)]
+pub struct Out {
+    /// The calibration.
+    #[port(to = "target.to", from = "marker.from")]
+    t_camera_camera_marker: Pose,
+    /// Residuals, observability and predicted error.
+    report: HandEyeReport,
+}
+
+impl Function for HandEye {
+    const KIND: &'static str = "calibrate.hand_eye";
+    type Params = Params;
+    type Inputs = In;
+    type Outputs = Out;
+
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
+        let (Some(marker), Some(target)) = (i.marker.first(), i.target.first()) else {
+            let missing = if i.marker.is_empty() { "marker" } else { "target" };
+            return Err(NodeError::new(format!("no pose was received at \"{missing}\"")));
+        };
+        let markers =
+            i.marker.iter().map(|pose| pose.expect(&marker.to, &marker.from)).collect::<Result<Vec<_>, _>>()?;
+        let targets =
+            i.target.iter().map(|pose| pose.expect(&target.to, &target.from)).collect::<Result<Vec<_>, _>>()?;
+        let most_ns = params.max_stamp_difference_ms * 1e6;
+        let pair = |(pose, t_camera_target): (&Pose, &Isometry3<f64>)| {
+            let off = |of: &Pose| of.stamp_ns.abs_diff(pose.stamp_ns);
+            let (marker, t_world_marker) = i.marker.iter().zip(&markers).min_by_key(|(marker, _)| off(marker))?;
+            (off(marker) as f64 <= most_ns).then_some((*t_world_marker, *t_camera_target))
+        };
+        let (t_world_marker, t_camera_target): (Vec<_>, Vec<_>) =
+            i.target.iter().zip(&targets).filter_map(pair).unzip();
+        let n_alone = targets.len() - t_camera_target.len();
+        if n_alone > 0 {
+            ctx.warn(format!(
+                "{n_alone} of {} poses of the target are left out: no pose of the marker is within {} ms of them",
+                targets.len(),
+                params.max_stamp_difference_ms
+            ));
+        }
+        let fit = hand_eye(&t_world_marker, &t_camera_target, params.method)?;
+        let t_camera_camera_marker = Pose::new(&target.to, &marker.from, fit.t_marker_camera.inverse());
+        Ok(Out { t_camera_camera_marker, report: fit.report })
+    }
+}
