@@ -138,7 +138,7 @@ wires = ["*"]
 def read_here(port, name):
     """What this program reads of a sender at a port, until that closes."""
     graph = folder() / f"{name}.toml"
-    lines = GRAPH.format(port=port, camera="{ fx = 500.0, fy = 400.0, cx = 1.5, cy = 1.0 }").splitlines()
+    lines = GRAPH.format(port=port, camera="[500.0, 400.0, 1.5, 1.0]").splitlines()
     graph.write_text("\n".join(line for line in lines if name != "igtl" or "out.cloud" not in line) + "\n")
     _SENT[graph, port] = True
     out = folder() / f"from-{name}-{len(_SENT)}"

@@ -3,7 +3,6 @@
 mod images;
 mod ports;
 
-pub use images::IntrinsicsParams;
 pub use ports::{PatientSpace, PortParams};
 
 use super::network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting};

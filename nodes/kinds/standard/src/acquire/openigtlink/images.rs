@@ -8,39 +8,24 @@ use osteoflow_geometry::{
     nalgebra::{Matrix3, Point3},
     nearest_isometry,
 };
-use osteoflow_node::{
-    schemars::{self, JsonSchema},
-    serde::Deserialize,
-};
 
-/// The pinhole camera of a device, px, without distortion. The centre of the top left pixel is (0, 0).
-#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct IntrinsicsParams {
-    /// Focal length along x.
-    pub fx: f64,
-    /// Focal length along y.
-    pub fy: f64,
-    /// Principal point, x.
-    pub cx: f64,
-    /// Principal point, y.
-    pub cy: f64,
-}
-
-impl IntrinsicsParams {
-    /// The camera.
-    ///
-    /// # Errors
-    /// Numbers that no camera has.
-    pub(super) fn checked(self) -> Result<Intrinsics, String> {
-        let Self { fx, fy, cx, cy } = self;
-        let is_camera = [fx, fy, cx, cy].iter().all(|c| c.is_finite()) && fx > 0.0 && fy > 0.0;
-        is_camera.then_some(Intrinsics { fx, fy, cx, cy }).ok_or_else(|| {
-            format!(
-                "intrinsics fx {fx}, fy {fy}, cx {cx}, cy {cy}: finite numbers and positive focal lengths are expected"
-            )
-        })
-    }
+/// The pinhole camera of fx, fy, cx and cy, px, without distortion; `None` of no numbers.
+///
+/// # Errors
+/// Another number of numbers, or some that no camera has.
+pub(super) fn camera_of(numbers: &[f64]) -> Result<Option<Intrinsics>, String> {
+    let &[fx, fy, cx, cy] = numbers else {
+        let n = numbers.len();
+        return if n == 0 {
+            Ok(None)
+        } else {
+            Err(format!("intrinsics have {n} numbers, and are fx, fy, cx and cy, px"))
+        };
+    };
+    let is_camera = numbers.iter().all(|c| c.is_finite()) && fx > 0.0 && fy > 0.0;
+    is_camera.then_some(Some(Intrinsics { fx, fy, cx, cy })).ok_or_else(|| {
+        format!("intrinsics fx {fx}, fy {fy}, cx {cx}, cy {cy}: finite numbers and positive focal lengths are expected")
+    })
 }
 
 /// What a port knows of the camera whose images it reads.
@@ -88,8 +73,7 @@ impl Port<Content> {
             (1, Scalar::U16 | Scalar::I16 | Scalar::U32 | Scalar::I32 | Scalar::F32 | Scalar::F64) => {
                 let (Some(intrinsics), Some(unit_mm)) = (camera.intrinsics, camera.depth_unit_mm) else {
                     return Err(Refusal::Graph(format!(
-                        "{device} sends an IMAGE of {form}: depth, for which the port needs intrinsics = {{ fx = .., fy = .., cx = .., \
-                         cy = .. }} and depth_unit_mm, the depth of one step (0.1 for Revopoint, 1 for Kinect and RealSense)"
+                        "{device} sends an IMAGE of {form}: depth, for which the port needs intrinsics = [fx, fy, cx, cy] and depth_unit_mm, the depth of one step (0.1 for Revopoint, 1 for Kinect and RealSense)"
                     )));
                 };
                 depths(image, intrinsics, unit_mm).collect()

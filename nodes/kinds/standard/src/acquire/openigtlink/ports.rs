@@ -1,6 +1,6 @@
 //! Messages to the payloads of declared ports.
 
-use super::images::{Camera, IntrinsicsParams, Refusal};
+use super::images::{Camera, Refusal, camera_of};
 use crate::acquire::network::{Port, PortItems, StreamParams};
 use osteoflow_formats::{
     Space,
@@ -39,9 +39,9 @@ pub struct PortParams {
     /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: it does; a
     /// constant of a configuration may need false.
     pub identity_is_lost: Option<bool>,
-    /// The camera of a depth image or a picture, which PLUS does not send: `{ fx = .., fy = .., cx = .., cy = .. }`, px. Not for a
-    /// point image.
-    pub intrinsics: Option<IntrinsicsParams>,
+    /// The camera of a depth image or a picture, which PLUS does not send: fx, fy, cx, cy, px, without distortion; the centre of the
+    /// top left pixel is (0, 0). Not for a point image.
+    pub intrinsics: Vec<f64>,
     /// The depth of one step of a depth image, mm: 0.1 for Revopoint, 1 for Kinect and RealSense as they are set by default. Required
     /// for depth.
     #[schemars(range(min = 1e-6, max = 1000.0))]
@@ -152,12 +152,11 @@ impl Content {
             )));
         }
         let identity_is_lost = params.identity_is_lost.unwrap_or(true);
-        let intrinsics = params.intrinsics.map(IntrinsicsParams::checked).transpose().map_err(&fault)?;
+        let intrinsics = camera_of(&params.intrinsics).map_err(&fault)?;
         match payload {
             "geometry/Image" if intrinsics.is_none() => {
                 return Err(fault(
-                    "intrinsics are not given, and no IMAGE has them; set intrinsics = { fx = .., fy = .., cx = .., \
-                                  cy = .. } in pixels of the image as sent"
+                    "intrinsics are not given, and no IMAGE has them; set intrinsics = [fx, fy, cx, cy] in pixels of the image as sent"
                         .into(),
                 ));
             }

@@ -475,7 +475,7 @@ fn scan_port() -> PortSpec {
 }
 
 fn intrinsics() -> serde_json::Value {
-    json!({ "fx": 500.0, "fy": 400.0, "cx": 1.0, "cy": 0.5 })
+    json!([500.0, 400.0, 1.0, 0.5])
 }
 
 fn image(body: PixelImage) -> Vec<u8> {
@@ -568,8 +568,7 @@ fn a_depth_image_is_placed_by_the_intrinsics_of_the_port() {
     let error = failed(image(body), &[scan_port()]);
     assert_eq!(
         error,
-        "port \"scan\": Scan sends an IMAGE of 3 x 2 pixels of 1 uint16: depth, for which the port needs intrinsics = { fx = .., fy = .., \
-         cx = .., cy = .. } and depth_unit_mm, the depth of one step (0.1 for Revopoint, 1 for Kinect and RealSense)"
+        "port \"scan\": Scan sends an IMAGE of 3 x 2 pixels of 1 uint16: depth, for which the port needs intrinsics = [fx, fy, cx, cy] and depth_unit_mm, the depth of one step (0.1 for Revopoint, 1 for Kinect and RealSense)"
     );
 }
 
