@@ -283,13 +283,20 @@ pub(super) fn prior(field_sds_mm: &[f64; N_FIELD], sigma_mm: f64) -> Row {
     field(|k| N_TOGETHER * (sigma_mm.max(SURFACE_MM) / field_sds_mm[k]).powi(2))
 }
 
-/// Normal matrix and right-hand side; unknowns beyond the first `n` are held at zero.
+/// Lower half of the normal matrix, and right-hand side; unknowns beyond the first `n` are held at zero.
 fn normal_equations(pairs: &[Option<Pair>], rows: &[Row], gate_mm: f64, n: usize) -> (Normal, Row) {
     let (mut h, mut b) = (Normal::zeros(), Row::zeros());
     for (pair, row) in pairs.iter().zip(rows) {
         let Some(pair) = pair else { continue };
-        let weighted = row * weight(pair.residual_mm, gate_mm);
-        h += weighted * row.transpose();
+        let weight = weight(pair.residual_mm, gate_mm);
+        if weight == 0.0 {
+            continue;
+        }
+        let weighted = row * weight;
+        for k in 0..n {
+            let column = &mut h.as_mut_slice()[k * N..k * N + n];
+            column[k..].iter_mut().zip(&weighted.as_slice()[k..n]).for_each(|(sum, of)| *sum += of * row[k]);
+        }
         b += weighted * pair.residual_mm;
     }
     (n..N).for_each(|k| h[(k, k)] = 1.0);
