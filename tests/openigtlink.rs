@@ -83,11 +83,7 @@ fn the_whole_method_over_openigtlink_gives_the_results_of_the_same_procedure_fro
         }
         assert_eq!(live.results["verdict"]["answer"], "trusted");
         assert_eq!(live.results["simulated"], true);
-        assert!(
-            !live.stderr.contains("equal to the last bit") && !live.stderr.contains("some are not sent"),
-            "{}",
-            live.stderr
-        );
+        assert!(!live.stderr.contains("equal to the last bit"), "{}", live.stderr);
         assert!(!live.stderr.contains("late") && !live.stderr.contains("has not come"), "{}", live.stderr);
     }
 }
@@ -119,6 +115,8 @@ fn a_receiver_gets_registration_and_planes_of_the_results_while_they_are_trusted
         .map(|(node, address)| format!("{node}.address={address}"));
     let live = run_whole(LIVE, &["--no-record", "--set", &address, "--set", &navigation]);
     let messages = receiver.join().unwrap();
+    // At the rate of a tracker all planes are sent; as fast as a file is read, a busy machine leaves some out.
+    assert!(!live.stderr.contains("some are not sent"), "{}", live.stderr);
     let transforms = |device: &str| -> Vec<_> {
         let of_device = messages.iter().filter(|message| message.device == device);
         of_device.filter_map(|m| if let Body::Transform(affine) = m.body { Some(affine) } else { None }).collect()
