@@ -32,18 +32,23 @@ fn take_all(source: &mut NetworkSource<OpenIgtLink>, ctx: &mut Context) -> Resul
     outcome.error.clone().map_or(Ok(outcome), Err)
 }
 
-/// Sends bytes to a source as one sender does, and closes.
+/// What a source gives of bytes that one sender sends, before it closes.
 fn sent(bytes: Vec<u8>, ports: &[PortSpec]) -> Outcome {
+    ended(bytes, ports).unwrap()
+}
+
+/// How a source ends, after bytes that one sender sends before it closes.
+fn ended(bytes: Vec<u8>, ports: &[PortSpec]) -> Result<Outcome, String> {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let sender = thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         stream.write_all(&bytes).unwrap();
         stream.shutdown(std::net::Shutdown::Write).unwrap();
-        // The source reads to the end before this side closes.
+        // The source reads to the end before this side closes, or leaves before.
         let _ = std::io::copy(&mut stream, &mut std::io::sink());
     });
-    let ran = take_all(&mut source(address, |_| {}), &mut context(ports)).unwrap();
+    let ran = take_all(&mut source(address, |_| {}), &mut context(ports));
     sender.join().unwrap();
     ran
 }
@@ -488,18 +493,7 @@ fn floats(values: &[f32]) -> Vec<u8> {
 
 /// The error with which a source ends, after these bytes and an end in order.
 fn failed(bytes: Vec<u8>, ports: &[PortSpec]) -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    let sender = thread::spawn(move || {
-        let (mut stream, _) = listener.accept().unwrap();
-        stream.write_all(&bytes).unwrap();
-        stream.shutdown(std::net::Shutdown::Write).unwrap();
-        // The source may leave before it has read all.
-        let _ = std::io::copy(&mut stream, &mut std::io::sink());
-    });
-    let error = take_all(&mut source(address, |_| {}), &mut context(ports)).unwrap_err();
-    sender.join().unwrap();
-    error
+    ended(bytes, ports).unwrap_err()
 }
 
 #[test]
