@@ -124,7 +124,7 @@ fn messages_of_pyigtl_are_read_in_both_header_versions() {
         assert_eq!(found[4].body, Body::PolyData(mesh));
         let Body::Image(image) = &found[5].body else { panic!("{:?}", found[5]) };
         assert_eq!((image.form().as_str(), image.is_whole()), ("4 x 3 pixels of 3 float32", true));
-        assert_eq!(image.values().collect::<Vec<_>>(), (0..36).map(|k| 0.5 * f64::from(k)).collect::<Vec<_>>());
+        assert_eq!(image.values(), (0..36).map(|k| 0.5 * f64::from(k)).collect::<Vec<_>>());
         // Its matrix is the identity at the first pixel; the protocol sends the centre.
         assert_eq!(image.t_space_index(), Matrix4::identity());
     }

@@ -269,11 +269,8 @@ fn unit(text: &str) -> Result<f64, String> {
 }
 
 fn camera(text: &str) -> Result<Point3<f64>, String> {
-    let cells: Option<Vec<f64>> = text.split(',').map(|cell| cell.trim().parse().ok()).collect();
-    match cells.as_deref() {
-        Some(&[x, y, z]) if [x, y, z].iter().all(|c| c.is_finite()) => Ok(Point3::new(x, y, z)),
-        _ => Err("three finite numbers are expected, such as 0,0,0".into()),
-    }
+    let point = numbers::<3>(text, "0,0,0").map(Point3::from);
+    point.map_err(|_| "three finite numbers are expected, such as 0,0,0".into())
 }
 
 /// The text of a part, as an option.
@@ -520,15 +517,15 @@ impl RegisterRequest {
             part.as_deref().map(str::parse).transpose().map_err(|error: String| usage(&error).into())
         };
         let (target, source) = (choice(&self.component)?, choice(&self.source_component)?);
-        let is_scan = [false, true];
-        for ((input, choice), is_scan) in
-            [(&mut self.target, target), (&mut self.source, source)].into_iter().zip(is_scan)
-        {
+        let inputs = [
+            (&mut self.target, target, TARGET_PART, parts::of_target as fn(_, _) -> _),
+            (&mut self.source, source, SOURCE_PART, parts::of_scan),
+        ];
+        for (input, choice, option, take) in inputs {
             let Some(content) = input.content.take() else { continue };
-            let chosen = if is_scan { parts::of_scan(content, choice) } else { parts::of_target(content, choice) };
-            let (content, of_parts) = chosen.map_err(|error| usage(&format!("{}: {error}", input.path.display())))?;
+            let (content, of_parts) =
+                take(content, choice).map_err(|error| usage(&format!("{}: {error}", input.path.display())))?;
             input.content = Some(content);
-            let option = if is_scan { SOURCE_PART } else { TARGET_PART };
             let note = |note: String| format!("{}: {}", input.path.display(), note.replace(PART_KEY, option));
             notes.extend(of_parts.into_iter().map(note));
         }

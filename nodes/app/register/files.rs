@@ -13,6 +13,7 @@ use osteoflow_geometry::{
     Cloud,
     nalgebra::{Isometry3, Point3},
 };
+use osteoflow_standard::parts;
 use std::{
     fs,
     io::Write as _,
@@ -32,9 +33,6 @@ pub(super) enum Form {
 
 /// The name of the column of residuals in the moved source.
 pub(super) const RESIDUAL: &str = "residual_mm";
-
-/// The name of the column that says which points belong to the bone.
-const OF_BONE: &str = "on_bone";
 
 /// The endings under which the moved source can be written with its residuals.
 const MOVED: [&str; 3] = ["ply", "pcd", "csv"];
@@ -176,21 +174,14 @@ pub(super) fn moved_source(
 ) -> Result<Cloud> {
     let moved = source.transformed(target.frame.clone(), t_target_source);
     let residuals: Vec<f64> = moved.points().iter().map(|point| residual(target, point)).collect();
-    let of_bone = inliers_mm.map(|[inside_mm, outside_mm]| {
-        // A crop keeps the order.
-        let mut kept = cropped.unwrap_or(source).points().iter().peekable();
-        let is_kept = |point: &Point3<f64>| kept.next_if(|next| *next == point).is_some();
-        let is_kept: Vec<bool> = source.points().iter().map(is_kept).collect();
-        let fits = |residual: &f64| (inside_mm..=outside_mm).contains(residual);
-        let of_point = |(residual, kept): (&f64, bool)| f64::from(u8::from(kept && fits(residual)));
-        residuals.iter().zip(is_kept).map(of_point).collect::<Vec<f64>>()
-    });
-    let moved = moved.with_extra(RESIDUAL, residuals)?;
-    let has = moved.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(OF_BONE));
-    match of_bone.filter(|_| !has) {
-        Some(of_bone) => Ok(moved.with_extra(OF_BONE, of_bone)?),
-        None => Ok(moved),
-    }
+    // A crop keeps the order.
+    let mut kept = cropped.unwrap_or(source).points().iter().peekable();
+    let of_kept = |(point, residual): (&Point3<f64>, &f64)| match kept.next_if(|next| *next == point) {
+        Some(_) => *residual,
+        None => f64::NAN,
+    };
+    let of_kept: Vec<f64> = source.points().iter().zip(&residuals).map(of_kept).collect();
+    Ok(parts::with_on_bone(moved.with_extra(RESIDUAL, residuals)?, &of_kept, inliers_mm)?)
 }
 
 fn residual(target: &Target, point: &Point3<f64>) -> f64 {

@@ -167,7 +167,7 @@ impl Register {
         for (node, option) in self.request.crops() {
             let after = n_of(&format!("{node}.cloud"));
             if let (Some(before), Some(after)) = (before, after) {
-                notes.push(format!("{} of {} points are in the {option}", grouped(after), grouped(before)));
+                notes.push(format!("{after} of {before} points are in the {option}"));
             }
             before = after;
         }
@@ -226,19 +226,6 @@ impl Register {
             run: report,
         })
     }
-}
-
-/// A count with commas between thousands.
-fn grouped(n: usize) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (k, digit) in digits.chars().enumerate() {
-        if k > 0 && (digits.len() - k).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
 }
 
 /// Names a file in messages as the request does: a node knows its absolute path.

@@ -42,13 +42,14 @@ mod image;
 mod metadata;
 mod poly_data;
 
+pub use crate::scalar::Scalar;
 pub use bytes::EncodeError;
 pub use clock::{ClockNote, ClockOffset};
 pub use content::{Affine, Body, Fiducial, Position, Status, TrackedTool};
 pub use crc::crc64;
 pub use decoder::{Damage, Decoder};
 pub use header::{HEADER_BYTES, MAX_BODY_BYTES};
-pub use image::{PixelImage, Scalar};
+pub use image::PixelImage;
 pub use metadata::{Extended, Metadata};
 pub use poly_data::{Attribute, Cells, PolyData};
 

@@ -2,16 +2,26 @@
 
 /// The type of a binary number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Scalar {
+pub enum Scalar {
+    /// 8 bits, signed.
     I8,
+    /// 8 bits.
     U8,
+    /// 16 bits, signed.
     I16,
+    /// 16 bits.
     U16,
+    /// 32 bits, signed.
     I32,
+    /// 32 bits.
     U32,
+    /// 64 bits, signed.
     I64,
+    /// 64 bits.
     U64,
+    /// Single precision.
     F32,
+    /// Double precision.
     F64,
 }
 
@@ -47,12 +57,29 @@ macro_rules! with_type {
 }
 
 impl Scalar {
-    pub(crate) fn n_bytes(self) -> usize {
+    /// Number of bytes.
+    pub fn n_bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
             Self::I32 | Self::U32 | Self::F32 => 4,
             Self::I64 | Self::U64 | Self::F64 => 8,
+        }
+    }
+
+    /// The name that numpy has for it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::I8 => "int8",
+            Self::U8 => "uint8",
+            Self::I16 => "int16",
+            Self::U16 => "uint16",
+            Self::I32 => "int32",
+            Self::U32 => "uint32",
+            Self::I64 => "int64",
+            Self::U64 => "uint64",
+            Self::F32 => "float32",
+            Self::F64 => "float64",
         }
     }
 

@@ -5,7 +5,7 @@ use osteoflow_algorithms::{
     parts::{MAX_LISTED, PartChoice, Parts, turned_outwards},
 };
 use osteoflow_formats::mesh_or_cloud::{MeshOrCloud, MeshRead};
-use osteoflow_geometry::Mesh;
+use osteoflow_geometry::{Cloud, CloudError, Mesh};
 use osteoflow_node::ParamError;
 
 /// The choice that the parameter `component` names.
@@ -88,6 +88,25 @@ pub fn of_scan(read: MeshOrCloud, choice: Option<PartChoice>) -> Result<(MeshOrC
             (MeshOrCloud::Cloud(read, notes), taken(&parts, place))
         }
     })
+}
+
+/// The column that says which points belong to the bone.
+const ON_BONE: &str = "on_bone";
+
+/// A cloud with the column `on_bone`: 1 for points whose distance from the bone, mm, is among those of the registration's inliers, 0 for
+/// the others. Without inliers, or with such a column, it stays as it is.
+///
+/// # Errors
+/// [`CloudError`] if there is not one distance for each point.
+pub fn with_on_bone(cloud: Cloud, distances_mm: &[f64], inliers_mm: Option<[f64; 2]>) -> Result<Cloud, CloudError> {
+    let has_column = cloud.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(ON_BONE));
+    match inliers_mm.filter(|_| !has_column) {
+        Some([inside, outside]) => {
+            let on_bone = |mm: &f64| f64::from(u8::from((inside..=outside).contains(mm)));
+            cloud.with_extra(ON_BONE, distances_mm.iter().map(on_bone).collect::<Vec<f64>>())
+        }
+        None => Ok(cloud),
+    }
 }
 
 /// A note on the part that was taken, and on those that are as large.

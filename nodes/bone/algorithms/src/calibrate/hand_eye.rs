@@ -13,7 +13,7 @@ const LEAST_TURN_RAD: f64 = 0.052;
 const MOST_TURN_RAD: f64 = 2.967;
 /// Least ratio of the second to the first singular value of the motions' axes: they are within 6 degrees of one line.
 const LEAST_SPREAD: f64 = 0.1;
-/// Largest number of motions; of more, every so many are taken.
+/// Largest number of motions; more are thinned evenly.
 const N_MOTIONS: usize = 1000;
 /// Unit of length of the dual quaternions, mm: a metre. In millimetres the lengths would outweigh the turns, and the rotation errs three
 /// times as much.
@@ -161,7 +161,7 @@ pub fn hand_eye(
     })
 }
 
-/// The motions between all pairs of poses, or every so many of them.
+/// The motions between all pairs of poses, or an even thinning of them.
 fn motions(pairs: &[(Isometry3<f64>, Isometry3<f64>)]) -> Vec<Motion> {
     let n = pairs.len();
     let step = (n * n.saturating_sub(1) / 2).div_ceil(N_MOTIONS).max(1);
@@ -182,12 +182,12 @@ fn axis_spread(motions: &[Motion]) -> f64 {
 }
 
 fn solution(method: Method, motions: &[Motion]) -> Option<Isometry3<f64>> {
-    let found = match method {
+    let pose = match method {
         Method::ParkMartin => with_translation(park_martin(motions)?, motions)?,
         Method::TsaiLenz => with_translation(tsai_lenz(motions)?, motions)?,
         Method::Daniilidis => daniilidis(motions)?,
     };
-    found.to_homogeneous().iter().all(|x| x.is_finite()).then_some(found)
+    pose.to_homogeneous().iter().all(|x| x.is_finite()).then_some(pose)
 }
 
 /// The rotation that takes the rotation vectors of `b` to those of `a` in the least-squares sense.
@@ -213,9 +213,9 @@ fn tsai_lenz(motions: &[Motion]) -> Option<UnitQuaternion<f64>> {
         right.fixed_rows_mut::<3>(3 * k).copy_from(&(b - a));
     }
     // `tan(angle / 2)` times the axis of X.
-    let found = equations.svd(true, true).solve(&right, 1e-12).ok()?;
-    let found = Vector3::new(found[0], found[1], found[2]);
-    Some(UnitQuaternion::from_quaternion(Quaternion::from_parts(1.0, found)))
+    let solution = equations.svd(true, true).solve(&right, 1e-12).ok()?;
+    let imaginary = Vector3::new(solution[0], solution[1], solution[2]);
+    Some(UnitQuaternion::from_quaternion(Quaternion::from_parts(1.0, imaginary)))
 }
 
 /// The translation of the rotation: `(R_a - I) t = R t_b - t_a` for all motions.
@@ -421,8 +421,8 @@ mod tests {
                 // OpenCV leaves out motions by less than 0.3 radians for this method.
                 motions.retain(|motion| motion.a.rotation.angle() > 0.3);
             }
-            let found = solution(method, &motions).unwrap();
-            let off = of(&row).inverse() * found;
+            let pose = solution(method, &motions).unwrap();
+            let off = of(&row).inverse() * pose;
             // Both are least squares of the same equations.
             assert!(off.translation.vector.norm() < 1e-5 && off.rotation.angle() < 1e-7, "{method:?}: {off}");
         }

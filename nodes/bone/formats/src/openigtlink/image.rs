@@ -4,6 +4,7 @@ use super::{
     bytes::{EncodeError, Reader, put_floats},
     content::Affine,
 };
+use crate::scalar::{Rows, Scalar};
 use nalgebra::{Matrix4, Vector3};
 
 /// Bytes before the pixels.
@@ -13,54 +14,17 @@ const VERSION: u16 = 1;
 /// The value of `endian` for numbers that are sent with their lowest byte first.
 const LITTLE: u8 = 2;
 
-/// Type of a component of a pixel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scalar {
-    /// 8 bits, signed.
-    I8,
-    /// 8 bits.
-    U8,
-    /// 16 bits, signed.
-    I16,
-    /// 16 bits.
-    U16,
-    /// 32 bits, signed.
-    I32,
-    /// 32 bits.
-    U32,
-    /// Single precision.
-    F32,
-    /// Double precision.
-    F64,
-}
-
-impl Scalar {
-    const ALL: [(u8, Self, usize, &'static str); 8] = [
-        (2, Self::I8, 1, "int8"),
-        (3, Self::U8, 1, "uint8"),
-        (4, Self::I16, 2, "int16"),
-        (5, Self::U16, 2, "uint16"),
-        (6, Self::I32, 4, "int32"),
-        (7, Self::U32, 4, "uint32"),
-        (10, Self::F32, 4, "float32"),
-        (11, Self::F64, 8, "float64"),
-    ];
-
-    fn row(self) -> (u8, Self, usize, &'static str) {
-        // Every variant is in the table.
-        Self::ALL.into_iter().find(|row| row.1 == self).unwrap_or(Self::ALL[1])
-    }
-
-    /// Number of bytes.
-    pub fn n_bytes(self) -> usize {
-        self.row().2
-    }
-
-    /// The name that numpy has for it.
-    pub fn name(self) -> &'static str {
-        self.row().3
-    }
-}
+/// The types of a component, by the protocol's number.
+const TYPES: [(u8, Scalar); 8] = [
+    (2, Scalar::I8),
+    (3, Scalar::U8),
+    (4, Scalar::I16),
+    (5, Scalar::U16),
+    (6, Scalar::I32),
+    (7, Scalar::U32),
+    (10, Scalar::F32),
+    (11, Scalar::F64),
+];
 
 /// An image, a depth image, or an image whose components are coordinates.
 ///
@@ -123,9 +87,9 @@ impl PixelImage {
     }
 
     /// All components as numbers, in their order.
-    pub fn values(&self) -> impl Iterator<Item = f64> + '_ {
-        let (scalar, is_little) = (self.scalar, self.is_little_endian);
-        self.pixels.chunks_exact(scalar.n_bytes()).map(move |bytes| number(scalar, bytes, is_little))
+    pub fn values(&self) -> Vec<f64> {
+        let rows = Rows { bytes: &self.pixels, stride: self.scalar.n_bytes(), big: !self.is_little_endian };
+        rows.column(self.scalar, 0)
     }
 
     /// What it is, in messages: `200 x 100 pixels of 3 float32`.
@@ -141,7 +105,7 @@ impl PixelImage {
             return Err(format!("an IMAGE of version {version}, and version {VERSION} is read"));
         }
         let [n_components, scalar, endian, space] = reader.array()?;
-        let (_, scalar, n_bytes, _) = Scalar::ALL
+        let (_, scalar) = TYPES
             .into_iter()
             .find(|row| row.0 == scalar)
             .ok_or_else(|| format!("its scalars are of the type {scalar}, which the protocol does not have"))?;
@@ -161,8 +125,9 @@ impl PixelImage {
             ));
         }
         // Three numbers of 16 bits, one of 8 and at most 8 bytes do not overflow 64 bits.
-        let expected =
-            part_size.iter().map(|&n| u64::from(n)).product::<u64>() * u64::from(n_components) * n_bytes as u64;
+        let expected = part_size.iter().map(|&n| u64::from(n)).product::<u64>()
+            * u64::from(n_components)
+            * scalar.n_bytes() as u64;
         if expected != reader.left() as u64 {
             return Err(format!("{} bytes of pixels are there, and its size asks for {expected}", reader.left()));
         }
@@ -181,10 +146,13 @@ impl PixelImage {
                 self.pixels.len()
             )));
         }
+        let (code, _) = TYPES.into_iter().find(|(_, scalar)| *scalar == self.scalar).ok_or_else(|| {
+            EncodeError(format!("an IMAGE has no components of {}; send float64", self.scalar.name()))
+        })?;
         out.reserve(HEAD_BYTES + expected);
         out.extend(VERSION.to_be_bytes());
         let endian = if self.is_little_endian { LITTLE } else { 1 };
-        out.extend([self.n_components, self.scalar.row().0, endian, if self.is_lps { 2 } else { 1 }]);
+        out.extend([self.n_components, code, endian, if self.is_lps { 2 } else { 1 }]);
         let put = |out: &mut Vec<u8>, triple: [u16; 3]| triple.iter().for_each(|n| out.extend(n.to_be_bytes()));
         put(out, self.size);
         put_floats(out, &self.matrix.0);
@@ -192,26 +160,5 @@ impl PixelImage {
         put(out, self.part_size);
         out.extend(&self.pixels);
         Ok(())
-    }
-}
-
-/// A number of its bytes, as many as its type has.
-fn number(scalar: Scalar, bytes: &[u8], is_little: bool) -> f64 {
-    let mut word = [0; 8];
-    let n = bytes.len().min(8);
-    word[..n].copy_from_slice(&bytes[..n]);
-    if !is_little {
-        word[..n].reverse();
-    }
-    let bits = u64::from_le_bytes(word);
-    match scalar {
-        Scalar::I8 => f64::from(bits as i8),
-        Scalar::U8 => f64::from(bits as u8),
-        Scalar::I16 => f64::from(bits as i16),
-        Scalar::U16 => f64::from(bits as u16),
-        Scalar::I32 => f64::from(bits as i32),
-        Scalar::U32 => f64::from(bits as u32),
-        Scalar::F32 => f64::from(f32::from_bits(bits as u32)),
-        Scalar::F64 => f64::from_bits(bits),
     }
 }

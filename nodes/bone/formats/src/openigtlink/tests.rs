@@ -114,7 +114,7 @@ fn the_numbers_of_the_reference_messages_are_those_that_its_tests_set() {
     assert_eq!((cube.attributes[0].name.as_str(), cube.attributes[0].values[7]), ("attr", 7.0));
     let Body::Image(scan) = decode(&vector("image_float")).body else { panic!("no image") };
     assert_eq!((scan.form().as_str(), scan.is_whole()), ("4 x 3 pixels of 3 float32", true));
-    assert_eq!(scan.values().collect::<Vec<_>>(), (0..36).map(|i| 0.25 * f64::from(i) - 3.0).collect::<Vec<_>>());
+    assert_eq!(scan.values(), (0..36).map(|i| 0.25 * f64::from(i) - 3.0).collect::<Vec<_>>());
     // A quarter turn about z, 0.5 mm by 2 mm; the middle of the image is at (10, 20, 30).
     let middle = scan.t_space_index() * nalgebra::Vector4::new(1.5, 1.0, 0.0, 1.0);
     assert!((middle.xyz() - Vector3::new(10.0, 20.0, 30.0)).norm() < 1e-5, "{middle}");
@@ -122,7 +122,7 @@ fn the_numbers_of_the_reference_messages_are_those_that_its_tests_set() {
     assert!((step.xyz() - Vector3::new(0.0, 0.5, 0.0)).norm() < 1e-5, "{step}");
     let Body::Image(part) = decode(&vector("image_part")).body else { panic!("no image") };
     assert_eq!((part.size, part.part_offset, part.part_size), ([4, 3, 1], [1, 1, 0], [2, 2, 1]));
-    assert_eq!(part.values().collect::<Vec<_>>(), [7.0, 1007.0, 2007.0, 3007.0]);
+    assert_eq!(part.values(), [7.0, 1007.0, 2007.0, 3007.0]);
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn numbers_of_an_image_are_those_of_its_type_in_both_byte_orders() {
         let Body::Image(read) = decode(&Message::new("I", 0, Body::Image(image)).to_bytes().unwrap()).body else {
             panic!("no image")
         };
-        read.values().collect::<Vec<_>>()
+        read.values()
     };
     for (scalar, number, bytes) in [
         (Scalar::I8, -2.0, (-2i8).to_le_bytes().to_vec()),

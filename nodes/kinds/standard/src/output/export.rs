@@ -1,6 +1,7 @@
 //! The kind `output.export`.
 
 use super::{NOTICE, NoOutputs, is_refused, lps, not_a_link};
+use crate::parts;
 use osteoflow_algorithms::{
     mesh_query::MeshQuery,
     metrics::{distance_colour, distance_outside},
@@ -134,16 +135,12 @@ fn write_scan(
 const DISTANCE: &str = "scalar_distance_mm";
 
 /// The column of the points that belong to the bone.
-const ON_BONE: &str = "on_bone";
-
 /// A cloud with its distance from a surface, whether it belongs to that, and the colours of that; those that a camera saw are kept instead.
 fn coloured(cloud: Cloud, surface: &MeshQuery, inliers_mm: Option<[f64; 2]>) -> Result<Cloud, NodeError> {
     let distances: Vec<f64> = cloud.points().iter().map(|p| distance_outside(p, surface).unwrap_or(f64::NAN)).collect();
     let colours = ["red", "green", "blue"];
     let has = |name: &str| cloud.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(name));
-    let (has_distance, has_colours, has_bone) = (has(DISTANCE), colours.into_iter().any(has), has(ON_BONE));
-    let is_inlier = |[inside, outside]: [f64; 2], mm: &f64| f64::from(u8::from((inside..=outside).contains(mm)));
-    let on_bone = inliers_mm.map(|range| distances.iter().map(|mm| is_inlier(range, mm)).collect::<Vec<f64>>());
+    let (has_distance, has_colours) = (has(DISTANCE), colours.into_iter().any(has));
     let mut cloud = cloud;
     if !has_colours {
         for (k, name) in colours.into_iter().enumerate() {
@@ -152,10 +149,7 @@ fn coloured(cloud: Cloud, surface: &MeshQuery, inliers_mm: Option<[f64; 2]>) -> 
         }
     }
     if !has_distance {
-        cloud = cloud.with_extra(DISTANCE, distances)?;
+        cloud = cloud.with_extra(DISTANCE, distances.clone())?;
     }
-    match on_bone.filter(|_| !has_bone) {
-        Some(on_bone) => Ok(cloud.with_extra(ON_BONE, on_bone)?),
-        None => Ok(cloud),
-    }
+    Ok(parts::with_on_bone(cloud, &distances, inliers_mm)?)
 }

@@ -145,7 +145,7 @@ impl Port<Content> {
 /// it is told otherwise, whatever is sent.
 fn check_byte_order(image: &PixelImage) -> Result<(), Refusal> {
     // From a thousandth of a millimetre to ten metres.
-    let largest = |image: &PixelImage| image.values().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let largest = |image: &PixelImage| image.values().iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
     let is_length = |length: f64| length == 0.0 || (1e-3..1e4).contains(&length);
     let stated = largest(image);
     if is_length(stated) {
@@ -164,7 +164,7 @@ fn check_byte_order(image: &PixelImage) -> Result<(), Refusal> {
 
 /// The points of three components; `None` where a camera saw nothing: not finite, or zero to the bit.
 fn triples(image: &PixelImage) -> impl Iterator<Item = Option<Point3<f64>>> {
-    let mut values = image.values();
+    let mut values = image.values().into_iter();
     std::iter::from_fn(move || {
         let point = [values.next()?, values.next()?, values.next()?];
         Some(finite(point).filter(|point| point.coords.norm_squared() > 0.0))
@@ -174,7 +174,7 @@ fn triples(image: &PixelImage) -> impl Iterator<Item = Option<Point3<f64>>> {
 /// The points of depths along the optical axis; `None` where there is none.
 fn depths(image: &PixelImage, intrinsics: Intrinsics, unit_mm: f64) -> impl Iterator<Item = Option<Point3<f64>>> {
     let ([u0, v0, _], width) = (image.part_offset, usize::from(image.part_size[0]));
-    image.values().enumerate().map(move |(k, depth)| {
+    image.values().into_iter().enumerate().map(move |(k, depth)| {
         let pixel = [f64::from(u0) + (k % width) as f64, f64::from(v0) + (k / width) as f64];
         let z_mm = depth * unit_mm;
         (depth > 0.0 && z_mm.is_finite()).then(|| Point3::from(intrinsics.ray(pixel) * z_mm))
