@@ -9,12 +9,14 @@ pub(crate) mod bind;
 mod error;
 pub(crate) mod files;
 pub(crate) mod folder_lock;
+pub(crate) mod host;
 mod options;
 pub(crate) mod out_dir;
 mod plugins;
 pub(crate) mod program;
 pub(crate) mod register;
 pub(crate) mod run;
+pub(crate) mod shipped;
 pub(crate) mod simulate;
 pub(crate) mod sweep;
 
@@ -28,7 +30,8 @@ pub use osteoflow_formats::{
     mesh_or_cloud::{CloudFileRead, MeshOrCloud, MeshRead},
     write::Precision,
 };
-pub use plugins::{PYTHON_HELPER, Plugins, hosted_by};
+pub use host::hosted_by;
+pub use plugins::{PYTHON_HELPER, Plugins};
 pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};
 pub use run::{Functions, Graph, GraphRun, RunRequest};
 pub use simulate::{SimulateRequest, StreamFormat};

@@ -20,19 +20,21 @@ use commands::{
 use std::{
     ffi::OsString,
     io::{IsTerminal, Write},
-    process::ExitCode,
 };
 
-/// Runs the command with these arguments, the program's name first.
-pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+/// Runs the command with these arguments, the program's name first, as all that this process does; returns its exit code.
+///
+/// A crash names the node that was called. A process that goes on afterwards has handlers of signals that it did not ask for.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     crash::install();
-    let code = code_of(arguments.into_iter().collect());
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    app::host::set_arguments(&arguments);
+    let code = code_of(arguments);
     crash::leave();
-    code.into()
+    code
 }
 
-/// Runs the command with these arguments, the program's name first, and returns its exit code.
-pub fn code_of(arguments: Vec<OsString>) -> u8 {
+fn code_of(arguments: Vec<OsString>) -> u8 {
     let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         // Help and version are results, anything else is a fault of the command line; clap formats both.

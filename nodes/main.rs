@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    osteoflow::main(std::env::args_os())
+    osteoflow::main(std::env::args_os()).into()
 }

@@ -171,11 +171,11 @@ fn a_missing_shard_and_one_of_another_graph_are_named_by_the_merge() {
     about["program_sha256"] = "0".into();
     fs::write(desk.path("study.parts/2/sweep.json"), about.to_string()).unwrap();
     let message = merge("build");
-    assert!(message.contains("it is of another build of version 0.1.0 of the program"), "{message}");
+    assert!(message.contains("it is of another build of version 0.2.0 of the program"), "{message}");
     about["engine_version"] = "0.0.9".into();
     fs::write(desk.path("study.parts/2/sweep.json"), about.to_string()).unwrap();
     let message = merge("version");
-    assert!(message.contains("it is of version 0.0.9 of the program, the first of 0.1.0"), "{message}");
+    assert!(message.contains("it is of version 0.0.9 of the program, the first of 0.2.0"), "{message}");
 }
 
 #[test]

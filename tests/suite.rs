@@ -52,6 +52,7 @@ mod python_live;
 #[cfg(unix)]
 mod python_nodes;
 mod python_package;
+mod public_items;
 mod readme;
 mod real_sets;
 mod recorded;

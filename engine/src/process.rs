@@ -20,6 +20,10 @@ pub(crate) mod wire;
 
 use std::{ffi::OsString, path::PathBuf, process::Command};
 
+/// Why a node cannot have a process of its own on this system, if it cannot: descriptors of shared memory cross Unix sockets.
+pub(crate) const REFUSED_HERE: Option<&str> =
+    if cfg!(unix) { None } else { Some("nodes fire in processes of their own on Linux and macOS only") };
+
 /// A program that runs nodes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Launcher {

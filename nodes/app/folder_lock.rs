@@ -1,6 +1,6 @@
 //! Exclusive use of an output folder by one process.
 
-use super::error::UsageError;
+use super::{error::UsageError, host};
 use anyhow::{Context, Result};
 use jiff::Timestamp;
 use serde_json::{Value, json};
@@ -50,7 +50,7 @@ impl FolderLock {
                 let text = json!({
                     "process": std::process::id(),
                     "began": Timestamp::now().to_string(),
-                    "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
+                    "arguments": host::arguments(),
                 });
                 let _ = writeln!(file, "{text}");
                 Ok(Self { dir: dir.into(), _locked: locked })

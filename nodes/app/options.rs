@@ -1,6 +1,6 @@
 //! Options that several requests share, each stated once: as the command line takes it, and as a field.
 
-use super::{error::UsageError, plugins::Plugins, program};
+use super::{error::UsageError, plugins::Plugins, program, shipped};
 use anyhow::Result;
 use clap::{
     Args,
@@ -34,6 +34,7 @@ pub struct GraphArgs {
 impl GraphArgs {
     /// The checked graph; the error holds the faults.
     pub(crate) fn checked(&self) -> Result<Checked> {
+        shipped::check_is_here(&self.graph)?;
         Ok(check(&self.graph, &self.sets, self.plugins.kinds()?)?)
     }
 }

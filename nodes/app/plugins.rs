@@ -1,7 +1,7 @@
 //! Where the kinds of plugins come from: which libraries, which interpreter, and which program looks at them.
 
-use super::{error::UsageError, program::registry};
-use anyhow::{Context, Result};
+use super::{error::UsageError, host, program::registry};
+use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
     plugin::{Finder, Kinds, Launcher, Prober, Scripts},
@@ -10,9 +10,8 @@ use osteoflow_engine::{
 use std::{
     collections::BTreeSet,
     env,
-    ffi::OsString,
     path::PathBuf,
-    sync::{Arc, OnceLock},
+    sync::Arc,
     time::Duration,
 };
 
@@ -22,9 +21,6 @@ pub(crate) const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
 const PYTHON: &str = "OSTEOFLOW_PYTHON";
 /// Environment variable with the maximum time to load a library.
 const TIMEOUT: &str = "OSTEOFLOW_PLUGIN_TIMEOUT_S";
-
-/// The program that runs this library, and the arguments with which it runs a command, if it is not the command itself.
-static HOST: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 
 /// What serves nodes in Python, passed to the interpreter.
 pub const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow_node.py");
@@ -41,20 +37,14 @@ pub struct Plugins {
     #[arg(id = "no_plugins", long = "no-plugins", conflicts_with_all = ["plugins", "python"])]
     pub none: bool,
 
-    /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), or python3.
+    /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), the one that
+    /// this command was installed for by pip, or python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
 
     /// The SHA-256 of the files that the graph may name; `None` for all.
     #[arg(skip)]
     pub only: Option<BTreeSet<String>>,
-}
-
-/// Names the program that runs this library, the arguments with which it runs [`crate::main`], and the file of the library:
-/// another process of it looks at plugins, and the file identifies the program of a sweep.
-pub fn hosted_by(program: PathBuf, before: Vec<OsString>, library: PathBuf) {
-    osteoflow_engine::hash::program::set_file(library);
-    let _ = HOST.set((program, before));
 }
 
 impl Plugins {
@@ -69,11 +59,14 @@ impl Plugins {
         self.kinds_of(true)
     }
 
-    /// The interpreter of plugins in Python: the one asked for, that of the active environment, or the one that is found first.
+    /// The interpreter of plugins in Python: the one asked for, that of the active environment, the one that runs this program, or
+    /// the one that is found first.
     fn interpreter(&self) -> PathBuf {
-        let of_environment = || env::var_os("VIRTUAL_ENV").map(|dir| PathBuf::from(dir).join("bin/python"));
+        let [in_environment, on_path] = if cfg!(windows) { ["Scripts/python.exe", "python"] } else { ["bin/python", "python3"] };
+        let of_environment = || env::var_os("VIRTUAL_ENV").map(|dir| PathBuf::from(dir).join(in_environment));
         let named = self.python.clone().or_else(|| env::var_os(PYTHON).filter(|name| !name.is_empty()).map(Into::into));
-        named.or_else(|| of_environment().filter(|python| python.is_file())).unwrap_or("python3".into())
+        let named = named.or_else(|| of_environment().filter(|python| python.is_file()));
+        named.or_else(|| host::interpreter().map(Into::into)).unwrap_or(on_path.into())
     }
 
     fn kinds_of(&self, plugins_apart: bool) -> Result<Kinds> {
@@ -84,7 +77,7 @@ impl Plugins {
         // A wrong setting of the store is reported by commands that use it.
         let store = Settings::from_env().ok().flatten().map(|settings| Arc::new(Store::open(settings)));
         let prober = prober()?;
-        let launcher = Some(own("worker")?);
+        let launcher = Some(host::launcher("worker")?);
         let asked = self.files.clone();
         let interpreter = Launcher::new(self.interpreter(), vec!["-c".into(), PYTHON_HELPER.into()]);
         let scripts = Some(Scripts { ending: "py", interpreter });
@@ -105,21 +98,6 @@ impl Plugins {
     }
 }
 
-/// This program with a subcommand, to be started as another process.
-fn own(subcommand: &str) -> Result<Launcher> {
-    let (program, mut arguments) = match HOST.get() {
-        Some((program, before)) => (program.clone(), before.clone()),
-        None => {
-            let own = env::current_exe().context("the path of this program is unknown")?;
-            // This is the running program even if its file was replaced since. Not under valgrind, where it is valgrind
-            // itself.
-            (if own.is_file() { own } else { "/proc/self/exe".into() }, Vec::new())
-        }
-    };
-    arguments.push(subcommand.into());
-    Ok(Launcher::new(program, arguments))
-}
-
 /// What inspects a library.
 fn prober() -> Result<Prober> {
     let value = env::var(TIMEOUT).ok().filter(|value| !value.is_empty());
@@ -132,5 +110,5 @@ fn prober() -> Result<Prober> {
             return Err(UsageError(message).into());
         }
     };
-    Ok(Prober { launcher: own("plugin-probe")?, timeout })
+    Ok(Prober { launcher: host::launcher("plugin-probe")?, timeout })
 }

@@ -1,6 +1,6 @@
 //! What all runs have from the program: its kinds, its notice, what the manifest says about it, and the store.
 
-use super::error::UsageError;
+use super::{error::UsageError, host};
 use osteoflow_engine::{
     run::{RunError, RunOptions},
     store::{self, Settings, Store},
@@ -60,7 +60,7 @@ pub(crate) fn about_command() -> serde_json::Value {
         "rustflags": env!("OSTEOFLOW_BUILD_RUSTFLAGS"),
         "opt_level": osteoflow_algorithms::OPT_LEVEL,
         "profile": if cfg!(debug_assertions) { "debug" } else { "release" },
-        "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
+        "arguments": host::arguments(),
         "os": std::env::consts::OS,
         "architecture": std::env::consts::ARCH,
         "cpu_features": store::cpu_features().into_iter().filter(|name| CPU_FEATURES.contains(name)).collect::<Vec<_>>(),

@@ -16,7 +16,7 @@ use super::{
     error::UsageError,
     options::{Keep, space},
     plugins::Plugins,
-    program,
+    program, shipped,
 };
 use anyhow::{Context, Result};
 use clap::{
@@ -334,6 +334,7 @@ impl RegisterRequest {
         }
         let files = OutFiles::of(&self)?;
         for input in [&self.target, &self.source].into_iter().filter(|input| input.content.is_none()) {
+            shipped::check_is_here(&input.path)?;
             if !input.path.is_dir() {
                 input::check(&input.path)?;
             }

@@ -86,6 +86,11 @@ impl SimulateRequest {
         Ok(())
     }
 
+    /// The procedure that README and documentation use.
+    pub(crate) fn of_readme(format: StreamFormat) -> Self {
+        Self { seed: 42, points: 10_000, bone: None, plan: None, sets: Vec::new(), format, force: false }
+    }
+
     /// Simulates, and writes the files if there is a folder for them.
     pub(crate) fn simulate(&self, dir: Option<&Path>, warn: &mut dyn FnMut(&str)) -> Result<Procedure> {
         let Parameters { procedure: params, ct, ct_bone, displaced } = Parameters::new(self.points, &self.sets)?;

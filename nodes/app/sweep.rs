@@ -7,6 +7,7 @@ use super::{
     out_dir::{self, OutDir},
     plugins::Plugins,
     program::{self, NOTICE},
+    shipped,
 };
 use anyhow::Result;
 use clap::Args;
@@ -134,6 +135,7 @@ impl SweepRequest {
     /// All faults of the graph and its sweep.
     pub fn check(&self) -> Result<Sweep> {
         let graph = self.graph.as_deref().ok_or_else(|| UsageError("a sweep needs a graph file".into()))?;
+        shipped::check_is_here(graph)?;
         let (kinds, workers) = (self.plugins.kinds_apart()?, program::n_workers(self.workers));
         Ok(sweep::check_as(graph, &self.sets, kinds, workers, self.spec.clone())?)
     }

@@ -1,8 +1,9 @@
+mod examples;
 mod procedure;
 mod template;
 
 use super::common::{Exit, Format, Global, print_json, terminal};
-use crate::app::{UsageError, out_dir, registry};
+use crate::app::{UsageError, host, out_dir, registry};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -13,14 +14,15 @@ use std::{
 };
 use template::{Lang, Like};
 
-/// Create a project from a template: a plugin, or a procedure in files.
+/// Create a project from a template: a plugin, a procedure in files, or the shipped graphs with the example data.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow new plugin my_icp                 a crate with an ICP of its own, a test and a graph
   osteoflow new plugin my_crop --lang c
   osteoflow new plugin my_icp --lang python   one file that is not built; needs numpy and scipy
-  osteoflow new procedure my_procedure        a procedure in files that runs, to replace by yours")]
+  osteoflow new procedure my_procedure        a procedure in files that runs, to replace by yours
+  osteoflow new examples DIR                  the shipped graphs and example data, as README and documentation name them")]
 pub(crate) struct New {
     #[command(subcommand)]
     what: What,
@@ -30,6 +32,7 @@ pub(crate) struct New {
 enum What {
     Plugin(Plugin),
     Procedure(procedure::Procedure),
+    Examples(examples::Examples),
 }
 
 /// Create a plugin: one node, its test, a graph that runs it, and a README.
@@ -108,6 +111,7 @@ impl New {
         match &self.what {
             What::Plugin(plugin) => plugin.execute(global),
             What::Procedure(procedure) => procedure.execute(global),
+            What::Examples(examples) => examples.execute(global),
         }
     }
 }
@@ -178,7 +182,7 @@ impl Plugin {
 
 /// The checkout whose `target` folder this program lies in.
 fn own_checkout() -> Option<PathBuf> {
-    let program = std::env::current_exe().ok()?;
+    let program = host::file().ok()?;
     let has_sdk = |folder: &&Path| folder.join(NODE_PATH_IN_CHECKOUT).is_file();
     program.ancestors().find(has_sdk).map(Path::to_owned)
 }

@@ -9,6 +9,7 @@ use crate::{
     },
     names::nearest,
     plan::{OnError, PortFrames, variable},
+    process::REFUSED_HERE,
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, Place, PortPayload, Role};
 use serde_json::{Map, Value as Json};
@@ -187,6 +188,11 @@ impl<'r> Check<'r> {
             }
             // Only a process can be stopped from outside.
             parsed_node.place = Place { process: Some(true), stop_after: limit, ..parsed_node.place };
+        }
+        let asked = ["process", "stop_after_s"].into_iter().find_map(|key| Some((key, table.get(key)?)));
+        if let (Some(why), Some(true), Some((key, entry))) = (REFUSED_HERE, parsed_node.place.process, asked) {
+            let fault = Fault::new(format!("{}: {why}", table.what(key))).at(&entry.value.at, "no process here");
+            self.faults.push(fault.help(format!("take {key} out, or run the graph there")));
         }
     }
 

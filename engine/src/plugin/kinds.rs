@@ -9,6 +9,7 @@ use crate::{
     names::nearest,
     plan::{LoadedFile, PlanPlugin},
     store::{Key, Store},
+    process::REFUSED_HERE,
 };
 #[cfg(unix)]
 use osteoflow_node::PayloadType;
@@ -387,6 +388,9 @@ impl Finder {
     /// Reads the description of the library at `path`: from the cache, or by another process.
     fn look(&self, path: &Path, interpreter: Option<&Path>) -> Result<Plugin, String> {
         let script = self.script(path, interpreter);
+        if let (Some(_), Some(why)) = (&script, REFUSED_HERE) {
+            return Err(format!("a plugin in Python has no other place than a process of its own, and {why}"));
+        }
         let unread = |error: io::Error| format!("it cannot be read: {error}");
         // The file may be rebuilt while it is read.
         for _ in 0..3 {

@@ -5,11 +5,11 @@
 //! and selects its code by processor when the program starts, so both are part of the digest.
 
 use super::{Key, Store};
-use crate::hash::{Digest, file_stamp::stamp, files::sha256, mapped::mapped};
+use crate::hash::{Digest, file_stamp::stamp, files::sha256, mapped::mapped, program};
 use std::{
     fs::File,
     io,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::OnceLock,
     time::SystemTime,
 };
@@ -34,16 +34,13 @@ pub(super) fn digest(store: &Store) -> Option<Digest> {
 
 /// The digest of the program's file.
 fn own_file(store: &Store) -> io::Result<Digest> {
-    let path = std::env::current_exe()?;
-    // Opens the running file, even if the file at its path has been replaced.
-    let running = Path::new("/proc/self/exe");
-    let open = if cfg!(target_os = "linux") { running } else { &path };
+    let (path, open) = (program::file()?, program::readable()?);
     let key = Key::of("file_hash").text("path", &path.to_string_lossy());
-    let key = key.text("stamp", &stamp(&File::open(open)?.metadata()?)).done();
+    let key = key.text("stamp", &stamp(&File::open(&open)?.metadata()?)).done();
     if let Some(kept) = store.get(&key).and_then(|entry| entry.bytes().try_into().ok()) {
         return Ok(Digest(kept));
     }
-    let (_, digest) = sha256(open)?;
+    let (_, digest) = sha256(&open)?;
     // If it cannot be stored, it is computed again next time.
     let _ = store.put(&key, &[&digest.0]);
     Ok(digest)
@@ -51,7 +48,7 @@ fn own_file(store: &Store) -> io::Result<Digest> {
 
 /// The libraries mapped as code besides the program's own file, each with its size and time; on Linux only.
 fn libraries() -> Vec<String> {
-    let own = std::env::current_exe().unwrap_or_default();
+    let own = program::file().unwrap_or_default();
     let describe = |path: PathBuf| {
         let metadata = path.metadata().ok();
         let time = metadata.as_ref().and_then(|m| m.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok());

@@ -77,16 +77,7 @@ impl Procedure {
     pub(super) fn execute(&self, global: &Global) -> Result<Exit> {
         let dir = &self.dir;
         out_dir::make_plain(dir, false, "name another folder")?;
-        let example = SimulateRequest {
-            seed: 42,
-            points: 10_000,
-            bone: None,
-            plan: None,
-            sets: Vec::new(),
-            format: StreamFormat::Folder,
-            force: false,
-        };
-        example.simulate(Some(&dir.join("data")), &mut |_| {})?;
+        SimulateRequest::of_readme(StreamFormat::Folder).simulate(Some(&dir.join("data")), &mut |_| {})?;
         for (path, text) in GRAPHS {
             write(dir, path, without_schema(text))?;
         }

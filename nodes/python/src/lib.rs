@@ -502,10 +502,13 @@ impl SweepProgress {
     }
 }
 
-/// Runs the command with these arguments, the program's name first; returns its exit code.
+/// The exit code of a program in Rust that panics.
+const PANICKED: u8 = 101;
+
+/// Runs the command with these arguments, the program's name first, as all that this process does; returns its exit code.
 #[pyfunction]
 fn command(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    py.detach(|| osteoflow::code_of(arguments))
+    py.detach(|| std::panic::catch_unwind(|| osteoflow::main(arguments)).unwrap_or(PANICKED))
 }
 
 /// Names the Python program and its arguments that run the command, and the file of this library.

@@ -240,7 +240,7 @@ def test_a_worker_with_another_sweep_is_refused_by_name(files, tmp_path):
     other_graph = text.replace("extends", "graph.seed = 99\nextends", 1).encode()
     refused(with_file(graph, other_graph), r"has another sweep: its graph has `seed = 99` in \[graph\], the other `seed = 1`")
     refused(with_file(graph, b"[graph]"), "worker .*: .*")
-    refused(lambda task, a: {**task(*a), "version": "0.0.9"}, "has osteoflow 0.0.9, but here is 0.1.0")
+    refused(lambda task, a: {**task(*a), "version": "0.0.9"}, "has osteoflow 0.0.9, but here is 0.2.0")
     refused(lambda task, a: task(*a[:2], "/nowhere", *a[3:]), "there is no folder /nowhere")
 
     # The package with another compiled part: a byte more at its end.
@@ -258,7 +258,7 @@ def test_a_worker_with_another_sweep_is_refused_by_name(files, tmp_path):
         ran = subprocess.run([sys.executable, "-c", code], input=given, capture_output=True, env=environment, check=True)
         return pickle.loads(ran.stdout)
 
-    refused(of_other_build, "has another sweep: it is of another build of version 0.1.0 of the program")
+    refused(of_other_build, "has another sweep: it is of another build of version 0.2.0 of the program")
 
 
 def test_processors_with_other_features_are_a_warning(small, tmp_path):

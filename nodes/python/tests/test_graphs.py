@@ -257,7 +257,7 @@ def test_a_sweep_gives_the_table_of_the_command(command, tmp_path):
 
 def test_the_command_is_there_as_a_module():
     told = subprocess.run([sys.executable, "-m", "osteoflow", "--version"], capture_output=True, text=True, check=True)
-    assert told.stdout.startswith("osteoflow 0.1.0")
+    assert told.stdout.startswith("osteoflow 0.2.0")
 
 
 CROP = """

@@ -219,7 +219,7 @@ def test_stubs_and_docstrings_are_there():
     for name in osteoflow.__all__:
         if name != "__version__":
             assert getattr(osteoflow, name).__doc__, name
-    assert json.loads(json.dumps(osteoflow.__version__)) == "0.1.0"
+    assert json.loads(json.dumps(osteoflow.__version__)) == "0.2.0"
 
 
 def sphere_in_a_ct(file, spacing_mm=0.8, radius_mm=12.0, centre_ras_mm=(10.0, -20.0, 30.0)):

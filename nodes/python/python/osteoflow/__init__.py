@@ -22,6 +22,7 @@ from pathlib import Path as _Path
 from typing import Any, Callable, Iterable, Mapping, Optional, Sequence, Union
 
 import numpy as _np
+from osteoflow_command import BEFORE as _BEFORE
 
 from . import _core
 from ._core import OsteoflowError, Refused, UsageError, __version__
@@ -34,7 +35,7 @@ __all__ = [
 ]
 
 # Plugins are looked at by another process; a sweep is of this build of the program.
-_core.hosted_by(_sys.executable, ["-m", "osteoflow"], _core.__file__)
+_core.hosted_by(_sys.executable or "", _BEFORE, _core.__file__)
 if hasattr(_os, "register_at_fork"):
     _os.register_at_fork(after_in_child=_core.forked)
 

@@ -16,6 +16,8 @@ import uuid
 from pathlib import Path
 from typing import Any, Callable, NamedTuple
 
+from osteoflow_command import BEFORE
+
 from . import _core
 
 #: How often a task is submitted before the sweep fails.
@@ -46,7 +48,7 @@ def _run_shard(graph: str, common: list[str], folder: str, index: int, of: int, 
     with tempfile.TemporaryDirectory(prefix="osteoflow-shard-") as temporary:
         shard = os.path.join(temporary, "shard")
         # A process of its own: a worker may have been forked, which loses the threads of its parent.
-        command = [sys.executable, "-I", os.path.join(os.path.dirname(__file__), "_command.py"), "sweep", "--quiet"]
+        command = [sys.executable, *BEFORE, "sweep", "--quiet"]
         command += ["--workers=1", f"--shard={index}/{of}", f"--out={shard}", *common, "--", graph]
         ended = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
         if ended.returncode < 0:
