@@ -74,7 +74,8 @@ export class Beside {
   prepare(frames) {
     const wires = this.picked ? [] : this.loose(frames);
     const isOpen = this.picked !== null || wires.length > 0;
-    this.main.beside = new Map(wires.map((wire) => [wire, String(this.items.get(wire)?.fields.frame)]));
+    const notes = wires.map((wire) => /** @type {const} */ ([wire, `not registered: shown beside the bone, in ${this.items.get(wire)?.fields.frame}`]));
+    this.main.beside = this.picked ? new Map([[this.picked.wire, "shown beside the bone"]]) : new Map(notes);
     if (this.holder.hidden === isOpen) {
       this.holder.hidden = !isOpen;
       this.main.redraw();
@@ -87,7 +88,10 @@ export class Beside {
       if (scene.drawn.get(wire)?.object.userData.item === item) continue;
       scene.update(wire, "geometry/Cloud", item);
       const drawn = scene.drawn.get(wire);
-      if (drawn) Object.assign(drawn, { shown: true }).object.userData.item = item;
+      if (!drawn) continue;
+      drawn.shown = true;
+      // There is no surface to bring it before.
+      Object.assign(drawn.object.userData, { item, forthMm: 0 });
       scene.redraw();
     }
     if (this.picked) shadeCloud(scene, this.picked);

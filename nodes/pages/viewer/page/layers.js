@@ -41,6 +41,7 @@ export class LayerList {
     const name = document.createElement("label");
     const box = document.createElement("input");
     box.type = "checkbox";
+    box.dataset.wire = wire;
     box.checked = shown;
     box.onchange = () => this.scene.choose(wire, box.checked);
     name.append(box, ` ${wire}`);

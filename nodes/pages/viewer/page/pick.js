@@ -162,6 +162,8 @@ export class Picking {
     if (mode === "pairs" && !this.cloud()) return this.say("no scan is shown yet; pairs cannot be picked");
     void this.ask();
     this.keepView();
+    // On a narrow screen the list is below.
+    if (mode) this.scene.holder.scrollIntoView({ block: "nearest" });
     this.mode = mode;
     this.selected = null;
     this.selectedPlane = null;

@@ -69,7 +69,7 @@ export class Scene {
     /** What is shown instead of everything else. @type {THREE.Object3D | null} */
     this.solo = null;
     this.colours = new ResidualColours(this, worker);
-    /** What is shown in another view, as no pose connects it to this one: the frame it is in there, by wire. @type {Map<string, string>} */
+    /** What is shown in the view beside this one, and why. @type {Map<string, string>} */
     this.beside = new Map();
     /** The wires of clouds that nodes made of a cloud. @type {Map<string, Set<string>>} */
     this.derived = new Map();
@@ -228,9 +228,7 @@ export class Scene {
       const place = this.placeOf(drawn.frame, frames);
       const isLeftOut = this.focus !== null && (drawn.frame !== root || !this.focus.shows(wire));
       const why = isLeftOut ? "not shown while picking" : this.whyHidden(drawn, place, root);
-      const beside = this.beside.get(wire);
-      drawn.object.userData.why = why;
-      drawn.object.userData.note = beside === undefined ? null : `not registered: shown beside the bone, in ${beside}`;
+      Object.assign(drawn.object.userData, { why, note: this.beside.get(wire) ?? null });
       drawn.object.visible = drawn.shown && why === null && this.solo === null;
       drawn.object.matrix.copy(place.matrix).multiply(new THREE.Matrix4().makeScale(MM, MM, MM));
       if (drawn.payload === "geometry/Planes") hatch(drawn.object, this.answer === "doubtful");
