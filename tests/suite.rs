@@ -82,6 +82,7 @@ mod verdicts;
 #[cfg(unix)]
 mod viewer;
 #[cfg(unix)]
+mod viewer_hands;
 mod viewer_picking;
 #[cfg(unix)]
 mod viewer_soak;

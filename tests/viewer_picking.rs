@@ -51,7 +51,7 @@ fn run(dir: &Path, graph: &str, sets: &[String]) -> PathBuf {
 }
 
 /// The first value of a recorded wire.
-fn value<T: Clone + 'static>(run: &Path, wire: &str) -> T {
+pub(crate) fn value<T: Clone + 'static>(run: &Path, wire: &str) -> T {
     let recording = Recording::open(&run.join("run.mcap")).unwrap();
     let items = recording.items(wire, &osteoflow_standard::registry()).unwrap();
     let found = items.iter().find_map(|item| match &item.body {
@@ -71,7 +71,7 @@ fn open(browser: &mut Browser, served: &Served, what: &str) {
 }
 
 /// Clicks the middle of an element, once what comes over the stream moves it no more.
-fn press(browser: &mut Browser, selector: &str) {
+pub(crate) fn press(browser: &mut Browser, selector: &str) {
     let middle = format!(
         "(() => {{ const part = document.querySelector({selector:?}); part.scrollIntoView({{ block: 'center' }}); \
          const box = part.getBoundingClientRect(); return [box.left + box.width / 2, box.top + box.height / 2]; }})()"
@@ -87,13 +87,21 @@ fn press(browser: &mut Browser, selector: &str) {
     browser.click(serde_json::from_value(found).unwrap());
 }
 
+/// The view of the bone, and that of the scan beside it.
+pub(crate) const BONE: &str = "osteoflow.scene";
+pub(crate) const SCAN: &str = "osteoflow.beside.scene";
+
 /// Where a point is in the window by the camera of the page, mm in the shown frame.
-fn projected(browser: &mut Browser, p: &Point3<f64>) -> [f64; 2] {
+pub(crate) fn projected(browser: &mut Browser, p: &Point3<f64>) -> [f64; 2] {
+    projected_in(browser, BONE, p)
+}
+
+pub(crate) fn projected_in(browser: &mut Browser, view: &str, p: &Point3<f64>) -> [f64; 2] {
     let expression = format!(
-        "(() => {{ const {{ camera }} = osteoflow.scene; camera.updateMatrixWorld(); \
+        "(() => {{ const {{ camera, renderer }} = {view}; camera.updateMatrixWorld(); \
          const by = (e, v) => [0, 1, 2, 3].map((r) => e[r] * v[0] + e[4 + r] * v[1] + e[8 + r] * v[2] + e[12 + r] * v[3]); \
          const v = by(camera.projectionMatrix.elements, by(camera.matrixWorldInverse.elements, [{}, {}, {}, 1])); \
-         const box = document.querySelector('#view canvas').getBoundingClientRect(); \
+         const box = renderer.domElement.getBoundingClientRect(); \
          return [box.left + ((v[0] / v[3] + 1) / 2) * box.width, box.top + ((1 - v[1] / v[3]) / 2) * box.height]; }})()",
         p.x / 1e3,
         p.y / 1e3,
@@ -103,7 +111,7 @@ fn projected(browser: &mut Browser, p: &Point3<f64>) -> [f64; 2] {
 }
 
 /// Turns the view to a point, as a person turns it, seen from a direction; `mm` fill its height.
-fn look(browser: &mut Browser, at: &Point3<f64>, from: &Vector3<f64>, mm: f64) {
+pub(crate) fn look(browser: &mut Browser, at: &Point3<f64>, from: &Vector3<f64>, mm: f64) {
     let expression = format!(
         "osteoflow.picking.lookFrom({:?}, {:?}, {mm}, [0, 0, 1])",
         at.coords.as_slice(),
@@ -123,11 +131,11 @@ fn points(value: &Value) -> Vec<NamedPoint> {
 }
 
 /// The points of a group on the page.
-fn picked(browser: &mut Browser, group: &str) -> Vec<NamedPoint> {
+pub(crate) fn picked(browser: &mut Browser, group: &str) -> Vec<NamedPoint> {
     points(&browser.evaluate(&format!("osteoflow.picking.history.now.{group}")))
 }
 
-fn text(browser: &mut Browser, id: &str) -> String {
+pub(crate) fn text(browser: &mut Browser, id: &str) -> String {
     browser.evaluate(&format!("document.getElementById({id:?}).textContent")).as_str().unwrap().to_owned()
 }
 
@@ -139,7 +147,7 @@ fn wait_for_focus(browser: &mut Browser) {
 }
 
 /// The sentence of an element that is shown.
-fn wait_for_text(browser: &mut Browser, id: &str, part: &str) {
+pub(crate) fn wait_for_text(browser: &mut Browser, id: &str, part: &str) {
     browser.wait_until(&format!(
         "!document.getElementById({id:?}).hidden && document.getElementById({id:?}).textContent.includes({part:?})"
     ));
@@ -652,24 +660,27 @@ fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_l
     browser.wait_until("!document.getElementById('pick-pairs').hidden");
     press(browser, "#pick-pairs");
     wait_for_focus(browser);
+    let is_shown = "(() => { const { scene, beside } = osteoflow; return scene.drawn.get('bone.mesh')?.object.visible && \
+        !scene.drawn.get('scan.cloud').object.visible && beside.made?.drawn.get(beside.picked?.wire)?.object.visible && !beside.isNew; })()";
+    browser.wait_until(is_shown);
     for (k, mark) in marks.iter().enumerate() {
-        browser.wait_until("osteoflow.picking.armed === 'bone' && !osteoflow.scene.drawn.get('scan.cloud').object.visible && osteoflow.scene.drawn.get('bone.mesh').object.visible");
-        browser.wait_until("osteoflow.scene.isLookedAt");
         // A hand that is a millimetre off.
         let place = bone.closest_point(&(truth * mark + Vector3::new(0.0, 0.0, 1.0))).unwrap();
         look(browser, &place.point, &place.normal, 60.0);
         let at = projected(browser, &place.point);
         browser.click(at);
-        // Now the scan alone, in its own frame.
-        browser.wait_until("osteoflow.picking.armed === 'scan' && osteoflow.scene.drawn.get('scan.cloud').object.visible && !osteoflow.scene.drawn.get('bone.mesh').object.visible");
+        wait_for_text(browser, "pick-next", &format!("click P{} on the scan", k + 1));
+        // The scan is beside the bone, in its own frame.
         if k == 0 {
             browser.screenshot("5-scan");
             // Beside the scan there is no measured point.
-            browser.click([40.0, 600.0]);
+            let corner = browser.evaluate("(() => { const box = document.querySelector('#beside canvas').getBoundingClientRect(); return [box.left + 20, box.top + 60]; })()");
+            browser.click(serde_json::from_value(corner).unwrap());
             wait_for_text(browser, "pick-problem", "there is no point of the scan under the pointer");
         }
-        let at = projected(browser, mark);
+        let at = projected_in(browser, SCAN, mark);
         browser.click(at);
+        wait_for_text(browser, "pick-points", &format!("P{}", k + 1));
     }
     wait_for_text(browser, "pick-next", "save when the sides agree");
     let (on_bone, on_scan) = (picked(browser, "bone"), picked(browser, "scan"));
@@ -680,8 +691,7 @@ fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_l
         let mm = (point.position - mark).norm();
         assert!(mm < 1.0, "{} is {mm} mm from where it was clicked", point.name);
     }
-    // Back on the bone, seen as it was left.
-    browser.wait_until("osteoflow.scene.drawn.get('bone.mesh').object.visible && osteoflow.scene.isLookedAt");
+    // The bone is seen as it was left.
     let last = on_bone.last().unwrap().position;
     let [x, y] = projected(browser, &last);
     let size: [f64; 2] = serde_json::from_value(browser.evaluate("[innerWidth, innerHeight]")).unwrap();

@@ -192,6 +192,22 @@ impl Browser {
     }
 
     #[allow(dead_code, reason = "not all tests drag")]
+    /// Drags the mouse with its right button, in steps.
+    pub(crate) fn drag_right(&mut self, from: [f64; 2], to: [f64; 2]) {
+        for (kind, share, button, buttons) in [
+            ("mousePressed", 0.0, "right", 2),
+            ("mouseMoved", 0.5, "none", 2),
+            ("mouseMoved", 1.0, "none", 2),
+            ("mouseReleased", 1.0, "right", 0),
+        ] {
+            let [x, y] = [0, 1].map(|k| from[k] + share * (to[k] - from[k]));
+            let mouse = json!({ "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1 });
+            self.call("Input.dispatchMouseEvent", mouse);
+        }
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    #[allow(dead_code, reason = "not all tests drag")]
     /// Drags the mouse with its left button, in steps.
     pub(crate) fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
         self.stroke(&[from, to]);
@@ -206,6 +222,29 @@ impl Browser {
             let mouse = json!({ "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1 });
             self.call("Input.dispatchMouseEvent", mouse);
         }
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    #[allow(dead_code, reason = "not all tests turn the wheel")]
+    /// Turns the wheel by notches; those that are negative zoom in.
+    pub(crate) fn wheel(&mut self, [x, y]: [f64; 2], notches: f64) {
+        let wheel = json!({ "type": "mouseWheel", "x": x, "y": y, "deltaX": 0, "deltaY": 100.0 * notches });
+        self.call("Input.dispatchMouseEvent", wheel);
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    }
+
+    #[allow(dead_code, reason = "not all tests touch")]
+    /// Moves fingers, each from a place to another, in steps, and lifts them.
+    pub(crate) fn touch(&mut self, fingers: &[[[f64; 2]; 2]]) {
+        let mut event = |kind: &str, share: f64| {
+            let at = |(id, [from, to]): (usize, &[[f64; 2]; 2])| json!({ "id": id, "x": from[0] + share * (to[0] - from[0]), "y": from[1] + share * (to[1] - from[1]) });
+            let points: Vec<_> =
+                if kind == "touchEnd" { Vec::new() } else { fingers.iter().enumerate().map(at).collect() };
+            self.call("Input.dispatchTouchEvent", json!({ "type": kind, "touchPoints": points }));
+        };
+        event("touchStart", 0.0);
+        (1..=8).for_each(|step| event("touchMove", f64::from(step) / 8.0));
+        event("touchEnd", 1.0);
         self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
     }
 

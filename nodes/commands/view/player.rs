@@ -1,4 +1,4 @@
-use crate::commands::common::serve::picks::Picks;
+use crate::commands::common::serve::picks::{Known, Picks};
 use osteoflow_geometry::SurgicalPlan;
 use osteoflow_viewer::{App, Playback, PlaybackState, Response};
 
@@ -17,11 +17,11 @@ impl Player {
 
 impl App for Player {
     fn get(&self, path: &str) -> Option<Response> {
-        self.picks.get(path, self.plan.as_ref())
+        self.picks.get(path, self.plan.as_ref(), &[])
     }
 
     fn post(&self, path: &str, body: &[u8]) -> Option<Response> {
-        self.picks.post(path, body, self.plan.as_ref())
+        self.picks.post(path, body, Known { plan: self.plan.as_ref(), made_for: None })
     }
 
     fn range_ns(&self) -> Option<(u64, u64)> {

@@ -17,7 +17,7 @@ use crate::commands::common::{
     run_end, running,
     serve::{
         self, Admission, Serving, known_plan,
-        picks::{self, Picks},
+        picks::{self, Known, Picks},
     },
     terminal,
 };
@@ -61,6 +61,8 @@ struct Steering {
     graph: Mutex<Value>,
     /// The plan that the graph reads, with what the page does not see of it.
     plan: Mutex<Option<SurgicalPlan>>,
+    /// The plan that the procedure was made for, if the graph reads another one.
+    made_for: Mutex<Option<SurgicalPlan>>,
     picks: Picks,
     two_files: Option<TwoFiles>,
 }
@@ -106,20 +108,29 @@ impl Steering {
             return Err(format!("the graph has no crop \"{node}\" that could use the region"));
         }
         let path = self.picks.save_region(&request["region"].to_string())?;
-        let changes = self.use_file(&[node], "crop.file", &path)?;
+        let changes = self.use_file(node, "crop.file", &path)?;
         Ok(json!({ "changes": changes, "message": format!("saved in {}", path.display()) }))
     }
 
-    /// Lets nodes read a file.
+    /// Lets a crop read a file.
     ///
     /// # Errors
     /// A sentence for the user.
-    fn use_file(&self, nodes: &[&str], kind: &str, path: &Path) -> Result<Value, String> {
+    fn use_file(&self, node: &str, kind: &str, path: &Path) -> Result<Value, String> {
         let path = path.display().to_string();
-        let settings =
-            |node: &&str| [(format!("{node}.kind"), kind.into()), (format!("{node}.path"), path.as_str().into())];
-        let settings: Vec<(String, Value)> = nodes.iter().flat_map(settings).collect();
+        let settings = [(format!("{node}.kind"), kind.into()), (format!("{node}.path"), path.as_str().into())];
         self.changes.set(&settings).map_err(|why| format!("{path} is saved, but the graph cannot use it: {why}"))
+    }
+
+    /// The nodes that give plans.
+    fn plan_nodes(&self) -> Vec<String> {
+        let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner);
+        let nodes = graph["nodes"].as_array().into_iter().flatten().filter(|node| {
+            let mut outputs = node["outputs"].as_array().into_iter().flatten();
+            node["kind"].as_str().is_some_and(|kind| kind.starts_with("plan."))
+                && outputs.any(|output| output["name"] == "planes")
+        });
+        nodes.filter_map(|node| node["name"].as_str().map(str::to_owned)).collect()
     }
 
     /// Lets the graph use picks that were saved: the plan of its plan nodes, or the pairs of a registration of two files.
@@ -137,28 +148,39 @@ impl Steering {
             let (bone, scan) = (file("bone_points.mrk.json")?, file("scan_points.mrk.json")?);
             return graph.start_from_pairs(&bone, &scan).map(|()| "; the registration starts from them");
         }
-        let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let nodes = graph["nodes"].as_array().into_iter().flatten().filter(|node| {
-            let mut outputs = node["outputs"].as_array().into_iter().flatten();
-            node["kind"].as_str().is_some_and(|kind| kind.starts_with("plan."))
-                && outputs.any(|output| output["name"] == "planes")
-        });
-        let nodes: Vec<&str> = nodes.filter_map(|node| node["name"].as_str()).collect();
+        let nodes = self.plan_nodes();
         if nodes.is_empty() {
             return Ok("; the graph has no node of a plan that could use it");
         }
-        self.use_file(&nodes, "plan.file", &file("plan.json")?).map(|_| "; the graph runs with it")
+        let plan = file("plan.json")?.display().to_string();
+        // What was measured before was measured for the plan as it was.
+        let made_for = saved["made_for"].as_str().map(|path| picks::absolute(Path::new(path))).transpose()?;
+        let mut settings: Vec<(String, Value)> = Vec::new();
+        for node in &nodes {
+            settings.push((format!("{node}.kind"), "plan.file".into()));
+            settings.push((format!("{node}.path"), plan.as_str().into()));
+            let made_for = made_for.iter().map(|path| path.display().to_string());
+            settings.extend(made_for.map(|path| (format!("{node}.made_for"), path.into())));
+        }
+        let used = self.changes.set(&settings);
+        used.map_err(|why| format!("{plan} is saved, but the graph cannot use it: {why}"))?;
+        Ok("; the graph runs with it")
     }
 }
 
 impl App for Steering {
     fn get(&self, path: &str) -> Option<Response> {
-        self.picks.get(path, self.plan().as_ref())
+        let plans = self.plan_nodes();
+        let runs = [(!plans.is_empty(), "plan"), (self.two_files.is_some(), "pairs")];
+        let runs: Vec<&str> = runs.into_iter().filter_map(|(is, what)| is.then_some(what)).collect();
+        self.picks.get(path, self.plan().as_ref(), &runs)
     }
 
     fn post(&self, path: &str, body: &[u8]) -> Option<Response> {
         if let Some(what) = path.strip_prefix("save/") {
-            let saved = self.picks.save(what, body, self.plan().as_ref());
+            let made_for = self.made_for.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            let known = self.plan();
+            let saved = self.picks.save(what, body, Known { plan: known.as_ref(), made_for: made_for.as_ref() });
             return Some(picks::reply(saved.and_then(|mut saved| {
                 let more = self.use_picks(what, &saved)?;
                 saved["message"] = format!("{}{more}", saved["message"].as_str().unwrap_or_default()).into();
@@ -216,6 +238,7 @@ pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
         changes,
         graph: Mutex::default(),
         plan: Mutex::default(),
+        made_for: Mutex::default(),
         picks: request.picks,
         two_files: request.two_files,
     });
@@ -294,6 +317,7 @@ impl Rerun for Session {
         let dir = self.runs.folder(&plan)?;
         let graph = serve::graph_json(&plan, &registry);
         *self.steering.plan.lock().unwrap_or_else(PoisonError::into_inner) = known_plan::of_graph(&plan);
+        *self.steering.made_for.lock().unwrap_or_else(PoisonError::into_inner) = known_plan::made_for(&plan);
         self.steering.graph.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&graph);
         self.stream.restart();
         self.stream.publish_parameters(&self.steering.parameters());
@@ -325,7 +349,8 @@ impl Rerun for Session {
         }
         if is_first && !global.quiet {
             let again = format!("; {} is run again when it changes", changes.path().display());
-            let again = if changes.is_fixed() { "" } else { &again };
+            let is_seen = !changes.is_fixed() && self.steering.two_files.is_none();
+            let again = if is_seen { &again } else { "" };
             writeln!(terminal::stderr(), "the page stays until Ctrl-C{again}")?;
         }
         Ok(self.turn(stamps))

@@ -57,6 +57,12 @@ pub(crate) fn of_graph(plan: &Plan) -> Option<SurgicalPlan> {
     plan.nodes.iter().find_map(again)
 }
 
+/// The plan that the procedure of a graph was made for, if the graph reads another one.
+pub(crate) fn made_for(plan: &Plan) -> Option<SurgicalPlan> {
+    let of = |node: &PlanNode| Some(read_plan(Path::new(node.params["made_for"].as_str()?)).ok()?.plan);
+    plan.nodes.iter().filter(|node| node.kind == "plan.file").find_map(of)
+}
+
 /// The plan that a node gives.
 fn again(node: &PlanNode) -> Option<SurgicalPlan> {
     match &*node.kind {

@@ -4,7 +4,7 @@ use osteoflow_algorithms::coarse;
 use osteoflow_formats::{
     Space,
     picked_points::{write_mrk_json, write_planes_mrk_json, write_roi_mrk_json},
-    plan_file::{parse_plan, plan_json, read_plan},
+    plan_file::{parse_plan, plan_json, read_plan, write_plan},
     region_file::{parse_region, write_region},
 };
 use osteoflow_geometry::{NamedPoint, Points, Shape, SurgicalPlan};
@@ -37,6 +37,25 @@ const UNSEEN: [(&str, &[&str]); 4] = [
     ("nominal camera marker pose", &["camera_marker_nominal_C_T_Mc"]),
 ];
 
+/// The file of the plan that the procedure was made for, beside the one that was picked.
+const MADE_FOR: &str = "made_for.json";
+
+/// What is known of the plan that is shown.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Known<'a> {
+    /// It, with what the page does not see of it.
+    pub(crate) plan: Option<&'a SurgicalPlan>,
+    /// The plan that the procedure was made for, if it is another one.
+    pub(crate) made_for: Option<&'a SurgicalPlan>,
+}
+
+impl<'a> Known<'a> {
+    /// The plan for which whatever is shown was measured.
+    fn procedure(self) -> Option<&'a SurgicalPlan> {
+        self.made_for.or(self.plan)
+    }
+}
+
 /// Saves what was picked.
 #[derive(Debug, Clone)]
 pub(crate) struct Picks {
@@ -50,16 +69,17 @@ impl Picks {
     }
 
     /// The answer to a request of the page, if it is one for picks: `save/plan` and `save/pairs`.
-    pub(crate) fn post(&self, path: &str, body: &[u8], known: Option<&SurgicalPlan>) -> Option<Response> {
+    pub(crate) fn post(&self, path: &str, body: &[u8], known: Known<'_>) -> Option<Response> {
         let what = path.strip_prefix("save/").filter(|what| ["plan", "pairs"].contains(what))?;
         Some(reply(self.save(what, body, known)))
     }
 
-    /// The answer to the page's question where picks are saved, and what is known of the plan that it does not see.
-    pub(crate) fn get(&self, path: &str, known: Option<&SurgicalPlan>) -> Option<Response> {
-        (path == "picks").then(|| {
-            Response::json(&json!({ "folder": self.folder.display().to_string(), "plan": known.map(plan_json) }))
-        })
+    /// The answer to the page's question where picks are saved, what is known of the plan that it does not see, and which picks
+    /// (`plan`, `pairs`) the graph is run with once they are saved.
+    pub(crate) fn get(&self, path: &str, known: Option<&SurgicalPlan>, runs: &[&str]) -> Option<Response> {
+        let folder = self.folder.display().to_string();
+        let answer = || Response::json(&json!({ "folder": folder, "plan": known.map(plan_json), "runs": runs }));
+        (path == "picks").then(answer)
     }
 
     /// Writes what was picked (`what` is `plan` or `pairs`) into a new folder. What the plan of the page lacks is taken from the
@@ -67,7 +87,7 @@ impl Picks {
     ///
     /// # Errors
     /// A sentence for the user: what is wrong with the picks, or why they cannot be written.
-    pub(crate) fn save(&self, what: &str, body: &[u8], known: Option<&SurgicalPlan>) -> Result<Value, String> {
+    pub(crate) fn save(&self, what: &str, body: &[u8], known: Known<'_>) -> Result<Value, String> {
         if body.len() > MAX_BYTES {
             return Err(format!("{} bytes are too long for picks; at most {MAX_BYTES} are taken", body.len()));
         }
@@ -79,7 +99,7 @@ impl Picks {
         }
     }
 
-    fn save_plan(&self, text: &str, known: Option<&SurgicalPlan>) -> Result<Value, String> {
+    fn save_plan(&self, text: &str, known: Known<'_>) -> Result<Value, String> {
         let path = Path::new("the picked plan");
         let read = parse_plan(path, text).map_err(|error| error.to_string())?;
         if !read.unread.is_empty() {
@@ -95,7 +115,7 @@ impl Picks {
         check_names(planes.planes.iter().map(|plane| &*plane.name))?;
         check_places(&all)?;
 
-        let (merged, notes) = merged(&given, &read.plan, known);
+        let (merged, notes) = merged(&given, &read.plan, known.plan);
         // What is written is what was read of it, to the last digit of the points.
         let text = serde_json::to_string_pretty(&merged).map_err(|error| error.to_string())? + "\n";
         let again = parse_plan(path, &text).map_err(|error| error.to_string())?;
@@ -123,6 +143,9 @@ impl Picks {
             if !planes.is_empty() {
                 write_planes_mrk_json(&file("planes.mrk.json"), &planes).map_err(|error| error.to_string())?;
             }
+            if let Some(made_for) = known.procedure() {
+                write_plan(&file(MADE_FOR), made_for).map_err(|error| error.to_string())?;
+            }
             Ok(())
         })?;
         let counts = format!(
@@ -135,7 +158,9 @@ impl Picks {
         for note in notes.iter().chain(&read.notes) {
             message += &format!("; {note}");
         }
-        Ok(json!({ "files": files, "message": message, "plan": folder.join("plan.json").display().to_string() }))
+        let made_for = known.procedure().map(|_| folder.join(MADE_FOR).display().to_string());
+        let plan = folder.join("plan.json").display().to_string();
+        Ok(json!({ "files": files, "message": message, "plan": plan, "made_for": made_for }))
     }
 
     /// Writes a region that was drawn by hand into a new folder, one of a single box for 3D Slicer, too; returns its file.

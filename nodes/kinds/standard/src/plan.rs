@@ -2,7 +2,9 @@
 
 pub mod file;
 pub mod landmarks;
+mod moved;
 mod ports;
 pub mod simulated;
 
+pub(crate) use moved::Moved;
 pub use ports::Out;

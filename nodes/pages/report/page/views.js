@@ -10,8 +10,6 @@ import { showVerdict } from "./verdict.js";
 
 /** What a key or a button does: radians to the right and down, or a factor of what is seen. */
 const TURN = 0.1, NEARER = 0.8;
-/** How near to its axis a view may be turned, radians. */
-const POLE = 0.05;
 
 class View {
   /** @param {HTMLElement} box @param {any} content @param {any} data of the page */
@@ -82,24 +80,14 @@ class View {
 
   /** @param {number} right @param {number} down radians */
   turn(right, down) {
-    const { camera, controls } = this.scene;
-    const offset = camera.position.clone().sub(controls.target).applyAxisAngle(camera.up, -right);
-    const aside = new THREE.Vector3().crossVectors(camera.up, offset).normalize();
-    const tilted = offset.clone().applyAxisAngle(aside, -down);
-    const angle = tilted.angleTo(camera.up);
-    camera.position.copy(controls.target).add(angle > POLE && angle < Math.PI - POLE ? tilted : offset);
-    controls.update();
+    this.scene.controls.turn(right, down);
     this.scene.isTurned = true;
-    this.scene.redraw();
   }
 
   /** @param {number} factor */
   zoom(factor) {
-    const { camera } = this.scene;
-    camera.zoom = Math.min(Math.max(camera.zoom / factor, 0.05), 200);
-    camera.updateProjectionMatrix();
+    this.scene.controls.zoom(factor);
     this.scene.isTurned = true;
-    this.scene.redraw();
   }
 
   listen() {

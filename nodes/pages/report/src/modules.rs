@@ -10,15 +10,16 @@ use serde_json::{Value as Json, json};
 use std::io::Write;
 
 /// The modules of the live page that are used here; each imports only those before it.
-const SHARED: [&str; 12] = [
+const SHARED: [&str; 13] = [
     "three/three.core.min.js",
     "three/three.module.min.js",
-    "three/OrbitControls.js",
     "drawables.js",
     "residual_colours.js",
     "eye.js",
     "frames.js",
     "message.js",
+    "shapes.js",
+    "trackball.js",
     "scene.js",
     "devices.js",
     "layers.js",

@@ -41,13 +41,15 @@ export function showChanges(holder, made, say) {
   if (made.removed.length > 0) line(`without ${made.removed.join(", ")}, which the new kind does not have`);
   if (made.fixed) line(made.fixed);
   if (made.values.length > 0) {
-    const write = button(`write into ${made.file}`, () => act(post("write", {}).then(() => say(`written into ${made.file}`))));
-    write.id = "write";
-    write.disabled = made.no_file !== null;
     const buttons = document.createElement("div");
-    buttons.append(write, button("take all back", () => act(post("revert", {}))));
+    // A graph that is built in has no file of the user's.
+    if (made.no_file === null) {
+      const write = button(`write into ${made.file}`, () => act(post("write", {}).then(() => say(`written into ${made.file}`))));
+      write.id = "write";
+      buttons.append(write, " ");
+    }
+    buttons.append(button("take all back", () => act(post("revert", {}))));
     parts.push(buttons);
-    if (made.no_file) line(made.no_file);
     line(`the same from the command line: ${made.settings}`);
   }
   holder.replaceChildren(...parts);

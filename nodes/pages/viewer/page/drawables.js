@@ -12,7 +12,10 @@ export const PLANE_MM = 18;
 /** How far what is on a surface is drawn before it, mm. */
 export const FORTH_MM = 1;
 /** Colours that differ in lightness too, for those who cannot tell red from green. */
-export const BONE = 0xd9cfbb, SCAN = 0x0072b2, PLANE = 0x8a3ffc, POINT = 0xd55e00;
+export const BONE = 0xd9cfbb, PLANE = 0x8a3ffc, POINT = 0xd55e00;
+
+/** The grey of points whose distance from the bone is not known. */
+export const UNKNOWN = 0x8c9199;
 
 /**
  * @param {string} payload
@@ -61,7 +64,7 @@ export function surface(item, colour = BONE) {
 function cloud(item) {
   const { origin, attribute } = positions(/** @type {Float64Array} */ (item.columns.points.rows));
   const geometry = new THREE.BufferGeometry().setAttribute("position", attribute);
-  const material = new THREE.PointsMaterial({ color: SCAN, size: 2, sizeAttenuation: false });
+  const material = new THREE.PointsMaterial({ color: UNKNOWN, size: 2, sizeAttenuation: false });
   const object = at(new THREE.Points(geometry, material), origin);
   object.userData.forthMm = FORTH_MM;
   return object;

@@ -48,6 +48,9 @@ export class Eye {
     return camera instanceof THREE.OrthographicCamera ? camera.top / camera.zoom : camera.position.distanceTo(target) * SLOPE;
   }
 
+  /** How much more of the view's height what is this much nearer takes than where it is looked at, in the scene's metres. @param {number} nearer */
+  growth(nearer) { return this.camera instanceof THREE.OrthographicCamera ? 0 : nearer * SLOPE; }
+
   /** How many times its given size a name must have, so that it is as large on the screen as in perspective. */
   nameScale() {
     return this.camera instanceof THREE.OrthographicCamera ? this.camera.top / this.camera.zoom / SLOPE : 1;

@@ -11,36 +11,41 @@ const CLICK_PX = 4;
 const STEP_MM = 0.5, FINE_MM = 0.1;
 
 export class Gestures {
-  /** @param {import("./pick.js").Picking} picking */
-  constructor(picking) {
+  /**
+   * @param {import("./pick.js").Picking} picking
+   * @param {"bone" | "scan"} side what the view is of
+   * @param {HTMLElement} view
+   */
+  constructor(picking, side, view) {
     this.picking = picking;
+    this.side = side;
+    this.view = view;
     /** @type {{from: Picked, offset: number[], group: Group, name: string, pointer: number, at: number[]} | null} */
     this.drag = null;
     /** @type {{x: number, y: number, pointer: number} | null} */
     this.press = null;
-    const view = picking.scene.holder;
     // Before the controls of the view, which listen inside.
     view.addEventListener("pointerdown", (event) => this.down(event), true);
     view.addEventListener("pointermove", (event) => this.move(event), true);
     view.addEventListener("pointerup", (event) => this.up(event), true);
     view.addEventListener("pointercancel", () => this.cancel(), true);
-    document.addEventListener("keydown", (event) => this.key(event), true);
+    if (side === "bone") document.addEventListener("keydown", (event) => this.key(event), true);
   }
 
   /** @param {PointerEvent} event */
   down(event) {
-    if (this.picking.mode === null || event.target !== this.picking.scene.renderer.domElement) return;
+    if (this.picking.mode === null || !(event.target instanceof HTMLCanvasElement)) return;
     // A second finger turns the view.
     if (!event.isPrimary) return this.cancel();
     if (event.button !== 0) return;
     const [x, y] = [event.clientX, event.clientY];
     this.press = { x, y, pointer: event.pointerId };
-    const found = this.picking.markAt(x, y, REACH_PX[event.pointerType === "mouse" ? "mouse" : "touch"]);
+    const found = this.picking.markAt(this.side, x, y, REACH_PX[event.pointerType === "mouse" ? "mouse" : "touch"]);
     if (!found) return;
     const { group, pick, at } = found;
     this.picking.select(group, pick.name);
-    this.picking.scene.controls.enabled = false;
-    this.picking.scene.holder.setPointerCapture(event.pointerId);
+    this.picking.sceneOf(group).controls.enabled = false;
+    this.view.setPointerCapture(event.pointerId);
     this.drag = { from: this.picking.history.now, offset: [at[0] - x, at[1] - y], group, name: pick.name, pointer: event.pointerId, at: [x, y] };
   }
 
@@ -51,7 +56,7 @@ export class Gestures {
     const [x, y] = [event.clientX, event.clientY];
     if (drag.at.length === 2 && Math.hypot(x - drag.at[0], y - drag.at[1]) < 1) return;
     drag.at = [];
-    const aimed = this.picking.aim.at(drag.group, x + drag.offset[0], y + drag.offset[1], REACH_PX.touch);
+    const aimed = this.picking.aimOf(drag.group).at(drag.group, x + drag.offset[0], y + drag.offset[1], REACH_PX.touch);
     if ("why" in aimed) return this.picking.say(aimed.why);
     this.picking.say("");
     this.picking.history.now = this.picking.moved(drag.group, drag.name, aimed.position);
@@ -80,19 +85,19 @@ export class Gestures {
   }
 
   endDrag() {
+    if (this.drag) this.picking.sceneOf(this.drag.group).controls.enabled = true;
     this.drag = null;
     this.press = null;
-    this.picking.scene.controls.enabled = true;
   }
 
   /** @param {number} x @param {number} y @param {number} px */
   click(x, y, px) {
-    const group = this.picking.armed;
+    const group = this.picking.takes(this.side);
     if (group === null) {
       this.picking.select(null, "");
       return;
     }
-    const aimed = this.picking.aim.at(group, x, y, px);
+    const aimed = this.picking.aimOf(group).at(group, x, y, px);
     if ("why" in aimed) return this.picking.say(aimed.why);
     this.picking.say("");
     this.picking.add(group, aimed.position);
@@ -112,6 +117,8 @@ export class Gestures {
       return this.picking.enter(this.picking.mode ? null : "plan");
     }
     if (this.picking.mode === null) return;
+    // Without a point the arrows turn the view.
+    if (event.key.startsWith("Arrow") && this.picking.selected === null) return;
     const mm = event.shiftKey ? FINE_MM : STEP_MM;
     /** @type {Record<string, () => void>} */
     const keys = {
@@ -122,7 +129,7 @@ export class Gestures {
       Delete: () => this.picking.remove(),
       Backspace: () => this.picking.remove(),
       Escape: () => {
-        this.cancel();
+        this.picking.cancel();
         this.picking.armed = null;
         this.picking.select(null, "");
       },

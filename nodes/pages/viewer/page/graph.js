@@ -1,6 +1,7 @@
 // The nodes of the graph: how often each has fired, how long it took, what it is for, and its parameters, which may be changed.
 
 import { post } from "./request.js";
+import { duration } from "./times.js";
 
 /**
  * @typedef {{name: string, value: any, default: any, doc: string | null, minimum: number | null, maximum: number | null, words: string[]}} Param
@@ -73,7 +74,7 @@ export class GraphList {
       const [n, ms, drops] = this.sums[name] ?? [0, 0, 0];
       state.textContent = n > 0 ? STATES.fired : STATES.waiting;
       state.title = n > 0 ? "has fired" : "has not fired";
-      const mean = n > 0 ? `${n} \u00d7 ${(ms / n).toPrecision(2)} ms` : "";
+      const mean = n > 0 ? n > 1 ? `${n} \u00d7 ${duration(ms / n)}` : duration(ms) : "";
       numbers.textContent = drops > 0 ? `${mean}, ${drops} dropped` : mean;
     }
   }
@@ -188,4 +189,24 @@ function read(input, before) {
     if (before === null) return input.value;
     throw new Error("this is no value in the form of JSON");
   }
+}
+
+/**
+ * The clouds that nodes make of each cloud, directly or through others, by their wires.
+ * @param {Node[]} nodes
+ * @returns {Map<string, Set<string>>}
+ */
+export function derivedClouds(nodes) {
+  const isCloud = (/** @type {{payload: string}} */ { payload }) => payload === "geometry/Cloud";
+  /** @type {Map<string, Set<string>>} */
+  const derived = new Map();
+  // A graph has its nodes in an order in which each takes from those before it: from the last on, what is made of an output is known.
+  for (const { name, inputs, outputs } of [...nodes].reverse()) {
+    const made = outputs.filter(isCloud).map((output) => `${name}.${output.name}`);
+    const further = made.flatMap((wire) => [wire, ...(derived.get(wire) ?? [])]);
+    for (const wire of inputs.flatMap(({ from }) => (from ?? "").split(", "))) {
+      if (wire !== "") derived.set(wire, new Set([...(derived.get(wire) ?? []), ...further]));
+    }
+  }
+  return derived;
 }

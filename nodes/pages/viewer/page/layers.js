@@ -27,7 +27,7 @@ export class LayerList {
   }
 
   draw() {
-    const rows = [...this.scene.drawn].map(([wire, { shown, object }]) => ({ wire, shown, why: object.userData.why ?? null }));
+    const rows = [...this.scene.drawn].map(([wire, { shown, object }]) => ({ wire, shown, why: object.userData.why ?? null, note: object.userData.note ?? null }));
     rows.sort((a, b) => (a.wire < b.wire ? -1 : 1));
     const key = JSON.stringify(rows);
     if (key === this.listed) return;
@@ -35,20 +35,22 @@ export class LayerList {
     this.holder.replaceChildren(...rows.map((row) => this.entry(row)));
   }
 
-  /** @param {{wire: string, shown: boolean, why: string | null}} row */
-  entry({ wire, shown, why }) {
+  /** @param {{wire: string, shown: boolean, why: string | null, note: string | null}} row */
+  entry({ wire, shown, why, note }) {
     const entry = document.createElement("li");
     const name = document.createElement("label");
     const box = document.createElement("input");
     box.type = "checkbox";
+    box.dataset.wire = wire;
     box.checked = shown;
     box.onchange = () => this.scene.choose(wire, box.checked);
     name.append(box, ` ${wire}`);
     entry.append(name);
-    if (why !== null) {
-      entry.className = "hidden";
+    const said = note ?? why;
+    if (said !== null) {
+      entry.className = note === null ? "hidden" : "beside";
       const reason = document.createElement("small");
-      reason.textContent = why;
+      reason.textContent = said;
       entry.append(reason);
     }
     return entry;

@@ -1,15 +1,17 @@
 // The page: one connection, one view, the verdict and the numbers.
 
+import { Beside } from "./beside.js";
 import { showChanges } from "./changes.js";
 import { Connection } from "./connection.js";
 import { Devices } from "./devices.js";
-import { GraphList } from "./graph.js";
+import { GraphList, derivedClouds } from "./graph.js";
 import { Frames } from "./frames.js";
 import { LayerList, showItem } from "./layers.js";
 import { payloadOf, readItem, readTransform } from "./message.js";
 import { Picking } from "./pick.js";
 import { RegionTool } from "./region.js";
 import { Scene } from "./scene.js";
+import { clock } from "./times.js";
 import { showVerdict } from "./verdict.js";
 
 /** @typedef {import("./connection.js").Channel} Channel */
@@ -35,7 +37,8 @@ const scene = new Scene(element("view"), { worker: new Worker("residual.js", { t
 const layers = new LayerList(element("shown"), scene);
 const graph = new GraphList(element("graph"));
 const devices = new Devices(scene);
-const picking = new Picking(scene, element("picking"));
+const beside = new Beside(scene, element("beside"));
+const picking = new Picking(scene, beside, element("picking"));
 
 const region = new RegionTool(scene, element("region"), log, (isOpen) => {
   // One tool at a time.
@@ -142,6 +145,7 @@ function drawPending() {
     attempt(wire, () => {
       const item = readItem(data);
       scene.update(wire, payload, item);
+      beside.item(wire, payload, item);
       picking.item(wire, payload, item);
       devices.item(payload, item);
     });
@@ -173,6 +177,7 @@ function receive(channel, data) {
     const message = JSON.parse(new TextDecoder().decode(data));
     if (channel.topic === GRAPH) {
       graph.show(message);
+      scene.takeDerived(derivedClouds(message.nodes));
       picking.graph(message);
       showRegionButton();
     } else graph.count(message);
@@ -215,6 +220,7 @@ function receive(channel, data) {
 function forget() {
   frames.clear();
   scene.clear();
+  beside.clear();
   pending.clear();
   verdicts.clear();
   heard.clear();
@@ -281,7 +287,9 @@ function animate() {
     noticeSilence();
     picking.draw();
     devices.draw(frames);
-    drawMs = scene.draw(frames);
+    beside.prepare(frames);
+    drawMs = scene.draw(frames) + beside.draw(frames);
+    showViewButtons();
     drawsAt = performance.now() + drawMs;
   }
   layers.draw();
@@ -320,7 +328,7 @@ function showPlayback(playback) {
   if (!range) return;
   const length = Number(range.end - range.start);
   /** @type {HTMLInputElement} */ (element("time")).value = String(length > 0 ? (1000 * Number(atNs - range.start)) / length : 0);
-  element("clock").textContent = `${(Number(atNs - range.start) / 1e9).toFixed(1)} of ${(length / 1e9).toFixed(1)} s`;
+  element("clock").textContent = `${clock(Number(atNs - range.start) / 1e9)} of ${clock(length / 1e9)}`;
 }
 
 const speed = () => Number(/** @type {HTMLSelectElement} */ (element("speed")).value);
@@ -352,12 +360,56 @@ element("draw").onclick = () => {
   else region.open(node, String(wire));
 };
 element("full").onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
+element("own").onclick = () => {
+  scene.colours.choose(!scene.colours.isOwn);
+  beside.made?.colours.choose(scene.colours.isOwn);
+};
+
+/** What the buttons of the view say: without a plan nobody knows which side of a bone is lateral. */
+function showViewButtons() {
+  const words = scene.axes ? { lateral: "lateral", anterior: "anterior" } : { lateral: "from one side", anterior: "a quarter turn on" };
+  for (const [side, text] of Object.entries(words)) {
+    const button = /** @type {HTMLElement} */ (document.querySelector(`[data-side=${side}]`));
+    if (button.textContent !== text) button.textContent = text;
+  }
+  const own = element("own");
+  const isHidden = !scene.colours.hasOwn;
+  if (own.hidden !== isHidden) own.hidden = isHidden;
+  own.setAttribute("aria-pressed", String(scene.colours.isOwn));
+  const isScaled = !scene.colours.isOwn || isHidden;
+  if (element("scale").hidden === isScaled) element("scale").hidden = !isScaled;
+}
+
+/** What a key turns by, radians; moves by, pixels; zooms by. */
+const TURN = Math.PI / 24, MOVE_PX = 30, NEARER = 0.85;
+
+/** Keys in a view, for those who have no mouse. @param {HTMLElement} holder @param {() => Scene} of @param {() => void} all shows all */
+function steer(holder, of, all) {
+  holder.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const { controls } = of();
+    const go = (/** @type {number} */ right, /** @type {number} */ down) => (event.shiftKey ? controls.pan(right * MOVE_PX, down * MOVE_PX) : controls.turn(right * TURN, down * TURN));
+    /** @type {Record<string, () => void>} */
+    const does = {
+      ArrowLeft: () => go(-1, 0), ArrowRight: () => go(1, 0), ArrowUp: () => go(0, -1), ArrowDown: () => go(0, 1),
+      "+": () => controls.zoom(NEARER), "=": () => controls.zoom(NEARER), "-": () => controls.zoom(1 / NEARER), 0: all,
+    };
+    if (!does[event.key]) return;
+    event.preventDefault();
+    of().isTurned = true;
+    does[event.key]();
+  });
+}
+steer(element("view"), () => scene, () => scene.look("scan", frames));
+steer(beside.view, () => beside.scene, () => beside.look());
+
 document.addEventListener("keydown", (event) => {
-  if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement) return;
+  if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement || event.ctrlKey || event.metaKey || event.altKey) return;
   if (["1", "2", "3", "4"].includes(event.key)) scene.look(sides[Number(event.key) - 1], frames);
   if (event.key === "f") element("full").click();
   if (event.key === "g") element("glass").click();
-  if (event.key === " " && range) {
+  if (event.key === "c" && !element("own").hidden) element("own").click();
+  if (event.key === " " && range && !(event.target instanceof HTMLButtonElement)) {
     event.preventDefault();
     element("play").click();
   }
@@ -366,4 +418,4 @@ document.addEventListener("keydown", (event) => {
 judge();
 animate();
 // For tests, and for the browser's console.
-Object.assign(window, { osteoflow: { scene, frames, region, picking, devices, frameTimes, get state() { return state; }, get verdict() { return verdict(); } } });
+Object.assign(window, { osteoflow: { scene, beside, frames, region, picking, devices, frameTimes, get state() { return state; }, get verdict() { return verdict(); } } });

@@ -77,6 +77,9 @@ function text(text, at) {
   return made;
 }
 
+/** Of a pair both points are selected. @param {Group} group */
+function isPair(group) { return group === "bone" || group === "scan"; }
+
 /**
  * Marks of points, each with its name; those that the bone hides can be faded.
  * @param {Picked} picked
@@ -89,7 +92,7 @@ export function drawPoints(picked, groups, selected) {
   const marks = [];
   for (const group of groups) {
     for (const { name, position } of picked[group]) {
-      const sprites = [mark(group, position, selected?.group === group && selected.name === name), text(name, position)];
+      const sprites = [mark(group, position, selected?.name === name && (isPair(group) || selected.group === group)), text(name, position)];
       object.add(...sprites);
       marks.push({ position, sprites });
     }

@@ -1,12 +1,14 @@
 // Picking by hand: its modes, what is selected, every change of what is picked, and saving it.
 
+import * as THREE from "three";
 import { Aim } from "./aim.js";
+import { MM } from "./drawables.js";
 import { Gestures } from "./gestures.js";
 import { drawPlanes, drawPoints, drawRulers } from "./marks.js";
 import { readPlan } from "./load.js";
 import { Panel } from "./pick_panel.js";
-import { lookAtCloud, lookFrom, shadeCloud, unshade } from "./pick_view.js";
-import { History, bearings, nextName, normalOf, placed, planeAcross, planJson } from "./picks.js";
+import { lookFrom } from "./pick_view.js";
+import { History, N_NEEDED, bearings, nextName, normalOf, placed, planeAcross, planJson } from "./picks.js";
 import { post } from "./request.js";
 import { extent } from "./shade.js";
 import { PARTS, Shown } from "./shown_plan.js";
@@ -20,8 +22,6 @@ import { dot, minus, norm, plus, unit } from "./surface.js";
 
 /** Distance from the surface above which a point is not on it, mm: as of `register`. */
 export const OFF_MM = 2;
-/** Number of points that a registration needs. */
-export const N_NEEDED = 3;
 /** Height of the view when it shows a point, mm. */
 const NEAR_MM = 70;
 /** Shortest side on which its length is written, pixels. */
@@ -32,17 +32,17 @@ const LETTERS = { landmarks: "P", assessment: "M", tip: "malleolus tip", bone: "
 
 export class Picking {
   /**
-   * @param {import("./scene.js").Scene} scene
+   * @param {import("./scene.js").Scene} scene of the bone
+   * @param {import("./beside.js").Beside} beside the view of the scan, while pairs are picked
    * @param {HTMLElement} holder of the panel
    */
-  constructor(scene, holder) {
+  constructor(scene, beside, holder) {
     this.scene = scene;
+    this.beside = beside;
     /** @type {"plan" | "pairs" | null} */
     this.mode = null;
-    /** What the next click sets. @type {Group | null} */
+    /** What the next click sets; of pairs one more than are needed, on either side. @type {Group | null} */
     this.armed = null;
-    /** Of pairs, what is shown. @type {"bone" | "scan"} */
-    this.side = "bone";
     /** @type {{group: Group, name: string} | null} */
     this.selected = null;
     /** @type {string | null} */
@@ -50,7 +50,9 @@ export class Picking {
     this.history = new History();
     this.shown = new Shown(scene);
     this.aim = new Aim(scene, this.shown);
-    /** What the server knows of the plan besides, and where it saves; null if it saves nothing. @type {{folder?: string, plan?: any} | null | undefined} */
+    /** @type {Aim | null} */
+    this.aimOnScan = null;
+    /** What the server knows of the plan besides, where it saves, and what it then runs with; null if it saves nothing. @type {{folder?: string, plan?: any, runs?: string[]} | null | undefined} */
     this.known = undefined;
     /** The plan that was shown when picking began, as text. */
     this.base = "";
@@ -64,7 +66,7 @@ export class Picking {
     this.isDirty = false;
     this.camera = "";
     this.panel = new Panel(this, holder);
-    this.gestures = new Gestures(this);
+    this.gestures = [new Gestures(this, "bone", scene.holder), new Gestures(this, "scan", beside.view)];
   }
 
   /** Asks the server, the first time, where it saves and what it knows of the plan. */
@@ -138,7 +140,6 @@ export class Picking {
   /** @param {string} wire */
   chooseCloud(wire) {
     this.shown.chosen = wire;
-    this.views.delete("scan");
     if (this.mode === "pairs") this.focus();
     this.changed();
   }
@@ -161,47 +162,46 @@ export class Picking {
     if (mode === "pairs" && !this.cloud()) return this.say("no scan is shown yet; pairs cannot be picked");
     void this.ask();
     this.keepView();
+    // On a narrow screen the list is below.
+    if (mode) this.scene.holder.scrollIntoView({ block: "nearest" });
     this.mode = mode;
     this.selected = null;
     this.selectedPlane = null;
-    this.gestures.cancel();
+    this.cancel();
     this.arm(mode === "plan" && this.history.now.landmarks.length < N_NEEDED ? "landmarks" : null);
-    if (mode === "pairs") this.nextOfPair();
     this.focus();
     this.changed();
   }
 
-  /** Shows what is picked on alone, in its own coordinates. */
+  /** Ends drags without a change. */
+  cancel() { for (const hand of this.gestures) hand.cancel(); }
+
+  /** Shows what is picked on alone, in its own coordinates: of pairs the scan beside the bone. */
   focus() {
     const [bone, cloud] = [this.bone(), this.cloud()];
-    const onScan = this.isOnScan();
-    const target = onScan ? cloud : bone;
-    if (this.mode === null || !target) {
+    for (const name of Object.values(MARKS)) this.scene.remove(name);
+    this.beside.pick(this.mode === "pairs" ? cloud : null);
+    if (this.mode === null || !bone) {
       this.scene.focus = null;
     } else {
-      const hides = (/** @type {string} */ wire) =>
-        this.mode === "pairs" ? wire !== target.wire && wire !== MARKS[this.side] : PARTS.some((part) => wire.endsWith(`.${part}`));
-      this.scene.focus = { frame: String(target.item.fields.frame), shows: (wire) => !hides(wire) };
-      const drawn = this.scene.drawn.get(target.wire);
+      const shows = (/** @type {string} */ wire) => (this.mode === "pairs" ? wire === bone.wire || wire === MARKS.bone : PARTS.every((part) => !wire.endsWith(`.${part}`)));
+      this.scene.focus = { frame: String(bone.item.fields.frame), shows };
+      const drawn = this.scene.drawn.get(bone.wire);
       if (drawn) drawn.shown = true;
     }
-    for (const name of Object.values(MARKS)) this.scene.remove(name);
-    if (!onScan) unshade(this.scene);
     const view = this.views.get(this.viewName());
     if (view) {
       this.scene.camera.position.copy(view.position);
       this.scene.camera.up.copy(view.up);
       this.scene.controls.target.copy(view.target);
       this.scene.controls.update();
-    } else if (onScan && cloud) {
-      lookAtCloud(this.scene, cloud.item);
     } else if (this.mode === null || !this.lookAtLandmarks()) {
       this.scene.isLookedAt = false;
     }
     this.scene.redraw();
   }
 
-  viewName() { return this.mode === null ? "all" : this.isOnScan() ? "scan" : "bone"; }
+  viewName() { return this.mode === null ? "all" : "bone"; }
 
   keepView() {
     const { camera, controls } = this.scene;
@@ -233,6 +233,10 @@ export class Picking {
     const [surface, of] = [this.surface(), this.bearings()];
     if (!pick || !surface || !of) return;
     this.select(group, name);
+    if (group === "scan" || this.mode === "pairs") {
+      const on = this.history.now.scan.find((pick) => pick.name === name);
+      if (on) this.beside.scene.controls.centre(new THREE.Vector3(...on.position).multiplyScalar(MM));
+    }
     if (group === "scan") return;
     const middle = surface.section(pick.position, of.along)?.middle;
     const hit = surface.closest(pick.position);
@@ -246,39 +250,43 @@ export class Picking {
     this.changed();
   }
 
-  /** Shows the bone or the scan, and sets a pair's next point there. @param {"bone" | "scan"} side @param {boolean} isArmed */
-  show(side, isArmed) {
-    this.keepView();
-    this.side = side;
-    this.selected = null;
-    this.arm(isArmed ? side : null);
-    this.focus();
-  }
-
-  /** After a point of a pair: the same on the other side, then the next pair. */
-  nextOfPair() {
+  /** Points that lack their counterpart on the other side. @param {"bone" | "scan"} side */
+  waiting(side) {
     const { bone, scan } = this.history.now;
-    const open = (/** @type {Pick[]} */ of, /** @type {Pick[]} */ other) => of.some(({ name }) => other.every((pick) => pick.name !== name));
-    if (open(bone, scan)) this.show("scan", true);
-    else if (open(scan, bone)) this.show("bone", true);
-    else this.show("bone", bone.length < N_NEEDED);
+    const [own, other] = side === "bone" ? [bone, scan] : [scan, bone];
+    return other.filter(({ name }) => own.every((pick) => pick.name !== name));
   }
 
-  isOnScan() { return this.mode === "pairs" && this.side === "scan"; }
+  /** Pairs of which both points are picked. */
+  nPairs() { return this.history.now.bone.length - this.waiting("scan").length; }
 
-  /** Groups whose points are shown now. @returns {Group[]} */
-  groups() { return this.mode === "pairs" ? [this.side] : ["landmarks", "assessment", "tip"]; }
+  /** What a click sets in the view of the bone or of the scan. @param {"bone" | "scan"} side @returns {Group | null} */
+  takes(side) {
+    if (this.mode !== "pairs") return side === "bone" ? this.armed : null;
+    const isMore = this.armed !== null || this.history.now[side].length < N_NEEDED || this.waiting(side).length > 0;
+    return isMore ? side : null;
+  }
 
-  /** The mark under a place of the window. @param {number} x @param {number} y @param {number} px */
-  markAt(x, y, px) {
+  /** The view in which points of a group are. @param {Group} group */
+  sceneOf(group) { return group === "scan" ? this.beside.scene : this.scene; }
+
+  /** @param {Group} group */
+  aimOf(group) { return group === "scan" ? (this.aimOnScan ??= new Aim(this.beside.scene, this.shown)) : this.aim; }
+
+  /** Groups whose points are in a view. @param {"bone" | "scan"} side @returns {Group[]} */
+  groups(side) { return this.mode === "pairs" ? [side] : side === "bone" ? ["landmarks", "assessment", "tip"] : []; }
+
+  /** The mark under a place of the window. @param {"bone" | "scan"} side @param {number} x @param {number} y @param {number} px */
+  markAt(side, x, y, px) {
     let best = px;
     /** @type {{group: Group, pick: Pick, at: number[]} | null} */
     let found = null;
-    for (const group of this.groups()) {
+    for (const group of this.groups(side)) {
+      const aim = this.aimOf(group);
       for (const pick of this.history.now[group]) {
-        const at = this.aim.onScreen(pick.position);
+        const at = aim.onScreen(pick.position);
         const off = at ? Math.hypot(at[0] - x, at[1] - y) : Infinity;
-        if (at && off < best && !this.aim.isHidden(pick.position, this.isOnScan())) {
+        if (at && off < best && !aim.isHidden(pick.position, group === "scan")) {
           best = off;
           found = { group, pick, at };
         }
@@ -303,8 +311,7 @@ export class Picking {
     const order = group === "landmarks" ? (/** @type {Pick[]} */ all) => all.sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true })) : (/** @type {Pick[]} */ all) => all;
     this.history.set({ ...now, [group]: order([...now[group], { name, position }]) });
     this.select(group, name);
-    if (this.mode === "pairs") this.nextOfPair();
-    else this.arm(group === "landmarks" && this.history.now.landmarks.length < N_NEEDED ? group : null);
+    this.arm(group === "landmarks" && this.history.now.landmarks.length < N_NEEDED ? group : null);
   }
 
   // Changes.
@@ -323,13 +330,13 @@ export class Picking {
   }
 
   undo() {
-    this.gestures.cancel();
+    this.cancel();
     this.history.undo();
     this.afterTime();
   }
 
   redo() {
-    this.gestures.cancel();
+    this.cancel();
     this.history.redo();
     this.afterTime();
   }
@@ -339,7 +346,6 @@ export class Picking {
     const { selected, history } = this;
     if (selected && history.now[selected.group].every(({ name }) => name !== selected.name)) this.selected = null;
     if (this.mode === "plan") this.armed = history.now.landmarks.length < N_NEEDED ? "landmarks" : null;
-    if (this.mode === "pairs") this.nextOfPair();
     this.say("");
     this.changed();
   }
@@ -474,10 +480,15 @@ export class Picking {
         ? await post("save/pairs", { bone: pairs, scan: inOrder })
         : await post("save/plan", planJson(now, this.shown.rest(), along, surface));
       this.panel.saved(String(saved.message), saved.files ?? []);
+      // What the run gives is seen where everything is shown.
+      if (this.runsWith()) this.enter(null);
     } catch (error) {
       this.say(`not saved: ${error instanceof Error ? error.message : error}`);
     }
   }
+
+  /** Whether the graph is run with what is saved. */
+  runsWith() { return this.known?.runs?.includes(String(this.mode)) ?? false; }
 
   /** @param {string} text */
   say(text) { this.panel.say(text); }
@@ -501,7 +512,7 @@ export class Picking {
     if (this.mode === null || camera === this.camera) return;
     this.camera = camera;
     for (const { position, sprites } of this.marks) {
-      const isHidden = this.aim.isHidden(position, this.isOnScan());
+      const isHidden = this.aim.isHidden(position, false);
       for (const sprite of sprites) sprite.material.opacity = isHidden ? 0.25 : 1;
     }
     for (const { from, to, sprite } of this.lengths) {
@@ -513,34 +524,32 @@ export class Picking {
 
   /** What is picked on stays, also where a recording is at a time before it. */
   keepShown() {
-    const { scene } = this;
-    const onScan = this.isOnScan();
-    const target = onScan ? this.cloud() : this.bone();
-    if (target && !scene.drawn.has(target.wire)) scene.update(target.wire, onScan ? "geometry/Cloud" : "geometry/Mesh", target.item);
-    if (target && onScan) shadeCloud(scene, target);
-    if (!scene.drawn.has(onScan ? MARKS.scan : MARKS.bone)) this.isDirty = true;
+    const bone = this.bone();
+    if (bone && !this.scene.drawn.has(bone.wire)) this.scene.update(bone.wire, "geometry/Mesh", bone.item);
+    if (!this.scene.drawn.has(MARKS.bone)) this.isDirty = true;
+    if (this.mode !== "pairs") return;
+    this.beside.pick(this.cloud());
+    if (!this.beside.scene.drawn.has(MARKS.scan)) this.isDirty = true;
   }
 
   drawMarks() {
-    const { scene, mode } = this;
-    for (const name of Object.values(MARKS)) scene.remove(name);
+    for (const name of Object.values(MARKS)) for (const scene of [this.scene, this.beside.made]) scene?.remove(name);
     this.marks = [];
     this.lengths = [];
-    if (mode === null) return;
-    const [surface, of, target] = [this.surface(), this.bearings(), this.isOnScan() ? this.cloud() : this.bone()];
-    if (!surface || !of || !target) return;
+    if (this.mode === null) return;
+    const [surface, of, bone, cloud] = [this.surface(), this.bearings(), this.bone(), this.cloud()];
+    if (!surface || !of || !bone) return;
     const { now } = this.history;
-    const { object, marks } = drawPoints(now, this.groups(), this.selected);
+    const { object, marks } = drawPoints(now, this.groups("bone"), this.selected);
     this.marks = marks;
-    if (mode === "plan") {
+    if (this.mode === "plan") {
       const rulers = drawRulers(now, of);
       this.lengths = rulers.lengths;
       object.add(rulers.object, drawPlanes(now, surface, this.selectedPlane));
     }
-    object.matrixAutoUpdate = false;
-    scene.scene.add(object);
-    const frame = String(target.item.fields.frame);
-    scene.drawn.set(MARKS[mode === "pairs" ? this.side : "bone"], { object, frame, payload: "picking", shown: true, unknown: null });
-    scene.redraw();
+    this.scene.put(MARKS.bone, object, { frame: String(bone.item.fields.frame), payload: "picking", shown: true });
+    if (this.mode !== "pairs" || !cloud) return;
+    const onScan = drawPoints(now, this.groups("scan"), this.selected).object;
+    this.beside.scene.put(MARKS.scan, onScan, { frame: String(cloud.item.fields.frame), payload: "picking", shown: true });
   }
 }

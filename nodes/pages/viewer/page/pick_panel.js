@@ -1,7 +1,7 @@
 // The panel of what is picked: points with their rulers, planes with their sliders, what the next click does, saving.
 
 import { fileField } from "./load.js";
-import { MAX_DEG, height, placing, sides } from "./picks.js";
+import { MAX_DEG, N_NEEDED, height, placing, sides } from "./picks.js";
 import { norm, minus } from "./surface.js";
 
 /** @typedef {import("./pick.js").Picking} Picking */
@@ -13,8 +13,8 @@ const NEXT = {
   landmarks: "click the bone to set a landmark",
   assessment: "click the bone to set an assessment point",
   tip: "click the tip of the malleolus",
-  bone: "click the bone",
-  scan: "click the same place on the scan",
+  bone: "click a place on the bone, and the same place on the scan",
+  scan: "click a place on the bone, and the same place on the scan",
 };
 /** A shape for each group, as its marks have. @type {Record<Group, string>} */
 const SHAPES = { landmarks: "\u25cb", assessment: "\u25a1", tip: "\u25b3", bone: "\u25cb", scan: "\u25cb" };
@@ -60,8 +60,8 @@ export class Panel {
     this.save.id = "pick-save";
     this.where = make("small", {});
     this.body = make("div", { hidden: true }, this.adds, this.next, this.problem, make("div", { className: "row" }, this.undo, this.redo, this.remove),
-      this.points, this.rulers, this.planes, this.save, this.where, this.result);
-    holder.append(make("div", { className: "row" }, this.plan, this.pairs), this.body);
+      this.points, this.rulers, this.planes, this.save, this.where);
+    holder.append(make("div", { className: "row" }, this.plan, this.pairs), this.body, this.result);
   }
 
   /** @param {string} text what went wrong; nothing if all is well */
@@ -84,18 +84,19 @@ export class Panel {
 
   update() {
     const { picking } = this;
-    const { mode, armed, history } = picking;
+    const { mode, history } = picking;
     this.plan.setAttribute("aria-pressed", String(mode === "plan"));
     this.pairs.setAttribute("aria-pressed", String(mode === "pairs"));
     this.pairs.hidden = picking.clouds().length === 0;
     this.body.hidden = mode === null;
-    document.body.classList.toggle("picking", armed !== null && mode !== null);
+    picking.scene.holder.classList.toggle("takes", mode !== null && picking.takes("bone") !== null);
+    picking.beside.view.classList.toggle("takes", mode !== null && picking.takes("scan") !== null);
     if (mode === null) return;
     this.undo.disabled = history.before.length === 0;
     this.redo.disabled = history.after.length === 0;
     this.remove.disabled = picking.selected === null && picking.selectedPlane === null;
     this.next.textContent = this.whatNext();
-    this.save.textContent = mode === "pairs" ? "save the pairs" : "save the plan";
+    this.save.textContent = picking.runsWith() ? "save and run" : mode === "pairs" ? "save the pairs" : "save the plan";
     const { known } = picking;
     this.where.textContent = known?.folder ? `a new folder in ${known.folder} each time` : known === null ? "nothing can be saved here; open the run with osteoflow view" : "";
     this.updateAdds();
@@ -113,6 +114,11 @@ export class Panel {
     const { armed, history, mode } = picking;
     const warning = picking.warning ? `${picking.warning}. ` : "";
     const fault = picking.fault();
+    if (mode === "pairs" && (picking.takes("bone") || picking.takes("scan"))) {
+      const [onBone, onScan] = [picking.waiting("bone"), picking.waiting("scan")];
+      const next = onScan.length > 0 ? `click ${onScan[0].name} on the scan` : onBone.length > 0 ? `click ${onBone[0].name} on the bone` : NEXT.bone;
+      return `${warning}${next}; ${picking.nPairs()} of ${N_NEEDED} pairs; drag turns the view`;
+    }
     if (armed) return `${warning}${NEXT[armed]}; drag turns the view${fault ? ` (${fault})` : ""}`;
     if (fault) return `${warning}${fault}`;
     const rest = mode === "pairs" ? "drag a mark to move it, save when the sides agree" : "drag a mark to move it, arrow keys move the selected one";
@@ -128,17 +134,12 @@ export class Panel {
       return made;
     };
     if (picking.mode === "pairs") {
-      const show = (/** @type {"bone" | "scan"} */ side, /** @type {string} */ text) => {
-        const made = make("button", { textContent: text, onclick: () => picking.show(side, true) });
-        made.dataset.side = `pick-${side}`;
-        made.setAttribute("aria-pressed", String(picking.side === side));
-        return made;
-      };
       const all = picking.clouds();
       const choice = make("select", { onchange: (/** @type {Event} */ event) => picking.chooseCloud(/** @type {HTMLSelectElement} */ (event.target).value) },
         ...all.map((wire) => make("option", { textContent: wire, selected: wire === picking.cloud()?.wire })));
       choice.setAttribute("aria-label", "the scan");
-      this.adds.replaceChildren(show("bone", "on the bone"), show("scan", "on the scan"), ...(all.length > 1 ? [choice] : []));
+      const over = make("button", { textContent: "turn the scan over", title: "upside down, as seen", onclick: () => picking.beside.turnOver() });
+      this.adds.replaceChildren(arm("bone", "+ pair"), over, ...(all.length > 1 ? [choice] : []));
       return;
     }
     const again = make("button", { textContent: "as shown", title: "take the plan that is shown", onclick: () => picking.again() });
@@ -150,7 +151,8 @@ export class Panel {
   /** @param {Group} group @param {string} name @param {(string | Node)[]} texts */
   row(group, name, ...texts) {
     const { picking } = this;
-    const isSelected = picking.selected?.group === group && picking.selected.name === name;
+    // Of a pair both points are.
+    const isSelected = picking.selected?.name === name && (picking.mode === "pairs" || picking.selected.group === group);
     const select = make("button", { className: "shape", textContent: SHAPES[group], title: "select", onclick: () => picking.select(group, name) });
     select.setAttribute("aria-label", `select ${name}`);
     select.setAttribute("aria-pressed", String(isSelected));
@@ -188,7 +190,7 @@ export class Panel {
         const pick = now[side].find((pick) => pick.name === name);
         return pick ? `${side} ${pick.position.map((c) => c.toFixed(2)).join(" ")}` : `not yet on the ${side}`;
       };
-      const group = now[this.picking.side].some((pick) => pick.name === name) ? this.picking.side : now.bone.some((pick) => pick.name === name) ? "bone" : "scan";
+      const group = now.bone.some((pick) => pick.name === name) ? "bone" : "scan";
       return this.row(group, name, make("small", { textContent: `${on("bone")}; ${on("scan")}` }));
     });
   }

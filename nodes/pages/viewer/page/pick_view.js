@@ -3,24 +3,68 @@
 import * as THREE from "three";
 import { BONE, MM } from "./drawables.js";
 import { extent, shade } from "./shade.js";
+import { longAxis } from "./shapes.js";
 import { cross, dot, minus, norm, unit } from "./surface.js";
 
 /** @typedef {import("./message.js").Item} Item */
 /** @typedef {import("./scene.js").Scene} Scene */
 /** @typedef {import("./surface.js").Vector} Vector */
 
-/** From where a scan is looked at: where it was made, else the origin of its frame. @param {Item} item */
-function sideOf(item) {
-  const { centre, size } = extent(/** @type {Float64Array} */ (item.columns.points.rows));
-  const from = minus(/** @type {number[] | undefined} */ (item.fields.viewpoint)?.slice(0, 3) ?? [0, 0, 0], centre);
+/** A camera sees at most this far aside of what is a length of one before it. */
+const OPENING = 1;
+/** How much of what is across a shell must be told by how far it is from its middle, for it to have an outside: a share of its variance. */
+const BULGE = 0.1;
+
+/**
+ * From where a scan is looked at: where it was made, if that is known, else the camera's place in its frame; where no camera can have been
+ * there, as in the world of a tracker, the outside.
+ * @param {Item} item
+ */
+export function sideOf(item) {
+  const rows = /** @type {Float64Array} */ (item.columns.points.rows);
+  const { centre, size } = extent(rows);
+  const viewpoint = /** @type {number[] | undefined} */ (item.fields.viewpoint)?.slice(0, 3);
+  const from = minus(viewpoint ?? [0, 0, 0], centre);
   // Inside the scan there is no side to look from.
-  return { centre, mm: norm(size), towards: norm(from) > norm(size) / 2 ? unit(from) : [0, 0, -1], up: [0, -1, 0] };
+  const isBeside = norm(from) > norm(size) / 2;
+  if (isBeside && (viewpoint !== undefined || isBeforeCamera(rows))) return { towards: unit(from), up: [0, -1, 0] };
+  const towards = outside(rows) ?? (isBeside ? unit(from) : [0, 0, -1]);
+  return { towards, up: Math.abs(towards[1]) > 0.9 ? [0, 0, 1] : [0, -1, 0] };
 }
 
-/** @param {Scene} scene @param {Item} item */
-export function lookAtCloud(scene, item) {
-  const { centre, mm, towards, up } = sideOf(item);
-  lookFrom(scene, centre, towards, mm, up);
+/** Whether a camera at the origin that looks along z can have seen these points. @param {Float64Array} rows */
+function isBeforeCamera(rows) {
+  for (let k = 0; k < rows.length; k += 3) {
+    if (!(rows[k + 2] > 0) || Math.abs(rows[k]) > OPENING * rows[k + 2] || Math.abs(rows[k + 1]) > OPENING * rows[k + 2]) return false;
+  }
+  return true;
+}
+
+/** The direction in which a shell bulges, of those across its length; null if it does not. @param {Float64Array} rows */
+function outside(rows) {
+  const { origin, direction } = longAxis(rows);
+  const one = unit(cross(direction, Math.abs(direction[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0]));
+  const other = cross(direction, one);
+  let [xx, xy, yy] = [0, 0, 0];
+  /** @type {[number, number][]} */
+  const flat = [];
+  for (let k = 0; k < rows.length; k += 3) {
+    const p = minus([rows[k], rows[k + 1], rows[k + 2]], origin);
+    const [x, y] = [dot(p, one), dot(p, other)];
+    flat.push([x, y]);
+    [xx, xy, yy] = [xx + x * x, xy + x * y, yy + y * y];
+  }
+  // The narrower direction is through the shell.
+  const angle = 0.5 * Math.atan2(2 * xy, xx - yy) + Math.PI / 2;
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  // How the height falls with the square of what is beside the middle.
+  const pairs = flat.map(([x, y]) => ({ height: c * x + s * y, square: (c * y - s * x) ** 2 }));
+  const mean = pairs.reduce((sum, { square }) => sum + square, 0) / pairs.length;
+  let [hh, hq, qq] = [0, 0, 0];
+  for (const { height, square } of pairs) [hh, hq, qq] = [hh + height * height, hq + height * (square - mean), qq + (square - mean) ** 2];
+  if (hq * hq < BULGE * hh * qq) return null;
+  const sign = hq < 0 ? 1 : -1;
+  return [0, 1, 2].map((k) => sign * (c * one[k] + s * other[k]));
 }
 
 /** Shows the shape of a scan, which its points in one colour do not. @param {Scene} scene @param {{wire: string, item: Item}} cloud */
@@ -33,17 +77,6 @@ export function shadeCloud(scene, { wire, item }) {
   Object.assign(drawn.material, { vertexColors: true, size: 3, needsUpdate: true });
   drawn.material.color.set(0xffffff);
   drawn.userData.isShaded = true;
-}
-
-/** Gives scans their own colours again. @param {Scene} scene */
-export function unshade(scene) {
-  for (const [wire, { object }] of scene.drawn) {
-    const drawn = object.children[0];
-    if (!(drawn instanceof THREE.Points) || !drawn.userData.isShaded) continue;
-    drawn.userData.isShaded = false;
-    drawn.material.size = 2;
-    scene.colours.forget(wire);
-  }
 }
 
 /** @param {Scene} scene @param {Vector} at mm @param {Vector} from a direction @param {number} mm what the view shows of it @param {Vector} up */

@@ -16,6 +16,8 @@ import { cross, dot, minus, norm, plus, unit } from "./surface.js";
 export const NOTHING = { landmarks: [], assessment: [], tip: [], bone: [], scan: [], planes: [] };
 /** Steepest angle of a plane, degrees: beyond, it no longer cuts across the bone. */
 export const MAX_DEG = 70;
+/** Number of points that a registration needs. */
+export const N_NEEDED = 3;
 const MAX_STEPS = 500;
 
 /** What is picked now, and what was before. */

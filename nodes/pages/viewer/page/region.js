@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { fileField, readRegion } from "./load.js";
+import { sideOf } from "./pick_view.js";
 import { post } from "./request.js";
 import { boxAround, longAxis, within } from "./shapes.js";
 
@@ -100,7 +101,7 @@ export class RegionTool {
     this.changed(false);
   }
 
-  /** Looks from the camera if the cloud is in front of it, else from the side that shows most of it. */
+  /** Looks from the camera if the cloud is in front of it, else from outside. */
   look() {
     if (!this.on) return;
     const { rows } = this.on;
@@ -109,9 +110,9 @@ export class RegionTool {
     for (let k = 2; k < rows.length; k += 3) isSeen &&= rows[k] > 0;
     const centre = new THREE.Vector3(...origin).multiplyScalar(MM);
     const size = new THREE.Box3().setFromBufferAttribute(/** @type {THREE.BufferAttribute} */ (this.on.object.geometry.getAttribute("position"))).getSize(new THREE.Vector3()).length() * MM;
-    const across = new THREE.Vector3(...direction).cross(new THREE.Vector3(0, 1, 0));
-    if (across.length() < 0.1) across.set(0, 0, 1);
-    const eye = isSeen ? new THREE.Vector3(0, 0, 0) : centre.clone().addScaledVector(across.normalize(), 1.6 * size);
+    // Elsewhere than in the camera's frame from outside, its length upright.
+    const { towards } = sideOf(/** @type {any} */ ({ fields: {}, columns: { points: { rows } } }));
+    const eye = isSeen ? new THREE.Vector3(0, 0, 0) : centre.clone().addScaledVector(new THREE.Vector3(...towards), 1.6 * size);
     this.scene.lookFrom(eye, centre, isSeen ? new THREE.Vector3(0, -1, 0) : new THREE.Vector3(...direction), size);
   }
 

@@ -1,7 +1,7 @@
 // The colours of scans by their distance from the bone, as a worker computes it or as it was given with the scan.
 
 import * as THREE from "three";
-import { MM } from "./drawables.js";
+import { MM, UNKNOWN } from "./drawables.js";
 
 /** @typedef {import("./frames.js").Frames} Frames */
 /** @typedef {import("./scene.js").Scene} Scene */
@@ -36,6 +36,25 @@ export function scaleColours(values, max) {
   return new THREE.BufferAttribute(colours, 3);
 }
 
+/** The columns of the colours that a scan has itself. */
+const OWN = ["red", "green", "blue"].map((name) => `extra/${name}`);
+
+/** Whether a scan has colours itself. @param {import("./message.js").Item} item */
+export function hasOwnColours({ columns }) { return OWN.every((name) => columns[name]); }
+
+/** The colours that a scan has itself; null if it has none. @param {import("./message.js").Item} item */
+export function ownColours(item) {
+  if (!hasOwnColours(item)) return null;
+  const [red, green, blue] = OWN.map((name) => item.columns[name].rows);
+  let top = 0;
+  for (const rows of [red, green, blue]) for (const value of rows) top = Math.max(top, Number(value));
+  // Bytes, or shares of one.
+  const scale = top > 1 ? 1 : 255;
+  const colours = new Float32Array(3 * red.length);
+  for (let k = 0; k < red.length; k++) colours.set(linear([red, green, blue].map((rows) => scale * Number(rows[k]))), 3 * k);
+  return new THREE.BufferAttribute(colours, 3);
+}
+
 export class ResidualColours {
   /** @param {Scene} scene @param {Worker | null} worker that computes residuals; without one they come with the clouds */
   constructor(scene, worker) {
@@ -49,6 +68,18 @@ export class ResidualColours {
     this.questions = 0;
     /** The distances of the points of each cloud from the surface, mm. @type {Map<string, Float32Array>} */
     this.known = new Map();
+    /** Whether scans have their own colours, where they have some. */
+    this.isOwn = false;
+  }
+
+  /** Whether a scan that is drawn has colours of its own. */
+  get hasOwn() { return [...this.scene.drawn.values()].some(({ object }) => object.userData.hasOwn); }
+
+  /** Shows scans in their own colours, or in those of their distance. @param {boolean} isOwn */
+  choose(isOwn) {
+    this.isOwn = isOwn;
+    this.asked.clear();
+    for (const [wire, { payload }] of this.scene.drawn) if (payload === "geometry/Cloud") this.paint(wire);
   }
 
   clear() {
@@ -56,9 +87,6 @@ export class ResidualColours {
     this.asked.clear();
     this.known.clear();
   }
-
-  /** Asks for the residuals of a cloud once more. @param {string} wire */
-  forget(wire) { this.asked.delete(wire); }
 
   /** Takes a surface to measure from. @param {string} wire @param {import("./message.js").Item} item */
   measureFrom(wire, item) {
@@ -101,14 +129,23 @@ export class ResidualColours {
 
   /** Colours a cloud, unless it is another one by now. @param {string} wire @param {Float32Array} residuals mm, positive outside */
   colour(wire, residuals) {
-    const points = this.scene.drawn.get(wire)?.object.children[0];
-    if (points instanceof THREE.Points && points.geometry.getAttribute("position").count === residuals.length) {
-      this.known.set(wire, residuals);
-      points.geometry.setAttribute("color", scaleColours(residuals, RESIDUAL_MM));
-      points.material.vertexColors = true;
-      points.material.color.set(0xffffff);
-      points.material.needsUpdate = true;
-    }
+    this.known.set(wire, residuals);
+    this.paint(wire);
+  }
+
+  /** Paints a scan: in its own colours, or in those of its distances, or grey. @param {string} wire */
+  paint(wire) {
+    const object = this.scene.drawn.get(wire)?.object;
+    const points = object?.children[0];
+    if (!object || !(points instanceof THREE.Points)) return;
+    const residuals = this.known.get(wire);
+    const isKnown = residuals?.length === points.geometry.getAttribute("position").count;
+    const colours = (this.isOwn ? object.userData.own?.() : null) ?? (residuals && isKnown ? scaleColours(residuals, RESIDUAL_MM) : null);
+    if (colours) points.geometry.setAttribute("color", colours);
+    else points.geometry.deleteAttribute("color");
+    points.material.vertexColors = colours !== null;
+    points.material.color.set(colours ? 0xffffff : UNKNOWN);
+    points.material.needsUpdate = true;
     this.scene.redraw();
   }
 }

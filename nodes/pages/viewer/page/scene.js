@@ -3,12 +3,18 @@
 import * as THREE from "three";
 import { MM, addPoints, dispose, hatch, make, move } from "./drawables.js";
 import { Eye } from "./eye.js";
-import { ResidualColours } from "./residual_colours.js";
-import { OrbitControls } from "./three/OrbitControls.js";
+import { ResidualColours, hasOwnColours, ownColours } from "./residual_colours.js";
+import { longAxis } from "./shapes.js";
+import { Trackball } from "./trackball.js";
 
 /** @typedef {import("./message.js").Item} Item */
 /** @typedef {import("./frames.js").Frames} Frames */
 /** @typedef {"trusted" | "doubtful" | "refused" | null} Answer */
+
+/** How much more than what is looked at a view shows. */
+const ROOM = 1.12;
+/** How near to a point of a cloud the pointer must be to take hold of it, pixels. */
+const REACH_PX = 6;
 
 /**
  * What is drawn of a wire.
@@ -38,7 +44,7 @@ export class Scene {
     light.position.set(-0.5, 0.6, 1);
     this.camera.add(light, light.target);
     this.scene.add(this.camera, new THREE.AmbientLight(0xffffff, 0.9));
-    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+    this.controls = new Trackball(this.camera, this.renderer.domElement, (place) => this.under(place));
     this.controls.addEventListener("change", () => this.redraw());
     this.controls.addEventListener("start", () => { this.isTurned = true; });
     /** @type {Map<string, Drawn>} */
@@ -50,6 +56,8 @@ export class Scene {
     /** @type {Answer} */
     this.answer = null;
     this.isLookedAt = false;
+    /** Whether it chooses what to look at. */
+    this.looksItself = true;
     /** What was known when the view was chosen. */
     this.lookedAt = "";
     /** Whether the user chose the view, which then stays. */
@@ -61,6 +69,10 @@ export class Scene {
     /** What is shown instead of everything else. @type {THREE.Object3D | null} */
     this.solo = null;
     this.colours = new ResidualColours(this, worker);
+    /** What is shown in the view beside this one, and why. @type {Map<string, string>} */
+    this.beside = new Map();
+    /** The wires of clouds that nodes made of a cloud. @type {Map<string, Set<string>>} */
+    this.derived = new Map();
     /** Shows some of one frame alone, in its own coordinates: what is picked on does not move. @type {{frame: string, shows: (wire: string) => boolean} | null} */
     this.focus = null;
     new ResizeObserver(() => this.resize()).observe(holder);
@@ -129,7 +141,7 @@ export class Scene {
     const made = make(payload, item);
     if (!made) return;
     const { object, unknown } = made;
-    const shown = before?.shown ?? this.choices.get(wire) ?? isShownAtFirst(wire, payload);
+    const shown = before?.shown ?? this.choices.get(wire) ?? (isShownAtFirst(wire, payload) && !this.isReplaced(wire));
     this.remove(wire);
     object.matrixAutoUpdate = false;
     this.scene.add(object);
@@ -138,7 +150,34 @@ export class Scene {
     if (payload === "geometry/Mesh" && !wire.startsWith("phantom")) {
       this.colours.measureFrom(wire, item);
     }
-    if (payload === "geometry/Cloud") object.userData.points = item.columns.points.rows;
+    if (payload === "geometry/Cloud") {
+      object.userData.points = item.columns.points.rows;
+      // Made when they are asked for.
+      object.userData.hasOwn = hasOwnColours(item);
+      object.userData.own = () => (object.userData.colours ??= ownColours(item));
+      if (this.colours.isOwn) this.colours.paint(wire);
+      this.hideReplaced();
+    }
+    this.redraw();
+  }
+
+  /** Whether something that was made of a cloud is drawn: it cropped, or moved to where it belongs. @param {string} wire */
+  isReplaced(wire) {
+    if ([...(this.derived.get(wire) ?? [])].some((other) => this.drawn.has(other))) return true;
+    return isRaw(wire) && [...this.drawn].some(([other, { payload }]) => payload === "geometry/Cloud" && !isRaw(other));
+  }
+
+  /** A cloud is not shown beside what was made of it, unless the user wants to see it. */
+  hideReplaced() {
+    for (const [wire, drawn] of this.drawn) {
+      if (drawn.payload === "geometry/Cloud" && drawn.shown && !this.choices.has(wire) && this.isReplaced(wire)) drawn.shown = false;
+    }
+  }
+
+  /** Takes which clouds a graph makes of which. @param {Map<string, Set<string>>} derived */
+  takeDerived(derived) {
+    this.derived = derived;
+    this.hideReplaced();
     this.redraw();
   }
 
@@ -189,7 +228,7 @@ export class Scene {
       const place = this.placeOf(drawn.frame, frames);
       const isLeftOut = this.focus !== null && (drawn.frame !== root || !this.focus.shows(wire));
       const why = isLeftOut ? "not shown while picking" : this.whyHidden(drawn, place, root);
-      drawn.object.userData.why = why;
+      Object.assign(drawn.object.userData, { why, note: this.beside.get(wire) ?? null });
       drawn.object.visible = drawn.shown && why === null && this.solo === null;
       drawn.object.matrix.copy(place.matrix).multiply(new THREE.Matrix4().makeScale(MM, MM, MM));
       if (drawn.payload === "geometry/Planes") hatch(drawn.object, this.answer === "doubtful");
@@ -214,7 +253,7 @@ export class Scene {
    * @param {string} root
    */
   lookAtFirst(frames, root) {
-    if (this.solo !== null) return;
+    if (this.solo !== null || !this.looksItself) return;
     const hasScan = [...this.drawn.values()].some(({ payload, object }) => payload === "geometry/Cloud" && object.visible);
     const ways = [...this.drawn.values()].filter(({ payload }) => payload === "geometry/Mesh").map(({ frame }) => frames.chain(frame));
     const seen = `${root} ${hasScan} ${ways}`;
@@ -236,8 +275,10 @@ export class Scene {
     if (scale !== 1) this.scene.traverse((part) => part.userData.size && part.scale.fromArray(part.userData.size).multiplyScalar(scale));
   }
 
-  /** The frame that all is drawn in: that of most of what is drawn. @param {Frames} frames */
+  /** The frame that all is drawn in: that of the bone, else of most of what is drawn. @param {Frames} frames */
   rootOf(frames) {
+    const bone = [...this.drawn].find(([, { payload, shown }]) => payload === "geometry/Mesh" && shown)?.[1];
+    if (bone) return frames.root(bone.frame);
     const counts = new Map();
     for (const [, { frame, payload }] of this.drawn) {
       if (payload === "device") continue;
@@ -273,18 +314,35 @@ export class Scene {
       ?? [...this.drawn.values()].find(({ payload, object }) => payload === "geometry/Cloud" && object.visible);
     if (!bone) return false;
     this.scene.updateMatrixWorld(true);
-    const box = new THREE.Box3().setFromObject(bone.object, true);
-    if (box.isEmpty()) return false;
-    const centre = box.getCenter(new THREE.Vector3());
-    const length = box.getSize(new THREE.Vector3()).length();
+    const all = places(bone);
+    if (all.length === 0) return false;
     const [lateral, anterior, along] = this.directions(bone, frames);
     const from = side === "scan" ? this.scannedSide(bone, along) ?? lateral : { lateral, anterior, along }[side];
-    // Along the bone its breadth is seen, not its length.
-    this.eye.look(centre, from, side === "along" ? anterior : along, (side === "along" ? 0.19 : 0.55) * length, length);
+    this.fit(all, from, side === "along" ? anterior : along);
+    return true;
+  }
+
+  /**
+   * Looks at all of these places, however narrow the view is.
+   * @param {THREE.Vector3[]} all
+   * @param {THREE.Vector3} from the direction from there to the viewer
+   * @param {THREE.Vector3} up across it
+   */
+  fit(all, from, up) {
+    const right = new THREE.Vector3().crossVectors(up, from);
+    // What is seen of it in each direction of the view.
+    const [across, above, depth] = [right, up, from].map((direction) => {
+      const levels = all.map((place) => place.dot(direction));
+      const [low, high] = [levels.reduce((a, b) => Math.min(a, b)), levels.reduce((a, b) => Math.max(a, b))];
+      return { middle: (low + high) / 2, size: high - low };
+    });
+    const centre = new THREE.Vector3().addScaledVector(right, across.middle).addScaledVector(up, above.middle).addScaledVector(from, depth.middle);
+    // What is nearer is seen larger, by the slope of the view.
+    const half = (ROOM * Math.max(above.size, across.size / this.eye.aspect)) / 2 + this.eye.growth(depth.size / 2);
     this.controls.target.copy(centre);
+    this.eye.look(centre, from, up, half, Math.hypot(across.size, above.size, depth.size));
     this.controls.update();
     this.redraw();
-    return true;
   }
 
   /**
@@ -295,14 +353,6 @@ export class Scene {
   scannedSide(bone, along) {
     const scan = [...this.drawn.values()].find(({ payload, object }) => payload === "geometry/Cloud" && object.visible);
     if (!scan || scan === bone) return null;
-    const places = (/** @type {Drawn} */ { object }) => {
-      const [part] = object.children;
-      const { array } = /** @type {THREE.Points} */ (part).geometry.getAttribute("position");
-      const every = 3 * Math.ceil(array.length / 30000);
-      const all = [];
-      for (let k = 0; k + 2 < array.length; k += every) all.push(new THREE.Vector3().fromArray(array, k).applyMatrix4(part.matrixWorld));
-      return all;
-    };
     const middle = (/** @type {THREE.Vector3[]} */ all) => all.reduce((sum, place) => sum.add(place), new THREE.Vector3()).divideScalar(all.length);
     const scanned = places(scan);
     const levels = scanned.map((place) => place.dot(along));
@@ -381,28 +431,70 @@ export class Scene {
   }
 
   /**
-   * The bone's lateral, anterior and long direction in the scene: by the plan's axes, else by the frame's.
+   * The bone's lateral, anterior and long direction in the scene: by the plan's axes; else its longest is the long one, and the others are
+   * across it, the first as near to the frame's x as can be.
    * @param {Drawn} bone
    * @param {Frames} frames
    */
   directions(bone, frames) {
-    const frame = this.axes?.frame ?? bone.frame;
-    const turn = new THREE.Matrix3().setFromMatrix4(this.placeOf(frame, frames).matrix);
-    const axes = this.axes?.axes ?? new THREE.Matrix3();
-    const [x, y, z] = [0, 1, 2].map((k) => {
-      const column = new THREE.Vector3().fromArray(axes.elements, 3 * k);
-      return column.applyMatrix3(turn).normalize();
-    });
-    return [x, y, z];
+    const axes = this.axes ? this.axes.axes.clone() : longDirections(bone.object);
+    const turn = new THREE.Matrix3().setFromMatrix4(this.placeOf(this.axes?.frame ?? bone.frame, frames).matrix);
+    return [0, 1, 2].map((k) => new THREE.Vector3().fromArray(axes.elements, 3 * k).applyMatrix3(turn).normalize());
+  }
+
+  /**
+   * What is under a place of the window: of surfaces the nearest, of clouds a point that is hit.
+   * @param {{x: number, y: number}} place
+   */
+  under({ x, y }) {
+    const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
+    const ray = new THREE.Raycaster();
+    this.scene.updateMatrixWorld();
+    this.camera.updateMatrixWorld();
+    ray.setFromCamera(new THREE.Vector2((2 * (x - left)) / width - 1, 1 - (2 * (y - top)) / height), this.camera);
+    const solid = ["geometry/Mesh", "geometry/Cloud"];
+    const parts = [...this.drawn.values()].filter(({ payload, object }) => object.visible && solid.includes(payload)).map(({ object }) => object);
+    // A hand is a few pixels off a point.
+    ray.params.Points.threshold = (2 * REACH_PX * this.eye.half(this.controls.target)) / height;
+    return ray.intersectObjects(this.solo ? [this.solo] : parts)[0]?.point ?? null;
   }
 }
 
+/** Places in the scene of what is drawn, at most some ten thousand. @param {Drawn} drawn */
+export function places({ object }) {
+  const [part] = object.children;
+  const { array } = /** @type {THREE.Points} */ (part).geometry.getAttribute("position");
+  const every = 3 * Math.ceil(array.length / 30000);
+  const all = [];
+  for (let k = 0; k + 2 < array.length; k += every) all.push(new THREE.Vector3().fromArray(array, k).applyMatrix4(part.matrixWorld));
+  return all;
+}
+
+/** Directions of a bone without a plan, in its frame, as columns. @param {THREE.Object3D} object */
+function longDirections(object) {
+  const { array } = /** @type {THREE.Points} */ (object.children[0]).geometry.getAttribute("position");
+  const axis = longAxis(array);
+  // Of two ways along it that of the frame's axis, so that in a CT the head is up.
+  const along = new THREE.Vector3(...(axis.isLong ? axis.direction : [0, 0, 1]));
+  const largest = along.toArray().reduce((a, b) => (Math.abs(b) > Math.abs(a) ? b : a));
+  if (largest < 0) along.negate();
+  const first = new THREE.Vector3(1, 0, 0).projectOnPlane(along);
+  const lateral = (first.length() > 0.5 ? first : new THREE.Vector3(0, 1, 0).projectOnPlane(along)).normalize();
+  return new THREE.Matrix3().set(...columns(lateral, new THREE.Vector3().crossVectors(along, lateral), along));
+}
+
+/** @param {THREE.Vector3} a @param {THREE.Vector3} b @param {THREE.Vector3} c @returns {[number, number, number, number, number, number, number, number, number]} row by row */
+function columns(a, b, c) { return [a.x, b.x, c.x, a.y, b.y, c.y, a.z, b.z, c.z]; }
+
+/** Whether a wire has clouds as they came from a camera. @param {string} wire */
+function isRaw(wire) { return /^recording\.(.*\.)?(scan|laser)$/.test(wire); }
+
 /** @param {string} wire @param {string} payload */
 function isShownAtFirst(wire, payload) {
-  // Raw scans are drawn again where they belong, and a simulation's truths are for comparisons.
-  const isRaw = payload === "geometry/Cloud" && /(^|\.)(scan|laser|phantom_scan)$/.test(wire) && wire.startsWith("recording.");
+  // Spots of a laser are drawn as points; a simulation's truths are for comparisons.
+  const isLaser = payload === "geometry/Cloud" && isRaw(wire) && wire.endsWith("laser");
   // Touched points lie where the bone was then.
   const isTouched = payload === "geometry/Points" && wire.startsWith("recording.");
   const isPlan = payload === "geometry/Planes" && wire.startsWith("plan.");
-  return !isRaw && !isTouched && !isPlan && !/true|marks|palpation|check_|phantom|planes_at_scan/.test(wire);
+  return !isLaser && !isTouched && !isPlan && !/true|marks|palpation|check_|phantom|planes_at_scan/.test(wire);
 }

@@ -9,6 +9,9 @@
  * @typedef {{keep: Shape[], cut: Shape[]}} Region
  */
 
+/** Something is long whose variance along it is this many times that across it. */
+const LONG = 3;
+
 /** @param {number[]} a @param {number[]} b */
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 /** @param {number[]} a @param {number[]} b */
@@ -81,7 +84,7 @@ export function boxAround(shape, rows) {
   return min.every((low, k) => low < max[k]) ? { shape: "box", min, max } : null;
 }
 
-/** The middle of the points, and the direction of their largest extent. @param {Float64Array} rows */
+/** The middle of the points, the direction of their largest extent, and whether that is much larger than the others. @param {ArrayLike<number>} rows */
 export function longAxis(rows) {
   const n = rows.length / 3;
   const origin = [0, 0, 0];
@@ -99,5 +102,6 @@ export function longAxis(rows) {
     if (length === 0) break;
     direction = next.map((x) => x / length);
   }
-  return { origin, direction };
+  const along = [0, 3, 6].map((row) => dot([c[row], c[row + 1], c[row + 2]], direction)).reduce((sum, x, k) => sum + x * direction[k], 0);
+  return { origin, direction, isLong: along > LONG * (c[0] + c[4] + c[8] - along) };
 }

@@ -28,6 +28,9 @@ const FILES: &[File] = &[
     ("scene.js", SCRIPT, include_str!("../page/scene.js")),
     ("drawables.js", SCRIPT, include_str!("../page/drawables.js")),
     ("eye.js", SCRIPT, include_str!("../page/eye.js")),
+    ("trackball.js", SCRIPT, include_str!("../page/trackball.js")),
+    ("beside.js", SCRIPT, include_str!("../page/beside.js")),
+    ("times.js", SCRIPT, include_str!("../page/times.js")),
     ("load.js", SCRIPT, include_str!("../page/load.js")),
     ("layers.js", SCRIPT, include_str!("../page/layers.js")),
     ("residual_colours.js", SCRIPT, include_str!("../page/residual_colours.js")),
@@ -46,7 +49,6 @@ const FILES: &[File] = &[
     ("verdict.js", SCRIPT, include_str!("../page/verdict.js")),
     ("three/three.module.min.js", SCRIPT, include_str!("../page/three/three.module.min.js")),
     ("three/three.core.min.js", SCRIPT, include_str!("../page/three/three.core.min.js")),
-    ("three/OrbitControls.js", SCRIPT, include_str!("../page/three/OrbitControls.js")),
     ("three/LICENSE", "text/plain; charset=utf-8", THREE_LICENSE),
 ];
 

@@ -1,19 +1,21 @@
 //! The kind `metrics.tre_measured`.
 
 use super::{TreOut, axes};
-use crate::transform::points::in_one_list;
+use crate::{plan::Moved, transform::points::in_one_list};
 use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_payloads::Json;
 
 /// Target registration error at points touched with a stylus, which includes the stylus' own error.
 ///
-/// Per point `e = t_ct_bone_marker * p_measured - p_planned`, signed, along the bone's axes.
+/// Per point `e = t_ct_bone_marker * p_measured - p_planned`, signed, along the bone's axes. A measurement counts for the place that
+/// it was made for: a point that was planned elsewhere then is left out, with a warning.
 #[derive(Describe)]
 #[describe(
     example = r#"
 kind = "metrics.tre_measured"
-in   = { planned = "plan.assessment", measured = "assessment.points", t_ct_bone_marker = "icp.t_target_source", axes = "plan.axes", bone = "bone.mesh" }
+in   = { planned = "plan.assessment", measured = "assessment.points", t_ct_bone_marker = "icp.t_target_source", axes = "plan.axes", bone = "bone.mesh", plan = "plan.report" }
 "#,
     literature = ["section 3.2.1 of the paper"]
 )]
@@ -37,6 +39,9 @@ pub struct In {
     /// The bone's surface, whose principal axes are used where the plan has none.
     #[port(join = "once", frame = "planned")]
     bone: Option<Mesh>,
+    /// The report of the plan: which points were planned elsewhere when they were measured.
+    #[port(join = "once")]
+    plan: Option<Json>,
 }
 
 impl Function for TreMeasured {
@@ -45,11 +50,22 @@ impl Function for TreMeasured {
     type Inputs = In;
     type Outputs = TreOut;
 
-    fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<TreOut, NodeError> {
+    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<TreOut, NodeError> {
         let measured = in_one_list(&i.measured)?;
         let t_ct_bone_marker = i.t_ct_bone_marker.expect(&i.planned.frame, &measured.frame)?;
         let axes = axes(i.axes, i.bone.as_ref())?;
         axes.frame.expect(&i.planned.frame, "the axes")?;
-        Ok(TreOut { report: tre(&i.planned.points, &measured.points, &t_ct_bone_marker, &axes)? })
+        let moved = Moved::of(i.plan.as_ref()).assessment;
+        let (old, planned): (Vec<_>, Vec<_>) =
+            i.planned.points.iter().cloned().partition(|p| moved.iter().any(|name| **name == *p.name));
+        if !old.is_empty() {
+            let names = old.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", ");
+            let message = format!("{names}: measured for a plan that had it elsewhere, or not at all");
+            if planned.is_empty() {
+                return Err(NodeError::new(format!("{message}; no measurement is left, touch the points again")));
+            }
+            ctx.warn(format!("{message}; the old measurement is left out, touch it again"));
+        }
+        Ok(TreOut { report: tre(&planned, &measured.points, &t_ct_bone_marker, &axes)? })
     }
 }

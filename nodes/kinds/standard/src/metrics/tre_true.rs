@@ -1,19 +1,22 @@
 //! The kind `metrics.tre_true`.
 
 use super::{TreOut, axes};
+use crate::plan::Moved;
 use osteoflow_algorithms::metrics::tre;
-use osteoflow_geometry::{Axes, Mesh, Points, Pose};
+use osteoflow_geometry::{Axes, Mesh, NamedPoint, Points, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_payloads::Json;
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
 ///
 /// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, signed, along the bone's axes; with `truth`, where CT and
-/// plan may differ from the bone, `e = t_ct_world * truth - p`.
+/// plan may differ from the bone, `e = t_ct_world * truth - p`. A point that was planned elsewhere when the truth was made has its
+/// truth by the true registration.
 #[derive(Describe)]
 #[describe(
     example = r#"
 kind = "metrics.tre_true"
-in   = { planned = "plan.assessment", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true", truth = "recording.assessment_true", axes = "plan.axes", bone = "bone.mesh" }
+in   = { planned = "plan.assessment", t_ct_world = "planes_at_scan.t_ct_world", t_ct_world_true = "recording.t_ct_world_true", truth = "recording.assessment_true", axes = "plan.axes", bone = "bone.mesh", plan = "plan.report" }
 "#,
     literature = ["section 3.2.1 of the paper"]
 )]
@@ -40,6 +43,9 @@ pub struct In {
     /// The bone's surface, whose principal axes are used where the plan has none.
     #[port(join = "once", frame = "planned")]
     bone: Option<Mesh>,
+    /// The report of the plan: which points were planned elsewhere when `truth` was made.
+    #[port(join = "once")]
+    plan: Option<Json>,
 }
 
 impl Function for TreTrue {
@@ -56,7 +62,13 @@ impl Function for TreTrue {
         let report = match &i.truth {
             Some(truth) => {
                 truth.frame.expect(&i.t_ct_world.from, "the true points")?;
-                tre(&i.planned.points, &truth.points, &i.t_ct_world.isometry, &axes)?
+                let moved = Moved::of(i.plan.as_ref()).assessment;
+                let t_world_ct = i.t_ct_world_true.isometry.inverse();
+                let kept = truth.points.iter().filter(|p| moved.iter().all(|name| **name != *p.name)).cloned();
+                let now = i.planned.points.iter().filter(|p| moved.iter().any(|name| **name == *p.name));
+                let now = now.map(|p| NamedPoint::new(&*p.name, t_world_ct * p.position));
+                let truth: Vec<_> = kept.chain(now).collect();
+                tre(&i.planned.points, &truth, &i.t_ct_world.isometry, &axes)?
             }
             None => tre(&i.planned.points, &i.planned.points, &error, &axes)?,
         };

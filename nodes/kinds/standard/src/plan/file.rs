@@ -1,6 +1,6 @@
 //! The kind `plan.file`.
 
-use super::Out;
+use super::{Moved, Out};
 use crate::constant::Constant;
 use osteoflow_formats::plan_file::read_plan;
 use osteoflow_node::{Context, Describe, FilePath, NodeError, schemars::JsonSchema, serde::Deserialize};
@@ -23,6 +23,11 @@ pub struct Params {
     /// shift of all landmarks for aiming, as with a plan that is bound to its surface (its key `surface`), and says so.
     #[serde(default)]
     pub confirm: bool,
+    /// The plan that the procedure was made for, if it is another one than `path`, as after a change on the page: assessment points
+    /// that are elsewhere now were not touched where they are planned, so their measurements are left out, and the truths of a
+    /// simulation are taken from its true registration. Default: the procedure was made for this plan.
+    #[serde(default)]
+    pub made_for: Option<FilePath>,
 }
 
 impl Constant for File {
@@ -36,6 +41,8 @@ impl Constant for File {
         if read.plan.planes.planes.is_empty() {
             ctx.warn(format!("{}: the plan has no planes, so no cut can be shown", params.path.0.display()));
         }
-        Ok(Out::new(read.plan, params.confirm))
+        let made_for = params.made_for.as_ref().map(|path| read_plan(path.as_ref())).transpose()?;
+        let moved = made_for.map(|before| Moved::since(&before.plan, &read.plan));
+        Ok(Out::new(read.plan, params.confirm, moved.as_ref()))
     }
 }

@@ -1,3 +1,4 @@
+use super::Moved;
 use osteoflow_geometry::{Axes, Planes, Points, Pose, SurgicalPlan};
 use osteoflow_node::{Emit, Outputs};
 use osteoflow_payloads::Json;
@@ -25,14 +26,19 @@ pub struct Out {
     /// `t_camera_camera_marker` as designed, where the calibration starts.
     #[port(to = "@camera", from = "@camera_marker")]
     t_camera_camera_marker_nominal: Emit<Pose>,
-    /// What binds the plan to its surface, for `verdict.registration`: the plan's key `surface`, and `confirm`.
+    /// What binds the plan to its surface, for `verdict.registration`: the plan's key `surface`, and `confirm`; and, with `made_for`,
+    /// what has moved since then, for `metrics.tre_measured`, `metrics.tre_true` and `metrics.cuts`.
     report: Json,
 }
 
 impl Out {
-    /// The ports of a plan; `confirm` says whether the user has checked that it belongs to its surface.
-    pub(super) fn new(plan: SurgicalPlan, confirm: bool) -> Self {
-        let report = json!({ "surface": plan.surface, "confirm": confirm });
+    /// The ports of a plan; `confirm` says whether the user has checked that it belongs to its surface, `moved` what is elsewhere than
+    /// in the plan that the procedure was made for.
+    pub(super) fn new(plan: SurgicalPlan, confirm: bool, moved: Option<&Moved>) -> Self {
+        let mut report = json!({ "surface": plan.surface, "confirm": confirm });
+        if let Some(moved) = moved {
+            report["moved"] = json!(moved);
+        }
         Self {
             report: Json(Arc::new(report)),
             landmarks: plan.landmarks,

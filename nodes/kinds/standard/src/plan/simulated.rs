@@ -46,6 +46,6 @@ impl Constant for Simulated {
             .transpose()?
             .map(|uid| SurfaceKey { frame_of_reference_uid: Some(uid), ..SurfaceKey::default() });
         let plan = SurgicalPlan { surface, ..subject.plan };
-        Ok(Out::new(displaced(plan, &params.displaced)?, false))
+        Ok(Out::new(displaced(plan, &params.displaced)?, false, None))
     }
 }
