@@ -99,6 +99,10 @@ impl<'a> Header<'a> {
         Ok(header)
     }
 
+    pub(crate) fn path(&self) -> &'a Path {
+        self.path
+    }
+
     /// All fields, in the order of the file.
     pub(crate) fn fields(&self) -> &[Field] {
         &self.fields
