@@ -17,7 +17,7 @@ mod pixels;
 mod series;
 mod syntax;
 
-use super::grid::{Volume, VolumeRead, VoxelUnit, affine};
+use super::grid::{Volume, VolumeRead, VoxelUnit, affine, assumed_unit};
 use crate::{FileError, input};
 use image::{Found, Image};
 use layers::Layers;
@@ -174,6 +174,8 @@ fn assemble(path: &Path, mut series: Series, mut notes: Vec<String>) -> Result<V
     } else {
         VoxelUnit::Unknown
     };
+    let is_unspecified = stack.layers.iter().all(|(_, image)| image.is_unspecified());
+    let unit = if is_unspecified { assumed_unit(&voxels, "RescaleType (0028,1054)", &mut notes) } else { unit };
     if unit == VoxelUnit::Unknown {
         notes.push(format!("modality {}: the values are not stated to be HU", first.identity.modality));
     }

@@ -234,7 +234,12 @@ impl<'a> Header<'a> {
             }
             let (inside, after) = rest.strip_prefix('(').and_then(|r| r.split_once(')')).ok_or_else(fault)?;
             let numbers: Option<Vec<f64>> = inside.split(',').map(|word| word.trim().parse().ok()).collect();
-            let vector: [f64; 3] = numbers.and_then(|n| n.try_into().ok()).ok_or_else(fault)?;
+            let vector = match numbers.as_deref() {
+                Some(&[x, y, z]) => [x, y, z],
+                // Of a space with a fourth axis, along which no axis of the others goes.
+                Some(&[x, y, z, w]) if w == 0.0 || [x, y, z] == [0.0; 3] || key == "space origin" => [x, y, z],
+                _ => return Err(fault()),
+            };
             vectors.push(vector);
             rest = after.trim_start();
         }
@@ -316,7 +321,11 @@ fn placement(
         );
     }
     let axes: [[f64; 3]; 3] = if header.get("space directions").is_some() {
-        header.vectors("space directions")?.try_into().map_err(|other: Vec<_>| {
+        let mut directions = header.vectors("space directions")?;
+        if let Some(axis) = single.filter(|axis| directions.len() == 4 && directions[*axis] == [0.0; 3]) {
+            directions.remove(axis);
+        }
+        directions.try_into().map_err(|other: Vec<_>| {
             header.fault("space directions", format!("{} directions for 3 axes", other.len()))
         })?
     } else if signs.is_none() && header.get("spacings").is_some() {

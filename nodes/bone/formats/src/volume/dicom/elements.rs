@@ -57,7 +57,9 @@ impl<'a> DataSet<'a> {
         }
         let (start, uid) = (reader.at, uid.unwrap_or_default());
         let (syntax, compression) = match transfer_syntax(&uid) {
-            Some(known) => known,
+            // Some writers state the one and write the other.
+            Some((stated, Compression::Deflated)) => (stated, Compression::Deflated),
+            Some((stated, pixels)) => (guessed(&file[start.min(file.len())..]).unwrap_or(stated), pixels),
             None if uid.is_empty() => {
                 let first = &file[start.min(file.len())..];
                 let syntax = guessed(first).ok_or_else(|| {

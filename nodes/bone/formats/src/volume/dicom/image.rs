@@ -1,6 +1,6 @@
 //! One layer: where it is, and how its values are stored.
 
-use super::super::grid::VoxelUnit;
+use super::super::{data::folder_of, grid::VoxelUnit};
 use super::attributes::{Attributes, shown};
 use super::elements::{DataSet, Element};
 use super::syntax::Compression;
@@ -154,8 +154,7 @@ impl Found {
             return Ok(Self::NoLayer(identity, why));
         }
         let fault = |place: &str, message: String| FileError::content(path, place, message);
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        if let Some(message) = content.compression.refusal(folder) {
+        if let Some(message) = content.compression.refusal(folder_of(path)) {
             return Ok(Self::Faulty(identity, fault("(0002,0010) transfer syntax", message)));
         }
         Ok(match layers(content, &class, &identity) {
@@ -170,16 +169,22 @@ fn no_layer(content: &Content, class: &str) -> Option<String> {
     let set = &content.data_set;
     let photometric = set.code(0x0028_0004).unwrap_or_default();
     let samples = set.u16(0x0028_0002).unwrap_or(1);
-    if samples != 1 || !photometric.starts_with("MONOCHROME") {
+    if samples != 1 || !(photometric.is_empty() || photometric.starts_with("MONOCHROME")) {
         return Some(format!(
             "{samples} samples per pixel, photometric interpretation \"{photometric}\": a picture in colours holds no density"
         ));
     }
     let is_of_scanner = OF_SCANNER.iter().any(|end| class.strip_prefix("1.2.840.10008.5.1.4.1.1.") == Some(end));
+    if is_of_scanner {
+        return None;
+    }
+    let modality = set.code(0x0008_0060);
+    if let Some(other) = modality.filter(|m| !["CT", "MR", "PT"].contains(&m.as_str())) {
+        return Some(format!("modality {other} is none of a scanner"));
+    }
     let has = |tag: u32| set.has(tag) || content.shared.has(tag) || content.frames.iter().any(|f| f.has(tag));
     let is_placed = has(0x0020_0032) || has(0x0020_0037);
-    (!is_placed && !is_of_scanner)
-        .then(|| "no place in the patient is stated, as of a picture that was captured from a screen".into())
+    (!is_placed).then(|| "no place in the patient is stated, as of a picture that was captured from a screen".into())
 }
 
 /// The layers in a file: one, or each frame of an enhanced image.
@@ -278,6 +283,11 @@ impl Image {
     pub(super) fn unit(&self) -> VoxelUnit {
         let is_hu = self.rescale_type.as_deref().is_none_or(|kind| kind == "HU");
         if self.identity.modality == "CT" && self.is_scaled && is_hu { VoxelUnit::Hu } else { VoxelUnit::Unknown }
+    }
+
+    /// Whether the file leaves the unit of its scaled values open, as GDCM and ITK write it.
+    pub(super) fn is_unspecified(&self) -> bool {
+        self.identity.modality == "CT" && self.is_scaled && self.rescale_type.as_deref() == Some("US")
     }
 
     /// Along the normal of the layer, mm.

@@ -37,6 +37,7 @@ impl Layers<'_> {
 
 /// A place in the stack that a message names.
 struct At<'a> {
+    folder: &'a Path,
     layers: &'a [&'a Layer],
     normal: Vector3<f64>,
 }
@@ -48,7 +49,10 @@ impl At<'_> {
 
     fn name(&self, k: usize) -> String {
         let (path, image) = self.layers[k];
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = match path.strip_prefix(self.folder) {
+            Ok(inside) if inside != Path::new("") => inside.display().to_string(),
+            _ => path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        };
         if image.n_frames == 1 { name } else { format!("{name}, frame {}", image.frame + 1) }
     }
 }
@@ -67,7 +71,7 @@ pub(super) fn layers<'a>(path: &Path, series: &'a Series, notes: &mut Vec<String
         let thickness = first.thickness_mm.filter(|t| *t > 0.0).unwrap_or(1.0);
         return Ok(Layers { layers, step: normal * thickness, places: vec![0.0] });
     }
-    let places = places(path, &At { layers: &layers, normal }, notes)?;
+    let places = places(path, &At { folder: path, layers: &layers, normal }, notes)?;
     let (start, end) = (layers[0].1.position, layers[layers.len() - 1].1.position);
     let step = (end - start) / places.last().copied().unwrap_or(1.0);
     let tilt = step.cross(&normal).norm().atan2(step.dot(&normal)).to_degrees();
@@ -122,7 +126,7 @@ fn without_doubles<'a>(
             continue;
         };
         if !are_equal(before, layer)? {
-            let at = At { layers: &[before, layer], normal: *normal };
+            let at = At { folder: path, layers: &[before, layer], normal: *normal };
             let names = ["acquisitions", "times", "stacks", "kernels"];
             let differing = (0..names.len()).find(|k| before.1.phase[*k] != layer.1.phase[*k]);
             let why = differing.map_or(String::new(), |k| format!(", of different {}", names[k]));

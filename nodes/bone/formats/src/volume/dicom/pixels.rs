@@ -1,10 +1,11 @@
 //! The pixels of a file, frame by frame.
 
+use super::super::data::folder_of;
 use super::super::grid::VoxelUnit;
-use super::codec::{jpeg_2000, jpeg_lossless, run_length};
+use super::codec::{jpeg_2000, jpeg_lossless, jpeg_lossless::Unread, run_length};
 use super::elements::{DataSet, fragments};
 use super::image::Image;
-use super::syntax::Compression;
+use super::syntax::{Compression, Remedy};
 use crate::{FileError, input};
 use std::{
     ops::Range,
@@ -126,7 +127,10 @@ impl Pixels {
                 Compression::RunLength => {
                     Ok(run_length::decode(&frame, n, width)?.chunks_exact(width).map(little).collect())
                 }
-                Compression::JpegLossless => jpeg_lossless::decode(&frame, size),
+                Compression::JpegLossless => jpeg_lossless::decode(&frame, size).map_err(|message| match message {
+                    Unread::Kind(kind) => Remedy::Dcmtk("dcmdjpeg").sentence(kind, folder_of(&self.path)),
+                    Unread::Broken(message) => message,
+                }),
                 Compression::Jpeg2000 { .. } => jpeg_2000::decode(&frame, size),
                 _ => Err(
                     "the pixels are in fragments, which this transfer syntax does not have; export the series again"

@@ -90,15 +90,21 @@ impl Compression {
     /// Why pixels cannot be read, and what to do, for a file in this folder.
     pub(super) fn refusal(self, folder: &Path) -> Option<String> {
         let Self::Refused(name, remedy) = self else { return None };
-        let remedy = match remedy {
-            Remedy::Dcmtk(program) => format!(
-                "convert the whole series with {program} of dcmtk: mkdir RAW; for f in {}/*; do {program} \"$f\" \"RAW/$(basename \
-                 \"$f\")\"; done",
+        Some(remedy.sentence(name, folder))
+    }
+}
+
+impl Remedy {
+    /// That pixels of this kind are not read, and what to do.
+    pub(super) fn sentence(self, kind: &str, folder: &Path) -> String {
+        match self {
+            Self::Dcmtk(program) => format!(
+                "pixels in {kind} are not read; convert the whole series with {program} of dcmtk: mkdir RAW; for f in {}/*; do \
+                 {program} \"$f\" \"RAW/$(basename \"$f\")\"; done",
                 folder.display()
             ),
-            Remedy::Export => "export the series uncompressed".into(),
-        };
-        Some(format!("pixels in {name} are not read; {remedy}"))
+            Self::Export => format!("pixels in {kind} are not read; export the series uncompressed"),
+        }
     }
 }
 
