@@ -33,6 +33,8 @@ pub(crate) struct Bone<'a> {
     pub(crate) space: Option<Space>,
     /// Bone is above this in a CT; unset: what the volume suggests.
     pub(crate) threshold_hu: Option<f64>,
+    /// Which DICOM series of a folder; unset: the only one that may be a CT.
+    pub(crate) series: Option<&'a str>,
 }
 
 /// Writes a plan with what identifies the bone: `surface` with the file's hash, the frame of reference of a DICOM series, and points
@@ -83,13 +85,14 @@ struct BoneRead {
 
 impl Bone<'_> {
     fn read(&self, notes: &mut Vec<String>) -> Result<BoneRead> {
-        let Self { path, unit_mm, space, threshold_hu } = *self;
+        let Self { path, unit_mm, space, threshold_hu, series } = *self;
         let usage = |message: String| UsageError(format!("{}: {message}", path.display()));
         let (shape, report) = if is_volume(path) {
             if unit_mm != 1.0 || space.is_some() {
                 return Err(usage("a CT states its unit and space; leave out --scale and --space".into()).into());
             }
-            let params = serde_json::from_value(json!({ "path": path, "threshold_hu": threshold_hu }))?;
+            let params =
+                serde_json::from_value(json!({ "path": path, "threshold_hu": threshold_hu, "series": series }))?;
             let bone =
                 read_bone(&params, NoThreshold::Suggest).map_err(|error| anyhow!("{}: {error}", path.display()))?;
             let read = MeshRead { mesh: bone.mesh, n_degenerate: 0, space: Space::Lps, notes: bone.notes };
@@ -97,6 +100,9 @@ impl Bone<'_> {
         } else {
             if threshold_hu.is_some() {
                 return Err(usage("--iso-hu is for a CT".into()).into());
+            }
+            if series.is_some() {
+                return Err(usage("--series is for a folder with DICOM series".into()).into());
             }
             let bytes = input::read(path)?;
             let mut shape = read_mesh_or_cloud(path, &bytes, unit_mm, "ct")?;

@@ -42,6 +42,7 @@ Examples:
   osteoflow convert scan.pcd scan.ply
   osteoflow convert bone_in_metres.obj bone.stl --scale 1000
   osteoflow convert ct_series bone.stl --iso-hu 600
+  osteoflow convert study bone.stl --iso-hu 600 --series 201
   osteoflow convert legs.stl left.stl --component nearest:80,0,-400
   osteoflow convert plan.mrk.json plan.csv
   osteoflow convert plan.json bound.json --bind bone.stl
@@ -63,6 +64,10 @@ pub(crate) struct Convert {
     #[arg(long, value_name = "HU", allow_hyphen_values = true)]
     iso_hu: Option<f64>,
 
+    /// Which DICOM series of the folder IN (with --bind: of BONE): its number, or the ending of its identifier; info lists them.
+    #[arg(long, value_name = "SERIES")]
+    series: Option<String>,
+
     /// Which part of IN: largest, its number by size, such as 2, or nearest:X,Y,Z, the part nearest to a point, mm; info lists them.
     /// Default: of a CT the largest, else all of them.
     #[arg(long, value_name = "PART", value_parser = part, allow_hyphen_values = true, conflicts_with = "bind")]
@@ -78,7 +83,7 @@ pub(crate) struct Convert {
     double: bool,
 
     /// IN is a plan, and OUT, .json, is the same plan bound to this surface or CT, on which it was drawn: a run then tells landmarks
-    /// that were all aimed wrong from a plan of another series. --scale, --space and --iso-hu are BONE's.
+    /// that were all aimed wrong from a plan of another series. --scale, --space, --iso-hu and --series are BONE's.
     #[arg(long, value_name = "BONE")]
     bind: Option<PathBuf>,
 }
@@ -94,6 +99,10 @@ impl Convert {
             return self.done(&done, &notes, global);
         }
         let bytes = input::read(&self.input)?;
+        if self.series.is_some() {
+            let message = "--series is for a folder with DICOM series, and this is a file of points; leave it out";
+            return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+        }
         if self.iso_hu.is_some() {
             // What cannot be read at all says so itself.
             let holds = match picked_points(&self.input, &bytes) {
@@ -120,7 +129,13 @@ impl Convert {
 
     /// A plan bound to its bone.
     fn bound(&self, path: &Path, global: &Global) -> Result<Exit> {
-        let bone = Bone { path, unit_mm: self.scale, space: self.space, threshold_hu: self.iso_hu };
+        let bone = Bone {
+            path,
+            unit_mm: self.scale,
+            space: self.space,
+            threshold_hu: self.iso_hu,
+            series: self.series.as_deref(),
+        };
         let (key, notes) = bind(&self.input, &bone, &self.output)?;
         let by = [
             key.sha256.is_some().then(|| "its hash".to_owned()),
@@ -157,7 +172,10 @@ impl Convert {
             return Err(UsageError(format!("{}: give --iso-hu; bone is above it", self.input.display())).into());
         };
         let params = serde_json::from_value(json!({
-            "path": self.input, "threshold_hu": iso_hu, "component": self.component.as_deref().unwrap_or("largest")
+            "path": self.input,
+            "threshold_hu": iso_hu,
+            "component": self.component.as_deref().unwrap_or("largest"),
+            "series": self.series,
         }))?;
         let bone = read_bone(&params, NoThreshold::Refuse).map_err(|error| anyhow!("{error}"))?;
         let mut notes = bone.notes;

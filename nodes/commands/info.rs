@@ -18,13 +18,15 @@ use std::{io::Write, path::PathBuf};
 Examples:
   osteoflow info scan.ply
   osteoflow info procedure.mcap
+  osteoflow info study --series 201
   osteoflow info bone.stl --format json | jq .extent_mm
 
 Keys of --format json, where they apply:
-  kind        mesh, cloud, points, ct, pose, plan, recording, procedure, run, results, archive
+  kind        mesh, cloud, points, ct, study, pose, plan, recording, procedure, run, results, archive
   n_points    number of points, those that were dropped left out; n_dropped: those that were not finite
   parts       of a surface or a cloud, the largest first: number, n_points, n_faces, area_mm2, extent_mm, centre_mm; n_parts
   extent_mm   edges of the box around the points
+  series      of a study: name, choice (what --series takes), why_not where it is no CT
   space       LPS or RAS where the file states it, else unknown
   topics      with schema, encoding, number of messages, rate and times
   problems    what is wrong with it, one sentence each
@@ -32,11 +34,15 @@ Keys of --format json, where they apply:
 pub(crate) struct Info {
     /// The file or folder.
     file: PathBuf,
+
+    /// Which DICOM series of a folder: its number, or the ending of its identifier. Without it, several are listed.
+    #[arg(long, value_name = "SERIES")]
+    series: Option<String>,
 }
 
 impl Info {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let contents = contents::of(&self.file)?;
+        let contents = contents::of(&self.file, self.series.as_deref())?;
         match global.format {
             Format::Json => print_json(&contents.to_json())?,
             Format::Text => self.print_text(&contents, global)?,

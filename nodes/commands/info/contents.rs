@@ -1,7 +1,7 @@
 //! What a file or folder holds.
 
 use crate::app::{
-    archive,
+    UsageError, archive,
     files::picked_points,
     register::{PART_KEY, TARGET_PART},
 };
@@ -16,8 +16,7 @@ use osteoflow_formats::{
     picked_points::PickedPoints,
     plan_file::read_plan,
     pose_file::read_pose,
-    volume::is_volume,
-    volume::{VoxelUnit, read_volume},
+    volume::{SeriesFound, VoxelUnit, is_volume, list_series, read_volume},
 };
 use osteoflow_geometry::{NamedPoint, nalgebra::Point3};
 use osteoflow_standard::parts::of_bone;
@@ -164,12 +163,16 @@ fn archived(file: &Path, summary: archive::Summary) -> Contents {
 ///
 /// # Errors
 /// It is missing, or none of the known formats, or too damaged to be read in part.
-pub(super) fn of(file: &Path) -> Result<Contents> {
+pub(super) fn of(file: &Path, series: Option<&str>) -> Result<Contents> {
     if file.is_dir() {
-        return folder(file);
+        return folder(file, series);
     }
     if is_volume(file) {
-        return volume(file);
+        return volume(file, series);
+    }
+    if series.is_some() {
+        let message = "--series is for a folder with DICOM series; leave it out";
+        return Err(UsageError(format!("{}: {message}", file.display())).into());
     }
     if let Some(summary) = archive::summary(file)? {
         return Ok(archived(file, summary));
@@ -398,8 +401,14 @@ fn frame(message: &Message) -> Option<String> {
     read_pose_in_frame(message).ok().map(|tip| tip.frame.to_string())
 }
 
-fn volume(file: &Path) -> Result<Contents> {
-    let read = read_volume(file, None)?;
+fn volume(file: &Path, series: Option<&str>) -> Result<Contents> {
+    let read = match read_volume(file, series) {
+        Ok(read) => read,
+        Err(error) if series.is_none() && file.is_dir() => {
+            return study(file).ok_or(error).map_err(Into::into);
+        }
+        Err(error) => return Err(error.into()),
+    };
     let (volume, name) = (&read.volume, file.display());
     let m = &volume.t_lps_voxel;
     let edges: [f64; 3] = std::array::from_fn(|k| m.fixed_view::<3, 1>(0, k).norm());
@@ -413,16 +422,47 @@ fn volume(file: &Path) -> Result<Contents> {
         "an image of {nx} x {ny} x {nz} voxels of {:.3} x {:.3} x {:.3} mm, values in {unit}",
         edges[0], edges[1], edges[2]
     );
-    let mut contents = Contents::new("ct", about).with_box((0..8).map(at));
+    let option = series.map_or_else(String::new, |series| format!(" --series {series}"));
+    let set = series.map_or_else(String::new, |series| format!(" --set bone.series={series}"));
+    let mut contents =
+        Contents::new("ct", about).with_box((0..8).map(at)).with("source", &read.source, "source", &read.source);
     contents.facts.insert("size".into(), json!(volume.size));
     Ok(contents.with_space(if volume.is_oriented { "LPS" } else { "unknown" }).noted(read.notes.clone()).used_by([
-        format!("osteoflow register {name} SCAN"),
-        format!("osteoflow convert {name} bone.stl --iso-hu HU"),
-        format!("osteoflow run GRAPH --set bone.kind=surface.ct --set bone.path={name} --set bone.threshold_hu=HU"),
+        format!("osteoflow register {name} SCAN{option}"),
+        format!("osteoflow convert {name} bone.stl --iso-hu HU{option}"),
+        format!(
+            "osteoflow run GRAPH --set bone.kind=surface.ct --set bone.path={name} --set bone.threshold_hu=HU{set}"
+        ),
     ]))
 }
 
-fn folder(folder: &Path) -> Result<Contents> {
+/// The series of a folder of which several may be the CT; none if it holds no such folder.
+fn study(folder: &Path) -> Option<Contents> {
+    let all = list_series(folder).ok()?;
+    let taken: Vec<&SeriesFound> = all.iter().filter(|series| series.why_not.is_none()).collect();
+    if taken.len() < 2 {
+        return None;
+    }
+    let name = folder.display();
+    let mut contents = Contents::new("study", format!("a DICOM study, {} series of which may be the CT", taken.len()));
+    for SeriesFound { name, choice, why_not } in &all {
+        let line = match why_not {
+            Some(why) => format!("{name}: no CT: {why}"),
+            None => format!("{name}: --series {choice}"),
+        };
+        contents.lines.push(("series", line));
+    }
+    let rows = all.iter().map(|s| json!({ "name": s.name, "choice": s.choice, "why_not": s.why_not }));
+    contents.facts.insert("series".into(), rows.collect());
+    let choice = &taken[0].choice;
+    Some(contents.used_by([
+        format!("osteoflow info {name} --series {choice}"),
+        format!("osteoflow register {name} SCAN --series {choice}"),
+        format!("osteoflow convert {name} bone.stl --iso-hu HU --series {choice}"),
+    ]))
+}
+
+fn folder(folder: &Path, series: Option<&str>) -> Result<Contents> {
     let name = folder.display();
     if folder.join("procedure.toml").is_file() {
         let read = ProcedureFolder::open(folder)?;
@@ -457,7 +497,7 @@ fn folder(folder: &Path) -> Result<Contents> {
     if folder.join("metadata.yaml").is_file() || fs::read_dir(folder)?.flatten().any(is_recording) {
         return recording(folder);
     }
-    volume(folder).map_err(|error| {
+    volume(folder, series).map_err(|error| {
         anyhow!("{name}: a folder without procedure.toml, manifest.json or metadata.yaml (a ROS 2 bag), and no DICOM series: {error}; name a file or another folder")
     })
 }

@@ -15,7 +15,7 @@
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`region_file`] | regions of interest drawn by hand, JSON | the same |
 //! | [`poses_csv`] | poses over time | poses over time |
-//! | [`volume`] | voxels of a CT: NIfTI, NRRD, a DICOM series | |
+//! | [`volume`] | voxels of a CT: NIfTI, NRRD, MetaImage, a DICOM series | |
 //! | [`openigtlink`] | messages of OpenIGTLink | messages of OpenIGTLink |
 //! | [`folder`] | a whole procedure as a folder of such files | |
 //!
@@ -51,6 +51,7 @@ mod lost;
 pub mod mcap_read;
 pub mod mesh_or_cloud;
 pub mod message_read;
+mod metaimage_header;
 mod normals;
 mod obj;
 mod off;

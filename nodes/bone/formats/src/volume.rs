@@ -1,4 +1,4 @@
-//! Volumes of voxels from a CT or an MR: NIfTI, NRRD, and a DICOM series in a folder.
+//! Volumes of voxels from a CT or an MR: NIfTI, NRRD, MetaImage, and a DICOM series in a folder.
 //!
 //! A volume keeps its grid as it was scanned: oblique, anisotropic, sheared by a tilted gantry, left-handed. Voxels are not
 //! resampled; `t_lps_voxel` says where they are.
@@ -6,15 +6,18 @@
 //! Only geometry, modality, series number and the endings of unique identifiers are kept or named; nothing that says who the
 //! patient is.
 
+mod data;
 mod dicom;
 mod grid;
+mod metaimage;
 mod nifti;
 mod nrrd;
 mod numbers;
 
+pub use dicom::SeriesFound;
 pub use grid::{Volume, VolumeRead, VoxelUnit};
 
-use crate::{FileError, input};
+use crate::{FileError, input, metaimage_header::is_metaimage};
 use nalgebra::{Matrix3, Point3};
 use osteoflow_geometry::TooFar;
 use std::{
@@ -22,21 +25,34 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The file beside that holds the voxels of a detached header (.nhdr); none if there is no other, or it cannot be found.
-pub fn data_file(path: &Path) -> Option<PathBuf> {
-    start_of(path).ok().filter(|start| start.starts_with(b"NRRD")).and_then(|_| nrrd::data_file(path))
+/// The files beside that hold the voxels of a detached header (.nhdr, .mhd); none if there is no other, or it cannot be found.
+pub fn data_files(path: &Path) -> Vec<PathBuf> {
+    match start_of(path) {
+        Ok(start) if start.starts_with(b"NRRD") => nrrd::data_file(path).into_iter().collect(),
+        Ok(start) if is_metaimage(&start) => metaimage::data_files(path),
+        _ => Vec::new(),
+    }
 }
 
-/// Whether the path is a folder, as of a DICOM series, or a file that begins as NIfTI, gzip, NRRD or DICOM do.
+/// Whether the path is a folder, as of a DICOM series, or a file that begins as NIfTI, gzip, NRRD, MetaImage or DICOM do. A
+/// MetaImage that is a sequence of poses is none.
 pub fn is_volume(path: &Path) -> bool {
-    path.is_dir() || start_of(path).is_ok_and(|start| is_volume_file(&start))
+    path.is_dir() || start_of(path).is_ok_and(|start| is_volume_file(&start) && !is_sequence(path, &start))
 }
 
 fn is_volume_file(start: &[u8]) -> bool {
-    start.starts_with(b"NRRD") || dicom::is_dicom(start) || start.starts_with(&[0x1f, 0x8b]) || nifti::is_nifti(start)
+    start.starts_with(b"NRRD")
+        || is_metaimage(start)
+        || dicom::is_dicom(start)
+        || start.starts_with(&[0x1f, 0x8b])
+        || nifti::is_nifti(start)
 }
 
-/// Reads the volume in a NIfTI, NRRD or DICOM file, recognised by its content, or the DICOM series in a folder.
+fn is_sequence(path: &Path, start: &[u8]) -> bool {
+    is_metaimage(start) && metaimage::n_frames(path).is_some()
+}
+
+/// Reads the volume in a NIfTI, NRRD, MetaImage or DICOM file, recognised by its content, or the DICOM series in a folder.
 ///
 /// In a folder, files may have any name and order and lie in folders of it; others are ignored and counted. A single DICOM
 /// file gives one layer. `series` is the number of a DICOM series, or the ending of its unique identifier. `O(voxels)`; memory is bounded by what the files can hold.
@@ -50,27 +66,28 @@ pub fn read_volume(path: &Path, series: Option<&str>) -> Result<VolumeRead, File
         dicom::read_folder(path, series)?
     } else {
         let start = start_of(path)?;
+        if series.is_some() && !dicom::is_dicom(&start) {
+            let message =
+                "series chooses among the DICOM series of a folder, but this is a file of another format; leave it out";
+            return Err(FileError::content(path, "series", message));
+        }
         if start.starts_with(b"NRRD") {
             nrrd::read(path)?
+        } else if is_metaimage(&start) {
+            metaimage::read(path)?
         } else if dicom::is_dicom(&start) {
-            dicom::read_file(path)?
+            dicom::read_file(path, series)?
         } else if start.starts_with(&[0x1f, 0x8b]) || nifti::is_nifti(&start) {
             nifti::read(path)?
         } else {
-            let message = "neither NIfTI (348 or 540 in the first four bytes), NRRD (\"NRRD\") nor DICOM (\"DICM\" at byte \
-                           128); give a .nii, .nii.gz, .nrrd or .nhdr file, or the folder of a DICOM series";
+            let message = "neither NIfTI (348 or 540 in the first four bytes), NRRD (\"NRRD\"), MetaImage (\"ObjectType = \
+                           Image\") nor DICOM (\"DICM\" at byte 128); give a .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file, or \
+                           the folder of a DICOM series";
             return Err(FileError::content(path, "byte 0", message));
         }
     };
-    if series.is_some() && !metadata.is_dir() {
-        let message = "series chooses among the DICOM series of a folder, but this is a file; leave it out";
-        return Err(FileError::content(path, "series", message));
-    }
     let volume = &mut read.volume;
-    let n_bad = replace_non_finite(&mut volume.voxels);
-    if n_bad > 0 {
-        read.notes.push(format!("{n_bad} voxels are not finite and were set to the lowest value of the others"));
-    }
+    read.notes.extend(replace_non_finite(&mut volume.voxels));
     let linear: Matrix3<f64> = volume.t_lps_voxel.fixed_view::<3, 3>(0, 0).into();
     let lengths: [f64; 3] = std::array::from_fn(|k| linear.column(k).norm());
     let is_space = volume.t_lps_voxel.iter().all(|c| c.is_finite())
@@ -97,6 +114,14 @@ pub fn read_volume(path: &Path, series: Option<&str>) -> Result<VolumeRead, File
     Ok(read)
 }
 
+/// The DICOM series of a folder, those that are no CT with the reason.
+///
+/// # Errors
+/// [`FileError`] if a file cannot be read, or there is no image.
+pub fn list_series(folder: &Path) -> Result<Vec<SeriesFound>, FileError> {
+    dicom::list_series(folder)
+}
+
 /// The first bytes of a file, as many as tell its format.
 fn start_of(path: &Path) -> Result<Vec<u8>, FileError> {
     let mut start = Vec::new();
@@ -104,12 +129,26 @@ fn start_of(path: &Path) -> Result<Vec<u8>, FileError> {
     Ok(start)
 }
 
-/// Sets values that are not finite to the lowest of the others, or 0; returns their number.
-fn replace_non_finite(voxels: &mut [f32]) -> usize {
-    let n_bad = voxels.iter().filter(|v| !v.is_finite()).count();
-    if n_bad > 0 {
-        let lowest = voxels.iter().copied().filter(|v| v.is_finite()).reduce(f32::min).unwrap_or(0.0);
-        voxels.iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = lowest);
+/// Sets values above all numbers to the highest of the others, as bone and metal beyond a scanner's range are, and values below
+/// all or without a number to the lowest; 0 if there are no others. Says how many.
+fn replace_non_finite(voxels: &mut [f32]) -> Option<String> {
+    let n_high = voxels.iter().filter(|v| **v == f32::INFINITY).count();
+    let n_low = voxels.iter().filter(|v| !v.is_finite()).count() - n_high;
+    if n_high + n_low == 0 {
+        return None;
     }
-    n_bad
+    let finite = voxels.iter().copied().filter(|v| v.is_finite());
+    let (low, high) = finite.fold((f32::MAX, f32::MIN), |(low, high), v| (low.min(v), high.max(v)));
+    let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
+    for v in voxels.iter_mut().filter(|v| !v.is_finite()) {
+        *v = if *v == f32::INFINITY { high } else { low };
+    }
+    let to = |n: usize, what: &str, value: f32, which: &str| {
+        (n > 0).then(|| format!("{n} voxels {what} were set to {value}, the {which} value of the others"))
+    };
+    let both = [
+        to(n_high, "of +infinity", high, "highest"),
+        to(n_low, "without a number (NaN) or of -infinity", low, "lowest"),
+    ];
+    Some(both.into_iter().flatten().collect::<Vec<_>>().join(", and "))
 }

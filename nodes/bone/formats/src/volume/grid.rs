@@ -49,12 +49,12 @@ pub(super) fn affine(axes: [[f64; 3]; 3], first: [f64; 3], signs: [f64; 3]) -> M
 
 /// Whether values without a stated unit look like Hounsfield units: air below, bone above, most of them between.
 fn looks_like_hu(voxels: &[f32]) -> bool {
-    let start = (f32::MAX, f32::MIN, 0usize);
-    let (low, high, n_tissue) = voxels
-        .iter()
-        .filter(|v| v.is_finite())
-        .fold(start, |(low, high, n), v| (low.min(*v), high.max(*v), n + usize::from((-1100.0..=3100.0).contains(v))));
-    (-10_000.0..=-500.0).contains(&low) && high >= 300.0 && 2 * n_tissue >= voxels.len()
+    let start = (f32::MAX, f32::MIN, 0usize, 0usize);
+    let (low, high, n_tissue, n) =
+        voxels.iter().filter(|v| v.is_finite()).fold(start, |(low, high, n_tissue, n), v| {
+            (low.min(*v), high.max(*v), n_tissue + usize::from((-1100.0..=3100.0).contains(v)), n + 1)
+        });
+    (-10_000.0..=-500.0).contains(&low) && high >= 300.0 && 2 * n_tissue >= n
 }
 
 /// The unit of values whose file states none, with a note.

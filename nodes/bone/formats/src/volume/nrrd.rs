@@ -3,15 +3,15 @@
 //! # Source
 //! Kindlmann, "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html.
 
+use super::data::{Data, beside, folder_of, shown};
 use super::grid::{Volume, VolumeRead, affine, assumed_unit, n_voxels_and_bytes};
-use super::numbers::{Encoding, StreamError, drain, gzip_limit, read_all};
+use super::numbers::{Encoding, gzip_limit};
 use crate::scalar::Scalar;
 use crate::{FileError, cursor::Cursor, input};
-use flate2::read::MultiGzDecoder;
 use std::{
     collections::HashMap,
     fs::File,
-    io::{BufRead, BufReader, Read, Seek, SeekFrom},
+    io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
 };
 
@@ -37,10 +37,10 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     let mut reader = BufReader::new(input::open(path)?);
     let header = Header::read(path, &mut reader)?;
     let mut notes = Vec::new();
-    let size = header.size()?;
+    let (size, single) = header.size()?;
     let type_name = header.text("type")?.to_ascii_lowercase();
     let scalar = header.scalar(&type_name)?;
-    let (t_lps_voxel, is_oriented) = placement(&header, &mut notes)?;
+    let (t_lps_voxel, is_oriented) = placement(&header, single, &mut notes)?;
     let encoding_name = header.text("encoding")?.to_ascii_lowercase();
     let is_text = matches!(encoding_name.as_str(), "ascii" | "text" | "txt");
     let is_big = match header.get("endian").map(|(_, v)| v.to_ascii_lowercase()) {
@@ -70,7 +70,7 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
             let message = "\"byte skip: -1\" is for raw data; write the number of bytes";
             return Err(header.fault("byte skip", message));
         }
-        "gzip" | "gz" => data.gzip(n_skipped as u64)?,
+        "gzip" | "gz" => data.compressed(n_skipped as u64)?,
         _ if is_text => data.text(n_skipped.max(0) as u64)?,
         other => {
             let message = format!("encoding \"{other}\" is not read; save the volume as raw or gzip");
@@ -83,110 +83,6 @@ pub(super) fn read(path: &Path) -> Result<VolumeRead, FileError> {
     let unit = assumed_unit(&voxels, "NRRD", &mut notes);
     let volume = Volume { size, voxels, t_lps_voxel, unit, is_oriented };
     Ok(VolumeRead { volume, source: format!("NRRD, {encoding_name}"), notes, frame_of_reference_uid: None })
-}
-
-/// The data of a volume, from their beginning on.
-struct Data {
-    path: PathBuf,
-    reader: BufReader<File>,
-    /// Bytes from there to the end of the file.
-    n_there: u64,
-    /// Number of voxels.
-    n: usize,
-    /// Bytes of the voxels.
-    n_bytes: u64,
-    /// What the header promises, for messages.
-    promise: String,
-    encoding: Encoding,
-}
-
-impl Data {
-    fn fault(&self, place: &str, message: impl Into<String>) -> FileError {
-        FileError::content(&self.path, place, message)
-    }
-
-    fn too_short(&self, there: &str) -> FileError {
-        self.fault("data", format!("cut short: {}, {there}; copy the file again", self.promise))
-    }
-
-    fn broken(&self, error: StreamError) -> FileError {
-        match error {
-            StreamError::Short(n) => {
-                self.too_short(&format!("but only {} are there", n * self.encoding.scalar.n_bytes()))
-            }
-            StreamError::Io(error) => self.fault("gzip", format!("{error}; copy the file again")),
-        }
-    }
-
-    fn skip_lines(&mut self, n_lines: i64) -> Result<(), FileError> {
-        for _ in 0..n_lines {
-            if self.reader.skip_until(b'\n').map_err(FileError::read(&self.path))? == 0 {
-                let message = format!("the file ends before the {n_lines} lines that \"line skip\" leaves out");
-                return Err(self.fault("data", message));
-            }
-        }
-        Ok(())
-    }
-
-    /// The voxels of raw data, and the number of bytes behind them; those before them are skipped, -1 for all.
-    fn raw(mut self, n_skipped: i64) -> Result<(Vec<f32>, u64), FileError> {
-        if self.n_bytes > self.n_there {
-            return Err(self.too_short(&format!("but only {} are there", self.n_there)));
-        }
-        let skipped = match u64::try_from(n_skipped) {
-            Ok(n) => drain(&mut self.reader, n),
-            Err(_) => self.reader.seek(SeekFrom::End(-(self.n_bytes as i64))),
-        };
-        skipped.map_err(FileError::read(&self.path))?;
-        read_all(&mut self.reader, self.n, &self.encoding).map_err(|error| match error {
-            StreamError::Io(error) => FileError::read(&self.path)(error),
-            short => self.broken(short),
-        })
-    }
-
-    fn gzip(mut self, n_skipped: u64) -> Result<(Vec<f32>, u64), FileError> {
-        if self.n_bytes > gzip_limit(self.n_there) {
-            return Err(self.too_short(&format!("{} bytes of gzip cannot hold them", self.n_there)));
-        }
-        let mut decoder = MultiGzDecoder::new(&mut self.reader);
-        let skipped = drain(&mut decoder, n_skipped).map_err(StreamError::Io);
-        let voxels = skipped.and_then(|_| read_all(&mut decoder, self.n, &self.encoding));
-        voxels.map_err(|error| self.broken(error))
-    }
-
-    /// The voxels of numbers as text, and the number of bytes behind them.
-    fn text(mut self, n_skipped: u64) -> Result<(Vec<f32>, u64), FileError> {
-        let n = self.n;
-        // Each number but the last takes two bytes.
-        if (n as u64).saturating_mul(2) > self.n_there.saturating_add(1) {
-            return Err(self.too_short(&format!("{} bytes of text cannot hold {n} numbers", self.n_there)));
-        }
-        drain(&mut self.reader, n_skipped).map_err(FileError::read(&self.path))?;
-        let (mut voxels, mut line, mut n_line) = (Vec::new(), Vec::new(), 0);
-        while voxels.len() < n {
-            line.clear();
-            n_line += 1;
-            let n_read = self.reader.read_until(b'\n', &mut line).map_err(FileError::read(&self.path))?;
-            let fault = |message: String| self.fault(&format!("line {n_line} of the data"), message);
-            if n_read == 0 {
-                return Err(fault(format!("cut short: {} of {n} numbers; copy the file again", voxels.len())));
-            }
-            for word in line.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|word| !word.is_empty()) {
-                let number = std::str::from_utf8(word).ok().and_then(|word| word.parse::<f32>().ok());
-                voxels.push(number.ok_or_else(|| fault(format!("\"{}\" is no number", shown(word))))?);
-            }
-            if voxels.len() > n {
-                return Err(fault(format!("{} numbers, but the sizes promise {n}", voxels.len())));
-            }
-        }
-        let n_extra = drain(&mut self.reader, 1 << 20).map_err(FileError::read(&self.path))?;
-        Ok((voxels, n_extra))
-    }
-}
-
-/// The beginning of a word that is no number.
-fn shown(word: &[u8]) -> String {
-    String::from_utf8_lossy(&word[..word.len().min(20)]).escape_default().to_string()
 }
 
 impl<'a> Header<'a> {
@@ -240,23 +136,36 @@ impl<'a> Header<'a> {
         Ok(Self { path, fields, n_bytes: bytes.len() as u64 })
     }
 
-    /// Number of voxels along each axis.
-    fn size(&self) -> Result<[usize; 3], FileError> {
+    /// Number of voxels along each of the three axes of space, and which axis of a single frame or channel was left out.
+    fn size(&self) -> Result<([usize; 3], Option<usize>), FileError> {
         let dimension = self.numbers("dimension")?.first().copied().unwrap_or(0.0) as usize;
-        if dimension != 3 {
+        let mut sizes = self.numbers("sizes")?;
+        if sizes.len() != dimension {
+            return Err(self.fault("sizes", format!("{} sizes for {dimension} dimensions", sizes.len())));
+        }
+        let single = (dimension == 4).then(|| self.single_axis(&sizes)).flatten();
+        if let Some(axis) = single {
+            sizes.remove(axis);
+        }
+        let [nx, ny, nz] = sizes[..] else {
             let message = format!(
-                "{dimension} dimensions; 3 are read: save the one frame or channel that shows the bone as a volume of its own"
+                "{dimension} dimensions; 3 are read, and a fourth of 1: save the one frame or channel that shows the bone as a \
+                 volume of its own"
             );
             return Err(self.fault("dimension", message));
-        }
-        let sizes = self.numbers("sizes")?;
-        let [nx, ny, nz] = sizes[..] else {
-            return Err(self.fault("sizes", format!("{} sizes for 3 dimensions", sizes.len())));
         };
         if sizes.iter().any(|s| s.fract() != 0.0 || !(1.0..1e9).contains(s)) {
             return Err(self.fault("sizes", format!("{nx} x {ny} x {nz} voxels; whole numbers from 1 are needed")));
         }
-        Ok([nx as usize, ny as usize, nz as usize])
+        Ok(([nx as usize, ny as usize, nz as usize], single))
+    }
+
+    /// The axis of size 1 that is none of space: the one without a direction, else the last or the first.
+    fn single_axis(&self, sizes: &[f64]) -> Option<usize> {
+        let directions = self.get("space directions").map(|(_, text)| text.replace("none", "(none)"));
+        let without = directions.and_then(|text| text.split('(').skip(1).position(|part| part.starts_with("none")));
+        let axes = without.into_iter().chain([3, 0]);
+        axes.into_iter().find(|axis| sizes.get(*axis) == Some(&1.0) && without.is_none_or(|only| only == *axis))
     }
 
     fn scalar(&self, name: &str) -> Result<Scalar, FileError> {
@@ -325,21 +234,22 @@ impl<'a> Header<'a> {
             }
             let (inside, after) = rest.strip_prefix('(').and_then(|r| r.split_once(')')).ok_or_else(fault)?;
             let numbers: Option<Vec<f64>> = inside.split(',').map(|word| word.trim().parse().ok()).collect();
-            let vector: [f64; 3] = numbers.and_then(|n| n.try_into().ok()).ok_or_else(fault)?;
+            let vector = match numbers.as_deref() {
+                Some(&[x, y, z]) => [x, y, z],
+                // Of a space with a fourth axis, along which no axis of the others goes.
+                Some(&[x, y, z, w]) if w == 0.0 || [x, y, z] == [0.0; 3] || key == "space origin" => [x, y, z],
+                _ => return Err(fault()),
+            };
             vectors.push(vector);
             rest = after.trim_start();
         }
         Ok(vectors)
     }
 
-    fn folder(&self) -> &Path {
-        self.path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
-    }
-
     /// The path of the data of a detached header.
     fn data_path(&self) -> Option<PathBuf> {
         let (_, name) = self.get("data file")?;
-        Some(self.folder().join(name))
+        Some(folder_of(self.path).join(name))
     }
 
     /// The file with the data, at their beginning, and the number of bytes from there to its end.
@@ -353,24 +263,22 @@ impl<'a> Header<'a> {
         if name.starts_with("LIST") || name.contains('%') {
             return refused("the data are in several files; save the volume as one .nrrd file");
         }
-        if name.is_empty() || name == "." || name == ".." || name.contains(['/', '\\', ':', '\0']) {
-            return refused("the data must be in a file beside the header: a name without a folder");
-        }
-        let folder = self.folder();
-        let beside = folder.join(name);
-        let real = std::fs::canonicalize(&beside).map_err(FileError::read(&beside))?;
-        let real_folder = std::fs::canonicalize(folder).map_err(FileError::read(folder))?;
-        if real.parent() != Some(&real_folder) {
-            return refused("the data file is a link out of the header's folder; copy the data beside the header");
-        }
+        let real = match beside(self.path, name)? {
+            Ok(real) => real,
+            Err(message) => return refused(message),
+        };
         let file = input::open(&real)?;
-        let n = length(&file).map_err(FileError::read(&beside))?;
-        Ok((beside, BufReader::new(file), n))
+        let n = length(&file).map_err(FileError::read(&real))?;
+        Ok((folder_of(self.path).join(name), BufReader::new(file), n))
     }
 }
 
 /// The map from voxels to LPS, mm, and whether the orientation is stated.
-fn placement(header: &Header, notes: &mut Vec<String>) -> Result<(nalgebra::Matrix4<f64>, bool), FileError> {
+fn placement(
+    header: &Header,
+    single: Option<usize>,
+    notes: &mut Vec<String>,
+) -> Result<(nalgebra::Matrix4<f64>, bool), FileError> {
     let unit_mm = match header.get("space units") {
         None => 1.0,
         Some((line, text)) => {
@@ -413,11 +321,18 @@ fn placement(header: &Header, notes: &mut Vec<String>) -> Result<(nalgebra::Matr
         );
     }
     let axes: [[f64; 3]; 3] = if header.get("space directions").is_some() {
-        header.vectors("space directions")?.try_into().map_err(|other: Vec<_>| {
+        let mut directions = header.vectors("space directions")?;
+        if let Some(axis) = single.filter(|axis| directions.len() == 4 && directions[*axis] == [0.0; 3]) {
+            directions.remove(axis);
+        }
+        directions.try_into().map_err(|other: Vec<_>| {
             header.fault("space directions", format!("{} directions for 3 axes", other.len()))
         })?
     } else if signs.is_none() && header.get("spacings").is_some() {
-        let spacings = header.numbers("spacings")?;
+        let mut spacings = header.numbers("spacings")?;
+        if let Some(axis) = single.filter(|axis| *axis < spacings.len()) {
+            spacings.remove(axis);
+        }
         if spacings.len() != 3 {
             return Err(header.fault("spacings", format!("{} spacings for 3 axes", spacings.len())));
         }

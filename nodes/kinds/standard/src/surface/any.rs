@@ -9,7 +9,7 @@ use osteoflow_formats::{
     Space,
     input::{self, sha256_of},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
-    volume::{data_file, is_volume},
+    volume::{data_files, is_volume},
 };
 use osteoflow_geometry::{Cloud, Mesh};
 use osteoflow_node::{
@@ -162,7 +162,7 @@ impl Constant for Any {
     }
 
     fn files(params: &Params) -> Vec<PathBuf> {
-        data_file(params.path.as_ref()).into_iter().collect()
+        data_files(params.path.as_ref())
     }
 
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {

@@ -7,7 +7,7 @@ use osteoflow_algorithms::ct_surface::{
 use osteoflow_algorithms::parts::PartChoice;
 use osteoflow_formats::{
     FileError, input,
-    volume::{Volume, VoxelUnit, data_file, read_volume},
+    volume::{Volume, VoxelUnit, data_files, read_volume},
 };
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
@@ -114,7 +114,7 @@ impl Constant for Ct {
     }
 
     fn files(params: &Params) -> Vec<PathBuf> {
-        data_file(params.path.as_ref()).into_iter().collect()
+        data_files(params.path.as_ref())
     }
 
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
@@ -193,7 +193,7 @@ pub fn read_bone(params: &Params, no_threshold: NoThreshold) -> Result<CtBone, N
 
 /// SHA-256 of a volume in one file; `None` for a folder, and for a header with its voxels in another file.
 fn file_sha256(path: &Path) -> Result<Option<String>, FileError> {
-    let is_one_file = path.is_file() && data_file(path).is_none();
+    let is_one_file = path.is_file() && data_files(path).is_empty();
     is_one_file.then(|| input::sha256(path)).transpose()
 }
 

@@ -1,6 +1,7 @@
 //! The elements of a DICOM data set, in order, with those inside sequences passed over.
 
 use super::super::numbers::{MAX_EXPANSION, drain};
+use super::syntax::{Compression, Syntax, guessed, shown_uid, transfer_syntax};
 use crate::FileError;
 use flate2::read::DeflateDecoder;
 use std::{borrow::Cow, io::Read, path::Path};
@@ -17,14 +18,6 @@ const MAX_DEPTH: usize = 64;
 /// A deflated data set of one image is smaller.
 const MAX_INFLATED: u64 = 1 << 29;
 
-/// How a data set is written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Syntax {
-    pub(super) is_explicit: bool,
-    pub(super) is_big: bool,
-    pub(super) is_run_length: bool,
-}
-
 /// An element of the data set.
 pub(super) struct Element<'a> {
     pub(super) tag: Tag,
@@ -32,6 +25,10 @@ pub(super) struct Element<'a> {
     pub(super) value: &'a [u8],
     /// Whether the value is a sequence of items or fragments.
     pub(super) is_items: bool,
+    /// Byte of the data set at which the value begins.
+    pub(super) start: usize,
+    /// How the elements inside a sequence are written.
+    pub(super) syntax: Syntax,
 }
 
 /// The data set behind the file's meta information, inflated if need be.
@@ -40,13 +37,16 @@ pub(super) struct DataSet<'a> {
     /// Byte of the file at which it begins.
     pub(super) start: usize,
     pub(super) syntax: Syntax,
+    /// What becomes of the pixels.
+    pub(super) compression: Compression,
 }
 
 impl<'a> DataSet<'a> {
     pub(super) fn of_file(path: &Path, file: &'a [u8]) -> Result<Self, FileError> {
         let fault = |place: String, message: String| FileError::content(path, place, message);
-        let meta = Syntax { is_explicit: true, is_big: false, is_run_length: false };
-        let mut reader = Reader { bytes: file, at: 132, syntax: meta, is_unknown: false };
+        let meta = Syntax { is_explicit: true, is_big: false };
+        let start = if file.get(128..132) == Some(b"DICM") { 132 } else { 0 };
+        let mut reader = Reader { bytes: file, at: start, syntax: meta, is_unknown: false };
         let mut uid = None;
         while file.get(reader.at..reader.at + 2) == Some(&[2, 0]) {
             let at = reader.at;
@@ -56,21 +56,26 @@ impl<'a> DataSet<'a> {
             }
         }
         let (start, uid) = (reader.at, uid.unwrap_or_default());
-        let explicit = Syntax { is_explicit: true, is_big: false, is_run_length: false };
-        let syntax = match uid.as_str() {
-            "1.2.840.10008.1.2" => Syntax { is_explicit: false, ..explicit },
-            "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.1.99" => explicit,
-            "1.2.840.10008.1.2.2" => Syntax { is_big: true, ..explicit },
-            "1.2.840.10008.1.2.5" => Syntax { is_run_length: true, ..explicit },
-            other => {
-                let message = format!(
-                    "transfer syntax {} is not read; export the series uncompressed, or convert it: gdcmconv --raw in out",
-                    syntax_name(other)
-                );
+        let (syntax, compression) = match transfer_syntax(&uid) {
+            // Some writers state the one and write the other.
+            Some((stated, Compression::Deflated)) => (stated, Compression::Deflated),
+            Some((stated, pixels)) => (guessed(&file[start.min(file.len())..]).unwrap_or(stated), pixels),
+            None if uid.is_empty() => {
+                let first = &file[start.min(file.len())..];
+                let syntax = guessed(first).ok_or_else(|| {
+                    let message =
+                        "no transfer syntax is stated, and the first element shows none; export the series again";
+                    fault(format!("byte {start}"), message.into())
+                })?;
+                (syntax, Compression::None)
+            }
+            None => {
+                let message =
+                    format!("transfer syntax {} is not read; export the series uncompressed", shown_uid(&uid));
                 return Err(fault("(0002,0010)".into(), message));
             }
         };
-        let bytes = if uid.ends_with(".1.99") {
+        let bytes = if compression == Compression::Deflated {
             let deflated = &file[start..];
             let limit = (deflated.len() as u64).saturating_mul(MAX_EXPANSION).min(MAX_INFLATED);
             let mut inflated = Vec::new();
@@ -88,7 +93,7 @@ impl<'a> DataSet<'a> {
         } else {
             Cow::Borrowed(&file[start..])
         };
-        Ok(Self { bytes, start, syntax })
+        Ok(Self { bytes, start, syntax, compression })
     }
 
     pub(super) fn reader(&self) -> Reader<'_> {
@@ -166,6 +171,7 @@ impl<'a> Reader<'a> {
         }
         let (tag, length, is_items) = self.header()?;
         let start = self.at;
+        let syntax = Syntax { is_explicit: self.syntax.is_explicit && !self.is_unknown, ..self.syntax };
         let value = if length == UNDEFINED {
             let is_pixels = tag == 0x7fe0_0010;
             let end = if is_pixels { self.pass_fragments()? } else { self.pass_items(0)? };
@@ -173,7 +179,7 @@ impl<'a> Reader<'a> {
         } else {
             self.take(length as usize)?
         };
-        Ok(Some(Element { tag, value, is_items }))
+        Ok(Some(Element { tag, value, is_items, start, syntax }))
     }
 
     /// Passes items up to the end of their sequence; returns where its mark begins.
@@ -193,21 +199,29 @@ impl<'a> Reader<'a> {
             let end = self.at;
             match self.header()? {
                 (END_OF_SEQUENCE, _, _) => return Ok(end),
-                (ITEM, UNDEFINED, _) => loop {
-                    match self.header()? {
-                        (END_OF_ITEM, _, _) => break,
-                        (_, UNDEFINED, _) => {
-                            self.pass_items(depth + 1)?;
-                        }
-                        (_, length, _) => {
-                            self.take(length as usize)?;
-                        }
-                    }
-                },
+                (ITEM, UNDEFINED, _) => {
+                    self.pass_item(depth)?;
+                }
                 (ITEM, length, _) => {
                     self.take(length as usize)?;
                 }
                 _ => return Err("an item was expected in a sequence; is the file damaged?".into()),
+            }
+        }
+    }
+
+    /// Passes the elements of an item of undefined length and the mark of its end; returns where that begins.
+    fn pass_item(&mut self, depth: usize) -> Result<usize, String> {
+        loop {
+            let end = self.at;
+            match self.header()? {
+                (END_OF_ITEM, _, _) => return Ok(end),
+                (_, UNDEFINED, _) => {
+                    self.pass_items(depth + 1)?;
+                }
+                (_, length, _) => {
+                    self.take(length as usize)?;
+                }
             }
         }
     }
@@ -226,43 +240,44 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The fragments of pixel data without their table of offsets.
+/// The items of a sequence, each the bytes of its elements.
+pub(super) fn items<'a>(sequence: &Element<'a>) -> Result<Vec<&'a [u8]>, String> {
+    let bytes = sequence.value;
+    let mut reader = Reader { bytes, at: 0, syntax: sequence.syntax, is_unknown: false };
+    let mut items = Vec::new();
+    while reader.at < bytes.len() {
+        match reader.header()? {
+            (ITEM, UNDEFINED, _) => {
+                let start = reader.at;
+                items.push(&bytes[start..reader.pass_item(0)?]);
+            }
+            (ITEM, length, _) => items.push(reader.take(length as usize)?),
+            (END_OF_SEQUENCE, _, _) => break,
+            _ => return Err("an item was expected in a sequence; is the file damaged?".into()),
+        }
+    }
+    Ok(items)
+}
+
+/// The elements of an item.
+pub(super) fn elements(item: &[u8], syntax: Syntax) -> Reader<'_> {
+    Reader { bytes: item, at: 0, syntax, is_unknown: false }
+}
+
+/// The fragments of pixel data, the first of which is their table of offsets.
 pub(super) fn fragments(value: &[u8]) -> Result<Vec<&[u8]>, String> {
-    let syntax = Syntax { is_explicit: false, is_big: false, is_run_length: true };
+    let syntax = Syntax { is_explicit: false, is_big: false };
     let mut reader = Reader { bytes: value, at: 0, syntax, is_unknown: false };
     let mut fragments = Vec::new();
     while reader.at < value.len() {
         let (_, length, _) = reader.header()?;
         fragments.push(reader.take(length as usize)?);
     }
-    Ok(fragments.split_off(1.min(fragments.len())))
+    Ok(fragments)
 }
 
 /// Text without the padding at its end; only of codes, numbers and unique identifiers.
 pub(super) fn text(value: &[u8]) -> String {
     let trimmed = String::from_utf8_lossy(value);
     trimmed.trim_matches(|c: char| c == '\0' || c.is_whitespace()).chars().take(200).collect()
-}
-
-/// The name of a transfer syntax. Of unknown ones only the kind of characters is shown, as the file may be damaged.
-fn syntax_name(uid: &str) -> String {
-    let kind = match uid {
-        "" => return "(none is stated)".into(),
-        "1.2.840.10008.1.2.4.50" | "1.2.840.10008.1.2.4.51" => "JPEG, lossy",
-        "1.2.840.10008.1.2.4.57" | "1.2.840.10008.1.2.4.70" => "JPEG lossless",
-        "1.2.840.10008.1.2.4.80" => "JPEG-LS lossless",
-        "1.2.840.10008.1.2.4.81" => "JPEG-LS near-lossless",
-        "1.2.840.10008.1.2.4.90" => "JPEG 2000 lossless",
-        "1.2.840.10008.1.2.4.91" => "JPEG 2000",
-        "1.2.840.10008.1.2.4.201" | "1.2.840.10008.1.2.4.202" | "1.2.840.10008.1.2.4.203" => {
-            "high-throughput JPEG 2000"
-        }
-        _ if uid.starts_with("1.2.840.10008.1.2.4.10") => "MPEG video",
-        _ => "unknown",
-    };
-    if uid.bytes().all(|b| b.is_ascii_digit() || b == b'.') && uid.len() <= 64 {
-        format!("{uid} ({kind})")
-    } else {
-        "(not a unique identifier)".into()
-    }
 }
