@@ -51,6 +51,7 @@ mod lost;
 pub mod mcap_read;
 pub mod mesh_or_cloud;
 pub mod message_read;
+mod metaimage_header;
 mod normals;
 mod obj;
 mod off;
