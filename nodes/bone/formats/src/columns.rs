@@ -58,6 +58,26 @@ pub(crate) fn place(names: &[String], name: &str) -> Option<usize> {
     exact.or_else(|| names.iter().position(with_unit))
 }
 
+/// The cells of a line; quotes enclose a cell that holds the separator, and are doubled within it.
+pub(crate) fn quoted_cells(line: &str, separator: char) -> Vec<String> {
+    let mut cells = vec![String::new()];
+    let mut quoted = false;
+    let mut chars = line.trim_end_matches(['\r', '\n']).chars().peekable();
+    while let Some(c) = chars.next() {
+        let last = cells.last_mut().expect("there is one");
+        match c {
+            '"' if quoted && chars.peek() == Some(&'"') => {
+                chars.next();
+                last.push('"');
+            }
+            '"' if quoted || last.trim().is_empty() => quoted = !quoted,
+            c if c == separator && !quoted => cells.push(String::new()),
+            c => last.push(c),
+        }
+    }
+    cells
+}
+
 /// The axis and the unit of a name such as `x_mm`, `X [m]` or `z(mm)`.
 fn axis_and_unit(name: &str) -> Option<(&str, &str)> {
     let (axis, unit) = name.split_at_checked(1)?;

@@ -105,7 +105,7 @@ fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let of = |formats: &[Format]| formats.iter().find(|(is_it, _)| is_it(bytes)).map(|(_, read)| *read);
     match of(&MARKED) {
         Some(read) => read(path, bytes),
-        None => match refused::refusal(bytes) {
+        None => match refused::refusal(path, bytes) {
             Some(message) => Err(FileError::content(path, "byte 0", message)),
             None => of(&UNMARKED).expect("any text may be of points")(path, bytes),
         },

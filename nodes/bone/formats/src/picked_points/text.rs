@@ -3,7 +3,7 @@
 use super::{PickedPoints, collected::Collected};
 use crate::{
     FileError, Space,
-    columns::{Lines, Split, axes, has_words, name_axes, place, twice},
+    columns::{Lines, Split, axes, has_words, name_axes, place, quoted_cells, twice},
     cursor::Cursor,
     scalar::number,
 };
@@ -11,26 +11,6 @@ use std::path::Path;
 
 /// The most elements of an XML file that are read.
 const MOST_NODES: u32 = 1 << 20;
-
-/// The cells of a line; quotes enclose a cell that holds the separator, and are doubled within it.
-pub(super) fn cells(line: &str, separator: char) -> Vec<String> {
-    let mut cells = vec![String::new()];
-    let mut quoted = false;
-    let mut chars = line.trim_end_matches(['\r', '\n']).chars().peekable();
-    while let Some(c) = chars.next() {
-        let last = cells.last_mut().expect("there is one");
-        match c {
-            '"' if quoted && chars.peek() == Some(&'"') => {
-                chars.next();
-                last.push('"');
-            }
-            '"' if quoted || last.trim().is_empty() => quoted = !quoted,
-            c if c == separator && !quoted => cells.push(String::new()),
-            c => last.push(c),
-        }
-    }
-    cells
-}
 
 /// The points in a `.pp` file of MeshLab.
 pub(super) fn meshlab(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
@@ -164,7 +144,7 @@ fn axes_named(names: &[String]) -> usize {
 fn split_line(split: &Split, line: &str) -> Vec<String> {
     match split.separator {
         Some(separator) => {
-            cells(split.without_trailing(line), separator).iter().map(|cell| cell.trim().to_owned()).collect()
+            quoted_cells(split.without_trailing(line), separator).iter().map(|cell| cell.trim().to_owned()).collect()
         }
         None => line.split_ascii_whitespace().map(str::to_owned).collect(),
     }
