@@ -195,7 +195,7 @@ pub fn write_pose(file: &Path, rows: &[[f64; 4]; 4]) -> Result<(), Error> {
 /// A text of numbers may be a list of points or a cloud. It is a list if its points have names that are not numbers, or if it is
 /// short and its lines are an index, a comma, and three coordinates, as CloudCompare writes them.
 pub(crate) fn picked_points(file: &Path, bytes: &[u8]) -> Option<Result<PickedPoints, FileError>> {
-    let start = bytes.trim_ascii_start();
+    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
     let head = String::from_utf8_lossy(&start[..start.len().min(4096)]);
     let is_markups = head.starts_with('{') && String::from_utf8_lossy(bytes).contains("\"markups\"");
     let is_fcsv = head.starts_with("# Markups fiducial file");
@@ -207,7 +207,9 @@ pub(crate) fn picked_points(file: &Path, bytes: &[u8]) -> Option<Result<PickedPo
     let has_names = read.is_named && read.points.iter().any(|point| point.name.parse::<f64>().is_err());
     let indexed = |line: &str| {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        cells.len() == 4 && cells[0].parse::<u64>().is_ok()
+        // Decimal commas cut numbers, too, but what is between them is no number.
+        let is_number = |cell: &&str| cell.parse::<f64>().is_ok();
+        cells.len() == 4 && cells[0].parse::<u64>().is_ok() && cells[1..].iter().all(is_number)
     };
     let is_indexed = head.lines().take(3).all(indexed);
     (read.points.len() <= N_PICKED && (has_names || is_indexed)).then_some(Ok(read))

@@ -6,6 +6,7 @@ pub(crate) mod exit;
 pub(crate) mod global;
 pub(crate) mod graph_args;
 pub(crate) mod log;
+pub(crate) mod log_args;
 pub(crate) mod other_numbers;
 pub(crate) mod plugins;
 pub(crate) mod progress;
@@ -23,4 +24,5 @@ pub(crate) mod verdict_lines;
 
 pub(crate) use exit::Exit;
 pub(crate) use global::{Format, Global};
+pub(crate) use log_args::LogArgs;
 pub(crate) use terminal::print_json;

@@ -1,4 +1,7 @@
-use super::common::{Exit, Global, terminal};
+mod poses;
+mod recording;
+
+use super::common::{Exit, Global, LogArgs, terminal};
 use crate::app::{
     UsageError,
     bind::{Bone, bind},
@@ -10,8 +13,10 @@ use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use osteoflow_formats::{
     FileError, Space, input,
+    mcap_read::is_recording,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points},
+    pose_log::log_format,
     volume::is_volume,
     write::{Precision, ending, write_cloud, write_mesh},
 };
@@ -29,11 +34,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Convert a file of points, a surface, picked points or a CT into another format, or bind a plan to its bone.
+/// Convert a file of points, a surface, picked points, a CT, a log of poses or a recorded cloud into another format, or bind a plan to
+/// its bone.
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd
 /// or .csv; clouds to .ply, .pcd, .vtk, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv;
-/// a CT to the surface of its largest part; a plan, with --bind, to the same plan that says which surface it was drawn on.
+/// a CT to the surface of its largest part; a log of poses (.igs.mha of PLUS, TUM, EuRoC, KITTI, a table) to .mcap, .csv or .tum; a cloud
+/// of a recording to what clouds are written as; a plan, with --bind, to the same plan that says which surface it was drawn on.
 /// Lengths are millimetres after --scale. Files that state RAS are turned to LPS; where a file states no space its numbers stay as
 /// they are. Nothing is overwritten.
 #[derive(Debug, Args)]
@@ -46,6 +53,9 @@ Examples:
   osteoflow convert legs.stl left.stl --component nearest:80,0,-400
   osteoflow convert plan.mrk.json plan.csv
   osteoflow convert plan.json bound.json --bind bone.stl
+  osteoflow convert pivot.igs.mha pivot.mcap
+  osteoflow convert polaris.csv polaris.mcap --columns polaris.toml
+  osteoflow convert bag scan.ply --topic /camera/points
   osteoflow convert picked.pp picked.mrk.json --space RAS    MeshLab states no space; here its numbers are RAS")]
 pub(crate) struct Convert {
     /// The file to read.
@@ -86,6 +96,17 @@ pub(crate) struct Convert {
     /// that were all aimed wrong from a plan of another series. --scale, --space, --iso-hu and --series are BONE's.
     #[arg(long, value_name = "BONE")]
     bind: Option<PathBuf>,
+
+    /// The topic of the cloud, if IN is a recording with clouds on several.
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+
+    /// Which message of the topic, from 1 on. Default: the first.
+    #[arg(long, value_name = "N")]
+    message: Option<usize>,
+
+    #[command(flatten)]
+    log: LogArgs,
 }
 
 impl Convert {
@@ -93,6 +114,15 @@ impl Convert {
         check_new(&self.output)?;
         if let Some(bone) = &self.bind {
             return self.bound(bone, global);
+        }
+        if is_recording(&self.input) {
+            let (done, notes) = self.recorded()?;
+            return self.done(&done, &notes, global);
+        }
+        let log = if self.input.is_file() { log_format(&self.input)? } else { None };
+        if log.is_some() || self.log.describes_a_table() {
+            let (done, notes) = self.poses(log)?;
+            return self.done(&done, &notes, global);
         }
         if is_volume(&self.input) {
             let (done, notes) = self.ct()?;

@@ -1,8 +1,9 @@
 //! `info`: what a file or folder holds.
 
 mod contents;
+mod poses;
 
-use super::common::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
+use super::common::{Exit, Format, Global, LogArgs, print_json, terminal, text_table::TextTable};
 use anyhow::Result;
 use clap::Args;
 use contents::{Contents, Topic};
@@ -10,7 +11,7 @@ use std::{io::Write, path::PathBuf};
 
 /// Say what a file or folder is, what it holds, and the command that would use it.
 ///
-/// Surfaces, clouds, picked points, CTs, poses, plans, recordings, folders of a procedure, of a run or of a ROS 2 bag, archives of `osteoflow export`; recognised by content, not
+/// Surfaces, clouds, picked points, CTs, poses, logs of poses, plans, recordings, folders of a procedure, of a run or of a ROS 2 bag, archives of `osteoflow export`; recognised by content, not
 /// by name. A damaged file that can be read in part is read in part, and what is wrong with it is listed under problems; one
 /// that cannot be read is refused with the reason. Exit code 0 if it can be used, problems or not.
 #[derive(Debug, Args)]
@@ -19,16 +20,19 @@ Examples:
   osteoflow info scan.ply
   osteoflow info procedure.mcap
   osteoflow info study --series 201
+  osteoflow info pivot.igs.mha
+  osteoflow info polaris.csv --columns polaris.toml
   osteoflow info bone.stl --format json | jq .extent_mm
 
 Keys of --format json, where they apply:
-  kind        mesh, cloud, points, ct, study, pose, plan, recording, procedure, run, results, archive
+  kind        mesh, cloud, points, ct, study, pose, poses, plan, recording, procedure, run, results, archive
   n_points    number of points, those that were dropped left out; n_dropped: those that were not finite
   parts       of a surface or a cloud, the largest first: number, n_points, n_faces, area_mm2, extent_mm, centre_mm; n_parts
   extent_mm   edges of the box around the points
   series      of a study: name, choice (what --series takes), why_not where it is no CT
   space       LPS or RAS where the file states it, else unknown
-  topics      with schema, encoding, number of messages, rate and times
+  topics      with schema, encoding, number of messages, rate, times, and the pairs of frames, parent -> child
+  transforms  of a log of poses: parent, child, n_poses, n_lost, rate_hz, first_ns, last_ns, extent_mm
   problems    what is wrong with it, one sentence each
   use         commands that would use it")]
 pub(crate) struct Info {
@@ -38,11 +42,14 @@ pub(crate) struct Info {
     /// Which DICOM series of a folder: its number, or the ending of its identifier. Without it, several are listed.
     #[arg(long, value_name = "SERIES")]
     series: Option<String>,
+
+    #[command(flatten)]
+    log: LogArgs,
 }
 
 impl Info {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
-        let contents = contents::of(&self.file, self.series.as_deref())?;
+        let contents = contents::of(&self.file, self.series.as_deref(), &self.log)?;
         match global.format {
             Format::Json => print_json(&contents.to_json())?,
             Format::Text => self.print_text(&contents, global)?,

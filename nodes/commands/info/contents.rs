@@ -1,5 +1,6 @@
 //! What a file or folder holds.
 
+use super::{super::common::LogArgs, poses::poses};
 use crate::app::{
     UsageError, archive,
     files::picked_points,
@@ -8,21 +9,23 @@ use crate::app::{
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::parts::{MAX_LISTED, Parts};
 use osteoflow_formats::{
+    PoseError,
     folder::ProcedureFolder,
     input,
-    mcap_read::{Message, Recording},
+    mcap_read::{Message, Recording, Topic as RecordedTopic},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
-    message_read::{read_cloud, read_pose_in_frame, read_transforms},
+    message_read::{MessageKind, read_cloud_head, read_pose_in_frame, read_transforms},
     picked_points::PickedPoints,
     plan_file::read_plan,
     pose_file::read_pose,
+    pose_log::log_format,
     volume::{SeriesFound, VoxelUnit, is_volume, list_series, read_volume},
 };
-use osteoflow_geometry::{NamedPoint, nalgebra::Point3};
+use osteoflow_geometry::{Frame, NamedPoint, Nearest, Pose, nalgebra::Point3};
 use osteoflow_standard::parts::of_bone;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use std::{fs, path::Path};
+use std::{collections::BTreeSet, fs, path::Path};
 
 /// The bytes that an MCAP begins with.
 const MCAP: &[u8] = b"\x89MCAP0\r\n";
@@ -34,7 +37,7 @@ pub(super) struct Contents {
     /// One line that says what it is.
     pub(super) about: String,
     /// Keys of the JSON with their values, as far as they apply.
-    facts: Map<String, Value>,
+    pub(super) facts: Map<String, Value>,
     /// Names and values for the text.
     pub(super) lines: Vec<(&'static str, String)>,
     pub(super) topics: Vec<Topic>,
@@ -57,10 +60,12 @@ pub(super) struct Topic {
     last_ns: Option<i64>,
     /// The frame of its first message, `parent -> child` for transforms.
     pub(super) frame: Option<String>,
+    /// The frames of all its messages, `parent -> child` for transforms.
+    frames: Vec<String>,
 }
 
 impl Contents {
-    fn new(kind: &'static str, about: impl Into<String>) -> Self {
+    pub(super) fn new(kind: &'static str, about: impl Into<String>) -> Self {
         Self { kind, about: about.into(), ..Self::default() }
     }
 
@@ -76,7 +81,13 @@ impl Contents {
     }
 
     /// Adds a fact: its key and value in the JSON, its name and value in the text.
-    fn with(mut self, key: &str, value: impl Serialize, name: &'static str, text: impl Into<String>) -> Self {
+    pub(super) fn with(
+        mut self,
+        key: &str,
+        value: impl Serialize,
+        name: &'static str,
+        text: impl Into<String>,
+    ) -> Self {
         self.facts.insert(key.into(), json!(value));
         self.lines.push((name, text.into()));
         self
@@ -87,7 +98,7 @@ impl Contents {
     }
 
     /// Adds a list, unless it is empty.
-    fn with_list(self, key: &str, list: Vec<String>, name: &'static str) -> Self {
+    pub(super) fn with_list(self, key: &str, list: Vec<String>, name: &'static str) -> Self {
         if list.is_empty() { self } else { self.with(key, &list, name, list.join(", ")) }
     }
 
@@ -133,7 +144,7 @@ impl Contents {
         }
     }
 
-    fn noted(self, notes: Vec<String>) -> Self {
+    pub(super) fn noted(self, notes: Vec<String>) -> Self {
         Self { notes, ..self }
     }
 
@@ -163,9 +174,13 @@ fn archived(file: &Path, summary: archive::Summary) -> Contents {
 ///
 /// # Errors
 /// It is missing, or none of the known formats, or too damaged to be read in part.
-pub(super) fn of(file: &Path, series: Option<&str>) -> Result<Contents> {
+pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Contents> {
     if file.is_dir() {
         return folder(file, series);
+    }
+    let format = log_format(file)?;
+    if format.is_some() || log.describes_a_table() {
+        return poses(file, format, log);
     }
     if is_volume(file) {
         return volume(file, series);
@@ -181,6 +196,8 @@ pub(super) fn of(file: &Path, series: Option<&str>) -> Result<Contents> {
     if bytes.is_empty() {
         bail!("{}: the file is empty", file.display());
     }
+    // Spreadsheets put a byte-order mark before a text.
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").map_or_else(|| bytes.clone(), <[u8]>::to_vec);
     if bytes.starts_with(MCAP) {
         return recording(file);
     }
@@ -328,7 +345,7 @@ fn recording(file: &Path) -> Result<Contents> {
     let name = file.display();
     let is_run = read.metadata.keys().any(|key| key.starts_with("osteoflow"));
     let topics: Vec<Topic> = read.topics().iter().map(|topic| of_topic(&read, topic)).collect();
-    let mut frames: Vec<String> = topics.iter().filter_map(|topic| topic.frame.clone()).collect();
+    let mut frames: Vec<String> = topics.iter().flat_map(|topic| topic.frames.clone()).collect();
     frames.sort();
     frames.dedup();
     let n_messages: usize = topics.iter().map(|topic| topic.n_messages).sum();
@@ -343,10 +360,7 @@ fn recording(file: &Path) -> Result<Contents> {
             problems.push("no topic has clouds, transforms or poses of a schema that is read (foxglove.*, or sensor_msgs, tf2_msgs and geometry_msgs of ROS 2)".into());
             Vec::new()
         }
-        (false, _) => {
-            let allow = if damaged.is_some() { " --set recording.allow_truncated=true" } else { "" };
-            vec![format!("osteoflow run graphs/fibula_recorded.toml --set recording.path={name}{allow}")]
-        }
+        (false, _) => uses_of(&read, &name.to_string(), damaged.is_some()),
     };
     let about =
         format!("{} with {n_messages} messages", if is_run { "a recording of a run" } else { "an MCAP recording" });
@@ -386,19 +400,58 @@ fn of_topic(read: &Recording, topic: &osteoflow_formats::mcap_read::Topic) -> To
         rate_hz,
         first_ns,
         last_ns,
-        frame: messages.first().and_then(frame),
+        frame: messages.first().and_then(|message| frames(message).into_iter().next()),
+        frames: Vec::from_iter(messages.iter().flat_map(frames).collect::<BTreeSet<_>>()),
     }
 }
 
-/// The frame of a message of a known schema.
-fn frame(message: &Message) -> Option<String> {
-    if let Ok(read) = read_cloud(message) {
-        return Some(read.cloud.frame.to_string());
+/// The frames of a message of a known schema.
+fn frames(message: &Message) -> Vec<String> {
+    let pair = |to: &Frame, from: &Frame| format!("{to} -> {from}");
+    match MessageKind::of(&message.schema_name) {
+        Some(MessageKind::Cloud) => read_cloud_head(message).map(|head| head.frame.to_string()).into_iter().collect(),
+        Some(MessageKind::Transform | MessageKind::Transforms) => {
+            let frames = |read: &Result<Nearest<Pose>, PoseError>| match read {
+                Ok(pose) => pair(&pose.value.to, &pose.value.from),
+                Err(PoseError::Lost(lost)) => pair(&lost.to, &lost.from),
+                Err(PoseError::NotRigid { to, from, .. }) => pair(to, from),
+            };
+            read_transforms(message).map(|all| all.iter().map(frames).collect()).unwrap_or_default()
+        }
+        Some(MessageKind::Pose) => read_pose_in_frame(message).map(|tip| tip.frame.to_string()).into_iter().collect(),
+        None => Vec::new(),
     }
-    if let Some(Ok(pose)) = read_transforms(message).ok().and_then(|poses| poses.into_iter().next()) {
-        return Some(format!("{} -> {}", pose.value.to, pose.value.from));
+}
+
+/// The topics without which graphs/fibula_recorded.toml cannot run, with what is on them.
+pub(super) const PROCEDURE: [(&str, MessageKind); 7] = [
+    ("/camera/calibration", MessageKind::Cloud),
+    ("/camera/scan", MessageKind::Cloud),
+    ("/camera/laser_p1", MessageKind::Cloud),
+    ("/camera/laser_p2", MessageKind::Cloud),
+    ("/camera/laser_p3", MessageKind::Cloud),
+    ("/tracker/camera_marker", MessageKind::Transform),
+    ("/tracker/phantom_marker", MessageKind::Transform),
+];
+
+/// Commands that can use a recording that is none of a run: all of a procedure, or else its clouds, or else its poses.
+fn uses_of(read: &Recording, name: &str, is_damaged: bool) -> Vec<String> {
+    let kind = |topic: &&RecordedTopic| MessageKind::of(&topic.schema_name).filter(|_| topic.n_messages > 0);
+    let is_there = |(name, wanted): &(&str, MessageKind)| {
+        read.topics().iter().any(|topic| topic.name == *name && kind(&topic) == Some(*wanted))
+    };
+    if PROCEDURE.iter().all(is_there) {
+        let allow = if is_damaged { " --set recording.allow_truncated=true" } else { "" };
+        return vec![format!("osteoflow run graphs/fibula_recorded.toml --set recording.path={name}{allow}")];
     }
-    read_pose_in_frame(message).ok().map(|tip| tip.frame.to_string())
+    let cloud = read.topics().iter().find(|topic| kind(topic) == Some(MessageKind::Cloud));
+    let mut uses = Vec::new();
+    if let Some(topic) = cloud.filter(|_| !is_damaged) {
+        uses.push(format!("osteoflow convert {name} scan.ply --topic {}", topic.name));
+        uses.push("osteoflow register BONE scan.ply".to_owned());
+    }
+    uses.push(format!("osteoflow view {name}"));
+    uses
 }
 
 fn volume(file: &Path, series: Option<&str>) -> Result<Contents> {
@@ -493,7 +546,8 @@ fn folder(folder: &Path, series: Option<&str>) -> Result<Contents> {
         let contents = Contents::new("run", "a run").with_verdict(&results.unwrap_or_default());
         return Ok(Contents { problems, used_by, ..contents });
     }
-    let is_recording = |entry: fs::DirEntry| entry.path().extension().is_some_and(|ending| ending == "mcap");
+    let is_recording =
+        |entry: fs::DirEntry| entry.path().extension().is_some_and(|ending| ending == "mcap" || ending == "db3");
     if folder.join("metadata.yaml").is_file() || fs::read_dir(folder)?.flatten().any(is_recording) {
         return recording(folder);
     }

@@ -2,7 +2,7 @@
 
 use crate::{
     FileError,
-    columns::{Heading, Lines, Row, Split, axes, has_words, heading_names, place, twice},
+    columns::{Heading, Lines, Row, Split, axes, has_words, heading_names, name_axes, place, twice},
     cursor::Cursor,
     shape::{Places, Shape, normal_columns},
 };
@@ -18,7 +18,8 @@ const UNIT: std::ops::Range<f64> = 0.99..1.01;
 /// If the first line holds words, or a comment before it is `# x y z` or `//X,Y,Z`, they name the columns: `x`, `y`, `z`,
 /// and optionally `nx`, `ny`, `nz`, in any order and case. Otherwise the first three columns are the coordinates, and three
 /// more are the normals if each is of unit length. Further columns of numbers are kept, under their name or as `column_4`;
-/// columns of words are left out with a note. A first line of a single number is the count of points, as in PTS, and is
+/// columns of words are left out with a note. Without a heading a first of four or more columns that counts the lines is an index.
+/// `x_mm` and the like state the unit. A first line of a single number is the count of points, as in PTS, and is
 /// checked. Blank lines and lines that begin with `#` or `//` are passed over, but for a `SPACE=` in them. `O(n)`.
 ///
 /// # Errors
@@ -28,7 +29,8 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let cursor = Cursor::text(path, bytes)?;
     // Only the count of points may precede a heading.
     let is_count = |(row, _): &Row| row.parse::<usize>().is_ok();
-    let lines = Lines::read(cursor, |_| false, |names, rows| is_heading(names) && rows.iter().all(is_count))?;
+    let mut lines = Lines::read(cursor, |_| false, |names, rows| is_heading(names) && rows.iter().all(is_count))?;
+    let mut stated = std::mem::take(&mut lines.stated);
     let Head { rows, heading, count } = Head::of(&lines);
     let Some((first, first_line)) = rows.first() else {
         return Err(cursor.fault_at(heading.map_or(1, |(_, line)| line), "there is no point in it"));
@@ -36,8 +38,10 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let split = Split::of(&cursor, rows, heading.as_ref().map(|(names, _)| names.len()))?;
     let mut cells = Vec::new();
     split.cells(first, &mut cells);
-    let (has_heading, (names, line)) =
-        (heading.is_some(), heading.unwrap_or_else(|| unnamed(cells.len(), *first_line)));
+    let index = if heading.is_none() { index_note(rows, &split) } else { None };
+    let unnamed = || unnamed(cells.len(), *first_line, usize::from(index.is_some()));
+    let (has_heading, (mut names, line)) = (heading.is_some(), heading.unwrap_or_else(unnamed));
+    name_axes(&mut names, &mut stated).map_err(|message| cursor.fault_at(line, message))?;
     twice(&names, str::eq_ignore_ascii_case).map_err(|message| cursor.fault_at(line, message))?;
     if names.len() != cells.len() {
         let message =
@@ -58,9 +62,10 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         let message = format!("{n} points are stated, but {} follow; was the file cut short?", rows.len());
         return Err(cursor.fault_at(line, message));
     }
-    let (mut notes, mut named) = (Vec::new(), Vec::new());
+    let (mut notes, mut named) = (Vec::from_iter(index), Vec::new());
     for (name, column) in names.into_iter().zip(columns) {
         match column.word {
+            None if name == INDEX => {}
             None => named.push((name, column.values)),
             Some((word, line)) => {
                 notes.push(format!("column \"{name}\" holds words (\"{word}\" on line {line}) and was left out"));
@@ -78,7 +83,7 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         }
     }
     let lines_of_points = Places::Lines(rows.iter().map(|(_, line)| *line).collect());
-    Ok(Shape { stated: lines.stated, notes, places: lines_of_points, ..Shape::of_columns(named, places) })
+    Ok(Shape { stated, notes, places: lines_of_points, ..Shape::of_columns(named, places) })
 }
 
 /// What precedes the points, and their rows.
@@ -113,10 +118,35 @@ impl<'a> Head<'a> {
     }
 }
 
-/// The names of columns without a heading, for messages on the first of their lines.
-fn unnamed(width: usize, line: usize) -> Heading {
-    let name = |k: usize| ["x", "y", "z"].get(k - 1).map_or(format!("column_{k}"), |&axis| axis.into());
-    ((1..=width).map(name).collect(), line)
+/// The name of a column that counts the lines.
+const INDEX: &str = "#";
+
+/// The names of columns without a heading, behind `n_index` that count the lines, for messages on the first of their lines.
+fn unnamed(width: usize, line: usize, n_index: usize) -> Heading {
+    let name = |k: usize| match k.checked_sub(n_index) {
+        None => INDEX.into(),
+        Some(place) => ["x", "y", "z"].get(place).map_or(format!("column_{}", k + 1), |&axis| axis.into()),
+    };
+    ((0..width).map(name).collect(), line)
+}
+
+/// A note, if the first of at least four columns counts the lines from 0 or 1 on, in whole numbers, while the next have fractions.
+fn index_note(rows: &[Row], split: &Split) -> Option<String> {
+    let mut cells = Vec::new();
+    let mut first = None;
+    let mut has_fractions = false;
+    for (k, (row, _)) in rows.iter().enumerate() {
+        split.cells(row, &mut cells);
+        let count: usize = cells.first()?.parse().ok()?;
+        if cells.len() < 4 || count != *first.get_or_insert(count) + k {
+            return None;
+        }
+        has_fractions |= cells[1..4].iter().any(|cell| cell.contains(['.', ',', 'e', 'E']));
+    }
+    let is_count = rows.len() >= 3 && first.is_some_and(|first| first <= 1) && has_fractions;
+    is_count.then(|| {
+        "the first column counts the lines; it is taken for an index, and the next three for x, y and z".into()
+    })
 }
 
 /// Whether names are those of columns: x, y and z come first, alone or with further words.

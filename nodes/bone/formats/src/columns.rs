@@ -51,9 +51,58 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// The place of a column, in any case.
+/// The place of a column, in any case; that of an axis may have a unit in its name, see [`name_axes`].
 pub(crate) fn place(names: &[String], name: &str) -> Option<usize> {
-    names.iter().position(|other| other.eq_ignore_ascii_case(name))
+    let with_unit = |other: &String| axis_and_unit(other).is_some_and(|(axis, _)| axis.eq_ignore_ascii_case(name));
+    let exact = names.iter().position(|other| other.eq_ignore_ascii_case(name));
+    exact.or_else(|| names.iter().position(with_unit))
+}
+
+/// The cells of a line; quotes enclose a cell that holds the separator, and are doubled within it.
+pub(crate) fn quoted_cells(line: &str, separator: char) -> Vec<String> {
+    let mut cells = vec![String::new()];
+    let mut quoted = false;
+    let mut chars = line.trim_end_matches(['\r', '\n']).chars().peekable();
+    while let Some(c) = chars.next() {
+        let last = cells.last_mut().expect("there is one");
+        match c {
+            '"' if quoted && chars.peek() == Some(&'"') => {
+                chars.next();
+                last.push('"');
+            }
+            '"' if quoted || last.trim().is_empty() => quoted = !quoted,
+            c if c == separator && !quoted => cells.push(String::new()),
+            c => last.push(c),
+        }
+    }
+    cells
+}
+
+/// The axis and the unit of a name such as `x_mm`, `X [m]` or `z(mm)`.
+fn axis_and_unit(name: &str) -> Option<(&str, &str)> {
+    let (axis, unit) = name.split_at_checked(1)?;
+    let unit = unit.trim_matches([' ', '_', '[', ']', '(', ')']);
+    (["mm", "cm", "m", "um"].contains(&unit) && !unit.is_empty()).then_some((axis, unit))
+}
+
+/// Calls columns with a unit in their names, such as `x_mm`, by their axes, and takes that unit for stated.
+///
+/// # Errors
+/// A message, if an axis is there twice, or the axes have different units.
+pub(crate) fn name_axes(names: &mut [String], stated: &mut StatedSpace) -> Result<(), String> {
+    for axis in ["x", "y", "z"] {
+        let is_axis = |name: &&mut String| axis_and_unit(name).is_some_and(|(of, _)| of.eq_ignore_ascii_case(axis));
+        let is_bare = names.iter().any(|name| name.eq_ignore_ascii_case(axis));
+        let Some(name) = names.iter_mut().find(is_axis) else { continue };
+        if is_bare {
+            return Err(format!("columns \"{axis}\" and \"{name}\" are both there; leave out one of them"));
+        }
+        if let Some((_, unit)) = axis_and_unit(name) {
+            stated.take(&format!("UNIT={unit}"))?;
+        }
+        *name = axis.into();
+    }
+    Ok(())
 }
 
 /// The places of x, y and z, which the line names.

@@ -39,7 +39,7 @@ impl<'a> Cursor<'a> {
             let message = "lines end with CR alone; save the file with LF or CR LF as line ends";
             return Err(FileError::content(path, "byte 0", message));
         }
-        Ok(Self::new(path, bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes)))
+        Ok(Self::new(path, without_byte_order_mark(bytes)))
     }
 
     /// The bytes that are left.
@@ -186,6 +186,11 @@ impl<'a> Cursor<'a> {
     }
 }
 
+/// The bytes behind the byte-order mark that some programs put before a text in UTF-8.
+pub(crate) fn without_byte_order_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes)
+}
+
 /// Whether the first kilobyte is text: a binary header is mostly zeros, and floats are not text.
 pub(crate) fn is_text(bytes: &[u8]) -> bool {
     bytes.iter().take(1024).all(|&b| b >= b' ' || b.is_ascii_whitespace())
@@ -193,6 +198,6 @@ pub(crate) fn is_text(bytes: &[u8]) -> bool {
 
 /// Whether the first line that is neither blank nor a comment satisfies `is_it`.
 pub(crate) fn first_line(bytes: &[u8], is_it: impl FnOnce(&[u8]) -> bool) -> bool {
-    let mut lines = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes).split(|&b| b == b'\n').map(<[u8]>::trim_ascii);
+    let mut lines = without_byte_order_mark(bytes).split(|&b| b == b'\n').map(<[u8]>::trim_ascii);
     lines.find(|line| !(line.is_empty() || line.starts_with(b"#"))).is_some_and(is_it)
 }

@@ -15,6 +15,7 @@
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`region_file`] | regions of interest drawn by hand, JSON | the same |
 //! | [`poses_csv`] | poses over time | poses over time |
+//! | [`pose_log`] | poses over time of others: tracked sequences of PLUS, TUM, EuRoC, KITTI, tables | |
 //! | [`volume`] | voxels of a CT: NIfTI, NRRD, MetaImage, a DICOM series | |
 //! | [`openigtlink`] | messages of OpenIGTLink | messages of OpenIGTLink |
 //! | [`folder`] | a whole procedure as a folder of such files | |
@@ -43,6 +44,7 @@ mod columns;
 mod cursor;
 mod error;
 pub mod folder;
+mod foreign_recording;
 mod foxglove_json;
 pub mod input;
 mod invalid;
@@ -62,6 +64,7 @@ pub mod plan_file;
 mod ply;
 mod png;
 pub mod pose_file;
+pub mod pose_log;
 pub mod poses_csv;
 pub mod recording_write;
 mod refused;

@@ -17,7 +17,7 @@ pub use crate::shape::{CloudFileRead, MeshRead};
 
 use crate::{
     FileError, Space, cloud_text,
-    cursor::is_text,
+    cursor::{is_text, without_byte_order_mark},
     input, obj, off, pcd, ply, refused,
     shape::{Shape, size_note},
     stl, vtk,
@@ -100,10 +100,12 @@ const UNMARKED: [Format; 5] = [
 
 /// The content of a file in its own unit.
 fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    // The 80 bytes that a binary STL begins with may hold anything.
+    let bytes = if stl::is_binary(bytes) { bytes } else { without_byte_order_mark(bytes) };
     let of = |formats: &[Format]| formats.iter().find(|(is_it, _)| is_it(bytes)).map(|(_, read)| *read);
     match of(&MARKED) {
         Some(read) => read(path, bytes),
-        None => match refused::refusal(bytes) {
+        None => match refused::refusal(path, bytes) {
             Some(message) => Err(FileError::content(path, "byte 0", message)),
             None => of(&UNMARKED).expect("any text may be of points")(path, bytes),
         },

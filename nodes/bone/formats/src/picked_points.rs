@@ -48,7 +48,7 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
             return refuse("this is a surface or a cloud; give a list of points");
         }
         Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, bytes)?,
-        _ => match refused::refusal(bytes) {
+        _ => match refused::refusal(path, bytes) {
             Some(message) => return refuse(&message),
             None if !is_text(bytes) => return refuse("no text; a list of points is expected"),
             None => text::list(path, bytes)?,

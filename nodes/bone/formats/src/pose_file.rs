@@ -5,7 +5,7 @@
 //! |---|---|
 //! | 16 numbers, row by row, between blanks, commas, semicolons or brackets; `#`, `//` and `%` begin a comment | the matrix |
 //! | JSON: 16 numbers, four rows of four, or an object with such under `T`, `t_target_source` or `matrix` | the matrix |
-//! | ITK `.tfm` or `.txt` that begins with `#Insight Transform File` | the **inverse** of what it holds |
+//! | ITK `.tfm` or `.txt` that begins with `#Insight Transform File`: one linear transform, the identity, or a composite of such | the **inverse** of what it holds |
 //!
 //! An ITK transform takes points of the fixed image to the moving one, and 3D Slicer writes the inverse of the transform
 //! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
@@ -53,7 +53,12 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
     let mut matrix = match text.trim_start() {
         itk if itk.starts_with(ITK_MARK) => {
             notes.push("an ITK transform leads from fixed to moving; its inverse is taken".into());
-            let matrix = itk_matrix(path, itk)?;
+            let (matrix, n_parts) = itk_matrix(path, itk)?;
+            if n_parts > 1 {
+                notes.push(format!(
+                    "a composite of {n_parts} transforms, of which the last is applied first; their product is taken"
+                ));
+            }
             let nearest = rigid(path, &matrix.value)?;
             stated = if matrix.correction > nearest.correction { matrix.correction } else { nearest.correction };
             nearest.value.inverse().to_homogeneous()
@@ -160,78 +165,133 @@ fn json_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
     sixteen(path, &cells.iter().map(number).collect::<Result<Vec<_>, _>>()?)
 }
 
-/// The matrix of an ITK transform as written, about its centre, with the correction of its versor, if it has one.
-fn itk_matrix(path: &Path, text: &str) -> Result<Nearest<Matrix4<f64>>, FileError> {
-    let line_of = |key: &str| {
-        let mut lines = text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix(':'));
-        (lines.next().map(str::trim), lines.next().is_some())
-    };
-    let (Some(kind), more) = line_of("Transform") else {
+/// The matrix of an ITK transform as written, with the largest correction of a versor, and its number of parts; a composite is the product of its parts,
+/// of which the last is applied first.
+fn itk_matrix(path: &Path, text: &str) -> Result<(Nearest<Matrix4<f64>>, usize), FileError> {
+    let is_start =
+        |line: &str| line.trim().strip_prefix("Transform").is_some_and(|rest| rest.trim_start().starts_with(':'));
+    let lines: Vec<&str> = text.lines().collect();
+    let starts: Vec<usize> = (0..lines.len()).filter(|k| is_start(lines[*k])).collect();
+    let ends = starts.iter().skip(1).copied().chain([lines.len()]);
+    let parts: Vec<Part> =
+        starts.iter().zip(ends).map(|(start, end)| Part { path, lines: &lines[*start..end] }).collect();
+    let Some(first) = parts.first() else {
         return Err(fault(path, "header", "there is no line \"Transform:\"; was the file cut short?"));
     };
-    if more || kind.starts_with("Composite") {
-        return Err(fault(
-            path,
-            "Transform",
-            "several transforms; harden them into one linear transform and save that",
-        ));
+    let parts = if first.kind().starts_with("Composite") {
+        let parts = &parts[1..];
+        // A file does not say how many parts a composite has, but each ends with this line.
+        if parts.last().is_none_or(|part| part.line_of("FixedParameters").0.is_none()) {
+            return Err(fault(
+                path,
+                "Transform",
+                "a composite whose last part is not complete; was the file cut short?",
+            ));
+        }
+        parts
+    } else if parts.len() == 1 {
+        &parts[..]
+    } else {
+        let message = "several transforms that are no composite; harden them into one linear transform and save that";
+        return Err(fault(path, "Transform", message));
+    };
+    let identity = Nearest { value: Matrix4::identity(), correction: Correction::default() };
+    let product = parts.iter().try_fold(identity, |product, part| {
+        let Nearest { value, correction } = part.matrix()?;
+        let correction = if correction > product.correction { correction } else { product.correction };
+        Ok(Nearest { value: product.value * value, correction })
+    });
+    Ok((product?, parts.len()))
+}
+
+/// The lines of one transform in an ITK file, from `Transform:` on.
+struct Part<'a> {
+    path: &'a Path,
+    lines: &'a [&'a str],
+}
+
+impl Part<'_> {
+    /// The value of a key, and whether the key is there again.
+    fn line_of(&self, key: &str) -> (Option<&str>, bool) {
+        let mut lines =
+            self.lines.iter().filter_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix(':'));
+        (lines.next().map(str::trim), lines.next().is_some())
     }
-    let numbers = |key: &str| -> Result<Vec<f64>, FileError> {
-        let (line, more) = line_of(key);
-        if more {
-            return Err(fault(path, key, format!("there are two lines \"{key}:\"; save one linear transform")));
-        }
-        let words = line.unwrap_or_default().split_whitespace();
-        let number =
-            |word: &str| word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" is not a number")));
-        words.map(number).collect()
-    };
-    let (parameters, fixed) = (numbers("Parameters")?, numbers("FixedParameters")?);
-    let name = kind.split('_').next().unwrap_or(kind);
-    let mut correction = Correction::default();
-    let (rotation, shift) = match (name, &parameters[..]) {
-        ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", [matrix @ .., x, y, z])
-            if matrix.len() == 9 =>
-        {
-            (Matrix3::from_row_slice(matrix), Vector3::new(*x, *y, *z))
-        }
-        ("Euler3DTransform", &[a, b, c, x, y, z]) => {
-            let turn = |axis: Vector3<f64>, angle: f64| Rotation3::new(axis * angle).into_inner();
-            let [rx, ry, rz] = [turn(Vector3::x(), a), turn(Vector3::y(), b), turn(Vector3::z(), c)];
-            // The fourth fixed parameter says in which order.
-            let zyx = fixed.get(3).is_some_and(|order| *order != 0.0);
-            (if zyx { rz * ry * rx } else { rz * rx * ry }, Vector3::new(x, y, z))
-        }
-        ("VersorRigid3DTransform", &[i, j, k, x, y, z]) => {
-            // A versor longer than 1 leaves nothing for w; its quaternion then is too long.
-            let w = (1.0 - i * i - j * j - k * k).max(0.0).sqrt();
-            let versor = nearest_rotation(Quaternion::new(w, i, j, k))
-                .map_err(|error| fault(path, "Parameters", error.to_string()))?;
-            correction = versor.correction;
-            (versor.value.to_rotation_matrix().into_inner(), Vector3::new(x, y, z))
-        }
-        ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", numbers) => {
-            return Err(fault(path, "Parameters", format!("12 numbers are expected, but there are {}", numbers.len())));
-        }
-        ("Euler3DTransform" | "VersorRigid3DTransform", numbers) => {
-            return Err(fault(path, "Parameters", format!("6 numbers are expected, but there are {}", numbers.len())));
-        }
-        _ => {
-            let message = format!("\"{kind}\" is no rigid transform in 3D; save a linear one");
-            return Err(fault(path, "Transform", message));
-        }
-    };
-    let centre = match &fixed[..] {
-        [] => Vector3::zeros(),
-        [x, y, z, ..] => Vector3::new(*x, *y, *z),
-        other => {
-            let message = format!("a centre has three numbers, but there are {}", other.len());
-            return Err(fault(path, "FixedParameters", message));
-        }
-    };
-    let mut matrix = rotation.to_homogeneous();
-    matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&(shift + centre - rotation * centre));
-    Ok(Nearest { value: matrix, correction })
+
+    fn kind(&self) -> &str {
+        self.line_of("Transform").0.unwrap_or_default()
+    }
+
+    /// The matrix as written, about its centre, with the correction of its versor, if it has one.
+    fn matrix(&self) -> Result<Nearest<Matrix4<f64>>, FileError> {
+        let (path, kind) = (self.path, self.kind());
+        let numbers = |key: &str| -> Result<Vec<f64>, FileError> {
+            let (line, more) = self.line_of(key);
+            if more {
+                return Err(fault(path, key, format!("there are two lines \"{key}:\"; save one linear transform")));
+            }
+            let words = line.unwrap_or_default().split_whitespace();
+            let number =
+                |word: &str| word.parse::<f64>().map_err(|_| fault(path, key, format!("\"{word}\" is not a number")));
+            words.map(number).collect()
+        };
+        let (parameters, fixed) = (numbers("Parameters")?, numbers("FixedParameters")?);
+        let name = kind.split('_').next().unwrap_or(kind);
+        let mut correction = Correction::default();
+        let (rotation, shift) = match (name, &parameters[..]) {
+            ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", [matrix @ .., x, y, z])
+                if matrix.len() == 9 =>
+            {
+                (Matrix3::from_row_slice(matrix), Vector3::new(*x, *y, *z))
+            }
+            ("Euler3DTransform", &[a, b, c, x, y, z]) => {
+                let turn = |axis: Vector3<f64>, angle: f64| Rotation3::new(axis * angle).into_inner();
+                let [rx, ry, rz] = [turn(Vector3::x(), a), turn(Vector3::y(), b), turn(Vector3::z(), c)];
+                // The fourth fixed parameter says in which order.
+                let zyx = fixed.get(3).is_some_and(|order| *order != 0.0);
+                (if zyx { rz * ry * rx } else { rz * rx * ry }, Vector3::new(x, y, z))
+            }
+            ("VersorRigid3DTransform", &[i, j, k, x, y, z]) => {
+                // A versor longer than 1 leaves nothing for w; its quaternion then is too long.
+                let w = (1.0 - i * i - j * j - k * k).max(0.0).sqrt();
+                let versor = nearest_rotation(Quaternion::new(w, i, j, k))
+                    .map_err(|error| fault(path, "Parameters", error.to_string()))?;
+                correction = versor.correction;
+                (versor.value.to_rotation_matrix().into_inner(), Vector3::new(x, y, z))
+            }
+            ("IdentityTransform", []) => (Matrix3::identity(), Vector3::zeros()),
+            ("TranslationTransform", &[x, y, z]) => (Matrix3::identity(), Vector3::new(x, y, z)),
+            ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", numbers) => {
+                return Err(fault(
+                    path,
+                    "Parameters",
+                    format!("12 numbers are expected, but there are {}", numbers.len()),
+                ));
+            }
+            ("Euler3DTransform" | "VersorRigid3DTransform", numbers) => {
+                return Err(fault(
+                    path,
+                    "Parameters",
+                    format!("6 numbers are expected, but there are {}", numbers.len()),
+                ));
+            }
+            _ => {
+                let message = format!("\"{kind}\" is no rigid transform in 3D; save a linear one");
+                return Err(fault(path, "Transform", message));
+            }
+        };
+        let centre = match &fixed[..] {
+            [] => Vector3::zeros(),
+            [x, y, z, ..] => Vector3::new(*x, *y, *z),
+            other => {
+                let message = format!("a centre has three numbers, but there are {}", other.len());
+                return Err(fault(path, "FixedParameters", message));
+            }
+        };
+        let mut matrix = rotation.to_homogeneous();
+        matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&(shift + centre - rotation * centre));
+        Ok(Nearest { value: matrix, correction })
+    }
 }
 
 #[cfg(test)]
@@ -277,6 +337,26 @@ mod tests {
     fn rows(separator: &str) -> String {
         let rows = osteoflow_geometry::matrix_rows(&motion());
         rows.map(|row| row.map(|c| format!("{c:?}")).join(separator)).join("\n")
+    }
+
+    /// As SimpleITK 2.5 writes them.
+    #[test]
+    fn a_composite_is_the_product_of_its_parts_and_the_identity_is_read() {
+        let whole = "Transform: CompositeTransform_double_3_3\n#Transform 1\nTransform: Euler3DTransform_double_3_3\n\
+                     Parameters: 0.3 -0.2 0.9 12.5 -3 900\nFixedParameters: 1 2 3 0\n#Transform 2\nTransform: \
+                     VersorRigid3DTransform_double_3_3\nParameters: 0 0 0.19866933079506122 1 2 3\nFixedParameters: 9 8 7\n\
+                     #Transform 3\nTransform: TranslationTransform_double_3_3\nParameters: 5 6 7\nFixedParameters: \n";
+        let itk = |text: &str| read(&format!("{ITK_MARK} V1.0\n#Transform 0\n{text}")).unwrap();
+        let three = itk(whole);
+        // Where SimpleITK takes the origin.
+        let back = three.isometry.inverse() * Point3::origin();
+        assert!((back - Point3::new(14.774368777871182, 3.838670702528087, 912.0702366611649)).norm() < 1e-9, "{back}");
+        assert!(three.notes.iter().any(|note| note.starts_with("a composite of 3 transforms")), "{:?}", three.notes);
+        let (one, _) = whole.split_once("#Transform 2").unwrap();
+        let (_, alone) = one.split_once("#Transform 1\n").unwrap();
+        assert_eq!(itk(one).isometry, itk(alone).isometry);
+        let identity = itk("Transform: IdentityTransform_double_3_3\nParameters: \nFixedParameters: \n");
+        assert_is(&identity.isometry, &Isometry3::identity(), 0.0);
     }
 
     #[test]
@@ -429,7 +509,17 @@ mod tests {
             ),
             (
                 itk("Transform: CompositeTransform_double_3_3"),
-                "Transform: several transforms; harden them into one linear transform and save that",
+                "Transform: a composite whose last part is not complete; was the file cut short?",
+            ),
+            (
+                itk(
+                    "Transform: CompositeTransform_double_3_3\nTransform: TranslationTransform_double_3_3\nParameters: 1 2 3",
+                ),
+                "Transform: a composite whose last part is not complete; was the file cut short?",
+            ),
+            (
+                itk("Transform: IdentityTransform_double_3_3\nTransform: IdentityTransform_double_3_3\n"),
+                "Transform: several transforms that are no composite; harden them into one linear transform and save that",
             ),
             (itk(""), "header: there is no line \"Transform:\"; was the file cut short?"),
         ] {

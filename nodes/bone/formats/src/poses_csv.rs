@@ -21,6 +21,12 @@ use std::{collections::BTreeMap, path::Path};
 /// The columns, in the order in which they are written.
 const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy", "qz", "qw"];
 
+/// Whether a line is the heading of a poses file.
+pub(crate) fn is_heading(line: &str) -> bool {
+    let names: Vec<&str> = line.split(',').map(str::trim).collect();
+    COLUMNS.iter().all(|name| names.contains(name))
+}
+
 /// The rows of a poses file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PosesRead {
@@ -94,14 +100,30 @@ fn pose(
 /// # Errors
 /// [`FileError::Io`] if the file cannot be written.
 pub fn write_poses(path: &Path, poses: &[Pose]) -> Result<(), FileError> {
+    write_rows(path, poses.iter().map(Ok))
+}
+
+/// As [`write_poses`]; a row in which the tool was not seen has no numbers.
+///
+/// # Errors
+/// [`FileError::Io`] if the file cannot be written.
+pub fn write_rows<'a>(
+    path: &Path,
+    poses: impl Iterator<Item = Result<&'a Pose, &'a LostPose>>,
+) -> Result<(), FileError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let mut row = |cells: Vec<String>| writer.write_record(cells).expect("memory takes any record");
     row(COLUMNS.map(String::from).to_vec());
     for pose in poses {
-        let (t, q) = (&pose.isometry.translation, &pose.isometry.rotation);
-        let numbers = [t.x, t.y, t.z, q.i, q.j, q.k, q.w];
-        let names = [pose.stamp_ns.to_string(), pose.to.to_string(), pose.from.to_string()];
-        row(names.into_iter().chain(numbers.iter().map(f64::to_string)).collect());
+        let ((stamp_ns, to, from), numbers) = match pose {
+            Ok(pose) => {
+                let (t, q) = (&pose.isometry.translation, &pose.isometry.rotation);
+                let numbers = [t.x, t.y, t.z, q.i, q.j, q.k, q.w].map(|number| number.to_string());
+                ((pose.stamp_ns, &pose.to, &pose.from), numbers)
+            }
+            Err(lost) => ((lost.stamp_ns, &lost.to, &lost.from), Default::default()),
+        };
+        row([stamp_ns.to_string(), to.to_string(), from.to_string()].into_iter().chain(numbers).collect());
     }
     let bytes = writer.into_inner().expect("memory is always flushed");
     std::fs::write(path, bytes).map_err(FileError::write(path))

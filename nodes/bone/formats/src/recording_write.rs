@@ -2,7 +2,7 @@
 //!
 //! Millimetres become metres here. In single precision a coordinate of 200 mm keeps 0.00002 mm.
 
-use crate::{FileError, mcap_read::Attachment};
+use crate::{FileError, LostPose, mcap_read::Attachment};
 use foxglove::{
     Encode,
     messages::{
@@ -81,6 +81,36 @@ pub fn recording_bytes<T: AsRef<str>>(
     // Stable: equal stamps keep the order of the topics.
     messages.sort_by_key(|message| message.stamp_ns);
     write(messages, metadata, attachments).map_err(FileError::write(MEMORY.as_ref()))
+}
+
+/// The poses of a log on one topic, each as `foxglove.FrameTransform`; where a tool was not seen, its numbers are NaN, which no reader
+/// takes for a pose.
+///
+/// # Errors
+/// As [`recording_bytes`].
+pub fn log_bytes(
+    topic: &str,
+    poses: &[Result<Pose, LostPose>],
+    metadata: &BTreeMap<String, BTreeMap<String, String>>,
+) -> Result<Vec<u8>, FileError> {
+    let stamps = poses.iter().map(|pose| pose.as_ref().map_or_else(|lost| lost.stamp_ns, |pose| pose.stamp_ns));
+    let first = stamps.filter(|stamp| *stamp != 0).min().unwrap_or(1);
+    let mut messages = Vec::new();
+    for pose in poses {
+        let message = match pose {
+            Ok(pose) => transform_message(pose, time(pose.stamp_ns, first)?),
+            Err(LostPose { to, from, stamp_ns, .. }) => FrameTransform {
+                timestamp: Some(time(*stamp_ns, first)?),
+                parent_frame_id: to.to_string(),
+                child_frame_id: from.to_string(),
+                translation: Some(FoxgloveVector3 { x: f64::NAN, y: f64::NAN, z: f64::NAN }),
+                rotation: Some(FoxgloveQuaternion { x: f64::NAN, y: f64::NAN, z: f64::NAN, w: f64::NAN }),
+            },
+        };
+        messages.push(Message::new(topic, message.timestamp.unwrap_or(Timestamp::new(0, 0)), &message));
+    }
+    messages.sort_by_key(|message| message.stamp_ns);
+    write(messages, metadata, &[]).map_err(FileError::write(MEMORY.as_ref()))
 }
 
 /// What stands for the file in errors.

@@ -1,7 +1,13 @@
 //! Files of other kinds, recognised by their first bytes to say what to export instead.
 
+use crate::foreign_recording;
+use std::path::Path;
+
 /// What the file is and what to do, for a file that is neither a surface nor a cloud; none if it is not recognised.
-pub(crate) fn refusal(bytes: &[u8]) -> Option<String> {
+pub(crate) fn refusal(path: &Path, bytes: &[u8]) -> Option<String> {
+    if let Some(kind) = foreign_recording::kind(bytes) {
+        return Some(format!("{kind} is not read; {}", foreign_recording::advice(path)));
+    }
     const SURFACE: &str = "export the surface as STL, PLY or OBJ";
     const IMAGE: &str = "is an image, not a surface; segment the bone and export its surface as STL or PLY";
     const POINTS: &str = "export the points as PLY, PCD or text";
@@ -167,11 +173,11 @@ mod tests {
             (br#"{"meshes":[]}"#.into(), "glTF", SURFACE),
             (br#"{"points":[]}"#.into(), "JSON", SURFACE),
         ] {
-            assert_eq!(refusal(&bytes).unwrap_or_default(), format!("{kind} {advice}"));
+            assert_eq!(refusal("a.file".as_ref(), &bytes).unwrap_or_default(), format!("{kind} {advice}"));
         }
-        assert_eq!(refusal(b"").unwrap(), "the file is empty; was it written to the end?");
+        assert_eq!(refusal("a.file".as_ref(), b"").unwrap(), "the file is empty; was it written to the end?");
         for read in ["1 2 3\n", "# a scan\n1 2 3\n", "Markups fiducial file", " \n", "v 1 2 3 # <COLLADA"] {
-            assert_eq!(refusal(read.as_bytes()), None, "{read}");
+            assert_eq!(refusal("a.file".as_ref(), read.as_bytes()), None, "{read}");
         }
     }
 }

@@ -98,13 +98,13 @@ impl StatedSpace {
     /// # Errors
     /// A message if it contradicts an earlier one.
     pub(crate) fn take(&mut self, comment: &str) -> Result<(), String> {
-        for unit in values(comment, "UNIT=").chain(values(comment, "UNITS=")) {
+        for unit in values(comment, "UNIT").chain(values(comment, "UNITS")) {
             if let Some(first) = self.unit.as_ref().filter(|first| *first != unit) {
                 return Err(format!("UNIT={unit} contradicts UNIT={first} before it"));
             }
             self.unit = Some(unit.into());
         }
-        for value in values(comment, "SPACE=") {
+        for value in values(comment, "SPACE") {
             let space = match value {
                 "LPS" => Space::Lps,
                 "RAS" => Space::Ras,
@@ -140,12 +140,12 @@ impl StatedSpace {
     }
 }
 
-/// The words behind each `key` that is a word of its own.
+/// The words behind each `key` that is a word of its own, and the equals sign after it, with or without blanks.
 fn values<'a>(comment: &'a str, key: &'static str) -> impl Iterator<Item = &'a str> {
     let is_own = |at: usize| !comment[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
-    comment.match_indices(key).filter(move |(at, _)| is_own(*at)).map(move |(at, _)| {
-        let rest = &comment[at + key.len()..];
-        &rest[..rest.find(|c: char| !c.is_alphanumeric()).unwrap_or(rest.len())]
+    comment.match_indices(key).filter(move |(at, _)| is_own(*at)).filter_map(move |(at, _)| {
+        let rest = comment[at + key.len()..].trim_start().strip_prefix('=')?.trim_start();
+        Some(&rest[..rest.find(|c: char| !c.is_alphanumeric()).unwrap_or(rest.len())])
     })
 }
 
@@ -158,6 +158,8 @@ mod tests {
         let of = |text| StatedSpace::of(text).map(|s| (s.space, s.note.is_some()));
         assert_eq!(of("3D Slicer output. SPACE=LPS"), Ok((Space::Lps, false)));
         assert_eq!(of("SPACE=RAS;UNIT=mm"), Ok((Space::Ras, false)));
+        assert_eq!(of("SPACE = RAS"), Ok((Space::Ras, false)));
+        assert_eq!(of("space of RAS; SPACE RAS; SPACE =LPS"), Ok((Space::Lps, false)));
         assert_eq!(of("COLORSPACE=RAS, SPACED"), Ok((Space::Unknown, false)));
         assert_eq!(of("SPACE=scanner"), Ok((Space::Unknown, true)));
         assert_eq!(of("SPACE=RAS SPACE=LPS"), Err("SPACE=LPS contradicts SPACE=RAS before it".into()));

@@ -29,6 +29,7 @@ mod points;
 mod pose;
 mod region;
 mod rigid;
+mod transform_tree;
 mod units;
 
 pub use axes::Axes;
@@ -48,4 +49,5 @@ pub use rigid::{
     Correction, Corrections, EXACT_ROTATION, Nearest, ROTATION_NOISE, ROUNDED_ROTATION, RigidError, check_rotation,
     direction, exact_isometry, first_not_unit, isometry_from_matrix, matrix_rows, nearest_isometry, nearest_rotation,
 };
+pub use transform_tree::{Chain, Step, TransformTree, TreeError};
 pub use units::{MM_PER_M, StampNs};

@@ -51,6 +51,7 @@ pub fn registry() -> Registry {
         .source::<acquire::mcap_live::McapLive>()
         .source::<NetworkSource<acquire::openigtlink::OpenIgtLink>>()
         .source::<Once<acquire::points::PointsFile>>()
+        .source::<acquire::poses::Poses>()
         .source::<acquire::simulated::Simulated>()
         .source::<acquire::simulated_stream::SimulatedStream>()
         .source::<Once<plan::file::File>>()

@@ -1,7 +1,7 @@
 //! The folder of a ROS 2 bag: its recordings in order, by `metadata.yaml`.
 
 use super::McapError;
-use crate::FileError;
+use crate::{FileError, foreign_recording::advice};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -33,7 +33,7 @@ impl Bag {
         let path = folder.join("metadata.yaml");
         if !path.is_file() {
             if recordings.is_empty() {
-                let hint = missing(&there);
+                let hint = missing(folder, &there);
                 return Err(fault(format!("the folder holds neither metadata.yaml nor a recording (.mcap){hint}")));
             }
             let note = format!(
@@ -51,12 +51,13 @@ impl Bag {
         let text = fs::read_to_string(&path).map_err(FileError::read(&path))?;
         let metadata = Metadata::of(&text).map_err(|reason| fault(format!("metadata.yaml: {reason}")))?;
         if let Some(storage) = metadata.storage.filter(|storage| storage != "mcap") {
-            return Err(fault(format!("the bag is stored as {storage}; convert it to mcap with `ros2 bag convert`")));
+            return Err(fault(format!("the bag is stored as {storage}, and MCAP is read; {}", advice(folder))));
         }
         if metadata.compression.is_some_and(|mode| mode.eq_ignore_ascii_case("message")) {
-            return Err(fault(
-                "its messages are compressed one by one; convert it without compression with `ros2 bag convert`".into(),
-            ));
+            return Err(fault(format!(
+                "its messages are compressed one by one, which is not read; {}",
+                advice(folder)
+            )));
         }
         if metadata.files.is_empty() {
             return Err(fault("metadata.yaml names no recording (relative_file_paths)".into()));
@@ -86,13 +87,13 @@ impl Bag {
 }
 
 /// What to do about a folder without recordings.
-fn missing(there: &[String]) -> &'static str {
-    if there.iter().any(|name| name.ends_with(".db3")) {
-        "; its .db3 is a ROS 2 bag of the older kind, convert it with `ros2 bag convert`"
+fn missing(folder: &Path, there: &[String]) -> String {
+    if let Some(bag) = there.iter().find(|name| name.ends_with(".db3")) {
+        format!("; {bag} is a ROS 2 bag of the older kind, in SQLite; {}", advice(&folder.join(bag)))
     } else if there.iter().any(|name| name.ends_with(".mcap.zstd") || name.ends_with(".mcap.zst")) {
-        "; unpack its .mcap.zstd with `zstd -d`"
+        "; unpack its .mcap.zstd with `zstd -d`".into()
     } else {
-        ""
+        String::new()
     }
 }
 
@@ -209,7 +210,11 @@ rosbag2_bagfile_information:
         let files = ["bag_0.mcap", "bag_1.mcap"];
         for (metadata, files, expected) in [
             (METADATA.into(), &files[..1], "bag_1.mcap is missing, though metadata.yaml names it"),
-            (with(": mcap", ": sqlite3"), &files[..], "the bag is stored as sqlite3; convert it to mcap"),
+            (
+                with(": mcap", ": sqlite3"),
+                &files[..],
+                "the bag is stored as sqlite3, and MCAP is read; convert it with `rosbags-convert --src ",
+            ),
             (with("compression_mode: \"\"", "compression_mode: MESSAGE"), &files[..], "are compressed one by one"),
             (with("    - bag_0.mcap\n    - bag/bag_1.mcap\n", ""), &files[..], "names no recording"),
             (with("bag_0.mcap", "bag_0.mcap.zstd"), &["bag_0.mcap.zstd", "bag_1.mcap"], "unpack it (zstd -d)"),

@@ -1,4 +1,4 @@
-use crate::FileError;
+use crate::{FileError, foreign_recording};
 use osteoflow_container::{Cause, Damage, ReadError};
 
 /// A recording that cannot be read, or not to its end.
@@ -53,12 +53,20 @@ impl McapError {
             ReadError::NotMcap { start } => start,
         };
         let hint = match start.as_slice() {
-            s if s.starts_with(b"#ROSBAG") => ", a ROS 1 bag; convert it with `mcap convert`",
-            s if s.starts_with(b"SQLite") => ", a ROS 2 bag of the older kind; convert it with `ros2 bag convert`",
+            // The first eight bytes are all there is of the start.
+            s if s.starts_with(b"#ROSBAG") => return Self::foreign(path, "a ROS 1 bag"),
+            s if s.starts_with(b"SQLite") => {
+                return Self::foreign(path, "a ROS 2 bag of the older kind, in SQLite (.db3)");
+            }
             s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
             _ => "; is it another kind of file, or damaged?",
         };
         Self::wrong_magic(path, &start, hint)
+    }
+
+    fn foreign(path: &str, kind: &str) -> Self {
+        let reason = format!("it is {kind}, and MCAP is read; {}", foreign_recording::advice(path.as_ref()));
+        Self::Unreadable { path: path.into(), reason }
     }
 
     /// Of a file whose header follows a damaged magic.

@@ -2,7 +2,7 @@
 
 use crate::Space;
 use nalgebra::{Point3, Rotation3, Unit, Vector3};
-use osteoflow_geometry::{NamedPoint, TooFar};
+use osteoflow_geometry::{Frame, NamedPoint, TooFar};
 use std::{collections::HashSet, sync::Arc};
 
 /// The points, planes and boxes of a file; mm, LPS if the file states its space.
@@ -18,6 +18,8 @@ pub struct PickedPoints {
     pub rois: Vec<PickedRoi>,
     /// The space that the file states.
     pub space: Space,
+    /// The frame that a column `frame` states, as in the files of `output.csv`.
+    pub frame: Option<Frame>,
     /// How many points were passed over because they are inactive, or their position was not set.
     pub n_skipped: usize,
     /// Changes to the content and what is doubtful, one sentence each.
@@ -54,6 +56,7 @@ pub(super) struct Collected {
     pub(super) points: Vec<NamedPoint>,
     names: HashSet<Arc<str>>,
     n_unnamed: usize,
+    frame: Option<Frame>,
     pub(super) n_skipped: usize,
     pub(super) notes: Vec<String>,
 }
@@ -82,6 +85,18 @@ impl Collected {
         Ok(())
     }
 
+    /// Takes the frame that a point states.
+    ///
+    /// # Errors
+    /// A message, if it is another than that of the points before.
+    pub(super) fn in_frame(&mut self, frame: &str) -> Result<(), String> {
+        let first = self.frame.get_or_insert_with(|| frame.into());
+        if first.as_str() == frame {
+            return Ok(());
+        }
+        Err(format!("the point is in frame \"{frame}\", those before it are in \"{first}\"; a list has one frame"))
+    }
+
     pub(super) fn finish(mut self, space: Space) -> PickedPoints {
         if self.n_unnamed > 0 && self.n_unnamed < self.points.len() {
             let (n, of) = (self.n_unnamed, self.points.len());
@@ -94,8 +109,8 @@ impl Collected {
             self.notes.push(format!("{} points are not placed or not active, and were passed over", self.n_skipped));
         }
         let is_named = self.n_unnamed == 0;
-        let Self { points, n_skipped, notes, .. } = self;
-        PickedPoints { points, is_named, planes: Vec::new(), rois: Vec::new(), space, n_skipped, notes }
+        let Self { points, frame, n_skipped, notes, .. } = self;
+        PickedPoints { points, is_named, planes: Vec::new(), rois: Vec::new(), space, frame, n_skipped, notes }
     }
 }
 

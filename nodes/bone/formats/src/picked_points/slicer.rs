@@ -4,11 +4,13 @@
 //! The JSON schema "markups-schema-v1.0.3" of 3D Slicer, and its storage nodes for the fields that the schema leaves open:
 //! coordinate system 0 is RAS and 1 is LPS; position status 2 is defined.
 
-use super::{
-    collected::{Collected, PickedPlane, PickedPoints, PickedRoi, to_lps},
-    text,
+use super::collected::{Collected, PickedPlane, PickedPoints, PickedRoi, to_lps};
+use crate::{
+    FileError, Space,
+    columns::{quoted_cells, twice},
+    cursor::Cursor,
+    json, scalar,
 };
-use crate::{FileError, Space, columns::twice, cursor::Cursor, json, scalar};
 use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use osteoflow_geometry::{TooFar, direction, nearest_isometry};
 use serde_json::Value;
@@ -279,7 +281,7 @@ pub(super) fn fcsv(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError>
             }
             continue;
         }
-        let cells = text::cells(&line, ',');
+        let cells = quoted_cells(&line, ',');
         let wrong_width = || format!("{} columns are expected, this line has {}", columns.len(), cells.len());
         let cell = |name: &str| -> Result<&str, FileError> {
             let place = columns.iter().position(|column| column == name);

@@ -3,7 +3,7 @@
 use super::{PickedPoints, collected::Collected};
 use crate::{
     FileError, Space,
-    columns::{Lines, Split, axes, has_words, place, twice},
+    columns::{Lines, Split, axes, has_words, name_axes, place, quoted_cells, twice},
     cursor::Cursor,
     scalar::number,
 };
@@ -11,26 +11,6 @@ use std::path::Path;
 
 /// The most elements of an XML file that are read.
 const MOST_NODES: u32 = 1 << 20;
-
-/// The cells of a line; quotes enclose a cell that holds the separator, and are doubled within it.
-pub(super) fn cells(line: &str, separator: char) -> Vec<String> {
-    let mut cells = vec![String::new()];
-    let mut quoted = false;
-    let mut chars = line.trim_end_matches(['\r', '\n']).chars().peekable();
-    while let Some(c) = chars.next() {
-        let last = cells.last_mut().expect("there is one");
-        match c {
-            '"' if quoted && chars.peek() == Some(&'"') => {
-                chars.next();
-                last.push('"');
-            }
-            '"' if quoted || last.trim().is_empty() => quoted = !quoted,
-            c if c == separator && !quoted => cells.push(String::new()),
-            c => last.push(c),
-        }
-    }
-    cells
-}
 
 /// The points in a `.pp` file of MeshLab.
 pub(super) fn meshlab(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
@@ -73,26 +53,32 @@ pub(super) fn list(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError>
     let cursor = Cursor::text(path, bytes)?;
     // CloudCompare begins the labels of points with the sign of a comment.
     let lines = Lines::read(cursor, is_labelled, |names, rows| rows.is_empty() && axes_named(names) == 3)?;
-    let space = lines.stated.space;
+    let mut stated = lines.stated;
+    let mut space = stated.space;
     let mut collected = Collected::default();
-    collected.notes.extend(lines.stated.note);
+    collected.notes.extend(stated.note.take());
     let mut rows = &lines.rows[..];
     let Some((first, first_line)) = rows.first() else { return Ok(collected.finish(space)) };
     let split = Split::of(&cursor, rows, None)?;
     let first_cells = split_line(&split, first);
-    let heading = if has_words(first) && axes_named(&first_cells) >= 2 {
+    let mut heading = if has_words(first) && axes_named(&first_cells) >= 2 {
         rows = &rows[1..];
         Some((first_cells.clone(), *first_line))
     } else {
         // A sentence about x, y and z is no heading.
         lines.heading.filter(|(names, _)| names.len() == first_cells.len())
     };
-    let mut named = None;
-    if let Some((names, line)) = &heading {
+    let (mut named, mut own) = (None, [None; 2]);
+    if let Some((names, line)) = &mut heading {
+        let fault = |message: String| cursor.fault_at(*line, message);
+        name_axes(names, &mut stated).map_err(fault)?;
+        stated.check_unit(1.0).map_err(fault)?;
         twice(names, str::eq_ignore_ascii_case).map_err(|message| cursor.fault_at(*line, message))?;
         let label = ["label", "name", "id"].iter().find_map(|name| place(names, name));
         let axes = axes(&cursor, names, *line)?;
-        let is_unused = |k: &usize| !axes.contains(k) && label != Some(*k);
+        // As `output.csv` writes them.
+        own = [place(names, "frame"), place(names, "stamp_ns")];
+        let is_unused = |k: &usize| !axes.contains(k) && label != Some(*k) && !own.contains(&Some(*k));
         let unused: Vec<&str> = (0..names.len()).filter(is_unused).map(|k| names[k].as_str()).collect();
         if !unused.is_empty() {
             collected.notes.push(format!("columns that were not read: {}", unused.join(", ")));
@@ -127,7 +113,18 @@ pub(super) fn list(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError>
         for (value, k) in position.iter_mut().zip(axes) {
             *value = split.number(&cells[k]).ok_or_else(|| fault(format!("\"{}\" is not a number", cells[k])))?;
         }
+        let [frame, stamp] = own.map(|column| column.map(|k| cells[k].as_str()).filter(|cell| !cell.is_empty()));
+        if let Some(frame) = frame {
+            collected.in_frame(frame).map_err(fault)?;
+            // `ct` is LPS wherever this program writes it.
+            space = if space == Space::Unknown { Space::of(&frame.into()) } else { space };
+        }
         collected.push(label.as_deref().unwrap_or_default(), position, space).map_err(fault)?;
+        if let (Some(stamp), Some(point)) = (stamp, collected.points.last_mut()) {
+            let whole =
+                stamp.parse().map_err(|_| fault(format!("stamp_ns is \"{stamp}\", a whole number is expected")));
+            point.stamp_ns = whole?;
+        }
     }
     Ok(collected.finish(space))
 }
@@ -147,7 +144,7 @@ fn axes_named(names: &[String]) -> usize {
 fn split_line(split: &Split, line: &str) -> Vec<String> {
     match split.separator {
         Some(separator) => {
-            cells(split.without_trailing(line), separator).iter().map(|cell| cell.trim().to_owned()).collect()
+            quoted_cells(split.without_trailing(line), separator).iter().map(|cell| cell.trim().to_owned()).collect()
         }
         None => line.split_ascii_whitespace().map(str::to_owned).collect(),
     }

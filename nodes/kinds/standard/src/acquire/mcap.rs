@@ -83,18 +83,28 @@ impl Source for Mcap {
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);
-        Ok(Some(Declared::one(event.port, Self::emission(event, ctx)?)))
+        Ok(Some(Declared::one(event.port, self.emission(event, ctx)?)))
     }
 }
 
 impl Mcap {
     /// All events in the order of their stamps.
     pub(super) fn playback(&self, ctx: &mut Context) -> Result<Playback<EventBody>, NodeError> {
-        Ok(in_order(self.open(ctx)?))
+        Ok(in_order(self.open(ctx).map_err(|error| self.named(error))?))
+    }
+
+    /// The error with the recording it speaks of.
+    fn named(&self, NodeError { message }: NodeError) -> NodeError {
+        let name = self.params.path.as_ref().display().to_string();
+        NodeError::new(if message.contains(&name) { message } else { format!("{name}: {message}") })
     }
 
     /// The emission of an event.
-    pub(super) fn emission(event: Event<EventBody>, ctx: &mut Context) -> Result<Emission, NodeError> {
+    pub(super) fn emission(&self, event: Event<EventBody>, ctx: &mut Context) -> Result<Emission, NodeError> {
+        Self::decoded(event, ctx).map_err(|error| self.named(error))
+    }
+
+    fn decoded(event: Event<EventBody>, ctx: &mut Context) -> Result<Emission, NodeError> {
         match event.body {
             EventBody::Ready(emission) => Ok(emission),
             EventBody::Cloud { message, label, frame } => {
@@ -123,7 +133,7 @@ impl Mcap {
         let wanted = |topic: &str| {
             let is_named = |p: &PortParams| {
                 [&p.present, &p.calibration].into_iter().any(|name| name.as_deref() == Some(topic))
-                    || p.topics().iter().any(|(t, _)| *t == topic)
+                    || p.read_topics().iter().any(|t| t == topic)
             };
             params.iter().any(is_named)
         };
@@ -140,9 +150,11 @@ impl Mcap {
             );
         }
         let (mut events, mut found) = (Vec::new(), Findings::default());
+        let path = self.params.path.as_ref();
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
         let frames = &self.params.frames;
         for (port, (declared, params)) in ports.iter().zip(&params).enumerate() {
-            let mut stream = Port { recording: &recording, declared, params, frames, found: &mut found };
+            let mut stream = Port { recording: &recording, name: &name, declared, params, frames, found: &mut found };
             events.extend(stream.events()?.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         for (topic, corrections) in found.corrections {

@@ -1,11 +1,10 @@
 //! The events of one declared port over a recording.
 
 use super::{
-    frozen::Frozen,
     mcap::EventBody,
     mcap_ports::PortParams,
-    one_stamp::OneStamp,
     playback::silences,
+    sifted::{self, sifted},
     topics::{self, Constants, last_part},
     unstamped::{MissingStamps, without_publish_time},
 };
@@ -17,7 +16,7 @@ use osteoflow_formats::{
         read_pose_in_frame, read_transforms,
     },
 };
-use osteoflow_geometry::{Corrections, Frame, Pose, StampNs};
+use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
 use osteoflow_node::{DeclaredPort, Emission, NodeError};
 use osteoflow_payloads::Flag;
 use std::{
@@ -28,6 +27,8 @@ use std::{
 /// One declared port over a recording.
 pub(super) struct Port<'a> {
     pub(super) recording: &'a Recording,
+    /// Its file name.
+    pub(super) name: &'a str,
     pub(super) declared: &'a DeclaredPort,
     pub(super) params: &'a PortParams,
     /// Frames of the recording by another name.
@@ -60,7 +61,10 @@ impl Port<'_> {
                 let calibration = self.calibration()?;
                 self.streams(start_ns, move |port, topic, label| port.images(topic, label, &calibration))
             }
-            "geometry/Pose" => self.streams(start_ns, Self::poses),
+            "geometry/Pose" => match self.chained()? {
+                Some(events) => Ok(events),
+                None => self.streams(start_ns, Self::poses),
+            },
             "geometry/Points" => self.streams(start_ns, Self::points),
             other => Err(self.fault(format!(
                 "a recording gives geometry/Cloud, Image, Pose, Points, Region and report/Flag, but not {other}"
@@ -84,7 +88,7 @@ impl Port<'_> {
             if !self.recording.messages(topic).is_empty() {
                 events.extend(read(self, topic, label)?);
             } else if params.optional {
-                let reason = format!("the recording has no messages on {topic}");
+                let reason = format!("the recording {} has no messages on {topic}", self.name);
                 events.push((start_ns, EventBody::Ready(Emission::Empty(reason))));
             } else {
                 return Err(self.missing(topic, label));
@@ -221,34 +225,98 @@ impl Port<'_> {
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
         }
-        if let Some(lost_after_ms) = self.params.lost_after_ms {
-            let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
-            // Stamps and publish times may be of two clocks, so the silence at the end is measured by one.
-            let ended_ns = self.recording.last_publish_time_ns.unwrap_or(published_ns);
-            let last_ns = stamps.iter().copied().max().unwrap_or(published_ns);
-            let end_ns = last_ns.saturating_add(ended_ns.saturating_sub(published_ns));
-            let what = last_part(topic).replace('_', " ");
-            let lost = silences(&stamps, (lost_after_ms * 1e6) as StampNs, end_ns, &format!("the {what}"));
-            events.extend(lost.into_iter().map(|(stamp, empty)| (stamp, EventBody::Ready(empty))));
-        }
+        let silent = self.silent(topic, &events, published_ns);
+        events.extend(silent);
         Ok(events)
     }
 
     /// The poses of a topic in the order of their stamps, equal ones of one stamp once, with empties in place of those of a frozen
     /// tracker.
-    fn unless_frozen(&mut self, topic: &str, mut poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
-        poses.sort_by_key(|pose| pose.stamp_ns);
-        let (mut frozen, mut notes) = (Frozen::new(self.params.frozen_after_ms), Vec::new());
-        let mut one_stamp = OneStamp::default();
-        let mut event = |pose: Pose| {
-            let (stamp_ns, what) = (pose.stamp_ns, format!("t_{}_{}", pose.to, pose.from));
-            let is_repeat = one_stamp.is_repeat(&what, &pose);
-            (!is_repeat).then(|| (stamp_ns, EventBody::Ready(frozen.emission(&what, pose, &mut notes))))
-        };
-        let events = poses.into_iter().filter_map(&mut event).collect();
-        notes.extend(one_stamp.notes());
+    fn unless_frozen(&mut self, topic: &str, poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
+        let (poses, notes) = sifted(poses, self.params.frozen_after_ms);
         self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
-        events
+        let event = |pose| {
+            let (stamp_ns, emission) = sifted::emission(pose);
+            (stamp_ns, EventBody::Ready(emission))
+        };
+        poses.into_iter().map(event).collect()
+    }
+
+    /// The poses of a port that names two frames which no transform of its topics joins, as a product of several, or as an inverse;
+    /// none if one transform joins them, or nothing does. With `/tf` belongs `/tf_static`.
+    fn chained(&mut self) -> Result<Option<Vec<(StampNs, EventBody)>>, NodeError> {
+        let params = self.params;
+        let (Some(parent), Some(child)) = (&params.transforms.parent, &params.transforms.child) else {
+            return Ok(None);
+        };
+        let topics: Vec<String> = params.read_topics();
+        let (mut tree, mut moving, mut last_ns) = (TransformTree::default(), Vec::new(), StampNs::MIN);
+        let is_named = |topic: &String| params.topics().iter().any(|(named, _)| named == topic);
+        for topic in &topics {
+            let mut constants = Constants::default();
+            for (i, message) in self.recording.messages(topic).iter().enumerate() {
+                let Ok(read) = read_transforms(without_publish_time(message)) else { return Ok(None) };
+                for read in read {
+                    let (to, from) = match &read {
+                        Ok(pose) => (&pose.value.to, &pose.value.from),
+                        Err(PoseError::Lost(lost)) => (&lost.to, &lost.from),
+                        Err(PoseError::NotRigid { to, from, .. }) => (to, from),
+                    };
+                    if is_named(topic) && (to.as_str(), from.as_str()) == (parent, child) {
+                        return Ok(None);
+                    }
+                    let is_constant = Constants::are_on(topic);
+                    match read {
+                        Ok(pose) => {
+                            let mut pose = self.found.corrections.entry(topic.clone()).or_default().take(pose);
+                            pose.stamp_ns = self.stamp(topic, message, pose.stamp_ns);
+                            if is_constant {
+                                moving.extend(constants.take(pose, &mut self.found.notes));
+                                continue;
+                            }
+                            last_ns = last_ns.max(message.publish_time_ns);
+                            self.found.stamps.track(topic, &pose);
+                            moving.push(pose);
+                        }
+                        Err(PoseError::Lost(mut lost)) => {
+                            lost.stamp_ns = self.stamp(topic, message, lost.stamp_ns);
+                            tree.add(&lost.to, &lost.from, lost.stamp_ns, Err(format!("has {}", lost.reason)));
+                        }
+                        Err(error @ PoseError::NotRigid { .. }) => return Err(self.at(topic, i, error)),
+                    }
+                }
+            }
+        }
+        let (poses, notes) = sifted(moving, params.frozen_after_ms);
+        for (pose, reason) in poses {
+            let motion = reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));
+            tree.add(&pose.to, &pose.from, pose.stamp_ns, motion);
+        }
+        let read = sifted::through(&tree, (parent, child), params.max_gap_ms).map_err(|message| self.fault(message))?;
+        let Some((mut poses, note)) = read else { return Ok(None) };
+        let name = topics.join(" and ");
+        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {name}: {note}")));
+        self.found.notes.push(format!("port \"{}\": {name}: {note}", self.declared.name));
+        for (pose, _) in &mut poses {
+            self.rename(&mut pose.to, &mut pose.from);
+        }
+        let mut events: Vec<_> =
+            poses.into_iter().map(sifted::emission).map(|(stamp, of)| (stamp, EventBody::Ready(of))).collect();
+        events.extend(self.silent(child, &events, last_ns));
+        Ok(Some(events))
+    }
+
+    /// Empties for the time in which a marker is silent; `published_ns` is when its last message was published.
+    fn silent(&self, what: &str, events: &[(StampNs, EventBody)], published_ns: StampNs) -> Vec<(StampNs, EventBody)> {
+        let Some(lost_after_ms) = self.params.lost_after_ms else { return Vec::new() };
+        let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
+        // Stamps and publish times may be of two clocks, so the silence at the end is measured by one.
+        let ended_ns = self.recording.last_publish_time_ns.unwrap_or(published_ns);
+        let last_ns = stamps.iter().copied().max().unwrap_or(published_ns);
+        let end_ns = last_ns.saturating_add(ended_ns.saturating_sub(published_ns));
+        let what = format!("the {}", last_part(what).replace('_', " "));
+        let lost = silences(&stamps, (lost_after_ms * 1e6) as StampNs, end_ns, &what);
+        lost.into_iter().map(|(stamp, empty)| (stamp, EventBody::Ready(empty))).collect()
     }
 
     /// The transforms that hold from the beginning, whenever they were sent: constants, without a stamp. One that is sent
@@ -335,7 +403,8 @@ impl Port<'_> {
         let topics = self.recording.topics().iter().filter(|t| t.n_messages > 0);
         let there: Vec<String> = topics.map(|t| format!("{} ({})", t.name, t.schema_name)).collect();
         self.fault(format!(
-            "the recording has no messages on {topic}{what}; it has: {}",
+            "the recording {} has no messages on {topic}{what}; it has: {}",
+            self.name,
             if there.is_empty() { "none at all".into() } else { there.join(", ") }
         ))
     }

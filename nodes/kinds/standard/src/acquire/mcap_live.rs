@@ -100,7 +100,7 @@ impl Source for McapLive {
         }
         ctx.set_stamp_ns(event.stamp_ns);
         let port = event.port;
-        Ok(Some(Declared::one(port, Mcap::emission(event, ctx)?)))
+        Ok(Some(Declared::one(port, self.mcap.emission(event, ctx)?)))
     }
 }
 

@@ -31,6 +31,11 @@ pub struct PortParams {
     /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
+    /// Time between two samples up to which a transform is interpolated, where `parent` and `child` are joined by several
+    /// transforms, or by an inverse, as tf of ROS joins frames: by the one path in their tree, each transform at the same time. Unset:
+    /// 200, four samples of a slow tracker.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub max_gap_ms: Option<f64>,
     /// What the stamp is of messages that have none: `refuse`, or `publish_time`, the time at which they were published. `refuse`: if
     /// a pose of the recording moves, that time pairs them wrongly; where none does, it is used and told.
     pub unstamped: Unstamped,
@@ -57,5 +62,14 @@ impl PortParams {
                 self.topics.iter().enumerate().map(|(i, topic)| (topic.as_str(), label(i))).collect()
             }
         }
+    }
+
+    /// The topics whose messages the port may need: with `/tf`, `/tf_static` beside it.
+    pub(super) fn read_topics(&self) -> Vec<String> {
+        let mut topics: Vec<String> = self.topics().into_iter().map(|(topic, _)| topic.to_owned()).collect();
+        let beside = |topic: &String| topic.strip_suffix("/tf").map(|start| format!("{start}/tf_static"));
+        let statics: Vec<String> = topics.iter().filter_map(beside).filter(|name| !topics.contains(name)).collect();
+        topics.extend(statics);
+        topics
     }
 }

@@ -57,6 +57,11 @@ impl Constant for PointsFile {
         if read.points.is_empty() {
             return Err(NodeError::new(format!("{name} holds planes or boxes, but no points")));
         }
+        if let Some(stated) = read.frame.as_ref().filter(|stated| stated.as_str() != frame) {
+            let message =
+                format!("{name} states that its points are in \"{stated}\", and frame is \"{frame}\"; set frame to it");
+            return Err(NodeError::new(message));
+        }
         read.notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
         if !read.is_named {
             ctx.warn(format!("{name}: points without a name are called by their place in the list"));

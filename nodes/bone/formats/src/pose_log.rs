@@ -1,0 +1,290 @@
+//! Poses over time as trackers and other programs log them.
+//!
+//! | File | A pose is | Unit | Stamps |
+//! |---|---|---|---|
+//! | sequence of PLUS and SlicerIGSIO, `.igs.mha`, with or without pixels | `StylusToTrackerTransform`, `t_Tracker_Stylus`, a matrix row by row, with its status | mm | seconds |
+//! | TUM trajectory | `x y z qx qy qz qw`, the pose of the moving frame in the fixed one | m | seconds |
+//! | EuRoC MAV, CSV | `p_RS_R`, `q_RS` with w first, the pose of S in R | m | nanoseconds |
+//! | KITTI odometry | the upper three rows of `t_fixed_moving` | m | none: a rate, or a file of times |
+//! | [`poses_csv`](crate::poses_csv) | `t_parent_child`, the quaternion's w last | mm | nanoseconds |
+//! | any other table, as of NDI or Atracsys | as [`Columns`] describes its heading | mm | as described |
+//!
+//! A tool that the tracker did not see is a [`LostPose`]: a status other than `OK`, numbers that are missing or not finite, an
+//! all-zero quaternion. Stamps in text are taken digit by digit, not by a float, which has no nanoseconds left after 1970.
+
+mod columns;
+mod sequence;
+mod stamp;
+mod trajectory;
+mod write_tum;
+
+pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
+pub use write_tum::write_tum;
+
+use crate::{FileError, LostPose, StampOrder, input, metaimage_header::is_metaimage, poses_csv};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
+use osteoflow_geometry::{
+    Frame, MM_PER_M, Nearest, Pose, RigidError, StampNs, TooFar, nearest_isometry, nearest_rotation,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::{
+    collections::BTreeMap,
+    fmt,
+    io::Read as _,
+    path::{Path, PathBuf},
+};
+
+/// Bytes of a file by which its format is recognised.
+const N_HEAD: u64 = 1 << 16;
+
+/// A translation beyond this, a kilometre, is a tracker's code for a tool that it does not see.
+const FARTHEST_MM: f64 = 1e6;
+
+/// The format of a log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LogFormat {
+    /// A MetaImage with a transform for each frame of a sequence.
+    IgsMha,
+    /// TUM: `timestamp x y z qx qy qz qw`.
+    Tum,
+    /// EuRoC: `timestamp,x,y,z,qw,qx,qy,qz`.
+    Euroc,
+    /// KITTI: twelve numbers.
+    Kitti,
+    /// `t_ns,parent,child,x,y,z,qx,qy,qz,qw`.
+    Poses,
+    /// A table whose heading is described.
+    Table,
+}
+
+impl LogFormat {
+    /// The unit of length of the format, mm.
+    pub fn unit_mm(self) -> f64 {
+        match self {
+            Self::Tum | Self::Euroc | Self::Kitti => MM_PER_M,
+            Self::IgsMha | Self::Poses | Self::Table => 1.0,
+        }
+    }
+
+    /// Whether a file of the format names the frames of its poses.
+    pub fn names_frames(self) -> bool {
+        !matches!(self, Self::Tum | Self::Euroc | Self::Kitti)
+    }
+}
+
+impl fmt::Display for LogFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::IgsMha => "a tracked sequence (.igs.mha)",
+            Self::Tum => "a TUM trajectory",
+            Self::Euroc => "a EuRoC trajectory",
+            Self::Kitti => "a KITTI trajectory",
+            Self::Poses => "poses (t_ns, parent, child, ..)",
+            Self::Table => "a table of poses",
+        })
+    }
+}
+
+/// What a log does not say itself.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LogOptions {
+    /// The format; none: recognised by the content, or a table, if `columns` are given.
+    pub format: Option<LogFormat>,
+    /// The unit of length, mm; none: that of the format.
+    pub unit_mm: Option<f64>,
+    /// The frame that the poses lead to, in formats that name none.
+    pub parent: Option<String>,
+    /// The frame that moves, in formats that name none.
+    pub child: Option<String>,
+    /// Poses a second, where the file counts frames or has no stamps.
+    pub rate_hz: Option<f64>,
+    /// A text of one stamp in seconds for each pose of a KITTI trajectory.
+    pub times: Option<PathBuf>,
+    /// The heading of a table.
+    pub columns: Option<Columns>,
+}
+
+/// The poses of a log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseLog {
+    /// What the file is.
+    pub format: LogFormat,
+    /// The poses in file order; where a tool was not seen, a [`LostPose`].
+    pub poses: Vec<Result<Nearest<Pose>, LostPose>>,
+    /// What the user should know, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// The format of a file by its content; none if it is no log, or a table whose heading has to be described.
+///
+/// # Errors
+/// [`FileError`] if the file cannot be read.
+pub fn log_format(path: &Path) -> Result<Option<LogFormat>, FileError> {
+    let mut head = Vec::new();
+    input::open(path)?.take(N_HEAD).read_to_end(&mut head).map_err(FileError::read(path))?;
+    if is_metaimage(&head) {
+        return Ok(sequence::is_sequence(&head).then_some(LogFormat::IgsMha));
+    }
+    let is_whole = (head.len() as u64) < N_HEAD;
+    Ok(trajectory::format_of(&head, is_whole))
+}
+
+/// Reads a log.
+///
+/// # Errors
+/// [`FileError`] with the line: a matrix or quaternion that is no rotation, a stamp that is none, a line that is cut short, frames,
+/// rate or columns that the file does not say and the options do not give.
+pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError> {
+    let format = match options.format {
+        Some(format) => format,
+        None if options.columns.is_some() => LogFormat::Table,
+        None => log_format(path)?.ok_or_else(|| unknown(path))?,
+    };
+    let unit_mm = options.unit_mm.unwrap_or_else(|| format.unit_mm());
+    let mut log = Log::default();
+    match format {
+        LogFormat::IgsMha => sequence::read(path, unit_mm, &mut log)?,
+        LogFormat::Tum | LogFormat::Euroc | LogFormat::Kitti => {
+            trajectory::read(path, format, unit_mm, options, &mut log)?
+        }
+        LogFormat::Poses => {
+            let poses_csv::PosesRead { poses, notes } = poses_csv::read_poses(path, unit_mm)?;
+            return Ok(PoseLog { format, poses, notes });
+        }
+        LogFormat::Table => columns::read(path, unit_mm, options, &mut log)?,
+    }
+    if log.poses.is_empty() {
+        return Err(FileError::content(path, "poses", "there is no pose in the file; was it cut short?"));
+    }
+    Ok(log.finish(format))
+}
+
+fn unknown(path: &Path) -> FileError {
+    let message = "no log of poses is recognised: .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, or \
+                   t_ns,parent,child,x,y,z,qx,qy,qz,qw; describe the heading of another table by columns";
+    FileError::content(path, "byte 0", message)
+}
+
+/// A rotation as a file gives it.
+enum Turn {
+    Quaternion(Quaternion<f64>),
+    Matrix(Matrix3<f64>),
+}
+
+/// A pose as a file gives it, translation in mm.
+struct Sample {
+    to: Frame,
+    from: Frame,
+    stamp_ns: StampNs,
+    translation_mm: [f64; 3],
+    turn: Turn,
+}
+
+impl Sample {
+    /// The pose; lost if numbers are missing or mean that the tool was not seen.
+    fn pose(self) -> Result<Result<Nearest<Pose>, LostPose>, String> {
+        let Self { to, from, stamp_ns, translation_mm, turn } = self;
+        let lost =
+            |reason: &str| Ok(Err(LostPose { to: to.clone(), from: from.clone(), stamp_ns, reason: reason.into() }));
+        let [x, y, z] = translation_mm;
+        if !translation_mm.iter().all(|c| c.is_finite()) {
+            return lost("a position that is not finite");
+        }
+        let translation = Translation3::new(x, y, z);
+        let isometry = match turn {
+            Turn::Quaternion(q) => match nearest_rotation(q) {
+                Err(RigidError::NotFinite { .. }) => return lost("a rotation that is not finite"),
+                Err(RigidError::Zero { .. }) => return lost("an all-zero quaternion"),
+                rotation => rotation
+                    .map_err(|error| format!("{error}; are these the columns of the quaternion, in this order?"))?
+                    .map(|rotation| Isometry3::from_parts(translation, rotation)),
+            },
+            Turn::Matrix(rotation) => {
+                let mut matrix = Matrix4::identity();
+                matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+                match nearest_isometry(&matrix) {
+                    Err(RigidError::NotFinite { .. }) => return lost("a rotation that is not finite"),
+                    Err(RigidError::Zero { .. }) => return lost("an all-zero rotation"),
+                    nearest => nearest
+                        .map_err(|error| error.to_string())?
+                        .map(|isometry| Isometry3::from_parts(translation, isometry.rotation)),
+                }
+            }
+        };
+        TooFar::check(&translation_mm).map_err(|far| format!("the translation: {far}; is its unit right?"))?;
+        Ok(Ok(isometry.map(|isometry| Pose::new(to.clone(), from.clone(), isometry).at(stamp_ns))))
+    }
+}
+
+/// Poses as they are read.
+#[derive(Default)]
+struct Log {
+    poses: Vec<Result<Nearest<Pose>, LostPose>>,
+    notes: Vec<String>,
+    orders: BTreeMap<[String; 2], Stream>,
+}
+
+/// The stamps of one tool.
+#[derive(Default)]
+struct Stream {
+    order: StampOrder,
+    n: usize,
+    n_lost: usize,
+    n_at_zero: usize,
+    first_ns: StampNs,
+    last_ns: StampNs,
+}
+
+impl Log {
+    /// Takes a pose; `place` names its line.
+    fn push(&mut self, mut pose: Result<Nearest<Pose>, LostPose>, place: impl FnOnce() -> String) {
+        let (to, from, stamp_ns) = match &mut pose {
+            Ok(pose) => (&pose.value.to, &pose.value.from, &mut pose.value.stamp_ns),
+            Err(lost) => (&lost.to, &lost.from, &mut lost.stamp_ns),
+        };
+        let stream = self.orders.entry([to.to_string(), from.to_string()]).or_default();
+        if *stamp_ns == 0 {
+            // A stamp of 0 is that of a constant, which a pose of a log is not.
+            *stamp_ns = 1;
+            stream.n_at_zero += 1;
+        }
+        stream.order.take(*stamp_ns, place);
+        if stream.n == 0 {
+            stream.first_ns = *stamp_ns;
+        }
+        (stream.last_ns, stream.n) = (*stamp_ns, stream.n + 1);
+        stream.n_lost += usize::from(pose.is_err());
+        self.poses.push(pose);
+    }
+
+    fn finish(mut self, format: LogFormat) -> PoseLog {
+        for ([to, from], stream) in &self.orders {
+            let what = format!("t_{to}_{from}");
+            self.notes.extend(stream.order.note(&what));
+            if stream.n_at_zero > 1 {
+                self.notes
+                    .push(format!("{what}: {} poses have the stamp 0; does the file have stamps?", stream.n_at_zero));
+            }
+            if stream.n_lost == stream.n {
+                self.notes.push(format!("{what}: the tool was seen in none of {} samples", stream.n));
+            }
+            self.notes.extend(stream.step_note().map(|note| format!("{what}: {note}")));
+        }
+        PoseLog { format, poses: self.poses, notes: self.notes }
+    }
+}
+
+impl Stream {
+    /// A note, if the mean time between poses is that of no tracker: the unit of the stamps is another.
+    fn step_note(&self) -> Option<String> {
+        if self.n < 3 {
+            return None;
+        }
+        let step_s = (self.last_ns - self.first_ns) as f64 * 1e-9 / (self.n - 1) as f64;
+        let is_odd = step_s > 0.0 && !(1e-4..=60.0).contains(&step_s);
+        is_odd
+            .then(|| format!("its poses are {step_s:.1e} s apart, as of no tracker; is the unit of the stamps right?"))
+    }
+}

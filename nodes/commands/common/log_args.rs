@@ -1,0 +1,68 @@
+//! Options for logs of poses, which `info` and `convert` read.
+
+use crate::app::UsageError;
+use anyhow::Result;
+use clap::Args;
+use osteoflow_formats::pose_log::{LogFormat, LogOptions};
+use std::path::PathBuf;
+
+/// What a log of poses does not say itself.
+#[derive(Debug, Default, Args)]
+pub(crate) struct LogArgs {
+    /// Of a log of poses, the frame that they lead to: its name, where the log has none (TUM, EuRoC, KITTI), or the choice.
+    #[arg(long, value_name = "FRAME")]
+    pub(crate) parent: Option<String>,
+
+    /// Of a log of poses, the frame that moves: its name, where the log has none, or the choice.
+    #[arg(long, value_name = "FRAME")]
+    pub(crate) child: Option<String>,
+
+    /// Poses a second of a log without stamps (KITTI), or with numbers of frames.
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    rate: Option<f64>,
+
+    /// The times.txt of a KITTI trajectory, a stamp in seconds for each pose.
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+
+    /// What is in the columns of a table of poses, such as NDI's or Atracsys': a TOML file with the keys of `columns` of acquire.poses.
+    #[arg(long, value_name = "FILE")]
+    columns: Option<PathBuf>,
+}
+
+impl LogArgs {
+    /// The options for a log of a format, or of a table, if columns are given.
+    pub(crate) fn options(&self, format: Option<LogFormat>, scale: f64) -> Result<LogOptions> {
+        let columns = self.columns.as_ref().map(|path| {
+            let text = osteoflow_formats::input::read_text(path)?;
+            toml::from_str(&text).map_err(|error| UsageError(format!("{}: {error}", path.display())).into())
+        });
+        let columns: Option<_> = columns.transpose().map_err(|error: anyhow::Error| error)?;
+        let format = if columns.is_some() { Some(LogFormat::Table) } else { format };
+        Ok(LogOptions {
+            format,
+            unit_mm: format.map(|format| format.unit_mm() * scale),
+            parent: self.parent.clone(),
+            child: self.child.clone(),
+            rate_hz: self.rate,
+            times: self.times.clone(),
+            columns,
+        })
+    }
+
+    /// Whether a table is described.
+    pub(crate) fn describes_a_table(&self) -> bool {
+        self.columns.is_some()
+    }
+
+    /// Whether the poses between two frames are wanted.
+    pub(crate) fn wants(&self, parent: &str, child: &str) -> bool {
+        self.parent.as_deref().is_none_or(|name| name == parent)
+            && self.child.as_deref().is_none_or(|name| name == child)
+    }
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let rate: f64 = text.parse().map_err(|_| "a number is expected, such as 10")?;
+    (1e-3..=1e6).contains(&rate).then_some(rate).ok_or_else(|| "it must be between 0.001 and 1e6 Hz".into())
+}

@@ -1,0 +1,268 @@
+//! The kind `acquire.poses`.
+
+use super::{
+    playback::{Event, Playback, in_order, silences},
+    sifted::{self, Sifted, sifted},
+    topics::TransformFilter,
+};
+use osteoflow_formats::pose_log::{Columns, LogFormat, LogOptions, read_log};
+use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
+use osteoflow_node::{
+    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
+    serde::Deserialize,
+};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The poses of a tracker's log in the order of their stamps: tracked sequences of PLUS (`.igs.mha`), trajectories of TUM, EuRoC and
+/// KITTI, `t_ns,parent,child,..`, and tables of NDI, Atracsys and others, whose heading `columns` describes.
+///
+/// Each entry of `out` is a port with `type = "geometry/Pose"`, its frames, and `parent` and `child` where the log has several
+/// transforms. A tool that was not seen is an empty with the reason: a status other than `OK`, numbers that are missing, an all-zero
+/// quaternion. Frames that several transforms join, or an inverse, are joined as tf of ROS does it. docs/use/formats.md has the units and
+/// senses of the formats.
+#[derive(Describe)]
+#[describe(example = r#"
+kind = "acquire.poses"
+path = "pivot.igs.mha"
+frames = { Tracker = "world", Stylus = "stylus_marker" }
+out.stylus = { type = "geometry/Pose", parent = "Tracker", child = "Stylus", to = "world", from = "stylus_marker" }
+"#)]
+pub struct Poses {
+    params: Params,
+    playback: Option<Playback<Emission>>,
+}
+
+/// Parameters of [`Poses`].
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Params {
+    /// The log.
+    pub path: FilePath,
+    /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses` or `table`. Unset: recognised by the content.
+    #[serde(default)]
+    pub format: Option<LogFormat>,
+    /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, which are in metres, and 1 for the others.
+    #[serde(default)]
+    #[schemars(range(min = 1e-6, max = 1e6))]
+    pub unit_mm: Option<f64>,
+    /// The frame that the poses lead to, in formats that name none: TUM, EuRoC, KITTI.
+    #[serde(default)]
+    pub parent: Option<String>,
+    /// The frame that moves, in formats that name none.
+    #[serde(default)]
+    pub child: Option<String>,
+    /// Poses a second, for KITTI, which has no stamps, and for tables that count frames.
+    #[serde(default)]
+    #[schemars(range(min = 1e-3, max = 1e6))]
+    pub rate_hz: Option<f64>,
+    /// The `times.txt` of a KITTI trajectory: a stamp in seconds for each pose.
+    #[serde(default)]
+    pub times: Option<FilePath>,
+    /// What is in the columns of a table.
+    #[serde(default)]
+    pub columns: Option<Columns>,
+    /// Added to all stamps, s: the offset of the tracker's clock from that of the other sources. 0: they have one clock.
+    #[serde(default)]
+    #[schemars(range(min = -1e10, max = 1e10))]
+    pub stamp_offset_s: f64,
+    /// Frames of the log that have other names in the graph, such as `{ Tracker = "world" }`.
+    #[serde(default)]
+    pub frames: BTreeMap<String, String>,
+}
+
+/// A port of [`Poses`].
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PortParams {
+    /// The transform that the port takes, by the names of the log.
+    #[serde(flatten)]
+    pub transforms: TransformFilter,
+    /// Silence after which a tool is lost and the port gives an empty; also at the end, up to the last pose of the log. Unset: never.
+    #[schemars(range(min = 1.0, max = 3_600_000.0))]
+    pub lost_after_ms: Option<f64>,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
+    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
+    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is logged again and again.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
+    /// Time between two samples up to which a transform is interpolated, where `parent` and `child` are joined by several
+    /// transforms, or by an inverse, as tf of ROS joins frames: by the one path in their tree, each transform at the same time. Unset:
+    /// 200, four samples of a slow tracker.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub max_gap_ms: Option<f64>,
+}
+
+impl Source for Poses {
+    const KIND: &'static str = "acquire.poses";
+    type Params = Params;
+    type Outputs = Declared<PortParams>;
+
+    fn new(params: Params) -> Result<Self, ParamError> {
+        Ok(Self { params, playback: None })
+    }
+
+    fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
+        if self.playback.is_none() {
+            self.playback = Some(in_order(self.open(ctx)?));
+        }
+        let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
+        ctx.set_stamp_ns(event.stamp_ns);
+        Ok(Some(Declared::one(event.port, event.body)))
+    }
+}
+
+impl Poses {
+    fn open(&self, ctx: &mut Context) -> Result<Vec<Event<Emission>>, NodeError> {
+        let Params { path, format, unit_mm, parent, child, rate_hz, times, columns, stamp_offset_s, frames } =
+            &self.params;
+        let options = LogOptions {
+            format: *format,
+            unit_mm: *unit_mm,
+            parent: parent.clone(),
+            child: child.clone(),
+            rate_hz: *rate_hz,
+            times: times.as_ref().map(|times| times.as_ref().into()),
+            columns: columns.clone(),
+        };
+        let log = read_log(path.as_ref(), &options)?;
+        let name = path.as_ref().display().to_string();
+        let offset_ns = (stamp_offset_s * 1e9).round() as StampNs;
+        // The stamp of a constant stays.
+        let shift = |stamp_ns: StampNs| if stamp_ns == 0 { 0 } else { stamp_ns.saturating_add(offset_ns) };
+        let (mut streams, mut corrections): (BTreeMap<_, Stream>, _) = (BTreeMap::new(), Corrections::default());
+        for read in log.poses {
+            match read {
+                Ok(pose) => {
+                    let mut pose = corrections.take(pose);
+                    pose.stamp_ns = shift(pose.stamp_ns);
+                    let stream = streams.entry((pose.to.clone(), pose.from.clone())).or_default();
+                    stream.poses.push(pose);
+                }
+                Err(mut lost) => {
+                    lost.stamp_ns = shift(lost.stamp_ns);
+                    let stream = streams.entry((lost.to.clone(), lost.from.clone())).or_default();
+                    stream.lost.push((lost.stamp_ns, lost.to_string()));
+                }
+            }
+        }
+        let mut notes: Vec<String> = log.notes.into_iter().chain(corrections.note()).collect();
+        let (mut events, mut renamed) = (Vec::new(), BTreeSet::new());
+        for (port, declared) in ctx.declared().iter().enumerate() {
+            let port_log = PortLog { declared, params: declared.params()?, streams: &streams };
+            let read = port_log.events(frames, &mut renamed, &mut notes);
+            let read =
+                read.map_err(|message| NodeError::new(format!("{name}: port \"{}\": {message}", declared.name)))?;
+            events.extend(read.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
+        }
+        notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
+        match frames.keys().find(|frame| !renamed.contains(*frame)) {
+            Some(frame) => Err(NodeError::new(format!(
+                "{name}: frames names \"{frame}\", but no pose that a port reads is in it; `osteoflow info` lists the frames"
+            ))),
+            None => Ok(events),
+        }
+    }
+}
+
+/// The poses of one tool, and when it was not seen, with the reason.
+#[derive(Default)]
+struct Stream {
+    poses: Vec<Pose>,
+    lost: Vec<(StampNs, String)>,
+}
+
+/// A port over a log.
+struct PortLog<'a> {
+    declared: &'a DeclaredPort,
+    params: PortParams,
+    streams: &'a BTreeMap<(Frame, Frame), Stream>,
+}
+
+impl PortLog<'_> {
+    /// What the port gives, in no order.
+    fn events(
+        &self,
+        frames: &BTreeMap<String, String>,
+        renamed: &mut BTreeSet<String>,
+        notes: &mut Vec<String>,
+    ) -> Result<Vec<(StampNs, Emission)>, String> {
+        if self.declared.payload.name != "geometry/Pose" {
+            return Err(format!("a log gives geometry/Pose, but not {}", self.declared.payload.name));
+        }
+        let TransformFilter { parent, child } = &self.params.transforms;
+        let wanted = |of: &Option<String>, frame: &Frame| of.as_deref().is_none_or(|name| name == frame.as_str());
+        let found: Vec<_> =
+            self.streams.iter().filter(|((to, from), _)| wanted(parent, to) && wanted(child, from)).collect();
+        let (poses, lost) = match (&found[..], parent, child) {
+            ([(_, stream)], ..) => {
+                let (poses, more) = sifted(stream.poses.clone(), self.params.frozen_after_ms);
+                notes.extend(more);
+                (poses, stream.lost.clone())
+            }
+            ([], Some(parent), Some(child)) => (self.chained(parent, child, notes)?, Vec::new()),
+            _ => {
+                let wanted = [child, parent].map(|name| name.as_deref().unwrap_or("any"));
+                let there = if found.is_empty() { "there are" } else { "several fit" };
+                let pairs: Vec<_> = self.streams.keys().map(|(to, from)| format!("{from} -> {to}")).collect();
+                return Err(format!(
+                    "{} -> {}: {there} {}; set child and parent",
+                    wanted[0],
+                    wanted[1],
+                    pairs.join(", ")
+                ));
+            }
+        };
+        let stamps: Vec<StampNs> =
+            poses.iter().map(|(pose, _)| pose.stamp_ns).chain(lost.iter().map(|(stamp, _)| *stamp)).collect();
+        let mut rename = |frame: &mut Frame| {
+            if let Some((name, other)) = frames.get_key_value(frame.as_str()) {
+                renamed.insert(name.clone());
+                *frame = other.as_str().into();
+            }
+        };
+        let emission = |(mut pose, reason): Sifted| {
+            [&mut pose.to, &mut pose.from].into_iter().for_each(&mut rename);
+            sifted::emission((pose, reason))
+        };
+        let mut events: Vec<_> = poses.into_iter().map(emission).collect();
+        events.extend(lost.into_iter().map(|(stamp, reason)| (stamp, Emission::Empty(reason))));
+        if let Some(lost_after_ms) = self.params.lost_after_ms {
+            let all = self
+                .streams
+                .values()
+                .flat_map(|of| of.poses.iter().map(|pose| pose.stamp_ns).chain(of.lost.iter().map(|l| l.0)));
+            let end_ns = all.max().unwrap_or(0);
+            events.extend(silences(
+                &stamps,
+                (lost_after_ms * 1e6) as StampNs,
+                end_ns,
+                &format!("the {}", self.declared.name),
+            ));
+        }
+        Ok(events)
+    }
+
+    /// The poses between two frames that several transforms join, or an inverse.
+    fn chained(&self, parent: &str, child: &str, notes: &mut Vec<String>) -> Result<Vec<Sifted>, String> {
+        let mut tree = TransformTree::default();
+        for ((to, from), stream) in self.streams {
+            let (poses, more) = sifted(stream.poses.clone(), self.params.frozen_after_ms);
+            notes.extend(more);
+            for (pose, reason) in poses {
+                let motion =
+                    reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));
+                tree.add(to, from, pose.stamp_ns, motion);
+            }
+            for (stamp_ns, reason) in &stream.lost {
+                tree.add(to, from, *stamp_ns, Err(format!("has no pose: {reason}")));
+            }
+        }
+        match sifted::through(&tree, (parent, child), self.params.max_gap_ms)? {
+            Some((poses, note)) => {
+                notes.push(format!("port \"{}\": {note}", self.declared.name));
+                Ok(poses)
+            }
+            None => Err(format!("no transforms lead from {child} to {parent}; there are {}", tree.pairs().join(", "))),
+        }
+    }
+}
