@@ -7,11 +7,11 @@ use crate::{
     columns::{from_column, to_column},
 };
 use osteoflow_geometry::{
-    Axes, Cloud, Distortion, Frame, Image, Intrinsics, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region,
-    RigidError, SurfaceOrigin, TooFar, check_rotation, exact_isometry, matrix_rows,
+    Axes, Cloud, Distortion, Frame, Image, Intrinsics, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose,
+    Region, RigidError, SurfaceOrigin, TooFar, check_rotation, exact_isometry, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Vector3},
 };
-use osteoflow_node::{ColumnType, Payload, SchemaEntry, View, ViewError};
+use osteoflow_node::{ColumnType, Field, Payload, SchemaEntry, View, ViewError};
 #[cfg(feature = "viewer")]
 use osteoflow_node::{Display, DisplayContext, Value};
 use serde_json::{Value as Json, json};
@@ -467,9 +467,7 @@ impl Payload<Table> for Image {
         SchemaEntry::int("width").unit("px"),
         SchemaEntry::int("height").unit("px"),
         SchemaEntry::int("channels").doc("bytes of a pixel: 1 grey, 3 red, green, blue"),
-        SchemaEntry::floats("intrinsics", 4)
-            .unit("px")
-            .doc("fx, fy, cx, cy; the top left pixel's centre is 0, 0"),
+        SchemaEntry::floats("intrinsics", 4).unit("px").doc("fx, fy, cx, cy; the top left pixel's centre is 0, 0"),
         SchemaEntry::text("distortion_model")
             .optional()
             .doc("plumb_bob, rational_polynomial or equidistant; absent of a pinhole without distortion"),
@@ -491,8 +489,7 @@ impl Payload<Table> for Image {
         if let Some(name) = distortion.name() {
             view = view.with("distortion_model", name).with("distortion", distortion.coefficients());
         }
-        view
-            .with_column(to_column("pixels", ColumnType::U8, self.pixel_column()))
+        view.with_column(to_column("pixels", ColumnType::U8, self.pixel_column()))
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
@@ -503,9 +500,10 @@ impl Payload<Table> for Image {
         let [fx, fy, cx, cy] = view.floats("intrinsics")?;
         let size = [count("width")?, count("height")?];
         let pixels = from_column::<u8>(view, "pixels")?;
-        let distortion = match view.shared_text("distortion_model") {
-            Ok(name) => Distortion::named(&name, view.float_list("distortion")?).map_err(invalid)?,
-            Err(_) => Distortion::NONE,
+        let distortion = match (view.shared_text("distortion_model"), view.field("distortion")) {
+            (Err(_), None) => Distortion::NONE,
+            (Ok(name), Some(Field::Floats(coefficients))) => Distortion::named(&name, coefficients).map_err(invalid)?,
+            _ => return Err(invalid("distortion_model and distortion belong together".to_owned())),
         };
         let intrinsics = Intrinsics { fx, fy, cx, cy, distortion };
         let mut image = Image::new(frame(view)?, size, count("channels")?, intrinsics, pixels).map_err(invalid)?;
@@ -539,7 +537,7 @@ impl Payload<Table> for Image {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_node::{Field, Value};
+    use osteoflow_node::Value;
     use std::sync::Arc;
 
     fn survives<T: Payload<Table> + PartialEq + std::fmt::Debug>(payload: T) {
