@@ -1,13 +1,16 @@
 //! Colour images in recordings: the same landmarks as from the simulated camera, and images that do not fit are refused by name.
 
-use crate::common::{Ran, root, run, run_whole};
+use crate::common::{Ran, python::python_with, root, run, run_whole};
 use foxglove::{
     Encode,
     messages::{CameraCalibration, RawImage, Timestamp},
 };
 use osteoflow_geometry::Image;
 use osteoflow_simulation::{Procedure, ProcedureParams};
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 /// Points of the scan: fewer take less time.
 const N_POINTS: usize = 8000;
@@ -119,6 +122,56 @@ fn recorded_images_give_the_landmarks_of_the_simulated_ones_bit_for_bit() {
         let recorded = run_recorded(dir.path(), "acquire.mcap");
         assert_eq!(&recorded.results["holes"], holes, "{encoding}: {}", recorded.stderr);
         assert_eq!(recorded.results["laser_points"], simulated.results["laser_points"], "{encoding}");
+    }
+}
+
+/// The pictures as files whose names are their stamps.
+fn write_ppm(dir: &Path, images: &[Image]) -> Vec<PathBuf> {
+    let write = |image: &Image| {
+        let path = dir.join(format!("{}.ppm", image.stamp_ns));
+        let head = format!("P6 {} {} 255\n", image.width(), image.height());
+        std::fs::write(&path, [head.as_bytes(), image.pixels()].concat()).unwrap();
+        path
+    };
+    images.iter().map(write).collect()
+}
+
+#[test]
+fn pictures_that_opencv_bends_give_the_landmarks_of_straight_ones() {
+    let Some(python) = python_with("bent pictures", &["rosbags", "opencv-python-headless"], "rosbags, cv2") else {
+        return;
+    };
+    let images = images();
+    let i = *images[0].intrinsics();
+    let settings = settings();
+    let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
+    let straight = run_whole("graphs/variants/fibula_rgb_spot.toml", &settings);
+    let places = |ran: &Ran| -> Vec<[f64; 3]> {
+        let points = ran.results["laser_points"].as_array().unwrap();
+        let at = |p: &serde_json::Value| [0, 1, 2].map(|c| p["points"][0]["position_mm"][c].as_f64().unwrap());
+        points.iter().map(at).collect()
+    };
+    for (model, d) in [
+        ("plumb_bob", &[-0.28, 0.09, 0.0011, -0.0007, -0.012][..]),
+        ("rational_polynomial", &[0.52, -0.26, 0.0006, -0.0002, 0.015, 0.39, -0.024, 0.0144]),
+        ("equidistant", &[-0.0125, 0.0034, -0.0011, 0.0002]),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let mut bend = std::process::Command::new(&python);
+        bend.arg(root().join("tests/python/bend_images.py")).arg(dir.path().join("bag"));
+        bend.args(write_ppm(dir.path(), &images)).arg("--k").args([i.fx, i.fy, i.cx, i.cy].map(|c| c.to_string()));
+        bend.args(["--model", model, "--d"]).args(d.iter().map(|c| format!("{c}")));
+        let output = bend.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        std::fs::rename(dir.path().join("bag/bag.mcap"), dir.path().join("images.mcap")).unwrap();
+        let bent = run_recorded(dir.path(), "acquire.mcap");
+        let (found, expected) = (places(&bent), places(&straight));
+        assert_eq!((found.len(), expected.len()), (3, 3), "{model}: {}", bent.stderr);
+        for (found, expected) in found.iter().zip(&expected) {
+            let apart = (0..3).map(|c| (found[c] - expected[c]).powi(2)).sum::<f64>().sqrt();
+            // A pixel is 0.23 mm; the picture was resampled and compressed.
+            assert!(apart < 0.1, "{model}: {apart} mm");
+        }
     }
 }
 

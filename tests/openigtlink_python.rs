@@ -1,6 +1,6 @@
 //! Messages exchanged with pyigtl, in both directions and both header versions.
 
-use crate::common::python::python;
+use crate::common::python::python_with;
 use osteoflow_formats::openigtlink::{
     Affine, Body, Cells, Decoder, Fiducial, Message, Metadata, PixelImage, PolyData, Position, Scalar, Status,
     TrackedTool,
@@ -20,17 +20,7 @@ const STAMP: i64 = 1_750_000_011_250_000_000;
 
 /// An interpreter with pyigtl; a note and `None` where it cannot be had.
 fn pyigtl(test: &str) -> Option<PathBuf> {
-    let interpreter = python(test)?;
-    let works = |arguments: &[&str]| {
-        Command::new(&interpreter).args(arguments).output().is_ok_and(|output| output.status.success())
-    };
-    if works(&["-c", "import pyigtl"])
-        || (works(&["-m", "pip", "install", "--quiet", "pyigtl"]) && works(&["-c", "import pyigtl"]))
-    {
-        return Some(interpreter);
-    }
-    println!("skipped: {test}: pyigtl could not be installed");
-    None
+    python_with(test, &["pyigtl"], "pyigtl")
 }
 
 /// A Python program, ended when dropped.

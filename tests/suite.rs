@@ -65,6 +65,7 @@ mod report;
 #[cfg(unix)]
 mod report_pictures;
 mod ros2;
+mod ros2_images;
 mod run_folder;
 mod schema;
 mod simulate;

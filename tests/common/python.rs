@@ -19,6 +19,21 @@ pub(crate) fn python(test: &str) -> Option<PathBuf> {
     interpreter.clone()
 }
 
+/// That interpreter with further packages, which are installed where they are missing; a note and `None` where they cannot be had.
+pub(crate) fn python_with(test: &str, packages: &[&str], modules: &str) -> Option<PathBuf> {
+    let interpreter = python(test)?;
+    let works = |arguments: &[&str]| {
+        Command::new(&interpreter).args(arguments).output().is_ok_and(|output| output.status.success())
+    };
+    let import = format!("import {modules}");
+    let install = [&["-m", "pip", "install", "--quiet"], packages].concat();
+    if works(&["-c", &import]) || (works(&install) && works(&["-c", &import])) {
+        return Some(interpreter);
+    }
+    println!("skipped: {test}: {} could not be installed", packages.join(", "));
+    None
+}
+
 fn made() -> Option<PathBuf> {
     let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python");
     let interpreter = dir.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });

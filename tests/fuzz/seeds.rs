@@ -216,6 +216,12 @@ fn messages_of_recordings() -> Vec<Vec<u8>> {
             }
         }
     }
+    // Of the pictures that rosbags and OpenCV wrote, those that are read.
+    let written = Recording::open(&crate::common::root().join("tests/data/ros2_images.mcap"), false).unwrap();
+    for topic in ["/rgb8", "/bgra8", "/mono16", "/jpeg", "/png", "/brown/info", "/fisheye/info"] {
+        let message = &written.messages(topic)[0];
+        all.push((message.schema_name.to_string(), message.message_encoding.to_string(), message.data.to_vec()));
+    }
     let [width, height] = IMAGE_SIZE;
     let frame_id = || "camera".to_owned();
     let pixels = vec![7; 3 * (width * height) as usize];
@@ -238,7 +244,7 @@ fn messages_of_recordings() -> Vec<Vec<u8>> {
         frame_id: frame_id(),
         ..CompressedImage::default()
     };
-    let k = vec![5.0, 0.0, 2.0, 0.0, 5.0, 1.5, 0.0, 0.0, 1.0];
+    let k = vec![14.0, 0.0, 7.0, 0.0, 14.0, 5.0, 0.0, 0.0, 1.0];
     let calibration = CameraCalibration { width, height, k, frame_id: frame_id(), ..CameraCalibration::default() };
     let mut protobuf = |schema: &str, encode: &dyn Fn(&mut Vec<u8>)| {
         let mut data = Vec::new();

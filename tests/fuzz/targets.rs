@@ -10,7 +10,7 @@ use osteoflow_formats::{
     message_read::{self, CAMERA_CALIBRATION, COMPRESSED_IMAGE, Calibration, MessageKind, RAW_IMAGE},
     openigtlink, picked_points, plan_file, pose_file, poses_csv, region_file, volume,
 };
-use osteoflow_geometry::Intrinsics;
+use osteoflow_geometry::{Distortion, Intrinsics};
 use osteoflow_node::Registry;
 use std::{fs, path::Path, sync::LazyLock};
 
@@ -80,7 +80,7 @@ fn messages_of_openigtlink(_: &Path, bytes: &[u8]) -> bool {
 }
 
 /// The schemas of messages of other programs, with their encodings.
-pub(crate) const MESSAGES: [(&str, &str); 15] = [
+pub(crate) const MESSAGES: [(&str, &str); 18] = [
     ("foxglove.PointCloud", "protobuf"),
     ("foxglove.PointCloud", "json"),
     ("sensor_msgs/msg/PointCloud2", "cdr"),
@@ -96,10 +96,16 @@ pub(crate) const MESSAGES: [(&str, &str); 15] = [
     (RAW_IMAGE, "protobuf"),
     (COMPRESSED_IMAGE, "protobuf"),
     (CAMERA_CALIBRATION, "protobuf"),
+    ("sensor_msgs/msg/Image", "cdr"),
+    ("sensor_msgs/msg/CompressedImage", "cdr"),
+    (CAMERA_INFO, "cdr"),
 ];
 
+/// The schema of a camera's calibration of ROS 2.
+const CAMERA_INFO: &str = "sensor_msgs/msg/CameraInfo";
+
 /// The camera of the images among the seeds.
-pub(crate) const IMAGE_SIZE: [u32; 2] = [4, 3];
+pub(crate) const IMAGE_SIZE: [u32; 2] = [16, 12];
 
 /// A message within a recording of another program, without the file, whose CRCs keep changed content from its readers. The first
 /// byte chooses schema and encoding.
@@ -109,12 +115,14 @@ fn message(bytes: &[u8]) -> Option<()> {
     let message =
         || message_read::Encoded { schema_name, message_encoding, publish_time_ns: 1, data: data.to_vec().into() };
     let Some(kind) = MessageKind::of(schema_name) else {
-        if schema_name == CAMERA_CALIBRATION {
-            return message_read::read_calibration(message()).ok().map(drop);
+        if [CAMERA_CALIBRATION, CAMERA_INFO].contains(&schema_name) {
+            return message_read::read_calibration(message(), false).ok().map(drop);
         }
-        let intrinsics = Intrinsics { fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.5 };
+        let distortion = Distortion::named("plumb_bob", &[-0.2, 0.03, 0.001, 0.001]).unwrap();
+        let intrinsics = Intrinsics { distortion, ..Intrinsics::pinhole(14.0, 14.0, 7.0, 5.0) };
         let camera = Calibration { frame: "camera".into(), size: IMAGE_SIZE, intrinsics };
         let _ = message_read::read_image_head(message());
+        let _ = message_read::read_depth(message(), &camera, None);
         return message_read::read_image(message(), &camera).ok().map(drop);
     };
     match kind {

@@ -7,17 +7,18 @@
 //! `snake_case` or `camelCase`, point types by number or by name, base64 of either alphabet, `NaN` bare, as text or as
 //! null.
 
+mod calibration;
 mod cdr;
 mod fault;
 mod image;
 mod layout;
+mod raw_pixels;
 #[cfg(test)]
 mod tests;
 
+pub use calibration::{Calibration, read_calibration};
 pub use fault::MessageError;
-pub use image::{
-    CAMERA_CALIBRATION, COMPRESSED_IMAGE, Calibration, RAW_IMAGE, read_calibration, read_image, read_image_head,
-};
+pub use image::{is_image, read_depth, read_image, read_image_head};
 
 use crate::{
     LostPose, PoseError,
@@ -25,7 +26,10 @@ use crate::{
     invalid::{Invalid, invalid},
     mcap_read::{Message, Recording},
     normals::unit_normals,
-    ros2::{POINT_CLOUD_2, POSE_STAMPED, TF_MESSAGE, TRANSFORM_STAMPED},
+    ros2::{
+        CAMERA_INFO, COMPRESSED_IMAGE as ROS2_COMPRESSED_IMAGE, IMAGE as ROS2_IMAGE, POINT_CLOUD_2, POSE_STAMPED,
+        TF_MESSAGE, TRANSFORM_STAMPED,
+    },
     shape::retain,
 };
 use bytes::Bytes;
@@ -48,6 +52,12 @@ pub const POINT_CLOUD: &str = "foxglove.PointCloud";
 pub const FRAME_TRANSFORM: &str = "foxglove.FrameTransform";
 /// The schema of several transforms.
 pub const FRAME_TRANSFORMS: &str = "foxglove.FrameTransforms";
+/// The schema of an image without compression.
+pub const RAW_IMAGE: &str = "foxglove.RawImage";
+/// The schema of a compressed image.
+pub const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
+/// The schema of a camera's calibration.
+pub const CAMERA_CALIBRATION: &str = "foxglove.CameraCalibration";
 /// The schema of a pose in a frame, such as a stylus tip.
 pub const POSE_IN_FRAME: &str = "foxglove.PoseInFrame";
 

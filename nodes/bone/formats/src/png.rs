@@ -1,26 +1,11 @@
 //! PNG images, as cameras' programs write them.
 
+use crate::pixels::{MAX_BYTES, Pixels};
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::io::Cursor;
 
-/// The largest image that is unpacked: a file of a few bytes can claim any size.
-const MAX_BYTES: usize = 1 << 29;
-
 /// The most bytes that a byte of deflated data becomes (RFC 1951: 258 bytes of two bits), rounded up.
 const MAX_RATIO: usize = 1032;
-
-/// An image without its camera.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Pixels {
-    /// Number of columns.
-    pub(crate) width: u32,
-    /// Number of rows.
-    pub(crate) height: u32,
-    /// Bytes of a pixel: 1 (grey) or 3 (red, green, blue).
-    pub(crate) channels: u32,
-    /// Row by row from the top left.
-    pub(crate) bytes: Vec<u8>,
-}
 
 /// The pixels of a PNG file: 8 bits, grey or colour; a palette becomes colours, an alpha channel is left out. `O(pixels)`.
 ///

@@ -12,6 +12,12 @@ pub(crate) const POINT_CLOUD_2: &str = "sensor_msgs/msg/PointCloud2";
 pub(crate) const TRANSFORM_STAMPED: &str = "geometry_msgs/msg/TransformStamped";
 /// Several transforms.
 pub(crate) const TF_MESSAGE: &str = "tf2_msgs/msg/TFMessage";
+/// An image without compression.
+pub(crate) const IMAGE: &str = "sensor_msgs/msg/Image";
+/// A compressed image.
+pub(crate) const COMPRESSED_IMAGE: &str = "sensor_msgs/msg/CompressedImage";
+/// The calibration of a camera.
+pub(crate) const CAMERA_INFO: &str = "sensor_msgs/msg/CameraInfo";
 /// A pose in a frame.
 pub(crate) const POSE_STAMPED: &str = "geometry_msgs/msg/PoseStamped";
 
@@ -61,6 +67,52 @@ pub(crate) struct PointCloud2<'a> {
     pub(crate) row_step: u32,
     pub(crate) data: &'a [u8],
     pub(crate) is_dense: bool,
+}
+
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Image<'a> {
+    #[serde(borrow)]
+    pub(crate) header: Header<'a>,
+    pub(crate) height: u32,
+    pub(crate) width: u32,
+    pub(crate) encoding: &'a str,
+    pub(crate) is_bigendian: u8,
+    pub(crate) step: u32,
+    pub(crate) data: &'a [u8],
+}
+
+#[derive(Serialize, Deserialize)]
+pub(crate) struct CompressedImage<'a> {
+    #[serde(borrow)]
+    pub(crate) header: Header<'a>,
+    pub(crate) format: &'a str,
+    pub(crate) data: &'a [u8],
+}
+
+#[derive(Serialize, Deserialize)]
+pub(crate) struct CameraInfo<'a> {
+    #[serde(borrow)]
+    pub(crate) header: Header<'a>,
+    pub(crate) height: u32,
+    pub(crate) width: u32,
+    pub(crate) distortion_model: &'a str,
+    pub(crate) d: Vec<f64>,
+    pub(crate) k: [f64; 9],
+    pub(crate) r: [f64; 9],
+    pub(crate) p: [f64; 12],
+    pub(crate) binning_x: u32,
+    pub(crate) binning_y: u32,
+    pub(crate) roi: RegionOfInterest,
+}
+
+/// The part of the sensor that an image shows; zeros for all of it.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct RegionOfInterest {
+    pub(crate) x_offset: u32,
+    pub(crate) y_offset: u32,
+    pub(crate) height: u32,
+    pub(crate) width: u32,
+    pub(crate) do_rectify: bool,
 }
 
 #[derive(Serialize, Deserialize)]

@@ -1,11 +1,11 @@
-use crate::{Column, Frame, StampNs};
+use crate::{Column, Distortion, Frame, StampNs};
 use nalgebra::{Point3, Vector3};
 use std::sync::Arc;
 
 /// Largest width and height, pixels: a product of two is far from overflowing.
 const MAX_SIDE: u32 = 16_384;
 
-/// A pinhole camera without distortion, in pixels. The centre of the top left pixel is (0, 0), as in OpenCV and ROS.
+/// A pinhole camera behind a lens that may distort, in pixels. The centre of the top left pixel is (0, 0), as in OpenCV and ROS.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Intrinsics {
     /// Focal length along x.
@@ -16,22 +16,41 @@ pub struct Intrinsics {
     pub cx: f64,
     /// Principal point, y.
     pub cy: f64,
+    /// What the lens does to the image coordinates.
+    pub distortion: Distortion,
 }
 
 impl Intrinsics {
-    /// The direction of the ray through a pixel, camera frame (x right, y down, z forward), of depth 1.
-    pub fn ray(&self, [u, v]: [f64; 2]) -> Vector3<f64> {
-        Vector3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
+    /// A camera without distortion.
+    pub const fn pinhole(fx: f64, fy: f64, cx: f64, cy: f64) -> Self {
+        Self { fx, fy, cx, cy, distortion: Distortion::NONE }
     }
 
-    /// The pixel that shows a point of the camera's frame; `None` for one that is not in front of the camera.
+    /// The direction of the ray through a pixel, camera frame (x right, y down, z forward), of depth 1; `None` for a pixel at which no
+    /// point is seen, beyond the angle up to which the distortion holds.
+    pub fn ray(&self, [u, v]: [f64; 2]) -> Option<Vector3<f64>> {
+        let [x, y] = self.distortion.undistorted([(u - self.cx) / self.fx, (v - self.cy) / self.fy])?;
+        Some(Vector3::new(x, y, 1.0))
+    }
+
+    /// The pixel that shows a point of the camera's frame; `None` for one that is not in front of the camera, or beyond the angle up
+    /// to which the distortion holds.
     pub fn pixel(&self, point: &Point3<f64>) -> Option<[f64; 2]> {
-        let seen = [self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy];
+        let [x, y] = self.distortion.distorted([point.x / point.z, point.y / point.z])?;
+        let seen = [self.fx * x + self.cx, self.fy * y + self.cy];
         (point.z > 0.0 && seen.iter().all(|c| c.is_finite())).then_some(seen)
+    }
+
+    /// Share of an image's pixels through which no ray is known, from about a thousand of them.
+    pub fn share_without_ray(&self, [width, height]: [u32; 2]) -> f64 {
+        const N: u32 = 33;
+        let at = |k: u32, side: u32| f64::from(side.saturating_sub(1)) * f64::from(k) / f64::from(N - 1);
+        let pixels = (0..N * N).map(|k| [at(k % N, width), at(k / N, height)]);
+        pixels.filter(|pixel| self.ray(*pixel).is_none()).count() as f64 / f64::from(N * N)
     }
 }
 
-/// An image of a pinhole camera: 8 bits, grey or red, green, blue, rows from the top.
+/// An image of a camera: 8 bits, grey or red, green, blue, rows from the top.
 ///
 /// A cheap handle: clones share the pixels. It is in the frame of its own camera; a cloud of another sensor is registered to
 /// it by the pose between both frames.
@@ -69,7 +88,7 @@ impl Image {
         pixels: impl Into<Column<u8>>,
     ) -> Result<Self, ImageError> {
         let pixels = pixels.into();
-        let Intrinsics { fx, fy, cx, cy } = intrinsics;
+        let Intrinsics { fx, fy, cx, cy, .. } = intrinsics;
         let refused = |message: String| Err(ImageError(message));
         if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) {
             return refused(format!("the image is {width} x {height} pixels; 1 to 16384 each are expected"));
@@ -159,12 +178,12 @@ impl Image {
 mod tests {
     use super::*;
 
-    const PINHOLE: Intrinsics = Intrinsics { fx: 100.0, fy: 110.0, cx: 1.5, cy: 0.5 };
+    const PINHOLE: Intrinsics = Intrinsics::pinhole(100.0, 110.0, 1.5, 0.5);
 
     #[test]
     fn a_pixel_and_its_ray_agree_and_what_is_behind_has_no_pixel() {
         let image = Image::new("camera", [4, 2], 3, PINHOLE, (0..24).collect::<Vec<u8>>()).unwrap();
-        let ray = image.intrinsics().ray([3.0, 1.0]);
+        let ray = image.intrinsics().ray([3.0, 1.0]).unwrap();
         assert_eq!(image.intrinsics().pixel(&Point3::from(ray * 200.0)), Some([3.0, 1.0]));
         assert_eq!(image.intrinsics().pixel(&Point3::new(0.0, 0.0, -1.0)), None);
         assert_eq!(image.rgb(3, 1), [21, 22, 23]);
@@ -190,7 +209,7 @@ mod tests {
             assert!(image([4, 2], 3, bad, 24).starts_with("intrinsics fx"), "{bad:?}");
         }
         // A calibration at twice the resolution.
-        let twice = Intrinsics { fx: 200.0, fy: 220.0, cx: 3.5, cy: 1.5 };
+        let twice = Intrinsics::pinhole(200.0, 220.0, 3.5, 1.5);
         assert!(image([4, 2], 3, twice, 24).ends_with("do the intrinsics belong to another resolution?"));
     }
 }

@@ -59,10 +59,11 @@ impl View {
         let [width, height] = [params.width_px, params.height_px];
         let focal = f64::from(width) / 2.0 / (params.field_deg / 2.0).to_radians().tan();
         let middle = |side: u32| f64::from(side - 1) / 2.0;
-        let intrinsics = Intrinsics { fx: focal, fy: focal, cx: middle(width), cy: middle(height) };
+        let intrinsics = Intrinsics::pinhole(focal, focal, middle(width), middle(height));
         let look = |index: usize| {
             let (x, y) = (index % width as usize, index / width as usize);
-            look(sight, t_object_camera, intrinsics.ray([x as f64, y as f64]).normalize())
+            let ray = intrinsics.ray([x as f64, y as f64]).expect("a pinhole has a ray through each pixel");
+            look(sight, t_object_camera, ray.normalize())
         };
         let seen = (0..width as usize * height as usize).into_par_iter().map(look).collect();
         Self { intrinsics, size: [width, height], seen }

@@ -276,8 +276,8 @@ fn an_image_of_another_scan_is_refused_by_the_hole_that_is_elsewhere() {
 fn intrinsics_of_half_the_resolution_and_of_another_lens_are_refused() {
     let scaled = |share: f64, of_centre: f64| {
         move |p: &Procedure, k: usize| {
-            let (image, Intrinsics { fx, fy, cx, cy }) = (&p.images[k], *p.images[k].intrinsics());
-            let wrong = Intrinsics { fx: fx * share, fy: fy * share, cx: cx * of_centre, cy: cy * of_centre };
+            let (image, Intrinsics { fx, fy, cx, cy, .. }) = (&p.images[k], *p.images[k].intrinsics());
+            let wrong = Intrinsics::pinhole(fx * share, fy * share, cx * of_centre, cy * of_centre);
             with_pixels(image, 3, wrong, image.pixels().to_vec())
         }
     };
@@ -294,11 +294,11 @@ fn intrinsics_of_half_the_resolution_and_of_another_lens_are_refused() {
         }
     }
     assert!(n_refused * 2 > n, "{n_refused} of {n} are refused");
-    let (image, Intrinsics { fx, fy, cx, cy }) = {
+    let (image, Intrinsics { fx, fy, cx, cy, .. }) = {
         let image = &PLAIN[0].images[0];
         (image, *image.intrinsics())
     };
-    let twice = Intrinsics { fx: 2.0 * fx, fy: 2.0 * fy, cx: 2.0 * cx + 0.5, cy: 2.0 * cy + 0.5 };
+    let twice = Intrinsics::pinhole(2.0 * fx, 2.0 * fy, 2.0 * cx + 0.5, 2.0 * cy + 0.5);
     let error = Image::new("camera", [image.width(), image.height()], 3, twice, image.pixels().to_vec()).unwrap_err();
     assert!(error.to_string().contains("another resolution"), "{error}");
 }

@@ -7,11 +7,11 @@ use crate::{
     columns::{from_column, to_column},
 };
 use osteoflow_geometry::{
-    Axes, Cloud, Frame, Image, Intrinsics, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose, Region,
-    RigidError, SurfaceOrigin, TooFar, check_rotation, exact_isometry, matrix_rows,
+    Axes, Cloud, Distortion, Frame, Image, Intrinsics, Mesh, NamedPoint, Plane, PlanePlace, Planes, Points, Pose,
+    Region, RigidError, SurfaceOrigin, TooFar, check_rotation, exact_isometry, matrix_rows,
     nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Vector3},
 };
-use osteoflow_node::{ColumnType, Payload, SchemaEntry, View, ViewError};
+use osteoflow_node::{ColumnType, Field, Payload, SchemaEntry, View, ViewError};
 #[cfg(feature = "viewer")]
 use osteoflow_node::{Display, DisplayContext, Value};
 use serde_json::{Value as Json, json};
@@ -467,23 +467,29 @@ impl Payload<Table> for Image {
         SchemaEntry::int("width").unit("px"),
         SchemaEntry::int("height").unit("px"),
         SchemaEntry::int("channels").doc("bytes of a pixel: 1 grey, 3 red, green, blue"),
-        SchemaEntry::floats("intrinsics", 4)
-            .unit("px")
-            .doc("fx, fy, cx, cy of a pinhole without distortion; the top left pixel's centre is 0, 0"),
+        SchemaEntry::floats("intrinsics", 4).unit("px").doc("fx, fy, cx, cy; the top left pixel's centre is 0, 0"),
+        SchemaEntry::text("distortion_model")
+            .optional()
+            .doc("plumb_bob, rational_polynomial or equidistant; absent of a pinhole without distortion"),
+        SchemaEntry::float_list("distortion").optional().doc("its coefficients, in OpenCV's order"),
         SchemaEntry::column("pixels", ColumnType::U8, 1).doc("row by row from the top left"),
     ];
 
     fn to_view(&self) -> View {
-        let Intrinsics { fx, fy, cx, cy } = *self.intrinsics();
+        let Intrinsics { fx, fy, cx, cy, distortion } = *self.intrinsics();
         let mut view = View::new().with("frame", self.frame.shared()).with("stamp_ns", self.stamp_ns);
         if let Some(label) = &self.label {
             view = view.with("label", label.clone());
         }
-        view.with("width", i64::from(self.width()))
+        view = view
+            .with("width", i64::from(self.width()))
             .with("height", i64::from(self.height()))
             .with("channels", i64::from(self.channels()))
-            .with("intrinsics", vec![fx, fy, cx, cy])
-            .with_column(to_column("pixels", ColumnType::U8, self.pixel_column()))
+            .with("intrinsics", vec![fx, fy, cx, cy]);
+        if let Some(name) = distortion.name() {
+            view = view.with("distortion_model", name).with("distortion", distortion.coefficients());
+        }
+        view.with_column(to_column("pixels", ColumnType::U8, self.pixel_column()))
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
@@ -494,7 +500,12 @@ impl Payload<Table> for Image {
         let [fx, fy, cx, cy] = view.floats("intrinsics")?;
         let size = [count("width")?, count("height")?];
         let pixels = from_column::<u8>(view, "pixels")?;
-        let intrinsics = Intrinsics { fx, fy, cx, cy };
+        let distortion = match (view.shared_text("distortion_model"), view.field("distortion")) {
+            (Err(_), None) => Distortion::NONE,
+            (Ok(name), Some(Field::Floats(coefficients))) => Distortion::named(&name, coefficients).map_err(invalid)?,
+            _ => return Err(invalid("distortion_model and distortion belong together".to_owned())),
+        };
+        let intrinsics = Intrinsics { fx, fy, cx, cy, distortion };
         let mut image = Image::new(frame(view)?, size, count("channels")?, intrinsics, pixels).map_err(invalid)?;
         image.stamp_ns = stamp_ns(view)?;
         image.label = view.shared_text("label").ok();
@@ -526,7 +537,7 @@ impl Payload<Table> for Image {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_node::{Field, Value};
+    use osteoflow_node::Value;
     use std::sync::Arc;
 
     fn survives<T: Payload<Table> + PartialEq + std::fmt::Debug>(payload: T) {
@@ -546,11 +557,17 @@ mod tests {
         let points = vec![Point3::new(0.1, 0.2, 0.3), Point3::new(-1e3, 1e-9, 7.0)];
         let cloud = Cloud::new("camera", points.clone()).unwrap().at(17).labelled("P1").seen_from(turn());
         survives(cloud.clone());
-        let intrinsics = Intrinsics { fx: 100.1, fy: 99.9, cx: 0.7, cy: 0.3 };
+        let intrinsics = Intrinsics::pinhole(100.1, 99.9, 0.7, 0.3);
         let image = Image::new("camera", [2, 2], 3, intrinsics, (0..12).collect::<Vec<u8>>()).unwrap();
         survives(image.clone());
         survives(image.at(17).labelled("P1"));
         survives(Image::new("camera", [2, 2], 1, intrinsics, vec![7u8; 4]).unwrap());
+        for (name, n) in [("plumb_bob", 5), ("rational_polynomial", 8), ("equidistant", 4)] {
+            let coefficients: Vec<f64> = (1..=n).map(|k| 0.01 / f64::from(k)).collect();
+            let bent = Intrinsics { distortion: Distortion::named(name, &coefficients).unwrap(), ..intrinsics };
+            assert_eq!((bent.distortion.name(), bent.distortion.coefficients()), (Some(name), coefficients));
+            survives(Image::new("camera", [2, 2], 1, bent, vec![7u8; 4]).unwrap());
+        }
         survives(cloud.with_normals(vec![Vector3::x(); 2]).unwrap().with_extra("grey", vec![1.0, 2.0]).unwrap());
         let corners = vec![Point3::origin(), Point3::new(1.0, 0.0, 0.0), Point3::new(0.0, 1.0, 0.0)];
         survives(Mesh::new("ct", SurfaceOrigin::SimulatedCt, corners, vec![[0, 1, 2]]).unwrap());

@@ -164,7 +164,7 @@ mod tests {
         let pixels: Vec<u8> = (0..SIDE * SIDE)
             .flat_map(|i| paint((i % SIDE) as f64, (i / SIDE) as f64).unwrap_or([150, 138, 117]))
             .collect();
-        let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 30.0, cy: 30.0 };
+        let intrinsics = Intrinsics::pinhole(100.0, 100.0, 30.0, 30.0);
         let image = Image::new("camera", [SIDE as u32; 2], 3, intrinsics, pixels).unwrap();
         let strength = |[red, green, blue]: [f64; 3]| red - green.max(blue);
         blobs(&image, &Mask::all(&image), Channels::Rgb, &strength, 40.0, 250)

@@ -208,9 +208,14 @@ impl<'a> Search<'a> {
         let share = seen.len() as f64 / points.len() as f64;
         if share < MIN_IN_IMAGE {
             let (percent, needed) = (share * 100.0, MIN_IN_IMAGE * 100.0);
+            let distortion = image.intrinsics().distortion;
+            let bent = distortion.name().map_or_else(String::new, |name| {
+                let limit_deg = distortion.limit_rad().to_degrees();
+                format!(" (its distortion, {name}, holds up to {limit_deg:.1} degrees from the axis)")
+            });
             return Err(Refusal::of(format!(
-                "{percent:.0} % of the scan's points are within the image, {needed:.0} % needed; do image and scan belong together, \
-                 and the intrinsics to the image?"
+                "{percent:.0} % of the scan's points are within the image{bent}, {needed:.0} % needed; do image and scan belong \
+                 together, and the intrinsics to the image?"
             )));
         }
         let depth_mm = super::scene::median(&mut seen.iter().map(|(_, depth, _)| *depth).collect::<Vec<_>>());
@@ -251,7 +256,7 @@ impl<'a> Search<'a> {
         let patch = Patch::new(self.scene, &rough, 2.0 * radius)?;
         let origin = Point3::from(self.t_cloud_image.translation.vector);
         let on_patch = |pixel: &[f64; 2]| {
-            let along = (self.t_cloud_image * self.intrinsics().ray(*pixel)).normalize();
+            let along = (self.t_cloud_image * self.intrinsics().ray(*pixel)?).normalize();
             patch.hit(&origin, &along, WRONG_SIZE * radius)
         };
         let rim: Vec<Vector2<f64>> = blob.rim.iter().filter_map(on_patch).collect();

@@ -9,14 +9,14 @@ use osteoflow_algorithms::hole::{Mark, RgbSpotParams, rgb_spot};
 use osteoflow_geometry::{Image, Intrinsics};
 
 const SIZE: [u32; 2] = [150, 70];
-const INTRINSICS: Intrinsics = Intrinsics { fx: 620.0, fy: 600.0, cx: 76.0, cy: 33.0 };
+const INTRINSICS: Intrinsics = Intrinsics::pinhole(620.0, 600.0, 76.0, 33.0);
 
 /// What a colour camera sees: bone by its slope to the light, a background, and what `paint` lays over the bone.
 fn image(camera: &Isometry3<f64>, paint: impl Fn(&Point3<f64>) -> Option<[u8; 3]>) -> Image {
     let mut pixels = Vec::new();
     for v in 0..SIZE[1] {
         for u in 0..SIZE[0] {
-            let ray = (camera * INTRINSICS.ray([f64::from(u), f64::from(v)])).normalize();
+            let ray = (camera * INTRINSICS.ray([f64::from(u), f64::from(v)]).unwrap()).normalize();
             let hit = BONE.query.cast_ray(&Point3::from(camera.translation.vector), &ray);
             let colour = hit.map(|hit| {
                 let light = -hit.normal.dot(&ray);

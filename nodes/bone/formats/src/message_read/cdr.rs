@@ -74,7 +74,7 @@ pub(super) fn pose(message: &Encoded) -> Result<JsonPoseInFrame, MessageError> {
     })
 }
 
-fn decode<'a, T: Deserialize<'a>>(message: &'a Encoded) -> Result<T, MessageError> {
+pub(super) fn decode<'a, T: Deserialize<'a>>(message: &'a Encoded) -> Result<T, MessageError> {
     let Some(([high, low, _, _], body)) = message.data.split_first_chunk() else {
         return Err(no_such(message, format!("it has {} bytes, and CDR begins with 4", message.data.len())));
     };

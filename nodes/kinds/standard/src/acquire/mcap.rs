@@ -8,7 +8,7 @@ use super::{
 };
 use osteoflow_formats::{
     mcap_read::{Message, Recording},
-    message_read::{Calibration, MessageKind, read_image},
+    message_read::{Calibration, MessageKind, read_depth, read_image},
 };
 use osteoflow_geometry::Frame;
 use osteoflow_node::{
@@ -65,6 +65,7 @@ pub fn reads(payload: &str, schema: &str) -> bool {
 pub(super) enum EventBody {
     Cloud { message: Message, label: Arc<str>, frame: Option<Frame> },
     Image { message: Message, calibration: Arc<Calibration>, label: Arc<str>, frame: Option<Frame> },
+    Depth { message: Message, camera: (Arc<Calibration>, Option<f64>), label: Arc<str>, frame: Option<Frame> },
     Ready(Emission),
 }
 
@@ -111,6 +112,14 @@ impl Mcap {
                 let port = &ctx.declared()[event.port].name;
                 let (cloud, notes) = topics::cloud(&message, &label, |_| frame)
                     .map_err(|error| NodeError::new(format!("port \"{port}\": {error}")))?;
+                notes.into_iter().for_each(|note| ctx.warn(format!("{label}: {note}")));
+                Ok(Emission::value(cloud))
+            }
+            EventBody::Depth { message, camera: (calibration, unit_mm), label, frame } => {
+                let port = &ctx.declared()[event.port].name;
+                let (cloud, notes) = read_depth(&message, &calibration, unit_mm)
+                    .map(|read| topics::named(read, &label, |_| frame))
+                    .map_err(|error| NodeError::new(format!("port \"{port}\", {label}: {error}")))?;
                 notes.into_iter().for_each(|note| ctx.warn(format!("{label}: {note}")));
                 Ok(Emission::value(cloud))
             }

@@ -12,7 +12,7 @@ use osteoflow_formats::{
     PoseError, StampOrder,
     mcap_read::{Message, Recording},
     message_read::{
-        Calibration, MessageError, procedure_region, read_calibration, read_cloud_head, read_image_head,
+        Calibration, MessageError, is_image, procedure_region, read_calibration, read_cloud_head, read_image_head,
         read_pose_in_frame, read_transforms,
     },
 };
@@ -59,7 +59,14 @@ impl Port<'_> {
             "geometry/Cloud" => self.streams(start_ns, Self::clouds),
             "geometry/Image" => {
                 let calibration = self.calibration()?;
-                self.streams(start_ns, move |port, topic, label| port.images(topic, label, &calibration))
+                self.streams(start_ns, move |port, topic, label| {
+                    port.images(topic, label, &calibration, |message, calibration, label, frame| EventBody::Image {
+                        message,
+                        calibration,
+                        label,
+                        frame,
+                    })
+                })
             }
             "geometry/Pose" => match self.chained()? {
                 Some(events) => Ok(events),
@@ -98,6 +105,15 @@ impl Port<'_> {
     }
 
     fn clouds(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
+        if self.recording.messages(topic).first().is_some_and(|message| is_image(&message.schema_name)) {
+            let (calibration, unit_mm) = (self.calibration()?, self.params.depth_unit_mm);
+            return self.images(topic, label, &calibration, |message, calibration, label, frame| EventBody::Depth {
+                message,
+                camera: (calibration, unit_mm),
+                label,
+                frame,
+            });
+        }
         let head = |port: &mut Self, message: &Message| {
             let head = read_cloud_head(without_publish_time(message))?;
             port.found.corrections.entry(topic.into()).or_default().add(head.correction);
@@ -133,15 +149,16 @@ impl Port<'_> {
     }
 
     /// The calibration of the images' camera; of a recording without images it is not needed.
-    fn calibration(&self) -> Result<Option<Arc<Calibration>>, NodeError> {
+    fn calibration(&mut self) -> Result<Option<Arc<Calibration>>, NodeError> {
         let Some(topic) = self.params.calibration.as_deref() else {
-            return Err(
-                self.fault("images need calibration, the topic of their camera's foxglove.CameraCalibration".into())
-            );
+            return Err(self.fault(
+                "images need calibration, the topic of their camera's foxglove.CameraCalibration or sensor_msgs/CameraInfo".into(),
+            ));
         };
+        let rectified = self.params.rectified.unwrap_or(false);
         let mut found: Option<Calibration> = None;
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            let read = read_calibration(message).map_err(|error| self.at(topic, i, error))?;
+            let read = read_calibration(message, rectified).map_err(|error| self.at(topic, i, error))?;
             match &found {
                 Some(first) if *first != read => {
                     return Err(self.at(topic, i, "it differs from the first one, but a port has one camera"));
@@ -149,6 +166,7 @@ impl Port<'_> {
                 _ => found = Some(read),
             }
         }
+        self.found.notes.extend(found.as_ref().and_then(Calibration::note));
         Ok(found.map(Arc::new))
     }
 
@@ -157,17 +175,21 @@ impl Port<'_> {
         topic: &str,
         label: Option<&str>,
         calibration: &Option<Arc<Calibration>>,
+        body: impl Fn(Message, Arc<Calibration>, Arc<str>, Option<Frame>) -> EventBody,
     ) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let Some(calibration) = calibration else {
             return Err(self.missing(self.params.calibration.as_deref().unwrap_or_default(), None));
         };
+        let distortion = calibration.intrinsics.distortion;
+        if let (Some(name), None, true) = (distortion.name(), self.params.rectified, last_part(topic).contains("rect"))
+        {
+            return Err(self.fault(format!(
+                "topic {topic} is rectified by its name, and its calibration has a distortion ({name}), which would be undone twice; set \
+                 rectified = true if its images are rectified, false if they are not"
+            )));
+        }
         let head = |_: &mut Self, message: &Message| read_image_head(without_publish_time(message));
-        self.scans(topic, label, head, |message, label, frame| EventBody::Image {
-            message,
-            calibration: calibration.clone(),
-            label,
-            frame,
-        })
+        self.scans(topic, label, head, |message, label, frame| body(message, calibration.clone(), label, frame))
     }
 
     /// The name of a frame in the graph, if it is another.

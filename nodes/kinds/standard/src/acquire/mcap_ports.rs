@@ -6,7 +6,8 @@ use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 /// `geometry/Cloud` from `foxglove.PointCloud` and `sensor_msgs/PointCloud2`; `geometry/Pose` from
 /// `foxglove.FrameTransform(s)`, `tf2_msgs/TFMessage`, `geometry_msgs/TransformStamped` and poses in a frame
 /// (`foxglove.PoseInFrame`, `geometry_msgs/PoseStamped`); `geometry/Points`, one point at a time, from poses in a frame;
-/// `geometry/Image` from `foxglove.RawImage` and `foxglove.CompressedImage` (PNG) with the `foxglove.CameraCalibration` of `calibration`;
+/// `geometry/Image` from `foxglove.RawImage`, `foxglove.CompressedImage` (JPEG, PNG), `sensor_msgs/Image` and `sensor_msgs/CompressedImage` with
+/// the `foxglove.CameraCalibration` or `sensor_msgs/CameraInfo` of `calibration`, and with it `geometry/Cloud` from a depth image, too;
 /// `geometry/Region` and `report/Flag` from `metadata` and `present`, a flag that no recording states from `default`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -45,9 +46,15 @@ pub struct PortParams {
     pub key: Option<String>,
     /// What a `report/Flag` gives that nothing in the recording states: neither `metadata` with `key` nor `present`. Unset: no.
     pub default: Option<bool>,
-    /// The topic with the calibration of the images' camera; it must be of their size and frame, without distortion, and the same in
-    /// all its messages.
+    /// The topic with the calibration of the images' camera; it must be of their size and frame, and the same in all its messages. Its
+    /// distortion is undone: `plumb_bob`, `rational_polynomial`, `equidistant`.
     pub calibration: Option<String>,
+    /// Whether the images are rectified already, so that `P` of the calibration is their camera and `D` is not used. Unset: no, and
+    /// a topic with `rect` in its name whose calibration has a distortion is an error.
+    pub rectified: Option<bool>,
+    /// The depth of one step of a depth image, mm. Unset: 1 for integers and 1000 for floats, as ROS has them (REP 118).
+    #[schemars(range(min = 1e-6, max = 1000.0))]
+    pub depth_unit_mm: Option<f64>,
     /// A topic; the port gives whether the recording has messages on it.
     pub present: Option<String>,
 }

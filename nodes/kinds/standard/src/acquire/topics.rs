@@ -3,7 +3,8 @@
 use osteoflow_formats::{
     PoseError,
     message_read::{
-        Encoded, MessageError, MessageKind, TipRead, is_sensor_frame, read_cloud, read_pose_in_frame, read_transforms,
+        CloudRead, Encoded, MessageError, MessageKind, TipRead, is_sensor_frame, read_cloud, read_pose_in_frame,
+        read_transforms,
     },
 };
 use osteoflow_geometry::{Cloud, Frame, NamedPoint, Nearest, Points, Pose};
@@ -75,7 +76,15 @@ pub(super) fn cloud<'a>(
     label: &str,
     renamed: impl FnOnce(&Frame) -> Option<Frame>,
 ) -> Result<(Cloud, Vec<String>), MessageError> {
-    let read = read_cloud(message)?;
+    Ok(named(read_cloud(message)?, label, renamed))
+}
+
+/// The cloud that was read of a message, as [`cloud`].
+pub(super) fn named(
+    read: CloudRead,
+    label: &str,
+    renamed: impl FnOnce(&Frame) -> Option<Frame>,
+) -> (Cloud, Vec<String>) {
     let dropped = (read.n_dropped > 0).then(|| {
         let (n, all) = (read.n_dropped, read.n_points_in_message);
         format!("{n} of {all} points are NaN or infinite and were left out")
@@ -85,7 +94,7 @@ pub(super) fn cloud<'a>(
         cloud.viewpoint = cloud.viewpoint.filter(|_| is_sensor_frame(frame.as_str()));
         cloud.frame = frame;
     }
-    Ok((cloud, dropped.into_iter().chain(read.notes).collect()))
+    (cloud, dropped.into_iter().chain(read.notes).collect())
 }
 
 /// A located point as a list of one, in `frame`.

@@ -23,7 +23,7 @@ pub(super) fn camera_of(numbers: &[f64]) -> Result<Option<Intrinsics>, String> {
         };
     };
     let is_camera = numbers.iter().all(|c| c.is_finite()) && fx > 0.0 && fy > 0.0;
-    is_camera.then_some(Some(Intrinsics { fx, fy, cx, cy })).ok_or_else(|| {
+    is_camera.then_some(Some(Intrinsics::pinhole(fx, fy, cx, cy))).ok_or_else(|| {
         format!("intrinsics fx {fx}, fy {fy}, cx {cx}, cy {cy}: finite numbers and positive focal lengths are expected")
     })
 }
@@ -177,6 +177,6 @@ fn depths(image: &PixelImage, intrinsics: Intrinsics, unit_mm: f64) -> impl Iter
     image.values().into_iter().enumerate().map(move |(k, depth)| {
         let pixel = [f64::from(u0) + (k % width) as f64, f64::from(v0) + (k / width) as f64];
         let z_mm = depth * unit_mm;
-        (depth > 0.0 && z_mm.is_finite()).then(|| Point3::from(intrinsics.ray(pixel) * z_mm))
+        Some(Point3::from(intrinsics.ray(pixel)? * z_mm)).filter(|_| depth > 0.0 && z_mm.is_finite())
     })
 }
