@@ -41,7 +41,7 @@ pub(crate) use error::{UsageError, with_causes};
 pub(crate) use options::space;
 pub(crate) use plugins::FOLDERS;
 pub(crate) use program::{NOTICE, registry, run_error};
-pub(crate) use run::{is_said_by_verdict, judged, refusal_in_short, without_reason};
+pub(crate) use run::{is_said_by_verdict, is_settled, judged, refusal_in_short, without_reason};
 
 use std::path::Path;
 

@@ -13,6 +13,7 @@ mod order;
 pub use compare::{Difference, Largest};
 
 use crate::{
+    graph::difference,
     names::glob,
     recording::{RecordingError, codec, format::Outcome},
 };
@@ -21,6 +22,18 @@ use index::{Index, IndexEntry, Indexed};
 use osteoflow_container::Progress;
 use serde::Serialize;
 use std::{cmp::Ordering, collections::BTreeSet, path::Path};
+
+/// The entries in which two graphs differ, as texts of graph files: each with its key as of `--set`, and its value as TOML in either;
+/// a table that only one of them has is an empty text.
+pub fn entries_that_differ(a: &str, b: &str) -> Vec<(String, [Option<String>; 2])> {
+    let key = |table: &str, key: &str| {
+        let table = table.trim_matches(['[', ']']);
+        let table = table.strip_prefix("node.").unwrap_or(table);
+        [table, key].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(".")
+    };
+    let entries = difference::differences(a, b).into_iter();
+    entries.map(|entry| (key(&entry.table, &entry.key), entry.values)).collect()
+}
 
 /// Which wires to compare, and the tolerance.
 #[derive(Debug, Clone, Default)]

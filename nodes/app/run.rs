@@ -12,7 +12,7 @@ use osteoflow_engine::{
     check::Checked,
     inputs::{WireInputs, output, run_with_inputs},
     plan::{OutputId, Plan},
-    run::{GIVEN_NODES, Observer, Outcome, Refusal, RunOptions, Verdict},
+    run::{Answer, GIVEN_NODES, Observer, Outcome, Refusal, RunOptions, Verdict},
 };
 use osteoflow_node::{Item, Registry};
 use serde_json::{Value, json};
@@ -189,6 +189,16 @@ pub(crate) fn without_reason(text: String, results: &Value) -> String {
         forms.iter().find_map(|form| text.strip_suffix(form))
     });
     without.map(str::to_owned).unwrap_or(text)
+}
+
+/// The end of the warning of a landmark that counts only if its distances to the others are as planned.
+const UNLESS_FITTED: &str = "and nothing else checks it";
+
+/// Whether the run has settled what a warning leaves open: the coarse fit has found the distances between the landmarks as planned, and
+/// the verdict trusts the result.
+pub(crate) fn is_settled(warning: &str, results: &Value) -> bool {
+    let is_fitted = results["coarse"].is_object() && warning.ends_with(UNLESS_FITTED);
+    is_fitted && judged(results).is_some_and(|verdict| verdict.answer() == Answer::Trusted)
 }
 
 /// Rules, and how the warning of a node begins that says the same.

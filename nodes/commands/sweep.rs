@@ -234,7 +234,7 @@ fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Glob
         )?;
     }
     let mut out = terminal::stdout().lock();
-    writeln!(out, "{}", summary_table::text(&summary))?;
+    writeln!(out, "{}", summary_table::text(&summary, global))?;
     if n_without > 0 {
         writeln!(out, "{n_without} of {n_here} runs have no results; runs.csv says why")?;
     }

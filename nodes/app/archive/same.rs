@@ -68,7 +68,7 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
             for table in [sweep::RUNS, sweep::POINTS] {
                 tables(&a.join(table), &b.join(table), table, &times, &mut same)?;
             }
-            provenance(&about[0], &about[1], &mut same);
+            same.causes = causes(&about[0], &about[1]);
         }
         (false, false) => {
             let of = |dir: &Path, shown: &Path| {
@@ -79,7 +79,7 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
             };
             let (about_a, about_b) = (of(&a, first)?, of(&b, second)?);
             runs(&a, &b, &mut same)?;
-            provenance(&about_a, &about_b, &mut same);
+            same.causes = causes(&about_a, &about_b);
         }
         _ => return Err(UsageError("a run and a sweep cannot be compared with each other".into()).into()),
     }
@@ -237,8 +237,9 @@ fn values_of(a: &Json, b: &Json, at: &str, same: &mut Sameness) {
     }
 }
 
-/// What differs of how they came about.
-fn provenance(a: &Json, b: &Json, same: &mut Sameness) {
+/// What differs of how two runs or sweeps came about, by their manifests or designs.
+pub(crate) fn causes(a: &Json, b: &Json) -> Vec<String> {
+    let mut found = Vec::new();
     let word = |json: &Json| json.as_str().map_or_else(|| json.to_string(), str::to_owned);
     for (what, pointer) in [
         ("the program's version", "/command/version"),
@@ -252,7 +253,7 @@ fn provenance(a: &Json, b: &Json, same: &mut Sameness) {
         if let (Some(a), Some(b)) = (a.pointer(pointer), b.pointer(pointer))
             && a != b
         {
-            same.causes.push(format!("{what} is {} and {}", word(a), word(b)));
+            found.push(format!("{what} is {} and {}", word(a), word(b)));
         }
     }
     let inputs = |about: &Json| -> BTreeSet<(String, String)> {
@@ -270,14 +271,15 @@ fn provenance(a: &Json, b: &Json, same: &mut Sameness) {
     let lacks = |all: &BTreeSet<(String, String)>, sha: &str| all.iter().all(|(other, _)| other != sha);
     for (which, here, there) in [("first", &of_a, &of_b), ("second", &of_b, &of_a)] {
         for (sha, name) in here.iter().filter(|(sha, _)| lacks(there, sha)) {
-            same.causes.push(format!("the input {name} (SHA-256 {sha}) is of the {which} alone"));
+            found.push(format!("the input {name} (SHA-256 {sha}) is of the {which} alone"));
         }
     }
-    same.causes.extend(difference_of_plugins(a, b));
+    found.extend(difference_of_plugins(a, b));
     let names = |about: &Json| -> BTreeSet<String> {
         about["plugins"].as_array().into_iter().flatten().map(|plugin| word(&plugin["name"])).collect()
     };
     for (which, only) in [("first", &names(a) - &names(b)), ("second", &names(b) - &names(a))] {
-        same.causes.extend(only.iter().map(|name| format!("the plugin {name} is of the {which} alone")));
+        found.extend(only.iter().map(|name| format!("the plugin {name} is of the {which} alone")));
     }
+    found
 }

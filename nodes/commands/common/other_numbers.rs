@@ -3,11 +3,11 @@
 use serde_json::Value;
 
 /// Width of the terminal that lines are wrapped to.
-const WIDTH: usize = 110;
+const WIDTH: usize = 100;
 /// Keys whose numbers other tables show.
 const SHOWN: [&str; 6] = ["verdict", "refused", "poses", "laser_points", "planes_at_scan", "planes"];
 /// What the steps of a registration report of themselves. A verdict has judged it, so it is for --verbose.
-const OF_STEPS: [&str; 10] = [
+const OF_STEPS: [&str; 11] = [
     "calibration",
     "coarse",
     "start",
@@ -16,70 +16,77 @@ const OF_STEPS: [&str; 10] = [
     "holes",
     "metrics.tre_measured_mm",
     "metrics.tre_true_mm",
+    "metrics.cuts",
     "metrics.fre_mm",
     "metrics.surface_mm",
 ];
+/// Parts of a report that a table shows, by its key.
+const SHOWN_PARTS: [(&str, &str); 1] = [("metrics.cuts", "cuts")];
 /// Parts of the results of a target error that a table shows.
 const SHOWN_OF_TRE: [&str; 2] = ["points", "mean_abs"];
 /// How deep objects are followed below a key of the results; deeper numbers are counted.
 const MAX_DEPTH: usize = 2;
 
-/// Numbers by the path of what holds them, wrapped; `None` if the tables show all. Numbers of long lists and of nested parts, and
-/// those of the steps of a registration unless `shows_steps`, are counted, with the file that has them.
-pub(crate) fn text(results: &Value, shows_steps: bool) -> Option<String> {
+/// Numbers by the path of what holds them, wrapped. Those of long lists and of nested parts, and those of the steps of a
+/// registration unless `shows_steps`, are counted.
+pub(crate) fn text(results: &Value, shows_steps: bool) -> Numbers {
     let mut numbers = Numbers { shows_steps, ..Numbers::default() };
-    for (key, value) in results.as_object()?.iter().filter(|(key, _)| !SHOWN.contains(&key.as_str())) {
+    for (key, value) in results.as_object().into_iter().flatten().filter(|(key, _)| !SHOWN.contains(&key.as_str())) {
         numbers.add(key, value, 0);
     }
-    if numbers.rows.is_empty() && numbers.n_left_out == 0 {
-        return None;
-    }
-    let width = numbers.rows.iter().map(|(path, _)| path.chars().count()).max().unwrap_or_default();
-    if numbers.rows.is_empty() {
-        return Some(format!(
-            "{} more numbers of the steps in results.json (--verbose shows them)\n",
-            numbers.n_left_out
-        ));
-    }
-    let mut out = String::from("other results\n");
-    for (path, row) in &numbers.rows {
-        let mut line = format!("  {path:width$}");
-        for number in row {
-            if line.chars().count() + 2 + number.chars().count() > WIDTH && !line.ends_with("  ") {
-                out.push_str(line.trim_end());
-                out.push('\n');
-                line = " ".repeat(width + 2);
-            }
-            line.push_str("  ");
-            line.push_str(number);
-        }
-        out.push_str(line.trim_end());
-        out.push('\n');
-    }
-    if numbers.n_left_out > 0 {
-        let of = if shows_steps { "of lists and nested parts" } else { "of lists, nested parts and steps (--verbose)" };
-        out.push_str(&format!("  {} more numbers, {of}, in results.json\n", numbers.n_left_out));
-    }
-    Some(out)
+    numbers
 }
 
+/// Numbers of the results that no table shows.
 #[derive(Default)]
-struct Numbers {
+pub(crate) struct Numbers {
     rows: Vec<(String, Vec<String>)>,
-    n_left_out: usize,
+    /// Number of those that are left out.
+    pub(crate) n_left_out: usize,
     shows_steps: bool,
 }
 
 impl Numbers {
+    /// The lines; `None` if there are none.
+    pub(crate) fn lines(&self) -> Option<String> {
+        if self.rows.is_empty() {
+            return None;
+        }
+        let width = self.rows.iter().map(|(path, _)| path.chars().count()).max().unwrap_or_default();
+        let mut out = String::from("other results\n");
+        for (path, row) in &self.rows {
+            let mut line = format!("  {path:width$}");
+            for number in row {
+                if line.chars().count() + 2 + number.chars().count() > WIDTH && !line.ends_with("  ") {
+                    out.push_str(line.trim_end());
+                    out.push('\n');
+                    line = " ".repeat(width + 2);
+                }
+                line.push_str("  ");
+                line.push_str(number);
+            }
+            out.push_str(line.trim_end());
+            out.push('\n');
+        }
+        if self.shows_steps && self.n_left_out > 0 {
+            out.push_str(&format!("  {} more numbers, of lists and nested parts, in results.json\n", self.n_left_out));
+        }
+        Some(out)
+    }
+
     fn add(&mut self, path: &str, value: &Value, depth: usize) {
         if !self.shows_steps && OF_STEPS.contains(&path) {
             self.n_left_out += count(value);
             return;
         }
         match value {
-            Value::Number(_) => self.rows.push((path.into(), vec![shown(value)])),
+            Value::Number(_) => {
+                let (name, number) = in_degrees(path, value);
+                self.rows.push((name, vec![shown(&number)]));
+            }
             Value::Object(object) => {
-                let own = object.iter().filter_map(|(name, value)| Some((name, short(value)?)));
+                let own = object.iter().map(|(name, value)| in_degrees(name, value));
+                let own = own.filter_map(|(name, value)| Some((name, short(&value)?)));
                 let numbers: Vec<_> = own.map(|(name, numbers)| format!("{name} {numbers}")).collect();
                 if !numbers.is_empty() {
                     self.rows.push((path.into(), numbers));
@@ -87,6 +94,9 @@ impl Numbers {
                 let is_tre = path.starts_with("metrics.tre_");
                 for (name, value) in object.iter().filter(|(_, value)| short(value).is_none()) {
                     if is_tre && SHOWN_OF_TRE.contains(&name.as_str()) {
+                        continue;
+                    }
+                    if SHOWN_PARTS.contains(&(path, name.as_str())) {
                         continue;
                     }
                     match value {
@@ -108,6 +118,19 @@ impl Numbers {
             _ => self.n_left_out += count(value),
         }
     }
+}
+
+/// An angle, or a list of them, in degrees with a name that says so; anything else as it is.
+pub(crate) fn in_degrees(name: &str, value: &Value) -> (String, Value) {
+    let Some(of) = name.strip_suffix("_rad") else { return (name.into(), value.clone()) };
+    let degrees = match value {
+        Value::Number(number) => number.as_f64().map(|rad| Value::from(rad.to_degrees())),
+        Value::Array(list) => {
+            list.iter().map(|number| number.as_f64().map(|rad| Value::from(rad.to_degrees()))).collect()
+        }
+        _ => None,
+    };
+    degrees.map_or_else(|| (name.into(), value.clone()), |degrees| (format!("{of}_deg"), degrees))
 }
 
 /// A number, or up to three in brackets.
@@ -158,12 +181,12 @@ mod tests {
             "holes": [{ "n_hole": 72 }, { "n_hole": 61 }],
             "icp": { "iterations": 13, "normal_matrix": [[1, 2, 3, 4, 5, 6]], "a": { "b": { "c": { "x": 1 } } } },
         });
-        let steps = text(&results, false).unwrap();
+        let steps = text(&results, false).lines().unwrap();
         assert!(
             steps.contains("metrics.own") && !steps.contains("holes.1") && !steps.contains("iterations"),
             "{steps}"
         );
-        let text = text(&results, true).unwrap();
+        let text = text(&results, true).lines().unwrap();
         let line = |start: &str| {
             let numbers = text.lines().find(|line| line.trim_start().starts_with(&format!("{start} ")));
             numbers
@@ -174,8 +197,8 @@ mod tests {
                 .join(" ")
         };
         assert_eq!(line("my_metric"), "3.2500");
-        assert_eq!(line("metrics.own"), "gap_mm 0.1250 n 7 tilt_rad 2.000e-5 at [1 2.5000 -3]");
-        assert_eq!(line("metrics.cuts.cuts.plane_1"), "offset_mm 0.5000");
+        assert_eq!(line("metrics.own"), "gap_mm 0.1250 n 7 tilt_deg 0.0011 at [1 2.5000 -3]");
+        assert!(!text.contains("plane_1"), "a table shows it: {text}");
         assert_eq!(line("metrics.tre_true_mm.rms"), "x 1.7500");
         assert_eq!(line("holes.1"), "n_hole 61");
         assert_eq!(line("icp"), "iterations 13");
@@ -186,6 +209,7 @@ mod tests {
 
     #[test]
     fn results_without_numbers_have_no_such_lines() {
-        assert_eq!(super::text(&json!({ "notice": "research use only", "simulated": true, "planes": [] }), true), None);
+        let none = json!({ "notice": "research use only", "simulated": true, "planes": [] });
+        assert_eq!(super::text(&none, true).lines(), None);
     }
 }

@@ -24,25 +24,67 @@ pub(crate) fn text_beside(results: &Value, earlier: &Value, global: &Global) -> 
     blocks(results, now, global)
 }
 
-fn blocks(results: &Value, tables: Vec<TextTable>, global: &Global) -> String {
-    let mut blocks: Vec<_> = verdict_lines::text(results, "in results.json", global).into_iter().collect();
+fn blocks(results: &Value, mut tables: Vec<TextTable>, global: &Global) -> String {
+    let is_brief = global.verbose == 0;
+    let mut blocks: Vec<_> = verdict_lines::text(results, global).into_iter().collect();
     blocks.push(banner(results));
-    // Before the tables, which are then above the prompt.
-    let shows_steps = global.verbose > 0 || judged(results).is_none();
-    blocks.extend(other_numbers::text(results, shows_steps));
+    // Without a verdict the reports of the steps are all that speaks for the result.
+    let shows_steps = !is_brief || judged(results).is_none();
+    let numbers = other_numbers::text(results, shows_steps);
+    let mut hidden = Vec::new();
+    if is_brief {
+        let is_answer = |title: &str| ANSWERS.contains(&title);
+        let has_planes = tables.iter().any(|table| table.title() == PLANES);
+        let has_answer = tables.iter().any(|table| is_answer(table.title()));
+        tables.retain(|table| {
+            let title = table.title();
+            let is_first = is_answer(title) && !(title == PLANES_AT_SCAN && has_planes);
+            let is_shown = is_first || title == POSES && !has_answer || title == ICP && shows_steps;
+            if !is_shown {
+                hidden.push(title.to_owned());
+            }
+            is_shown
+        });
+    } else {
+        // Before the tables, which are then above the prompt.
+        blocks.extend(numbers.lines());
+    }
     blocks.extend(tables.iter().map(TextTable::lines));
+    if is_brief {
+        blocks.extend(numbers.lines());
+        if numbers.n_left_out > 0 {
+            hidden.push(format!("{} numbers of steps", numbers.n_left_out));
+        }
+        if !hidden.is_empty() {
+            blocks.push(format!("with --verbose: {}", hidden.join(", ")));
+        }
+    }
     blocks.join("\n")
 }
 
+const POSES: &str = "poses";
+const ICP: &str = "icp";
+const PLANES: &str = "planes, latest";
+const PLANES_AT_SCAN: &str = "planes at the scan";
+const CUTS: &str = "cuts, error";
+const TRE: &str = "TRE";
+const TRE_TRUE: &str = "TRE, true";
+const TRE_MEASURED: &str = "TRE, measured by stylus";
+/// The tables that a reader asks for first; the others are for --verbose.
+const ANSWERS: [&str; 6] = [TRE, TRE_TRUE, TRE_MEASURED, CUTS, PLANES, PLANES_AT_SCAN];
+
+/// The tables, those with the answers first.
 fn tables(results: &Value) -> Vec<TextTable> {
     let tables = [
+        both_target_errors(results),
+        target_errors(results, "tre_true_mm", TRE_TRUE).filter(|_| both_target_errors(results).is_none()),
+        target_errors(results, "tre_measured_mm", TRE_MEASURED).filter(|_| both_target_errors(results).is_none()),
+        cuts(results),
+        planes(results, "planes", PLANES),
+        planes(results, "planes_at_scan", PLANES_AT_SCAN),
         poses(results),
         points(results),
         icp(results),
-        planes(results, "planes_at_scan", "planes at the scan"),
-        planes(results, "planes", "planes, latest"),
-        target_errors(results, "tre_measured_mm", "TRE, measured by stylus"),
-        target_errors(results, "tre_true_mm", "TRE, true"),
     ];
     tables.into_iter().flatten().collect()
 }
@@ -61,7 +103,7 @@ fn banner(results: &Value) -> String {
 }
 
 fn poses(results: &Value) -> Option<TextTable> {
-    let mut table = TextTable::new("poses", &["x", "y", "z mm", "rx", "ry", "rz deg"]);
+    let mut table = TextTable::new(POSES, &["x", "y", "z mm", "rx", "ry", "rz deg"]);
     for (name, pose) in results.get("poses")?.as_object()? {
         table.row(name, pose_cells(&pose["matrix"]));
     }
@@ -89,7 +131,7 @@ fn points(results: &Value) -> Option<TextTable> {
 
 fn icp(results: &Value) -> Option<TextTable> {
     let icp = results.get("icp")?;
-    let mut table = TextTable::new("icp", &["iterations", "pairs", "rms mm", "leaves mm"]);
+    let mut table = TextTable::new(ICP, &["iterations", "pairs", "rms mm", "leaves mm"]);
     let rms = icp["rms_mm"].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 4));
     let how = if icp["converged"] == Value::Bool(true) { "converged" } else { "not converged" };
     let stop = format!("stopped by {}", word(&icp["stop_reason"]));
@@ -119,6 +161,19 @@ fn planes(results: &Value, key: &str, title: &str) -> Option<TextTable> {
     some(table)
 }
 
+/// Errors of the cuts: along the normal, about the bone's axis and across it, and of the point that is farthest off.
+fn cuts(results: &Value) -> Option<TextTable> {
+    let report = results.get("metrics")?.get("cuts")?;
+    let mut table = TextTable::new(CUTS, &["offset mm", "tilt deg", "roll deg", "moved mm"]);
+    let number = |of: &Value, digits| of.as_f64().map_or_else(|| "-".into(), |v| fixed(v, digits));
+    let degrees = |of: &Value| of.as_f64().map_or_else(|| "-".into(), |v| fixed(v.to_degrees(), 2));
+    for cut in report["cuts"].as_array()? {
+        let cells = [number(&cut["offset_mm"], 3), degrees(&cut["tilt_rad"]), degrees(&cut["roll_rad"])];
+        table.row(word(&cut["name"]), cells.into_iter().chain([number(&cut["moved_mm"], 3)]));
+    }
+    some(table)
+}
+
 fn target_errors(results: &Value, key: &str, title: &str) -> Option<TextTable> {
     let tre = results.get("metrics")?.get(key)?;
     let mut table = TextTable::new(title, &["x", "y", "z", "norm mm"]);
@@ -128,6 +183,25 @@ fn target_errors(results: &Value, key: &str, title: &str) -> Option<TextTable> {
     let mean = tre.get("mean_abs").map(components)?;
     table.row("mean |.|", mean.into_iter().chain([format!("n = {}", word(&tre["n"]))]));
     some(table)
+}
+
+/// The true error of each target beside the one that was measured by stylus; `None` if they are of other targets.
+fn both_target_errors(results: &Value) -> Option<TextTable> {
+    let both = ["tre_true_mm", "tre_measured_mm"].map(|key| &results["metrics"][key]);
+    let points = both.map(|tre| tre["points"].as_array());
+    let [Some(of_true), Some(measured)] = points else { return None };
+    let is_same = |(a, b): (&Value, &Value)| a["name"] == b["name"];
+    if of_true.len() != measured.len() || !of_true.iter().zip(measured).all(is_same) {
+        return None;
+    }
+    let heads = ["true x", "y", "z", "norm mm", "by stylus x", "y", "z", "norm mm"];
+    let mut table = TextTable::new(TRE, &heads);
+    for (a, b) in of_true.iter().zip(measured) {
+        table.row(word(&a["name"]), components(a).into_iter().chain(components(b)));
+    }
+    let [Some(a), Some(b)] = both.map(|tre| tre.get("mean_abs").map(components)) else { return None };
+    table.row("mean |.|", a.into_iter().chain(b).chain([format!("n = {}", word(&both[0]["n"]))]));
+    Some(table)
 }
 
 fn components(of: &Value) -> Vec<String> {

@@ -6,7 +6,7 @@ use super::{
     result_table, run_table,
     terminal::{self, print_json},
 };
-use crate::app::{is_said_by_verdict, judged, refusal_in_short, without_reason};
+use crate::app::{is_said_by_verdict, is_settled, judged, refusal_in_short, without_reason};
 use anyhow::Result;
 use osteoflow_engine::run::{Outcome, RunReport, files};
 use serde_json::Value;
@@ -28,7 +28,10 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
     let mut err = terminal::stderr().lock();
     // What the verdict is printed to say is said once.
     let is_text = global.format == Format::Text;
-    let is_new = |message: &str| !(is_text && is_said_by_verdict(message, &report.results));
+    let is_new = |message: &str| {
+        let is_open = global.verbose > 0 || !is_settled(message, &report.results);
+        !is_text || is_open && !is_said_by_verdict(message, &report.results)
+    };
     for warning in report.warnings.iter().filter(|warning| is_new(&warning.message)) {
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;

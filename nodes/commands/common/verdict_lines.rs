@@ -8,14 +8,14 @@ use serde_json::Value;
 /// Number of assumptions that are printed; the list begins with the most critical.
 const N_ASSUMED: usize = 3;
 
-/// The verdict of a node with each reason against the results once, and its most critical assumptions; with --verbose all. `more`
-/// says where the others are. `None` if nothing judged the results.
-pub(crate) fn text(results: &Value, more: &str, global: &Global) -> Option<String> {
+/// The verdict of a node with each reason against the results once, and its most critical assumptions; with --verbose all. `None`
+/// if nothing judged the results.
+pub(crate) fn text(results: &Value, global: &Global) -> Option<String> {
     let n_assumed = if global.verbose > 0 { usize::MAX } else { N_ASSUMED };
-    judged(results).map(|verdict| lines(&verdict, n_assumed, more, |text, style| global.paint_out(text, style)))
+    judged(results).map(|verdict| lines(&verdict, n_assumed, |text, style| global.paint_out(text, style)))
 }
 
-fn lines(verdict: &Verdict, n_assumed: usize, more: &str, paint: impl Fn(&str, &str) -> String) -> String {
+fn lines(verdict: &Verdict, n_assumed: usize, paint: impl Fn(&str, &str) -> String) -> String {
     let answer = verdict.answer();
     let style = match answer {
         Answer::Trusted => "1;32",
@@ -32,8 +32,8 @@ fn lines(verdict: &Verdict, n_assumed: usize, more: &str, paint: impl Fn(&str, &
     verdict.assumptions().take(n_assumed).for_each(|assumption| out += &format!("  assumed: {assumption}\n"));
     match verdict.assumptions().count().saturating_sub(n_assumed) {
         0 => {}
-        1 => out += &format!("  1 more assumption {more}\n"),
-        n => out += &format!("  {n} more assumptions {more}\n"),
+        1 => out += &format!("  1 more assumption with --verbose\n"),
+        n => out += &format!("  {n} more assumptions with --verbose\n"),
     }
     out
 }
@@ -49,7 +49,7 @@ mod tests {
 
     fn shown(verdict: Value, n_assumed: usize) -> String {
         let verdict = judged(&json!({ "verdict": verdict })).unwrap();
-        lines(&verdict, n_assumed, "in results.json", |text, style| format!("<{style}>{text}</>"))
+        lines(&verdict, n_assumed, |text, style| format!("<{style}>{text}</>"))
     }
 
     #[test]
@@ -77,9 +77,9 @@ mod tests {
         let all = "verdict  <1;32>trusted</>: it holds\n  assumed: a\n  assumed: b\n  assumed: c\n";
         assert_eq!(shown(assumed.clone(), 3), all);
         let two =
-            "verdict  <1;32>trusted</>: it holds\n  assumed: a\n  assumed: b\n  1 more assumption in results.json\n";
+            "verdict  <1;32>trusted</>: it holds\n  assumed: a\n  assumed: b\n  1 more assumption with --verbose\n";
         assert_eq!(shown(assumed.clone(), 2), two);
-        assert!(shown(assumed, 1).ends_with("  assumed: a\n  2 more assumptions in results.json\n"));
+        assert!(shown(assumed, 1).ends_with("  assumed: a\n  2 more assumptions with --verbose\n"));
     }
 
     #[test]

@@ -22,8 +22,8 @@ use std::fmt::Write as _;
 
 /// The verdict, the inputs, the pose if it is given, what the method reports, and the times.
 pub(super) fn text(registration: &Registration, checked: &Register, global: &Global) -> String {
-    let (mut out, request, timings) = (String::new(), &checked.request, &registration.timings);
-    if let Some(lines) = verdict_lines::text(&registration.run.results, "with --verbose", global) {
+    let (mut out, request) = (String::new(), &checked.request);
+    if let Some(lines) = verdict_lines::text(&registration.run.results, global) {
         out += &format!("{lines}\n");
     }
     if global.verbose > 0 && registration.pose().is_some() {
@@ -46,31 +46,46 @@ pub(super) fn text(registration: &Registration, checked: &Register, global: &Glo
         out.push('\n');
     }
     let _ = writeln!(out, "{}", result(registration, checked));
-    let columns: &[&str] = if request.repeat > 1 { &["median", "least", "most ms"] } else { &["ms"] };
-    let mut table = TextTable::new("time", columns);
-    table.row("load", [format!("{:.1}", timings.load_ms())]);
-    if start.is_some() {
-        table.row("start", [format!("{:.1}", timings.start_ms)]);
-    }
-    let rows = [
-        ("prep_target", &timings.prep_target_ms),
-        ("prep_source", &timings.prep_source_ms),
-        ("align", &timings.align_ms),
-        ("cpu of align", &timings.cpu_ms),
-    ];
-    for (name, ms) in rows.into_iter().filter(|(_, ms)| !ms.is_empty()) {
-        let mut ms = ms.clone();
-        let cells = [0.5, 0.0, 1.0].map(|q| quantile(&mut ms, q));
-        table.row(name, cells.iter().take(columns.len()).map(|ms| format!("{ms:.1}")));
-    }
-    if !request.no_verdict {
-        table.row("verdict", [format!("{:.1}", timings.verdict_ms)]);
-    }
-    let _ = write!(out, "{}", table.lines());
+    out += &times(registration, checked, start.is_some(), global);
     for file in &registration.written {
         let _ = writeln!(out, "\n{} written", file.display());
     }
     out
+}
+
+/// What the parts took: a line, or with --verbose or --repeat a table.
+fn times(registration: &Registration, checked: &Register, has_start: bool, global: &Global) -> String {
+    let (request, timings) = (&checked.request, &registration.timings);
+    let mut rows = vec![("load", vec![timings.load_ms()])];
+    if has_start {
+        rows.push(("start", vec![timings.start_ms]));
+    }
+    rows.extend([
+        ("prep_target", timings.prep_target_ms.clone()),
+        ("prep_source", timings.prep_source_ms.clone()),
+        ("align", timings.align_ms.clone()),
+        ("cpu of align", timings.cpu_ms.clone()),
+    ]);
+    if !request.no_verdict {
+        rows.push(("verdict", vec![timings.verdict_ms]));
+    }
+    rows.retain(|(_, ms)| !ms.is_empty());
+    if global.verbose == 0 && request.repeat == 1 {
+        // The processor time is part of align.
+        let parts: Vec<_> = rows.iter().filter(|(name, _)| *name != "cpu of align").collect();
+        let all: f64 = parts.iter().map(|(_, ms)| ms[0]).sum();
+        let parts: Vec<_> = parts.iter().map(|(name, ms)| format!("{name} {:.1}", ms[0])).collect();
+        return format!("time    {all:.0} ms: {}\n", parts.join(", "));
+    }
+    let columns: &[&str] = if request.repeat > 1 { &["median", "least", "most ms"] } else { &["ms"] };
+    let mut table = TextTable::new("time", columns);
+    for (name, ms) in &mut rows {
+        // Measured once, unlike the repeats.
+        let n = if ms.len() > 1 || request.repeat == 1 { columns.len() } else { 1 };
+        let cells = [0.5, 0.0, 1.0].map(|q| quantile(ms, q));
+        table.row(*name, cells.iter().take(n).map(|ms| format!("{ms:.1}")));
+    }
+    table.lines()
 }
 
 /// Where the start is from, by its report.

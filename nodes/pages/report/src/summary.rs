@@ -1,10 +1,12 @@
 //! The summary of a sweep: statistics of each column under each setting, and paired comparisons.
 
 mod compared;
+mod degrees;
 mod group;
 mod rows;
 
 pub use compared::{NoPairs, between, with_holm};
+pub use degrees::{in_degrees, shown_unit};
 pub(crate) use rows::from_to;
 pub use rows::{TableRow, about_few, comparison, statistics, under_heads, units};
 
@@ -239,7 +241,7 @@ mod tests {
     fn a_refused_run_is_no_partner_of_a_comparison() {
         let first = runs(&[("complete", Some("trusted"), Some(1.0)), ("complete", None, Some(2.0))]);
         let second = runs(&[("complete", Some("trusted"), Some(1.5)), ("refused", Some("refused"), Some(9.0))]);
-        let compared = between(("[1]", &spec(), &first), ("[2]", &spec(), &second), &[]).unwrap();
+        let compared = between(("[1]", &spec(), &first), ("[2]", &spec(), &second), &[], &[]).unwrap();
         assert_eq!(compared.len(), 1);
         assert_eq!((&compared[0]["n_pairs"], &compared[0]["mean_difference"]), (&1.into(), &0.5.into()));
         assert!(compared[0]["note"].as_str().unwrap().contains("1 of 2 pairs left out"), "{}", compared[0]);

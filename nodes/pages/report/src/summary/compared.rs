@@ -43,7 +43,7 @@ pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
 }
 
 /// Compares the columns of two sweeps under each setting of the first. A pair is a run of each with the same seed and the same
-/// values of everything that both vary. `margins` are the largest differences, by column, that do not matter. p values are
+/// values of everything that both vary but the factors `apart`, in which the sweeps are to differ. `margins` are the largest differences, by column, that do not matter. p values are
 /// not corrected yet: see [`with_holm`].
 ///
 /// # Errors
@@ -51,9 +51,11 @@ pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
 pub fn between(
     (a, spec, first): (&str, &Spec, &[Done]),
     (b, other, second): (&str, &Spec, &[Done]),
+    apart: &[String],
     margins: &[(String, f64)],
 ) -> Result<Vec<Value>, NoPairs> {
-    let shared = shared_names(spec, other);
+    let mut shared = shared_names(spec, other);
+    shared.retain(|name| !apart.contains(name));
     let key = |d: &Done| {
         let values = shared.iter().map(|name| d.value(name).map(word).unwrap_or_default());
         format!("{}\u{1f}{}", values.collect::<Vec<_>>().join("\u{1f}"), d.seed)

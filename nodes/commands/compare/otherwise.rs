@@ -1,0 +1,74 @@
+//! What was set otherwise in runs or sweeps: the entries of their graphs, and what made them.
+
+use crate::{app::archive::causes, commands::common::text_table::TextTable};
+use osteoflow_engine::diff::entries_that_differ;
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// Most entries that are listed.
+const MAX_LISTED: usize = 8;
+/// Most characters of a value.
+const MAX_CHARACTERS: usize = 40;
+
+/// What one of the compared came from.
+pub(super) struct Made {
+    /// The graph, as text.
+    pub(super) graph: String,
+    /// The manifest of a run or the design of a sweep.
+    pub(super) about: Value,
+}
+
+/// The entries that differ from those of the first, by their keys as of `--set`: a value of each of the compared.
+pub(super) fn entries(all: &[Made]) -> Vec<(String, Vec<String>)> {
+    let mut rows: BTreeMap<String, Vec<Option<String>>> = BTreeMap::new();
+    for (k, made) in all.iter().enumerate().skip(1) {
+        // The name of a graph is no setting.
+        let differ = entries_that_differ(&all[0].graph, &made.graph).into_iter().filter(|(key, _)| key != "graph.name");
+        for (key, [first, other]) in differ {
+            rows.entry(key).or_insert_with(|| vec![first; all.len()])[k] = other;
+        }
+    }
+    let mut rows: Vec<_> = rows.into_iter().map(|(key, row)| (key, row.into_iter().map(shown).collect())).collect();
+    // The kind decides what the other keys mean.
+    rows.sort_by_key(|(key, _): &(String, Vec<String>)| !key.ends_with(".kind"));
+    rows
+}
+
+/// A value as TOML, without quotes and not too long.
+fn shown(value: Option<String>) -> String {
+    match value.as_deref().map(|value| value.trim_matches('"')) {
+        None => "-".into(),
+        Some("") => "there".into(),
+        Some(bare) => match bare.char_indices().nth(MAX_CHARACTERS) {
+            Some((at, _)) => format!("{}..", &bare[..at]),
+            None => bare.to_owned(),
+        },
+    }
+}
+
+/// The entries as a table, and below it the program, inputs and plugins that differ.
+pub(super) fn text(all: &[Made], is_brief: bool) -> String {
+    let (rows, heads) = (entries(all), heads(all.len()));
+    let n_listed = if is_brief { MAX_LISTED } else { usize::MAX };
+    let mut table = TextTable::new("set otherwise", &heads.iter().map(String::as_str).collect::<Vec<_>>());
+    rows.iter().take(n_listed).for_each(|(key, values)| table.row(key, values.iter().cloned()));
+    let mut out = if rows.is_empty() { "nothing was set otherwise\n".to_owned() } else { table.lines() };
+    let mut others = Vec::new();
+    for (k, made) in all.iter().enumerate().skip(1) {
+        // The seed is an entry of the graph.
+        let causes = causes(&all[0].about, &made.about).into_iter().filter(|cause| !cause.starts_with("the seed"));
+        let which = if all.len() > 2 { format!(", in [1] and [{}]", k + 1) } else { String::new() };
+        others.extend(causes.map(|cause| format!("  {cause}{which}\n")));
+    }
+    others.iter().take(n_listed).for_each(|line| out += line);
+    match rows.len().saturating_sub(n_listed) + others.len().saturating_sub(n_listed) {
+        0 => {}
+        n => out += &format!("  {n} more with --verbose\n"),
+    }
+    out
+}
+
+/// `[1]`, `[2]` and so on.
+pub(super) fn heads(n: usize) -> Vec<String> {
+    (1..=n).map(|k| format!("[{k}]")).collect()
+}
