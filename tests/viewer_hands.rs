@@ -157,11 +157,11 @@ fn a_hand_turns_zooms_centres_and_moves_the_bone_by_the_point_under_it_whichever
             .evaluate("osteoflow.scene.camera.getWorldDirection(osteoflow.scene.camera.position.clone()).toArray()");
         let [seen, back] = [seen, back].map(|v| Vector3::from(serde_json::from_value::<[f64; 3]>(v).unwrap()));
         assert!((seen.angle(&back) - PI / 4.0).abs() < 0.02, "{axis}: {} rad", seen.angle(&back));
-        assert!(px(projected(browser, &held), at) < PIXEL);
+        assert!(px(projected(browser, &held), at) < PIXEL, "{axis}: {:?} {at:?}", projected(browser, &held));
 
         // Down and up again tips it, and holds the same.
         browser.drag(at, [at[0], at[1] + 120.0]);
-        assert!(px(projected(browser, &held), at) < PIXEL);
+        assert!(px(projected(browser, &held), at) < PIXEL, "{axis}: {:?} {at:?}", projected(browser, &held));
         let [_, down] = apart(browser, case.ends);
         assert!(down.abs() < 0.95 * apart(browser, before)[1].hypot(1e3), "{axis}");
         // A preset stands it upright again, from each side, and a drag turns it about its own axis there, too.
@@ -321,10 +321,10 @@ fn a_crop_by_the_mouse_leaves_what_was_kept_on_the_bone_and_what_is_not_register
             [[left, top], [right, top], [right, to], [left, to]]
         };
         browser.stroke(&corners);
+        browser.screenshot(&format!("crop-{axis}"));
         let said = text(browser, "region-count");
         let kept: u64 = said.split(' ').next().unwrap().parse().unwrap();
-        assert!((n / 2..n * 4 / 5).contains(&kept), "{axis}: {said}");
-        browser.screenshot(&format!("crop-{axis}"));
+        assert!((n / 2..n * 4 / 5).contains(&kept), "{axis}: {said}, {corners:?}");
         press(browser, "#region-save");
         browser.wait_until("osteoflow.state.run === 'run-2' && ['complete', 'refused'].includes(osteoflow.state.state) && !osteoflow.region.isOpen");
         // Shown is what was kept, not the scan that it was kept of.

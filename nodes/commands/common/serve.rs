@@ -44,8 +44,8 @@ pub(crate) struct Admission {
     #[arg(long)]
     serve_public: bool,
 
-    /// Let pages of this origin connect, such as https://app.foxglove.dev or https://lichtblick.example; may be given again. Desktop
-    /// viewers and the page itself need no such permission.
+    /// Let pages of this origin connect, such as https://app.foxglove.dev or https://lichtblick.example, and show the page in a frame,
+    /// as a notebook does; may be given again. Desktop viewers and the page itself need no such permission.
     #[arg(long, value_name = "ORIGIN")]
     allow_origin: Vec<String>,
 }
@@ -70,7 +70,7 @@ impl Admission {
         }
         for origin in &self.allow_origin {
             let rest = origin.split_once("://").map_or("", |(_, rest)| rest);
-            if rest.is_empty() || rest.contains(['/', '*', ' ']) {
+            if rest.is_empty() || rest.contains(['/', '*', ' ', ';', ',', '\r', '\n']) {
                 let message = format!(
                     "--allow-origin {origin}: an origin is a scheme and a host, such as https://app.foxglove.dev"
                 );

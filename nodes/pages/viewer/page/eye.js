@@ -6,18 +6,23 @@ const FOV_DEG = 35;
 /** Half of the view's height at a distance of 1. */
 const SLOPE = Math.tan((FOV_DEG * Math.PI) / 360);
 
+/** The height of a name as a share of the view's, and the least and the greatest in pixels. */
+const NAME_SHARE = 0.035, NAME_PX = [16, 26];
+
 export class Eye {
   /** @param {boolean} isOrthographic */
   constructor(isOrthographic) {
     this.camera = isOrthographic ? new THREE.OrthographicCamera() : new THREE.PerspectiveCamera(FOV_DEG, 1, 0.001, 20);
     this.camera.position.set(0.3, 0.3, 0.3);
     this.aspect = 1;
+    this.height = 0;
   }
 
   /** @param {number} width @param {number} height of the view, pixels */
   resize(width, height) {
     const { camera } = this;
     this.aspect = width / height;
+    this.height = height;
     if (camera instanceof THREE.PerspectiveCamera) camera.aspect = this.aspect;
     else [camera.left, camera.right] = [-this.aspect * camera.top, this.aspect * camera.top];
     camera.updateProjectionMatrix();
@@ -51,8 +56,11 @@ export class Eye {
   /** How much more of the view's height what is this much nearer takes than where it is looked at, in the scene's metres. @param {number} nearer */
   growth(nearer) { return this.camera instanceof THREE.OrthographicCamera ? 0 : nearer * SLOPE; }
 
-  /** How many times its given size a name must have, so that it is as large on the screen as in perspective. */
+  /** How many times its given size a name must have, so that it is as large on the screen as in perspective, and can be read in a view of any height. */
   nameScale() {
-    return this.camera instanceof THREE.OrthographicCamera ? this.camera.top / this.camera.zoom / SLOPE : 1;
+    const [least, most] = NAME_PX;
+    const px = NAME_SHARE * this.height;
+    const readable = px > 0 ? Math.min(Math.max(px, least), most) / px : 1;
+    return readable * (this.camera instanceof THREE.OrthographicCamera ? this.camera.top / this.camera.zoom / SLOPE : 1);
   }
 }

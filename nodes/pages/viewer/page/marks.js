@@ -55,6 +55,7 @@ function mark(group, at, isSelected) {
   const material = new THREE.SpriteMaterial({ map: texture(group, isSelected), depthTest: false, sizeAttenuation: false, transparent: true });
   const sprite = new THREE.Sprite(material);
   sprite.scale.setScalar(MARK / MM);
+  sprite.userData.size = sprite.scale.toArray();
   sprite.position.fromArray(at);
   sprite.renderOrder = 3;
   return sprite;

@@ -86,9 +86,11 @@ export class RegionTool {
     this.on = { node, frame: drawn.frame, rows, object, box: null };
     this.shapes = [];
     this.restore = this.scene.alone(object);
-    this.look();
     this.setMode("lasso");
     this.count();
+    // The buttons take room from the view.
+    this.scene.resize();
+    this.look();
   }
 
   close() {
@@ -108,12 +110,17 @@ export class RegionTool {
     const { origin, direction } = longAxis(rows);
     let isSeen = true;
     for (let k = 2; k < rows.length; k += 3) isSeen &&= rows[k] > 0;
+    if (!isSeen) {
+      // Elsewhere than in the camera's frame from outside, its length upright.
+      const from = new THREE.Vector3(...sideOf(/** @type {any} */ ({ fields: {}, columns: { points: { rows } } })).towards);
+      const up = new THREE.Vector3(...direction).projectOnPlane(from);
+      const all = [];
+      for (let k = 0; k < rows.length; k += 3) all.push(new THREE.Vector3(rows[k], rows[k + 1], rows[k + 2]).multiplyScalar(MM));
+      return this.scene.fit(all, from, up.length() > 0.1 ? up.normalize() : from.clone().cross(new THREE.Vector3(from.y, from.z, -from.x)).normalize());
+    }
     const centre = new THREE.Vector3(...origin).multiplyScalar(MM);
     const size = new THREE.Box3().setFromBufferAttribute(/** @type {THREE.BufferAttribute} */ (this.on.object.geometry.getAttribute("position"))).getSize(new THREE.Vector3()).length() * MM;
-    // Elsewhere than in the camera's frame from outside, its length upright.
-    const { towards } = sideOf(/** @type {any} */ ({ fields: {}, columns: { points: { rows } } }));
-    const eye = isSeen ? new THREE.Vector3(0, 0, 0) : centre.clone().addScaledVector(new THREE.Vector3(...towards), 1.6 * size);
-    this.scene.lookFrom(eye, centre, isSeen ? new THREE.Vector3(0, -1, 0) : new THREE.Vector3(...direction), size);
+    this.scene.lookFrom(new THREE.Vector3(0, 0, 0), centre, new THREE.Vector3(0, -1, 0), size);
   }
 
   /** @param {Mode} mode */

@@ -13,6 +13,8 @@ import { Trackball } from "./trackball.js";
 
 /** How much more than what is looked at a view shows. */
 const ROOM = 1.12;
+/** Points this far before a surface lie on it, mm. */
+const ON_IT_MM = 5;
 /** How near to a point of a cloud the pointer must be to take hold of it, pixels. */
 const REACH_PX = 6;
 
@@ -272,7 +274,7 @@ export class Scene {
       object.matrix.premultiply(new THREE.Matrix4().makeTranslation(towards.clone().multiplyScalar(forthMm * MM)));
     }
     const scale = this.eye.nameScale();
-    if (scale !== 1) this.scene.traverse((part) => part.userData.size && part.scale.fromArray(part.userData.size).multiplyScalar(scale));
+    this.scene.traverse((part) => part.userData.size && part.scale.fromArray(part.userData.size).multiplyScalar(scale));
   }
 
   /** The frame that all is drawn in: that of the bone, else of most of what is drawn. @param {Frames} frames */
@@ -456,7 +458,10 @@ export class Scene {
     const parts = [...this.drawn.values()].filter(({ payload, object }) => object.visible && solid.includes(payload)).map(({ object }) => object);
     // A hand is a few pixels off a point.
     ray.params.Points.threshold = (2 * REACH_PX * this.eye.half(this.controls.target)) / height;
-    return ray.intersectObjects(this.solo ? [this.solo] : parts)[0]?.point ?? null;
+    const hits = ray.intersectObjects(this.solo ? [this.solo] : parts);
+    // A point of a cloud is hit beside it: what lies on a surface is held at the surface.
+    const surface = hits.find(({ object }) => object instanceof THREE.Mesh);
+    return (surface && surface.distance - hits[0].distance < ON_IT_MM * MM ? surface : hits[0])?.point ?? null;
   }
 }
 

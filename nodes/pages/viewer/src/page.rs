@@ -60,22 +60,23 @@ pub fn script(path: &str) -> Option<&'static str> {
 /// The licence of three.js, which goes with every copy.
 pub const THREE_LICENSE: &str = include_str!("../page/three/LICENSE");
 
-/// The file at a path.
-pub(crate) fn file(path: &str) -> Option<Response> {
+/// The file at a path; pages of `origins` may show it in a frame, as a notebook does.
+pub(crate) fn file(path: &str, origins: &[String]) -> Option<Response> {
     if path.is_empty() {
-        return Some(index());
+        return Some(index(origins));
     }
     let (_, content_type, content) = FILES.iter().find(|(known, _, _)| *known == path)?;
     Some(Response::new(200, content_type, content.as_bytes().to_vec()))
 }
 
 /// The page itself. It may load nothing but what this server has.
-fn index() -> Response {
+fn index(origins: &[String]) -> Response {
     let Ok(nonce) = token() else { return Response::refused(500, "the system gives no random numbers") };
     let mut page = Response::new(200, HTML, INDEX.replace(NONCE, &nonce).into_bytes());
     page.headers = format!(
         "Content-Security-Policy: default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self'; img-src 'self' \
-         data: blob:; connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n"
+         data: blob:; connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {}\r\n",
+        if origins.is_empty() { "'none'".to_owned() } else { origins.join(" ") }
     );
     page
 }

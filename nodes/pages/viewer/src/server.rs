@@ -272,7 +272,7 @@ fn respond(request: &Request, rest: &str, shared: &Shared) -> Response {
             moved.headers = format!("Location: {}/\r\n", request.path);
             Some(moved)
         }
-        "GET" => page::file(rest).or_else(|| shared.app.get(rest)),
+        "GET" => page::file(rest, &shared.access.allowed_origins).or_else(|| shared.app.get(rest)),
         "POST" => shared.app.post(rest, &request.body),
         _ => return Response::refused(405, "GET and POST are served"),
     };

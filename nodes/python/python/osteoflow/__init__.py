@@ -28,10 +28,11 @@ from . import _core
 from ._core import OsteoflowError, Refused, UsageError, __version__
 from ._study import Row, Study
 from ._types import Cloud, Item, Mesh, Recording, Wire, _Wires
+from ._view import view
 
 __all__ = [
     "Cloud", "Graph", "GraphRun", "Item", "Mesh", "OsteoflowError", "OsteoflowWarning", "Recording", "Refused",
-    "Registration", "Row", "Study", "UsageError", "Wire", "__version__", "read", "register", "simulate", "sweep", "write",
+    "Registration", "Row", "Study", "UsageError", "Wire", "__version__", "read", "register", "simulate", "sweep", "view", "write",
 ]
 
 # Plugins are looked at by another process; a sweep is of this build of the program.
