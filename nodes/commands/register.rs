@@ -12,7 +12,7 @@ use std::{io::Write, sync::Arc};
 ///
 /// The same methods, parameters and defaults as the nodes `icp.*`. TARGET is a surface, from which points are sampled as by
 /// surface.prepare, or points; PLY, STL, OBJ, OFF, VTK, PCD and text are read, and
-/// as TARGET a CT: NIfTI, NRRD, or a folder with a DICOM series (docs/use/formats.md). Normals that the method needs and the file does not
+/// as TARGET a CT: NIfTI, NRRD, MetaImage, or a folder with a DICOM series (docs/use/formats.md). Normals that the method needs and the file does not
 /// have are estimated. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file has a frame of its
 /// own, and the pose takes coordinates in the source's frame to the target's.
 ///

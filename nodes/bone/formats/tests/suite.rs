@@ -7,3 +7,4 @@ mod nifti_fields;
 mod rotations;
 mod round_trip;
 mod volumes;
+mod volumes_of_others;

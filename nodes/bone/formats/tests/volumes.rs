@@ -271,8 +271,14 @@ fn nifti_that_is_cut_has_frames_or_holds_no_density_is_refused_with_the_reason()
     let mut nan = Nifti { datatype: 16, ..PLAIN }.bytes();
     nan[352..356].copy_from_slice(&f32::NAN.to_le_bytes());
     let read = read_bytes(&nan).unwrap();
-    assert!(read.notes.iter().any(|n| n.starts_with("1 voxels are not finite")), "{:?}", read.notes);
+    let note = "1 voxels without a number (NaN) or of -infinity were set to -1000, the lowest value of the others";
+    assert!(read.notes.iter().any(|n| n == note), "{:?}", read.notes);
     assert_eq!(read.volume.voxels[0], -1000.0 + 0.0, "the lowest of the others");
+    nan[352..356].copy_from_slice(&f32::INFINITY.to_le_bytes());
+    nan[356..360].copy_from_slice(&f32::NEG_INFINITY.to_le_bytes());
+    let read = read_bytes(&nan).unwrap();
+    let highest = values().iter().skip(2).max().map(|v| f32::from(*v)).unwrap();
+    assert_eq!((read.volume.voxels[0], read.volume.voxels[1]), (highest, -1000.0), "{:?}", read.notes);
 }
 
 /// A NRRD header of the test's volume in a space, without the blank line.
@@ -341,7 +347,8 @@ fn nrrd_without_space_says_so_and_other_doubts_are_refused() {
         refusal(&[header.replace(old, new).into_bytes(), raw()].concat())
     };
     for (old, new, message) in [
-        ("dimension: 3", "dimension: 4", "line 4 (dimension): 4 dimensions; 3 are read"),
+        ("dimension: 3", "dimension: 4", "(sizes): 3 sizes for 4 dimensions"),
+        ("dimension: 3", "dimension: 2", "(sizes): 3 sizes for 2 dimensions"),
         ("sizes: 7 6 5", "sizes: 7 6 -5", "whole numbers from 1"),
         ("sizes: 7 6 5", "sizes: 7 6 500", "cut short: 7 x 6 x 500 short are 42000 bytes, but only 420 are there"),
         ("sizes: 7 6 5", "sizes: 900000000 900000000 900000000", "more than can be counted"),
@@ -657,7 +664,10 @@ fn several_series_are_listed_and_chosen_by_number_or_identifier() {
     let folder = dicom().folder(0..5);
     Dicom { series: "1.2.3.4.55555.200002", number: "7", ..dicom() }.write(folder.path(), 0..3);
     let message = folder_refusal(&folder);
-    assert!(message.contains("2 series; choose one by its number or the ending of its identifier"), "{message}");
+    assert!(
+        message.contains("2 series; choose one by its number or the ending of its identifier, --series"),
+        "{message}"
+    );
     assert!(message.contains("CT series 3, identifier ..55555.100001, 5 images of 7 x 6; CT series 7"), "{message}");
     let choose = |series: &str| read_volume(folder.path(), Some(series)).map_err(|e| e.to_string());
     for series in ["3", "100001", ".55555.100001"] {
@@ -676,29 +686,35 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
     let message = folder_refusal(&dicom().folder([0, 1, 2, 4]));
     assert!(message.contains("about 1 of the layers are missing"), "{message}");
     assert!(message.contains(&format!("at {:.3} mm", height(2.0))), "{message}");
-    let message = folder_refusal(&dicom().folder([0, 1, 2, 2, 3, 4]));
+    let twice = dicom().folder(0..5);
+    Dicom { intercept: -1000.0, ..dicom() }.write(&twice.path().join("more"), [2]);
+    assert_is_truth(&read(twice.path()).unwrap().volume, false, "values that are equal after their own scale");
+    let phases = dicom().folder(0..5);
+    let phase = Dicom { slope: 2.0, more: vec![(0x0020_0012, "IS", b"7".to_vec())], ..dicom() };
+    phase.write(&phases.path().join("more"), [2]);
+    let message = folder_refusal(&phases);
+    assert!(
+        message.contains("with different pixels, of different acquisitions; put the layers of one scan"),
+        "{message}"
+    );
     assert!(message.contains(&format!("are both at {:.3} mm", height(2.0))), "{message}");
     let uneven = dicom().folder(0..4);
     let at = (truth(false) * Vector4::new(0.0, 0.0, 4.3, 1.0)).xyz();
     let text = format!("{:.6}\\{:.6}\\{:.6}", at.x, at.y, at.z).into_bytes();
     Dicom { more: vec![(0x0020_0032, "DS", text)], ..dicom() }.write(&uneven.path().join("more"), [4]);
     assert!(folder_refusal(&uneven).contains("not evenly spaced"), "{}", folder_refusal(&uneven));
+    // A layer that does not fit is named and refused, or it is no layer of the stack, and is left out by name.
     for (tag, vr, value, expected) in [
-        (0x0028_0030, "DS", &b"0.7\\0.7"[..], "pixels of [0.7, 0.7] mm"),
-        (0x0020_0037, "DS", b"1\\0\\0\\0\\1\\0", "its plane is turned by"),
+        (0x0028_0030, "DS", &b"0.602\\0.502"[..], "pixels of [0.602, 0.502] mm"),
         (0x0020_0037, "DS", b"1\\0\\0\\0\\0.9\\0", "off unit length or a right angle"),
         (0x0020_0037, "DS", b"1\\0\\0", "holds 3 numbers; 6 are needed"),
         (0x0020_0032, "DS", b"", "ImagePositionPatient is missing"),
         (0x0020_0032, "DS", b"Doe\\Jane\\1", "(0020,0032) holds no decimal numbers"),
         (0x0028_0030, "DS", b"", "PixelSpacing is missing"),
-        (0x0028_0004, "CS", b"RGB", "a picture in colours"),
-        (0x0028_0008, "IS", b"12", "a multi-frame image (12 frames in one file) is not read"),
-        (0x5200_9229, "SQ", b"\xfe\xff\x00\xe0\0\0\0\0", "a multi-frame image (1 frames in one file) is not read"),
-        (0x5200_9230, "SQ", b"\xfe\xff\x00\xe0\0\0\0\0", "a multi-frame image (1 frames in one file) is not read"),
-        (0x0008_0016, "UI", b"1.2.840.10008.5.1.4.1.1.2.1", "Enhanced CT Image (1 frames in one file) is not read"),
-        (0x0008_0016, "UI", b"1.2.840.10008.5.1.4.1.1.2.2", "Legacy Converted Enhanced CT Image (1 frames"),
-        (0x0008_0016, "UI", b"1.2.840.10008.5.1.4.1.1.4.1", "Enhanced MR Image (1 frames"),
-        (0x0028_0002, "US", &[3, 0], "3 samples per pixel"),
+        (0x0028_0008, "IS", b"12", "a multi-frame image of 12 frames without (5200,9230)"),
+        (0x5200_9229, "SQ", b"\xfe\xff\x00\xe0\0\0\0\0", "(5200,9230) says where 0 frames are"),
+        (0x0008_0016, "UI", b"1.2.840.10008.5.1.4.1.1.2.1", "an Enhanced CT Image of 1 frames without (5200,9230)"),
+        (0x0008_0016, "UI", b"1.2.840.10008.5.1.4.1.1.2.2", "a Legacy Converted Enhanced CT Image of 1 frames"),
         (0x0028_0010, "US", &[0, 0], "7 columns and 0 rows; at least one of each is needed"),
         (0x0028_0100, "US", &[12, 0], "of 12: 8, 16 or 32 bits are read"),
         (0x0028_0101, "US", &[17, 0], "17 bits stored up to bit"),
@@ -713,13 +729,36 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
         let message = folder_refusal(&folder);
         assert!(message.contains(expected), "{expected}: {message}");
     }
-    let jpeg = Dicom { syntax: "1.2.840.10008.1.2.4.90", ..dicom() };
-    let message = folder_refusal(&jpeg.folder(0..2));
-    assert!(
-        message.contains("1.2.840.10008.1.2.4.90 (JPEG 2000 lossless) is not read")
-            && message.contains("gdcmconv --raw"),
-        "{message}"
-    );
+    for (tag, vr, value, expected) in [
+        (0x0028_0004, "CS", &b"RGB"[..], "a picture in colours holds no density"),
+        (0x0028_0002, "US", &[3, 0], "3 samples per pixel"),
+        (0x0008_0008, "CS", b"ORIGINAL\\PRIMARY\\LOCALIZER", "1 image of 7 x 6 (a localizer)"),
+        (0x0028_0030, "DS", b"0.7\\0.7", "1 image of 7 x 6 (one layer, which has no surface)"),
+        (0x0020_0037, "DS", b"1\\0\\0\\0\\1\\0", "1 image of 7 x 6 (one layer, which has no surface)"),
+    ] {
+        let folder = dicom().folder(0..5);
+        Dicom { more: vec![(tag, vr, value.to_vec())], ..dicom() }.write(&folder.path().join("more"), [4]);
+        let read = read(folder.path()).unwrap();
+        assert_is_truth(&read.volume, false, expected);
+        let note = read.notes.iter().find(|n| n.starts_with("left out, as no CT: CT series 3"));
+        assert!(note.is_some_and(|n| n.contains(expected)), "{expected}: {:?}", read.notes);
+    }
+    for (syntax, expected) in [
+        (
+            "1.2.840.10008.1.2.4.80",
+            "pixels in JPEG-LS lossless are not read; convert the whole series with dcmdjpls of dcmtk: ",
+        ),
+        (
+            "1.2.840.10008.1.2.4.51",
+            "pixels in JPEG, lossy are not read; convert the whole series with dcmdjpeg of dcmtk: ",
+        ),
+        ("1.2.840.10008.1.2.4.201", "pixels in high-throughput JPEG 2000 are not read; export the series uncompressed"),
+        ("1.2.840.10008.1.2.4.90", "the pixels are not in fragments, as this transfer syntax has them"),
+        ("1.2.3", "transfer syntax 1.2.3 is not read"),
+    ] {
+        let message = folder_refusal(&Dicom { syntax, ..dicom() }.folder(0..2));
+        assert!(message.contains(expected), "{message}");
+    }
     let empty = tempfile::tempdir().unwrap();
     std::fs::write(empty.path().join("ct.nii.gz"), "x").unwrap();
     let message = folder_refusal(&empty);
@@ -751,7 +790,7 @@ fn a_single_file_an_mr_and_bright_padding_are_read_as_what_they_are() {
 }
 
 /// Flips, cuts, doubles and inserts bytes of a file, `n` times; what is read or said must not be a panic.
-fn mutate(original: &[u8], n: u64, what: &str, mut check: impl FnMut(&[u8])) {
+pub(crate) fn mutate(original: &[u8], n: u64, what: &str, mut check: impl FnMut(&[u8])) {
     for seed in 0..n {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut bytes = original.to_vec();

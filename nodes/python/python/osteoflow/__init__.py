@@ -83,7 +83,7 @@ def read(
 ) -> Any:
     """Read a file of any format that the program reads, recognised by its content.
 
-    Returns a `Mesh` (PLY, STL, OBJ, OFF, VTK with faces; the bone's surface of a CT in NIfTI, NRRD or a DICOM folder), a
+    Returns a `Mesh` (PLY, STL, OBJ, OFF, VTK with faces; the bone's surface of a CT in NIfTI, NRRD, MetaImage or a DICOM folder), a
     `Cloud` (PLY, PCD, OBJ, VTK, text), a dict of name to (3,) array (picked points: .mrk.json, .fcsv, .pp, CSV), a (4, 4)
     array (a pose: text, JSON, .tfm, whose inverse is taken), or a `Recording` (run.mcap). All in mm; LPS where the file
     states a space.

@@ -21,7 +21,7 @@ use std::{path::PathBuf, sync::Arc};
 
 /// A bone from whatever file holds it: a surface, points of one, or a CT.
 ///
-/// A surface is STL, PLY, OBJ, OFF or VTK; points are PLY, PCD, VTK or text; a CT is NIfTI, NRRD or the folder of a DICOM series,
+/// A surface is STL, PLY, OBJ, OFF or VTK; points are PLY, PCD, VTK or text; a CT is NIfTI, NRRD, MetaImage or the folder of a DICOM series,
 /// from which the surface is taken as by `surface.ct`. The format is recognised by the content. One of `mesh` and `points` has an
 /// item; `surface.prepare_any` takes either.
 #[derive(Describe)]
@@ -54,7 +54,7 @@ pub struct Params {
     /// Bone is above this in a CT, HU. Unset: half-way between soft tissue and bone in the volume, which the verdict names among
     /// its assumptions; refused with a suggestion where the values are not HU.
     pub threshold_hu: Option<f64>,
-    /// Which DICOM series of the folder: its number, or the ending of its identifier. Unset: the only one.
+    /// Which DICOM series of the folder: its number, or the ending of its identifier. Unset: the only one that may be a CT.
     pub series: Option<String>,
     /// Which connected part is the bone: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part nearest to a
     /// point, mm; `osteoflow info` lists them. Of points a part is a cluster: gaps in it are at most five times the median distance

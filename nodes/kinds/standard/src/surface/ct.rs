@@ -19,7 +19,7 @@ use std::{
     sync::Arc,
 };
 
-/// The surface of a bone in a CT: NIfTI, NRRD, or a DICOM series in a folder.
+/// The surface of a bone in a CT: NIfTI, NRRD, MetaImage, or a DICOM series in a folder.
 ///
 /// The surface lies where linear interpolation between voxels meets the threshold; it is not smoothed, and spaces inside the
 /// bone are no part of it. Where the volume's border cuts the bone it stays open, so that nothing is registered to a face that
@@ -39,7 +39,7 @@ pub struct Ct;
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Params {
-    /// A .nii, .nii.gz, .nrrd or .nhdr file, or the folder of a DICOM series, uncompressed.
+    /// A .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file, an enhanced DICOM file, or the folder of a DICOM series.
     pub path: FilePath,
     /// Bone is above, in HU; in the file's own values if they are not HU. None: refused with a suggestion from the histogram,
     /// as the threshold moves the surface.
@@ -50,7 +50,8 @@ pub struct Params {
     pub component: String,
     /// A point in the bone's cortex, LPS, which chooses the part instead of `component`.
     pub seed_mm: Option<[f64; 3]>,
-    /// Which DICOM series of the folder: its number, or the ending of its identifier. None: the only one.
+    /// Which DICOM series of the folder: its number, or the ending of its identifier, with `#2` behind it for the second stack of a
+    /// series with several. None: the only one that may be a CT; localizers and pages in colours are left out by name.
     pub series: Option<String>,
     /// Whether spaces enclosed by the bone count as bone. true: a camera sees only the outside.
     #[serde(default = "yes")]
