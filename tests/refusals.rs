@@ -192,3 +192,42 @@ fn a_bone_marker_that_stops_before_the_last_message_of_any_topic_leaves_the_plan
     assert_eq!(lost.code, 0, "{}", lost.stderr);
     assert_unknown_at_the_end(&lost, "not seen for 6.00 s, until the recording ended");
 }
+
+#[test]
+fn every_refusal_of_a_recording_names_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let of = procedure(1000);
+    let whole = recording_bytes(&streams(&of, &[]), &BTreeMap::new(), &[]).unwrap();
+    let without = |topic: &str| recording_bytes(&streams(&of, &[topic]), &BTreeMap::new(), &[]).unwrap();
+    let with = |more: Vec<(String, Stream)>, instead: &str| {
+        recording_bytes(&[streams(&of, &[instead]), more].concat(), &BTreeMap::new(), &[]).unwrap()
+    };
+    let mut flipped = whole.clone();
+    flipped[whole.len() / 2] ^= 0x40;
+    let pose = |to: &str| Stream::Transforms(vec![Pose::new(to, "camera_marker", of.camera_marker[0].isometry).at(SECOND_NS)]);
+    let point = Stream::Tips(vec![("camera".into(), SECOND_NS, Point3::new(1.0, 2.0, 3.0))]);
+    let files: [(&str, Vec<u8>); 14] = [
+        ("empty.mcap", Vec::new()),
+        ("first_bytes.mcap", whole[..5].to_vec()),
+        ("cut.mcap", whole[..whole.len() * 6 / 10].to_vec()),
+        ("cut_late.mcap", whole[..whole.len() - 9].to_vec()),
+        ("flipped.mcap", flipped),
+        ("magic.mcap", [&b"\x89NCAP0\r\n"[..], &whole[8..]].concat()),
+        ("no_messages.mcap", recording_bytes::<String>(&[], &BTreeMap::new(), &[]).unwrap()),
+        ("no_scan.mcap", without("/camera/scan")),
+        ("no_laser.mcap", without("/camera/laser_p2")),
+        ("other_frames.mcap", with(vec![("/tracker/camera_marker".into(), pose("lab"))], "/tracker/camera_marker")),
+        ("points_as_scan.mcap", with(vec![("/camera/scan".into(), point)], "/camera/scan")),
+        ("bag.db3", b"SQLite format 3\0and more".to_vec()),
+        ("ros1.bag", b"#ROSBAG V2.0\nE\0\0\0".to_vec()),
+        ("text.mcap", b"1 2 3\n4 5 6\n".to_vec()),
+    ];
+    for (name, bytes) in files {
+        let path = dir.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        let ran = run(GRAPH, &["--set", &format!("recording.path={}", path.display()), "--no-record"]);
+        assert_ne!(ran.code, 0, "{name}: {}", ran.stderr);
+        let refusal = ran.stderr.lines().find(|line| line.starts_with("refused: ") || line.starts_with("error: "));
+        assert!(refusal.is_some_and(|line| line.contains(&path.display().to_string())), "{name}: {}", ran.stderr);
+    }
+}

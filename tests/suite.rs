@@ -19,6 +19,7 @@ mod drawing;
 mod experiments;
 mod export;
 mod failures;
+mod formats;
 mod foxglove_ws;
 mod fuzz;
 mod graphs;

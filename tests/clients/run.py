@@ -18,6 +18,7 @@ except ImportError:
 import clouds  # noqa: F401 (each module registers its tests)
 import images  # noqa: F401
 import links  # noqa: F401
+import logs  # noqa: F401
 import recordings  # noqa: F401
 import streams  # noqa: F401
 from client import ROOT, main

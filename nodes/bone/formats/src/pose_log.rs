@@ -7,7 +7,8 @@
 //! | EuRoC MAV, CSV | `p_RS_R`, `q_RS` with w first, the pose of S in R | m | nanoseconds |
 //! | KITTI odometry | the upper three rows of `t_fixed_moving` | m | none: a rate, or a file of times |
 //! | [`poses_csv`](crate::poses_csv) | `t_parent_child`, the quaternion's w last | mm | nanoseconds |
-//! | any other table, as of NDI or Atracsys | as [`Columns`] describes its heading | mm | as described |
+//! | table of NDI's Track, CSV | `Q0 Qx Qy Qz Tx Ty Tz` for each port, the pose of the tool in the tracker, with its state | mm | seconds, or frames |
+//! | any other table, as of Atracsys | as [`Columns`] describes its heading | mm | as described |
 //!
 //! A tool that the tracker did not see is a [`LostPose`]: a status other than `OK`, numbers that are missing or not finite, an
 //! all-zero quaternion. Stamps in text are taken digit by digit, not by a float, which has no nanoseconds left after 1970.
@@ -55,6 +56,8 @@ pub enum LogFormat {
     Kitti,
     /// `t_ns,parent,child,x,y,z,qx,qy,qz,qw`.
     Poses,
+    /// A table of NDI's Track, whose heading begins with `Tools,Port`.
+    Ndi,
     /// A table whose heading is described.
     Table,
 }
@@ -64,7 +67,7 @@ impl LogFormat {
     pub fn unit_mm(self) -> f64 {
         match self {
             Self::Tum | Self::Euroc | Self::Kitti => MM_PER_M,
-            Self::IgsMha | Self::Poses | Self::Table => 1.0,
+            Self::IgsMha | Self::Poses | Self::Ndi | Self::Table => 1.0,
         }
     }
 
@@ -82,6 +85,7 @@ impl fmt::Display for LogFormat {
             Self::Euroc => "a EuRoC trajectory",
             Self::Kitti => "a KITTI trajectory",
             Self::Poses => "poses (t_ns, parent, child, ..)",
+            Self::Ndi => "a table of NDI's Track",
             Self::Table => "a table of poses",
         })
     }
@@ -153,7 +157,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
             let poses_csv::PosesRead { poses, notes } = poses_csv::read_poses(path, unit_mm)?;
             return Ok(PoseLog { format, poses, notes });
         }
-        LogFormat::Table => columns::read(path, unit_mm, options, &mut log)?,
+        LogFormat::Ndi | LogFormat::Table => columns::read(path, unit_mm, options, &mut log)?,
     }
     if log.poses.is_empty() {
         return Err(FileError::content(path, "poses", "there is no pose in the file; was it cut short?"));

@@ -9,6 +9,7 @@ use osteoflow_formats::{
     message_read::{procedure_region, read_cloud, read_pose_in_frame, read_transforms},
     picked_points::read_picked_points,
     plan_file::{parse_plan, read_plan},
+    pose_log::{LogFormat, LogOptions, read_log},
     write::{Precision, write_mesh},
 };
 use osteoflow_geometry::{StampNs, SurfaceOrigin};
@@ -271,4 +272,31 @@ fn a_bone_survives_being_written_in_every_format_and_space() {
             }
         }
     }
+}
+
+#[test]
+fn tracked_sequences_of_plus_hold_the_poses_that_are_in_their_headers() {
+    let Some(data) = data("tracked sequences of PLUS") else { return };
+    let folder = data.join("real/plus");
+    if !folder.is_dir() {
+        return println!("skipped: tracked sequences of PLUS: no {}", folder.display());
+    }
+    let read = |name: &str| read_log(&folder.join(name), &LogOptions::default()).unwrap();
+    // Frames, transforms in each, and the first stamp, ns.
+    for (name, n_frames, n_transforms, first_ns) in [
+        ("EightLandmarkPointsTrackedForPhantomRegistration.igs.mha", 1000, 2, 280_461_142_857),
+        ("ReferenceToRASCalibration.igs.mha", 93, 2, 196_720_814_286),
+        ("TimestampFilteringTest.igs.mha", 500, 1, 1_840_749_750_288_000),
+    ] {
+        let log = read(name);
+        assert_eq!((log.format, log.poses.len()), (LogFormat::IgsMha, n_frames * n_transforms), "{name}");
+        assert!(log.poses.iter().all(Result::is_ok), "{name}: every status is OK");
+        assert_eq!(log.poses[0].as_ref().unwrap().value.stamp_ns, first_ns, "{name}");
+    }
+    let log = read("EightLandmarkPointsTrackedForPhantomRegistration.igs.mha");
+    let stylus = &log.poses[1].as_ref().unwrap().value;
+    assert_eq!((stylus.to.as_str(), stylus.from.as_str()), ("Tracker", "Stylus"));
+    // The first row of the matrix is 0.68393 0.36068 -0.63430 315.553.
+    let corner = stylus.isometry * Point3::new(100.0, 0.0, 0.0);
+    assert!((corner.x - (68.39311099507384 + 315.55283203125)).abs() < 1e-9, "{corner}");
 }

@@ -1,4 +1,4 @@
-//! Recorded trackers whose poses freeze, or whose stamps run backwards.
+//! Recorded trackers whose poses freeze, whose stamps run backwards, or whose frames several transforms join; and their logs.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
 #[path = "../../../bone/formats/tests/layouts.rs"]
@@ -7,36 +7,52 @@ mod layouts;
 use layouts::{Layout, Order, recording_bytes};
 use osteoflow_formats::recording_write::Stream;
 use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
-use osteoflow_node::{Context, DeclaredPort, Emission, FilePath, Outputs, Registry, Source, serde_json::json};
-use osteoflow_standard::acquire::mcap::{Mcap, Params};
+use osteoflow_node::{
+    Context, DeclaredPort, Emission, FilePath, NodeError, Outputs, Registry, Source, serde_json, serde_json::json,
+};
+use osteoflow_standard::acquire::{
+    mcap::{Mcap, Params},
+    poses::{self, Poses},
+};
 
 const STAMP: StampNs = 1_750_000_011_000_000_000;
 const MS: StampNs = 1_000_000;
 
-/// The items of a port and the warnings of its source.
-fn played(
-    poses: Vec<Pose>,
-    port: osteoflow_node::serde_json::Value,
-    order: Order,
-) -> (Vec<(StampNs, Emission)>, Vec<String>) {
-    let layout = Layout { order, ..Layout::default() };
-    let bytes = recording_bytes(&[("/tracker/bone", Stream::Transforms(poses))], &Default::default(), &[], &layout);
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), bytes).unwrap();
+/// The items of a port and the warnings of its source, or its error.
+type Played = Result<(Vec<(StampNs, Emission)>, Vec<String>), NodeError>;
+
+/// Plays a source with one port of poses.
+fn play<S: Source>(mut source: S, port: osteoflow_node::serde_json::Value) -> Played {
     let mut registry = Registry::default();
     osteoflow_payloads::register(&mut registry);
     let payload = registry.payload_type("geometry/Pose").unwrap();
     let declared = DeclaredPort { name: "bone".into(), payload, params: port };
     let mut ctx = Context::new("recording", 0, std::sync::Arc::default(), vec![declared].into());
-    let params = Params { path: FilePath(file.path().into()), allow_truncated: false, frames: Default::default() };
-    let mut source = Mcap::new(params).unwrap();
     let mut items = Vec::new();
-    while let Some(out) = source.next(&mut ctx).unwrap() {
+    while let Some(out) = source.next(&mut ctx)? {
         let mut emissions = vec![Emission::Silent];
         out.put(&mut emissions);
         items.push((ctx.stamp_ns(), emissions.remove(0)));
     }
-    (items, ctx.take_warnings())
+    Ok((items, ctx.take_warnings()))
+}
+
+/// Plays a recording of these topics.
+fn play_recording(streams: &[(&str, Stream)], port: osteoflow_node::serde_json::Value, order: Order) -> Played {
+    let layout = Layout { order, ..Layout::default() };
+    let bytes = recording_bytes(streams, &Default::default(), &[], &layout);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    let params = Params { path: FilePath(file.path().into()), allow_truncated: false, frames: Default::default() };
+    play(Mcap::new(params).unwrap(), port)
+}
+
+fn played(
+    poses: Vec<Pose>,
+    port: osteoflow_node::serde_json::Value,
+    order: Order,
+) -> (Vec<(StampNs, Emission)>, Vec<String>) {
+    play_recording(&[("/tracker/bone", Stream::Transforms(poses))], port, order).unwrap()
 }
 
 fn pose(ms: StampNs, x: f64) -> Pose {
@@ -81,4 +97,149 @@ fn stamps_that_run_backwards_are_reported_once_with_message_and_both_stamps() {
     let [former, later] = [" ns comes after ", ": "].map(|mark| said.split(mark).last().unwrap_or_default());
     let first = |text: &str| text.split(' ').next().unwrap_or_default().parse::<StampNs>().unwrap_or_default();
     assert!(said.contains("first at message ") && first(later) < first(former), "{said}");
+}
+
+/// The pose of an item, if it is no empty.
+fn pose_of(emission: &Emission) -> Option<Pose> {
+    match emission {
+        Emission::Value(value) => value.downcast_ref::<Pose>().cloned(),
+        _ => None,
+    }
+}
+
+/// map -> base at 20 Hz with one lost sample, base -> camera once, on `/tf_static`.
+fn base_and_camera() -> [(&'static str, Stream); 2] {
+    let turn = |k: StampNs| Isometry3::new([k as f64, 0.0, 100.0].into(), [0.0, 0.0, 0.01 * k as f64].into());
+    let base = (0..9).map(|k| Pose::new("map", "base", turn(k)).at(STAMP + 50 * k * MS)).collect();
+    let camera = Pose::new("base", "camera", Isometry3::new([0.0, 30.0, 0.0].into(), [1.0, 0.0, 0.0].into()))
+        .at(STAMP + 70 * MS);
+    [("/tf", Stream::Transforms(base)), ("/tf_static", Stream::Transforms(vec![camera]))]
+}
+
+#[test]
+fn frames_that_two_transforms_join_are_joined_by_the_tree_of_tf_and_tf_static_and_told() {
+    let port = |parent: &str, child: &str| json!({ "topic": "/tf", "parent": parent, "child": child });
+    let (items, warnings) = play_recording(&base_and_camera(), port("map", "camera"), Order::Sensor).unwrap();
+    assert_eq!(items.len(), 9);
+    let camera = Isometry3::new([0.0, 30.0, 0.0].into(), [1.0, 0.0, 0.0].into());
+    for (k, (stamp, emission)) in items.iter().enumerate() {
+        let base = Isometry3::new([k as f64, 0.0, 100.0].into(), [0.0, 0.0, 0.01 * k as f64].into());
+        let found = pose_of(emission).unwrap();
+        assert_eq!((found.to.as_str(), found.from.as_str(), *stamp), ("map", "camera", STAMP + 50 * k as StampNs * MS));
+        let off = (found.isometry.to_homogeneous() - (base * camera).to_homogeneous()).amax();
+        assert!(off < 1e-4, "{off} at {k}: metres in single precision");
+    }
+    assert!(warnings.iter().any(|note| note.contains("t_map_camera is t_map_base * t_base_camera")), "{warnings:?}");
+    let (items, warnings) = play_recording(&base_and_camera(), port("base", "map"), Order::Sensor).unwrap();
+    let found = pose_of(&items[3].1).unwrap();
+    let base = Isometry3::new([3.0, 0.0, 100.0].into(), [0.0, 0.0, 0.03].into());
+    assert!((found.isometry.to_homogeneous() - base.inverse().to_homogeneous()).amax() < 1e-4);
+    assert!(warnings.iter().any(|note| note.contains("t_base_map is the inverse of t_map_base")), "{warnings:?}");
+    let Err(error) = play_recording(&base_and_camera(), port("map", "lens"), Order::Sensor) else { panic!("no way") };
+    assert!(
+        error.message.contains("/tf has no transform lens -> map, but base -> map; set child and parent"),
+        "{error}"
+    );
+    // A second parent of a frame on the way.
+    let odom = Pose::new("odom", "base", Isometry3::identity()).at(STAMP);
+    let streams = [&base_and_camera()[..], &[("/tf/more", Stream::Transforms(vec![odom]))]].concat();
+    let port = json!({ "topics": ["/tf", "/tf_static", "/tf/more"], "parent": "map", "child": "camera" });
+    let Err(error) = play_recording(&streams, port, Order::Sensor) else { panic!("two parents") };
+    assert!(error.message.contains("frame \"base\" has the parents \"map\" and \"odom\""), "{error}");
+}
+
+/// Plays a log.
+fn play_log(text: &str, params: serde_json::Value, port: serde_json::Value) -> Played {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), text).unwrap();
+    let mut params: poses::Params = serde_json::from_value(params).unwrap();
+    params.path = FilePath(file.path().into());
+    let name = file.path().display().to_string();
+    play(Poses::new(params).unwrap(), port).map_err(|error| NodeError::new(error.message.replace(&name, "LOG")))
+}
+
+/// A sequence of PLUS: the stylus on a reference, the reference in the tracker, which is not seen in frame 2.
+fn sequence() -> String {
+    let mut text = "ObjectType = Image\nNDims = 3\nDimSize = 0 0 5\n".to_owned();
+    for k in 0..5 {
+        let (status, frame) = (if k == 2 { "INVALID" } else { "OK" }, format!("Seq_Frame{k:04}_"));
+        text += &format!("{frame}ReferenceToTrackerTransform = 0 -1 0 {k} 1 0 0 20 0 0 1 30 0 0 0 1\n");
+        text += &format!("{frame}ReferenceToTrackerTransformStatus = {status}\n");
+        text += &format!("{frame}StylusToReferenceTransform = 1 0 0 5 0 1 0 {k} 0 0 1 7 0 0 0 1\n");
+        text += &format!(
+            "{frame}StylusToReferenceTransformStatus = OK\n{frame}Timestamp = {:.2}\n",
+            10.0 + 0.05 * f64::from(k)
+        );
+    }
+    text + "ElementDataFile = LOCAL\n"
+}
+
+#[test]
+fn a_log_gives_its_poses_and_a_lost_tool_is_an_empty_with_the_reason_never_the_last_pose() {
+    let params = json!({ "path": "", "frames": { "Tracker": "world" }, "stamp_offset_s": 100.0 });
+    let (items, warnings) =
+        play_log(&sequence(), params, json!({ "parent": "Tracker", "child": "Reference" })).unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    let stamps: Vec<StampNs> = items.iter().map(|(stamp, _)| *stamp / MS).collect();
+    assert_eq!(stamps, [110_000, 110_050, 110_100, 110_150, 110_200], "with the offset");
+    let poses: Vec<Option<f64>> =
+        items.iter().map(|(_, item)| pose_of(item).map(|pose| pose.isometry.translation.x)).collect();
+    assert_eq!(poses, [Some(0.0), Some(1.0), None, Some(3.0), Some(4.0)]);
+    assert!(
+        matches!(&items[2].1, Emission::Empty(reason) if reason.contains("the status INVALID")),
+        "{:?}",
+        items[2].1
+    );
+    let first = pose_of(&items[0].1).unwrap();
+    assert_eq!((first.to.as_str(), first.from.as_str()), ("world", "Reference"));
+}
+
+#[test]
+fn a_log_joins_its_tools_by_their_tree_and_a_lost_one_on_the_way_is_lost() {
+    let (items, warnings) =
+        play_log(&sequence(), json!({ "path": "" }), json!({ "parent": "Tracker", "child": "Stylus" })).unwrap();
+    let note = "LOG: port \"bone\": t_Tracker_Stylus is t_Tracker_Reference * t_Reference_Stylus, as tf takes it";
+    assert!(warnings.iter().any(|found| found.ends_with(&note[3..])), "{warnings:?}");
+    // A quarter turn: x = k - k, y = 20 + 5.
+    let places: Vec<_> = items
+        .iter()
+        .map(|(_, item)| pose_of(item).map(|pose| <[f64; 3]>::from(pose.isometry.translation.vector)))
+        .collect();
+    let seen = |k: usize| (k != 2).then_some([0.0, 25.0, 37.0]);
+    for (k, place) in places.iter().enumerate() {
+        let off = place.zip(seen(k)).map_or(0.0, |(a, b)| (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f64::max));
+        assert!(place.is_some() == seen(k).is_some() && off < 1e-12, "{places:?}");
+    }
+    let Emission::Empty(reason) = &items[2].1 else { panic!("{:?}", items[2].1) };
+    assert!(reason.contains("t_Tracker_Reference has no pose") && reason.contains("the status INVALID"), "{reason}");
+}
+
+#[test]
+fn a_port_that_fits_several_transforms_or_none_and_frames_that_no_pose_has_are_refused_by_name() {
+    for (params, port, expected) in [
+        (
+            json!({ "path": "" }),
+            json!({}),
+            "any -> any: several fit Stylus -> Reference, Reference -> Tracker; set child and parent",
+        ),
+        (
+            json!({ "path": "" }),
+            json!({ "child": "Probe" }),
+            "Probe -> any: there are Stylus -> Reference, Reference -> Tracker",
+        ),
+        (json!({ "path": "" }), json!({ "parent": "ct", "child": "Stylus" }), "no transforms lead from Stylus to ct"),
+        (
+            json!({ "path": "", "frames": { "tracker": "world" } }),
+            json!({ "parent": "Tracker", "child": "Reference" }),
+            "LOG: frames names \"tracker\", but no pose that a port reads is in it",
+        ),
+        (
+            json!({ "path": "", "format": "tum" }),
+            json!({}),
+            "LOG: frames: a TUM trajectory names no frames; give parent and child",
+        ),
+    ] {
+        let Err(error) = play_log(&sequence(), params, port) else { panic!("{expected}") };
+        assert!(error.message.contains(expected) && error.message.contains("LOG"), "{error}\n{expected}");
+    }
 }

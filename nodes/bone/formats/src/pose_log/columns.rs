@@ -8,7 +8,8 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::Path;
 
-/// What the columns of a table of poses are. Columns are named as in the heading; of several with one name, `Tx#2` is the second.
+/// What the columns of a table of poses are. Columns are named as in the heading; of several with one name, `Tx#2` is the second, or
+/// `after` says which.
 ///
 /// The separator (semicolon, tab or comma), a decimal comma between semicolons or tabs, and lines before the heading are found.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -48,6 +49,8 @@ pub struct Tool {
     pub child: Option<String>,
     /// The column with the name of the frame that moves, in a table with a line for each tool.
     pub child_column: Option<String>,
+    /// The beginning of the name of a column behind which this tool's are, such as `Port 2`, in a table that has them for several.
+    pub after: Option<String>,
     /// The columns of x, y and z.
     pub translation: [String; 3],
     /// The columns of a quaternion, each by its name, since programs differ in their order.
@@ -103,13 +106,50 @@ enum Rotation {
     EulerZyx([usize; 3]),
 }
 
+/// Whether a line is the heading of a table of NDI's Track.
+pub(super) fn is_ndi(line: &str) -> bool {
+    line.starts_with("Tools,")
+        && quoted_cells(line, ',').iter().any(|cell| is_port(cell))
+        && line.contains(",Tx,Ty,Tz,")
+}
+
+fn is_port(cell: &str) -> bool {
+    cell.trim_start().starts_with("Port ")
+}
+
+/// The columns of a table of NDI's Track: for each tool a column `Port N: NAME`, its frame, its time, its state, and its pose.
+///
+/// Its times are those of the computer, in seconds, where there are such; older tables count frames alone.
+fn ndi(heading: &str) -> Columns {
+    let cells = quoted_cells(heading, ',');
+    let has = |name: &str| cells.iter().any(|cell| cell.trim() == name);
+    let time = if has("Time [sec]") { ("Time [sec]", TimeUnit::S) } else { ("Frame", TimeUnit::Frames) };
+    let names = |names: [&str; 3]| names.map(String::from);
+    let tool = |port: &String| Tool {
+        child: Some(port.split_once(':').map_or(port.as_str(), |(_, name)| name).trim().to_owned()),
+        after: Some(port.trim().to_owned()),
+        translation: names(["Tx", "Ty", "Tz"]),
+        quaternion: has("Q0").then(|| {
+            let [w, x, y, z] = ["Q0", "Qx", "Qy", "Qz"].map(String::from);
+            QuaternionColumns { w, x, y, z }
+        }),
+        euler_zyx_deg: (!has("Q0")).then(|| names(["Rz", "Ry", "Rx"])),
+        status: Some("State".into()),
+        ..Tool::default()
+    };
+    let tools = cells.iter().filter(|cell| is_port(cell)).map(tool).collect();
+    Columns { time: time.0.into(), time_unit: time.1, parent: "tracker".into(), tools }
+}
+
 /// Reads a table.
 pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Log) -> Result<(), FileError> {
-    let Some(columns) = &options.columns else {
+    let bytes = input::read(path)?;
+    let first = Cursor::text(path, &bytes)?.filled_line().unwrap_or_default();
+    let of_ndi = is_ndi(&first).then(|| ndi(&first));
+    let Some(columns) = options.columns.as_ref().or(of_ndi.as_ref()) else {
         let message = "a table needs columns, which say what is in its heading: time, time_unit, parent and tools";
         return Err(FileError::content(path, "columns", message));
     };
-    let bytes = input::read(path)?;
     let mut table = Table::open(Cursor::text(path, &bytes)?, columns)?;
     let exponent = match (columns.time_unit, options.rate_hz) {
         (TimeUnit::S, _) => Ok(9),
@@ -122,7 +162,7 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
             return Err(FileError::content(path, "columns", message));
         }
     };
-    let time = table.place(&columns.time)?;
+    let time = table.place(&columns.time, 0)?;
     if columns.tools.is_empty() {
         return Err(FileError::content(path, "columns", "tools names no tool"));
     }
@@ -172,13 +212,13 @@ impl<'a> Table<'a> {
         Err(start.header_fault(message))
     }
 
-    /// The place of a column; `name#2` is the second of that name.
-    fn place(&self, name: &str) -> Result<usize, FileError> {
+    /// The place of a column; `name#2` is the second of that name behind `start`.
+    fn place(&self, name: &str, start: usize) -> Result<usize, FileError> {
         let (plain, nth) = match name.rsplit_once('#').and_then(|(plain, n)| Some((plain, n.parse::<usize>().ok()?))) {
             Some((plain, nth)) if !self.heading.iter().any(|cell| cell == name) => (plain, nth.max(1) - 1),
             _ => (name, 0),
         };
-        let mut places = (0..self.heading.len()).filter(|k| self.heading[*k] == plain);
+        let mut places = (start..self.heading.len()).filter(|k| self.heading[*k] == plain);
         let found = places.nth(nth);
         found.ok_or_else(|| {
             let message = format!("no column is called \"{name}\"; there are: {}", self.heading.join(", "));
@@ -248,10 +288,10 @@ impl Row<'_> {
 }
 
 /// The places of several columns.
-fn places<const N: usize>(table: &Table, names: &[String; N]) -> Result<[usize; N], FileError> {
+fn places<const N: usize>(table: &Table, names: [&str; N], start: usize) -> Result<[usize; N], FileError> {
     let mut places = [0; N];
     for (place, name) in places.iter_mut().zip(names) {
-        *place = table.place(name)?;
+        *place = table.place(name, start)?;
     }
     Ok(places)
 }
@@ -259,22 +299,34 @@ fn places<const N: usize>(table: &Table, names: &[String; N]) -> Result<[usize; 
 impl<'a> Places<'a> {
     fn of(tool: &'a Tool, table: &Table) -> Result<Self, FileError> {
         let fault = |message: &str| Err(table.cursor.header_fault(message));
-        let optional = |name: &Option<String>| name.as_deref().map(|name| table.place(name)).transpose();
+        let start = match &tool.after {
+            None => 0,
+            Some(after) => {
+                let found = table.heading.iter().position(|cell| cell.starts_with(after.as_str()));
+                1 + found.ok_or_else(|| {
+                    let message = format!("no column begins with \"{after}\"; there are: {}", table.heading.join(", "));
+                    table.cursor.fault_at(table.heading_line, message)
+                })?
+            }
+        };
+        let optional = |name: &Option<String>| name.as_deref().map(|name| table.place(name, start)).transpose();
         if tool.child.is_some() == tool.child_column.is_some() {
             return fault("columns: a tool has either child, its name, or child_column, the column with its name");
         }
         let rotation = match (&tool.quaternion, &tool.matrix, &tool.euler_zyx_deg) {
             (Some(QuaternionColumns { w, x, y, z }), None, None) => {
-                Rotation::Quaternion([table.place(w)?, table.place(x)?, table.place(y)?, table.place(z)?])
+                Rotation::Quaternion(places(table, [w, x, y, z].map(String::as_str), start)?)
             }
-            (None, Some(names), None) => Rotation::Matrix(places(table, names)?),
-            (None, None, Some(names)) => Rotation::EulerZyx(places(table, names)?),
+            (None, Some(names), None) => Rotation::Matrix(places(table, names.each_ref().map(String::as_str), start)?),
+            (None, None, Some(names)) => {
+                Rotation::EulerZyx(places(table, names.each_ref().map(String::as_str), start)?)
+            }
             _ => return fault("columns: a tool has one of quaternion, matrix and euler_zyx_deg"),
         };
         Ok(Self {
             tool,
             child: optional(&tool.child_column)?,
-            translation: places(table, &tool.translation)?,
+            translation: places(table, tool.translation.each_ref().map(String::as_str), start)?,
             rotation,
             status: optional(&tool.status)?,
         })
@@ -312,5 +364,138 @@ impl<'a> Places<'a> {
         };
         let sample = Sample { to: to.into(), from: from.into(), stamp_ns, translation_mm, turn };
         sample.pose().map_err(|message| row.fault(message))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        FileError,
+        pose_log::{Columns, LogFormat, LogOptions, PoseLog, log_format, read_log},
+    };
+    use nalgebra::Vector3;
+
+    fn read(text: &str, columns: Option<&str>) -> Result<PoseLog, FileError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        let columns: Option<Columns> = columns.map(|columns| toml::from_str(columns).unwrap());
+        read_log(file.path(), &LogOptions { columns, ..LogOptions::default() })
+    }
+
+    /// Frames, stamp, x and the angle in degrees of each pose, or why it is lost.
+    fn words(log: &PoseLog) -> Vec<String> {
+        let word = |pose: &Result<osteoflow_geometry::Nearest<osteoflow_geometry::Pose>, crate::LostPose>| match pose {
+            Ok(pose) => {
+                let (pose, turn) = (&pose.value, pose.value.isometry.rotation.scaled_axis().map(f64::to_degrees));
+                let at = pose.isometry.translation.vector;
+                format!("{} {} {} {at:.1?} {turn:.1?}", pose.to, pose.from, pose.stamp_ns).replace('\n', "")
+            }
+            Err(lost) => format!("{} {} {} {}", lost.to, lost.from, lost.stamp_ns, lost.reason),
+        };
+        log.poses.iter().map(word).collect()
+    }
+
+    const NDI: &str = "Tools,Port 0x01: Probe  s/n:1,Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz,\
+                       Port 0x02: Bone,Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz\r\n\
+                       2,Port 0x01: Probe  s/n:1,650,1778067471.318767388,1,OK,0.70710678,0,0,0.70710678,-42.1,-236.3,-1655.3,0.2,3,OK,\
+                       -54.0,-355.1,-1630.0,Port 0x02: Bone,650,1778067471.318767388,1,OK,1,0,0,0,82.6,-64.0,-1575.9,0.3,3,OK,1,2,3\r\n\
+                       2,Port 0x01: Probe  s/n:1,653,1778067471.368767388,1,Too Few Markers,-3.697314E28,-3.697314E28,-3.697314E28,\
+                       -3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,0,3,OK,1,2,3,Port 0x02: Bone,653,1778067471.368767388,1,OK,\
+                       0,1,0,0,82.7,-64.1,-1575.8,0.3,3,Off Angle,1,2,3\r\n";
+
+    #[test]
+    fn a_table_of_ndi_is_known_by_its_heading_and_a_state_other_than_ok_is_a_lost_tool() {
+        let log = read(NDI, None).unwrap();
+        assert_eq!((log.format, &log.notes[..]), (LogFormat::Ndi, &[][..]));
+        let found = words(&log);
+        let stamps = ["1778067471318767388", "1778067471368767388"];
+        let probe = &log.poses[0].as_ref().unwrap().value;
+        assert_eq!((probe.from.as_str(), probe.stamp_ns.to_string().as_str()), ("Probe  s/n:1", stamps[0]));
+        assert_eq!(probe.isometry.translation.vector, Vector3::new(-42.1, -236.3, -1655.3));
+        assert!((probe.isometry.rotation.scaled_axis() - Vector3::z() * 90_f64.to_radians()).norm() < 1e-6);
+        assert_eq!(found[2], format!("tracker Probe  s/n:1 {} the status Too Few Markers", stamps[1]));
+        let bone = &log.poses[3].as_ref().unwrap().value;
+        assert_eq!((bone.from.as_str(), bone.isometry.translation.x), ("Bone", 82.7));
+        assert!((bone.isometry.rotation * Vector3::y() + Vector3::y()).norm() < 1e-12, "half a turn about x");
+    }
+
+    #[test]
+    fn a_described_table_may_have_words_before_it_semicolons_decimal_commas_and_a_line_for_each_tool() {
+        let text = "\u{feff}Atracsys fusionTrack\n\nt_us;marker;geom;status;R00;R01;R02;R10;R11;R12;R20;R21;R22;px;py;pz\n\
+                    1500,5;\"my probe\";7;1;0;-1;0;1;0;0;0;0;1;10,25;20;30\n3000;bone;8;0;;;;;;;;;;;;\n";
+        let columns = "time = \"t_us\"\ntime_unit = \"us\"\nparent = \"tracker\"\n[[tools]]\nchild_column = \"marker\"\n\
+                       translation = [\"px\", \"py\", \"pz\"]\nmatrix = [\"R00\", \"R01\", \"R02\", \"R10\", \"R11\", \"R12\", \
+                       \"R20\", \"R21\", \"R22\"]\nstatus = \"status\"\nseen = [\"1\"]\n";
+        let log = read(text, Some(columns)).unwrap();
+        let pose = &log.poses[0].as_ref().unwrap().value;
+        assert_eq!((pose.from.as_str(), pose.stamp_ns, pose.isometry.translation.x), ("my probe", 1_500_500, 10.25));
+        assert!((pose.isometry.rotation * Vector3::x() - Vector3::y()).norm() < 1e-12, "row by row");
+        assert_eq!(words(&log)[1], "tracker bone 3000000 the status 0");
+        // Without the status the empty cells are a lost tool, too.
+        let blind = columns.replace("status = \"status\"\nseen = [\"1\"]\n", "");
+        assert_eq!(words(&read(text, Some(&blind)).unwrap())[1], "tracker bone 3000000 a position that is not finite");
+    }
+
+    #[test]
+    fn columns_of_one_name_are_told_apart_by_their_number_or_by_what_is_before_them() {
+        let text = "frame,A,x,y,z,w,i,j,k,B,x,y,z,w,i,j,k\n30,a,1,2,3,1,0,0,0,b,4,5,6,1,0,0,0\n";
+        let tool = |child: &str, more: &str, n: &str| {
+            format!(
+                "[[tools]]\nchild = \"{child}\"\n{more}translation = [\"x{n}\", \"y{n}\", \"z{n}\"]\nquaternion = \
+                 {{ w = \"w{n}\", x = \"i{n}\", y = \"j{n}\", z = \"k{n}\" }}\n"
+            )
+        };
+        let head = "time = \"frame\"\ntime_unit = \"frames\"\nparent = \"tracker\"\n";
+        let columns = format!("{head}{}{}{}", tool("a", "", ""), tool("b", "", "#2"), tool("c", "after = \"B\"\n", ""));
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        let columns: Columns = toml::from_str(&columns).unwrap();
+        let mut options = LogOptions { columns: Some(columns), ..LogOptions::default() };
+        let error = read_log(file.path(), &options).unwrap_err().to_string();
+        assert!(error.contains("time_unit is frames; give the rate of the tracker in Hz"), "{error}");
+        options.rate_hz = Some(60.0);
+        let log = read_log(file.path(), &options).unwrap();
+        let places: Vec<_> =
+            log.poses.iter().map(|pose| pose.as_ref().unwrap()).map(|pose| pose.value.isometry.translation.x).collect();
+        assert_eq!((places, log.poses[0].as_ref().unwrap().value.stamp_ns), (vec![1.0, 4.0, 4.0], 500_000_000));
+    }
+
+    #[test]
+    fn angles_turn_about_z_of_the_result_of_y_of_the_result_of_x() {
+        let columns = "time = \"t\"\ntime_unit = \"s\"\nparent = \"tracker\"\n[[tools]]\nchild = \"a\"\ntranslation = [\"x\", \"y\", \"z\"]\n\
+                       euler_zyx_deg = [\"Rz\", \"Ry\", \"Rx\"]\n";
+        let log = read("t\tRz\tRy\tRx\tx\ty\tz\n1,5\t90\t0\t90\t1\t2\t3\n", Some(columns)).unwrap();
+        let turn = log.poses[0].as_ref().unwrap().value.isometry.rotation;
+        // About x first: y to z, then about z: z stays.
+        assert!(
+            (turn * Vector3::y() - Vector3::z()).norm() < 1e-12 && (turn * Vector3::x() - Vector3::y()).norm() < 1e-12
+        );
+    }
+
+    #[test]
+    fn a_fault_names_line_and_column() {
+        let columns = "time = \"t\"\ntime_unit = \"s\"\nparent = \"p\"\n[[tools]]\nchild = \"a\"\ntranslation = [\"x\", \"y\", \"z\"]\n\
+                       quaternion = { w = \"w\", x = \"i\", y = \"j\", z = \"k\" }\n";
+        let head = "t,x,y,z,w,i,j,k\n";
+        for (text, expected) in [
+            (
+                format!("{head}1,2,3,4,1,0,0,0\n2,2,3,4,1,0"),
+                "line 3: the line has 6 cells, and \"j\" is cell 7; was the file cut short?",
+            ),
+            (format!("{head}1,2,3,4,9,0,0,0\n"), "line 2: the quaternion has length 9"),
+            (format!("{head}soon,2,3,4,1,0,0,0\n"), "line 2: the stamp \"soon\" is not a number"),
+            (format!("{head}1,2,3,up,1,0,0,0\n"), "line 2: z is \"up\", a number is expected"),
+            (
+                "t,x,y,z,w,i,j\n1,2,3,4,1,0,0\n".into(),
+                "line 1: no column is called \"k\"; there are: t, x, y, z, w, i, j",
+            ),
+            ("a,b\n1,2\n".into(), "header: no line names the columns \"t\" and \"x\""),
+        ] {
+            let error = read(&text, Some(columns)).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}\n{expected}");
+        }
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), NDI).unwrap();
+        assert_eq!(log_format(file.path()).unwrap(), Some(LogFormat::Ndi));
     }
 }

@@ -3,7 +3,7 @@
 //! # Source
 //! The descriptions of the three data sets, and the readers of evo (`evo/tools/file_interface.py`).
 
-use super::{Log, LogFormat, LogOptions, Sample, Turn, stamp::nanoseconds};
+use super::{Log, LogFormat, LogOptions, Sample, Turn, columns, stamp::nanoseconds};
 use crate::{
     FileError,
     cursor::{Cursor, is_text},
@@ -36,8 +36,14 @@ pub(super) fn format_of(head: &[u8], is_whole: bool) -> Option<LogFormat> {
     if poses_csv::is_heading(lines.clone().find(|line| !is_comment(line))?) {
         return Some(LogFormat::Poses);
     }
+    if columns::is_ndi(first) {
+        return Some(LogFormat::Ndi);
+    }
     if is_euroc_heading(first) {
         return Some(LogFormat::Euroc);
+    }
+    if is_tum_heading(first) {
+        return Some(LogFormat::Tum);
     }
     let rows: Vec<Vec<&str>> =
         lines.by_ref().filter(|line| !is_comment(line)).take(N_LOOKED_AT).map(|line| cells(line).collect()).collect();
@@ -81,6 +87,13 @@ pub(super) fn format_of(head: &[u8], is_whole: bool) -> Option<LogFormat> {
 fn is_euroc_heading(line: &str) -> bool {
     line.trim_start_matches('#').trim_start().starts_with("timestamp")
         && EUROC[..3].iter().all(|name| line.contains(name))
+}
+
+/// Whether a line names TUM's columns, in any order and with any separator.
+fn is_tum_heading(line: &str) -> bool {
+    let line = line.trim_start_matches('#').trim_start();
+    let names: Vec<&str> = cells(line).collect();
+    line.starts_with("timestamp") && names.len() == 8 && TUM.iter().all(|name| names.contains(name))
 }
 
 /// The words of a line between commas, semicolons or blanks.
@@ -161,7 +174,8 @@ fn rows(mut cursor: Cursor<'_>) -> (Vec<(Cow<'_, str>, usize)>, Option<(Vec<Stri
         let comment = text.strip_prefix('#').or_else(|| text.strip_prefix('%'));
         let is_heading = rows.is_empty() && text.starts_with("timestamp");
         match comment.or(is_heading.then_some(text)) {
-            Some(comment) if rows.is_empty() => {
+            // Other comments are no headings.
+            Some(comment) if rows.is_empty() && comment.trim_start().starts_with("timestamp") => {
                 let name = |cell: &str| cell.split(['[', '(']).next().unwrap_or_default().trim().to_owned();
                 names = Some((cells(comment).map(name).collect(), cursor.line));
             }
@@ -239,5 +253,168 @@ impl Clock {
             Self::Rate(rate_hz) => Ok((k as f64 * 1e9 / rate_hz).round() as StampNs),
             Self::Times(stamps) => Ok(stamps[k]),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pose_log::{PoseLog, log_format, read_log};
+    use std::path::PathBuf;
+
+    fn options() -> LogOptions {
+        LogOptions { parent: Some("world".into()), child: Some("body".into()), ..LogOptions::default() }
+    }
+
+    fn read_with(text: &str, options: &LogOptions) -> Result<PoseLog, FileError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        read_log(file.path(), options)
+    }
+
+    fn found(text: &str) -> Option<LogFormat> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        log_format(file.path()).unwrap()
+    }
+
+    /// Half a radian about z, at 1, 2, 3.
+    fn check(log: &PoseLog, k: usize, stamp_ns: StampNs) {
+        let pose = &log.poses[k].as_ref().unwrap().value;
+        assert_eq!((pose.to.as_str(), pose.from.as_str(), pose.stamp_ns), ("world", "body", stamp_ns));
+        assert!((pose.isometry.translation.vector - Vector3::new(1000.0, 2000.0, 3000.0)).norm() < 1e-9, "metres");
+        assert!((pose.isometry.rotation.scaled_axis() - Vector3::z() * 0.5).norm() < 1e-5, "{pose:?}");
+    }
+
+    const TUM_ROW: &str = "1403636579.763555584 1 2 3 0 0 0.247404 0.968912";
+    const EUROC_ROW: &str = "1403636579763555584,1,2,3,0.968912,0,0,0.247404";
+    const KITTI_ROW: &str = "0.877583 -0.479426 0 1 0.479426 0.877583 0 2 0 0 1 3";
+
+    #[test]
+    fn one_pose_is_read_from_each_format_with_its_order_of_the_quaternion() {
+        let ns = 1_403_636_579_763_555_584;
+        let tum = format!("# timestamp tx ty tz qx qy qz qw\r\n{TUM_ROW}\r\n");
+        let euroc = format!(
+            "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n{EUROC_ROW},9,9,9\n"
+        );
+        // The heading counts.
+        let other = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_x [], q_RS_y [], q_RS_z [], q_RS_w []\n\
+                     1403636579763555584,1,2,3,0,0,0.247404,0.968912\n";
+        let w_first = "# timestamp tx ty tz qw qx qy qz\n1403636579.763555584 1 2 3 0.968912 0 0 0.247404\n";
+        for (text, format) in [
+            (tum.as_str(), LogFormat::Tum),
+            (&format!("{TUM_ROW}\n"), LogFormat::Tum),
+            (w_first, LogFormat::Tum),
+            (&w_first.replacen("# ", "", 1).replace(' ', ","), LogFormat::Tum),
+            (&euroc, LogFormat::Euroc),
+            (&format!("{EUROC_ROW}\n"), LogFormat::Euroc),
+            (other, LogFormat::Euroc),
+        ] {
+            let log = read_with(text, &options()).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_eq!((log.format, &log.notes[..]), (format, &[][..]), "{text}");
+            check(&log, 0, ns);
+        }
+        let kitti = LogOptions { rate_hz: Some(10.0), ..options() };
+        let log = read_with(&format!("{KITTI_ROW}\n{KITTI_ROW}\n"), &kitti).unwrap();
+        assert_eq!(log.format, LogFormat::Kitti);
+        check(&log, 0, 1);
+        check(&log, 1, 100_000_000);
+    }
+
+    #[test]
+    fn a_pose_that_is_not_finite_or_has_no_rotation_is_lost_and_order_and_end_are_told() {
+        let text = format!(
+            "{TUM_ROW}\n1403636580.1 nan nan nan nan nan nan nan\n1403636580.2 1 2 3 0 0 0 0\n1403636580.15 1 2 3 0 0 0 1"
+        );
+        let log = read_with(&text, &LogOptions { format: Some(LogFormat::Tum), ..options() }).unwrap();
+        let reasons: Vec<_> =
+            log.poses.iter().filter_map(|pose| pose.as_ref().err()).map(|lost| lost.reason.as_str()).collect();
+        assert_eq!(reasons, ["a position that is not finite", "an all-zero quaternion"]);
+        assert!(log.notes.iter().any(|note| note.starts_with("the last line has no end")), "{:?}", log.notes);
+        assert!(
+            log.notes.iter().any(|note| note.contains("stamps run backwards once, first at line 4")),
+            "{:?}",
+            log.notes
+        );
+    }
+
+    #[test]
+    fn what_a_trajectory_does_not_say_is_asked_for_and_what_is_no_pose_is_refused_with_its_line() {
+        let (tum, kitti) = (format!("{TUM_ROW}\n"), format!("{KITTI_ROW}\n{KITTI_ROW}\n"));
+        let of = |text: &str, format: LogFormat, options: &LogOptions| {
+            read_with(text, &LogOptions { format: Some(format), ..options.clone() }).unwrap_err().to_string()
+        };
+        let unnamed = of(&tum, LogFormat::Tum, &LogOptions::default());
+        assert!(unnamed.contains("a TUM trajectory names no frames; give parent and child"), "{unnamed}");
+        let no_rate = of(&kitti, LogFormat::Kitti, &options());
+        assert!(no_rate.contains("a KITTI trajectory has no stamps; give its rate in Hz"), "{no_rate}");
+        let times = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(times.path(), "0.5\n1e-1\n2\n").unwrap();
+        let timed = LogOptions { times: Some(PathBuf::from(times.path())), ..options() };
+        assert!(of(&kitti, LogFormat::Kitti, &timed).contains("3 stamps for the 2 poses of "));
+        let mirrored = KITTI_ROW.replace("0 0 1 3", "0 0 -1 3");
+        let rate = LogOptions { rate_hz: Some(10.0), ..options() };
+        for (text, format, options, expected) in [
+            (format!("{KITTI_ROW}\n{mirrored}\n"), LogFormat::Kitti, &rate, "line 2: the matrix is a mirror image"),
+            (
+                KITTI_ROW.replace("0 0 1 3", "0 0 1"),
+                LogFormat::Kitti,
+                &rate,
+                "line 1: 12 numbers are expected in a KITTI trajectory, this line has 11",
+            ),
+            (
+                format!("{TUM_ROW}\n1403636580 1 2 3 0"),
+                LogFormat::Tum,
+                &rate,
+                "line 2: 8 numbers are expected in a TUM trajectory, this line has 5; was the file cut short?",
+            ),
+            (TUM_ROW.replace("0.247404", "2.4"), LogFormat::Tum, &rate, "line 1: the quaternion has length 2.58"),
+            (TUM_ROW.replace('.', ","), LogFormat::Tum, &rate, "line 1: "),
+            (
+                TUM_ROW.replacen("1403636579.763555584", "1403636579763555584", 1),
+                LogFormat::Tum,
+                &rate,
+                "taken in seconds, is beyond the year 2262",
+            ),
+            (
+                EUROC_ROW.replacen("1403636579763555584", "1403636579.76", 1),
+                LogFormat::Euroc,
+                &rate,
+                "is no whole number; EuRoC's are nanoseconds",
+            ),
+            (
+                "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m]\n1403636579763555584,1,2,3\n".into(),
+                LogFormat::Euroc,
+                &rate,
+                "line 1: the heading has no column q_RS_x",
+            ),
+        ] {
+            let error = of(&text, format, options);
+            assert!(error.contains(expected), "{error}\n{expected}");
+        }
+        // Stamps in another unit are no tracker's.
+        let fast: String = (0..9).map(|k| format!("{}.0 1 2 {k} 0 0 0 1\n", 1_403_636_579 + 1000 * k)).collect();
+        let log = read_with(&fast, &options()).unwrap();
+        assert!(log.notes[0].contains("its poses are 1.0e3 s apart, as of no tracker"), "{:?}", log.notes);
+    }
+
+    #[test]
+    fn texts_of_points_are_no_trajectories() {
+        for text in [
+            "1 2 3\n4 5 6\n",
+            "x y z\n1 2 3\n",
+            "0 1 2 3 4 5 6 7\n8 9 1 2 3 4 5 6\n",
+            "1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n",
+            "5 1 2 3 0 0 0 1\n4 1 2 3 0 0 0 1\n",
+            "1 2 3 4 5 6 7 8 9 10 11 12\n",
+            "ply\nformat ascii 1.0\n",
+            "",
+            "# only a comment\n",
+        ] {
+            assert_eq!(found(text), None, "{text}");
+        }
+        assert_eq!(found("t_ns,parent,child,x,y,z,qx,qy,qz,qw\n"), Some(LogFormat::Poses));
+        // Clouds of twelve columns have no rotations in them.
+        assert_eq!(found("1 2 3 0 0 1 0.5 0.5 0.5 7 8 9\n"), None);
     }
 }

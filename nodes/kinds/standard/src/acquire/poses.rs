@@ -38,7 +38,7 @@ pub struct Poses {
 pub struct Params {
     /// The log.
     pub path: FilePath,
-    /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses` or `table`. Unset: recognised by the content.
+    /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses`, `ndi` or `table`. Unset: recognised by the content.
     #[serde(default)]
     pub format: Option<LogFormat>,
     /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, which are in metres, and 1 for the others.
