@@ -1,6 +1,6 @@
 //! Options that several requests share, each stated once: as the command line takes it, and as a field.
 
-use super::{error::UsageError, plugins::Plugins, program};
+use super::{error::UsageError, files::unless_data, plugins::Plugins, program};
 use anyhow::Result;
 use clap::{
     Args,
@@ -34,7 +34,7 @@ pub struct GraphArgs {
 impl GraphArgs {
     /// The checked graph; the error holds the faults.
     pub(crate) fn checked(&self) -> Result<Checked> {
-        Ok(check(&self.graph, &self.sets, self.plugins.kinds()?)?)
+        Ok(unless_data(&self.graph, check(&self.graph, &self.sets, self.plugins.kinds()?))?)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{
     error::{Error, UsageError},
+    files::unless_data,
     folder_lock::FolderLock,
     options::Keep,
     out_dir::{self, OutDir},
@@ -135,7 +136,7 @@ impl SweepRequest {
     pub fn check(&self) -> Result<Sweep> {
         let graph = self.graph.as_deref().ok_or_else(|| UsageError("a sweep needs a graph file".into()))?;
         let (kinds, workers) = (self.plugins.kinds_apart()?, program::n_workers(self.workers));
-        Ok(sweep::check_as(graph, &self.sets, kinds, workers, self.spec.clone())?)
+        Ok(unless_data(graph, sweep::check_as(graph, &self.sets, kinds, workers, self.spec.clone()))?)
     }
 
     /// The runs of --only, checked.
