@@ -42,7 +42,8 @@ pub struct Fault {
 }
 
 impl Fault {
-    pub(crate) fn new(message: impl Into<String>) -> Self {
+    /// An error of this message, without a place.
+    pub fn new(message: impl Into<String>) -> Self {
         let severity = Severity::Error;
         let (at, also, notes, help) = (None, Vec::new(), Vec::new(), Vec::new());
         Self { severity, message: message.into(), at, also, notes, help, removes: None, follows: false, hides: None }
@@ -68,7 +69,8 @@ impl Fault {
         self
     }
 
-    pub(crate) fn help(mut self, help: impl Into<String>) -> Self {
+    /// Adds a suggestion.
+    pub fn help(mut self, help: impl Into<String>) -> Self {
         self.help.push(help.into());
         self
     }

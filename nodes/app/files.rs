@@ -2,6 +2,7 @@
 
 use super::error::{Error, UsageError};
 use anyhow::{Context, Result, anyhow};
+use osteoflow_engine::{Fault, Faults};
 use osteoflow_formats::{
     FileError, Space, input,
     mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
@@ -18,6 +19,78 @@ use osteoflow_geometry::{
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
 use std::{fs, path::Path};
+
+/// Faults of a graph file, or that it is no graph but a file of data, with the command that takes it.
+pub(crate) fn unless_data<T>(path: &Path, checked: Result<T, Faults>) -> Result<T, Faults> {
+    checked.map_err(|faults| match Data::of(path) {
+        Some(data) => {
+            let fault = Fault::new(format!("{} is no graph, but {}", path.display(), data.what()));
+            Faults(vec![data.commands(path).into_iter().fold(fault, Fault::help)])
+        }
+        None => faults,
+    })
+}
+
+/// A file of data, as far as another command takes it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Data {
+    Surface,
+    Ct,
+    Scan,
+    Points,
+    Recording,
+}
+
+impl Data {
+    /// What a file holds; `None` if it cannot be read, or is a text of another kind.
+    pub(crate) fn of(path: &Path) -> Option<Self> {
+        if is_volume(path) {
+            return Some(Self::Ct);
+        }
+        if path.is_dir() || path.extension().is_some_and(|ending| ending == "toml") {
+            return None;
+        }
+        match read(path, 1.0, "file", None, None).ok()? {
+            Content::Shape(MeshOrCloud::Mesh(_)) => Some(Self::Surface),
+            Content::Shape(MeshOrCloud::Cloud(..)) => Some(Self::Scan),
+            Content::Points(_) => Some(Self::Points),
+            Content::Recording => Some(Self::Recording),
+            Content::Pose(..) => None,
+        }
+    }
+
+    pub(crate) fn what(self) -> &'static str {
+        match self {
+            Self::Surface => "a surface",
+            Self::Ct => "a CT",
+            Self::Scan => "a cloud of points",
+            Self::Points => "picked points",
+            Self::Recording => "a recording",
+        }
+    }
+
+    /// The commands that take it, in words.
+    pub(crate) fn commands(self, path: &Path) -> Vec<String> {
+        let file = path.display();
+        let mut commands: Vec<String> = match self {
+            Self::Surface | Self::Ct => vec![
+                format!("register a scan onto it: osteoflow register {file} SCAN"),
+                format!("and see it in the browser: osteoflow view {file} SCAN"),
+            ],
+            Self::Scan => vec![
+                format!("register it onto its bone: osteoflow register BONE {file}"),
+                format!("and see it in the browser: osteoflow view BONE {file}"),
+            ],
+            Self::Points => vec![format!("start from it: osteoflow register BONE SCAN --landmarks IN_BONE {file}")],
+            Self::Recording => vec![
+                format!("run it: osteoflow run graphs/fibula_recorded.toml --set recording.path={file}"),
+                format!("or see it: osteoflow view {file}"),
+            ],
+        };
+        commands.push(format!("what it holds: osteoflow info {file}"));
+        commands
+    }
+}
 
 /// Nobody picks more points by hand; longer lists of numbers are clouds.
 const N_PICKED: usize = 1000;

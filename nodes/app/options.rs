@@ -1,6 +1,6 @@
 //! Options that several requests share, each stated once: as the command line takes it, and as a field.
 
-use super::{error::UsageError, plugins::Plugins, program, shipped};
+use super::{error::UsageError, files::unless_data, plugins::Plugins, program, shipped};
 use anyhow::Result;
 use clap::{
     Args,
@@ -35,7 +35,7 @@ impl GraphArgs {
     /// The checked graph; the error holds the faults.
     pub(crate) fn checked(&self) -> Result<Checked> {
         shipped::check_is_here(&self.graph)?;
-        Ok(check(&self.graph, &self.sets, self.plugins.kinds()?)?)
+        Ok(unless_data(&self.graph, check(&self.graph, &self.sets, self.plugins.kinds()?))?)
     }
 }
 

@@ -102,7 +102,7 @@ pub struct RegisterRequest {
     pub pairing: Option<String>,
 
     /// Largest distance of a pair, mm.
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = number)]
     pub max_pair_distance_mm: Option<f64>,
 
     /// Largest number of steps.
@@ -110,11 +110,11 @@ pub struct RegisterRequest {
     pub max_iterations: Option<u32>,
 
     /// Converged if the remaining distance is below this, mm.
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = number)]
     pub step_mm: Option<f64>,
 
     /// And if the last turn is below this, rad.
-    #[arg(long, value_name = "RAD")]
+    #[arg(long, value_name = "RAD", value_parser = number)]
     pub step_rad: Option<f64>,
 
     /// Any parameter of the method, as in a node's table: KEY=VALUE; may be repeated.
@@ -127,7 +127,7 @@ pub struct RegisterRequest {
 
     /// Bone is above this in a TARGET that is a CT, HU. Default: half-way between soft tissue and bone in the volume, which the
     /// verdict names among its assumptions.
-    #[arg(long, value_name = "HU", allow_hyphen_values = true)]
+    #[arg(long, value_name = "HU", value_parser = number, allow_hyphen_values = true)]
     pub threshold_hu: Option<f64>,
 
     /// Which DICOM series of the folder TARGET: its number, or the ending of its identifier.
@@ -263,14 +263,13 @@ impl From<PathBuf> for RegisterInput {
 }
 
 fn unit(text: &str) -> Result<f64, String> {
-    let unit: f64 = text.parse().map_err(|_| "a number is expected: 1 for millimetres, 1000 for metres")?;
+    let unit: f64 = text.parse().map_err(|_| "a number is expected: 1 for millimetres, 10 for centimetres, 1000 for metres")?;
     let usable = (1e-6..=1e6).contains(&unit);
     usable.then_some(unit).ok_or_else(|| "it must be between 1e-6 and 1e6: 1 for millimetres, 1000 for metres".into())
 }
 
 fn camera(text: &str) -> Result<Point3<f64>, String> {
-    let point = numbers::<3>(text, "0,0,0").map(Point3::from);
-    point.map_err(|_| "three finite numbers are expected, such as 0,0,0".into())
+    numbers::<3>(text, "0,0,0").map(Point3::from)
 }
 
 /// The text of a part, as an option.
@@ -280,10 +279,24 @@ pub(crate) fn part(text: &str) -> Result<String, String> {
 
 fn numbers<const N: usize>(text: &str, example: &str) -> Result<[f64; N], String> {
     let cells: Option<Vec<f64>> = text.split(',').map(|cell| cell.trim().parse().ok()).collect();
+    let n_found = cells.as_ref().map_or(0, Vec::len);
     let cells = cells.and_then(|cells| <[f64; N]>::try_from(cells).ok());
-    cells
-        .filter(|cells| cells.iter().all(|c| c.is_finite()))
-        .ok_or_else(|| format!("{N} finite numbers in mm are expected, such as {example}"))
+    cells.filter(|cells| cells.iter().all(|c| c.is_finite())).ok_or_else(|| {
+        let comma = match n_found > N {
+            true => format!("; {n_found} were found: a decimal comma? write 0.5, not 0,5"),
+            false => String::new(),
+        };
+        format!("{N} finite numbers in mm are expected, such as {example}{comma}")
+    })
+}
+
+/// A number of an option, with a decimal point.
+pub(crate) fn number(text: &str) -> Result<f64, String> {
+    let found = text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+    found.ok_or_else(|| match text.trim().replacen(',', ".", 1) {
+        point if text.contains(',') && point.parse::<f64>().is_ok() => format!("a decimal comma? write {point}"),
+        _ => "a number is expected, such as 0.5".into(),
+    })
 }
 
 /// A box by its lower and its upper corner.

@@ -2,6 +2,7 @@
 
 use super::{
     error::{Error, UsageError},
+    files::unless_data,
     folder_lock::FolderLock,
     options::Keep,
     out_dir::{self, OutDir},
@@ -137,7 +138,7 @@ impl SweepRequest {
         let graph = self.graph.as_deref().ok_or_else(|| UsageError("a sweep needs a graph file".into()))?;
         shipped::check_is_here(graph)?;
         let (kinds, workers) = (self.plugins.kinds_apart()?, program::n_workers(self.workers));
-        Ok(sweep::check_as(graph, &self.sets, kinds, workers, self.spec.clone())?)
+        Ok(unless_data(graph, sweep::check_as(graph, &self.sets, kinds, workers, self.spec.clone()))?)
     }
 
     /// The runs of --only, checked.

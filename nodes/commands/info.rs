@@ -11,7 +11,7 @@ use std::{io::Write, path::PathBuf};
 
 /// Say what a file or folder is, what it holds, and the command that would use it.
 ///
-/// Surfaces, clouds, picked points, CTs, poses, logs of poses, plans, recordings, folders of a procedure, of a run or of a ROS 2 bag, archives of `osteoflow export`; recognised by content, not
+/// Surfaces, clouds, picked points, CTs, poses, logs of poses, plans, recordings, graphs, folders of a procedure, of a run or of a ROS 2 bag, archives of `osteoflow export`; recognised by content, not
 /// by name. A damaged file that can be read in part is read in part, and what is wrong with it is listed under problems; one
 /// that cannot be read is refused with the reason. Exit code 0 if it can be used, problems or not.
 #[derive(Debug, Args)]
@@ -25,7 +25,7 @@ Examples:
   osteoflow info bone.stl --format json | jq .extent_mm
 
 Keys of --format json, where they apply:
-  kind        mesh, cloud, points, ct, study, pose, poses, plan, recording, procedure, run, results, archive
+  kind        mesh, cloud, points, ct, study, pose, poses, plan, recording, procedure, run, results, archive, graph
   n_points    number of points, those that were dropped left out; n_dropped: those that were not finite
   parts       of a surface or a cloud, the largest first: number, n_points, n_faces, area_mm2, extent_mm, centre_mm; n_parts
   extent_mm   edges of the box around the points

@@ -21,6 +21,7 @@ use std::{
     io::Write,
     net::SocketAddr,
     num::NonZeroUsize,
+    path::PathBuf,
     sync::{Arc, atomic::Ordering},
 };
 
@@ -41,6 +42,10 @@ Examples:
 pub(crate) struct Run {
     #[command(flatten)]
     request: RunRequest,
+
+    /// A second file, which no graph is: for the words of the fault.
+    #[arg(hide = true)]
+    scan: Option<PathBuf>,
 
     #[command(flatten)]
     archive: ArchiveArgs,
@@ -83,6 +88,14 @@ pub(crate) struct Run {
 impl Run {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let mut request = self.request.clone();
+        if let Some(scan) = &self.scan {
+            let (bone, scan) = (request.graph.graph.display(), scan.display());
+            return Err(UsageError(format!(
+                "run takes one graph; two files are registered by\n  osteoflow register {bone} {scan}\nor, with a recording of \
+                 the run, by\n  osteoflow run graphs/two_files.toml --set bone.path={bone} --set scan.path={scan}"
+            ))
+            .into());
+        }
         if let Some((graph, _)) = self.archive.open(&request.graph.graph, &mut request.graph.plugins)? {
             request.graph.graph = graph;
         }

@@ -7,10 +7,10 @@ use super::common::{
     run_path, running,
     serve::{self, Admission, known_plan, picks::Picks},
 };
-use crate::app::{GraphArgs, Plugins, UsageError};
-use anyhow::{Context, Result};
+use crate::app::{GraphArgs, Plugins, UsageError, files::Data};
+use anyhow::{Context, Result, anyhow};
 use clap::Args;
-use osteoflow_engine::Recording;
+use osteoflow_engine::{Recording, names::nearest};
 use osteoflow_viewer::{Playback, Stream};
 use player::Player;
 use std::{
@@ -82,6 +82,10 @@ impl View {
             None if is_graph && self.plan.is_some() => {
                 Err(UsageError("--plan is for a RUN; a graph names its plan".into()).into())
             }
+            None if is_graph && !self.what.exists() => {
+                let help = nearest::file(&self.what).map_or_else(String::new, |help| format!("; {help}"));
+                Err(UsageError(format!("there is no graph file {}{help}", self.what.display())).into())
+            }
             None if is_graph => self.steer(self.what.clone(), self.sets.clone(), None, global),
             None if self.out.is_some() || !self.sets.is_empty() => {
                 Err(UsageError("--out and --set are for a graph, or for BONE and SCAN".into()).into())
@@ -112,6 +116,12 @@ impl View {
         let path = run_path::recording(&self.what)?;
         let stream = Arc::new(Stream::default());
         let opened = Playback::open(&path, stream.clone());
+        let data = if opened.is_err() { Data::of(&path).filter(|data| *data != Data::Recording) } else { None };
+        if let Some(data) = data {
+            let commands = data.commands(&path).join("\n  ");
+            let message = format!("{} is {}, and view shows a graph, a run or a recording\n  {commands}", path.display(), data.what());
+            return Err(anyhow!(message));
+        }
         let playback = opened.with_context(|| format!("{} cannot be shown", path.display()))?;
         // A recording of other programs has neither a name nor results.
         let recording = Recording::open(&path).ok();

@@ -316,7 +316,13 @@ fn no_kind(name: &str, entry: &Entry, nodes: &Table) -> Fault {
     let others = nodes.0.iter().filter(|other| {
         other.key != name && matches!(&other.value.value, Value::Table(table) if table.get("kind").is_some())
     });
-    let help = nearest::help(name, others.map(|other| other.key.as_str()));
+    let keys = match &entry.value.value {
+        Value::Table(table) => table.0.iter().map(|own| own.key.as_str()).collect(),
+        _ => Vec::new(),
+    };
+    let misspelt = keys.iter().find(|key| nearest::name(key, ["kind"]).is_some());
+    let misspelt = misspelt.map(|key| format!("did you mean \"kind\" by \"{key}\"?"));
+    let help = misspelt.or_else(|| nearest::help(name, others.map(|other| other.key.as_str())));
     let fault = Fault::new(format!("node \"{name}\" has no kind")).at(&entry.key_at, "no kind here");
     fault.help(help.unwrap_or_else(|| "add kind = \"stage.variant\"".into())).follows()
 }

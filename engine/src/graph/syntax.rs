@@ -73,7 +73,18 @@ fn wording(message: &str, at: &Span) -> Fault {
         };
     }
     let label = if expected.is_empty() { String::new() } else { format!("expected {expected}") };
-    Fault::new(format!("this is not TOML: {what}")).at(at, label)
+    Fault::new(format!("this is not TOML: {what}")).at(at, label).help_if(decimal_comma(at))
+}
+
+/// The number with a decimal comma at which the parser stopped.
+fn decimal_comma(at: &Span) -> Option<String> {
+    let is_of_number = |c: char| c.is_ascii_digit() || c == '-';
+    let (before, after) = at.source.text.split_at_checked(at.range.start)?;
+    let fraction = after.strip_prefix(',')?;
+    let whole = &before[before.trim_end_matches(is_of_number).len()..];
+    let fraction: String = fraction.chars().take_while(char::is_ascii_digit).collect();
+    let both = !whole.is_empty() && !fraction.is_empty();
+    both.then(|| format!("a decimal comma? write {whole}.{fraction}"))
 }
 
 /// The fault of a duplicate key or table, and the text that is dropped because of it. The tree holds the first key.

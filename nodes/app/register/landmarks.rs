@@ -111,7 +111,7 @@ fn points(
 type Moved = fn(&Point3<f64>) -> Point3<f64>;
 
 /// Points picked on the target that are far from it, with the likely cause.
-pub(super) fn off_surface(target: &Target, picked: &[NamedPoint]) -> Option<String> {
+pub(super) fn off_surface(target: &Target, picked: &[NamedPoint], in_source: &[NamedPoint]) -> Option<String> {
     let surface_mm = |p: &Point3<f64>| match target.mesh().and_then(|mesh| mesh.closest_point(p)) {
         Some(closest) => closest.distance_mm,
         None => target.nearest(p, f64::INFINITY).map_or(f64::INFINITY, |(_, mm)| mm),
@@ -129,6 +129,11 @@ pub(super) fn off_surface(target: &Target, picked: &[NamedPoint]) -> Option<Stri
         ("a thousand times as large they lie on it: they are in metres", |p| p * 1e3),
         ("a thousandth as large they lie on it: they are in micrometres", |p| p * 1e-3),
     ];
+    let farthest_of_source = in_source.iter().map(|p| surface_mm(&p.position)).fold(0.0, f64::max);
+    if !in_source.is_empty() && farthest_of_source <= OFF_SURFACE_MM {
+        let cause = "those picked in the source lie on it: are the two files of --landmarks exchanged? The target's comes first";
+        return Some(format!("points picked in the target are up to {off_mm:.1} mm off its surface; {cause}"));
+    }
     // Points that a smaller unit gathers in one place lie on any surface that passes there.
     let is_spread = |moved: Moved| {
         let apart = |p: &NamedPoint| (moved(&p.position) - moved(&picked[0].position)).norm();

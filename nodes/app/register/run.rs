@@ -184,9 +184,9 @@ impl Register {
         let target: Option<Target> = value(wires, "ct_surface.target");
         let source: Option<Cloud> = value(wires, "scan.cloud");
         let pose = pose(wires).map(|pose| pose.isometry);
-        let picked: &[NamedPoint] = match &self.start {
-            ReadStart::Landmarks { target, .. } => target,
-            ReadStart::Shape | ReadStart::Pose(_) => &[],
+        let (picked, in_source): (&[NamedPoint], &[NamedPoint]) = match &self.start {
+            ReadStart::Landmarks { target, source } => (target, source),
+            ReadStart::Shape | ReadStart::Pose(_) => (&[], &[]),
         };
         let is_done = report.outcome == Outcome::Complete;
         let method_report = last(wires, &format!("{NODE}.{REPORT}")).map(Value::to_result);
@@ -210,7 +210,7 @@ impl Register {
             report: method_report,
             icp_report: value(wires, &format!("{NODE}.{REPORT}")),
             steps: value::<IcpTrace>(wires, "icp.trace").map(|trace| trace.steps).unwrap_or_default(),
-            doubt: target.as_ref().and_then(|target| off_surface(target, picked)),
+            doubt: target.as_ref().and_then(|target| off_surface(target, picked, in_source)),
             has_estimated_normals: value::<Cloud>(wires, "bone.points").is_some_and(|cloud| cloud.normals().is_none()),
             is_stored: report.cached_answers.iter().any(|answer| answer.node == "ct_surface"),
             target,

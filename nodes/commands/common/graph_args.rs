@@ -5,7 +5,7 @@ use super::{
     global::{Format, Global},
     terminal::{self, print_json},
 };
-use crate::app::GraphArgs;
+use crate::app::{GraphArgs, files::unless_data};
 use anyhow::Result;
 use osteoflow_engine::{Checked, CheckedFile, Fault, Faults};
 use serde_json::{Value, json};
@@ -25,7 +25,7 @@ pub(crate) fn check_file(graph: &GraphArgs, global: &Global) -> Result<Option<Ch
             CheckedFile::Module(module) => &module.warnings,
         }
     }
-    or_faults(file.map_err(Into::into), warnings, global)
+    or_faults(unless_data(&graph.graph, file).map_err(Into::into), warnings, global)
 }
 
 /// What was checked, whose warnings are printed; `None` if it has faults, which are printed.

@@ -32,10 +32,7 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
         let is_open = global.verbose > 0 || !is_settled(message, &report.results);
         !is_text || is_open && !is_said_by_verdict(message, &report.results)
     };
-    for warning in report.warnings.iter().filter(|warning| is_new(&warning.message)) {
-        let word = global.paint_err("warning", "1;33");
-        writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
-    }
+    // The cause of a refusal comes before what follows from it.
     match &report.outcome {
         Outcome::Refused(refusal) => {
             let refusal = refusal_in_short(refusal, &report.results);
@@ -44,6 +41,10 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
         }
         Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
         Outcome::Complete => {}
+    }
+    for warning in report.warnings.iter().filter(|warning| is_new(&warning.message)) {
+        let word = global.paint_err("warning", "1;33");
+        writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
     }
     if !global.quiet {
         print_repro_commands(&mut err, report)?;

@@ -176,7 +176,7 @@ fn archived(file: &Path, summary: archive::Summary) -> Contents {
 /// It is missing, or none of the known formats, or too damaged to be read in part.
 pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Contents> {
     if file.is_dir() {
-        return folder(file, series);
+        return folder_of(file, series);
     }
     let format = log_format(file)?;
     if format.is_some() || log.describes_a_table() {
@@ -204,6 +204,9 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
     if bytes.starts_with(b"#Insight Transform File") || is_matrix(&bytes) {
         return pose(file);
     }
+    if file.extension().is_some_and(|ending| ending == "toml") {
+        return graph(file, &bytes);
+    }
     if let Some(picked) = picked_points(file, &bytes) {
         return Ok(points(file, picked?));
     }
@@ -211,6 +214,63 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
         return json_file(file, &bytes);
     }
     shape(file, &bytes)
+}
+
+/// A graph, a module, or the table of a folder of a procedure.
+fn graph(file: &Path, bytes: &[u8]) -> Result<Contents> {
+    let (name, text) = (file.display(), String::from_utf8_lossy(bytes));
+    let table: toml::Table = match text.parse() {
+        Ok(table) => table,
+        Err(error) => {
+            let problem = format!("it is not TOML: {}; osteoflow check {name} shows the place", error.message());
+            let broken = Contents { problems: vec![problem], ..Contents::new("graph", "a graph, by its name") };
+            return Ok(broken.used_by([format!("osteoflow check {name}")]));
+        }
+    };
+    let is_graph = ["graph", "node", "extends", "module", "sweep"].iter().any(|key| table.contains_key(*key));
+    if !is_graph {
+        if file.file_name().is_some_and(|name| name == "procedure.toml") {
+            let folder = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            return folder_of(folder);
+        }
+        bail!("{name}: a TOML file without [graph], [node.NAME] or extends, so no graph");
+    }
+    let title = table.get("graph").and_then(|graph| graph.get("name")?.as_str().map(str::to_owned));
+    let nodes: Vec<String> = table
+        .get("node")
+        .and_then(toml::Value::as_table)
+        .into_iter()
+        .flatten()
+        .map(|(node, of)| match of.get("kind").and_then(toml::Value::as_str) {
+            Some(kind) => format!("{node} ({kind})"),
+            None => node.clone(),
+        })
+        .collect();
+    let files = match table.get("extends") {
+        Some(toml::Value::String(file)) => vec![file.clone()],
+        Some(toml::Value::Array(files)) => files.iter().filter_map(|f| f.as_str().map(str::to_owned)).collect(),
+        _ => Vec::new(),
+    };
+    let about = match (table.contains_key("module"), table.contains_key("sweep"), files.is_empty()) {
+        (true, ..) => "a module, which a graph uses as a node",
+        (_, true, _) => "a graph with a sweep",
+        (.., false) => "a graph that changes another",
+        _ => "a graph",
+    };
+    let mut used_by = vec![format!("osteoflow run {name}"), format!("osteoflow check {name}"), format!("osteoflow graph {name}")];
+    match (table.contains_key("module"), table.contains_key("sweep")) {
+        (true, _) => used_by.drain(..1).for_each(drop),
+        (_, true) => used_by.insert(0, format!("osteoflow sweep {name}")),
+        _ => {}
+    }
+    let mut contents = Contents::new("graph", about);
+    if let Some(title) = title {
+        contents = contents.with("name", &title, "name", title.clone());
+    }
+    contents = contents.with_list("extends", files, "extends").with_count("n_nodes", nodes.len(), "nodes");
+    contents.facts.insert("nodes".into(), json!(nodes));
+    contents.lines.extend(nodes.into_iter().map(|node| ("", node)));
+    Ok(Contents { used_by, ..contents })
 }
 
 /// Whether it is a text of 16 numbers that ends with the last row of a rigid motion.
@@ -515,7 +575,7 @@ fn study(folder: &Path) -> Option<Contents> {
     ]))
 }
 
-fn folder(folder: &Path, series: Option<&str>) -> Result<Contents> {
+fn folder_of(folder: &Path, series: Option<&str>) -> Result<Contents> {
     let name = folder.display();
     if folder.join("procedure.toml").is_file() {
         let read = ProcedureFolder::open(folder)?;

@@ -179,14 +179,23 @@ impl<'a> Walker<'a> {
             Some((number, unit)) => unit::in_unit_of(name, number, unit),
             None => found.trim().parse::<f64>().ok().filter(|n| n.is_finite()),
         };
-        let help = number.map(|number| match name.ends_with(']') {
-            true => format!("write {number}, without quotes and unit"),
-            false => format!("write {name} = {number}, without quotes and unit"),
-        });
+        let with_point = found.trim().replacen(',', ".", 1);
+        if number.is_none() && found.contains(',') && with_point.parse::<f64>().is_ok_and(f64::is_finite) {
+            let help = format!("a decimal comma? write {}", written(name, &with_point));
+            let fault = self.fault(what, &takes, value).at(&value.at, "a text").help(help);
+            self.faults.push(fault);
+            return None;
+        }
+        let help = number.map(|number| format!("write {}, without quotes and unit", written(name, &number.to_string())));
         let fault = self.fault(what, &takes, value).at(&value.at, "a text").help_if(help);
         self.faults.push(fault);
         None
     }
+}
+
+/// A value as written in a graph: of a list alone, else with its name.
+fn written(name: &str, value: &str) -> String {
+    if name.ends_with(']') { value.to_owned() } else { format!("{name} = {value}") }
 }
 
 /// The last part of a dotted name.

@@ -9,6 +9,9 @@ use crate::{
 };
 use serde_json::{Map, Value as Json};
 
+/// The keys of a node's table that are no parameters.
+const OF_NODE: [&str; 7] = ["kind", "in", "env", "on_error", "process", "pool", "stop_after_s"];
+
 /// Extension of a struct's schema: parameters of earlier versions, each as `name: { default, help }`. The default is ignored,
 /// as recordings spell it out; any other value is refused with the help. With `warning` instead of `help` it is ignored, too,
 /// with that warning.
@@ -128,6 +131,8 @@ impl<'a> Walker<'a> {
             }
             None => {
                 let near = nearest::help(key, free()).or_else(|| nearest::help(key, known.iter().copied()));
+                // Keys of the node itself, which any kind has.
+                let near = near.or_else(|| nearest::help(key, OF_NODE).filter(|_| prefix.is_empty()));
                 let list = nearest::list("its parameters", known.iter().copied());
                 let none = known.is_empty().then(|| "it has no parameters here".to_owned());
                 fault.at(&entry.key_at, "unknown").help_if(near).note_if(list.or(none))

@@ -29,6 +29,7 @@ mod predict_last;
 mod residuals;
 mod rules;
 mod score;
+mod size;
 mod slid;
 mod spread;
 mod stylus;

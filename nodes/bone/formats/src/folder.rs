@@ -58,12 +58,15 @@
 //! `bone_marker`, that of `phantom,phantom_marker` is `phantom_marker_cad`, since the other is the tracker's. A point
 //! that is NaN is left out and counted in [`FolderStreams::notes`].
 
+mod mistakes;
+
 use crate::{
     FileError, LostPose, StampOrder, input,
     mesh_or_cloud::{MeshRead, read_cloud, read_mesh},
     plan_file::{PlanRead, read_plan},
     poses_csv::read_poses,
 };
+use mistakes::{PosesFile, RowRead};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::{Cloud, Corrections, Frame, NamedPoint, Pose, Region, StampNs, SurfaceOrigin, TooFar};
 use serde::Deserialize;
@@ -333,9 +336,20 @@ impl ProcedureFolder {
             let scan = ScanFile { file, unit, stamp_s, stamp_ns };
             items.push(self.scan("laser", &scan, Some(&label), &mut notes)?);
         }
+        let mut poses_files = Vec::new();
         for file in &manifest.poses {
             let mut corrections = Corrections::default();
-            let read = read_poses(&self.resolve(&file.file), self.unit_mm(file.unit))?;
+            let path = self.resolve(&file.file);
+            let read = read_poses(&path, self.unit_mm(file.unit))?;
+            let seen = read.poses.iter().zip(&read.lines).filter_map(|(pose, &line)| {
+                let Pose { to, from, stamp_ns, isometry, .. } = &pose.as_ref().ok()?.value;
+                let (translation, rotation) = (isometry.translation.vector, isometry.rotation);
+                let (parent, child) = (to.to_string(), from.to_string());
+                Some(RowRead { line, parent, child, stamp_ns: *stamp_ns, translation, rotation })
+            });
+            let seen = PosesFile { path, rows: seen.collect() };
+            notes.extend(mistakes::scalar_first(&seen).map(|note| format!("{}: {note}", file.file.display())));
+            poses_files.push(seen);
             notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.file.display())));
             for pose in read.poses {
                 let pose = pose.map(|pose| corrections.take(pose));
@@ -349,6 +363,12 @@ impl ProcedureFolder {
             }
             notes.extend(corrections.note().map(|note| format!("{}: {note}", file.file.display())));
         }
+        let scans: Vec<StampNs> = items
+            .iter()
+            .filter(|item| matches!(item.body, FolderBody::Cloud(_)))
+            .map(|item| item.stamp_ns)
+            .collect();
+        mistakes::check(&poses_files, &scans)?;
         for file in &manifest.stylus {
             let role = match file.role {
                 StylusRole::Init => "init",

@@ -32,6 +32,8 @@ pub(crate) fn is_heading(line: &str) -> bool {
 pub struct PosesRead {
     /// The poses in file order; a row in which the marker was not seen is a [`LostPose`].
     pub poses: Vec<Result<Nearest<Pose>, LostPose>>,
+    /// The line of each row, counted from 1.
+    pub lines: Vec<usize>,
     /// Streams whose stamps run backwards, one sentence each.
     pub notes: Vec<String>,
 }
@@ -52,7 +54,7 @@ pub fn read_poses(path: &Path, unit_mm: f64) -> Result<PosesRead, FileError> {
         *column = table.column(name)?;
     }
     let mut orders: BTreeMap<[String; 2], StampOrder> = BTreeMap::new();
-    let mut poses = Vec::new();
+    let (mut poses, mut lines) = (Vec::new(), Vec::new());
     for row in table.rows() {
         let read = pose(&row, columns, unit_mm)?;
         let (to, from, stamp_ns) = match &read {
@@ -62,9 +64,10 @@ pub fn read_poses(path: &Path, unit_mm: f64) -> Result<PosesRead, FileError> {
         let order = orders.entry([to.to_string(), from.to_string()]).or_default();
         order.take(stamp_ns, || format!("line {}", row.line()));
         poses.push(read);
+        lines.push(row.line());
     }
     let notes = orders.iter().filter_map(|([to, from], order)| order.note(&format!("t_{to}_{from}")));
-    Ok(PosesRead { poses, notes: notes.collect() })
+    Ok(PosesRead { poses, lines, notes: notes.collect() })
 }
 
 fn pose(
@@ -73,7 +76,7 @@ fn pose(
     unit_mm: f64,
 ) -> Result<Result<Nearest<Pose>, LostPose>, FileError> {
     let [stamp, parent, child, numbers @ ..] = columns;
-    let stamp_ns = row.whole(stamp)?;
+    let stamp_ns = row.whole(stamp).map_err(|fault| in_seconds(row, stamp).unwrap_or(fault))?;
     let (to, from): (Frame, Frame) = (row.named(parent)?.into(), row.named(child)?.into());
     let mut values = [0.0; 7];
     for (value, column) in values.iter_mut().zip(numbers) {
@@ -93,6 +96,14 @@ fn pose(
     let translation = Translation3::new(x * unit_mm, y * unit_mm, z * unit_mm);
     TooFar::check(translation.vector.as_slice()).map_err(|far| row.fault(format!("the translation: {far}")))?;
     Ok(Ok(rotation.map(|rotation| Pose::new(to, from, Isometry3::from_parts(translation, rotation)).at(stamp_ns))))
+}
+
+/// The fault of a stamp with a fraction.
+fn in_seconds(row: &Row, stamp: usize) -> Option<FileError> {
+    let text = row.text(stamp);
+    let seconds = text.parse::<f64>().ok().filter(|s| s.is_finite() && s.fract() != 0.0 && s.abs() < 9e9)?;
+    let message = format!("a whole number of nanoseconds is expected; likely cause: it is in seconds, then write {:.0}", seconds * 1e9);
+    Some(row.fault(format!("t_ns is \"{text}\", {message}")))
 }
 
 /// Writes poses in mm, one row each, in their order.
@@ -204,7 +215,7 @@ mod tests {
             (String::new(), "line 1: the header has no column \"t_ns\""),
             (
                 format!("{header}{good}1.5,world,m,0,0,0,0,0,0,1\n"),
-                "line 3: t_ns is \"1.5\", a whole number is expected",
+                "line 3: t_ns is \"1.5\", a whole number of nanoseconds is expected; likely cause: it is in seconds, then write 1500000000",
             ),
             (format!("{header}{good}{good}1,world,m,0,0,up,0,0,0,1\n"), "line 4: z is \"up\", a number is expected"),
             (format!("{header}1,world,m,0,0,0,0,0,1\n"), "line 2: the header names 10 columns, this line has 9"),

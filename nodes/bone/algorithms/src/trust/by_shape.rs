@@ -40,7 +40,7 @@ pub(super) fn has_surroundings(evidence: &Evidence) -> bool {
 pub(super) fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroundings: bool) -> Option<Reason> {
     let other = start.runner_up.as_ref().filter(|_| start.clearness < min_clearness)?;
     let place = |[x, y, z]: &[f64; 3]| format!("({x:.0}, {y:.0}, {z:.0})");
-    let mut reason = format!(
+    let reason = format!(
         "it started by shape alone, and the scan fits nearly as well {:.0} mm and {:.0} degrees away, with its middle at {} mm \
          instead of {} mm ({:.2} mm RMS against {:.2} mm)",
         other.shift_mm,
@@ -52,8 +52,9 @@ pub(super) fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroun
     );
     let remedy = "start from landmarks or from a known pose, or scan a longer stretch, or one with more shape";
     if has_surroundings {
-        reason += &format!(
-            "; likely cause: surroundings in the scan, of which a tenth lies more than {SURROUNDINGS_MM:.0} mm from the surface"
+        let reason = format!(
+            "surroundings such as skin or drape are in the scan, of which a tenth lies more than {SURROUNDINGS_MM:.0} mm from the surface: \
+             {reason}"
         );
         let remedy = format!("{CROP}; else start from landmarks or from a known pose");
         return Some(Reason::new("start", Answer::Doubtful, reason, &remedy));
@@ -61,14 +62,20 @@ pub(super) fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroun
     Some(Reason::new("start", Answer::Doubtful, reason, remedy))
 }
 
-/// Names surroundings first where they hide the bone from a search by shape: what else is wrong with a refused answer follows from it.
+/// Names surroundings first, where they hide the bone from a search by shape or leave little of the scan on it: what else is wrong
+/// with the answer follows from it.
 pub(super) fn name_surroundings_first(reasons: &mut [Reason], has_surroundings: bool) {
-    let is_refused = reasons.iter().any(|reason| reason.answer == Answer::Refused);
-    let start = reasons.iter().position(|reason| reason.rule == "start");
-    if let Some(start) = start.filter(|_| has_surroundings && is_refused) {
-        reasons[start].answer = Answer::Refused;
-        reasons[..=start].rotate_right(1);
+    if !has_surroundings {
+        return;
     }
+    let is_refused = reasons.iter().any(|reason| reason.answer == Answer::Refused);
+    let at = |rule: &str| reasons.iter().position(|reason| reason.rule == rule);
+    let start = at("start");
+    let Some(first) = start.or_else(|| at("on_surface")) else { return };
+    if is_refused && start.is_some() {
+        reasons[first].answer = Answer::Refused;
+    }
+    reasons[..=first].rotate_right(1);
 }
 
 /// The sign that the scan's mirror image fits as well, beside a cause that explains the residuals by the CT or the camera: neither image

@@ -21,6 +21,7 @@ use super::planned::{OrderEvidence, landmark_order, landmarks_reason, order_reas
 use super::predict::{PredictParams, Predicted, Where, predict};
 use super::predict_last::predict_last;
 use super::rules::RuleParams;
+use super::size::size_reason;
 use super::slid::slide_reasons;
 use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
@@ -134,6 +135,10 @@ impl Judging<'_> {
             reasons.extend(mirror_reason(&examined.evidence));
         }
         name_surroundings_first(&mut reasons, has_surroundings(&examined.evidence));
+        // What else is wrong follows from it.
+        if let Some(size) = size_reason(registered, &examined.evidence) {
+            reasons.insert(0, size);
+        }
         // The error is told where points or cuts are planned.
         let mut predicted = predicted.filter(|_| !registered.at.is_empty());
         if let Some(predicted) = &mut predicted {

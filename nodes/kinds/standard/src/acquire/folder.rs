@@ -8,7 +8,7 @@ use super::{
 };
 use osteoflow_formats::{
     LostPose,
-    folder::{FolderBody, FolderItem, ProcedureFolder},
+    folder::{FolderBody, FolderItem, FolderStreams, ProcedureFolder},
 };
 use osteoflow_geometry::Points;
 use osteoflow_node::{
@@ -16,7 +16,7 @@ use osteoflow_node::{
     serde::Deserialize,
 };
 use osteoflow_payloads::Flag;
-use std::path::PathBuf;
+use std::{collections::BTreeSet, path::PathBuf};
 
 /// The streams of a procedure stored as a folder of files, for setups without a recorder.
 ///
@@ -121,11 +121,17 @@ impl Folder {
                 },
             ),
         ];
-        for (port, name) in
-            [(ProcedurePort::BoneMarker, "bone_marker"), (ProcedurePort::PhantomMarkerCad, "phantom_marker_cad")]
-        {
+        let mut needed =
+            vec![(ProcedurePort::BoneMarker, "bone_marker"), (ProcedurePort::PhantomMarkerCad, "phantom_marker_cad")];
+        if folder.tracked {
+            needed.extend([
+                (ProcedurePort::CameraMarker, "camera_marker"),
+                (ProcedurePort::PhantomMarker, "phantom_marker"),
+            ]);
+        }
+        for (port, name) in needed {
             if !has(name) {
-                events.push(at(port, start_ns, Emission::Empty(format!("the folder has no poses of {name}"))));
+                events.push(at(port, start_ns, Emission::Empty(format!("the folder has no poses of {name}; {}", of(&streams)))));
             }
         }
         for port in ProcedurePort::OF_EXPERIMENTS {
@@ -133,6 +139,20 @@ impl Folder {
         }
         events.extend(streams.items.into_iter().filter_map(event));
         Ok(events)
+    }
+}
+
+/// The poses that the folder has, in words.
+fn of(streams: &FolderStreams) -> String {
+    let poses = streams.items.iter().filter_map(|item| match &item.body {
+        FolderBody::Pose(Ok(pose)) => Some(format!("{} -> {}", pose.to, pose.from)),
+        FolderBody::Pose(Err(lost)) => Some(format!("{} -> {}", lost.to, lost.from)),
+        _ => None,
+    });
+    let poses: BTreeSet<String> = poses.collect();
+    match poses.len() {
+        0 => "it has none at all".into(),
+        _ => format!("it has those of {}", poses.into_iter().collect::<Vec<_>>().join(", ")),
     }
 }
 

@@ -1,0 +1,58 @@
+//! Whether the bone is too small for the scan that is registered onto it: another unit, or one file in the place of the other.
+
+use super::{Evidence, Registered};
+use nalgebra::Point3;
+use osteoflow_verdict::{Answer, Reason};
+
+/// A scan that is longer than this many bones is no scan of it alone.
+const LONGER: f64 = 1.5;
+
+/// Misfit above which the scan is measured not to be of this surface, mm: beyond any sensor, segmentation or film.
+const MISFIT_MM: f64 = 1.0;
+
+/// Lengths of whole bones that are registered, mm.
+const BONE_MM: std::ops::RangeInclusive<f64> = 60.0..=600.0;
+
+/// Units of files that are not in mm, with their names.
+const UNITS: [(f64, &str); 3] = [(10.0, "cm"), (25.4, "inches"), (1000.0, "metres")];
+
+/// The reason against a bone that is much smaller than the scan, neither of which fits the other.
+pub(super) fn size_reason(registered: &Registered<'_>, evidence: &Evidence) -> Option<Reason> {
+    let (bone_mm, scan_mm) = (span(registered.target.points())?, span(registered.source.points())?);
+    if scan_mm < LONGER * bone_mm || evidence.misfit.rms_mm < MISFIT_MM {
+        return None;
+    }
+    let spans = format!("the scan spans {scan_mm:.0} mm and the bone {bone_mm:.0} mm");
+    let as_bone = |(unit_mm, _): &(f64, &str)| BONE_MM.contains(&(bone_mm * unit_mm)) && bone_mm * unit_mm > scan_mm;
+    let unit = UNITS.iter().find(|unit| !BONE_MM.contains(&bone_mm) && as_bone(unit));
+    Some(match (unit, registered.target.mesh()) {
+        (Some((unit_mm, name)), _) => {
+            let reason = format!(
+                "{spans}, and they differ by {:.1} mm where they meet: is the bone in {name}? It would then span {:.0} mm",
+                evidence.misfit.rms_mm,
+                bone_mm * unit_mm
+            );
+            let remedy = format!(
+                "give its unit (register: --target-unit-mm {unit_mm}; in a graph: bone.unit_mm = {unit_mm:?}); if surroundings make the \
+                 scan longer than the bone, crop it"
+            );
+            Reason::new("size", Answer::Refused, reason, remedy)
+        }
+        (None, None) => {
+            let reason = format!("{spans}, which is points without a surface: are bone and scan exchanged?");
+            Reason::new("size", Answer::Refused, reason, "name the bone first and the scan second (register BONE SCAN)")
+        }
+        (None, Some(_)) => {
+            let reason = format!("{spans}, shorter than what was scanned: are bone and scan exchanged, or are surroundings in the scan?");
+            let remedy = "name the bone first and the scan second (register BONE SCAN), or crop the scan to the bone";
+            Reason::new("size", Answer::Doubtful, reason, remedy)
+        }
+    })
+}
+
+/// The diagonal of the box around points, mm.
+fn span(points: &[Point3<f64>]) -> Option<f64> {
+    let first = points.first()?;
+    let (low, high) = points.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
+    Some((high - low).norm())
+}
