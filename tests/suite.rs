@@ -21,7 +21,10 @@ mod export;
 mod failures;
 mod foxglove_ws;
 mod fuzz;
+mod glossary;
 mod graphs;
+#[cfg(unix)]
+mod guides;
 mod images;
 mod info;
 mod live;
