@@ -11,6 +11,8 @@ mod broken_graphs;
 mod clients;
 mod clusters;
 mod command_line;
+#[cfg(unix)]
+mod compared;
 mod common;
 mod dependencies;
 #[cfg(target_os = "linux")]
