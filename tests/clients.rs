@@ -4,7 +4,7 @@ use crate::common::{program, root};
 use std::{path::PathBuf, process::Command};
 
 /// The Python that has the clients: of `tests/clients/install`, or `OSTEOFLOW_PYTHON`.
-fn python() -> PathBuf {
+pub(crate) fn python() -> PathBuf {
     let installed = root().join("target/clients/bin/python");
     std::env::var_os("OSTEOFLOW_PYTHON")
         .map_or_else(|| if installed.exists() { installed } else { "python3".into() }, PathBuf::from)

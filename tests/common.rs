@@ -11,6 +11,7 @@ pub(crate) mod case;
 /// Recordings in any layout.
 #[path = "../nodes/bone/formats/tests/layouts.rs"]
 pub(crate) mod layouts;
+pub(crate) mod page;
 pub(crate) mod python;
 pub(crate) mod served;
 

@@ -1,6 +1,6 @@
 //! Nodes in Python: they agree with built-in ones, and what is wrong in them is said at its place.
 
-use crate::common::{WHITE, is_slow_run, osteoflow, osteoflow_to_spawn, python::Folder, root};
+use crate::common::{WHITE, is_slow_run, osteoflow, osteoflow_to_spawn, page::Page, python::Folder, root};
 use osteoflow_geometry::nalgebra::{Matrix4, Point3};
 use serde_json::{Value, json};
 use std::{
@@ -97,46 +97,36 @@ fn the_icp_of_the_template_agrees_with_the_built_in_one() {
     assert!(refused.code != Some(0) && refused.stderr.contains("take process = false out"), "{}", refused.stderr);
 }
 
+/// Points of a scan that is quickly registered.
+const SMALL: &str = "recording.camera.n_points=8000";
+
 #[test]
 fn the_page_leads_from_a_node_to_a_report_and_to_somebody_else() {
     let Some(folder) = Folder::new("the commands of the page", &[]) else { return };
-    let page = include_str!("../docs/extend/python-nodes.md");
-    let blocks: Vec<_> = page.split("```sh\n").skip(1).map(|block| block.split("```").next().unwrap()).collect();
-    let run = |line: &str, at: &Path, more: &[&str]| {
-        let words = line.split('#').next().unwrap().split_whitespace().skip(1);
-        let mut command = osteoflow();
-        command.current_dir(at).env("OSTEOFLOW_PYTHON", &folder.1).env("OSTEOFLOW_CACHE", folder.path("cache"));
-        let output = command.args(words).args(more).output().unwrap();
-        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
-        (output.status.code().unwrap(), said)
-    };
-    let small = ["--set", "recording.camera.n_points=8000"];
-    let of_sweep = [&small[..], &["--set", "sweep.repeat=1", "--set", "sweep.twice=0"]].concat();
-    assert!(blocks[0].starts_with("osteoflow new plugin my_icp --lang python && cd my_icp\n"));
-    assert_eq!(run("osteoflow new plugin my_icp --lang python", folder.0.path(), &[]).0, 0);
-    let at = folder.path("my_icp");
-    let mut n_lines = 0;
-    for line in blocks[1].lines() {
-        let more: &[&str] = match line.split_whitespace().nth(1).unwrap() {
-            "run" => &small,
-            "sweep" if line.contains("graphs/") => &of_sweep,
+    let mut page = Page::open("docs/extend/python-nodes.md", folder.0.path(), Some(&folder.1)).adding(|command| {
+        let is_sweep = command.starts_with("osteoflow sweep graphs/");
+        match command.split(' ').nth(1) {
+            Some("run") => &["--set", SMALL],
+            Some("sweep") if is_sweep => &["--set", SMALL, "--set", "sweep.repeat=1", "--set", "sweep.twice=0"],
             _ => &[],
-        };
-        let (code, said) = run(line, &at, more);
-        let expected = if line.contains(" replay ") { 4 } else { 0 };
-        assert_eq!(code, expected, "{line}: {said}");
-        if line.contains(" replay ") {
-            assert!(said.contains("not comparable"), "{said}");
         }
-        n_lines += 1;
-    }
-    assert_eq!(n_lines, 8);
+    });
+    let done = page.follow(|command| if command.starts_with("osteoflow replay ") { 4 } else { 0 }, |_, _, _| {});
+    assert_eq!(done.len(), 12, "the template, its packages, its run, and eight commands on the way to somebody else");
+    let replay = done.iter().find(|done| done.command.contains(" replay ")).unwrap();
+    assert!(replay.printed.contains("not comparable"), "{}", replay.printed);
+    let at = folder.path("my_icp");
     // Where it is unknown which parameters go with their kind, the rows of a rerun would not be those of the sweep.
     let mut about: Value = serde_json::from_slice(&fs::read(at.join("S/sweep.json")).unwrap()).unwrap();
     assert!(about.as_object_mut().unwrap().remove("written").is_some());
     fs::write(at.join("S/sweep.json"), about.to_string()).unwrap();
-    let (code, said) = run("osteoflow export S unknown.zip", &at, &[]);
-    assert!(code != 0 && said.contains("which parameters were written") && !at.join("unknown.zip").exists(), "{said}");
+    let mut export = osteoflow();
+    let output = export.current_dir(&at).args(["export", "S", "unknown.zip"]).output().unwrap();
+    let (code, said) = (output.status.code(), String::from_utf8_lossy(&output.stderr));
+    assert!(
+        code != Some(0) && said.contains("which parameters were written") && !at.join("unknown.zip").exists(),
+        "{said}"
+    );
     let rows = fs::read_to_string(at.join("S/runs.csv")).unwrap();
     let of = |kind: &str| -> Vec<Vec<f64>> {
         let of_kind = rows.lines().filter(|row| row.contains(kind));

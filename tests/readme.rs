@@ -41,6 +41,46 @@ fn the_numbers_of_the_icp_swap_are_those_of_this_program() {
     }
 }
 
+/// Poses that are right, those of them that are trusted, mirrored poses, and those of them that are trusted, in a table of
+/// docs/method/real-data.md.
+fn counts(table: &str) -> [u64; 4] {
+    let page = text("docs/method/real-data.md");
+    let rows = page.split(&format!("<!-- {table} -->")).nth(1).unwrap().split("<!-- end -->").next().unwrap().lines();
+    let mut counts = [0; 4];
+    for row in rows.filter(|row| row.starts_with("| ") && !row.starts_with("| Pair")) {
+        let cells: Vec<_> = row.split('|').map(str::trim).collect();
+        let number = |k: usize| cells[k].parse::<u64>().unwrap();
+        if cells[1].contains("mirrored") {
+            counts[2] += number(3);
+            counts[3] += number(9);
+        } else {
+            assert_eq!(number(3), number(4), "README.md says that all are right: {row}");
+            counts[0] += number(4);
+            counts[1] += number(5);
+        }
+    }
+    counts
+}
+
+#[test]
+fn what_the_readme_says_of_measured_data_is_what_the_page_of_them_counts() {
+    let readme = text("README.md");
+    let (hips, ranges) = (counts("hips"), counts("ranges"));
+    let [right, trusted, ..] = ranges;
+    assert_eq!(
+        (hips[1], hips[3] + ranges[3]),
+        (0, 0),
+        "the README says that all are doubtful, and no mirrored one trusted"
+    );
+    for said in [
+        format!("{0} of {0} poses right (within 4 mm and 5 degrees), all doubtful", hips[0]),
+        format!("{right} of {right} right (within 1.5 mm), {trusted} of them trusted"),
+        format!("of {} mirrored ones none trusted", hips[2] + ranges[2]),
+    ] {
+        assert!(readme.contains(&said), "README.md does not say: {said}");
+    }
+}
+
 #[test]
 fn ci_takes_both_commands_from_the_readme_and_parses() {
     let script = text(".ci/run");

@@ -11,6 +11,8 @@ mod broken_graphs;
 mod clients;
 mod clusters;
 mod command_line;
+#[cfg(unix)]
+mod compared;
 mod common;
 mod dependencies;
 #[cfg(target_os = "linux")]
@@ -22,7 +24,10 @@ mod failures;
 mod formats;
 mod foxglove_ws;
 mod fuzz;
+mod glossary;
 mod graphs;
+#[cfg(unix)]
+mod guides;
 mod images;
 mod info;
 mod live;
