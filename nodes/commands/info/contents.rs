@@ -231,7 +231,7 @@ fn graph(file: &Path, bytes: &[u8]) -> Result<Contents> {
     if !is_graph {
         if file.file_name().is_some_and(|name| name == "procedure.toml") {
             let folder = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            return folder_of(folder);
+            return folder_of(folder, None);
         }
         bail!("{name}: a TOML file without [graph], [node.NAME] or extends, so no graph");
     }
