@@ -157,6 +157,7 @@ def main():
     parser.add_argument("--out", type=Path, help="keeps the sweep here")
     parser.add_argument("--peers", action="store_true", help="other libraries beside us")
     parser.add_argument("--python", default=sys.executable, help="the interpreter that has them")
+    parser.add_argument("--method", default="", help="of the methods with --peers those whose names have one of these words, separated by commas")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -169,7 +170,9 @@ def main():
             has_kiss = subprocess.run([given.python, "-c", "import kiss_matcher"], capture_output=True).returncode == 0
             if not has_kiss:
                 print(f"{given.python} has no kiss_matcher, which is left out", file=sys.stderr)
-            compared = methods(is_range, has_kiss)
+            compared = {name: keys for name, keys in methods(is_range, has_kiss).items() if any(word in name for word in given.method.split(","))}
+            if not compared:
+                sys.exit(f"--method {given.method} names none of {', '.join(methods(is_range, has_kiss))}")
             graph.append(f"plugins = [{{ file = {json.dumps(str(HERE / 'peers.py'))}, interpreter = {json.dumps(given.python)} }}]")
             sweep["factor"]["method"] = {"values": list(compared.values()), "labels": list(compared)}
         graph += [f"[graph]\nname = \"recover_set\"\nseed = {given.seed}", f"[sweep]\nrepeat = {given.repeat}", "[sweep.factor]"]

@@ -17,13 +17,15 @@ use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
 
 /// A scan where it belongs, and what a right pose of it is.
-struct Case {
-    name: String,
-    target: Target,
-    placed: Vec<Point3<f64>>,
-    camera: Option<Point3<f64>>,
-    /// Maximum error at the scan's centroid, mm, and angle, degrees.
-    right: (f64, f64),
+pub(crate) struct Case {
+    pub(crate) name: String,
+    pub(crate) target: Target,
+    pub(crate) placed: Vec<Point3<f64>>,
+    pub(crate) camera: Option<Point3<f64>>,
+    /// The first so many points are of the bone, the others of its surroundings.
+    pub(crate) n_bone: usize,
+    /// Maximum error at the bone's centroid, mm, and angle, degrees.
+    pub(crate) right: (f64, f64),
 }
 
 impl Case {
@@ -41,7 +43,7 @@ impl Case {
     }
 
     /// Registers the scan from `n` poses.
-    fn counted(&self, n: u64) -> Counted {
+    pub(crate) fn counted(&self, n: u64) -> Counted {
         let mut counted = Counted { n, ..Counted::default() };
         // Makes what is kept with the surface, which is no part of the time of one scan.
         self.target.prepare();
@@ -55,10 +57,17 @@ impl Case {
             let (is_right, is_clear, what) = match fit {
                 Ok(fit) => {
                     let end = self.registered(&cloud, &fit.t_target_source) * t_scan_truth;
-                    let centre = centroid(&self.placed);
+                    let centre = centroid(&self.placed[..self.n_bone]);
                     let (mm, deg) = ((end * centre - centre).norm(), end.rotation.angle().to_degrees());
                     let is_right = mm < self.right.0 && deg < self.right.1;
-                    let what = format!("#{seed} {mm:.1} mm {deg:.0} deg, clearness {:.2}", fit.report.clearness);
+                    let coarse = fit.t_target_source * t_scan_truth;
+                    let what = format!(
+                        "#{seed} {mm:.1} mm {deg:.0} deg, by the search {:.1} mm, clearness {:.2}, left {:.3} mm, {:.3} mm at the truth",
+                        (coarse * centre - centre).norm(),
+                        fit.report.clearness,
+                        self.left_mm(&coarse),
+                        self.left_mm(&Isometry3::identity())
+                    );
                     (is_right, fit.report.clearness >= CLEAR, what)
                 }
                 Err(error) => (false, false, error.to_string()),
@@ -72,6 +81,17 @@ impl Case {
         counted
     }
 
+    /// RMS distance of the scan from the surface, moved from where it belongs, with distances limited to 2 mm.
+    fn left_mm(&self, by: &Isometry3<f64>) -> f64 {
+        let normals = self.target.normals().unwrap();
+        let squares = self.placed.iter().map(|p| {
+            let moved = by * p;
+            let near = self.target.nearest(&moved, 2.0);
+            near.map_or(2.0, |(k, _)| (moved - self.target.points()[k]).dot(&normals[k]).abs()).powi(2)
+        });
+        (squares.sum::<f64>() / self.placed.len() as f64).sqrt()
+    }
+
     fn registered(&self, cloud: &Cloud, start: &Isometry3<f64>) -> Isometry3<f64> {
         let go_on = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
         let fit = icp::register(Method::PointToPlane, &self.target, cloud, start, &IcpParams::default(), go_on);
@@ -81,12 +101,12 @@ impl Case {
 
 /// What became of a scan.
 #[derive(Default)]
-struct Counted {
-    n: u64,
-    right: u64,
+pub(crate) struct Counted {
+    pub(crate) n: u64,
+    pub(crate) right: u64,
     /// Of the right ones.
-    clear: u64,
-    wrong_and_clear: u64,
+    pub(crate) clear: u64,
+    pub(crate) wrong_and_clear: u64,
     wrong: Vec<String>,
     cpu_ms: f64,
 }
@@ -114,27 +134,27 @@ fn cpu_ms() -> Option<f64> {
 }
 
 /// RMS distance of points from their centroid, mm.
-fn radius_mm(points: &[Point3<f64>]) -> f64 {
+pub(crate) fn radius_mm(points: &[Point3<f64>]) -> f64 {
     let middle = centroid(points);
     (points.iter().map(|p| (p - middle).norm_squared()).sum::<f64>() / points.len() as f64).sqrt()
 }
 
-fn target_of(mesh: &Mesh) -> Target {
+pub(crate) fn target_of(mesh: &Mesh) -> Target {
     let samples = sample::surface(mesh, 150_000, &mut ChaCha8Rng::seed_from_u64(1));
     Target::new("ct", SurfaceOrigin::User, samples.points, Some(samples.normals.into())).unwrap()
 }
 
 /// What a camera at 600 mm sees of a mesh within a ball, with depth noise, and where the camera is.
-struct View<'a> {
-    mesh: &'a Mesh,
-    query: &'a MeshQuery,
-    way: Vector3<f64>,
-    ball: Option<(Point3<f64>, f64)>,
-    noise_mm: f64,
+pub(crate) struct View<'a> {
+    pub(crate) mesh: &'a Mesh,
+    pub(crate) query: &'a MeshQuery,
+    pub(crate) way: Vector3<f64>,
+    pub(crate) ball: Option<(Point3<f64>, f64)>,
+    pub(crate) noise_mm: f64,
 }
 
 impl View<'_> {
-    fn seen(&self, seed: u64) -> (Vec<Point3<f64>>, Point3<f64>) {
+    pub(crate) fn seen(&self, seed: u64) -> (Vec<Point3<f64>>, Point3<f64>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let samples = sample::surface(self.mesh, 300_000, &mut rng);
         let middle = self.ball.map_or_else(|| centroid(&samples.points), |(centre, _)| centre);
@@ -154,7 +174,7 @@ impl View<'_> {
 }
 
 /// A closed body about the origin with seeded bumps: `power` 2 is an ellipsoid, more a box.
-fn body(seed: u64, radii_mm: [f64; 3], bumps_mm: f64, power: f64) -> Mesh {
+pub(crate) fn body(seed: u64, radii_mm: [f64; 3], bumps_mm: f64, power: f64) -> Mesh {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut wave = || {
         let way: [f64; 3] = UnitSphere.sample(&mut rng);
@@ -189,11 +209,18 @@ fn body(seed: u64, radii_mm: [f64; 3], bumps_mm: f64, power: f64) -> Mesh {
 const HIPS: [&str; 3] = ["specimen00_left_femur", "specimen00_pelvis", "specimen01_right_femur"];
 
 /// Hip bones from CT and their tracked ultrasound.
-fn hips(test: &str) -> Vec<Case> {
+pub(crate) fn hips(test: &str) -> Vec<Case> {
     let case = |name: &str| {
         let mesh = stl(&data(test, &format!("real/hip/preoperative_{name}.stl"))?, "ct");
         let placed = xyz(&rows(&data(test, &format!("real/hip/intraoperative_{name}.xyz"))?, ""), 1.0);
-        Some(Case { name: name.into(), target: target_of(&mesh), placed, camera: None, right: (4.0, 5.0) })
+        Some(Case {
+            name: name.into(),
+            target: target_of(&mesh),
+            n_bone: placed.len(),
+            placed,
+            camera: None,
+            right: (4.0, 5.0),
+        })
     };
     HIPS.into_iter().filter_map(case).collect()
 }
@@ -207,7 +234,14 @@ fn ranges(test: &str) -> Vec<Case> {
     let model = target_of(&Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap());
     let mut all = Vec::new();
     let mut add = |name: String, target: &Target, placed: &[Point3<f64>], right| {
-        all.push(Case { name, target: target.clone(), placed: placed.to_vec(), camera: None, right });
+        all.push(Case {
+            name,
+            target: target.clone(),
+            n_bone: placed.len(),
+            placed: placed.to_vec(),
+            camera: None,
+            right,
+        });
     };
     for (name, placed) in &scans {
         add(format!("{name} on the model"), &model, placed, (1.5, 2.0));
@@ -240,7 +274,14 @@ fn views(name: &str, mesh: &Mesh) -> Vec<Case> {
         let name = format!("{name}, {part}, {k}");
         let camera = (k == 0).then_some(camera);
         if placed.len() >= 300 {
-            all.push(Case { name, target: target.clone(), placed, camera, right: (0.02 * size_mm, 3.0) });
+            all.push(Case {
+                name,
+                target: target.clone(),
+                n_bone: placed.len(),
+                placed,
+                camera,
+                right: (0.02 * size_mm, 3.0),
+            });
         }
     }
     all
@@ -256,13 +297,13 @@ fn bodies() -> Vec<(&'static str, Mesh)> {
     ]
 }
 
-fn is_slow() -> bool {
+pub(crate) fn is_slow() -> bool {
     std::env::var_os("SLOW_TESTS").is_some()
 }
 
 /// Registers all cases that are wanted, on one thread so that CPU times are those of the calls: 97 of 100 are right, and no wrong one is
 /// clear.
-fn check(cases: &[Case], n: u64) {
+pub(crate) fn check(cases: &[Case], n: u64) {
     let words = std::env::var("OSTEOFLOW_CASES").unwrap_or_default();
     let is_wanted = |case: &&Case| words.split(',').any(|word| case.name.contains(word));
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();

@@ -9,3 +9,4 @@ mod gross;
 mod measured;
 mod one_target;
 mod real;
+mod surroundings;

@@ -3,6 +3,7 @@
 mod anywhere;
 mod axis;
 mod descent;
+mod patches;
 
 pub(crate) use descent::{Placed, Points, descended, distinct, motion, thinned};
 
@@ -10,10 +11,11 @@ use crate::Refusal;
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::kabsch::centroid;
 use crate::target::{NearMap, Side, Target};
-use anywhere::{Shape, anywhere};
+use anywhere::{Effort, Ground, Shape, radius_of};
 use axis::{Scan, stations};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
+use patches::patches;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -51,6 +53,18 @@ const MAX_REACH: f64 = 4.0;
 
 /// Rivals of a place anywhere on a surface are also looked for at this distance from each other, as a share of the scan's radius.
 const FAR: f64 = 0.4;
+
+/// Patches of the scan are laid on the surface, too, if the best place leaves more than this share of the points, and is not clear...
+const LEFT: f64 = 0.1;
+
+/// ...or more than this, however clear it is.
+const MUCH_LEFT: f64 = 0.4;
+
+/// Radius of the balls that patches are cut out by, as a share of the scan's radius or the surface's, whichever is less; of the patches
+/// themselves, as a share of that; and their number.
+const PATCH: f64 = 0.5;
+const PATCH_RADIUS: f64 = 0.8;
+const N_PATCHES: usize = 16;
 
 /// Clearness below which an answer may be wrong. 0.3: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
 pub const CLEAR: f64 = 0.3;
@@ -109,7 +123,8 @@ pub struct GlobalReport {
     pub middle_mm: [f64; 3],
     /// The best distinct registration, if there is one.
     pub runner_up: Option<RunnerUp>,
-    /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up.
+    /// Margin over the runner-up: `1 - score / runner-up's score`, both of the points that are near the surface at either place; 0 is
+    /// ambiguous, 1 if there is no runner-up.
     pub clearness: f64,
     /// Where the scan was looked for; null in reports of older versions.
     #[serde(default)]
@@ -164,6 +179,8 @@ pub enum Searched {
     Anywhere,
     /// Both.
     Both,
+    /// Both, and each of some patches of the scan anywhere, since surroundings may be in it.
+    Among,
 }
 
 /// A scan in the numbers of points that the steps take.
@@ -172,6 +189,7 @@ struct Search<'a> {
     map: &'a NearMap,
     params: &'a GlobalParams,
     middle: Point3<f64>,
+    radius_mm: f64,
     camera: Option<Point3<f64>>,
     reach: Reach,
     few: Points,
@@ -193,6 +211,7 @@ impl<'a> Search<'a> {
             map: target.index().near_map(target),
             params,
             middle,
+            radius_mm,
             camera,
             reach: Reach::new(radius_mm),
             few: Points::thinned(points, N_SCORED, &middle, camera),
@@ -233,11 +252,37 @@ impl<'a> Search<'a> {
     /// Registrations from the best starts anywhere, and the number of all.
     fn anywhere(&self, source: &Cloud) -> (Vec<End>, usize) {
         let shape = Shape::new(source.points(), &self.middle, self.camera);
-        let (starts, n_tried) = anywhere(self.target, &shape);
-        let ends = descended(self.map, &self.few, &starts, self.reach.mid, 8);
+        let (starts, n_tried) = Ground::new(self.target, shape.radius_mm).laid(&shape, &Effort::WHOLE);
+        (self.settled(&starts, shape.radius_mm), n_tried)
+    }
+
+    /// Registrations from the best starts of patches of the scan, and the number of all.
+    fn among(&self, source: &Cloud) -> (Vec<End>, usize) {
+        let patch_mm = PATCH * self.radius_mm.min(radius_of(self.map.samples()));
+        let patches = patches(source.points(), patch_mm, N_PATCHES);
+        let ground = Ground::new(self.target, PATCH_RADIUS * patch_mm);
+        let effort = Effort::of_patch(patches.len());
+        let one = |patch: &Vec<Point3<f64>>| {
+            let middle = centroid(patch);
+            let (mut starts, n_tried) = ground.laid(&Shape::of_patch(patch, &middle, self.camera), &effort);
+            // Of the patch about its centroid; from here on of the scan about that of the scan.
+            for start in &mut starts {
+                start.translation.vector -= start.rotation * (middle - self.middle);
+            }
+            (starts, n_tried)
+        };
+        let laid: Vec<(Vec<Placed>, usize)> = patches.par_iter().map(one).collect();
+        let n_tried = laid.iter().map(|(_, n)| n).sum();
+        let starts: Vec<Placed> = laid.into_iter().flat_map(|(starts, _)| starts).collect();
+        (self.settled(&starts, self.radius_mm), n_tried)
+    }
+
+    /// Registrations from the best of these starts, near ones and far ones.
+    fn settled(&self, starts: &[Placed], radius_mm: f64) -> Vec<End> {
+        let ends = descended(self.map, &self.few, starts, self.reach.mid, 8);
         // Rivals are looked for far away, too, as near ones may all come to lie in one place.
         let n_far = self.params.n_refined / 2;
-        let far_mm = self.reach.apart.max(FAR * shape.radius_mm);
+        let far_mm = self.reach.apart.max(FAR * radius_mm);
         let mut near = distinct(ends.clone(), &self.few, 4, self.reach.same, self.params.n_refined - n_far);
         near.extend(distinct(ends, &self.few, 4, far_mm, n_far));
         let ends = descended(self.map, &self.some, &near, self.reach.end, 8);
@@ -248,7 +293,7 @@ impl<'a> Search<'a> {
                 near.push(one);
             }
         }
-        (self.ends(&near), n_tried)
+        self.ends(&near)
     }
 
     /// Registrations from poses on the map.
@@ -257,24 +302,59 @@ impl<'a> Search<'a> {
         let one = |placed: &Placed| {
             let start = motion(self.map, &self.middle, placed);
             let pose = refined(self.target, &self.registered, &start, self.camera, reach_mm)?;
-            Some(End { score_mm: score(self.target, &self.compared, &pose, reach_mm), pose })
+            Some(End { score_mm: score(self.target, &self.compared, &pose, reach_mm), reach_mm, pose })
         };
         near.par_iter().filter_map(one).collect()
     }
 
     /// Sorts the ends by their scores, best first, with the reach that the best of them asks for.
     fn sort(&self, ends: &mut [End]) {
-        ends.sort_by(|a, b| a.score_mm.total_cmp(&b.score_mm));
+        let least_mm = self.reach.end;
+        self.score(ends, least_mm);
         let Some(best) = ends.first() else { return };
         let mut distances: Vec<f64> =
-            self.compared.iter().map(|p| distance_mm(self.target, p, &best.pose, MAX_REACH * self.reach.end)).collect();
+            self.compared.iter().map(|p| distance_mm(self.target, p, &best.pose, MAX_REACH * least_mm)).collect();
         let quarter = distances.len() / 4;
         let sigma_mm = *distances.select_nth_unstable_by(quarter, f64::total_cmp).1 / QUARTER_SIGMAS;
-        let reach_mm = (REACH_SIGMAS * sigma_mm).min(MAX_REACH * self.reach.end);
-        if reach_mm > self.reach.end {
-            ends.par_iter_mut().for_each(|end| end.score_mm = score(self.target, &self.compared, &end.pose, reach_mm));
-            ends.sort_by(|a, b| a.score_mm.total_cmp(&b.score_mm));
+        let reach_mm = (REACH_SIGMAS * sigma_mm).min(MAX_REACH * least_mm);
+        if reach_mm > least_mm {
+            self.score(ends, reach_mm);
         }
+    }
+
+    /// Scores the ends with distances limited to `reach_mm`, unless they are, and sorts them, best first.
+    fn score(&self, ends: &mut [End], reach_mm: f64) {
+        ends.par_iter_mut().filter(|end| end.reach_mm != reach_mm).for_each(|end| {
+            end.score_mm = score(self.target, &self.compared, &end.pose, reach_mm);
+            end.reach_mm = reach_mm;
+        });
+        ends.sort_by(|a, b| a.score_mm.total_cmp(&b.score_mm));
+    }
+
+    /// Whether so much is off the surface at the best of the sorted ends that surroundings may be in the scan, and hide the bone.
+    fn may_be_among_others(&self, ends: &[End]) -> bool {
+        let Some(best) = ends.first() else { return true };
+        let off = self.off_mm(best);
+        let left = off.iter().filter(|mm| **mm >= best.reach_mm).count() as f64 / off.len().max(1) as f64;
+        let is_clear = || self.rival(ends).is_none_or(|rival| self.clearness(best, rival) >= CLEAR);
+        left > MUCH_LEFT || (left > LEFT && !is_clear())
+    }
+
+    /// Distances of the points from the surface, limited to the reach of the score, mm.
+    fn off_mm(&self, end: &End) -> Vec<f64> {
+        self.compared.iter().map(|p| distance_mm(self.target, p, &end.pose, end.reach_mm)).collect()
+    }
+
+    /// Margin of the best over a rival; see [`GlobalReport`].
+    fn clearness(&self, best: &End, rival: &End) -> f64 {
+        let (mut squares, mut rivals) = (0.0, 0.0);
+        for (mm, rival_mm) in self.off_mm(best).into_iter().zip(self.off_mm(rival)) {
+            if mm < best.reach_mm || rival_mm < rival.reach_mm {
+                squares += mm * mm;
+                rivals += rival_mm * rival_mm;
+            }
+        }
+        1.0 - (squares / rivals.max(f64::MIN_POSITIVE)).sqrt()
     }
 
     /// The best of the sorted ends that is another place than the first.
@@ -292,14 +372,9 @@ impl<'a> Search<'a> {
 /// A registration from a start, and its score.
 struct End {
     score_mm: f64,
+    /// Distances are limited to this in the score, mm.
+    reach_mm: f64,
     pose: Isometry3<f64>,
-}
-
-impl End {
-    /// Margin over a rival; see [`GlobalReport`].
-    fn clearness(&self, rival: &Self) -> f64 {
-        1.0 - self.score_mm / rival.score_mm.max(f64::MIN_POSITIVE)
-    }
 }
 
 /// Registers a scan to a surface by shape alone.
@@ -307,7 +382,8 @@ impl End {
 /// The long axis of a scan that is 1.5 times as long as wide is laid along the bone's centre line both ways, in steps along it and in
 /// turns about it. A scan that is less than 2.5 times as long as wide, and one that fits badly so, is laid in any orientation anywhere on the
 /// surface: points of it onto samples of the surface with their normals, in turns about these. Starts that score better than their
-/// neighbours are refined, and the best refined one of both searches is the answer, by one score. The side from which a long
+/// neighbours are refined, and the best refined one of both searches is the answer, by one score. Where that leaves much of the scan off the surface, patches of it
+/// are laid anywhere, too. The side from which a long
 /// scan was seen (its viewpoint, else the way it bulges) is turned outward. A shaft is nearly a cylinder, so the answer
 /// may be wrong along or about it although it fits well; the report gives the score of the runner-up. The result does
 /// not depend on the number of threads.
@@ -350,13 +426,21 @@ pub(crate) fn global_by(
         ends.extend(more);
         n_tried += n_more;
     }
-    let searched = match (long.is_some(), is_along) {
-        (_, true) => Searched::Along,
-        (true, false) => Searched::Both,
-        (false, false) => Searched::Anywhere,
-    };
     search.sort(&mut ends);
-    let Some(best @ &End { score_mm, pose }) = ends.first() else {
+    let is_among = searched.map_or_else(|| search.may_be_among_others(&ends), |searched| searched == Searched::Among);
+    if is_among {
+        let (more, n_more) = search.among(source);
+        ends.extend(more);
+        n_tried += n_more;
+        search.sort(&mut ends);
+    }
+    let searched = match (is_among, long.is_some(), is_along) {
+        (true, ..) => Searched::Among,
+        (_, _, true) => Searched::Along,
+        (_, true, false) => Searched::Both,
+        (_, false, false) => Searched::Anywhere,
+    };
+    let Some(best @ &End { score_mm, pose, .. }) = ends.first() else {
         return Err(Refusal::of(format!(
             "none of {n_tried} starts came to lie on the surface; are scan and surface of the same bone, both in mm? If \
              surroundings are in the scan, {CROP}"
@@ -364,7 +448,7 @@ pub(crate) fn global_by(
     };
     let middle = search.middle;
     let rival = search.rival(&ends);
-    let clearness = rival.map_or(1.0, |rival| best.clearness(rival));
+    let clearness = rival.map_or(1.0, |rival| search.clearness(best, rival));
     let runner_up = rival.map(|end| RunnerUp {
         score_mm: end.score_mm,
         middle_mm: (end.pose * middle).into(),
@@ -484,5 +568,65 @@ mod tests {
             // Samples of the two are not at the same places.
             assert!(two.clearness < 0.1 && (other.shift_mm - apart_mm).abs() < 0.5, "{apart_mm} mm: {two:?}");
         }
+    }
+
+    /// One side of the bumpy shaft with a table behind it, 60 % of the points, and the shaft.
+    fn beside_a_table() -> (Target, Cloud, usize) {
+        let shaft = crate::shapes::shaft();
+        let samples = crate::sample::surface(&shaft, 40_000, &mut ChaCha8Rng::seed_from_u64(1));
+        let target = Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap();
+        let seen = crate::sample::surface(&shaft, 12_000, &mut ChaCha8Rng::seed_from_u64(2));
+        let side = seen.points.iter().zip(&seen.normals).filter(|(p, n)| n.x > 0.2 && (15.0..105.0).contains(&p.z));
+        let mut points: Vec<Point3<f64>> = side.map(|(p, _)| *p).collect();
+        let n_bone = points.len();
+        let n = 3 * n_bone / 2;
+        // A sequence of low discrepancy.
+        let at = |k: usize, by: f64| (k as f64 * by).fract() * 200.0 - 100.0;
+        points.extend((0..n).map(|k| Point3::new(-35.0, at(k, 0.754_877_666), 60.0 + at(k, 0.569_840_291))));
+        let t = Isometry3::new(Vector3::new(80.0, -300.0, 500.0), Vector3::new(1.0, -0.4, 2.0));
+        (target, Cloud::new("scan", points.iter().map(|p| t * p).collect::<Vec<_>>()).unwrap(), n_bone)
+    }
+
+    #[test]
+    fn a_bone_before_a_table_is_found_by_a_patch_the_same_on_any_number_of_threads_and_anywhere_alone_misses_it() {
+        let (target, scan, n_bone) = beside_a_table();
+        let truth = Isometry3::new(Vector3::new(80.0, -300.0, 500.0), Vector3::new(1.0, -0.4, 2.0)).inverse();
+        let off = |fit: &GlobalFit| {
+            let moved = |p: &Point3<f64>| (fit.t_target_source * p - truth * p).norm();
+            scan.points()[..n_bone].iter().map(moved).fold(0.0, f64::max)
+        };
+        let on = |n_threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+            pool.install(|| global(&target, &scan, &GlobalParams::default()).unwrap())
+        };
+        let (one, three) = (on(1), on(3));
+        assert!(
+            off(&one) < 1.0 && one.report.searched == Some(Searched::Among),
+            "{:.2} mm: {:?}",
+            off(&one),
+            one.report
+        );
+        assert_eq!(one, three);
+        let whole = global_by(&target, &scan, &GlobalParams::default(), Some(Searched::Both)).unwrap();
+        assert!(off(&whole) > 5.0, "{:.2} mm: {:?}", off(&whole), whole.report);
+    }
+
+    #[test]
+    fn what_is_near_the_surface_at_neither_place_is_no_part_of_the_clearness() {
+        let (target, scan, n_bone) = beside_a_table();
+        let params = GlobalParams::default();
+        let search = Search::new(&target, &scan, &params);
+        let truth = Isometry3::new(Vector3::new(80.0, -300.0, 500.0), Vector3::new(1.0, -0.4, 2.0)).inverse();
+        let end = |pose: Isometry3<f64>| {
+            let score_mm = score(&target, &search.compared, &pose, 2.0);
+            End { score_mm, reach_mm: 2.0, pose }
+        };
+        let (right, other) = (end(truth), end(Isometry3::translation(0.0, 0.0, 1.5) * truth));
+        let bone = Cloud::new("scan", scan.points()[..n_bone].to_vec()).unwrap();
+        let alone = Search::new(&target, &bone, &params);
+        let [with, without] = [&search, &alone].map(|search| search.clearness(&right, &other));
+        assert!((with - without).abs() < 0.05 && with > 0.5, "{with} among others, {without} alone");
+        assert!(1.0 - right.score_mm / other.score_mm < 0.2);
+        assert!(search.may_be_among_others(&[end(truth)]) && !alone.may_be_among_others(&[end(truth)]));
     }
 }

@@ -14,6 +14,7 @@ const N_LOOKED_AT: usize = 100_000;
 
 /// Number of scan points whose normals are estimated: their neighbourhoods are then as wide as the coarse steps need.
 const N_PLANES: usize = 4000;
+const N_PATCH_PLANES: usize = 600;
 
 /// Number of samples of the surface.
 const N_SAMPLES: usize = 20_000;
@@ -25,6 +26,7 @@ const N_THIRD: usize = 128;
 
 /// Number of scan points that are laid onto the surface, and of turns about their normals.
 const N_ANCHORS: usize = 16;
+const N_PATCH_ANCHORS: usize = 3;
 const N_SPINS: usize = 24;
 
 /// Maximum number of starts.
@@ -56,9 +58,18 @@ pub(crate) struct Shape {
 
 impl Shape {
     pub(crate) fn new(points: &[Point3<f64>], middle: &Point3<f64>, camera: Option<Point3<f64>>) -> Self {
+        Self::thinned(points, middle, camera, N_PLANES)
+    }
+
+    /// Of a patch, which needs fewer points.
+    pub(super) fn of_patch(points: &[Point3<f64>], middle: &Point3<f64>, camera: Option<Point3<f64>>) -> Self {
+        Self::thinned(points, middle, camera, N_PATCH_PLANES)
+    }
+
+    fn thinned(points: &[Point3<f64>], middle: &Point3<f64>, camera: Option<Point3<f64>>, n: usize) -> Self {
         let about: Vec<Vector3<f64>> = thinned(points, N_LOOKED_AT).iter().map(|p| p - middle).collect();
         let camera = camera.map(|camera| camera - middle);
-        let points = spread(&about, N_PLANES);
+        let points = spread(&about, n);
         let mut normals = without_side(&points);
         if let Some(camera) = camera {
             normals.iter_mut().zip(&points).filter(|(n, p)| n.dot(&(camera - *p)) < 0.0).for_each(|(n, _)| *n = -*n);
@@ -70,6 +81,11 @@ impl Shape {
     fn first(&self, n: usize, camera: Option<Vector3<f64>>) -> Points {
         Points { points: self.points.iter().take(n).copied().collect(), camera }
     }
+}
+
+/// RMS distance of samples from the centre of their map, mm.
+pub(super) fn radius_of(samples: &[Sample]) -> f64 {
+    radius_mm(&samples.iter().map(|s| s.point).collect::<Vec<_>>())
 }
 
 /// RMS distance from the origin, mm.
@@ -163,95 +179,134 @@ struct Side {
     points: Vec<Vector3<f32>>,
 }
 
-/// Starts that lie well on the surface after a few steps on a coarse map, best first, and the number of those tried.
-pub(crate) fn anywhere(target: &Target, shape: &Shape) -> (Vec<Placed>, usize) {
-    let centre = centroid(target.points());
-    let mut samples = NearMap::samples_of(target, N_SAMPLES);
-    let has_sides = target.normals().is_some();
-    if !has_sides {
-        let points: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
-        samples.iter_mut().zip(without_side(&points)).for_each(|(s, normal)| s.normal = normal);
+/// A surface prepared for laying shapes of one size on it.
+pub(super) struct Ground {
+    map: NearMap,
+    field: Field,
+    places: Vec<Sample>,
+    has_sides: bool,
+    reach_mm: f64,
+}
+
+/// How many of the starts of a shape are looked at.
+#[derive(Clone, Copy)]
+pub(super) struct Effort {
+    max_starts: usize,
+    min_anchors: usize,
+    max_anchors: usize,
+    kept: [usize; 4],
+}
+
+impl Effort {
+    /// That of a whole scan.
+    pub(super) const WHOLE: Self = Self { max_starts: MAX_STARTS, min_anchors: 3, max_anchors: N_ANCHORS, kept: KEPT };
+
+    /// That of one of `n` patches: all of them get twice that of a whole scan.
+    pub(super) fn of_patch(n: usize) -> Self {
+        let share = |all: usize| (2 * all).div_ceil(n.max(1));
+        Self { max_starts: share(MAX_STARTS), min_anchors: 1, max_anchors: N_PATCH_ANCHORS, kept: KEPT.map(share) }
     }
-    // A scan wider than the surface has more in it.
-    let points: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
-    let size_mm = shape.radius_mm.min(radius_mm(&points));
-    let camera = shape.camera.filter(|_| has_sides);
-    let reach_mm = REACH * size_mm;
-    let map = NearMap::of(samples, centre, reach_mm / VOXELS, reach_mm);
-    let field = Field::new(&map, reach_mm);
-    let places = places(map.samples(), SPACING * size_mm);
-    let signs: &[f64] = if camera.is_some() { &[1.0] } else { &[1.0, -1.0] };
-    let n_anchors = (MAX_STARTS / (places.len() * N_SPINS * signs.len()).max(1)).clamp(3, N_ANCHORS);
-    let first: Vec<&Vector3<f64>> = shape.points.iter().take(N_FIRST).collect();
-    let anchors = (0..shape.points.len()).filter(|&k| shape.normals[k] != Vector3::zeros()).take(n_anchors);
-    let sides: Vec<Side> = anchors
-        .flat_map(|k| signs.iter().map(move |sign| (shape.points[k], shape.normals[k] * *sign)))
-        .map(|(anchor, normal)| {
-            let [x, y] = across(&normal);
-            let frame = Rotation3::from_basis_unchecked(&[x, y, normal]);
-            let points = first.iter().map(|p| (frame.inverse() * (*p - anchor) * field.voxels_per_mm).cast()).collect();
-            Side { anchor, frame, points }
-        })
-        .collect();
-    let n_tried = sides.len() * places.len() * N_SPINS;
-    let spin = |k: usize| (k as f64 / N_SPINS as f64 * TAU).sin_cos();
-    let spins: Vec<(f32, f32)> = (0..N_SPINS).map(|k| (spin(k).0 as f32, spin(k).1 as f32)).collect();
-    // Of each anchor on each sample only the spins that are better than their neighbours, so that one place does not take all starts.
-    let scored: Vec<Vec<(u16, Start)>> = sides
-        .par_iter()
-        .enumerate()
-        .map(|(number, side)| {
-            let mut costs = vec![[0_u16; N_SPINS]; places.len()];
-            let half = side.points.len() / 2;
-            let add = |place: &Sample, points: &[Vector3<f32>], sums: &mut [u16; N_SPINS], limit: u16| {
-                let [x, y] = across(&place.normal);
-                let (x, y, z) = (x.cast::<f32>(), y.cast::<f32>(), place.normal.cast::<f32>());
-                let at = ((place.point - field.origin) * field.voxels_per_mm).cast::<f32>();
-                for ((sin, cos), sum) in spins.iter().zip(sums).filter(|(_, sum)| **sum <= limit) {
-                    let (u, v) = (x * *cos + y * *sin, y * *cos - x * *sin);
-                    for p in points {
-                        *sum += u16::from(field.cost(&(at + u * p.x + v * p.y + z * p.z)));
+}
+
+impl Ground {
+    /// For shapes of this radius; a scan wider than the surface has more in it.
+    pub(super) fn new(target: &Target, radius_mm: f64) -> Self {
+        let centre = centroid(target.points());
+        let mut samples = NearMap::samples_of(target, N_SAMPLES);
+        let has_sides = target.normals().is_some();
+        if !has_sides {
+            let points: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
+            samples.iter_mut().zip(without_side(&points)).for_each(|(s, normal)| s.normal = normal);
+        }
+        let points: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
+        let size_mm = radius_mm.min(self::radius_mm(&points));
+        let reach_mm = REACH * size_mm;
+        let map = NearMap::of(samples, centre, reach_mm / VOXELS, reach_mm);
+        let field = Field::new(&map, reach_mm);
+        let places = places(map.samples(), SPACING * size_mm);
+        Self { map, field, places, has_sides, reach_mm }
+    }
+
+    /// Starts of a shape that lie well on the surface after a few steps on a coarse map, best first, and the number of those tried.
+    pub(super) fn laid(&self, shape: &Shape, effort: &Effort) -> (Vec<Placed>, usize) {
+        let Self { map, field, places, reach_mm, .. } = self;
+        let reach_mm = *reach_mm;
+        let camera = shape.camera.filter(|_| self.has_sides);
+        let signs: &[f64] = if camera.is_some() { &[1.0] } else { &[1.0, -1.0] };
+        let n_anchors = effort.max_starts / (places.len() * N_SPINS * signs.len()).max(1);
+        let n_anchors = n_anchors.clamp(effort.min_anchors, effort.max_anchors);
+        let first: Vec<&Vector3<f64>> = shape.points.iter().take(N_FIRST).collect();
+        let anchors = (0..shape.points.len()).filter(|&k| shape.normals[k] != Vector3::zeros()).take(n_anchors);
+        let sides: Vec<Side> = anchors
+            .flat_map(|k| signs.iter().map(move |sign| (shape.points[k], shape.normals[k] * *sign)))
+            .map(|(anchor, normal)| {
+                let [x, y] = across(&normal);
+                let frame = Rotation3::from_basis_unchecked(&[x, y, normal]);
+                let points =
+                    first.iter().map(|p| (frame.inverse() * (*p - anchor) * field.voxels_per_mm).cast()).collect();
+                Side { anchor, frame, points }
+            })
+            .collect();
+        let n_tried = sides.len() * places.len() * N_SPINS;
+        let spin = |k: usize| (k as f64 / N_SPINS as f64 * TAU).sin_cos();
+        let spins: Vec<(f32, f32)> = (0..N_SPINS).map(|k| (spin(k).0 as f32, spin(k).1 as f32)).collect();
+        // Of each anchor on each sample only the spins that are better than their neighbours, so that one place does not take all starts.
+        let scored: Vec<Vec<(u16, Start)>> = sides
+            .par_iter()
+            .enumerate()
+            .map(|(number, side)| {
+                let mut costs = vec![[0_u16; N_SPINS]; places.len()];
+                let half = side.points.len() / 2;
+                let add = |place: &Sample, points: &[Vector3<f32>], sums: &mut [u16; N_SPINS], limit: u16| {
+                    let [x, y] = across(&place.normal);
+                    let (x, y, z) = (x.cast::<f32>(), y.cast::<f32>(), place.normal.cast::<f32>());
+                    let at = ((place.point - field.origin) * field.voxels_per_mm).cast::<f32>();
+                    for ((sin, cos), sum) in spins.iter().zip(sums).filter(|(_, sum)| **sum <= limit) {
+                        let (u, v) = (x * *cos + y * *sin, y * *cos - x * *sin);
+                        for p in points {
+                            *sum += u16::from(field.cost(&(at + u * p.x + v * p.y + z * p.z)));
+                        }
+                    }
+                };
+                for (place, sums) in places.iter().zip(&mut costs) {
+                    add(place, &side.points[..half], sums, u16::MAX);
+                }
+                let limit = quantile(costs.as_flattened(), SECOND_SHARE);
+                let mut best = Vec::with_capacity(places.len());
+                for ((place, index), sums) in places.iter().zip(0..).zip(&mut costs) {
+                    let before = *sums;
+                    add(place, &side.points[half..], sums, limit);
+                    let cost = |k: usize| if before[k] <= limit { sums[k] } else { u16::MAX };
+                    for k in (0..N_SPINS).filter(|&k| before[k] <= limit) {
+                        let beside = [cost((k + N_SPINS - 1) % N_SPINS), cost((k + 1) % N_SPINS)];
+                        if sums[k] < beside[0] && sums[k] <= beside[1] {
+                            best.push((sums[k], Start { side: number as u16, spin: k as u16, sample: index }));
+                        }
                     }
                 }
-            };
-            for (place, sums) in places.iter().zip(&mut costs) {
-                add(place, &side.points[..half], sums, u16::MAX);
-            }
-            let limit = quantile(costs.as_flattened(), SECOND_SHARE);
-            let mut best = Vec::with_capacity(places.len());
-            for ((place, index), sums) in places.iter().zip(0..).zip(&mut costs) {
-                let before = *sums;
-                add(place, &side.points[half..], sums, limit);
-                let cost = |k: usize| if before[k] <= limit { sums[k] } else { u16::MAX };
-                for k in (0..N_SPINS).filter(|&k| before[k] <= limit) {
-                    let beside = [cost((k + N_SPINS - 1) % N_SPINS), cost((k + 1) % N_SPINS)];
-                    if sums[k] < beside[0] && sums[k] <= beside[1] {
-                        best.push((sums[k], Start { side: number as u16, spin: k as u16, sample: index }));
-                    }
-                }
-            }
-            best
-        })
-        .collect();
-    let scored = lowest(scored.concat(), KEPT[0]);
-    let starts: Vec<Placed> = scored
-        .iter()
-        .map(|start| {
-            let (side, place) = (&sides[usize::from(start.side)], &places[start.sample as usize]);
-            let ([x, y], (sin, cos)) = (across(&place.normal), spin(usize::from(start.spin)));
-            let to = Rotation3::from_basis_unchecked(&[x * cos + y * sin, y * cos - x * sin, place.normal]);
-            let turn = to * side.frame.inverse();
-            let shift = place.point - turn * side.anchor;
-            Placed::from_parts(shift.into(), UnitQuaternion::from_rotation_matrix(&turn))
-        })
-        .collect();
-    let starts = agreeing(&map, shape, camera.is_some(), &starts, reach_mm);
-    let same_mm = 0.5 * reach_mm;
-    let [second, third] = [N_SECOND, N_THIRD].map(|n| shape.first(n, camera));
-    let ends = descended(&map, &second, &starts, reach_mm, 4);
-    let ends = distinct(ends, &third, 4, same_mm, KEPT[2]);
-    let ends = descended(&map, &third, &ends, 0.6 * reach_mm, 5);
-    (distinct(ends, &third, 4, 0.6 * same_mm, KEPT[3]), n_tried)
+                best
+            })
+            .collect();
+        let scored = lowest(scored.concat(), effort.kept[0]);
+        let starts: Vec<Placed> = scored
+            .iter()
+            .map(|start| {
+                let (side, place) = (&sides[usize::from(start.side)], &places[start.sample as usize]);
+                let ([x, y], (sin, cos)) = (across(&place.normal), spin(usize::from(start.spin)));
+                let to = Rotation3::from_basis_unchecked(&[x * cos + y * sin, y * cos - x * sin, place.normal]);
+                let turn = to * side.frame.inverse();
+                let shift = place.point - turn * side.anchor;
+                Placed::from_parts(shift.into(), UnitQuaternion::from_rotation_matrix(&turn))
+            })
+            .collect();
+        let starts = agreeing(map, shape, camera.is_some(), &starts, reach_mm, effort.kept[1]);
+        let same_mm = 0.5 * reach_mm;
+        let [second, third] = [N_SECOND, N_THIRD].map(|n| shape.first(n, camera));
+        let ends = descended(map, &second, &starts, reach_mm, 4);
+        let ends = distinct(ends, &third, 4, same_mm, effort.kept[2]);
+        let ends = descended(map, &third, &ends, 0.6 * reach_mm, 5);
+        (distinct(ends, &third, 4, 0.6 * same_mm, effort.kept[3]), n_tried)
+    }
 }
 
 /// The number that this share of the numbers is no larger than.
@@ -274,7 +329,7 @@ fn lowest(mut scored: Vec<(u16, Start)>, n: usize) -> Vec<Start> {
 }
 
 /// The starts at which most points lie on the surface with its normal, whatever its sign unless sides are known.
-fn agreeing(map: &NearMap, shape: &Shape, has_sides: bool, starts: &[Placed], reach_mm: f64) -> Vec<Placed> {
+fn agreeing(map: &NearMap, shape: &Shape, has_sides: bool, starts: &[Placed], reach_mm: f64, n: usize) -> Vec<Placed> {
     let cost = |placed: &Placed| -> f64 {
         let points = shape.points.iter().zip(&shape.normals).take(N_SECOND);
         let one = |(p, normal): (&Vector3<f64>, &Vector3<f64>)| {
@@ -289,7 +344,7 @@ fn agreeing(map: &NearMap, shape: &Shape, has_sides: bool, starts: &[Placed], re
     };
     let mut scored: Vec<(f64, &Placed)> = starts.par_iter().map(|start| (cost(start), start)).collect();
     scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-    scored.into_iter().take(KEPT[1]).map(|(_, start)| *start).collect()
+    scored.into_iter().take(n).map(|(_, start)| *start).collect()
 }
 
 /// Samples with normals at about this distance from each other.
@@ -361,7 +416,8 @@ mod tests {
             let target = Target::new("ct", SurfaceOrigin::Exact, points.clone(), normals).unwrap();
             for camera in [None, Some(camera)] {
                 let shape = Shape::new(&scan, &(moved * middle), camera);
-                let (starts, n_tried) = anywhere(&target, &shape);
+                let ground = Ground::new(&target, shape.radius_mm);
+                let (starts, n_tried) = ground.laid(&shape, &Effort::WHOLE);
                 let best =
                     super::super::motion(target.index().near_map(&target), &(moved * middle), &starts[0]) * moved;
                 let off = patch.iter().step_by(50).map(|p| (best * p - p).norm()).fold(0.0, f64::max);

@@ -51,7 +51,7 @@ impl Scan {
 }
 
 /// Centroid, axes and variances of points, the longest first.
-fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
+pub(super) fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
     let middle = centroid(points);
     let scatter: Matrix3<f64> = points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum();
     let (axes, variances) = largest_first(&(scatter / points.len().max(1) as f64));
@@ -108,7 +108,7 @@ fn bones(points: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
 }
 
 /// Parts of which no point is far from the others, in cells of a few spacings.
-fn connected(points: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
+pub(super) fn connected(points: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
     let some = Nearest::new(points);
     let every = points.len().div_ceil(50).max(1);
     let mut spacings: Vec<f64> = points
