@@ -11,8 +11,8 @@ use std::{fs, path::Path};
 const START_NS: StampNs = 1_750_000_000_000_000_000;
 const WIDTH: usize = 16;
 const HEIGHT: usize = 12;
-/// Levels by which JPEG at quality 95 changes this picture, whose patches have sharp borders.
-const JPEG_LEVELS: u8 = 90;
+/// Levels by which decoders of JPEG differ: they round the transform and blend halved colours in their own ways.
+const JPEG_LEVELS: u8 = 4;
 
 fn first<'a>(bag: &'a Recording, topic: &str) -> &'a Message {
     &bag.messages(topic)[0]
@@ -51,10 +51,13 @@ fn check(path: &Path) {
     for topic in ["/mono8", "/mono16"] {
         assert_eq!(off(&read(topic), |rgb| [rgb[1]; 3]), 0, "{topic}");
     }
-    assert!(off(&read("/jpeg"), |rgb| rgb) <= JPEG_LEVELS, "{}", off(&read("/jpeg"), |rgb| rgb));
+    let (here, there) = (read("/jpeg"), read("/jpeg_by_opencv"));
+    let apart = here.pixels().iter().zip(there.pixels()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+    assert!(apart <= JPEG_LEVELS, "{apart} levels from what OpenCV decodes");
     let middle_of_red = read("/jpeg").rgb(2, 3);
     assert!(middle_of_red[0] > 190 && middle_of_red[2] < 80, "{middle_of_red:?}");
-    assert!(off(&read("/jpeg_of_grey"), |rgb| [rgb[1]; 3]) <= JPEG_LEVELS);
+    // At quality 95, across the borders of two patches.
+    assert!(off(&read("/jpeg_of_grey"), |rgb| [rgb[1]; 3]) <= 12);
 
     // The points of OpenCV for the same depths, in double precision.
     for lens in ["pinhole", "brown", "rational", "fisheye"] {

@@ -41,6 +41,7 @@ mod node_docs;
 mod openigtlink;
 mod openigtlink_python;
 mod own_bone;
+mod own_device;
 mod paper;
 mod paper_page;
 #[cfg(unix)]

@@ -91,7 +91,9 @@ def messages():
     yield "/bgra8", image(START_NS, "bgra8", np.dstack([bgr, alpha]), padding=8)
     yield "/mono8", image(START_NS, "mono8", grey, padding=1)
     yield "/mono16", image(START_NS, "mono16", grey.astype(np.uint16) * 257, big_endian=True)
-    yield "/jpeg", compressed(START_NS, "rgb8; jpeg compressed bgr8", ".jpg", bgr)
+    jpeg = compressed(START_NS, "rgb8; jpeg compressed bgr8", ".jpg", bgr)
+    yield "/jpeg", jpeg
+    yield "/jpeg_by_opencv", image(START_NS, "bgr8", cv2.imdecode(jpeg.data, cv2.IMREAD_COLOR))
     yield "/png", compressed(START_NS, "bgr8; png compressed bgr8", ".png", bgr)
     # OpenCV takes the first channel for blue: red and blue are exchanged in the file, as the format says.
     yield "/png_of_rgb", compressed(START_NS, "rgb8; png compressed rgb8", ".png", rgb)

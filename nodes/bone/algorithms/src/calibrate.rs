@@ -2,18 +2,25 @@
 //! stylus' tip.
 
 mod align;
+mod contradicted;
 mod contradiction;
 mod hand_eye;
 mod mirror;
 mod noise;
 mod pairs;
+mod parts;
 mod pivot;
 mod report;
+mod shown;
 mod spread;
+mod turned;
 
+pub use contradicted::Contradiction;
 pub use hand_eye::{HandEyeFit, HandEyeReport, Method as HandEyeMethod, hand_eye};
+pub use parts::PhantomPart;
 pub use pivot::{PivotReport, pivot};
 pub use report::{PhantomFit, PhantomReport};
+pub use shown::PhantomShown;
 
 use crate::Refusal;
 use crate::icp::{self, IcpError, IcpFit, IcpParams, Kernel, Source};
@@ -30,6 +37,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Deserialize;
+use shown::Fitted;
 use spread::Spread;
 use std::ops::ControlFlow;
 
@@ -102,6 +110,16 @@ pub struct PhantomParams {
     /// 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_off_share: f64,
+    /// Maximum share of the scan that the camera sees through the CAD, by 2 mm and six standard deviations of the noise or more. 0.003:
+    /// THROUGH_REASON
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub max_through_share: f64,
+    /// Maximum share of the scan that is before the CAD, by as much. 0.003: BEFORE_REASON
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub max_before_share: f64,
+    /// Maximum median distance of a seen face of the CAD from its points, mm. 0.4: PART_REASON
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_part_off_mm: f64,
     /// Maximum deviation of the scan's scale from 1, unless it is within four of its standard deviations. 0.02: it moves the
     /// calibration by 4 mm.
     #[schemars(range(min = 0.0, max = 1.0))]
@@ -127,6 +145,9 @@ impl Default for PhantomParams {
             max_rms_mm: 0.5,
             max_excess_mm: 0.2,
             max_off_share: 0.2,
+            max_through_share: 0.003,
+            max_before_share: 0.003,
+            max_part_off_mm: 0.4,
             max_scale_error: 0.02,
             max_moved_mm: 15.0,
             max_moved_deg: 10.0,
@@ -160,7 +181,8 @@ pub fn phantom_icp(
     t_camera_phantom_nominal: &Isometry3<f64>,
     params: &PhantomParams,
 ) -> Result<PhantomFit, Refusal> {
-    let target = visible(phantom, params.n_samples as usize)?;
+    let query = MeshQuery::new(phantom);
+    let target = visible(phantom, &query, params.n_samples as usize)?;
     if let Some(index) = scan.iter().position(|p| !finite(p)) {
         return Err(no_fit(IcpError::NotFinite { what: format!("source point {index}") }));
     }
@@ -194,7 +216,23 @@ pub fn phantom_icp(
     let moved_squares: f64 = used.iter().map(|p| (moved * p.phantom - p.phantom).norm_squared()).sum();
     let moved_camera = t_camera_phantom * t_camera_phantom_nominal.inverse();
     let ahead = Point3::new(0.0, 0.0, params.working_distance_mm);
+    let shown = PhantomShown::of(&Fitted {
+        query: &query,
+        faces: &faces,
+        scan: &scan,
+        thin: &thin,
+        t_phantom_camera: &fit.t_target_source,
+        noise_mm,
+        max_mm,
+        cap_mm: off_mm,
+        sample_mm2: area_mm2(phantom) / f64::from(params.n_samples) * target.points().len() as f64
+            / faces.points.len() as f64,
+    });
+    let mirrored_rms_mm = mirror::mirrored_mm(&faces, &thin, &fit.t_target_source, &start, max_mm, off_mm);
+    let scale = scaled.as_ref().map(|s| (s.scale, s.scale_sd));
     let report = PhantomReport {
+        notes: shown.notes(scale, mirrored_rms_mm, params.working_distance_mm),
+        shown,
         n_points: scan.points.len(),
         n_pairs: fit.report.n_pairs,
         noise_mm,
@@ -203,7 +241,7 @@ pub fn phantom_icp(
         p95_mm: at(0.95),
         near_rms_mm: near_rms_mm(&distances),
         capped_rms_mm: capped_rms_mm(&distances, scan.points.len(), off_mm),
-        mirrored_rms_mm: mirror::mirrored_mm(&faces, &thin, &fit.t_target_source, &start, max_mm, off_mm),
+        mirrored_rms_mm,
         off_share: n_off as f64 / distances.len() as f64,
         scale: scaled.as_ref().map(|s| s.scale),
         scale_sd: scaled.as_ref().map(|s| s.scale_sd),
@@ -264,13 +302,17 @@ fn fitted(
     register(scan, &few.t_target_source, &last)
 }
 
+/// Area of the surface, mm².
+fn area_mm2(mesh: &Mesh) -> f64 {
+    (0..mesh.faces().len()).map(|face| mesh.area_vector(face).norm() / 2.0).sum()
+}
+
 fn no_fit(error: IcpError) -> Refusal {
     Refusal::of(format!("the phantom's scan onto its CAD: {error}"))
 }
 
 /// Samples of the faces that are not buried in another part of the body.
-fn visible(phantom: &Mesh, n: usize) -> Result<Target, Refusal> {
-    let query = MeshQuery::new(phantom);
+fn visible(phantom: &Mesh, query: &MeshQuery, n: usize) -> Result<Target, Refusal> {
     let samples = sample::surface(phantom, n, &mut ChaCha8Rng::seed_from_u64(0));
     let seen: Vec<bool> = samples
         .points

@@ -8,6 +8,8 @@ use osteoflow_algorithms::calibrate::{PhantomFit, PhantomParams, phantom_icp};
 use osteoflow_geometry::Mesh;
 use osteoflow_geometry::nalgebra::{Matrix6, Point3, Vector6};
 use osteoflow_simulation::phantom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 /// The built-in phantom, and the one of the development data where it is at hand.
 fn phantoms(test: &str) -> Vec<(&'static str, Mesh)> {
@@ -39,6 +41,9 @@ fn anything() -> PhantomParams {
         max_rms_mm: 100.0,
         max_excess_mm: 100.0,
         max_off_share: 1.0,
+        max_through_share: 1.0,
+        max_before_share: 1.0,
+        max_part_off_mm: 100.0,
         max_scale_error: 1.0,
         max_moved_mm: 1000.0,
         max_moved_deg: 180.0,
@@ -177,4 +182,130 @@ fn noise_and_covariance_of_the_report_are_as_large_as_the_errors() {
     }
     // Means of squares in units of their predictions: 1 if predicted exactly.
     assert!((0.3..2.0).contains(&pose) && (0.3..3.0).contains(&scale), "pose {pose:.2}, scale {scale:.2}");
+}
+
+/// Boxes as a phantom of overlapping closed parts.
+fn boxes(corners: &[[[f64; 3]; 2]]) -> Mesh {
+    const FACES: [[u32; 3]; 12] = [
+        [0, 2, 1],
+        [1, 2, 3],
+        [4, 5, 6],
+        [5, 7, 6],
+        [0, 1, 4],
+        [1, 5, 4],
+        [2, 6, 3],
+        [3, 6, 7],
+        [0, 4, 2],
+        [2, 4, 6],
+        [1, 3, 5],
+        [3, 7, 5],
+    ];
+    let corner = |of: &[[f64; 3]; 2], k: usize| Point3::from([0, 1, 2].map(|axis| of[k >> axis & 1][axis]));
+    let vertices: Vec<Point3<f64>> = corners.iter().flat_map(|of| (0..8).map(|k| corner(of, k))).collect();
+    let faces: Vec<[u32; 3]> =
+        (0..corners.len() as u32).flat_map(|b| FACES.map(|face| face.map(|v| v + 8 * b))).collect();
+    Mesh::new("phantom", osteoflow_geometry::SurfaceOrigin::Exact, vertices, faces).unwrap()
+}
+
+type Boxes = Vec<[[f64; 3]; 2]>;
+
+/// A cube with a block on each of three faces and a fourth one, of sizes and places drawn by the seed.
+fn drawn(seed: u64) -> Boxes {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xb10c);
+    let half: f64 = rng.random_range(24.0..32.0);
+    let mut all = vec![[[-half; 3], [half; 3]]];
+    let fourth = rng.random_range(0..3);
+    for (axis, is_second) in [(0, false), (1, false), (2, false), (fourth, true)] {
+        let (mut min, mut max) = ([0.0; 3], [0.0; 3]);
+        for (k, side) in [(1, 1.0), (2, if rng.random_range(0..2) == 0 { 1.0 } else { -1.0 })] {
+            let (width, other) = (rng.random_range(4.5..8.0), (axis + k) % 3);
+            // A second block is in the other half of the face.
+            let side = if k == 1 && is_second { -1.0 } else { side };
+            let middle = side * rng.random_range(width + 1.0..half - width - 1.0);
+            (min[other], max[other]) = (middle - width, middle + width);
+        }
+        (min[axis], max[axis]) = (half - 4.0, half + rng.random_range(7.0..18.0));
+        all.push([min, max]);
+    }
+    all
+}
+
+/// What a CAD may be beside the phantom that was scanned: what is wrong, the printed phantom, its CAD.
+fn wrong_cads(all: &Boxes) -> Vec<(String, Boxes, Boxes)> {
+    let mut cases = Vec::new();
+    for lost in 1..all.len() {
+        let less: Boxes = all.iter().enumerate().filter(|(i, _)| *i != lost).map(|(_, b)| *b).collect();
+        cases.push((format!("the CAD lacks block {lost}"), all.clone(), less.clone()));
+        cases.push((format!("the phantom lacks block {lost}"), less, all.clone()));
+    }
+    let two = all[..all.len() - 2].to_vec();
+    cases.push(("the CAD lacks two blocks".into(), all.clone(), two.clone()));
+    cases.push(("the phantom lacks two blocks".into(), two, all.clone()));
+    cases.push(("the CAD is the cube".into(), all.clone(), all[..1].to_vec()));
+    let mut moved = all.clone();
+    let [min, max] = &mut moved[1];
+    (0..3).for_each(|k| (min[k], max[k]) = (min[k] + 1.5, max[k] + 1.5));
+    cases.push(("a block of the CAD is 1.5 mm off along each axis".into(), all.clone(), moved));
+    cases
+}
+
+/// Cameras with errors of depth like those of the scanners that were measured: correlated over millimetres, outliers beside edges.
+fn measured() -> [PhantomShot; 3] {
+    let shot = PhantomShot { rough_mm: 0.08, edge_outliers: 0.3, ..PhantomShot::default() };
+    let few = PhantomShot { n_points: 2500, view: [1.0, 0.7, 0.9], ..shot.clone() };
+    let noisy = PhantomShot { noise_mm: 0.2, table: 0.1, view: [0.8, 1.0, 1.1], ..shot.clone() };
+    [shot, few, noisy]
+}
+
+#[test]
+fn measure_shown() {
+    let n: u64 = std::env::var("N").map_or(3, |n| n.parse().unwrap());
+    let from: u64 = std::env::var("FROM").map_or(0, |n| n.parse().unwrap());
+    let mut worst = [0.0_f64; 4];
+    let (mut n_sound, mut n_false, mut least_turned) = (0, 0, f64::MAX);
+    let mut found: std::collections::BTreeMap<String, [usize; 2]> = Default::default();
+    for (shot, seed) in measured().iter().enumerate().flat_map(|(k, shot)| (from..from + n).map(move |seed| ((k, shot), seed))) {
+        let (k, shot) = shot;
+        let all = drawn(seed);
+        let mut calibrate = |printed: &Boxes, cad: &Boxes| {
+            let scan = shot.take(&boxes(printed), seed);
+            let start = nominal(&scan.t_camera_phantom, 3.0, 2.0, seed);
+            let fit = |params: &PhantomParams| phantom_icp(&scan.points, &boxes(cad), &start, params);
+            (fit(&PhantomParams::default()), fit(&anything()))
+        };
+        let (default, fit) = calibrate(&all, &all);
+        n_sound += 1;
+        if let Err(error) = &default {
+            n_false += 1;
+            println!("false alarm, shot {k}, seed {seed}: {error}");
+        }
+        if let Ok(fit) = &fit {
+            let shown = &fit.report.shown;
+            let part = shown.parts.iter().filter_map(|p| p.off_mm).fold(0.0, |a: f64, b| a.max(b.abs()));
+            let unseen = shown.parts.iter().filter(|p| p.seen_share < 0.2).count() as f64;
+            for (worst, value) in worst.iter_mut().zip([shown.through.share, shown.before.share, part, unseen]) {
+                *worst = worst.max(value);
+            }
+            least_turned = least_turned.min(shown.turned_rms_mm.unwrap_or(f64::MAX) / shown.thinned_rms_mm);
+            println!("sound {k} {seed}: {:.4} {:.4} {part:.3} unseen {unseen} of {} notes {:?}", shown.through.share, shown.before.share, shown.parts.len(), fit.report.notes);
+        }
+        for (what, printed, cad) in wrong_cads(&all) {
+            let (default, fit) = calibrate(&printed, &cad);
+            let kind = what.trim_end_matches(char::is_numeric).to_owned();
+            let counts = found.entry(kind).or_default();
+            counts[usize::from(default.is_err())] += 1;
+            if default.is_ok() {
+                let shown = &fit.unwrap().report.shown;
+                let part = shown.parts.iter().filter_map(|p| p.off_mm).fold(0.0, |a: f64, b| a.max(b.abs()));
+                println!("missed {k} {seed} {what}: {:.4} {:.4} {part:.3}", shown.through.share, shown.before.share);
+            }
+        }
+        let cube = all[..1].to_vec();
+        let (default, _) = calibrate(&cube, &cube);
+        println!("cube {k} {seed}: {:?}", default.map(|fit| fit.report.notes).map_err(|e| e.to_string()));
+    }
+    println!("{n_false} of {n_sound} false; worst through, before, part, unseen {worst:?}; least turned {least_turned:.2}");
+    for (what, [missed, told]) in found {
+        println!("{what}: {told} of {} refused", told + missed);
+    }
 }

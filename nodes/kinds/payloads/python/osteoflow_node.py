@@ -1104,10 +1104,25 @@ class Server:
             if not (isinstance(step, tuple) and len(step) == 2 and isinstance(step[0], int)):
                 raise NodeError("a source yields (stamp_ns, payload)")
             self.context._stamp_ns, answer = step
+            answer = self.stamped(answer)
         else:
             answer = fires(*arguments)
         del arguments
         return "well", self.emitted(answer)
+
+    def stamped(self, answer):
+        """The answer of a source, in which what has a stamp and was given none has that of its item."""
+        stamp_ns = self.context._stamp_ns
+
+        def of(value):
+            if stamp_ns == 0 or type(value) not in BUILT_IN or value.head.get("stamp_ns") != 0:
+                return value
+            # A copy: a source may give the same object again, at another time.
+            return type(value)._of(dict(value.head, stamp_ns=stamp_ns), value.columns, value.payload)
+
+        if self.kind.tuple is None or answer is None:
+            return of(answer)
+        return type(answer)(*map(of, answer))
 
     def slot(self, index, slot):
         (what, given), = slot.items()

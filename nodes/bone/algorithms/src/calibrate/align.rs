@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, SMatrix, SVector, Translation3, UnitQuaternion
 
 /// Minimum RMS residual, mm, that growth by a factor of e causes, with all motions free. The blocks of a phantom give 4, the
 /// faces of a cube alone none.
-const MIN_HOLD_MM: f64 = 0.5;
+pub(super) const MIN_HOLD_MM: f64 = 0.5;
 
 /// Maximum change of the logarithm of the scale in one step.
 const MAX_GROWTH: f64 = 0.1;

@@ -1,7 +1,7 @@
 //! Why a phantom's pose is refused.
 
 use super::pairs::NEAR_SIGMAS;
-use super::{PhantomParams, PhantomReport};
+use super::{Contradiction, PhantomParams, PhantomReport, PhantomShown};
 use crate::Refusal;
 
 /// The mirror image fits clearly better if it leaves less than this share of the scan's own distances.
@@ -68,6 +68,9 @@ pub(super) fn contradiction(report: &PhantomReport, scaled: Option<Misfit>, para
             params.max_excess_mm
         )));
     }
+    if let Some(refusal) = other_phantom(&report.shown, params) {
+        return Some(refusal);
+    }
     // A turn about either moves the other.
     let (moved_mm, moved_deg) = (report.moved_mm.min(report.moved_at_camera_mm), report.moved_rad.to_degrees());
     let (limit_mm, limit_deg) = (params.max_moved_mm, params.max_moved_deg);
@@ -79,4 +82,36 @@ pub(super) fn contradiction(report: &PhantomReport, scaled: Option<Misfit>, para
         )));
     }
     None
+}
+
+/// Parts that phantom and CAD do not share, or that are elsewhere.
+fn other_phantom(shown: &PhantomShown, params: &PhantomParams) -> Option<Refusal> {
+    let place = |of: &Contradiction, limit: f64| {
+        let [x, y, z] = of.at_mm.filter(|_| of.share > limit)?;
+        let (percent, allowed, mm) = (of.share * 100.0, limit * 100.0, of.along_mm);
+        Some((format!("{percent:.1} % of the phantom's scan, {allowed} % is allowed,"), mm, format!("({x:.0}, {y:.0}, {z:.0}) mm")))
+    };
+    if let Some((share, mm, at)) = place(&shown.through, params.max_through_share) {
+        return Some(Refusal::of(format!(
+            "{share} is seen through {mm:.1} mm of its CAD, about {at} of the phantom: the CAD has a part there that the phantom has \
+             not; is it the CAD of this phantom, in this version?"
+        )));
+    }
+    if let Some((share, mm, at)) = place(&shown.before, params.max_before_share) {
+        return Some(Refusal::of(format!(
+            "{share} is {mm:.1} mm before its CAD, about {at} of the phantom: the phantom has a part there that the CAD has not, or \
+             something is before it; is it the CAD of this phantom, in this version? crop what is before it"
+        )));
+    }
+    let off = |part: &&super::PhantomPart| part.off_mm.is_some_and(|mm| mm.abs() > params.max_part_off_mm);
+    let part = shown.parts.iter().find(off)?;
+    let (mm, [x, y, z]) = (part.off_mm.unwrap_or_default(), part.normal);
+    Some(Refusal::of(format!(
+        "the phantom's face with the normal ({x:.2}, {y:.2}, {z:.2}), at {:.1} mm, is {:.2} mm {} its place in the CAD, {} mm is allowed; is it \
+         the CAD of this phantom, in this version, and the phantom whole?",
+        part.at_mm,
+        mm.abs(),
+        if mm > 0.0 { "outside" } else { "inside" },
+        params.max_part_off_mm
+    )))
 }

@@ -19,7 +19,7 @@ pub(super) struct Pair {
 }
 
 /// Cosine of the largest angle between the normals of a scan point and its face: half of that between two faces.
-const SAME_FACE_COS: f64 = 0.7;
+pub(super) const SAME_FACE_COS: f64 = 0.7;
 
 /// Points of a scan in the camera's frame, mm, with unit normals of either sign.
 #[derive(Clone)]
@@ -47,8 +47,8 @@ impl Scan {
 
 /// Some samples of the CAD's faces. Far from them, a tree is faster than the cells of a [`Target`].
 pub(super) struct Faces {
-    points: Vec<Point3<f64>>,
-    normals: Vec<Vector3<f64>>,
+    pub(super) points: Vec<Point3<f64>>,
+    pub(super) normals: Vec<Vector3<f64>>,
     tree: Nearest,
 }
 
@@ -59,6 +59,11 @@ impl Faces {
         let points: Vec<Point3<f64>> = target.points().iter().copied().step_by(every).collect();
         let normals = target.normals().unwrap_or_default().iter().copied().step_by(every).collect();
         Self { tree: Nearest::new(&points), points, normals }
+    }
+
+    /// Distance of a point from the nearest sample, mm.
+    pub(super) fn distance_mm(&self, point: &Point3<f64>) -> f64 {
+        self.tree.nearest(point).map_or(f64::INFINITY, |(_, square)| square.sqrt())
     }
 }
 

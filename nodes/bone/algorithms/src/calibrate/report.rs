@@ -1,5 +1,6 @@
 //! The accuracy of a phantom's pose.
 
+use super::PhantomShown;
 use crate::icp::IcpReport;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -67,6 +68,12 @@ pub struct PhantomReport {
     pub error_at_working_distance_mm: f64,
     /// Error that 0.1 degree would cause there, mm: 0.35 mm at 200 mm.
     pub error_of_tenth_degree_mm: f64,
+    /// What the scan shows of the phantom's parts, and where it contradicts them.
+    #[serde(default)]
+    pub shown: PhantomShown,
+    /// What the scan leaves open, one sentence each.
+    #[serde(default)]
+    pub notes: Vec<String>,
     /// Report of the registration.
     pub icp: IcpReport,
 }

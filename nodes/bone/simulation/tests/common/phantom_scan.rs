@@ -20,6 +20,10 @@ pub(crate) struct PhantomShot {
     pub(crate) bias_mm: f64,
     /// Its wavelength, mm.
     pub(crate) wavelength_mm: f64,
+    /// RMS of an error of depth that is correlated over 3 to 5 mm, mm.
+    pub(crate) rough_mm: f64,
+    /// Share of the points beside an edge, where the depth jumps, that are up to 3 mm off along the sight.
+    pub(crate) edge_outliers: f64,
     pub(crate) max_incidence_deg: f64,
     pub(crate) n_points: usize,
     /// Share of the points on a table and a clamp beside the phantom.
@@ -36,6 +40,8 @@ impl Default for PhantomShot {
             noise_mm: 0.05,
             bias_mm: 0.05,
             wavelength_mm: 60.0,
+            rough_mm: 0.0,
+            edge_outliers: 0.0,
             max_incidence_deg: 72.0,
             n_points: if std::env::var_os("SLOW_TESTS").is_some() { 20_000 } else { 5000 },
             table: 0.0,
@@ -80,6 +86,8 @@ impl PhantomShot {
         let radius = phantom.vertices().iter().map(|v| v.coords.norm()).fold(0.0, f64::max);
         let reach = radius / (self.distance_mm - radius) * 1.05;
         let (bias, gauss) = (smooth(&mut rng, self.wavelength_mm), Normal::new(0.0, 1.0).unwrap());
+        let rough = smooth(&mut ChaCha8Rng::seed_from_u64(seed ^ 0x0707), 14.0);
+        let edges = &mut ChaCha8Rng::seed_from_u64(seed ^ 0xed6e);
         let limit = self.max_incidence_deg.to_radians().cos();
         // A table of 0.9 cube widths behind the phantom, seen beside it, and a clamp that touches it.
         let table_normal = t_camera_phantom * -Vector3::z();
@@ -91,13 +99,27 @@ impl PhantomShot {
                 let noise: f64 = gauss.sample(&mut rng);
                 let at = |mm: f64, cos: f64| {
                     let place = Point3::from(ray * mm);
-                    place + ray * (self.noise_mm / cos * noise + self.bias_mm * bias(&place))
+                    place
+                        + ray
+                            * (self.noise_mm / cos * noise
+                                + self.bias_mm * bias(&place)
+                                + self.rough_mm * rough(&place))
                 };
                 match query.cast_ray(&eye, &(t_phantom_camera * ray)) {
                     Some(hit) => {
                         let cos = -(t_phantom_camera * ray).dot(&hit.normal);
+                        let is_edge = |(di, dj): (i32, i32)| {
+                            let beside =
+                                Vector3::new(f64::from(i + di) * step, f64::from(j + dj) * step, 1.0).normalize();
+                            let other = query.cast_ray(&eye, &(t_phantom_camera * beside));
+                            other.is_none_or(|other| (other.distance_mm - hit.distance_mm).abs() > 3.0)
+                        };
+                        let is_out = self.edge_outliers > 0.0
+                            && [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().any(is_edge)
+                            && edges.random_range(0.0..1.0) < self.edge_outliers;
+                        let out_mm = if is_out { edges.random_range(-3.0..3.0) } else { 0.0 };
                         if cos >= limit {
-                            on.push((at(hit.distance_mm, cos), hit.point, hit.normal.iamax()));
+                            on.push((at(hit.distance_mm + out_mm, cos), hit.point, hit.normal.iamax()));
                         }
                     }
                     None if self.table > 0.0 => {

@@ -4,16 +4,28 @@ use super::ports::{Content, finite};
 use crate::acquire::network::{Port, PortItems};
 use osteoflow_formats::openigtlink::{PixelImage, Scalar};
 use osteoflow_geometry::{
-    Image, Intrinsics, StampNs,
+    Distortion, Image, Intrinsics, StampNs,
     nalgebra::{Matrix3, Point3},
     nearest_isometry,
 };
 
-/// The pinhole camera of fx, fy, cx and cy, px, without distortion; `None` of no numbers.
+/// The camera of fx, fy, cx and cy, px, with the coefficients of its distortion; `None` of no numbers.
 ///
 /// # Errors
 /// Another number of numbers, or some that no camera has.
-pub(super) fn camera_of(numbers: &[f64]) -> Result<Option<Intrinsics>, String> {
+pub(super) fn camera_of(
+    numbers: &[f64],
+    model: Option<&str>,
+    coefficients: &[f64],
+) -> Result<Option<Intrinsics>, String> {
+    if model.is_some() && coefficients.is_empty() {
+        return Err("distortion_model is given, and distortion, its coefficients, is not".into());
+    }
+    let distortion = match coefficients {
+        [] => Distortion::NONE,
+        _ if numbers.is_empty() => return Err("distortion is that of a camera, whose intrinsics are not given".into()),
+        _ => Distortion::named(model.unwrap_or("plumb_bob"), coefficients).map_err(|error| error.to_string())?,
+    };
     let &[fx, fy, cx, cy] = numbers else {
         let n = numbers.len();
         return if n == 0 {
@@ -23,7 +35,7 @@ pub(super) fn camera_of(numbers: &[f64]) -> Result<Option<Intrinsics>, String> {
         };
     };
     let is_camera = numbers.iter().all(|c| c.is_finite()) && fx > 0.0 && fy > 0.0;
-    is_camera.then_some(Some(Intrinsics::pinhole(fx, fy, cx, cy))).ok_or_else(|| {
+    is_camera.then_some(Some(Intrinsics { fx, fy, cx, cy, distortion })).ok_or_else(|| {
         format!("intrinsics fx {fx}, fy {fy}, cx {cx}, cy {cy}: finite numbers and positive focal lengths are expected")
     })
 }

@@ -39,9 +39,14 @@ pub struct PortParams {
     /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: it does; a
     /// constant of a configuration may need false.
     pub identity_is_lost: Option<bool>,
-    /// The camera of a depth image or a picture, which PLUS does not send: fx, fy, cx, cy, px, without distortion; the centre of the
-    /// top left pixel is (0, 0). Not for a point image.
+    /// The camera of a depth image or a picture, which PLUS does not send: fx, fy, cx, cy, px; the centre of the top left pixel is
+    /// (0, 0). Not for a point image.
     pub intrinsics: Vec<f64>,
+    /// The distortion of that camera, which is undone: its coefficients in OpenCV's order. Empty: none.
+    pub distortion: Vec<f64>,
+    /// The model of these coefficients: `plumb_bob` (k1, k2, p1, p2, k3), `rational_polynomial` (and k4, k5, k6), `equidistant` (a
+    /// fisheye: k1, k2, k3, k4). Unset: `plumb_bob`.
+    pub distortion_model: Option<String>,
     /// The depth of one step of a depth image, mm: 0.1 for Revopoint, 1 for Kinect and RealSense as they are set by default. Required
     /// for depth.
     #[schemars(range(min = 1e-6, max = 1000.0))]
@@ -152,7 +157,8 @@ impl Content {
             )));
         }
         let identity_is_lost = params.identity_is_lost.unwrap_or(true);
-        let intrinsics = camera_of(&params.intrinsics).map_err(&fault)?;
+        let model = params.distortion_model.as_deref();
+        let intrinsics = camera_of(&params.intrinsics, model, &params.distortion).map_err(&fault)?;
         match payload {
             "geometry/Image" if intrinsics.is_none() => {
                 return Err(fault(

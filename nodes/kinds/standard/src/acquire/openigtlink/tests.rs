@@ -567,6 +567,28 @@ fn a_depth_image_is_placed_by_the_intrinsics_of_the_port() {
 }
 
 #[test]
+fn the_distortion_of_a_port_is_undone_along_the_ray() {
+    // What OpenCV 5.0.0 (cv2.projectPoints) sees of x / z = 0.3, y / z = -0.2.
+    let (distortion, [x, y]) = ([-0.28, 0.09, 0.0011, -0.0007, -0.012], [0.289_179_390_8, -0.192_703_927_2]);
+    let depths: Vec<u8> = [0u16, 3000, 0, 0, 0, 0].iter().flat_map(|depth| depth.to_le_bytes()).collect();
+    let body = PixelImage::new([3, 2], 1, Scalar::U16, depths);
+    let mut port = scan_port();
+    port.2["intrinsics"] = json!([500.0, 400.0, 1.0 - 500.0 * x, -400.0 * y]);
+    port.2["depth_unit_mm"] = json!(0.1);
+    port.2["distortion"] = json!(distortion);
+    let cloud: Cloud = value(sent(image(body.clone()), &[port.clone()]).of_port(0)[0].1);
+    assert!((cloud.points()[0] - Point3::new(90.0, -60.0, 300.0)).norm() < 1e-6, "{}", cloud.points()[0]);
+    let refused = |key: &str, value: serde_json::Value| {
+        let mut port = port.clone();
+        port.2[key] = value;
+        failed(image(body.clone()), &[port])
+    };
+    assert!(refused("distortion", json!([0.1, 0.2])).contains("has 2 coefficients, 4, 5 or 8 are expected"));
+    assert!(refused("distortion_model", json!("fisheye62")).contains("\"fisheye62\" is not read"));
+    assert!(refused("intrinsics", json!([])).contains("whose intrinsics are not given"));
+}
+
+#[test]
 fn pictures_are_grey_or_colour_and_no_cloud() {
     let port = ("image", "geometry/Image", json!({ "device": "Scan", "frame": "camera", "intrinsics": intrinsics() }));
     for (n_components, channels, expected) in [
