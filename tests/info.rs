@@ -118,6 +118,42 @@ fn runs_are_listed_with_verdict_and_error_and_a_broken_one_with_its_problem() {
     assert!(text.contains("trusted") && text.contains("problem: "), "{text}");
 }
 
+#[test]
+fn a_study_lists_its_series_with_what_chooses_them_and_one_with_a_single_ct_is_it() {
+    let volumes = root().join("nodes/bone/formats/tests/data/volumes");
+    let study = found(&volumes.join("study"));
+    assert_eq!((&study["kind"], &study["size"]), (&json!("ct"), &json!([34, 33, 3])));
+    assert!(study["notes"].to_string().contains("left out, as no CT: CT series 401"), "{study}");
+
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["plain", "jpeg_2000"] {
+        fs::create_dir(dir.path().join(name)).unwrap();
+        for k in 0..3 {
+            let file = format!("{name}/I{k}");
+            fs::copy(volumes.join(&file), dir.path().join(&file)).unwrap();
+        }
+    }
+    let both = found(dir.path());
+    assert_eq!((&both["kind"], both["series"].as_array().unwrap().len()), (&json!("study"), 2), "{both}");
+    let surface = |k: usize| {
+        let choice = both["series"][k]["choice"].as_str().unwrap();
+        assert!(both["use"][0].as_str().unwrap().contains(" --series ") && both["series"][k]["why_not"].is_null());
+        let out = dir.path().join(format!("{k}.stl"));
+        let output = convert(dir.path(), &out, &["--iso-hu", "300", "--series", choice]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        fs::read(out).unwrap()
+    };
+    assert_eq!(surface(0), surface(1), "the same layers, compressed and not");
+    let output = convert(dir.path(), &dir.path().join("none.stl"), &["--iso-hu", "300"]);
+    let refusal = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        refusal.contains("2 series; choose one by its number or the ending of its identifier, --series"),
+        "{refusal}"
+    );
+    let output = convert(&root().join("tests/data/folder/bone.stl"), &dir.path().join("b.ply"), &["--series", "1"]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
 fn convert(input: &Path, output: &Path, arguments: &[&str]) -> Output {
     osteoflow().arg("convert").arg(input).arg(output).args(arguments).output().unwrap()
 }

@@ -49,9 +49,9 @@ def simple_itk():
         image.SetOrigin(origin.tolist())
         image.SetSpacing(SPACING.tolist())
         image.SetDirection(direction.ravel().tolist())
-        for ending in ["nrrd", "nhdr", "nii", "nii.gz"]:
+        for ending in ["nrrd", "nhdr", "nii", "nii.gz", "mha", "mhd"]:
             path = folder() / f"sitk-{name}.{ending}"
-            sitk.WriteImage(image, str(path))
+            sitk.WriteImage(image, str(path), name == "oblique")
             yield Row(f"{ending}, {name}, written and its surface found here", surface_off(path), tolerance=SAMPLED_MM)
     series = folder() / "sitk-series"
     series.mkdir()

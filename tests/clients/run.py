@@ -20,6 +20,7 @@ import images  # noqa: F401
 import links  # noqa: F401
 import logs  # noqa: F401
 import recordings  # noqa: F401
+import series  # noqa: F401
 import streams  # noqa: F401
 from client import ROOT, main
 

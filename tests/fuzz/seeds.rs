@@ -97,10 +97,16 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
                  "cut": [ { "shape": "brush", "centres": [[1, 2, 200], [3, 2, 200]], "radius": 4 },
                           { "shape": "slab", "origin": [0, 0, 0], "direction": [0, 0, 1], "from": -50, "to": 50 } ] }"#,
         )],
-        "volume" => &[(
-            "nrrd",
-            "NRRD0004\ntype: short\ndimension: 3\nspace: left-posterior-superior\nsizes: 2 2 2\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nkinds: domain domain domain\nendian: little\nencoding: raw\nspace origin: (0,0,0)\n\n0123456789abcdef",
-        )],
+        "volume" => &[
+            (
+                "nrrd",
+                "NRRD0004\ntype: short\ndimension: 3\nspace: left-posterior-superior\nsizes: 2 2 2\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nkinds: domain domain domain\nendian: little\nencoding: raw\nspace origin: (0,0,0)\n\n0123456789abcdef",
+            ),
+            (
+                "mha",
+                "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\nTransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = 0 0 0\nElementSpacing = 1 1 1\nDimSize = 2 2 2\nElementType = MET_SHORT\nElementDataFile = LOCAL\n0123456789abcdef",
+            ),
+        ],
         _ => &[],
     };
     seeds.extend(made.iter().map(|(ending, text)| ((*ending).to_owned(), text.as_bytes().to_vec())));

@@ -43,7 +43,7 @@ pub(crate) const TARGETS: &[Target] = &[
     Target { name: "region", endings: &["json"], read: |path, _| region_file::read_region(path).is_ok() },
     Target {
         name: "volume",
-        endings: &["nii", "nrrd", "dcm"],
+        endings: &["nii", "nrrd", "dcm", "mha"],
         read: |path, _| volume::read_volume(path, None).is_ok(),
     },
     Target { name: "procedure", endings: &["toml"], read: |path, _| ProcedureFolder::open(path).is_ok() },

@@ -9,7 +9,7 @@ use crate::app::{
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::parts::{MAX_LISTED, Parts};
 use osteoflow_formats::{
-    PoseError,
+    FileError, PoseError,
     folder::ProcedureFolder,
     input,
     mcap_read::{Message, Recording, Topic as RecordedTopic},
@@ -611,7 +611,10 @@ fn folder_of(folder: &Path, series: Option<&str>) -> Result<Contents> {
     if folder.join("metadata.yaml").is_file() || fs::read_dir(folder)?.flatten().any(is_recording) {
         return recording(folder);
     }
-    volume(folder, series).map_err(|error| {
-        anyhow!("{name}: a folder without procedure.toml, manifest.json or metadata.yaml (a ROS 2 bag), and no DICOM series: {error}; name a file or another folder")
+    volume(folder, series).map_err(|error| match error.downcast_ref() {
+        Some(FileError::Content { place, .. }) if place == "folder" => anyhow!(
+            "{name}: a folder without procedure.toml, manifest.json or metadata.yaml (a ROS 2 bag), and no DICOM series: {error}; name a file or another folder"
+        ),
+        _ => error,
     })
 }

@@ -4,7 +4,7 @@
 //! MetaIO of Kitware (metaUtils.cxx, `MET_Read`): names count as written, `:` separates as `=` does, and `ElementDataFile` is the
 //! last field.
 
-use crate::{FileError, cursor::Cursor};
+use crate::{FileError, scalar};
 use std::{
     collections::HashMap,
     io::{BufRead, Read},
@@ -121,8 +121,10 @@ impl<'a> Header<'a> {
 
     /// The numbers of a field.
     pub(crate) fn numbers(&self, field: &Field) -> Result<Vec<f64>, FileError> {
-        let cursor = Cursor::new(self.path, b"");
-        let number = |word| cursor.number(word).map_err(|_| self.fault(field, format!("\"{word}\" is not a number")));
+        let number = |word: &str| {
+            let fault = || self.fault(field, format!("\"{}\" is not a number", word.escape_default()));
+            scalar::number(word).ok_or_else(fault)
+        };
         field.value.split_ascii_whitespace().map(number).collect()
     }
 

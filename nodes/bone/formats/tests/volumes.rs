@@ -676,6 +676,13 @@ fn several_series_are_listed_and_chosen_by_number_or_identifier() {
     assert_eq!(choose("200002").unwrap().volume.size, [7, 6, 3]);
     let message = choose("12").unwrap_err();
     assert!(message.contains("no series has the number, or an identifier that ends in, \"12\""), "{message}");
+    let second = Dicom { intercept: -900.0, more: vec![(0x0020_0012, "IS", b"2".to_vec())], ..dicom() };
+    let phases = dicom().folder(0..5);
+    Dicom { slope: 2.0, ..second }.write(&phases.path().join("more"), 0..5);
+    let message = folder_refusal(&phases);
+    assert!(message.contains("5 images of 7 x 6, acquisition not stated; CT series 3#2"), "{message}");
+    assert!(message.contains("5 images of 7 x 6, acquisition 2"), "{message}");
+    assert_is_truth(&read_volume(phases.path(), Some("3#1")).unwrap().volume, false, "the first of two acquisitions");
     Dicom { series: "1.2.9.100001", number: "9", ..dicom() }.write(folder.path(), 0..3);
     assert!(choose("100001").unwrap_err().contains("names 2 series"));
 }
@@ -689,12 +696,12 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
     let twice = dicom().folder(0..5);
     Dicom { intercept: -1000.0, ..dicom() }.write(&twice.path().join("more"), [2]);
     assert_is_truth(&read(twice.path()).unwrap().volume, false, "values that are equal after their own scale");
+    let other = Dicom { slope: 2.0, ..dicom() };
     let phases = dicom().folder(0..5);
-    let phase = Dicom { slope: 2.0, more: vec![(0x0020_0012, "IS", b"7".to_vec())], ..dicom() };
-    phase.write(&phases.path().join("more"), [2]);
+    other.write(&phases.path().join("more"), [2]);
     let message = folder_refusal(&phases);
     assert!(
-        message.contains("with different pixels, of different acquisitions; put the layers of one scan"),
+        message.contains("with different pixels; put the layers of one scan into a folder of their own"),
         "{message}"
     );
     assert!(message.contains(&format!("are both at {:.3} mm", height(2.0))), "{message}");

@@ -62,7 +62,7 @@ pub(super) fn read_file(path: &Path, choice: Option<&str>) -> Result<VolumeRead,
             let message = format!("{why}; choose the series of the CT itself");
             return Err(FileError::content(path, "data set", message));
         }
-        Found::Layers(mut images) if images.len() == 1 => images.remove(0),
+        Found::Layers(mut images) if images.len() == 1 && choice.is_none() => images.remove(0),
         several => {
             let mut notes = Vec::new();
             let series = choose(path, series::series(vec![(path.into(), several)]), choice, &mut notes)?;

@@ -16,6 +16,9 @@ const MAX_FRAMES: f64 = 65_536.0;
 /// Endings of the classes of CT, MR and PET, of one layer and enhanced.
 const OF_SCANNER: [&str; 9] = ["2", "2.1", "2.2", "4", "4.1", "4.4", "128", "128.1", "130"];
 
+/// What tells scans of one series apart.
+pub(super) const PHASES: [&str; 4] = ["acquisition", "time", "stack", "kernel"];
+
 /// Which series a file belongs to.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Identity {
@@ -45,8 +48,8 @@ pub(super) struct Image {
     pub(super) frame: usize,
     pub(super) n_frames: usize,
     pub(super) is_localizer: bool,
-    /// What tells layers at one place apart: acquisition, time, stack and kernel.
-    pub(super) phase: Vec<Option<String>>,
+    /// What tells layers at one place apart, see [`PHASES`].
+    pub(super) phase: [Option<String>; PHASES.len()],
     pub(super) n_rows: usize,
     pub(super) n_columns: usize,
     /// Centre of the first pixel, LPS, mm.
@@ -180,7 +183,7 @@ fn no_layer(content: &Content, class: &str) -> Option<String> {
     }
     let modality = set.code(0x0008_0060);
     if let Some(other) = modality.filter(|m| !["CT", "MR", "PT"].contains(&m.as_str())) {
-        return Some(format!("modality {other} is none of a scanner"));
+        return Some(format!("modality {other}, which is none of CT, MR and PET"));
     }
     let has = |tag: u32| set.has(tag) || content.shared.has(tag) || content.frames.iter().any(|f| f.has(tag));
     let is_placed = has(0x0020_0032) || has(0x0020_0037);
@@ -257,11 +260,11 @@ impl Image {
             frame,
             n_frames,
             is_localizer: kind.split('\\').any(|value| value.trim() == "LOCALIZER"),
-            phase: vec![
-                attributes.text(0x0020_0012).or_else(|| attributes.u16(0x0020_9156).map(|n| n.to_string())),
-                attributes.text(0x0020_0100).or_else(|| number(0x0020_9128)),
-                attributes.text(0x0020_9056),
-                attributes.text(0x0018_1210),
+            phase: [
+                attributes.code(0x0020_0012).or_else(|| attributes.u16(0x0020_9156).map(|n| n.to_string())),
+                attributes.code(0x0020_0100).or_else(|| number(0x0020_9128)),
+                attributes.code(0x0020_9056),
+                attributes.code(0x0018_1210),
             ],
             n_rows: n_rows.into(),
             n_columns: n_columns.into(),

@@ -127,14 +127,11 @@ fn without_doubles<'a>(
         };
         if !are_equal(before, layer)? {
             let at = At { folder: path, layers: &[before, layer], normal: *normal };
-            let names = ["acquisitions", "times", "stacks", "kernels"];
-            let differing = (0..names.len()).find(|k| before.1.phase[*k] != layer.1.phase[*k]);
-            let why = differing.map_or(String::new(), |k| format!(", of different {}", names[k]));
             return Err(FileError::content(
                 path,
                 "series",
                 format!(
-                    "{} and {} are both at {:.3} mm along the normal of the layers, with different pixels{why}; put the layers of \
+                    "{} and {} are both at {:.3} mm along the normal of the layers, with different pixels; put the layers of \
                      one scan into a folder of their own",
                     at.name(0),
                     at.name(1),

@@ -12,6 +12,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
+/// Bytes that one byte of a file in JPEG 2000 may stand for: 512 x 512 pixels of air take 172, and the attributes of a layer a
+/// thousand.
+const MAX_EXPANSION: usize = 4096;
+
 /// The pixel data of a file.
 pub(super) struct Pixels {
     path: PathBuf,
@@ -121,6 +125,14 @@ impl Pixels {
         let size @ [nx, ny] = [image.n_columns, image.n_rows];
         let (n, width) = (nx * ny, image.bits.allocated as usize / 8);
         let little = |cell: &[u8]| cell.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
+        let promised = n.saturating_mul(width).saturating_mul(image.n_frames);
+        if promised > self.bytes.len().saturating_mul(MAX_EXPANSION) {
+            let n_frames = image.n_frames;
+            return Err(format!(
+                "cut short: {} bytes cannot hold {n_frames} frames of {nx} x {ny} pixels; copy the file again",
+                self.bytes.len()
+            ));
+        }
         if self.is_items {
             let frame = self.frame(image)?;
             return match self.compression {

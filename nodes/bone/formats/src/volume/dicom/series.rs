@@ -1,6 +1,6 @@
 //! The series of a folder, and the choice among them.
 
-use super::image::{Found, Identity, Image};
+use super::image::{Found, Identity, Image, PHASES};
 use crate::FileError;
 use std::{
     collections::BTreeMap,
@@ -24,6 +24,8 @@ pub(super) struct Series {
     identity: Identity,
     /// Which of the stacks of its series, from 1 on, where there are several.
     stack: Option<usize>,
+    /// What tells it from another scan of its series, such as acquisition 2.
+    phase: Option<String>,
     pub(super) layers: Vec<Layer>,
     n_files: usize,
     /// Why it is no CT, or not the one to take.
@@ -49,6 +51,7 @@ pub(super) fn series(files: Vec<(PathBuf, Found)>) -> Vec<Series> {
     let new = |identity: &Identity, why_not: Option<String>| Series {
         identity: identity.clone(),
         stack: None,
+        phase: None,
         layers: Vec::new(),
         n_files: 0,
         why_not,
@@ -81,6 +84,9 @@ pub(super) fn series(files: Vec<(PathBuf, Found)>) -> Vec<Series> {
                 }
             }
         }
+    }
+    for all in by_uid.values_mut() {
+        *all = std::mem::take(all).into_iter().flat_map(Series::phases).collect();
     }
     for (identity, fault) in faults {
         let all = by_uid.entry(identity.series_uid.clone()).or_default();
@@ -203,7 +209,43 @@ pub(super) fn choose(
     Ok(all.into_iter().nth(chosen).expect("it was found there"))
 }
 
+/// Whether two layers are at one place.
+fn has_doubles(layers: &[&Layer]) -> bool {
+    let Some((_, first)) = layers.first() else { return false };
+    let normal = first.row.cross(&first.column);
+    let mut heights: Vec<f64> = layers.iter().map(|(_, image)| image.height(&normal)).collect();
+    heights.sort_by(f64::total_cmp);
+    heights.windows(2).any(|pair| pair[1] - pair[0] < 1e-3)
+}
+
 impl Series {
+    /// Its scans, where several cover one place and something tells them apart, so that no place is there twice in one of them.
+    fn phases(self) -> Vec<Self> {
+        if !has_doubles(&self.layers.iter().collect::<Vec<_>>()) {
+            return vec![self];
+        }
+        for (k, name) in PHASES.iter().enumerate() {
+            let mut scans: BTreeMap<&Option<String>, Vec<&Layer>> = BTreeMap::new();
+            for layer in &self.layers {
+                scans.entry(&layer.1.phase[k]).or_default().push(layer);
+            }
+            if scans.len() < 2 || scans.values().any(|layers| has_doubles(layers)) {
+                continue;
+            }
+            let scan = |(phase, layers): (&Option<String>, Vec<&Layer>)| Self {
+                identity: self.identity.clone(),
+                stack: None,
+                phase: Some(format!("{name} {}", phase.as_deref().unwrap_or("not stated"))),
+                n_files: layers.len(),
+                layers: layers.into_iter().cloned().collect(),
+                why_not: self.why_not.clone(),
+                fault: None,
+            };
+            return scans.into_iter().map(scan).collect();
+        }
+        vec![self]
+    }
+
     /// Modality, number, identifier's ending, number of images and their size.
     pub(super) fn name(&self) -> String {
         let Identity { modality, series_uid, series_number } = &self.identity;
@@ -215,7 +257,8 @@ impl Series {
         let n = if self.layers.is_empty() { self.n_files } else { self.layers.len() };
         let images = if n == 1 { "image" } else { "images" };
         let size = self.layers.first().map(|(_, first)| format!(" of {} x {}", first.n_columns, first.n_rows));
-        format!("{modality} series {number}{stack}, identifier {uid}, {n} {images}{}", size.unwrap_or_default())
+        let (size, phase) = (size.unwrap_or_default(), self.phase.as_ref().map_or(String::new(), |p| format!(", {p}")));
+        format!("{modality} series {number}{stack}, identifier {uid}, {n} {images}{size}{phase}")
     }
 
     /// Its name, and why it is not taken or cannot be read.
