@@ -1,6 +1,12 @@
 //! `osteoflow info` and `osteoflow runs`: what files and folders hold.
 
 use crate::common::{WHITE, copied_run, osteoflow, root, shared_run};
+use osteoflow_formats::{
+    mcap_read::Recording,
+    message_read::read_cloud,
+    recording_write::{Stream, recording_bytes},
+};
+use osteoflow_geometry::{Pose, nalgebra::Isometry3};
 use serde_json::{Value, json};
 use std::{fs, path::Path, process::Output};
 
@@ -37,6 +43,50 @@ fn each_file_of_the_shipped_procedures_is_named_with_what_it_holds() {
     let marker = topics.iter().find(|topic| topic["name"] == "/tracker/bone_marker").unwrap();
     assert_eq!(marker["frame"], "world -> bone_marker");
     assert!(marker["rate_hz"].as_f64().unwrap() > 1.0 && marker["last_ns"].as_i64() > marker["first_ns"].as_i64());
+}
+
+#[test]
+fn a_recording_is_given_a_command_that_works_on_what_it_holds_and_all_its_pairs_of_frames() {
+    let data = root().join("tests/data");
+    let recording = found(&data.join("procedure/procedure.mcap"));
+    assert!(
+        recording["use"][0].as_str().unwrap().starts_with("osteoflow run graphs/fibula_recorded.toml "),
+        "{recording}"
+    );
+    // The graph names no other topics without which it cannot run.
+    let graph: toml::Table = fs::read_to_string(root().join("graphs/fibula_recorded.toml")).unwrap().parse().unwrap();
+    let mut needed: Vec<String> = Vec::new();
+    for port in graph["node"]["recording"]["out"].as_table().unwrap().values() {
+        let is_optional = port.get("optional").is_some_and(|optional| optional.as_bool() == Some(true));
+        let topics = port.get("topics").and_then(toml::Value::as_array).into_iter().flatten().chain(port.get("topic"));
+        needed.extend(topics.filter(|_| !is_optional).map(|topic| topic.as_str().unwrap().to_owned()));
+    }
+    let recorded = Recording::open(&data.join("procedure/procedure.mcap"), false).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let transform = |parent: &str, child: &str| Pose::new(parent, child, Isometry3::identity()).at(1_000_000_000);
+    let scan = read_cloud(&recorded.messages("/camera/scan")[0]).unwrap().cloud;
+    let tf = (
+        "/tf",
+        Stream::Transforms(vec![transform("map", "base"), transform("base", "arm"), transform("arm", "camera")]),
+    );
+    let bag = |name: &str, streams: &[(&str, Stream)]| {
+        let path = dir.path().join(name);
+        fs::write(&path, recording_bytes(streams, &Default::default(), &[]).unwrap()).unwrap();
+        (found(&path), path)
+    };
+    let (clouds, path) = bag("clouds.mcap", &[tf.clone(), ("/points", Stream::Clouds(vec![scan]))]);
+    assert_eq!(clouds["frames"], json!(["arm -> camera", "base -> arm", "camera", "map -> base"]));
+    assert_eq!(clouds["topics"][0]["frames"], json!(["arm -> camera", "base -> arm", "map -> base"]));
+    let first = clouds["use"][0].as_str().unwrap();
+    assert_eq!(first, format!("osteoflow convert {} scan.ply --topic /points", path.display()));
+    let done = convert(&path, &dir.path().join("scan.ply"), &["--topic", "/points"]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(found(&dir.path().join("scan.ply"))["kind"], "cloud");
+    let (poses, path) = bag("poses.mcap", &[tf]);
+    assert_eq!(poses["use"], json!([format!("osteoflow view {}", path.display())]));
+    // Without any one of what the graph needs, it is not recommended.
+    needed.retain(|topic| !topic.is_empty());
+    assert!(needed.len() == 7 && needed.contains(&"/camera/scan".to_owned()), "{needed:?}");
 }
 
 #[test]

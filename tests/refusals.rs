@@ -204,7 +204,8 @@ fn every_refusal_of_a_recording_names_it() {
     };
     let mut flipped = whole.clone();
     flipped[whole.len() / 2] ^= 0x40;
-    let pose = |to: &str| Stream::Transforms(vec![Pose::new(to, "camera_marker", of.camera_marker[0].isometry).at(SECOND_NS)]);
+    let pose =
+        |to: &str| Stream::Transforms(vec![Pose::new(to, "camera_marker", of.camera_marker[0].isometry).at(SECOND_NS)]);
     let point = Stream::Tips(vec![("camera".into(), SECOND_NS, Point3::new(1.0, 2.0, 3.0))]);
     let files: [(&str, Vec<u8>); 14] = [
         ("empty.mcap", Vec::new()),

@@ -102,6 +102,7 @@ const CRATES: &[(&str, Floors)] = &[
             &[
                 "commands::common::crash",
                 "commands::common::log",
+                "commands::common::log_args",
                 "commands::common::plugins",
                 "commands::common::progress",
                 "commands::common::run_table",
@@ -129,7 +130,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["column", "farthest", "frame", "units"],
             &["axes", "region", "rigid"],
             &["cloud", "drawn_region", "image", "mesh", "plane", "points", "pose"],
-            &["plan"],
+            &["plan", "transform_tree"],
         ],
     ),
     (
@@ -192,7 +193,7 @@ const CRATES: &[(&str, Floors)] = &[
         "nodes/bone/formats/src",
         &[
             // Names that `lib.rs` hands on are on the floor of their module.
-            &["FileError", "LostPose", "PoseError", "Space", "StampOrder"],
+            &["FileError", "LostPose", "PoseError", "Space", "StampOrder", "foreign_recording"],
             &[
                 "error",
                 "invalid",
@@ -206,7 +207,8 @@ const CRATES: &[(&str, Floors)] = &[
                 "space",
                 "stamp_order",
             ],
-            &["cursor", "foxglove_json", "input", "metaimage_header", "shape"],
+            &["cursor", "foxglove_json", "input", "shape"],
+            &["metaimage_header"],
             &["columns", "mcap_read", "obj", "off", "openigtlink", "pcd", "ply", "stl", "volume", "vtk", "write"],
             &["cloud_text", "message_read", "table"],
             &[
@@ -218,7 +220,7 @@ const CRATES: &[(&str, Floors)] = &[
                 "recording_write",
                 "region_file",
             ],
-            &["folder"],
+            &["folder", "pose_log"],
         ],
     ),
     (

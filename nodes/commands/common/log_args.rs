@@ -27,7 +27,7 @@ pub(crate) struct LogArgs {
 
     /// What is in the columns of a table of poses, such as NDI's or Atracsys': a TOML file with the keys of `columns` of acquire.poses.
     #[arg(long, value_name = "FILE")]
-    columns: Option<PathBuf>,
+    pub(crate) columns: Option<PathBuf>,
 }
 
 impl LogArgs {

@@ -67,7 +67,7 @@ pub(super) fn poses(file: &Path, format: Option<LogFormat>, log: &LogArgs) -> Re
     let name = file.display();
     let (parent, child) = if names_frames { ("", "") } else { (" --parent PARENT", " --child CHILD") };
     let rate = if has_stamps { "" } else { " --rate HZ" };
-    let table = if log.describes_a_table() { " --columns FILE" } else { "" };
+    let table = log.columns.as_ref().map_or_else(String::new, |path| format!(" --columns {}", path.display()));
     contents.used_by = vec![format!("osteoflow convert {name} poses.mcap{parent}{child}{rate}{table}")];
     Ok(contents.noted(notes))
 }

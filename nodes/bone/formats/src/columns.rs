@@ -107,8 +107,11 @@ pub(crate) fn name_axes(names: &mut [String], stated: &mut StatedSpace) -> Resul
 
 /// The places of x, y and z, which the line names.
 pub(crate) fn axes(cursor: &Cursor, names: &[String], line: usize) -> Result<[usize; 3], FileError> {
+    // Names of trackers' tables for parts of a pose.
+    let is_pose = ["tx", "qw", "qx", "q0", "r00", "rx"].iter().any(|name| place(names, name).is_some());
+    let log = if is_pose { "; is it a log of poses? --columns and acquire.poses describe its heading" } else { "" };
     let axis = |name: &str| {
-        let message = || format!("no column is called \"{name}\"; there are: {}", names.join(", "));
+        let message = || format!("no column is called \"{name}\"; there are: {}{log}", names.join(", "));
         place(names, name).ok_or_else(|| cursor.fault_at(line, message()))
     };
     Ok([axis("x")?, axis("y")?, axis("z")?])

@@ -1,7 +1,7 @@
 //! Reads files of other programs; each test is skipped if the development data is missing.
 
 use crate::layouts::stamp;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 use osteoflow_formats::{
     Space,
     mcap_read::{McapError, Recording},
@@ -299,4 +299,20 @@ fn tracked_sequences_of_plus_hold_the_poses_that_are_in_their_headers() {
     // The first row of the matrix is 0.68393 0.36068 -0.63430 315.553.
     let corner = stylus.isometry * Point3::new(100.0, 0.0, 0.0);
     assert!((corner.x - (68.39311099507384 + 315.55283203125)).abs() < 1e-9, "{corner}");
+    // The stylus turns about its tip at several places: in its own frame the tip is one point, which it is not if the sense were inverse.
+    let stylus: Vec<_> =
+        log.poses.iter().skip(1).step_by(2).map(|pose| pose.as_ref().unwrap().value.isometry).collect();
+    let pivot = |start: usize| {
+        let (mut a, mut b) = (DMatrix::<f64>::zeros(3 * 75, 6), DVector::<f64>::zeros(3 * 75));
+        for (k, pose) in stylus[start..start + 75].iter().enumerate() {
+            a.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(pose.rotation.to_rotation_matrix().matrix());
+            a.fixed_view_mut::<3, 3>(3 * k, 3).copy_from(&-Matrix3::identity());
+            b.fixed_rows_mut::<3>(3 * k).copy_from(&-pose.translation.vector);
+        }
+        let x = a.svd(true, true).solve(&b, 1e-9).unwrap();
+        (Vector3::new(x[0], x[1], x[2]), Vector3::new(x[3], x[4], x[5]))
+    };
+    let ((tip, place), (other_tip, other_place)) = (pivot(380), pivot(840));
+    assert!((tip - other_tip).norm() < 2.0, "{tip} and {other_tip}: poses of 0.5 mm RMS");
+    assert!((place - other_place).norm() > 20.0, "{place} and {other_place}");
 }

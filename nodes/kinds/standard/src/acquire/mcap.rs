@@ -23,7 +23,8 @@ use std::{collections::BTreeMap, sync::Arc};
 /// index; `path` may be the folder of a ROS 2 bag. Transforms of a topic named `tf_static` hold from the beginning. Metres become millimetres; points that are not finite are left out, counted and reported. A pose that the tracker
 /// wrote without seeing the marker is an empty with the reason. A rounded rotation is replaced by the nearest one, and each
 /// topic reports its largest correction; a deviation above 0.001 is an error that names topic and message. Topics that no
-/// port reads are listed in the log.
+/// port reads are listed in the log. A port whose `parent` and `child` are joined by several transforms, or by an inverse, joins them by the
+/// path in their tree, as tf of ROS does, and says so.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.mcap"
