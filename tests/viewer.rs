@@ -569,11 +569,21 @@ fn a_live_run_shows_what_is_unknown_as_unknown_and_its_planes_once_it_is_trusted
     open(&mut browser, &served);
     browser.wait_until("osteoflow.state.state === 'running' && osteoflow.state.origin === 'live' && osteoflow.scene.drawn.has('bone.mesh')");
     assert_eq!(browser.evaluate("document.getElementById('origin').textContent"), "simulated");
-    browser.wait_until("osteoflow.scene.drawn.get('bone.mesh').object.userData.why === 'no pose connects ct to world'");
-    assert_eq!(browser.evaluate("osteoflow.scene.drawn.get('bone.mesh').object.visible"), false);
+    // What arrives is drawn at once: the bone, and beside it the scan, which nothing places on the bone yet, grey and said to be so.
+    browser.wait_until("osteoflow.scene.drawn.get('bone.mesh').object.visible");
+    // All at one time: a moment later it is registered.
+    browser.wait_until(
+        "(() => { const { scene, beside, verdict } = osteoflow; const [there, here] = [beside.made, scene].map((view) => view?.drawn.get('to_bone.cloud')?.object); \
+         return there?.visible === true && !there.children[0].material.vertexColors && here?.visible === false && verdict === null && \
+         !document.getElementById('beside').hidden && document.getElementById('verdict').textContent === 'not judged yet' && \
+         document.querySelector('#beside .caption').textContent === 'not registered: to_bone.cloud, in bone_marker'; })()",
+    );
     browser.wait_until("osteoflow.state.state === 'complete'");
     browser.wait_until(
         "osteoflow.verdict.answer === 'trusted' && osteoflow.scene.drawn.get('planes.planes').object.visible",
+    );
+    browser.wait_until(
+        "osteoflow.scene.drawn.get('to_bone.cloud').object.visible && document.getElementById('beside').hidden",
     );
     let ms = browser.evaluate("(() => { const all = [...osteoflow.frameTimes].sort((a, b) => a - b); return all[Math.floor(0.95 * all.length)]; })()");
     assert_eq!(browser.complaints(&served.page), Vec::<String>::new());

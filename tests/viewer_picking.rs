@@ -678,9 +678,14 @@ fn three_pairs_picked_on_bone_and_scan_start_the_registration_from_the_command_l
             browser.click(serde_json::from_value(corner).unwrap());
             wait_for_text(browser, "pick-problem", "there is no point of the scan under the pointer");
         }
+        // Nearer, as a hand does that wants one point of many.
+        let at = projected_in(browser, SCAN, mark);
+        (0..8).for_each(|_| browser.wheel(at, -1.0));
         let at = projected_in(browser, SCAN, mark);
         browser.click(at);
-        wait_for_text(browser, "pick-points", &format!("P{}", k + 1));
+        browser.screenshot("5-scan-near");
+        (0..8).for_each(|_| browser.wheel(at, 1.0));
+        browser.wait_until(&format!("osteoflow.picking.nPairs() === {}", k + 1));
     }
     wait_for_text(browser, "pick-next", "save when the sides agree");
     let (on_bone, on_scan) = (picked(browser, "bone"), picked(browser, "scan"));

@@ -195,6 +195,85 @@ fn a_picked_plan_is_merged_with_the_known_one_and_the_graph_runs_with_it() {
 }
 
 #[test]
+fn a_point_that_is_planned_elsewhere_now_is_not_judged_by_what_was_measured_at_its_old_place() {
+    let bench = Bench::new();
+    let served = bench.view("fibula.toml", &[]);
+    let first = bench.results(1);
+    assert_eq!(
+        (&first["verdict"]["answer"], &first["metrics"]["tre_measured_mm"]["n"]),
+        (&json!("trusted"), &json!(5))
+    );
+    let known = served.get("/TOKEN/picks", "");
+    let known: Value = serde_json::from_str(known.split_once("\r\n\r\n").unwrap().1).unwrap();
+    assert_eq!(known["runs"], json!(["plan"]), "the page says so at its button");
+    let mut plan = known["plan"].clone();
+    let shown = ["units", "landmarks", "assessment", "planes"];
+    plan.as_object_mut().unwrap().retain(|key, _| shown.contains(&key.as_str()));
+    // Far enough for the stylus, which touched the old places, to contradict any registration.
+    let mut shift = |key: &str, mm: f64| {
+        let moved = plan["assessment"][key][2].as_f64().unwrap() + mm;
+        plan["assessment"][key][2] = moved.into();
+        plan.clone()
+    };
+    let two = [("M3", 12.0), ("M1", -9.0)].map(|(key, mm)| shift(key, mm));
+    let mean = |results: &Value, metric: &str| results["metrics"][metric]["mean_abs"]["norm"].as_f64().unwrap();
+    for (k, plan) in two.iter().enumerate() {
+        let (status, answer) = post(&served, "save/plan", plan);
+        assert!(status == 200 && answer.contains("the graph runs with it"), "{answer}");
+        let results = bench.results(k + 2);
+        assert_eq!(results["verdict"]["answer"], "trusted", "{}", results["verdict"]);
+        // Of the second change, too, what counts is the plan by which the procedure was made.
+        assert_eq!(results["metrics"]["tre_measured_mm"]["n"], 4 - k);
+        let names = |results: &Value| -> Vec<Value> {
+            let points = results["metrics"]["tre_measured_mm"]["points"].as_array().unwrap().iter();
+            points.map(|point| point["name"].clone()).collect()
+        };
+        let left: Vec<Value> =
+            names(&first).into_iter().filter(|name| name != "M3" && (k == 0 || name != "M1")).collect();
+        assert_eq!(names(&results), left);
+        // The truth at the new places is that of the registration, which did not change.
+        assert_eq!(results["metrics"]["tre_true_mm"]["n"], 5);
+        let off = (mean(&results, "tre_true_mm") - mean(&first, "tre_true_mm")).abs();
+        assert!(off < 0.05, "the true error at the moved points differs by {off} mm");
+        // No plane was moved; matrices are written with the digits of doubles.
+        for (cut, before) in
+            [0, 1].map(|n| (&results["metrics"]["cuts"]["cuts"][n], &first["metrics"]["cuts"]["cuts"][n]))
+        {
+            let off =
+                ["offset_mm", "moved_mm"].map(|key| (cut[key].as_f64().unwrap() - before[key].as_f64().unwrap()).abs());
+            assert!(off.iter().all(|mm| *mm < 1e-9), "{cut} {before}");
+        }
+        let manifest = fs::read_to_string(bench.run(k + 2).join("manifest.json")).unwrap();
+        let said =
+            "measured for a plan that had it elsewhere, or not at all; the old measurement is left out, touch it again";
+        assert!(manifest.contains(said), "{manifest}");
+        let rms = |results: &Value| results["icp"]["rms_mm"].as_f64().unwrap();
+        assert!((rms(&results) - rms(&first)).abs() < 1e-9, "the registration is the same");
+    }
+    // The same from the command line; and without the plan that the procedure was made for the old measurements count, as for a
+    // procedure by the new plan.
+    let file = |name: &str| bench.path("picks/picks-2").join(name).display().to_string();
+    let sets = [
+        "plan.kind=plan.file".to_owned(),
+        format!("plan.path={}", file("plan.json")),
+        format!("plan.made_for={}", file("made_for.json")),
+    ];
+    let sets: Vec<&str> = sets.iter().map(String::as_str).collect();
+    assert_eq!(bench.on_command_line("fibula.toml", &sets), bench.results(3));
+    let contradicted = bench.on_command_line("fibula.toml", &sets[..2]);
+    assert_ne!(contradicted["verdict"]["answer"], "trusted");
+    // All of them moved: nothing is left, and that is no error of the registration.
+    let mut all = two[1].clone();
+    for (_, place) in all["assessment"].as_object_mut().unwrap() {
+        place[2] = (place[2].as_f64().unwrap() + 3.0).into();
+    }
+    assert_eq!(post(&served, "save/plan", &all).0, 200);
+    let results = bench.results(4);
+    assert!(results["metrics"]["tre_measured_mm"].get("n").is_none(), "{}", results["metrics"]["tre_measured_mm"]);
+    assert_ne!(results["verdict"]["answer"], "refused", "{}", results["verdict"]);
+}
+
+#[test]
 fn picked_pairs_start_the_registration_of_two_files() {
     let bench = Bench::new();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -14,13 +14,13 @@ pub mod verdict;
 
 use osteoflow_algorithms::{axes::principal_axes, metrics::TreReport};
 use osteoflow_geometry::{Axes, Mesh};
-use osteoflow_node::{NodeError, Outputs};
+use osteoflow_node::{Emit, NodeError, Outputs};
 
 /// Outputs of a target registration error.
 #[derive(Outputs)]
 pub struct TreOut {
-    /// Per point and in summary.
-    report: TreReport,
+    /// Per point and in summary; empty where nothing that counts was measured.
+    report: Emit<TreReport>,
 }
 
 /// The axes along which errors are resolved: the plan's if it has them, else the principal axes of the bone's surface.

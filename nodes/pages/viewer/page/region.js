@@ -12,7 +12,7 @@ import { boxAround, longAxis, within } from "./shapes.js";
 
 /** Millimetres in the scene's metres. */
 const MM = 0.001;
-const INSIDE = [0, 0.45, 0.7], OUTSIDE = [0.72, 0.74, 0.76];
+const INSIDE = [0, 0.45, 0.7], OUTSIDE = [0.42, 0.44, 0.47];
 /** How near the pointer must be to a point to touch it, pixels. */
 const TOUCH_PX = 16;
 /** What is drawn where, for the user. */

@@ -456,8 +456,8 @@ export class Scene {
     ray.setFromCamera(new THREE.Vector2((2 * (x - left)) / width - 1, 1 - (2 * (y - top)) / height), this.camera);
     const solid = ["geometry/Mesh", "geometry/Cloud"];
     const parts = [...this.drawn.values()].filter(({ payload, object }) => object.visible && solid.includes(payload)).map(({ object }) => object);
-    // A hand is a few pixels off a point.
-    ray.params.Points.threshold = (2 * REACH_PX * this.eye.half(this.controls.target)) / height;
+    // A hand is a few pixels off a point; what is drawn of wires is in millimetres, which the ray does not know.
+    ray.params.Points.threshold = (2 * REACH_PX * this.eye.half(this.controls.target)) / height / (this.solo ? 1 : MM);
     const hits = ray.intersectObjects(this.solo ? [this.solo] : parts);
     // A point of a cloud is hit beside it: what lies on a surface is held at the surface.
     const surface = hits.find(({ object }) => object instanceof THREE.Mesh);

@@ -87,7 +87,8 @@ export class Trackball extends THREE.EventDispatcher {
     // The camera goes the other way.
     const axis = new THREE.Vector3(-down, -right, 0).divideScalar(angle).applyQuaternion(camera.quaternion);
     const turn = new THREE.Quaternion().setFromAxisAngle(axis, angle);
-    for (const place of [camera.position, target]) place.sub(about).applyQuaternion(turn).add(about);
+    const centre = about.clone();
+    for (const place of [camera.position, target]) place.sub(centre).applyQuaternion(turn).add(centre);
     camera.up.applyQuaternion(turn);
     this.update();
   }
@@ -104,8 +105,9 @@ export class Trackball extends THREE.EventDispatcher {
       for (const place of [camera.position, target]) place.add(shift);
     } else {
       const distance = camera.position.distanceTo(target);
+      const centre = to.clone();
       const limited = Math.min(Math.max(distance * factor, NEAREST), FARTHEST) / distance;
-      for (const place of [camera.position, target]) place.sub(to).multiplyScalar(limited).add(to);
+      for (const place of [camera.position, target]) place.sub(centre).multiplyScalar(limited).add(centre);
     }
     this.update();
   }

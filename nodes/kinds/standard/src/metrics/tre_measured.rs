@@ -4,7 +4,7 @@ use super::{TreOut, axes};
 use crate::{plan::Moved, transform::points::in_one_list};
 use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError};
 use osteoflow_payloads::Json;
 
 /// Target registration error at points touched with a stylus, which includes the stylus' own error.
@@ -61,11 +61,11 @@ impl Function for TreMeasured {
         if !old.is_empty() {
             let names = old.iter().map(|p| &*p.name).collect::<Vec<_>>().join(", ");
             let message = format!("{names}: measured for a plan that had it elsewhere, or not at all");
-            if planned.is_empty() {
-                return Err(NodeError::new(format!("{message}; no measurement is left, touch the points again")));
-            }
             ctx.warn(format!("{message}; the old measurement is left out, touch it again"));
+            if planned.is_empty() {
+                return Ok(TreOut { report: Emit::Empty(format!("{message}; no measurement is left")) });
+            }
         }
-        Ok(TreOut { report: tre(&planned, &measured.points, &t_ct_bone_marker, &axes)? })
+        Ok(TreOut { report: Emit::Value(tre(&planned, &measured.points, &t_ct_bone_marker, &axes)?) })
     }
 }

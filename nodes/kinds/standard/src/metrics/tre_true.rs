@@ -4,7 +4,7 @@ use super::{TreOut, axes};
 use crate::plan::Moved;
 use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, NamedPoint, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError};
 use osteoflow_payloads::Json;
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
@@ -72,6 +72,6 @@ impl Function for TreTrue {
             }
             None => tre(&i.planned.points, &i.planned.points, &error, &axes)?,
         };
-        Ok(TreOut { report })
+        Ok(TreOut { report: Emit::Value(report) })
     }
 }
