@@ -83,7 +83,8 @@ fn cargo_packages_the_published_crates_without_a_fault() {
     assert!(done, "{said}");
     // Tests and benches are of the workspace, and cargo says so of each.
     let is_of_workspace = |line: &&str| line.contains("is not included in the published package");
-    let warnings: Vec<_> = said.lines().filter(|line| line.contains("warning")).filter(|l| !is_of_workspace(l)).collect();
+    let warnings: Vec<_> =
+        said.lines().filter(|line| line.contains("warning")).filter(|l| !is_of_workspace(l)).collect();
     assert!(warnings.is_empty(), "{warnings:#?}");
     for (name, folder) in PUBLISHED {
         let manifest: toml::Table =
@@ -93,10 +94,16 @@ fn cargo_packages_the_published_crates_without_a_fault() {
             assert!(about.contains_key(key), "{name} states no {key}");
         }
         let readme = std::fs::read_to_string(root().join(folder).join("README.md")).unwrap();
-        assert!(readme.starts_with(&format!("# {name}\n")) && readme.contains("not a medical device"), "{name}: README");
+        assert!(
+            readme.starts_with(&format!("# {name}\n")) && readme.contains("not a medical device"),
+            "{name}: README"
+        );
         for licence in ["LICENSE-MIT", "LICENSE-APACHE"] {
             let theirs = std::fs::read(root().join(folder).join(licence)).unwrap();
-            assert!(theirs == std::fs::read(root().join(licence)).unwrap(), "{name}: {licence} is a link to the workspace's");
+            assert!(
+                theirs == std::fs::read(root().join(licence)).unwrap(),
+                "{name}: {licence} is a link to the workspace's"
+            );
         }
     }
 }

@@ -24,6 +24,7 @@ mod fuzz;
 mod graphs;
 mod images;
 mod info;
+mod kept;
 mod live;
 mod live_joins;
 mod live_overload;
@@ -47,12 +48,12 @@ mod plugins_c;
 mod privacy;
 #[cfg(unix)]
 mod processes;
+mod public_items;
 #[cfg(unix)]
 mod python_live;
 #[cfg(unix)]
 mod python_nodes;
 mod python_package;
-mod public_items;
 mod readme;
 mod real_sets;
 mod recorded;
