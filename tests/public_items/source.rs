@@ -8,6 +8,9 @@ use std::{
 };
 use syn::{Attribute, ImplItem, Item, ItemImpl, TraitItem, UseTree, Visibility};
 
+/// The attributes that are part of an item for its users.
+const SHOWN: [&str; 4] = ["derive", "non_exhaustive", "must_use", "proc_macro_derive"];
+
 /// A crate as a tree of modules.
 pub(super) struct Crate {
     root: Module,
@@ -160,9 +163,7 @@ impl Crate {
         let mut listed = Listed::line(format!("pub {words} {path}{rest}"));
         let derived: Vec<String> = attributes(item)
             .iter()
-            .filter(|a| {
-                a.path().is_ident("derive") || a.path().is_ident("non_exhaustive") || a.path().is_ident("must_use")
-            })
+            .filter(|a| SHOWN.iter().any(|shown| a.path().is_ident(shown)))
             .map(|attribute| text(&attribute.meta))
             .collect();
         listed.lines.extend(derived.iter().map(|attribute| format!("#[{attribute}] {path}")));
@@ -364,9 +365,17 @@ fn members(item: &Item, path: &str) -> Vec<String> {
         Item::Struct(i) => i.fields.iter().filter(is_named).map(named).collect(),
         Item::Union(i) => i.fields.named.iter().filter(is_named).map(named).collect(),
         Item::Enum(i) => {
-            let fields = |variant: &syn::Variant| match &variant.fields {
-                syn::Fields::Unit => String::new(),
-                fields => text(fields),
+            let fields = |variant: &syn::Variant| {
+                let types = variant.fields.iter().map(|field| match &field.ident {
+                    Some(name) => format!("{name}: {}", text(&field.ty)),
+                    None => text(&field.ty),
+                });
+                let types = types.collect::<Vec<_>>().join(", ");
+                match &variant.fields {
+                    syn::Fields::Unit => String::new(),
+                    syn::Fields::Named(_) => format!(" {{ {types} }}"),
+                    syn::Fields::Unnamed(_) => format!("({types})"),
+                }
             };
             let value = |variant: &syn::Variant| {
                 variant.discriminant.as_ref().map_or(String::new(), |(_, v)| format!(" = {}", text(v)))
