@@ -23,6 +23,7 @@ pub(crate) mod sweep;
 pub use archive::{ArchiveArgs, ExportRequest, Exported, Sameness, same};
 pub use error::Error;
 pub use files::{Content, read, write_cloud, write_mesh, write_points, write_pose};
+pub use host::hosted_by;
 pub use options::{GraphArgs, Keep, Leave, SettingValue};
 pub use osteoflow_engine::{inputs::WireInputs, sweep::Ask};
 pub use osteoflow_formats::{
@@ -30,7 +31,6 @@ pub use osteoflow_formats::{
     mesh_or_cloud::{CloudFileRead, MeshOrCloud, MeshRead},
     write::Precision,
 };
-pub use host::hosted_by;
 pub use plugins::{PYTHON_HELPER, Plugins};
 pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};
 pub use run::{Functions, Graph, GraphRun, RunRequest};

@@ -1,9 +1,10 @@
-//! The Python package: its tests, run by pytest in the environment of the tests.
+//! The Python package: the wheel, tried in a fresh environment without Rust, and its tests, run by pytest in the environment of the tests.
 
 use crate::common::{is_slow_run, program, python::python, root};
 use std::{
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{Command, Output},
+    sync::OnceLock,
 };
 
 const PACKAGE: &str = "nodes/python";
@@ -60,28 +61,94 @@ fn environment() -> Result<PathBuf, String> {
     Ok(python)
 }
 
+/// The wheel that nodes/python/wheel.py builds, and the Python of the environment; made once. What cargo has compiled for the program is
+/// used again.
+fn wheel() -> Result<(PathBuf, PathBuf), String> {
+    static WHEEL: OnceLock<Result<(PathBuf, PathBuf), String>> = OnceLock::new();
+    let built = WHEEL.get_or_init(|| {
+        let python = environment()?;
+        let out = tempfile::tempdir_in(target()).unwrap().keep();
+        let mut build = script(&python);
+        build.args(["--no-try", "--maturin"]).arg(&python).arg("--out").arg(&out);
+        let output = build.output().unwrap();
+        assert!(output.status.success(), "nodes/python/wheel.py: {}", text(&output));
+        let mut wheels = std::fs::read_dir(&out).unwrap();
+        let wheel = wheels.next().unwrap().unwrap().path();
+        // One place for it, so that none are left behind.
+        let kept = target().join("wheels").join(wheel.file_name().unwrap());
+        std::fs::create_dir_all(kept.parent().unwrap()).unwrap();
+        std::fs::rename(&wheel, &kept).unwrap();
+        std::fs::remove_dir(&out).unwrap();
+        Ok((kept, python))
+    });
+    built.clone()
+}
+
+/// The script that builds and tries a wheel.
+fn script(python: &Path) -> Command {
+    let mut script = Command::new(python);
+    script.arg(root().join(PACKAGE).join("wheel.py")).env("CARGO_TARGET_DIR", target());
+    script.env("PYTHONDONTWRITEBYTECODE", "1");
+    script
+}
+
 #[test]
-fn the_package_gives_the_bits_of_the_command() {
-    let python = match environment() {
-        Ok(python) => python,
+fn a_wheel_works_in_a_fresh_environment_without_rust() {
+    let (wheel, python) = match wheel() {
+        Ok(built) => built,
         Err(why) => return skip(&why),
     };
-    let target = target();
-    let install =
-        ["-m", "pip", "install", "--quiet", "--no-build-isolation", "--no-deps", "--disable-pip-version-check"];
-    // What cargo has compiled for the program is used again.
-    let path = std::env::join_paths(
-        std::iter::once(python.parent().unwrap().to_owned())
-            .chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),
-    );
-    let installed = Command::new(&python)
-        .args(install)
-        .arg(root().join(PACKAGE))
-        .env("CARGO_TARGET_DIR", &target)
-        .env("PATH", path.unwrap())
-        .output()
-        .unwrap();
-    assert!(installed.status.success(), "pip install ./{PACKAGE}: {}", text(&installed));
+    let name = wheel.file_name().unwrap().to_str().unwrap();
+    assert!(name.starts_with(concat!("osteoflow-", env!("CARGO_PKG_VERSION"), "-cp39-abi3-")), "{name}");
+    if cfg!(target_os = "linux") {
+        assert!(
+            name.contains("-manylinux_2_") || name.contains("-musllinux_"),
+            "{name}: pip would not take it elsewhere"
+        );
+    }
+    let tried = script(&python).arg("--wheel").arg(&wheel).output().unwrap();
+    assert!(tried.status.success(), "{}", text(&tried));
+    print!("{}", String::from_utf8_lossy(&tried.stdout));
+    for (python, numpy) in if is_slow_run() { other_pythons() } else { Vec::new() } {
+        let tried =
+            script(&python).arg("--wheel").arg(&wheel).args(["--numpy", &numpy, "--python"]).arg(&python).output();
+        let tried = tried.unwrap();
+        assert!(tried.status.success(), "{}, {numpy}: {}", python.display(), text(&tried));
+        print!("{}", String::from_utf8_lossy(&tried.stdout));
+    }
+}
+
+/// The other interpreters of this machine, each with the newest numpy, and those of the oldest numpy.
+fn other_pythons() -> Vec<(PathBuf, String)> {
+    let versions = std::env::var_os("HOME").map(|home| PathBuf::from(home).join(".pyenv/versions"));
+    let of_pyenv = versions.and_then(|folder| std::fs::read_dir(folder).ok()).into_iter().flatten().flatten();
+    let folders: Vec<PathBuf> = of_pyenv
+        .map(|version| version.path().join("bin"))
+        .chain(std::env::split_paths(&std::env::var_os("PATH").unwrap()))
+        .collect();
+    let mut found = Vec::new();
+    for minor in 9..=14 {
+        let name = format!("python3.{minor}");
+        match folders.iter().map(|folder| folder.join(&name)).find(|python| python.is_file()) {
+            Some(python) if minor == 9 => {
+                found.extend(["numpy", "numpy==1.22.4"].map(|numpy| (python.clone(), numpy.to_owned())));
+            }
+            Some(python) => found.push((python, "numpy".to_owned())),
+            None => skip(&format!("there is no {name}")),
+        }
+    }
+    found
+}
+
+#[test]
+fn the_package_gives_the_bits_of_the_command() {
+    let (wheel, python) = match wheel() {
+        Ok(built) => built,
+        Err(why) => return skip(&why),
+    };
+    let install = ["-m", "pip", "install", "--quiet", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
+    let installed = Command::new(&python).args(install).arg(&wheel).output().unwrap();
+    assert!(installed.status.success(), "pip install {}: {}", wheel.display(), text(&installed));
     let tested = Command::new(&python)
         .args(["-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "-o", "faulthandler_timeout=120"])
         .arg(root().join(PACKAGE).join("tests"))

@@ -30,6 +30,7 @@ mod graphs;
 mod guides;
 mod images;
 mod info;
+mod kept;
 mod live;
 mod live_joins;
 mod live_overload;
@@ -54,12 +55,12 @@ mod plugins_c;
 mod privacy;
 #[cfg(unix)]
 mod processes;
+mod public_items;
 #[cfg(unix)]
 mod python_live;
 #[cfg(unix)]
 mod python_nodes;
 mod python_package;
-mod public_items;
 mod readme;
 mod real_sets;
 mod recorded;

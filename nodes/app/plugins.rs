@@ -7,13 +7,7 @@ use osteoflow_engine::{
     plugin::{Finder, Kinds, Launcher, Prober, Scripts},
     store::{Settings, Store},
 };
-use std::{
-    collections::BTreeSet,
-    env,
-    path::PathBuf,
-    sync::Arc,
-    time::Duration,
-};
+use std::{collections::BTreeSet, env, path::PathBuf, sync::Arc, time::Duration};
 
 /// Environment variable with folders whose libraries are all inspected.
 pub(crate) const FOLDERS: &str = "OSTEOFLOW_PLUGIN_PATH";
@@ -62,7 +56,8 @@ impl Plugins {
     /// The interpreter of plugins in Python: the one asked for, that of the active environment, the one that runs this program, or
     /// the one that is found first.
     fn interpreter(&self) -> PathBuf {
-        let [in_environment, on_path] = if cfg!(windows) { ["Scripts/python.exe", "python"] } else { ["bin/python", "python3"] };
+        let [in_environment, on_path] =
+            if cfg!(windows) { ["Scripts/python.exe", "python"] } else { ["bin/python", "python3"] };
         let of_environment = || env::var_os("VIRTUAL_ENV").map(|dir| PathBuf::from(dir).join(in_environment));
         let named = self.python.clone().or_else(|| env::var_os(PYTHON).filter(|name| !name.is_empty()).map(Into::into));
         let named = named.or_else(|| of_environment().filter(|python| python.is_file()));

@@ -22,6 +22,8 @@ from pathlib import Path
 HERE = Path.cwd()
 EXAMPLES = HERE / "osteoflow-examples"
 COMMAND = [str(Path(sys.executable).with_name("osteoflow"))]
+#: The folder that pip installed the packages into.
+SITE = Path(str(importlib.metadata.distribution("osteoflow").locate_file("")))
 IS_UNIX = os.name == "posix"
 
 #: A node that keeps every second point. Nothing but numpy is imported.
@@ -63,6 +65,12 @@ def run(*words: object, code: int = 0, cwd: Path = EXAMPLES, **more: str) -> sub
     )
     assert ended.returncode == code, f"{words}: exit code {ended.returncode}, not {code}\n{ended.stdout}\n{ended.stderr}"
     return ended
+
+
+def library(site: Path) -> Path:
+    """The compiled library of the package in a folder of packages."""
+    [file] = (site / "osteoflow").glob("_core*.so" if IS_UNIX else "_core*.pyd")
+    return file
 
 
 def run_json(*words: object) -> dict:
@@ -147,10 +155,12 @@ def processes_of_nodes_give_the_same_bits() -> None:
         assert "process" in told.stderr, told.stderr
         return
     run("run", "graphs/two_files.toml", "--out", "inside")
-    run("run", "graphs/two_files.toml", "--out", "apart", "--set", "icp.process=true", "--set", "coarse.process=true", "--no-cache")
-    manifest = json.loads((EXAMPLES / "apart/manifest.json").read_text(encoding="utf-8"))
-    assert '"apart"' in json.dumps(manifest) or '"process"' in json.dumps(manifest), "icp fired in no process of its own"
+    sets = ["--set", "icp.process=true", "--set", "coarse.process=true", "--no-cache"]
+    run("run", "graphs/two_files.toml", "--out", "apart", *sets)
     run("diff", "inside/run.mcap", "apart/run.mcap")
+    # Only another process can be stopped.
+    stopped = run("run", "graphs/two_files.toml", "--out", "late", "--set", "icp.stop_after_s=0.0001", code=3)
+    assert "its process was stopped" in stopped.stderr, stopped.stderr
 
 
 def nodes_in_python_fire_and_are_swept() -> None:
@@ -167,9 +177,8 @@ def nodes_in_python_fire_and_are_swept() -> None:
     run("sweep", "half.toml", "--out", "swept", "--workers", "2")
     rows = (EXAMPLES / "swept/runs.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 3 and all("trusted" in row for row in rows[1:]), rows
-    [library] = Path(importlib.metadata.distribution("osteoflow").locate_file("osteoflow")).glob("_core*")
     design = json.loads((EXAMPLES / "swept/sweep.json").read_text(encoding="utf-8"))
-    assert design["program_sha256"] == hashlib.sha256(library.read_bytes()).hexdigest(), "the program is not the library"
+    assert design["program_sha256"] == hashlib.sha256(library(SITE).read_bytes()).hexdigest(), "the program is not the library"
 
 
 def another_build_is_not_answered_from_the_store_of_this_one() -> None:
@@ -180,9 +189,8 @@ def another_build_is_not_answered_from_the_store_of_this_one() -> None:
     # The same library with one byte more, which no loader reads.
     site = HERE / "other"
     for package in ("osteoflow", "osteoflow_command"):
-        shutil.copytree(Path(importlib.metadata.distribution("osteoflow").locate_file(package)), site / package)
-    [library] = (site / "osteoflow").glob("_core*.so") if IS_UNIX else (site / "osteoflow").glob("_core*.pyd")
-    with library.open("ab") as file:
+        shutil.copytree(SITE / package, site / package)
+    with library(site).open("ab") as file:
         file.write(b"\0")
     other = [sys.executable, "-I", str(site / "osteoflow_command/__init__.py"), *words, "other"]
     subprocess.run(other, check=True, capture_output=True, cwd=EXAMPLES)
@@ -201,7 +209,7 @@ def files_of_the_current_folder_are_not_imported() -> None:
 def pages_are_served() -> None:
     served = [["view", "tests/data/folder/bone.stl", "tests/data/folder/scan.ply"], ["run", "graphs/two_files.toml", "--out", "served", "--serve"]]
     for words in served:
-        process = subprocess.Popen([*COMMAND, *words], stderr=subprocess.PIPE, text=True, cwd=EXAMPLES)
+        process = subprocess.Popen([*COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=EXAMPLES)
         try:
             address = next(found.group() for line in process.stderr if (found := re.search(r"http://\S+", line)))
             page = urllib.request.urlopen(address, timeout=60).read().decode()
@@ -218,7 +226,7 @@ def ctrl_c_stops_a_run_in_order() -> None:
     if not IS_UNIX:
         return
     words = ["sweep", "graphs/paper/sensitivity.toml", "--out", "stopped", "--workers", "1", "--quiet"]
-    process = subprocess.Popen([*COMMAND, *words], stderr=subprocess.PIPE, text=True, cwd=EXAMPLES)
+    process = subprocess.Popen([*COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=EXAMPLES)
     deadline = time.monotonic() + 120
     while not list(EXAMPLES.glob("stopped/runs/*.json")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -8,6 +8,9 @@ use std::{
 };
 use syn::{Attribute, ImplItem, Item, ItemImpl, TraitItem, UseTree, Visibility};
 
+/// The attributes that are part of an item for its users.
+const SHOWN: [&str; 4] = ["derive", "non_exhaustive", "must_use", "proc_macro_derive"];
+
 /// A crate as a tree of modules.
 pub(super) struct Crate {
     root: Module,
@@ -40,7 +43,14 @@ impl Crate {
     }
 
     /// Lists the public items of a module, whose names begin with `prefix` for users.
-    fn list(&self, module: &Module, at: &[String], prefix: &str, open: &mut BTreeSet<Vec<String>>, out: &mut Vec<Listed>) {
+    fn list(
+        &self,
+        module: &Module,
+        at: &[String],
+        prefix: &str,
+        open: &mut BTreeSet<Vec<String>>,
+        out: &mut Vec<Listed>,
+    ) {
         // A module that exports itself again would not end.
         if !open.insert(at.to_vec()) {
             return;
@@ -76,7 +86,9 @@ impl Crate {
             UseTree::Group(group) => {
                 group.items.iter().for_each(|tree| self.list_use(tree, at, path.clone(), prefix, open, out));
             }
-            UseTree::Name(name) => self.list_named(&extended(&name.ident), &name.ident.to_string(), at, prefix, open, out),
+            UseTree::Name(name) => {
+                self.list_named(&extended(&name.ident), &name.ident.to_string(), at, prefix, open, out)
+            }
             UseTree::Rename(name) => {
                 self.list_named(&extended(&name.ident), &name.rename.to_string(), at, prefix, open, out);
             }
@@ -107,7 +119,9 @@ impl Crate {
             return;
         };
         let (n_before, of_module) = (out.len(), module.items.iter());
-        for item in of_module.filter(|item| ident(item).is_some_and(|ident| ident == *last) && !matches!(item, Item::Use(_))) {
+        for item in
+            of_module.filter(|item| ident(item).is_some_and(|ident| ident == *last) && !matches!(item, Item::Use(_)))
+        {
             self.list_item(item, Some(name), prefix, out);
         }
         // It is itself exported from elsewhere.
@@ -149,7 +163,7 @@ impl Crate {
         let mut listed = Listed::line(format!("pub {words} {path}{rest}"));
         let derived: Vec<String> = attributes(item)
             .iter()
-            .filter(|a| a.path().is_ident("derive") || a.path().is_ident("non_exhaustive") || a.path().is_ident("must_use"))
+            .filter(|a| SHOWN.iter().any(|shown| a.path().is_ident(shown)))
             .map(|attribute| text(&attribute.meta))
             .collect();
         listed.lines.extend(derived.iter().map(|attribute| format!("#[{attribute}] {path}")));
@@ -294,12 +308,16 @@ fn attributes(item: &Item) -> &[Attribute] {
 
 /// What an item is, and what follows its name.
 fn described(item: &Item) -> (String, String) {
-    let generics = |g: &syn::Generics| format!("{}{}", text(g), g.where_clause.as_ref().map_or(String::new(), |w| format!(" {}", text(w))));
+    let generics = |g: &syn::Generics| {
+        format!("{}{}", text(g), g.where_clause.as_ref().map_or(String::new(), |w| format!(" {}", text(w))))
+    };
     match item {
         Item::Fn(i) => signature(&i.sig),
         Item::Struct(i) => {
             let fields = match &i.fields {
-                syn::Fields::Unnamed(fields) => format!("({})", fields.unnamed.iter().map(field).collect::<Vec<_>>().join(", ")),
+                syn::Fields::Unnamed(fields) => {
+                    format!("({})", fields.unnamed.iter().map(field).collect::<Vec<_>>().join(", "))
+                }
                 _ => String::new(),
             };
             ("struct".into(), format!("{}{fields}", generics(&i.generics)))
@@ -309,7 +327,10 @@ fn described(item: &Item) -> (String, String) {
         Item::Trait(i) => {
             let above: Vec<_> = i.supertraits.iter().map(text).collect();
             let above = if above.is_empty() { String::new() } else { format!(": {}", above.join(" + ")) };
-            (if i.unsafety.is_some() { "unsafe trait" } else { "trait" }.into(), format!("{}{above}", generics(&i.generics)))
+            (
+                if i.unsafety.is_some() { "unsafe trait" } else { "trait" }.into(),
+                format!("{}{above}", generics(&i.generics)),
+            )
         }
         Item::Type(i) => ("type".into(), format!("{} = {}", generics(&i.generics), text(&i.ty))),
         Item::Const(i) => ("const".into(), format!(": {}", text(&i.ty))),
@@ -344,11 +365,21 @@ fn members(item: &Item, path: &str) -> Vec<String> {
         Item::Struct(i) => i.fields.iter().filter(is_named).map(named).collect(),
         Item::Union(i) => i.fields.named.iter().filter(is_named).map(named).collect(),
         Item::Enum(i) => {
-            let fields = |variant: &syn::Variant| match &variant.fields {
-                syn::Fields::Unit => String::new(),
-                fields => text(fields),
+            let fields = |variant: &syn::Variant| {
+                let types = variant.fields.iter().map(|field| match &field.ident {
+                    Some(name) => format!("{name}: {}", text(&field.ty)),
+                    None => text(&field.ty),
+                });
+                let types = types.collect::<Vec<_>>().join(", ");
+                match &variant.fields {
+                    syn::Fields::Unit => String::new(),
+                    syn::Fields::Named(_) => format!(" {{ {types} }}"),
+                    syn::Fields::Unnamed(_) => format!("({types})"),
+                }
             };
-            let value = |variant: &syn::Variant| variant.discriminant.as_ref().map_or(String::new(), |(_, v)| format!(" = {}", text(v)));
+            let value = |variant: &syn::Variant| {
+                variant.discriminant.as_ref().map_or(String::new(), |(_, v)| format!(" = {}", text(v)))
+            };
             i.variants.iter().map(|v| format!("pub {path}::{}{}{}", v.ident, fields(v), value(v))).collect()
         }
         Item::Trait(i) => i.items.iter().filter_map(|item| required(item, path)).collect(),
@@ -391,13 +422,38 @@ fn associated(item: &ImplItem, path: &str) -> Option<String> {
 fn text(tokens: &impl ToTokens) -> String {
     let mut out = tokens.to_token_stream().to_string().replace('\n', " ");
     for (spaced, tight) in [
-        (" ::", "::"), (":: ", "::"), (" <", "<"), ("< ", "<"), (" >", ">"), ("& ", "&"), (" ,", ","), (" :", ":"), (" (", "("), ("( ", "("),
-        (" )", ")"), ("[ ", "["), (" ]", "]"), (" ;", ";"), ("' ", "'"), ("? ", "?"), ("- >", "->"), ("* const", "*const"), ("* mut", "*mut"),
+        (" ::", "::"),
+        (":: ", "::"),
+        (" <", "<"),
+        ("< ", "<"),
+        (" >", ">"),
+        ("& ", "&"),
+        (" ,", ","),
+        (" :", ":"),
+        (" (", "("),
+        ("( ", "("),
+        (" )", ")"),
+        ("[ ", "["),
+        (" ]", "]"),
+        (" ;", ";"),
+        ("' ", "'"),
+        ("? ", "?"),
+        ("- >", "->"),
+        ("* const", "*const"),
+        ("* mut", "*mut"),
     ] {
         out = out.replace(spaced, tight);
     }
     // These were closed too much, or stand before a word.
-    for (tight, spaced) in [("->", " -> "), ("impl<", "impl <"), ("=(", "= ("), ("->  ", "-> "), (">where", "> where"), (",)", ")"), (",>", ">")] {
+    for (tight, spaced) in [
+        ("->", " -> "),
+        ("impl<", "impl <"),
+        ("=(", "= ("),
+        ("->  ", "-> "),
+        (">where", "> where"),
+        (",)", ")"),
+        (",>", ">"),
+    ] {
         out = out.replace(tight, spaced);
     }
     while out.contains("  ") {

@@ -8,8 +8,8 @@ use crate::{
     hash::{Digest, file_stamp::stamp, files::sha256},
     names::nearest,
     plan::{LoadedFile, PlanPlugin},
-    store::{Key, Store},
     process::REFUSED_HERE,
+    store::{Key, Store},
 };
 #[cfg(unix)]
 use osteoflow_node::PayloadType;

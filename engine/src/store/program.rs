@@ -6,13 +6,7 @@
 
 use super::{Key, Store};
 use crate::hash::{Digest, file_stamp::stamp, files::sha256, mapped::mapped, program};
-use std::{
-    fs::File,
-    io,
-    path::PathBuf,
-    sync::OnceLock,
-    time::SystemTime,
-};
+use std::{fs::File, io, path::PathBuf, sync::OnceLock, time::SystemTime};
 
 pub(super) fn digest(store: &Store) -> Option<Digest> {
     // Program and processor do not change while the process runs.
