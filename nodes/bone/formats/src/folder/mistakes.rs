@@ -27,7 +27,7 @@ const TIMES: [(f64, &str, &str); 3] = [(1e9, "seconds", "s"), (1e6, "millisecond
 /// A row of a file of poses in which the marker was seen.
 #[derive(Debug, Clone)]
 pub(super) struct RowRead {
-    pub(super) line: usize,
+    pub(super) line: u64,
     pub(super) parent: String,
     pub(super) child: String,
     pub(super) stamp_ns: StampNs,
@@ -56,7 +56,7 @@ pub(super) fn check(files: &[PosesFile], scans: &[StampNs]) -> Result<(), FileEr
     files.iter().try_for_each(|file| times(file, scans))
 }
 
-fn fault(path: &Path, line: usize, message: String) -> FileError {
+fn fault(path: &Path, line: u64, message: String) -> FileError {
     FileError::content(path, format!("line {line}"), message)
 }
 
@@ -203,7 +203,7 @@ pub(super) fn scalar_first(file: &PosesFile) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn row(line: usize, parent: &str, child: &str, translation: [f64; 3]) -> RowRead {
+    fn row(line: u64, parent: &str, child: &str, translation: [f64; 3]) -> RowRead {
         let rotation = UnitQuaternion::identity();
         let stamp_ns = 1_750_000_000_000_000_000 + line as i64;
         RowRead { line, parent: parent.into(), child: child.into(), stamp_ns, translation: translation.into(), rotation }
@@ -264,7 +264,7 @@ mod tests {
             let rows = (0..40).map(|k| {
                 let q = turned(k);
                 let read = if is_first { nalgebra::Quaternion::new(q.k, q.w, q.i, q.j) } else { q };
-                RowRead { rotation: UnitQuaternion::new_unchecked(read), ..row(k + 2, "world", "camera_marker", AT) }
+                RowRead { rotation: UnitQuaternion::new_unchecked(read), ..row(k as u64 + 2, "world", "camera_marker", AT) }
             });
             PosesFile { path: "poses.csv".into(), rows: rows.collect() }
         };
