@@ -6,23 +6,27 @@ use std::{fmt::Write, fs, path::Path};
 
 /// Most lines of an answer, and characters of a line, that the text keeps.
 const MAX_LINES: usize = 24;
+/// Of a registration that ends with numbers, which follow from the mistake.
+const OF_REGISTER: usize = 6;
 const MAX_CHARACTERS: usize = 420;
 
 /// Commands by what is mistaken. `~` begins a line that makes a file before the next command.
 const MISTAKES: &str = include_str!("data/mistakes.txt");
 
 /// The text with what differs from machine to machine and from run to run replaced.
-fn steady(text: &str, dir: &Path) -> String {
+fn steady(text: &str, dir: &Path, max_lines: usize) -> String {
     let text = text.replace(&format!("{}/", dir.display()), "").replace(&format!("{}/", root().display()), "CHECKOUT/");
-    let lines = text.lines().filter(|line| !line.starts_with("time "));
+    // What a slow machine adds.
+    let is_time = |line: &str| line.starts_with("time ") || line.contains(" nodes have worked, ") || line.contains(" after ");
+    let lines = text.lines().filter(|line| !is_time(line));
     let lines: Vec<_> = lines.collect();
-    let kept = lines.iter().take(MAX_LINES).map(|line| match line.char_indices().nth(MAX_CHARACTERS) {
+    let kept = lines.iter().take(max_lines).map(|line| match line.char_indices().nth(MAX_CHARACTERS) {
         Some((at, _)) => format!("{} ..", line[..at].trim_end()),
         None => line.trim_end().to_owned(),
     });
     let mut out: String = kept.map(|line| line + "\n").collect();
-    if lines.len() > MAX_LINES {
-        let _ = writeln!(out, ".. and {} more lines", lines.len() - MAX_LINES);
+    if lines.len() > max_lines {
+        let _ = writeln!(out, ".. and {} more lines", lines.len() - max_lines);
     }
     out
 }
@@ -118,7 +122,7 @@ fn each_mistake_of_a_newcomer_is_answered_by_its_cause_and_the_next_step() {
         let answer = [&output.stderr, &output.stdout].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
         assert!(!output.status.success() || line.starts_with("info ") || answer.contains("doubtful"), "{line} is no mistake:\n{answer}");
         let code = output.status.code().unwrap();
-        let _ = writeln!(text, "$ osteoflow {line}\n{}[exit code {code}]\n", steady(&answer, &dir));
+        let _ = writeln!(text, "$ osteoflow {line}\n{}[exit code {code}]\n", steady(&answer, &dir, if line.starts_with("register") { OF_REGISTER } else { MAX_LINES }));
     }
     assert!(n_commands >= 50, "{n_commands} mistakes");
     for word in ["panicked", "os error 2)\nerror", "thread '"] {

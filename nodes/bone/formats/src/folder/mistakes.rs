@@ -66,8 +66,8 @@ fn exchanged(path: &Path, row: &RowRead) -> Result<(), FileError> {
     if child == WORLD || (MARKERS.contains(&parent.as_str()) && !MARKERS.contains(&child.as_str())) {
         let message = format!(
             "parent is \"{parent}\" and child is \"{child}\"; likely cause: parent and child are exchanged, as a row is the pose of a \
-             marker in the world (parent {WORLD}, child {parent}); exchange the two, or invert the poses if they are those of the \
-             {child} in the marker"
+             marker (parent {child}, child {parent}); exchange the two, or invert the poses if they are those of the {child} in the \
+             marker"
         );
         return Err(fault(path, *line, message));
     }
@@ -170,6 +170,27 @@ fn times(file: &PosesFile, scans: &[StampNs]) -> Result<(), FileError> {
     }
     Ok(())
 }
+
+/// The pose of the marker on the phantom, read with the scalar first, where that is what the plan says of it and the pose as it is
+/// read is not.
+pub(super) fn against_plan(file: &PosesFile, planned: &UnitQuaternion<f64>) -> Result<(), FileError> {
+    let Some(row) = file.rows.iter().find(|row| row.parent == "phantom") else { return Ok(()) };
+    let q = row.rotation.quaternion();
+    let reread = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(q.i, q.j, q.k, q.w));
+    let [as_read, as_reread] = [&row.rotation, &reread].map(|turn| turn.angle_to(planned).to_degrees());
+    if as_read < SAME_DEG || as_reread > SAME_DEG {
+        return Ok(());
+    }
+    let message = format!(
+        "{} in the phantom is turned by {as_read:.1} degrees against the plan, and by {as_reread:.1} if the scalar of its quaternion comes \
+         first; likely cause: it does; qx,qy,qz,qw are expected: name the columns in their order, which may be any",
+        row.child
+    );
+    Err(fault(&file.path, row.line, message))
+}
+
+/// Turns that are the same but for rounding and a mounted marker, degrees.
+const SAME_DEG: f64 = 1.0;
 
 /// A sign that the scalar of the quaternions comes first, in words.
 ///
