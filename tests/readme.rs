@@ -18,29 +18,6 @@ fn the_readme_has_each_of_its_two_commands_once() {
     assert_eq!(lines_that_begin(&readme, "cargo test "), ["cargo test --release --workspace"]);
 }
 
-/// The table of the ICP swap: kind, mean TRE in mm.
-fn icp_swap_table() -> Vec<(String, f64)> {
-    let readme = text("README.md");
-    let rows = lines_that_begin(&readme, "| `icp.point_").into_iter().map(|row| {
-        let cells: Vec<_> = row.split('|').map(|cell| cell.trim().trim_matches('`')).collect();
-        (cells[1].to_owned(), cells[2].trim_end_matches(" mm").parse().unwrap())
-    });
-    rows.collect()
-}
-
-#[test]
-fn the_numbers_of_the_icp_swap_are_those_of_this_program() {
-    let table = icp_swap_table();
-    assert_eq!(table.len(), 2, "{table:?}");
-    for (kind, stated_mm) in table {
-        let ran =
-            crate::common::run_whole("graphs/fibula.toml", &["--no-record", "--set", &format!("icp.kind={kind}")]);
-        let found_mm = ran.results["metrics"]["tre_true_mm"]["mean_abs"]["norm"].as_f64().unwrap();
-        // The README rounds to 0.01 mm; a change that moves results further is worth a new line there.
-        assert!((found_mm - stated_mm).abs() < 0.02, "{kind}: README.md says {stated_mm} mm, it is {found_mm:.3} mm");
-    }
-}
-
 /// Poses that are right, those of them that are trusted, mirrored poses, and those of them that are trusted, in a table of
 /// docs/method/real-data.md.
 fn counts(table: &str) -> [u64; 4] {

@@ -1059,31 +1059,3 @@ fn alike(a: &str, b: &str) -> bool {
         _ => a == b,
     }
 }
-
-#[test]
-fn the_readme_shows_what_the_command_prints() {
-    let path = common::root().join("README.md");
-    let readme = fs::read_to_string(&path).unwrap();
-    let section = readme.find("## Register two files").unwrap();
-    let command = readme[section..].lines().find_map(|line| line.strip_prefix("osteoflow ")).unwrap();
-    let output = osteoflow().args(command.split(' ')).output().unwrap();
-    assert_eq!((output.status.code(), stderr_of(&output)), (Some(0), String::new()));
-    let printed = String::from_utf8(output.stdout).unwrap();
-    let fence = "```text\n";
-    let start = section + readme[section..].find(fence).unwrap() + fence.len();
-    let end = start + readme[start..].find("```").unwrap();
-    if std::env::var_os("UPDATE").is_some() {
-        fs::write(path, format!("{}{printed}{}", &readme[..start], &readme[end..])).unwrap();
-        return;
-    }
-    // Times are the machine's.
-    let untimed = |text: &str| text.split("\ntime ").next().unwrap().to_owned();
-    let (readme, printed) = (untimed(&readme[start..end]), untimed(&printed));
-    let differs = readme.lines().zip(printed.lines()).find(|(a, b)| {
-        let words = |line: &str| line.split([' ', ',', '(', ')']).map(String::from).collect::<Vec<_>>();
-        let (a, b) = (words(a), words(b));
-        a.len() != b.len() || !a.iter().zip(&b).all(|(a, b)| alike(a, b))
-    });
-    let advice = "`UPDATE=1 cargo test --release --test suite register::` writes it anew";
-    assert!(differs.is_none() && readme.lines().count() == printed.lines().count(), "{advice}: {differs:?}\n{printed}");
-}

@@ -35,6 +35,7 @@ mod live;
 mod live_joins;
 mod live_overload;
 mod marker_verdicts;
+mod mistakes;
 mod modules;
 mod new_plugin;
 mod new_plugin_like;
@@ -52,6 +53,7 @@ mod plugin_loads;
 #[cfg(unix)]
 mod plugins;
 mod plugins_c;
+mod printed;
 mod privacy;
 #[cfg(unix)]
 mod processes;

@@ -175,7 +175,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/pages/report/src",
         &[
-            &["error", "format", "modules", "paths"],
+            &["degrees", "error", "format", "modules", "paths"],
             &["cell", "chart", "diagram", "run_folder"],
             &["scene", "summary"],
             &["html"],

@@ -1,4 +1,4 @@
-//! Progress of a run, of a sweep and of reading a long file: an updated line on a terminal, a few plain lines elsewhere.
+//! Progress of a run, of a sweep and of reading a long file: an updated line on a terminal, a plain line now and then elsewhere.
 
 use super::{
     busy::Longest,
@@ -12,6 +12,7 @@ use osteoflow_engine::{
     sweep::{Done, Watcher},
 };
 use std::{
+    collections::HashSet,
     io::{self, IsTerminal, Write},
     path::Path,
     sync::{Mutex, PoisonError},
@@ -26,8 +27,53 @@ const TICK: Duration = Duration::from_millis(120);
 const PATIENCE: Duration = Duration::from_millis(400);
 /// Time after which a busy node is named on a terminal.
 const NAMED_AFTER: Duration = Duration::from_secs(3);
-/// Time after which a busy node is named in a line of its own elsewhere; the next line comes after twice the time.
-const LINE_AFTER: Duration = Duration::from_secs(30);
+/// Time after which a line elsewhere says how far the work is; the next line comes after twice the time.
+const LINE_AFTER: Duration = Duration::from_secs(5);
+/// Longest time between two lines.
+const LINE_AT_LEAST: Duration = Duration::from_secs(60);
+/// Time from which on the remaining time is said.
+const LEFT_AFTER: Duration = Duration::from_secs(2);
+
+/// The times at which lines are written: after 5 s, 15 s, 35 s, then every minute.
+struct Lines {
+    began: Instant,
+    next: Duration,
+    step: Duration,
+}
+
+impl Lines {
+    fn new() -> Self {
+        Self { began: Instant::now(), next: LINE_AFTER, step: LINE_AFTER }
+    }
+
+    fn is_due(&mut self) -> bool {
+        let is_due = self.began.elapsed() >= self.next;
+        if is_due {
+            self.step = (self.step * 2).min(LINE_AT_LEAST);
+            self.next = self.began.elapsed() + self.step;
+        }
+        is_due
+    }
+
+    /// The time gone and, if `n` of `all` parts are done, about how much is left.
+    fn times(&self, n: u64, all: u64) -> String {
+        let gone = self.began.elapsed();
+        if gone < LEFT_AFTER || n == 0 || n >= all {
+            return format!("{} gone", seconds(gone));
+        }
+        let left = gone.mul_f64((all - n) as f64 / n as f64);
+        format!("{} gone, about {} left", seconds(gone), seconds(left))
+    }
+}
+
+/// Whole seconds, or minutes and seconds.
+fn seconds(time: Duration) -> String {
+    match time.as_secs_f64().round() as u64 {
+        s if s < 100 => format!("{s} s"),
+        s if s < 6000 => format!("{} min {} s", s / 60, s % 60),
+        s => format!("{} h {} min", s / 3600, s % 3600 / 60),
+    }
+}
 
 /// How progress is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,44 +121,60 @@ pub struct Progress {
 struct State {
     /// Nodes in their first activation, the latest last.
     busy: Vec<String>,
-    n_ended: u64,
+    /// Nodes that have fired or ended. Most fire once, and all stay until nothing more can come to them, so that the number of
+    /// ended nodes would stand still until the end.
+    fired: HashSet<String>,
+    n_nodes: u64,
     n_items: u64,
     shown: Instant,
     /// The node that has been busy for long, as it is shown.
     busy_for_long: Option<String>,
-    /// Time after which the next line names a busy node.
-    next_line: Duration,
+    lines: Lines,
 }
 
 impl State {
-    fn new() -> Self {
+    fn new(n_nodes: u64) -> Self {
         Self {
             busy: Vec::new(),
-            n_ended: 0,
+            fired: HashSet::new(),
+            n_nodes,
             n_items: 0,
             shown: Instant::now(),
             busy_for_long: None,
-            next_line: LINE_AFTER,
+            lines: Lines::new(),
         }
+    }
+
+    fn n_fired(&self) -> u64 {
+        self.fired.len() as u64
     }
 
     fn message(&self, latest: Option<&str>) -> String {
         let node = self.busy.last().map(String::as_str).or(latest).unwrap_or_default();
-        format!("{} items  {}", self.n_items, self.busy_for_long.as_deref().unwrap_or(node))
+        let times = self.lines.times(self.n_fired(), self.n_nodes);
+        format!("{} items  {times}  {}", self.n_items, self.busy_for_long.as_deref().unwrap_or(node))
+    }
+
+    /// How far the work is, as a line of its own.
+    fn line(&self, longest: Option<Longest>) -> String {
+        let of = if self.n_nodes > 0 { format!(" of {}", self.n_nodes) } else { String::new() };
+        let times = self.lines.times(self.n_fired(), self.n_nodes);
+        let node = longest.map_or_else(String::new, |longest| format!("; {longest}"));
+        format!("{}{of} nodes have worked, {} items, {times}{node}", self.n_fired(), self.n_items)
     }
 }
 
 impl Progress {
     fn new(what: &str, n_nodes: Option<usize>, shown: Shown) -> Self {
-        if shown == Shown::Lines {
+        if shown == Shown::Lines && !what.is_empty() {
             let _ = writeln!(terminal::stderr(), "{what}");
         }
         let template = match n_nodes {
             Some(_) => "{spinner} {bar:24} {pos}/{len} nodes  {wide_msg}",
-            None => "{spinner} {pos} nodes ended  {wide_msg}",
+            None => "{spinner} {pos} nodes  {wide_msg}",
         };
         let bar = shown.bar(n_nodes.map(|n| n as u64), template);
-        Self { bar, has_lines: shown == Shown::Lines, state: Mutex::new(State::new()) }
+        Self { bar, has_lines: shown == Shown::Lines, state: Mutex::new(State::new(n_nodes.unwrap_or_default() as u64)) }
     }
 
     /// Begins to show progress; `n_nodes` if known.
@@ -125,6 +187,11 @@ impl Progress {
         let (name, nodes, seed) = (&plan.name, plan.nodes.len(), plan.seed);
         let what = format!("running {name}: {nodes} nodes, seed {seed}, {workers} workers");
         Self::begin(&what, Some(nodes), global)
+    }
+
+    /// Begins to show the progress of a run that is mostly short: without a line that it begins.
+    pub(crate) fn of_short(plan: &Plan, global: &Global) -> Self {
+        Self::new("", Some(plan.nodes.len()), Shown::of(global))
     }
 
     /// Begins to show the progress of a run on a terminal, if there is one.
@@ -141,21 +208,15 @@ impl Progress {
     pub(crate) fn busy(&self, longest: Option<Longest>) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if self.has_lines {
-            match longest {
-                Some(longest) if longest.took >= state.next_line => {
-                    state.next_line *= 2;
-                    let _ = writeln!(terminal::stderr(), "{longest}");
-                }
-                Some(longest) if longest.took >= LINE_AFTER => {}
-                _ => state.next_line = LINE_AFTER,
+            if state.lines.is_due() {
+                let longest = longest.filter(|longest| longest.took >= NAMED_AFTER);
+                let _ = writeln!(terminal::stderr(), "{}", state.line(longest));
             }
             return;
         }
         let named = longest.filter(|longest| longest.took >= NAMED_AFTER).map(|longest| longest.to_string());
-        if named != state.busy_for_long {
-            state.busy_for_long = named;
-            self.bar.set_message(terminal::escape(&state.message(None)));
-        }
+        state.busy_for_long = named;
+        self.bar.set_message(terminal::escape(&state.message(None)));
     }
 
     /// Removes the line.
@@ -173,7 +234,7 @@ impl Progress {
 
 impl Observer for Progress {
     fn event(&self, event: &Event<'_>) {
-        if self.bar.is_hidden() {
+        if self.bar.is_hidden() && !self.has_lines {
             return;
         }
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
@@ -183,11 +244,14 @@ impl Observer for Progress {
             Event::Fired { node, .. } | Event::Skipped { node, .. } => {
                 state.busy.retain(|busy| busy != node);
                 state.n_items += 1;
+                if !state.fired.contains(*node) {
+                    state.fired.insert((*node).to_owned());
+                }
                 latest = Some(*node);
             }
             Event::Ended { node } => {
                 state.busy.retain(|busy| busy != node);
-                state.n_ended += 1;
+                state.fired.insert((*node).to_owned());
             }
             _ => {}
         }
@@ -195,17 +259,37 @@ impl Observer for Progress {
             return;
         }
         state.shown = Instant::now();
-        self.bar.set_position(state.n_ended);
+        self.bar.set_position(state.n_fired());
         self.bar.set_message(terminal::escape(&state.message(latest)));
     }
 }
 
 /// The progress of a sweep and its remaining time.
-pub struct SweepProgress(ProgressBar);
+pub struct SweepProgress {
+    bar: ProgressBar,
+    /// Number of runs, and the times of the lines elsewhere than on a terminal.
+    n_runs: u64,
+    lines: Option<Mutex<(u64, Lines)>>,
+}
 
 impl SweepProgress {
     fn new(n_runs: usize, shown: Shown) -> Self {
-        Self(shown.bar(Some(n_runs as u64), "{spinner} {bar:24} {pos}/{len} runs  {elapsed} gone, {eta} left  {msg}"))
+        let template = "{spinner} {bar:24} {pos}/{len} runs  {elapsed} gone, {eta} left  {msg}";
+        let lines = (shown == Shown::Lines).then(|| Mutex::new((0, Lines::new())));
+        Self { bar: shown.bar(Some(n_runs as u64), template), n_runs: n_runs as u64, lines }
+    }
+
+    /// Counts runs that have ended, and writes a line if one is due.
+    fn count(&self, n: u64) {
+        self.bar.inc(n);
+        let Some(lines) = &self.lines else { return };
+        let mut lines = lines.lock().unwrap_or_else(PoisonError::into_inner);
+        lines.0 += n;
+        let n_ended = lines.0;
+        if n_ended < self.n_runs && lines.1.is_due() {
+            let times = lines.1.times(n_ended, self.n_runs);
+            let _ = writeln!(terminal::stderr(), "{n_ended} of {} runs, {times}", self.n_runs);
+        }
     }
 
     /// Begins to show the progress of `n_runs` runs.
@@ -224,17 +308,17 @@ impl SweepProgress {
 
     /// Shows the current step.
     pub fn message(&self, what: &str) {
-        self.0.set_message(terminal::escape(what));
+        self.bar.set_message(terminal::escape(what));
     }
 
     /// Counts runs that have ended on other machines.
     pub fn ended_elsewhere(&self, n_runs: usize) {
-        self.0.inc(n_runs as u64);
+        self.count(n_runs as u64);
     }
 
     /// Removes the line.
     pub fn end(&self) {
-        self.0.finish_and_clear();
+        self.bar.finish_and_clear();
     }
 }
 
@@ -243,7 +327,7 @@ impl Watcher for SweepProgress {
         if let Some(reason) = &done.reason {
             self.message(&format!("run {}: {reason}", done.run));
         }
-        self.0.inc(1);
+        self.count(1);
     }
 }
 
@@ -282,5 +366,41 @@ impl Reading {
 impl Drop for Reading {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_left_is_said_after_two_seconds_and_follows_the_work() {
+        let lines = |gone_s: u64| Lines { began: Instant::now() - Duration::from_secs(gone_s), ..Lines::new() };
+        assert_eq!(lines(1).times(5, 10), "1 s gone");
+        assert_eq!(lines(6).times(0, 10), "6 s gone");
+        assert_eq!(lines(6).times(6, 9), "6 s gone, about 3 s left");
+        assert_eq!(lines(200).times(1, 31), "3 min 20 s gone, about 1 h 40 min left");
+        assert_eq!(lines(6).times(9, 9), "6 s gone");
+    }
+
+    #[test]
+    fn lines_come_now_and_then_and_never_more_than_a_minute_apart() {
+        let mut lines = Lines::new();
+        let mut due = Vec::new();
+        for second in 0..400 {
+            lines.began = Instant::now() - Duration::from_secs(second);
+            if lines.is_due() {
+                due.push(second);
+            }
+        }
+        assert_eq!(due, [5, 15, 35, 75, 135, 195, 255, 315, 375]);
+    }
+
+    #[test]
+    fn nodes_count_as_soon_as_they_have_fired() {
+        let mut state = State::new(4);
+        state.fired.insert("scan".into());
+        state.n_items = 7;
+        assert_eq!(state.line(None), "1 of 4 nodes have worked, 7 items, 0 s gone");
     }
 }

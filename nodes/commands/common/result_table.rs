@@ -9,22 +9,28 @@ use serde_json::Value;
 
 /// The verdict, the tables of the known keys in `results`, and all other numbers.
 pub(crate) fn text(results: &Value, global: &Global) -> String {
-    blocks(results, tables(results), global)
+    blocks(results, tables(results), &[], global)
 }
 
 /// The verdict and the tables of the known keys, with the values of an earlier run below those that have changed.
 pub(crate) fn text_beside(results: &Value, earlier: &Value, global: &Global) -> String {
     let mut now = tables(results);
     let earlier = tables(earlier);
+    let mut changed = Vec::new();
     for table in &mut now {
         if let Some(was) = earlier.iter().find(|was| was.title() == table.title()) {
+            let before = table.lines();
             table.beside(was);
+            if table.lines() != before {
+                changed.push(table.title().to_owned());
+            }
         }
     }
-    blocks(results, now, global)
+    blocks(results, now, &changed, global)
 }
 
-fn blocks(results: &Value, mut tables: Vec<TextTable>, global: &Global) -> String {
+/// `changed` are the titles of tables that are shown in any case.
+fn blocks(results: &Value, mut tables: Vec<TextTable>, changed: &[String], global: &Global) -> String {
     let is_brief = global.verbose == 0;
     let mut blocks: Vec<_> = verdict_lines::text(results, global).into_iter().collect();
     blocks.push(banner(results));
@@ -40,6 +46,7 @@ fn blocks(results: &Value, mut tables: Vec<TextTable>, global: &Global) -> Strin
             let title = table.title();
             let is_first = is_answer(title) && !(title == PLANES_AT_SCAN && has_planes);
             let is_shown = is_first || title == POSES && !has_answer || title == ICP && shows_steps;
+            let is_shown = is_shown || changed.iter().any(|of| of == title);
             if !is_shown {
                 hidden.push(title.to_owned());
             }

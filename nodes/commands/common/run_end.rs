@@ -12,6 +12,9 @@ use osteoflow_engine::run::{Outcome, RunReport, files};
 use serde_json::Value;
 use std::{io::Write, path::Path};
 
+/// The end of the warning of a node that has nothing to write.
+const NOT_REGISTERED: &str = "since it is not registered";
+
 /// Prints the end of a run: results on stdout, everything else on stderr.
 pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
     let exit = print_warnings_and_failure(report, global)?;
@@ -29,7 +32,9 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
     // What the verdict is printed to say is said once.
     let is_text = global.format == Format::Text;
     let is_new = |message: &str| {
-        let is_open = global.verbose > 0 || !is_settled(message, &report.results);
+        // What follows from a refusal is not said beside it.
+        let follows = exit == Exit::Refused && message.ends_with(NOT_REGISTERED);
+        let is_open = global.verbose > 0 || !(follows || is_settled(message, &report.results));
         !is_text || is_open && !is_said_by_verdict(message, &report.results)
     };
     // The cause of a refusal comes before what follows from it.

@@ -337,6 +337,8 @@ impl ProcedureFolder {
             items.push(self.scan("laser", &scan, Some(&label), &mut notes)?);
         }
         let mut poses_files = Vec::new();
+        // A plan that cannot be read is a fault of the node that needs it.
+        let planned = self.plan().ok().flatten().and_then(|read| Some(read.plan.t_phantom_phantom_marker.as_ref()?.isometry.rotation));
         for file in &manifest.poses {
             let mut corrections = Corrections::default();
             let path = self.resolve(&file.file);
@@ -347,7 +349,10 @@ impl ProcedureFolder {
                 let (parent, child) = (to.to_string(), from.to_string());
                 Some(RowRead { line, parent, child, stamp_ns: *stamp_ns, translation, rotation })
             });
-            let seen = PosesFile { path, rows: seen.collect() };
+            let seen = PosesFile { path: file.file.clone(), rows: seen.collect() };
+            if let Some(planned) = &planned {
+                mistakes::against_plan(&seen, planned)?;
+            }
             notes.extend(mistakes::scalar_first(&seen).map(|note| format!("{}: {note}", file.file.display())));
             poses_files.push(seen);
             notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.file.display())));

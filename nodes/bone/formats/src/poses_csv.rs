@@ -33,7 +33,7 @@ pub struct PosesRead {
     /// The poses in file order; a row in which the marker was not seen is a [`LostPose`].
     pub poses: Vec<Result<Nearest<Pose>, LostPose>>,
     /// The line of each row, counted from 1.
-    pub lines: Vec<usize>,
+    pub lines: Vec<u64>,
     /// Streams whose stamps run backwards, one sentence each.
     pub notes: Vec<String>,
 }

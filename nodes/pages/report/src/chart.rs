@@ -59,6 +59,9 @@ text { fill: #e6edf3 }
 
 /// Number of colours for series.
 pub(crate) const N_COLOURS: usize = 8;
+/// Their names, for captions.
+pub(crate) const COLOURS: [&str; N_COLOURS] =
+    ["blue", "orange", "green", "purple", "ochre", "light blue", "grey", "brown"];
 
 /// A mark of a chart.
 #[derive(Debug, Clone)]
@@ -174,18 +177,21 @@ impl Chart {
         let words = self.x.categories();
         let wide = words.iter().map(|w| w.chars().count() as f64 * CHARACTER).fold(0.0, f64::max);
         let aslant = !words.is_empty() && wide > (WIDTH - LEFT - RIGHT) / words.len() as f64 - 6.0;
-        let below = if aslant { (wide * 0.5 + 14.0).min(190.0) } else { ROW };
+        let below = if aslant { (wide * ASLANT.1 + 14.0).min(MAX_BELOW) } else { ROW };
         let bottom = bottom + top - 34.0;
         let height = bottom + below + 2.0 * ROW + 8.0;
         let y = self.y.scale(&along, bottom, top);
         let mut out = String::new();
-        text(&mut out, (LEFT, 18.0), "style=\"font-size: 13px; font-weight: 600\"", &self.title);
+        // Bold letters of 13 px are wider than those of labels; a note stands at the end of the same line.
+        let room = WIDTH - RIGHT - LEFT - self.note.chars().count() as f64 * CHARACTER;
+        let title = shortened(&self.title, room / 1.35);
+        text(&mut out, (LEFT, 18.0), "style=\"font-size: 13px; font-weight: 600\"", &title);
         text(&mut out, (WIDTH - RIGHT, height - 6.0), SMALL_AT_END, &disclaimer(simulated));
         for (series, x, y) in legend {
             let (colour, top) = (series.colour % N_COLOURS, y - 9.0);
             let _ =
                 writeln!(out, "<rect class=\"box c{colour}\" x=\"{x:.1}\" y=\"{top:.1}\" width=\"12\" height=\"9\"/>");
-            text(&mut out, (x + 17.0, y), "", &series.name);
+            text(&mut out, (x + 17.0, y), "", &shortened(&series.name, WIDTH - RIGHT - x - 17.0));
         }
         self.draw_axes(&mut out, (&x, &y), (top, bottom), aslant, height);
         for series in &self.series {
@@ -244,7 +250,12 @@ impl Chart {
             let (x, y) = (at + 4.0, bottom + 15.0);
             match aslant {
                 false => text(out, (at, bottom + 17.0), "class=\"small\" text-anchor=\"middle\"", word),
-                true => text(out, (x, y), &format!("{SMALL_AT_END} transform=\"rotate(-30 {x:.1} {y:.1})\""), word),
+                true => {
+                    // It ends at the tick, and begins neither left of the drawing nor below it.
+                    let room = (x / ASLANT.0).min((MAX_BELOW - 14.0) / ASLANT.1);
+                    let turned = format!("{SMALL_AT_END} transform=\"rotate(-30 {x:.1} {y:.1})\"");
+                    text(out, (x, y), &turned, &shortened(word, room));
+                }
             }
         }
         let _ = writeln!(out, "<path class=\"axis\" d=\"M{LEFT} {top:.1} V{bottom:.1} H{right:.1}\"/>");
@@ -253,6 +264,23 @@ impl Chart {
         let upwards = format!("text-anchor=\"middle\" transform=\"rotate(-90 16 {level:.1})\"");
         text(out, (16.0, level), &upwards, self.y.label());
     }
+}
+
+/// Width and height of a label of length 1 that rises by 30 degrees.
+const ASLANT: (f64, f64) = (0.87, 0.5);
+/// Most height that labels take below a plot.
+const MAX_BELOW: f64 = 190.0;
+
+/// A text without its middle, if it is wider than its room: what names share stands at the beginning.
+fn shortened(text: &str, room: f64) -> String {
+    let (n, fits) = (text.chars().count(), (room / CHARACTER).max(4.0) as usize);
+    if n <= fits {
+        return text.to_owned();
+    }
+    let head = (fits - 1) / 3;
+    let tail = fits - 1 - head;
+    let (head, tail): (String, String) = (text.chars().take(head).collect(), text.chars().skip(n - tail).collect());
+    format!("{head}\u{2026}{tail}")
 }
 
 /// Lets charts share their axes.
@@ -359,6 +387,39 @@ mod tests {
         assert_eq!(Tukey::of(&[]), None);
         let one = Tukey::of(&[2.0]).unwrap();
         assert_eq!((one.median, one.whiskers), (2.0, [2.0, 2.0]));
+    }
+
+    #[test]
+    fn no_label_begins_left_of_the_drawing_or_ends_right_of_it() {
+        let long = |k: usize| format!("icp = icp.a_kind_with_a_very_long_name_of_its_own_{k}, noise = 0.0{k}, bone = left femur {k}");
+        let chart = Chart {
+            title: long(0).repeat(2),
+            about: String::new(),
+            x: Axis::Categories { label: "setting".into(), names: (0..6).map(long).collect() },
+            y: Axis::Linear("TRE (mm)".into()),
+            series: vec![Series { name: long(1).repeat(2), colour: 0, marks: vec![Mark::Line(vec![(0.0, 0.0), (5.0, 1.0)])] }],
+            note: String::new(),
+        };
+        let svg = chart.svg(true);
+        let read = roxmltree::Document::parse(&svg).unwrap();
+        let mut n_aslant = 0;
+        for node in read.descendants().filter(|node| node.has_tag_name("text")) {
+            let x: f64 = node.attribute("x").unwrap().parse().unwrap();
+            let width = node.text().unwrap_or_default().chars().count() as f64 * CHARACTER;
+            match node.attribute("transform") {
+                Some(turned) if turned.starts_with("rotate(-30") => {
+                    n_aslant += 1;
+                    assert!(x - width * ASLANT.0 >= -CHARACTER, "{:?} begins at {}", node.text(), x - width * ASLANT.0);
+                }
+                Some(_) => {}
+                None if node.attribute("text-anchor").is_none() && node.attribute("class").is_none() => {
+                    assert!(x + width <= WIDTH, "{:?} ends at {}", node.text(), x + width);
+                }
+                None => {}
+            }
+        }
+        assert_eq!(n_aslant, 6);
+        assert_eq!(shortened("icp.point_to_plane, 0.05", 8.0 * CHARACTER), "ic\u{2026}, 0.05".to_owned());
     }
 
     #[test]

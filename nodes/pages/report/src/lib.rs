@@ -18,6 +18,7 @@
 mod cell;
 mod chart;
 mod citations;
+mod degrees;
 pub mod diagram;
 mod error;
 pub mod format;

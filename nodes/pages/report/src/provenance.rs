@@ -28,12 +28,25 @@ pub(crate) fn of_run(page: &mut Page, dir: &Path, manifest: &Json) {
 /// The provenance of a sweep, from its `sweep.json`.
 pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
     let hash = row("hash of everything that determines the tables", word(&about["hash"]));
-    page.table("Provenance of this sweep.", &HEADS, &rows(dir, about, [hash, row("runs", word(&about["n_runs"]))]));
+    let mut rows = rows(dir, about, [hash, row("runs", word(&about["n_runs"]))]);
+    if let Some([began, ended]) = dates(dir) {
+        rows.push(row("began, by the time of sweep.json", began));
+        rows.push(row("latest table, by the time of summary.json", ended));
+    }
+    page.table("Provenance of this sweep.", &HEADS, &rows);
     again(page, &about["command"]);
     inputs(page, Path::new(""), &about["inputs"], &about["plugins"]);
     if let Ok(graph) = fs::read_to_string(dir.join(osteoflow_engine::sweep::GRAPH)) {
         page.folded("The frozen graph (sweep.toml), without the settings of any run", &graph);
     }
+}
+
+/// When a sweep began and when its summary was written, by the times of its files: what determines the tables has no time.
+pub(crate) fn dates(dir: &Path) -> Option<[String; 2]> {
+    let time = |name: &str| fs::metadata(dir.join(name)).ok()?.modified().ok();
+    let (began, ended) = (time(osteoflow_engine::sweep::DESIGN)?, time(crate::summary::SUMMARY)?);
+    let shown = |time| jiff::Timestamp::try_from(time).ok().map(|time| time.strftime("%Y-%m-%d %H:%M UTC").to_string());
+    Some([shown(began)?, shown(ended)?])
 }
 
 const HEADS: [&str; 2] = ["what", "value"];

@@ -52,7 +52,8 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     }
     // Pictures of refused results would show them as if they were right.
     let refused = verdict.as_ref().filter(|verdict| verdict.answer() == Answer::Refused);
-    let refused = refused.map(|verdict| format!("the result is refused: {}", verdict.sentence()));
+    // The verdict above has the reason.
+    let refused = refused.map(|_| "the result is refused".to_owned());
 
     page.section("Registration");
     views::scan(&mut page, &run, refused.as_deref());
@@ -101,7 +102,8 @@ pub(crate) fn graph(page: &mut Page, mut diagram: Diagram, caption: &str) {
 fn outcome(page: &mut Page, run: &RunFolder) {
     let outcome = &run.manifest["outcome"];
     let status = outcome["status"].as_str().unwrap_or("unfinished");
-    if status != "complete" {
+    let is_said = Verdict::of(&run.results).is_some_and(|verdict| status == "refused" && verdict.is_judged());
+    if status != "complete" && !is_said {
         let node = outcome["node"].as_str().map(|node| format!(" at node \"{node}\"")).unwrap_or_default();
         let reason = outcome["reason"].as_str().unwrap_or("the manifest gives no reason");
         page.text(&format!("The run ended as {status}{node}: {reason}."));

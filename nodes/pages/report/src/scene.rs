@@ -18,7 +18,7 @@ const DIVERGING: [&str; 7] = ["#0073b2", "#529fc7", "#a5cbdd", "#f7f7f2", "#ecc4
 /// Registered or planned.
 pub(crate) const BLUE: &str = "#0072b2";
 /// Measured or executed.
-pub(crate) const RED: &str = "#d55e00";
+pub(crate) const ORANGE: &str = "#d55e00";
 /// The bone.
 pub(crate) const BONE: &str = "#d9cfbb";
 

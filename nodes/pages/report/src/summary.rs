@@ -1,12 +1,11 @@
 //! The summary of a sweep: statistics of each column under each setting, and paired comparisons.
 
 mod compared;
-mod degrees;
 mod group;
 mod rows;
 
 pub use compared::{NoPairs, between, with_holm};
-pub use degrees::{in_degrees, shown_unit};
+pub use crate::degrees::{in_degrees, shown_unit};
 pub(crate) use rows::from_to;
 pub use rows::{TableRow, about_few, comparison, statistics, under_heads, units};
 

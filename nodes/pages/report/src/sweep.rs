@@ -45,26 +45,26 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
     let mut page = Page::new(&format!("Sweep of {name}"), simulated);
     page.hide(Paths::of(&sweep.about, dir));
 
-    page.section("Design");
-    page.text(&sweep.design());
-    failures(&mut page, &sweep);
-    verdicts(&mut page, &sweep);
-    page.section("The graph as run");
-    let graphs = again::graphs(&sweep, &folder, kinds);
-    again::picture(&mut page, &sweep, &graphs);
-    page.section("Figures");
-    figures::columns(&mut page, &sweep);
-    figures::points(&mut page, &sweep);
-    figures::draws(&mut page, &sweep);
-    figures::times(&mut page, &sweep);
-    again::maps(&mut page, &sweep, &folder, kinds);
     page.section("Statistics");
+    failures(&mut page, &sweep);
     match dir.join(SUMMARY).is_file() {
         true => statistics::tables(&mut page, &sweep, &summary::read(&folder)?),
         false => {
             page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep writes")
         }
     }
+    verdicts(&mut page, &sweep);
+    page.section("Design");
+    page.text(&sweep.design());
+    page.section("Figures");
+    figures::columns(&mut page, &sweep);
+    figures::points(&mut page, &sweep);
+    figures::draws(&mut page, &sweep);
+    figures::times(&mut page, &sweep);
+    again::maps(&mut page, &sweep, &folder, kinds);
+    page.section("The graph as run");
+    let graphs = again::graphs(&sweep, &folder, kinds);
+    again::picture(&mut page, &sweep, &graphs);
     page.section("Methods");
     let (steps, registry) = match &graphs {
         Ok(graphs) => (again::steps(graphs), graphs.first().map_or(registry, |checked| &checked.registry)),
@@ -78,7 +78,8 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
     provenance::of_sweep(&mut page, dir, &sweep.about);
     page.section("References");
     let bibliography = citations::section(&mut page, &methods::kinds_of(&steps), registry);
-    let (html, figures) = page.finish(&provenance::folder_name(dir));
+    let made = provenance::dates(dir).map_or_else(String::new, |[_, ended]| format!(", {ended}"));
+    let (html, figures) = page.finish(&format!("{}{made}", provenance::folder_name(dir)));
     Ok(Report { html, figures, bibliography, fault: None })
 }
 
@@ -179,7 +180,7 @@ impl SweepResults {
             "{origin}. The graph \"{}\" was run {} times with osteoflow {} (git {}). {} All settings have the same draws and \
              seeds, so they are paired. n is the number of units at the highest level named; rows of one unit \
              are not independent. Boxes are Tukey's: quartiles and median, whiskers to the last values within 1.5 \
-             interquartile ranges. Lengths are in millimetres.",
+             interquartile ranges. Lengths are in millimetres, angles in degrees.",
             self.about["graph"]["name"].as_str().unwrap_or("?"),
             self.runs.len(),
             command["version"].as_str().unwrap_or("?"),
@@ -202,6 +203,16 @@ struct Setting<'a> {
     runs: Vec<&'a Done>,
 }
 
+impl Setting<'_> {
+    /// Its values alone, for an axis that names the factors.
+    fn short(&self) -> String {
+        match self.values.as_slice() {
+            [] => self.name.clone(),
+            values => values.iter().map(|(_, value)| label(value)).collect::<Vec<_>>().join(", "),
+        }
+    }
+}
+
 /// `icp.point_to_plane` for one factor, `icp = icp.point_to_plane, bone = 2` for several.
 fn setting_name(values: &[(&str, &Json)]) -> String {
     match values {
@@ -219,12 +230,13 @@ fn label(value: &Json) -> String {
     if word.contains(',') { format!("\u{201c}{word}\u{201d}") } else { word }
 }
 
-/// The number of a complete run in a column.
+/// The number of a complete run in a column, in the unit that is shown: angles in degrees.
 fn number_of(run: &Done, column: &Column) -> Option<f64> {
     at_path(&run.results, &column.path)
         .filter(|_| run.is_complete())
         .and_then(Json::as_f64)
         .filter(|value| value.is_finite())
+        .map(|value| value * summary::shown_unit(&column.name).1)
 }
 
 fn distribution(of: &Distribution) -> String {

@@ -23,18 +23,23 @@ pub(super) fn size_reason(registered: &Registered<'_>, evidence: &Evidence) -> O
         return None;
     }
     let spans = format!("the scan spans {scan_mm:.0} mm and the bone {bone_mm:.0} mm");
-    let as_bone = |(unit_mm, _): &(f64, &str)| BONE_MM.contains(&(bone_mm * unit_mm)) && bone_mm * unit_mm > scan_mm;
-    let unit = UNITS.iter().find(|unit| !BONE_MM.contains(&bone_mm) && as_bone(unit));
-    Some(match (unit, registered.target.mesh()) {
-        (Some((unit_mm, name)), _) => {
+    let as_bone = |(unit_mm, _): &&(f64, &str)| BONE_MM.contains(&(bone_mm * unit_mm)) && bone_mm * unit_mm > scan_mm;
+    let units: Vec<_> = UNITS.iter().filter(|_| !BONE_MM.contains(&bone_mm)).filter(as_bone).collect();
+    let listed = |words: &dyn Fn(&(f64, &str)) -> String| {
+        units.iter().map(|unit| words(unit)).collect::<Vec<_>>().join(" or ")
+    };
+    Some(match (units.first(), registered.target.mesh()) {
+        (Some((unit_mm, _)), _) => {
             let reason = format!(
-                "{spans}, and they differ by {:.1} mm where they meet: is the bone in {name}? It would then span {:.0} mm",
+                "{spans}, and they differ by {:.1} mm where they meet: is the bone in {}? It would then span {}",
                 evidence.misfit.rms_mm,
-                bone_mm * unit_mm
+                listed(&|(_, name)| (*name).to_owned()),
+                listed(&|(unit_mm, _)| format!("{:.0} mm", bone_mm * unit_mm)),
             );
             let remedy = format!(
-                "give its unit (register: --target-unit-mm {unit_mm}; in a graph: bone.unit_mm = {unit_mm:?}); if surroundings make the \
-                 scan longer than the bone, crop it"
+                "give its unit (register: --target-unit-mm {}; in a graph: bone.unit_mm = {unit_mm:?}); if surroundings make the scan \
+                 longer than the bone, crop it",
+                listed(&|(unit_mm, _)| unit_mm.to_string()),
             );
             Reason::new("size", Answer::Refused, reason, remedy)
         }

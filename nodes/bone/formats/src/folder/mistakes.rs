@@ -27,7 +27,7 @@ const TIMES: [(f64, &str, &str); 3] = [(1e9, "seconds", "s"), (1e6, "millisecond
 /// A row of a file of poses in which the marker was seen.
 #[derive(Debug, Clone)]
 pub(super) struct RowRead {
-    pub(super) line: usize,
+    pub(super) line: u64,
     pub(super) parent: String,
     pub(super) child: String,
     pub(super) stamp_ns: StampNs,
@@ -56,7 +56,7 @@ pub(super) fn check(files: &[PosesFile], scans: &[StampNs]) -> Result<(), FileEr
     files.iter().try_for_each(|file| times(file, scans))
 }
 
-fn fault(path: &Path, line: usize, message: String) -> FileError {
+fn fault(path: &Path, line: u64, message: String) -> FileError {
     FileError::content(path, format!("line {line}"), message)
 }
 
@@ -66,8 +66,8 @@ fn exchanged(path: &Path, row: &RowRead) -> Result<(), FileError> {
     if child == WORLD || (MARKERS.contains(&parent.as_str()) && !MARKERS.contains(&child.as_str())) {
         let message = format!(
             "parent is \"{parent}\" and child is \"{child}\"; likely cause: parent and child are exchanged, as a row is the pose of a \
-             marker in the world (parent {WORLD}, child {parent}); exchange the two, or invert the poses if they are those of the \
-             {child} in the marker"
+             marker (parent {child}, child {parent}); exchange the two, or invert the poses if they are those of the {child} in the \
+             marker"
         );
         return Err(fault(path, *line, message));
     }
@@ -171,6 +171,27 @@ fn times(file: &PosesFile, scans: &[StampNs]) -> Result<(), FileError> {
     Ok(())
 }
 
+/// The pose of the marker on the phantom, read with the scalar first, where that is what the plan says of it and the pose as it is
+/// read is not.
+pub(super) fn against_plan(file: &PosesFile, planned: &UnitQuaternion<f64>) -> Result<(), FileError> {
+    let Some(row) = file.rows.iter().find(|row| row.parent == "phantom") else { return Ok(()) };
+    let q = row.rotation.quaternion();
+    let reread = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(q.i, q.j, q.k, q.w));
+    let [as_read, as_reread] = [&row.rotation, &reread].map(|turn| turn.angle_to(planned).to_degrees());
+    if as_read < SAME_DEG || as_reread > SAME_DEG {
+        return Ok(());
+    }
+    let message = format!(
+        "{} in the phantom is turned by {as_read:.1} degrees against the plan, and by {as_reread:.1} if the scalar of its quaternion comes \
+         first; likely cause: it does; qx,qy,qz,qw are expected: name the columns in their order, which may be any",
+        row.child
+    );
+    Err(fault(&file.path, row.line, message))
+}
+
+/// Turns that are the same but for rounding and a mounted marker, degrees.
+const SAME_DEG: f64 = 1.0;
+
 /// A sign that the scalar of the quaternions comes first, in words.
 ///
 /// Programs write a quaternion and not its negative, which is the same rotation, so that the scalar is positive.
@@ -203,7 +224,7 @@ pub(super) fn scalar_first(file: &PosesFile) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn row(line: usize, parent: &str, child: &str, translation: [f64; 3]) -> RowRead {
+    fn row(line: u64, parent: &str, child: &str, translation: [f64; 3]) -> RowRead {
         let rotation = UnitQuaternion::identity();
         let stamp_ns = 1_750_000_000_000_000_000 + line as i64;
         RowRead { line, parent: parent.into(), child: child.into(), stamp_ns, translation: translation.into(), rotation }
@@ -264,7 +285,7 @@ mod tests {
             let rows = (0..40).map(|k| {
                 let q = turned(k);
                 let read = if is_first { nalgebra::Quaternion::new(q.k, q.w, q.i, q.j) } else { q };
-                RowRead { rotation: UnitQuaternion::new_unchecked(read), ..row(k + 2, "world", "camera_marker", AT) }
+                RowRead { rotation: UnitQuaternion::new_unchecked(read), ..row(k as u64 + 2, "world", "camera_marker", AT) }
             });
             PosesFile { path: "poses.csv".into(), rows: rows.collect() }
         };

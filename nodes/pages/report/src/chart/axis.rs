@@ -1,5 +1,7 @@
 //! Axes: labels, scales and ticks.
 
+use crate::degrees::shown_unit;
+
 /// An axis of a chart.
 #[derive(Debug, Clone)]
 pub(crate) enum Axis {
@@ -168,6 +170,8 @@ pub(crate) fn axis_label(column: &str) -> String {
         ("_s", "s"),
         ("_share", "share"),
     ];
+    // Angles are shown in degrees.
+    let (column, _) = shown_unit(column);
     let unit = UNITS.iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, unit)));
     match unit {
         Some((name, unit)) if !name.is_empty() => format!("{} ({unit})", name.replace('_', " ")),
@@ -199,6 +203,6 @@ mod tests {
     #[test]
     fn a_column_is_named_with_its_unit() {
         let names = ["tre_z_mm", "icp_time_ms", "inlier_share", "iterations", "tilt_rad"].map(axis_label);
-        assert_eq!(names, ["tre z (mm)", "icp time (ms)", "inlier (share)", "iterations", "tilt (rad)"]);
+        assert_eq!(names, ["tre z (mm)", "icp time (ms)", "inlier (share)", "iterations", "tilt (\u{b0})"]);
     }
 }

@@ -122,7 +122,7 @@ impl Maps {
             let DistanceSummary { n, mean_mm, sd_mm, max_mm, .. } = summary;
             let caption = format!(
                 "The executed fragment{of}, {what}, coloured by the signed distance of its vertices from the planned \
-                 fragment (orange: outside it). Surface to surface, both ways: {} \u{b1} {} mm, at most {} mm (n = {n} points \
+                 fragment (orange: outside it, blue: inside). Surface to surface, both ways: {} \u{b1} {} mm, at most {} mm (n = {n} points \
                  of one pair of fragments).",
                 number(*mean_mm),
                 number(*sd_mm),

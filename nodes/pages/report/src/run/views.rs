@@ -11,7 +11,7 @@ use crate::{
     format::number,
     html::Page,
     run_folder::RunFolder,
-    scene::{self, BLUE, BONE, RED, Scene, packed},
+    scene::{self, BLUE, BONE, ORANGE, Scene, packed},
 };
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::{
@@ -209,7 +209,7 @@ fn axes(run: &RunFolder, node: &str) -> Result<Axes, String> {
     Ok(principal_axes(&run.input::<Mesh>(node, "bone")?))
 }
 
-/// Registered points in blue and measured points in red, in CT coordinates.
+/// Registered points in blue and measured points in orange, in CT coordinates.
 fn points(page: &mut Page, run: &RunFolder, (report, planned, axes): (&TreReport, &Points, &Axes), source: &str) {
     let mut pairs = Vec::new();
     for point in &report.points {
@@ -229,16 +229,16 @@ fn points(page: &mut Page, run: &RunFolder, (report, planned, axes): (&TreReport
         Err(why) => page.missing("The bone behind the points", &why),
     }
     let far: Vec<_> = pairs.iter().flat_map(|(_, at, error)| [*at, at + error * ENLARGED]).collect();
-    scene.lines("errors", &far, RED);
+    scene.lines("errors", &far, ORANGE);
     scene.points("planned", &planned_at, 0.6, BLUE);
-    scene.points("measured", &measured_at, 0.6, RED);
+    scene.points("measured", &measured_at, 0.6, ORANGE);
     for (point, at, _) in &pairs {
         scene.tag("names", at, &format!("{} {} mm", point.name, number(point.norm)));
     }
     scene.key(BLUE, "planned");
-    scene.key(RED, &format!("{source}, transformed to CT by the registration"));
+    scene.key(ORANGE, &format!("{source}, transformed to CT by the registration"));
     let caption = format!(
-        "Assessment points in CT: planned (blue) and {source} (red), transformed to CT by the registration; n = {} points, \
+        "Assessment points in CT: planned (blue) and {source} (orange), transformed to CT by the registration; n = {} points, \
          mean error {} mm. Lines show the errors enlarged {ENLARGED} times.",
         report.n,
         number(report.mean_abs.norm)
@@ -316,7 +316,7 @@ pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
     let along = principal_axes(&bone).columns.column(2).into_owned();
     let mut scene = Scene::looking(&corners, along, Vector3::zeros());
     with_bone(page, &mut scene, &bone);
-    for (layer, planes, colour) in [("planned", &planned, BLUE), ("executed", &executed, RED)] {
+    for (layer, planes, colour) in [("planned", &planned, BLUE), ("executed", &executed, ORANGE)] {
         let known = planes.planes.iter().filter_map(|plane| Some((plane, *plane.isometry()?)));
         // One name for both.
         let named = known.map(|(plane, t)| (if colour == BLUE { &*plane.name } else { "" }, t));
@@ -326,7 +326,7 @@ pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
         scene.lines(&format!("{layer}, on the bone"), &outlines, colour);
     }
     scene.key(BLUE, "planned");
-    scene.key(RED, "executed according to the registration");
+    scene.key(ORANGE, "executed according to the registration");
     let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
                    plane is carried to the world by the registration and back by the true pose. Nothing was cut.";
     page.view("cuts", &scene, caption);

@@ -2,7 +2,8 @@
 
 use super::{Setting, SweepResults, label as quoted, number_of, setting_name};
 use crate::{
-    chart::{Axis, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, panels, share_axes},
+    degrees::shown_unit,
+    chart::{Axis, COLOURS, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, panels, share_axes},
     format::number,
     html::Page,
 };
@@ -191,7 +192,7 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Stri
         about: format!("A box of {} for each of {} settings.", column.name, settings.len()),
         x: Axis::Categories {
             label: setting_label(settings),
-            names: settings.iter().map(|s| s.name.clone()).collect(),
+            names: settings.iter().map(Setting::short).collect(),
         },
         y: Axis::Linear(axis_label(&column.name)),
         series: marks.collect(),
@@ -203,8 +204,8 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Stri
 /// The factor's name, if only one is varied.
 fn setting_label(settings: &[Setting<'_>]) -> String {
     match settings.first().map(|setting| setting.values.as_slice()) {
-        Some([(name, _)]) => axis_label(name),
-        _ => "setting".into(),
+        Some([]) | None => "setting".into(),
+        Some(values) => values.iter().map(|(name, _)| axis_label(name)).collect::<Vec<_>>().join(", "),
     }
 }
 
@@ -230,7 +231,8 @@ pub(super) fn points(page: &mut Page, sweep: &SweepResults) {
         }
         let of = |setting: Option<&Setting<'_>>, axis: &str| -> Vec<f64> {
             let wanted = |run: usize| setting.is_none_or(|setting| setting.runs.iter().any(|of| of.run == run));
-            own.iter().filter(|(run, v)| v.axis == axis && wanted(run.run)).map(|(_, v)| v.value).collect()
+            let values = own.iter().filter(|(run, v)| v.axis == axis && wanted(run.run));
+            values.map(|(_, v)| v.value * shown_unit(&measure.name).1).collect()
         };
         let n_axes = measure.axes.len().max(1) as f64;
         let one = settings.len() == 1;
@@ -244,7 +246,7 @@ pub(super) fn points(page: &mut Page, sweep: &SweepResults) {
         });
         let (label, names) = match one {
             true => ("axis".into(), measure.axes.clone()),
-            false => (setting_label(&settings), settings.iter().map(|s| s.name.clone()).collect::<Vec<_>>()),
+            false => (setting_label(&settings), settings.iter().map(Setting::short).collect::<Vec<_>>()),
         };
         let n_points = own.iter().map(|(run, v)| (run.run, &v.point)).collect::<std::collections::BTreeSet<_>>().len();
         let n_runs = own.iter().map(|(run, _)| run.run).collect::<std::collections::BTreeSet<_>>().len();
@@ -256,10 +258,11 @@ pub(super) fn points(page: &mut Page, sweep: &SweepResults) {
             series: series.collect(),
             note: String::new(),
         };
+        let axes = measure.axes.iter().enumerate().map(|(k, axis)| format!("{axis} ({})", COLOURS[k % N_COLOURS]));
         let caption = format!(
             "{} at the points, signed, along {}: n = {n_points} points of {n_runs} runs; points of one run are not independent.",
             axis_label(&measure.name),
-            measure.axes.join(", "),
+            axes.collect::<Vec<_>>().join(", "),
         );
         page.figure(&format!("points-{}", measure.name), chart.svg(page.simulated()), &caption);
     }

@@ -5,35 +5,38 @@ use crate::{
     cell::Cell,
     chart::axis_label,
     html::Page,
-    summary::{TableRow, about_few, comparison, statistics, word},
+    summary::{TableRow, about_few, comparison, in_degrees, statistics, word},
 };
 use osteoflow_statistics::counted;
 use serde_json::Value as Json;
 
 /// All tables of a summary.
 pub(super) fn tables(page: &mut Page, sweep: &SweepResults, summary: &Json) {
+    let comparisons: Vec<_> = summary["comparisons"].as_array().into_iter().flatten().map(compared).collect();
+    if !comparisons.is_empty() {
+        let caption = "Second against first, paired: Wilcoxon's signed ranks (effect: rank-biserial), Bland-Altman's limits of \
+                       agreement, equivalence by two one-sided tests.";
+        page.rows(caption, &comparisons);
+    }
     if let Some(about) = about_few(summary) {
         page.text(&about);
     }
     let groups: Vec<&Json> = summary["groups"].as_array().into_iter().flatten().collect();
     let columns = sweep.spec.columns.iter().map(|column| {
         let rows = groups.iter().filter(|group| group["columns"][&column.name].is_object());
-        (axis_label(&column.name), rows.map(|group| row(group, None, &group["columns"][&column.name])).collect())
+        let of = |group: &&&Json| in_degrees(&column.name, &group["columns"][&column.name]).1;
+        (axis_label(&column.name), rows.map(|group| row(group, None, &of(&group))).collect())
     });
     gathered(page, "by column: n runs, and the number of units", groups.len(), columns.collect());
     let points = sweep.spec.points.iter().map(|measure| {
         let axes = groups.iter().flat_map(|group| {
             let of = &group["points"][&measure.name];
             let there = measure.axes.iter().filter(|axis| of[axis.as_str()].is_object());
-            there.map(move |axis| row(group, Some(axis), &of[axis.as_str()]))
+            there.map(move |axis| row(group, Some(axis), &in_degrees(&measure.name, &of[axis.as_str()]).1))
         });
         (axis_label(&measure.name), axes.collect())
     });
     gathered(page, "at the points, signed: n values, and the number of units", groups.len(), points.collect());
-    let comparisons = summary["comparisons"].as_array().into_iter().flatten();
-    let caption = "Second against first, paired: Wilcoxon's signed ranks (effect: rank-biserial), Bland-Altman's limits of \
-                   agreement, equivalence by two one-sided tests.";
-    page.rows(caption, &comparisons.map(compared).collect::<Vec<_>>());
     for note in summary["notes"].as_array().into_iter().flatten().filter_map(Json::as_str) {
         page.text(note);
     }
@@ -69,7 +72,7 @@ fn compared(of: &Json) -> TableRow {
     let mut row = TableRow::from([("column".into(), Cell::word(axis_label(&word(&of["column"]))))]);
     row.extend(settings(&of["setting"]));
     row.extend([("first", "a"), ("second", "b")].map(|(head, key)| (head.into(), Cell::word(word(&of[key])))));
-    row.extend(comparison(of));
+    row.extend(comparison(&in_degrees(&word(&of["column"]), of).1));
     row
 }
 
