@@ -31,9 +31,8 @@ pub struct PortParams {
     /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
-    /// The stamp for messages that have none: `refuse`, or `publish_time`, the time at which they were published.
-    /// `refuse`: if a pose of the recording moves, that time would pair messages wrongly, so they are refused; if no
-    /// pose moves, that time is used, with a warning.
+    /// What the stamp is of messages that have none: `refuse`, or `publish_time`, the time at which they were published. `refuse`: if
+    /// a pose of the recording moves, that time pairs them wrongly; where none does, it is used and told.
     pub unstamped: Unstamped,
     /// The metadata record that holds the region of interest, or the key named by `key`; such as `procedure`.
     pub metadata: Option<String>,

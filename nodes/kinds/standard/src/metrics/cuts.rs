@@ -7,10 +7,9 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The error of the cuts against the planned ones, where the true registration is known.
 ///
-/// A planned plane is moved to the world by the registration and back to CT by the true registration. With `truth`,
-/// where CT and plan may differ from the bone, it is moved back by the motion from the intended plane to the planned
-/// one. The report has offset, tilt and roll where the plane meets the bone, and the length of the segment between two
-/// planes.
+/// A planned plane is carried to the world by the registration and back to CT by the true one, or, with `truth`, where CT and
+/// plan may differ from the bone, by the motion from the plane that was meant to the planned one. Reported are offset, tilt
+/// and roll where it meets the bone, and the length of the segment between two planes.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -22,8 +22,8 @@ use std::{path::PathBuf, sync::Arc};
 /// A bone from a file that holds a surface, points of a surface, or a CT.
 ///
 /// A surface is STL, PLY, OBJ, OFF or VTK; points are PLY, PCD, VTK or text; a CT is NIfTI, NRRD or the folder of a DICOM series,
-/// from which the surface is taken as by `surface.ct`. The format is recognised by the content. Either `mesh` or
-/// `points` has an item; `surface.prepare_any` takes either.
+/// from which the surface is taken as by `surface.ct`. The format is recognised by the content. One of `mesh` and `points` has an
+/// item; `surface.prepare_any` takes either.
 #[derive(Describe)]
 #[describe(
     example = r#"
