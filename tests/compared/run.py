@@ -36,7 +36,7 @@ QUIET = {**os.environ, "NO_COLOR": "1", "OSTEOFLOW_CACHE": "off", "PYTHONDONTWRI
 def timed(*command, **options):
     """What a program prints, and the processor seconds that it and its children took."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = run(*command, env=QUIET, **options)
+    done = run(*command, env=QUIET, timeout=1800, **options)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return done.stdout, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
