@@ -11,9 +11,9 @@ mod broken_graphs;
 mod clients;
 mod clusters;
 mod command_line;
+mod common;
 #[cfg(unix)]
 mod compared;
-mod common;
 mod dependencies;
 #[cfg(target_os = "linux")]
 mod disk;

@@ -1,6 +1,6 @@
 //! The page beside a camera of 20 clouds of 20,000 points a second: 30 minutes, with SLOW_TESTS only.
 //!
-//! Memory of page and program, and messages lost, decide; times are printed for docs/begin/viewing.md.
+//! Memory of page and program, and messages lost, decide; times are printed for docs/project/measured.md.
 
 use crate::common::{browser::Browser, is_slow_run, served::Served};
 use osteoflow_formats::{

@@ -2,7 +2,7 @@
 
     python compare_executors.py [--rows 12] [--repeat 5]
 
-Prints the figures of docs/use/clusters.md: rows of a few milliseconds, which show the cost of a task, and registrations, on one and on
+Prints the figures of docs/project/measured.md: rows of a few milliseconds, which show the cost of a task, and registrations, on one and on
 two worker processes. All are measured in turn; a row shows the fastest, and the gain is that of each turn. Nothing is taken from
 the store.
 """

@@ -66,10 +66,10 @@ def _has(module):
     return True
 
 
-def run(*arguments, check=True, **options):
+def run(*arguments, check=True, timeout=300, **options):
     """Runs a program; its output as text."""
     arguments = [str(argument) for argument in arguments]
-    done = subprocess.run(arguments, capture_output=True, text=True, encoding="utf-8", errors="replace", timeout=300, **options)
+    done = subprocess.run(arguments, capture_output=True, text=True, encoding="utf-8", errors="replace", timeout=timeout, **options)
     if check and done.returncode != 0:
         raise AssertionError(f"{' '.join(arguments)} ended with {done.returncode}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
     return done

@@ -1,6 +1,6 @@
 """Registers a scan onto a bone without a start, as Open3D's tutorial on global registration does: features, RANSAC, then ICP.
 
-    python3 open3d_two_files.py BONE SCAN [TRIES]      prints the pose, 4 x 4, mm
+    python3 open3d_two_files.py BONE SCAN [TRIES] [SEED]      prints the pose, 4 x 4, mm
 
 RANSAC is random, so it is tried several times (10), and the try is kept of which most points fit within 1 mm.
 """
@@ -12,7 +12,7 @@ import open3d as o3d
 
 bone_file, scan_file = sys.argv[1:3]
 tries = int(sys.argv[3]) if len(sys.argv) > 3 else 10
-o3d.utility.random.seed(0)
+o3d.utility.random.seed(int(sys.argv[4]) if len(sys.argv) > 4 else 0)
 VOXEL = 2.0  # mm: chosen by hand for a fibula
 reg = o3d.pipelines.registration
 

@@ -30,7 +30,7 @@ pub trait Node: Describe + Send + Sized + 'static {
     /// One firing.
     ///
     /// # Errors
-    /// [`NodeError`] if there is no result; the outputs then get an empty with the reason.
+    /// [`NodeError`] if there is no result; the outputs then get an empty that says why.
     fn process(&mut self, inputs: Self::Inputs, ctx: &mut Context) -> Result<Self::Outputs, NodeError>;
 }
 

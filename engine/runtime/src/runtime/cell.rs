@@ -115,7 +115,7 @@ pub(crate) struct Input {
 enum Phase {
     /// The node fires.
     Open,
-    /// The node has failed: once its outputs have room they get an empty with the reason, and end.
+    /// The node has failed: once its outputs have room they get an empty that says why, and end.
     Failing(Arc<Empty>),
     /// The node has ended and discards what still arrives, so that no producer blocks.
     Draining,

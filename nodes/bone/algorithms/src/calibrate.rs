@@ -80,7 +80,7 @@ pub struct PhantomParams {
     #[schemars(range(min = 0.1, max = 1000.0))]
     pub max_pair_distance_mm: f64,
     /// Pairs farther apart than this many standard deviations have no weight in the last steps, after a first fit by all
-    /// pairs. 6: what stands around the phantom is left out, no face is, however few of the points are on it.
+    /// pairs. 6: things around the phantom are left out, but no face of the phantom is, even if few points are on it.
     #[schemars(range(min = 1.0, max = 1000.0))]
     pub gate_sigmas: f64,
     /// Smooth error of the camera's depth, mm, which a motion of the phantom may hide, so that it is not seen in the

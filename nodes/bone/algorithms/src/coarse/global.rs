@@ -83,12 +83,12 @@ pub struct GlobalParams {
     /// Number of starts around the bone. 12: 30 degrees apart, half of which the same steps recover.
     #[schemars(range(min = 4, max = 360))]
     pub n_turns: usize,
-    /// Maximum number of starts, the best of those that came to lie apart, that are refined on the map. 40: a fibula has fewer
-    /// plausible places.
+    /// Maximum number of starts that are refined on the map: the best ones, of those at different places. 40: a fibula
+    /// has fewer plausible places.
     #[schemars(range(min = 1, max = 10_000))]
     pub n_refined: usize,
-    /// Maximum number of those, the best again and at least 4 mm apart, that are registered onto the surface. 4: the right one
-    /// and its rivals.
+    /// Maximum number of refined starts that are registered onto the surface: the best ones, at least 4 mm apart. 4:
+    /// the right one and its rivals.
     #[schemars(range(min = 1, max = 1000))]
     pub n_registered: usize,
 }

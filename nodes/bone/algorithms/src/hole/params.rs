@@ -18,9 +18,9 @@ pub struct HoleParams {
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_confidence: f64,
     /// Minimum confidence of a hole of the second tier, which lacks its whole disc and is the only candidate: no other has
-    /// half its score. 0.14: spots at the silhouette, which hides up to two thirds of them; lost patches rarely lack a whole disc. Such a
-    /// hole counts only where something else confirms it, as the distances to other landmarks in `coarse.three_point`.
-    /// 1: no second tier.
+    /// half its score. 0.14: spots at the silhouette, which hides up to two thirds of them; lost patches rarely lack a
+    /// whole disc. Such a hole is used only if something else confirms it, such as the distances to other landmarks in
+    /// `coarse.three_point`. 1: no second tier.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_confidence_agreeing: f64,
 }

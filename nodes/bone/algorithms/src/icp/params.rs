@@ -19,7 +19,7 @@ pub const NO_FIELD: &str = "there is no closest-point field any more: pairing = 
 }))]
 pub struct IcpParams {
     /// Largest distance of a pair, mm. 5: twice the largest error of a three-point fit to laser holes, and less than half the
-    /// thickness of a fibula, so that no point pairs with the far side.
+    /// thickness of a fibula, so that no point pairs with the opposite side of the bone.
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub max_pair_distance_mm: f64,
     /// Correspondence search. `cached`: the nearest samples, searched again only after a point has moved so far that another

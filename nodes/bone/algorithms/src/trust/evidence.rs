@@ -46,8 +46,8 @@ pub struct Registered<'a> {
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvidenceParams {
-    /// Whether the scan is also registered by shape alone, as a second opinion. true: landmarks that are swapped, slid or of
-    /// another bone are told by it; it takes about 0.15 s of one core.
+    /// Whether the scan is also registered by shape alone, as a second opinion. true: it notices landmarks that are
+    /// swapped, displaced or of another bone; it takes about 0.15 s of one core.
     pub shape: bool,
     /// When the scan's mirror image is registered too: `always`, `never`, or `if_raised`, where another sign is. `if_raised`: it
     /// names the cause, and no mirrored bone passes the other signs.

@@ -13,7 +13,7 @@ use osteoflow_payloads::Json;
 use serde_json::json;
 use std::sync::Arc;
 
-/// A scan from a file of points, of any format that `register` reads; of a surface the vertices.
+/// A scan from a file of points, in any format that `register` reads; if the file is a surface, its vertices.
 ///
 /// Points that are not finite are left out, with a warning that counts them. So are pixels without depth: points at 0, 0, 0, or at one value
 /// that more than 1 % of the points share, if it is outside of the box around all others and farther from each of them than 20 times

@@ -39,7 +39,7 @@ pub struct Params {
     /// The folder with `procedure.toml`, or that file.
     pub path: FilePath,
     /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and its
-    /// poses are empties with the reason until they change. Unset: 2000, forty samples of a slow tracker: at rest one
+    /// poses are empties that say why until they change. Unset: 2000, forty samples of a slow tracker: at rest one
     /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 3_600_000.0))]

@@ -38,7 +38,7 @@ const ADDRESS: &str = "ws://HOST:PORT, such as ws://127.0.0.1:8765";
 /// A client of the Foxglove WebSocket protocol that only reads: it subscribes to the topics that its ports name, and to nothing else.
 /// Each entry of `out` is a port with a `type` and a topic. Protobuf, JSON and CDR; metres become millimetres. A topic of another schema or
 /// encoding, and one that is not advertised, is reported with the topics that are there. Stamps are the sender's; the offset of its
-/// clock is reported. A lost tool is an empty with the reason. TLS (`wss://`) is not supported. docs/use/live.md has the rest.
+/// clock is reported. A lost tool is an empty that says why. TLS (`wss://`) is not supported. docs/use/live.md has the rest.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.foxglove_ws"

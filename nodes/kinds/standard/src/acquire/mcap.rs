@@ -21,7 +21,7 @@ use std::{collections::BTreeMap, sync::Arc};
 ///
 /// Each entry of `out` is a port with a `type` and a topic. Protobuf, JSON and CDR, any chunk compression, with or without an
 /// index; `path` may be the folder of a ROS 2 bag. Transforms of a topic named `tf_static` hold from the beginning. Metres become millimetres; points that are not finite are left out, counted and reported. A pose that the tracker
-/// wrote without seeing the marker is an empty with the reason. A rounded rotation is replaced by the nearest one, and each
+/// wrote without seeing the marker is an empty that says why. A rounded rotation is replaced by the nearest one, and each
 /// topic reports its largest correction; a deviation above 0.001 is an error that names topic and message. Topics that no
 /// port reads are listed in the log. A port whose `parent` and `child` are joined by several transforms, or by an inverse, joins them by the
 /// path in their tree, as tf of ROS does, and says so.

@@ -28,7 +28,7 @@ pub struct PortParams {
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
     /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
+    /// port gives empties that say why until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
     /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,

@@ -36,7 +36,7 @@ const SETTLE: Duration = Duration::from_secs(1);
 /// `StylusToReference`. TRANSFORM, TDATA, POSITION, POINT, POLYDATA, IMAGE, STATUS and STRING of header versions 1 and 2 are read,
 /// with their CRC checked; damaged messages are reported and left out. Lengths are millimetres in single precision, transforms are
 /// taken as they are, and coordinates in `ct` are turned to LPS. Stamps are the sender's; the offset of its clock is reported
-/// once, and again when it jumps. A lost tool is an empty with the reason. docs/use/openigtlink.md has the rest.
+/// once, and again when it jumps. A lost tool is an empty that says why. docs/use/openigtlink.md has the rest.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.openigtlink"

@@ -17,7 +17,7 @@ pub(crate) fn in_order<T>(mut events: Vec<Event<T>>) -> Playback<T> {
     events.into_iter()
 }
 
-/// An empty with the reason for each gap in a stream longer than `lost_after_ns`, at the stamp at which the limit passes.
+/// An empty that says why for each gap in a stream longer than `lost_after_ns`, at the stamp at which the limit passes.
 ///
 /// `end_ns` is the end of the recording, so a stream that stops early has a gap too.
 pub(crate) fn silences(

@@ -35,7 +35,7 @@ procedure_ports! {
     /// The marker on the phantom, tracked.
     #[port(to = "@world", from = "@phantom_marker")]
     PhantomMarker = phantom_marker: Pose,
-    /// The marker on the phantom, known from its CAD; else an empty.
+    /// The marker on the phantom, known from its CAD; empty if it is not known.
     #[port(to = "@phantom", from = "@phantom_marker")]
     PhantomMarkerCad = phantom_marker_cad: Pose,
     /// The marker on the bone, tracked.
@@ -43,7 +43,7 @@ procedure_ports! {
     BoneMarker = bone_marker: Pose,
     /// Whether the bone carries a marker.
     BoneTracked = bone_tracked: Flag,
-    /// The region of interest, if one was drawn; else an empty.
+    /// The region of interest; empty if none was drawn.
     #[port(frame = "@camera")]
     Region = region: Region,
     /// The stylus on P1, P2, P3, one point at a time.

@@ -10,10 +10,10 @@ use osteoflow_node::{
 
 /// The pose of the camera's marker in the camera, from poses of the marker and of a target that does not move: `A X = X B`.
 ///
-/// The target is a phantom or a board whose pose the camera sees, in any frame of its own; its place need not be known, which
-/// `calibrate.phantom_icp` asks for. The camera is turned by 30 degrees or more about two axes or more, and held still at each pose.
-/// Motions about one axis alone are refused, and the report says how far the methods differ and how well the motions determine the
-/// answer.
+/// The target is a phantom or a board whose pose the camera sees, in any frame of its own. Its place in the tracker's
+/// world need not be known, while `calibrate.phantom_icp` needs it. The camera is turned by 30 degrees or more about
+/// two axes or more, and held still at each pose. Motions about one axis alone are refused, and the report says how far
+/// the methods differ and how well the motions determine the answer.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -11,8 +11,8 @@ use osteoflow_node::{
 /// The rigid motion that best carries located landmarks onto the planned ones.
 ///
 /// Points are paired by name. The report has residuals, side lengths and collinearity in mm. The residual at the points
-/// (FRE) does not predict the accuracy: a shift that all points share does not change it. A point of low confidence, such as
-/// a laser spot at the silhouette, counts only if its distances to the other points are as planned.
+/// (FRE) does not predict the accuracy: a shift that all points share does not change it. A point of low confidence,
+/// such as a laser spot at the silhouette, is used only if its distances to the other points are as planned.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -6,10 +6,10 @@ use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// The landmark under a laser spot: the points of the full scan that the scan with the laser lacks.
 ///
-/// Both scans are in one frame. The main cluster of missing points is the hole; its centre is the landmark. Where the scan
-/// with the laser has a viewpoint, points are compared as its camera sees them, so that a slanted surface, on which they are
-/// far apart, shows its hole. The hole must be large enough for ten points, or for six where the distances to the other
-/// landmarks confirm the spot.
+/// Both scans are in one frame. The main cluster of missing points is the hole; its centre is the landmark. If the scan
+/// with the laser has a viewpoint, points are compared as its camera sees them, so that the hole is also found on a
+/// slanted surface, where points are far apart. The hole must be large enough for ten points, or for six where the
+/// distances to the other landmarks confirm the spot.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -7,10 +7,11 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
 
 /// The landmark under a laser spot, or under a mark of a surgical pen, found by its colour in an image of the scan.
 ///
-/// Needs a camera with colour, which the paper's has not. The spot is found among the pixels that show bone, its centre by a circle
-/// through its rim on the scanned surface, which glare and the spot's own saturation leave where it is. Refused with the reason: no
-/// spot, several alike, one cut off by the silhouette, an image that is black or saturated, and one that contradicts the scan, whose
-/// points are missing where the laser is. A mirrored or wrongly calibrated image of a pen's mark cannot be told from a good one: see
+/// Needs a camera with colour, which the camera of the paper is not. The spot is searched among the pixels that show
+/// bone. Its centre is that of a circle through its rim on the scanned surface, because glare and saturation do not
+/// move the rim. The node fails, and says why, if there is no spot, if several look alike, if the silhouette cuts the
+/// spot off, if the image is black or saturated, or if it contradicts the scan, whose points are missing where the
+/// laser is. If the image of a pen's mark is mirrored or wrongly calibrated, this is not noticed: see
 /// docs/begin/frames-and-units.md.
 #[derive(Describe)]
 #[describe(

@@ -6,9 +6,9 @@ use osteoflow_node::{Context, Describe, Function, NodeError};
 
 /// Fine registration of a bone surface onto the CT surface by point-to-point ICP, as in the paper.
 ///
-/// Minimises the distances to the nearest samples, which hold points back along the bone: a plain step recovers about a
-/// thousandth of a slide. The report estimates the remaining distance; see `acceleration` and `stop_step_mm`. For the stop rules
-/// that the paper may have used, see `icp.published`.
+/// Minimises the distances to the nearest samples. These resist a motion along the bone: a plain step recovers about a
+/// thousandth of a slide. The report estimates the remaining distance; see `acceleration` and `stop_step_mm`. For the
+/// stop rules that the paper may have used, see `icp.published`.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -11,7 +11,7 @@ use osteoflow_node::{
 
 /// Distances of the registered scan from the CT surface, over its inliers and over all points.
 ///
-/// A surface residual, neither FRE nor TRE: a scan that slid along the bone is still on the surface.
+/// A surface residual, which is neither FRE nor TRE: a scan that is displaced along the bone still lies on the surface.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "metrics.surface"

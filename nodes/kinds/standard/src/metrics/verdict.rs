@@ -5,9 +5,9 @@ use osteoflow_algorithms::trust::{Verdict as Judged, VerdictScore, VerdictScoreP
 use osteoflow_geometry::{Pose, nalgebra::Point3};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
-/// A verdict beside the true error, where that is known: was a wrong answer trusted, or a right one not?
+/// A verdict beside the true error, where that is known: was a wrong answer trusted, or a right answer not trusted?
 ///
-/// In `[results]` of a graph whose `verdict` is not an entry, so that a refused answer still has a score.
+/// For `[results]` of a graph that has no entry `verdict` there, so that a refused answer still has a score.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "metrics.verdict"

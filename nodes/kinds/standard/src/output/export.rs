@@ -23,8 +23,9 @@ use std::path::PathBuf;
 /// `bone.stl` (of a bone that is known by points only `bone.ply`), `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and
 /// the plan; `scan.vtk` (drawn by 3D Slicer),
 /// `scan.ply` (for CloudCompare, with the distance from the bone as scalar field, mm, positive outside, its colours as on the page, and a
-/// column `on_bone` that says which points belong to the bone) and `scan_to_ct.tfm` the scan on the CT and the motion that takes it there. Of a refused
-/// registration, and where there is none, the last three are not written. Every file says that it is for research use only.
+/// column `on_bone` that says which points belong to the bone) and `scan_to_ct.tfm` the scan on the CT and the motion
+/// that takes it there. If the registration is refused or missing, the last three are not written. Every file says that
+/// it is for research use only.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.export"

@@ -5,7 +5,7 @@ use osteoflow_payloads::Json;
 use serde_json::json;
 use std::sync::Arc;
 
-/// A plan, port by port. A part that the plan lacks is an empty with the reason.
+/// A plan, port by port. A part that the plan lacks is an empty that says why.
 #[derive(Outputs)]
 pub struct Out {
     /// The landmarks P1..P3 that initialise the registration.

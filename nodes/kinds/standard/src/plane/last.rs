@@ -4,9 +4,10 @@ use osteoflow_algorithms::trust;
 use osteoflow_geometry::{PlanePlace, Planes};
 use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError, Outputs};
 
-/// The cutting planes as last followed: those at the end of the recording.
+/// The cutting planes at the end of the recording.
 ///
-/// For the verdict, which is given once. Empty if the planes were never known, as of a bone without a marker.
+/// For the verdict, which is given once. Empty if the planes were never known, for example because the bone has no
+/// marker.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "plane.last"

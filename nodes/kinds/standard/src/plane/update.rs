@@ -5,8 +5,8 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
 /// The planned cutting planes in the world, following the marker on the bone at the tracker's rate.
 ///
-/// `t_world_plane = t_world_bone_marker * inverse(t_ct_bone_marker) * t_ct_plane`. When the marker is lost the planes
-/// are unknown, with the reason; their last position is never used.
+/// `t_world_plane = t_world_bone_marker * inverse(t_ct_bone_marker) * t_ct_plane`. While the marker is lost, the planes
+/// are unknown, and the wire carries the reason; their last position is never used.
 #[derive(Describe)]
 #[describe(
     example = r#"

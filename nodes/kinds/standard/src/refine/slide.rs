@@ -7,11 +7,11 @@ use osteoflow_node::{Context, Describe, Function, NodeError, Outputs, schemars::
 
 /// The best place of a registered scan along the bone and around it, and how well the residuals determine it.
 ///
-/// A shaft is nearly a cylinder: an ICP may end slid along it and spun about it. This looks for the minima of the point-to-plane
-/// residual within `along_mm` and `around_deg` of `init`, registers the scan at the best with all points, and reports the profile of
-/// the residual along the bone and around it, with the other five motions fitted at each place. Where the residuals do not
-/// determine one of the two, the scan stays where `init` put it along that motion, and a warning says so. About half a second of one
-/// core.
+/// A shaft is nearly a cylinder, so an ICP may end at a place that is displaced along the shaft and turned about it.
+/// This looks for the minima of the point-to-plane residual within `along_mm` and `around_deg` of `init`, registers the
+/// scan at the best with all points, and reports the profile of the residual along the bone and around it, with the
+/// other five motions fitted at each place. If the residuals do not determine one of the two motions, the scan keeps
+/// the place of `init` along it, and a warning says so. About half a second of one core.
 #[derive(Describe)]
 #[describe(
     example = r#"

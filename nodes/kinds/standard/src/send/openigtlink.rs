@@ -25,10 +25,11 @@ use std::time::Duration;
 
 /// The registration, the planes, the laser points and the stylus tip over OpenIGTLink, for 3D Slicer and SlicerIGT.
 ///
-/// Planes and registration are sent only while the verdict is trusted; otherwise a STATUS says why not. Planes that are unknown
-/// are not sent, and a STATUS says that too, as when no new planes come for `stale_after_s`: a receiver shows the last pose until
-/// then. Coordinates in `ct` are turned from LPS to RAS, as 3D Slicer expects, and their frame is called `Ras`; other frames are
-/// sent as they are. Nothing is sent where a run has no folder, as in a replay. docs/use/openigtlink.md lists the devices.
+/// Planes and registration are sent only while the verdict is trusted; otherwise a STATUS says why not. Unknown planes
+/// are not sent, and a STATUS says so; it also says if no new planes come for `stale_after_s`, because a receiver goes
+/// on showing the last ones. Coordinates in `ct` are turned from LPS to RAS, as 3D Slicer expects, and their frame is
+/// called `Ras`; other frames are sent as they are. A run without a folder, such as a replay, sends nothing.
+/// docs/use/openigtlink.md lists the devices.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "send.openigtlink"

@@ -19,7 +19,7 @@ use osteoflow_payloads::Json;
 use serde_json::json;
 use std::{path::PathBuf, sync::Arc};
 
-/// A bone from whatever file holds it: a surface, points of one, or a CT.
+/// A bone from a file that holds a surface, points of a surface, or a CT.
 ///
 /// A surface is STL, PLY, OBJ, OFF or VTK; points are PLY, PCD, VTK or text; a CT is NIfTI, NRRD, MetaImage or the folder of a DICOM series,
 /// from which the surface is taken as by `surface.ct`. The format is recognised by the content. One of `mesh` and `points` has an

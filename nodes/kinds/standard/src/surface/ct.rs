@@ -21,9 +21,9 @@ use std::{
 
 /// The surface of a bone in a CT: NIfTI, NRRD, MetaImage, or a DICOM series in a folder.
 ///
-/// The surface lies where linear interpolation between voxels meets the threshold; it is not smoothed, and spaces inside the
-/// bone are no part of it. Where the volume's border cuts the bone it stays open, so that nothing is registered to a face that
-/// no bone has. Coordinates are LPS, as in the file.
+/// The surface lies where linear interpolation between voxels meets the threshold. It is not smoothed, and spaces
+/// inside the bone are not part of it. Where the border of the volume cuts through the bone, the surface stays open,
+/// because the bone has no face there. Coordinates are LPS, as in the file.
 #[derive(Describe)]
 #[describe(
     example = r#"

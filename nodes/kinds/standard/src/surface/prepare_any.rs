@@ -5,10 +5,10 @@ use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Mesh};
 use osteoflow_node::{CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs};
 
-/// A surface or points of it, whichever there is, prepared for registration.
+/// A surface, or points of it, prepared for registration.
 ///
-/// A surface as by `surface.prepare`, whose parameters these are; points as by `surface.prepare_cloud`: all of them, and their
-/// normals are estimated where missing.
+/// A surface is prepared as by `surface.prepare`, which has the same parameters. Points are prepared as by
+/// `surface.prepare_cloud`: all of them are used, and missing normals are estimated.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -9,9 +9,9 @@ use osteoflow_payloads::Text;
 
 /// The points of a surface without faces, prepared for registration; normals are estimated where missing.
 ///
-/// Estimated normals point outwards if the surface is closed. On an open surface they are consistent, but their side is a
-/// guess. Distances along them are unaffected, but a source with a viewpoint is paired with the side that faces it: there,
-/// give the cloud normals by `cloud.normals`.
+/// Estimated normals point outwards if the surface is closed. On an open surface all of them point to the same side,
+/// but which side is a guess. This does not change distances along them. But a source with a viewpoint is paired only
+/// with the side that faces it; for such a source give the cloud normals by `cloud.normals`.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -11,10 +11,11 @@ use osteoflow_node::{
     serde::{Deserialize, Serialize},
 };
 
-/// The start of the registration of each scan of a stream: the pose of the scan before, at the first scan `start`.
+/// The start for the registration of each scan of a stream: the pose of the previous scan; for the first scan, `start`.
 ///
-/// A pose is lost if it was not computed, or if its `report` breaks a limit. The scan after it starts from the last pose that was
-/// not lost, or from `start` where there is none, and a warning says so. The pose that is given is never a result by itself.
+/// A pose is lost if it was not computed, or if its `report` breaks a limit. The next scan then starts from the last
+/// pose that was not lost, or from `start` if there is none, and a warning says so. The output is a start for a
+/// registration, never a result.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "track.last_pose"

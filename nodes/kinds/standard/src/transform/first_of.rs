@@ -5,9 +5,9 @@ use osteoflow_node::{
     Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// The first of two poses that has a value, such as the recording's, else the plan's.
+/// The first of two poses that has a value, such as that of the recording, or else that of the plan.
 ///
-/// Refused if both have one and they differ: then one of them is wrong.
+/// If both have a value and they differ, one of them is wrong, and the node fails.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.first_of"

@@ -4,11 +4,12 @@ use super::{TrackingParams, note_motion};
 use osteoflow_algorithms::still_average::{Carries, StillReport, TakeMotion};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 
-/// How the markers moved about a scan: in the time before it, as `transform.to_bone_marker` gives it, and in the time after it.
+/// How the markers moved around the time of a scan: before it, as `transform.to_bone_marker` gives it, and after it.
 ///
-/// Poses that are late show the motion during a scan only after the scan's stamp. The motion is that of the window of
-/// `transform.still_average` that ends 500 ms after the stamp, or with the last sample before that: the node waits as long, in the time of
-/// the stamps, and what is there then is used. `after_ms` of an input is another time; a live run waits for it with the verdict alone.
+/// If a tracker's poses are late, the motion during a scan is seen only after the scan's stamp. The motion is that of
+/// the window of `transform.still_average` that ends 500 ms after the stamp, or with the last sample before that: the
+/// node waits until the stamps have reached that time, and uses what has come by then. `after_ms` of an input sets
+/// another time. In a live run only the verdict waits for it.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.motion_after"

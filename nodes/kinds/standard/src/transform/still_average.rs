@@ -12,8 +12,9 @@ const HISTORY: StampNs = 20;
 
 /// A tracked pose, averaged over the time for which the marker has not moved.
 ///
-/// One answer for each sample: the mean of the window before it. If the marker moved within the window, the older half is
-/// dropped until it did not move in the remainder, so the average does not lag behind a moving marker.
+/// One answer for each sample: the mean of the window before it. If the marker moved within the window, the older half
+/// of the window is dropped, again and again, until the marker did not move in the rest. So the average does not lag
+/// behind a moving marker.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -8,9 +8,9 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 /// The camera's cloud in the tracker's world.
 ///
 /// `cloud_world = t_world_camera_marker * inverse(t_camera_camera_marker) * cloud_camera`. The camera marker's pose is
-/// interpolated at the cloud's stamp; if the tracker did not see the marker for longer than `max_gap_ms` around it, there is
-/// no result: a stale pose is never used. A marker that moved before the scan by
-/// more than the tracker's noise explains is reported.
+/// interpolated at the cloud's stamp; if the tracker did not see the marker for longer than `max_gap_ms` around it,
+/// there is no result, because an old pose is never used. A marker that moved before the scan by more than the
+/// tracker's noise explains is reported.
 #[derive(Describe)]
 #[describe(
     example = r#"

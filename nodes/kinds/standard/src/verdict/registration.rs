@@ -23,9 +23,10 @@ use osteoflow_payloads::Json;
 
 /// Judges a registration: trusted, doubtful or refused, with reasons, assumptions and the predicted error.
 ///
-/// Signs against a registration are looked for in the scan and its residuals, in a second registration by shape alone, in the
-/// landmarks, in the plan and in the calibration. The pose itself is never changed. Wired to `verdict` in `[results]`, a refused
-/// answer ends the run without poses and planes. docs/method/trust.md has what each rule saw and missed.
+/// It looks for signs against the registration in the scan and its residuals, in a second registration by shape alone,
+/// in the landmarks, in the plan and in the calibration. It never changes the pose. If it is wired to `verdict` in
+/// `[results]`, a refused answer ends the run without poses and planes. docs/method/trust.md says what each rule
+/// noticed and what it missed.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -52,8 +53,9 @@ pub struct Params {
     pub rules: RuleParams,
     /// Stated errors of the devices, for the predicted error.
     pub errors: PredictParams,
-    /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone hardly belong
-    /// together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is 90 mm wide.
+    /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone
+    /// probably do not belong together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is
+    /// 90 mm wide.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub max_plane_distance_mm: f64,
 }
@@ -102,7 +104,8 @@ pub struct In {
     /// `frame_of_reference_uid` is compared with the plan's.
     #[port(join = "once")]
     surface: Option<Json>,
-    /// The report of the registration by shape alone that it started from, if it did: unclear ones make it doubtful.
+    /// The report of the registration by shape alone, if the ICP started from one: if that was unclear, the answer is
+    /// doubtful.
     start: Option<GlobalReport>,
     /// The slide profile about the registration.
     slide: Option<SlideReport>,
@@ -122,7 +125,8 @@ pub struct In {
     /// The planned cuts: the error is predicted in the middle of the bone.
     #[port(join = "once", frame = "target")]
     planes: Option<Planes>,
-    /// The cuts as last followed: where they are unknown, the answer is doubtful. Waited for until it comes or its wire ends.
+    /// The cuts at the end of the recording: if they are unknown, the answer is doubtful. The verdict waits until they
+    /// come or the wire ends.
     #[port(join = "once")]
     followed: Option<Planes>,
     /// The report of the calibration.
@@ -134,7 +138,7 @@ pub struct In {
     /// Where the camera saw the phantom's marker.
     #[port(join = "once")]
     t_camera_phantom_marker: Option<Pose>,
-    /// The error measured with a stylus; waited for until it comes or its wire ends.
+    /// The error measured with a stylus. The verdict waits until it comes or the wire ends.
     #[port(join = "once")]
     measured: Option<TreReport>,
     /// Readings of a check piece, those after the scan too: all until the wire ends. One at the scan or later shows whether the
@@ -146,8 +150,8 @@ pub struct In {
     /// How the markers moved while the landmarks were located.
     #[port(join = "collect", n = 3)]
     located_motion: Vec<Option<TakeMotion>>,
-    /// How the markers moved while the stylus touched what `measured` is of, from `transform.points_to_bone_marker`: all until the
-    /// wire ends.
+    /// How the markers moved while the stylus touched the points of `measured`, from `transform.points_to_bone_marker`:
+    /// all until the wire ends.
     #[port(join = "collect")]
     touched_motion: Vec<Option<TakeMotion>>,
 }

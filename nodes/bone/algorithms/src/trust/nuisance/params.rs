@@ -40,11 +40,11 @@ pub struct NuisanceParams {
     /// warms up.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub camera_percent: f64,
-    /// Scale of the camera from which it is told, percent. 1.3: simulated estimates scatter by 0.3 %, so that 2 % is told; less is a stretch of
-    /// the CT as well, which moves the cuts less.
+    /// Scale of the camera from which it is reported, percent. 1.3: simulated estimates scatter by 0.3 %, so that 2 %
+    /// is noticed; less may as well be a stretch of the CT, which moves the cuts less.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_camera_percent: f64,
-    /// Bend from which it is told, mm. 0.3: less is an error of the camera's depth.
+    /// Bend from which it is reported, mm. 0.3: less is an error of the camera's depth.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_bend_mm: f64,
     /// Amplitude of the error of the camera's depth that is one wave over the scan, mm; a shorter wave has less in proportion to its
