@@ -96,7 +96,7 @@ fn start(report: &Value) -> Option<String> {
                 "by shape alone: the next best place, {:.0} mm and {:.0} degrees away, fits {:.0} % worse (clearness {:.2})",
                 other.shift_mm,
                 other.turn_rad.to_degrees(),
-                100.0 * (1.0 / (1.0 - report.clearness).max(f64::MIN_POSITIVE) - 1.0),
+                100.0 * (other.score_mm / report.score_mm.max(f64::MIN_POSITIVE) - 1.0),
                 report.clearness
             ),
             None => "by shape alone: the scan fits in one place only".into(),

@@ -105,14 +105,14 @@ pub(crate) struct Counted {
     pub(crate) n: u64,
     pub(crate) right: u64,
     /// Of the right ones.
-    pub(crate) clear: u64,
+    clear: u64,
     pub(crate) wrong_and_clear: u64,
     wrong: Vec<String>,
     cpu_ms: f64,
 }
 
 impl Counted {
-    const HEAD: &'static str = "| scan | points | n | right | of these clear | wrong and clear | CPU, ms | wrong |\n\
+    pub(crate) const HEAD: &'static str = "| scan | points | n | right | of these clear | wrong and clear | CPU, ms | wrong |\n\
                                 | --- | --- | --- | --- | --- | --- | --- | --- |";
 
     fn print(&self, case: &Case) {
@@ -209,7 +209,7 @@ pub(crate) fn body(seed: u64, radii_mm: [f64; 3], bumps_mm: f64, power: f64) -> 
 const HIPS: [&str; 3] = ["specimen00_left_femur", "specimen00_pelvis", "specimen01_right_femur"];
 
 /// Hip bones from CT and their tracked ultrasound.
-pub(crate) fn hips(test: &str) -> Vec<Case> {
+fn hips(test: &str) -> Vec<Case> {
     let case = |name: &str| {
         let mesh = stl(&data(test, &format!("real/hip/preoperative_{name}.stl"))?, "ct");
         let placed = xyz(&rows(&data(test, &format!("real/hip/intraoperative_{name}.xyz"))?, ""), 1.0);
@@ -303,7 +303,7 @@ pub(crate) fn is_slow() -> bool {
 
 /// Registers all cases that are wanted, on one thread so that CPU times are those of the calls: 97 of 100 are right, and no wrong one is
 /// clear.
-pub(crate) fn check(cases: &[Case], n: u64) {
+fn check(cases: &[Case], n: u64) {
     let words = std::env::var("OSTEOFLOW_CASES").unwrap_or_default();
     let is_wanted = |case: &&Case| words.split(',').any(|word| case.name.contains(word));
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();

@@ -123,8 +123,8 @@ pub struct GlobalReport {
     pub middle_mm: [f64; 3],
     /// The best distinct registration, if there is one.
     pub runner_up: Option<RunnerUp>,
-    /// Margin over the runner-up: `1 - score / runner-up's score`, both of the points that are near the surface at either place; 0 is
-    /// ambiguous, 1 if there is no runner-up.
+    /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up. Surroundings, which count
+    /// at both, lower it.
     pub clearness: f64,
     /// Where the scan was looked for; null in reports of older versions.
     #[serde(default)]
@@ -336,7 +336,7 @@ impl<'a> Search<'a> {
         let Some(best) = ends.first() else { return true };
         let off = self.off_mm(best);
         let left = off.iter().filter(|mm| **mm >= best.reach_mm).count() as f64 / off.len().max(1) as f64;
-        let is_clear = || self.rival(ends).is_none_or(|rival| self.clearness(best, rival) >= CLEAR);
+        let is_clear = || self.rival(ends).is_none_or(|rival| self.clearness_of_near(best, rival) >= CLEAR);
         left > MUCH_LEFT || (left > LEFT && !is_clear())
     }
 
@@ -345,8 +345,8 @@ impl<'a> Search<'a> {
         self.compared.iter().map(|p| distance_mm(self.target, p, &end.pose, end.reach_mm)).collect()
     }
 
-    /// Margin of the best over a rival; see [`GlobalReport`].
-    fn clearness(&self, best: &End, rival: &End) -> f64 {
+    /// Clearness by the points that are near the surface at either place: surroundings do not lower it.
+    fn clearness_of_near(&self, best: &End, rival: &End) -> f64 {
         let (mut squares, mut rivals) = (0.0, 0.0);
         for (mm, rival_mm) in self.off_mm(best).into_iter().zip(self.off_mm(rival)) {
             if mm < best.reach_mm || rival_mm < rival.reach_mm {
@@ -377,13 +377,20 @@ struct End {
     pose: Isometry3<f64>,
 }
 
+impl End {
+    /// Margin over a rival; see [`GlobalReport`].
+    fn clearness(&self, rival: &Self) -> f64 {
+        1.0 - self.score_mm / rival.score_mm.max(f64::MIN_POSITIVE)
+    }
+}
+
 /// Registers a scan to a surface by shape alone.
 ///
 /// The long axis of a scan that is 1.5 times as long as wide is laid along the bone's centre line both ways, in steps along it and in
 /// turns about it. A scan that is less than 2.5 times as long as wide, and one that fits badly so, is laid in any orientation anywhere on the
 /// surface: points of it onto samples of the surface with their normals, in turns about these. Starts that score better than their
-/// neighbours are refined, and the best refined one of both searches is the answer, by one score. Where that leaves much of the scan off the surface, patches of it
-/// are laid anywhere, too. The side from which a long
+/// neighbours are refined, and the best refined one of both searches is the answer, by one score. Where that leaves
+/// much of the scan off the surface, patches of it are laid anywhere, too. The side from which a long
 /// scan was seen (its viewpoint, else the way it bulges) is turned outward. A shaft is nearly a cylinder, so the answer
 /// may be wrong along or about it although it fits well; the report gives the score of the runner-up. The result does
 /// not depend on the number of threads.
@@ -448,7 +455,7 @@ pub(crate) fn global_by(
     };
     let middle = search.middle;
     let rival = search.rival(&ends);
-    let clearness = rival.map_or(1.0, |rival| search.clearness(best, rival));
+    let clearness = rival.map_or(1.0, |rival| best.clearness(rival));
     let runner_up = rival.map(|end| RunnerUp {
         score_mm: end.score_mm,
         middle_mm: (end.pose * middle).into(),
@@ -612,7 +619,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_near_the_surface_at_neither_place_is_no_part_of_the_clearness() {
+    fn what_is_near_the_surface_at_neither_place_is_no_sign_that_the_best_is_unclear() {
         let (target, scan, n_bone) = beside_a_table();
         let params = GlobalParams::default();
         let search = Search::new(&target, &scan, &params);
@@ -624,9 +631,9 @@ mod tests {
         let (right, other) = (end(truth), end(Isometry3::translation(0.0, 0.0, 1.5) * truth));
         let bone = Cloud::new("scan", scan.points()[..n_bone].to_vec()).unwrap();
         let alone = Search::new(&target, &bone, &params);
-        let [with, without] = [&search, &alone].map(|search| search.clearness(&right, &other));
+        let [with, without] = [&search, &alone].map(|search| search.clearness_of_near(&right, &other));
         assert!((with - without).abs() < 0.05 && with > 0.5, "{with} among others, {without} alone");
-        assert!(1.0 - right.score_mm / other.score_mm < 0.2);
+        assert!(right.clearness(&other) < 0.2);
         assert!(search.may_be_among_others(&[end(truth)]) && !alone.may_be_among_others(&[end(truth)]));
     }
 }

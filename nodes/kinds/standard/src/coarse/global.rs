@@ -17,7 +17,7 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs, Un
 /// the report says how much worse the second best place fits, from 0 (as well) to 1; if it is low, a warning is given.
 /// Of scans of one side of two real bones, all of 95 mm and more were registered within 0.1 mm, 5 of 6 of 60 mm, and 6
 /// of 12 of 40 mm and less; clearness was 0.4 and more for right answers and 0.2 and less for wrong ones. Takes 0.1 to
-/// 0.2 s of one core for a shaft and 0.3 to 0.9 s for other shapes once the surface is prepared.
+/// 0.2 s of one core for a shaft, 0.3 to 0.9 s for other shapes, and up to 2 s among surroundings, once the surface is prepared.
 #[derive(Describe)]
 #[describe(
     example = r#"
