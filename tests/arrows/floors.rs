@@ -206,7 +206,8 @@ const CRATES: &[(&str, Floors)] = &[
                 "space",
                 "stamp_order",
             ],
-            &["cursor", "foxglove_json", "input", "metaimage_header", "shape"],
+            &["cursor", "foxglove_json", "input", "shape"],
+            &["metaimage_header"],
             &["columns", "mcap_read", "obj", "off", "openigtlink", "pcd", "ply", "stl", "volume", "vtk", "write"],
             &["cloud_text", "message_read", "table"],
             &[
