@@ -94,6 +94,8 @@ mod verdicts;
 mod viewer;
 #[cfg(unix)]
 mod viewer_hands;
+mod viewer_notebook;
+#[cfg(unix)]
 mod viewer_picking;
 #[cfg(unix)]
 mod viewer_soak;

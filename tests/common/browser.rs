@@ -163,6 +163,30 @@ impl Browser {
         said["result"]["value"].clone()
     }
 
+    #[allow(dead_code, reason = "not all tests have frames")]
+    /// The value of an expression in the frame whose address begins with that of a page.
+    pub(crate) fn evaluate_in(&mut self, page: &str, expression: &str) -> Value {
+        // Earlier events have arrived before this answer.
+        self.evaluate("1");
+        let host = page.splitn(4, '/').take(3).collect::<Vec<_>>().join("/");
+        let made = self.events.iter().rev().filter(|event| event["method"] == "Runtime.executionContextCreated");
+        let mut of_page =
+            made.map(|event| &event["params"]["context"]).filter(|context| context["origin"] == host.as_str());
+        let Some(id) = of_page.next().map(|context| context["id"].clone()) else { return Value::Null };
+        let asked = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true, "contextId": id });
+        self.call("Runtime.evaluate", asked)["result"]["value"].clone()
+    }
+
+    #[allow(dead_code, reason = "not all tests have frames")]
+    /// Waits until an expression is true in the frame of a page.
+    pub(crate) fn wait_in(&mut self, page: &str, expression: &str) {
+        let until = Instant::now() + PATIENCE;
+        while self.evaluate_in(page, expression) != true {
+            assert!(Instant::now() < until, "it did not come true in {page}: {expression}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
     /// Waits until an expression is true.
     pub(crate) fn wait_until(&mut self, expression: &str) {
         let until = Instant::now() + PATIENCE;
