@@ -286,3 +286,51 @@ fn a_new_procedure_runs_as_it_is_and_its_folder_is_not_overwritten() {
     }
     osteoflow().args(["new", "procedure"]).arg(&folder).assert().code(2);
 }
+
+#[test]
+fn the_examples_are_the_files_of_the_repository_that_the_documentation_names() {
+    let place = tempfile::tempdir().unwrap();
+    let dir = place.path().join("examples");
+    osteoflow().args(["new", "examples"]).arg(&dir).assert().success();
+    let mut n_files = 0;
+    let mut folders =
+        ["graphs", "tests/data/picks", "tests/data/register", "tests/data/folder"].map(|f| root().join(f)).to_vec();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.strip_prefix(root()).unwrap();
+            if path.ends_with("__pycache__") {
+                continue;
+            }
+            if path.is_dir() {
+                folders.push(path);
+            } else if name.starts_with("tests/data/folder") {
+                // Simulated anew; its numbers are compared above.
+                assert!(dir.join(name).is_file(), "{}", name.display());
+            } else {
+                n_files += 1;
+                assert!(
+                    fs::read(dir.join(name)).ok() == fs::read(&path).ok(),
+                    "{} is missing or stale",
+                    name.display()
+                );
+            }
+        }
+    }
+    assert!(n_files > 40, "{n_files} files");
+    // Into a folder that is in use, nothing is written.
+    let refused = osteoflow().args(["new", "examples"]).arg(&dir).assert().code(2);
+    assert!(String::from_utf8_lossy(&refused.get_output().stderr).contains("is not empty"));
+    // Elsewhere a command that names one of them says how to get it; other files that are missing have no such remedy.
+    for arguments in [
+        &["run", "graphs/fibula.toml"][..],
+        &["sweep", "graphs/paper/sensitivity.toml"],
+        &["register", "tests/data/folder/bone.stl", "x"],
+    ] {
+        let told = osteoflow().args(arguments).current_dir(place.path()).assert().code(2);
+        let told = String::from_utf8_lossy(&told.get_output().stderr).into_owned();
+        assert!(told.contains("osteoflow new examples DIR"), "{arguments:?}: {told}");
+    }
+    let other = osteoflow().args(["run", "graphs/mine.toml"]).current_dir(place.path()).assert().code(2);
+    assert!(!String::from_utf8_lossy(&other.get_output().stderr).contains("new examples"));
+}

@@ -1,20 +1,15 @@
 //! The files of the repository that README and documentation name, for those who have the program alone: graphs, and the examples
-//! below `tests/data`, at the same paths.
+//! below `tests/data`, at the same paths. `osteoflow new examples` writes them.
 
-use super::{
-    error::UsageError,
-    simulate::{SimulateRequest, StreamFormat},
-};
-use anyhow::{Context, Result};
-use osteoflow_engine::schema;
-use std::{fs, path::Path};
+use super::error::UsageError;
+use std::path::Path;
 
 macro_rules! files {
     ($($path:literal,)*) => { &[$(($path, include_str!(concat!("../../", $path)))),*] };
 }
 
 /// Path and content of every file that is not generated.
-const FILES: &[(&str, &str)] = files![
+pub(crate) const FILES: &[(&str, &str)] = files![
     "graphs/calibration.toml",
     "graphs/fibula.toml",
     "graphs/fibula_folder.toml",
@@ -70,47 +65,16 @@ const FILES: &[(&str, &str)] = files![
     "tests/data/register/init.txt",
 ];
 
-/// The schema of graph files, which is generated from the nodes.
-const SCHEMA: &str = "graphs/osteoflow.schema.json";
-
-/// The procedure of README as a folder of files and as a recording.
-const PROCEDURES: [(&str, StreamFormat); 2] =
-    [("tests/data/folder", StreamFormat::Folder), ("tests/data/procedure", StreamFormat::Mcap)];
-
-/// Writes all of them below a folder that is new or empty: about 11 MB.
-pub(crate) fn write(dir: &Path) -> Result<()> {
-    for (path, text) in FILES {
-        write_file(&dir.join(path), text)?;
-    }
-    let schema = serde_json::to_string_pretty(&schema::schema(&super::registry()))?;
-    write_file(&dir.join(SCHEMA), &format!("{schema}\n"))?;
-    for (path, format) in PROCEDURES {
-        SimulateRequest::of_readme(format).simulate(Some(&dir.join(path)), &mut |_| {})?;
-    }
-    Ok(())
-}
-
-fn write_file(path: &Path, text: &str) -> Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).with_context(|| format!("{} cannot be made a folder", folder.display()))?;
-    }
-    let written = || -> std::io::Result<()> {
-        fs::write(path, text)?;
-        #[cfg(unix)]
-        if text.starts_with("#!") {
-            fs::set_permissions(path, std::os::unix::fs::PermissionsExt::from_mode(0o755))?;
-        }
-        Ok(())
-    };
-    written().with_context(|| format!("{} cannot be written", path.display()))
-}
+/// The folders of the procedure of README, which is simulated: as files, and as a recording.
+pub(crate) const FOLDER: &str = "tests/data/folder";
+pub(crate) const RECORDING: &str = "tests/data/procedure";
 
 /// Refuses a file that is not there, but is one of these.
 ///
 /// # Errors
 /// The command that writes it.
 pub(crate) fn check_is_here(file: &Path) -> Result<(), UsageError> {
-    let of_procedure = |path: &&str| PROCEDURES.iter().any(|(folder, _)| path.starts_with(folder));
+    let of_procedure = |path: &&str| [FOLDER, RECORDING].iter().any(|folder| path.starts_with(folder));
     let is_shipped = |path: &&str| FILES.iter().any(|(shipped, _)| shipped == path) || of_procedure(path);
     match file.to_str().filter(is_shipped) {
         Some(path) if !file.exists() => Err(UsageError(format!(

@@ -82,8 +82,8 @@ const CRATES: &[(&str, Floors)] = &[
         "nodes",
         &[
             // Typed requests, which state their options and know no terminal.
-            &["app::error"],
-            &["app::files", "app::folder_lock", "app::program"],
+            &["app::error", "app::host"],
+            &["app::files", "app::folder_lock", "app::program", "app::shipped"],
             &["app::out_dir", "app::plugins"],
             &["app::options"],
             &["app::run", "app::simulate", "app::sweep"],
