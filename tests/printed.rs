@@ -58,7 +58,8 @@ fn printed(command: &str) -> String {
         text = [&output.stderr, &output.stdout].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
         assert!(output.status.code().is_some_and(|code| matches!(code, 0 | 3 | 4)), "{part}: {text}");
     }
-    let text: String = text.lines().filter(|line| !line.contains(" nodes have worked, ")).map(|line| line.to_owned() + "\n").collect();
+    let text: String =
+        text.lines().filter(|line| !line.contains(" nodes have worked, ")).map(|line| line.to_owned() + "\n").collect();
     let text = text.replace(&out, "OUT");
     match lines.map(|lines| lines.split_once(" to ").unwrap()) {
         Some((from, to)) => {
@@ -124,7 +125,11 @@ fn cells(results: &Value) -> [String; 3] {
     let number = |path: &str| results.pointer(path).and_then(Value::as_f64).unwrap();
     let left = results["icp"]["left_mm"].as_f64().unwrap_or_else(|| number("/icp/remaining_mm"));
     let left = if left < 0.001 { "under 0.001 mm".into() } else { format!("{left:.2} mm") };
-    [format!("{:.2} mm", number("/metrics/tre_true_mm/mean_abs/norm")), format!("{:.0}", number("/icp/iterations")), left]
+    [
+        format!("{:.2} mm", number("/metrics/tre_true_mm/mean_abs/norm")),
+        format!("{:.0}", number("/icp/iterations")),
+        left,
+    ]
 }
 
 #[test]
@@ -195,7 +200,8 @@ tre_true_mm = { from = "metrics.tre_true_mm.points" }
 fn each_answer_fits_on_a_screen_and_begins_with_what_is_asked() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).display().to_string();
-    fs::write(at("sweep.toml"), SWEEP.replace("GRAPH", &root().join("graphs/fibula.toml").display().to_string())).unwrap();
+    fs::write(at("sweep.toml"), SWEEP.replace("GRAPH", &root().join("graphs/fibula.toml").display().to_string()))
+        .unwrap();
     let answer = |args: &[&str]| {
         let output = osteoflow().args(args).output().unwrap();
         let text = [&output.stderr, &output.stdout].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();

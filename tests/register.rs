@@ -1051,11 +1051,3 @@ fn a_prepared_target_is_read_from_the_store_and_gives_the_same_bits() {
         assert!(answer["notes"].to_string().contains("not finite"), "it is said every time");
     }
 }
-
-/// Whether two words are equal, or numbers that the last digits of another machine's sine may tell apart.
-fn alike(a: &str, b: &str) -> bool {
-    match (a.parse::<f64>(), b.parse::<f64>()) {
-        (Ok(a), Ok(b)) => (a - b).abs() <= 2e-3,
-        _ => a == b,
-    }
-}

@@ -547,3 +547,54 @@ fn a_report_names_no_folder_and_knows_the_kinds_of_the_plugins_that_the_user_nam
     let page = fs::read_to_string(folder.path("s/report.html")).unwrap();
     assert!(page.contains("my.py takes one point"), "the reason is shown");
 }
+
+#[test]
+fn the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_box_at_1440_pixels() {
+    let dir = tempfile::tempdir().unwrap();
+    // Three factors with long names, a comparison with all of its columns, and an angle.
+    let graph = dir.path().join("wide.toml");
+    let shipped = crate::common::root().join("graphs/fibula.toml");
+    let text = format!(
+        "extends = \"{}\"\n[node.recording]\ncamera.n_points = 3000\n[node.bone]\nexact = true\n[sweep]\nunits = [\"bone\", \"procedure\"]\n\
+         limit = {{ tre_mm = 1.0 }}\ncompare = {{ factor = \"registration\", to = \"icp.point_to_plane\", margin = {{ tre_mm = 0.5, tilt_rad = 0.01 }} }}\n\
+         [sweep.factor]\nbone = {{ keys = [\"recording.bone.shape_seed\", \"plan.bone.shape_seed\", \"bone.bone.shape_seed\"], values = [1, 2] }}\n\
+         registration = {{ key = \"icp.kind\", values = [\"icp.point_to_plane\", \"icp.point_to_point\"] }}\n\
+         depth_noise_mm = {{ key = \"recording.camera.depth_noise_mm\", values = [0.05, 0.2] }}\n\
+         [sweep.columns]\ntre_mm = \"metrics.tre_true_mm.mean_abs.norm\"\ntilt_rad = \"metrics.cuts.cuts.plane_1.tilt_rad\"\n\
+         [sweep.points]\ntre_true_mm = {{ from = \"metrics.tre_true_mm.points\" }}\n",
+        shipped.display()
+    );
+    fs::write(&graph, text).unwrap();
+    let out = dir.path().join("wide");
+    osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
+    let page = report(&out);
+    let html = fs::read_to_string(&page).unwrap();
+    let at = |word: &str| html.find(word).unwrap_or_else(|| panic!("no {word}"));
+    let first = [
+        "<h2 id=\"statistics\">",
+        "p (Holm)",
+        "<h2 id=\"design\">",
+        "<h2 id=\"figures\">",
+        "<h2 id=\"the-graph-as-run\">",
+    ];
+    let places = first.map(at);
+    assert!(places.is_sorted(), "{first:?} are at {places:?}");
+    assert!(html.contains("tilt (\u{b0})") && !html.contains("tilt (rad)"), "angles are degrees");
+    assert!(html.contains("latest table, by the time of summary.json"), "it has its dates");
+    assert!(html.contains("along x (blue), y (orange), z (green)"), "a caption names the colours that are drawn");
+    let test = "the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_box_at_1440_pixels";
+    let Some(mut browser) = Browser::start(test) else { return };
+    browser.open(&page);
+    browser.call(
+        "Emulation.setDeviceMetricsOverride",
+        json!({ "width": 1440, "height": 900, "deviceScaleFactor": 1, "mobile": false }),
+    );
+    let hidden = browser.evaluate("[...document.querySelectorAll('.wide')].filter((box) => box.scrollWidth > box.clientWidth + 1).map((box) => box.textContent.slice(0, 60))");
+    assert_eq!(hidden, json!([]), "tables that must be scrolled");
+    let cut = browser.evaluate(
+        "[...document.querySelectorAll('.drawn-chart svg text')].filter((text) => { const t = text.getBoundingClientRect(), \
+         s = text.closest('svg').getBoundingClientRect(); return t.left < s.left - 1 || t.right > s.right + 1 || t.bottom > s.bottom + 1; \
+         }).map((text) => text.textContent)",
+    );
+    assert_eq!(cut, json!([]), "labels that run out of their drawing");
+}

@@ -44,7 +44,7 @@ pub(crate) enum Data {
 impl Data {
     /// What a file holds; `None` if it cannot be read, or is a text of another kind.
     pub(crate) fn of(path: &Path) -> Option<Self> {
-        if is_volume(path) {
+        if path.is_file() && is_volume(path) {
             return Some(Self::Ct);
         }
         if path.is_dir() || path.extension().is_some_and(|ending| ending == "toml") {

@@ -263,7 +263,8 @@ impl From<PathBuf> for RegisterInput {
 }
 
 fn unit(text: &str) -> Result<f64, String> {
-    let unit: f64 = text.parse().map_err(|_| "a number is expected: 1 for millimetres, 10 for centimetres, 1000 for metres")?;
+    let unit: f64 =
+        text.parse().map_err(|_| "a number is expected: 1 for millimetres, 10 for centimetres, 1000 for metres")?;
     let usable = (1e-6..=1e6).contains(&unit);
     usable.then_some(unit).ok_or_else(|| "it must be between 1e-6 and 1e6: 1 for millimetres, 1000 for metres".into())
 }
@@ -347,6 +348,13 @@ impl RegisterRequest {
         }
         let files = OutFiles::of(&self)?;
         for input in [&self.target, &self.source].into_iter().filter(|input| input.content.is_none()) {
+            if input.path.extension().is_some_and(|ending| ending == "toml") {
+                let file = input.path.display();
+                return Err(UsageError(format!(
+                    "{file} is a graph by its name, and no surface, points or CT; a graph is run by osteoflow run {file}"
+                ))
+                .into());
+            }
             shipped::check_is_here(&input.path)?;
             if !input.path.is_dir() {
                 input::check(&input.path)?;

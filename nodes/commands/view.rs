@@ -119,7 +119,11 @@ impl View {
         let data = if opened.is_err() { Data::of(&path).filter(|data| *data != Data::Recording) } else { None };
         if let Some(data) = data {
             let commands = data.commands(&path).join("\n  ");
-            let message = format!("{} is {}, and view shows a graph, a run or a recording\n  {commands}", path.display(), data.what());
+            let message = format!(
+                "{} is {}, and view shows a graph, a run or a recording\n  {commands}",
+                path.display(),
+                data.what()
+            );
             return Err(anyhow!(message));
         }
         let playback = opened.with_context(|| format!("{} cannot be shown", path.display()))?;

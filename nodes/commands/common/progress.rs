@@ -174,7 +174,11 @@ impl Progress {
             None => "{spinner} {pos} nodes  {wide_msg}",
         };
         let bar = shown.bar(n_nodes.map(|n| n as u64), template);
-        Self { bar, has_lines: shown == Shown::Lines, state: Mutex::new(State::new(n_nodes.unwrap_or_default() as u64)) }
+        Self {
+            bar,
+            has_lines: shown == Shown::Lines,
+            state: Mutex::new(State::new(n_nodes.unwrap_or_default() as u64)),
+        }
     }
 
     /// Begins to show progress; `n_nodes` if known.

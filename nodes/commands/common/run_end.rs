@@ -12,8 +12,8 @@ use osteoflow_engine::run::{Outcome, RunReport, files};
 use serde_json::Value;
 use std::{io::Write, path::Path};
 
-/// The end of the warning of a node that has nothing to write.
-const NOT_REGISTERED: &str = "since it is not registered";
+/// Words of warnings that follow from a refusal: of a node that has nothing to write, and of the reason that names a file.
+const FOLLOW: [&str; 2] = ["since it is not registered", "the result \"verdict\" holds the whole path of a file"];
 
 /// Prints the end of a run: results on stdout, everything else on stderr.
 pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Result<Exit> {
@@ -33,7 +33,7 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
     let is_text = global.format == Format::Text;
     let is_new = |message: &str| {
         // What follows from a refusal is not said beside it.
-        let follows = exit == Exit::Refused && message.ends_with(NOT_REGISTERED);
+        let follows = exit == Exit::Refused && FOLLOW.iter().any(|words| message.contains(words));
         let is_open = global.verbose > 0 || !(follows || is_settled(message, &report.results));
         !is_text || is_open && !is_said_by_verdict(message, &report.results)
     };

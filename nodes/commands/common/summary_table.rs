@@ -129,7 +129,9 @@ fn row(group: &Value, of: &Value, is_brief: bool) -> Row {
             *cell = Cell::Word(text.split(" (few").next().unwrap_or_default().to_owned());
             *head = "95 % interval".into();
         }
-        !below && head != "of" && !LEFT_OUT.contains(&head.as_str())
+        !below
+            && head != "of"
+            && !LEFT_OUT.contains(&head.as_str())
             && !(is_brief && (VERBOSE.contains(&head.as_str()) || head.starts_with("SD within")))
     });
     if !is_brief && of_group != of_column && !of_column.is_empty() {
@@ -137,8 +139,14 @@ fn row(group: &Value, of: &Value, is_brief: bool) -> Row {
     }
     let answers = group["verdicts"].as_object();
     let n = |answer: &str| answers.and_then(|answers| answers.get(answer)?.as_u64()).unwrap_or_default();
-    if !is_brief || n("doubtful") + n("refused") > 0 {
-        remarks.extend(verdicts(group));
+    match is_brief {
+        false => remarks.extend(verdicts(group)),
+        true => remarks.extend(
+            ["doubtful", "refused"]
+                .into_iter()
+                .filter(|answer| n(answer) > 0)
+                .map(|answer| format!("{} {answer}", n(answer))),
+        ),
     }
     Row { name: setting.join(", "), cells, remark: remarks.join("; ") }
 }
@@ -187,7 +195,8 @@ fn comparisons(summary: &Value, is_brief: bool, max_rows: usize) -> Option<Strin
         let mut cells = comparison(&of);
         let remark = cells.pop_if(|(head, _)| head == "remark").map(|(_, cell)| cell.plain()).unwrap_or_default();
         if is_brief {
-            let counted = osteoflow_statistics::counted(of["n"].as_u64().unwrap_or_default() as usize, &word(&of["unit"]));
+            let counted =
+                osteoflow_statistics::counted(of["n"].as_u64().unwrap_or_default() as usize, &word(&of["unit"]));
             cells.insert(0, ("of".into(), Cell::Word(counted)));
             cells.retain_mut(|(head, _)| {
                 *head = match head.as_str() {
@@ -257,19 +266,15 @@ mod tests {
         let summary = |verdicts: [Value; 3]| {
             let [a, b, all] = verdicts;
             let columns = json!({ "tre_mm": { "n": 3, "mean": 1.5 } });
-            let group = |icp: &str, verdicts: Value| {
-                json!({ "setting": { "icp": icp }, "n_runs": 3, "verdicts": verdicts, "columns": columns })
-            };
+            let group = |icp: &str, verdicts: Value| json!({ "setting": { "icp": icp }, "n_runs": 3, "verdicts": verdicts, "columns": columns });
             json!({ "notice": "", "n_runs": 6, "verdicts": all, "groups": [group("p", a), group("q", b)] })
         };
-        let counts = |trusted: u64, doubtful: u64, refused: u64| {
-            json!({ "trusted": trusted, "doubtful": doubtful, "refused": refused })
-        };
+        let counts = |trusted: u64, doubtful: u64, refused: u64| json!({ "trusted": trusted, "doubtful": doubtful, "refused": refused });
         let of = summary([counts(3, 0, 0), counts(0, 1, 1), counts(3, 1, 1)]);
         let brief = shown(&of, 0);
         assert!(brief.contains("verdicts: 3 trusted, 1 doubtful, 1 refused, 1 without a verdict\n"), "{brief}");
         assert!(brief.contains("    p          3  1.500\n"), "{brief}");
-        let q = "    q          3  1.500  0 trusted, 1 doubtful, 1 refused, 1 without a verdict\n";
+        let q = "    q          3  1.500  1 doubtful; 1 refused\n";
         assert!(brief.contains(q), "{brief}");
         assert!(shown(&of, 1).contains("1.500  3 trusted, 0 doubtful, 0 refused\n"), "{}", shown(&of, 1));
         // Summaries of earlier versions count none.

@@ -35,7 +35,7 @@ pub(super) fn entries(all: &[Made]) -> Vec<(String, Vec<String>)> {
 }
 
 /// A value as TOML, without quotes and not too long.
-fn shown(value: Option<String>) -> String {
+pub(super) fn shown(value: Option<String>) -> String {
     match value.as_deref().map(|value| value.trim_matches('"')) {
         None => "-".into(),
         Some("") => "there".into(),
@@ -46,9 +46,10 @@ fn shown(value: Option<String>) -> String {
     }
 }
 
-/// The entries as a table, and below it the program, inputs and plugins that differ.
-pub(super) fn text(all: &[Made], is_brief: bool) -> String {
-    let (rows, heads) = (entries(all), heads(all.len()));
+/// The entries and `more` of them as a table, and below it the program, inputs and plugins that differ.
+pub(super) fn text(all: &[Made], more: Vec<(String, Vec<String>)>, is_brief: bool) -> String {
+    let (mut rows, heads) = (more, heads(all.len()));
+    rows.extend(entries(all));
     let n_listed = if is_brief { MAX_LISTED } else { usize::MAX };
     let mut table = TextTable::new("set otherwise", &heads.iter().map(String::as_str).collect::<Vec<_>>());
     rows.iter().take(n_listed).for_each(|(key, values)| table.row(key, values.iter().cloned()));

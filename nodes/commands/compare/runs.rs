@@ -44,7 +44,7 @@ impl Compare {
         writeln!(out, "{}", self.legend())?;
         let made: Vec<_> = self.folders.iter().filter_map(|dir| made(dir)).collect();
         if made.len() == self.folders.len() {
-            writeln!(out, "{}", otherwise::text(&made, global.verbose == 0))?;
+            writeln!(out, "{}", otherwise::text(&made, Vec::new(), global.verbose == 0))?;
         }
         let published = self.published(&results);
         if let Some(published) = &published {

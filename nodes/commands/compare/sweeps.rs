@@ -49,6 +49,26 @@ fn keys(factor: &Factor) -> impl Iterator<Item = &str> {
     sets.filter_map(|set| Some(set.split_once('=')?.0.trim()))
 }
 
+/// The factors whose values differ, with the values in each sweep.
+fn factors_apart(sweeps: &[Swept]) -> Vec<(String, Vec<String>)> {
+    let mut names: Vec<&str> = Vec::new();
+    for factor in sweeps.iter().flat_map(|sweep| &sweep.spec.factors) {
+        if !names.contains(&&*factor.name) {
+            names.push(&factor.name);
+        }
+    }
+    let values = |sweep: &Swept, name: &str| {
+        let factor = sweep.spec.factors.iter().find(|factor| factor.name == name);
+        let labels = factor.map(|factor| factor.levels.iter().map(|level| word(&level.label)).collect::<Vec<_>>());
+        otherwise::shown(labels.map(|labels| labels.join(", ")))
+    };
+    let rows = names.into_iter().map(|name| {
+        let of_all: Vec<_> = sweeps.iter().map(|sweep| values(sweep, name)).collect();
+        (format!("sweep.factor.{name}"), of_all)
+    });
+    rows.filter(|(_, values)| values.iter().any(|other| *other != values[0])).collect()
+}
+
 fn listed(values: &BTreeSet<String>) -> String {
     values.iter().map(String::as_str).collect::<Vec<_>>().join(", ")
 }
@@ -73,12 +93,8 @@ impl Compare {
         let mut comparisons = Vec::new();
         for (k, other) in sweeps.iter().enumerate().skip(1) {
             let (a, b) = (&*labels[0], &*labels[k]);
-            let compared = summary::between(
-                (a, &first.spec, &first.done),
-                (b, &other.spec, &other.done),
-                &apart,
-                &margins,
-            );
+            let compared =
+                summary::between((a, &first.spec, &first.done), (b, &other.spec, &other.done), &apart, &margins);
             let compared = compared.map_err(|none| UsageError(none.to_string()))?;
             if compared.is_empty() {
                 return Err(UsageError(no_pairs(first, other, k + 1, &apart)).into());
@@ -93,7 +109,7 @@ impl Compare {
                 print_json(&answer)?;
             }
             Format::Text => {
-                let apart = otherwise::text(&made, global.verbose == 0);
+                let apart = otherwise::text(&made, factors_apart(&sweeps), global.verbose == 0);
                 let table = summary_table::of_comparisons(&comparisons, global).unwrap_or_default();
                 writeln!(terminal::stdout(), "{}\n{apart}\n{table}", self.legend())?;
             }
@@ -117,7 +133,9 @@ impl Compare {
                 (1, _) => listed(&levels),
                 (..) => {
                     let within = "compare them within the sweep, by [sweep.compare]";
-                    return Err(usage(format!("[{}] has several values of it: {}; {within}", k + 1, listed(&levels))).into());
+                    return Err(
+                        usage(format!("[{}] has several values of it: {}; {within}", k + 1, listed(&levels))).into()
+                    );
                 }
             });
         }
@@ -146,5 +164,7 @@ fn no_pairs(first: &Swept, other: &Swept, number: usize, apart: &[String]) -> St
     let columns = |of: &Swept| of.spec.columns.iter().map(|column| column.name.clone()).collect();
     differ("the columns are", &columns(first), &columns(other), "");
     let why = if why.is_empty() { "no setting, repeat and seed is in both".into() } else { why.join("; ") };
-    format!("no run of [1] matches a run of [{number}]: {why}; a pair has the same factors, repeat and seed, and a column of the same name")
+    format!(
+        "no run of [1] matches a run of [{number}]: {why}; a pair has the same factors, repeat and seed, and a column of the same name"
+    )
 }

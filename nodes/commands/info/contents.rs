@@ -257,7 +257,8 @@ fn graph(file: &Path, bytes: &[u8]) -> Result<Contents> {
         (.., false) => "a graph that changes another",
         _ => "a graph",
     };
-    let mut used_by = vec![format!("osteoflow run {name}"), format!("osteoflow check {name}"), format!("osteoflow graph {name}")];
+    let mut used_by =
+        vec![format!("osteoflow run {name}"), format!("osteoflow check {name}"), format!("osteoflow graph {name}")];
     match (table.contains_key("module"), table.contains_key("sweep")) {
         (true, _) => used_by.drain(..1).for_each(drop),
         (_, true) => used_by.insert(0, format!("osteoflow sweep {name}")),

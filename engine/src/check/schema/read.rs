@@ -186,7 +186,8 @@ impl<'a> Walker<'a> {
             self.faults.push(fault);
             return None;
         }
-        let help = number.map(|number| format!("write {}, without quotes and unit", written(name, &number.to_string())));
+        let help =
+            number.map(|number| format!("write {}, without quotes and unit", written(name, &number.to_string())));
         let fault = self.fault(what, &takes, value).at(&value.at, "a text").help_if(help);
         self.faults.push(fault);
         None

@@ -179,7 +179,8 @@ impl Split {
         };
         let decimal_comma = separator != Some(',') && looked_at().any(|line| line.contains(','));
         // Words are no numbers, whatever their points and commas are for.
-        let is_numeric = |line: &str| line.chars().all(|c| c.is_ascii_digit() || c.is_whitespace() || "+-.,;eE".contains(c));
+        let is_numeric =
+            |line: &str| line.chars().all(|c| c.is_ascii_digit() || c.is_whitespace() || "+-.,;eE".contains(c));
         if decimal_comma
             && let Some((line, number)) =
                 rows.iter().take(N_LOOKED_AT).find(|(line, _)| line.contains('.') && is_numeric(line))

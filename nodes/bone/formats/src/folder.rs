@@ -338,7 +338,11 @@ impl ProcedureFolder {
         }
         let mut poses_files = Vec::new();
         // A plan that cannot be read is a fault of the node that needs it.
-        let planned = self.plan().ok().flatten().and_then(|read| Some(read.plan.t_phantom_phantom_marker.as_ref()?.isometry.rotation));
+        let planned = self
+            .plan()
+            .ok()
+            .flatten()
+            .and_then(|read| Some(read.plan.t_phantom_phantom_marker.as_ref()?.isometry.rotation));
         for file in &manifest.poses {
             let mut corrections = Corrections::default();
             let path = self.resolve(&file.file);
@@ -368,11 +372,8 @@ impl ProcedureFolder {
             }
             notes.extend(corrections.note().map(|note| format!("{}: {note}", file.file.display())));
         }
-        let scans: Vec<StampNs> = items
-            .iter()
-            .filter(|item| matches!(item.body, FolderBody::Cloud(_)))
-            .map(|item| item.stamp_ns)
-            .collect();
+        let scans: Vec<StampNs> =
+            items.iter().filter(|item| matches!(item.body, FolderBody::Cloud(_))).map(|item| item.stamp_ns).collect();
         mistakes::check(&poses_files, &scans)?;
         for file in &manifest.stylus {
             let role = match file.role {

@@ -101,8 +101,12 @@ fn pose(
 /// The fault of a stamp with a fraction.
 fn in_seconds(row: &Row, stamp: usize) -> Option<FileError> {
     let text = row.text(stamp);
-    let seconds = text.parse::<f64>().ok().filter(|s| s.is_finite() && s.fract() != 0.0 && s.abs() < 9e9)?;
-    let message = format!("a whole number of nanoseconds is expected; likely cause: it is in seconds, then write {:.0}", seconds * 1e9);
+    text.parse::<f64>().ok().filter(|s| s.is_finite() && s.fract() != 0.0 && s.abs() < 9e9)?;
+    // By its digits: a float has too few for nanoseconds since 1970.
+    let (whole, fraction) = text.split_once('.')?;
+    let message = format!(
+        "a whole number of nanoseconds is expected; likely cause: it is in seconds, then write {whole}{fraction:0<9.9}"
+    );
     Some(row.fault(format!("t_ns is \"{text}\", {message}")))
 }
 

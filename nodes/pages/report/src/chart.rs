@@ -391,13 +391,19 @@ mod tests {
 
     #[test]
     fn no_label_begins_left_of_the_drawing_or_ends_right_of_it() {
-        let long = |k: usize| format!("icp = icp.a_kind_with_a_very_long_name_of_its_own_{k}, noise = 0.0{k}, bone = left femur {k}");
+        let long = |k: usize| {
+            format!("icp = icp.a_kind_with_a_very_long_name_of_its_own_{k}, noise = 0.0{k}, bone = left femur {k}")
+        };
         let chart = Chart {
             title: long(0).repeat(2),
             about: String::new(),
             x: Axis::Categories { label: "setting".into(), names: (0..6).map(long).collect() },
             y: Axis::Linear("TRE (mm)".into()),
-            series: vec![Series { name: long(1).repeat(2), colour: 0, marks: vec![Mark::Line(vec![(0.0, 0.0), (5.0, 1.0)])] }],
+            series: vec![Series {
+                name: long(1).repeat(2),
+                colour: 0,
+                marks: vec![Mark::Line(vec![(0.0, 0.0), (5.0, 1.0)])],
+            }],
             note: String::new(),
         };
         let svg = chart.svg(true);

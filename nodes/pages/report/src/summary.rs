@@ -4,8 +4,8 @@ mod compared;
 mod group;
 mod rows;
 
-pub use compared::{NoPairs, between, with_holm};
 pub use crate::degrees::{in_degrees, shown_unit};
+pub use compared::{NoPairs, between, with_holm};
 pub(crate) use rows::from_to;
 pub use rows::{TableRow, about_few, comparison, statistics, under_heads, units};
 

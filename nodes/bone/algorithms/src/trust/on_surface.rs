@@ -14,7 +14,9 @@ pub(super) fn on_surface_reason(evidence: &Evidence, rules: &RuleParams) -> Opti
     (evidence.on_surface < rules.min_on_surface).then(|| {
         let share = 100.0 * evidence.on_surface;
         if has_surroundings(evidence) {
-            let reason = format!("surroundings such as skin or drape are in the scan: only {share:.0} % of it lies on the surface");
+            let reason = format!(
+                "surroundings such as skin or drape are in the scan: only {share:.0} % of it lies on the surface"
+            );
             return Reason::new("on_surface", Answer::Doubtful, reason, CROP);
         }
         let reason =

@@ -25,9 +25,8 @@ pub(super) fn size_reason(registered: &Registered<'_>, evidence: &Evidence) -> O
     let spans = format!("the scan spans {scan_mm:.0} mm and the bone {bone_mm:.0} mm");
     let as_bone = |(unit_mm, _): &&(f64, &str)| BONE_MM.contains(&(bone_mm * unit_mm)) && bone_mm * unit_mm > scan_mm;
     let units: Vec<_> = UNITS.iter().filter(|_| !BONE_MM.contains(&bone_mm)).filter(as_bone).collect();
-    let listed = |words: &dyn Fn(&(f64, &str)) -> String| {
-        units.iter().map(|unit| words(unit)).collect::<Vec<_>>().join(" or ")
-    };
+    let listed =
+        |words: &dyn Fn(&(f64, &str)) -> String| units.iter().map(|unit| words(unit)).collect::<Vec<_>>().join(" or ");
     Some(match (units.first(), registered.target.mesh()) {
         (Some((unit_mm, _)), _) => {
             let reason = format!(
@@ -44,11 +43,14 @@ pub(super) fn size_reason(registered: &Registered<'_>, evidence: &Evidence) -> O
             Reason::new("size", Answer::Refused, reason, remedy)
         }
         (None, None) => {
-            let reason = format!("{spans}, which is points without a surface: are bone and scan exchanged?");
+            let reason =
+                format!("{spans}, which is points without a surface; likely cause: bone and scan are exchanged");
             Reason::new("size", Answer::Refused, reason, "name the bone first and the scan second (register BONE SCAN)")
         }
         (None, Some(_)) => {
-            let reason = format!("{spans}, shorter than what was scanned: are bone and scan exchanged, or are surroundings in the scan?");
+            let reason = format!(
+                "{spans}, shorter than what was scanned; likely cause: bone and scan are exchanged, or surroundings are in the scan"
+            );
             let remedy = "name the bone first and the scan second (register BONE SCAN), or crop the scan to the bone";
             Reason::new("size", Answer::Doubtful, reason, remedy)
         }

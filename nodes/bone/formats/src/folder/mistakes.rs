@@ -122,14 +122,16 @@ fn metres(file: &PosesFile) -> Result<(), FileError> {
         markers.entry(&row.child).or_insert(row);
     }
     let at: Vec<_> = markers.values().collect();
-    let all = || at.iter().enumerate().flat_map(|(k, a)| at[k + 1..].iter().map(move |b| (a.translation - b.translation).norm()));
+    let all = || {
+        at.iter().enumerate().flat_map(|(k, a)| at[k + 1..].iter().map(move |b| (a.translation - b.translation).norm()))
+    };
     let apart_mm = all().fold(0.0, f64::max);
     let far_mm = at.iter().map(|row| row.translation.norm()).fold(0.0, f64::max);
     if at.len() < 2 || apart_mm > APART_MM || far_mm > FAR_MM {
         return Ok(());
     }
     let first = at.iter().min_by_key(|row| row.line).expect("there are two");
-    let [x, y, z]: [f64; 3] = first.translation.into();
+    let [x, y, z]: [f64; 3] = first.translation.map(|mm| (mm * 1e5).round() / 1e5).into();
     let message = format!(
         "{} is at {x}, {y}, {z} mm, and all {} markers lie within {apart_mm:.2} mm of each other; likely cause: the poses are in metres; \
          write unit = \"m\" in their [[poses]] of procedure.toml",
@@ -208,7 +210,8 @@ pub(super) fn scalar_first(file: &PosesFile) -> Option<String> {
             shown(q)
         ));
     }
-    let (n_first, n_last) = quaternions().fold((0, 0), |(i, w), (_, q)| (i + usize::from(q.i < 0.0), w + usize::from(q.w < 0.0)));
+    let (n_first, n_last) =
+        quaternions().fold((0, 0), |(i, w), (_, q)| (i + usize::from(q.i < 0.0), w + usize::from(q.w < 0.0)));
     (file.rows.len() >= N_SIGNS && n_first == 0 && n_last > 0).then(|| {
         format!(
             "line {}: the quaternion is {}, and in all {} rows its first number is positive while its last is negative in {n_last}; likely \
@@ -227,7 +230,14 @@ mod tests {
     fn row(line: u64, parent: &str, child: &str, translation: [f64; 3]) -> RowRead {
         let rotation = UnitQuaternion::identity();
         let stamp_ns = 1_750_000_000_000_000_000 + line as i64;
-        RowRead { line, parent: parent.into(), child: child.into(), stamp_ns, translation: translation.into(), rotation }
+        RowRead {
+            line,
+            parent: parent.into(),
+            child: child.into(),
+            stamp_ns,
+            translation: translation.into(),
+            rotation,
+        }
     }
 
     fn message(rows: Vec<RowRead>, scans: &[StampNs]) -> String {
@@ -240,7 +250,11 @@ mod tests {
 
     #[test]
     fn good_poses_pass() {
-        let rows = vec![row(2, "world", "camera_marker", AT), row(3, "world", "bone_marker", BESIDE), row(4, "phantom", "phantom_marker", AT)];
+        let rows = vec![
+            row(2, "world", "camera_marker", AT),
+            row(3, "world", "bone_marker", BESIDE),
+            row(4, "phantom", "phantom_marker", AT),
+        ];
         assert_eq!(message(rows, &[1_750_000_000_500_000_000, 0]), "");
         let pointer = vec![row(2, "world", "camera_marker", AT), row(3, "world", "pointer", BESIDE)];
         assert_eq!(message(pointer, &[]), "", "others may be tracked, too");
@@ -251,24 +265,39 @@ mod tests {
         let (camera, bone) = (|| row(2, "world", "camera_marker", AT), || row(3, "world", "bone_marker", BESIDE));
         for name in ["cam_marker", "camera-marker", "CameraMarker", "camera", "camera_markr"] {
             let found = message(vec![row(2, "world", name, AT), bone()], &[]);
-            let expected = format!("poses.csv: line 2: the child is \"{name}\", and no row has the child \"camera_marker\"; likely cause: another name");
+            let expected = format!(
+                "poses.csv: line 2: the child is \"{name}\", and no row has the child \"camera_marker\"; likely cause: another name"
+            );
             assert!(found.starts_with(&expected), "{found}");
         }
         let found = message(vec![camera(), row(3, "bone_marker", "world", BESIDE)], &[]);
-        assert!(found.starts_with("poses.csv: line 3: parent is \"bone_marker\" and child is \"world\"; likely cause: parent and child"), "{found}");
+        assert!(
+            found.starts_with(
+                "poses.csv: line 3: parent is \"bone_marker\" and child is \"world\"; likely cause: parent and child"
+            ),
+            "{found}"
+        );
         let small = |mut row: RowRead| {
             row.translation *= 1e-3;
             row
         };
         let found = message(vec![small(camera()), small(bone())], &[]);
-        assert!(found.contains("line 2: camera_marker is at 0.64, 1.375, -0.2 mm") && found.contains("likely cause: the poses are in metres"), "{found}");
+        assert!(
+            found.contains("line 2: camera_marker is at 0.64, 1.375, -0.2 mm")
+                && found.contains("likely cause: the poses are in metres"),
+            "{found}"
+        );
         for (unit, name) in [(1e9, "seconds"), (1e6, "milliseconds"), (1e3, "microseconds")] {
             let coarse = |mut row: RowRead| {
                 row.stamp_ns = (row.stamp_ns as f64 / unit) as i64;
                 row
             };
             let found = message(vec![coarse(camera()), coarse(bone())], &[1_750_000_000_500_000_000]);
-            assert!(found.starts_with("poses.csv: line 2: t_ns is 1750000000") && found.contains(&format!("the stamps are in {name}")), "{found}");
+            assert!(
+                found.starts_with("poses.csv: line 2: t_ns is 1750000000")
+                    && found.contains(&format!("the stamps are in {name}")),
+                "{found}"
+            );
             let found = message(vec![camera(), bone()], &[(1_750_000_000_500_000_000_f64 / unit) as i64]);
             assert!(found.contains(&format!("the scan's stamp is in {name}")), "{found}");
         }
@@ -285,7 +314,10 @@ mod tests {
             let rows = (0..40).map(|k| {
                 let q = turned(k);
                 let read = if is_first { nalgebra::Quaternion::new(q.k, q.w, q.i, q.j) } else { q };
-                RowRead { rotation: UnitQuaternion::new_unchecked(read), ..row(k as u64 + 2, "world", "camera_marker", AT) }
+                RowRead {
+                    rotation: UnitQuaternion::new_unchecked(read),
+                    ..row(k as u64 + 2, "world", "camera_marker", AT)
+                }
             });
             PosesFile { path: "poses.csv".into(), rows: rows.collect() }
         };
@@ -295,6 +327,9 @@ mod tests {
         let found = scalar_first(&first).expect("it is named");
         assert!(found.starts_with("line 3: ") && found.contains("likely cause: the scalar comes first"), "{found}");
         let found = scalar_first(&file(true)).expect("the identity");
-        assert!(found.starts_with("line 2: the quaternion is 1.0000, 0.0000, 0.0000, 0.0000, half a turn about x"), "{found}");
+        assert!(
+            found.starts_with("line 2: the quaternion is 1.0000, 0.0000, 0.0000, 0.0000, half a turn about x"),
+            "{found}"
+        );
     }
 }

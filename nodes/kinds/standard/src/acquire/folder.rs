@@ -131,7 +131,11 @@ impl Folder {
         }
         for (port, name) in needed {
             if !has(name) {
-                events.push(at(port, start_ns, Emission::Empty(format!("the folder has no poses of {name}; {}", of(&streams)))));
+                events.push(at(
+                    port,
+                    start_ns,
+                    Emission::Empty(format!("the folder has no poses of {name}; {}", of(&streams))),
+                ));
             }
         }
         for port in ProcedurePort::OF_EXPERIMENTS {

@@ -2,8 +2,8 @@
 
 use super::{Setting, SweepResults, label as quoted, number_of, setting_name};
 use crate::{
-    degrees::shown_unit,
     chart::{Axis, COLOURS, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, panels, share_axes},
+    degrees::shown_unit,
     format::number,
     html::Page,
 };
@@ -190,10 +190,7 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Stri
     let chart = Chart {
         title: axis_label(&column.name),
         about: format!("A box of {} for each of {} settings.", column.name, settings.len()),
-        x: Axis::Categories {
-            label: setting_label(settings),
-            names: settings.iter().map(Setting::short).collect(),
-        },
+        x: Axis::Categories { label: setting_label(settings), names: settings.iter().map(Setting::short).collect() },
         y: Axis::Linear(axis_label(&column.name)),
         series: marks.collect(),
         note: String::new(),
