@@ -32,29 +32,30 @@ fn show(browser: &mut Browser, url: &str) {
     browser.wait_until("document.readyState === 'complete'");
 }
 
+/// Mean difference of the colours of two pictures (PNG in base64), drawn by the browser in squares of some pixels; 255 if their sizes differ.
+fn difference(browser: &mut Browser, a: &str, b: &str) -> f64 {
+    browser.call("Page.navigate", json!({ "url": "about:blank" }));
+    let pixels = "async (data) => { const image = new Image(); image.src = 'data:image/png;base64,' + data; await image.decode(); \
+                  const canvas = new OffscreenCanvas(50, 32); const to = canvas.getContext('2d'); to.imageSmoothingQuality = 'high'; \
+                  to.drawImage(image, 0, 0, 50, 32); return [image.width, image.height, ...to.getImageData(0, 0, 50, 32).data]; }";
+    let difference = browser.evaluate(&format!(
+        "(async () => {{ const pixels = {pixels}; const a = await pixels('{a}'); const b = await pixels('{b}').catch(() => []); \
+         if (a[0] !== b[0] || a[1] !== b[1]) return 255; \
+         return a.reduce((sum, value, k) => sum + Math.abs(value - b[k]), 0) / a.length; }})()"
+    ));
+    difference.as_f64().unwrap()
+}
+
 /// Compares what the browser shows with the picture of a page, or writes it.
 fn compare_picture(browser: &mut Browser, picture: &str) {
     browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
     let shot = browser.call("Page.captureScreenshot", json!({ "format": "png" }));
     let shot = shot["data"].as_str().unwrap();
     let path = root().join(picture);
-    if std::env::var_os("UPDATE").is_some() {
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-    }
-    let kept = fs::read(&path).unwrap_or_default();
-    // Both are drawn by the browser, in squares of some pixels, whose mean colours are compared.
-    browser.call("Page.navigate", json!({ "url": "about:blank" }));
-    let pixels = "async (data) => { const image = new Image(); image.src = 'data:image/png;base64,' + data; await image.decode(); \
-                  const canvas = new OffscreenCanvas(50, 32); const to = canvas.getContext('2d'); to.imageSmoothingQuality = 'high'; \
-                  to.drawImage(image, 0, 0, 50, 32); return [image.width, image.height, ...to.getImageData(0, 0, 50, 32).data]; }";
-    let kept = BASE64_STANDARD.encode(&kept);
-    let difference = browser.evaluate(&format!(
-        "(async () => {{ const pixels = {pixels}; const now = await pixels('{shot}'); \
-         const kept = await pixels('{kept}').catch(() => []); if (now[0] !== kept[0] || now[1] !== kept[1]) return 255; \
-         return now.reduce((sum, value, k) => sum + Math.abs(value - kept[k]), 0) / now.length; }})()"
-    ));
-    let difference = difference.as_f64().unwrap();
+    let kept = BASE64_STANDARD.encode(fs::read(&path).unwrap_or_default());
+    let difference = difference(browser, shot, &kept);
     if difference > SAME_COLOURS / 4.0 && std::env::var_os("UPDATE").is_some() {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, BASE64_STANDARD.decode(shot).unwrap()).unwrap();
         return;
     }
@@ -62,6 +63,25 @@ fn compare_picture(browser: &mut Browser, picture: &str) {
         difference < SAME_COLOURS,
         "{picture} shows something else (colours differ by {difference:.1}); `UPDATE=1 cargo test --release --test suite guides::` takes it again"
     );
+}
+
+#[test]
+fn a_picture_of_another_page_or_of_an_empty_one_is_found() {
+    let Some(mut browser) = Browser::start("a_picture_of_another_page_or_of_an_empty_one_is_found") else { return };
+    let [page, report] = ["page", "report"].map(|name| {
+        let picture = root().join(format!("docs/begin/first-week/{name}.png"));
+        BASE64_STANDARD.encode(fs::read(picture).unwrap())
+    });
+    assert_eq!(difference(&mut browser, &page, &page), 0.0);
+    for other in [&report, ""] {
+        let found = difference(&mut browser, &page, other);
+        assert!(found > SAME_COLOURS, "{found}");
+    }
+    // The page before its bone is drawn.
+    show(&mut browser, "about:blank");
+    let empty = browser.call("Page.captureScreenshot", json!({ "format": "png" }));
+    let found = difference(&mut browser, &page, empty["data"].as_str().unwrap());
+    assert!(found > SAME_COLOURS, "{found}");
 }
 
 #[test]
@@ -96,6 +116,7 @@ fn the_first_week_runs_as_it_is_written() {
         "week/bone.stl",
         "two/report.html",
         "two/export/scan.vtk",
+        "scan.vtk",
         "registered/pose.tfm",
         "my_procedure/first/run.mcap",
         "my_procedure/first/report.html",
