@@ -297,7 +297,7 @@ fn are_alike(a: &str, b: &str) -> bool {
 }
 
 /// Whether a block is what was printed; its lines `..` stand for any lines.
-fn fits(block: &[String], printed: &[String]) -> bool {
+pub(crate) fn fits(block: &[String], printed: &[String]) -> bool {
     let (block, printed) = (without_times(block), without_times(printed));
     let begins = |lines: &[String], part: &[String]| {
         lines.len() >= part.len() && part.iter().zip(lines).all(|(a, b)| are_alike(a, b))
@@ -320,7 +320,7 @@ fn fits(block: &[String], printed: &[String]) -> bool {
 }
 
 /// What was printed, with the lines `..` of a block where they were, as far as the lines beside them are still there.
-fn shortened(block: &[String], printed: &[String]) -> Vec<String> {
+pub(crate) fn shortened(block: &[String], printed: &[String]) -> Vec<String> {
     let parts: Vec<&[String]> = block.split(|line| line == "..").collect();
     if parts.len() == 1 {
         return printed.to_vec();

@@ -264,7 +264,9 @@ fn measure_shown() {
     let mut worst = [0.0_f64; 4];
     let (mut n_sound, mut n_false, mut least_turned) = (0, 0, f64::MAX);
     let mut found: std::collections::BTreeMap<String, [usize; 2]> = Default::default();
-    for (shot, seed) in measured().iter().enumerate().flat_map(|(k, shot)| (from..from + n).map(move |seed| ((k, shot), seed))) {
+    for (shot, seed) in
+        measured().iter().enumerate().flat_map(|(k, shot)| (from..from + n).map(move |seed| ((k, shot), seed)))
+    {
         let (k, shot) = shot;
         let all = drawn(seed);
         let mut calibrate = |printed: &Boxes, cad: &Boxes| {
@@ -287,7 +289,13 @@ fn measure_shown() {
                 *worst = worst.max(value);
             }
             least_turned = least_turned.min(shown.turned_rms_mm.unwrap_or(f64::MAX) / shown.thinned_rms_mm);
-            println!("sound {k} {seed}: {:.4} {:.4} {part:.3} unseen {unseen} of {} notes {:?}", shown.through.share, shown.before.share, shown.parts.len(), fit.report.notes);
+            println!(
+                "sound {k} {seed}: {:.4} {:.4} {part:.3} unseen {unseen} of {} notes {:?}",
+                shown.through.share,
+                shown.before.share,
+                shown.parts.len(),
+                fit.report.notes
+            );
         }
         for (what, printed, cad) in wrong_cads(&all) {
             let (default, fit) = calibrate(&printed, &cad);
@@ -304,7 +312,9 @@ fn measure_shown() {
         let (default, _) = calibrate(&cube, &cube);
         println!("cube {k} {seed}: {:?}", default.map(|fit| fit.report.notes).map_err(|e| e.to_string()));
     }
-    println!("{n_false} of {n_sound} false; worst through, before, part, unseen {worst:?}; least turned {least_turned:.2}");
+    println!(
+        "{n_false} of {n_sound} false; worst through, before, part, unseen {worst:?}; least turned {least_turned:.2}"
+    );
     for (what, [missed, told]) in found {
         println!("{what}: {told} of {} refused", told + missed);
     }
