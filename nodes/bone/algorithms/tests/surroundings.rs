@@ -198,7 +198,7 @@ impl Scene {
             placed.push(p + Vector3::from_fn(|_, _| noise.sample(&mut rng)));
         }
         let name = format!("{}, {kind:?}, {share}, {seed}", self.name);
-        let camera = (seed % 2 == 0).then_some(camera);
+        let camera = seed.is_multiple_of(2).then_some(camera);
         Case { name, target: target.clone(), n_bone, placed, camera, right: (2.0, 3.0) }
     }
 }
