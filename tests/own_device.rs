@@ -88,7 +88,10 @@ fn an_sdk_that_stalls_is_reported_and_goes_on() {
     let Some(folder) = folder("a device that stalls") else { return };
     let (code, said) = ran(&folder, 6, r#"{"stall": [3, 3.5]}"#, &[]);
     assert_eq!(code, Some(0), "{said}");
-    assert!(said.contains("it has given nothing for 2.0 s") && said.contains("it gave something again after 3.5 s"), "{said}");
+    assert!(
+        said.contains("it has given nothing for 2.0 s") && said.contains("it gave something again after 3.5 s"),
+        "{said}"
+    );
     replays(&folder);
 }
 

@@ -89,7 +89,11 @@ fn other_phantom(shown: &PhantomShown, params: &PhantomParams) -> Option<Refusal
     let place = |of: &Contradiction, limit: f64| {
         let [x, y, z] = of.at_mm.filter(|_| of.share > limit)?;
         let (percent, allowed, mm) = (of.share * 100.0, limit * 100.0, of.along_mm);
-        Some((format!("{percent:.1} % of the phantom's scan, {allowed} % is allowed,"), mm, format!("({x:.0}, {y:.0}, {z:.0}) mm")))
+        Some((
+            format!("{percent:.1} % of the phantom's scan, {allowed} % is allowed,"),
+            mm,
+            format!("({x:.0}, {y:.0}, {z:.0}) mm"),
+        ))
     };
     if let Some((share, mm, at)) = place(&shown.through, params.max_through_share) {
         return Some(Refusal::of(format!(
