@@ -257,65 +257,53 @@ fn measured() -> [PhantomShot; 3] {
     [shot, few, noisy]
 }
 
+/// The default limits were chosen on the phantoms drawn by seeds 0 to 2; the tests take others.
+fn phantoms_drawn() -> std::ops::Range<u64> {
+    if is_slow() { 100..120 } else { 100..102 }
+}
+
 #[test]
-fn measure_shown() {
-    let n: u64 = std::env::var("N").map_or(3, |n| n.parse().unwrap());
-    let from: u64 = std::env::var("FROM").map_or(0, |n| n.parse().unwrap());
-    let mut worst = [0.0_f64; 4];
-    let (mut n_sound, mut n_false, mut least_turned) = (0, 0, f64::MAX);
-    let mut found: std::collections::BTreeMap<String, [usize; 2]> = Default::default();
-    for (shot, seed) in
-        measured().iter().enumerate().flat_map(|(k, shot)| (from..from + n).map(move |seed| ((k, shot), seed)))
-    {
-        let (k, shot) = shot;
-        let all = drawn(seed);
-        let mut calibrate = |printed: &Boxes, cad: &Boxes| {
-            let scan = shot.take(&boxes(printed), seed);
-            let start = nominal(&scan.t_camera_phantom, 3.0, 2.0, seed);
-            let fit = |params: &PhantomParams| phantom_icp(&scan.points, &boxes(cad), &start, params);
-            (fit(&PhantomParams::default()), fit(&anything()))
-        };
-        let (default, fit) = calibrate(&all, &all);
-        n_sound += 1;
-        if let Err(error) = &default {
-            n_false += 1;
-            println!("false alarm, shot {k}, seed {seed}: {error}");
-        }
-        if let Ok(fit) = &fit {
+fn sound_scans_of_phantoms_that_chose_no_limit_calibrate_without_a_doubt() {
+    let n_shots = if is_slow() { 3 } else { 2 };
+    for seed in phantoms_drawn() {
+        let phantom = boxes(&drawn(seed));
+        for shot in measured().iter().take(n_shots) {
+            let fit = calibrated(&shot.take(&phantom, seed), &phantom, seed);
+            let fit = fit.unwrap_or_else(|error| panic!("seed {seed}, {shot:?}: {error}"));
             let shown = &fit.report.shown;
-            let part = shown.parts.iter().filter_map(|p| p.off_mm).fold(0.0, |a: f64, b| a.max(b.abs()));
-            let unseen = shown.parts.iter().filter(|p| p.seen_share < 0.2).count() as f64;
-            for (worst, value) in worst.iter_mut().zip([shown.through.share, shown.before.share, part, unseen]) {
-                *worst = worst.max(value);
-            }
-            least_turned = least_turned.min(shown.turned_rms_mm.unwrap_or(f64::MAX) / shown.thinned_rms_mm);
-            println!(
-                "sound {k} {seed}: {:.4} {:.4} {part:.3} unseen {unseen} of {} notes {:?}",
-                shown.through.share,
-                shown.before.share,
-                shown.parts.len(),
-                fit.report.notes
-            );
+            assert_eq!(fit.report.notes, [""; 0], "seed {seed}, {shot:?}: {shown:?}");
+            assert!(shown.parts.len() > 5 && shown.parts.iter().all(|part| part.seen_share > 0.2), "{shown:?}");
         }
-        for (what, printed, cad) in wrong_cads(&all) {
-            let (default, fit) = calibrate(&printed, &cad);
-            let kind = what.trim_end_matches(char::is_numeric).to_owned();
-            let counts = found.entry(kind).or_default();
-            counts[usize::from(default.is_err())] += 1;
-            if default.is_ok() {
-                let shown = &fit.unwrap().report.shown;
-                let part = shown.parts.iter().filter_map(|p| p.off_mm).fold(0.0, |a: f64, b| a.max(b.abs()));
-                println!("missed {k} {seed} {what}: {:.4} {:.4} {part:.3}", shown.through.share, shown.before.share);
-            }
-        }
-        let cube = all[..1].to_vec();
-        let (default, _) = calibrate(&cube, &cube);
-        println!("cube {k} {seed}: {:?}", default.map(|fit| fit.report.notes).map_err(|e| e.to_string()));
     }
-    println!(
-        "{n_false} of {n_sound} false; worst through, before, part, unseen {worst:?}; least turned {least_turned:.2}"
-    );
-    for (what, [missed, told]) in found {
-        println!("{what}: {told} of {} refused", told + missed);
+}
+
+#[test]
+fn a_cad_that_lacks_a_block_has_one_too_many_or_elsewhere_is_refused_with_the_place() {
+    for seed in phantoms_drawn() {
+        let all = drawn(seed);
+        let cases = wrong_cads(&all);
+        let every = if is_slow() { 1 } else { 3 };
+        for (what, printed, cad) in cases.into_iter().step_by(every) {
+            for shot in measured().iter().take(if is_slow() { 3 } else { 1 }) {
+                let scan = shot.take(&boxes(&printed), seed);
+                let result = calibrated(&scan, &boxes(&cad), seed);
+                let is_told = is_refused(&result, "CAD of this phantom") || is_refused(&result, "is it this phantom");
+                assert!(is_told, "seed {seed}, {what}, {shot:?}: {result:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_cube_without_blocks_calibrates_and_says_what_it_cannot_show() {
+    let cube = boxes(&drawn(100)[..1].to_vec());
+    let fit = calibrated(&measured()[0].take(&cube, 100), &cube, 100).unwrap();
+    let notes = fit.report.notes.join("; ");
+    for part in [
+        "do not determine the scale",
+        "do not tell the scan from its mirror image",
+        "fits as well when it is turned by",
+    ] {
+        assert!(notes.contains(part), "{notes}");
     }
 }

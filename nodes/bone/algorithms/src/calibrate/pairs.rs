@@ -45,6 +45,18 @@ impl Scan {
     }
 }
 
+impl Scan {
+    /// The points within `max_mm` of the faces, without what stands around the phantom.
+    pub(super) fn near(&self, faces: &Faces, t_phantom_camera: &Isometry3<f64>, max_mm: f64) -> Self {
+        let is_near = |p: &Point3<f64>| faces.distance_mm(&(t_phantom_camera * p)) <= max_mm;
+        let kept: Vec<usize> = (0..self.points.len()).filter(|&i| is_near(&self.points[i])).collect();
+        Self {
+            points: kept.iter().map(|&i| self.points[i]).collect(),
+            normals: kept.iter().map(|&i| self.normals[i]).collect(),
+        }
+    }
+}
+
 /// Some samples of the CAD's faces. Far from them, a tree is faster than the cells of a [`Target`].
 pub(super) struct Faces {
     pub(super) points: Vec<Point3<f64>>,

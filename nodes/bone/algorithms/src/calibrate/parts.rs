@@ -59,8 +59,8 @@ pub(super) fn parts(
         let is_same = |(n, at, _): &(Vector3<f64>, f64, Vec<usize>)| {
             n.dot(normal) > SAME_NORMAL_COS && (at - offset).abs() < SAME_OFFSET_MM
         };
-        match planes.iter_mut().find(|plane| is_same(plane)) {
-            Some((.., of)) => of.push(i),
+        match planes.iter().position(is_same) {
+            Some(plane) => planes[plane].2.push(i),
             None if planes.len() == MAX_PLANES => return Vec::new(),
             None => planes.push((*normal, offset, vec![i])),
         }

@@ -2,6 +2,7 @@
 
 use super::align::MIN_HOLD_MM;
 use super::contradicted::{Contradiction, contradicted};
+use super::mirror::mirrored_mm;
 use super::pairs::{Faces, Scan, capped_rms_mm, distances, on_faces};
 use super::parts::{OnCad, PhantomPart, parts};
 use super::turned::best_turned;
@@ -35,10 +36,12 @@ pub struct PhantomShown {
     /// The turn of the phantom about its own axes in which it fits best of all others: rotation vector, rad. None of a phantom without
     /// planes.
     pub turned_rad: Option<[f64; 3]>,
-    /// The `capped_rms_mm` of the scan there.
+    /// RMS distance of its points there, each counted as at most `3 max_rms_mm`, mm.
     pub turned_rms_mm: Option<f64>,
-    /// The `capped_rms_mm` of the same points in the fit, with which those of the turn and of the mirror image compare.
-    pub thinned_rms_mm: f64,
+    /// The same of their mirror image.
+    pub mirrored_rms_mm: Option<f64>,
+    /// The same in the fit, of the points near the CAD: with what stands around the phantom all poses would be alike.
+    pub near_rms_mm: f64,
 }
 
 /// The body and the scan of a fit.
@@ -46,14 +49,19 @@ pub(super) struct Fitted<'a> {
     pub(super) query: &'a MeshQuery,
     pub(super) faces: &'a Faces,
     pub(super) scan: &'a Scan,
-    /// Some of the scan's points.
-    pub(super) thin: &'a Scan,
+    /// Number of points that are registered in other poses.
+    pub(super) n_thin: usize,
     pub(super) t_phantom_camera: &'a Isometry3<f64>,
     pub(super) noise_mm: f64,
     pub(super) max_mm: f64,
     pub(super) cap_mm: f64,
     /// Area of the CAD's surface that a sample stands for, mm².
     pub(super) sample_mm2: f64,
+}
+
+/// About the distance between samples of the CAD's surface, mm.
+fn spacing_of_samples_mm(sample_mm2: f64) -> f64 {
+    sample_mm2.sqrt()
 }
 
 impl PhantomShown {
@@ -69,30 +77,28 @@ impl PhantomShown {
         let [through, before] = contradicted(fit.query, fit.faces, &points, &tree, t, fit.noise_mm);
         let on_cad = OnCad::new(points, normals, &tree, spacing_mm, fit.sample_mm2);
         let parts = parts(fit.faces, fit.query, &on_cad, t);
-        let turned = best_turned(fit.faces, fit.thin, &parts, t, fit.max_mm, fit.cap_mm);
-        let of_fit = distances(&on_faces(fit.faces, fit.thin, t, fit.max_mm));
+        let near = fit.scan.near(fit.faces, t, fit.cap_mm + spacing_of_samples_mm(fit.sample_mm2)).thinned(fit.n_thin);
+        let turned = best_turned(fit.faces, &near, &parts, t, fit.max_mm, fit.cap_mm);
+        let mirrored_rms_mm = mirrored_mm(fit.faces, &near, t, t, fit.max_mm, fit.cap_mm);
+        let of_fit = distances(&on_faces(fit.faces, &near, t, fit.max_mm));
         Self {
             parts,
             through,
             before,
             turned_rad: turned.map(|(turn, _)| turn),
             turned_rms_mm: turned.map(|(_, rms_mm)| rms_mm),
-            thinned_rms_mm: capped_rms_mm(&of_fit, fit.thin.points.len(), fit.cap_mm),
+            mirrored_rms_mm,
+            near_rms_mm: capped_rms_mm(&of_fit, near.points.len(), fit.cap_mm),
         }
     }
 
     /// Whether the scan fits as well in a pose that leaves this `capped_rms_mm`.
     pub(super) fn is_as_well(&self, rms_mm: Option<f64>) -> bool {
-        rms_mm.is_some_and(|rms_mm| rms_mm < AS_WELL * self.thinned_rms_mm)
+        rms_mm.is_some_and(|rms_mm| rms_mm < AS_WELL * self.near_rms_mm)
     }
 
     /// What the user should know of the calibration, one sentence each.
-    pub(super) fn notes(
-        &self,
-        scale: Option<(f64, f64)>,
-        mirrored_rms_mm: Option<f64>,
-        working_distance_mm: f64,
-    ) -> Vec<String> {
+    pub(super) fn notes(&self, scale: Option<(f64, f64)>, working_distance_mm: f64) -> Vec<String> {
         let mut notes = Vec::new();
         let unseen: Vec<&PhantomPart> = self.parts.iter().filter(|part| part.seen_share < SEEN_SHARE).collect();
         if let Some(largest) = unseen.first() {
@@ -118,7 +124,7 @@ impl PhantomShown {
             )),
             Some(_) => {}
         }
-        if self.is_as_well(mirrored_rms_mm) {
+        if self.is_as_well(self.mirrored_rms_mm) {
             notes.push("the seen faces do not tell the scan from its mirror image: a flipped axis of the camera is not recognized".into());
         }
         if let (Some(turn), true) = (self.turned_rad.map(Vector3::from), self.is_as_well(self.turned_rms_mm)) {

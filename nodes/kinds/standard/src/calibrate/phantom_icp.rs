@@ -11,7 +11,9 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
 /// `t_camera_camera_marker = t_camera_phantom * t_phantom_phantom_marker * t_phantom_marker_world *
 /// t_world_camera_marker`, with `t_camera_phantom` from an ICP of the phantom's CAD that starts at the marker's
 /// nominal pose. At least three faces must be seen, one of them with few points. A scan that is mirrored, of the wrong size,
-/// farther from the CAD than its own noise explains, or far from the nominal pose is refused.
+/// farther from the CAD than its own noise explains, or far from the nominal pose is refused, and so is one of a phantom that lacks a
+/// block of the CAD or has one that the CAD lacks. What the seen faces leave open is a warning: the scale, the handedness, a turn in
+/// which the phantom fits as well. The report lists the planes that the camera could see, and how much of each it saw.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -77,6 +79,7 @@ impl Function for PhantomIcp {
 
         let start = nominal_t_camera_phantom(&nominal, &t_p_mp, &t_w_mp, &t_w_mc);
         let fit = phantom_icp(i.cloud.points(), &i.phantom, &start, params)?;
+        fit.report.notes.iter().for_each(|note| ctx.warn(note.clone()));
         let t_c_mc = equation_1(&fit.t_camera_phantom, &t_p_mp, &t_w_mp, &t_w_mc);
         let pose = Pose::new(camera, camera_marker, t_c_mc).at(ctx.stamp_ns());
         let phantom_marker = &i.t_phantom_phantom_marker.from;
