@@ -63,7 +63,7 @@ fn each_is_read_as_its_writer_reads_it_or_refused_by_name() {
     let message = read("jpeg_lossless_point").unwrap_err();
     assert!(message.contains("JPEG lossless with a point transform are not read; convert"), "{message}");
     assert_eq!(data_files(&folder().join("detached.mhd")), [folder().join("detached.zraw")]);
-    assert_eq!(data_files(&folder().join("oblique.mha")), [PathBuf::new(); 0]);
+    assert!(data_files(&folder().join("oblique.mha")).is_empty());
 }
 
 #[test]
