@@ -298,7 +298,8 @@ fn tracked_sequences_of_plus_hold_the_poses_that_are_in_their_headers() {
     assert_eq!((stylus.to.as_str(), stylus.from.as_str()), ("Tracker", "Stylus"));
     // The first row of the matrix is 0.68393 0.36068 -0.63430 315.553.
     let corner = stylus.isometry * Point3::new(100.0, 0.0, 0.0);
-    assert!((corner.x - (68.39311099507384 + 315.55283203125)).abs() < 1e-9, "{corner}");
+    // The matrices of this log are 3.6e-4 from a rotation, which is 0.036 mm at 100 mm.
+    assert!((corner.x - (68.39311099507384 + 315.55283203125)).abs() < 0.036, "{corner}");
     // The stylus turns about its tip at several places: in its own frame the tip is one point, which it is not if the sense were inverse.
     let stylus: Vec<_> =
         log.poses.iter().skip(1).step_by(2).map(|pose| pose.as_ref().unwrap().value.isometry).collect();

@@ -102,7 +102,7 @@ fn stamps_that_run_backwards_are_reported_once_with_message_and_both_stamps() {
 /// The pose of an item, if it is no empty.
 fn pose_of(emission: &Emission) -> Option<Pose> {
     match emission {
-        Emission::Value(value) => value.downcast_ref::<Pose>().cloned(),
+        Emission::Value(value) => value.get::<Pose>().cloned(),
         _ => None,
     }
 }

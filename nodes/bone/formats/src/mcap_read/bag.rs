@@ -221,7 +221,11 @@ rosbag2_bagfile_information:
             (with("- bag_0.mcap", "- .."), &files[..], "names \"..\", which is no file"),
             (with("message_count: 12", "message_count: many"), &files[..], "message_count is \"many\""),
             ("a: [b".into(), &files[..], "metadata.yaml: "),
-            (String::new(), &["a.db3"], "its .db3 is a ROS 2 bag of the older kind"),
+            (
+                String::new(),
+                &["a.db3"],
+                "is a ROS 2 bag of the older kind, in SQLite; convert it with `rosbags-convert --src ",
+            ),
             (String::new(), &["a.mcap.zstd"], "unpack its .mcap.zstd"),
             (String::new(), &[], "neither metadata.yaml nor a recording (.mcap)"),
         ] {
