@@ -156,7 +156,7 @@ export class Panel {
     const select = make("button", { className: "shape", textContent: SHAPES[group], title: "select", onclick: () => picking.select(group, name) });
     select.setAttribute("aria-label", `select ${name}`);
     select.setAttribute("aria-pressed", String(isSelected));
-    const label = make("input", { value: name, readOnly: group === "tip", onchange: () => picking.rename(group, name, label.value) });
+    const label = make("input", { value: name, title: name, readOnly: group === "tip", onchange: () => picking.rename(group, name, label.value) });
     label.setAttribute("aria-label", "name");
     label.onkeydown = (event) => {
       if (event.key === "Enter") label.blur();
