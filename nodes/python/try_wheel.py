@@ -188,11 +188,10 @@ def another_build_is_not_answered_from_the_store_of_this_one() -> None:
     assert recalled("warm"), "an earlier run has left nothing"
     # The same library with one byte more, which no loader reads.
     site = HERE / "other"
-    for package in ("osteoflow", "osteoflow_command"):
-        shutil.copytree(SITE / package, site / package)
+    shutil.copytree(SITE / "osteoflow", site / "osteoflow")
     with library(site).open("ab") as file:
         file.write(b"\0")
-    other = [sys.executable, "-I", str(site / "osteoflow_command/__init__.py"), *words, "other"]
+    other = [sys.executable, "-I", str(site / "osteoflow/_command.py"), *words, "other"]
     subprocess.run(other, check=True, capture_output=True, cwd=EXAMPLES)
     assert not recalled("other"), "an answer of another build"
 

@@ -1,7 +1,11 @@
 //! The file with the code of this program.
 
 use super::{Digest, file_stamp::stamp, files::sha256};
-use std::{env, io, path::PathBuf, sync::OnceLock};
+use std::{
+    env, io,
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
 
 /// The library, and its stamp when it was named.
 static LIBRARY: OnceLock<(PathBuf, Option<String>)> = OnceLock::new();
@@ -35,7 +39,7 @@ pub(crate) fn readable() -> io::Result<PathBuf> {
     }
 }
 
-fn stamp_of(file: &PathBuf) -> io::Result<String> {
+fn stamp_of(file: &Path) -> io::Result<String> {
     Ok(stamp(&file.metadata()?))
 }
 

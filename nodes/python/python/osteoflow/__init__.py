@@ -22,9 +22,9 @@ from pathlib import Path as _Path
 from typing import Any, Callable, Iterable, Mapping, Optional, Sequence, Union
 
 import numpy as _np
-from osteoflow_command import BEFORE as _BEFORE
 
 from . import _core
+from ._command import BEFORE as _BEFORE
 from ._core import OsteoflowError, Refused, UsageError, __version__
 from ._study import Row, Study
 from ._types import Cloud, Item, Mesh, Recording, Wire, _Wires

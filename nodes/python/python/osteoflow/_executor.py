@@ -16,9 +16,8 @@ import uuid
 from pathlib import Path
 from typing import Any, Callable, NamedTuple
 
-from osteoflow_command import BEFORE
-
 from . import _core
+from ._command import BEFORE
 
 #: How often a task is submitted before the sweep fails.
 ATTEMPTS = 3
