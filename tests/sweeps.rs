@@ -221,6 +221,8 @@ fn two_runs_are_compared_number_by_number() {
     };
     let (a, b) = (run("a", "icp.kind=icp.point_to_point"), run("b", "icp.kind=icp.point_to_plane"));
     let (answer, _, code) = output(&["compare", &a, &b]);
+    assert!(code == 0 && answer.contains("TRE, true, mean mm") && !answer.contains("points.M1"), "{answer}");
+    let (answer, _, code) = output(&["compare", "-v", &a, &b]);
     assert!(code == 0 && answer.contains("metrics.tre_true_mm.points.M1.x"), "{answer}");
     assert!(!answer.contains("metrics.tre_true_mm.n "), "equal numbers are left out:\n{answer}");
     let (answer, ..) = output(&["compare", &a, &a]);
