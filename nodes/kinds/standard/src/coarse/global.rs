@@ -10,12 +10,13 @@ use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs, Un
 /// Registration of the scan by shape alone, without landmarks.
 ///
 /// The long axis of a scan that is 1.5 times as long as wide is aligned with the bone in both directions, in steps along it and
-/// rotations about it. A scan of another shape, and one that is less than 2.5 times as long as wide or fits badly so, is tried in any
-/// orientation anywhere on the surface. The best starts are refined, and the best of these is the answer. A shaft is nearly a
-/// cylinder, so a short scan also fits well in wrong places: the report's `clearness` is how much worse the best other answer fits, and a warning is given if it is low. Of
-/// scans of one side of two real bones, all of 95 mm and more were registered within 0.1 mm, 5 of 6 of 60 mm, and 6 of 12 of
-/// 40 mm and less; clearness was 0.4 and more for right answers and 0.2 and less for wrong ones. Takes 0.1 to 0.2 s of one
-/// core for a shaft and 0.3 to 0.9 s for other shapes once the surface is prepared.
+/// rotations about it. A scan of another shape is tried in any orientation anywhere on the surface; so is a scan that
+/// is less than 2.5 times as long as wide, or that fits badly along the axis. The best starts are refined, and the best
+/// of these is the answer. A shaft is nearly a cylinder, so a short scan also fits well in wrong places. `clearness` in
+/// the report says how much worse the second best place fits, from 0 (as well) to 1; if it is low, a warning is given.
+/// Of scans of one side of two real bones, all of 95 mm and more were registered within 0.1 mm, 5 of 6 of 60 mm, and 6
+/// of 12 of 40 mm and less; clearness was 0.4 and more for right answers and 0.2 and less for wrong ones. Takes 0.1 to
+/// 0.2 s of one core for a shaft and 0.3 to 0.9 s for other shapes once the surface is prepared.
 #[derive(Describe)]
 #[describe(
     example = r#"
