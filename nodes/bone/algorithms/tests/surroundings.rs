@@ -231,11 +231,14 @@ fn counted(test: &str, kinds: &[Around], names: &[&str]) -> [u64; 3] {
     let words = std::env::var("OSTEOFLOW_CASES").unwrap_or_default();
     let mut sums = [0; 3];
     let scenes = scenes(test);
+    // CPU times are those of the calls.
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     println!("{}", Counted::HEAD);
     for scene in scenes.iter().filter(|s| names.contains(&s.name) && words.split(',').any(|w| s.name.contains(w))) {
         let target = target_of(&scene.mesh);
         for kind in kinds {
-            let counted = scene.case(&target, *kind, 0.6, 0).counted(1);
+            let case = scene.case(&target, *kind, 0.6, 0);
+            let counted = one_thread.install(|| case.counted(1));
             for (sum, more) in sums.iter_mut().zip([counted.n, counted.right, counted.wrong_and_clear]) {
                 *sum += more;
             }
