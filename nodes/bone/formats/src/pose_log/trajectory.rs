@@ -6,13 +6,14 @@
 use super::{Log, LogFormat, LogOptions, Sample, Turn, columns, stamp::nanoseconds};
 use crate::{
     FileError,
+    columns::{Heading, Row},
     cursor::{Cursor, is_text},
     input, poses_csv,
     scalar::number,
 };
 use nalgebra::{Matrix3, Quaternion, Vector3};
 use osteoflow_geometry::{ROUNDED_ROTATION, StampNs};
-use std::{borrow::Cow, path::Path};
+use std::path::Path;
 
 /// Number of lines that are looked at to recognise a format.
 const N_LOOKED_AT: usize = 100;
@@ -144,9 +145,10 @@ pub(super) fn read(
             }
         };
         let mut v = [0.0; 12];
-        for place in 0..width {
-            // The stamp is read from its digits.
-            v[place] = if place == 0 && format != LogFormat::Kitti { 0.0 } else { value(place)? };
+        // A stamp is read from its digits.
+        let first = usize::from(format != LogFormat::Kitti);
+        for (place, number) in v.iter_mut().enumerate().take(width).skip(first) {
+            *number = value(place)?;
         }
         let stamp_ns = clock.stamp_ns(k, cells[0]).map_err(fault)?;
         let (translation, turn) = if format == LogFormat::Kitti {
@@ -167,7 +169,7 @@ pub(super) fn read(
 }
 
 /// The lines with numbers, and the names in the heading or the last comment before them.
-fn rows(mut cursor: Cursor<'_>) -> (Vec<(Cow<'_, str>, usize)>, Option<(Vec<String>, usize)>) {
+fn rows(mut cursor: Cursor<'_>) -> (Vec<Row<'_>>, Option<Heading>) {
     let (mut rows, mut names) = (Vec::new(), None);
     while let Some(line) = cursor.filled_line() {
         let text = line.trim();
@@ -187,7 +189,7 @@ fn rows(mut cursor: Cursor<'_>) -> (Vec<(Cow<'_, str>, usize)>, Option<(Vec<Stri
 }
 
 /// The places of x, y, z, qx, qy, qz and qw. A heading with their names counts; without one the format has its order.
-fn order(cursor: Cursor, format: LogFormat, names: Option<&(Vec<String>, usize)>) -> Result<[usize; 7], FileError> {
+fn order(cursor: Cursor, format: LogFormat, names: Option<&Heading>) -> Result<[usize; 7], FileError> {
     let place_of = |wanted: &str| names.and_then(|(names, _)| names.iter().position(|name| name == wanted));
     match (format, names) {
         (LogFormat::Euroc, Some((_, line))) if place_of(EUROC[0]).is_some() => {

@@ -40,7 +40,7 @@ pub(super) fn through(
     tree: &TransformTree,
     (parent, child): (&str, &str),
     max_gap_ms: Option<f64>,
-) -> Result<Option<(Vec<(Pose, Option<String>)>, String)>, String> {
+) -> Result<Option<(Vec<Sifted>, String)>, String> {
     let max_gap_ns = (max_gap_ms.unwrap_or(MAX_GAP_MS) * 1e6).round() as StampNs;
     let chain = tree.chain(&parent.into(), &child.into(), max_gap_ns).map_err(|error| error.to_string())?;
     let Some(chain) = chain else { return Ok(None) };
