@@ -214,6 +214,7 @@ def pages_are_served() -> None:
             page = urllib.request.urlopen(address, timeout=60).read().decode()
             assert "<html" in page and "osteoflow" in page.lower(), page[:200]
             if IS_UNIX:
+                next(line for line in process.stderr if "until Ctrl-C" in line)
                 process.send_signal(signal.SIGINT)
                 assert process.wait(60) in (0, 130), process.returncode
         finally:
