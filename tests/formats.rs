@@ -2,6 +2,8 @@
 //!
 //! `UPDATE=1` rewrites the table.
 
+mod volumes;
+
 use crate::common::{osteoflow, root};
 use serde_json::Value;
 use std::{
@@ -275,10 +277,17 @@ impl Files {
     }
 
     fn lines(&self) -> Vec<Line> {
-        [self.points_and_surfaces(), self.picked_points(), self.poses(), self.logs(), self.recordings()]
-            .into_iter()
-            .flatten()
-            .collect()
+        [
+            self.points_and_surfaces(),
+            volumes::lines(),
+            self.picked_points(),
+            self.poses(),
+            self.logs(),
+            self.recordings(),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
     }
 }
 

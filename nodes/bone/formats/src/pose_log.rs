@@ -154,7 +154,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
             trajectory::read(path, format, unit_mm, options, &mut log)?
         }
         LogFormat::Poses => {
-            let poses_csv::PosesRead { poses, notes } = poses_csv::read_poses(path, unit_mm)?;
+            let poses_csv::PosesRead { poses, notes, .. } = poses_csv::read_poses(path, unit_mm)?;
             return Ok(PoseLog { format, poses, notes });
         }
         LogFormat::Ndi | LogFormat::Table => columns::read(path, unit_mm, options, &mut log)?,
