@@ -127,7 +127,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/bone/geometry/src",
         &[
-            &["column", "farthest", "frame", "units"],
+            &["column", "distortion", "farthest", "frame", "units"],
             &["axes", "region", "rigid"],
             &["cloud", "drawn_region", "image", "mesh", "plane", "points", "pose"],
             &["plan", "transform_tree"],

@@ -46,11 +46,12 @@ impl Lines {
         Self { began: Instant::now(), next: LINE_AFTER, step: LINE_AFTER }
     }
 
-    fn is_due(&mut self) -> bool {
-        let is_due = self.began.elapsed() >= self.next;
+    /// Whether a line is due, after so much time.
+    fn is_due(&mut self, gone: Duration) -> bool {
+        let is_due = gone >= self.next;
         if is_due {
             self.step = (self.step * 2).min(LINE_AT_LEAST);
-            self.next = self.began.elapsed() + self.step;
+            self.next = gone + self.step;
         }
         is_due
     }
@@ -212,7 +213,8 @@ impl Progress {
     pub(crate) fn busy(&self, longest: Option<Longest>) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if self.has_lines {
-            if state.lines.is_due() {
+            let gone = state.lines.began.elapsed();
+            if state.lines.is_due(gone) {
                 let longest = longest.filter(|longest| longest.took >= NAMED_AFTER);
                 let _ = writeln!(terminal::stderr(), "{}", state.line(longest));
             }
@@ -290,7 +292,8 @@ impl SweepProgress {
         let mut lines = lines.lock().unwrap_or_else(PoisonError::into_inner);
         lines.0 += n;
         let n_ended = lines.0;
-        if n_ended < self.n_runs && lines.1.is_due() {
+        let gone = lines.1.began.elapsed();
+        if n_ended < self.n_runs && lines.1.is_due(gone) {
             let times = lines.1.times(n_ended, self.n_runs);
             let _ = writeln!(terminal::stderr(), "{n_ended} of {} runs, {times}", self.n_runs);
         }
@@ -392,8 +395,7 @@ mod tests {
         let mut lines = Lines::new();
         let mut due = Vec::new();
         for second in 0..400 {
-            lines.began = Instant::now() - Duration::from_secs(second);
-            if lines.is_due() {
+            if lines.is_due(Duration::from_secs(second)) {
                 due.push(second);
             }
         }

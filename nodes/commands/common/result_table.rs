@@ -243,7 +243,11 @@ mod tests {
     use serde_json::json;
 
     fn shown(results: &Value) -> String {
-        text(results, &Global { format: Format::Text, quiet: false, verbose: 0, color: ColorChoice::Never })
+        shown_with(results, 0)
+    }
+
+    fn shown_with(results: &Value, verbose: u8) -> String {
+        text(results, &Global { format: Format::Text, quiet: false, verbose, color: ColorChoice::Never })
     }
 
     #[test]
@@ -263,14 +267,15 @@ mod tests {
     fn known_keys_become_tables_in_mm_and_degrees() {
         let quarter_turn = [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 3.5], [0.0, 0.0, 0.0, 1.0]];
         let point = json!({ "name": "M1", "x": -0.0001, "y": 0.25, "z": -1.5, "norm": 1.52 });
-        let tables = shown(&json!({
+        let results = json!({
             "poses": { "t_ct_world": { "to": "ct", "from": "world", "matrix": quarter_turn } },
             "planes": [
                 { "name": "cut_1", "frame": "world", "stamp_ns": 1, "matrix": quarter_turn },
                 { "name": "cut_2", "unknown": "bone_marker lost at 3 s" },
             ],
             "metrics": { "tre_true_mm": { "points": [point], "mean_abs": point, "n": 1 } },
-        }));
+        });
+        let tables = shown_with(&results, 1);
         for expected in [
             "poses            x      y  z mm    rx    ry  rz deg\n  t_ct_world  1.00  -2.00  3.50  0.00  0.00   90.00\n",
             "  cut_1         1.00  -2.00  3.50  0.0000  0.0000  1.0000  in world\n",

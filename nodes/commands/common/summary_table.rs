@@ -273,8 +273,8 @@ mod tests {
         let of = summary([counts(3, 0, 0), counts(0, 1, 1), counts(3, 1, 1)]);
         let brief = shown(&of, 0);
         assert!(brief.contains("verdicts: 3 trusted, 1 doubtful, 1 refused, 1 without a verdict\n"), "{brief}");
-        assert!(brief.contains("    p          3  1.500\n"), "{brief}");
-        let q = "    q          3  1.500  1 doubtful; 1 refused\n";
+        assert!(brief.contains("    p        3  1.500   –    –    –\n"), "{brief}");
+        let q = "    q        3  1.500   –    –    –  1 doubtful; 1 refused\n";
         assert!(brief.contains(q), "{brief}");
         assert!(shown(&of, 1).contains("1.500  3 trusted, 0 doubtful, 0 refused\n"), "{}", shown(&of, 1));
         // Summaries of earlier versions count none.
@@ -293,8 +293,8 @@ mod tests {
         let of = |n: usize| json!({ "notice": "", "n_runs": 4 * n, "groups": (0..n).map(group).collect::<Vec<_>>() });
         let brief = shown(&of(8), 0);
         assert_eq!(brief.matches("icp ").count(), 1, "{brief}");
-        assert!(brief.contains("  tre_mm\n    0            4  0.500\n"), "{brief}");
-        assert!(brief.contains("  tilt_deg\n    0            4  14.32\n"), "{brief}");
+        assert!(brief.contains("  tre_mm\n    0           4  0.500   –    –    –\n"), "{brief}");
+        assert!(brief.contains("  tilt_deg\n    0           4  14.32   –    –    –\n"), "{brief}");
         assert!(brief.contains("  with --verbose: rms_mm\n"), "{brief}");
         assert!(shown(&of(30), 0).contains("with --verbose: tilt_deg, rms_mm, 10 more settings\n"));
         assert!(shown(&of(30), 1).contains("  rms_mm\n"));

@@ -21,6 +21,7 @@ pub use parts::PhantomPart;
 pub use pivot::{PivotReport, pivot};
 pub use report::{PhantomFit, PhantomReport};
 pub use shown::PhantomShown;
+pub use spread::CELL_MM;
 
 use crate::Refusal;
 use crate::icp::{self, IcpError, IcpFit, IcpParams, Kernel, Source};
@@ -40,9 +41,6 @@ use serde::Deserialize;
 use shown::Fitted;
 use spread::Spread;
 use std::ops::ControlFlow;
-
-/// Cell size for clustering residuals, mm: about the correlation length of a camera's smooth distortion.
-pub const CELL_MM: f64 = 10.0;
 
 /// Minimum RMS residual that a motion of 1 mm causes, mm. Three faces give 0.4, a third face with 1 % of the points 0.1;
 /// where it is missing, the pairs of the other two leave 0.

@@ -425,7 +425,7 @@ mod tests {
             }
         }
         assert_eq!(n_aslant, 6);
-        assert_eq!(shortened("icp.point_to_plane, 0.05", 8.0 * CHARACTER), "ic\u{2026}, 0.05".to_owned());
+        assert_eq!(shortened("icp.point_to_plane, 0.05", 8.0 * CHARACTER), "ic\u{2026} 0.05".to_owned());
     }
 
     #[test]

@@ -1,7 +1,10 @@
 //! Why a phantom's pose is refused.
 
+use super::PhantomParams;
+use super::contradicted::Contradiction;
 use super::pairs::NEAR_SIGMAS;
-use super::{Contradiction, PhantomParams, PhantomReport, PhantomShown};
+use super::report::PhantomReport;
+use super::shown::PhantomShown;
 use crate::Refusal;
 
 /// The mirror image fits clearly better if it leaves less than this share of the scan's own distances.

@@ -1,6 +1,6 @@
 //! The accuracy of a phantom's pose.
 
-use super::PhantomShown;
+use super::shown::PhantomShown;
 use crate::icp::IcpReport;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};

@@ -1,10 +1,12 @@
 //! Covariance of what is estimated from the pairs.
 
-use super::CELL_MM;
 use super::pairs::Pair;
 use crate::kabsch::centroid;
 use nalgebra::{Isometry3, Matrix3, Matrix3x6, Matrix6, Point3, SMatrix, SVector, Vector6};
 use std::collections::BTreeMap;
+
+/// Cell size for clustering residuals, mm: about the correlation length of a camera's smooth distortion.
+pub const CELL_MM: f64 = 10.0;
 
 /// Length over which a camera's smooth error of depth is correlated, mm: a third of its wavelength.
 const SMOOTH_LENGTH_MM: f64 = 20.0;

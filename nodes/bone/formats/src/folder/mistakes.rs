@@ -15,6 +15,8 @@ const WORLD: &str = "world";
 
 /// Markers are farther apart than this, mm: a camera sees from some hundred millimetres away.
 const APART_MM: f64 = 20.0;
+/// Markers are not closer to each other than this in metres, mm: poses all in one place say nothing of the unit.
+const ONE_PLACE_MM: f64 = 0.01;
 /// A marker is farther than this from a tracker, mm.
 const FAR_MM: f64 = 50.0;
 /// Time between a scan and the poses beyond which they are of other clocks, ns: an hour.
@@ -127,7 +129,7 @@ fn metres(file: &PosesFile) -> Result<(), FileError> {
     };
     let apart_mm = all().fold(0.0, f64::max);
     let far_mm = at.iter().map(|row| row.translation.norm()).fold(0.0, f64::max);
-    if at.len() < 2 || apart_mm > APART_MM || far_mm > FAR_MM {
+    if at.len() < 2 || !(ONE_PLACE_MM..=APART_MM).contains(&apart_mm) || far_mm > FAR_MM {
         return Ok(());
     }
     let first = at.iter().min_by_key(|row| row.line).expect("there are two");
