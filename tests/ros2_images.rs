@@ -55,7 +55,7 @@ fn check(path: &Path) {
     let apart = here.pixels().iter().zip(there.pixels()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
     assert!(apart <= JPEG_LEVELS, "{apart} levels from what OpenCV decodes");
     let middle_of_red = read("/jpeg").rgb(2, 3);
-    assert!(middle_of_red[0] > 190 && middle_of_red[2] < 80, "{middle_of_red:?}");
+    assert!(middle_of_red[0] > 150 && middle_of_red[2] < 80, "{middle_of_red:?}");
     // At quality 95, across the borders of two patches.
     assert!(off(&read("/jpeg_of_grey"), |rgb| [rgb[1]; 3]) <= 12);
 

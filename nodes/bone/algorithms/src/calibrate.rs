@@ -108,15 +108,15 @@ pub struct PhantomParams {
     /// 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_off_share: f64,
-    /// Maximum share of the scan that the camera sees through the CAD, by 2 mm and six standard deviations of the noise or more. 0.003: a
-    /// block of 9 mm that the phantom lacks gives 0.01, simulated scans with the errors of measured ones none.
+    /// Maximum share of the scan that the camera sees through the CAD, by 2 mm and six standard deviations of the noise or more. 0.003:
+    /// simulated sound scans with the errors of measured ones give none.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_through_share: f64,
-    /// Maximum share of the scan that is before the CAD, by as much. 0.003: as for the former
+    /// Maximum share of the scan that is before the CAD, by as much. 0.003: as for the former.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_before_share: f64,
     /// Maximum median distance of a seen face of the CAD from its points, mm. 0.4: simulated scans with
-    /// the errors of measured ones stay below 0.2
+    /// the errors of measured ones stay below 0.2.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_part_off_mm: f64,
     /// Maximum deviation of the scan's scale from 1, unless it is within four of its standard deviations. 0.02: it moves the

@@ -6,7 +6,7 @@
 //! | Module | Reads | Writes |
 //! |---|---|---|
 //! | [`mcap_read`] | MCAP recordings of any writer, also damaged ones, and the folders of ROS 2 bags | |
-//! | [`message_read`] | point clouds, transforms and poses of Foxglove (protobuf, JSON) and ROS 2 (CDR) | |
+//! | [`message_read`] | point clouds, transforms, poses and images of Foxglove (protobuf, JSON) and ROS 2 (CDR) | |
 //! | [`recording_write`] | | recordings of Foxglove's messages |
 //! | [`mesh_or_cloud`] | a surface or a cloud: PLY, STL, PCD, OBJ, OFF, VTK, text | |
 //! | [`write`] | | surfaces and clouds: PLY, STL, PCD, OBJ, CSV |

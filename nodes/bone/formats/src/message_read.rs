@@ -1,4 +1,5 @@
-//! Messages to geometry: point clouds, transforms and poses, of Foxglove in protobuf and in JSON, of ROS 2 in CDR.
+//! Messages to geometry: point clouds, transforms, poses, images and depth, of Foxglove in protobuf and (but for images) in JSON, of ROS 2
+//! in CDR.
 //!
 //! Metres become millimetres here. A stamp is the message's own timestamp, the sensor time; the publish time replaces it only
 //! if it is missing or zero.

@@ -576,12 +576,12 @@ fn the_distortion_of_a_port_is_undone_along_the_ray() {
     port.2["intrinsics"] = json!([500.0, 400.0, 1.0 - 500.0 * x, -400.0 * y]);
     port.2["depth_unit_mm"] = json!(0.1);
     port.2["distortion"] = json!(distortion);
-    let cloud: Cloud = value(sent(image(body.clone()), &[port.clone()]).of_port(0)[0].1);
+    let cloud: Cloud = value(sent(image(body), &[port.clone()]).of_port(0)[0].1);
     assert!((cloud.points()[0] - Point3::new(90.0, -60.0, 300.0)).norm() < 1e-6, "{}", cloud.points()[0]);
     let refused = |key: &str, value: serde_json::Value| {
         let mut port = port.clone();
         port.2[key] = value;
-        failed(image(body.clone()), &[port])
+        fault(&[port])
     };
     assert!(refused("distortion", json!([0.1, 0.2])).contains("has 2 coefficients, 4, 5 or 8 are expected"));
     assert!(refused("distortion_model", json!("fisheye62")).contains("\"fisheye62\" is not read"));
