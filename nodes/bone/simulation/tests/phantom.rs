@@ -296,7 +296,7 @@ fn a_cad_that_lacks_a_block_has_one_too_many_or_elsewhere_is_refused_with_the_pl
 
 #[test]
 fn a_cube_without_blocks_calibrates_and_says_what_it_cannot_show() {
-    let cube = boxes(&drawn(100)[..1].to_vec());
+    let cube = boxes(&drawn(100)[..1]);
     let fit = calibrated(&measured()[0].take(&cube, 100), &cube, 100).unwrap();
     let notes = fit.report.notes.join("; ");
     for part in [
