@@ -15,6 +15,7 @@ pub(crate) const CPU_CLOCK: Option<CpuClock> = Some(|| now(rustix::time::ClockId
 pub(crate) const CPU_CLOCK: Option<CpuClock> = None;
 
 /// Adds what a process has spent on a firing that this thread waited for.
+#[cfg(unix)]
 pub(crate) fn add_apart(spent: Duration) {
     APART.set(APART.get().saturating_add(spent));
 }

@@ -66,6 +66,7 @@ impl TemporaryFolder {
     pub(crate) fn new(prefix: &str) -> io::Result<Self> {
         // A library is not loaded again from a path that was used before.
         static N_MADE: AtomicU32 = AtomicU32::new(0);
+        #[cfg_attr(not(unix), allow(unused_mut, reason = "only Unix has permissions to set"))]
         let mut builder = fs::DirBuilder::new();
         #[cfg(unix)]
         std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);

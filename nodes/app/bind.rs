@@ -128,6 +128,7 @@ impl Bone<'_> {
 fn write_new(out: &Path, text: &str) -> Result<()> {
     let folder = out.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let cannot = || format!("{} cannot be written", out.display());
+    #[cfg_attr(not(unix), allow(unused_mut, reason = "only Unix has permissions to set"))]
     let mut builder = tempfile::Builder::new();
     // As any other file: who may read it is the user's umask.
     #[cfg(unix)]

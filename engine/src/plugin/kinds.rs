@@ -373,6 +373,7 @@ impl Finder {
     }
 
     /// Looks at a plugin anew next time, whatever the stamps of its files say.
+    #[cfg(unix)]
     pub(super) fn forget(&self, plugin: &Plugin) {
         let interpreter = plugin.script.as_ref().map(|script| &*script.program);
         let key = fs::metadata(&plugin.path).ok().and_then(|file| {

@@ -3,7 +3,7 @@
 use crate::plan::{Loads, PlanPlugin};
 use std::{
     collections::BTreeMap,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{Mutex, PoisonError},
 };
 
@@ -11,7 +11,8 @@ use std::{
 static LATE: Mutex<BTreeMap<PathBuf, Loads>> = Mutex::new(BTreeMap::new());
 
 /// Adds what a process has loaded; gives what differs from what others had loaded.
-pub(super) fn add(plugin: &Path, loads: &Loads) -> Vec<String> {
+#[cfg(unix)]
+pub(super) fn add(plugin: &std::path::Path, loads: &Loads) -> Vec<String> {
     let mut late = LATE.lock().unwrap_or_else(PoisonError::into_inner);
     let late = late.entry(plugin.into()).or_default();
     late.add(loads);

@@ -16,6 +16,19 @@ const MAX_FDS: usize = 64;
 /// A longer message is no message of this protocol.
 const MAX_BYTES: usize = 64 << 20;
 
+/// A worker that is gone is an error of the call, not a signal to this process; on Apple's systems, which have no such flag, because
+/// Rust and Python ignore SIGPIPE.
+#[cfg(not(target_vendor = "apple"))]
+const SEND: SendFlags = SendFlags::NOSIGNAL;
+#[cfg(target_vendor = "apple")]
+const SEND: SendFlags = SendFlags::empty();
+
+/// Descriptors that arrive are closed in programs that this process starts; on Apple's systems once they have arrived.
+#[cfg(not(target_vendor = "apple"))]
+const RECEIVE: RecvFlags = RecvFlags::CMSG_CLOEXEC;
+#[cfg(target_vendor = "apple")]
+const RECEIVE: RecvFlags = RecvFlags::empty();
+
 /// One end of the connection.
 pub(crate) struct Socket {
     stream: UnixStream,
@@ -71,9 +84,8 @@ impl Socket {
             if !now.is_empty() {
                 control.push(SendAncillaryMessage::ScmRights(now));
             }
-            // A worker that is gone is an error here, not a signal to this process.
             let sent = loop {
-                match sendmsg(&self.stream, &[IoSlice::new(part)], &mut control, SendFlags::NOSIGNAL) {
+                match sendmsg(&self.stream, &[IoSlice::new(part)], &mut control, SEND) {
                     Err(Errno::INTR) => {}
                     sent => break sent?,
                 }
@@ -107,8 +119,7 @@ impl Socket {
             let mut buffer = [0; 16 << 10];
             let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(MAX_FDS))];
             let mut control = RecvAncillaryBuffer::new(&mut space);
-            let flags = RecvFlags::CMSG_CLOEXEC;
-            let n_bytes = match recvmsg(&self.stream, &mut [IoSliceMut::new(&mut buffer)], &mut control, flags) {
+            let n_bytes = match recvmsg(&self.stream, &mut [IoSliceMut::new(&mut buffer)], &mut control, RECEIVE) {
                 Ok(received) => received.bytes,
                 Err(Errno::INTR) => continue,
                 Err(Errno::AGAIN) => return Ok(Received::Nothing),
@@ -118,7 +129,11 @@ impl Socket {
             };
             for message in control.drain() {
                 if let RecvAncillaryMessage::ScmRights(fds) = message {
-                    self.fds.extend(fds);
+                    for fd in fds {
+                        #[cfg(target_vendor = "apple")]
+                        rustix::io::fcntl_setfd(&fd, rustix::io::FdFlags::CLOEXEC)?;
+                        self.fds.push_back(fd);
+                    }
                 }
             }
             if n_bytes == 0 {
