@@ -32,7 +32,7 @@ fn lines(verdict: &Verdict, n_assumed: usize, paint: impl Fn(&str, &str) -> Stri
     verdict.assumptions().take(n_assumed).for_each(|assumption| out += &format!("  assumed: {assumption}\n"));
     match verdict.assumptions().count().saturating_sub(n_assumed) {
         0 => {}
-        1 => out += &format!("  1 more assumption with --verbose\n"),
+        1 => out += "  1 more assumption with --verbose\n",
         n => out += &format!("  {n} more assumptions with --verbose\n"),
     }
     out
