@@ -6,7 +6,7 @@
 
 use crate::common::{
     osteoflow,
-    page::{fits, shortened},
+    page::{fits, shortened, without_progress},
     root, run_whole,
 };
 use serde_json::Value;
@@ -58,8 +58,7 @@ fn printed(command: &str) -> Vec<String> {
         text = [&output.stderr, &output.stdout].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
         assert!(output.status.code().is_some_and(|code| matches!(code, 0 | 3 | 4)), "{part}: {text}");
     }
-    let shown = text.lines().filter(|line| !line.contains(" nodes have worked, "));
-    shown.map(|line| line.replace(&out, "OUT").trim_end().to_owned()).collect()
+    without_progress(&text).iter().map(|line| line.replace(&out, "OUT")).collect()
 }
 
 fn name(page: &Path) -> String {

@@ -497,7 +497,7 @@ fn a_fault_of_the_command_line_suggests_the_right_name() {
         assert!(stderr.contains(expected), "{expected}\n{stderr}");
     }
     assert!(with(&["--method", "point_to_plain"]).contains("point_to_plane"));
-    assert!(with(&["--camera", "1,2"]).contains("three finite numbers are expected, such as 0,0,0"));
+    assert!(with(&["--camera", "1,2"]).contains("3 finite numbers in mm are expected, such as 0,0,0"));
     assert!(with(&["--unit-mm", "0"]).contains("1 for millimetres, 1000 for metres"));
     let json = case.register(&[&files[..], &["--set", "trim=1", "--format", "json"]].concat());
     let faults: Value = serde_json::from_slice(&json.stdout).unwrap();

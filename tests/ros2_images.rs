@@ -134,7 +134,7 @@ fn a_graph_takes_clouds_from_a_depth_image_and_says_what_a_calibration_lacks() {
             "images need calibration, the topic of their camera's foxglove.CameraCalibration or sensor_msgs/CameraInfo",
         ),
         (", calibration = \"/half/info\"", "its camera's calibration is for 8 x 6"),
-        (", calibration = \"/nothing\"", "the recording has no messages on /nothing"),
+        (", calibration = \"/nothing\"", "the recording ros2_images.mcap has no messages on /nothing"),
         (
             ", calibration = \"/rgb8\"",
             "a camera's calibration is needed here, but the topic carries sensor_msgs/msg/Image",

@@ -140,7 +140,8 @@ fn two_sweeps_are_compared_in_pairs_within_a_margin_and_missing_runs_are_reporte
     let (answer, err, code) = compared("tre_mm=5");
     assert!(code == 0 && err.is_empty(), "{err}");
     assert!(
-        answer.contains(&format!("[2] {noisy}")) && answer.contains("tre_mm at icp = icp.point_to_plane: [1] -> [2]"),
+        answer.contains(&format!("[2] {noisy}"))
+            && answer.contains("    tre_mm at icp = icp.point_to_plane  4 procedures"),
         "{answer}"
     );
     assert_eq!(answer.matches(" within 5").count(), 2, "{answer}");

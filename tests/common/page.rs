@@ -124,7 +124,7 @@ impl Page {
         let is_update = std::env::var_os("UPDATE").is_some();
         let mut lines = self.lines.clone();
         for (block, printed, command) in printed_blocks.iter().rev() {
-            let now: Vec<String> = printed.lines().map(|line| line.trim_end().to_owned()).collect();
+            let now = without_progress(printed);
             if fits(&block.lines, &now) {
                 continue;
             }
@@ -294,6 +294,12 @@ fn are_alike(a: &str, b: &str) -> bool {
     };
     let (a, b) = (words(a), words(b));
     a.len() == b.len() && a.iter().zip(&b).all(is_near)
+}
+
+/// The lines that were printed, but for those that say how far the work is: on a fast machine there are none.
+pub(crate) fn without_progress(printed: &str) -> Vec<String> {
+    let shown = printed.lines().filter(|line| !line.contains(" nodes have worked, "));
+    shown.map(|line| line.trim_end().to_owned()).collect()
 }
 
 /// Whether a block is what was printed; its lines `..` stand for any lines.

@@ -7,7 +7,7 @@ use osteoflow_formats::{
     Space,
     picked_points::{PickedPoints, read_picked_points},
 };
-use osteoflow_geometry::{NamedPoint, nalgebra::Point3};
+use osteoflow_geometry::{Cloud, NamedPoint, nalgebra::Point3};
 use std::path::{Path, PathBuf};
 
 /// Number of points needed for a start.
@@ -111,7 +111,12 @@ fn points(
 type Moved = fn(&Point3<f64>) -> Point3<f64>;
 
 /// Points picked on the target that are far from it, with the likely cause.
-pub(super) fn off_surface(target: &Target, picked: &[NamedPoint], in_source: &[NamedPoint]) -> Option<String> {
+pub(super) fn off_surface(
+    target: &Target,
+    source: Option<&Cloud>,
+    picked: &[NamedPoint],
+    in_source: &[NamedPoint],
+) -> Option<String> {
     let surface_mm = |p: &Point3<f64>| match target.mesh().and_then(|mesh| mesh.closest_point(p)) {
         Some(closest) => closest.distance_mm,
         None => target.nearest(p, f64::INFINITY).map_or(f64::INFINITY, |(_, mm)| mm),
@@ -129,9 +134,16 @@ pub(super) fn off_surface(target: &Target, picked: &[NamedPoint], in_source: &[N
         ("a thousand times as large they lie on it: they are in metres", |p| p * 1e3),
         ("a thousandth as large they lie on it: they are in micrometres", |p| p * 1e-3),
     ];
-    let farthest_of_source = in_source.iter().map(|p| surface_mm(&p.position)).fold(0.0, f64::max);
-    if !in_source.is_empty() && farthest_of_source <= OFF_SURFACE_MM {
-        let cause = "those picked in the source lie on it: are the two files of --landmarks exchanged? The target's comes first";
+    let scan_mm = |p: &Point3<f64>| {
+        let points = source.map_or(&[][..], Cloud::points).iter();
+        points.map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min)
+    };
+    let all_near = |points: &[NamedPoint], mm: &dyn Fn(&Point3<f64>) -> f64| {
+        !points.is_empty() && points.iter().all(|p| mm(&p.position) <= OFF_SURFACE_MM)
+    };
+    if all_near(in_source, &surface_mm) && all_near(picked, &scan_mm) {
+        let cause = "they lie on the source, and those picked there on the target: are the two files of --landmarks exchanged? The target's \
+                     comes first";
         return Some(format!("points picked in the target are up to {off_mm:.1} mm off its surface; {cause}"));
     }
     // Points that a smaller unit gathers in one place lie on any surface that passes there.

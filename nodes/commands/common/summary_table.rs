@@ -74,6 +74,15 @@ fn of_groups(summary: &Value, is_brief: bool) -> String {
             }
         }
     }
+    // A setting of which no run has results stands in the first block, so that it is not overlooked.
+    for (index, group) in groups.iter().enumerate() {
+        if let Some(block) =
+            blocks.first_mut().filter(|_| group["columns"].as_object().is_none_or(serde_json::Map::is_empty))
+        {
+            let row = Row { cells: Vec::new(), ..row(group, &Value::Null, is_brief) };
+            block.rows.insert(index.min(block.rows.len()), row);
+        }
+    }
     let mut hidden = Vec::new();
     if is_brief {
         let mut n_rows = 0;

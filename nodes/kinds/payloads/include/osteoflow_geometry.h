@@ -42,7 +42,7 @@ typedef struct osteoflow_cloud {
 } osteoflow_cloud;
 
 /*
- * An image of a pinhole camera without distortion, in the frame of that camera (x right, y down, z forward).
+ * An image, in the frame of its camera (x right, y down, z forward).
  * pixels: uint8_t[1], row by row from the top left, channels bytes for each pixel
  */
 #define OSTEOFLOW_IMAGE "geometry/Image"
@@ -58,6 +58,10 @@ typedef struct osteoflow_image {
     int64_t channels;
     /* fx, fy, cx, cy, pixels; the centre of the top left pixel is 0, 0. */
     double intrinsics[4];
+    /* "plumb_bob", "rational_polynomial" or "equidistant"; missing of a pinhole without distortion. */
+    osteoflow_text distortion_model;
+    /* Its coefficients, in OpenCV's order; may be missing. */
+    osteoflow_numbers distortion;
 } osteoflow_image;
 
 /*
@@ -276,7 +280,7 @@ OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, frame) == 0);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, stamp_ns) == 16);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, label) == 24);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_cloud, viewpoint) == 40);
-OSTEOFLOW_ASSERT(sizeof(osteoflow_image) == 96);
+OSTEOFLOW_ASSERT(sizeof(osteoflow_image) == 128);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_image, frame) == 0);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_image, stamp_ns) == 16);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_image, label) == 24);
@@ -284,6 +288,8 @@ OSTEOFLOW_ASSERT(offsetof(osteoflow_image, width) == 40);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_image, height) == 48);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_image, channels) == 56);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_image, intrinsics) == 64);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, distortion_model) == 96);
+OSTEOFLOW_ASSERT(offsetof(osteoflow_image, distortion) == 112);
 OSTEOFLOW_ASSERT(sizeof(osteoflow_mesh) == 32);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_mesh, frame) == 0);
 OSTEOFLOW_ASSERT(offsetof(osteoflow_mesh, origin) == 16);

@@ -30,6 +30,7 @@ pub mod transform;
 pub mod verdict;
 
 mod constant;
+mod moved;
 pub mod own_bone;
 mod params;
 pub mod parts;

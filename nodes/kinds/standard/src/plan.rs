@@ -2,9 +2,7 @@
 
 pub mod file;
 pub mod landmarks;
-mod moved;
 mod ports;
 pub mod simulated;
 
-pub(crate) use moved::Moved;
 pub use ports::Out;

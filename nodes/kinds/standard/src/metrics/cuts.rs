@@ -1,7 +1,7 @@
 //! The kind `metrics.cuts`.
 
 use super::axes;
-use crate::plan::Moved;
+use crate::moved::Moved;
 use osteoflow_algorithms::metrics::{CutsReport, achieved, cuts};
 use osteoflow_geometry::{Axes, Mesh, Plane, Planes, Pose};
 use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};

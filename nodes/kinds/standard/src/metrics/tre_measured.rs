@@ -1,7 +1,7 @@
 //! The kind `metrics.tre_measured`.
 
 use super::{TreOut, axes};
-use crate::{plan::Moved, transform::points::in_one_list};
+use crate::{moved::Moved, transform::points::in_one_list};
 use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
 use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError};

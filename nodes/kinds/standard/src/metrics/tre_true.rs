@@ -1,7 +1,7 @@
 //! The kind `metrics.tre_true`.
 
 use super::{TreOut, axes};
-use crate::plan::Moved;
+use crate::moved::Moved;
 use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, NamedPoint, Points, Pose};
 use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError};

@@ -1,7 +1,8 @@
 //! The kind `plan.file`.
 
-use super::{Moved, Out};
+use super::Out;
 use crate::constant::Constant;
+use crate::moved::Moved;
 use osteoflow_formats::plan_file::read_plan;
 use osteoflow_node::{Context, Describe, FilePath, NodeError, schemars::JsonSchema, serde::Deserialize};
 

@@ -1,4 +1,4 @@
-use super::Moved;
+use crate::moved::Moved;
 use osteoflow_geometry::{Axes, Planes, Points, Pose, SurgicalPlan};
 use osteoflow_node::{Emit, Outputs};
 use osteoflow_payloads::Json;

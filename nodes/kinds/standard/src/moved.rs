@@ -20,7 +20,7 @@ pub(crate) struct Moved {
 
 impl Moved {
     /// What is elsewhere in a plan than in the one that a procedure was made for.
-    pub(super) fn since(made_for: &SurgicalPlan, plan: &SurgicalPlan) -> Self {
+    pub(crate) fn since(made_for: &SurgicalPlan, plan: &SurgicalPlan) -> Self {
         let is_point = |p: &&NamedPoint| {
             let mut before = made_for.assessment.points.iter();
             !before.any(|q| q.name == p.name && (q.position - p.position).norm() < SAME_MM)
