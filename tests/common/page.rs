@@ -267,14 +267,14 @@ fn steady(line: &str) -> String {
     words.join(" ")
 }
 
-/// Rows of times, whose table says so in its head: `time ms`.
+/// Rows of times, whose table says so in its head, `time ms`, and the line `time 609 ms: load 47.5, ..`.
 fn without_times(lines: &[String]) -> Vec<String> {
     let mut is_of_times = false;
     let of_line = |line: &String| {
         let bare = steady(line);
         is_of_times = (is_of_times && !line.is_empty()) || bare.starts_with("time ms");
-        if is_of_times && !bare.starts_with("time ms") {
-            let number = |word: &str| word.parse::<f64>().is_ok();
+        if is_of_times && !bare.starts_with("time ms") || bare.starts_with("time # ms: ") {
+            let number = |word: &str| word.trim_end_matches(',').parse::<f64>().is_ok();
             return bare.split(' ').map(|word| if number(word) { "#" } else { word }).collect::<Vec<_>>().join(" ");
         }
         bare
@@ -364,6 +364,7 @@ fn a_block_fits_what_was_printed_but_for_times_and_left_out_lines() {
     ] {
         assert_eq!(fits(&lines(block), &printed), does_fit, "{block}");
     }
+    assert!(fits(&lines("time  609 ms: load 47.5, align 3"), &lines("time  8 ms: load 1, align 0.5")));
     let cut = lines("old\n..\nTRE 9 mm\n..\nend");
     assert_eq!(shortened(&cut, &printed), lines("written after 1.06 s\n..\nTRE 0.18 mm\n..\nend"));
     assert_eq!(commands(&lines("a b \\\n  c  # why\n# no\nd && e")), ["a b    c", "d", "e"]);
