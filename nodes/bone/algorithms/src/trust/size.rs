@@ -1,4 +1,4 @@
-//! Whether the bone is too small for the scan that is registered onto it: another unit, or one file in the place of the other.
+//! Whether the bone is too small for the scan that is registered onto it: another unit, or the two files exchanged.
 
 use super::{Evidence, Registered};
 use nalgebra::Point3;
