@@ -528,6 +528,66 @@ fn a_payload_type_of_a_plugin_passes_to_another_plugin_and_is_recorded() {
     }
 }
 
+/// A graph with an image of a public writer and the lens that a library sees.
+fn lens(library: &Path, process: bool) -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let graph = dir.path().join("graph.toml");
+    let recording = root().join("tests/data/ros2_images.mcap");
+    let text = format!(
+        r#"
+        plugins = [{library:?}]
+        [graph]
+        format = 1
+        [node.camera]
+        kind = "acquire.mcap"
+        path = {recording:?}
+        out.image = {{ type = "geometry/Image", topic = "/rgb8", calibration = "/brown/info", labels = ["P1"], frame = "camera" }}
+        [node.lens]
+        kind = "c.lens"
+        in = {{ image = "camera.image" }}
+        process = {process}
+        [record]
+        wires = ["*"]
+        [results]
+        lens = "lens.text"
+    "#
+    );
+    std::fs::write(&graph, text).unwrap();
+    (dir, graph)
+}
+
+#[test]
+fn a_plugin_sees_the_distortion_of_an_image_and_hands_it_on_to_the_last_bit() {
+    let Some(library) = library("tests/plugins/image.c") else { return };
+    for process in [false, true] {
+        let (_dir, graph) = lens(&library, process);
+        let ran = crate::common::run_whole(graph.to_str().unwrap(), &[]);
+        // As tests/python/ros2_images.py wrote them.
+        assert_eq!(ran.results["lens"], "plumb_bob -0.28 0.09 0.0011 -0.0007 -0.012", "process = {process}");
+        let report = digest(&ran.dir.path().join("run.mcap"), &mut |_, _| {}).unwrap();
+        let images = report.wires.iter().filter(|wire| wire.payload == "geometry/Image").map(|wire| wire.digest);
+        let images: Vec<_> = images.collect();
+        assert_eq!(images.len(), 2);
+        assert_eq!(images[0], images[1], "process = {process}");
+    }
+}
+
+#[test]
+fn a_plugin_of_before_images_had_distortion_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let older = dir.path().join("libolder.so");
+    if !build::compile(Path::new("tests/plugins/image.c"), &older, &["-DIMAGE_VERSION=1"]) {
+        return;
+    }
+    let (_dir, graph) = lens(&older, false);
+    let ran = crate::common::osteoflow().args(["run", graph.to_str().unwrap()]).output().unwrap();
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert!(!ran.status.success(), "{stderr}");
+    let told = "port \"image\" of kind c.lens names the payload geometry/Image@1, this program has version 2; build the plugin with the SDK";
+    assert!(stderr.contains(told), "{stderr}");
+    assert!(stderr.contains("libolder.so"), "{stderr}");
+}
+
 // ---- The page ----------------------------------------------------------------------------------------------------------
 
 #[test]

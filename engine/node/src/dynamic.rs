@@ -54,6 +54,7 @@ impl PayloadType {
         let ty: &'static Self = Box::leak(Box::new(Self {
             name: intern(name),
             version,
+            oldest: version,
             interpolates: false,
             schema: schema.leak(),
             id: TypeId::of::<DynamicPayload>,

@@ -14,8 +14,10 @@ use std::{
 pub trait Payload<By>: Clone + Send + Sync + 'static {
     /// The name in graph files and recordings, such as `geometry/Cloud`.
     const NAME: &'static str;
-    /// Raised with each incompatible change of the view.
+    /// Raised with each incompatible change of the view: also with a new field, since a compiled plugin's head has none.
     const VERSION: u32;
+    /// The oldest version whose recorded views [`Payload::from_view`] reads: a later one only added optional fields.
+    const OLDEST: u32 = Self::VERSION;
     /// The schema of every view: head fields, then columns. See [`View::check`].
     const SCHEMA: &'static [SchemaEntry];
     /// Whether [`Payload::interpolate`] is implemented, so that a port may join by `interpolate`.
@@ -75,6 +77,8 @@ pub struct PayloadType {
     pub name: &'static str,
     /// The version of the view.
     pub version: u32,
+    /// The oldest version of views that are read; see [`Payload::OLDEST`].
+    pub oldest: u32,
     /// Whether ports may join by `interpolate`.
     pub interpolates: bool,
     /// The schema of the views.
@@ -97,6 +101,7 @@ impl<T: Payload<By>, By: 'static> TypeOf<T, By> {
     const TYPE: &'static PayloadType = &PayloadType {
         name: T::NAME,
         version: T::VERSION,
+        oldest: T::OLDEST,
         interpolates: T::INTERPOLATES,
         schema: T::SCHEMA,
         id: TypeId::of::<T>,
@@ -134,6 +139,7 @@ impl PayloadType {
         Box::leak(Box::new(Self {
             name: String::leak(name.to_owned()),
             version,
+            oldest: version,
             interpolates: false,
             schema: Vec::leak(schema),
             id: TypeId::of::<T>,
@@ -154,6 +160,11 @@ impl PayloadType {
     /// Name and unit of the schema entries with a unit (see [`SchemaEntry::unit`]), as recordings store them.
     pub fn units(&self) -> Vec<(&'static str, &'static str)> {
         SchemaEntry::units(self.schema)
+    }
+
+    /// Whether recorded views of that version are read.
+    pub fn reads(&self, version: u32) -> bool {
+        (self.oldest..=self.version).contains(&version)
     }
 
     /// The payload of a view.

@@ -314,7 +314,10 @@ unsafe extern "C" fn emit_as(run: *mut abi::Run, port: u64, name: Text, version:
             let known = types.iter().find(|ty| ty.name == name && ty.version == version).copied();
             run.put(port, |payload| {
                 let ty = payload.ty().filter(|ty| ty.name == name && ty.version == version).or(known);
-                let ty = ty.ok_or_else(|| format!("there is no payload {name}@{version} here"))?;
+                let ty = ty.ok_or_else(|| match types.iter().find(|ty| ty.name == name) {
+                    Some(ty) => format!("it gives {name}@{version}, this program has version {}", ty.version),
+                    None => format!("there is no payload {name}@{version} here"),
+                })?;
                 expect(payload, ty)?;
                 taken(given, ty)
             })

@@ -235,7 +235,7 @@ pub(crate) fn typed(item: RecordedItem, payload: &str, version: u32, registry: &
         Ok(view) => {
             let (name, version) = item.payload.as_ref().map_or((payload, version), |(name, version)| (name, *version));
             let ty = registry.payload_type(name).ok_or_else(|| format!("no payload {name} is known here"))?;
-            if ty.version != version {
+            if !ty.reads(version) {
                 return Err(format!("it holds version {version} of {name}, version {} is known here", ty.version));
             }
             Body::Value(ty.from_view(&view).map_err(|error| error.to_string())?)

@@ -94,7 +94,7 @@ impl<'a> Items<'a> {
         let is_value = item.body.is_ok();
         if is_value {
             let (payload, version) = item.payload.clone().unwrap_or((wire.header.payload.clone(), wire.header.version));
-            let ty = self.registry.payload_type(&payload).filter(|ty| ty.version == version);
+            let ty = self.registry.payload_type(&payload).filter(|ty| ty.reads(version));
             match ty.or_else(|| self.types.get(&payload, version)) {
                 None => drop(self.unknown_payloads.insert(format!("{payload}@{version}"))),
                 Some(ty) => {

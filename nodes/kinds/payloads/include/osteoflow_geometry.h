@@ -46,7 +46,7 @@ typedef struct osteoflow_cloud {
  * pixels: uint8_t[1], row by row from the top left, channels bytes for each pixel
  */
 #define OSTEOFLOW_IMAGE "geometry/Image"
-#define OSTEOFLOW_IMAGE_VERSION 1
+#define OSTEOFLOW_IMAGE_VERSION 2
 typedef struct osteoflow_image {
     osteoflow_text frame;
     int64_t stamp_ns;

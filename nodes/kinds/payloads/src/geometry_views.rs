@@ -459,7 +459,9 @@ impl Payload<Table> for Axes {
 
 impl Payload<Table> for Image {
     const NAME: &'static str = "geometry/Image";
-    const VERSION: u32 = 1;
+    /// 2: the two fields of distortion.
+    const VERSION: u32 = 2;
+    const OLDEST: u32 = 1;
     const SCHEMA: &'static [SchemaEntry] = &[
         SchemaEntry::text("frame").doc("of its camera: x right, y down, z forward"),
         SchemaEntry::int("stamp_ns"),
