@@ -48,12 +48,9 @@ pub(super) struct PosesFile {
 /// The first mistake that makes the poses useless.
 pub(super) fn check(files: &[PosesFile], scans: &[StampNs]) -> Result<(), FileError> {
     let rows = || files.iter().flat_map(|file| file.rows.iter().map(|row| (&*file.path, row)));
-    for (path, row) in rows() {
-        exchanged(path, row)?;
-    }
-    for (path, row) in rows() {
-        other_name(path, row, &|name| rows().any(|(_, row)| row.child == name))?;
-    }
+    let occurs = |name: &str| rows().any(|(_, row)| row.child == name);
+    rows().try_for_each(|(path, row)| exchanged(path, row, &occurs))?;
+    rows().try_for_each(|(path, row)| other_name(path, row, &occurs))?;
     files.iter().try_for_each(metres)?;
     files.iter().try_for_each(|file| times(file, scans))
 }
@@ -62,10 +59,11 @@ fn fault(path: &Path, line: u64, message: String) -> FileError {
     FileError::content(path, format!("line {line}"), message)
 }
 
-/// The world as a child, or a marker as a parent.
-fn exchanged(path: &Path, row: &RowRead) -> Result<(), FileError> {
+/// The world as a child, or as a parent a marker whose own pose never occurs: what is fixed to a marker that is tracked is no mistake.
+fn exchanged(path: &Path, row: &RowRead, occurs: &dyn Fn(&str) -> bool) -> Result<(), FileError> {
     let RowRead { line, parent, child, .. } = row;
-    if child == WORLD || (MARKERS.contains(&parent.as_str()) && !MARKERS.contains(&child.as_str())) {
+    let of_marker = MARKERS.contains(&parent.as_str()) && !MARKERS.contains(&child.as_str()) && !occurs(parent);
+    if child == WORLD || of_marker {
         let message = format!(
             "parent is \"{parent}\" and child is \"{child}\"; likely cause: parent and child are exchanged, as a row is the pose of a \
              marker (parent {child}, child {parent}); exchange the two, or invert the poses if they are those of the {child} in the \
@@ -260,6 +258,8 @@ mod tests {
         assert_eq!(message(rows, &[1_750_000_000_500_000_000, 0]), "");
         let pointer = vec![row(2, "world", "camera_marker", AT), row(3, "world", "pointer", BESIDE)];
         assert_eq!(message(pointer, &[]), "", "others may be tracked, too");
+        let fixed = vec![row(2, "world", "camera_marker", AT), row(3, "camera_marker", "camera", BESIDE)];
+        assert_eq!(message(fixed, &[]), "", "and things fixed to a marker");
     }
 
     #[test]
@@ -279,6 +279,8 @@ mod tests {
             ),
             "{found}"
         );
+        let found = message(vec![camera(), row(3, "bone_marker", "tracker", BESIDE)], &[]);
+        assert!(found.starts_with("poses.csv: line 3: parent is \"bone_marker\" and child is \"tracker\""), "{found}");
         let small = |mut row: RowRead| {
             row.translation *= 1e-3;
             row
