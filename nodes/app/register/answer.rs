@@ -290,6 +290,7 @@ impl Registration {
         put("pairing", of.pairing().into());
         put("stop", if request.stop == Stop::Fixed { "fixed" } else { "converge" }.into());
         put("params", of.params.clone());
+        put("settings", json!(of.sets));
         put("target", self.target_json(&request.target));
         put("source", self.source_json(&request.source));
         if let Some(init) = self.init.filter(|_| self.has_ended()) {
