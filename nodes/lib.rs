@@ -15,7 +15,7 @@ use app::{UsageError, with_causes};
 use clap::{ColorChoice, Parser};
 use commands::{
     command_line::Cli,
-    common::{Exit, Format, Global, crash, log, terminal},
+    common::{Exit, Format, Global, crash, log, terminal, usage},
 };
 use std::{
     ffi::OsString,
@@ -35,12 +35,13 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
 }
 
 fn code_of(arguments: Vec<OsString>) -> u8 {
-    let cli = match Cli::try_parse_from(arguments) {
+    let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
-        // Help and version are results, anything else is a fault of the command line; clap formats both.
+        // Help and version are results, anything else is a fault of the command line.
         Err(message) => {
-            let _ = message.print();
-            return if message.use_stderr() { Exit::Usage } else { Exit::Done }.code();
+            let code = if message.use_stderr() { Exit::Usage } else { Exit::Done }.code();
+            usage::print(message, &arguments);
+            return code;
         }
     };
     if !cli.command.is_worker() {

@@ -1,12 +1,13 @@
 //! What README and docs say that a command prints, and their numbers, are what it prints.
 //!
-//! A block of a page stands below a comment with its command, `<!-- printed: osteoflow ... -->`, and is compared as those of a page that
+//! A block `console` holds commands behind `$ `, each with what it prints; those of a page are run in its order, in one folder. Another
+//! block of a page stands below a comment with its command, `<!-- printed: osteoflow ... -->`, and is compared as those of a page that
 //! a test follows (tests/common/page.rs). A row of a table whose numbers a run gives stands below `<!-- numbers of: GRAPH -->`, with the setting in its first
 //! cell. One command writes all of them anew: `UPDATE=1 cargo test --release --test suite printed::`.
 
 use crate::common::{
-    osteoflow,
-    page::{fits, shortened, without_progress},
+    copy_folder, osteoflow,
+    page::{fits, shortened, without_progress, words},
     root, run_whole,
 };
 use serde_json::Value;
@@ -89,6 +90,74 @@ fn what_the_pages_print_is_what_the_commands_print() {
         }
     }
     assert!(n_blocks >= 4, "{n_blocks} blocks");
+}
+
+/// A command of a block `console`, and the lines below it.
+struct Typed {
+    command: String,
+    /// Range of its lines among those of the page.
+    lines: std::ops::Range<usize>,
+}
+
+/// The commands of the blocks `console` of a page, in its order.
+fn typed(lines: &[String]) -> Vec<Typed> {
+    let mut all: Vec<Typed> = Vec::new();
+    let mut is_open = false;
+    for (k, line) in lines.iter().enumerate() {
+        match (line.as_str(), line.strip_prefix("$ ")) {
+            ("```console", _) => is_open = true,
+            ("```", _) => is_open = false,
+            (_, Some(command)) if is_open => {
+                all.push(Typed { command: command.to_owned(), lines: k + 1..k + 1 });
+            }
+            _ if is_open => all.last_mut().expect("a command comes first").lines.end = k + 1,
+            _ => {}
+        }
+    }
+    all
+}
+
+#[test]
+fn what_the_consoles_of_the_pages_show_is_what_their_commands_print() {
+    let mut n_commands = 0;
+    for page in pages() {
+        let mut lines: Vec<String> = fs::read_to_string(&page).unwrap().lines().map(str::to_owned).collect();
+        let all = typed(&lines);
+        if all.is_empty() {
+            continue;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        copy_folder(&root().join("graphs"), &folder.path().join("graphs"));
+        let mut code = 0;
+        let mut answers = Vec::new();
+        for Typed { command, .. } in &all {
+            n_commands += 1;
+            if command == "echo $?" {
+                answers.push(vec![code.to_string()]);
+                continue;
+            }
+            let words = words(command);
+            assert_eq!(words[0], "osteoflow", "{}: {command}", name(&page));
+            let output = osteoflow().args(&words[1..]).current_dir(folder.path()).output().unwrap();
+            code = output.status.code().unwrap();
+            let text =
+                [&output.stderr, &output.stdout].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
+            answers.push(without_progress(&text));
+        }
+        for (Typed { command, lines: at }, now) in all.iter().zip(answers).rev() {
+            let stated = &lines[at.clone()];
+            // A command without an answer prepares the next.
+            if stated.is_empty() || fits(stated, &now) {
+                continue;
+            }
+            assert!(is_update(), "{}: {command}: {ADVICE}\n--- now\n{}", name(&page), now.join("\n"));
+            lines.splice(at.clone(), shortened(stated, &now));
+        }
+        if is_update() {
+            fs::write(&page, lines.join("\n") + "\n").unwrap();
+        }
+    }
+    assert!(n_commands >= 12, "{n_commands} commands");
 }
 
 /// The cells of a row of the README's table: mean TRE, iterations and what convergence leaves, by their own words.

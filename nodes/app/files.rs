@@ -2,9 +2,11 @@
 
 use super::error::{Error, UsageError};
 use anyhow::{Context, Result, anyhow};
-use osteoflow_engine::{Fault, Faults};
+use osteoflow_engine::{Fault, Faults, run, sweep};
 use osteoflow_formats::{
-    FileError, Space, input,
+    FileError, Space,
+    folder::FILE_NAME as PROCEDURE_FILE,
+    input,
     mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
     picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
     pose_file::{itk_text, read_pose},
@@ -39,15 +41,27 @@ pub(crate) enum Data {
     Scan,
     Points,
     Recording,
+    /// The folder of a run.
+    Run,
+    /// The folder of a sweep.
+    Sweep,
+    /// A folder with a procedure in files.
+    Procedure,
 }
 
 impl Data {
-    /// What a file holds; `None` if it cannot be read, or is a text of another kind.
+    /// What a file or folder holds; `None` if it cannot be read, or is a text of another kind.
     pub(crate) fn of(path: &Path) -> Option<Self> {
+        if path.is_dir() {
+            let holds = |name: &str| path.join(name).is_file();
+            let folders =
+                [(sweep::DESIGN, Self::Sweep), (run::files::MANIFEST, Self::Run), (PROCEDURE_FILE, Self::Procedure)];
+            return folders.into_iter().find_map(|(name, data)| holds(name).then_some(data));
+        }
         if path.is_file() && is_volume(path) {
             return Some(Self::Ct);
         }
-        if path.is_dir() || path.extension().is_some_and(|ending| ending == "toml") {
+        if path.extension().is_some_and(|ending| ending == "toml") {
             return None;
         }
         match read(path, 1.0, "file", None, None).ok()? {
@@ -66,6 +80,9 @@ impl Data {
             Self::Scan => "a cloud of points",
             Self::Points => "picked points",
             Self::Recording => "a recording",
+            Self::Run => "the folder of a run",
+            Self::Sweep => "the folder of a sweep",
+            Self::Procedure => "a folder with a procedure in files",
         }
     }
 
@@ -86,6 +103,18 @@ impl Data {
                 format!("run it: osteoflow run graphs/fibula_recorded.toml --set recording.path={file}"),
                 format!("or see it: osteoflow view {file}"),
             ],
+            Self::Run => vec![
+                format!("see it: osteoflow view {file}"),
+                format!("run it again from its recording: osteoflow replay {file}"),
+                format!("or write a page about it: osteoflow report {file}"),
+            ],
+            Self::Sweep => vec![
+                format!("write a page about it: osteoflow report {file}"),
+                format!("or compare it with another: osteoflow compare {file} OTHER"),
+            ],
+            Self::Procedure => {
+                vec![format!("run it: osteoflow run graphs/fibula_folder.toml --set recording.path={file}")]
+            }
         };
         commands.push(format!("what it holds: osteoflow info {file}"));
         commands

@@ -53,6 +53,9 @@ pub(crate) fn make_plain(dir: &Path, force: bool, remedy: &str) -> Result<()> {
 }
 
 fn make_folder(dir: &Path) -> Result<()> {
+    if let Some(file) = dir.ancestors().find(|above| above.is_file()) {
+        return Err(UsageError(format!("{} is a file; name a folder", file.display())).into());
+    }
     fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))
 }
 

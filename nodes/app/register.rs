@@ -378,7 +378,9 @@ impl RegisterRequest {
         sets.extend(self.region_sets()?);
         self.choose_parts(&mut notes)?;
         let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &sets, kinds)?;
-        Ok(Register { request: self, checked, kind_name, params: params.all, files, start, init_ms, notes })
+        // Without the files, which a caller of the settings names.
+        sets.retain(|set| !set.starts_with("bone.path=") && !set.starts_with("scan.path="));
+        Ok(Register { request: self, checked, sets, kind_name, params: params.all, files, start, init_ms, notes })
     }
 
     /// The options that set a parameter of the method: option, key and value.
@@ -599,6 +601,8 @@ enum ReadStart {
 pub struct Register {
     pub(crate) request: RegisterRequest,
     checked: Checked,
+    /// What is set of the graph of two files, but for the two.
+    sets: Vec<String>,
     /// The kind that registers.
     kind_name: String,
     /// Its parameters.

@@ -20,6 +20,7 @@ pub(crate) mod serve;
 pub(crate) mod summary_table;
 pub(crate) mod terminal;
 pub(crate) mod text_table;
+pub(crate) mod usage;
 pub(crate) mod verdict_lines;
 
 pub(crate) use exit::Exit;

@@ -61,10 +61,20 @@ impl Compare {
         }
         let is_sweep = |dir: &PathBuf| dir.join(sweep::DESIGN).is_file();
         match self.folders.iter().filter(|dir| is_sweep(dir)).count() {
+            0 if self.by.is_some() => {
+                let why = "--by is for sweeps; of two runs, what was set otherwise is said without it";
+                Err(UsageError(why.into()).into())
+            }
             0 => self.runs(global),
             n if n == self.folders.len() => self.sweeps(global),
-            _ => Err(UsageError("runs and sweeps cannot be compared with each other; name folders of one kind".into())
-                .into()),
+            _ => {
+                let of =
+                    |dir: &PathBuf| format!("{} is {}", dir.display(), if is_sweep(dir) { "a sweep" } else { "none" });
+                let found = self.folders.iter().map(of).collect::<Vec<_>>().join(", ");
+                let message =
+                    format!("runs and sweeps cannot be compared with each other: {found}; name folders of one kind");
+                Err(UsageError(message).into())
+            }
         }
     }
 

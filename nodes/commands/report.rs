@@ -6,6 +6,7 @@ use osteoflow_engine::{plugin::Kinds, run::files, sweep};
 use serde_json::json;
 use std::{
     collections::BTreeSet,
+    fs,
     io::Write,
     path::{Path, PathBuf},
 };
@@ -40,6 +41,7 @@ pub(crate) struct Report {
 impl Report {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let dir = run_path::folder(&self.dir);
+        self.out.as_deref().map_or(Ok(()), check_out)?;
         let kinds = match self.plugins.files.is_empty() {
             true => Kinds::from(&registry()),
             false => Plugins { only: Some(BTreeSet::new()), ..self.plugins.clone() }.kinds()?,
@@ -69,6 +71,15 @@ impl Report {
             writeln!(terminal::stderr(), "{}: {fault}", global.paint_err("warning", "1;33"))?;
         }
         print_end(&page, &report, global)
+    }
+}
+
+/// Refuses to write over a file that is no page: a recording is not made again.
+fn check_out(page: &Path) -> Result<(), UsageError> {
+    let is_page = |bytes: Vec<u8>| bytes.trim_ascii_start().to_ascii_lowercase().starts_with(b"<!doctype html");
+    match page.exists() && !fs::read(page).is_ok_and(is_page) {
+        true => Err(UsageError(format!("{} exists already and is no page; name another file", page.display()))),
+        false => Ok(()),
     }
 }
 

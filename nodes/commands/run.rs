@@ -21,7 +21,7 @@ use std::{
     io::Write,
     net::SocketAddr,
     num::NonZeroUsize,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Arc, atomic::Ordering},
 };
 
@@ -89,6 +89,15 @@ impl Run {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let mut request = self.request.clone();
         if let Some(scan) = &self.scan {
+            let is_graph = |file: &Path| file.extension().is_some_and(|ending| ending == "toml");
+            if is_graph(scan) || is_graph(&request.graph.graph) {
+                let first = request.graph.graph.display();
+                return Err(UsageError(format!(
+                    "run takes one graph, and {} comes after {first}: run one after the other; a graph with changes is a file with extends, or --set",
+                    scan.display()
+                ))
+                .into());
+            }
             let (bone, scan) = (request.graph.graph.display(), scan.display());
             return Err(UsageError(format!(
                 "run takes one graph; two files are registered by\n  osteoflow register {bone} {scan}\nor, with a recording of \

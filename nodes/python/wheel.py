@@ -73,7 +73,7 @@ def without_rust() -> str:
 
 
 def try_out(wheel: Path, python: str, numpy: str) -> None:
-    """Installs the wheel into a fresh environment and runs try_wheel.py there, without Rust and outside of the checkout."""
+    """Installs the wheel into a fresh environment, and runs try_wheel.py and try_first_week.py there, without Rust and outside of the checkout."""
     begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="osteoflow-wheel-") as folder:
         environment = Path(folder) / "venv"
@@ -84,10 +84,14 @@ def try_out(wheel: Path, python: str, numpy: str) -> None:
         run(interpreter(environment), *INSTALL, wheel, numpy, env=environ)
         print(f"installed in {time.monotonic() - begun:.0f} s")
         # Copied, so that nothing is taken from the checkout.
-        for file in (PACKAGE / "try_wheel.py", ROOT / "README.md"):
+        for file in (PACKAGE / "try_wheel.py", PACKAGE / "try_first_week.py", ROOT / "README.md", ROOT / "docs/begin/first-week.md"):
             shutil.copy(file, folder)
         environ["OSTEOFLOW_CACHE"] = str(Path(folder) / "cache")
-        run(interpreter(environment), "-I", "try_wheel.py", cwd=folder, env=environ)
+        # The page has pip install scipy, which is not built for every old numpy.
+        for script in ("try_wheel.py", "try_first_week.py") if numpy == "numpy" else ("try_wheel.py",):
+            begun = time.monotonic()
+            run(interpreter(environment), "-I", script, cwd=folder, env=environ)
+            print(f"{script} took {time.monotonic() - begun:.0f} s")
 
 
 def main() -> None:

@@ -235,7 +235,7 @@ fn commands(lines: &[String]) -> Vec<String> {
 }
 
 /// The words of a command, as a shell has them: quotes hold words together.
-fn words(command: &str) -> Vec<String> {
+pub(crate) fn words(command: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut quote = None;
     for c in command.chars() {

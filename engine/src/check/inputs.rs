@@ -162,7 +162,8 @@ impl Check<'_> {
     }
 
     /// Checks that the producers give what the port takes.
-    fn fits(&mut self, input: &Input, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {
+    fn fits(&mut self, input: &mut Input, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {
+        let mut misfits = Vec::new();
         for (wire, at) in input.known_wires() {
             let Some(output) = output(wire, parsed_nodes) else { continue };
             let Some(gives) = output.payload.filter(|gives| !fits(&input.port.payload, gives)) else { continue };
@@ -171,6 +172,11 @@ impl Check<'_> {
             let fault = Fault::new(message).at(at, format!("gives {gives}"));
             let help = ProducerSearch::others(&input.port.payload, wire.0, parsed_nodes);
             self.faults.push(fault.note_if(doc_of(&input.port)).help_if(help));
+            misfits.push(wire);
+        }
+        // What it carries is of another kind, so its frames say nothing more.
+        for wire in &mut input.wires {
+            wire.from = wire.from.filter(|from| !misfits.contains(from));
         }
     }
 

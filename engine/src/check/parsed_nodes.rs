@@ -108,9 +108,8 @@ impl<'r> Check<'r> {
         }
         let Some(table) = entry.value.as_table() else {
             let message = format!("node \"{name}\" takes a table, found {}", entry.value.found());
-            self.faults.push(
-                Fault::new(message).at(&entry.value.at, "a table is needed").help(format!("write [node.{name}]")),
-            );
+            let fault = Fault::new(message).at(&entry.value.at, "a table is needed");
+            self.faults.push(fault.help(table_help(name, entry, nodes)).hides(&entry.value.at));
             return None;
         };
         if let Some(fault) = nearly_there(name, entry, nodes) {
@@ -309,6 +308,21 @@ fn nearly_there(name: &str, entry: &Entry, nodes: &Table) -> Option<Fault> {
     }
     let fault = Fault::new(format!("there is no node \"{name}\"")).at(&entry.key_at, "unknown");
     Some(fault.hint((help, list)).follows())
+}
+
+/// What is meant by a node that is given a value: its kind, or a key of another node.
+fn table_help(name: &str, entry: &Entry, nodes: &Table) -> String {
+    let text = entry.value.as_text().unwrap_or("VALUE");
+    match entry.key_at.source.command_line {
+        true if grammar::has(&grammar::NODE, name) => format!("name its node before it, such as icp.{name}={text}"),
+        true if text.contains('.') => format!("write {name}.kind={text}"),
+        true => match nodes.keys().find(|other| *other != name) {
+            Some(other) => format!("KEY is a node and its key, such as {other}.kind or {other}.{name}"),
+            None => "KEY is a node and its key".into(),
+        },
+        false if text.contains('.') => format!("write [node.{name}] and kind = {text:?}"),
+        false => format!("write [node.{name}]"),
+    }
 }
 
 /// The fault of a node without a kind: a misspelt node of the base graph, or a missing `kind`.

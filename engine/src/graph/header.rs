@@ -25,6 +25,12 @@ pub(crate) fn read(table: &Table, main: &Arc<SourceText>, faults: &mut Vec<Fault
     let mut header = Header { name: stem.unwrap_or_default(), seed: 0, frames: None, lossy: false };
     let Some(entry) = table.get("graph") else {
         let start = Span::new(main, 0..0);
+        if table.0.is_empty() && main.text.trim().is_empty() {
+            let fault = Fault::new("the graph file is empty").at(&start, "nothing here");
+            faults
+                .push(fault.help("was it saved? osteoflow new examples DIR writes graphs to begin from").hides(&start));
+            return header;
+        }
         let fault = Fault::new("the graph file does not say its format").at(&start, "no [graph] here");
         faults.push(fault.help("begin with a table [graph] that holds format = 1").follows());
         return header;

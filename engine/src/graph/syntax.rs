@@ -5,6 +5,11 @@ use toml::de::Error;
 
 /// The syntax faults of a text, without those that only follow from an earlier one.
 pub(super) fn faults(errors: &[Error], source: &Arc<SourceText>, tree: &Table) -> Vec<Fault> {
+    if !errors.is_empty()
+        && let Some(fault) = other_kind(source)
+    {
+        return vec![fault];
+    }
     let mut faults: Vec<Fault> = Vec::new();
     let mut lost: Vec<Range<usize>> = Vec::new();
     // An unclosed bracket swallows the rest of the text, so it is the only fault reported.
@@ -34,7 +39,36 @@ pub(super) fn faults(errors: &[Error], source: &Arc<SourceText>, tree: &Table) -
         lost.extend((!hidden.range.is_empty()).then(|| hidden.range.clone()));
         faults.push(fault.hides(&hidden));
     }
+    let first_line = source.text.lines().position(|line| !line.trim().is_empty() && !line.trim().starts_with('#'));
+    let is_of_first_line =
+        faults.first().and_then(Fault::location).map(|at| at.line) == first_line.map(|line| line + 1);
+    if faults.len() > MANY && is_of_first_line {
+        let n = faults.len() - 1;
+        let fault =
+            faults.swap_remove(0).note(format!("{n} more follow; is it a graph? osteoflow info says what a file is"));
+        return vec![fault];
+    }
     faults
+}
+
+/// Number of syntax faults from which on a text whose first line is one of them is of another format.
+const MANY: usize = 5;
+
+/// The fault of a text that was never TOML.
+fn other_kind(source: &Arc<SourceText>) -> Option<Fault> {
+    let start = source.text.len() - source.text.trim_start().len();
+    let what = match source.text.as_bytes().get(start)? {
+        b'{' => "JSON",
+        b'<' => "HTML or XML",
+        _ => return None,
+    };
+    let at = Span::new(source, start..start + 1);
+    let fault = Fault::new(format!("this is {what}, and a graph is written in TOML")).at(&at, format!("begins {what}"));
+    Some(
+        fault
+            .help("begin with [graph] and format = 1; osteoflow new examples DIR writes graphs to begin from")
+            .hides(&at),
+    )
 }
 
 fn is_unclosed(error: &Error) -> bool {
@@ -71,6 +105,15 @@ fn wording(message: &str, at: &Span) -> Fault {
                 fault.help(format!("write {text:?}"))
             }
         };
+    }
+    // `kind = icp.point_to_point`: a word that begins like a number of TOML.
+    let bare = at.text().trim();
+    if what.starts_with("invalid float") || what.starts_with("invalid integer") || what.starts_with("invalid boolean") {
+        let is_word = bare.starts_with(|c: char| c.is_ascii_alphabetic()) && !bare.contains(['"', '\'', '[', '{']);
+        if is_word {
+            let fault = Fault::new("this is not TOML: a text needs quotes").at(at, "neither a number nor in quotes");
+            return fault.help(format!("write {bare:?}"));
+        }
     }
     let label = if expected.is_empty() { String::new() } else { format!("expected {expected}") };
     Fault::new(format!("this is not TOML: {what}")).at(at, label).help_if(decimal_comma(at))

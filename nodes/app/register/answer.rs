@@ -190,6 +190,10 @@ impl Registration {
     /// Warnings and notes of a registration that ended, one sentence each.
     pub(crate) fn warnings(&self, of: &Register) -> Vec<String> {
         let mut warnings: Vec<String> = self.doubt.iter().cloned().collect();
+        // Without a bone or a scan, what other nodes say follows from that.
+        if matches!(&self.run.outcome, Outcome::Refused(refusal) if FILES.contains(&refusal.node.as_str())) {
+            return warnings;
+        }
         let of_nodes = self.run.warnings.iter().filter(|warning| !FILES.contains(&warning.node.as_str()));
         warnings.extend(of_nodes.map(|warning| match warning.node.as_str() {
             "icp" => format!("{}: {}", of.method_name(), warning.message),
@@ -286,6 +290,7 @@ impl Registration {
         put("pairing", of.pairing().into());
         put("stop", if request.stop == Stop::Fixed { "fixed" } else { "converge" }.into());
         put("params", of.params.clone());
+        put("settings", json!(of.sets));
         put("target", self.target_json(&request.target));
         put("source", self.source_json(&request.source));
         if let Some(init) = self.init.filter(|_| self.has_ended()) {

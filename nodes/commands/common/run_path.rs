@@ -1,6 +1,6 @@
 //! A run by its folder or by its recording: commands that read runs take either.
 
-use crate::app::UsageError;
+use crate::app::{UsageError, files::Data};
 use osteoflow_engine::{run::files, sweep};
 use std::path::{Path, PathBuf};
 
@@ -22,6 +22,13 @@ pub(crate) fn recording(path: &Path) -> Result<PathBuf, UsageError> {
         "it is the folder of a sweep; name the recording of one run"
     } else if path.join("metadata.yaml").is_file() {
         "it is the bag of another program; name one of its .mcap files"
+    } else if let Some(data) = Data::of(path) {
+        let commands = data.commands(path).join("\n  ");
+        return Err(UsageError(format!(
+            "{} is {}, and the folder of a run or a recording is needed\n  {commands}",
+            path.display(),
+            data.what()
+        )));
     } else {
         "name the folder of a run, or a recording"
     };

@@ -102,6 +102,9 @@ fn of_groups(summary: &Value, is_brief: bool) -> String {
         let has_points = groups.iter().any(|group| group["points"].as_object().is_some_and(|of| !of.is_empty()));
         hidden.extend(has_points.then(|| "the points".to_owned()));
     }
+    if blocks.is_empty() {
+        return "no numbers: name those that are wanted in [sweep.columns], such as tre_mm = \"metrics.tre_true_mm.mean_abs.norm\"\n".into();
+    }
     let title = if settings.is_empty() { "statistics".to_owned() } else { settings.join(", ") };
     let mut out = lines(&title, blocks, !settings.is_empty());
     if !hidden.is_empty() {
@@ -116,8 +119,17 @@ fn row(group: &Value, of: &Value, is_brief: bool) -> Row {
     let mut remarks = Vec::new();
     let mut cells = statistics(of);
     // The lowest level, by its name: what the values are of.
-    let lowest = of["n_units"].as_array().and_then(|levels| levels.last());
-    if let Some(level) = lowest {
+    let levels = of["n_units"].as_array().map(Vec::as_slice).unwrap_or_default();
+    // The number of independent values is that of the highest level, and no other number beside the runs or the lowest level.
+    match levels {
+        [] | [_] => cells.retain(|(head, _)| head != "n"),
+        [highest, ..] if !is_brief => cells
+            .iter_mut()
+            .filter(|(head, _)| head == "n")
+            .for_each(|(head, _)| *head = plural(&word(&highest["name"]))),
+        _ => {}
+    }
+    if let Some(level) = levels.last() {
         cells.insert(0, (plural(&word(&level["name"])), Cell::Word(word(&level["n"]))));
     } else {
         cells.insert(0, ("runs".into(), Cell::Word(word(&of["n"]))));

@@ -9,7 +9,10 @@ use crate::{
     commands::common::{Exit, Format, Global, print_json, summary_table, terminal},
 };
 use anyhow::Result;
-use osteoflow_engine::sweep::{Done, Factor, Folder, Spec};
+use osteoflow_engine::{
+    names::nearest,
+    sweep::{Done, Factor, Folder, Spec},
+};
 use osteoflow_report::summary::{self, word};
 use serde_json::json;
 use std::{collections::BTreeSet, io::Write, path::Path};
@@ -128,7 +131,15 @@ impl Compare {
             labels.push(match (levels.len(), &set) {
                 (0, Some((_, values))) => values[k].clone(),
                 (0, None) => {
-                    return Err(usage("no factor of the sweeps sets it, and their graphs have it alike".into()).into());
+                    let of_factors = sweeps.iter().flat_map(|sweep| &sweep.spec.factors).flat_map(keys);
+                    let entries = otherwise::entries(made);
+                    let known: BTreeSet<&str> = of_factors.chain(entries.iter().map(|(key, _)| key.as_str())).collect();
+                    let known = known.iter().copied();
+                    let help = nearest::help(by, known.clone())
+                        .or_else(|| nearest::all("what is set otherwise or by a factor", known));
+                    let help = help.unwrap_or_else(|| "nothing was set otherwise".into());
+                    let why = "no factor of the sweeps sets it, and their graphs have it alike";
+                    return Err(usage(format!("{why}; {help}")).into());
                 }
                 (1, _) => listed(&levels),
                 (..) => {

@@ -40,6 +40,10 @@ impl Reader<'_> {
                     _ => self.variants(&section, values, &owner)?,
                 }
             }
+            // A misspelt key is that fault alone.
+            None if self.faults.len() > before && ["from", "to", "n"].iter().all(|key| table.get(key).is_none()) => {
+                return None;
+            }
             // Faults of the range do not name the factor.
             None => self.grid(&section, &Section::known(table, &grammar::FACTOR, ""), entry, &owner)?,
         };

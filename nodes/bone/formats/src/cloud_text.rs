@@ -44,8 +44,9 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     name_axes(&mut names, &mut stated).map_err(|message| cursor.fault_at(line, message))?;
     twice(&names, str::eq_ignore_ascii_case).map_err(|message| cursor.fault_at(line, message))?;
     if names.len() != cells.len() {
+        let comma = decimal_commas(names.len(), cells.len());
         let message =
-            format!("the heading on line {line} names {} columns, this line has {}", names.len(), cells.len());
+            format!("the heading on line {line} names {} columns, this line has {}{comma}", names.len(), cells.len());
         return Err(cursor.fault_at(*first_line, message));
     }
     if !has_heading && cells.len() < 3 {
@@ -53,6 +54,13 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         return Err(cursor.fault_at(*first_line, message));
     }
     let places = axes(&cursor, &names, line)?;
+    if has_heading && ["qx", "qy", "qz", "qw"].iter().all(|name| place(&names, name).is_some()) {
+        let message = format!(
+            "the columns {} are those of poses, and points are needed; name the file of the scan (acquire.poses and acquire.folder read poses)",
+            names.join(", ")
+        );
+        return Err(cursor.fault_at(line, message));
+    }
     let normals = normal_columns(|name| place(&names, name));
     let is_needed = |k: usize| places.contains(&k) || normals.is_some_and(|normals| normals.contains(&k));
     let columns = columns(&cursor, rows, &split, has_heading, names.len(), is_needed)?;
@@ -84,6 +92,12 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     }
     let lines_of_points = Places::Lines(rows.iter().map(|(_, line)| *line).collect());
     Ok(Shape { stated, notes, places: lines_of_points, ..Shape::of_columns(named, places) })
+}
+
+/// The likely cause of a line with twice the cells: a comma within each number, too.
+pub(crate) fn decimal_commas(n_columns: usize, n_cells: usize) -> &'static str {
+    let is_twice = n_columns > 1 && n_cells == 2 * n_columns;
+    if is_twice { "; decimal commas? write 1.5, or separate the columns by semicolons" } else { "" }
 }
 
 /// What precedes the points, and their rows.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// The file is missing, may not be read, or the disk is full.
-    #[error("{}: cannot be {action}: {source}", path.display())]
+    #[error("{}: cannot be {action}: {}", path.display(), why(path, source))]
     Io {
         /// The file.
         path: PathBuf,
@@ -14,7 +14,10 @@ pub enum FileError {
         source: std::io::Error,
     },
     /// The path leads to something else than a file.
-    #[error("{}: it is {kind}, but a regular file is needed; copy what it gives into a file", path.display())]
+    #[error(
+        "{}: it is {kind}, but a regular file is needed; {}",
+        path.display(), if path.is_dir() { "name a file in it" } else { "copy what it gives into a file" }
+    )]
     Kind {
         /// The path.
         path: PathBuf,
@@ -45,4 +48,38 @@ impl FileError {
     pub(crate) fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
         move |source| Self::Io { path: path.into(), action: "written", source }
     }
+}
+
+/// Why a file cannot be read or written: what is missing, else the words of the system.
+fn why(path: &Path, source: &std::io::Error) -> String {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    match (source.kind(), folder) {
+        (std::io::ErrorKind::NotFound, Some(folder)) if !folder.exists() => {
+            format!("there is no folder {}", folder.display())
+        }
+        (std::io::ErrorKind::NotFound, _) if !path.exists() => "there is no such file".into(),
+        _ => source.to_string(),
+    }
+}
+
+/// What bytes are that are no text: a format by its first bytes.
+pub(crate) fn other_format(bytes: &[u8]) -> Option<&'static str> {
+    const STARTS: [(&[u8], &str); 12] = [
+        (b"ply\n", "a PLY file"),
+        (b"ply\r\n", "a PLY file"),
+        (b"solid ", "an STL file in text"),
+        (b"# .PCD", "a PCD file"),
+        (b"# vtk", "a VTK file"),
+        (b"\x89MCAP0", "an MCAP recording"),
+        (b"NRRD", "an NRRD volume"),
+        (b"ObjectType", "a MetaImage volume"),
+        (b"\x1f\x8b", "a file compressed with gzip"),
+        (b"PK\x03\x04", "a ZIP archive"),
+        (b"\x89PNG", "a PNG image"),
+        (b"<!doctype html", "an HTML page"),
+    ];
+    let found = STARTS.iter().find(|(start, _)| bytes.starts_with(start)).map(|(_, what)| *what);
+    let triangles = || Some(u32::from_le_bytes(bytes.get(80..84)?.try_into().ok()?) as usize);
+    let is_stl = || triangles().is_some_and(|n| bytes.len() == 84 + 50 * n && n > 0);
+    found.or_else(|| is_stl().then_some("an STL file"))
 }

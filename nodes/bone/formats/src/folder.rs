@@ -234,6 +234,13 @@ impl ProcedureFolder {
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let path = if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() };
         let text = input::read_text(&path)?;
+        if path.extension().is_none_or(|ending| ending != "toml") && toml::from_str::<toml::Table>(&text).is_err() {
+            let message = format!("a procedure in files is named by its folder, or by its {FILE_NAME}");
+            let beside = path.with_file_name(FILE_NAME).is_file();
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            let help = if beside { format!("; name {}", folder.display()) } else { String::new() };
+            return Err(FileError::content(&path, "line 1", message + &help));
+        }
         let manifest: Manifest = toml::from_str(&text).map_err(|error| {
             let place = error.span().map_or_else(|| "line 1".into(), |span| place_of(&text, span.start));
             FileError::content(&path, place, error.message().trim())

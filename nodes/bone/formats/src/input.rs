@@ -3,7 +3,7 @@
 //! A pipe or a socket would be waited for, and a device may never end, so what is not a regular file is refused before it is
 //! opened.
 
-use crate::FileError;
+use crate::{FileError, error::other_format};
 use sha2::{Digest as _, Sha256};
 use std::{
     fs::{self, File, FileType},
@@ -48,7 +48,12 @@ pub fn read(path: &Path) -> Result<Vec<u8>, FileError> {
 pub fn read_text(path: &Path) -> Result<String, FileError> {
     String::from_utf8(read(path)?).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
-        FileError::content(path, format!("byte {at}"), "the file is no text in UTF-8; save it as UTF-8")
+        match other_format(error.as_bytes()) {
+            Some(what) => {
+                FileError::content(path, "byte 0", format!("it is {what}, and a text is needed; name another file"))
+            }
+            None => FileError::content(path, format!("byte {at}"), "the file is no text in UTF-8; save it as UTF-8"),
+        }
     })
 }
 

@@ -26,7 +26,11 @@ impl<'a> Table<'a> {
             let line = error.position().map_or(1, csv::Position::line);
             let message = match error.kind() {
                 csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-                    format!("the header names {expected_len} columns, this line has {len}")
+                    let more = len.saturating_sub(*expected_len);
+                    // Numbers of which some have a decimal comma; a word would not be cut by one.
+                    let is_comma = more > 0 && more <= *expected_len;
+                    let comma = if is_comma { "; a decimal comma? write 1.5, not 1,5" } else { "" };
+                    format!("the header names {expected_len} columns, this line has {len}{comma}")
                 }
                 _ => error.to_string(),
             };

@@ -147,6 +147,8 @@ class Registration:
 
     def __init__(self, report: dict) -> None:
         self.report = report
+        #: Target and source as they were given, and the files of landmarks: what `view` shows.
+        self._given: tuple = ()
         self.t_target_source = _np.array(report["T"], dtype=_np.float64).reshape(4, 4)
         self.verdict: Optional[dict] = report.get("verdict")
 
@@ -239,6 +241,7 @@ def register(
     Raises Refused if there is no pose, or it is refused (`error.report` holds what is known); UsageError for options;
     OsteoflowError for files; KeyboardInterrupt. Warnings of the command are OsteoflowWarning.
     """
+    as_given = (target, source, landmarks)
     target_name, target = _given(target, "target")
     source_name, source = _given(source, "source")
     for name, unit, is_file in [("target", target_unit_mm, target is None), ("source", source_unit_mm, source is None)]:
@@ -261,6 +264,7 @@ def register(
     )
     answer = _core.register((target_name, target), (source_name, source), start, options, set, trace, progress)
     fit = Registration(_json.loads(answer))
+    fit._given = as_given
     _warn(fit.report["warnings"])
     return fit
 

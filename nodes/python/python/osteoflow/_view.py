@@ -122,6 +122,35 @@ def _widget_class() -> Any:
     return View
 
 
+def _registered(fit: Any, folder: Path) -> tuple[list[str], list[str]]:
+    """The files of a registration, and the settings of the graph of two files that give it again, from the same start."""
+    if not fit._given:
+        raise UsageError("this registration does not know its files; view one that osteoflow.register has returned")
+    target, source, landmarks = fit._given
+    files = [_file(target, "bone", folder), _file(source, "scan", folder)]
+    # The page writes for other programs, which a registration in memory does not.
+    sets = [text.replace('"node.export", ', "").replace('"node.export"', "") for text in fit.report["settings"]]
+    start = fit.report["start"]["by"]
+    if start == "shape":
+        return files, sets
+    if start == "landmarks":
+        points = [os.path.abspath(os.fspath(file)) for file in landmarks]
+    else:
+        # A start without points: that which takes four points onto four others.
+        points = [os.fspath(folder / f"{name}_points.csv") for name in ("bone", "scan")]
+        in_scan = [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0), (0.0, 100.0, 0.0), (0.0, 0.0, 100.0)]
+        rows = fit.report["init"]["matrix"][:3]
+        in_bone = [[sum(row[k] * point[k] for k in range(3)) + row[3] for row in rows] for point in in_scan]
+        for file, places in zip(points, (in_bone, in_scan)):
+            lines = [f"S{k},{x!r},{y!r},{z!r}" for k, (x, y, z) in enumerate(places)]
+            Path(file).write_text("\n".join(["label,x,y,z", *lines]) + "\n", encoding="utf-8")
+        nodes = {"bone_points": "ct", "scan_points": "camera"}
+        for node, frame in nodes.items():
+            sets += [f"node.{node}.kind=acquire.points", f"node.{node}.frame={frame}"]
+        sets += ["coarse.kind=coarse.three_point", "coarse.in.target=bone_points.points", 'coarse.in.source={from="scan_points.points",n=1}']
+    return files, [*sets, *_core.setting_texts(dict(zip(("bone_points.path", "scan_points.path"), points)))]
+
+
 def view(
     what: Any,
     scan: Any = None,
@@ -134,7 +163,8 @@ def view(
 ) -> Any:
     """Show the page of `osteoflow view` in a notebook: a registration, a run, a recording, or a graph that is changed there.
 
-    what : a graph file, the folder of a run, a recording, or a `GraphRun` with a folder; with `scan` the bone: a file, a `Mesh`, or points.
+    what : a graph file, the folder of a run, a recording, a `GraphRun` with a folder, or what `register` has returned, which is registered
+        again from the same start with the same settings; with `scan` the bone: a file, a `Mesh`, or points.
     scan : a file, a `Cloud` or an (n, 3) array, mm: it is registered by the shape of the bone alone, as `register` does.
     set : changes of the graph, {"icp.kind": "icp.point_to_point"}; or a `Row` of a study, whose run is then shown: an outlier.
     out : folder for the runs of a graph, or of a registration. Default: runs/GRAPH-TIME.
@@ -147,10 +177,20 @@ def view(
     """
     keeps = tempfile.TemporaryDirectory(prefix="osteoflow-view-")
     folder = Path(keeps.name)
-    given = getattr(what, "out_dir", what)
-    if given is None:
-        raise UsageError("this run wrote no files; run it with out=DIR, or give the graph")
-    words = [_file(given, "bone", folder)]
+    from . import Registration
+
+    if isinstance(what, Registration):
+        if scan is not None:
+            raise UsageError("a registration has its scan; give it alone, or the bone and a scan")
+        words, settings = _registered(what, folder)
+        words += [f"--set={setting}" for setting in settings]
+        if out is None:
+            out = folder / "run"
+    else:
+        given = getattr(what, "out_dir", what)
+        if given is None:
+            raise UsageError("this run wrote no files; run it with out=DIR, or give the graph")
+        words = [_file(given, "bone", folder)]
     if scan is not None:
         words.append(_file(scan, "scan", folder))
         # Runs of what is in memory are not left behind.

@@ -155,9 +155,9 @@ fn times(file: &PosesFile, scans: &[StampNs]) -> Result<(), FileError> {
         }
         let unit = TIMES.iter().find(|(unit, ..)| is_in(scan as f64, *unit));
         if let Some((unit, name, _)) = unit {
-            let (found, meant) = (first.stamp_ns, first.stamp_ns as f64 * unit);
+            let (found, meant) = (first.stamp_ns, i128::from(first.stamp_ns) * *unit as i128);
             let message = format!(
-                "t_ns is {found}, and a scan is of {scan} ns; likely cause: the stamps are in {name}; write nanoseconds: {meant:.0}"
+                "t_ns is {found}, and a scan is of {scan} ns; likely cause: the stamps are in {name}; write nanoseconds: {meant}"
             );
             return Err(fault(&file.path, first.line, message));
         }
@@ -169,8 +169,30 @@ fn times(file: &PosesFile, scans: &[StampNs]) -> Result<(), FileError> {
             );
             return Err(fault(&file.path, first.line, message));
         }
+        let (before, gap_ns) = match (scan as f64) < ends.0 {
+            true => ("before the first", ends.0 - scan as f64),
+            false => ("after the last", scan as f64 - ends.1),
+        };
+        let message = format!(
+            "t_ns is {}, and the stamp of a scan in procedure.toml is {scan} ns, {} {before} pose; likely cause: the scan is of another \
+             recording, or its clock is not that of the tracker; both need one clock",
+            first.stamp_ns,
+            duration(gap_ns)
+        );
+        return Err(fault(&file.path, first.line, message));
     }
     Ok(())
+}
+
+/// A duration in the unit in which it is short.
+fn duration(ns: f64) -> String {
+    let s = ns / 1e9;
+    match s {
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} minutes", s / 60.0),
+        s if s < 172_800.0 => format!("{:.0} hours", s / 3600.0),
+        s => format!("{:.0} days", s / 86_400.0),
+    }
 }
 
 /// The pose of the marker on the phantom, read with the scalar first, where that is what the plan says of it and the pose as it is
