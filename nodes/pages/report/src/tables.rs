@@ -1,11 +1,13 @@
 //! Tables of arbitrary JSON results.
 
-use crate::{cell::Cell, format::number, html::Page};
+use crate::{cell::Cell, degrees::shown_unit, format::number, html::Page};
 use nalgebra::{Isometry3, Matrix4};
 use osteoflow_geometry::isometry_from_matrix;
 use serde::Deserialize;
 use serde_json::{Map, Value as Json};
 
+/// A table of more columns is turned if it has few rows.
+const MAX_COLUMNS: usize = 10;
 /// Longer lists are shown by their length only.
 const MAX_ROWS: usize = 40;
 
@@ -86,7 +88,10 @@ impl ResultTables {
             }
             // Long lists of numbers are for programs.
             Json::Array(items) if items.len() > 6 || items.iter().any(Json::is_array) => {}
-            other => self.singles.push(vec![Cell::Code(path.into()), Cell::of(other)]),
+            other => {
+                let (path, value) = in_degrees(path, other);
+                self.singles.push(vec![Cell::Code(path), Cell::of(&value)]);
+            }
         }
     }
 }
@@ -109,6 +114,19 @@ fn rigid(matrix: &Json) -> Option<Isometry3<f64>> {
     isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column])).ok()
 }
 
+/// A result whose name ends with `_rad` in degrees, under the name with that unit.
+fn in_degrees(name: &str, value: &Json) -> (String, Json) {
+    let (shown, scale) = shown_unit(name);
+    let scaled = match value {
+        Json::Number(number) if scale != 1.0 => number.as_f64().map(|rad| Json::from(rad * scale)),
+        Json::Array(items) if scale != 1.0 => {
+            items.iter().map(|item| item.as_f64().map(|rad| Json::from(rad * scale))).collect()
+        }
+        _ => None,
+    };
+    (shown, scaled.unwrap_or_else(|| value.clone()))
+}
+
 /// The object with the keys of nested objects as `a.b`, without values that do not fit a cell.
 fn flat(object: &Map<String, Json>) -> Map<String, Json> {
     let mut out = Map::new();
@@ -119,7 +137,7 @@ fn flat(object: &Map<String, Json>) -> Map<String, Json> {
                 out.extend(flat(inner).into_iter().map(|(inner, value)| (format!("{key}.{inner}"), value)));
             }
             Json::Array(items) if items.len() > 3 || items.iter().any(|item| !item.is_number()) => {}
-            other => drop(out.insert(key.clone(), other.clone())),
+            other => out.extend([in_degrees(key, other)]),
         }
     }
     out
@@ -148,7 +166,17 @@ pub(crate) fn objects(page: &mut Page, caption: &str, items: &[Map<String, Json>
         |item: &Map<String, Json>| keys.iter().map(|key| Cell::of(item.get(*key).unwrap_or(&Json::Null))).collect();
     let rows: Vec<Vec<Cell>> = items.iter().take(MAX_ROWS).map(row).collect();
     let cut = if items.len() > MAX_ROWS { format!(", the first {MAX_ROWS} of {}", items.len()) } else { String::new() };
-    page.table(&format!("{caption}{cut}."), &head, &rows);
+    let caption = format!("{caption}{cut}.");
+    // Few objects of many values are read from top to bottom: beside each other the values would not fit the page.
+    if head.len() > MAX_COLUMNS && rows.len() < head.len() / 2 {
+        let turned: Vec<Vec<Cell>> = (1..head.len())
+            .map(|k| std::iter::once(Cell::word(&head[k])).chain(rows.iter().map(|row| row[k].clone())).collect())
+            .collect();
+        let first = std::iter::once(head[0].clone());
+        let head: Vec<String> = first.chain(rows.iter().map(|row| row[0].plain())).collect();
+        return page.table(&caption, &head, &turned);
+    }
+    page.table(&caption, &head, &rows);
 }
 
 #[cfg(test)]

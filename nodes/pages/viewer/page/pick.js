@@ -69,6 +69,9 @@ export class Picking {
     this.gestures = [new Gestures(this, "bone", scene.holder), new Gestures(this, "scan", beside.view)];
   }
 
+  /** Whether another tool has the view. */
+  isBlocked() { return this.scene.solo !== null; }
+
   /** Asks the server, the first time, where it saves and what it knows of the plan. */
   async ask() {
     if (this.known !== undefined) return;
@@ -93,6 +96,13 @@ export class Picking {
     if (added.isPart) this.follow();
     if (added.isReplaced && (this.mode || this.history.isEdited)) this.warning = "the surface was replaced by another; look at each point again";
     if (added.isSeen) this.changed();
+  }
+
+  /** Scans that were shown before the recording jumped or another run began are not picked on any more, but for that under the hand. */
+  forget() {
+    if (this.mode) return;
+    this.shown.forgetClouds();
+    this.changed();
   }
 
   bone() { return this.shown.bone(); }

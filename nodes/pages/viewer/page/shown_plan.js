@@ -116,6 +116,8 @@ export class Shown {
     return [...this.items].filter(([wire, { columns }]) => columns.points && !columns.faces && !/phantom|laser/.test(wire)).map(([wire]) => wire);
   }
 
+  forgetClouds() { for (const wire of this.clouds()) this.items.delete(wire); }
+
   /** @returns {{wire: string, item: Item} | null} */
   cloud() {
     const all = this.clouds();
