@@ -335,7 +335,7 @@ fn marks(browser: &mut Browser, case: &Case) -> Vec<(Point3<f64>, Point3<f64>, V
 /// Picks three pairs side by side, by a mouse or a finger, saves and runs; `n` is the number of the run.
 pub(crate) fn pair_by_hand(browser: &mut Browser, case: &Case, n: usize, is_touch: bool) {
     let axis = &case.name;
-    let truth = case.t_bone_scan.unwrap();
+    let (truth, points) = (case.t_bone_scan.unwrap(), case.scan.points());
     press(browser, "#pick-pairs");
     browser.wait_until("osteoflow.beside.made?.drawn.get(osteoflow.beside.picked?.wire)?.object.visible === true && !osteoflow.beside.isNew && osteoflow.scene.isLookedAt");
     assert!(text(browser, "pick-next").contains("0 of 3 pairs"), "{}", text(browser, "pick-next"));
@@ -374,11 +374,18 @@ pub(crate) fn pair_by_hand(browser: &mut Browser, case: &Case, n: usize, is_touc
         browser.wait_until(&format!("osteoflow.picking.nPairs() === {}", k + 1));
     }
     browser.screenshot(&format!("pairs-{axis}"));
-    for (side, k) in [("bone", 1), ("scan", 0)] {
-        for (pick, mark) in picked(browser, side).iter().zip(&marks) {
-            let mm = (pick.position - if k == 1 { mark.1 } else { mark.0 }).norm();
-            assert!(mm < 1.0, "{axis}: {} is {mm} mm from where it was clicked on the {side}", pick.name);
-        }
+    for (pick, (_, place, _)) in picked(browser, "bone").iter().zip(&marks) {
+        let mm = (pick.position - place).norm();
+        assert!(mm < 1.0, "{axis}: {} is {mm} mm from where it was clicked on the bone", pick.name);
+    }
+    let eye: [f64; 3] =
+        serde_json::from_value(browser.evaluate("osteoflow.beside.scene.camera.position.toArray()")).unwrap();
+    for (pick, (mark, _, _)) in picked(browser, "scan").iter().zip(&marks) {
+        assert!(points.contains(&pick.position), "{axis}: {pick:?} is no measured point");
+        let (off, sight) = (pick.position - mark, (mark - Point3::from(eye) * 1000.0).normalize());
+        // Of points behind each other one of the nearest 3 mm is taken.
+        let (along, across) = (off.dot(&sight), (off - sight * off.dot(&sight)).norm());
+        assert!(across < 1.0 && along.abs() < 3.0, "{axis}: {} is {off} from where it was clicked", pick.name);
     }
     wait_for_text(browser, "pick-next", "save when the sides agree");
     assert_eq!(text(browser, "pick-save"), "save and run");
@@ -386,7 +393,6 @@ pub(crate) fn pair_by_hand(browser: &mut Browser, case: &Case, n: usize, is_touc
     browser.wait_until(&format!(
         "osteoflow.state.run === 'run-{n}' && ['complete', 'refused'].includes(osteoflow.state.state)"
     ));
-    let points = case.scan.points();
     let pose = case.pose(n);
     let off = points.iter().map(|p| (pose * p - truth * p).norm()).sum::<f64>() / points.len() as f64;
     let answer = case.results(n)["verdict"]["answer"].clone();
@@ -540,4 +546,97 @@ fn a_crop_by_the_mouse_leaves_what_was_kept_on_the_bone_and_what_is_not_register
     let said = browser.evaluate("document.body.innerText");
     assert!(!said.as_str().unwrap().contains("/tmp"), "no path of a temporary folder: {said}");
     assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
+}
+
+/// A scan whose upper half is red and whose lower half is blue, as scanners and other programs write colours.
+fn coloured(scan: &Cloud, at_mm: f64, bits: u32, file: &Path) {
+    let (kind, most) = if bits == 8 { ("uchar", 255) } else { ("ushort", 65535) };
+    let n = scan.points().len();
+    let colours = ["red", "green", "blue"].map(|name| format!("property {kind} {name}\n")).concat();
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {n}\nproperty double x\nproperty double y\nproperty double z\n{colours}end_header\n"
+    );
+    for p in scan.points() {
+        let (red, blue) = if p.y < at_mm { (most, 0) } else { (0, most) };
+        text += &format!("{} {} {} {red} {} {blue}\n", p.x, p.y, p.z, most / 5);
+    }
+    fs::write(file, text).unwrap();
+}
+
+/// The colours on the screen within a few pixels of a place, red, green and blue each.
+fn pixels(browser: &mut Browser, view: &str, [x, y]: [f64; 2]) -> Vec<[u8; 4]> {
+    let read = format!(
+        "(() => {{ const canvas = {view}.renderer.domElement; const box = canvas.getBoundingClientRect(); \
+         const copy = document.createElement('canvas'); [copy.width, copy.height] = [canvas.width, canvas.height]; \
+         const context = copy.getContext('2d'); context.drawImage(canvas, 0, 0); const k = canvas.width / box.width; \
+         return [...context.getImageData((({x}) - box.left) * k - 3, (({y}) - box.top) * k - 3, 7, 7).data]; }})()"
+    );
+    let flat: Vec<u8> = serde_json::from_value(browser.evaluate(&read)).unwrap();
+    flat.chunks(4).map(|p| [p[0], p[1], p[2], p[3]]).collect()
+}
+
+#[test]
+fn a_scan_with_colours_of_its_own_is_shown_in_them_on_the_bone_and_beside_it_when_they_are_asked_for() {
+    let Some(mut browser) = Browser::start("a_scan_with_colours_of_its_own") else { return };
+    let browser = &mut browser;
+    for bits in [8, 16] {
+        let mut case = Case::new("z", UnitQuaternion::identity());
+        let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/folder/scan.ply");
+        // In the camera's frame, where a camera sees it: along its rows.
+        case.scan = read_cloud(&data, 1.0, "camera").unwrap().cloud;
+        let mut along: Vec<f64> = case.scan.points().iter().map(|p| p.y).collect();
+        along.sort_by(f64::total_cmp);
+        let half = along[along.len() / 2];
+        coloured(&case.scan, half, bits, &case.folder.path().join("scan.ply"));
+        let served = case.view(browser);
+        let truth = case.t_bone_scan.unwrap();
+        browser.wait_until("osteoflow.scene.residuals.has('crop.cloud')");
+        let near = |level: f64| {
+            let middle = case.scan.points().iter().filter(|p| (p.y - level).abs() < 2.0);
+            let (sum, n) = middle.fold((Vector3::zeros(), 0.0), |(sum, n), p| (sum + p.coords, n + 1.0));
+            let middle = Point3::from(sum / n);
+            *case.scan.points().iter().min_by(|a, b| (*a - middle).norm().total_cmp(&(*b - middle).norm())).unwrap()
+        };
+        let [upper, lower] = [near(0.5 * (along[0] + half)), near(0.5 * (along[along.len() - 1] + half))];
+        // A fifth of the green, and all of the red or the blue, as in the file.
+        let is_of = |rgb: &[u8; 4], colour: [u8; 3]| (0..3).all(|k| rgb[k].abs_diff(colour[k]) <= 2);
+        let has = |browser: &mut Browser, view: &str, p: &Point3<f64>, colour: [u8; 3]| {
+            let at = projected_in(browser, view, p);
+            pixels(browser, view, at).iter().any(|rgb| is_of(rgb, colour))
+        };
+        let (own_red, own_blue) = ([255, 51, 0], [0, 51, 255]);
+        let frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done))))";
+        // At first the colours are those of the distance from the bone, and their scale is there.
+        assert_eq!(
+            browser.evaluate("[document.getElementById('own').hidden, document.getElementById('scale').hidden]"),
+            json!([false, false])
+        );
+        assert!(!has(browser, BONE, &(truth * upper), own_red), "{bits} bits: distances are not red");
+        press(browser, "#own");
+        browser.evaluate(frame);
+        browser.screenshot(&format!("own-colours-{bits}"));
+        assert!(has(browser, BONE, &(truth * upper), own_red), "{bits} bits: {:?}", {
+            let at = projected(browser, &(truth * upper));
+            pixels(browser, BONE, at)
+        });
+        assert!(has(browser, BONE, &(truth * lower), own_blue), "{bits} bits");
+        browser.wait_until("document.getElementById('scale').hidden && document.getElementById('own').getAttribute('aria-pressed') === 'true'");
+        // Beside the bone the scan has them, too, and light and shade without them.
+        press(browser, "#pick-pairs");
+        browser.wait_until("osteoflow.beside.made?.drawn.get(osteoflow.beside.picked?.wire)?.object.visible === true && !osteoflow.beside.isNew");
+        browser.evaluate(frame);
+        browser.screenshot(&format!("own-colours-beside-{bits}"));
+        assert!(has(browser, SCAN, &upper, own_red) && has(browser, SCAN, &lower, own_blue), "{bits} bits, beside");
+        browser.evaluate("document.activeElement.blur()");
+        browser.key("c", false);
+        browser.evaluate(frame);
+        let at = projected_in(browser, SCAN, &upper);
+        let shades = pixels(browser, SCAN, at);
+        assert!(!shades.iter().any(|rgb| is_of(rgb, own_red)), "{bits} bits: shades are not red");
+        assert!(
+            shades.iter().any(|[r, g, b, _]| r >= g && g >= b && *r > 90),
+            "{bits} bits: the colour of bone, {shades:?}"
+        );
+        assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
+    }
 }

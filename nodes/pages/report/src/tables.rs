@@ -210,6 +210,35 @@ mod tests {
     }
 
     #[test]
+    fn angles_are_in_degrees_and_few_objects_of_many_values_are_read_downwards() {
+        let mut page = Page::new("", false);
+        let many = |name: &str| {
+            let name = [("name".to_owned(), json!(name))];
+            let values = name.into_iter().chain((0..12).map(|k| (format!("value_{k}"), json!(k))));
+            values.collect::<Map<_, _>>()
+        };
+        results(
+            &mut page,
+            &json!({
+                "cuts": [{ "name": "plane_1", "tilt_rad": std::f64::consts::FRAC_PI_2 }],
+                "step_rad": 0.5_f64.to_radians(),
+                "turned_rad": [std::f64::consts::PI, 0.0, 0.0],
+                "holes_like": [many("P1"), many("P2")],
+            }),
+        );
+        let (html, _) = page.finish("");
+        for text in ["tilt deg", ">90.00<", "step_deg", "turned_deg", "180", "0.5"] {
+            assert!(html.contains(text), "{text} is missing:\n{html}");
+        }
+        assert!(!html.contains("rad<") && !html.contains("_rad"), "{html}");
+        let turned = &html[html.find("holes like").unwrap()..];
+        let head = &turned[..turned.find("</thead>").unwrap()];
+        // The first column of each object is its head, and each value has a row.
+        assert_eq!(head.matches("<th ").count(), 3, "{head}");
+        assert_eq!(turned[..turned.find("</table>").unwrap()].matches("<tr>").count(), 13, "{turned}");
+    }
+
+    #[test]
     fn a_pose_is_shown_as_origin_and_rotation_and_a_stamp_to_the_nanosecond() {
         let quarter = [[0.0, -1.0, 0.0, 10.5], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]];
         let mut page = Page::new("", false);

@@ -8,7 +8,7 @@ import { drawPlanes, drawPoints, drawRulers } from "./marks.js";
 import { readPlan } from "./load.js";
 import { Panel } from "./pick_panel.js";
 import { lookFrom } from "./pick_view.js";
-import { History, N_NEEDED, bearings, nextName, normalOf, placed, planeAcross, planJson } from "./picks.js";
+import { History, N_NEEDED, bearings, isSamePlan, nextName, normalOf, placed, planeAcross, planJson } from "./picks.js";
 import { post } from "./request.js";
 import { extent } from "./shade.js";
 import { PARTS, Shown } from "./shown_plan.js";
@@ -28,6 +28,7 @@ const NEAR_MM = 70;
 const ROOM_PX = 70;
 /** The names under which marks are in the list of what is shown. */
 const MARKS = { bone: "picked on the bone", scan: "picked on the scan" };
+const CHANGED = "the plan that is shown has changed; what was picked is kept";
 const LETTERS = { landmarks: "P", assessment: "M", tip: "malleolus tip", bone: "P", scan: "P" };
 
 export class Picking {
@@ -115,8 +116,12 @@ export class Picking {
     const shown = this.shown.picked();
     const text = JSON.stringify(shown);
     if (text === this.base) return;
-    if (this.history.isEdited) {
-      this.warning = "the plan that is shown has changed; what was picked is kept";
+    if (isSamePlan(shown, this.history.now)) {
+      // A run with what was picked shows it.
+      this.base = text;
+      if (this.warning === CHANGED) this.warning = "";
+    } else if (this.history.isEdited) {
+      this.warning = CHANGED;
     } else {
       this.base = text;
       this.history.reset(shown);
