@@ -141,7 +141,7 @@ fn a_receiver_gets_registration_and_planes_of_the_results_while_they_are_trusted
 fn the_page_draws_at_once_what_comes_over_openigtlink_grey_and_said_to_be_unregistered_until_it_is() {
     let Some(mut browser) = Browser::start("the_page_draws_at_once_what_comes_over_openigtlink") else { return };
     // So slow that a page sees the scan before it is registered.
-    let rig = Rig::start(&["--points", "5000", "--rate", "4"]);
+    let rig = Rig::start(&["--points", "5000", "--rate", "2"]);
     let out = tempfile::tempdir().unwrap();
     let run = out.path().join("run").display().to_string();
     let [address, navigation] = [("recording", rig.address.clone()), ("navigation", free_address().to_string())]

@@ -325,7 +325,19 @@ fn marks(browser: &mut Browser, case: &Case) -> Vec<(Point3<f64>, Point3<f64>, V
     seen.sort_by(|a, b| level(a).total_cmp(&level(b)));
     let n = seen.len();
     assert!(n > 20 && level(&seen[n - 1]) - level(&seen[0]) > 0.2 * length, "{}: {n} marks", case.name);
-    let marks = [seen[n / 10], seen[n / 2], seen[n * 9 / 10]].map(|mark| {
+    // Measured points scatter: one that others are well before is not what a hand sees.
+    let is_front = |mark: &Point3<f64>| {
+        let sight = (mark - eye).normalize();
+        case.scan.points().iter().all(|p| {
+            let (off, nearer) = (p - mark, (mark - p).dot(&sight));
+            nearer < 2.0 || (off + sight * nearer).norm() > 3.0
+        })
+    };
+    let marks = [n / 10, n / 2, n * 9 / 10].map(|k| {
+        let front = (0..n / 10).flat_map(|by| [k - by, k + by]).map(|k| seen[k.min(n - 1)]).find(is_front);
+        front.unwrap_or_else(|| panic!("{}: no mark is before the others", case.name))
+    });
+    let marks = marks.map(|mark| {
         let place = case.bone.closest_point(&(truth * mark)).unwrap();
         (mark, place.point, (place.normal - along * place.normal.dot(&along)).normalize())
     });
