@@ -1,6 +1,6 @@
 //! OpenIGTLink from the command line: the whole method from a simulated tracker and camera.
 
-use crate::common::{isometry, osteoflow, root, run_whole};
+use crate::common::{browser::Browser, isometry, osteoflow, root, run_whole, served::Served};
 use osteoflow_formats::openigtlink::{Body, Decoder, Message};
 use serde_json::Value;
 use std::{
@@ -135,6 +135,40 @@ fn a_receiver_gets_registration_and_planes_of_the_results_while_they_are_trusted
         .filter_map(|m| if let Body::Status(status) = &m.body { Some(status.name.as_str()) } else { None })
         .collect();
     assert!(statuses.contains(&"planes sent") && statuses.last() == Some(&"exiting"), "{statuses:?}");
+}
+
+#[test]
+fn the_page_draws_at_once_what_comes_over_openigtlink_grey_and_said_to_be_unregistered_until_it_is() {
+    let Some(mut browser) = Browser::start("the_page_draws_at_once_what_comes_over_openigtlink") else { return };
+    // So slow that a page sees the scan before it is registered.
+    let rig = Rig::start(&["--points", "5000", "--rate", "2"]);
+    let out = tempfile::tempdir().unwrap();
+    let run = out.path().join("run").display().to_string();
+    let [address, navigation] = [("recording", rig.address.clone()), ("navigation", free_address().to_string())]
+        .map(|(node, address)| format!("{node}.address={address}"));
+    let served = Served::start(&["run", LIVE, "--serve", "--out", &run, "--set", &address, "--set", &navigation]);
+    browser.events.clear();
+    browser.call("Page.navigate", serde_json::json!({ "url": served.page }));
+    // The phantom's scan, which comes first, stands for no scan of the bone.
+    browser.wait_until(
+        "typeof osteoflow === 'object' && osteoflow.scene.drawn.has('recording.phantom_scan') && osteoflow.scene.derived.has('recording.scan')",
+    );
+    assert_eq!(
+        browser.evaluate("osteoflow.scene.isReplaced('recording.scan') && !osteoflow.scene.drawn.has('to_bone.cloud')"),
+        false
+    );
+    browser.wait_until(
+        "(() => { const { scene, beside, verdict } = osteoflow; const there = beside.made?.drawn.get('to_bone.cloud')?.object; \
+         return there?.visible === true && !there.children[0].material.vertexColors && verdict === null && \
+         scene.drawn.get('bone.mesh')?.object.visible && !scene.drawn.get('to_bone.cloud').object.visible && \
+         document.querySelector('#beside .caption').textContent === 'not registered: to_bone.cloud, in bone_marker' && \
+         document.getElementById('shown').textContent.includes('not registered: shown beside the bone, in bone_marker'); })()",
+    );
+    browser.wait_until(
+        "osteoflow.verdict?.answer === 'trusted' && osteoflow.scene.drawn.get('to_bone.cloud').object.visible && \
+         document.getElementById('beside').hidden && osteoflow.scene.drawn.get('planes.planes')?.object.visible",
+    );
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }
 
 #[test]

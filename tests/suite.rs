@@ -93,6 +93,8 @@ mod verdicts;
 #[cfg(unix)]
 mod viewer;
 #[cfg(unix)]
+mod viewer_bones;
+#[cfg(unix)]
 mod viewer_hands;
 mod viewer_notebook;
 #[cfg(unix)]

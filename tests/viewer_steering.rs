@@ -178,10 +178,12 @@ fn a_picked_plan_is_merged_with_the_known_one_and_the_graph_runs_with_it() {
     plan["landmarks"]["P1"][2] = moved.into();
     let (status, answer) = post(&served, "save/plan", &plan);
     assert!(status == 200 && answer.contains("the graph runs with it"), "{answer}");
-    let path = format!("plan.path={}", bench.path("picks/picks-1/plan.json").display());
-    let again = bench.on_command_line("fibula.toml", &["plan.kind=plan.file", &path]);
+    let file = |key: &str, name: &str| format!("plan.{key}={}", bench.path("picks/picks-1").join(name).display());
+    let (path, made_for) = (file("path", "plan.json"), file("made_for", "made_for.json"));
+    let again = bench.on_command_line("fibula.toml", &["plan.kind=plan.file", &path, &made_for]);
     assert_eq!(bench.results(2), again);
-    assert_ne!(again["coarse"], bench.results(1)["coarse"], "the landmark was moved");
+    let by_the_new = bench.on_command_line("fibula.toml", &["plan.kind=plan.file", &path]);
+    assert_ne!(by_the_new["coarse"], bench.results(1)["coarse"], "the landmark was moved");
     // What the page does not see is as it was: the calibration starts where it did.
     let rms = |results: &Value| results["calibration"]["icp"]["rms_mm"].as_f64().unwrap();
     assert!(
@@ -271,6 +273,56 @@ fn a_point_that_is_planned_elsewhere_now_is_not_judged_by_what_was_measured_at_i
     let results = bench.results(4);
     assert!(results["metrics"]["tre_measured_mm"].get("n").is_none(), "{}", results["metrics"]["tre_measured_mm"]);
     assert_ne!(results["verdict"]["answer"], "refused", "{}", results["verdict"]);
+}
+
+#[test]
+fn a_landmark_that_is_planned_elsewhere_now_was_located_at_its_old_place_and_the_registration_starts_there() {
+    let bench = Bench::new();
+    let served = bench.view("fibula.toml", &[]);
+    let first = bench.results(1);
+    let known = served.get("/TOKEN/picks", "");
+    let known: Value = serde_json::from_str(known.split_once("\r\n\r\n").unwrap().1).unwrap();
+    let mut plan = known["plan"].clone();
+    plan.as_object_mut()
+        .unwrap()
+        .retain(|key, _| ["units", "landmarks", "assessment", "planes"].contains(&key.as_str()));
+    let before = plan["landmarks"].clone();
+    let residuals = |results: &Value| -> Vec<f64> {
+        let pairs = results["coarse"]["pairs"].as_array().unwrap().iter();
+        pairs.map(|pair| pair["residual_mm"].as_f64().unwrap()).collect()
+    };
+    // One, which would not fit the others, then all by so much that the start would be of another place on the bone.
+    for (k, names) in [&["P2"][..], &["P1", "P2", "P3"]].iter().enumerate() {
+        for name in *names {
+            plan["landmarks"][name][2] = (before[name][2].as_f64().unwrap() + 40.0).into();
+        }
+        let (status, answer) = post(&served, "save/plan", &plan);
+        assert!(status == 200 && answer.contains("the graph runs with it"), "{answer}");
+        let results = bench.results(k + 2);
+        assert_eq!(results["verdict"]["answer"], "trusted", "{names:?}: {}", results["verdict"]);
+        let off = residuals(&results).iter().zip(residuals(&first)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-6, "{names:?}: the start differs by {off} mm");
+        let manifest = fs::read_to_string(bench.run(k + 2).join("manifest.json")).unwrap();
+        let said = format!(
+            "{} {} planned elsewhere than when the procedure was made",
+            names.join(", "),
+            if k == 0 { "is" } else { "are" }
+        );
+        assert!(manifest.contains(&said), "{said}: {manifest}");
+        assert!(!results["verdict"].to_string().contains("aimed there"), "{}", results["verdict"]);
+    }
+    // The page shows them where they are planned now.
+    let Some(mut browser) = Browser::start("a_landmark_that_is_planned_elsewhere_now") else { return };
+    browser.events.clear();
+    browser.call("Page.navigate", json!({ "url": served.page }));
+    browser.wait_until("typeof osteoflow === 'object' && osteoflow.picking.history.now.landmarks.length === 3");
+    for name in ["P1", "P2", "P3"] {
+        let z = plan["landmarks"][name][2].as_f64().unwrap();
+        browser.wait_until(&format!(
+            "Math.abs(osteoflow.picking.history.now.landmarks.find((pick) => pick.name === '{name}').position[2] - {z}) < 1e-6"
+        ));
+    }
+    assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
 }
 
 #[test]

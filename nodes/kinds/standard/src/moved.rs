@@ -12,6 +12,9 @@ const SAME_RAD: f64 = 1e-5;
 /// Names of what was planned elsewhere, or not at all, when the procedure was made.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Moved {
+    /// Landmarks.
+    #[serde(default)]
+    pub(crate) landmarks: Vec<String>,
     /// Assessment points.
     pub(crate) assessment: Vec<String>,
     /// Cutting planes.
@@ -21,9 +24,11 @@ pub(crate) struct Moved {
 impl Moved {
     /// What is elsewhere in a plan than in the one that a procedure was made for.
     pub(crate) fn since(made_for: &SurgicalPlan, plan: &SurgicalPlan) -> Self {
-        let is_point = |p: &&NamedPoint| {
-            let mut before = made_for.assessment.points.iter();
-            !before.any(|q| q.name == p.name && (q.position - p.position).norm() < SAME_MM)
+        let points = |before: &[NamedPoint], now: &[NamedPoint]| {
+            let is_same =
+                |p: &NamedPoint, q: &NamedPoint| q.name == p.name && (q.position - p.position).norm() < SAME_MM;
+            let moved = now.iter().filter(|p| !before.iter().any(|q| is_same(p, q)));
+            moved.map(|p| p.name.to_string()).collect()
         };
         let is_plane = |p: &&Plane| {
             let mut before = made_for.planes.planes.iter().filter(|q| q.name == p.name);
@@ -34,9 +39,12 @@ impl Moved {
                 })
             })
         };
-        let points = plan.assessment.points.iter().filter(is_point).map(|p| p.name.to_string());
         let planes = plan.planes.planes.iter().filter(is_plane).map(|p| p.name.to_string());
-        Self { assessment: points.collect(), planes: planes.collect() }
+        Self {
+            landmarks: points(&made_for.landmarks.points, &plan.landmarks.points),
+            assessment: points(&made_for.assessment.points, &plan.assessment.points),
+            planes: planes.collect(),
+        }
     }
 
     /// What the report of a plan says of it; nothing where none is wired, or the plan is the procedure's own.
@@ -76,7 +84,9 @@ mod tests {
         assert_eq!(Moved::since(&before, &before), Moved::default());
         let after = plan(&[("M1", 1e-7), ("M2", 5.1), ("hole", 9.0)], &[("a", 1.0, 1e-3), ("b", 2.0, 1e-9)]);
         let moved = Moved::since(&before, &after);
-        assert_eq!(moved, Moved { assessment: vec!["M2".into(), "hole".into()], planes: vec!["a".into()] });
+        let expected =
+            Moved { assessment: vec!["M2".into(), "hole".into()], planes: vec!["a".into()], ..Moved::default() };
+        assert_eq!(moved, expected);
         // Two points that changed places both moved.
         let swapped = plan(&[("M1", 5.0), ("M2", 0.0)], &[]);
         assert_eq!(Moved::since(&before, &swapped).assessment, ["M1", "M2"]);

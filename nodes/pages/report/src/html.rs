@@ -28,6 +28,9 @@ pub struct Figure {
     pub svg: String,
 }
 
+/// Number of assumptions that are shown at once, as by `osteoflow run`.
+const N_ASSUMED: usize = 3;
+
 /// The frame of a view.
 struct View {
     aspect: f64,
@@ -137,7 +140,19 @@ impl Page {
         }
         let assumed: Vec<_> = verdict.assumptions().map(escape).collect();
         if !assumed.is_empty() {
-            let _ = writeln!(self.body, "<p class=\"assumed\">Assumed: {}.</p>", assumed.join("; "));
+            let list = |all: &[String]| all.iter().map(|text| format!("<li>{text}</li>")).collect::<String>();
+            // The most critical come first.
+            let (first, rest) = assumed.split_at(assumed.len().min(N_ASSUMED));
+            let _ = write!(self.body, "<p class=\"assumed\">Assumed:</p><ul class=\"assumed\">{}</ul>", list(first));
+            if !rest.is_empty() {
+                let n = rest.len();
+                let _ = write!(
+                    self.body,
+                    "<details><summary>{n} more</summary><ul class=\"assumed\">{}</ul></details>",
+                    list(rest)
+                );
+            }
+            self.body.push('\n');
         }
         self.body.push_str("</section>\n");
     }

@@ -45,8 +45,17 @@ pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
 pub(crate) fn dates(dir: &Path) -> Option<[String; 2]> {
     let time = |name: &str| fs::metadata(dir.join(name)).ok()?.modified().ok();
     let (began, ended) = (time(osteoflow_engine::sweep::DESIGN)?, time(crate::summary::SUMMARY)?);
-    let shown = |time| jiff::Timestamp::try_from(time).ok().map(|time| time.strftime("%Y-%m-%d %H:%M UTC").to_string());
+    let shown = |time| jiff::Timestamp::try_from(time).ok().map(minute);
     Some([shown(began)?, shown(ended)?])
+}
+
+/// A time of a manifest as people write it; as it is where it is none.
+pub(crate) fn date(of_manifest: &str) -> String {
+    of_manifest.parse().map_or_else(|_| of_manifest.to_owned(), minute)
+}
+
+fn minute(time: jiff::Timestamp) -> String {
+    time.strftime("%Y-%m-%d %H:%M UTC").to_string()
 }
 
 const HEADS: [&str; 2] = ["what", "value"];

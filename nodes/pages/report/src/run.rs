@@ -88,8 +88,9 @@ pub fn of_run(dir: &Path, registry: &Registry) -> Result<Report, ReportError> {
     let kinds: Vec<&str> = run.nodes().map(|(_, kind)| kind).collect();
     let bibliography = citations::section(&mut page, &kinds, registry);
 
-    let began = run.manifest["began"].as_str().unwrap_or_default();
-    let (html, figures) = page.finish(&format!("{}, {began}", provenance::folder_name(dir)));
+    let began =
+        run.manifest["began"].as_str().map_or_else(String::new, |began| format!(", {}", provenance::date(began)));
+    let (html, figures) = page.finish(&format!("{}{began}", provenance::folder_name(dir)));
     Ok(Report { html, figures, bibliography, fault })
 }
 

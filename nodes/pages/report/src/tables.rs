@@ -1,11 +1,13 @@
 //! Tables of arbitrary JSON results.
 
-use crate::{cell::Cell, format::number, html::Page};
+use crate::{cell::Cell, degrees::shown_unit, format::number, html::Page};
 use nalgebra::{Isometry3, Matrix4};
 use osteoflow_geometry::isometry_from_matrix;
 use serde::Deserialize;
 use serde_json::{Map, Value as Json};
 
+/// A table of more columns is turned if it has few rows.
+const MAX_COLUMNS: usize = 10;
 /// Longer lists are shown by their length only.
 const MAX_ROWS: usize = 40;
 
@@ -86,7 +88,10 @@ impl ResultTables {
             }
             // Long lists of numbers are for programs.
             Json::Array(items) if items.len() > 6 || items.iter().any(Json::is_array) => {}
-            other => self.singles.push(vec![Cell::Code(path.into()), Cell::of(other)]),
+            other => {
+                let (path, value) = in_degrees(path, other);
+                self.singles.push(vec![Cell::Code(path), Cell::of(&value)]);
+            }
         }
     }
 }
@@ -109,6 +114,19 @@ fn rigid(matrix: &Json) -> Option<Isometry3<f64>> {
     isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column])).ok()
 }
 
+/// A result whose name ends with `_rad` in degrees, under the name with that unit.
+fn in_degrees(name: &str, value: &Json) -> (String, Json) {
+    let (shown, scale) = shown_unit(name);
+    let scaled = match value {
+        Json::Number(number) if scale != 1.0 => number.as_f64().map(|rad| Json::from(rad * scale)),
+        Json::Array(items) if scale != 1.0 => {
+            items.iter().map(|item| item.as_f64().map(|rad| Json::from(rad * scale))).collect()
+        }
+        _ => None,
+    };
+    (shown, scaled.unwrap_or_else(|| value.clone()))
+}
+
 /// The object with the keys of nested objects as `a.b`, without values that do not fit a cell.
 fn flat(object: &Map<String, Json>) -> Map<String, Json> {
     let mut out = Map::new();
@@ -119,7 +137,7 @@ fn flat(object: &Map<String, Json>) -> Map<String, Json> {
                 out.extend(flat(inner).into_iter().map(|(inner, value)| (format!("{key}.{inner}"), value)));
             }
             Json::Array(items) if items.len() > 3 || items.iter().any(|item| !item.is_number()) => {}
-            other => drop(out.insert(key.clone(), other.clone())),
+            other => out.extend([in_degrees(key, other)]),
         }
     }
     out
@@ -148,7 +166,17 @@ pub(crate) fn objects(page: &mut Page, caption: &str, items: &[Map<String, Json>
         |item: &Map<String, Json>| keys.iter().map(|key| Cell::of(item.get(*key).unwrap_or(&Json::Null))).collect();
     let rows: Vec<Vec<Cell>> = items.iter().take(MAX_ROWS).map(row).collect();
     let cut = if items.len() > MAX_ROWS { format!(", the first {MAX_ROWS} of {}", items.len()) } else { String::new() };
-    page.table(&format!("{caption}{cut}."), &head, &rows);
+    let caption = format!("{caption}{cut}.");
+    // Few objects of many values are read from top to bottom: beside each other the values would not fit the page.
+    if head.len() > MAX_COLUMNS && rows.len() < head.len() / 2 {
+        let turned: Vec<Vec<Cell>> = (1..head.len())
+            .map(|k| std::iter::once(Cell::word(&head[k])).chain(rows.iter().map(|row| row[k].clone())).collect())
+            .collect();
+        let first = std::iter::once(head[0].clone());
+        let head: Vec<String> = first.chain(rows.iter().map(|row| row[0].plain())).collect();
+        return page.table(&caption, &head, &turned);
+    }
+    page.table(&caption, &head, &rows);
 }
 
 #[cfg(test)]
@@ -179,6 +207,35 @@ mod tests {
         }
         let holes = table("holes");
         assert!(holes.contains("P1") && holes.contains("7.25") && holes.contains("72"), "{holes}");
+    }
+
+    #[test]
+    fn angles_are_in_degrees_and_few_objects_of_many_values_are_read_downwards() {
+        let mut page = Page::new("", false);
+        let many = |name: &str| {
+            let name = [("name".to_owned(), json!(name))];
+            let values = name.into_iter().chain((0..12).map(|k| (format!("value_{k}"), json!(k))));
+            values.collect::<Map<_, _>>()
+        };
+        results(
+            &mut page,
+            &json!({
+                "cuts": [{ "name": "plane_1", "tilt_rad": std::f64::consts::FRAC_PI_2 }],
+                "step_rad": 0.5_f64.to_radians(),
+                "turned_rad": [std::f64::consts::PI, 0.0, 0.0],
+                "holes_like": [many("P1"), many("P2")],
+            }),
+        );
+        let (html, _) = page.finish("");
+        for text in ["tilt deg", ">90.00<", "step_deg", "turned_deg", "180", "0.5"] {
+            assert!(html.contains(text), "{text} is missing:\n{html}");
+        }
+        assert!(!html.contains("rad<") && !html.contains("_rad"), "{html}");
+        let turned = &html[html.find("holes like").unwrap()..];
+        let head = &turned[..turned.find("</thead>").unwrap()];
+        // The first column of each object is its head, and each value has a row.
+        assert_eq!(head.matches("<th ").count(), 3, "{head}");
+        assert_eq!(turned[..turned.find("</table>").unwrap()].matches("<tr>").count(), 13, "{turned}");
     }
 
     #[test]

@@ -94,6 +94,8 @@ export class Beside {
       Object.assign(drawn.object.userData, { item, forthMm: 0 });
       scene.redraw();
     }
+    // Both views have the same colours.
+    if (scene.colours.isOwn !== this.main.colours.isOwn) scene.colours.choose(this.main.colours.isOwn);
     if (this.picked) shadeCloud(scene, this.picked);
     const names = [...shown].map(([wire, { fields }]) => `${wire}, in ${fields.frame}`).join("; ");
     this.caption.textContent = this.picked ? `the scan: ${names}` : `not registered: ${names}`;

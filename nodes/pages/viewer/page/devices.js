@@ -34,6 +34,12 @@ export class Devices {
     this.shown = new Map([[VIEW, false], [AXES, false]]);
   }
 
+  /** What was seen before the recording jumped or another run began is not known any more. */
+  clear() {
+    this.seen = null;
+    this.n = 0;
+  }
+
   /** @param {string} payload @param {Item} item */
   item(payload, item) {
     if (payload !== "geometry/Cloud" || item.empty || item.fields.frame !== CAMERA) return;

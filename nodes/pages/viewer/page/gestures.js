@@ -112,7 +112,7 @@ export class Gestures {
       event.stopPropagation();
     };
     const isCommand = event.ctrlKey || event.metaKey;
-    if (event.key === "p" && !isCommand) {
+    if (event.key === "p" && !isCommand && !this.picking.isBlocked()) {
       done();
       return this.picking.enter(this.picking.mode ? null : "plan");
     }

@@ -221,6 +221,8 @@ function forget() {
   frames.clear();
   scene.clear();
   beside.clear();
+  devices.clear();
+  picking.forget();
   pending.clear();
   verdicts.clear();
   heard.clear();
@@ -341,12 +343,16 @@ element("time").onchange = () => {
 };
 
 const sides = /** @type {const} */ (["scan", "lateral", "anterior", "along"]);
+
+/** @param {typeof sides[number]} side */
+function lookFrom(side) {
+  scene.isTurned = true;
+  scene.look(side, frames);
+}
+
 for (const side of sides) {
   const button = /** @type {HTMLButtonElement} */ (document.querySelector(`[data-side=${side}]`));
-  button.onclick = () => {
-    scene.isTurned = true;
-    scene.look(side, frames);
-  };
+  button.onclick = () => lookFrom(side);
 }
 element("glass").onclick = () => {
   scene.glass(!scene.isGlass);
@@ -362,7 +368,6 @@ element("draw").onclick = () => {
 element("full").onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
 element("own").onclick = () => {
   scene.colours.choose(!scene.colours.isOwn);
-  beside.made?.colours.choose(scene.colours.isOwn);
 };
 
 /** What the buttons of the view say: without a plan nobody knows which side of a bone is lateral. */
@@ -405,11 +410,14 @@ steer(beside.view, () => beside.scene, () => beside.look());
 
 document.addEventListener("keydown", (event) => {
   if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (["1", "2", "3", "4"].includes(event.key)) scene.look(sides[Number(event.key) - 1], frames);
+  const side = sides[Number(event.key) - 1];
+  if (side) lookFrom(side);
   if (event.key === "f") element("full").click();
   if (event.key === "g") element("glass").click();
   if (event.key === "c" && !element("own").hidden) element("own").click();
-  if (event.key === " " && range && !(event.target instanceof HTMLButtonElement)) {
+  // A button or the head of a node has the space bar for itself.
+  const isPressed = event.target instanceof HTMLElement && event.target.matches("button, summary");
+  if (event.key === " " && range && !isPressed) {
     event.preventDefault();
     element("play").click();
   }

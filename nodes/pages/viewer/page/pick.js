@@ -8,7 +8,7 @@ import { drawPlanes, drawPoints, drawRulers } from "./marks.js";
 import { readPlan } from "./load.js";
 import { Panel } from "./pick_panel.js";
 import { lookFrom } from "./pick_view.js";
-import { History, N_NEEDED, bearings, nextName, normalOf, placed, planeAcross, planJson } from "./picks.js";
+import { History, N_NEEDED, bearings, isSamePlan, nextName, normalOf, placed, planeAcross, planJson } from "./picks.js";
 import { post } from "./request.js";
 import { extent } from "./shade.js";
 import { PARTS, Shown } from "./shown_plan.js";
@@ -28,6 +28,7 @@ const NEAR_MM = 70;
 const ROOM_PX = 70;
 /** The names under which marks are in the list of what is shown. */
 const MARKS = { bone: "picked on the bone", scan: "picked on the scan" };
+const CHANGED = "the plan that is shown has changed; what was picked is kept";
 const LETTERS = { landmarks: "P", assessment: "M", tip: "malleolus tip", bone: "P", scan: "P" };
 
 export class Picking {
@@ -69,6 +70,9 @@ export class Picking {
     this.gestures = [new Gestures(this, "bone", scene.holder), new Gestures(this, "scan", beside.view)];
   }
 
+  /** Whether another tool has the view. */
+  isBlocked() { return this.scene.solo !== null; }
+
   /** Asks the server, the first time, where it saves and what it knows of the plan. */
   async ask() {
     if (this.known !== undefined) return;
@@ -95,6 +99,13 @@ export class Picking {
     if (added.isSeen) this.changed();
   }
 
+  /** Scans that were shown before the recording jumped or another run began are not picked on any more, but for that under the hand. */
+  forget() {
+    if (this.mode) return;
+    this.shown.forgetClouds();
+    this.changed();
+  }
+
   bone() { return this.shown.bone(); }
   surface() { return this.shown.surface(); }
   cloud() { return this.shown.cloud(); }
@@ -105,8 +116,12 @@ export class Picking {
     const shown = this.shown.picked();
     const text = JSON.stringify(shown);
     if (text === this.base) return;
-    if (this.history.isEdited) {
-      this.warning = "the plan that is shown has changed; what was picked is kept";
+    if (isSamePlan(shown, this.history.now)) {
+      // A run with what was picked shows it.
+      this.base = text;
+      if (this.warning === CHANGED) this.warning = "";
+    } else if (this.history.isEdited) {
+      this.warning = CHANGED;
     } else {
       this.base = text;
       this.history.reset(shown);

@@ -33,7 +33,7 @@ export function sideOf(item) {
 }
 
 /** Whether a camera at the origin that looks along z can have seen these points. @param {Float64Array} rows */
-function isBeforeCamera(rows) {
+export function isBeforeCamera(rows) {
   for (let k = 0; k < rows.length; k += 3) {
     if (!(rows[k + 2] > 0) || Math.abs(rows[k]) > OPENING * rows[k + 2] || Math.abs(rows[k + 1]) > OPENING * rows[k + 2]) return false;
   }
@@ -67,16 +67,17 @@ function outside(rows) {
   return [0, 1, 2].map((k) => sign * (c * one[k] + s * other[k]));
 }
 
-/** Shows the shape of a scan, which its points in one colour do not. @param {Scene} scene @param {{wire: string, item: Item}} cloud */
+/** Shows the shape of a scan, which its points in one colour do not; a scan in its own colours keeps them. @param {Scene} scene @param {{wire: string, item: Item}} cloud */
 export function shadeCloud(scene, { wire, item }) {
-  const drawn = scene.drawn.get(wire)?.object.children[0];
-  if (!(drawn instanceof THREE.Points) || drawn.userData.isShaded) return;
+  const object = scene.drawn.get(wire)?.object;
+  const drawn = object?.children[0];
+  if (!(drawn instanceof THREE.Points) || (scene.colours.isOwn && object?.userData.hasOwn)) return;
+  if (drawn.userData.shades && drawn.geometry.getAttribute("color") === drawn.userData.shades) return;
   const { towards, up } = sideOf(item);
-  const colours = shade(/** @type {Float64Array} */ (item.columns.points.rows), towards, up, BONE);
-  drawn.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
+  const shades = (drawn.userData.shades ??= new THREE.BufferAttribute(shade(/** @type {Float64Array} */ (item.columns.points.rows), towards, up, BONE), 3));
+  drawn.geometry.setAttribute("color", shades);
   Object.assign(drawn.material, { vertexColors: true, size: 3, needsUpdate: true });
   drawn.material.color.set(0xffffff);
-  drawn.userData.isShaded = true;
 }
 
 /** @param {Scene} scene @param {Vector} at mm @param {Vector} from a direction @param {number} mm what the view shows of it @param {Vector} up */

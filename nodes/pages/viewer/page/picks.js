@@ -237,6 +237,15 @@ export function matrix(origin, rotation) {
   return [...[0, 1, 2].map((k) => [x[k], y[k], z[k], origin[k]]), [0, 0, 0, 1]];
 }
 
+/** Whether two plans have the same points and planes, but for the digits that writing and reading round. @param {Picked} a @param {Picked} b */
+export function isSamePlan(a, b) {
+  const rounded = (/** @type {Picked} */ { landmarks, assessment, planes }) => JSON.stringify(
+    [landmarks, assessment, planes.map(({ name, origin, rotation }) => [name, matrix(origin, rotation)])],
+    (_, value) => (typeof value === "number" ? Number(value.toFixed(6)) : value),
+  );
+  return rounded(a) === rounded(b);
+}
+
 /**
  * The plan as the file that `plan.file` reads.
  * @param {Picked} picked

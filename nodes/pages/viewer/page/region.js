@@ -1,8 +1,9 @@
 // The region of interest, drawn by hand on a scan: lasso, box, slab, brush; kept or cut, with the points inside counted.
 
 import * as THREE from "three";
+import { MM } from "./drawables.js";
 import { fileField, readRegion } from "./load.js";
-import { sideOf } from "./pick_view.js";
+import { isBeforeCamera, sideOf } from "./pick_view.js";
 import { post } from "./request.js";
 import { boxAround, longAxis, within } from "./shapes.js";
 
@@ -10,8 +11,6 @@ import { boxAround, longAxis, within } from "./shapes.js";
 /** @typedef {import("./shapes.js").Shape} Shape */
 /** @typedef {import("./shapes.js").Outline} Outline */
 
-/** Millimetres in the scene's metres. */
-const MM = 0.001;
 const INSIDE = [0, 0.45, 0.7], OUTSIDE = [0.42, 0.44, 0.47];
 /** How near the pointer must be to a point to touch it, pixels. */
 const TOUCH_PX = 16;
@@ -103,14 +102,15 @@ export class RegionTool {
     this.changed(false);
   }
 
+  /** Whether a camera at the origin of the cloud's frame can have seen it. */
+  isBeforeCamera() { return this.on !== null && isBeforeCamera(this.on.rows); }
+
   /** Looks from the camera if the cloud is in front of it, else from outside. */
   look() {
     if (!this.on) return;
     const { rows } = this.on;
     const { origin, direction } = longAxis(rows);
-    let isSeen = true;
-    for (let k = 2; k < rows.length; k += 3) isSeen &&= rows[k] > 0;
-    if (!isSeen) {
+    if (!this.isBeforeCamera()) {
       // Elsewhere than in the camera's frame from outside, its length upright.
       const from = new THREE.Vector3(...sideOf(/** @type {any} */ ({ fields: {}, columns: { points: { rows } } })).towards);
       const up = new THREE.Vector3(...direction).projectOnPlane(from);
@@ -316,7 +316,7 @@ export class RegionTool {
         button("keep", "keep", () => { this.keeps = true; this.show(); }, this.keeps),
         button("cut", "cut away", () => { this.keeps = false; this.show(); }, !this.keeps),
         button("undo", "undo", () => { this.shapes.pop(); this.count(); }),
-        button("camera", "as the camera sees it", () => { this.look(); this.scene.redraw(); }),
+        button("camera", this.isBeforeCamera() ? "as the camera sees it" : "from outside", () => { this.look(); this.scene.redraw(); }),
       ),
       row(save, button("close", "close", () => this.close())),
       row(fileField("region-load", "saved earlier:", (text, name) => this.load(text, name))),

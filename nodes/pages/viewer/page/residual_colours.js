@@ -48,8 +48,8 @@ export function ownColours(item) {
   const [red, green, blue] = OWN.map((name) => item.columns[name].rows);
   let top = 0;
   for (const rows of [red, green, blue]) for (const value of rows) top = Math.max(top, Number(value));
-  // Bytes, or shares of one.
-  const scale = top > 1 ? 1 : 255;
+  // Bytes, shares of one, or numbers of 16 bits.
+  const scale = top > 255 ? 255 / 65535 : top > 1 ? 1 : 255;
   const colours = new Float32Array(3 * red.length);
   for (let k = 0; k < red.length; k++) colours.set(linear([red, green, blue].map((rows) => scale * Number(rows[k]))), 3 * k);
   return new THREE.BufferAttribute(colours, 3);

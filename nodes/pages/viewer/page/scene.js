@@ -165,8 +165,10 @@ export class Scene {
 
   /** Whether something that was made of a cloud is drawn: it cropped, or moved to where it belongs. @param {string} wire */
   isReplaced(wire) {
-    if ([...(this.derived.get(wire) ?? [])].some((other) => this.drawn.has(other))) return true;
-    return isRaw(wire) && [...this.drawn].some(([other, { payload }]) => payload === "geometry/Cloud" && !isRaw(other));
+    const made = this.derived.get(wire);
+    if (made) return [...made].some((other) => this.drawn.has(other));
+    // A page that has no graph goes by the names.
+    return isRaw(wire) && [...this.drawn].some(([other, { payload }]) => payload === "geometry/Cloud" && !isRaw(other) && !other.includes("phantom"));
   }
 
   /** A cloud is not shown beside what was made of it, unless the user wants to see it. */

@@ -35,7 +35,8 @@ export class Shown {
    * @returns {{isPart: boolean, isReplaced: boolean, isSeen: boolean} | null} of a plan; another surface than before; worth drawing again
    */
   add(wire, payload, item) {
-    const isPart = PARTS.some((part) => wire.endsWith(`.${part}`));
+    const isReport = payload === "report/Json" && [...this.planNodes].some((node) => wire === `${node}.report`);
+    const isPart = isReport || PARTS.some((part) => wire.endsWith(`.${part}`));
     if (item.empty || !(isPart || payload === "geometry/Mesh" || payload === "geometry/Cloud")) return null;
     const isNew = !this.items.has(wire);
     this.items.set(wire, item);
@@ -60,6 +61,9 @@ export class Shown {
       const names = String(item.fields.names).split("\n");
       return Array.from({ length: rows.length / 3 }, (_, k) => ({ name: names[k], position: [...rows.subarray(3 * k, 3 * k + 3)] }));
     };
+    // Landmarks that were moved after the procedure located them: the report has where they are planned now.
+    const now = JSON.parse(String(this.part("report")?.fields.json ?? "{}")).planned_landmarks;
+    const moved = now && Object.entries(now).map(([name, position]) => ({ name, position: /** @type {number[]} */ (position) }));
     const item = this.part("planes");
     const rows = /** @type {Float64Array} */ (item?.columns.isometries?.rows ?? new Float64Array(0));
     const names = String(item?.fields.names ?? "").split("\n");
@@ -70,7 +74,7 @@ export class Shown {
     }));
     return {
       ...NOTHING,
-      landmarks: points(this.part("landmarks")),
+      landmarks: moved ?? points(this.part("landmarks")),
       assessment: points(this.part("assessment")),
       planes: planes.filter(({ origin }) => origin.every(Number.isFinite)),
     };
@@ -115,6 +119,8 @@ export class Shown {
   clouds() {
     return [...this.items].filter(([wire, { columns }]) => columns.points && !columns.faces && !/phantom|laser/.test(wire)).map(([wire]) => wire);
   }
+
+  forgetClouds() { for (const wire of this.clouds()) this.items.delete(wire); }
 
   /** @returns {{wire: string, item: Item} | null} */
   cloud() {

@@ -1,6 +1,8 @@
 // Exact questions to a triangle mesh: where a ray meets it, what of it is nearest, how a plane cuts it. Double precision, in
 // the mesh's own coordinates, mm.
 
+import { longAxis } from "./shapes.js";
+
 /** @typedef {number[]} Vector three numbers */
 
 /** @param {Vector} a @param {Vector} b @returns {Vector} */
@@ -241,23 +243,11 @@ export class Surface {
 
   /** The middle of the vertices, and the direction in which they are spread most. @returns {{centre: Vector, along: Vector}} */
   longAxis() {
-    this.axis ??= this.findLongAxis();
-    return this.axis;
-  }
-
-  findLongAxis() {
-    const n = this.vertices.length / 3;
-    const centre = [0, 0, 0];
-    this.vertices.forEach((x, k) => (centre[k % 3] += x / n));
-    const spread = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
-    for (let k = 0; k < this.vertices.length; k += 3) {
-      const off = [0, 1, 2].map((c) => this.vertices[k + c] - centre[c]);
-      for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) spread[i][j] += off[i] * off[j];
+    if (!this.axis) {
+      const { origin, direction } = longAxis(this.vertices);
+      this.axis = { centre: origin, along: direction };
     }
-    let along = [0.3, 0.5, 0.8];
-    // Power iteration: a long bone is much longer than wide.
-    for (let n = 0; n < 200; n++) along = unit(spread.map((row) => dot(row, along)));
-    return { centre, along };
+    return this.axis;
   }
 
   /** Lowest and highest height of the surface along a direction. @param {Vector} direction */

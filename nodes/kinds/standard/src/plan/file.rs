@@ -26,7 +26,8 @@ pub struct Params {
     pub confirm: bool,
     /// The plan that the procedure was made for, if it is another one than `path`, as after a change on the page: assessment points
     /// that are elsewhere now were not touched where they are planned, so their measurements are left out, and the truths of a
-    /// simulation are taken from its true registration. Default: the procedure was made for this plan.
+    /// simulation are taken from its true registration; landmarks that are elsewhere now were located where they were planned then,
+    /// so the registration starts from those places. Default: the procedure was made for this plan.
     #[serde(default)]
     pub made_for: Option<FilePath>,
 }
@@ -37,13 +38,28 @@ impl Constant for File {
     type Outputs = Out;
 
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
-        let read = read_plan(params.path.as_ref())?;
+        let mut read = read_plan(params.path.as_ref())?;
         read.notes.into_iter().for_each(|note| ctx.warn(note));
         if read.plan.planes.planes.is_empty() {
             ctx.warn(format!("{}: the plan has no planes, so no cut can be shown", params.path.0.display()));
         }
         let made_for = params.made_for.as_ref().map(|path| read_plan(path.as_ref())).transpose()?;
-        let moved = made_for.map(|before| Moved::since(&before.plan, &read.plan));
-        Ok(Out::new(read.plan, params.confirm, moved.as_ref()))
+        let moved = made_for.map(|before| {
+            let moved = Moved::since(&before.plan, &read.plan);
+            let is_located_elsewhere = !moved.landmarks.is_empty();
+            let now = is_located_elsewhere.then(|| std::mem::replace(&mut read.plan.landmarks, before.plan.landmarks));
+            (moved, now)
+        });
+        if let Some((Moved { landmarks, .. }, Some(_))) = &moved {
+            let (names, is, it) = match &landmarks[..] {
+                [one] => (one.clone(), "is", "it was"),
+                all => (all.join(", "), "are", "they were"),
+            };
+            ctx.warn(format!(
+                "{names} {is} planned elsewhere than when the procedure was made; located {it} where the plan had it then, so the \
+                 registration starts from there, and the new place counts for the next procedure"
+            ));
+        }
+        Ok(Out::new(read.plan, params.confirm, moved.as_ref().map(|(moved, now)| (moved, now.as_ref()))))
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 /// A plan, port by port. A part that the plan lacks is an empty that says why.
 #[derive(Outputs)]
 pub struct Out {
-    /// The landmarks P1..P3 that initialise the registration.
+    /// The landmarks P1..P3 that initialise the registration: where the procedure located them.
     #[port(frame = "@ct")]
     landmarks: Points,
     /// The assessment points M1..M5, which are not used to fit.
@@ -27,17 +27,21 @@ pub struct Out {
     #[port(to = "@camera", from = "@camera_marker")]
     t_camera_camera_marker_nominal: Emit<Pose>,
     /// What binds the plan to its surface, for `verdict.registration`: the plan's key `surface`, and `confirm`; and, with `made_for`,
-    /// what has moved since then, for `metrics.tre_measured`, `metrics.tre_true` and `metrics.cuts`.
+    /// what has moved since then, for `metrics.tre_measured`, `metrics.tre_true` and `metrics.cuts`, and where moved landmarks are planned now.
     report: Json,
 }
 
 impl Out {
     /// The ports of a plan; `confirm` says whether the user has checked that it belongs to its surface, `moved` what is elsewhere than
-    /// in the plan that the procedure was made for.
-    pub(super) fn new(plan: SurgicalPlan, confirm: bool, moved: Option<&Moved>) -> Self {
+    /// in the plan that the procedure was made for, and the landmarks as they are planned now if they are not those of the plan.
+    pub(super) fn new(plan: SurgicalPlan, confirm: bool, moved: Option<(&Moved, Option<&Points>)>) -> Self {
         let mut report = json!({ "surface": plan.surface, "confirm": confirm });
-        if let Some(moved) = moved {
+        if let Some((moved, now)) = moved {
             report["moved"] = json!(moved);
+            if let Some(now) = now {
+                let places = now.points.iter().map(|p| (p.name.to_string(), json!(p.position.coords.as_slice())));
+                report["planned_landmarks"] = places.collect::<serde_json::Map<_, _>>().into();
+            }
         }
         Self {
             report: Json(Arc::new(report)),
