@@ -8,6 +8,9 @@ pub(crate) mod browser;
 #[path = "../engine/tests/plugins/build.rs"]
 pub(crate) mod build;
 pub(crate) mod case;
+/// Surfaces of several parts.
+#[path = "../nodes/bone/algorithms/tests/common/joined.rs"]
+pub(crate) mod joined;
 /// Recordings in any layout.
 #[path = "../nodes/bone/formats/tests/layouts.rs"]
 pub(crate) mod layouts;

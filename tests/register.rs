@@ -996,6 +996,12 @@ fn the_true_camera_keeps_the_right_answer_on_a_socket_and_names_one_that_is_insi
             assert!(off_mm < 0.2, "{all:?}: {off_mm} mm");
         }
     }
+    // As large as a room in metres would be, in its own frame and on itself.
+    write_ply(&case.path("at_origin.ply"), &Cloud::new("ct", scan).unwrap(), 1.0).unwrap();
+    for target in ["socket.stl", "socket.ply"] {
+        let message = stderr_of(&case.register(&[target, "at_origin.ply", "--no-cache"]));
+        assert!(!message.contains("metres"), "{target}: {message}");
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Scans with their surroundings, surfaces of several parts, pixels without depth, and faces that turn inwards.
 
-use crate::common::{case::Case as Recorded, osteoflow, shared_folder};
+use crate::common::{case::Case as Recorded, joined::joined, osteoflow, shared_folder};
 use osteoflow_algorithms::sample;
 use osteoflow_formats::{
     mcap_read::Recording,
@@ -67,16 +67,6 @@ fn t_target_source() -> Isometry3<f64> {
 fn bounds(mesh: &Mesh) -> (Point3<f64>, Point3<f64>) {
     let first = mesh.vertices()[0];
     mesh.vertices().iter().fold((first, first), |(low, high), v| (low.inf(v), high.sup(v)))
-}
-
-fn joined(meshes: &[Mesh]) -> Mesh {
-    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-    for mesh in meshes {
-        let first = vertices.len() as u32;
-        vertices.extend_from_slice(mesh.vertices());
-        faces.extend(mesh.faces().iter().map(|face| face.map(|v| v + first)));
-    }
-    Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap()
 }
 
 /// What `register` said.
@@ -570,11 +560,23 @@ fn a_closed_surface_that_is_inside_out_is_turned_and_distances_keep_their_sign()
 
     let said = case.register("inside_out.stl scan.ply --write-source a.csv");
     assert_eq!(case.register("bone.stl scan.ply --write-source b.csv").answer["T"], said.answer["T"], "{}", said.err);
-    assert!(said.notes().contains("inside out, by their signed volume, and were turned outwards"), "{}", said.notes());
+    assert!(said.notes().contains("the surface is inside out: "), "{}", said.notes());
     assert_eq!(fs::read_to_string(case.path("a.csv")).unwrap(), fs::read_to_string(case.path("b.csv")).unwrap());
     let (code, _, err) = case.command("convert inside_out.stl outwards.stl");
     assert_eq!(code, Some(0), "{err}");
     assert!(read_mesh(&case.path("outwards.stl"), 1.0, "ct", SurfaceOrigin::User).unwrap().mesh.volume_mm3() > 0.0);
-    let (_, text, _) = case.command("info flipped.stl");
-    assert!(text.contains(&format!("{n_flipped} of {} faces turn the other way", case.bone.faces().len())), "{text}");
+    // A fifth of the faces, and of a surface that is open, where nothing says which side is out.
+    let n = case.bone.faces().len();
+    let said = case.register("flipped.stl scan.ply --write-source c.csv");
+    assert!(
+        said.notes().contains(&format!("{n_flipped} of {n} faces, all of closed parts, pointed inwards")),
+        "{}",
+        said.notes()
+    );
+    assert_eq!(fs::read_to_string(case.path("c.csv")).unwrap(), fs::read_to_string(case.path("b.csv")).unwrap());
+    let open = flipped.faces()[1..].to_vec();
+    let open = Mesh::new("ct", SurfaceOrigin::User, case.bone.vertices().to_vec(), open).unwrap();
+    write_stl(&case.path("flipped_open.stl"), &open).unwrap();
+    let (_, text, _) = case.command("info flipped_open.stl");
+    assert!(text.contains(&format!("{} of {} faces turn the other way", n_flipped - 1, n - 1)), "{text}");
 }

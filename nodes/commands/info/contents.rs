@@ -8,6 +8,7 @@ use crate::app::{
 };
 use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::parts::{MAX_LISTED, Parts};
+use osteoflow_algorithms::trust::room_span;
 use osteoflow_formats::{
     FileError, PoseError,
     folder::ProcedureFolder,
@@ -309,6 +310,12 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
         MeshOrCloud::Cloud(read, notes) => {
             let normals = read.cloud.normals().is_some();
             let columns = read.cloud.extras().iter().map(|(column, _)| column.to_string()).collect();
+            let of_room = room_span(read.cloud.points()).map(|mm| {
+                format!(
+                    "the points span {mm:.1} mm about the origin, near and far from it: small for a bone, but as a room has them in metres; if they are, \
+                     give --unit-mm 1000"
+                )
+            });
             let mut contents = Contents::new("cloud", "a cloud of points");
             contents = contents.with_count("n_points", read.cloud.len(), "points");
             match read.n_dropped {
@@ -321,7 +328,7 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
                 .with_space(read.space)
                 .with_list("columns", columns, "columns")
                 .with_parts(&Parts::of_points(read.cloud.points()))
-                .noted(notes)
+                .noted(notes.into_iter().chain(of_room).collect())
                 .used_by([
                     format!("osteoflow register BONE {name}"),
                     format!("osteoflow run graphs/two_files.toml --set bone.path=BONE --set scan.path={name}"),

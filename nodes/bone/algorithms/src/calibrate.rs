@@ -361,7 +361,8 @@ pub fn nominal_t_camera_phantom(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shapes::{cuboid, shaft, together};
+    use crate::joined::joined;
+    use crate::shapes::{cuboid, shaft};
     use nalgebra::UnitQuaternion;
     use rand_distr::{Distribution, Normal};
 
@@ -373,7 +374,7 @@ mod tests {
             cuboid([25.0, -22.0, -15.0], [38.0, -2.0, 20.0]),
             cuboid([-12.0, 25.0, -25.0], [18.0, 36.0, 4.0]),
         ];
-        blocks.iter().fold(cube, |body, block| together(&body, block))
+        blocks.iter().fold(cube, |body, block| joined(&[&body, block]))
     }
 
     /// Three faces to the camera, 230 mm away.

@@ -54,6 +54,9 @@ pub mod fragment;
 pub mod hole;
 pub mod icp;
 pub mod iso_surface;
+#[cfg(test)]
+#[path = "../tests/common/joined.rs"]
+mod joined;
 pub mod kabsch;
 pub mod landmarks;
 pub mod merge;

@@ -143,7 +143,8 @@ impl MeshQuery {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shapes::{cuboid, shaft, together};
+    use crate::joined::joined;
+    use crate::shapes::{cuboid, shaft};
     use nalgebra::Isometry3;
     use osteoflow_geometry::SurfaceOrigin;
     use rand::{RngExt, SeedableRng};
@@ -171,7 +172,7 @@ mod tests {
 
     #[test]
     fn inside_overlapping_parts_is_inside() {
-        let query = MeshQuery::new(&together(&cuboid([0.0; 3], [10.0; 3]), &cuboid([5.0; 3], [15.0; 3])));
+        let query = MeshQuery::new(&joined(&[cuboid([0.0; 3], [10.0; 3]), cuboid([5.0; 3], [15.0; 3])]));
         for (point, inside) in [(2.0, true), (7.0, true), (12.0, true), (-1.0, false), (16.0, false)] {
             assert_eq!(query.is_inside(&Point3::new(point, point, point)), inside, "{point}");
         }
@@ -284,7 +285,7 @@ mod tests {
 
     #[test]
     fn of_faces_at_one_distance_the_lowest_index_is_found() {
-        let query = MeshQuery::new(&together(&cuboid([0.0; 3], [10.0; 3]), &cuboid([0.0; 3], [10.0; 3])));
+        let query = MeshQuery::new(&joined(&[cuboid([0.0; 3], [10.0; 3]), cuboid([0.0; 3], [10.0; 3])]));
         // The diagonal between the upper faces, 2 and 3, of both boxes.
         let hit = query.cast_ray(&Point3::new(5.0, 5.0, 20.0), &-Vector3::z()).unwrap();
         assert_eq!((hit.face, hit.distance_mm), (2, 10.0));

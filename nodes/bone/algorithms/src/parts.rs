@@ -87,6 +87,12 @@ impl Part {
         format!("{n}, {a:.1} x {b:.1} x {c:.1} mm about {x:.1}, {y:.1}, {z:.1}")
     }
 
+    /// Distance of a place from the box around it, mm; zero within.
+    pub fn outside_mm(&self, at: &Point3<f64>) -> f64 {
+        let beyond = |k: usize| ((at[k] - self.centre_mm[k]).abs() - 0.5 * self.extent_mm[k]).max(0.0);
+        (0..3).map(beyond).fold(0.0, f64::hypot)
+    }
+
     /// Whether the box of the other is within the box of this one.
     fn holds(&self, other: &Part) -> bool {
         let reach = |k: usize| 0.5 * (self.extent_mm[k] - other.extent_mm[k]);
@@ -315,9 +321,9 @@ fn clusters(points: &[Point3<f64>], gap_mm: f64) -> (Vec<usize>, usize) {
 /// Which way the faces of a surface turn.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Turns {
-    /// Number of faces of closed parts that were inside out and are turned.
+    /// Number of faces of closed parts that pointed inwards and are turned.
     pub n_turned: usize,
-    /// Number of faces that turn the other way than most of the faces connected to them.
+    /// Number of faces that turn the other way than most of the faces connected to them, and stay so.
     pub n_flipped: usize,
     /// Number of faces over the same three corners as one before them.
     pub n_doubled: usize,
@@ -325,8 +331,8 @@ pub struct Turns {
 
 /// The surface with each closed part turned outwards by its signed volume, and what is wrong with the others.
 ///
-/// A closed part within the box of another may be its inner wall, and is turned with it. Parts that are open, or whose faces do not agree,
-/// stay as they are. `O(n log n)`.
+/// The faces of a closed part that do not agree are first brought to agree. A closed part within the box of another may be its inner wall, and is
+/// turned with it, or stays as it is where its faces do not agree. So do parts that are open. `O(n log n)`.
 pub fn turned_outwards(mesh: &Mesh) -> (Mesh, Turns) {
     let faces = first_in_place(mesh.vertices(), mesh.faces());
     let is_face = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
@@ -351,6 +357,15 @@ pub fn turned_outwards(mesh: &Mesh) -> (Mesh, Turns) {
     let (labels, n) = neighbours.labels();
     let mut is_closed = vec![true; n];
     open.iter().for_each(|face| is_closed[labels[*face as usize].0 as usize] = false);
+    if is_doubtful {
+        // A surface that has one side only is none of a body.
+        each_edge(&faces, |ways| {
+            if let [(_, from, a), (_, to, b)] = *ways {
+                let [(label, a), (_, b)] = [a, b].map(|face| labels[face as usize]);
+                is_closed[label as usize] &= (a != b) == (from == to);
+            }
+        });
+    }
     let mut n_of = vec![[0_usize; 2]; n];
     let mut volume = vec![0.0; n];
     let start = mesh.vertices()[faces[0][0] as usize];
@@ -360,24 +375,34 @@ pub fn turned_outwards(mesh: &Mesh) -> (Mesh, Turns) {
         n_of[label][usize::from(is_opposite)] += 1;
         let corners = mesh.corners(k);
         let [a, b, c]: [Vector3<f64>; 3] = corners.map(|v| v - start);
-        volume[label] += a.dot(&b.cross(&c)) / 6.0;
+        volume[label] += a.dot(&b.cross(&c)) / if is_opposite { -6.0 } else { 6.0 };
         corners.iter().for_each(|v| counted[label].add(v));
     }
-    turns.n_flipped = n_of.iter().map(|n| n[0].min(n[1])).sum();
     let agrees = |k: usize| n_of[k][0].min(n_of[k][1]) == 0;
     let holds = |outer: usize, inner: usize| {
         let (outer, inner) = (&counted[outer], &counted[inner]);
         (inner.min - outer.min).min() >= 0.0 && (outer.max - inner.max).min() >= 0.0
     };
-    let mut by_size: Vec<usize> = (0..n).filter(|k| counted[*k].points > 0 && is_closed[*k] && agrees(*k)).collect();
+    let mut by_size: Vec<usize> = (0..n).filter(|k| counted[*k].points > 0 && is_closed[*k]).collect();
     by_size.sort_by(|a, b| volume[*b].abs().total_cmp(&volume[*a].abs()));
     let mut is_turned: BTreeMap<usize, bool> = BTreeMap::new();
     for (at, &k) in by_size.iter().enumerate() {
         let outer = by_size[..at].iter().find(|outer| holds(**outer, k));
-        let turned = outer.map_or(volume[k] < 0.0, |outer| is_turned[outer]);
-        is_turned.insert(k, turned);
+        match outer {
+            None => is_turned.insert(k, volume[k] < 0.0),
+            // Whether the root of an outer part is turned says nothing of one whose faces do not agree.
+            Some(outer) => match (is_turned.get(outer), agrees(*outer) && agrees(k)) {
+                (Some(&turned), true) => is_turned.insert(k, turned),
+                _ => None,
+            },
+        };
     }
-    let turns_over = |k: usize| is_turned.get(&(labels[k].0 as usize)).copied().unwrap_or_default();
+    let is_kept = |k: &usize| !is_turned.contains_key(k);
+    turns.n_flipped = (0..n).filter(is_kept).map(|k| n_of[k][0].min(n_of[k][1])).sum();
+    let turns_over = |k: usize| {
+        let (label, is_opposite) = labels[k];
+        is_turned.get(&(label as usize)).is_some_and(|turned| *turned != is_opposite)
+    };
     turns.n_turned = (0..faces.len()).filter(|k| turns_over(*k)).count();
     if turns.n_turned == 0 {
         return (mesh.clone(), turns);
@@ -401,30 +426,9 @@ fn n_doubled(faces: &[[u32; 3]]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shapes::cuboid;
+    use crate::joined::joined;
+    use crate::shapes::{cuboid, inside_out, soup};
     use osteoflow_geometry::SurfaceOrigin;
-
-    fn joined(meshes: &[Mesh]) -> Mesh {
-        let (mut vertices, mut faces) = (Vec::new(), Vec::new());
-        for mesh in meshes {
-            let first = vertices.len() as u32;
-            vertices.extend_from_slice(mesh.vertices());
-            faces.extend(mesh.faces().iter().map(|face| face.map(|v| v + first)));
-        }
-        Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap()
-    }
-
-    fn inside_out(mesh: &Mesh, is_turned: impl Fn(usize) -> bool) -> Mesh {
-        let turned = |(k, &[a, b, c]): (usize, &[u32; 3])| if is_turned(k) { [a, c, b] } else { [a, b, c] };
-        let faces: Vec<_> = mesh.faces().iter().enumerate().map(turned).collect();
-        Mesh::new("ct", SurfaceOrigin::User, mesh.vertices().to_vec(), faces).unwrap()
-    }
-
-    fn soup(mesh: &Mesh) -> Mesh {
-        let vertices: Vec<_> = (0..mesh.faces().len()).flat_map(|k| mesh.corners(k)).collect();
-        let faces: Vec<_> = (0..vertices.len() as u32 / 3).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
-        Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap()
-    }
 
     #[test]
     fn a_choice_is_a_word_a_number_or_a_place() {
@@ -440,11 +444,13 @@ mod tests {
     #[test]
     fn parts_are_numbered_by_area_and_chosen_by_number_or_place() {
         let (small, large) = (cuboid([0.0; 3], [10.0, 10.0, 20.0]), cuboid([50.0, 0.0, 0.0], [60.0, 20.0, 40.0]));
-        for mesh in [joined(&[small.clone(), large.clone()]), soup(&joined(&[small, large]))] {
+        for mesh in [joined(&[small.clone(), large.clone()]), soup(&joined(&[small, large]), |_| true)] {
             let parts = Parts::of_mesh(&mesh);
             assert_eq!(parts.list.len(), 2, "{parts:?}");
             assert_eq!((parts.list[0].centre_mm, parts.list[0].extent_mm), ([55.0, 10.0, 20.0], [10.0, 20.0, 40.0]));
             assert_eq!(parts.n_equal(), None);
+            let outside = |x: f64, y: f64| parts.list[0].outside_mm(&Point3::new(x, y, 40.0));
+            assert_eq!((outside(55.0, 20.0), outside(63.0, 24.0)), (0.0, 5.0));
             let chosen = |choice| parts.chosen_of_mesh(&mesh, choice);
             assert_eq!(chosen(PartChoice::Rank(2)).unwrap(), 1);
             assert_eq!(chosen(PartChoice::Nearest(Point3::new(20.0, 0.0, 0.0))).unwrap(), 1);
@@ -487,12 +493,22 @@ mod tests {
         let hollow = joined(&[outer.clone(), wall, cuboid([30.0; 3], [35.0; 3])]);
         let n = hollow.faces().len();
         assert_eq!(turned_outwards(&hollow), (hollow.clone(), Turns::default()));
-        for mesh in [hollow.clone(), soup(&hollow)] {
+        for mesh in [hollow.clone(), soup(&hollow, |_| true)] {
             let (turned, turns) = turned_outwards(&inside_out(&mesh, |_| true));
             assert_eq!((turned, turns.n_turned, turns.n_flipped), (mesh, n, 0));
         }
-        let one = inside_out(&outer, |k| k == 3);
-        assert_eq!(turned_outwards(&one), (one.clone(), Turns { n_flipped: 1, ..Turns::default() }));
+        for (is_turned, n_turned) in
+            [(&(|k: usize| k == 3) as &dyn Fn(usize) -> bool, 1), (&|k| k % 2 == 0, 6), (&|k| k != 3, 11)]
+        {
+            let some = inside_out(&outer, is_turned);
+            assert_eq!(turned_outwards(&some), (outer.clone(), Turns { n_turned, ..Turns::default() }));
+        }
+        // Around the wall within another it is open which side is out.
+        let within = joined(&[outer.clone(), inside_out(&cuboid([1.0; 3], [9.0, 9.0, 19.0]), |k| k < 3)]);
+        assert_eq!(turned_outwards(&within), (within.clone(), Turns { n_flipped: 3, ..Turns::default() }));
+        let one = Mesh::new("ct", SurfaceOrigin::User, outer.vertices().to_vec(), outer.faces()[1..].to_vec()).unwrap();
+        let one = inside_out(&one, |k| k == 3);
+        assert_eq!(turned_outwards(&one), (one.clone(), Turns { n_flipped: 1, ..Turns::default() }), "open");
         let open =
             Mesh::new("ct", SurfaceOrigin::User, outer.vertices().to_vec(), outer.faces()[1..].to_vec()).unwrap();
         let open = inside_out(&open, |_| true);

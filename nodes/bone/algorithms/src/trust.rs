@@ -27,6 +27,7 @@ mod planned;
 mod predict;
 mod predict_last;
 mod residuals;
+mod room;
 mod rules;
 mod score;
 mod size;
@@ -61,6 +62,7 @@ pub use predict::{
 };
 pub use predict_last::{PredictedLast, PredictedLastCut};
 pub use residuals::{Residual, Residuals};
+pub use room::{room_note, room_span};
 pub use rules::RuleParams;
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;

@@ -38,10 +38,11 @@ pub(crate) fn invalid(points: &[Point3<f64>], n_points: usize) -> Option<Invalid
 
 /// Values of pixels without depth, in the scanner's own numbers, and how many points have each.
 ///
-/// That is 0, 0, 0, and a value that more than 1 % of the points share, if it is outside of the box around all other points and
-/// farther from each of them than 20 times the median distance between neighbours. `O(n)`.
+/// That is a value that more than 1 % of the points share, if it is farther from each of the others than 20 times the median distance between
+/// neighbours; and 0, 0, 0 of fewer, if it is also outside of the box around all others. `O(n)`.
 fn values(points: &[Point3<f64>]) -> Vec<(Point3<f64>, usize)> {
     let mut values = shared(points);
+    let n_shared = values.len();
     if points.contains(&Point3::origin()) && !values.contains(&Point3::origin()) {
         values.push(Point3::origin());
     }
@@ -52,12 +53,12 @@ fn values(points: &[Point3<f64>]) -> Vec<(Point3<f64>, usize)> {
     let Some(&first) = others.first() else { return Vec::new() };
     let (low, high) = others.iter().fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
     let far_mm = ISOLATED * spacing(&others);
-    let is_invalid = |value: &Point3<f64>| {
-        let is_outside = (0..3).any(|k| value[k] < low[k] || value[k] > high[k]);
-        is_outside && others.iter().all(|p| (p - value).norm() > far_mm)
+    let is_invalid = |(k, value): &(usize, Point3<f64>)| {
+        let is_outside = (0..3).any(|axis| value[axis] < low[axis] || value[axis] > high[axis]);
+        (*k < n_shared || is_outside) && others.iter().all(|p| (p - value).norm() > far_mm)
     };
-    let counted = |value: Point3<f64>| (value, points.iter().filter(|p| **p == value).count());
-    values.into_iter().filter(is_invalid).map(counted).collect()
+    let counted = |(_, value): (usize, Point3<f64>)| (value, points.iter().filter(|p| **p == value).count());
+    values.into_iter().enumerate().filter(is_invalid).map(counted).collect()
 }
 
 /// The values that more than [`SHARED`] of the points, and at least two, have.
@@ -116,6 +117,9 @@ mod tests {
         assert_eq!(values(&moved), []);
         let around: Vec<_> = sheet().iter().flat_map(|p| [*p, Point3::new(p.x, p.y, -300.0)]).chain([zero]).collect();
         assert_eq!(values(&around), []);
+        // A laser that turns in a room gives its own place for what it does not see.
+        let in_room: Vec<_> = around.iter().copied().chain([zero; 200]).collect();
+        assert_eq!(values(&in_room), [(zero, 201)]);
         assert_eq!(values(&[zero; 9]), []);
         assert_eq!(values(&[]), []);
     }

@@ -299,21 +299,6 @@ mod tests {
         assert_eq!(notes, ["1 of 3 points are not finite and were left out", size]);
     }
 
-    #[test]
-    fn a_small_scan_about_the_origin_may_be_in_metres_and_one_of_a_bone_is_before_its_camera() {
-        let notes = |scale: f64, depth: f64, n: u32| {
-            let row = |k: u32| format!("{} {} {depth}\n", f64::from(k % 40) * scale, f64::from(k / 40) * scale);
-            let text: String = (0..n).map(row).collect();
-            let MeshOrCloud::Cloud(_, notes) = read(text.as_bytes()).unwrap() else { panic!("no cloud") };
-            notes
-        };
-        let told = "the points span 48.6 mm about the origin, which is small for a bone; is the file in metres? then give unit_mm = 1000";
-        assert_eq!(notes(1.0, 2.0, 1200), [told]);
-        assert!(
-            notes(1.0, 300.0, 1200).is_empty() && notes(2.0, 2.0, 1200).is_empty() && notes(1.0, 2.0, 900).is_empty()
-        );
-    }
-
     /// One point in each format, the last of them far away, and the place of that point.
     fn far_points() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         let text = |text: &str| text.as_bytes().to_vec();

@@ -14,10 +14,6 @@ use std::path::Path;
 /// A surface this small or this large (mm, the box's diagonal) is hardly a bone or a phantom: the unit is in doubt.
 const PLAUSIBLE_MM: std::ops::Range<f64> = 3.0..3000.0;
 
-/// A scan of at least so many points that spans less, mm, may be one of a room in metres.
-const SMALL_MM: f64 = 75.0;
-const MIN_SCAN: usize = 1000;
-
 /// A surface read from a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeshRead {
@@ -291,14 +287,6 @@ pub(crate) fn size_note(points: &[Point3<f64>], what: &str) -> Option<String> {
         }
     }
     let span_mm = Some((Point3::from(max) - Point3::from(min)).norm()).filter(|_| !points.is_empty())?;
-    // A scan in metres has its camera among its points or as near; one of a bone has it farther away than the bone is long.
-    let to_origin_mm = (Point3::from(max).coords + Point3::from(min).coords).norm() / 2.0;
-    let is_small = span_mm < SMALL_MM && PLAUSIBLE_MM.contains(&span_mm);
-    if is_small && points.len() >= MIN_SCAN && to_origin_mm < span_mm {
-        return Some(format!(
-            "the {what} {span_mm:.1} mm about the origin, which is small for a bone; is the file in metres? then give unit_mm = 1000"
-        ));
-    }
     let advice = match span_mm {
         s if PLAUSIBLE_MM.contains(&s) => return None,
         s if s < PLAUSIBLE_MM.start => "is the file in metres? then give unit_mm = 1000",

@@ -41,9 +41,18 @@ impl In {
             ));
         }
         if chosen.is_empty() {
-            let (n, frame) = (self.cloud.len(), &self.cloud.frame);
+            let (points, frame) = (self.cloud.points(), &self.cloud.frame);
+            let (low, high) = points.iter().fold((points[0], points[0]), |(low, high), p| (low.inf(p), high.sup(p)));
             return Err(NodeError::new(format!(
-                "none of {n} points lies in the region of interest; is it given in mm, in {frame}?"
+                "none of {} points lies in the region of interest; is it given in mm, in {frame}? They lie in the box \
+                 {:.1},{:.1},{:.1},{:.1},{:.1},{:.1}",
+                points.len(),
+                low.x,
+                low.y,
+                low.z,
+                high.x,
+                high.y,
+                high.z
             )));
         }
         let cloud = if chosen.len() == self.cloud.len() { self.cloud } else { self.cloud.selected(&chosen) };

@@ -6,11 +6,17 @@ use osteoflow_algorithms::{
 };
 use osteoflow_formats::mesh_or_cloud::{MeshOrCloud, MeshRead};
 use osteoflow_geometry::{Cloud, CloudError, Mesh};
-use osteoflow_node::ParamError;
+use osteoflow_node::{NodeError, ParamError};
+use std::path::Path;
 
 /// The choice that the parameter `component` names.
 pub(crate) fn choice(component: Option<&str>) -> Result<Option<PartChoice>, ParamError> {
     component.map(|text| text.parse().map_err(|message: String| ParamError::new("component", message))).transpose()
+}
+
+/// A refusal of a part, with the file that lacks it.
+pub(crate) fn in_file(path: &Path, refusal: &Refusal) -> NodeError {
+    NodeError::new(format!("{}: {refusal}", path.display()))
 }
 
 /// The chosen part of a bone's surface, all parts by default, with closed ones turned outwards; and notes.
@@ -22,7 +28,7 @@ pub fn of_bone(mesh: Mesh, choice: Option<PartChoice>) -> Result<(Mesh, Vec<Stri
     let (mesh, mut notes) = match choice {
         Some(choice) => {
             let place = parts.chosen_of_mesh(&mesh, choice)?;
-            (parts.mesh(&mesh, place), taken(&parts, place))
+            (parts.mesh(&mesh, place), taken(&parts, place, choice))
         }
         None => {
             let all = parts.n_equal().map(|n| {
@@ -37,9 +43,12 @@ pub fn of_bone(mesh: Mesh, choice: Option<PartChoice>) -> Result<(Mesh, Vec<Stri
     let (mesh, turns) = turned_outwards(&mesh);
     let n = mesh.faces().len();
     if turns.n_turned > 0 {
+        let (what, k) = match turns.n_turned {
+            all if all == n => ("the surface is inside out: ".to_owned(), n),
+            some => (String::new(), some),
+        };
         notes.push(format!(
-            "{} of {n} faces are of closed parts that are inside out, by their signed volume, and were turned outwards",
-            turns.n_turned
+            "{what}{k} of {n} faces, all of closed parts, pointed inwards, by the signed volume of their part, and were turned outwards"
         ));
     }
     let flipped = (turns.n_flipped, "turn the other way than most of those they are connected to");
@@ -77,7 +86,7 @@ pub fn of_scan(read: MeshOrCloud, choice: Option<PartChoice>) -> Result<(MeshOrC
         MeshOrCloud::Mesh(read) => {
             let parts = Parts::of_mesh(&read.mesh);
             let place = parts.chosen_of_mesh(&read.mesh, choice)?;
-            (MeshOrCloud::Mesh(MeshRead { mesh: parts.mesh(&read.mesh, place), ..read }), taken(&parts, place))
+            (MeshOrCloud::Mesh(MeshRead { mesh: parts.mesh(&read.mesh, place), ..read }), taken(&parts, place, choice))
         }
         MeshOrCloud::Cloud(mut read, notes) => {
             let parts = Parts::of_points(read.cloud.points());
@@ -85,7 +94,7 @@ pub fn of_scan(read: MeshOrCloud, choice: Option<PartChoice>) -> Result<(MeshOrC
             if parts.list.len() > 1 {
                 read.cloud = read.cloud.selected(&parts.points(place));
             }
-            (MeshOrCloud::Cloud(read, notes), taken(&parts, place))
+            (MeshOrCloud::Cloud(read, notes), taken(&parts, place, choice))
         }
     })
 }
@@ -109,12 +118,21 @@ pub fn with_on_bone(cloud: Cloud, distances_mm: &[f64], inliers_mm: Option<[f64;
     }
 }
 
-/// A note on the part that was taken, and on those that are as large.
-fn taken(parts: &Parts, place: usize) -> Vec<String> {
+/// A note on the part that was taken, on a place that is far from it, and on those that are as large.
+fn taken(parts: &Parts, place: usize, choice: PartChoice) -> Vec<String> {
     let (part, n) = (&parts.list[place], parts.list.len());
     let mut notes = Vec::new();
     if n > 1 {
         notes.push(format!("part {} of {n} was taken: {}", part.number, part.describe()));
+    }
+    if let PartChoice::Nearest(at) = choice {
+        let away_mm = part.outside_mm(&at);
+        if away_mm > part.extent_mm.into_iter().fold(0.0, f64::max) {
+            notes.push(format!(
+                "{}, {}, {} is {away_mm:.0} mm from the nearest part, farther than that is long; is it in the file's frame and in mm?",
+                at.x, at.y, at.z
+            ));
+        }
     }
     if let Some(equal) = parts.n_equal().filter(|equal| part.number <= *equal) {
         notes

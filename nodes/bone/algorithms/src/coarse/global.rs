@@ -129,6 +129,9 @@ pub struct GlobalReport {
     /// Where the scan was looked for; null in reports of older versions.
     #[serde(default)]
     pub searched: Option<Searched>,
+    /// The registration, if it was looked for by default parameters: a verdict need not look for it again.
+    #[serde(default)]
+    pub t_target_source: Option<Isometry3<f64>>,
 }
 
 /// The best distinct registration.
@@ -462,9 +465,16 @@ pub(crate) fn global_by(
         shift_mm: (end.pose * middle - pose * middle).norm(),
         turn_rad: (end.pose.rotation * pose.rotation.inverse()).angle(),
     });
-    let (middle_mm, n_refined) = ((pose * middle).into(), ends.len());
-    let report =
-        GlobalReport { n_tried, n_refined, score_mm, middle_mm, runner_up, clearness, searched: Some(searched) };
+    let report = GlobalReport {
+        n_tried,
+        n_refined: ends.len(),
+        score_mm,
+        middle_mm: (pose * middle).into(),
+        runner_up,
+        clearness,
+        searched: Some(searched),
+        t_target_source: (*params == GlobalParams::default()).then_some(pose),
+    };
     Ok(GlobalFit { t_target_source: pose, report })
 }
 

@@ -1,5 +1,6 @@
 use super::*;
-use crate::shapes::{cuboid, shaft, together};
+use crate::joined::joined;
+use crate::shapes::{cuboid, shaft};
 use nalgebra::Point3;
 use std::f64::consts::TAU;
 
@@ -92,10 +93,10 @@ fn flipped_normals_cut_the_same_piece() {
 #[test]
 fn a_marrow_canal_stays_open_in_the_cut_faces_and_a_closed_cavity_is_kept() {
     let outside = prism(8.0, 40, [0.0, 160.0], 81, false);
-    let canal = together(&outside, &prism(3.5, 24, [-5.0, 165.0], 81, true));
+    let canal = joined(&[&outside, &prism(3.5, 24, [-5.0, 165.0], 81, true)]);
     let places = [tilted(40.3, 0.3), tilted(74.3, -0.1)];
     assert_closed(&cut(&canal, places).unwrap(), (area(8.0, 40) - area(3.5, 24)) * 34.0);
-    let cavity = together(&outside, &prism(3.0, 12, [50.0, 60.0], 5, true));
+    let cavity = joined(&[&outside, &prism(3.0, 12, [50.0, 60.0], 5, true)]);
     assert_closed(&cut(&cavity, places).unwrap(), area(8.0, 40) * 34.0 - area(3.0, 12) * 10.0);
 }
 
@@ -125,7 +126,7 @@ fn an_outline_with_bays_is_followed() {
 #[test]
 fn the_bone_at_the_planes_is_cut_of_two_in_one_file() {
     let other = prism(10.0, 30, [0.0, 160.0], 33, false).transformed("ct", &Isometry3::translation(80.0, 0.0, 0.0));
-    let both = together(&other, &prism(8.0, 30, [0.0, 160.0], 33, false));
+    let both = joined(&[&other, &prism(8.0, 30, [0.0, 160.0], 33, false)]);
     assert_closed(&cut(&both, [tilted(40.3, 0.1), tilted(74.3, -0.1)]).unwrap(), area(8.0, 30) * 34.0);
 }
 

@@ -451,9 +451,10 @@ fn orient(along: &[Vector3<f64>], normals: &mut [Vector3<f64>], edges: impl Iter
 mod tests {
     use super::super::plane_normal;
     use super::*;
+    use crate::joined::joined;
     use crate::nearest::Nearest;
     use crate::sample;
-    use crate::shapes::{cuboid, shaft, together};
+    use crate::shapes::{cuboid, shaft};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -477,7 +478,7 @@ mod tests {
     #[test]
     fn each_closed_surface_has_outward_normals() {
         let far = cuboid([100.0, 0.0, 0.0], [130.0, 10.0, 10.0]);
-        for (mesh, n) in [(shaft(), 40_000), (together(&cuboid([0.0; 3], [20.0; 3]), &far), 20_000)] {
+        for (mesh, n) in [(shaft(), 40_000), (joined(&[cuboid([0.0; 3], [20.0; 3]), far]), 20_000)] {
             let drawn = drawn(&mesh, n);
             let normals = of_surface(&drawn.points).unwrap();
             let off = normals.iter().zip(&drawn.normals).filter(|(a, b)| a.dot(b) < 0.3).count();

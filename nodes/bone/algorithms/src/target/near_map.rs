@@ -80,23 +80,25 @@ impl NearMap {
     ///
     /// Source: Danielsson 1980, without his proof that errors stay below a voxel, which does not matter here.
     fn spread(&mut self) {
-        let mut front: Vec<usize> = Vec::new();
+        let [_, ny, nz] = self.size;
+        // Of each voxel's middle from its sample.
+        let mut squares = vec![f64::INFINITY; self.nearest.len()];
+        // Voxels with their places along the three axes.
+        let mut front: Vec<(usize, [usize; 3])> = Vec::new();
         for item in 0..self.samples.len() {
             let Some(voxel) = self.voxel(&self.samples[item].point) else { continue };
-            if self.nearest[voxel] == NONE {
-                front.push(voxel);
+            let at = [voxel / (ny * nz), voxel / nz % ny, voxel % nz];
+            if self.offer(&mut squares, voxel, at, item as u32) {
+                front.push((voxel, at));
             }
-            self.offer(voxel, item as u32);
         }
         while !front.is_empty() {
             let mut next = Vec::new();
-            for voxel in front {
+            for (voxel, at) in front {
                 let item = self.nearest[voxel];
-                for neighbour in self.neighbours(voxel) {
-                    let is_new = self.nearest[neighbour] == NONE;
-                    self.offer(neighbour, item);
-                    if is_new {
-                        next.push(neighbour);
+                for (neighbour, at) in self.neighbours(at) {
+                    if self.offer(&mut squares, neighbour, at, item) {
+                        next.push((neighbour, at));
                     }
                 }
             }
@@ -104,30 +106,42 @@ impl NearMap {
         }
     }
 
-    fn offer(&mut self, voxel: usize, item: u32) {
-        let middle = self.middle(voxel);
-        let square = |item: u32| (self.samples[item as usize].point - middle).norm_squared();
-        let known = self.nearest[voxel];
-        if known == NONE || square(item) < square(known) {
-            self.nearest[voxel] = item;
+    /// Gives a voxel a sample if it is nearer than the one it has; returns whether it had none.
+    #[inline]
+    fn offer(&mut self, squares: &mut [f64], voxel: usize, at: [usize; 3], item: u32) -> bool {
+        let square = (self.samples[item as usize].point - self.middle_at(at)).norm_squared();
+        let is_new = self.nearest[voxel] == NONE;
+        if is_new || square < squares[voxel] {
+            (self.nearest[voxel], squares[voxel]) = (item, square);
         }
+        is_new
     }
 
     fn middle(&self, voxel: usize) -> Vector3<f64> {
         let [_, ny, nz] = self.size;
-        let at = Vector3::new((voxel / (ny * nz)) as f64, (voxel / nz % ny) as f64, (voxel % nz) as f64);
-        self.origin + at.add_scalar(0.5) * self.voxel_mm
+        self.middle_at([voxel / (ny * nz), voxel / nz % ny, voxel % nz])
     }
 
-    fn neighbours(&self, voxel: usize) -> impl Iterator<Item = usize> + use<> {
-        let [nx, ny, nz] = self.size.map(|n| n as isize);
-        let (x, y, z) = (voxel as isize / (ny * nz), voxel as isize / nz % ny, voxel as isize % nz);
-        let steps = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)];
-        steps.into_iter().filter_map(move |(dx, dy, dz)| {
-            let (x, y, z) = (x + dx, y + dy, z + dz);
-            let inside = (0..nx).contains(&x) && (0..ny).contains(&y) && (0..nz).contains(&z);
-            inside.then_some(((x * ny + y) * nz + z) as usize)
-        })
+    #[inline]
+    fn middle_at(&self, at: [usize; 3]) -> Vector3<f64> {
+        self.origin + Vector3::from(at.map(|k| k as f64)).add_scalar(0.5) * self.voxel_mm
+    }
+
+    /// The voxels across the faces of the one at a place, with their places.
+    fn neighbours(&self, [x, y, z]: [usize; 3]) -> impl Iterator<Item = (usize, [usize; 3])> + use<> {
+        let [nx, ny, nz] = self.size;
+        // Before the first one is beyond the last.
+        let (after, before) = (|k: usize| k + 1, |k: usize| k.wrapping_sub(1));
+        let all = [
+            [after(x), y, z],
+            [before(x), y, z],
+            [x, after(y), z],
+            [x, before(y), z],
+            [x, y, after(z)],
+            [x, y, before(z)],
+        ];
+        let is_inside = move |[x, y, z]: &[usize; 3]| *x < nx && *y < ny && *z < nz;
+        all.into_iter().filter(is_inside).map(move |[x, y, z]| ((x * ny + y) * nz + z, [x, y, z]))
     }
 
     #[inline]
@@ -223,7 +237,8 @@ mod tests {
         assert_eq!([nx, ny, nz], [11, 9, 13]);
         let at = |x: usize, y: usize, z: usize| (x * ny + y) * nz + z;
         let sorted = |voxel: usize| {
-            let mut result: Vec<usize> = map.neighbours(voxel).collect();
+            let at = [voxel / (ny * nz), voxel / nz % ny, voxel % nz];
+            let mut result: Vec<usize> = map.neighbours(at).map(|(voxel, _)| voxel).collect();
             result.sort_unstable();
             result
         };

@@ -94,28 +94,18 @@ impl Target {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shapes::{cuboid, shaft};
+    use crate::shapes::{cuboid, inside_out, shaft, soup};
     use osteoflow_geometry::{Mesh, SurfaceOrigin};
     use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
     /// The sides of a mesh and of its samples as a cloud, and whether it is open; as it is, and inside out.
     fn sides(mesh: &Mesh) -> [(Side, Side, bool); 2] {
-        let turned: Vec<[u32; 3]> = mesh.faces().iter().map(|&[a, b, c]| [a, c, b]).collect();
-        let turned = Mesh::new("ct", SurfaceOrigin::Exact, mesh.vertices().to_vec(), turned).unwrap();
-        [mesh, &turned].map(|mesh| {
+        [mesh, &inside_out(mesh, |_| true)].map(|mesh| {
             let samples = crate::sample::surface(mesh, 20_000, &mut ChaCha8Rng::seed_from_u64(1));
             let cloud = Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap();
             let target = cloud.clone().with_mesh(MeshQuery::new(mesh));
             (target.side(), cloud.side(), cloud.is_open())
         })
-    }
-
-    /// Every face with corners of its own, as in an STL.
-    fn soup(mesh: &Mesh, keep: impl Fn(&Vector3<f64>) -> bool) -> Mesh {
-        let kept = (0..mesh.faces().len()).map(|k| mesh.corners(k)).filter(|corners| keep(&corners[0].coords));
-        let vertices: Vec<_> = kept.flatten().collect();
-        let faces: Vec<[u32; 3]> = (0..vertices.len() as u32 / 3).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
-        Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
     }
 
     #[test]

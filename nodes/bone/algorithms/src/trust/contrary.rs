@@ -151,7 +151,7 @@ fn settled_from(registered: &Registered<'_>, start: &Isometry3<f64>, levels: Vec
 }
 
 /// The registration by shape alone, settled, and its report. Where the one that is judged started there, with this report, and still is
-/// there, it is that one.
+/// there, it is that one; where it left, the search is not made again.
 pub(super) fn by_shape(
     registered: &Registered<'_>,
     start: Option<&coarse::GlobalReport>,
@@ -165,17 +165,26 @@ pub(super) fn by_shape(
     if let Some((start, settled)) = start.filter(is_there).zip(settled) {
         return Some((*settled, start.clone()));
     }
-    let fit = coarse::global(registered.target, registered.source, &GlobalParams::default()).ok()?;
-    Some((settled_from(registered, &fit.t_target_source, vec![FIRST_LEVEL])?, fit.report))
+    let known = start.and_then(|start| Some((start.t_target_source?, start.clone())));
+    let (found, report) = match known {
+        Some(known) => known,
+        None => {
+            let fit = coarse::global(registered.target, registered.source, &GlobalParams::default()).ok()?;
+            (fit.t_target_source, fit.report)
+        }
+    };
+    Some((settled_from(registered, &found, vec![FIRST_LEVEL])?, report))
 }
 
-/// The support of the scan's mirror image where it fits best, which is looked for where the scan was.
+/// The support of the scan's mirror image where it fits best, which is looked for where the scan was, but not by patches: among surroundings
+/// they, not the mirror image, are what is named first.
 pub(super) fn mirrored_support(
     registered: &Registered<'_>,
     noise_mm: f64,
     searched: Option<Searched>,
 ) -> Option<Support> {
     let image = mirrored(registered.source);
+    let searched = searched.map(|searched| if searched == Searched::Among { Searched::Both } else { searched });
     let fit = coarse::global_by(registered.target, &image, &GlobalParams::default(), searched).ok()?;
     let image = Registered { source: &image, ..*registered };
     let pose = settled_from(&image, &fit.t_target_source, vec![FIRST_LEVEL])?;

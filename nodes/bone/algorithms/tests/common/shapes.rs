@@ -25,11 +25,19 @@ pub(crate) fn cuboid(min: [f64; 3], max: [f64; 3]) -> Mesh {
     Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
 }
 
-/// The faces of both, as a CAD program exports overlapping parts.
-pub(crate) fn together(a: &Mesh, b: &Mesh) -> Mesh {
-    let n = a.vertices().len() as u32;
-    let faces: Vec<[u32; 3]> = a.faces().iter().copied().chain(b.faces().iter().map(|f| f.map(|v| v + n))).collect();
-    Mesh::new("ct", SurfaceOrigin::Exact, [a.vertices(), b.vertices()].concat(), faces).unwrap()
+/// The faces that are kept by their first corner, each with corners of its own, as in an STL.
+pub(crate) fn soup(mesh: &Mesh, keep: impl Fn(&Vector3<f64>) -> bool) -> Mesh {
+    let kept = (0..mesh.faces().len()).map(|k| mesh.corners(k)).filter(|corners| keep(&corners[0].coords));
+    let vertices: Vec<_> = kept.flatten().collect();
+    let faces: Vec<[u32; 3]> = (0..vertices.len() as u32 / 3).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+    Mesh::new(mesh.frame.clone(), mesh.origin, vertices, faces).unwrap()
+}
+
+/// The mesh with the faces of these numbers turned over.
+pub(crate) fn inside_out(mesh: &Mesh, is_turned: impl Fn(usize) -> bool) -> Mesh {
+    let turned = |(k, &[a, b, c]): (usize, &[u32; 3])| if is_turned(k) { [a, c, b] } else { [a, b, c] };
+    let faces: Vec<_> = mesh.faces().iter().enumerate().map(turned).collect();
+    Mesh::new(mesh.frame.clone(), mesh.origin, mesh.vertices().to_vec(), faces).unwrap()
 }
 
 /// A closed, bumpy, tapered shaft along z, 120 mm long, which determines all six motions.

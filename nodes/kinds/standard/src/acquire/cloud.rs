@@ -15,9 +15,9 @@ use std::sync::Arc;
 
 /// A scan from a file of points, in any format that `register` reads; if the file is a surface, its vertices.
 ///
-/// Points that are not finite are left out, with a warning that counts them. So are pixels without depth: points at 0, 0, 0, or at one value
-/// that more than 1 % of the points share, if it is outside of the box around all others and farther from each of them than 20 times
-/// the median distance between neighbours.
+/// Points that are not finite are left out, with a warning that counts them. So are pixels without depth: points at one value that more
+/// than 1 % of the points share, if it is farther from each of the others than 20 times the median distance between neighbours, and points at
+/// 0, 0, 0 of fewer, if that is also outside of the box around all others.
 #[derive(Describe)]
 #[describe(example = r#"
 kind   = "acquire.cloud"
@@ -96,7 +96,8 @@ impl Constant for CloudFile {
         let Params { path, frame, unit_mm, camera, component } = params;
         let bytes = input::read(path.as_ref())?;
         let read = read_mesh_or_cloud(path.as_ref(), &bytes, *unit_mm, frame.as_str())?;
-        let (read, of_parts) = parts::of_scan(read, parts::choice(component.as_deref())?)?;
+        let (read, of_parts) = parts::of_scan(read, parts::choice(component.as_deref())?)
+            .map_err(|error| parts::in_file(path.as_ref(), &error))?;
         let (out, notes) = Out::of(read, *camera);
         notes.into_iter().chain(of_parts).for_each(|note| ctx.warn(note));
         Ok(out)

@@ -197,7 +197,8 @@ impl Params {
                 |stated| NodeError::new(format!("{stated}, but space = \"{}\"; leave space out", name.space()));
             read = read.in_space(name.space()).map_err(contradicts)?;
         }
-        let (read, notes) = parts::of_target(read, parts::choice(self.component.as_deref())?)?;
+        let (read, notes) = parts::of_target(read, parts::choice(self.component.as_deref())?)
+            .map_err(|error| parts::in_file(self.path.as_ref(), &error))?;
         if let Some(note) = read.space().taken_for_lps(&self.frame.as_str().into()) {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }

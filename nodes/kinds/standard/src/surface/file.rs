@@ -92,7 +92,8 @@ impl Constant for File {
             ctx.warn(format!("{note}; set space = \"LPS\", or \"RAS\" if they are that"));
         }
         read.notes.into_iter().for_each(|note| ctx.warn(note));
-        let (mesh, notes) = parts::of_bone(read.mesh, parts::choice(component.as_deref())?)?;
+        let (mesh, notes) = parts::of_bone(read.mesh, parts::choice(component.as_deref())?)
+            .map_err(|error| parts::in_file(path.as_ref(), &error))?;
         notes.into_iter().for_each(|note| ctx.warn(note));
         let report = json!({ "sha256": sha256(path.as_ref())? });
         Ok(Out { mesh, report: Json(Arc::new(report)) })

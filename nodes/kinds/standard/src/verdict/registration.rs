@@ -233,6 +233,7 @@ impl Function for Registration {
             untested: &untested,
             assumptions: &assumed,
         };
+        trust::room_note(&case.registered).into_iter().for_each(|note| ctx.warn(note));
         let verdict = trust::judge(&case, examine, rules, errors);
         if let Some(planes) = i.planes.as_ref().filter(|_| !verdict.reasons.iter().any(|reason| reason.rule == "plan"))
         {

@@ -1,5 +1,6 @@
 use super::*;
 use crate::fragment::tests::{planes, prism};
+use crate::joined::joined;
 use crate::shapes::{cuboid, shaft};
 use osteoflow_geometry::SurfaceOrigin;
 
@@ -125,8 +126,7 @@ fn flipped_normals_change_only_the_sign_of_the_offset() {
 
 #[test]
 fn a_hollow_bone_is_compared_inside_too() {
-    let bone =
-        crate::shapes::together(&prism(6.0, 24, [0.0, 160.0], 81, false), &prism(3.0, 24, [-5.0, 165.0], 81, true));
+    let bone = joined(&[prism(6.0, 24, [0.0, 160.0], 81, false), prism(3.0, 24, [-5.0, 165.0], 81, true)]);
     let result = against(&bone, [tilted(60.0, 0.1), tilted(94.0, 0.0)], &Isometry3::translation(0.0, 0.0, 1.0));
     assert!(result.aligned.surface.max_mm < 1e-6 && result.volume_difference_mm3.abs() < 1e-3);
     assert!((result.in_place.surface.max_mm - 1.0).abs() < 1e-2, "{:?}", result.in_place.surface);

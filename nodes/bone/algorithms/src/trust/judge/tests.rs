@@ -140,6 +140,7 @@ fn a_start_by_shape_is_doubtful_below_its_clearness() {
         n_refined: 3,
         score_mm: 0.2,
         middle_mm: [9.0, -1.0, 7.0],
+        t_target_source: None,
         runner_up,
         clearness: 0.2,
         searched: None,
