@@ -93,24 +93,22 @@ def values_of(pairs, is_range):
 def methods(is_range, has_kiss):
     """Ours, then each peer as fast and as good as its settings make it."""
     fast_mm, fine_mm = (5.0, 2.0) if is_range else (8.0, 4.0)
-    instead = {
-        "score.in.t_target_source": "coarse.t_target_source",
-        "verdict.in.t_target_source": "coarse.t_target_source",
-        "remove": ["node.icp", "node.verdict.in.icp", "node.verdict.in.start", "results.icp", "results.start",
-                   "results.t_ct_camera", "results.poses.t_ct_camera", "record"],
-    }
-    ransac = {"coarse.kind": "peers.fpfh_ransac", **instead}
+
+    def peer(kind, voxel_mm, **params):
+        return {
+            "coarse.kind": kind, "coarse.voxel_mm": voxel_mm, **{f"coarse.{key}": value for key, value in params.items()},
+            "icp.kind": "peers.point_to_plane", "icp.first_mm": 2.0 * voxel_mm,
+            "remove": ["node.verdict.in.icp", "node.verdict.in.start", "results.icp", "results.start", "record"],
+        }
+
     found = {
         "osteoflow": {"coarse.kind": "coarse.global"},
-        f"FPFH and RANSAC, {fast_mm:g} mm, 100,000": {**ransac, "coarse.voxel_mm": fast_mm},
-        f"FPFH and RANSAC, {fine_mm:g} mm, 4,000,000": {
-            **ransac, "coarse.voxel_mm": fine_mm, "coarse.max_iterations": 4_000_000,
-        },
+        f"FPFH and RANSAC, {fast_mm:g} mm, 100,000": peer("peers.fpfh_ransac", fast_mm),
+        f"FPFH and RANSAC, {fine_mm:g} mm, 4,000,000": peer("peers.fpfh_ransac", fine_mm, max_iterations=4_000_000),
     }
     if has_kiss:
-        kiss = {"coarse.kind": "peers.kiss_matcher", **instead}
-        found[f"KISS-Matcher, {fast_mm:g} mm"] = {**kiss, "coarse.voxel_mm": fast_mm}
-        found[f"KISS-Matcher, {fine_mm:g} mm"] = {**kiss, "coarse.voxel_mm": fine_mm}
+        found[f"KISS-Matcher, {fast_mm:g} mm"] = peer("peers.kiss_matcher", fast_mm)
+        found[f"KISS-Matcher, {fine_mm:g} mm"] = peer("peers.kiss_matcher", fine_mm)
     return found
 
 
@@ -123,7 +121,7 @@ def table(runs):
         groups.setdefault((method, "all"), []).append(run)
     several = len({pair for _, pair in groups}) > 2
     head = ["Method", "Pair", "Starts", "Right", "Recall", "Error of right, mm", "degrees", "Right: " + ANSWERS[0], *ANSWERS[1:],
-            "Wrong: " + ANSWERS[0], *ANSWERS[1:], "no pose", "CPU, s"]
+            "Wrong: " + ANSWERS[0], *ANSWERS[1:], "no pose", "CPU of search, s", "of ICP, s"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     methods = list(dict.fromkeys(method for method, _ in groups))
     order = sorted(groups, key=lambda key: (methods.index(key[0]), key[1] == "all"))
@@ -134,16 +132,16 @@ def table(runs):
         right = [run for run, it in zip(group, is_right) if it]
         wrong = [run for run, it in zip(group, is_right) if not it and run.get("right")]
 
-        def median(column, digits):
-            cells = sorted(float(run[column]) for run in right if run[column])
+        def median(of, column, digits, unit=1):
+            cells = [float(run[column]) / unit for run in of if run.get(column)]
             return f"{statistics.median(cells):.{digits}f}" if cells else ""
 
         def answers(of):
             return [sum(run.get("answer") == answer for run in of) for answer in ANSWERS]
 
-        cpu = [sum(float(run[c]) for c in ("search_ms", "icp_ms") if run.get(c)) / 1000 for run in group]
-        row = [method, pair, len(group), len(right), f"{len(right) / len(group):.2f}", median("error_mm", 2), median("error_deg", 2),
-               *answers(right), *answers(wrong), len(group) - len(right) - len(wrong), f"{statistics.median(cpu):.2f}"]
+        row = [method, pair, len(group), len(right), f"{len(right) / len(group):.2f}", median(right, "error_mm", 2), median(right, "error_deg", 2),
+               *answers(right), *answers(wrong), len(group) - len(right) - len(wrong), median(group, "search_ms", 2, 1000),
+               median(group, "icp_ms", 2, 1000)]
         lines.append("| " + " | ".join(map(str, row)) + " |")
     return "\n".join(lines)
 
