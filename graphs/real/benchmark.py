@@ -4,6 +4,7 @@
 benchmark.py FOLDER                            FOLDER/preoperative/NAME.stl and FOLDER/intraoperative/NAME*.xyz, mm, in one frame
 benchmark.py FOLDER --set range                FOLDER/NAME.ply, FOLDER/bun.conf and FOLDER/bun_zipper.ply, metres
 benchmark.py FOLDER --peers --python PYTHON    with Open3D and KISS-Matcher beside us (graphs/real/peers.py)
+benchmark.py FOLDER --out DIR                  keeps the sweep in DIR; again with a larger --repeat, it adds starts to those there
 
 Each row is a sweep of graphs/real/recover.toml. `preoperative_NAME.stl` and `intraoperative_NAME.xyz` beside each other are pairs, too.
 It needs Python 3.9 and nothing else.
@@ -92,24 +93,22 @@ def values_of(pairs, is_range):
 def methods(is_range, has_kiss):
     """Ours, then each peer as fast and as good as its settings make it."""
     fast_mm, fine_mm = (5.0, 2.0) if is_range else (8.0, 4.0)
-    instead = {
-        "score.in.t_target_source": "coarse.t_target_source",
-        "verdict.in.t_target_source": "coarse.t_target_source",
-        "remove": ["node.icp", "node.verdict.in.icp", "node.verdict.in.start", "results.icp", "results.start",
-                   "results.t_ct_camera", "results.poses.t_ct_camera", "record"],
-    }
-    ransac = {"coarse.kind": "peers.fpfh_ransac", **instead}
+
+    def peer(kind, voxel_mm, **params):
+        return {
+            "coarse.kind": kind, "coarse.voxel_mm": voxel_mm, **{f"coarse.{key}": value for key, value in params.items()},
+            "icp.kind": "peers.point_to_plane", "icp.first_mm": 2.0 * voxel_mm,
+            "remove": ["node.verdict.in.icp", "node.verdict.in.start", "results.icp", "results.start", "record"],
+        }
+
     found = {
         "osteoflow": {"coarse.kind": "coarse.global"},
-        f"FPFH and RANSAC, {fast_mm:g} mm, 100,000": {**ransac, "coarse.voxel_mm": fast_mm},
-        f"FPFH and RANSAC, {fine_mm:g} mm, 4,000,000": {
-            **ransac, "coarse.voxel_mm": fine_mm, "coarse.max_iterations": 4_000_000, "coarse.confidence": 1.0,
-        },
+        f"FPFH and RANSAC, {fast_mm:g} mm, 100,000": peer("peers.fpfh_ransac", fast_mm),
+        f"FPFH and RANSAC, {fine_mm:g} mm, 4,000,000": peer("peers.fpfh_ransac", fine_mm, max_iterations=4_000_000),
     }
     if has_kiss:
-        kiss = {"coarse.kind": "peers.kiss_matcher", **instead}
-        found[f"KISS-Matcher, {fast_mm:g} mm"] = {**kiss, "coarse.voxel_mm": fast_mm}
-        found[f"KISS-Matcher, {fine_mm:g} mm"] = {**kiss, "coarse.voxel_mm": fine_mm}
+        found[f"KISS-Matcher, {fast_mm:g} mm"] = peer("peers.kiss_matcher", fast_mm)
+        found[f"KISS-Matcher, {fine_mm:g} mm"] = peer("peers.kiss_matcher", fine_mm)
     return found
 
 
@@ -122,7 +121,7 @@ def table(runs):
         groups.setdefault((method, "all"), []).append(run)
     several = len({pair for _, pair in groups}) > 2
     head = ["Method", "Pair", "Starts", "Right", "Recall", "Error of right, mm", "degrees", "Right: " + ANSWERS[0], *ANSWERS[1:],
-            "Wrong: " + ANSWERS[0], *ANSWERS[1:], "no pose", "CPU, s"]
+            "Wrong: " + ANSWERS[0], *ANSWERS[1:], "no pose", "CPU of search, s", "of ICP, s"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     methods = list(dict.fromkeys(method for method, _ in groups))
     order = sorted(groups, key=lambda key: (methods.index(key[0]), key[1] == "all"))
@@ -133,16 +132,16 @@ def table(runs):
         right = [run for run, it in zip(group, is_right) if it]
         wrong = [run for run, it in zip(group, is_right) if not it and run.get("right")]
 
-        def median(column, digits):
-            cells = sorted(float(run[column]) for run in right if run[column])
+        def median(of, column, digits, unit=1):
+            cells = [float(run[column]) / unit for run in of if run.get(column)]
             return f"{statistics.median(cells):.{digits}f}" if cells else ""
 
         def answers(of):
             return [sum(run.get("answer") == answer for run in of) for answer in ANSWERS]
 
-        cpu = [sum(float(run[c]) for c in ("search_ms", "icp_ms") if run.get(c)) / 1000 for run in group]
-        row = [method, pair, len(group), len(right), f"{len(right) / len(group):.2f}", median("error_mm", 2), median("error_deg", 2),
-               *answers(right), *answers(wrong), len(group) - len(right) - len(wrong), f"{statistics.median(cpu):.2f}"]
+        row = [method, pair, len(group), len(right), f"{len(right) / len(group):.2f}", median(right, "error_mm", 2), median(right, "error_deg", 2),
+               *answers(right), *answers(wrong), len(group) - len(right) - len(wrong), median(group, "search_ms", 2, 1000),
+               median(group, "icp_ms", 2, 1000)]
         lines.append("| " + " | ".join(map(str, row)) + " |")
     return "\n".join(lines)
 
@@ -154,17 +153,18 @@ def main():
     parser.add_argument("--repeat", type=int, default=10, help="number of starts of each pair")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--program", default="osteoflow")
-    parser.add_argument("--out", type=Path, help="keeps the sweep here")
+    parser.add_argument("--out", type=Path, help="keeps the sweep here, and resumes the one that is there")
     parser.add_argument("--peers", action="store_true", help="other libraries beside us")
     parser.add_argument("--python", default=sys.executable, help="the interpreter that has them")
     parser.add_argument("--method", default="", help="of the methods with --peers those whose names have one of these words, separated by commas")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        scratch = Path(scratch)
+        folder = given.out or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
         is_range = given.set == "range"
-        pairs = range_pairs(given.folder, scratch) if is_range else pairs_in_one_frame(given.folder)
-        sweep = {"repeat": given.repeat, "factor": {"pair": {"values": values_of(pairs, is_range), "labels": [p[0] for p in pairs]}}}
+        pairs = range_pairs(given.folder, folder) if is_range else pairs_in_one_frame(given.folder)
+        sweep = {"factor": {"pair": {"values": values_of(pairs, is_range), "labels": [p[0] for p in pairs]}}}
         graph = [f"extends = {json.dumps(str(HERE / 'recover.toml'))}"]
         if given.peers:
             has_kiss = subprocess.run([given.python, "-c", "import kiss_matcher"], capture_output=True).returncode == 0
@@ -175,15 +175,20 @@ def main():
                 sys.exit(f"--method {given.method} names none of {', '.join(methods(is_range, has_kiss))}")
             graph.append(f"plugins = [{{ file = {json.dumps(str(HERE / 'peers.py'))}, interpreter = {json.dumps(given.python)} }}]")
             sweep["factor"]["method"] = {"values": list(compared.values()), "labels": list(compared)}
-        graph += [f"[graph]\nname = \"recover_set\"\nseed = {given.seed}", f"[sweep]\nrepeat = {given.repeat}", "[sweep.factor]"]
+        graph += [f"[graph]\nname = \"recover_set\"\nseed = {given.seed}", "[sweep.factor]"]
         graph += [f"{name} = {toml(factor)}" for name, factor in sweep["factor"].items()]
-        file, out = scratch / "recover_set.toml", given.out or scratch / "sweep"
+        file, out = folder / "recover_set.toml", folder / "sweep"
         file.write_text("\n".join(graph) + "\n")
-        ended = subprocess.run([given.program, "sweep", str(file), "--out", str(out), "--workers", str(given.workers)])
+        command = [given.program, "sweep", str(file), "--set", f"sweep.repeat={given.repeat}", "--out", str(out), "--workers", str(given.workers)]
+        # Threads that wait for each other on a busy machine would count as processor time.
+        one_thread = {"OMP_NUM_THREADS": "1", **os.environ}
+        ended = subprocess.run(command + ["--resume"] * out.exists(), env=one_thread)
         if not (out / "runs.csv").exists():
             sys.exit(ended.returncode or 1)
         with open(out / "runs.csv", newline="", encoding="utf-8") as rows:
             print(table(list(csv.DictReader(rows))))
+        if ended.returncode:
+            sys.exit(ended.returncode)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Registrations by shape alone of other libraries, as nodes that take the place of `coarse.global` and `icp.*`.
+"""Registrations by shape alone of other libraries, as nodes that take the place of `coarse.global` and, from what these find, of `icp.*`.
 
-Open3D 0.19 or later and numpy are needed, for `peers.kiss_matcher` also kiss-matcher. Each gives the pose that Open3D's point-to-plane ICP
-ends at. Both clouds are moved to their centroids first, since ICP far from the origin diverges. The features of the surface are computed at each firing, so they are part of its processor time.
+Open3D 0.19 or later and numpy are needed, for `peers.kiss_matcher` also kiss-matcher. Both clouds are moved to their centroids first, since
+ICP far from the origin diverges. The features of the surface are computed at each firing, so they are part of its processor time.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,12 @@ class Kiss:
     voxel_mm: float = param(5.0, gt=0, doc="Edge of the grid that both clouds are thinned to, mm.")
 
 
+@dataclass
+class Fine:
+    first_mm: float = param(10.0, gt=0, doc="Maximum distance of a pair at first, mm: two edges of the grid of the search before.")
+    then_mm: float = param(5.0, gt=0, doc="Maximum distance of a pair afterwards, mm, if less.")
+
+
 def open3d_cloud(points, normals=None):
     import open3d as o3d
 
@@ -38,22 +44,6 @@ def centred(shape):
     return np.array(shape.points, float) - centre, centre
 
 
-def refined(points, surface, start, voxel_mm):
-    """Point-to-plane ICP onto all points of the surface, with pairs within two voxels, then within 5 mm."""
-    import open3d as o3d
-
-    method = o3d.pipelines.registration
-    source, target = open3d_cloud(points), open3d_cloud(centred(surface)[0], surface.normals)
-    if surface.normals is None:
-        target.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
-    ends = method.ICPConvergenceCriteria(1e-7, 1e-7, 100)
-    for reach_mm in (2.0 * voxel_mm, min(2.0 * voxel_mm, 5.0)):
-        start = method.registration_icp(
-            source, target, reach_mm, start, method.TransformationEstimationPointToPlane(), ends
-        ).transformation
-    return start
-
-
 def pose(surface, cloud, matrix):
     """The pose between the clouds where they are, with the nearest rotation."""
     u, _, v = np.linalg.svd(matrix[:3, :3])
@@ -65,7 +55,7 @@ def pose(surface, cloud, matrix):
 
 @node("peers.fpfh_ransac", output="t_target_source")
 def fpfh_ransac(cloud: Cloud, surface: Surface, params: Ransac, ctx: Context) -> Pose:
-    """FPFH features and RANSAC of Open3D, then its point-to-plane ICP."""
+    """FPFH features and RANSAC of Open3D."""
     import open3d as o3d
 
     method = o3d.pipelines.registration
@@ -88,12 +78,12 @@ def fpfh_ransac(cloud: Cloud, surface: Surface, params: Ransac, ctx: Context) ->
     )
     if not found.correspondence_set:
         raise NodeError("no pose agrees with the matched features; try another voxel_mm")
-    return pose(surface, cloud, refined(points, surface, found.transformation, params.voxel_mm))
+    return pose(surface, cloud, found.transformation)
 
 
 @node("peers.kiss_matcher", output="t_target_source")
 def kiss_matcher(cloud: Cloud, surface: Surface, params: Kiss, ctx: Context) -> Pose:
-    """KISS-Matcher, then Open3D's point-to-plane ICP."""
+    """KISS-Matcher."""
     import kiss_matcher as kiss
 
     matcher = kiss.KISSMatcher(kiss.KISSMatcherConfig(params.voxel_mm))
@@ -101,4 +91,24 @@ def kiss_matcher(cloud: Cloud, surface: Surface, params: Kiss, ctx: Context) -> 
     found = matcher.estimate(points.astype(np.float32), centred(surface)[0].astype(np.float32))
     start = np.eye(4)
     start[:3, :3], start[:3, 3] = found.rotation, np.ravel(found.translation)
-    return pose(surface, cloud, refined(points, surface, start, params.voxel_mm))
+    return pose(surface, cloud, start)
+
+
+@node("peers.point_to_plane", output="t_target_source")
+def point_to_plane(source: Cloud, target: Surface, init: Pose, params: Fine) -> Pose:
+    """Point-to-plane ICP of Open3D onto all points of the surface."""
+    import open3d as o3d
+
+    method = o3d.pipelines.registration
+    (points, of_source), (on, of_target) = centred(source), centred(target)
+    moved, fixed = open3d_cloud(points), open3d_cloud(on, target.normals)
+    if target.normals is None:
+        fixed.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
+    matrix = np.array(init.matrix, float)
+    matrix[:3, 3] += matrix[:3, :3] @ of_source - of_target
+    ends = method.ICPConvergenceCriteria(1e-7, 1e-7, 100)
+    for reach_mm in (params.first_mm, min(params.first_mm, params.then_mm)):
+        matrix = method.registration_icp(
+            moved, fixed, reach_mm, matrix, method.TransformationEstimationPointToPlane(), ends
+        ).transformation
+    return pose(target, source, matrix)

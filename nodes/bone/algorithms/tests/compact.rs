@@ -29,14 +29,9 @@ pub(crate) struct Case {
 }
 
 impl Case {
-    /// The scan at a random pose, and that pose: turned by up to 180 degrees and shifted by up to 500 mm along each axis.
+    /// The scan at a random pose, and that pose.
     fn moved(&self, seed: u64) -> (Cloud, Isometry3<f64>) {
-        let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
-        let centre = centroid(&self.placed).coords;
-        let axis: [f64; 3] = UnitSphere.sample(&mut rng);
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::from(axis) * rng.random_range(0.0..PI));
-        let shift = Vector3::from_fn(|_, _| rng.random_range(-500.0..500.0));
-        let t = Translation3::from(centre + shift) * turn * Translation3::from(-centre);
+        let t = random_pose(&self.placed, seed);
         let cloud = Cloud::new("scan", self.placed.iter().map(|p| t * p).collect::<Vec<_>>()).unwrap();
         let with_camera = |camera: Point3<f64>| cloud.clone().seen_from(Isometry3::from((t * camera).coords));
         (self.camera.map_or_else(|| cloud.clone(), with_camera), t)
@@ -104,6 +99,16 @@ impl Case {
     }
 }
 
+/// A pose of points about their centroid: turned by up to 180 degrees and shifted by up to 500 mm along each axis.
+pub(crate) fn random_pose(points: &[Point3<f64>], seed: u64) -> Isometry3<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
+    let centre = centroid(points).coords;
+    let axis: [f64; 3] = UnitSphere.sample(&mut rng);
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::from(axis) * rng.random_range(0.0..PI));
+    let shift = Vector3::from_fn(|_, _| rng.random_range(-500.0..500.0));
+    Translation3::from(centre + shift) * turn * Translation3::from(-centre)
+}
+
 /// What became of a scan.
 #[derive(Default)]
 pub(crate) struct Counted {
@@ -133,7 +138,7 @@ impl Counted {
 }
 
 /// CPU time of this thread so far, ms; none where the system does not count it.
-fn cpu_ms() -> Option<f64> {
+pub(crate) fn cpu_ms() -> Option<f64> {
     let counted = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     Some(counted.split(' ').next()?.parse::<f64>().ok()? / 1e6)
 }
@@ -211,7 +216,7 @@ pub(crate) fn body(seed: u64, radii_mm: [f64; 3], bumps_mm: f64, power: f64) -> 
     Mesh::new("ct", SurfaceOrigin::Exact, vertices, faces).unwrap()
 }
 
-const HIPS: [&str; 3] = ["specimen00_left_femur", "specimen00_pelvis", "specimen01_right_femur"];
+pub(crate) const HIPS: [&str; 3] = ["specimen00_left_femur", "specimen00_pelvis", "specimen01_right_femur"];
 
 /// Hip bones from CT and their tracked ultrasound.
 fn hips(test: &str) -> Vec<Case> {

@@ -24,7 +24,7 @@ use std::ops::ControlFlow;
 use std::sync::{Mutex, PoisonError};
 
 /// A right pose of a hip bone, at the cloud's centroid: the protocol of its publication.
-const HIP_RIGHT: (f64, f64) = (4.0, 5.0);
+pub(crate) const HIP_RIGHT: (f64, f64) = (4.0, 5.0);
 
 /// A right pose of a range scan: its points off by less on average, mm.
 const RANGE_RIGHT_MM: f64 = 1.5;
@@ -100,7 +100,7 @@ impl Outcome {
     }
 }
 
-fn target_of(mesh: &Mesh) -> Target {
+pub(crate) fn target_of(mesh: &Mesh) -> Target {
     let samples = sample::surface(mesh, 150_000, &mut ChaCha8Rng::seed_from_u64(1));
     let target = Target::new("ct", SurfaceOrigin::User, samples.points, Some(samples.normals.into())).unwrap();
     target.with_mesh(MeshQuery::new(mesh))

@@ -1,6 +1,8 @@
 //! Scans of bones among what else a camera sees, registered by shape alone without cropping. With `SLOW_TESTS` all of them;
 //! `OSTEOFLOW_CASES` takes the bones whose names have one of these words, separated by commas.
 
+mod hips;
+
 use crate::common::{data, stl};
 use crate::compact::{Case, Counted, View, body, is_slow, radius_mm, target_of};
 use crate::measured::centroid;
@@ -226,8 +228,8 @@ fn scenes(test: &str) -> Vec<Scene> {
     scenes
 }
 
-/// Of six bones and a made body, one scan each with every kind of surroundings at 60 % of the points.
-fn counted(test: &str, kinds: &[Around], names: &[&str]) -> [u64; 3] {
+/// Of bones and a made body, one scan each with every kind of surroundings at 60 % of the points.
+fn counted(test: &str, kinds: &[Around], names: &[&str], seed: u64) -> [u64; 3] {
     let words = std::env::var("OSTEOFLOW_CASES").unwrap_or_default();
     let mut sums = [0; 3];
     let scenes = scenes(test);
@@ -237,7 +239,7 @@ fn counted(test: &str, kinds: &[Around], names: &[&str]) -> [u64; 3] {
     for scene in scenes.iter().filter(|s| names.contains(&s.name) && words.split(',').any(|w| s.name.contains(w))) {
         let target = target_of(&scene.mesh);
         for kind in kinds {
-            let case = scene.case(&target, *kind, 0.6, 0);
+            let case = scene.case(&target, *kind, 0.6, seed);
             let counted = one_thread.install(|| case.counted(1));
             for (sum, more) in sums.iter_mut().zip([counted.n, counted.right, counted.wrong_and_clear]) {
                 *sum += more;
@@ -249,12 +251,22 @@ fn counted(test: &str, kinds: &[Around], names: &[&str]) -> [u64; 3] {
 }
 
 /// Registers the scans: with `SLOW_TESTS` all, else two of a fibula.
+///
+/// The search and `least` (of 28) were chosen with the scans of seed 0 in view; those of seeds 1 and 2 played no part in it, and those of seed 1
+/// have no known camera.
 fn check(test: &str, kinds: [Around; 4], least: u64) {
     let all = ["TLEM2", "MC22", "myosim", "jaw", "femur", "pelvis", "potato"];
-    let [n, right, wrong_and_clear] =
-        if is_slow() { counted(test, &kinds, &all) } else { counted(test, &kinds[..2], &["TLEM2"]) };
-    assert!(right >= if is_slow() { least * n / 28 } else { n }, "{right} of {n} are right");
-    assert_eq!(wrong_and_clear, 0, "wrong and clear");
+    if !is_slow() {
+        let [n, right, wrong_and_clear] = counted(test, &kinds[..2], &["TLEM2"], 0);
+        assert_eq!((right, wrong_and_clear), (n, 0), "right, and wrong and clear, of {n}");
+        return;
+    }
+    for seed in 0..3 {
+        println!("seed {seed}");
+        let [n, right, wrong_and_clear] = counted(test, &kinds, &all, seed);
+        assert!(right >= least * n / 28, "{right} of {n} are right");
+        assert_eq!(wrong_and_clear, 0, "wrong and clear");
+    }
 }
 
 #[test]
