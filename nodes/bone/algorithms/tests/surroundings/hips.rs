@@ -120,8 +120,8 @@ const HEAD: &str = "| Surroundings | Share | Starts | Found by the search | Righ
 fn row(what: &str, share: f64, all: &[Outcome]) -> String {
     let n = |is: &dyn Fn(&Outcome) -> bool| all.iter().filter(|outcome| is(outcome)).count();
     let answers = |right: bool| {
-        let [trusted, doubtful] = [Answer::Trusted, Answer::Doubtful]
-            .map(|answer| n(&|o| o.right == right && o.answer == Some(answer)));
+        let [trusted, doubtful] =
+            [Answer::Trusted, Answer::Doubtful].map(|answer| n(&|o| o.right == right && o.answer == Some(answer)));
         format!("{trusted} | {doubtful} | {}", n(&|o| o.right == right) - trusted - doubtful)
     };
     let mut ms: Vec<f64> = all.iter().map(|o| o.search_ms).collect();
@@ -169,7 +169,8 @@ fn hip_bones_among_surroundings_are_never_wrong_and_trusted() {
     for hip in &hips {
         hip.target.prepare();
     }
-    for ((kind, what), share) in KINDS[..kinds].iter().flat_map(|kind| shares.iter().map(move |share| (*kind, *share))) {
+    for ((kind, what), share) in KINDS[..kinds].iter().flat_map(|kind| shares.iter().map(move |share| (*kind, *share)))
+    {
         let outcomes = || hips.iter().flat_map(|hip| (0..n).map(move |seed| hip.outcome(kind, share, seed))).collect();
         let all: Vec<Outcome> = one_thread.install(outcomes);
         wrong_and_trusted += all.iter().filter(|o| !o.right && o.answer == Some(Answer::Trusted)).count();
