@@ -1,7 +1,7 @@
 //! What a newcomer gets wrong, command by command, and what the program says to it: one text that must read well. `UPDATE=1`
 //! rewrites it, and the diff is what you read.
 
-use crate::common::{assert_golden, copy_folder, osteoflow, root};
+use crate::common::{assert_golden, copy_folder, data, osteoflow, root};
 use std::{fmt::Write, fs, path::Path};
 
 /// Most lines of an answer, and characters of a line, that the text keeps.
@@ -141,4 +141,34 @@ fn each_mistake_of_a_newcomer_is_answered_by_its_cause_and_the_next_step() {
         assert!(!text.contains(word), "{word}:\n{text}");
     }
     assert_golden(&root().join("tests/golden/mistakes.txt"), &text);
+}
+
+/// Files with which an earlier version failed, made elsewhere, and what each is.
+const OF_OTHERS: [&str; 10] = [
+    "info text/bom.ply",
+    "info text/decimal_comma_40_rows.csv",
+    "info text/index_first.xyz",
+    "info text/own_output.csv",
+    "info text/string_field_array.vtk",
+    "info study/dicom_scout_and_series",
+    "info cup",
+    "register text/string_field_array.vtk text/own_output.csv",
+    "run stamps/stamp0.toml --out OUT/stamp0",
+    "run stamps/dup_i.toml --out OUT/dup_i",
+];
+
+#[test]
+fn files_that_others_made_are_read_or_refused_by_their_cause() {
+    let Some(cases) = data("files_that_others_made_are_read_or_refused_by_their_cause", "../cases") else { return };
+    let (cases, out) = (cases.canonicalize().unwrap(), tempfile::tempdir().unwrap());
+    let at = out.path().display().to_string();
+    let mut text = String::new();
+    for line in OF_OTHERS {
+        let words = line.split(' ').map(|word| word.replace("OUT", &at));
+        let output = osteoflow().args(words).current_dir(&cases).output().unwrap();
+        let answer = [&output.stderr, &output.stdout].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
+        let answer = steady(&answer.replace(&at, "OUT"), &cases, MAX_LINES);
+        let _ = writeln!(text, "$ osteoflow {line}\n{answer}[exit code {}]\n", output.status.code().unwrap());
+    }
+    assert_golden(&root().join("tests/golden/mistakes_of_others.txt"), &text);
 }

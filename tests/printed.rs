@@ -14,12 +14,20 @@ use serde_json::Value;
 use std::{
     fs,
     path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 
 const ADVICE: &str = "`UPDATE=1 cargo test --release --test suite printed::` writes it anew";
 
 fn is_update() -> bool {
     std::env::var_os("UPDATE").is_some()
+}
+
+/// Held by a test that writes pages anew, as two of them write the same ones.
+static WRITING: Mutex<()> = Mutex::new(());
+
+fn writing() -> Option<MutexGuard<'static, ()>> {
+    is_update().then(|| WRITING.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// README.md and the pages of docs/.
@@ -57,7 +65,7 @@ fn printed(command: &str) -> Vec<String> {
         let output = osteoflow().args(&words).output().unwrap();
         // Of several commands the last is shown.
         text = [&output.stderr, &output.stdout].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
-        assert!(output.status.code().is_some_and(|code| matches!(code, 0 | 3 | 4)), "{part}: {text}");
+        assert!(output.status.code().is_some_and(|code| matches!(code, 0 | 2 | 3 | 4)), "{part}: {text}");
     }
     without_progress(&text).iter().map(|line| line.replace(&out, "OUT")).collect()
 }
@@ -68,6 +76,7 @@ fn name(page: &Path) -> String {
 
 #[test]
 fn what_the_pages_print_is_what_the_commands_print() {
+    let _writing = writing();
     const MARK: &str = "<!-- printed: ";
     let mut n_blocks = 0;
     for page in pages() {
@@ -89,7 +98,7 @@ fn what_the_pages_print_is_what_the_commands_print() {
             fs::write(&page, text).unwrap();
         }
     }
-    assert!(n_blocks >= 4, "{n_blocks} blocks");
+    assert!(n_blocks >= 7, "{n_blocks} blocks");
 }
 
 /// A command of a block `console`, and the lines below it.
@@ -119,6 +128,7 @@ fn typed(lines: &[String]) -> Vec<Typed> {
 
 #[test]
 fn what_the_consoles_of_the_pages_show_is_what_their_commands_print() {
+    let _writing = writing();
     let mut n_commands = 0;
     for page in pages() {
         let mut lines: Vec<String> = fs::read_to_string(&page).unwrap().lines().map(str::to_owned).collect();
@@ -157,7 +167,7 @@ fn what_the_consoles_of_the_pages_show_is_what_their_commands_print() {
             fs::write(&page, lines.join("\n") + "\n").unwrap();
         }
     }
-    assert!(n_commands >= 12, "{n_commands} commands");
+    assert!(n_commands >= 10, "{n_commands} commands");
 }
 
 /// The cells of a row of the README's table: mean TRE, iterations and what convergence leaves, by their own words.
@@ -174,6 +184,7 @@ fn cells(results: &Value) -> [String; 3] {
 
 #[test]
 fn the_numbers_of_tables_are_those_of_the_runs() {
+    let _writing = writing();
     const MARK: &str = "<!-- numbers of: ";
     let mut n_rows = 0;
     for page in pages() {

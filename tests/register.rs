@@ -470,7 +470,7 @@ fn a_damaged_file_is_named_with_the_position_of_the_fault() {
             &["points.ply", "scan.ply", "--init", "short.txt"],
             "short.txt: matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 4",
         ),
-        (&["no.stl", "scan.ply"], "no.stl: cannot be read: No such file or directory (os error 2)"),
+        (&["no.stl", "scan.ply"], "no.stl: cannot be read: there is no such file"),
     ] {
         assert_eq!(case.fault(1, arguments), format!("error: {expected}\n"), "{arguments:?}");
     }

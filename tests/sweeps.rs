@@ -184,6 +184,41 @@ fn a_sweep_without_any_result_is_refused_and_one_without_a_value_in_a_column_war
 }
 
 #[test]
+fn the_report_of_a_sweep_tells_a_refusal_once_with_the_runs_that_it_stopped() {
+    let dir = tempfile::tempdir().unwrap();
+    let (graph, out) = (small(dir.path()), path(dir.path(), "out"));
+    // No point pairs within a millionth of a millimetre: two runs of four are refused, by the same words.
+    let reach = "sweep.factor.reach={key=\"icp.max_pair_distance_mm\",values=[5.0,0.000001]}";
+    let sets = ["--set", "sweep.repeat=1", "--set", reach, "--set", "remove=[\"sweep.compare\"]", "--quiet"];
+    let (_, err, code) = output(&[&["sweep", &graph, "--out", &out], &sets[..]].concat());
+    assert!(code == 0, "{err}");
+    let (_, err, code) = output(&["report", &out]);
+    assert!(code == 0, "{err}");
+    let page = fs::read_to_string(path(Path::new(&out), "report.html")).unwrap();
+    let reasons: Vec<&str> = page.split("points lie within").skip(1).collect();
+    assert_eq!(reasons.len(), 1, "{reasons:#?}");
+    assert!(page.contains("2 without results (run "), "the runs are named beside it");
+}
+
+#[test]
+fn a_sweep_without_columns_says_so_instead_of_empty_statistics() {
+    let dir = tempfile::tempdir().unwrap();
+    let (graph, out) = (small(dir.path()), path(dir.path(), "out"));
+    let removed = "remove=[\"sweep.columns\",\"sweep.points\",\"sweep.limit\",\"sweep.compare\"]";
+    let (answer, err, code) = output(&["sweep", &graph, "--out", &out, "--set", "sweep.repeat=1", "--set", removed]);
+    assert!(code == 0 && answer.contains("[sweep.columns]") && !answer.contains("statistics"), "{answer}{err}");
+}
+
+#[test]
+fn a_table_has_one_number_of_runs_and_those_of_units_have_their_names() {
+    let (answer, err, code) = output(&["sweep", &SWEPT.graph, "--out", &SWEPT.out, "--resume", "--verbose"]);
+    assert_eq!(code, 0, "{err}");
+    let head = answer.lines().find(|line| line.contains("95 % interval")).unwrap();
+    let words: Vec<&str> = head.split_whitespace().collect();
+    assert!(!words.contains(&"n") && words.contains(&"procedures"), "{head}");
+}
+
+#[test]
 fn a_factor_over_files_does_not_need_the_file_of_the_graph() {
     let dir = tempfile::tempdir().unwrap();
     let bone = root().join("tests/data/procedure/bone.stl");

@@ -49,12 +49,18 @@ pub(crate) fn with_causes(error: &anyhow::Error) -> String {
     error.chain().map(ToString::to_string).fold(String::new(), |all, cause| {
         if all.is_empty() {
             cause
-        } else if all.contains(&cause) {
+        } else if all.contains(&cause) || is_said(&all, &cause) {
             all
         } else {
             format!("{all}: {cause}")
         }
     })
+}
+
+/// Whether the message says in its own words what the system says.
+fn is_said(message: &str, cause: &str) -> bool {
+    let is_missing = message.ends_with("there is no such file") || message.contains("there is no folder");
+    is_missing && cause.starts_with("No such file or directory")
 }
 
 #[cfg(test)]

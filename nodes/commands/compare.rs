@@ -68,8 +68,9 @@ impl Compare {
             0 => self.runs(global),
             n if n == self.folders.len() => self.sweeps(global),
             _ => {
-                let of =
-                    |dir: &PathBuf| format!("{} is {}", dir.display(), if is_sweep(dir) { "a sweep" } else { "none" });
+                let of = |dir: &PathBuf| {
+                    format!("{} is {}", dir.display(), if is_sweep(dir) { "a sweep" } else { "no sweep" })
+                };
                 let found = self.folders.iter().map(of).collect::<Vec<_>>().join(", ");
                 let message =
                     format!("runs and sweeps cannot be compared with each other: {found}; name folders of one kind");

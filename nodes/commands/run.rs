@@ -91,10 +91,9 @@ impl Run {
         if let Some(scan) = &self.scan {
             let is_graph = |file: &Path| file.extension().is_some_and(|ending| ending == "toml");
             if is_graph(scan) || is_graph(&request.graph.graph) {
-                let first = request.graph.graph.display();
+                let (first, second) = (request.graph.graph.display(), scan.display());
                 return Err(UsageError(format!(
-                    "run takes one graph, and {} comes after {first}: run one after the other; a graph with changes is a file with extends, or --set",
-                    scan.display()
+                    "run takes one graph, and {first} and {second} are named: run each by itself; a file with extends, or --set, changes a graph"
                 ))
                 .into());
             }

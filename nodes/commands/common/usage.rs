@@ -66,7 +66,8 @@ fn tip(message: &Error, arguments: &[&str]) -> Option<String> {
             let of = |(of, options, _): &&(&str, &[&str], &str)| {
                 (of.is_empty() || *of == command) && options.contains(&invalid.split('=').next().unwrap_or(invalid))
             };
-            OTHERS.iter().find(of).map(|(_, _, tip)| (*tip).to_owned())
+            let tip = OTHERS.iter().find(of).map(|(_, _, tip)| *tip)?;
+            Some(if tip.starts_with('-') { format!("write {tip}") } else { tip.to_owned() })
         }
         ErrorKind::UnknownArgument if command == "register" => {
             Some("one scan is registered at a time; osteoflow register BONE SCAN".into())
@@ -76,7 +77,11 @@ fn tip(message: &Error, arguments: &[&str]) -> Option<String> {
             let what = Data::of(Path::new(file));
             match Path::new(file).extension().is_some_and(|ending| ending == "toml") {
                 true => Some(format!("{file} is a graph by its name: osteoflow run {file}")),
-                false => what.map(|what| format!("{file} is {}: osteoflow register BONE SCAN", what.what())),
+                false => what.map(|what| match what {
+                    Data::Surface | Data::Ct => format!("{file} is {}: osteoflow register {file} SCAN", what.what()),
+                    Data::Scan => format!("{file} is {}: osteoflow register BONE {file}", what.what()),
+                    _ => format!("{file} is {}: osteoflow register BONE SCAN", what.what()),
+                }),
             }
         }
         ErrorKind::TooFewValues | ErrorKind::WrongNumberOfValues if command == "compare" => {

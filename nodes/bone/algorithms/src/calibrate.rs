@@ -193,7 +193,7 @@ pub fn phantom_icp(
     let n_free = 6 - fit.report.observability.eigenvalues.iter().filter(held).count();
     if n_free > 0 {
         return Err(Refusal::of(format!(
-            "the scan of the phantom leaves {n_free} of 6 motions free; show at least three of its faces to the camera"
+            "the scan of the phantom leaves {n_free} of 6 motions free; show at least three of its faces to the camera; is it the scan of the phantom?"
         )));
     }
 

@@ -88,7 +88,7 @@ impl Judging<'_> {
         let Case { registered, landmarks, assessment, planes, .. } = *self.case;
         let points: Vec<NamedPoint> = landmarks.iter().chain(assessment).cloned().collect();
         let mut reasons = registered.target.mesh().map(|mesh| plan_faults(mesh, &points, planes)).unwrap_or_default();
-        reasons.extend(extent_reason(registered.source));
+        reasons.extend(extent_reason(registered.source, registered.target.points(), self.case.start.is_some()));
         reasons.extend(self.case.slide.map(slide_reasons).unwrap_or_default());
         reasons.extend(check_reason(self.case.check, registered.source.stamp_ns, self.rules.max_check_mm));
         reasons.extend(self.order.as_ref().and_then(order_reason));

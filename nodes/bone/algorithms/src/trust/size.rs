@@ -11,10 +11,10 @@ const LONGER: f64 = 1.5;
 const MISFIT_MM: f64 = 1.0;
 
 /// Lengths of whole bones that are registered, mm.
-const BONE_MM: std::ops::RangeInclusive<f64> = 60.0..=600.0;
+pub(super) const BONE_MM: std::ops::RangeInclusive<f64> = 60.0..=600.0;
 
 /// Units of files that are not in mm, with their names.
-const UNITS: [(f64, &str); 3] = [(10.0, "cm"), (25.4, "inches"), (1000.0, "metres")];
+pub(super) const UNITS: [(f64, &str); 3] = [(10.0, "cm"), (25.4, "inches"), (1000.0, "metres")];
 
 /// The reason against a bone that is much smaller than the scan, neither of which fits the other.
 pub(super) fn size_reason(registered: &Registered<'_>, evidence: &Evidence) -> Option<Reason> {
@@ -58,7 +58,7 @@ pub(super) fn size_reason(registered: &Registered<'_>, evidence: &Evidence) -> O
 }
 
 /// The diagonal of the box around points, mm.
-fn span(points: &[Point3<f64>]) -> Option<f64> {
+pub(super) fn span(points: &[Point3<f64>]) -> Option<f64> {
     let first = points.first()?;
     let (low, high) = points.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
     Some((high - low).norm())

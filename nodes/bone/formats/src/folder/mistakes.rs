@@ -170,8 +170,8 @@ fn times(file: &PosesFile, scans: &[StampNs]) -> Result<(), FileError> {
             return Err(fault(&file.path, first.line, message));
         }
         let (before, gap_ns) = match (scan as f64) < ends.0 {
-            true => ("before the first", ends.0 - scan as f64),
-            false => ("after the last", scan as f64 - ends.1),
+            true => ("earlier than the first", ends.0 - scan as f64),
+            false => ("later than the last", scan as f64 - ends.1),
         };
         let message = format!(
             "t_ns is {}, and the stamp of a scan in procedure.toml is {scan} ns, {} {before} pose; likely cause: the scan is of another \

@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// KITTI, `t_ns,parent,child,..`, and tables of NDI, Atracsys and others, whose heading `columns` describes.
 ///
 /// Each entry of `out` is a port with `type = "geometry/Pose"`, its frames, and `parent` and `child` where the log has several
-/// transforms. A tool that was not seen is an empty with the reason: a status other than `OK`, numbers that are missing, an all-zero
+/// transforms. A tool that was not seen gives an empty item that says why: a status other than `OK`, numbers that are missing, an all-zero
 /// quaternion. Frames that several transforms join, or an inverse, are joined as tf of ROS does it. docs/use/formats.md has the units and
 /// senses of the formats.
 #[derive(Describe)]
