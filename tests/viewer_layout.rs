@@ -36,8 +36,11 @@ fn page_and_report_can_be_read_and_hit_from_360_to_2560_pixels_light_and_dark() 
     let served = Served::start(&["view", run.to_str().unwrap(), "--picks", picks.to_str().unwrap()]);
     browser.events.clear();
     browser.call("Page.navigate", json!({ "url": served.page }));
+    browser.wait_until("typeof osteoflow === 'object' && osteoflow.scene.drawn.has('bone.mesh')");
+    browser
+        .evaluate("(() => { const time = document.getElementById('time'); time.value = '1000'; time.onchange(); })()");
     browser.wait_until(
-        "typeof osteoflow === 'object' && osteoflow.verdict !== null && osteoflow.scene.drawn.get('to_bone.cloud')?.object.visible === true",
+        "osteoflow.verdict !== null && osteoflow.scene.drawn.get('to_bone.cloud')?.object.visible === true",
     );
     let mut all = faults(browser, "view");
     // With all that can be open.
