@@ -96,6 +96,8 @@ mod viewer;
 mod viewer_bones;
 #[cfg(unix)]
 mod viewer_hands;
+#[cfg(unix)]
+mod viewer_layout;
 mod viewer_notebook;
 #[cfg(unix)]
 mod viewer_picking;

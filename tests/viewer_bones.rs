@@ -1,7 +1,7 @@
 //! The hand on bones of others, which lie along x, y and z as their files have them or are turned there, and on one that was measured by tracked
 //! ultrasound: turned, registered from pairs, and cropped by real events of a mouse and of fingers, with poses that are known.
 
-use crate::common::{browser::Browser, data};
+use crate::common::{browser::Browser, data, is_slow_run};
 use crate::viewer_hands::{Case, crop_by_hand, pair_by_hand, t_world_camera, turn_by_hand};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::mesh_or_cloud::{read_cloud, read_mesh};
@@ -77,10 +77,13 @@ fn cases(test: &str) -> Vec<Case> {
         let mesh = bone(&file).transformed("ct", &Isometry3::from_parts(Vector3::new(0.0, 20.0, -40.0).into(), turn));
         cases.push(made("TLEM2 fibula, turned along x", &mesh));
     }
-    if let Some(file) = data(test, "bones/myosim_fibula_r.stl") {
+    if !is_slow_run() {
+        println!("skipped: {test}: the fibulas along y and z; they run with SLOW_TESTS");
+    }
+    if let Some(file) = data(test, "bones/myosim_fibula_r.stl").filter(|_| is_slow_run()) {
         cases.push(made("MyoSim fibula, along y", &bone(&file)));
     }
-    if let Some(file) = data(test, "bones/MC22_fibula_r.stl") {
+    if let Some(file) = data(test, "bones/MC22_fibula_r.stl").filter(|_| is_slow_run()) {
         cases.push(made("MC22 fibula, along z", &bone(&file)));
     }
     if let (Some(file), Some(measured)) = (

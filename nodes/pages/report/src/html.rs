@@ -119,13 +119,21 @@ impl Page {
             Answer::Refused => "<path d=\"M8 2h8l6 6v8l-6 6H8l-6-6V8z\"/><path d=\"M7.5 7.5l9 9M16.5 7.5l-9 9\"/>",
         };
         let name = answer.name();
+        let mut against: Vec<_> = verdict.against().collect();
+        let mut sentence = verdict.sentence();
+        // A sentence that is made of the first reason gives way to the reason with its remedy, as on the live page.
+        let worst = against.iter().position(|reason| reason.answer == answer);
+        if let Some(k) = worst.filter(|&k| sentence.starts_with(&against[k].reason)) {
+            let first = against.remove(k);
+            let remedy = if first.remedy.is_empty() { String::new() } else { format!("; {}", first.remedy) };
+            sentence = format!("{}{remedy}", first.reason);
+        }
         let _ = writeln!(
             self.body,
             "<section class=\"verdict {name}\" aria-label=\"verdict\"><p class=\"answer\"><svg viewBox=\"0 0 24 24\" \
              role=\"img\" aria-label=\"{name}\">{shape}</svg><b>{name}</b> {}</p>",
-            escape(&verdict.sentence())
+            escape(&sentence)
         );
-        let against: Vec<_> = verdict.against().collect();
         if !against.is_empty() {
             self.body.push_str("<ul>");
             for reason in against {
