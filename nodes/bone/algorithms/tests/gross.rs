@@ -130,6 +130,6 @@ fn a_body_that_turns_into_itself_is_never_trusted() {
     for (what, points) in [("a side", side), ("its neck", part)] {
         let verdict = judged(&target, &Cloud::new("scan", points).unwrap());
         let reasons: Vec<&str> = verdict.iter().flat_map(|v| &v.reasons).map(|reason| &*reason.rule).collect();
-        assert!(verdict.is_none_or(|verdict| verdict.answer != Answer::Trusted), "{what}: {reasons:?}");
+        assert!(verdict.as_ref().is_none_or(|verdict| verdict.answer != Answer::Trusted), "{what}: {reasons:?}");
     }
 }
