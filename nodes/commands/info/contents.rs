@@ -313,7 +313,7 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
             let of_room = room_span(read.cloud.points()).map(|mm| {
                 format!(
                     "the points span {mm:.1} mm about the origin, near and far from it: small for a bone, but as a room has them in metres; if they are, \
-                     give --unit-mm 1000"
+                     give register --unit-mm 1000"
                 )
             });
             let mut contents = Contents::new("cloud", "a cloud of points");

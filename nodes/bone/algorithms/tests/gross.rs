@@ -1,7 +1,7 @@
 //! What is named first where scan and surface are of different bones, or one is mirrored. With `SLOW_TESTS` more stretches are scanned.
 
 use crate::common::{Bone, USUAL, bones, own_bone};
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::coarse::{GlobalParams, global};
 use osteoflow_algorithms::icp::{self, IcpParams, Method};
 use osteoflow_algorithms::mesh_query::MeshQuery;
@@ -9,6 +9,7 @@ use osteoflow_algorithms::sample;
 use osteoflow_algorithms::target::Target;
 use osteoflow_algorithms::trust::{self, Answer, Case, EvidenceParams, PredictParams, Registered, RuleParams, Verdict};
 use osteoflow_geometry::{Cloud, Mesh, NamedPoint, SurfaceOrigin};
+use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use std::ops::ControlFlow;
 
@@ -84,4 +85,51 @@ fn a_gross_mistake_is_never_first_named_a_stretch_of_the_ct() {
         }
     }
     assert!(all.len() == 1 || n_named > 5, "{n_named} causes were named beside gross mistakes");
+}
+
+/// A closed body of revolution, as a bottle: about z, its radius at 49 heights.
+fn bottle() -> Mesh {
+    let (rings, around) = (49_u32, 96_u32);
+    let radius = |z: f64| 30.0 - 16.0 / (1.0 + (-(z - 72.0) / 6.0).exp());
+    let point = |i: u32, j: u32| {
+        let (z, turn) = (2.4 * f64::from(i), f64::from(j) / f64::from(around) * std::f64::consts::TAU);
+        Point3::new(radius(z) * turn.cos(), radius(z) * turn.sin(), z)
+    };
+    let mut vertices: Vec<Point3<f64>> = (0..rings).flat_map(|i| (0..around).map(move |j| point(i, j))).collect();
+    vertices.extend([Point3::origin(), Point3::new(0.0, 0.0, 2.4 * f64::from(rings - 1))]);
+    let (bottom, top) = (rings * around, rings * around + 1);
+    let mut faces = Vec::new();
+    for j in 0..around {
+        let next = (j + 1) % around;
+        for i in 0..rings - 1 {
+            let [a, b] = [j, next].map(|j| i * around + j);
+            faces.extend([[a, b, a + around], [b, b + around, a + around]]);
+        }
+        let last = (rings - 1) * around;
+        faces.extend([[bottom, next, j], [top, last + j, last + next]]);
+    }
+    Mesh::new("ct", SurfaceOrigin::User, vertices, faces).unwrap()
+}
+
+#[test]
+fn a_body_that_turns_into_itself_is_never_trusted() {
+    let mesh = bottle();
+    let target = target_of(&mesh);
+    let seen = sample::surface(&mesh, 20_000, &mut ChaCha8Rng::seed_from_u64(3));
+    let towards = Vector3::new(0.8, 0.3, 0.52);
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let t_scan = Isometry3::new(Vector3::new(90.0, -40.0, 300.0), Vector3::new(1.0, -0.5, 2.0));
+    let side: Vec<Point3<f64>> = seen
+        .points
+        .iter()
+        .zip(&seen.normals)
+        .filter(|(_, normal)| normal.dot(&towards) > 0.25)
+        .map(|(p, normal)| t_scan * (p + normal * (0.1 * (2.0 * rng.random::<f64>() - 1.0))))
+        .collect();
+    let part: Vec<Point3<f64>> = side.iter().filter(|p| (t_scan.inverse() * *p).z > 50.0).copied().collect();
+    for (what, points) in [("a side", side), ("its neck", part)] {
+        let verdict = judged(&target, &Cloud::new("scan", points).unwrap());
+        let reasons: Vec<&str> = verdict.iter().flat_map(|v| &v.reasons).map(|reason| &*reason.rule).collect();
+        assert!(verdict.as_ref().is_none_or(|verdict| verdict.answer != Answer::Trusted), "{what}: {reasons:?}");
+    }
 }

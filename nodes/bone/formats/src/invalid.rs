@@ -29,7 +29,8 @@ pub(crate) fn invalid(points: &[Point3<f64>], n_points: usize) -> Option<Invalid
     let values = values(points);
     let keep: Vec<bool> = points.iter().map(|p| values.iter().all(|(value, _)| value != p)).collect();
     let n = values.iter().map(|(_, n)| n).sum();
-    let shown: Vec<String> = values.iter().map(|(p, n)| format!("{n} at {}, {}, {}", p.x, p.y, p.z)).collect();
+    let shown: Vec<String> =
+        values.iter().map(|(p, n)| format!("{n} at {}, {}, {}", p.x + 0.0, p.y + 0.0, p.z + 0.0)).collect();
     let shown = shown.join(", ");
     let note =
         format!("{n} of {n_points} points are pixels without depth, far from all others ({shown}), and were left out");
