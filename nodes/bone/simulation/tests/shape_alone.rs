@@ -164,7 +164,10 @@ impl Counted {
         let rules: Vec<&str> = verdict.reasons.iter().map(|reason| &*reason.rule).collect();
         if is_right && is_flagged {
             let clearness = fit.report.clearness;
-            println!("{name}, {from_mm:.0} to {to_mm:.0} mm: right, clearness {clearness:.2}, {:?} by {rules:?}", verdict.answer);
+            println!(
+                "{name}, {from_mm:.0} to {to_mm:.0} mm: right, clearness {clearness:.2}, {:?} by {rules:?}",
+                verdict.answer
+            );
         }
         if !is_right {
             let best = registered(target, &window.scan, &window.t_target_scan).t_target_source;

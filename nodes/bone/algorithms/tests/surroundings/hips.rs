@@ -123,8 +123,8 @@ const HEAD: &str = "| Surroundings | Share | Starts | Found by the search | Righ
 fn row(what: &str, share: f64, all: &[Outcome]) -> String {
     let n = |is: &dyn Fn(&Outcome) -> bool| all.iter().filter(|outcome| is(outcome)).count();
     let answers = |right: bool| {
-        let [trusted, doubtful] = [Answer::Trusted, Answer::Doubtful]
-            .map(|answer| n(&|o| o.right == right && o.answer == Some(answer)));
+        let [trusted, doubtful] =
+            [Answer::Trusted, Answer::Doubtful].map(|answer| n(&|o| o.right == right && o.answer == Some(answer)));
         format!("{trusted} | {doubtful} | {}", n(&|o| o.right == right) - trusted - doubtful)
     };
     let mut ms: Vec<f64> = all.iter().map(|o| o.search_ms).collect();
@@ -173,8 +173,10 @@ fn hip_bones_among_surroundings_are_never_wrong_and_trusted() {
     for hip in &hips {
         hip.target.prepare();
     }
-    for ((kind, what), share) in KINDS[..kinds].iter().flat_map(|kind| shares.iter().map(move |share| (*kind, *share))) {
-        let is_wanted = |hip: &&Hip| words.split(',').any(|word| format!("{} {kind:?} {share}", hip.name).contains(word));
+    for ((kind, what), share) in KINDS[..kinds].iter().flat_map(|kind| shares.iter().map(move |share| (*kind, *share)))
+    {
+        let is_wanted =
+            |hip: &&Hip| words.split(',').any(|word| format!("{} {kind:?} {share}", hip.name).contains(word));
         let wanted = hips.iter().filter(is_wanted).flat_map(|hip| (0..n).map(move |seed| (hip, seed)));
         let all: Vec<Outcome> =
             one_thread.install(|| wanted.map(|(hip, seed)| hip.outcome(kind, share, seed)).collect());
