@@ -116,7 +116,9 @@ fn the_benchmark_finds_the_pairs_of_each_layout_and_prints_a_row_for_each() {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         (output.status.success(), text(&output.stdout), text(&output.stderr))
     };
-    let (is_done, out, err) = benchmark(&set, &[]);
+    let kept = dir.path().join("kept");
+    let in_kept = ["--out", kept.to_str().unwrap()];
+    let (is_done, out, err) = benchmark(&set, &in_kept);
     assert!(is_done && err.contains("specimen03_tibia.xyz: no surface of that name, left out"), "{out}{err}");
     let row =
         |name: &str| out.lines().find(|line| line.starts_with(&format!("| osteoflow | {name} |"))).map(str::to_owned);
@@ -125,6 +127,12 @@ fn the_benchmark_finds_the_pairs_of_each_layout_and_prints_a_row_for_each() {
         assert!(row.contains(&format!("| {name} | 1 | 1 | 1.00 | 0.0")), "{row}");
     }
     assert!(row("all").is_some_and(|row| row.contains("| all | 3 | 3 | 1.00 |")), "{out}");
+    // More starts are added to those that are kept, which stay.
+    let first = |run: &str| fs::read(kept.join("sweep/runs").join(run)).unwrap();
+    let before = first("000000.json");
+    let (is_done, out, err) = benchmark(&set, &[in_kept[0], in_kept[1], "--repeat", "2"]);
+    assert!(is_done && out.contains("| osteoflow | all | 6 | 6 | 1.00 |"), "{out}{err}");
+    assert_eq!(first("000000.json"), before, "a run that is kept is not made again");
     let (is_done, _, err) = benchmark(&set.join("preoperative"), &[]);
     assert!(!is_done && err.contains("no pair of preoperative/NAME.stl and intraoperative/NAME.xyz"), "{err}");
 }

@@ -65,8 +65,8 @@ impl Case {
                     let what = format!(
                         "#{seed} {mm:.1} mm {deg:.0} deg, clearness {:.2}, left {:.3} mm, {:.3} mm at the truth",
                         fit.report.clearness,
-                        self.left_mm(&coarse),
-                        self.left_mm(&Isometry3::identity())
+                        left_mm(&self.target, &self.placed, &coarse),
+                        left_mm(&self.target, &self.placed, &Isometry3::identity())
                     );
                     (is_right, fit.report.clearness >= CLEAR, what)
                 }
@@ -81,22 +81,22 @@ impl Case {
         counted
     }
 
-    /// RMS distance of the scan from the surface, moved from where it belongs, with distances limited to 2 mm.
-    fn left_mm(&self, by: &Isometry3<f64>) -> f64 {
-        let normals = self.target.normals().unwrap();
-        let squares = self.placed.iter().map(|p| {
-            let moved = by * p;
-            let near = self.target.nearest(&moved, 2.0);
-            near.map_or(2.0, |(k, _)| (moved - self.target.points()[k]).dot(&normals[k]).abs()).powi(2)
-        });
-        (squares.sum::<f64>() / self.placed.len() as f64).sqrt()
-    }
-
     fn registered(&self, cloud: &Cloud, start: &Isometry3<f64>) -> Isometry3<f64> {
         let go_on = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
         let fit = icp::register(Method::PointToPlane, &self.target, cloud, start, &IcpParams::default(), go_on);
         fit.map_or(*start, |fit| fit.t_target_source)
     }
+}
+
+/// RMS distance of a scan from the surface, moved from where it belongs, with distances limited to 2 mm.
+pub(crate) fn left_mm(target: &Target, placed: &[Point3<f64>], by: &Isometry3<f64>) -> f64 {
+    let normals = target.normals().unwrap();
+    let squares = placed.iter().map(|p| {
+        let moved = by * p;
+        let near = target.nearest(&moved, 2.0);
+        near.map_or(2.0, |(k, _)| (moved - target.points()[k]).dot(&normals[k]).abs()).powi(2)
+    });
+    (squares.sum::<f64>() / placed.len() as f64).sqrt()
 }
 
 /// A pose of points about their centroid: turned by up to 180 degrees and shifted by up to 500 mm along each axis.
