@@ -135,7 +135,7 @@ def of_dcmtk():
     twelve = written("dcmtk-twelve", of_12_bits)
     for name, source, command, tolerance in (
         ("JPEG-LS", plain, ["dcmcjpls"], TOLERANCE_MM),
-        ("JPEG-LS near-lossless", plain, ["dcmcjpls", "+en"], 2 * TOLERANCE_MM),
+        ("JPEG-LS near-lossless", twelve, ["dcmcjpls", "+en"], 2 * TOLERANCE_MM),
         # Two bits are cut off: up to 3 HU.
         ("JPEG lossless with a point transform", plain, ["dcmcjpeg", "+e1", "+pt", "2"], 0.15),
         # Of 12 bits; the errors of the compression at quality 100 are some HU of 0.02 mm each.

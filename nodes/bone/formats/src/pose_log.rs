@@ -23,7 +23,9 @@ mod write_tum;
 pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
 pub use write_tum::write_tum;
 
-use crate::{FileError, LostPose, StampOrder, input, metaimage_header::is_metaimage, poses_csv};
+use crate::{
+    FileError, LostPose, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage, poses_csv, refused::refusal,
+};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
     Frame, MM_PER_M, Nearest, Pose, RigidError, StampNs, TooFar, nearest_isometry, nearest_rotation,
@@ -150,7 +152,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
     let format = match options.format {
         Some(format) => format,
         None if options.columns.is_some() => LogFormat::Table,
-        None => log_format(path)?.ok_or_else(|| unknown(path))?,
+        None => log_format(path)?.map_or_else(|| unknown(path), Ok)?,
     };
     let unit_mm = options.unit_mm.unwrap_or_else(|| format.unit_mm());
     let mut log = Log::default();
@@ -180,10 +182,16 @@ fn no_pose(path: &Path, notes: &[String]) -> FileError {
     FileError::content(path, "poses", format!("there is no pose in the file; {why}"))
 }
 
-fn unknown(path: &Path) -> FileError {
+/// That a file is no log, by its own name where that is known.
+fn unknown(path: &Path) -> Result<LogFormat, FileError> {
+    let bytes = input::read(path)?;
+    if let Some(message) = refusal(path, &bytes) {
+        return Err(FileError::content(path, "byte 0", message));
+    }
+    Cursor::text(path, &bytes)?;
     let message = "no log of poses is recognised: .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, or \
                    t_ns,parent,child,x,y,z,qx,qy,qz,qw; describe the heading of another table by columns";
-    FileError::content(path, "byte 0", message)
+    Err(FileError::content(path, "byte 0", message))
 }
 
 /// A rotation as a file gives it.

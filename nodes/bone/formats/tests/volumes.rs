@@ -824,6 +824,27 @@ fn a_transfer_syntax_that_is_not_read_is_refused_by_its_name_with_what_converts_
         let message = folder_refusal(&Dicom { syntax, ..dicom() }.folder(0..2));
         assert!(message.contains(expected), "{syntax}: {message}");
     }
+    // The commands take a folder with blanks.
+    let folder = tempfile::tempdir().unwrap();
+    let blank = folder.path().join("my CT");
+    for (syntax, ending) in [("1.2.840.10008.1.2.4.80", "/*; do "), ("1.2.840.10008.1.2.4.201", "]' ")] {
+        Dicom { syntax, ..dicom() }.write(&blank, [0]);
+        let message = read(&blank).unwrap_err();
+        let path = format!("'{}'", blank.display());
+        assert!(message.contains(&path) && message.contains(ending), "{message}");
+    }
+}
+
+#[test]
+fn a_gzip_file_of_a_text_is_no_volume() {
+    for (bytes, is_one) in
+        [(&b"1 2 3\n4 5 6\n7 8 9\n1 2 3\n"[..], false), (&[92, 1, 0, 0, 0, 0, 0, 0][..], true), (b"", true)]
+    {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let head = [bytes, &[0; 40][..if bytes.is_empty() { 0 } else { 40 }]].concat();
+        std::fs::write(file.path(), gzip(&head)).unwrap();
+        assert_eq!(osteoflow_formats::volume::is_volume(file.path()), is_one, "{bytes:?}");
+    }
 }
 
 #[test]

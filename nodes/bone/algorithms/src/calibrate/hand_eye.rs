@@ -18,7 +18,7 @@ const N_MOTIONS: usize = 1000;
 /// Unit of length of the dual quaternions, mm: a metre. In millimetres the lengths would outweigh the turns, and the rotation errs three
 /// times as much.
 const DUAL_UNIT_MM: f64 = 1000.0;
-/// Poses that fit another sense of theirs this many times better are given in that sense. Noise makes all senses fit alike.
+/// Poses that fit this many times better as inverses are such. Noise makes both fit alike.
 const OTHER_SENSE: f64 = 5.0;
 /// Number of parts of the poses, each of which is left out once for the predicted error.
 const N_PARTS: usize = 20;
@@ -92,7 +92,7 @@ struct Motion {
 ///
 /// # Errors
 /// [`Refusal`] if there are fewer than three poses, one is not finite, the motions turn too little or about one axis alone, or the poses
-/// fit far better as inverses or exchanged.
+/// of the marker or of the target are inverses.
 ///
 /// # Source
 /// Park and Martin 1994, IEEE Trans. Robotics and Automation 10; Tsai and Lenz 1989, ibid. 5; Daniilidis 1999, Int. J. Robotics
@@ -171,35 +171,22 @@ fn placed(pairs: &[(Isometry3<f64>, Isometry3<f64>)], fit: &Isometry3<f64>) -> (
     (placed, squares)
 }
 
-/// Refuses poses that fit far better in another sense.
+/// Refuses poses of which either the marker's or the target's are inverses: they fit far better if the target's are inverted.
+///
+/// If both are, or marker and target are exchanged, the equations hold as well, for the target in the tracker's frame.
 fn check_sense(pairs: &[(Isometry3<f64>, Isometry3<f64>)], fit: &Isometry3<f64>) -> Result<(), Refusal> {
     let rms = |pairs: &[_], fit: &_| (placed(pairs, fit).1.iter().sum::<f64>() / pairs.len() as f64).sqrt();
     let rms_mm = rms(pairs, fit);
-    let senses: [(fn(&Isometry3<f64>, &Isometry3<f64>) -> (Isometry3<f64>, Isometry3<f64>), &str); 3] = [
-        (
-            |marker, target| (*marker, target.inverse()),
-            "the target's poses are those of the camera in the target; give the target in the camera",
-        ),
-        (
-            |marker, target| (marker.inverse(), *target),
-            "the marker's poses are those of the tracker in the marker; give the marker in the tracker",
-        ),
-        (
-            |marker, target| (marker.inverse(), target.inverse()),
-            "marker and target are exchanged, or the poses of both are inverses; exchange the two inputs",
-        ),
-    ];
-    for (sense, what) in senses {
-        let other: Vec<_> = pairs.iter().map(|(marker, target)| sense(marker, target)).collect();
-        let Some(fit) = solution(Method::ParkMartin, &motions(&other)) else { continue };
-        let other_mm = rms(&other, &fit);
-        if other_mm * OTHER_SENSE < rms_mm {
-            return Err(Refusal::of(format!(
-                "the target is {rms_mm:.2} mm RMS from one place with these poses, and {other_mm:.2} mm if {what}"
-            )));
-        }
+    let inverted: Vec<_> = pairs.iter().map(|(marker, target)| (*marker, target.inverse())).collect();
+    let Some(other) = solution(Method::ParkMartin, &motions(&inverted)) else { return Ok(()) };
+    let other_mm = rms(&inverted, &other);
+    if other_mm * OTHER_SENSE >= rms_mm {
+        return Ok(());
     }
-    Ok(())
+    Err(Refusal::of(format!(
+        "the target is {rms_mm:.2} mm RMS from one place with these poses, and {other_mm:.2} mm if those of the marker or of the target \
+         are inverted; give the marker in the tracker's frame, and the target in the camera's"
+    )))
 }
 
 /// The motions between all pairs of poses, or an even thinning of them.
@@ -487,23 +474,25 @@ mod tests {
         }
     }
 
-    /// Poses in another sense give a calibration of their own with a residual of hundreds of millimetres, which is no fault of the fit.
+    /// Such poses give a calibration of their own with a residual of hundreds of millimetres, which is no fault of the fit.
     #[test]
-    fn poses_that_are_inverses_or_exchanged_are_refused_by_what_they_are() {
+    fn poses_of_which_one_are_inverses_are_refused_and_exchanged_ones_give_the_target_in_the_tracker() {
+        let inverses = |of: &[Isometry3<f64>]| of.iter().map(Isometry3::inverse).collect::<Vec<_>>();
         for (n, noise_mm) in [(4, 0.0), (4, 0.2), (20, 0.0), (20, 0.5)] {
             for seed in 0..20 {
                 let (marker, target) = poses(n, Vector3::repeat(1.0), noise_mm, seed);
-                let inverses = |of: &[Isometry3<f64>]| of.iter().map(Isometry3::inverse).collect::<Vec<_>>();
                 let (marker_inverse, target_inverse) = (inverses(&marker), inverses(&target));
                 for method in Method::ALL {
-                    hand_eye(&marker, &target, method).unwrap();
-                    for (marker, target, expected) in [
-                        (&marker, &target_inverse, "the target's poses are those of the camera in the target"),
-                        (&marker_inverse, &target, "the marker's poses are those of the tracker in the marker"),
-                        (&target, &marker, "marker and target are exchanged, or the poses of both are inverses"),
-                    ] {
+                    let right = hand_eye(&marker, &target, method).unwrap().t_marker_camera;
+                    for (marker, target) in [(&marker, &target_inverse), (&marker_inverse, &target)] {
                         let error = hand_eye(marker, target, method).unwrap_err().to_string();
+                        let expected = "if those of the marker or of the target are inverted";
                         assert!(error.contains(expected), "{n} poses, {noise_mm} mm, seed {seed}, {method:?}: {error}");
+                    }
+                    if noise_mm == 0.0 {
+                        let exchanged = hand_eye(&target, &marker, method).unwrap().t_marker_camera;
+                        let off = exchanged * marker[0] * right * target[0];
+                        assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-9, "{off}");
                     }
                 }
             }

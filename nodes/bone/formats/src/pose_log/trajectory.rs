@@ -550,6 +550,14 @@ mod tests {
         assert!(log.notes[0].contains("stamps run backwards once, first at line 11"), "{:?}", log.notes);
         let error = read_with("# timestamp tx ty tz qx qy qz qw\n", &options()).unwrap_err().to_string();
         assert!(error.contains("there is no pose in the file; was it cut short?"), "{error}");
+        for (text, expected) in [
+            ("", "the file is empty"),
+            ("PK\u{3}\u{4} and more", "ZIP archive is not read"),
+            ("1 2 3\r4 5 6\r", "lines end with CR alone"),
+        ] {
+            let error = read_with(text, &options()).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}\n{expected}");
+        }
         let kitti = LogOptions { rate_hz: Some(10.0), ..options() };
         let rows = |last: &str| {
             (0..20).map(|k| format!("{KITTI_ROW} 0 0 0 {}\n", if k == 19 { last } else { "1" })).collect::<String>()

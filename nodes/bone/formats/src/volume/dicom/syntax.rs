@@ -1,5 +1,6 @@
 //! Transfer syntaxes: how a data set is written, and how its pixels are compressed.
 
+use crate::foreign_recording::quoted;
 use std::path::Path;
 
 /// How the elements of a data set are written.
@@ -148,13 +149,13 @@ impl Remedy {
             Self::Dcmtk(program) => format!(
                 "pixels in {kind} are not read; convert the whole series with {program} of dcmtk: mkdir RAW; for f in {}/*; do \
                  {program} \"$f\" \"RAW/$(basename \"$f\")\"; done",
-                folder.display()
+                quoted(folder)
             ),
             Self::Pydicom(more) => format!(
                 "pixels in {kind} are not read; convert the whole series with pydicom (pip install pydicom numpy{more}): mkdir RAW; python3 -c \
-                 'import pathlib, pydicom, pydicom.misc; [(d := pydicom.dcmread(f), d.decompress(), d.save_as(\"RAW/\" + f.name)) \
-                 for f in pathlib.Path(\"{}\").iterdir() if f.is_file() and pydicom.misc.is_dicom(f)]'",
-                folder.display()
+                 'import pathlib, pydicom, pydicom.misc, sys; [(d := pydicom.dcmread(f), d.decompress(), d.save_as(\"RAW/\" + f.name)) \
+                 for f in pathlib.Path(sys.argv[1]).iterdir() if f.is_file() and pydicom.misc.is_dicom(f)]' {}",
+                quoted(folder)
             ),
             Self::Export => format!("pixels in {kind} are not read; export the series uncompressed"),
         }
