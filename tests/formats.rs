@@ -205,6 +205,8 @@ impl Files {
                      1403636579763555584,1,2,3,0.8,0,0,0.6\n";
         let kitti = "1 0 0 0.1 0 1 0 0.2 0 0 1 0.3\n1 0 0 0.1 0 1 0 0.2 0 0 1 0.4\n";
         let ndi = "Tools,Port 1: Probe,Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n1,Port 1,7,1.5,1,OK,1,0,0,0,1,2,3,0.1\n";
+        let tool = "ToolInfo,Frame#,PortHandle,Face#,timespec_s,timespec_ns,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,#Markers";
+        let sample = format!("#Tools,{tool}\n1,A s/n:1,7,Port:10,0,1700000000,5,Enabled,1,0,0,0,1,2,3,0.1,0\n");
         let csv = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n10,world,marker,1,2,3,0,0,0,1\n20,world,marker,,,,,,,\n";
         vec![
             Line {
@@ -232,6 +234,12 @@ impl Files {
                 confirmed: &["evo"],
             },
             Line { format: "NDI Track, CSV", files: poses(self.of("ndi.csv", ndi)), written: None, confirmed: &[] },
+            Line {
+                format: "NDI, sample program of the Combined API, CSV",
+                files: poses(self.of("sample.csv", sample)),
+                written: None,
+                confirmed: &[],
+            },
             Line {
                 format: "CSV `t_ns,parent,child,x,..`",
                 files: poses(self.of("poses.csv", csv)),

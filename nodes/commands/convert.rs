@@ -120,7 +120,7 @@ impl Convert {
             return self.done(&done, &notes, global);
         }
         let log = if self.input.is_file() { log_format(&self.input)? } else { None };
-        if log.is_some() || self.log.describes_a_table() {
+        if log.is_some() || self.log.says_poses() {
             let (done, notes) = self.poses(log)?;
             return self.done(&done, &notes, global);
         }

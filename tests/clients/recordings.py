@@ -74,6 +74,26 @@ def mcap_python():
     assert all(len(topics) == 1 for topics in sources.values()), f"one source for each frame: {sources}"
     yield Row(f"{len(sources)} frames, each of one topic", 0.0, "")
     yield from places(path, edges)
+    yield from pictures()
+
+
+def pictures():
+    """The images of a run as viewers are shown them, and as they were."""
+    import mcap.reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    out = recorded("graphs/variants/fibula_rgb_spot.toml")
+    exact = items(out, "recording.image")
+    with open(out / "run.mcap", "rb") as file:
+        reader = mcap.reader.make_reader(file, decoder_factories=[DecoderFactory()])
+        shown = [row.decoded_message for row in reader.iter_decoded_messages(topics=["/view/recording.image"])]
+    assert len(shown) == len(exact) > 0, f"{len(shown)} of {len(exact)} images"
+    worst = 0
+    for picture, item in zip(shown, exact):
+        pixels = item.columns["pixels"].reshape(-1)
+        assert (picture.encoding, len(picture.data)) == ("rgb8", len(pixels)) and picture.step * picture.height == len(pixels)
+        worst = max(worst, int(np.abs(np.frombuffer(picture.data, np.uint8).astype(int) - pixels).max()))
+    yield Row(f"foxglove.RawImage of {len(shown)} images of a run", worst, "levels", 0)
 
 
 def places(path, edges):

@@ -19,6 +19,7 @@ import clouds  # noqa: F401 (each module registers its tests)
 import images  # noqa: F401
 import links  # noqa: F401
 import logs  # noqa: F401
+import opencv  # noqa: F401
 import recordings  # noqa: F401
 import series  # noqa: F401
 import streams  # noqa: F401

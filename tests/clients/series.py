@@ -1,9 +1,11 @@
 """CT series of DICOM as archives compress them: what pydicom and dcmtk write is read here."""
 
+import shlex
 import shutil
+import sys
 
 import numpy as np
-from client import Row, client, debian, folder, osteoflow, run
+from client import Missing, Row, client, debian, folder, osteoflow, run
 from images import ORIGIN, SAMPLED_MM, SIZE, SPACING, ball, oblique, surface_off
 
 # Whole HU of 0.02 mm each.
@@ -55,10 +57,30 @@ def row(what, series):
 
 @client("pydicom", module="pydicom")
 def of_pydicom():
-    from pydicom.uid import EnhancedCTImageStorage, RLELossless
+    from pydicom.encaps import encapsulate
+    from pydicom.uid import UID, EnhancedCTImageStorage, RLELossless, SecondaryCaptureImageStorage
+
+    encapsulated_uncompressed = UID("1.2.840.10008.1.2.1.98")
 
     yield row("oblique", written("pydicom-oblique", direction=oblique()))
     yield row("RLE", written("pydicom-rle", lambda d: d.compress(RLELossless)))
+
+    def encapsulated(d):
+        d.file_meta.TransferSyntaxUID = encapsulated_uncompressed
+        d.PixelData = encapsulate([d.PixelData])
+        d["PixelData"].VR = "OB"
+        d["PixelData"].is_undefined_length = True
+
+    yield row("uncompressed in fragments", written("pydicom-fragments", encapsulated))
+    study = written("pydicom-study")
+    page = data_set(SecondaryCaptureImageStorage, 999)
+    page.SeriesInstanceUID, page.SeriesNumber, page.Rows, page.Columns = "1.2.826.0.1.3680043.2.1125.9", 401, 8, 8
+    page.SamplesPerPixel, page.PhotometricInterpretation, page.PlanarConfiguration = 3, "RGB", 0
+    page.BitsAllocated, page.BitsStored, page.HighBit, page.PixelRepresentation = 8, 8, 7, 0
+    page.PixelData = bytes(8 * 8 * 3)
+    page["PixelData"].VR = "OB"
+    page.save_as(study / "page.dcm", enforce_file_format=True)
+    yield row("beside a page in colours", study)
     from pydicom.dataset import Dataset
 
     voxels, origin = ball(np.eye(3))
@@ -110,14 +132,66 @@ def of_dcmtk():
         for file in plain.iterdir():
             run(*command, file, out / file.name)
         yield row(name, out)
-    out = folder() / "dcmtk-jpeg-ls"
-    out.mkdir()
-    for file in plain.iterdir():
-        run("dcmcjpls", file, out / file.name)
-    done = osteoflow("convert", out, folder() / "none.stl", "--iso-hu", "0", check=False)
-    command = done.stderr.split(": ")[-1].strip()
-    assert done.returncode != 0 and command.startswith("mkdir RAW; for f in "), done.stderr
+    twelve = written("dcmtk-twelve", of_12_bits)
+    for name, source, command, tolerance in (
+        ("JPEG-LS", plain, ["dcmcjpls"], TOLERANCE_MM),
+        ("JPEG-LS near-lossless", twelve, ["dcmcjpls", "+en"], 2 * TOLERANCE_MM),
+        # Two bits are cut off: up to 3 HU.
+        ("JPEG lossless with a point transform", plain, ["dcmcjpeg", "+e1", "+pt", "2"], 0.15),
+        # Of 12 bits; the errors of the compression at quality 100 are some HU of 0.02 mm each.
+        ("JPEG of 12 bits, lossy", twelve, ["dcmcjpeg", "+ee", "+q", "100"], 0.3),
+    ):
+        out = folder() / f"dcmtk-{name}"
+        out.mkdir()
+        for file in source.iterdir():
+            run(*command, file, out / file.name)
+        yield converted(name, out, tolerance)
+
+
+def of_12_bits(d):
+    """Stores a layer of the ball as unsigned numbers of 12 bits."""
+    values = np.frombuffer(d.PixelData, "<i2").astype(int) + int(d.RescaleIntercept)
+    d.BitsStored, d.HighBit, d.PixelRepresentation, d.RescaleIntercept = 12, 11, 0, -2048
+    d.PixelData = np.clip(values + 2048, 0, 4095).astype("<u2").tobytes()
+
+
+def converted(name, series, tolerance=TOLERANCE_MM):
+    """A series that is refused by its name, and read after the command that the refusal names."""
+    done = osteoflow("convert", series, folder() / "none.stl", "--iso-hu", "0", check=False)
+    command = done.stderr[done.stderr.find("mkdir RAW; ") :].strip()
+    assert done.returncode != 0 and command.startswith("mkdir RAW; "), done.stderr
     raw = folder() / "RAW"
     shutil.rmtree(raw, ignore_errors=True)
-    run("sh", "-c", command, cwd=folder())
-    yield row("JPEG-LS by the command that its refusal names", raw)
+    # Its Python is this one, which has the packages.
+    run("sh", "-c", command.replace("python3", shlex.quote(sys.executable)), cwd=folder())
+    what = f"DICOM series, {name} by the command that its refusal names, written and its surface found here"
+    return Row(what, surface_off(raw), tolerance=tolerance)
+
+
+@client("OpenJPH", version=lambda: debian("openjph-tools"), module="pydicom", program="ojph_compress")
+def of_openjph():
+    from pydicom.encaps import encapsulate
+    from pydicom.uid import HTJ2K, HTJ2KLossless, HTJ2KLosslessRPCL
+
+    try:
+        import openjpeg  # noqa: F401 (pydicom decodes by it)
+    except ImportError as error:
+        raise Missing("no Python package pylibjpeg-openjpeg") from error
+    for name, syntax, options, tolerance in (
+        ("high-throughput JPEG 2000, lossless", HTJ2KLossless, ["-reversible", "true"], TOLERANCE_MM),
+        ("high-throughput JPEG 2000, lossless, by resolution", HTJ2KLosslessRPCL, ["-reversible", "true", "-prog_order", "RPCL"], TOLERANCE_MM),
+        ("high-throughput JPEG 2000, lossy", HTJ2K, ["-qstep", "0.0001"], 0.2),
+    ):
+
+        def compress(d):
+            of_12_bits(d)
+            picture, stream = folder() / "layer.pgm", folder() / "layer.j2c"
+            cells = np.frombuffer(d.PixelData, "<u2").astype(">u2").tobytes()
+            picture.write_bytes(b"P5\n%d %d\n4095\n" % (d.Columns, d.Rows) + cells)
+            run("ojph_compress", "-i", picture, "-o", stream, *options)
+            d.file_meta.TransferSyntaxUID = syntax
+            d.PixelData = encapsulate([stream.read_bytes()])
+            d["PixelData"].VR = "OB"
+            d["PixelData"].is_undefined_length = True
+
+        yield converted(name, written(f"openjph-{syntax}", compress), tolerance)

@@ -27,16 +27,26 @@ pub(super) fn lines() -> Vec<Line> {
             &["SimpleITK", "pydicom", "dcmtk"],
         ),
         line("DICOM without preamble", ct(&["without_preamble"]), &["dcmtk"]),
-        line("DICOM study with other pages", ct(&["study"]), &[]),
+        line("DICOM study with other pages", ct(&["study"]), &["pydicom"]),
         line("DICOM in RLE", ct(&["rle"]), &["pydicom", "dcmtk"]),
         line("DICOM in JPEG lossless", ct(&["jpeg_lossless", "jpeg_lossless_predictor_6"]), &["dcmtk"]),
         line("DICOM in JPEG 2000", ct(&["jpeg_2000", "jpeg_2000_fragments"]), &["OpenJPEG (pylibjpeg)"]),
         line("DICOM, enhanced (multi-frame)", ct(&["enhanced.dcm"]), &["pydicom"]),
         line("DICOM in JPEG-LS", refused("jpeg_ls", "convert the whole series with dcmdjpls of dcmtk"), &["dcmtk"]),
         line(
+            "DICOM in lossy JPEG, of 8 or 12 bits",
+            refused("jpeg_12_bits", "convert the whole series with dcmdjpeg of dcmtk"),
+            &["dcmtk"],
+        ),
+        line(
+            "DICOM in high-throughput JPEG 2000",
+            refused("jpeg_2000_high_throughput", "convert the whole series with pydicom"),
+            &["OpenJPH"],
+        ),
+        line(
             "DICOM in JPEG lossless with a point transform",
             refused("jpeg_lossless_point", "convert the whole series with dcmdjpeg of dcmtk"),
-            &[],
+            &["dcmtk"],
         ),
     ]
 }

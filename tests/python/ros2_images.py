@@ -66,7 +66,9 @@ def points(ns, model, coefficients):
     if model == "equidistant":
         rays = cv2.fisheye.undistortPoints(pixels, K, coefficients, criteria=criteria)
     else:
-        rays = cv2.undistortPoints(pixels, K, coefficients, criteria=criteria)
+        # Versions before 5 have a function of its own for the criteria.
+        iterated = getattr(cv2, "undistortPointsIter", None)
+        rays = iterated(pixels, K, coefficients, np.eye(3), np.eye(3), criteria) if iterated else cv2.undistortPoints(pixels, K, coefficients, criteria=criteria)
     depth = depth_mm().reshape(-1).astype(np.float64)
     xyz = (np.hstack([rays.reshape(-1, 2), np.ones((len(depth), 1))]) * depth[:, None])[depth > 0] / 1000.0
     field, data = T["sensor_msgs/msg/PointField"], xyz.astype("<f8")

@@ -50,9 +50,13 @@ impl LogArgs {
         })
     }
 
-    /// Whether a table is described.
-    pub(crate) fn describes_a_table(&self) -> bool {
+    /// Whether the file is said to be a log of poses.
+    pub(crate) fn says_poses(&self) -> bool {
         self.columns.is_some()
+            || self.parent.is_some()
+            || self.child.is_some()
+            || self.rate.is_some()
+            || self.times.is_some()
     }
 
     /// Whether the poses between two frames are wanted.

@@ -180,7 +180,7 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
         return folder_of(file, series);
     }
     let format = log_format(file)?;
-    if format.is_some() || log.describes_a_table() {
+    if format.is_some() || log.says_poses() {
         return poses(file, format, log);
     }
     if is_volume(file) {

@@ -11,11 +11,6 @@ pub(crate) fn kind(bytes: &[u8]) -> Option<&'static str> {
 
 /// What to do about a bag that is not read: the command that makes a folder with an MCAP of it, which is.
 pub(crate) fn advice(bag: &Path) -> String {
-    let quoted = |path: &Path| {
-        let text = path.display().to_string();
-        let is_plain = |c: char| c.is_alphanumeric() || "/._-+:@%".contains(c);
-        if text.chars().all(is_plain) { text } else { format!("'{}'", text.replace('\'', r"'\''")) }
-    };
     let mut folder = bag.with_extension("");
     folder.as_mut_os_string().push("_mcap");
     format!(
@@ -23,6 +18,13 @@ pub(crate) fn advice(bag: &Path) -> String {
         quoted(bag),
         quoted(&folder)
     )
+}
+
+/// A path as a shell takes it.
+pub(crate) fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+:@%".contains(c);
+    if text.chars().all(is_plain) { text } else { format!("'{}'", text.replace('\'', r"'\''")) }
 }
 
 #[cfg(test)]

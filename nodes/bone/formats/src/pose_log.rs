@@ -7,13 +7,14 @@
 //! | EuRoC MAV, CSV | `p_RS_R`, `q_RS` with w first, the pose of S in R | m | nanoseconds |
 //! | KITTI odometry | the upper three rows of `t_fixed_moving` | m | none: a rate, or a file of times |
 //! | [`poses_csv`](crate::poses_csv) | `t_parent_child`, the quaternion's w last | mm | nanoseconds |
-//! | table of NDI's Track, CSV | `Q0 Qx Qy Qz Tx Ty Tz` for each port, the pose of the tool in the tracker, with its state | mm | seconds, or frames |
+//! | table of NDI's Track, or of the sample program of its API, CSV | `Q0 Qx Qy Qz Tx Ty Tz` for each port, the pose of the tool in the tracker, with its state | mm | seconds, or frames |
 //! | any other table, as of Atracsys | as [`Columns`] describes its heading | mm | as described |
 //!
 //! A tool that the tracker did not see is a [`LostPose`]: a status other than `OK`, numbers that are missing or not finite, an
 //! all-zero quaternion. Stamps in text are taken digit by digit, not by a float, which has no nanoseconds left after 1970.
 
 mod columns;
+mod ndi;
 mod sequence;
 mod stamp;
 mod trajectory;
@@ -22,7 +23,9 @@ mod write_tum;
 pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
 pub use write_tum::write_tum;
 
-use crate::{FileError, LostPose, StampOrder, input, metaimage_header::is_metaimage, poses_csv};
+use crate::{
+    FileError, LostPose, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage, poses_csv, refused::refusal,
+};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
     Frame, MM_PER_M, Nearest, Pose, RigidError, StampNs, TooFar, nearest_isometry, nearest_rotation,
@@ -42,6 +45,11 @@ const N_HEAD: u64 = 1 << 16;
 /// A translation beyond this, a kilometre, is a tracker's code for a tool that it does not see.
 const FARTHEST_MM: f64 = 1e6;
 
+/// A tracker sees no farther, mm: a hall of motion capture.
+const FARTHEST_SEEN_MM: f64 = 1e5;
+/// A tracker sees no nearer, mm.
+const NEAREST_SEEN_MM: f64 = 10.0;
+
 /// The format of a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -56,7 +64,7 @@ pub enum LogFormat {
     Kitti,
     /// `t_ns,parent,child,x,y,z,qx,qy,qz,qw`.
     Poses,
-    /// A table of NDI's Track, whose heading begins with `Tools,Port`.
+    /// A table of NDI's Track, whose heading begins with `Tools,Port`, or of the sample program of NDI's API, with `ToolInfo`.
     Ndi,
     /// A table whose heading is described.
     Table,
@@ -85,7 +93,7 @@ impl fmt::Display for LogFormat {
             Self::Euroc => "a EuRoC trajectory",
             Self::Kitti => "a KITTI trajectory",
             Self::Poses => "poses (t_ns, parent, child, ..)",
-            Self::Ndi => "a table of NDI's Track",
+            Self::Ndi => "a table of NDI's programs",
             Self::Table => "a table of poses",
         })
     }
@@ -144,7 +152,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
     let format = match options.format {
         Some(format) => format,
         None if options.columns.is_some() => LogFormat::Table,
-        None => log_format(path)?.ok_or_else(|| unknown(path))?,
+        None => log_format(path)?.map_or_else(|| unknown(path), Ok)?,
     };
     let unit_mm = options.unit_mm.unwrap_or_else(|| format.unit_mm());
     let mut log = Log::default();
@@ -155,20 +163,35 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
         }
         LogFormat::Poses => {
             let poses_csv::PosesRead { poses, notes, .. } = poses_csv::read_poses(path, unit_mm)?;
+            if poses.is_empty() {
+                return Err(no_pose(path, &notes));
+            }
             return Ok(PoseLog { format, poses, notes });
         }
         LogFormat::Ndi | LogFormat::Table => columns::read(path, unit_mm, options, &mut log)?,
     }
     if log.poses.is_empty() {
-        return Err(FileError::content(path, "poses", "there is no pose in the file; was it cut short?"));
+        return Err(no_pose(path, &log.notes));
     }
     Ok(log.finish(format))
 }
 
-fn unknown(path: &Path) -> FileError {
+/// That a log has no pose, and why.
+fn no_pose(path: &Path, notes: &[String]) -> FileError {
+    let why = if notes.is_empty() { "was it cut short?".into() } else { notes.join("; ") };
+    FileError::content(path, "poses", format!("there is no pose in the file; {why}"))
+}
+
+/// That a file is no log, by its own name where that is known.
+fn unknown(path: &Path) -> Result<LogFormat, FileError> {
+    let bytes = input::read(path)?;
+    if let Some(message) = refusal(path, &bytes) {
+        return Err(FileError::content(path, "byte 0", message));
+    }
+    Cursor::text(path, &bytes)?;
     let message = "no log of poses is recognised: .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, or \
                    t_ns,parent,child,x,y,z,qx,qy,qz,qw; describe the heading of another table by columns";
-    FileError::content(path, "byte 0", message)
+    Err(FileError::content(path, "byte 0", message))
 }
 
 /// A rotation as a file gives it.
@@ -237,6 +260,8 @@ struct Stream {
     n: usize,
     n_lost: usize,
     n_at_zero: usize,
+    n_identities: usize,
+    farthest_mm: f64,
     first_ns: StampNs,
     last_ns: StampNs,
 }
@@ -260,6 +285,10 @@ impl Log {
         }
         (stream.last_ns, stream.n) = (*stamp_ns, stream.n + 1);
         stream.n_lost += usize::from(pose.is_err());
+        if let Ok(pose) = &pose {
+            stream.n_identities += usize::from(pose.value.isometry == Isometry3::identity());
+            stream.farthest_mm = stream.farthest_mm.max(pose.value.isometry.translation.vector.norm());
+        }
         self.poses.push(pose);
     }
 
@@ -274,13 +303,42 @@ impl Log {
             if stream.n_lost == stream.n {
                 self.notes.push(format!("{what}: the tool was seen in none of {} samples", stream.n));
             }
-            self.notes.extend(stream.step_note().map(|note| format!("{what}: {note}")));
+            let notes =
+                stream.step_note().into_iter().chain(stream.length_note(format)).chain(stream.identity_note(format));
+            self.notes.extend(notes.map(|note| format!("{what}: {note}")));
         }
         PoseLog { format, poses: self.poses, notes: self.notes }
     }
 }
 
 impl Stream {
+    /// A note, if all positions are as far as those of no tracker, or at one place: their unit is another.
+    fn length_note(&self, format: LogFormat) -> Option<String> {
+        let is_in_metres = format.unit_mm() == MM_PER_M;
+        if is_in_metres && self.farthest_mm > FARTHEST_SEEN_MM {
+            let m = self.farthest_mm / MM_PER_M;
+            return Some(format!(
+                "its positions are up to {m:.0} m away, farther than a tracker sees; are they in mm? then unit_mm = 1 (--scale 0.001)"
+            ));
+        }
+        let is_tiny = !is_in_metres && self.n > 2 && self.farthest_mm > 0.0 && self.farthest_mm < NEAREST_SEEN_MM;
+        is_tiny.then(|| {
+            let mm = self.farthest_mm;
+            format!("its positions are all within {mm:.3} mm of the origin; are they in metres? then unit_mm = 1000 (--scale 1000)")
+        })
+    }
+
+    /// A note on poses that are the identity, which is where a trajectory begins, and no pose of a tracker.
+    fn identity_note(&self, format: LogFormat) -> Option<String> {
+        let (n, of) = (self.n_identities, self.n - self.n_lost);
+        let is_odd = format.names_frames() && n > 0 && n < of;
+        is_odd.then(|| {
+            format!(
+                "{n} of {of} poses are the identity to the last bit, as programs write for a tool that was not seen"
+            )
+        })
+    }
+
     /// A note, if the mean time between poses is that of no tracker: the unit of the stamps is another.
     fn step_note(&self) -> Option<String> {
         if self.n < 3 {

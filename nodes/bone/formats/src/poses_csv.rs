@@ -12,7 +12,7 @@
 
 use crate::{
     FileError, LostPose, StampOrder, input,
-    table::{Row, Table},
+    table::{self, Row, Table},
 };
 use nalgebra::{Isometry3, Quaternion, Translation3};
 use osteoflow_geometry::{Frame, Nearest, Pose, TooFar, nearest_rotation};
@@ -23,7 +23,7 @@ const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy
 
 /// Whether a line is the heading of a poses file.
 pub(crate) fn is_heading(line: &str) -> bool {
-    let names: Vec<&str> = line.split(',').map(str::trim).collect();
+    let names: Vec<&str> = line.split(table::separator(line)).map(str::trim).collect();
     COLUMNS.iter().all(|name| names.contains(name))
 }
 
@@ -153,6 +153,16 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
         read_poses(file.path(), 1.0).map(|read| read.poses)
+    }
+
+    #[test]
+    fn semicolons_and_tabs_separate_and_commas_are_decimal_then() {
+        let text = "t_ns;parent;child;x;y;z;qx;qy;qz;qw\n7;world;bone;1,5;-2,25;3;0;0;0,6;0,8\n";
+        for text in [text.to_owned(), text.replace(';', "\t"), text.replace(',', ".")] {
+            let pose = read(&text).unwrap().remove(0).unwrap().value;
+            assert_eq!((pose.stamp_ns, pose.isometry.translation.vector), (7, Vector3::new(1.5, -2.25, 3.0)), "{text}");
+            assert!((pose.isometry.rotation.k - 0.6).abs() < 1e-12, "{text}");
+        }
     }
 
     #[test]

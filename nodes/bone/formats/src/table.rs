@@ -1,11 +1,13 @@
 //! CSV with a header; errors name line and column.
 
 use crate::{FileError, columns::twice};
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
 
-/// A CSV file: comma-separated, columns found by name, blank lines and lines that begin with `#` passed over.
+/// A CSV file: between commas, or between semicolons or tabs with a decimal point or comma; columns found by name, blank lines and
+/// lines that begin with `#` passed over.
 pub(crate) struct Table<'a> {
     path: &'a Path,
+    separator: char,
     header: Vec<String>,
     records: Vec<(u64, csv::StringRecord)>,
 }
@@ -17,11 +19,22 @@ pub(crate) struct Row<'a> {
     record: &'a csv::StringRecord,
 }
 
+/// What separates the columns of a heading: the one of comma, semicolon and tab of which there are most.
+pub(crate) fn separator(heading: &str) -> char {
+    // Of equals the last is taken: a comma.
+    ['\t', ';', ','].into_iter().max_by_key(|separator| heading.matches(*separator).count()).unwrap_or(',')
+}
+
 impl<'a> Table<'a> {
     pub(crate) fn parse(path: &'a Path, bytes: &[u8]) -> Result<Self, FileError> {
         // Spreadsheets put a byte-order mark in front of the first name.
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(bytes);
+        let lines = bytes.split(|b| *b == b'\n').map(<[u8]>::trim_ascii);
+        let heading = lines.into_iter().find(|line| !line.is_empty() && !line.starts_with(b"#")).unwrap_or_default();
+        let separator = separator(&String::from_utf8_lossy(heading));
+        let mut builder = csv::ReaderBuilder::new();
+        let builder = builder.trim(csv::Trim::All).comment(Some(b'#')).delimiter(separator as u8);
+        let mut reader = builder.from_reader(bytes);
         let fault = |error: csv::Error| {
             let line = error.position().map_or(1, csv::Position::line);
             let message = match error.kind() {
@@ -45,7 +58,7 @@ impl<'a> Table<'a> {
             let line = record.position().map_or(0, csv::Position::line);
             records.push((line, record));
         }
-        Ok(Self { path, header, records })
+        Ok(Self { path, separator, header, records })
     }
 
     /// The place of a column.
@@ -87,7 +100,12 @@ impl<'a> Row<'a> {
         if text.is_empty() {
             return Ok(f64::NAN);
         }
-        text.parse().map_err(|_| self.fault(format!("{name} is \"{text}\", a number is expected")))
+        self.decimal(text).parse().map_err(|_| self.fault(format!("{name} is \"{text}\", a number is expected")))
+    }
+
+    /// A number with a decimal point, where commas do not separate.
+    fn decimal(&self, text: &'a str) -> Cow<'a, str> {
+        if self.table.separator == ',' { text.into() } else { text.replace(',', ".").into() }
     }
 
     /// A number that is not NaN.

@@ -17,7 +17,8 @@ mod numbers;
 pub use dicom::SeriesFound;
 pub use grid::{Volume, VolumeRead, VoxelUnit};
 
-use crate::{FileError, input, metaimage_header::is_metaimage};
+use crate::{FileError, input, metaimage_header::is_metaimage, refused::is_mgh};
+use flate2::read::GzDecoder;
 use nalgebra::{Matrix3, Point3};
 use osteoflow_geometry::TooFar;
 use std::{
@@ -44,8 +45,15 @@ fn is_volume_file(start: &[u8]) -> bool {
     start.starts_with(b"NRRD")
         || is_metaimage(start)
         || dicom::is_dicom(start)
-        || start.starts_with(&[0x1f, 0x8b])
+        || is_gzip_of_a_volume(start)
         || nifti::is_nifti(start)
+}
+
+/// Whether a gzip file holds NIfTI, or MGH, which is refused by its name there; one that is damaged is taken for such.
+fn is_gzip_of_a_volume(start: &[u8]) -> bool {
+    let mut head = [0; 24];
+    let is_gzip = start.starts_with(&[0x1f, 0x8b]);
+    is_gzip && GzDecoder::new(start).read_exact(&mut head).map_or(true, |()| nifti::is_nifti(&head) || is_mgh(&head))
 }
 
 fn is_sequence(path: &Path, start: &[u8]) -> bool {

@@ -468,10 +468,16 @@ impl Dicom {
             }
             self.put(&mut set, *tag, vr, value);
         }
-        if self.syntax == "1.2.840.10008.1.2.5" {
+        let frame = match self.syntax {
+            "1.2.840.10008.1.2.5" => Some(packed(&cells)),
+            "1.2.840.10008.1.2.1.98" => Some(cells.concat()),
+            "1.2.840.10008.1.2.8.1" => Some(deflated(&cells.concat())),
+            _ => None,
+        };
+        if let Some(frame) = frame {
             self.put_header(&mut set, 0x7fe0_0010, "OB", u32::MAX);
-            let frame = packed(&cells);
-            for item in [Vec::new(), frame] {
+            for mut item in [Vec::new(), frame] {
+                item.resize(item.len().next_multiple_of(2), 0);
                 set.extend([0xfe, 0xff, 0x00, 0xe0]);
                 set.extend((item.len() as u32).to_le_bytes());
                 set.extend(item);
@@ -481,9 +487,7 @@ impl Dicom {
             self.put(&mut set, 0x7fe0_0010, "OW", &cells.concat());
         }
         if self.syntax.ends_with(".1.99") {
-            let mut encoder = DeflateEncoder::new(Vec::new(), Compression::fast());
-            encoder.write_all(&set).unwrap();
-            set = encoder.finish().unwrap();
+            set = deflated(&set);
         }
         let meta = Dicom { syntax: "1.2.840.10008.1.2.1", ..self.clone() };
         let mut bytes = vec![0u8; 128];
@@ -576,6 +580,12 @@ impl Dicom {
     }
 }
 
+fn deflated(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = DeflateEncoder::new(Vec::new(), Compression::fast());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
 /// Run-length encoding of 16-bit cells: high bytes as repeats where they are, low bytes as literals.
 fn packed(cells: &[[u8; 2]]) -> Vec<u8> {
     let high: Vec<u8> = cells.iter().map(|c| c[1]).collect();
@@ -601,12 +611,14 @@ fn packed(cells: &[[u8; 2]]) -> Vec<u8> {
     frame
 }
 
-const SYNTAXES: [&str; 5] = [
+const SYNTAXES: [&str; 7] = [
     "1.2.840.10008.1.2",
     "1.2.840.10008.1.2.1",
     "1.2.840.10008.1.2.2",
     "1.2.840.10008.1.2.5",
     "1.2.840.10008.1.2.1.99",
+    "1.2.840.10008.1.2.1.98",
+    "1.2.840.10008.1.2.8.1",
 ];
 
 #[test]
@@ -750,22 +762,6 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
         let note = read.notes.iter().find(|n| n.starts_with("left out, as no CT: CT series 3"));
         assert!(note.is_some_and(|n| n.contains(expected)), "{expected}: {:?}", read.notes);
     }
-    for (syntax, expected) in [
-        (
-            "1.2.840.10008.1.2.4.80",
-            "pixels in JPEG-LS lossless are not read; convert the whole series with dcmdjpls of dcmtk: ",
-        ),
-        (
-            "1.2.840.10008.1.2.4.51",
-            "pixels in JPEG, lossy are not read; convert the whole series with dcmdjpeg of dcmtk: ",
-        ),
-        ("1.2.840.10008.1.2.4.201", "pixels in high-throughput JPEG 2000 are not read; export the series uncompressed"),
-        ("1.2.840.10008.1.2.4.90", "the pixels are not in fragments, as this transfer syntax has them"),
-        ("1.2.3", "transfer syntax 1.2.3 is not read"),
-    ] {
-        let message = folder_refusal(&Dicom { syntax, ..dicom() }.folder(0..2));
-        assert!(message.contains(expected), "{message}");
-    }
     let empty = tempfile::tempdir().unwrap();
     std::fs::write(empty.path().join("ct.nii.gz"), "x").unwrap();
     let message = folder_refusal(&empty);
@@ -777,6 +773,78 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
     cut.truncate(cut.len() - 3);
     let message = refusal(&cut);
     assert!(message.contains("cut short: 84 bytes are needed, 81 are left"), "{message}");
+}
+
+/// The transfer syntaxes of PS3.6, annex A, that are not read, and private ones; those that are read are in [`SYNTAXES`] and among the
+/// files of other programs.
+#[test]
+fn a_transfer_syntax_that_is_not_read_is_refused_by_its_name_with_what_converts_it() {
+    let dcmtk = |program: &str| format!("convert the whole series with {program} of dcmtk: mkdir RAW; for f in ");
+    let pydicom =
+        "with pydicom (pip install pydicom numpy pylibjpeg pylibjpeg-openjpeg): mkdir RAW; python3 -c 'import"
+            .to_owned();
+    let export = "are not read; export the series uncompressed".to_owned();
+    for (ends, name, remedy) in [
+        (&["4.50"][..], "JPEG, lossy, of 8 bits (baseline)", &dcmtk("dcmdjpeg")),
+        (&["4.51"], "JPEG, lossy, of 8 or 12 bits (extended)", &dcmtk("dcmdjpeg")),
+        (&["4.53"], "JPEG, lossy, of spectral selection", &dcmtk("dcmdjpeg")),
+        (&["4.55"], "JPEG, lossy, of full progression", &dcmtk("dcmdjpeg")),
+        (&["4.52", "4.54", "4.56", "4.58"], "JPEG in arithmetic coding", &export),
+        (&["4.59", "4.60", "4.61", "4.62", "4.63", "4.64", "4.65", "4.66"], "hierarchical JPEG", &export),
+        (&["4.80"], "JPEG-LS lossless", &dcmtk("dcmdjpls")),
+        (&["4.81"], "JPEG-LS near-lossless", &dcmtk("dcmdjpls")),
+        (&["4.92", "4.93"], "JPEG 2000 of several components", &export),
+        (&["4.94", "4.204"], "a reference to another server (JPIP)", &export),
+        (&["4.100", "4.100.1", "4.101", "4.101.1", "4.102", "4.102.1", "4.103", "4.103.1"], "MPEG video", &export),
+        (&["4.104", "4.104.1", "4.105", "4.105.1", "4.106", "4.106.1"], "MPEG video", &export),
+        (&["4.107", "4.108"], "HEVC video", &export),
+        (&["4.110", "4.111", "4.112"], "JPEG XL", &export),
+        (&["4.201", "4.202", "4.203"], "high-throughput JPEG 2000", &pydicom),
+        (&["4.300"], "a compression that is not known here", &export),
+    ] {
+        for end in ends {
+            let syntax = String::leak(format!("1.2.840.10008.1.2.{end}"));
+            let message = folder_refusal(&Dicom { syntax, ..dicom() }.folder(0..2));
+            assert!(message.contains(&format!("pixels in {name}")) && message.contains(remedy), "{syntax}: {message}");
+        }
+    }
+    for (syntax, expected) in [
+        ("1.2.840.10008.1.2.4.90", "the pixels are not in fragments, as this transfer syntax has them"),
+        ("1.2.840.10008.1.2.4.95", "1.2.840.10008.1.2.4.95 (references to another server, JPIP, deflated) is not read"),
+        ("1.2.840.10008.1.2.4.205", "(references to another server, JPIP, deflated) is not read"),
+        ("1.2.840.10008.1.2.6.1", "(MIME, retired) is not read"),
+        ("1.2.840.10008.1.2.6.2", "(XML, retired) is not read"),
+        ("1.2.840.10008.1.2.7.1", "(a stream of SMPTE ST 2110) is not read"),
+        ("1.2.840.10008.1.2.7.2", "(a stream of SMPTE ST 2110) is not read"),
+        ("1.2.840.10008.1.2.7.3", "(a stream of SMPTE ST 2110) is not read"),
+        ("1.2.840.10008.1.20", "(Papyrus 3, retired) is not read"),
+        ("1.2.840.113619.5.2", "(private, of GE: implicit, pixels big-endian) is not read"),
+        ("1.2.3", "transfer syntax 1.2.3 is not read; export the series uncompressed"),
+    ] {
+        let message = folder_refusal(&Dicom { syntax, ..dicom() }.folder(0..2));
+        assert!(message.contains(expected), "{syntax}: {message}");
+    }
+    // The commands take a folder with blanks.
+    let folder = tempfile::tempdir().unwrap();
+    let blank = folder.path().join("my CT");
+    for (syntax, ending) in [("1.2.840.10008.1.2.4.80", "/*; do "), ("1.2.840.10008.1.2.4.201", "]' ")] {
+        Dicom { syntax, ..dicom() }.write(&blank, [0]);
+        let message = read(&blank).unwrap_err();
+        let path = format!("'{}'", blank.display());
+        assert!(message.contains(&path) && message.contains(ending), "{message}");
+    }
+}
+
+#[test]
+fn a_gzip_file_of_a_text_is_no_volume() {
+    for (bytes, is_one) in
+        [(&b"1 2 3\n4 5 6\n7 8 9\n1 2 3\n"[..], false), (&[92, 1, 0, 0, 0, 0, 0, 0][..], true), (b"", true)]
+    {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let head = [bytes, &[0; 40][..if bytes.is_empty() { 0 } else { 40 }]].concat();
+        std::fs::write(file.path(), gzip(&head)).unwrap();
+        assert_eq!(osteoflow_formats::volume::is_volume(file.path()), is_one, "{bytes:?}");
+    }
 }
 
 #[test]

@@ -60,8 +60,20 @@ fn each_is_read_as_its_writer_reads_it_or_refused_by_name() {
             _ => assert_is(&read(&name).unwrap_or_else(|error| panic!("{error}")), &truth, &name),
         }
     }
-    let message = read("jpeg_lossless_point").unwrap_err();
-    assert!(message.contains("JPEG lossless with a point transform are not read; convert"), "{message}");
+    for (name, expected) in [
+        ("jpeg_lossless_point", "JPEG lossless with a point transform are not read; convert"),
+        (
+            "jpeg_12_bits",
+            "JPEG, lossy, of 8 or 12 bits (extended) are not read; convert the whole series with dcmdjpeg of dcmtk",
+        ),
+        (
+            "jpeg_2000_high_throughput",
+            "high-throughput JPEG 2000, lossless are not read; convert the whole series with pydicom",
+        ),
+    ] {
+        let message = read(name).unwrap_err();
+        assert!(message.contains(expected), "{message}");
+    }
     assert_eq!(data_files(&folder().join("detached.mhd")), [folder().join("detached.zraw")]);
     assert!(data_files(&folder().join("oblique.mha")).is_empty());
 }

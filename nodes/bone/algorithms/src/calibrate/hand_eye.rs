@@ -18,6 +18,8 @@ const N_MOTIONS: usize = 1000;
 /// Unit of length of the dual quaternions, mm: a metre. In millimetres the lengths would outweigh the turns, and the rotation errs three
 /// times as much.
 const DUAL_UNIT_MM: f64 = 1000.0;
+/// Poses that fit this many times better as inverses are such. Noise makes both fit alike.
+const OTHER_SENSE: f64 = 5.0;
 /// Number of parts of the poses, each of which is left out once for the predicted error.
 const N_PARTS: usize = 20;
 
@@ -89,7 +91,8 @@ struct Motion {
 /// successive poses are left out one by one, so errors that neighbours share are not taken for independent.
 ///
 /// # Errors
-/// [`Refusal`] if there are fewer than three poses, one is not finite, or the motions turn too little or about one axis alone.
+/// [`Refusal`] if there are fewer than three poses, one is not finite, the motions turn too little or about one axis alone, or the poses
+/// of the marker or of the target are inverses.
 ///
 /// # Source
 /// Park and Martin 1994, IEEE Trans. Robotics and Automation 10; Tsai and Lenz 1989, ibid. 5; Daniilidis 1999, Int. J. Robotics
@@ -130,6 +133,7 @@ pub fn hand_eye(
         })
     };
     let fit = solve(method, &motions)?;
+    check_sense(&pairs, &fit)?;
     let (mut others_mm, mut others_rad) = (0.0_f64, 0.0_f64);
     for other in Method::ALL.into_iter().filter(|other| *other != method) {
         // A method without an answer is no measure of this one.
@@ -138,9 +142,7 @@ pub fn hand_eye(
         others_rad = others_rad.max(other.rotation.angle_to(&fit.rotation));
     }
     let (translation_sd_mm, rotation_sd_rad) = spread(&pairs, &fit, method);
-    let placed: Vec<Isometry3<f64>> = pairs.iter().map(|(marker, target)| marker * fit * target).collect();
-    let mean: Vector3<f64> = placed.iter().map(|t| t.translation.vector).sum::<Vector3<f64>>() / n as f64;
-    let squares: Vec<f64> = placed.iter().map(|t| (t.translation.vector - mean).norm_squared()).collect();
+    let (placed, squares) = placed(&pairs, &fit);
     let turn = mean_rotation(&placed);
     let turns: f64 = placed.iter().map(|t| t.rotation.angle_to(&turn).powi(2)).sum();
     Ok(HandEyeFit {
@@ -159,6 +161,32 @@ pub fn hand_eye(
             others_rad,
         },
     })
+}
+
+/// The target in the tracker's frame at each pose, and its squared distances from its mean place, mm².
+fn placed(pairs: &[(Isometry3<f64>, Isometry3<f64>)], fit: &Isometry3<f64>) -> (Vec<Isometry3<f64>>, Vec<f64>) {
+    let placed: Vec<Isometry3<f64>> = pairs.iter().map(|(marker, target)| marker * fit * target).collect();
+    let mean = placed.iter().map(|t| t.translation.vector).sum::<Vector3<f64>>() / pairs.len() as f64;
+    let squares = placed.iter().map(|t| (t.translation.vector - mean).norm_squared()).collect();
+    (placed, squares)
+}
+
+/// Refuses poses of which either the marker's or the target's are inverses: they fit far better if the target's are inverted.
+///
+/// If both are, or marker and target are exchanged, the equations hold as well, for the target in the tracker's frame.
+fn check_sense(pairs: &[(Isometry3<f64>, Isometry3<f64>)], fit: &Isometry3<f64>) -> Result<(), Refusal> {
+    let rms = |pairs: &[_], fit: &_| (placed(pairs, fit).1.iter().sum::<f64>() / pairs.len() as f64).sqrt();
+    let rms_mm = rms(pairs, fit);
+    let inverted: Vec<_> = pairs.iter().map(|(marker, target)| (*marker, target.inverse())).collect();
+    let Some(other) = solution(Method::ParkMartin, &motions(&inverted)) else { return Ok(()) };
+    let other_mm = rms(&inverted, &other);
+    if other_mm * OTHER_SENSE >= rms_mm {
+        return Ok(());
+    }
+    Err(Refusal::of(format!(
+        "the target is {rms_mm:.2} mm RMS from one place with these poses, and {other_mm:.2} mm if those of the marker or of the target \
+         are inverted; give the marker in the tracker's frame, and the target in the camera's"
+    )))
 }
 
 /// The motions between all pairs of poses, or an even thinning of them.
@@ -443,6 +471,31 @@ mod tests {
             let (mm, rad) = ((mm_predicted / mm).sqrt(), (rad_predicted / rad).sqrt());
             // 180 errors, and a jackknife, which is known to be a little large.
             assert!((0.75..1.6).contains(&mm) && (0.75..1.6).contains(&rad), "{method:?}: {mm} and {rad} of the error");
+        }
+    }
+
+    /// Such poses give a calibration of their own with a residual of hundreds of millimetres, which is no fault of the fit.
+    #[test]
+    fn poses_of_which_one_are_inverses_are_refused_and_exchanged_ones_give_the_target_in_the_tracker() {
+        let inverses = |of: &[Isometry3<f64>]| of.iter().map(Isometry3::inverse).collect::<Vec<_>>();
+        for (n, noise_mm) in [(4, 0.0), (4, 0.2), (20, 0.0), (20, 0.5)] {
+            for seed in 0..20 {
+                let (marker, target) = poses(n, Vector3::repeat(1.0), noise_mm, seed);
+                let (marker_inverse, target_inverse) = (inverses(&marker), inverses(&target));
+                for method in Method::ALL {
+                    let right = hand_eye(&marker, &target, method).unwrap().t_marker_camera;
+                    for (marker, target) in [(&marker, &target_inverse), (&marker_inverse, &target)] {
+                        let error = hand_eye(marker, target, method).unwrap_err().to_string();
+                        let expected = "if those of the marker or of the target are inverted";
+                        assert!(error.contains(expected), "{n} poses, {noise_mm} mm, seed {seed}, {method:?}: {error}");
+                    }
+                    if noise_mm == 0.0 {
+                        let exchanged = hand_eye(&target, &marker, method).unwrap().t_marker_camera;
+                        let off = exchanged * marker[0] * right * target[0];
+                        assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-9, "{off}");
+                    }
+                }
+            }
         }
     }
 

@@ -1,6 +1,6 @@
 //! Tables of poses whose heading is described, such as those of NDI's and Atracsys' programs.
 
-use super::{FARTHEST_MM, Log, LogOptions, Sample, Turn, stamp::nanoseconds};
+use super::{FARTHEST_MM, Log, LogOptions, Sample, Turn, ndi::Ndi, stamp::nanoseconds};
 use crate::{FileError, LostPose, columns::quoted_cells, cursor::Cursor, input, scalar};
 use nalgebra::{Matrix3, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::StampNs;
@@ -9,7 +9,7 @@ use serde::Deserialize;
 use std::path::Path;
 
 /// What the columns of a table of poses are. Columns are named as in the heading; of several with one name, `Tx#2` is the second, or
-/// `after` says which.
+/// `after` says which. A tool whose columns have stamps of their own behind `after` takes these.
 ///
 /// The separator (semicolon, tab or comma), a decimal comma between semicolons or tabs, and lines before the heading are found.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -19,6 +19,9 @@ pub struct Columns {
     pub time: String,
     /// The unit of the stamps: `s`, `ms`, `us`, `ns`, or `frames`, which `rate_hz` turns into seconds.
     pub time_unit: TimeUnit,
+    /// A column of nanoseconds that are added to the stamp, where seconds and nanoseconds have a column each.
+    #[serde(default)]
+    pub time_ns: Option<String>,
     /// The frame that the poses lead to, such as `tracker`.
     pub parent: String,
     /// The tools of a line.
@@ -50,6 +53,7 @@ pub struct Tool {
     /// The column with the name of the frame that moves, in a table with a line for each tool.
     pub child_column: Option<String>,
     /// The beginning of the name of a column behind which this tool's are, such as `Port 2`, in a table that has them for several.
+    /// `child_column` may be this column itself.
     pub after: Option<String>,
     /// The columns of x, y and z.
     pub translation: [String; 3],
@@ -80,7 +84,7 @@ pub struct QuaternionColumns {
 }
 
 /// The separators of tables, in the order in which they are tried.
-const SEPARATORS: [char; 3] = [';', '\t', ','];
+pub(super) const SEPARATORS: [char; 3] = [';', '\t', ','];
 
 /// A table, cut into cells.
 struct Table<'a> {
@@ -93,6 +97,8 @@ struct Table<'a> {
 /// The places of a tool's columns.
 struct Places<'a> {
     tool: &'a Tool,
+    time: usize,
+    time_ns: Option<usize>,
     child: Option<usize>,
     translation: [usize; 3],
     rotation: Rotation,
@@ -106,47 +112,12 @@ enum Rotation {
     EulerZyx([usize; 3]),
 }
 
-/// Whether a line is the heading of a table of NDI's Track.
-pub(super) fn is_ndi(line: &str) -> bool {
-    line.starts_with("Tools,")
-        && quoted_cells(line, ',').iter().any(|cell| is_port(cell))
-        && line.contains(",Tx,Ty,Tz,")
-}
-
-fn is_port(cell: &str) -> bool {
-    cell.trim_start().starts_with("Port ")
-}
-
-/// The columns of a table of NDI's Track: for each tool a column `Port N: NAME`, its frame, its time, its state, and its pose.
-///
-/// Its times are those of the computer, in seconds, where there are such; older tables count frames alone.
-fn ndi(heading: &str) -> Columns {
-    let cells = quoted_cells(heading, ',');
-    let has = |name: &str| cells.iter().any(|cell| cell.trim() == name);
-    let time = if has("Time [sec]") { ("Time [sec]", TimeUnit::S) } else { ("Frame", TimeUnit::Frames) };
-    let names = |names: [&str; 3]| names.map(String::from);
-    let tool = |port: &String| Tool {
-        child: Some(port.split_once(':').map_or(port.as_str(), |(_, name)| name).trim().to_owned()),
-        after: Some(port.trim().to_owned()),
-        translation: names(["Tx", "Ty", "Tz"]),
-        quaternion: has("Q0").then(|| {
-            let [w, x, y, z] = ["Q0", "Qx", "Qy", "Qz"].map(String::from);
-            QuaternionColumns { w, x, y, z }
-        }),
-        euler_zyx_deg: (!has("Q0")).then(|| names(["Rz", "Ry", "Rx"])),
-        status: Some("State".into()),
-        ..Tool::default()
-    };
-    let tools = cells.iter().filter(|cell| is_port(cell)).map(tool).collect();
-    Columns { time: time.0.into(), time_unit: time.1, parent: "tracker".into(), tools }
-}
-
 /// Reads a table.
 pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Log) -> Result<(), FileError> {
     let bytes = input::read(path)?;
-    let first = Cursor::text(path, &bytes)?.filled_line().unwrap_or_default();
-    let of_ndi = is_ndi(&first).then(|| ndi(&first));
-    let Some(columns) = options.columns.as_ref().or(of_ndi.as_ref()) else {
+    let of_ndi = Ndi::find(Cursor::text(path, &bytes)?);
+    let described = options.columns.as_ref();
+    let Some(columns) = described.or(of_ndi.as_ref().map(|ndi| &ndi.columns)) else {
         let message = "a table needs columns, which say what is in its heading: time, time_unit, parent and tools";
         return Err(FileError::content(path, "columns", message));
     };
@@ -162,18 +133,15 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
             return Err(FileError::content(path, "columns", message));
         }
     };
-    let time = table.place(&columns.time, 0)?;
     if columns.tools.is_empty() {
         return Err(FileError::content(path, "columns", "tools names no tool"));
     }
-    let tools = columns.tools.iter().map(|tool| Places::of(tool, &table)).collect::<Result<Vec<_>, _>>()?;
+    let tools = columns.tools.iter().map(|tool| Places::of(tool, columns, &table)).collect::<Result<Vec<_>, _>>()?;
     while let Some((cells, line)) = table.row() {
         let row = Row { table: &table, cells: &cells, line };
-        let stamp = row.cell(time)?;
-        let stamp_ns = match exponent {
-            Ok(exponent) => nanoseconds(&row.decimal(stamp), exponent).map_err(|message| row.fault(message))?,
-            Err(rate_hz) => (row.number(time)? * 1e9 / rate_hz).round() as StampNs,
-        };
+        if let Some(ndi) = of_ndi.as_ref().filter(|_| described.is_none()) {
+            ndi.check(&cells).map_err(|message| row.fault(message))?;
+        }
         for tool in &tools {
             let from = match (tool.child, &tool.tool.child) {
                 (Some(place), _) => row.cell(place)?,
@@ -182,6 +150,7 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
             if from.is_empty() {
                 return Err(row.fault("the line does not name its tool".into()));
             }
+            let stamp_ns = tool.stamp_ns(&row, exponent)?;
             let pose = tool.pose(&row, unit_mm, (&columns.parent, from), stamp_ns)?;
             log.push(pose, || format!("line {line}"));
         }
@@ -214,8 +183,8 @@ impl<'a> Table<'a> {
 
     /// The place of a column; `name#2` is the second of that name behind `start`.
     fn place(&self, name: &str, start: usize) -> Result<usize, FileError> {
-        let (plain, nth) = match name.rsplit_once('#').and_then(|(plain, n)| Some((plain, n.parse::<usize>().ok()?))) {
-            Some((plain, nth)) if !self.heading.iter().any(|cell| cell == name) => (plain, nth.max(1) - 1),
+        let (plain, nth) = match counted(name) {
+            Some(counted) if !self.heading.iter().any(|cell| cell == name) => counted,
             _ => (name, 0),
         };
         let mut places = (start..self.heading.len()).filter(|k| self.heading[*k] == plain);
@@ -238,9 +207,15 @@ impl<'a> Table<'a> {
     }
 }
 
+/// A column's name without the count behind it, and the number of columns of that name before it.
+fn counted(name: &str) -> Option<(&str, usize)> {
+    let (plain, n) = name.rsplit_once('#')?;
+    Some((plain, n.parse::<usize>().ok()?.max(1) - 1))
+}
+
 /// A column's name without the count behind it.
 fn bare(name: &str) -> &str {
-    name.rsplit_once('#').filter(|(_, n)| n.parse::<usize>().is_ok()).map_or(name, |(plain, _)| plain)
+    counted(name).map_or(name, |(plain, _)| plain)
 }
 
 /// A line of a table.
@@ -297,18 +272,26 @@ fn places<const N: usize>(table: &Table, names: [&str; N], start: usize) -> Resu
 }
 
 impl<'a> Places<'a> {
-    fn of(tool: &'a Tool, table: &Table) -> Result<Self, FileError> {
+    fn of(tool: &'a Tool, columns: &Columns, table: &Table) -> Result<Self, FileError> {
         let fault = |message: &str| Err(table.cursor.header_fault(message));
-        let start = match &tool.after {
+        let start = match tool.after.as_deref() {
             None => 0,
             Some(after) => {
-                let found = table.heading.iter().position(|cell| cell.starts_with(after.as_str()));
+                // `Port 1` is also the beginning of `Port 10`.
+                let exact = table.heading.iter().position(|cell| cell == after);
+                let begins = |plain: &str, nth| {
+                    (0..table.heading.len()).filter(|k| table.heading[*k].starts_with(plain)).nth(nth)
+                };
+                let found = exact.or_else(|| begins(after, 0));
+                let found = found.or_else(|| counted(after).and_then(|(plain, nth)| begins(plain, nth)));
                 1 + found.ok_or_else(|| {
                     let message = format!("no column begins with \"{after}\"; there are: {}", table.heading.join(", "));
                     table.cursor.fault_at(table.heading_line, message)
                 })?
             }
         };
+        // Stamps of its own, or those of the line.
+        let stamp = |name: &str| table.place(name, start).or_else(|_| table.place(name, 0));
         let optional = |name: &Option<String>| name.as_deref().map(|name| table.place(name, start)).transpose();
         if tool.child.is_some() == tool.child_column.is_some() {
             return fault("columns: a tool has either child, its name, or child_column, the column with its name");
@@ -323,13 +306,31 @@ impl<'a> Places<'a> {
             }
             _ => return fault("columns: a tool has one of quaternion, matrix and euler_zyx_deg"),
         };
+        let child = tool.child_column.as_deref().map(|name| table.place(name, start.saturating_sub(1))).transpose()?;
         Ok(Self {
             tool,
-            child: optional(&tool.child_column)?,
+            time: stamp(&columns.time)?,
+            time_ns: columns.time_ns.as_deref().map(stamp).transpose()?,
+            child,
             translation: places(table, tool.translation.each_ref().map(String::as_str), start)?,
             rotation,
             status: optional(&tool.status)?,
         })
+    }
+
+    /// The stamp of this tool: in units of `10^exponent` ns, or frames of a rate.
+    fn stamp_ns(&self, row: &Row, exponent: Result<i32, f64>) -> Result<StampNs, FileError> {
+        let exponent = match exponent {
+            Ok(exponent) => exponent,
+            Err(rate_hz) => return Ok((row.number(self.time)? * 1e9 / rate_hz).round() as StampNs),
+        };
+        let stamp = |place, exponent| {
+            nanoseconds(&row.decimal(row.cell(place)?), exponent).map_err(|message| row.fault(message))
+        };
+        let more = self.time_ns.map_or(Ok(0), |place| stamp(place, 0))?;
+        stamp(self.time, exponent)?
+            .checked_add(more)
+            .ok_or_else(|| row.fault("the stamp is beyond the year 2262".into()))
     }
 
     fn pose(

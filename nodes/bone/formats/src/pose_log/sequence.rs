@@ -197,6 +197,20 @@ mod tests {
     }
 
     #[test]
+    fn identities_and_positions_in_metres_are_told() {
+        let still = frame(1, "OK").replace("0 -1 0 10 1 0 0 20 0 0 1 1", "1 0 0 0 0 1 0 0 0 0 1 0");
+        let log = read_text(&sequence(&[frame(0, "OK"), still, frame(2, "OK")].concat())).unwrap();
+        let expected = "t_Tracker_Stylus: 1 of 3 poses are the identity to the last bit, as programs write for a tool that was not seen";
+        assert_eq!(log.notes, [expected]);
+        let metres = sequence(&[0, 1, 2].map(|k| frame(k, "OK").replace("10 1 0 0 20", "0.1 1 0 0 0.2")).concat());
+        let notes = read_text(&metres).unwrap().notes;
+        assert!(
+            notes[0].contains("its positions are all within 2.012 mm of the origin; are they in metres?"),
+            "{notes:?}"
+        );
+    }
+
+    #[test]
     fn what_is_no_pose_is_refused_with_its_line() {
         let whole = sequence(&[frame(0, "OK"), frame(1, "OK"), frame(2, "OK")].concat());
         for (text, expected) in [
@@ -218,6 +232,9 @@ mod tests {
             let error = read_text(&text).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}\n{expected}");
         }
+        let error = read_text(&whole.replace("StylusToTracker", "Stylus")).unwrap_err().to_string();
+        let expected = "there is no pose in the file; StylusTransform does not say from what to what, as StylusToTracker does; left out";
+        assert!(error.contains(expected), "{error}");
         let log = read_text(&whole.replace("DimSize = 0 0 3", "DimSize = 0 0 4")).unwrap();
         assert_eq!(log.notes, ["DimSize states 4 frames, but the header has fields of 3"]);
     }

@@ -3,27 +3,38 @@
 //! # Source
 //! The descriptions of the three data sets, and the readers of evo (`evo/tools/file_interface.py`).
 
-use super::{Log, LogFormat, LogOptions, Sample, Turn, columns, stamp::nanoseconds};
+use super::{Log, LogFormat, LogOptions, Sample, Turn, ndi, stamp::nanoseconds};
 use crate::{
     FileError,
-    columns::{Heading, Row},
+    columns::Row,
     cursor::{Cursor, is_text},
     input, poses_csv,
     scalar::number,
 };
 use nalgebra::{Matrix3, Quaternion, Vector3};
-use osteoflow_geometry::{ROUNDED_ROTATION, StampNs};
-use std::path::Path;
+use osteoflow_geometry::{FARTHEST_MM, MM_PER_M, ROUNDED_ROTATION, StampNs};
+use std::{borrow::Cow, path::Path};
 
 /// Number of lines that are looked at to recognise a format.
 const N_LOOKED_AT: usize = 100;
 
 /// The names of EuRoC's columns behind the stamp, without their units.
 const EUROC: [&str; 7] = ["p_RS_R_x", "p_RS_R_y", "p_RS_R_z", "q_RS_w", "q_RS_x", "q_RS_y", "q_RS_z"];
-/// The names of TUM's columns behind the stamp.
-const TUM: [&str; 7] = ["tx", "ty", "tz", "qx", "qy", "qz", "qw"];
+/// The columns of TUM, each by the names that programs give it, in small letters without units and underscores.
+const TUM: [&[&str]; 8] = [
+    &["timestamp", "time", "stamp", "t", "seconds", "secs", "sec"],
+    &["tx", "x", "px", "posx", "positionx"],
+    &["ty", "y", "py", "posy", "positiony"],
+    &["tz", "z", "pz", "posz", "positionz"],
+    &["qx", "quatx", "quaternionx", "orientationx"],
+    &["qy", "quaty", "quaterniony", "orientationy"],
+    &["qz", "quatz", "quaternionz", "orientationz"],
+    &["qw", "quatw", "quaternionw", "orientationw"],
+];
 
 /// The format of a text; `is_whole` says whether `head` is all of the file, so that its last line is complete.
+///
+/// Nine rows of ten decide: a row that is none of the format is refused by its line, not the file by another format.
 pub(super) fn format_of(head: &[u8], is_whole: bool) -> Option<LogFormat> {
     if !is_text(head) {
         return None;
@@ -31,79 +42,137 @@ pub(super) fn format_of(head: &[u8], is_whole: bool) -> Option<LogFormat> {
     let text = String::from_utf8_lossy(head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head));
     let all: Vec<&str> = text.lines().collect();
     let lines = &all[..all.len() - usize::from(!is_whole && !all.is_empty())];
-    let mut lines = lines.iter().map(|line| line.trim()).filter(|line| !line.is_empty());
-    let is_comment = |line: &&str| line.starts_with('#') || line.starts_with('%');
-    let first = lines.clone().next()?;
-    if poses_csv::is_heading(lines.clone().find(|line| !is_comment(line))?) {
+    let lines = lines.iter().map(|line| line.trim()).filter(|line| !line.is_empty());
+    if lines.clone().find(|line| !is_comment(line)).is_some_and(poses_csv::is_heading) {
         return Some(LogFormat::Poses);
     }
-    if columns::is_ndi(first) {
+    if lines.clone().take(ndi::N_HEAD_LINES).any(ndi::is_heading) {
         return Some(LogFormat::Ndi);
     }
-    if is_euroc_heading(first) {
-        return Some(LogFormat::Euroc);
+    let mut heads = lines.clone().take_while(|line| is_comment(line) || !begins_with_a_number(line));
+    if let Some(format) = heads.find_map(|line| Some(Names::of(line)?.format)) {
+        return Some(format);
     }
-    if is_tum_heading(first) {
-        return Some(LogFormat::Tum);
-    }
-    let rows: Vec<Vec<&str>> =
-        lines.by_ref().filter(|line| !is_comment(line)).take(N_LOOKED_AT).map(|line| cells(line).collect()).collect();
-    let numbers: Option<Vec<Vec<f64>>> = rows.iter().map(|row| row.iter().map(|cell| number(cell)).collect()).collect();
-    let numbers = numbers.filter(|rows| !rows.is_empty())?;
-    let has_width = |widths: std::ops::RangeInclusive<usize>| numbers.iter().all(|row| widths.contains(&row.len()));
-    // A row without a rotation is that of a lost tool, but not every row.
-    let are = |turn: &dyn Fn(&[f64]) -> Option<bool>| {
-        let mut found = numbers.iter().filter_map(|row| turn(row)).peekable();
-        found.peek().is_some() && found.all(|is_it| is_it)
+    let lines: Vec<&str> = lines.filter(|line| !is_comment(line)).take(N_LOOKED_AT).collect();
+    let rows: Vec<Vec<Cow<str>>> = lines.iter().map(|line| cells(line)).collect();
+    let number = |cell: &Cow<str>| if cell.is_empty() { Some(f64::NAN) } else { number(cell) };
+    let numbers: Vec<Vec<f64>> =
+        rows.iter().map(|row| row.iter().map(number).collect::<Option<_>>().unwrap_or_default()).collect();
+    let most = |n: usize, of: usize| of > 0 && 10 * n >= 9 * of;
+    let are = |width: &dyn Fn(usize) -> bool, turn: &dyn Fn(&[f64]) -> Option<bool>| {
+        // A row without a rotation is that of a lost tool, but not every row.
+        let found: Vec<Option<bool>> = numbers.iter().filter(|row| width(row.len())).map(|row| turn(row)).collect();
+        let is_any = found.contains(&Some(true));
+        is_any && most(found.iter().filter(|is_it| **is_it != Some(false)).count(), numbers.len())
     };
-    let unit = |q: [f64; 4]| {
-        let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let unit = |row: &[f64]| {
+        let norm = row[4..8].iter().map(|c| c * c).sum::<f64>().sqrt();
         (norm.is_finite() && norm > 0.0).then_some((norm - 1.0).abs() <= ROUNDED_ROTATION)
     };
-    let is_whole_ns = |row: &Vec<&str>| row[0].len() >= 16 && row[0].bytes().all(|b| b.is_ascii_digit());
-    let has_commas = rows
-        .iter()
-        .zip(text.lines().filter(|line| !line.trim().is_empty() && !is_comment(&line.trim())))
-        .all(|(_, line)| line.contains(','));
-    if has_width(8..=64)
-        && has_commas
-        && rows.iter().all(is_whole_ns)
-        && are(&|row| unit([row[4], row[5], row[6], row[7]]))
+    let is_whole_ns = |row: &&Vec<Cow<str>>| row[0].len() >= 16 && row[0].bytes().all(|b| b.is_ascii_digit());
+    let has_separators = lines.iter().all(|line| line.contains([',', ';']));
+    if has_separators
+        && most(rows.iter().filter(is_whole_ns).count(), rows.len())
+        && are(&|n| (8..=64).contains(&n), &unit)
     {
         return Some(LogFormat::Euroc);
     }
-    let is_in_order = numbers.windows(2).all(|pair| pair[0][0] <= pair[1][0]);
-    if has_width(8..=8) && !has_commas && is_in_order && are(&|row| unit([row[4], row[5], row[6], row[7]])) {
+    let first: Vec<f64> = numbers.iter().filter_map(|row| row.first().copied()).collect();
+    let n_in_order = first.windows(2).filter(|pair| pair[0] <= pair[1]).count();
+    // No coordinate is as large as a stamp since 1970.
+    let are_stamps = first.len() < 2 || most(n_in_order, first.len() - 1) || first.iter().all(|c| *c > FARTHEST_MM);
+    if are_stamps && are(&|n| n == 8, &unit) {
         return Some(LogFormat::Tum);
     }
     let orthonormal = |row: &[f64]| {
+        if row.len() == 16 && row[12..] != LAST_ROW {
+            return Some(false);
+        }
         let m = Matrix3::new(row[0], row[1], row[2], row[4], row[5], row[6], row[8], row[9], row[10]);
         let off = (m.transpose() * m - Matrix3::identity()).amax();
         (off.is_finite() && m != Matrix3::zeros()).then_some(off <= 2.0 * ROUNDED_ROTATION)
     };
-    (has_width(12..=12) && !has_commas && are(&orthonormal)).then_some(LogFormat::Kitti)
+    // One line of 16 numbers is a pose.
+    are(&|n| n == 12 || (n == 16 && numbers.len() > 1), &orthonormal).then_some(LogFormat::Kitti)
 }
 
-/// Whether a line is the heading of EuRoC's file of poses.
-fn is_euroc_heading(line: &str) -> bool {
-    line.trim_start_matches('#').trim_start().starts_with("timestamp")
-        && EUROC[..3].iter().all(|name| line.contains(name))
+/// The last row of a 4 x 4 matrix, which some write behind KITTI's twelve numbers.
+const LAST_ROW: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+
+fn is_comment(line: &str) -> bool {
+    line.starts_with(['#', '%'])
 }
 
-/// Whether a line names TUM's columns, in any order and with any separator.
-fn is_tum_heading(line: &str) -> bool {
-    let line = line.trim_start_matches('#').trim_start();
-    let names: Vec<&str> = cells(line).collect();
-    line.starts_with("timestamp") && names.len() == 8 && TUM.iter().all(|name| names.contains(name))
+fn begins_with_a_number(line: &str) -> bool {
+    cells(line).first().is_some_and(|cell| number(cell).is_some())
 }
 
-/// The words of a line between commas, semicolons or blanks.
-fn cells(line: &str) -> impl Iterator<Item = &str> {
-    let separator = [',', ';'].into_iter().find(|&c| line.contains(c));
-    let blanks = separator.is_none();
-    line.split(move |c: char| separator == Some(c) || (blanks && c.is_whitespace()))
-        .map(str::trim)
-        .filter(move |cell| !blanks || !cell.is_empty())
+/// The words of a line between semicolons, commas or blanks. Commas that do not separate are decimal, and become points.
+fn cells(line: &str) -> Vec<Cow<'_, str>> {
+    let blanks: Vec<&str> = line.split_whitespace().collect();
+    let is_decimal = |word: &&str| {
+        let (whole, fraction) = word.split_once(',').unwrap_or((word, "0"));
+        [whole.trim_start_matches('-'), fraction]
+            .iter()
+            .all(|part| part.starts_with(|c: char| c.is_ascii_digit()) && !part.contains(','))
+    };
+    let of = |word: &'_ str| -> Cow<'_, str> { word.replace(',', ".").into() };
+    if line.contains(';') {
+        return line
+            .split(';')
+            .map(str::trim)
+            .map(|word| if word.contains(',') { of(word).into_owned().into() } else { word.into() })
+            .collect();
+    }
+    if line.contains(',') {
+        if blanks.len() >= 8 && blanks.iter().all(is_decimal) {
+            return blanks.into_iter().map(|word| of(word).into_owned().into()).collect();
+        }
+        return line.split(',').map(|word| word.trim().into()).collect();
+    }
+    blanks.into_iter().map(Cow::from).collect()
+}
+
+/// The columns that a heading names.
+struct Names {
+    format: LogFormat,
+    /// The places of x, y, z, qx, qy, qz and qw; of EuRoC's the column that is missing.
+    order: Result<[usize; 7], &'static str>,
+    /// The units of the stamps and of x, if they are stated.
+    units: [Option<String>; 2],
+}
+
+impl Names {
+    /// The columns of a heading, a comment or not; none if it is none of a trajectory.
+    fn of(line: &str) -> Option<Self> {
+        let line = line.trim_start_matches(['#', '%']).trim();
+        let mut names: Vec<(String, Option<String>)> = Vec::new();
+        for cell in cells(line) {
+            let (name, unit) = cell.split_once(['[', '(']).map_or((&*cell, None), |(name, unit)| (name, Some(unit)));
+            let unit = unit.map(|unit| unit.trim_end_matches([']', ')']).trim().to_owned());
+            match names.last_mut() {
+                // A unit behind a blank.
+                Some((_, last)) if name.is_empty() && !line.contains([',', ';']) => *last = unit,
+                _ => names.push((name.trim().to_owned(), unit)),
+            }
+        }
+        let unit = |place: usize| names.get(place).and_then(|(_, unit)| unit.clone());
+        let place = |wanted: &str| names.iter().position(|(name, _)| name == wanted);
+        if names.first().is_some_and(|(name, _)| name == "timestamp")
+            && EUROC[..3].iter().all(|name| place(name).is_some())
+        {
+            let order = ["p_RS_R_x", "p_RS_R_y", "p_RS_R_z", "q_RS_x", "q_RS_y", "q_RS_z", "q_RS_w"]
+                .map(|name| place(name).ok_or(name));
+            let missing = order.iter().find_map(|place| place.err());
+            let order = missing.map_or_else(|| Ok(order.map(Result::unwrap_or_default)), Err);
+            return Some(Self { format: LogFormat::Euroc, order, units: [unit(0), unit(1)] });
+        }
+        let plain = |name: &str| name.to_lowercase().replace(['_', '-', '.'], "");
+        let places = TUM.map(|known| names.iter().position(|(name, _)| known.contains(&plain(name).as_str())));
+        let [Some(0), Some(x), Some(y), Some(z), Some(i), Some(j), Some(k), Some(w)] = places else { return None };
+        let is_tum = names.len() == 8;
+        is_tum.then(|| Self { format: LogFormat::Tum, order: Ok([x, y, z, i, j, k, w]), units: [unit(0), unit(x)] })
+    }
 }
 
 /// Reads a trajectory.
@@ -124,35 +193,55 @@ pub(super) fn read(
             return Err(FileError::content(path, "frames", message));
         }
     };
-    let (rows, names) = rows(cursor);
-    let order = order(cursor, format, names.as_ref())?;
-    let clock = Clock::of(path, format, options, rows.len())?;
-    let width = if format == LogFormat::Kitti { 12 } else { 8 };
+    let (rows, names) = rows(cursor, format);
+    let order = match &names {
+        None if format == LogFormat::Euroc => [1, 2, 3, 5, 6, 7, 4],
+        None => [1, 2, 3, 4, 5, 6, 7],
+        Some((names, line)) => {
+            let fault = |message| cursor.fault_at(*line, message);
+            check_unit(names.units[1].as_deref(), unit_mm).map_err(fault)?;
+            names.order.map_err(|missing| {
+                fault(format!(
+                    "the heading has no column {missing}, and a pose has a position and a rotation (q_RS_w, _x, _y, _z)"
+                ))
+            })?
+        }
+    };
+    let stated = names.as_ref().and_then(|(names, _)| names.units[0].as_deref());
+    let clock = Clock::of(path, format, options, rows.len(), stated)?;
     for (k, (row, line)) in rows.iter().enumerate() {
         let fault = |message: String| cursor.fault_at(*line, message);
-        let cells: Vec<&str> = cells(row).collect();
+        let cells = cells(row);
+        let width = match format {
+            LogFormat::Kitti if cells.len() == 16 => 16,
+            LogFormat::Kitti => 12,
+            _ => 8,
+        };
         // EuRoC's poses are followed by velocities and biases.
         if cells.len() < width || (cells.len() > width && format != LogFormat::Euroc) {
             let cut = if k + 1 == rows.len() { "; was the file cut short?" } else { "" };
             return Err(fault(format!("{width} numbers are expected in {format}, this line has {}{cut}", cells.len())));
         }
         let value = |place: usize| {
-            let cell = cells[place];
+            let cell = &cells[place];
             if cell.is_empty() {
                 Ok(f64::NAN)
             } else {
                 number(cell).ok_or_else(|| fault(format!("\"{cell}\" is not a number")))
             }
         };
-        let mut v = [0.0; 12];
+        let mut v = [0.0; 16];
         // A stamp is read from its digits.
         let first = usize::from(format != LogFormat::Kitti);
         for (place, number) in v.iter_mut().enumerate().take(width).skip(first) {
             *number = value(place)?;
         }
-        let stamp_ns = clock.stamp_ns(k, cells[0]).map_err(fault)?;
+        let stamp_ns = clock.stamp_ns(k, &cells[0]).map_err(fault)?;
         let (translation, turn) = if format == LogFormat::Kitti {
-            let [a, b, c, x, d, e, f, y, g, h, i, z] = v;
+            let [a, b, c, x, d, e, f, y, g, h, i, z, last @ ..] = v;
+            if width == 16 && last != LAST_ROW {
+                return Err(fault("a 4 x 4 matrix row by row ends with 0 0 0 1".into()));
+            }
             (Vector3::new(x, y, z), Turn::Matrix(Matrix3::new(a, b, c, d, e, f, g, h, i)))
         } else {
             let [x, y, z, qx, qy, qz, qw] = order.map(|place| v[place]);
@@ -168,52 +257,41 @@ pub(super) fn read(
     Ok(())
 }
 
-/// The lines with numbers, and the names in the heading or the last comment before them.
-fn rows(mut cursor: Cursor<'_>) -> (Vec<Row<'_>>, Option<Heading>) {
+/// Refuses a unit of length in a heading that is another than the one that is read.
+fn check_unit(stated: Option<&str>, unit_mm: f64) -> Result<(), String> {
+    let Some((name, stated_mm)) =
+        [("mm", 1.0), ("cm", 10.0), ("m", MM_PER_M)].into_iter().find(|(name, _)| stated == Some(name))
+    else {
+        return Ok(());
+    };
+    if (stated_mm / unit_mm - 1.0).abs() < 1e-9 {
+        return Ok(());
+    }
+    Err(format!(
+        "the heading says that positions are in {name}, and {unit_mm} mm are taken for one; give unit_mm = {stated_mm} (--scale {})",
+        stated_mm / MM_PER_M
+    ))
+}
+
+/// The lines with numbers, and the last heading before them.
+fn rows(mut cursor: Cursor<'_>, format: LogFormat) -> (Vec<Row<'_>>, Option<(Names, usize)>) {
     let (mut rows, mut names) = (Vec::new(), None);
     while let Some(line) = cursor.filled_line() {
         let text = line.trim();
-        let comment = text.strip_prefix('#').or_else(|| text.strip_prefix('%'));
-        let is_heading = rows.is_empty() && text.starts_with("timestamp");
-        match comment.or(is_heading.then_some(text)) {
-            // Other comments are no headings.
-            Some(comment) if rows.is_empty() && comment.trim_start().starts_with("timestamp") => {
-                let name = |cell: &str| cell.split(['[', '(']).next().unwrap_or_default().trim().to_owned();
-                names = Some((cells(comment).map(name).collect(), cursor.line));
-            }
-            Some(_) => {}
-            None => rows.push((line, cursor.line)),
+        let found = rows.is_empty().then(|| Names::of(text)).flatten().filter(|names| names.format == format);
+        if let Some(found) = found {
+            names = Some((found, cursor.line));
+        } else if !is_comment(text) {
+            rows.push((line, cursor.line));
         }
     }
     (rows, names)
 }
 
-/// The places of x, y, z, qx, qy, qz and qw. A heading with their names counts; without one the format has its order.
-fn order(cursor: Cursor, format: LogFormat, names: Option<&Heading>) -> Result<[usize; 7], FileError> {
-    let place_of = |wanted: &str| names.and_then(|(names, _)| names.iter().position(|name| name == wanted));
-    match (format, names) {
-        (LogFormat::Euroc, Some((_, line))) if place_of(EUROC[0]).is_some() => {
-            let [x, y, z, w, i, j, k] = EUROC.map(place_of);
-            let found = [x, y, z, i, j, k, w];
-            if let Some(missing) = found.iter().position(Option::is_none) {
-                let name = [EUROC[0], EUROC[1], EUROC[2], EUROC[4], EUROC[5], EUROC[6], EUROC[3]][missing];
-                let message = format!(
-                    "the heading has no column {name}, and a pose has a position and a rotation (q_RS_w, _x, _y, _z)"
-                );
-                return Err(cursor.fault_at(*line, message));
-            }
-            Ok(found.map(Option::unwrap_or_default))
-        }
-        (LogFormat::Euroc, _) => Ok([1, 2, 3, 5, 6, 7, 4]),
-        (LogFormat::Tum, Some(_)) if TUM.iter().all(|name| place_of(name).is_some()) => {
-            Ok(TUM.map(|name| place_of(name).unwrap_or_default()))
-        }
-        _ => Ok([1, 2, 3, 4, 5, 6, 7]),
-    }
-}
-
 /// Where the stamps come from.
 enum Clock {
+    /// From the first cell, whole nanoseconds.
+    Whole,
     /// From the first cell, in units of `10^exponent` ns.
     Cell(i32),
     Rate(f64),
@@ -221,9 +299,15 @@ enum Clock {
 }
 
 impl Clock {
-    fn of(path: &Path, format: LogFormat, options: &LogOptions, n_rows: usize) -> Result<Self, FileError> {
+    fn of(
+        path: &Path,
+        format: LogFormat,
+        options: &LogOptions,
+        n_rows: usize,
+        stated: Option<&str>,
+    ) -> Result<Self, FileError> {
         match (format, &options.times, options.rate_hz) {
-            (LogFormat::Euroc, ..) => Ok(Self::Cell(0)),
+            (LogFormat::Euroc, ..) => Ok(Self::Whole),
             (LogFormat::Kitti, Some(times), _) => {
                 let text = input::read_text(times)?;
                 let mut stamps = Vec::new();
@@ -242,15 +326,21 @@ impl Clock {
                 let message = "a KITTI trajectory has no stamps; give its rate in Hz (rate_hz, --rate), or its times.txt (times, --times)";
                 Err(FileError::content(path, "stamps", message))
             }
-            _ => Ok(Self::Cell(9)),
+            _ => Ok(Self::Cell(match stated {
+                Some("ns") => 0,
+                Some("us" | "µs") => 3,
+                Some("ms") => 6,
+                _ => 9,
+            })),
         }
     }
 
     fn stamp_ns(&self, k: usize, cell: &str) -> Result<StampNs, String> {
         match self {
-            Self::Cell(0) if cell.contains(['.', 'e', 'E']) => Err(format!(
+            Self::Whole if cell.contains(['.', 'e', 'E']) => Err(format!(
                 "the stamp {cell} is no whole number; EuRoC's are nanoseconds; TUM's are seconds, between blanks"
             )),
+            Self::Whole => nanoseconds(cell, 0),
             Self::Cell(exponent) => nanoseconds(cell, *exponent),
             Self::Rate(rate_hz) => Ok((k as f64 * 1e9 / rate_hz).round() as StampNs),
             Self::Times(stamps) => Ok(stamps[k]),
@@ -371,7 +461,6 @@ mod tests {
                 "line 2: 8 numbers are expected in a TUM trajectory, this line has 5; was the file cut short?",
             ),
             (TUM_ROW.replace("0.247404", "2.4"), LogFormat::Tum, &rate, "line 1: the quaternion has length 2.58"),
-            (TUM_ROW.replace('.', ","), LogFormat::Tum, &rate, "line 1: "),
             (
                 TUM_ROW.replacen("1403636579.763555584", "1403636579763555584", 1),
                 LogFormat::Tum,
@@ -398,6 +487,104 @@ mod tests {
         let fast: String = (0..9).map(|k| format!("{}.0 1 2 {k} 0 0 0 1\n", 1_403_636_579 + 1000 * k)).collect();
         let log = read_with(&fast, &options()).unwrap();
         assert!(log.notes[0].contains("its poses are 1.0e3 s apart, as of no tracker"), "{:?}", log.notes);
+    }
+
+    /// What people make of a TUM trajectory: each is read with the same pose.
+    #[test]
+    fn other_separators_headings_and_decimal_commas_give_the_same_pose() {
+        let ns = 1_403_636_579_763_555_584;
+        let rows = |text: &str| format!("{text}\n{text}\n");
+        let comma = TUM_ROW.replace(' ', ",");
+        let semicolons = TUM_ROW.replace(' ', ";").replace('.', ",");
+        let w_first = "1403636579.763555584 1 2 3 0.968912 0 0 0.247404";
+        for (text, format) in [
+            (rows(&comma), LogFormat::Tum),
+            (rows(&TUM_ROW.replace(' ', ", ")), LogFormat::Tum),
+            (rows(&TUM_ROW.replace(' ', "\t")), LogFormat::Tum),
+            (rows(&TUM_ROW.replace('.', ",")), LogFormat::Tum),
+            (rows(&semicolons), LogFormat::Tum),
+            (format!("timestamp;tx;ty;tz;qx;qy;qz;qw\n{semicolons}\n"), LogFormat::Tum),
+            (format!("# time x y z qw qx qy qz\n{w_first}\n"), LogFormat::Tum),
+            (
+                format!("# seen by a camera\n# timestamp [s] x [m] y [m] z [m] q_w q_x q_y q_z\n{w_first}\n"),
+                LogFormat::Tum,
+            ),
+            (format!("t,x,y,z,qw,qx,qy,qz\n{}\n", w_first.replace(' ', ",")), LogFormat::Tum),
+            (format!("time(s) tx ty tz qw qx qy qz\n{w_first}\n"), LogFormat::Tum),
+            (format!("time[ns],tx,ty,tz,qx,qy,qz,qw\n{}\n", comma.replacen('.', "", 1)), LogFormat::Tum),
+            (rows(&EUROC_ROW.replace(',', ";").replace('.', ",")), LogFormat::Euroc),
+        ] {
+            let log = read_with(&text, &options()).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_eq!(log.format, format, "{text}");
+            check(&log, 0, ns);
+        }
+        let kitti = LogOptions { rate_hz: Some(10.0), ..options() };
+        for text in [rows(&KITTI_ROW.replace(' ', ",")), rows(&format!("{KITTI_ROW} 0 0 0 1"))] {
+            let log = read_with(&text, &kitti).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_eq!(log.format, LogFormat::Kitti, "{text}");
+            check(&log, 1, 100_000_000);
+        }
+    }
+
+    /// Of many rows one that is wrong is refused by its line, and the file is not taken for points.
+    #[test]
+    fn a_wrong_row_among_many_is_refused_as_a_row_of_its_format() {
+        let row = |k: usize| TUM_ROW.replacen("579", &format!("{}", 580 + k), 1);
+        let with = |wrong: &str| {
+            (0..20).map(|k| if k == 19 { format!("{wrong}\n") } else { row(k) + "\n" }).collect::<String>()
+        };
+        for (wrong, expected) in [
+            (TUM_ROW.replace("0.247404", "2.4"), "line 20: the quaternion has length 2.58"),
+            (
+                "1403636599 1 2 3 0".into(),
+                "line 20: 8 numbers are expected in a TUM trajectory, this line has 5; was the file cut short?",
+            ),
+            ("done".into(), "line 20: 8 numbers are expected in a TUM trajectory, this line has 1"),
+        ] {
+            let error = read_with(&with(&wrong), &options()).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}\n{expected}");
+        }
+        // The second half before the first, as of two files that were put together.
+        let halves: String = (0..20).map(|k| row((k + 10) % 20) + "\n").collect();
+        let log = read_with(&halves, &options()).unwrap();
+        assert!(log.notes[0].contains("stamps run backwards once, first at line 11"), "{:?}", log.notes);
+        let error = read_with("# timestamp tx ty tz qx qy qz qw\n", &options()).unwrap_err().to_string();
+        assert!(error.contains("there is no pose in the file; was it cut short?"), "{error}");
+        for (text, expected) in [
+            ("", "the file is empty"),
+            ("PK\u{3}\u{4} and more", "ZIP archive is not read"),
+            ("1 2 3\r4 5 6\r", "lines end with CR alone"),
+        ] {
+            let error = read_with(text, &options()).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}\n{expected}");
+        }
+        let kitti = LogOptions { rate_hz: Some(10.0), ..options() };
+        let rows = |last: &str| {
+            (0..20).map(|k| format!("{KITTI_ROW} 0 0 0 {}\n", if k == 19 { last } else { "1" })).collect::<String>()
+        };
+        let error = read_with(&rows("2"), &kitti).unwrap_err().to_string();
+        assert!(error.contains("line 20: a 4 x 4 matrix row by row ends with 0 0 0 1"), "{error}");
+    }
+
+    #[test]
+    fn lengths_of_no_tracker_are_told_and_a_heading_of_another_unit_is_refused() {
+        let mm: String = (0..3).map(|k| format!("{k}.5 120.5 -80 1500 0 0 0 1\n")).collect();
+        let log = read_with(&mm, &options()).unwrap();
+        assert!(
+            log.notes[0].contains("its positions are up to 1507 m away, farther than a tracker sees; are they in mm?"),
+            "{:?}",
+            log.notes
+        );
+        let named = format!("# timestamp [s] x [mm] y [mm] z [mm] qx qy qz qw\n{mm}");
+        let error = read_with(&named, &options()).unwrap_err().to_string();
+        assert!(
+            error.contains(
+                "line 1: the heading says that positions are in mm, and 1000 mm are taken for one; give unit_mm = 1"
+            ),
+            "{error}"
+        );
+        let log = read_with(&named, &LogOptions { unit_mm: Some(1.0), ..options() }).unwrap();
+        assert_eq!(log.notes, [""; 0]);
     }
 
     #[test]

@@ -255,7 +255,7 @@ impl Port<'_> {
     /// The poses of a topic in the order of their stamps, equal ones of one stamp once, with empties in place of those of a frozen
     /// tracker.
     fn unless_frozen(&mut self, topic: &str, poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
-        let (poses, notes) = sifted(poses, self.params.frozen_after_ms);
+        let (poses, notes) = sifted(poses, self.params.stream.frozen_after_ms);
         self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
         let event = |pose| {
             let (stamp_ns, emission) = sifted::emission(pose);
@@ -309,12 +309,13 @@ impl Port<'_> {
                 }
             }
         }
-        let (poses, notes) = sifted(moving, params.frozen_after_ms);
+        let (poses, notes) = sifted(moving, params.stream.frozen_after_ms);
         for (pose, reason) in poses {
             let motion = reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));
             tree.add(&pose.to, &pose.from, pose.stamp_ns, motion);
         }
-        let read = sifted::through(&tree, (parent, child), params.max_gap_ms).map_err(|message| self.fault(message))?;
+        let read =
+            sifted::through(&tree, (parent, child), params.stream.max_gap_ms).map_err(|message| self.fault(message))?;
         let Some((mut poses, note)) = read else { return Ok(None) };
         let name = topics.join(" and ");
         self.found.notes.extend(notes.into_iter().map(|note| format!("topic {name}: {note}")));
@@ -330,7 +331,7 @@ impl Port<'_> {
 
     /// Empties for the time in which a marker is silent; `published_ns` is when its last message was published.
     fn silent(&self, what: &str, events: &[(StampNs, EventBody)], published_ns: StampNs) -> Vec<(StampNs, EventBody)> {
-        let Some(lost_after_ms) = self.params.lost_after_ms else { return Vec::new() };
+        let Some(lost_after_ms) = self.params.stream.lost_after_ms else { return Vec::new() };
         let stamps: Vec<StampNs> = events.iter().map(|(stamp, _)| *stamp).collect();
         // Stamps and publish times may be of two clocks, so the silence at the end is measured by one.
         let ended_ns = self.recording.last_publish_time_ns.unwrap_or(published_ns);
@@ -344,7 +345,7 @@ impl Port<'_> {
     /// The transforms that hold from the beginning, whenever they were sent: constants, without a stamp. One that is sent
     /// again with another value holds from its own stamp on.
     fn static_poses(&mut self, topic: &str) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
-        if self.params.lost_after_ms.is_some() {
+        if self.params.stream.lost_after_ms.is_some() {
             return Err(self.fault(format!("{topic} holds for good, so nothing on it is lost; remove lost_after_ms")));
         }
         let (mut events, mut constants, mut notes) = (Vec::new(), Constants::default(), Vec::new());

@@ -1,4 +1,4 @@
-use super::{topics::TransformFilter, unstamped::Unstamped};
+use super::{sifted::PoseStreamParams, topics::TransformFilter, unstamped::Unstamped};
 use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
 /// The messages that one port of `acquire.mcap` and `acquire.mcap_live` reads; `type` is the payload it gives.
@@ -23,20 +23,9 @@ pub struct PortParams {
     /// The transforms that the port takes.
     #[serde(flatten)]
     pub transforms: TransformFilter,
-    /// Silence after which a tracked marker is lost and the port gives an empty; also at the end, up to the last message of the
-    /// recording on any topic. Unset: never.
-    #[schemars(range(min = 1.0, max = 3_600_000.0))]
-    pub lost_after_ms: Option<f64>,
-    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties that say why until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
-    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
-    #[schemars(range(min = 0.0, max = 3_600_000.0))]
-    pub frozen_after_ms: Option<f64>,
-    /// Time between two samples up to which a transform is interpolated, where `parent` and `child` are joined by several
-    /// transforms, or by an inverse, as tf of ROS joins frames: by the one path in their tree, each transform at the same time. Unset:
-    /// 200, four samples of a slow tracker.
-    #[schemars(range(min = 0.0, max = 3_600_000.0))]
-    pub max_gap_ms: Option<f64>,
+    /// When poses are lost.
+    #[serde(flatten)]
+    pub stream: PoseStreamParams,
     /// What the stamp is of messages that have none: `refuse`, or `publish_time`, the time at which they were published. `refuse`: if
     /// a pose of the recording moves, that time pairs them wrongly; where none does, it is used and told.
     pub unstamped: Unstamped,

@@ -2,7 +2,7 @@
 
 use super::{
     playback::{Event, Playback, in_order, silences},
-    sifted::{self, Sifted, sifted},
+    sifted::{self, PoseStreamParams, Sifted, sifted},
     topics::TransformFilter,
 };
 use osteoflow_formats::pose_log::{Columns, LogFormat, LogOptions, read_log};
@@ -77,19 +77,9 @@ pub struct PortParams {
     /// The transform that the port takes, by the names of the log.
     #[serde(flatten)]
     pub transforms: TransformFilter,
-    /// Silence after which a tool is lost and the port gives an empty; also at the end, up to the last pose of the log. Unset: never.
-    #[schemars(range(min = 1.0, max = 3_600_000.0))]
-    pub lost_after_ms: Option<f64>,
-    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties with the reason until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
-    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is logged again and again.
-    #[schemars(range(min = 0.0, max = 3_600_000.0))]
-    pub frozen_after_ms: Option<f64>,
-    /// Time between two samples up to which a transform is interpolated, where `parent` and `child` are joined by several
-    /// transforms, or by an inverse, as tf of ROS joins frames: by the one path in their tree, each transform at the same time. Unset:
-    /// 200, four samples of a slow tracker.
-    #[schemars(range(min = 0.0, max = 3_600_000.0))]
-    pub max_gap_ms: Option<f64>,
+    /// When the tool is lost.
+    #[serde(flatten)]
+    pub stream: PoseStreamParams,
 }
 
 impl Source for Poses {
@@ -195,7 +185,7 @@ impl PortLog<'_> {
             self.streams.iter().filter(|((to, from), _)| wanted(parent, to) && wanted(child, from)).collect();
         let (poses, lost) = match (&found[..], parent, child) {
             ([(_, stream)], ..) => {
-                let (poses, more) = sifted(stream.poses.clone(), self.params.frozen_after_ms);
+                let (poses, more) = sifted(stream.poses.clone(), self.params.stream.frozen_after_ms);
                 notes.extend(more);
                 (poses, stream.lost.clone())
             }
@@ -226,7 +216,7 @@ impl PortLog<'_> {
         };
         let mut events: Vec<_> = poses.into_iter().map(emission).collect();
         events.extend(lost.into_iter().map(|(stamp, reason)| (stamp, Emission::Empty(reason))));
-        if let Some(lost_after_ms) = self.params.lost_after_ms {
+        if let Some(lost_after_ms) = self.params.stream.lost_after_ms {
             let all = self
                 .streams
                 .values()
@@ -246,7 +236,7 @@ impl PortLog<'_> {
     fn chained(&self, parent: &str, child: &str, notes: &mut Vec<String>) -> Result<Vec<Sifted>, String> {
         let mut tree = TransformTree::default();
         for ((to, from), stream) in self.streams {
-            let (poses, more) = sifted(stream.poses.clone(), self.params.frozen_after_ms);
+            let (poses, more) = sifted(stream.poses.clone(), self.params.stream.frozen_after_ms);
             notes.extend(more);
             for (pose, reason) in poses {
                 let motion =
@@ -257,7 +247,7 @@ impl PortLog<'_> {
                 tree.add(to, from, *stamp_ns, Err(format!("has no pose: {reason}")));
             }
         }
-        match sifted::through(&tree, (parent, child), self.params.max_gap_ms)? {
+        match sifted::through(&tree, (parent, child), self.params.stream.max_gap_ms)? {
             Some((poses, note)) => {
                 notes.push(format!("port \"{}\": {note}", self.declared.name));
                 Ok(poses)

@@ -2,10 +2,30 @@
 
 use super::{frozen::Frozen, one_stamp::OneStamp};
 use osteoflow_geometry::{Pose, StampNs, TransformTree, nalgebra::Isometry3};
-use osteoflow_node::Emission;
+use osteoflow_node::{Emission, schemars::JsonSchema, serde::Deserialize};
 
 /// Time between two samples up to which a transform of a chain is interpolated, ms: four periods of a slow tracker (20 Hz).
 const MAX_GAP_MS: f64 = 200.0;
+
+/// When poses of a recording or a log are lost.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct PoseStreamParams {
+    /// Silence after which a tracked marker is lost and the port gives an empty; also at the end, up to the last message of the
+    /// recording on any topic, or the last pose of the log. Unset: never.
+    #[schemars(range(min = 1.0, max = 3_600_000.0))]
+    pub lost_after_ms: Option<f64>,
+    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
+    /// port gives empties that say why until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
+    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is given again and again.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub frozen_after_ms: Option<f64>,
+    /// Time between two samples up to which a transform is interpolated, where `parent` and `child` are joined by several
+    /// transforms, or by an inverse, as tf of ROS joins frames: by the one path in their tree, each transform at the same time. Unset:
+    /// 200, four samples of a slow tracker.
+    #[schemars(range(min = 0.0, max = 3_600_000.0))]
+    pub max_gap_ms: Option<f64>,
+}
 
 /// A pose, and why it is not to be used, if it is not.
 pub(super) type Sifted = (Pose, Option<String>);

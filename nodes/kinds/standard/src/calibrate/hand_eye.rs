@@ -12,8 +12,8 @@ use osteoflow_node::{
 ///
 /// The target is a phantom or a board whose pose the camera sees, in any frame of its own. Its place in the tracker's
 /// world need not be known, while `calibrate.phantom_icp` needs it. The camera is turned by 30 degrees or more about
-/// two axes or more, and held still at each pose. Motions about one axis alone are refused, and the report says how far
-/// the methods differ and how well the motions determine the answer.
+/// two axes or more, and held still at each pose. Motions about one axis alone are refused, as are poses of which one or the other are
+/// inverses; a camera that is farther from its marker than the target from the tracker is warned of. The report says how far the methods differ and how well the motions determine the answer.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -28,6 +28,14 @@ method = "park_martin"
     ]
 )]
 pub struct HandEye;
+
+/// A target that does not move is within this of its mean place, mm: ten times what a tracker errs by.
+const MOST_RMS_MM: f64 = 2.0;
+/// Likewise, radians: 2 degrees, 2 mm at 60 mm.
+const MOST_RMS_RAD: f64 = 0.035;
+
+/// A marker is no farther from its camera, mm: half a metre of arm.
+const FARTHEST_MARKER_MM: f64 = 600.0;
 
 /// Parameters of [`HandEye`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -100,6 +108,23 @@ impl Function for HandEye {
             ));
         }
         let fit = hand_eye(&t_world_marker, &t_camera_target, params.method)?;
+        let HandEyeReport { rms_mm, rms_rad, .. } = fit.report;
+        if rms_mm > MOST_RMS_MM || rms_rad > MOST_RMS_RAD {
+            ctx.warn(format!(
+                "the target is {rms_mm:.1} mm and {:.1} degrees RMS from one place; was it moved, is its length in another unit, or are \
+                 poses of different times paired?",
+                rms_rad.to_degrees()
+            ));
+        }
+        let camera_mm = fit.t_marker_camera.translation.vector.norm();
+        let placed = t_world_marker[0] * fit.t_marker_camera * t_camera_target[0];
+        let target_mm = placed.translation.vector.norm();
+        if camera_mm > FARTHEST_MARKER_MM && target_mm < camera_mm / 2.0 {
+            ctx.warn(format!(
+                "the camera is {camera_mm:.0} mm from its marker, and the target {target_mm:.0} mm from the tracker; are marker and target \
+                 exchanged, or are the poses of both inverses?"
+            ));
+        }
         let t_camera_camera_marker = Pose::new(&target.to, &marker.from, fit.t_marker_camera.inverse());
         Ok(Out { t_camera_camera_marker, report: fit.report })
     }

@@ -1,7 +1,7 @@
 //! The elements of a DICOM data set, in order, with those inside sequences passed over.
 
 use super::super::numbers::{MAX_EXPANSION, drain};
-use super::syntax::{Compression, Syntax, guessed, shown_uid, transfer_syntax};
+use super::syntax::{Compression, Syntax, guessed, name_of_unread, shown_uid, transfer_syntax};
 use crate::FileError;
 use flate2::read::DeflateDecoder;
 use std::{borrow::Cow, io::Read, path::Path};
@@ -70,8 +70,8 @@ impl<'a> DataSet<'a> {
                 (syntax, Compression::None)
             }
             None => {
-                let message =
-                    format!("transfer syntax {} is not read; export the series uncompressed", shown_uid(&uid));
+                let (uid, name) = (shown_uid(&uid), name_of_unread(&uid));
+                let message = format!("transfer syntax {uid}{name} is not read; export the series uncompressed");
                 return Err(fault("(0002,0010)".into(), message));
             }
         };

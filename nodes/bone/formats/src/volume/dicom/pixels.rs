@@ -7,7 +7,9 @@ use super::elements::{DataSet, fragments};
 use super::image::Image;
 use super::syntax::{Compression, Remedy};
 use crate::{FileError, input};
+use flate2::read::DeflateDecoder;
 use std::{
+    io::Read as _,
     ops::Range,
     path::{Path, PathBuf},
 };
@@ -144,6 +146,16 @@ impl Pixels {
                     Unread::Broken(message) => message,
                 }),
                 Compression::Jpeg2000 { .. } => jpeg_2000::decode(&frame, size),
+                Compression::Encapsulated | Compression::DeflatedFrames => {
+                    let frame = match self.compression {
+                        Compression::DeflatedFrames => inflated(&frame, n * width)?,
+                        _ => frame,
+                    };
+                    let cells = frame.get(..n * width).ok_or_else(|| {
+                        format!("cut short: {n} pixels of {width} bytes are needed, {} bytes are there; copy the file again", frame.len())
+                    })?;
+                    Ok(cells.chunks_exact(width).map(little).collect())
+                }
                 _ => Err(
                     "the pixels are in fragments, which this transfer syntax does not have; export the series again"
                         .into(),
@@ -206,6 +218,13 @@ impl Pixels {
             "{n} fragments for {n_frames} frames, and no table that says which belong together; export the series again"
         ))
     }
+}
+
+/// At most `n` bytes of a frame that is deflated.
+fn inflated(frame: &[u8], n: usize) -> Result<Vec<u8>, String> {
+    let mut out = Vec::new();
+    let read = DeflateDecoder::new(frame).take(n as u64).read_to_end(&mut out);
+    read.map(|_| out).map_err(|error| format!("{error} in the deflated frame; copy the file again"))
 }
 
 fn eight(bytes: &[u8]) -> [u8; 8] {

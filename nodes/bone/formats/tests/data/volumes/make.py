@@ -1,6 +1,7 @@
 """Writes the volumes beside it by other programs, and what these read in them as truth.json: python make.py
 
-pydicom 3.0.2 with pylibjpeg-openjpeg 2.6.0, dcmtk 3.6.7 (dcmcjpeg, dcmcrle, dcmcjpls, dcmconv, dcmmkdir), SimpleITK 2.5.7, pynrrd 1.1.3.
+pydicom 3.0.2 with pylibjpeg-openjpeg 2.6.0, dcmtk 3.6.7 (dcmcjpeg, dcmcrle, dcmcjpls, dcmconv, dcmmkdir), OpenJPH 0.9.0 (ojph_compress),
+SimpleITK 2.5.7, pynrrd 1.1.3.
 """
 
 import hashlib
@@ -18,6 +19,7 @@ from pydicom.encaps import encapsulate, generate_frames
 from pydicom.uid import (
     CTImageStorage,
     EnhancedCTImageStorage,
+    HTJ2KLossless,
     ExplicitVRLittleEndian,
     JPEG2000Lossless,
     SecondaryCaptureImageStorage,
@@ -79,6 +81,27 @@ def jpeg_2000(d, fragments=1):
         (frame,) = generate_frames(d.PixelData, number_of_frames=1)
         d.PixelData = encapsulate([frame], fragments_per_frame=fragments)
         d["PixelData"].is_undefined_length = True
+
+
+def of_12_bits(d):
+    """Stored as unsigned numbers of 12 bits."""
+    values = np.frombuffer(d.PixelData, "<i2").astype(int)
+    d.BitsStored, d.HighBit, d.PixelRepresentation, d.RescaleIntercept = 12, 11, 0, d.RescaleIntercept - 1100
+    d.PixelData = (values + 1100).astype("<u2").tobytes()
+
+
+def high_throughput(d):
+    of_12_bits(d)
+    picture, stream = path("layer.pgm"), path("layer.j2c")
+    cells = np.frombuffer(d.PixelData, "<u2").astype(">u2").tobytes()
+    open(picture, "wb").write(b"P5\n%d %d\n4095\n" % (NX, NY) + cells)
+    subprocess.run(["ojph_compress", "-i", picture, "-o", stream, "-reversible", "true"], check=True, capture_output=True)
+    d.file_meta.TransferSyntaxUID = HTJ2KLossless
+    d.PixelData = encapsulate([open(stream, "rb").read()])
+    d["PixelData"].VR = "OB"
+    d["PixelData"].is_undefined_length = True
+    os.remove(picture)
+    os.remove(stream)
 
 
 def path(*names):
@@ -162,6 +185,9 @@ converted("jpeg_lossless", "plain", ["dcmcjpeg", "+e1"])
 converted("jpeg_lossless_predictor_6", "plain", ["dcmcjpeg", "+el", "+sv", "6"])
 converted("jpeg_lossless_point", "plain", ["dcmcjpeg", "+e1", "+pt", "2"])
 converted("jpeg_ls", "plain", ["dcmcjpls"])
+series("jpeg_12_bits", of_12_bits, [0])
+converted("jpeg_12_bits", "jpeg_12_bits", ["dcmcjpeg", "+ee"])
+series("jpeg_2000_high_throughput", high_throughput, [0])
 converted("rle", "plain", ["dcmcrle"])
 converted("deflated", "plain", ["dcmconv", "+td"])
 converted("big_endian", "plain", ["dcmconv", "+tb"])
@@ -218,7 +244,7 @@ def truth(array, matrix):
 
 all_of = {}
 for name in sorted(os.listdir(HERE)):
-    if name in ("make.py", "detached.zraw", "jpeg_lossless_point"):
+    if name in ("make.py", "detached.zraw", "jpeg_lossless_point", "jpeg_12_bits", "jpeg_2000_high_throughput"):
         continue
     if name == "study":
         _, matrix = of_series(path("jpeg_2000"))
