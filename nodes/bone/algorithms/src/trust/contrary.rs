@@ -15,6 +15,9 @@ use std::ops::ControlFlow;
 /// Maximum distance of a pair while a pose is settled, mm.
 const REACH_MM: f64 = 2.0;
 
+/// A search whose pose takes the scan's middle farther from where its report has it, mm, was of another scan or in another frame.
+const SAME_SCAN_MM: f64 = 0.001;
+
 /// Number of scan points, evenly through their order, with which a pose is settled: it then differs from that of all points by
 /// a tenth of the spread at most, as residuals of one region are correlated.
 const N_SETTLED: usize = 10_000;
@@ -151,7 +154,7 @@ fn settled_from(registered: &Registered<'_>, start: &Isometry3<f64>, levels: Vec
 }
 
 /// The registration by shape alone, settled, and its report. Where the one that is judged started there, with this report, and still is
-/// there, it is that one; where it left, the search is not made again.
+/// there, it is that one; where it left, the search is not made again, if it was of this scan.
 pub(super) fn by_shape(
     registered: &Registered<'_>,
     start: Option<&coarse::GlobalReport>,
@@ -165,7 +168,11 @@ pub(super) fn by_shape(
     if let Some((start, settled)) = start.filter(is_there).zip(settled) {
         return Some((*settled, start.clone()));
     }
+    let is_of_this = |pose: &Isometry3<f64>, start: &coarse::GlobalReport| {
+        (pose * middle - Point3::from(start.middle_mm)).norm() < SAME_SCAN_MM
+    };
     let known = start.and_then(|start| Some((start.t_target_source?, start.clone())));
+    let known = known.filter(|(pose, start)| is_of_this(pose, start));
     let (found, report) = match known {
         Some(known) => known,
         None => {
@@ -194,9 +201,13 @@ pub(super) fn mirrored_support(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sample;
+    use crate::shapes::shaft;
     use crate::target::Target;
     use nalgebra::Vector3;
     use osteoflow_geometry::SurfaceOrigin;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
 
     #[test]
     fn a_mirror_image_has_its_camera_mirrored_and_its_frame_kept() {
@@ -207,6 +218,28 @@ mod tests {
         let turn = Vector3::y() * 0.3;
         let seen = mirrored(&scan.seen_from(Isometry3::new(Vector3::new(200.0, -10.0, 50.0), turn)));
         assert_eq!(seen.viewpoint, Some(Isometry3::new(Vector3::new(-200.0, -10.0, 50.0), turn)));
+    }
+
+    #[test]
+    fn a_search_of_another_scan_or_in_another_frame_is_made_again() {
+        let drawn = |n, seed| sample::surface(&shaft(), n, &mut ChaCha8Rng::seed_from_u64(seed));
+        let surface = drawn(20_000, 1);
+        let target = Target::new("ct", SurfaceOrigin::Exact, surface.points, Some(surface.normals.into())).unwrap();
+        let truth = Isometry3::new(Vector3::new(40.0, -3.0, 7.0), Vector3::new(0.3, 0.2, -0.1));
+        let points = drawn(3000, 2).points.iter().map(|p| truth.inverse() * p).collect();
+        let source = Cloud::new("scan", points).unwrap();
+        let astray = Isometry3::translation(0.0, 0.0, 30.0) * truth;
+        let registered = Registered { target: &target, source: &source, t_target_source: &astray, at: &[] };
+        let report = coarse::global(&target, &source, &GlobalParams::default()).unwrap().report;
+        let found = |start: &coarse::GlobalReport| {
+            let (pose, report) = by_shape(&registered, Some(start), None).unwrap();
+            ((pose.translation.vector - truth.translation.vector).norm() < 0.5, report)
+        };
+        // A number by which a report is known again.
+        let marked = coarse::GlobalReport { n_tried: 1, ..report.clone() };
+        assert_eq!(found(&marked), (true, marked.clone()), "the search of this scan is taken");
+        let of_other = marked.t_target_source.map(|pose| pose * Isometry3::translation(500.0, 0.0, 0.0));
+        assert_eq!(found(&coarse::GlobalReport { t_target_source: of_other, ..marked }), (true, report));
     }
 
     #[test]
