@@ -227,7 +227,7 @@ mod tests {
             }),
         );
         let (html, _) = page.finish("");
-        for text in ["tilt deg", ">90.00<", "step_deg", "turned_deg", "180", "0.5"] {
+        for text in ["tilt deg", ">90<", "step_deg", "turned_deg", "180", "0.5"] {
             assert!(html.contains(text), "{text} is missing:\n{html}");
         }
         assert!(!html.contains("rad<") && !html.contains("_rad"), "{html}");
