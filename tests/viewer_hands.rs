@@ -333,10 +333,17 @@ fn marks(browser: &mut Browser, case: &Case) -> Vec<(Point3<f64>, Point3<f64>, V
             nearer < 2.0 || (off + sight * nearer).norm() > 3.0
         })
     };
-    let marks = [n / 10, n / 2, n * 9 / 10].map(|k| {
+    let [first, last] = [n / 10, n * 9 / 10].map(|k| {
         let front = (0..n / 10).flat_map(|by| [k - by, k + by]).map(|k| seen[k.min(n - 1)]).find(is_front);
         front.unwrap_or_else(|| panic!("{}: no mark is before the others", case.name))
     });
+    // As far off the line through both as there is, since three in a row leave the turn about it open.
+    let line = (last - first).normalize();
+    let off_line = |p: &Point3<f64>| ((p - first) - line * (p - first).dot(&line)).norm();
+    let mut between: Vec<_> = seen[n / 3..n * 2 / 3].to_vec();
+    between.sort_by(|a, b| off_line(b).total_cmp(&off_line(a)));
+    let middle = between.into_iter().find(is_front).expect("a mark in the middle is before the others");
+    let marks = [first, middle, last];
     let marks = marks.map(|mark| {
         let place = case.bone.closest_point(&(truth * mark)).unwrap();
         (mark, place.point, (place.normal - along * place.normal.dot(&along)).normalize())

@@ -191,7 +191,12 @@ impl Browser {
     pub(crate) fn wait_until(&mut self, expression: &str) {
         let until = Instant::now() + PATIENCE;
         while self.evaluate(expression) != true {
-            assert!(Instant::now() < until, "it did not come true: {expression}");
+            if Instant::now() >= until {
+                panic!(
+                    "it did not come true: {expression}\nthe page says: {}",
+                    self.evaluate("document.body.innerText")
+                );
+            }
             std::thread::sleep(Duration::from_millis(30));
         }
     }

@@ -226,7 +226,7 @@ mod tests {
         let surface = drawn(20_000, 1);
         let target = Target::new("ct", SurfaceOrigin::Exact, surface.points, Some(surface.normals.into())).unwrap();
         let truth = Isometry3::new(Vector3::new(40.0, -3.0, 7.0), Vector3::new(0.3, 0.2, -0.1));
-        let points = drawn(3000, 2).points.iter().map(|p| truth.inverse() * p).collect();
+        let points: Vec<_> = drawn(3000, 2).points.iter().map(|p| truth.inverse() * p).collect();
         let source = Cloud::new("scan", points).unwrap();
         let astray = Isometry3::translation(0.0, 0.0, 30.0) * truth;
         let registered = Registered { target: &target, source: &source, t_target_source: &astray, at: &[] };
