@@ -78,8 +78,8 @@ pub(crate) fn other_format(bytes: &[u8]) -> Option<&'static str> {
         (b"\x89PNG", "a PNG image"),
         (b"<!doctype html", "an HTML page"),
     ];
-    let found = STARTS.iter().find(|(start, _)| bytes.starts_with(start)).map(|(_, what)| *what);
+    let by_start = STARTS.iter().find(|(start, _)| bytes.starts_with(start)).map(|(_, what)| *what);
     let triangles = || Some(u32::from_le_bytes(bytes.get(80..84)?.try_into().ok()?) as usize);
     let is_stl = || triangles().is_some_and(|n| bytes.len() == 84 + 50 * n && n > 0);
-    found.or_else(|| is_stl().then_some("an STL file"))
+    by_start.or_else(|| is_stl().then_some("an STL file"))
 }

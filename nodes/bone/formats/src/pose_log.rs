@@ -293,6 +293,14 @@ impl Log {
     }
 
     fn finish(mut self, format: LogFormat) -> PoseLog {
+        // A pose between two markers may be as short, so those of all tools decide.
+        let farthest_mm = self.orders.values().map(|stream| stream.farthest_mm).fold(0.0, f64::max);
+        let n = self.orders.values().map(|stream| stream.n).max().unwrap_or_default();
+        if format.unit_mm() != MM_PER_M && n > 2 && farthest_mm > 0.0 && farthest_mm < NEAREST_SEEN_MM {
+            self.notes.push(format!(
+                "all positions are within {farthest_mm:.3} mm of the origin; are they in metres? then unit_mm = 1000 (--scale 1000)"
+            ));
+        }
         for ([to, from], stream) in &self.orders {
             let what = format!("t_{to}_{from}");
             self.notes.extend(stream.order.note(&what));
@@ -312,19 +320,12 @@ impl Log {
 }
 
 impl Stream {
-    /// A note, if all positions are as far as those of no tracker, or at one place: their unit is another.
+    /// A note, if positions in metres are as far as those of no tracker: their unit is another.
     fn length_note(&self, format: LogFormat) -> Option<String> {
-        let is_in_metres = format.unit_mm() == MM_PER_M;
-        if is_in_metres && self.farthest_mm > FARTHEST_SEEN_MM {
+        let is_far = format.unit_mm() == MM_PER_M && self.farthest_mm > FARTHEST_SEEN_MM;
+        is_far.then(|| {
             let m = self.farthest_mm / MM_PER_M;
-            return Some(format!(
-                "its positions are up to {m:.0} m away, farther than a tracker sees; are they in mm? then unit_mm = 1 (--scale 0.001)"
-            ));
-        }
-        let is_tiny = !is_in_metres && self.n > 2 && self.farthest_mm > 0.0 && self.farthest_mm < NEAREST_SEEN_MM;
-        is_tiny.then(|| {
-            let mm = self.farthest_mm;
-            format!("its positions are all within {mm:.3} mm of the origin; are they in metres? then unit_mm = 1000 (--scale 1000)")
+            format!("its positions are up to {m:.0} m away, farther than a tracker sees; are they in mm? then unit_mm = 1 (--scale 0.001)")
         })
     }
 

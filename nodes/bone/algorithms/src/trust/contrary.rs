@@ -231,15 +231,15 @@ mod tests {
         let astray = Isometry3::translation(0.0, 0.0, 30.0) * truth;
         let registered = Registered { target: &target, source: &source, t_target_source: &astray, at: &[] };
         let report = coarse::global(&target, &source, &GlobalParams::default()).unwrap().report;
-        let found = |start: &coarse::GlobalReport| {
+        let searched = |start: &coarse::GlobalReport| {
             let (pose, report) = by_shape(&registered, Some(start), None).unwrap();
             ((pose.translation.vector - truth.translation.vector).norm() < 0.5, report)
         };
         // A number by which a report is known again.
         let marked = coarse::GlobalReport { n_tried: 1, ..report.clone() };
-        assert_eq!(found(&marked), (true, marked.clone()), "the search of this scan is taken");
+        assert_eq!(searched(&marked), (true, marked.clone()), "the search of this scan is taken");
         let of_other = marked.t_target_source.map(|pose| pose * Isometry3::translation(500.0, 0.0, 0.0));
-        assert_eq!(found(&coarse::GlobalReport { t_target_source: of_other, ..marked }), (true, report));
+        assert_eq!(searched(&coarse::GlobalReport { t_target_source: of_other, ..marked }), (true, report));
     }
 
     #[test]

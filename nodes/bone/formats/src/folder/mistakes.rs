@@ -97,22 +97,9 @@ fn resembles(name: &str, marker: &str) -> bool {
     let (name, marker) = (plain(name), plain(marker));
     let word = marker.strip_suffix("marker").unwrap_or(&marker);
     let short = &word[..word.len().min(3)];
-    name.contains(word) || name.starts_with(short) && name.len() <= marker.len() + 2 || distance(&name, &marker) <= 3
-}
-
-/// The number of letters to insert, delete or replace.
-fn distance(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.bytes().enumerate() {
-        let mut before = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.bytes().enumerate() {
-            let replaced = before + usize::from(x != y);
-            before = row[j + 1];
-            row[j + 1] = replaced.min(before + 1).min(row[j] + 1);
-        }
-    }
-    row[b.len()]
+    name.contains(word)
+        || name.starts_with(short) && name.len() <= marker.len() + 2
+        || strsim::levenshtein(&name, &marker) <= 3
 }
 
 /// Markers that lie within a few millimetres of each other and of the tracker.

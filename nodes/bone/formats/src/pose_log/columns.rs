@@ -282,9 +282,9 @@ impl<'a> Places<'a> {
                 let begins = |plain: &str, nth| {
                     (0..table.heading.len()).filter(|k| table.heading[*k].starts_with(plain)).nth(nth)
                 };
-                let found = exact.or_else(|| begins(after, 0));
-                let found = found.or_else(|| counted(after).and_then(|(plain, nth)| begins(plain, nth)));
-                1 + found.ok_or_else(|| {
+                let by_number = || counted(after).and_then(|(plain, nth)| begins(plain, nth));
+                let column = exact.or_else(|| begins(after, 0)).or_else(by_number);
+                1 + column.ok_or_else(|| {
                     let message = format!("no column begins with \"{after}\"; there are: {}", table.heading.join(", "));
                     table.cursor.fault_at(table.heading_line, message)
                 })?

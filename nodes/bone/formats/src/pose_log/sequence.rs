@@ -204,10 +204,7 @@ mod tests {
         assert_eq!(log.notes, [expected]);
         let metres = sequence(&[0, 1, 2].map(|k| frame(k, "OK").replace("10 1 0 0 20", "0.1 1 0 0 0.2")).concat());
         let notes = read_text(&metres).unwrap().notes;
-        assert!(
-            notes[0].contains("its positions are all within 2.012 mm of the origin; are they in metres?"),
-            "{notes:?}"
-        );
+        assert!(notes[0].contains("all positions are within 2.012 mm of the origin; are they in metres?"), "{notes:?}");
     }
 
     #[test]

@@ -278,9 +278,9 @@ fn rows(mut cursor: Cursor<'_>, format: LogFormat) -> (Vec<Row<'_>>, Option<(Nam
     let (mut rows, mut names) = (Vec::new(), None);
     while let Some(line) = cursor.filled_line() {
         let text = line.trim();
-        let found = rows.is_empty().then(|| Names::of(text)).flatten().filter(|names| names.format == format);
-        if let Some(found) = found {
-            names = Some((found, cursor.line));
+        let heading = rows.is_empty().then(|| Names::of(text)).flatten().filter(|names| names.format == format);
+        if let Some(heading) = heading {
+            names = Some((heading, cursor.line));
         } else if !is_comment(text) {
             rows.push((line, cursor.line));
         }
