@@ -368,6 +368,11 @@ impl Context {
         }
     }
 
+    /// Warns of a sign that an input is wrong, found by the rule of this name.
+    pub fn sign(&mut self, _rule: &'static str, message: impl Into<String>) {
+        self.warn(message);
+    }
+
     /// The folder for files that the node writes; `None` if the run has no folder.
     pub fn out_dir(&self) -> Option<&std::path::Path> {
         if let Some(host) = &self.host {
