@@ -1,7 +1,7 @@
 //! The verdict on a registration: the signs in each kind of evidence, put together.
 
 use super::assumptions::assumptions;
-use super::attitude::attitude_assumption;
+use super::attitude::{marker_place_reason, untested_attitude};
 use super::by_shape::{
     another_bone_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason, start_reason,
 };
@@ -51,14 +51,18 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
     let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
-    let assumed = assumed.into_iter().chain(takes.assumptions).chain(devices).chain(last).collect();
-    Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances)
+    let assumed =
+        takes.trust_ends.iter().cloned().chain(assumed).chain(takes.assumptions).chain(devices).chain(last).collect();
+    let trust_ends = takes.trust_ends;
+    Verdict { trust_ends, ..Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances) }
 }
 
 /// What the markers' motions say.
 struct OfTakes {
     reasons: Vec<Reason>,
     assumptions: Vec<String>,
+    /// Why the planes are trusted at the scan alone, if they are.
+    trust_ends: Option<String>,
 }
 
 /// What scan and surface say.
@@ -97,16 +101,20 @@ impl Judging<'_> {
 
     /// The signs in the markers' poses, and what is taken for granted about them.
     fn of_takes(&self) -> OfTakes {
-        let Case { registered, landmarks, located, assessment, measured_tre_mm, takes, .. } = *self.case;
+        let Case { registered, landmarks, assessment, takes, .. } = *self.case;
         let RuleParams { max_latency_s, max_moved_mm, ref limits, .. } = *self.rules;
         let all: Vec<TakeMotion> = takes.scan.into_iter().chain(takes.located).chain(takes.touched).cloned().collect();
         let motion_limits = MotionLimits { max_latency_s, max_moved_mm, limits };
         let motion = motion_signs(&all, registered.t_target_source, &self.place, &motion_limits);
         let planned: Vec<NamedPoint> = landmarks.iter().chain(assessment).cloned().collect();
-        let attitude = attitude_assumption(&takes, &planned, located, measured_tre_mm, registered.t_target_source);
+        let attitude = untested_attitude(self.case, self.place.cuts, &planned, self.rules);
+        let (attitude, trust_ends) =
+            attitude.map_or((None, None), |untested| (Some(untested.assumption), untested.beyond));
+        let place = marker_place_reason(self.case);
         OfTakes {
-            reasons: motion.reason.into_iter().chain(contradiction_reason(&all, self.errors)).collect(),
+            reasons: motion.reason.into_iter().chain(contradiction_reason(&all, self.errors)).chain(place).collect(),
             assumptions: motion.assumptions.into_iter().chain(attitude).collect(),
+            trust_ends,
         }
     }
 

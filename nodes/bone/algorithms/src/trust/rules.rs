@@ -77,6 +77,9 @@ pub struct RuleParams {
     /// than noise explains, mm. 1: as much smears a scan by two thirds of a limit.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_moved_mm: f64,
+    /// Whether it is known that the attitude of the bone's marker is read as it was written. false: where no turn of the bone between the
+    /// scan and its landmarks tests it, trust ends at the planes of the scan. true for a tracker whose poses were tested before.
+    pub attitude_stated: bool,
 }
 
 impl Default for RuleParams {
@@ -98,6 +101,7 @@ impl Default for RuleParams {
             max_common_shift_mm: 3.0,
             max_latency_s: 0.1,
             max_moved_mm: 1.0,
+            attitude_stated: false,
         }
     }
 }

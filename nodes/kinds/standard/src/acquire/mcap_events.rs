@@ -4,7 +4,7 @@ use super::{
     mcap::EventBody,
     mcap_ports::PortParams,
     playback::silences,
-    sifted::{self, sifted},
+    sifted::{self, Sign, sifted},
     topics::{self, Constants, last_part},
     unstamped::{MissingStamps, without_publish_time},
 };
@@ -45,6 +45,7 @@ pub(super) struct Findings {
     pub(super) renamed: BTreeSet<String>,
     /// What the user should know.
     pub(super) notes: Vec<String>,
+    pub(super) signs: Vec<Sign>,
     /// Messages without a stamp.
     pub(super) stamps: MissingStamps,
 }
@@ -255,8 +256,8 @@ impl Port<'_> {
     /// The poses of a topic in the order of their stamps, equal ones of one stamp once, with empties in place of those of a frozen
     /// tracker.
     fn unless_frozen(&mut self, topic: &str, poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
-        let (poses, notes) = sifted(poses, self.params.stream.frozen_after_ms);
-        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
+        let (poses, signs) = sifted(poses, &self.params.stream);
+        self.found.signs.extend(signs.into_iter().map(|(rule, sign)| (rule, format!("topic {topic}: {sign}"))));
         let event = |pose| {
             let (stamp_ns, emission) = sifted::emission(pose);
             (stamp_ns, EventBody::Ready(emission))
@@ -309,7 +310,7 @@ impl Port<'_> {
                 }
             }
         }
-        let (poses, notes) = sifted(moving, params.stream.frozen_after_ms);
+        let (poses, signs) = sifted(moving, &params.stream);
         for (pose, reason) in poses {
             let motion = reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));
             tree.add(&pose.to, &pose.from, pose.stamp_ns, motion);
@@ -318,7 +319,7 @@ impl Port<'_> {
             sifted::through(&tree, (parent, child), params.stream.max_gap_ms).map_err(|message| self.fault(message))?;
         let Some((mut poses, note)) = read else { return Ok(None) };
         let name = topics.join(" and ");
-        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {name}: {note}")));
+        self.found.signs.extend(signs.into_iter().map(|(rule, sign)| (rule, format!("topic {name}: {sign}"))));
         self.found.notes.push(format!("port \"{}\": {name}: {note}", self.declared.name));
         for (pose, _) in &mut poses {
             self.rename(&mut pose.to, &mut pose.from);

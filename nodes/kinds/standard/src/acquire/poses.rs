@@ -2,7 +2,7 @@
 
 use super::{
     playback::{Event, Playback, in_order, silences},
-    sifted::{self, PoseStreamParams, Sifted, sifted},
+    sifted::{self, PoseStreamParams, Sifted, Sign, sifted},
     topics::TransformFilter,
 };
 use osteoflow_formats::pose_log::{Columns, LogFormat, LogOptions, read_log};
@@ -136,15 +136,17 @@ impl Poses {
             }
         }
         let mut notes: Vec<String> = log.notes.into_iter().chain(corrections.note()).collect();
+        let mut signs = Vec::new();
         let (mut events, mut renamed) = (Vec::new(), BTreeSet::new());
         for (port, declared) in ctx.declared().iter().enumerate() {
             let port_log = PortLog { declared, params: declared.params()?, streams: &streams };
-            let read = port_log.events(frames, &mut renamed, &mut notes);
+            let read = port_log.events(frames, &mut renamed, &mut notes, &mut signs);
             let read =
                 read.map_err(|message| NodeError::new(format!("{name}: port \"{}\": {message}", declared.name)))?;
             events.extend(read.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
+        signs.into_iter().for_each(|(rule, sign)| ctx.sign(rule, format!("{name}: {sign}")));
         match frames.keys().find(|frame| !renamed.contains(*frame)) {
             Some(frame) => Err(NodeError::new(format!(
                 "{name}: frames names \"{frame}\", but no pose that a port reads is in it; `osteoflow info` lists the frames"
@@ -175,6 +177,7 @@ impl PortLog<'_> {
         frames: &BTreeMap<String, String>,
         renamed: &mut BTreeSet<String>,
         notes: &mut Vec<String>,
+        signs: &mut Vec<Sign>,
     ) -> Result<Vec<(StampNs, Emission)>, String> {
         if self.declared.payload.name != "geometry/Pose" {
             return Err(format!("a log gives geometry/Pose, but not {}", self.declared.payload.name));
@@ -185,11 +188,11 @@ impl PortLog<'_> {
             self.streams.iter().filter(|((to, from), _)| wanted(parent, to) && wanted(child, from)).collect();
         let (poses, lost) = match (&found[..], parent, child) {
             ([(_, stream)], ..) => {
-                let (poses, more) = sifted(stream.poses.clone(), self.params.stream.frozen_after_ms);
-                notes.extend(more);
+                let (poses, more) = sifted(stream.poses.clone(), &self.params.stream);
+                signs.extend(more);
                 (poses, stream.lost.clone())
             }
-            ([], Some(parent), Some(child)) => (self.chained(parent, child, notes)?, Vec::new()),
+            ([], Some(parent), Some(child)) => (self.chained(parent, child, notes, signs)?, Vec::new()),
             _ => {
                 let wanted = [child, parent].map(|name| name.as_deref().unwrap_or("any"));
                 let there = if found.is_empty() { "there are" } else { "several fit" };
@@ -233,11 +236,17 @@ impl PortLog<'_> {
     }
 
     /// The poses between two frames that several transforms join, or an inverse.
-    fn chained(&self, parent: &str, child: &str, notes: &mut Vec<String>) -> Result<Vec<Sifted>, String> {
+    fn chained(
+        &self,
+        parent: &str,
+        child: &str,
+        notes: &mut Vec<String>,
+        signs: &mut Vec<Sign>,
+    ) -> Result<Vec<Sifted>, String> {
         let mut tree = TransformTree::default();
         for ((to, from), stream) in self.streams {
-            let (poses, more) = sifted(stream.poses.clone(), self.params.stream.frozen_after_ms);
-            notes.extend(more);
+            let (poses, more) = sifted(stream.poses.clone(), &self.params.stream);
+            signs.extend(more);
             for (pose, reason) in poses {
                 let motion =
                     reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));

@@ -17,7 +17,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, Value, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Emit, Function, Inputs, NodeError, Outputs, Value, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 
@@ -31,7 +31,7 @@ use osteoflow_payloads::Json;
 #[describe(
     example = r#"
 kind = "verdict.registration"
-in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", plan = "plan.report", surface = "bone.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report", take_motion = "to_bone.take_motion", located_motion = { from = "to_bone_laser.take_motion", n = 3 } }
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", plan = "plan.report", surface = "bone.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", known = "planes_last.known", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report", take_motion = "to_bone.take_motion", located_motion = { from = "to_bone_laser.take_motion", n = 3 } }
 "#,
     literature = [
         "Gelfand et al. 2003",
@@ -129,6 +129,9 @@ pub struct In {
     /// come or the wire ends.
     #[port(join = "once")]
     followed: Option<Planes>,
+    /// The last of them that are known, for the output `planes`. Unwired: those of `followed`.
+    #[port(join = "once")]
+    known: Option<Planes>,
     /// The report of the calibration.
     #[port(join = "once")]
     calibration: Option<PhantomReport>,
@@ -161,6 +164,10 @@ pub struct In {
 pub struct Out {
     /// The verdict.
     verdict: Verdict,
+    /// The last planes that are known, with their stamp; empty if the verdict does not hold for them, because nothing has tested the
+    /// attitude of the bone's marker.
+    #[port(frame = "followed")]
+    planes: Emit<Planes>,
 }
 
 impl Function for Registration {
@@ -239,7 +246,15 @@ impl Function for Registration {
         {
             params.far_planes(planes, &i.target).into_iter().for_each(|warning| ctx.warn(warning));
         }
-        Ok(Out { verdict })
+        let planes = match (&verdict.trust_ends, i.known.or(i.followed)) {
+            (Some(why), _) => {
+                ctx.sign("attitude_untested", why);
+                Emit::Empty(why.clone())
+            }
+            (None, Some(planes)) => Emit::Value(planes),
+            (None, None) => Emit::Empty("no planes were followed".into()),
+        };
+        Ok(Out { verdict, planes })
     }
 }
 
