@@ -368,9 +368,10 @@ impl Context {
         }
     }
 
-    /// Warns of a sign that an input is wrong, found by the rule of this name.
-    pub fn sign(&mut self, _rule: &'static str, message: impl Into<String>) {
-        self.warn(message);
+    /// Warns of a sign that an input is wrong, found by the rule of this name, such as `marker_jump`: a warning that ends with the rule in
+    /// brackets, which `results.json` lists under `reasons`.
+    pub fn sign(&mut self, rule: &'static str, message: impl std::fmt::Display) {
+        self.warn(format!("{message} [{rule}]"));
     }
 
     /// The folder for files that the node writes; `None` if the run has no folder.
@@ -391,6 +392,13 @@ impl Context {
 /// FNV-1a: stable across machines and versions, unlike the hash of the standard library.
 fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
+}
+
+/// A warning that is a sign, as [`Context::sign`] writes it: its message and its rule.
+pub fn sign(warning: &str) -> Option<(&str, &str)> {
+    let (message, rule) = warning.strip_suffix(']')?.rsplit_once(" [")?;
+    let is_name = !rule.is_empty() && rule.chars().all(|c| c.is_ascii_lowercase() || c == '_');
+    is_name.then_some((message, rule))
 }
 
 #[cfg(test)]

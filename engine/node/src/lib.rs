@@ -98,7 +98,7 @@ mod view;
 
 pub use build_context::{BuildContext, Place};
 pub use clock::{Budget, ClockReading};
-pub use context::{Context, FiringDone, FiringSent};
+pub use context::{Context, FiringDone, FiringSent, sign};
 pub use declared::Declared;
 pub use description::{CachePolicy, Description, Role};
 pub use display::{Display, DisplayContext, FrameEdge, frame_edge, own_frame};

@@ -1,8 +1,8 @@
 //! Events and statistics of a run.
 
 use crate::plan::Location;
-use osteoflow_node::StampNs;
-use std::{fmt, time::Duration};
+use osteoflow_node::{Empty, StampNs};
+use std::{fmt, sync::Arc, time::Duration};
 
 /// Receives the events of a run as they happen, on any thread.
 pub trait Observer: Sync {
@@ -112,6 +112,8 @@ pub struct NodeStats {
     pub items: u64,
     /// Activations skipped because an input had no value.
     pub skipped: u64,
+    /// The empty for which the last of them was skipped.
+    pub skipped_for: Option<Arc<Empty>>,
     /// Activations that failed.
     pub failed: u64,
     /// Total time of its firings; may include the engine's own work for a firing, which is below a microsecond.

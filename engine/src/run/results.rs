@@ -8,9 +8,9 @@ use crate::{
     graph::grammar::VERDICT,
     options::RunOptions,
     plan::{OutputId, Plan, Require, ResultEntry},
-    runtime::{Failure, Refusal, refusal as refusal_of},
+    runtime::{Failure, Refusal, Warning, refusal as refusal_of},
 };
-use osteoflow_node::{Body, Role};
+use osteoflow_node::{Body, Role, sign};
 use serde_json::{Map, Value as Json, json};
 
 /// Prefix of the names of payloads that say how the run went. Of refused results, only these are given.
@@ -18,6 +18,33 @@ const REPORT: &str = "report/";
 
 /// Determines how the run ended, and the content of `results.json`.
 pub(crate) fn collect(plan: &Plan, options: &RunOptions, run: &Finished) -> (Outcome, Json) {
+    let (outcome, mut results) = outcome_and_results(plan, options, run);
+    let reasons = reasons(&run.ended.warnings);
+    if let (Json::Object(results), false) = (&mut results, reasons.is_empty()) {
+        results.insert(REASONS.into(), reasons.into());
+    }
+    (outcome, results)
+}
+
+/// Key of the signs that an input is wrong.
+const REASONS: &str = "reasons";
+
+/// The warnings that are signs, each once, in the order of the plan, with how often it was given.
+fn reasons(warnings: &[Warning]) -> Vec<Json> {
+    let mut reasons: Vec<(&str, &str, &str, u64)> = Vec::new();
+    for warning in warnings {
+        let Some((message, rule)) = sign(&warning.message) else { continue };
+        let node = warning.node.as_str();
+        match reasons.iter_mut().find(|(of, known, said, _)| (*of, *known, *said) == (node, rule, message)) {
+            Some((.., n)) => *n += 1,
+            None => reasons.push((node, rule, message, 1)),
+        }
+    }
+    let json = |(node, rule, reason, n)| json!({ "node": node, "rule": rule, "reason": reason, "n": n });
+    reasons.into_iter().map(json).collect()
+}
+
+fn outcome_and_results(plan: &Plan, options: &RunOptions, run: &Finished) -> (Outcome, Json) {
     if run.ended.interrupted {
         return (Outcome::Interrupted, interrupted(options));
     }
@@ -128,7 +155,38 @@ fn ended<'a>(plan: &'a Plan, run: &Finished) -> Result<Entries<'a>, Refusal> {
             None => return Err(cause(plan, run, entry.from)),
         }
     }
-    Ok(Entries { verdict, refusal, values })
+    match sink_without_items(plan, run).filter(|_| refusal.is_none()) {
+        Some(refusal) => Err(refusal),
+        None => Ok(Entries { verdict, refusal, values }),
+    }
+}
+
+/// Why a node without outputs, such as one that writes a file, never got what it needs.
+fn sink_without_items(plan: &Plan, run: &Finished) -> Option<Refusal> {
+    let is_needed =
+        |input: &crate::plan::PlanInput| !input.port.unused && !input.port.optional && !input.links.is_empty();
+    plan.nodes.iter().enumerate().find_map(|(index, node)| {
+        let stats = run.ended.nodes.iter().find(|stats| stats.name == *node.name)?;
+        let is_idle = stats.items == stats.skipped && stats.failed == 0;
+        if node.role != Role::Node || !node.outputs.is_empty() || !is_idle || !node.inputs.iter().any(is_needed) {
+            return None;
+        }
+        let reason = match &stats.skipped_for {
+            Some(empty) => {
+                let n = stats.skipped;
+                let items = if n == 1 { "the only item".to_owned() } else { format!("each of {n} items") };
+                format!("it got nothing: {items} was empty, the last as {} says: {}", empty.node, empty.reason)
+            }
+            None => {
+                let fed = node.inputs.iter().filter(|input| is_needed(input)).flat_map(|input| &input.links);
+                let from =
+                    fed.map(|link| plan.links[*link].from).find(|from| run.outputs[from.node][from.port].n_items == 0);
+                let why = from.map(|from| silent_wire(plan, run, from).1);
+                format!("it got nothing: {}", why.unwrap_or_else(|| "items came, but never together".into()))
+            }
+        };
+        Some(refusal_at(plan, index, None, reason))
+    })
 }
 
 /// The verdict, and the refusal if it does not suffice.

@@ -50,6 +50,7 @@ pub(crate) struct Cell {
     /// Stamp of the last activation, or of the last promise after it.
     stamp_ns: StampNs,
     skipped: u64,
+    skipped_for: Option<Arc<Empty>>,
     failed: u64,
     /// Durations of firings.
     took: Histogram,
@@ -138,6 +139,7 @@ impl Cell {
             item: 0,
             stamp_ns: StampNs::MIN,
             skipped: 0,
+            skipped_for: None,
             failed: 0,
             took: Histogram::default(),
             cpu: None,
@@ -345,6 +347,7 @@ impl Cell {
         self.stamp_ns = stamp_ns;
         if let Some(empty) = activation.skip {
             self.skipped += 1;
+            self.skipped_for = Some(empty.clone());
             run.event(&Event::Skipped { node: self.context.node(), item });
             self.send_empties(empty, run, turn);
             return;
@@ -640,6 +643,7 @@ impl Cell {
             name: name.into(),
             items: self.item,
             skipped: self.skipped,
+            skipped_for: self.skipped_for.clone(),
             failed: self.failed,
             busy: Duration::from_nanos(self.took.sum_ns()),
             cpu: self.cpu,

@@ -154,7 +154,7 @@ pub fn judge(samples: &[Sample], limits: &MotionLimits) -> Judged {
         }
         let before = last.replace(index).map(|before| (before, seconds(stamp_ns - samples[before].0)));
         match (before, islands.last_mut()) {
-            (Some((before, gap_s)), Some(island)) if gap_s <= SILENCE_S => {
+            (Some((before, gap_s)), Some(island)) if gap_s < SILENCE_S => {
                 if gap_s == 0.0 || samples[as_of[before]].1 == *pose {
                     as_of[index] = as_of[before];
                     island.n_repeated += usize::from(gap_s > 0.0);

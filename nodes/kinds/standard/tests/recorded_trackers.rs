@@ -69,7 +69,7 @@ fn a_tracker_that_repeats_one_pose_is_lost_after_two_seconds_and_said_once() {
     let lost: Vec<usize> = (0..items.len())
         .filter(|k| matches!(&items[*k].1, Emission::Empty(reason) if reason.contains("is frozen")))
         .collect();
-    assert_eq!(lost, (60..80).collect::<Vec<_>>(), "from 2 s after the first until it changes");
+    assert_eq!(lost, (21..80).collect::<Vec<_>>(), "all that repeat the first, as it was the same for 2 s");
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     let since = STAMP + 1000 * MS;
     let expected = format!(
@@ -84,7 +84,7 @@ fn a_tracker_that_repeats_one_pose_is_lost_after_two_seconds_and_said_once() {
 
 #[test]
 fn stamps_that_run_backwards_are_reported_once_with_message_and_both_stamps() {
-    let poses: Vec<Pose> = (0..20).map(|k| pose(50 * k, k as f64)).collect();
+    let poses: Vec<Pose> = (0..20).map(|k| pose(50 * k, 100.0 + k as f64)).collect();
     let topic = json!({ "topic": "/tracker/bone" });
     let (_, warnings) = played(poses.clone(), topic.clone(), Order::Sensor);
     assert!(warnings.is_empty(), "{warnings:?}");

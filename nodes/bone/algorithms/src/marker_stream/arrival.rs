@@ -33,7 +33,7 @@ impl Arrival {
     /// `None` if the stamps, in order, look like those of a clock that ticks at each measurement. Looked at is the longest time without a
     /// silence: at stations a marker is measured a few times each. `O(n log n)`.
     pub fn of(stamps: &[StampNs]) -> Option<Self> {
-        let stamps = stamps.chunk_by(|a, b| seconds(b - a) <= SILENCE_S).max_by_key(|span| span.len())?;
+        let stamps = stamps.chunk_by(|a, b| seconds(b - a) < SILENCE_S).max_by_key(|span| span.len())?;
         if stamps.len() < N_SHOW {
             return None;
         }
