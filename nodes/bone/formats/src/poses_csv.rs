@@ -11,12 +11,13 @@
 //! all-zero quaternion, means that the marker was not seen. Columns may be in any order; further ones are ignored.
 
 use crate::{
-    FileError, LostPose, StampOrder, input,
+    FileError, LostPose, input,
+    pose_log::{Log, LogFormat, PoseLog},
     table::{self, Row, Table},
 };
 use nalgebra::{Isometry3, Quaternion, Translation3};
 use osteoflow_geometry::{Frame, Nearest, Pose, TooFar, nearest_rotation};
-use std::{collections::BTreeMap, path::Path};
+use std::path::Path;
 
 /// The columns, in the order in which they are written.
 const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy", "qz", "qw"];
@@ -30,12 +31,10 @@ pub(crate) fn is_heading(line: &str) -> bool {
 /// The rows of a poses file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PosesRead {
-    /// The poses in file order; a row in which the marker was not seen is a [`LostPose`].
-    pub poses: Vec<Result<Nearest<Pose>, LostPose>>,
+    /// The poses in file order, with notes and signs.
+    pub log: PoseLog,
     /// The line of each row, counted from 1.
     pub lines: Vec<u64>,
-    /// Streams whose stamps run backwards, one sentence each.
-    pub notes: Vec<String>,
 }
 
 /// Reads the rows of a poses file, in file order; a row in which the marker was not seen is a [`LostPose`].
@@ -47,27 +46,26 @@ pub struct PosesRead {
 /// [`FileError`], naming the line: a missing column, a word instead of a number, a quaternion whose length is farther
 /// than [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1.
 pub fn read_poses(path: &Path, unit_mm: f64) -> Result<PosesRead, FileError> {
+    let mut log = Log::default();
+    let lines = read(path, unit_mm, &mut log)?;
+    Ok(PosesRead { log: log.finish(LogFormat::Poses), lines })
+}
+
+/// Reads the rows into a log, and gives the line of each.
+pub(crate) fn read(path: &Path, unit_mm: f64, log: &mut Log) -> Result<Vec<u64>, FileError> {
     let bytes = input::read(path)?;
     let table = Table::parse(path, &bytes)?;
     let mut columns = [0; COLUMNS.len()];
     for (column, name) in columns.iter_mut().zip(COLUMNS) {
         *column = table.column(name)?;
     }
-    let mut orders: BTreeMap<[String; 2], StampOrder> = BTreeMap::new();
-    let (mut poses, mut lines) = (Vec::new(), Vec::new());
+    log.has_constants = true;
+    let mut lines = Vec::new();
     for row in table.rows() {
-        let read = pose(&row, columns, unit_mm)?;
-        let (to, from, stamp_ns) = match &read {
-            Ok(pose) => (&pose.value.to, &pose.value.from, pose.value.stamp_ns),
-            Err(lost) => (&lost.to, &lost.from, lost.stamp_ns),
-        };
-        let order = orders.entry([to.to_string(), from.to_string()]).or_default();
-        order.take(stamp_ns, || format!("line {}", row.line()));
-        poses.push(read);
+        log.push(pose(&row, columns, unit_mm)?, || format!("line {}", row.line()));
         lines.push(row.line());
     }
-    let notes = orders.iter().filter_map(|([to, from], order)| order.note(&format!("t_{to}_{from}")));
-    Ok(PosesRead { poses, lines, notes: notes.collect() })
+    Ok(lines)
 }
 
 fn pose(
@@ -98,10 +96,16 @@ fn pose(
     Ok(Ok(rotation.map(|rotation| Pose::new(to, from, Isometry3::from_parts(translation, rotation)).at(stamp_ns))))
 }
 
-/// The fault of a stamp with a fraction.
+/// The fault of a stamp in seconds, or as a float.
 fn in_seconds(row: &Row, stamp: usize) -> Option<FileError> {
     let text = row.text(stamp);
-    text.parse::<f64>().ok().filter(|s| s.is_finite() && s.fract() != 0.0 && s.abs() < 9e9)?;
+    let number = text.parse::<f64>().ok()?;
+    if text.contains(['e', 'E']) {
+        let message =
+            "likely cause: a program wrote it as a float, with too few digits for nanoseconds; write all of them";
+        return Some(row.fault(format!("t_ns is \"{text}\", a whole number of nanoseconds is expected; {message}")));
+    }
+    Some(number).filter(|s| s.is_finite() && s.abs() < 9e9)?;
     // By its digits: a float has too few for nanoseconds since 1970.
     let (whole, fraction) = text.split_once('.')?;
     let message = format!(
@@ -152,7 +156,7 @@ mod tests {
     fn read(text: &str) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        read_poses(file.path(), 1.0).map(|read| read.poses)
+        read_poses(file.path(), 1.0).map(|read| read.log.poses)
     }
 
     #[test]
@@ -174,7 +178,7 @@ mod tests {
         let poses: Vec<Pose> = (0..5).map(pose).collect();
         let file = tempfile::NamedTempFile::new().unwrap();
         write_poses(file.path(), &poses).unwrap();
-        let back = read_poses(file.path(), 1.0).unwrap().poses.into_iter().map(|pose| pose.unwrap().value);
+        let back = read_poses(file.path(), 1.0).unwrap().log.poses.into_iter().map(|pose| pose.unwrap().value);
         let back: Vec<Pose> = back.collect();
         for (a, b) in back.iter().zip(&poses) {
             assert_eq!(
@@ -214,10 +218,10 @@ mod tests {
         let text = format!("{header}{}{}{}{}", row(10, "a"), row(5, "b"), row(8, "a"), row(6, "b"));
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        let read = read_poses(file.path(), 1.0).unwrap();
-        assert_eq!(read.notes.len(), 1, "{:?}", read.notes);
+        let log = read_poses(file.path(), 1.0).unwrap().log;
+        assert_eq!(log.signs.len(), 1, "{:?}", log.signs);
         let expected = "t_world_a: stamps run backwards once, first at line 4: 8 ns comes after 10 ns";
-        assert!(read.notes[0].starts_with(expected), "{}", read.notes[0]);
+        assert!(log.signs[0].1.starts_with(expected), "{}", log.signs[0].1);
     }
 
     #[test]

@@ -15,11 +15,11 @@ pub struct TransformTree {
     edges: BTreeMap<(Frame, Frame), Edge>,
 }
 
-/// The samples of one transform, in any order; constants have the stamp 0.
+/// The samples of one transform, in any order.
 #[derive(Debug, Clone, Default)]
 struct Edge {
     samples: Vec<(StampNs, Result<Isometry3<f64>, String>)>,
-    is_constant: bool,
+    is_static: bool,
 }
 
 /// One transform on the path between two frames.
@@ -38,7 +38,8 @@ pub struct Step {
 pub struct Chain {
     /// The transforms of which it is the product, from the frame it leads to.
     pub steps: Vec<Step>,
-    /// The motion at each stamp at which one of them was measured, or why there is none; one of stamp 0 if all are constant.
+    /// The motion at each stamp at which one of them was measured, or why there is none; if all are static, at
+    /// each stamp from which one of them holds.
     pub samples: Vec<(StampNs, Result<Isometry3<f64>, String>)>,
 }
 
@@ -74,14 +75,26 @@ impl Chain {
 }
 
 impl TransformTree {
-    /// Adds a sample of `t_parent_child`, or why there is none; of stamp 0 it is constant.
+    /// Adds a sample of `t_parent_child`, or why there is none; of stamp 0 it is static, as by [`Self::add_static`], unless others have
+    /// stamps.
     pub fn add(&mut self, parent: &Frame, child: &Frame, stamp_ns: StampNs, motion: Result<Isometry3<f64>, String>) {
         let edge = self.edges.entry((parent.clone(), child.clone())).or_default();
-        edge.is_constant = stamp_ns == 0 && (edge.is_constant || edge.samples.is_empty());
-        if edge.is_constant {
+        if stamp_ns != 0 && edge.is_static {
             edge.samples.clear();
         }
+        edge.is_static = stamp_ns == 0 && (edge.is_static || edge.samples.is_empty());
         edge.samples.push((stamp_ns, motion));
+    }
+
+    /// Adds a static `t_parent_child`: it holds from its stamp until the next one, and the first from the beginning. Whether it is taken:
+    /// samples over time go before.
+    pub fn add_static(&mut self, parent: &Frame, child: &Frame, stamp_ns: StampNs, motion: Isometry3<f64>) -> bool {
+        let edge = self.edges.entry((parent.clone(), child.clone())).or_default();
+        edge.is_static |= edge.samples.is_empty();
+        if edge.is_static {
+            edge.samples.push((stamp_ns, Ok(motion)));
+        }
+        edge.is_static
     }
 
     /// The pairs of frames, `child -> parent`.
@@ -101,14 +114,14 @@ impl TransformTree {
         let mut edges = Vec::new();
         for step in &steps {
             let mut edge = self.edges[&(step.parent.clone(), step.child.clone())].clone();
-            edge.samples.retain(|(stamp_ns, _)| edge.is_constant || *stamp_ns != 0);
+            edge.samples.retain(|(stamp_ns, _)| edge.is_static || *stamp_ns != 0);
             edge.samples.sort_by_key(|(stamp_ns, _)| *stamp_ns);
             edges.push(edge);
         }
-        let moving = || edges.iter().filter(|edge| !edge.is_constant);
-        let stamps: BTreeSet<StampNs> =
-            moving().flat_map(|edge| edge.samples.iter().map(|(stamp, _)| *stamp)).collect();
-        let stamps = if moving().next().is_none() { BTreeSet::from([0]) } else { stamps };
+        let moves = edges.iter().any(|edge| !edge.is_static);
+        let timed = edges.iter().filter(|edge| edge.is_static != moves);
+        let stamps: BTreeSet<StampNs> = timed.flat_map(|edge| edge.samples.iter().map(|(stamp, _)| *stamp)).collect();
+        let stamps = if steps.is_empty() { BTreeSet::from([0]) } else { stamps };
         let at = |stamp_ns: StampNs| {
             let mut product = Isometry3::identity();
             for (edge, step) in edges.iter().zip(&steps) {
@@ -179,8 +192,9 @@ impl Ancestors {
 impl Edge {
     /// The motion at a stamp, or why there is none.
     fn at(&self, stamp_ns: StampNs, max_gap_ns: StampNs) -> Result<Isometry3<f64>, String> {
-        if self.is_constant {
-            return self.samples[0].1.clone();
+        if self.is_static {
+            let n_before = self.samples.partition_point(|(stamp, _)| *stamp <= stamp_ns);
+            return self.samples[n_before.saturating_sub(1)].1.clone();
         }
         let next = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
         let same: Vec<_> = self.samples[next..].iter().take_while(|(stamp, _)| *stamp == stamp_ns).collect();

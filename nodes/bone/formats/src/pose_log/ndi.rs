@@ -9,7 +9,7 @@
 //! Exports and their readers as others published them: a table of a Polaris Vega in the tests of a reader of three trackers of a knee, the
 //! reader of a Polaris Vicra's of the HRRT user's software (`vicra_plot`), and the sample program `sample.cpp` of NDI's Combined API.
 
-use super::columns::{Columns, QuaternionColumns, SEPARATORS, TimeUnit, Tool};
+use super::columns::{Columns, QuaternionColumns, SEPARATORS, TimeUnit, Tool, named};
 use crate::{columns::quoted_cells, cursor::Cursor};
 
 /// The heading is among so many lines.
@@ -29,11 +29,22 @@ fn heading(line: &str) -> Vec<String> {
     let line = line.trim_start_matches('\u{feff}');
     let cut = SEPARATORS.map(|separator| quoted_cells(line, separator));
     let cells = cut.into_iter().max_by_key(Vec::len).unwrap_or_default();
-    cells.iter().map(|cell| cell.trim().trim_start_matches('#').trim().to_owned()).collect()
+    named(&cells)
 }
 
-fn is_port(cell: &str) -> bool {
+/// Whether a cell names a port.
+pub(super) fn is_port(cell: &str) -> bool {
     cell.starts_with("Port ")
+}
+
+/// Whether two cells name one port, `Port 10: NAME`, of which one may be without the tool's name.
+pub(super) fn is_same_port(a: &str, b: &str) -> bool {
+    let parts = |cell: &str| {
+        let (port, tool) = cell.split_once(':').unwrap_or((cell, ""));
+        [port, tool].map(|part| part.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase())
+    };
+    let ([port_a, tool_a], [port_b, tool_b]) = (parts(a), parts(b));
+    port_a == port_b && (tool_a == tool_b || tool_a.is_empty() || tool_b.is_empty())
 }
 
 /// Whether a line is the heading of a table of NDI.

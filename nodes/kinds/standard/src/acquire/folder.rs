@@ -90,6 +90,7 @@ impl Folder {
         let signs = self.sift(&mut streams.items);
         streams.notes.iter().for_each(|note| ctx.warn(note));
         signs.into_iter().for_each(|(rule, sign)| ctx.sign(rule, sign));
+        streams.signs.iter().for_each(|(rule, sign)| ctx.sign(rule, sign));
         let start_ns = streams.items.iter().map(|item| item.stamp_ns).find(|&stamp_ns| stamp_ns != 0).unwrap_or(0);
         let has = |role: &str| streams.items.iter().any(|item| item.role == role);
         let tracked = has("bone_marker");

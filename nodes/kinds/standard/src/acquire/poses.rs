@@ -5,7 +5,10 @@ use super::{
     sifted::{self, PoseStreamParams, Sifted, Sign, sifted},
     topics::TransformFilter,
 };
-use osteoflow_formats::pose_log::{Columns, LogFormat, LogOptions, read_log};
+use osteoflow_formats::{
+    pose_log::{Columns, LogFormat, LogOptions, read_log},
+    without_slash,
+};
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
 use osteoflow_node::{
     Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
@@ -146,7 +149,7 @@ impl Poses {
             events.extend(read.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
-        signs.into_iter().for_each(|(rule, sign)| ctx.sign(rule, format!("{name}: {sign}")));
+        signs.into_iter().chain(log.signs).for_each(|(rule, sign)| ctx.sign(rule, format!("{name}: {sign}")));
         match frames.keys().find(|frame| !renamed.contains(*frame)) {
             Some(frame) => Err(NodeError::new(format!(
                 "{name}: frames names \"{frame}\", but no pose that a port reads is in it; `osteoflow info` lists the frames"
@@ -183,9 +186,8 @@ impl PortLog<'_> {
             return Err(format!("a log gives geometry/Pose, but not {}", self.declared.payload.name));
         }
         let TransformFilter { parent, child } = &self.params.transforms;
-        let wanted = |of: &Option<String>, frame: &Frame| of.as_deref().is_none_or(|name| name == frame.as_str());
         let found: Vec<_> =
-            self.streams.iter().filter(|((to, from), _)| wanted(parent, to) && wanted(child, from)).collect();
+            self.streams.iter().filter(|((to, from), _)| self.params.transforms.wants(to, from)).collect();
         let (poses, lost) = match (&found[..], parent, child) {
             ([(_, stream)], ..) => {
                 let (poses, more) = sifted(stream.poses.clone(), &self.params.stream);
@@ -208,7 +210,7 @@ impl PortLog<'_> {
         let stamps: Vec<StampNs> =
             poses.iter().map(|(pose, _)| pose.stamp_ns).chain(lost.iter().map(|(stamp, _)| *stamp)).collect();
         let mut rename = |frame: &mut Frame| {
-            if let Some((name, other)) = frames.get_key_value(frame.as_str()) {
+            if let Some((name, other)) = frames.iter().find(|(name, _)| without_slash(name) == frame.as_str()) {
                 renamed.insert(name.clone());
                 *frame = other.as_str().into();
             }
@@ -243,6 +245,7 @@ impl PortLog<'_> {
         notes: &mut Vec<String>,
         signs: &mut Vec<Sign>,
     ) -> Result<Vec<Sifted>, String> {
+        let (parent, child) = (without_slash(parent), without_slash(child));
         let mut tree = TransformTree::default();
         for ((to, from), stream) in self.streams {
             let (poses, more) = sifted(stream.poses.clone(), &self.params.stream);

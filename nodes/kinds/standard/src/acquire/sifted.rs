@@ -2,6 +2,7 @@
 
 use super::{frozen::Frozen, one_stamp::OneStamp};
 use osteoflow_algorithms::marker_stream::{Arrival, Cause, Kind, MotionLimits, Sample, judge};
+pub(super) use osteoflow_formats::Sign;
 use osteoflow_geometry::{Pose, StampNs, TransformTree, nalgebra::Isometry3};
 use osteoflow_node::{Emission, schemars::JsonSchema, serde::Deserialize};
 use std::collections::BTreeMap;
@@ -34,9 +35,6 @@ pub struct PoseStreamParams {
 
 /// A pose, and why it is not to be used, if it is not.
 pub(super) type Sifted = (Pose, Option<String>);
-
-/// A sign that an input is wrong, with the rule that finds it.
-pub(super) type Sign = (&'static str, String);
 
 /// The poses of markers in the order of their stamps, equal ones of one stamp once, those that are no measurements with the reason, or
 /// left out where their neighbours are near enough to be interpolated; and the signs.
