@@ -13,6 +13,7 @@ use super::cut::planned_cuts;
 use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::inside::inside_reason;
+use super::landmarks::{Compared, LandmarkErrors, landmarks_contradict};
 use super::misfit::misfit_reason;
 use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::{self, Nuisance, Nuisances};
@@ -23,6 +24,7 @@ use super::predict_last::predict_last;
 use super::rules::RuleParams;
 use super::size::size_reason;
 use super::slid::slide_reasons;
+use super::spread::Spread;
 use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
@@ -90,7 +92,8 @@ impl Judging<'_> {
     /// The signs in the plan, the landmarks, the scan's extent, the slide profile and the check piece.
     fn of_plan_and_readings(&self) -> Vec<Reason> {
         let Case { registered, landmarks, assessment, planes, .. } = *self.case;
-        let points: Vec<NamedPoint> = landmarks.iter().chain(assessment).cloned().collect();
+        let on_surface = if self.case.on_surface { landmarks } else { &[] };
+        let points: Vec<NamedPoint> = on_surface.iter().chain(assessment).cloned().collect();
         let mut reasons = registered.target.mesh().map(|mesh| plan_faults(mesh, &points, planes)).unwrap_or_default();
         reasons.extend(extent_reason(registered.source, registered.target.points(), self.case.start.is_some()));
         reasons.extend(self.case.slide.map(slide_reasons).unwrap_or_default());
@@ -133,6 +136,7 @@ impl Judging<'_> {
         reasons.extend(self.stylus(predicted.as_ref()));
         reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules));
         reasons.extend(data_reasons(&examined.evidence, self.order.as_ref(), self.rules));
+        reasons.extend(self.landmarks(examined.spread.as_ref()));
         if self.is_mirror_due(&reasons, cause.is_some()) {
             examined.examine_mirrored(registered);
             // A gross mistake is named before the cause that would explain it.
@@ -163,7 +167,10 @@ impl Judging<'_> {
         let unexamined = Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals");
         let start = self.case.start.and_then(|start| start_reason(start, self.rules.min_shape_clearness, false));
         let converged = self.case.icp.and_then(|ended| convergence_reason(ended, None));
-        let reasons = [self.stylus(None), start, converged, Some(unexamined)].into_iter().flatten().collect();
+        let reasons = [self.stylus(None), start, converged, self.landmarks(None), Some(unexamined)]
+            .into_iter()
+            .flatten()
+            .collect();
         OfScan { reasons, ..OfScan::default() }
     }
 
@@ -178,6 +185,17 @@ impl Judging<'_> {
     fn stylus(&self, predicted: Option<&Predicted>) -> Option<Reason> {
         let RuleParams { max_measured_tre_mm, stylus, .. } = self.rules;
         stylus_reason(self.case.measured_tre_mm, predicted, *max_measured_tre_mm, stylus)
+    }
+
+    /// The sign in landmarks against the surface; none where they are exchanged, which says more.
+    fn landmarks(&self, spread: Option<&Spread>) -> Option<Reason> {
+        let Case { landmarks: planned, carried, on_surface, .. } = *self.case;
+        let LandmarkErrors { landmark_mm, fiducial_mm } = self.rules.landmarks;
+        let (word, sd_mm) = if on_surface { ("landmark", landmark_mm) } else { ("fiducial", fiducial_mm) };
+        let spread = spread.map(|spread| spread.clone().widened(self.errors.ct_bias_mm));
+        let is_exchanged = self.order.as_ref().and_then(order_reason).is_some();
+        let compared = Compared { planned, carried, word, sd_mm };
+        landmarks_contradict(&compared, spread.as_ref()).filter(|_| !is_exchanged)
     }
 
     /// What may be wrong beside the pose.

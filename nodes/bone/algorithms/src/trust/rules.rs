@@ -1,5 +1,6 @@
 //! The thresholds of the rules.
 
+use super::landmarks::LandmarkErrors;
 use super::limits::Limits;
 use super::stylus::StylusErrors;
 use crate::coarse::CLEAR;
@@ -59,6 +60,8 @@ pub struct RuleParams {
     pub max_measured_tre_mm: f64,
     /// Stated errors of the stylus, against which its reading contradicts the predicted error.
     pub stylus: StylusErrors,
+    /// Stated errors of landmarks and fiducials, against which they contradict the surface or each other.
+    pub landmarks: LandmarkErrors,
     /// Doubtful if the camera reads a check piece farther from where its marker has it, mean over its points, mm; refused from
     /// three times that. 0.8: four standard deviations above the mean of sound simulated procedures (0.35 mm, SD 0.12 mm, at
     /// most 0.72 mm of 100), and less than a knock of 1 mm leaves on average.
@@ -97,6 +100,7 @@ impl Default for RuleParams {
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
             stylus: StylusErrors::default(),
+            landmarks: LandmarkErrors::default(),
             max_check_mm: 0.8,
             max_common_shift_mm: 3.0,
             max_latency_s: 0.1,

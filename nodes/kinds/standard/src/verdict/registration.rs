@@ -53,6 +53,9 @@ pub struct Params {
     pub rules: RuleParams,
     /// Stated errors of the devices, for the predicted error.
     pub errors: PredictParams,
+    /// Whether the landmarks lie on the surface. false: they are fiducials, such as screws, rings or skin markers, whose stated error is
+    /// `rules.landmarks.fiducial_mm`, and their distance from the surface is no sign.
+    pub on_surface: bool,
     /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone
     /// probably do not belong together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is
     /// 90 mm wide.
@@ -63,7 +66,7 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Self {
         let (examine, rules, errors) = Default::default();
-        Self { examine, rules, errors, max_plane_distance_mm: 50.0 }
+        Self { examine, rules, errors, on_surface: true, max_plane_distance_mm: 50.0 }
     }
 }
 
@@ -192,8 +195,9 @@ impl Function for Registration {
             Tracking::new(&poses, i.calibration.as_ref())
         });
         let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
+        let carried = located.as_ref().map(|located| carried(located, &i.source, &t_target_source));
         let plan = i.plan.as_ref().map(|report| {
-            let carried = located.as_ref().map(|located| carried(located, &i.source, &t_target_source)).transpose()?;
+            let carried = carried.clone().transpose()?;
             let (key, max_mm) = (surface_key(i.surface.as_ref()), params.rules.max_common_shift_mm);
             let report = PlanReport::deserialize(&*report.0);
             let report = report.map_err(|error| NodeError::new(format!("plan is no report of a plan: {error}")))?;
@@ -202,6 +206,7 @@ impl Function for Registration {
         });
         let plan = plan.transpose()?.unwrap_or_default();
         let located = named(&located);
+        let carried = carried.and_then(Result::ok).unwrap_or_default();
         let mut signs: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
         signs.extend(plan.reasons);
         let check: Vec<CheckReport> = i.check.into_iter().flatten().collect();
@@ -228,6 +233,8 @@ impl Function for Registration {
             icp: ended.as_ref(),
             landmarks: &landmarks,
             located: &located,
+            carried: &carried,
+            on_surface: params.on_surface,
             assessment: &assessment,
             planes: i.planes.as_ref(),
             tracking: tracking.as_ref(),
