@@ -96,16 +96,10 @@ fn pose(
     Ok(Ok(rotation.map(|rotation| Pose::new(to, from, Isometry3::from_parts(translation, rotation)).at(stamp_ns))))
 }
 
-/// The fault of a stamp in seconds, or as a float.
+/// The fault of a stamp with a fraction.
 fn in_seconds(row: &Row, stamp: usize) -> Option<FileError> {
     let text = row.text(stamp);
-    let number = text.parse::<f64>().ok()?;
-    if text.contains(['e', 'E']) {
-        let message =
-            "likely cause: a program wrote it as a float, with too few digits for nanoseconds; write all of them";
-        return Some(row.fault(format!("t_ns is \"{text}\", a whole number of nanoseconds is expected; {message}")));
-    }
-    Some(number).filter(|s| s.is_finite() && s.abs() < 9e9)?;
+    text.parse::<f64>().ok().filter(|s| s.is_finite() && s.abs() < 9e9)?;
     // By its digits: a float has too few for nanoseconds since 1970.
     let (whole, fraction) = text.split_once('.')?;
     let message = format!(
@@ -225,6 +219,34 @@ mod tests {
     }
 
     #[test]
+    fn the_signs_of_other_logs_are_those_of_a_poses_file_and_constants_have_no_part_in_them() {
+        let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
+        let rows = |step_ns: usize| {
+            let row = |k: usize| format!("{},world,bone,{},-80,1500,0,0,0,1\n", 1_750_000_000 + step_ns * k, 120 + k);
+            (0..30).map(row).collect::<String>()
+        };
+        let constants =
+            "0,phantom,marker,1,2,3,0,0,0,1\n0,phantom,marker,0,0,0,0,0,0,1\n0,phantom,marker,0,0,0,0,0,0,1\n";
+        let read = |text: String| {
+            let file = tempfile::NamedTempFile::new().unwrap();
+            std::fs::write(file.path(), text).unwrap();
+            read_poses(file.path(), 1.0).unwrap().log
+        };
+        let sound = read(format!("{header}{constants}{}", rows(50_000_000)));
+        assert_eq!((&sound.signs[..], &sound.notes[..]), (&[][..], &[][..]));
+        assert_eq!(sound.poses[0].as_ref().unwrap().value.stamp_ns, 0, "a constant stays one");
+        let [(rule, sign)] = &read(format!("{header}{}", rows(50_000))).signs[..] else { panic!("microseconds") };
+        assert!(*rule == "stamp_unit" && sign.starts_with("t_world_bone: its poses are 5.0e-5 s apart"), "{sign}");
+        let two = rows(50_000_000)
+            + &rows(50_000_000).replace(",bone,", ",/bone,")
+            + &rows(50_000_000).replace(",bone,", ",Bone,");
+        let two = read(format!("{header}{two}"));
+        assert!(two.notes[0].contains("\"bone\" and \"/bone\" differ by the slash alone"), "{:?}", two.notes);
+        assert!(two.signs.iter().any(|(rule, _)| *rule == "frame_names"), "{:?}", two.signs);
+        assert!(two.poses[30..60].iter().all(|pose| pose.as_ref().unwrap().value.from.as_str() == "bone"));
+    }
+
+    #[test]
     fn a_fault_names_its_line() {
         let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
         let good = "1,world,m,0,0,0,0,0,0,1\n";
@@ -235,6 +257,7 @@ mod tests {
                 format!("{header}{good}1.5,world,m,0,0,0,0,0,0,1\n"),
                 "line 3: t_ns is \"1.5\", a whole number of nanoseconds is expected; likely cause: it is in seconds, then write 1500000000",
             ),
+            (format!("{header}1750000001.000000,world,m,0,0,0,0,0,0,1\n"), "then write 1750000001000000000"),
             (format!("{header}{good}{good}1,world,m,0,0,up,0,0,0,1\n"), "line 4: z is \"up\", a number is expected"),
             (format!("{header}1,world,m,0,0,0,0,0,1\n"), "line 2: the header names 10 columns, this line has 9"),
             (

@@ -20,16 +20,17 @@ pub fn without_slash(name: &str) -> &str {
     name.strip_prefix('/').filter(|rest| !rest.is_empty()).unwrap_or(name)
 }
 
-/// What is left of a name without a leading slash, case and blanks.
-pub(crate) fn letters(name: &str) -> String {
-    without_slash(name.trim()).split_whitespace().collect::<String>().to_lowercase()
+/// The words of a name in small letters.
+pub(crate) fn words(name: &str) -> String {
+    let words = without_slash(name.trim()).split(|c: char| c.is_whitespace() || "_-".contains(c));
+    words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_").to_lowercase()
 }
 
 impl Spellings {
     /// The frame without a leading slash. A second spelling of a frame is told once.
     pub fn take(&mut self, frame: &Frame) -> Frame {
         let (name, plain) = (frame.as_str(), without_slash(frame.as_str()));
-        let known = self.names.entry(letters(name)).or_default();
+        let known = self.names.entry(words(name)).or_default();
         if known.contains(name) {
             return if plain == name { frame.clone() } else { plain.into() };
         }
@@ -38,7 +39,7 @@ impl Spellings {
                 .push(format!("frames \"{plain}\" and \"/{plain}\" differ by the slash alone, and are taken for one"));
         } else if let Some(other) = known.first() {
             let message = format!(
-                "frames \"{other}\" and \"{name}\" differ by case or blanks alone, and are taken for two; are they one? then give both one name"
+                "frames \"{other}\" and \"{name}\" differ by case, blanks or hyphens alone, and are taken for two; are they one? then give both one name"
             );
             self.signs.push(("frame_names", message));
         }
@@ -68,13 +69,23 @@ mod tests {
     }
 
     #[test]
-    fn names_that_differ_by_case_or_blanks_stay_two_and_are_a_sign_and_a_slash_within_is_part_of_the_name() {
-        let (frames, notes, signs) =
-            taken(&["bone_marker", "Bone_Marker", "bone_marker ", "robot/map", "robotmap", "bone_markers"]);
-        assert_eq!(frames, ["bone_marker", "Bone_Marker", "bone_marker ", "robot/map", "robotmap", "bone_markers"]);
-        assert_eq!((notes.len(), signs.len()), (0, 2), "{notes:?} {signs:?}");
+    fn names_that_differ_by_case_blanks_or_hyphens_stay_two_and_are_a_sign_and_a_slash_within_is_part_of_the_name() {
+        let names = [
+            "bone_marker",
+            "Bone_Marker",
+            "bone marker ",
+            "bone-marker",
+            "robot/map",
+            "robot map",
+            "m1_2",
+            "m12",
+            "bone_markers",
+        ];
+        let (frames, notes, signs) = taken(&names);
+        assert_eq!(frames, names);
+        assert_eq!((notes.len(), signs.len()), (0, 3), "{notes:?} {signs:?}");
         assert!(
-            signs[0].starts_with("frames \"bone_marker\" and \"Bone_Marker\" differ by case or blanks"),
+            signs[0].starts_with("frames \"bone_marker\" and \"Bone_Marker\" differ by case, blanks or hyphens"),
             "{}",
             signs[0]
         );

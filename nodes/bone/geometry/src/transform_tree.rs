@@ -305,6 +305,38 @@ mod tests {
     }
 
     #[test]
+    fn static_transforms_hold_at_any_time_in_chains_of_several_and_a_changed_one_from_its_stamp_on() {
+        let mut tree = tree(&[("map", "base", 10, 1.0), ("map", "base", 20, 2.0)]);
+        let mut add = |parent: &str, child: &str, stamp_ns, x: f64| {
+            tree.add_static(&parent.into(), &child.into(), stamp_ns, motion(x, x / 10.0))
+        };
+        assert!(add("base", "arm", 0, 3.0) && add("arm", "camera", 0, 4.0) && add("arm", "camera", 15, 5.0));
+        let read = chain(&tree, "map", "camera");
+        let stamps: Vec<_> = read.samples.iter().map(|(stamp, _)| *stamp).collect();
+        assert_eq!(stamps, [10, 20], "at the stamps of what moves, and never before or beyond");
+        for ((_, found), (base, camera)) in read.samples.iter().zip([(1.0, 4.0), (2.0, 5.0)]) {
+            let expected = motion(base, base / 10.0) * motion(3.0, 0.3) * motion(camera, camera / 10.0);
+            assert!((found.as_ref().unwrap().inverse() * expected).translation.vector.norm() < 1e-12, "{found:?}");
+        }
+        // From below, the inverse.
+        let read = chain(&tree, "camera", "base");
+        let [(0, Ok(first)), (15, Ok(second))] = &read.samples[..] else { panic!("{:?}", read.samples) };
+        assert!((first * motion(3.0, 0.3) * motion(4.0, 0.4)).translation.vector.norm() < 1e-12);
+        assert!((second * motion(3.0, 0.3) * motion(5.0, 0.5)).translation.vector.norm() < 1e-12);
+    }
+
+    #[test]
+    fn what_moves_goes_before_a_static_transform_of_the_same_frames_in_either_order() {
+        let mut tree = tree(&[("map", "base", 10, 1.0)]);
+        assert!(!tree.add_static(&"map".into(), &"base".into(), 0, motion(9.0, 0.9)));
+        let mut other = TransformTree::default();
+        assert!(other.add_static(&"map".into(), &"base".into(), 0, motion(9.0, 0.9)));
+        other.add(&"map".into(), &"base".into(), 10, Ok(motion(1.0, 0.1)));
+        assert_eq!(chain(&tree, "map", "base"), chain(&other, "map", "base"));
+        assert_eq!(chain(&tree, "map", "base").samples, [(10, Ok(motion(1.0, 0.1)))]);
+    }
+
+    #[test]
     fn two_parents_on_the_way_are_refused_and_elsewhere_they_do_not_matter() {
         let tree = tree(&[
             ("map", "base", 1, 1.0),

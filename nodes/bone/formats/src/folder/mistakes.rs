@@ -1,7 +1,7 @@
 //! Mistakes in the poses of a folder that no single row shows: another name of a marker, parent and child exchanged, the scalar
 //! first, another unit of lengths or times.
 
-use crate::{FileError, spellings::letters};
+use crate::{FileError, spellings::words};
 use nalgebra::{UnitQuaternion, Vector3};
 use osteoflow_geometry::StampNs;
 use std::{
@@ -78,7 +78,7 @@ fn exchanged(path: &Path, row: &RowRead, occurs: &dyn Fn(&str) -> bool) -> Resul
 fn other_name(path: &Path, row: &RowRead, occurs: &dyn Fn(&str) -> bool) -> Result<(), FileError> {
     let RowRead { line, child, .. } = row;
     let is_known = MARKERS.contains(&child.as_str()) || row.parent != WORLD;
-    let is_meant = |marker: &str| letters(child) == marker || !occurs(marker) && resembles(child, marker);
+    let is_meant = |marker: &str| words(child) == marker || !occurs(marker) && resembles(child, marker);
     let Some(meant) = MARKERS.into_iter().find(|marker| !is_known && is_meant(marker)) else { return Ok(()) };
     let rows = if occurs(meant) { "other rows have" } else { "no row has" };
     Err(fault(
@@ -315,6 +315,18 @@ mod tests {
             let found = message(vec![camera(), bone()], &[(1_750_000_000_500_000_000_f64 / unit) as i64]);
             assert!(found.contains(&format!("the scan's stamp is in {name}")), "{found}");
         }
+    }
+
+    #[test]
+    fn another_spelling_of_a_marker_that_occurs_is_refused_and_its_rows_are_not_left_out() {
+        for name in ["Bone_Marker", "bone marker", "bone-marker"] {
+            let rows = vec![row(2, "world", "bone_marker", AT), row(3, "world", name, BESIDE)];
+            let found = message(rows, &[]);
+            let expected = format!("line 3: the child is \"{name}\", and other rows have the child \"bone_marker\"");
+            assert!(found.contains(&expected), "{found}");
+        }
+        let other = vec![row(2, "world", "bone_marker", AT), row(3, "world", "bone_marker_2", BESIDE)];
+        assert_eq!(message(other, &[]), "", "another marker");
     }
 
     #[test]

@@ -145,24 +145,8 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
     let tools = columns.tools.iter().map(|tool| Places::of(tool, columns, &table)).collect::<Result<Vec<_>, _>>()?;
     while let Some((cells, line)) = table.row() {
         let row = Row { table: &table, cells: &cells, line };
-        if named(&cells) == table.heading {
-            // A log behind another, of the same tools.
-            continue;
-        }
         if let Some(ndi) = of_ndi.as_ref().filter(|_| described.is_none()) {
             ndi.check(&cells).map_err(|message| row.fault(message))?;
-        }
-        let is_cut = table.cursor.rest().is_empty() && !bytes.ends_with(b"\n");
-        // The number in the last cell may have more digits.
-        if is_cut && tools.iter().any(|tool| tool.last() + 1 == cells.len()) {
-            let n = table.heading.iter().rposition(|cell| !cell.is_empty()).map_or(0, |last| last + 1);
-            let message = "the last line has no end; was the file cut short?";
-            if cells.len() < n {
-                return Err(
-                    row.fault(format!("{message} it has {} cells, and the heading {n}; remove it", cells.len()))
-                );
-            }
-            log.notes.push(message.into());
         }
         for tool in &tools {
             tool.check_port(&row)?;
@@ -176,6 +160,12 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
             let stamp_ns = tool.stamp_ns(&row, exponent)?;
             let pose = tool.pose(&row, unit_mm, (&columns.parent, from), stamp_ns)?;
             log.push(pose, || format!("line {line}"));
+        }
+        let (n, n_columns) = (cells.len(), table.heading.len());
+        if n < n_columns && table.cursor.rest().is_empty() && !bytes.ends_with(b"\n") {
+            let message =
+                format!("the last line has no end, and {n} cells of {n_columns}; was the file cut short? remove it");
+            return Err(row.fault(message));
         }
     }
     Ok(())
@@ -229,7 +219,9 @@ impl<'a> Table<'a> {
 
 /// The names of a heading.
 pub(super) fn named(cells: &[String]) -> Vec<String> {
-    cells.iter().map(|cell| cell.trim().trim_start_matches('#').trim().to_owned()).collect()
+    let mut names: Vec<_> = cells.iter().map(|cell| cell.trim().trim_start_matches('#').trim().to_owned()).collect();
+    names.truncate(names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1));
+    names
 }
 
 /// A column's name without the count behind it, and the number of columns of that name before it.
@@ -343,16 +335,6 @@ impl<'a> Places<'a> {
             rotation,
             status: optional(&tool.status)?,
         })
-    }
-
-    /// The last column that is read.
-    fn last(&self) -> usize {
-        let rotation = match &self.rotation {
-            Rotation::Quaternion(places) => &places[..],
-            Rotation::Matrix(places) => places,
-            Rotation::EulerZyx(places) => places,
-        };
-        rotation.iter().chain(&self.translation).copied().max().unwrap_or_default()
     }
 
     /// Refuses a line in which the tool's columns are those of another port.

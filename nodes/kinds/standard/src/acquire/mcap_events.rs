@@ -38,7 +38,7 @@ pub(super) struct Port<'a> {
 }
 
 /// What all ports of a recording met.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub(super) struct Findings {
     /// The corrections of rotations by topic.
     pub(super) corrections: BTreeMap<String, Corrections>,
@@ -73,15 +73,10 @@ impl Port<'_> {
                     })
                 })
             }
-            "geometry/Pose" => {
-                let before = self.found.clone();
-                if let Some(events) = self.chained()? {
-                    return Ok(events);
-                }
-                // What was met on the way is met again.
-                *self.found = before;
-                self.streams(start_ns, Self::poses)
-            }
+            "geometry/Pose" => match self.chained()? {
+                Some(events) => Ok(events),
+                None => self.streams(start_ns, Self::poses),
+            },
             "geometry/Points" => self.streams(start_ns, Self::points),
             other => Err(self.fault(format!(
                 "a recording gives geometry/Cloud, Image, Pose, Points, Region and report/Flag, but not {other}"
@@ -236,9 +231,8 @@ impl Port<'_> {
                     Ok(pose) => {
                         let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
                         self.rename(&mut pose.to, &mut pose.from);
-                        let read_ns = pose.stamp_ns;
-                        pose.stamp_ns = self.stamp(topic, message, read_ns);
-                        self.found.stamps.track(topic, &pose, read_ns);
+                        pose.stamp_ns = self.stamp(topic, message, pose.stamp_ns);
+                        self.found.stamps.track(topic, &pose);
                         let head = (pose.to.clone(), pose.from.clone(), pose.stamp_ns);
                         poses.push(pose);
                         head
@@ -258,8 +252,6 @@ impl Port<'_> {
             }
         }
         self.found.signs.extend(stamps.signs());
-        let constants = self.found.stamps.keep_constants(topic, &mut poses);
-        self.found.notes.extend(constants);
         events.extend(self.unless_frozen(topic, poses));
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
@@ -298,7 +290,6 @@ impl Port<'_> {
                 statics.extend(self.statics(topic, &TransformFilter::default())?);
                 continue;
             }
-            let mut poses = Vec::new();
             for (i, message) in self.recording.messages(topic).iter().enumerate() {
                 let unstamped = without_publish_time(message);
                 let Ok(read) = named_transforms(unstamped, &mut self.found.spellings) else { return Ok(None) };
@@ -310,11 +301,10 @@ impl Port<'_> {
                     match read {
                         Ok(pose) => {
                             let mut pose = self.found.corrections.entry(topic.clone()).or_default().take(pose);
-                            let read_ns = pose.stamp_ns;
-                            pose.stamp_ns = self.stamp(topic, message, read_ns);
+                            pose.stamp_ns = self.stamp(topic, message, pose.stamp_ns);
                             last_ns = last_ns.max(message.publish_time_ns);
-                            self.found.stamps.track(topic, &pose, read_ns);
-                            poses.push(pose);
+                            self.found.stamps.track(topic, &pose);
+                            moving.push(pose);
                         }
                         Err(PoseError::Lost(mut lost)) => {
                             lost.stamp_ns = self.stamp(topic, message, lost.stamp_ns);
@@ -324,9 +314,6 @@ impl Port<'_> {
                     }
                 }
             }
-            let constants = self.found.stamps.keep_constants(topic, &mut poses);
-            self.found.notes.extend(constants);
-            moving.extend(poses);
         }
         let is_direct = |pose: &Pose| params.transforms.wants(&pose.to, &pose.from);
         if topics.iter().any(|topic| is_named(topic) && Constants::are_on(topic)) && statics.iter().any(is_direct) {

@@ -35,27 +35,15 @@ pub(super) fn is_missing(stamp_ns: StampNs) -> bool {
 }
 
 /// What the ports of a source met.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub(super) struct MissingStamps {
     topics: BTreeMap<String, Topic>,
-    /// The poses of each marker by its topic.
-    moved: BTreeMap<(String, String), Moved>,
-}
-
-/// The first pose of a marker, and how far the others are from it.
-#[derive(Clone)]
-struct Moved {
-    first: Isometry3<f64>,
-    mm: f64,
-    rad: f64,
-    n: usize,
-    n_missing: usize,
-    /// Whether they are all the same to the last bit.
-    is_same: bool,
+    /// The first pose of each marker, and how far the others are from it, by its topic.
+    moved: BTreeMap<(String, String), (Isometry3<f64>, f64, f64)>,
 }
 
 /// The messages of a topic.
-#[derive(Clone, Default)]
+#[derive(Default)]
 struct Topic {
     n: usize,
     n_missing: usize,
@@ -83,38 +71,12 @@ impl MissingStamps {
         message.publish_time_ns
     }
 
-    /// Takes a tracked pose of `topic`, whose stamp was read as `read_ns`.
-    pub(super) fn track(&mut self, topic: &str, pose: &Pose, read_ns: StampNs) {
+    /// Takes a tracked pose of `topic`.
+    pub(super) fn track(&mut self, topic: &str, pose: &Pose) {
         let what = (topic.to_owned(), format!("t_{}_{}", pose.to, pose.from));
-        let start = Moved { first: pose.isometry, mm: 0.0, rad: 0.0, n: 0, n_missing: 0, is_same: true };
-        let moved = self.moved.entry(what).or_insert(start);
-        let between = moved.first.inverse() * pose.isometry;
-        (moved.mm, moved.rad) =
-            (moved.mm.max(between.translation.vector.norm()), moved.rad.max(between.rotation.angle()));
-        moved.is_same &= moved.first == pose.isometry;
-        (moved.n, moved.n_missing) = (moved.n + 1, moved.n_missing + usize::from(is_missing(read_ns)));
-    }
-
-    /// Leaves one pose, of stamp 0, of each transform of `topic` that is sent again and again without a stamp and is always the same: it
-    /// is static, though not on `tf_static`. One sentence for each.
-    pub(super) fn keep_constants(&mut self, topic: &str, poses: &mut Vec<Pose>) -> Vec<String> {
-        let mut notes = Vec::new();
-        for ((_, what), moved) in self.moved.iter_mut().filter(|((of, _), _)| of == topic) {
-            if moved.n < 2 || moved.n_missing < moved.n || !moved.is_same {
-                continue;
-            }
-            let is_it = |pose: &Pose| format!("t_{}_{}", pose.to, pose.from) == *what;
-            let Some(mut first) = poses.iter().find(|pose| is_it(pose)).cloned() else { continue };
-            poses.retain(|pose| !is_it(pose));
-            first.stamp_ns = 0;
-            poses.push(first);
-            let of = self.topics.entry(topic.into()).or_default();
-            (of.n, of.n_missing) = (of.n - moved.n, of.n_missing - moved.n);
-            notes.push(format!(
-                "topic {topic}: {what} has no stamps and is always the same, so it is taken to hold from the beginning"
-            ));
-        }
-        notes
+        let (first, mm, rad) = self.moved.entry(what).or_insert((pose.isometry, 0.0, 0.0));
+        let between = first.inverse() * pose.isometry;
+        (*mm, *rad) = (mm.max(between.translation.vector.norm()), rad.max(between.rotation.angle()));
     }
 
     /// Notes on messages without a stamp.
@@ -123,7 +85,7 @@ impl MissingStamps {
     /// They are joined with poses that move: the sentence that says so.
     pub(super) fn notes(&self) -> Result<Vec<String>, String> {
         let missing = self.topics.iter().filter(|(_, of)| of.n_missing > 0);
-        let is_moving = |(_, moved): &(_, &Moved)| moved.mm > MOVES_MM || moved.rad > MOVES_RAD;
+        let is_moving = |(_, (_, mm, rad)): &(_, &(_, f64, f64))| *mm > MOVES_MM || *rad > MOVES_RAD;
         let moves = self.moved.iter().find(is_moving);
         // A pose that stays where it is holds at any time.
         let is_constant = |topic: &String| {
@@ -136,7 +98,7 @@ impl MissingStamps {
             let Topic { n, n_missing, is_allowed, port } = of;
             let what = format!("topic {topic}: {n_missing} of {n} messages have no stamp");
             match moves {
-                Some(((moving, pose), Moved { mm, rad, .. })) if !is_allowed && !is_constant(topic) => Err(format!(
+                Some(((moving, pose), (_, mm, rad))) if !is_allowed && !is_constant(topic) => Err(format!(
                     "port \"{port}\": {what}, and {pose} of {moving} moves by {mm:.1} mm and {:.1} degrees: paired by the time at which \
                      they were published they may be off by as much; record them with the sensor's stamps, or, if that time is \
                      the sensor's, set out.{port}.unstamped = \"publish_time\"",

@@ -176,8 +176,7 @@ impl Port<Content> {
     fn poses(&mut self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
         let Content { transforms, spellings, .. } = &mut self.content;
         let read = transforms.poses(message.topic, message.encoded.clone(), spellings)?;
-        out.notes.append(&mut spellings.notes);
-        out.notes.extend(spellings.signs.drain(..).map(|(_, sign)| sign));
+        out.notes.extend(spellings.notes.drain(..).chain(spellings.signs.drain(..).map(|(_, sign)| sign)));
         for pose in read {
             match pose {
                 Ok(Nearest { value: mut pose, correction }) => {
