@@ -33,9 +33,9 @@ const MOST_DRIFT_MM: f64 = 0.5;
 /// Inputs of [`StylusPivot`].
 #[derive(Inputs)]
 pub struct In {
-    /// The stylus' marker, all poses until the end.
+    /// The stylus' marker, all poses until the end; those that are left out are not used.
     #[port(join = "collect")]
-    pose: Vec<Pose>,
+    pose: Vec<Option<Pose>>,
 }
 
 /// Outputs of [`StylusPivot`].
@@ -55,10 +55,11 @@ impl Function for StylusPivot {
     type Outputs = Out;
 
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let first = i.pose.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker was received"))?;
-        let poses: Vec<Isometry3<f64>> =
-            i.pose.iter().map(|pose| pose.expect(&first.to, &first.from)).collect::<Result<_, _>>()?;
-        let report = pivot(&poses)?;
+        let poses: Vec<Pose> = i.pose.into_iter().flatten().collect();
+        let first = poses.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker was received"))?;
+        let isometries: Vec<Isometry3<f64>> =
+            poses.iter().map(|pose| pose.expect(&first.to, &first.from)).collect::<Result<_, _>>()?;
+        let report = pivot(&isometries)?;
         check(&report, ctx)?;
         Ok(Out { tip: Points::new(&first.from, vec![NamedPoint::new("tip", report.tip.into())]), report })
     }
