@@ -110,7 +110,10 @@ fn since(pose: &Pose, stamps: &[StampNs]) -> f64 {
 /// The marker moves at this speed, along a slanted line, about each stamp.
 fn moving(mm_s: f64, stamps: Vec<StampNs>) -> impl Fn(&Pose) -> Vec<Pose> {
     move |pose| {
-        let shift = Vector3::new(0.6, -0.64, 0.48) * (mm_s * since(pose, &stamps));
+        // Past its place at each stamp, and back before the next.
+        let s = since(pose, &stamps);
+        let past_s = if s.abs() < 0.5 { s } else { s.signum() * (1.0 - s.abs()).max(0.0) };
+        let shift = Vector3::new(0.6, -0.64, 0.48) * (mm_s * past_s);
         let isometry = Isometry3::from_parts((pose.isometry.translation.vector + shift).into(), pose.isometry.rotation);
         vec![Pose { isometry, ..pose.clone() }]
     }
