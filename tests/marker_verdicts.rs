@@ -112,7 +112,7 @@ fn moving(mm_s: f64, stamps: Vec<StampNs>) -> impl Fn(&Pose) -> Vec<Pose> {
     move |pose| {
         // Past its place at each stamp, and back before the next.
         let s = since(pose, &stamps);
-        let past_s = if s.abs() < 0.5 { s } else { s.signum() * (1.0 - s.abs()).max(0.0) };
+        let past_s = if s.abs() < 0.5 { s } else { s.signum() * (1.5 - 2.0 * s.abs()).max(0.0) };
         let shift = Vector3::new(0.6, -0.64, 0.48) * (mm_s * past_s);
         let isometry = Isometry3::from_parts((pose.isometry.translation.vector + shift).into(), pose.isometry.rotation);
         vec![Pose { isometry, ..pose.clone() }]
