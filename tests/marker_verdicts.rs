@@ -196,8 +196,9 @@ fn a_bone_that_moves_while_it_is_scanned_is_doubtful_and_between_scans_it_may() 
     // Under the stylus it counts where the stylus measures.
     let (dir, case) = with_poses("/tracker/bone_marker", moving(10.0, tip_stamps("/stylus/assessment")));
     // It goes back between touches faster than a hand brings it.
-    let unjudged = ["--set", "recording.out.bone_marker.motion.hand_mm_s=0.0", "--set", "planes_last.hand_mm_s=0.0"];
-    let measured = case.with_graph(crate::common::case::GRAPH, &case.plan, &[&["--no-record"], &unjudged[..]].concat());
+    let unjudged = ["recording.out.bone_marker.motion.hand_mm_s=0.0", "planes_last.hand_mm_s=0.0"];
+    let sets = ["--no-record", "--set", unjudged[0], "--set", unjudged[1]];
+    let measured = case.with_graph(crate::common::case::GRAPH, &case.plan, &sets);
     let (answer, rules, said) = verdict(&measured);
     assert!(answer == "doubtful" && rules.contains(&"motion".into()) && said.contains("during M1"), "{answer}: {said}");
     assert_eq!(verdict(&without_stylus(dir.path(), &case, &unjudged)).0, "trusted", "nothing was measured");
