@@ -8,6 +8,7 @@ mod finished;
 #[cfg(test)]
 mod live_tests;
 mod manifest;
+mod nothing_came;
 mod report;
 mod results;
 #[cfg(test)]
@@ -17,8 +18,8 @@ pub mod verdict;
 mod verdict_tests;
 
 pub use crate::runtime::{
-    BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Spread,
-    Warning,
+    BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Sign,
+    Spread, Warning,
 };
 pub use crate::{
     answer_cache::CachedAnswer,
@@ -146,7 +147,7 @@ pub(crate) fn run_part(
         }
         None => (plan, None),
     };
-    let (outcome, mut results) = results::collect(plan, options, &finished);
+    let (outcome, mut results) = results::collect(plan, options, &mut finished, &shown);
     if recorder.is_some() {
         finished.ended.warnings.extend(paths_in_results(plan, &results, &shown));
     }
@@ -163,6 +164,7 @@ pub(crate) fn run_part(
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.
         results = results::not_recorded(options, &error.to_string());
+        results::add_reasons(&mut results, &finished.ended.signs, &shown);
     }
     let mut report = report_of(plan, finished, outcome, results);
     report.latencies = latencies;

@@ -1,4 +1,6 @@
-use crate::{Budget, CachePolicy, ClockReading, DeclaredPort, Empty, StampNs, clock::Readings, host::Host};
+use crate::{
+    Budget, CachePolicy, ClockReading, DeclaredPort, Empty, NodeWarning, StampNs, clock::Readings, host::Host,
+};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 use std::{
@@ -22,7 +24,7 @@ pub struct Context {
     stamp_ns: StampNs,
     item: u64,
     absent: Vec<(&'static str, Arc<Empty>)>,
-    warnings: Vec<String>,
+    warnings: Vec<NodeWarning>,
     readings: Readings,
     used: Used,
     /// Whether this firing was answered that the user asked to stop: what it gives depends on when that was.
@@ -64,7 +66,7 @@ pub struct FiringDone {
     /// Its clock readings.
     pub readings: Vec<ClockReading>,
     /// Its warnings.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<NodeWarning>,
     /// Whether it used the generator, or a value that seeds it.
     pub used_generator: bool,
     /// Whether it used the stamp or the folder.
@@ -103,7 +105,7 @@ impl Context {
         FiringDone {
             stamp_ns: self.stamp_ns,
             readings: self.take_readings(),
-            warnings: self.take_warnings(),
+            warnings: self.take_signs(),
             used_generator: self.used.generator.load(Ordering::Relaxed),
             used_other: self.used.other.load(Ordering::Relaxed),
         }
@@ -221,14 +223,29 @@ impl Context {
         !self.warnings.is_empty()
     }
 
-    /// For the engine: the warnings so far.
-    pub fn warnings(&self) -> &[String] {
+    /// The messages of the warnings so far.
+    pub fn warnings(&self) -> Vec<String> {
+        self.warnings.iter().map(|warning| warning.message.clone()).collect()
+    }
+
+    /// The messages of the warnings since the last call.
+    pub fn take_warnings(&mut self) -> Vec<String> {
+        self.take_signs().into_iter().map(|warning| warning.message).collect()
+    }
+
+    /// For the engine: the warnings so far, with the rules of those that are signs.
+    pub fn signs(&self) -> &[NodeWarning] {
         &self.warnings
     }
 
-    /// For the engine: the warnings since the last call.
-    pub fn take_warnings(&mut self) -> Vec<String> {
+    /// For the engine: the warnings since the last call, with the rules of those that are signs.
+    pub fn take_signs(&mut self) -> Vec<NodeWarning> {
         std::mem::take(&mut self.warnings)
+    }
+
+    /// For the engine: takes over a warning.
+    pub fn add_warning(&mut self, warning: NodeWarning) {
+        self.warnings.push(warning);
     }
 
     /// The node's full name in the graph.
@@ -362,15 +379,19 @@ impl Context {
 
     /// Warns the user about this item; shown, counted, and written to the manifest.
     pub fn warn(&mut self, message: impl Into<String>) {
-        match &mut self.host {
-            Some(host) => host.warn(&message.into()),
-            None => self.warnings.push(message.into()),
-        }
+        self.pass_on(NodeWarning { rule: None, message: message.into() });
     }
 
-    /// Warns of a sign that an input is wrong, found by the rule of this name.
-    pub fn sign(&mut self, _rule: &'static str, message: impl Into<String>) {
-        self.warn(message);
+    /// Warns of a sign that an input is wrong, found by the rule of this name: one of the `reasons` in `results.json`, too.
+    pub fn sign(&mut self, rule: &'static str, message: impl Into<String>) {
+        self.pass_on(NodeWarning { rule: Some(rule.into()), message: message.into() });
+    }
+
+    fn pass_on(&mut self, warning: NodeWarning) {
+        match &mut self.host {
+            Some(host) => host.warn(&String::from(warning)),
+            None => self.warnings.push(warning),
+        }
     }
 
     /// The folder for files that the node writes; `None` if the run has no folder.

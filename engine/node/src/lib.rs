@@ -95,6 +95,7 @@ mod registry;
 mod schema;
 mod traits;
 mod view;
+mod warning;
 
 pub use build_context::{BuildContext, Place};
 pub use clock::{Budget, ClockReading};
@@ -114,6 +115,7 @@ pub use registry::{Kind, KindClash, Launch, PayloadClash, Registry};
 pub use schema::{ColumnType, EntryType, SchemaEntry, SchemaError};
 pub use traits::{Describe, Emit, Function, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
 pub use view::{Buffer, Column, Field, Name, View, ViewError};
+pub use warning::NodeWarning;
 
 /// Nanoseconds since the Unix epoch; 0 for constants.
 pub type StampNs = i64;

@@ -1,8 +1,9 @@
 //! Events and statistics of a run.
 
 use crate::plan::Location;
-use osteoflow_node::StampNs;
-use std::{fmt, time::Duration};
+use osteoflow_node::{Empty, StampNs};
+use serde::{Deserialize, Serialize};
+use std::{fmt, sync::Arc, time::Duration};
 
 /// Receives the events of a run as they happen, on any thread.
 pub trait Observer: Sync {
@@ -63,6 +64,31 @@ pub struct Warning {
     pub message: String,
 }
 
+/// A sign that an input is wrong, as the `reasons` of `results.json` list it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sign {
+    /// The node that found it.
+    pub node: String,
+    /// The rule that it found it by.
+    pub rule: String,
+    /// The message.
+    pub reason: String,
+    /// Number of the activation, from 0; of equal ones the first.
+    #[serde(default)]
+    pub item: u64,
+    /// How often the node gave it.
+    #[serde(default = "once", skip_serializing_if = "is_once")]
+    pub n: u64,
+}
+
+fn once() -> u64 {
+    1
+}
+
+fn is_once(n: &u64) -> bool {
+    *n == 1
+}
+
 /// An enlarged queue.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Enlargement {
@@ -114,6 +140,10 @@ pub struct NodeStats {
     pub skipped: u64,
     /// Activations that failed.
     pub failed: u64,
+    /// Activations to which no input brought a value, including skipped ones.
+    pub unfed: u64,
+    /// Why the last of these brought none.
+    pub last_empty: Option<Arc<Empty>>,
     /// Total time of its firings; may include the engine's own work for a firing, which is below a microsecond.
     pub busy: Duration,
     /// Processor time of its firings, where the run measures it.

@@ -1,14 +1,15 @@
 //! `results.json`: the verdict and the values that `[results]` names, or why there are none.
 
 use super::{
-    Finished, Outcome,
+    Finished, Outcome, nothing_came,
     verdict::{Answer, FAILURE, INTERRUPTED, REQUIRE, Verdict},
 };
 use crate::{
-    graph::grammar::VERDICT,
+    graph::grammar::{REASONS, VERDICT},
     options::RunOptions,
     plan::{OutputId, Plan, Require, ResultEntry},
-    runtime::{Failure, Refusal, refusal as refusal_of},
+    runtime::{Failure, Refusal, Sign, refusal as refusal_of},
+    shown_paths::ShownPaths,
 };
 use osteoflow_node::{Body, Role};
 use serde_json::{Map, Value as Json, json};
@@ -17,11 +18,31 @@ use serde_json::{Map, Value as Json, json};
 const REPORT: &str = "report/";
 
 /// Determines how the run ended, and the content of `results.json`.
-pub(crate) fn collect(plan: &Plan, options: &RunOptions, run: &Finished) -> (Outcome, Json) {
+pub(super) fn collect(plan: &Plan, options: &RunOptions, run: &mut Finished, shown: &ShownPaths) -> (Outcome, Json) {
+    let (outcome, mut results) = outcome_of(plan, options, run);
+    add_reasons(&mut results, &run.ended.signs, shown);
+    (outcome, results)
+}
+
+/// Lists the signs that inputs are wrong.
+pub(super) fn add_reasons(results: &mut Json, signs: &[Sign], shown: &ShownPaths) {
+    if !signs.is_empty() {
+        let shown = |sign: &Sign| json!(Sign { reason: shown.text(&sign.reason), ..sign.clone() });
+        results[REASONS] = signs.iter().map(shown).collect();
+    }
+}
+
+fn outcome_of(plan: &Plan, options: &RunOptions, run: &mut Finished) -> (Outcome, Json) {
     if run.ended.interrupted {
         return (Outcome::Interrupted, interrupted(options));
     }
-    match ended(plan, run) {
+    let mut ended = ended(plan, run);
+    if let Ok(Entries { refusal: None, .. }) = ended
+        && let Some((node, sign)) = nothing_came::note(plan, run)
+    {
+        ended = Err(refusal_at(plan, node, None, sign.reason));
+    }
+    match ended {
         Ok(Entries { verdict, refusal, values }) => {
             let mut results = begin(options, verdict);
             if let Some(refusal) = &refusal {
@@ -233,18 +254,23 @@ fn refusal_at(plan: &Plan, node: usize, item: Option<u64>, reason: String) -> Re
 
 /// The wire furthest upstream that carried no item, and its node.
 fn silent_wire(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
-    let node = &plan.nodes[wire.node];
-    if node.role == Role::Node {
-        let fed = |input: &&crate::plan::PlanInput| !input.port.unused && !input.port.optional;
-        let links = node.inputs.iter().filter(fed).flat_map(|input| &input.links);
-        let from = links.map(|link| plan.links[*link].from);
-        if let Some(from) = from.clone().find(|from| run.outputs[from.node][from.port].n_items == 0) {
-            return silent_wire(plan, run, from);
-        }
-        let inputs: Vec<_> = from.map(|from| plan.wire_name(from)).collect();
-        return (wire.node, format!("it never fired: items came on {}, but never together", inputs.join(" and ")));
+    match plan.nodes[wire.node].role {
+        Role::Node => never_fired(plan, run, wire.node),
+        _ => (wire.node, format!("no item ever came on {}", plan.wire_name(wire))),
     }
-    (wire.node, format!("no item ever came on {}", plan.wire_name(wire)))
+}
+
+/// Why a node without activations has none: the wire furthest upstream that carried no item, and its node.
+pub(super) fn never_fired(plan: &Plan, run: &Finished, index: usize) -> (usize, String) {
+    let node = &plan.nodes[index];
+    let fed = |input: &&crate::plan::PlanInput| !input.port.unused && !input.port.optional;
+    let links = node.inputs.iter().filter(fed).flat_map(|input| &input.links);
+    let from = links.map(|link| plan.links[*link].from);
+    if let Some(from) = from.clone().find(|from| run.outputs[from.node][from.port].n_items == 0) {
+        return silent_wire(plan, run, from);
+    }
+    let inputs: Vec<_> = from.map(|from| plan.wire_name(from)).collect();
+    (index, format!("it never fired: items came on {}, but never together", inputs.join(" and ")))
 }
 
 /// Inserts a value at a dotted key.

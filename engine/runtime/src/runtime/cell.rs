@@ -51,6 +51,8 @@ pub(crate) struct Cell {
     stamp_ns: StampNs,
     skipped: u64,
     failed: u64,
+    /// Activations to which no input brought a value, and why the last of them has none.
+    unfed: (u64, Option<Arc<Empty>>),
     /// Durations of firings.
     took: Histogram,
     /// Processor time of its firings, where it is measured.
@@ -139,6 +141,7 @@ impl Cell {
             stamp_ns: StampNs::MIN,
             skipped: 0,
             failed: 0,
+            unfed: (0, None),
             took: Histogram::default(),
             cpu: None,
             began: None,
@@ -345,12 +348,16 @@ impl Cell {
         self.stamp_ns = stamp_ns;
         if let Some(empty) = activation.skip {
             self.skipped += 1;
+            self.unfed = (self.unfed.0 + 1, Some(empty.clone()));
             run.event(&Event::Skipped { node: self.context.node(), item });
             self.send_empties(empty, run, turn);
             return;
         }
         let began = self.begin(item, stamp_ns, run, turn);
         let (node, joiner) = self.core.node();
+        if let Some(empty) = joiner.unfed() {
+            self.unfed = (self.unfed.0 + 1, Some(empty));
+        }
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
         let answer_cache = run.answer_cache(self.index);
@@ -424,7 +431,7 @@ impl Cell {
 
     fn pass_warnings_on(&mut self, item: u64, run: &Runtime<'_>) {
         if self.context.has_warnings() {
-            run.warn(self.index, item, self.context.take_warnings());
+            run.warn(self.index, item, self.context.take_signs());
         }
     }
 
@@ -641,6 +648,8 @@ impl Cell {
             items: self.item,
             skipped: self.skipped,
             failed: self.failed,
+            unfed: self.unfed.0,
+            last_empty: self.unfed.1.clone(),
             busy: Duration::from_nanos(self.took.sum_ns()),
             cpu: self.cpu,
             wall: self.wall,
