@@ -672,6 +672,66 @@ fn picked_points_are_matched_by_name_and_doubted_where_they_are_off_the_surface_
     assert!(stderr.contains("cannot be used with"), "{stderr}");
 }
 
+/// What the verdict says of landmarks that contradict the surface.
+fn contradiction(answer: &Value) -> Option<String> {
+    let reasons = answer["verdict"]["reasons"].as_array()?;
+    let found = reasons.iter().find(|reason| reason["rule"] == "landmarks_contradict")?;
+    Some(found["reason"].to_string())
+}
+
+#[test]
+fn fiducials_off_the_surface_are_no_sign_and_contradict_it_where_all_are_shifted() {
+    let case = Case::new();
+    let n = case.scan.len();
+    let out = Vector3::new(3.0, -14.0, 8.0);
+    let on_bone = [n / 7, n / 3, n / 2, 4 * n / 5].map(|k| case.t_target_source * case.scan[k] + out);
+    let names = ["a", "b", "c", "d"];
+    let touched = |shift: Vector3<f64>| on_bone.map(|p| case.t_target_source.inverse() * p + shift);
+    case.write("bone.csv", &picks(&names, &on_bone));
+    case.write("touched.csv", &picks(&names, &touched(Vector3::zeros())));
+    case.write("shifted.csv", &picks(&names, &touched(Vector3::new(0.0, 0.0, 8.0))));
+    let register = |option: &str, source: &str| {
+        last_line(&case.register(&["bone.stl", "scan.ply", option, "bone.csv", source, "--format", "json"]))
+    };
+    let sound = register("--fiducials", "touched.csv");
+    assert_eq!(sound["verdict"]["answer"], "trusted", "{}", sound["verdict"]);
+    assert!(!sound["warnings"].to_string().contains("off its surface"), "{sound}");
+    let shifted = register("--fiducials", "shifted.csv");
+    assert_eq!(shifted["verdict"]["answer"], "doubtful", "{}", shifted["verdict"]);
+    let text = contradiction(&shifted).expect("a contradiction");
+    assert!(text.contains("fiducials and surface contradict each other by 8.0 mm"), "{text}");
+    // Not said to be fiducials, they are doubted for where they lie.
+    assert_ne!(register("--landmarks", "touched.csv")["verdict"]["answer"], "trusted");
+}
+
+#[test]
+fn measured_fiducials_that_contradict_the_surface_of_a_pelvis_are_named_and_moved_ones_that_agree_are_trusted() {
+    let Some(folder) = common::data("measured_fiducials", "real/pelvis") else { return };
+    let case = Case::new();
+    let file = |name: &str| folder.join(name).display().to_string();
+    let (bone, scan) = (file("pelvis_cropped_decimated.vtk"), file("Tracker_Surface_Scan.txt"));
+    let (in_ct, touched) = (file("pelvis_cropped_ct_fiducial_markers.txt"), file("Tracker_Fiducial_Markers.txt"));
+    let register =
+        |points: &str| last_line(&case.register(&[&bone, &scan, "--fiducials", &in_ct, points, "--format", "json"]));
+    let answer = register(&touched);
+    assert_ne!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
+    let text = contradiction(&answer).expect("a contradiction");
+    // At the fiducials; at the scan both fits are 8.5 mm apart.
+    assert!(text.contains("contradict each other by 8.7 mm"), "{text}");
+    // Simulated: as the surface says, with 0.4 mm of error each.
+    let to_source = pose(&answer).inverse();
+    let rows = fs::read_to_string(&in_ct).unwrap();
+    let numbers = |row: &str| {
+        Point3::from(Vector3::from_iterator(row.split_whitespace().map(|cell| cell.parse::<f64>().unwrap())))
+    };
+    let errors = [[0.3, -0.2, 0.1], [-0.2, 0.2, 0.2], [0.0, 0.3, -0.2], [0.1, -0.3, 0.2]].map(Vector3::from);
+    let moved = rows.lines().zip(errors).map(|(row, error)| to_source * numbers(row) + error);
+    let text = moved.map(|p| format!("{:?} {:?} {:?}\n", p.x, p.y, p.z)).collect::<String>();
+    case.write("moved.txt", &text);
+    let answer = register("moved.txt");
+    assert_eq!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
+}
+
 #[test]
 fn a_ct_is_registered_onto_as_its_surface_is() {
     let Some(mesh) = common::data("registering onto a CT", "bones/TLEM2_CT_fibula_r.stl") else { return };

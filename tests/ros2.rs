@@ -217,7 +217,9 @@ fn a_static_transform_holds_from_the_beginning_and_a_changed_one_is_told() {
     let ran = run_with(vec![pose(5.0, 3), pose(6.0, 4)], "");
     assert_eq!((ran.code, ran.results["held"].as_array().unwrap().len()), (0, 2), "{}", ran.stderr);
     assert!(
-        ran.stderr.contains("t_world_camera changes at 1750000004000000000 ns, though it is static"),
+        ran.stderr.contains(
+            "t_base_camera changes at 1750000004000000000 ns by 1.00 mm and 0.00 degrees, though it is static"
+        ),
         "{}",
         ran.stderr
     );

@@ -17,8 +17,7 @@ use crate::{
 };
 use osteoflow_container::Segments;
 use osteoflow_node::{
-    AnyNode, Body, CachePolicy, Context, Emission, Empty, Item, Joined, NodeError, NodeWarning, PortPayload, Registry,
-    Slot,
+    AnyNode, Body, CachePolicy, Context, Emission, Empty, Item, Joined, NodeError, PortPayload, Registry, Slot,
 };
 use std::{
     ops::Range,
@@ -106,7 +105,7 @@ impl<'a> StoredAnswers<'a> {
     }
 
     fn save(&self, key: &Key, out: &[Emission], context: &mut Context) {
-        let Some(answer) = encode(out, context.signs(), context.node()) else { return };
+        let Some(answer) = encode(out, context.warnings(), context.node()) else { return };
         let slices: Vec<&[u8]> = answer.iter().flat_map(Segments::slices).collect();
         if let Err(error) = self.store.put(key, &slices)
             && !self.cannot_keep.swap(true, Ordering::Relaxed)
@@ -116,7 +115,7 @@ impl<'a> StoredAnswers<'a> {
     }
 
     /// Decodes the emissions and warnings of the answer in an entry; `None` if it is not an answer of this node.
-    fn read(&self, index: usize, entry: &StoreEntry) -> Option<(Vec<Emission>, Vec<NodeWarning>)> {
+    fn read(&self, index: usize, entry: &StoreEntry) -> Option<(Vec<Emission>, Vec<String>)> {
         let outputs = &self.plan.nodes[index].outputs;
         let mut at = 0;
         let mut word = || -> Option<usize> {
@@ -137,7 +136,7 @@ impl<'a> StoredAnswers<'a> {
         let emissions = outputs.iter().map(|output| self.emission(output.payload, entry, ranges.next()??));
         let emissions = emissions.collect::<Option<Vec<_>>>()?;
         let text = |range: Option<Range<usize>>| String::from_utf8(entry.bytes().get(range?)?.to_vec()).ok();
-        let warnings = ranges.map(text).map(|text| text.map(NodeWarning::from)).collect::<Option<Vec<_>>>()?;
+        let warnings = ranges.map(text).collect::<Option<Vec<_>>>()?;
         Some((emissions, warnings))
     }
 
@@ -171,7 +170,7 @@ impl AnswerCache for StoredAnswers<'_> {
         let Some((kept, key)) = key else { return node.fire(joined, out, context) };
         if let Some((emissions, warnings)) = self.store.get(&key).and_then(|entry| self.read(index, &entry)) {
             out.iter_mut().zip(emissions).for_each(|(place, emission)| *place = emission);
-            warnings.into_iter().for_each(|warning| context.add_warning(warning));
+            warnings.into_iter().for_each(|warning| context.warn(warning));
             let node = self.plan.nodes[index].name.to_string();
             let answer = CachedAnswer { node, item: context.item(), key: key.to_string() };
             self.cached_answers.lock().unwrap_or_else(PoisonError::into_inner).push((index, answer));
@@ -206,7 +205,7 @@ fn with_empty(key: KeyBuilder, what: &str, empty: &Empty) -> KeyBuilder {
 /// Encodes an answer for the store: the number of outputs and of warnings and the length of each (u64, little-endian),
 /// then the messages of the outputs and the texts of the warnings, each at a multiple of 8. `None` if an output was
 /// silent.
-fn encode(out: &[Emission], warnings: &[NodeWarning], node: &str) -> Option<Vec<Segments>> {
+fn encode(out: &[Emission], warnings: &[String], node: &str) -> Option<Vec<Segments>> {
     let empty = |empty: Empty| {
         let item = Item { number: 0, stamp_ns: 0, body: Body::Empty(Arc::new(empty)) };
         codec::parts_on(PortPayload::Any, &item)
@@ -222,7 +221,7 @@ fn encode(out: &[Emission], warnings: &[NodeWarning], node: &str) -> Option<Vec<
     }
     for warning in warnings {
         let mut text = Segments::default();
-        text.tail().extend_from_slice(String::from(warning.clone()).as_bytes());
+        text.tail().extend_from_slice(warning.as_bytes());
         messages.push(text);
     }
     let lengths = messages[1..].iter().map(|message| message.len() as u64).collect::<Vec<_>>();

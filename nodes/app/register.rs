@@ -83,6 +83,11 @@ pub struct RegisterRequest {
     #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with = "init")]
     pub landmarks: Option<Vec<PathBuf>>,
 
+    /// Start from fiducials that lie off the surface, such as screws, rings or skin markers, in TARGET and as touched in SOURCE's frame; the
+    /// verdict compares them with the surface. Files and names as of --landmarks.
+    #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with_all = ["init", "landmarks"])]
+    pub fiducials: Option<Vec<PathBuf>>,
+
     /// The residual to minimise.
     #[arg(long, default_value = method::BUILT_IN[0].0, value_name = "METHOD", conflicts_with = "plugins",
           value_parser = PossibleValuesParser::new(method::BUILT_IN.map(|(name, about)| PossibleValue::new(name).help(about))))]
@@ -416,7 +421,7 @@ impl RegisterRequest {
         if let Some(pose) = self.init_pose {
             return Ok(ReadStart::Pose(pose));
         }
-        Ok(match (&self.init, self.landmarks.as_deref()) {
+        Ok(match (&self.init, self.landmarks.as_deref().or(self.fiducials.as_deref())) {
             (Some(word), _) if word.as_os_str() == IDENTITY => ReadStart::Pose(Isometry3::identity()),
             (Some(file), _) => {
                 let read = pose_file::read_pose(file, self.init_unit_mm.unwrap_or(self.unit_mm))?;
@@ -463,7 +468,8 @@ impl RegisterRequest {
         let path = |path: &Path| Some(path.display().to_string().into());
         let unit = |unit_mm: f64| (unit_mm != 1.0).then(|| unit_mm.into());
         let [target_mm, source_mm] = self.units_mm();
-        let keys: [(&str, Option<toml::Value>); 14] = [
+        let is_judged = !self.no_verdict && self.fiducials.is_some();
+        let keys: [(&str, Option<toml::Value>); 15] = [
             ("bone.path", path(&self.target.path)),
             ("scan.path", path(&self.source.path)),
             ("icp.kind", Some(kind.into())),
@@ -477,6 +483,7 @@ impl RegisterRequest {
             ("ct_surface.n_points", Some((self.target_points as i64).into())),
             ("thin.max_points", Some((self.max_points as i64).into())),
             ("graph.seed", Some((self.seed as i64).into())),
+            ("verdict.on_surface", is_judged.then(|| false.into())),
             ("results.require", (self.require == Require::Trusted).then(|| "trusted".into())),
         ];
         let keys = keys.into_iter().filter_map(|(key, value)| Some(format!("{key}={}", value?)));

@@ -1,6 +1,4 @@
-use crate::{
-    Budget, CachePolicy, ClockReading, DeclaredPort, Empty, NodeWarning, StampNs, clock::Readings, host::Host,
-};
+use crate::{Budget, CachePolicy, ClockReading, DeclaredPort, Empty, StampNs, clock::Readings, host::Host};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 use std::{
@@ -24,7 +22,7 @@ pub struct Context {
     stamp_ns: StampNs,
     item: u64,
     absent: Vec<(&'static str, Arc<Empty>)>,
-    warnings: Vec<NodeWarning>,
+    warnings: Vec<String>,
     readings: Readings,
     used: Used,
     /// Whether this firing was answered that the user asked to stop: what it gives depends on when that was.
@@ -66,7 +64,7 @@ pub struct FiringDone {
     /// Its clock readings.
     pub readings: Vec<ClockReading>,
     /// Its warnings.
-    pub warnings: Vec<NodeWarning>,
+    pub warnings: Vec<String>,
     /// Whether it used the generator, or a value that seeds it.
     pub used_generator: bool,
     /// Whether it used the stamp or the folder.
@@ -105,7 +103,7 @@ impl Context {
         FiringDone {
             stamp_ns: self.stamp_ns,
             readings: self.take_readings(),
-            warnings: self.take_signs(),
+            warnings: self.take_warnings(),
             used_generator: self.used.generator.load(Ordering::Relaxed),
             used_other: self.used.other.load(Ordering::Relaxed),
         }
@@ -223,29 +221,14 @@ impl Context {
         !self.warnings.is_empty()
     }
 
-    /// The messages of the warnings so far.
-    pub fn warnings(&self) -> Vec<String> {
-        self.warnings.iter().map(|warning| warning.message.clone()).collect()
-    }
-
-    /// The messages of the warnings since the last call.
-    pub fn take_warnings(&mut self) -> Vec<String> {
-        self.take_signs().into_iter().map(|warning| warning.message).collect()
-    }
-
-    /// For the engine: the warnings so far, with the rules of those that are signs.
-    pub fn signs(&self) -> &[NodeWarning] {
+    /// For the engine: the warnings so far.
+    pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// For the engine: the warnings since the last call, with the rules of those that are signs.
-    pub fn take_signs(&mut self) -> Vec<NodeWarning> {
+    /// For the engine: the warnings since the last call.
+    pub fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
-    }
-
-    /// For the engine: takes over a warning.
-    pub fn add_warning(&mut self, warning: NodeWarning) {
-        self.warnings.push(warning);
     }
 
     /// The node's full name in the graph.
@@ -379,19 +362,20 @@ impl Context {
 
     /// Warns the user about this item; shown, counted, and written to the manifest.
     pub fn warn(&mut self, message: impl Into<String>) {
-        self.pass_on(NodeWarning { rule: None, message: message.into() });
-    }
-
-    /// Warns of a sign that an input is wrong, found by the rule of this name: one of the `reasons` in `results.json`, too.
-    pub fn sign(&mut self, rule: &'static str, message: impl Into<String>) {
-        self.pass_on(NodeWarning { rule: Some(rule.into()), message: message.into() });
-    }
-
-    fn pass_on(&mut self, warning: NodeWarning) {
         match &mut self.host {
-            Some(host) => host.warn(&String::from(warning)),
-            None => self.warnings.push(warning),
+            Some(host) => host.warn(&message.into()),
+            None => self.warnings.push(message.into()),
         }
+    }
+
+    /// Warns of a sign that an input is wrong, found by the rule of this name, such as `marker_jump`: a warning that ends with the rule in
+    /// brackets, which `results.json` lists under `reasons`.
+    ///
+    /// # Panics
+    /// If the rule is not of two or more words of small letters, joined by `_`: it would be taken for a part of the message.
+    pub fn sign(&mut self, rule: &'static str, message: impl std::fmt::Display) {
+        assert!(is_rule(rule), "the rule \"{rule}\" of a sign is not of two or more words, such as marker_jump");
+        self.warn(format!("{message} [{rule}]"));
     }
 
     /// The folder for files that the node writes; `None` if the run has no folder.
@@ -412,6 +396,18 @@ impl Context {
 /// FNV-1a: stable across machines and versions, unlike the hash of the standard library.
 fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
+}
+
+/// A warning that is a sign, as [`Context::sign`] writes it: its message and its rule.
+pub fn sign(warning: &str) -> Option<(&str, &str)> {
+    let (message, rule) = warning.strip_suffix(']')?.rsplit_once(" [")?;
+    is_rule(rule).then_some((message, rule))
+}
+
+/// Whether it is two or more words, which no unit and no name of a table in brackets is.
+fn is_rule(rule: &str) -> bool {
+    let is_word = |word: &str| !word.is_empty() && word.bytes().all(|c| c.is_ascii_lowercase());
+    rule.contains('_') && rule.split('_').all(is_word)
 }
 
 #[cfg(test)]

@@ -95,11 +95,10 @@ mod registry;
 mod schema;
 mod traits;
 mod view;
-mod warning;
 
 pub use build_context::{BuildContext, Place};
 pub use clock::{Budget, ClockReading};
-pub use context::{Context, FiringDone, FiringSent};
+pub use context::{Context, FiringDone, FiringSent, sign};
 pub use declared::Declared;
 pub use description::{CachePolicy, Description, Role};
 pub use display::{Display, DisplayContext, FrameEdge, frame_edge, own_frame};
@@ -115,7 +114,6 @@ pub use registry::{Kind, KindClash, Launch, PayloadClash, Registry};
 pub use schema::{ColumnType, EntryType, SchemaEntry, SchemaError};
 pub use traits::{Describe, Emit, Function, Inputs, Node, Outputs, Parameters, SILENT_AFTER, Source};
 pub use view::{Buffer, Column, Field, Name, View, ViewError};
-pub use warning::NodeWarning;
 
 /// Nanoseconds since the Unix epoch; 0 for constants.
 pub type StampNs = i64;

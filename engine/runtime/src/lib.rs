@@ -22,6 +22,7 @@ pub mod plan;
 mod report;
 mod runtime;
 mod scheduler;
+mod sign;
 mod sync;
 mod tap;
 
@@ -30,8 +31,9 @@ pub use inject::{Injected, Injection, planned_failure};
 pub use latency::{Latency, LatencyStats};
 pub use outcome::RunOutcome;
 pub use report::{
-    BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, NodeStats, Observer, Refusal, Sign, Warning,
+    BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, NodeStats, Observer, Refusal, Warning,
 };
 pub use runtime::{AnswerCache, CpuClock, RunSettings, Runtime, emission_fault, refusal, stamp_or_zero};
+pub use sign::Sign;
 pub use sync::on_workers;
 pub use tap::{Failed, Replayed, Substitutes, Tap};

@@ -1,18 +1,14 @@
-//! Warnings, signs and failures of nodes, limited in number per node.
+//! Warnings and failures of nodes, limited in number per node.
 
 use crate::{
     plan::Plan,
-    report::{Failure, Sign, Warning},
+    report::{Failure, Warning},
+    sign::{Sign, Signs},
 };
 
-/// Maximum number of warnings and of different signs listed per node, and of failures after which the node went on; further ones are counted.
+/// Maximum number of warnings listed per node, and of failures after which the node went on; further ones are counted.
 /// Otherwise a node that warns at every item would fill the memory in a long run.
 const MAX_PER_NODE: u64 = 100;
-/// Maximum number of different signs listed per rule of a node, so that a rule that finds one in every item hides no other rule.
-const MAX_PER_RULE: usize = 10;
-
-/// Rule of the entry that counts the signs of a node that are not listed.
-const MORE: &str = "more";
 
 /// Warnings, signs and failures of a run in progress.
 pub(crate) struct Messages {
@@ -29,9 +25,7 @@ struct Counts {
     last_warned: u64,
     /// The latest failure that is only counted; the node's last empty gives it as its reason.
     latest: Option<Failure>,
-    signs: Vec<Sign>,
-    /// The last item with a sign that was not listed, and the number of these signs.
-    more_signs: (u64, u64),
+    signs: Signs,
 }
 
 impl Messages {
@@ -39,11 +33,10 @@ impl Messages {
         Self { warnings: Vec::new(), failures: Vec::new(), nodes: vec![Counts::default(); n_nodes] }
     }
 
-    pub(crate) fn warning(&mut self, node: usize, warning: Warning, rule: Option<String>) {
+    pub(crate) fn warning(&mut self, node: usize, warning: Warning) {
         let counts = &mut self.nodes[node];
-        if let Some(rule) = rule {
-            let Warning { node, item, message } = warning.clone();
-            counts.sign(Sign { node, rule, reason: message, item, n: 1 });
+        if let Some(sign) = warning.sign() {
+            counts.signs.add(sign);
         }
         counts.warned += 1;
         if counts.warned <= MAX_PER_NODE {
@@ -68,11 +61,7 @@ impl Messages {
     pub(crate) fn finish(mut self, plan: &Plan) -> (Vec<Failure>, Vec<(usize, Warning)>, Vec<Sign>) {
         let mut signs = Vec::new();
         for (node, counts) in self.nodes.into_iter().enumerate() {
-            signs.extend(counts.signs);
-            if let (item, n @ 1..) = counts.more_signs {
-                let reason = format!("{n} more signs of this node are counted and not listed");
-                signs.push(Sign { node: plan.nodes[node].name.to_string(), rule: MORE.into(), reason, item, n });
-            }
+            signs.extend(counts.signs.finish());
             let mut more = |n: u64, item: u64, what: &str| {
                 let message = format!("{n} more {what} of this node are counted and not listed");
                 self.warnings.push((node, Warning { node: plan.nodes[node].name.to_string(), item, message }));
@@ -91,19 +80,5 @@ impl Messages {
         }
         self.failures.sort_by_key(|failure| (failure.node, failure.item));
         (self.failures, self.warnings, signs)
-    }
-}
-
-impl Counts {
-    fn sign(&mut self, sign: Sign) {
-        if let Some(equal) = self.signs.iter_mut().find(|s| s.rule == sign.rule && s.reason == sign.reason) {
-            equal.n += 1;
-        } else if self.signs.len() < MAX_PER_NODE as usize
-            && self.signs.iter().filter(|s| s.rule == sign.rule).count() < MAX_PER_RULE
-        {
-            self.signs.push(sign);
-        } else {
-            self.more_signs = (sign.item, self.more_signs.1 + 1);
-        }
     }
 }

@@ -1,7 +1,8 @@
 use crate::{
     activity::{self, Doing, Name},
     panics,
-    report::{Enlargement, Failure, LinkStats, NodeStats, Sign, Warning},
+    report::{Enlargement, Failure, LinkStats, NodeStats, Warning},
+    sign::Sign,
 };
 use osteoflow_node::Built;
 use std::time::Duration;

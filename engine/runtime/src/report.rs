@@ -2,7 +2,6 @@
 
 use crate::plan::Location;
 use osteoflow_node::{Empty, StampNs};
-use serde::{Deserialize, Serialize};
 use std::{fmt, sync::Arc, time::Duration};
 
 /// Receives the events of a run as they happen, on any thread.
@@ -62,31 +61,6 @@ pub struct Warning {
     pub item: u64,
     /// The message.
     pub message: String,
-}
-
-/// A sign that an input is wrong, as the `reasons` of `results.json` list it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Sign {
-    /// The node that found it.
-    pub node: String,
-    /// The rule that it found it by.
-    pub rule: String,
-    /// The message.
-    pub reason: String,
-    /// Number of the activation, from 0; of equal ones the first.
-    #[serde(default)]
-    pub item: u64,
-    /// How often the node gave it.
-    #[serde(default = "once", skip_serializing_if = "is_once")]
-    pub n: u64,
-}
-
-fn once() -> u64 {
-    1
-}
-
-fn is_once(n: &u64) -> bool {
-    *n == 1
 }
 
 /// An enlarged queue.

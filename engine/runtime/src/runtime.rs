@@ -14,16 +14,16 @@ use crate::{
     outcome::{Retired, RunOutcome},
     panics,
     plan::{OutputId, Plan, PlanInput, PlanNode, Policy},
-    report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Sign, Warning},
+    report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning},
     scheduler::{Scheduler, Stepped, Turn, Work},
+    sign::Sign,
     sync::locked,
     tap::{Failed, Replayed, Tap},
 };
 use cell::{Cell, Core, Input, Output};
 use live::{Live, LiveMessage, Mailbox};
 use osteoflow_node::{
-    AnyNode, BuildContext, Built, ClockReading, Context, Emission, Joined, NodeError, NodeWarning, Registry, Role,
-    StampNs,
+    AnyNode, BuildContext, Built, ClockReading, Context, Emission, Joined, NodeError, Registry, Role, StampNs,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -425,12 +425,12 @@ impl<'a> Runtime<'a> {
         self.warn(failed.node, failed.item, warnings);
     }
 
-    pub(crate) fn warn(&self, node: usize, item: u64, warnings: Vec<impl Into<NodeWarning>>) {
-        for NodeWarning { rule, message } in warnings.into_iter().map(Into::into) {
+    pub(crate) fn warn(&self, node: usize, item: u64, messages: Vec<String>) {
+        for message in messages {
             self.taps.iter().for_each(|tap| tap.warned(node, item, &message));
             let warning = Warning { node: self.plan.nodes[node].name.to_string(), item, message };
             self.event(&Event::Warned(&warning));
-            locked(&self.messages).warning(node, warning, rule);
+            locked(&self.messages).warning(node, warning);
         }
     }
 

@@ -1,6 +1,6 @@
 //! Taps, which listen to a run, and what a replay substitutes.
 
-use crate::{inject::Injected, plan::OutputId, report::Sign};
+use crate::{inject::Injected, plan::OutputId, sign::Sign};
 use osteoflow_node::{AnySource, ClockReading, Item, Joined, StampNs};
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -472,7 +472,7 @@ unsafe extern "C" fn warn(run: *mut abi::Run, message: Text) {
         with(run, (), |run| {
             let message = abi::text(message, "the warning").ok().flatten().unwrap_or("a warning that is no text");
             match run.context_mut() {
-                Some(context) => context.add_warning(message.to_owned().into()),
+                Some(context) => context.warn(message),
                 None => tracing::warn!("while it was built: {message}"),
             }
         });

@@ -32,8 +32,8 @@ pub(super) fn note(plan: &Plan, run: &mut Finished) -> Option<(usize, Sign)> {
         .map(|node| (node, sign(plan, run, node)))
         .collect();
     for (_, sign) in &found {
-        let Sign { node, item, reason, .. } = sign.clone();
-        run.ended.warnings.push(Warning { node, item, message: reason });
+        let Sign { node, item, reason, rule, .. } = sign.clone();
+        run.ended.warnings.push(Warning { node, item, message: format!("{reason} [{rule}]") });
         run.ended.signs.push(sign.clone());
     }
     run.ended.warnings.sort_by_cached_key(|warning| plan.node(&warning.node));
@@ -52,6 +52,9 @@ fn is_unfed(plan: &Plan, run: &Finished, node: usize) -> bool {
 
 /// Whether the graph says that nothing may come to the node.
 fn may_be_unfed(plan: &Plan, run: &Finished, node: usize) -> bool {
+    if plan.nodes[node].inputs.iter().any(|input| input.may_stay_empty) {
+        return true;
+    }
     let upstream = plan.upstream(node);
     (0..plan.nodes.len()).filter(|node| upstream[*node]).any(|source| {
         let ports = plan.nodes[source].declared.iter().zip(plan.outputs(source));
@@ -63,13 +66,20 @@ fn may_be_unfed(plan: &Plan, run: &Finished, node: usize) -> bool {
 
 fn sign(plan: &Plan, run: &Finished, node: usize) -> Sign {
     let stats = &run.ended.nodes[node];
-    let reason = match &stats.last_empty {
-        Some(empty) => {
-            let items = if stats.items == 1 { "the only item" } else { &format!("each of {} items", stats.items) };
-            let last = if stats.items == 1 { "" } else { ", the last one" };
-            format!("nothing came: {items} was empty{last} because node \"{}\" gave none: {}", empty.node, empty.reason)
+    let cause = match (&stats.last_empty, plan.nodes[node].role, stats.items) {
+        (Some(empty), _, 1) => format!("its only item was empty, as node \"{}\" says: {}", empty.node, empty.reason),
+        (Some(empty), _, n) => {
+            format!("each of its {n} items was empty, the last one as node \"{}\" says: {}", empty.node, empty.reason)
         }
-        None => format!("nothing came: {}", never_fired(plan, run, node).1),
+        (None, Role::Node, _) => never_fired(plan, run, node).1,
+        (None, ..) => format!("no value ever came from it"),
     };
+    let remedy = match plan.nodes[node].outputs.is_empty() {
+        true => {
+            "; if a run may end so, write optional = true beside the wire, as in { from = \"node.port\", optional = true }"
+        }
+        false => "",
+    };
+    let reason = format!("nothing came: {cause}{remedy}");
     Sign { node: plan.nodes[node].name.to_string(), rule: NOTHING_CAME.into(), reason, item: stats.items, n: 1 }
 }

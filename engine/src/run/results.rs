@@ -7,7 +7,7 @@ use super::{
 use crate::{
     graph::grammar::{REASONS, VERDICT},
     options::RunOptions,
-    plan::{OutputId, Plan, Require, ResultEntry},
+    plan::{OutputId, Plan, PlanInput, Require, ResultEntry},
     runtime::{Failure, Refusal, Sign, refusal as refusal_of},
     shown_paths::ShownPaths,
 };
@@ -263,9 +263,11 @@ fn silent_wire(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
 /// Why a node without activations has none: the wire furthest upstream that carried no item, and its node.
 pub(super) fn never_fired(plan: &Plan, run: &Finished, index: usize) -> (usize, String) {
     let node = &plan.nodes[index];
-    let fed = |input: &&crate::plan::PlanInput| !input.port.unused && !input.port.optional;
-    let links = node.inputs.iter().filter(fed).flat_map(|input| &input.links);
-    let from = links.map(|link| plan.links[*link].from);
+    let is_required = |input: &&PlanInput| !input.port.unused && !input.port.optional && !input.links.is_empty();
+    // A sink may have optional inputs alone.
+    let takes_any = node.outputs.is_empty() && !node.inputs.iter().any(|input| is_required(&input));
+    let fed = node.inputs.iter().filter(|input| takes_any || is_required(input)).flat_map(|input| &input.links);
+    let from = fed.map(|link| plan.links[*link].from);
     if let Some(from) = from.clone().find(|from| run.outputs[from.node][from.port].n_items == 0) {
         return silent_wire(plan, run, from);
     }

@@ -81,7 +81,7 @@ impl PlanBuilder {
                 let policy = Policy::Block;
                 self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_bytes: 1 << 20, policy });
             }
-            plan_inputs.push(PlanInput { port, links });
+            plan_inputs.push(PlanInput { port, links, may_stay_empty: false });
         }
         self.push(name, kind, params, Arc::from([]), outputs, plan_inputs);
         self

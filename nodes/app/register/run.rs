@@ -210,7 +210,10 @@ impl Register {
             report: method_report,
             icp_report: value(wires, &format!("{NODE}.{REPORT}")),
             steps: value::<IcpTrace>(wires, "icp.trace").map(|trace| trace.steps).unwrap_or_default(),
-            doubt: target.as_ref().and_then(|target| off_surface(target, source.as_ref(), picked, in_source)),
+            doubt: target
+                .as_ref()
+                .filter(|_| self.request.fiducials.is_none())
+                .and_then(|target| off_surface(target, source.as_ref(), picked, in_source)),
             has_estimated_normals: value::<Cloud>(wires, "bone.points").is_some_and(|cloud| cloud.normals().is_none()),
             is_stored: report.cached_answers.iter().any(|answer| answer.node == "ct_surface"),
             target,

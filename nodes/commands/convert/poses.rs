@@ -44,7 +44,7 @@ impl Convert {
             let message = format!("no poses between --parent and --child; there are {}", pairs.join(", "));
             return Err(UsageError(format!("{}: {message}", self.input.display())).into());
         }
-        notes.extend(corrections.note());
+        notes.extend(corrections.note().into_iter().chain(log.signs.into_iter().map(|(_, sign)| sign)));
         let n_lost = poses.iter().filter(|pose| pose.is_err()).count();
         match ending.as_str() {
             "mcap" => {

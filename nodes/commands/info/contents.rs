@@ -594,7 +594,7 @@ fn folder_of(folder: &Path, series: Option<&str>) -> Result<Contents> {
         let about = format!("a procedure in files, {} items", streams.items.len());
         return Ok(Contents::new("procedure", about)
             .with_list("labels", roles, "named")
-            .noted(streams.notes)
+            .noted(streams.notes.into_iter().chain(streams.signs.into_iter().map(|(_, sign)| sign)).collect())
             .used_by([format!("osteoflow run graphs/fibula_folder.toml --set recording.path={name}")]));
     }
     if folder.join("manifest.json").is_file() {

@@ -54,6 +54,7 @@ pub(super) fn poses(file: &Path, format: Option<LogFormat>, log: &LogArgs) -> Re
     let n_poses: usize = streams.values().map(|stream| stream.n_poses).sum();
     let frames = if names_frames { Vec::new() } else { vec!["it names no frames; --parent and --child do".to_owned()] };
     let mut notes: Vec<String> = read.notes.into_iter().chain(frames).chain(corrections.note()).collect();
+    notes.extend(read.signs.into_iter().map(|(_, sign)| sign));
     if !has_stamps {
         notes.push("it has no stamps; --rate or --times give them".into());
     }

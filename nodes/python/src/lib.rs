@@ -37,6 +37,7 @@ struct RegisterOptions {
     init: Option<PathBuf>,
     method: String,
     landmarks: Option<[PathBuf; 2]>,
+    fiducials: Option<[PathBuf; 2]>,
     pairing: Option<String>,
     max_pair_distance_mm: Option<f64>,
     max_iterations: Option<u32>,
@@ -78,8 +79,10 @@ impl RegisterOptions {
         source: RegisterInput,
         init: Option<Isometry3<f64>>,
     ) -> PyResult<RegisterRequest> {
-        if self.landmarks.is_some() && (init.is_some() || self.init.is_some()) {
-            return Err(errors::UsageError::new_err("the start is given by init and by landmarks; leave one out"));
+        let has_init = init.is_some() || self.init.is_some();
+        if usize::from(has_init) + usize::from(self.landmarks.is_some()) + usize::from(self.fiducials.is_some()) > 1 {
+            let message = "the start is given by more than one of init, landmarks and fiducials; leave one";
+            return Err(errors::UsageError::new_err(message));
         }
         let [target_path, source_path] = [&target, &source].map(|input| input.path.clone());
         Ok(RegisterRequest {
@@ -88,6 +91,7 @@ impl RegisterOptions {
             init: self.init,
             init_pose: init,
             landmarks: self.landmarks.map(Vec::from),
+            fiducials: self.fiducials.map(Vec::from),
             method: self.method,
             pairing: self.pairing,
             max_pair_distance_mm: self.max_pair_distance_mm,

@@ -431,7 +431,7 @@ impl Cell {
 
     fn pass_warnings_on(&mut self, item: u64, run: &Runtime<'_>) {
         if self.context.has_warnings() {
-            run.warn(self.index, item, self.context.take_signs());
+            run.warn(self.index, item, self.context.take_warnings());
         }
     }
 

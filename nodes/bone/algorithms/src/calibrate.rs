@@ -16,9 +16,12 @@ mod spread;
 mod turned;
 
 pub use contradicted::Contradiction;
-pub use hand_eye::{HandEyeFit, HandEyeReport, Method as HandEyeMethod, hand_eye};
+pub use hand_eye::{
+    HandEyeFit, HandEyeReport, Method as HandEyeMethod, TELLING_RMS_MM as HAND_EYE_TELLING_RMS_MM,
+    TELLING_RMS_RAD as HAND_EYE_TELLING_RMS_RAD, hand_eye,
+};
 pub use parts::PhantomPart;
-pub use pivot::{PivotReport, pivot};
+pub use pivot::{PivotReport, TELLING_RMS_MM as PIVOT_TELLING_RMS_MM, pivot};
 pub use report::{PhantomFit, PhantomReport};
 pub use shown::PhantomShown;
 pub use spread::CELL_MM;

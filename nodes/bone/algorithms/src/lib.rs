@@ -59,6 +59,7 @@ pub mod iso_surface;
 mod joined;
 pub mod kabsch;
 pub mod landmarks;
+pub mod marker_stream;
 pub mod merge;
 pub mod mesh_query;
 pub mod mesh_topology;

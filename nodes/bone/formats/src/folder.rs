@@ -61,7 +61,7 @@
 mod mistakes;
 
 use crate::{
-    FileError, LostPose, StampOrder, input,
+    FileError, LostPose, Sign, StampOrder, input,
     mesh_or_cloud::{MeshRead, read_cloud, read_mesh},
     plan_file::{PlanRead, read_plan},
     poses_csv::read_poses,
@@ -96,6 +96,8 @@ pub struct FolderStreams {
     pub items: Vec<FolderItem>,
     /// Data that were left out or corrected, one sentence each.
     pub notes: Vec<String>,
+    /// Signs that a file of poses is wrong.
+    pub signs: Vec<Sign>,
 }
 
 /// One item of a folder's streams.
@@ -330,7 +332,7 @@ impl ProcedureFolder {
     /// # Errors
     /// [`FileError`] of the file that cannot be read.
     pub fn streams(&self) -> Result<FolderStreams, FileError> {
-        let (mut items, mut notes) = (Vec::new(), Vec::new());
+        let (mut items, mut notes, mut signs) = (Vec::new(), Vec::new(), Vec::new());
         let manifest = &self.manifest;
         if let Some(scan) = &manifest.phantom_scan {
             items.push(self.scan("phantom_scan", scan, None, &mut notes)?);
@@ -354,7 +356,7 @@ impl ProcedureFolder {
             let mut corrections = Corrections::default();
             let path = self.resolve(&file.file);
             let read = read_poses(&path, self.unit_mm(file.unit))?;
-            let seen = read.poses.iter().zip(&read.lines).filter_map(|(pose, &line)| {
+            let seen = read.log.poses.iter().zip(&read.lines).filter_map(|(pose, &line)| {
                 let Pose { to, from, stamp_ns, isometry, .. } = &pose.as_ref().ok()?.value;
                 let (translation, rotation) = (isometry.translation.vector, isometry.rotation);
                 let (parent, child) = (to.to_string(), from.to_string());
@@ -364,10 +366,13 @@ impl ProcedureFolder {
             if let Some(planned) = &planned {
                 mistakes::against_plan(&seen, planned)?;
             }
-            notes.extend(mistakes::scalar_first(&seen).map(|note| format!("{}: {note}", file.file.display())));
+            let name = file.file.display();
+            let scalar_first = mistakes::scalar_first(&seen).map(|sign| ("scalar_first", sign));
+            let found = read.log.signs.into_iter().chain(scalar_first);
+            signs.extend(found.map(|(rule, sign)| (rule, format!("{name}: {sign}"))));
             poses_files.push(seen);
-            notes.extend(read.notes.iter().map(|note| format!("{}: {note}", file.file.display())));
-            for pose in read.poses {
+            notes.extend(read.log.notes.iter().map(|note| format!("{name}: {note}")));
+            for pose in read.log.poses {
                 let pose = pose.map(|pose| corrections.take(pose));
                 let (to, from, stamp_ns) = match &pose {
                     Ok(pose) => (&pose.to, &pose.from, pose.stamp_ns),
@@ -377,7 +382,7 @@ impl ProcedureFolder {
                 let role = if is_cad { "phantom_marker_cad".into() } else { from.to_string() };
                 items.push(FolderItem { role, stamp_ns, body: FolderBody::Pose(pose) });
             }
-            notes.extend(corrections.note().map(|note| format!("{}: {note}", file.file.display())));
+            notes.extend(corrections.note().map(|note| format!("{name}: {note}")));
         }
         let scans: Vec<StampNs> =
             items.iter().filter(|item| matches!(item.body, FolderBody::Cloud(_))).map(|item| item.stamp_ns).collect();
@@ -397,7 +402,7 @@ impl ProcedureFolder {
         }
         // The sort is stable, so equal stamps keep the order in which the files are named.
         items.sort_by_key(|item| item.stamp_ns);
-        Ok(FolderStreams { items, notes })
+        Ok(FolderStreams { items, notes, signs })
     }
 
     fn scan(

@@ -75,6 +75,7 @@ mod ros2;
 mod scalar;
 mod shape;
 pub mod space;
+mod spellings;
 mod stamp_order;
 mod stl;
 mod table;
@@ -85,4 +86,8 @@ pub mod write;
 pub use error::FileError;
 pub use lost::{LostPose, PoseError};
 pub use space::Space;
+pub use spellings::{Spellings, without_slash};
 pub use stamp_order::StampOrder;
+
+/// A sign that a file is wrong: the name of the rule that found it, and a sentence.
+pub type Sign = (&'static str, String);

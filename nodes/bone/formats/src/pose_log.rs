@@ -17,6 +17,7 @@ mod columns;
 mod ndi;
 mod sequence;
 mod stamp;
+mod stamp_unit;
 mod trajectory;
 mod write_tum;
 
@@ -24,7 +25,8 @@ pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
 pub use write_tum::write_tum;
 
 use crate::{
-    FileError, LostPose, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage, poses_csv, refused::refusal,
+    FileError, LostPose, Sign, Spellings, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage, poses_csv,
+    refused::refusal,
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
@@ -32,6 +34,7 @@ use osteoflow_geometry::{
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
+use stamp_unit::Track;
 use std::{
     collections::BTreeMap,
     fmt,
@@ -127,6 +130,8 @@ pub struct PoseLog {
     pub poses: Vec<Result<Nearest<Pose>, LostPose>>,
     /// What the user should know, one sentence each.
     pub notes: Vec<String>,
+    /// Signs that the file is wrong.
+    pub signs: Vec<Sign>,
 }
 
 /// The format of a file by its content; none if it is no log, or a table whose heading has to be described.
@@ -161,13 +166,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
         LogFormat::Tum | LogFormat::Euroc | LogFormat::Kitti => {
             trajectory::read(path, format, unit_mm, options, &mut log)?
         }
-        LogFormat::Poses => {
-            let poses_csv::PosesRead { poses, notes, .. } = poses_csv::read_poses(path, unit_mm)?;
-            if poses.is_empty() {
-                return Err(no_pose(path, &notes));
-            }
-            return Ok(PoseLog { format, poses, notes });
-        }
+        LogFormat::Poses => drop(poses_csv::read(path, unit_mm, &mut log)?),
         LogFormat::Ndi | LogFormat::Table => columns::read(path, unit_mm, options, &mut log)?,
     }
     if log.poses.is_empty() {
@@ -247,81 +246,99 @@ impl Sample {
 
 /// Poses as they are read.
 #[derive(Default)]
-struct Log {
+pub(crate) struct Log {
     poses: Vec<Result<Nearest<Pose>, LostPose>>,
     notes: Vec<String>,
-    orders: BTreeMap<[String; 2], Stream>,
+    orders: BTreeMap<[Frame; 2], Stream>,
+    spellings: Spellings,
+    /// Whether a stamp of 0 is that of a constant.
+    pub(crate) has_constants: bool,
 }
 
-/// The stamps of one tool.
+/// The poses of one tool.
 #[derive(Default)]
 struct Stream {
     order: StampOrder,
-    n: usize,
+    track: Track,
     n_lost: usize,
     n_at_zero: usize,
     n_identities: usize,
     farthest_mm: f64,
-    first_ns: StampNs,
-    last_ns: StampNs,
 }
 
 impl Log {
     /// Takes a pose; `place` names its line.
-    fn push(&mut self, mut pose: Result<Nearest<Pose>, LostPose>, place: impl FnOnce() -> String) {
+    pub(crate) fn push(&mut self, mut pose: Result<Nearest<Pose>, LostPose>, place: impl FnOnce() -> String) {
         let (to, from, stamp_ns) = match &mut pose {
-            Ok(pose) => (&pose.value.to, &pose.value.from, &mut pose.value.stamp_ns),
-            Err(lost) => (&lost.to, &lost.from, &mut lost.stamp_ns),
+            Ok(pose) => (&mut pose.value.to, &mut pose.value.from, &mut pose.value.stamp_ns),
+            Err(lost) => (&mut lost.to, &mut lost.from, &mut lost.stamp_ns),
         };
-        let stream = self.orders.entry([to.to_string(), from.to_string()]).or_default();
+        (*to, *from) = (self.spellings.take(to), self.spellings.take(from));
+        if *stamp_ns == 0 && self.has_constants {
+            self.poses.push(pose);
+            return;
+        }
+        let stream = self.orders.entry([to.clone(), from.clone()]).or_default();
         if *stamp_ns == 0 {
-            // A stamp of 0 is that of a constant, which a pose of a log is not.
+            // A stamp of 0 is that of a constant, which a pose of such a log is not.
             *stamp_ns = 1;
             stream.n_at_zero += 1;
         }
         stream.order.take(*stamp_ns, place);
-        if stream.n == 0 {
-            stream.first_ns = *stamp_ns;
-        }
-        (stream.last_ns, stream.n) = (*stamp_ns, stream.n + 1);
+        stream.track.stamps.push(*stamp_ns);
         stream.n_lost += usize::from(pose.is_err());
-        if let Ok(pose) = &pose {
-            stream.n_identities += usize::from(pose.value.isometry == Isometry3::identity());
-            stream.farthest_mm = stream.farthest_mm.max(pose.value.isometry.translation.vector.norm());
+        if let Ok(Nearest { value: pose, .. }) = &pose {
+            let at = pose.isometry.translation.vector;
+            stream.track.seen.push((pose.stamp_ns, at));
+            stream.n_identities += usize::from(pose.isometry == Isometry3::identity());
+            stream.farthest_mm = stream.farthest_mm.max(at.norm());
         }
         self.poses.push(pose);
     }
 
-    fn finish(mut self, format: LogFormat) -> PoseLog {
+    pub(crate) fn finish(self, format: LogFormat) -> PoseLog {
         // A pose between two markers may be as short, so those of all tools decide.
         let farthest_mm = self.orders.values().map(|stream| stream.farthest_mm).fold(0.0, f64::max);
-        let n = self.orders.values().map(|stream| stream.n).max().unwrap_or_default();
+        let n = self.orders.values().map(Stream::n).max().unwrap_or_default();
+        let (mut signs, notes) = (self.spellings.signs, [self.notes, self.spellings.notes].concat());
         if format.unit_mm() != MM_PER_M && n > 2 && farthest_mm > 0.0 && farthest_mm < NEAREST_SEEN_MM {
-            self.notes.push(format!(
+            let message = format!(
                 "all positions are within {farthest_mm:.3} mm of the origin; are they in metres? then unit_mm = 1000 (--scale 1000)"
-            ));
+            );
+            signs.push(("length_unit", message));
         }
         for ([to, from], stream) in &self.orders {
             let what = format!("t_{to}_{from}");
-            self.notes.extend(stream.order.note(&what));
-            if stream.n_at_zero > 1 {
-                self.notes
-                    .push(format!("{what}: {} poses have the stamp 0; does the file have stamps?", stream.n_at_zero));
-            }
-            if stream.n_lost == stream.n {
-                self.notes.push(format!("{what}: the tool was seen in none of {} samples", stream.n));
-            }
-            let notes =
-                stream.step_note().into_iter().chain(stream.length_note(format)).chain(stream.identity_note(format));
-            self.notes.extend(notes.map(|note| format!("{what}: {note}")));
+            signs.extend(stream.order.note(&what).map(|note| ("stamp_order", note)));
+            signs.extend(stream.signs(format).map(|(rule, sign)| (rule, format!("{what}: {sign}"))));
         }
-        PoseLog { format, poses: self.poses, notes: self.notes }
+        PoseLog { format, poses: self.poses, notes, signs }
     }
 }
 
 impl Stream {
-    /// A note, if positions in metres are as far as those of no tracker: their unit is another.
-    fn length_note(&self, format: LogFormat) -> Option<String> {
+    fn n(&self) -> usize {
+        self.track.stamps.len()
+    }
+
+    /// Signs that the poses are not what they are read as.
+    fn signs(&self, format: LogFormat) -> impl Iterator<Item = Sign> {
+        let n_at_zero = Some(self.n_at_zero).filter(|n| *n > 1);
+        let unstamped = n_at_zero.map(|n| format!("{n} poses have the stamp 0; does the file have stamps?"));
+        let never = (self.n_lost == self.n()).then(|| format!("the tool was seen in none of {} samples", self.n()));
+        [
+            ("stamps_missing", unstamped),
+            ("never_seen", never),
+            ("stamp_unit", self.track.sign()),
+            ("length_unit", self.length_sign(format)),
+            ("identity_poses", self.identity_sign(format)),
+        ]
+        .into_iter()
+        .filter_map(|(rule, sign)| Some((rule, sign?)))
+    }
+
+    /// Positions in metres that are as far as those of no tracker: their unit is another.
+    fn length_sign(&self, format: LogFormat) -> Option<String> {
         let is_far = format.unit_mm() == MM_PER_M && self.farthest_mm > FARTHEST_SEEN_MM;
         is_far.then(|| {
             let m = self.farthest_mm / MM_PER_M;
@@ -329,25 +346,14 @@ impl Stream {
         })
     }
 
-    /// A note on poses that are the identity, which is where a trajectory begins, and no pose of a tracker.
-    fn identity_note(&self, format: LogFormat) -> Option<String> {
-        let (n, of) = (self.n_identities, self.n - self.n_lost);
+    /// Poses that are the identity, which is where a trajectory begins, and no pose of a tracker.
+    fn identity_sign(&self, format: LogFormat) -> Option<String> {
+        let (n, of) = (self.n_identities, self.n() - self.n_lost);
         let is_odd = format.names_frames() && n > 0 && n < of;
         is_odd.then(|| {
             format!(
                 "{n} of {of} poses are the identity to the last bit, as programs write for a tool that was not seen"
             )
         })
-    }
-
-    /// A note, if the mean time between poses is that of no tracker: the unit of the stamps is another.
-    fn step_note(&self) -> Option<String> {
-        if self.n < 3 {
-            return None;
-        }
-        let step_s = (self.last_ns - self.first_ns) as f64 * 1e-9 / (self.n - 1) as f64;
-        let is_odd = step_s > 0.0 && !(1e-4..=60.0).contains(&step_s);
-        is_odd
-            .then(|| format!("its poses are {step_s:.1e} s apart, as of no tracker; is the unit of the stamps right?"))
     }
 }

@@ -11,12 +11,13 @@
 //! all-zero quaternion, means that the marker was not seen. Columns may be in any order; further ones are ignored.
 
 use crate::{
-    FileError, LostPose, StampOrder, input,
+    FileError, LostPose, input,
+    pose_log::{Log, LogFormat, PoseLog},
     table::{self, Row, Table},
 };
 use nalgebra::{Isometry3, Quaternion, Translation3};
 use osteoflow_geometry::{Frame, Nearest, Pose, TooFar, nearest_rotation};
-use std::{collections::BTreeMap, path::Path};
+use std::path::Path;
 
 /// The columns, in the order in which they are written.
 const COLUMNS: [&str; 10] = ["t_ns", "parent", "child", "x", "y", "z", "qx", "qy", "qz", "qw"];
@@ -30,12 +31,10 @@ pub(crate) fn is_heading(line: &str) -> bool {
 /// The rows of a poses file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PosesRead {
-    /// The poses in file order; a row in which the marker was not seen is a [`LostPose`].
-    pub poses: Vec<Result<Nearest<Pose>, LostPose>>,
+    /// The poses in file order, with notes and signs.
+    pub log: PoseLog,
     /// The line of each row, counted from 1.
     pub lines: Vec<u64>,
-    /// Streams whose stamps run backwards, one sentence each.
-    pub notes: Vec<String>,
 }
 
 /// Reads the rows of a poses file, in file order; a row in which the marker was not seen is a [`LostPose`].
@@ -47,27 +46,26 @@ pub struct PosesRead {
 /// [`FileError`], naming the line: a missing column, a word instead of a number, a quaternion whose length is farther
 /// than [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from 1.
 pub fn read_poses(path: &Path, unit_mm: f64) -> Result<PosesRead, FileError> {
+    let mut log = Log::default();
+    let lines = read(path, unit_mm, &mut log)?;
+    Ok(PosesRead { log: log.finish(LogFormat::Poses), lines })
+}
+
+/// Reads the rows into a log, and gives the line of each.
+pub(crate) fn read(path: &Path, unit_mm: f64, log: &mut Log) -> Result<Vec<u64>, FileError> {
     let bytes = input::read(path)?;
     let table = Table::parse(path, &bytes)?;
     let mut columns = [0; COLUMNS.len()];
     for (column, name) in columns.iter_mut().zip(COLUMNS) {
         *column = table.column(name)?;
     }
-    let mut orders: BTreeMap<[String; 2], StampOrder> = BTreeMap::new();
-    let (mut poses, mut lines) = (Vec::new(), Vec::new());
+    log.has_constants = true;
+    let mut lines = Vec::new();
     for row in table.rows() {
-        let read = pose(&row, columns, unit_mm)?;
-        let (to, from, stamp_ns) = match &read {
-            Ok(pose) => (&pose.value.to, &pose.value.from, pose.value.stamp_ns),
-            Err(lost) => (&lost.to, &lost.from, lost.stamp_ns),
-        };
-        let order = orders.entry([to.to_string(), from.to_string()]).or_default();
-        order.take(stamp_ns, || format!("line {}", row.line()));
-        poses.push(read);
+        log.push(pose(&row, columns, unit_mm)?, || format!("line {}", row.line()));
         lines.push(row.line());
     }
-    let notes = orders.iter().filter_map(|([to, from], order)| order.note(&format!("t_{to}_{from}")));
-    Ok(PosesRead { poses, lines, notes: notes.collect() })
+    Ok(lines)
 }
 
 fn pose(
@@ -101,7 +99,7 @@ fn pose(
 /// The fault of a stamp with a fraction.
 fn in_seconds(row: &Row, stamp: usize) -> Option<FileError> {
     let text = row.text(stamp);
-    text.parse::<f64>().ok().filter(|s| s.is_finite() && s.fract() != 0.0 && s.abs() < 9e9)?;
+    text.parse::<f64>().ok().filter(|s| s.is_finite() && s.abs() < 9e9)?;
     // By its digits: a float has too few for nanoseconds since 1970.
     let (whole, fraction) = text.split_once('.')?;
     let message = format!(
@@ -152,7 +150,7 @@ mod tests {
     fn read(text: &str) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        read_poses(file.path(), 1.0).map(|read| read.poses)
+        read_poses(file.path(), 1.0).map(|read| read.log.poses)
     }
 
     #[test]
@@ -174,7 +172,7 @@ mod tests {
         let poses: Vec<Pose> = (0..5).map(pose).collect();
         let file = tempfile::NamedTempFile::new().unwrap();
         write_poses(file.path(), &poses).unwrap();
-        let back = read_poses(file.path(), 1.0).unwrap().poses.into_iter().map(|pose| pose.unwrap().value);
+        let back = read_poses(file.path(), 1.0).unwrap().log.poses.into_iter().map(|pose| pose.unwrap().value);
         let back: Vec<Pose> = back.collect();
         for (a, b) in back.iter().zip(&poses) {
             assert_eq!(
@@ -214,10 +212,38 @@ mod tests {
         let text = format!("{header}{}{}{}{}", row(10, "a"), row(5, "b"), row(8, "a"), row(6, "b"));
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        let read = read_poses(file.path(), 1.0).unwrap();
-        assert_eq!(read.notes.len(), 1, "{:?}", read.notes);
+        let log = read_poses(file.path(), 1.0).unwrap().log;
+        assert_eq!(log.signs.len(), 1, "{:?}", log.signs);
         let expected = "t_world_a: stamps run backwards once, first at line 4: 8 ns comes after 10 ns";
-        assert!(read.notes[0].starts_with(expected), "{}", read.notes[0]);
+        assert!(log.signs[0].1.starts_with(expected), "{}", log.signs[0].1);
+    }
+
+    #[test]
+    fn the_signs_of_other_logs_are_those_of_a_poses_file_and_constants_have_no_part_in_them() {
+        let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
+        let rows = |step_ns: usize| {
+            let row = |k: usize| format!("{},world,bone,{},-80,1500,0,0,0,1\n", 1_750_000_000 + step_ns * k, 120 + k);
+            (0..30).map(row).collect::<String>()
+        };
+        let constants =
+            "0,phantom,marker,1,2,3,0,0,0,1\n0,phantom,marker,0,0,0,0,0,0,1\n0,phantom,marker,0,0,0,0,0,0,1\n";
+        let read = |text: String| {
+            let file = tempfile::NamedTempFile::new().unwrap();
+            std::fs::write(file.path(), text).unwrap();
+            read_poses(file.path(), 1.0).unwrap().log
+        };
+        let sound = read(format!("{header}{constants}{}", rows(50_000_000)));
+        assert_eq!((&sound.signs[..], &sound.notes[..]), (&[][..], &[][..]));
+        assert_eq!(sound.poses[0].as_ref().unwrap().value.stamp_ns, 0, "a constant stays one");
+        let [(rule, sign)] = &read(format!("{header}{}", rows(50_000))).signs[..] else { panic!("microseconds") };
+        assert!(*rule == "stamp_unit" && sign.starts_with("t_world_bone: its poses are 5.0e-5 s apart"), "{sign}");
+        let two = rows(50_000_000)
+            + &rows(50_000_000).replace(",bone,", ",/bone,")
+            + &rows(50_000_000).replace(",bone,", ",Bone,");
+        let two = read(format!("{header}{two}"));
+        assert!(two.notes[0].contains("\"bone\" and \"/bone\" differ by the slash alone"), "{:?}", two.notes);
+        assert!(two.signs.iter().any(|(rule, _)| *rule == "frame_names"), "{:?}", two.signs);
+        assert!(two.poses[30..60].iter().all(|pose| pose.as_ref().unwrap().value.from.as_str() == "bone"));
     }
 
     #[test]
@@ -231,6 +257,7 @@ mod tests {
                 format!("{header}{good}1.5,world,m,0,0,0,0,0,0,1\n"),
                 "line 3: t_ns is \"1.5\", a whole number of nanoseconds is expected; likely cause: it is in seconds, then write 1500000000",
             ),
+            (format!("{header}1750000001.000000,world,m,0,0,0,0,0,0,1\n"), "then write 1750000001000000000"),
             (format!("{header}{good}{good}1,world,m,0,0,up,0,0,0,1\n"), "line 4: z is \"up\", a number is expected"),
             (format!("{header}1,world,m,0,0,0,0,0,1\n"), "line 2: the header names 10 columns, this line has 9"),
             (

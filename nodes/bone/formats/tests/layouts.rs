@@ -471,8 +471,8 @@ fn xyzw(q: &FoxgloveQuaternion) -> Xyzw {
 }
 
 fn ros_header(time: Option<Timestamp>, frame_id: &str) -> RosHeader {
-    let time = time.unwrap();
-    ((time.sec() as i32, time.nsec()), frame_id.to_owned())
+    // ROS has no message without a stamp, but stamps of 0.
+    (time.map_or((0, 0), |time| (time.sec() as i32, time.nsec())), frame_id.to_owned())
 }
 
 fn ros_transform(t: &FrameTransform) -> impl serde::Serialize + use<> {

@@ -182,7 +182,7 @@ fn quaternions_of_zero_and_nan_are_markers_that_were_not_seen() {
     let header = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n";
     let text = format!("{header}5,world,m,0,0,0,0,0,0,0\n6,world,m,0,0,0,nan,0,0,1\n");
     let read = in_file(text, |path| read_poses(path, 1.0).unwrap());
-    let refusal: Vec<String> = read.poses.into_iter().map(|pose| pose.unwrap_err().to_string()).collect();
+    let refusal: Vec<String> = read.log.poses.into_iter().map(|pose| pose.unwrap_err().to_string()).collect();
     assert!(refusal[0].contains("at 5 ns has an all-zero quaternion"), "{}", refusal[0]);
     assert!(refusal[1].contains("at 6 ns has a row without finite numbers"), "{}", refusal[1]);
 }

@@ -15,11 +15,11 @@ pub struct TransformTree {
     edges: BTreeMap<(Frame, Frame), Edge>,
 }
 
-/// The samples of one transform, in any order; constants have the stamp 0.
+/// The samples of one transform, in any order.
 #[derive(Debug, Clone, Default)]
 struct Edge {
     samples: Vec<(StampNs, Result<Isometry3<f64>, String>)>,
-    is_constant: bool,
+    is_static: bool,
 }
 
 /// One transform on the path between two frames.
@@ -38,7 +38,8 @@ pub struct Step {
 pub struct Chain {
     /// The transforms of which it is the product, from the frame it leads to.
     pub steps: Vec<Step>,
-    /// The motion at each stamp at which one of them was measured, or why there is none; one of stamp 0 if all are constant.
+    /// The motion at each stamp at which one of them was measured, or why there is none; if all are static, at
+    /// each stamp from which one of them holds.
     pub samples: Vec<(StampNs, Result<Isometry3<f64>, String>)>,
 }
 
@@ -74,14 +75,26 @@ impl Chain {
 }
 
 impl TransformTree {
-    /// Adds a sample of `t_parent_child`, or why there is none; of stamp 0 it is constant.
+    /// Adds a sample of `t_parent_child`, or why there is none; of stamp 0 it is static, as by [`Self::add_static`], unless others have
+    /// stamps.
     pub fn add(&mut self, parent: &Frame, child: &Frame, stamp_ns: StampNs, motion: Result<Isometry3<f64>, String>) {
         let edge = self.edges.entry((parent.clone(), child.clone())).or_default();
-        edge.is_constant = stamp_ns == 0 && (edge.is_constant || edge.samples.is_empty());
-        if edge.is_constant {
+        if stamp_ns != 0 && edge.is_static {
             edge.samples.clear();
         }
+        edge.is_static = stamp_ns == 0 && (edge.is_static || edge.samples.is_empty());
         edge.samples.push((stamp_ns, motion));
+    }
+
+    /// Adds a static `t_parent_child`: it holds from its stamp until the next one, and the first from the beginning. Whether it is taken:
+    /// samples over time go before.
+    pub fn add_static(&mut self, parent: &Frame, child: &Frame, stamp_ns: StampNs, motion: Isometry3<f64>) -> bool {
+        let edge = self.edges.entry((parent.clone(), child.clone())).or_default();
+        edge.is_static |= edge.samples.is_empty();
+        if edge.is_static {
+            edge.samples.push((stamp_ns, Ok(motion)));
+        }
+        edge.is_static
     }
 
     /// The pairs of frames, `child -> parent`.
@@ -101,14 +114,14 @@ impl TransformTree {
         let mut edges = Vec::new();
         for step in &steps {
             let mut edge = self.edges[&(step.parent.clone(), step.child.clone())].clone();
-            edge.samples.retain(|(stamp_ns, _)| edge.is_constant || *stamp_ns != 0);
+            edge.samples.retain(|(stamp_ns, _)| edge.is_static || *stamp_ns != 0);
             edge.samples.sort_by_key(|(stamp_ns, _)| *stamp_ns);
             edges.push(edge);
         }
-        let moving = || edges.iter().filter(|edge| !edge.is_constant);
-        let stamps: BTreeSet<StampNs> =
-            moving().flat_map(|edge| edge.samples.iter().map(|(stamp, _)| *stamp)).collect();
-        let stamps = if moving().next().is_none() { BTreeSet::from([0]) } else { stamps };
+        let moves = edges.iter().any(|edge| !edge.is_static);
+        let timed = edges.iter().filter(|edge| edge.is_static != moves);
+        let stamps: BTreeSet<StampNs> = timed.flat_map(|edge| edge.samples.iter().map(|(stamp, _)| *stamp)).collect();
+        let stamps = if steps.is_empty() { BTreeSet::from([0]) } else { stamps };
         let at = |stamp_ns: StampNs| {
             let mut product = Isometry3::identity();
             for (edge, step) in edges.iter().zip(&steps) {
@@ -179,8 +192,9 @@ impl Ancestors {
 impl Edge {
     /// The motion at a stamp, or why there is none.
     fn at(&self, stamp_ns: StampNs, max_gap_ns: StampNs) -> Result<Isometry3<f64>, String> {
-        if self.is_constant {
-            return self.samples[0].1.clone();
+        if self.is_static {
+            let n_before = self.samples.partition_point(|(stamp, _)| *stamp <= stamp_ns);
+            return self.samples[n_before.saturating_sub(1)].1.clone();
         }
         let next = self.samples.partition_point(|(stamp, _)| *stamp < stamp_ns);
         let same: Vec<_> = self.samples[next..].iter().take_while(|(stamp, _)| *stamp == stamp_ns).collect();
@@ -288,6 +302,38 @@ mod tests {
         let reasons: Vec<_> = read.samples.iter().map(|(stamp, motion)| (*stamp, motion.is_ok())).collect();
         assert_eq!(reasons, [(10, false), (15, false), (20, false), (25, false), (30, false)]);
         assert_eq!(read.samples[1].1, Err("t_map_base was not seen".into()));
+    }
+
+    #[test]
+    fn static_transforms_hold_at_any_time_in_chains_of_several_and_a_changed_one_from_its_stamp_on() {
+        let mut tree = tree(&[("map", "base", 10, 1.0), ("map", "base", 20, 2.0)]);
+        let mut add = |parent: &str, child: &str, stamp_ns, x: f64| {
+            tree.add_static(&parent.into(), &child.into(), stamp_ns, motion(x, x / 10.0))
+        };
+        assert!(add("base", "arm", 0, 3.0) && add("arm", "camera", 0, 4.0) && add("arm", "camera", 15, 5.0));
+        let read = chain(&tree, "map", "camera");
+        let stamps: Vec<_> = read.samples.iter().map(|(stamp, _)| *stamp).collect();
+        assert_eq!(stamps, [10, 20], "at the stamps of what moves, and never before or beyond");
+        for ((_, found), (base, camera)) in read.samples.iter().zip([(1.0, 4.0), (2.0, 5.0)]) {
+            let expected = motion(base, base / 10.0) * motion(3.0, 0.3) * motion(camera, camera / 10.0);
+            assert!((found.as_ref().unwrap().inverse() * expected).translation.vector.norm() < 1e-12, "{found:?}");
+        }
+        // From below, the inverse.
+        let read = chain(&tree, "camera", "base");
+        let [(0, Ok(first)), (15, Ok(second))] = &read.samples[..] else { panic!("{:?}", read.samples) };
+        assert!((first * motion(3.0, 0.3) * motion(4.0, 0.4)).translation.vector.norm() < 1e-12);
+        assert!((second * motion(3.0, 0.3) * motion(5.0, 0.5)).translation.vector.norm() < 1e-12);
+    }
+
+    #[test]
+    fn what_moves_goes_before_a_static_transform_of_the_same_frames_in_either_order() {
+        let mut tree = tree(&[("map", "base", 10, 1.0)]);
+        assert!(!tree.add_static(&"map".into(), &"base".into(), 0, motion(9.0, 0.9)));
+        let mut other = TransformTree::default();
+        assert!(other.add_static(&"map".into(), &"base".into(), 0, motion(9.0, 0.9)));
+        other.add(&"map".into(), &"base".into(), 10, Ok(motion(1.0, 0.1)));
+        assert_eq!(chain(&tree, "map", "base"), chain(&other, "map", "base"));
+        assert_eq!(chain(&tree, "map", "base").samples, [(10, Ok(motion(1.0, 0.1)))]);
     }
 
     #[test]

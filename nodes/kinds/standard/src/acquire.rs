@@ -4,6 +4,7 @@ pub mod cloud;
 pub mod folder;
 pub mod foxglove_ws;
 mod frozen;
+mod live_marker;
 pub mod mcap;
 mod mcap_events;
 pub mod mcap_live;

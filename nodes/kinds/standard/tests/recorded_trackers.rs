@@ -4,7 +4,7 @@
 #[path = "../../../bone/formats/tests/layouts.rs"]
 mod layouts;
 
-use layouts::{Layout, Order, recording_bytes};
+use layouts::{Encoding, Layout, Order, recording_bytes};
 use osteoflow_formats::recording_write::Stream;
 use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
 use osteoflow_node::{
@@ -39,8 +39,11 @@ fn play<S: Source>(mut source: S, port: osteoflow_node::serde_json::Value) -> Pl
 
 /// Plays a recording of these topics.
 fn play_recording(streams: &[(&str, Stream)], port: osteoflow_node::serde_json::Value, order: Order) -> Played {
-    let layout = Layout { order, ..Layout::default() };
-    let bytes = recording_bytes(streams, &Default::default(), &[], &layout);
+    play_layout(streams, port, &Layout { order, ..Layout::default() })
+}
+
+fn play_layout(streams: &[(&str, Stream)], port: osteoflow_node::serde_json::Value, layout: &Layout) -> Played {
+    let bytes = recording_bytes(streams, &Default::default(), &[], layout);
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
     let params = Params { path: FilePath(file.path().into()), allow_truncated: false, frames: Default::default() };
@@ -69,7 +72,7 @@ fn a_tracker_that_repeats_one_pose_is_lost_after_two_seconds_and_said_once() {
     let lost: Vec<usize> = (0..items.len())
         .filter(|k| matches!(&items[*k].1, Emission::Empty(reason) if reason.contains("is frozen")))
         .collect();
-    assert_eq!(lost, (60..80).collect::<Vec<_>>(), "from 2 s after the first until it changes");
+    assert_eq!(lost, (21..80).collect::<Vec<_>>(), "all that repeat the first, as it was the same for 2 s");
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     let since = STAMP + 1000 * MS;
     let expected = format!(
@@ -84,7 +87,7 @@ fn a_tracker_that_repeats_one_pose_is_lost_after_two_seconds_and_said_once() {
 
 #[test]
 fn stamps_that_run_backwards_are_reported_once_with_message_and_both_stamps() {
-    let poses: Vec<Pose> = (0..20).map(|k| pose(50 * k, k as f64)).collect();
+    let poses: Vec<Pose> = (0..20).map(|k| pose(50 * k, 100.0 + k as f64)).collect();
     let topic = json!({ "topic": "/tracker/bone" });
     let (_, warnings) = played(poses.clone(), topic.clone(), Order::Sensor);
     assert!(warnings.is_empty(), "{warnings:?}");
@@ -146,6 +149,104 @@ fn frames_that_two_transforms_join_are_joined_by_the_tree_of_tf_and_tf_static_an
     let port = json!({ "topics": ["/tf", "/tf_static", "/tf/more"], "parent": "map", "child": "camera" });
     let Err(error) = play_recording(&streams, port, Order::Sensor) else { panic!("two parents") };
     assert!(error.message.contains("frame \"base\" has the parents \"map\" and \"odom\""), "{error}");
+}
+
+/// `t_parent_child`, the same at all times, from `ms` on.
+fn mount(parent: &str, child: &str, y: f64, ms: StampNs) -> Pose {
+    Pose::new(parent, child, Isometry3::new([0.0, y, 0.0].into(), [0.5, 0.0, 0.0].into())).at(STAMP + ms * MS)
+}
+
+/// map -> base at 20 Hz, and static transforms.
+fn with_static(map: &str, poses: Vec<Pose>) -> [(&'static str, Stream); 2] {
+    let turn = |k: StampNs| Isometry3::new([k as f64, 0.0, 100.0].into(), [0.0, 0.0, 0.01 * k as f64].into());
+    let base = (0..9).map(|k| Pose::new(map, "base", turn(k)).at(STAMP + 50 * k * MS)).collect();
+    [("/tf", Stream::Transforms(base)), ("/tf_static", Stream::Transforms(poses))]
+}
+
+/// The largest difference of the items from `t_map_base` and what `mounted` gives at their stamp; each item must be a pose.
+fn worst_off(items: &[(StampNs, Emission)], mounted: impl Fn(StampNs) -> Isometry3<f64>) -> f64 {
+    let off = |(stamp_ns, item): &(StampNs, Emission)| {
+        let k = (stamp_ns - STAMP) as f64 / (50 * MS) as f64;
+        let base = Isometry3::new([k, 0.0, 100.0].into(), [0.0, 0.0, 0.01 * k].into());
+        let found = pose_of(item).unwrap_or_else(|| panic!("{item:?}")).isometry;
+        (found.to_homogeneous() - (base * mounted(*stamp_ns)).to_homogeneous()).amax()
+    };
+    items.iter().map(off).fold(0.0, f64::max)
+}
+
+#[test]
+fn static_transforms_without_a_stamp_hold_beside_a_moving_tf_in_chains_of_several_and_in_every_encoding() {
+    let statics = vec![mount("base", "arm", 30.0, 250), mount("arm", "camera", 12.0, 250)];
+    let port = json!({ "topic": "/tf", "parent": "map", "child": "camera" });
+    let cdr = Encoding::Cdr { big_endian: false };
+    for encoding in [Encoding::Protobuf, Encoding::Json, cdr, Encoding::Cdr { big_endian: true }] {
+        for (transforms_per_message, unstamped) in [(1, "/tf_static"), (2, "/tf_static"), (2, "none")] {
+            let unstamped = vec![unstamped.to_owned()];
+            let layout = Layout { encoding, transforms_per_message, unstamped, ..Layout::default() };
+            let (items, warnings) = play_layout(&with_static("map", statics.clone()), port.clone(), &layout).unwrap();
+            let mounted = mount("", "", 30.0, 0).isometry * mount("", "", 12.0, 0).isometry;
+            let off = worst_off(&items, |_| mounted);
+            assert!(items.len() == 9 && off < 1e-4, "{encoding:?}: {} poses, {off} mm off", items.len());
+            assert_eq!(warnings.len(), 1, "the product alone is told: {warnings:?}");
+        }
+    }
+}
+
+#[test]
+fn a_static_transform_that_changes_is_told_once_with_its_size_and_the_other_holds_from_then_on() {
+    let mounts = [(30.0, -100), (30.0, 0), (42.0, 120), (30.0, 220)].map(|(y, ms)| mount("base", "camera", y, ms));
+    let port = json!({ "topic": "/tf", "parent": "map", "child": "camera" });
+    let (items, warnings) = play_recording(&with_static("map", mounts.into()), port, Order::Sensor).unwrap();
+    let changed = STAMP + 120 * MS..STAMP + 220 * MS;
+    let off = worst_off(&items, |ns| mount("", "", if changed.contains(&ns) { 42.0 } else { 30.0 }, 0).isometry);
+    assert!(items.len() == 9 && off < 1e-4, "{} poses, {off} mm off", items.len());
+    let told: Vec<_> = warnings.iter().filter(|warning| warning.contains("though it is static")).collect();
+    let [told] = &told[..] else { panic!("{warnings:?}") };
+    let expected = format!("t_base_camera changes at {} ns by 12.00 mm and 0.00 degrees", STAMP + 120 * MS);
+    assert!(told.contains(&expected), "{told}");
+}
+
+#[test]
+fn a_transform_that_is_static_and_moves_is_told_and_taken_as_it_moves() {
+    let streams = with_static("map", vec![mount("map", "base", 500.0, 0), mount("base", "camera", 30.0, 0)]);
+    let port = json!({ "topic": "/tf", "parent": "map", "child": "camera" });
+    let (items, warnings) = play_recording(&streams, port, Order::Sensor).unwrap();
+    let off = worst_off(&items, |_| mount("", "", 30.0, 0).isometry);
+    assert!(items.len() == 9 && off < 1e-4, "{} poses, {off} mm off", items.len());
+    assert!(warnings.iter().any(|told| told.contains("t_map_base is static on one topic and moves")), "{warnings:?}");
+}
+
+#[test]
+fn frames_that_differ_by_a_leading_slash_are_one_and_told_in_a_chain_and_alone() {
+    for (map, base, asked) in [("map", "/base", "map"), ("/map", "/base", "map"), ("/map", "base", "/map")] {
+        let streams = with_static(map, vec![mount(base, "/camera", 30.0, 0)]);
+        let port = json!({ "topic": "/tf", "parent": asked, "child": "camera" });
+        let (items, warnings) = play_recording(&streams, port, Order::Sensor).unwrap();
+        let off = worst_off(&items, |_| mount("", "", 30.0, 0).isometry);
+        assert!(items.len() == 9 && off < 1e-4, "{map} {base}: {} poses, {off} mm off", items.len());
+        let pose = pose_of(&items[0].1).unwrap();
+        assert_eq!((pose.to.as_str(), pose.from.as_str()), ("map", "camera"));
+        let is_told = warnings.iter().any(|told| told.contains("\"base\" and \"/base\" differ by the slash alone"));
+        assert_eq!(is_told, base == "/base", "{warnings:?}");
+    }
+    // Half of the poses of one marker by each name.
+    let by = |k: StampNs| if k % 2 == 0 { "bone" } else { "/bone" };
+    let poses = (0..20).map(|k| Pose { from: by(k).into(), ..pose(50 * k, 0.01 * k as f64) }).collect();
+    let (items, warnings) = played(poses, json!({ "topic": "/tracker/bone", "child": "/bone" }), Order::Sensor);
+    assert_eq!((items.len(), warnings.len()), (20, 1), "{warnings:?}");
+}
+
+#[test]
+fn frames_that_differ_by_case_are_two_and_told_or_refused_with_both_names() {
+    let by = |k: StampNs| if k % 2 == 0 { "bone" } else { "Bone" };
+    let poses = (0..20).map(|k| Pose { from: by(k).into(), ..pose(50 * k, 0.01 * k as f64) }).collect();
+    let (items, warnings) = played(poses, json!({ "topic": "/tracker/bone", "child": "bone" }), Order::Sensor);
+    assert_eq!(items.len(), 10, "those of the other name are left out");
+    assert!(warnings.iter().any(|told| told.contains("frames \"bone\" and \"Bone\" differ by case")), "{warnings:?}");
+    let streams = with_static("map", vec![mount("Base", "camera", 30.0, 0)]);
+    let port = json!({ "topic": "/tf", "parent": "map", "child": "camera" });
+    let Err(error) = play_recording(&streams, port, Order::Sensor) else { panic!("no way") };
+    assert!(error.message.contains("/tf has no transform camera -> map, but base -> map"), "{error}");
 }
 
 /// Plays a log.

@@ -216,6 +216,7 @@ def register(
     space: Optional[str] = None,
     trace: bool = False,
     progress: bool = True,
+    fiducials: Optional[tuple] = None,
 ) -> Registration:
     """Register `source`, which moves, onto `target`, which stays: `osteoflow register` with its defaults.
 
@@ -224,6 +225,7 @@ def register(
     init : the start, source to target: a (4, 4) array in mm, a file, or "identity". Default: by the shape of the bone alone.
     method : point_to_plane, point_to_point, symmetric, generalized, point_to_mesh or published.
     landmarks : two files of picked points, of target and source, to start from.
+    fiducials : the same of points off the surface, such as screws, rings or skin markers; the verdict compares them with the surface.
     set : any parameter of the method, {"trim_fraction": 0.2}; `osteoflow inspect icp.point_to_plane` lists them.
     camera : (3,), position of the camera in the source's frame, mm.
     component, source_component : which part of target and source: "largest", its number by size, or "nearest:X,Y,Z" (mm).
@@ -241,7 +243,7 @@ def register(
     Raises Refused if there is no pose, or it is refused (`error.report` holds what is known); UsageError for options;
     OsteoflowError for files; KeyboardInterrupt. Warnings of the command are OsteoflowWarning.
     """
-    as_given = (target, source, landmarks)
+    as_given = (target, source, landmarks or fiducials)
     target_name, target = _given(target, "target")
     source_name, source = _given(source, "source")
     for name, unit, is_file in [("target", target_unit_mm, target is None), ("source", source_unit_mm, source is None)]:
@@ -254,7 +256,7 @@ def register(
             raise ValueError(f"init has shape {start.shape}, but must be (4, 4)")
         init, start = None, start.tolist()
     options = dict(
-        init=init, method=method, landmarks=landmarks, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm,
+        init=init, method=method, landmarks=landmarks, fiducials=fiducials, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm,
         max_iterations=max_iterations, step_mm=step_mm, step_rad=step_rad, stop=stop, threshold_hu=threshold_hu, series=series,
         component=component if component is None else str(component), region=region, sphere=sphere, box=box,
         source_component=source_component if source_component is None else str(source_component),

@@ -12,7 +12,7 @@ use crate::{
     runtime::Runtime,
     scheduler::Turn,
 };
-use osteoflow_node::{AnySource, Context, Emission, NodeError, NodeWarning, StampNs};
+use osteoflow_node::{AnySource, Context, Emission, NodeError, StampNs};
 use std::time::Instant;
 
 /// The cell's state of a live source.
@@ -29,7 +29,7 @@ pub(crate) struct LiveCore {
 pub(crate) struct Reply {
     firing: Firing,
     emissions: Vec<Emission>,
-    warnings: Vec<NodeWarning>,
+    warnings: Vec<String>,
     answered: Result<Result<bool, NodeError>, String>,
 }
 
@@ -76,7 +76,7 @@ impl Reply {
         let began = Instant::now();
         let answered = call_node(name, Doing::Waiting, item, context, |context| source.next(&mut emissions, context));
         let firing = Firing { item, stamp_ns: context.stamp_ns(), timed: Some((began, began.elapsed())) };
-        Self { firing, emissions, warnings: context.take_signs(), answered }
+        Self { firing, emissions, warnings: context.take_warnings(), answered }
     }
 }
 
@@ -96,7 +96,7 @@ impl Cell {
     /// Sends an answer of a live source.
     pub(crate) fn answered(&mut self, answer: Reply, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         self.started(run);
-        answer.warnings.into_iter().for_each(|warning| self.context.add_warning(warning));
+        answer.warnings.into_iter().for_each(|warning| self.context.warn(warning));
         if matches!(answer.answered, Ok(Ok(false))) {
             if run.cancelled() {
                 // It ended because it was asked to.

@@ -2,8 +2,11 @@
 
 use crate::Refusal;
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
+    DMatrix, DVector, Isometry3, Matrix3, Matrix3x4, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion,
+    Vector3, Vector4,
 };
+use rand::RngExt;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +25,21 @@ const DUAL_UNIT_MM: f64 = 1000.0;
 const OTHER_SENSE: f64 = 5.0;
 /// Number of parts of the poses, each of which is left out once for the predicted error.
 const N_PARTS: usize = 20;
+
+/// A target that does not move is within this of its mean place, mm RMS: ten times what a tracker errs by.
+pub const TELLING_RMS_MM: f64 = 2.0;
+/// Likewise, radians: 2 degrees, 2 mm at 60 mm.
+pub const TELLING_RMS_RAD: f64 = 0.035;
+/// Fits to few poses from which the search for outliers starts: with a third of outliers 60 of 300 are without any.
+const N_STARTS: usize = 300;
+/// Poses of such a fit.
+const N_OF_START: usize = 4;
+/// Distance at which an angle counts as a length in that search, mm: about half a board.
+const TURN_ARM_MM: f64 = 100.0;
+/// Poses farther from the rest than this many times the median are outliers.
+const GATE_MEDIANS: f64 = 4.0;
+/// Least share of the poses that agree. Of a target that was moved half-way only half do.
+const LEAST_SHARE: f64 = 0.6;
 
 /// A method for `A X = X B`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -52,8 +70,21 @@ pub struct HandEyeFit {
 /// Residuals, observability and predicted error of a hand-eye calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HandEyeReport {
-    /// Number of pairs of poses.
+    /// Number of pairs of poses used.
     pub n_poses: usize,
+    /// Number of pairs that were left out: the target was elsewhere, by far more than in the others.
+    #[serde(default)]
+    pub n_outliers: usize,
+    /// Scale of the target's lengths beside those of the tracker, estimated beside the pose: 1 if right, 1.05 of a board whose squares
+    /// are stated 5 % too large. The pose is that of scale 1.
+    #[serde(default)]
+    pub scale: f64,
+    /// Its standard deviation, by the same jackknife.
+    #[serde(default)]
+    pub scale_sd: f64,
+    /// RMS distance of the target from its mean place in that scale, mm.
+    #[serde(default)]
+    pub scaled_rms_mm: f64,
     /// Number of motions between two of them that were used.
     pub n_motions: usize,
     /// RMS distance of the target from its mean place, as the calibration carries it to the tracker, mm.
@@ -114,7 +145,59 @@ pub fn hand_eye(
     if let Some(index) = pairs.iter().position(|(marker, target)| !is_finite(marker) || !is_finite(target)) {
         return Err(Refusal::of(format!("pose {index} is not finite; drop it before calibrating")));
     }
-    let motions = motions(&pairs);
+    let all = fit_pairs(&pairs, method)?;
+    let explains = |rms_mm: f64, rms_rad: f64| rms_mm <= TELLING_RMS_MM && rms_rad <= TELLING_RMS_RAD;
+    // A scale is no fault of single poses.
+    if explains(all.report.rms_mm.min(all.report.scaled_rms_mm), all.report.rms_rad) {
+        return Ok(all);
+    }
+    let kept = agreeing(&pairs);
+    if (kept.len() as f64) < LEAST_SHARE * n as f64 {
+        return Err(Refusal::of(format!(
+            "the target is {:.1} mm and {:.1} degrees RMS from one place, and only {} of {n} poses agree; was it moved, are poses of \
+             different times paired, or is one of the logs mirrored, in another order of the quaternion or another unit?",
+            all.report.rms_mm,
+            all.report.rms_rad.to_degrees(),
+            kept.len()
+        )));
+    }
+    let mut fit = fit_pairs(&kept, method)?;
+    fit.report.n_outliers = n - kept.len();
+    Ok(fit)
+}
+
+/// The poses that agree with the fit to few of them that has the least median distance to all; in their order.
+fn agreeing(pairs: &[(Isometry3<f64>, Isometry3<f64>)]) -> Vec<(Isometry3<f64>, Isometry3<f64>)> {
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let mut best = (f64::INFINITY, Vec::new());
+    for _ in 0..N_STARTS {
+        let few: Vec<_> = (0..N_OF_START).map(|_| pairs[rng.random_range(0..pairs.len())]).collect();
+        let motions = motions(&few);
+        if motions.len() < 2 || axis_spread(&motions) < LEAST_SPREAD {
+            continue;
+        }
+        let Some(fit) = solution(Method::ParkMartin, &motions) else { continue };
+        let home = few[0].0 * fit * few[0].1;
+        let off = |(marker, target): &(Isometry3<f64>, Isometry3<f64>)| {
+            let at = marker * fit * target;
+            (at.translation.vector - home.translation.vector).norm()
+                + TURN_ARM_MM * at.rotation.angle_to(&home.rotation)
+        };
+        let lengths: Vec<f64> = pairs.iter().map(off).collect();
+        let mut sorted = lengths.clone();
+        sorted.sort_by(f64::total_cmp);
+        let median = sorted[sorted.len() / 2];
+        if median < best.0 {
+            best = (median, lengths);
+        }
+    }
+    let gate_mm = (GATE_MEDIANS * best.0).max(TELLING_RMS_MM);
+    pairs.iter().zip(&best.1).filter(|(_, length)| **length <= gate_mm).map(|(pair, _)| *pair).collect()
+}
+
+fn fit_pairs(pairs: &[(Isometry3<f64>, Isometry3<f64>)], method: Method) -> Result<HandEyeFit, Refusal> {
+    let n = pairs.len();
+    let motions = motions(pairs);
     let max_turn_rad = motions.iter().map(|m| m.a.rotation.angle()).fold(0.0, f64::max);
     let axis_spread = axis_spread(&motions);
     if motions.len() < 2 || axis_spread < LEAST_SPREAD {
@@ -133,7 +216,7 @@ pub fn hand_eye(
         })
     };
     let fit = solve(method, &motions)?;
-    check_sense(&pairs, &fit)?;
+    check_sense(pairs, &fit)?;
     let (mut others_mm, mut others_rad) = (0.0_f64, 0.0_f64);
     for other in Method::ALL.into_iter().filter(|other| *other != method) {
         // A method without an answer is no measure of this one.
@@ -141,14 +224,21 @@ pub fn hand_eye(
         others_mm = others_mm.max((other.translation.vector - fit.translation.vector).norm());
         others_rad = others_rad.max(other.rotation.angle_to(&fit.rotation));
     }
-    let (translation_sd_mm, rotation_sd_rad) = spread(&pairs, &fit, method);
-    let (placed, squares) = placed(&pairs, &fit);
+    let (translation_sd_mm, rotation_sd_rad) = spread(pairs, &fit, method);
+    let (scale, scale_sd) = scale(pairs, &fit.rotation);
+    let scaled: Vec<_> = pairs.iter().map(|(marker, target)| (*marker, in_scale(target, scale))).collect();
+    let scaled_rms_mm = solution(method, &self::motions(&scaled)).map_or(f64::INFINITY, |fit| rms_mm(&scaled, &fit));
+    let (placed, squares) = placed(pairs, &fit);
     let turn = mean_rotation(&placed);
     let turns: f64 = placed.iter().map(|t| t.rotation.angle_to(&turn).powi(2)).sum();
     Ok(HandEyeFit {
         t_marker_camera: fit,
         report: HandEyeReport {
             n_poses: n,
+            n_outliers: 0,
+            scale,
+            scale_sd,
+            scaled_rms_mm,
             n_motions: motions.len(),
             rms_mm: (squares.iter().sum::<f64>() / n as f64).sqrt(),
             max_mm: squares.iter().copied().fold(0.0, f64::max).sqrt(),
@@ -171,21 +261,54 @@ fn placed(pairs: &[(Isometry3<f64>, Isometry3<f64>)], fit: &Isometry3<f64>) -> (
     (placed, squares)
 }
 
+fn rms_mm(pairs: &[(Isometry3<f64>, Isometry3<f64>)], fit: &Isometry3<f64>) -> f64 {
+    (placed(pairs, fit).1.iter().sum::<f64>() / pairs.len() as f64).sqrt()
+}
+
+fn in_scale(t_camera_target: &Isometry3<f64>, scale: f64) -> Isometry3<f64> {
+    Isometry3::from_parts(Translation3::from(t_camera_target.translation.vector / scale), t_camera_target.rotation)
+}
+
+/// The scale of the target's lengths and its standard deviation: `(R_a - I) t - R t_b / scale = -t_a` for all motions.
+fn scale(pairs: &[(Isometry3<f64>, Isometry3<f64>)], rotation: &UnitQuaternion<f64>) -> (f64, f64) {
+    let of = |pairs: &[(Isometry3<f64>, Isometry3<f64>)]| {
+        let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+        for m in motions(pairs) {
+            let mut rows = Matrix3x4::zeros();
+            rows.fixed_view_mut::<3, 3>(0, 0)
+                .copy_from(&(m.a.rotation.to_rotation_matrix().into_inner() - Matrix3::identity()));
+            rows.fixed_view_mut::<3, 1>(0, 3).copy_from(&-(rotation * m.b.translation.vector));
+            normal += rows.transpose() * rows;
+            right -= rows.transpose() * m.a.translation.vector;
+        }
+        normal.try_inverse().map_or(f64::NAN, |inverse| 1.0 / (inverse * right)[3])
+    };
+    let n_parts = N_PARTS.min(pairs.len());
+    let without = |part: usize| {
+        let kept = pairs.iter().enumerate().filter(|(k, _)| k * n_parts / pairs.len() != part).map(|(_, pair)| *pair);
+        of(&kept.collect::<Vec<_>>())
+    };
+    let found: Vec<f64> = (0..n_parts).map(without).collect();
+    let mean = found.iter().sum::<f64>() / n_parts as f64;
+    let sum: f64 = found.iter().map(|scale| (scale - mean).powi(2)).sum();
+    (of(pairs), ((n_parts - 1) as f64 / n_parts as f64 * sum).sqrt())
+}
+
 /// Refuses poses of which either the marker's or the target's are inverses: they fit far better if the target's are inverted.
 ///
 /// If both are, or marker and target are exchanged, the equations hold as well, for the target in the tracker's frame.
 fn check_sense(pairs: &[(Isometry3<f64>, Isometry3<f64>)], fit: &Isometry3<f64>) -> Result<(), Refusal> {
-    let rms = |pairs: &[_], fit: &_| (placed(pairs, fit).1.iter().sum::<f64>() / pairs.len() as f64).sqrt();
-    let rms_mm = rms(pairs, fit);
+    let is_mm = rms_mm(pairs, fit);
     let inverted: Vec<_> = pairs.iter().map(|(marker, target)| (*marker, target.inverse())).collect();
     let Some(other) = solution(Method::ParkMartin, &motions(&inverted)) else { return Ok(()) };
-    let other_mm = rms(&inverted, &other);
-    if other_mm * OTHER_SENSE >= rms_mm {
+    let other_mm = rms_mm(&inverted, &other);
+    if other_mm * OTHER_SENSE >= is_mm {
         return Ok(());
     }
     Err(Refusal::of(format!(
-        "the target is {rms_mm:.2} mm RMS from one place with these poses, and {other_mm:.2} mm if those of the marker or of the target \
-         are inverted; give the marker in the tracker's frame, and the target in the camera's"
+        "the target is {is_mm:.2} mm RMS from one place with these poses, and {other_mm:.2} mm if those of the marker or of the target \
+         are inverted, as they are of a camera on a stand that sees a target on the marker; give the marker in the tracker's frame, the \
+         target in the camera's, and the camera in the hand"
     )))
 }
 
@@ -331,8 +454,6 @@ fn mean_rotation(poses: &[Isometry3<f64>]) -> UnitQuaternion<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::RngExt;
-    use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
     /// Translation and rotation vector of `t_world_marker` and `t_camera_target`.
     const POSES: [[[f64; 6]; 2]; 12] = [
@@ -496,6 +617,26 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn flipped_poses_are_left_out_and_a_scale_is_found_beside_the_pose() {
+        for seed in 0..10 {
+            let (marker, target) = poses(20, Vector3::repeat(1.0), 0.05, seed);
+            let flip = Isometry3::rotation(Vector3::x() * 25_f64.to_radians());
+            for flipped in [&[5][..], &[2, 5, 9, 11]] {
+                let mut target = target.clone();
+                flipped.iter().for_each(|k| target[*k] *= flip);
+                let fit = hand_eye(&marker, &target, Method::ParkMartin).unwrap();
+                let off_mm = (fit.t_marker_camera.translation.vector - truth().translation.vector).norm();
+                assert!(fit.report.n_outliers == flipped.len() && off_mm < 0.5, "{off_mm} mm, {:?}", fit.report);
+            }
+            let scaled: Vec<_> = target.iter().map(|t| in_scale(t, 1.0 / 1.05)).collect();
+            let report = hand_eye(&marker, &scaled, Method::ParkMartin).unwrap().report;
+            assert!((report.scale - 1.05).abs() < 0.002 && report.n_outliers == 0, "{report:?}");
+            let sound = hand_eye(&marker, &target, Method::ParkMartin).unwrap().report;
+            assert!((sound.scale - 1.0).abs() < 0.002 && sound.n_outliers == 0, "{sound:?}");
         }
     }
 

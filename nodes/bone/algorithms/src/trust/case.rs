@@ -21,6 +21,10 @@ pub struct Case<'a> {
     pub landmarks: &'a [NamedPoint],
     /// The landmarks as located.
     pub located: &'a [NamedPoint],
+    /// The landmarks as located, carried by the registration; empty where they are in another frame than the scan.
+    pub carried: &'a [NamedPoint],
+    /// Whether the landmarks lie on the surface; fiducials such as screws, rings and skin markers do not.
+    pub on_surface: bool,
     /// The planned assessment points.
     pub assessment: &'a [NamedPoint],
     /// The planned cuts; none where cuts are of no concern.
@@ -53,6 +57,8 @@ impl<'a> Case<'a> {
             icp: None,
             landmarks: &[],
             located: &[],
+            carried: &[],
+            on_surface: true,
             assessment: &[],
             planes: None,
             tracking: None,

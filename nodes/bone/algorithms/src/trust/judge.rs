@@ -1,7 +1,7 @@
 //! The verdict on a registration: the signs in each kind of evidence, put together.
 
 use super::assumptions::assumptions;
-use super::attitude::attitude_assumption;
+use super::attitude::{marker_place_reason, untested_attitude};
 use super::by_shape::{
     another_bone_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason, start_reason,
 };
@@ -13,6 +13,7 @@ use super::cut::planned_cuts;
 use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
 use super::extent::extent_reason;
 use super::inside::inside_reason;
+use super::landmarks::{Compared, LandmarkErrors, landmarks_contradict};
 use super::misfit::misfit_reason;
 use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::{self, Nuisance, Nuisances};
@@ -23,6 +24,7 @@ use super::predict_last::predict_last;
 use super::rules::RuleParams;
 use super::size::size_reason;
 use super::slid::slide_reasons;
+use super::spread::Spread;
 use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
@@ -51,14 +53,18 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
     let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
-    let assumed = assumed.into_iter().chain(takes.assumptions).chain(devices).chain(last).collect();
-    Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances)
+    let assumed =
+        takes.trust_ends.iter().cloned().chain(assumed).chain(takes.assumptions).chain(devices).chain(last).collect();
+    let trust_ends = takes.trust_ends;
+    Verdict { trust_ends, ..Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances) }
 }
 
 /// What the markers' motions say.
 struct OfTakes {
     reasons: Vec<Reason>,
     assumptions: Vec<String>,
+    /// Why the planes are trusted at the scan alone, if they are.
+    trust_ends: Option<String>,
 }
 
 /// What scan and surface say.
@@ -86,7 +92,8 @@ impl Judging<'_> {
     /// The signs in the plan, the landmarks, the scan's extent, the slide profile and the check piece.
     fn of_plan_and_readings(&self) -> Vec<Reason> {
         let Case { registered, landmarks, assessment, planes, .. } = *self.case;
-        let points: Vec<NamedPoint> = landmarks.iter().chain(assessment).cloned().collect();
+        let on_surface = if self.case.on_surface { landmarks } else { &[] };
+        let points: Vec<NamedPoint> = on_surface.iter().chain(assessment).cloned().collect();
         let mut reasons = registered.target.mesh().map(|mesh| plan_faults(mesh, &points, planes)).unwrap_or_default();
         reasons.extend(extent_reason(registered.source, registered.target.points(), self.case.start.is_some()));
         reasons.extend(self.case.slide.map(slide_reasons).unwrap_or_default());
@@ -97,16 +104,20 @@ impl Judging<'_> {
 
     /// The signs in the markers' poses, and what is taken for granted about them.
     fn of_takes(&self) -> OfTakes {
-        let Case { registered, landmarks, located, assessment, measured_tre_mm, takes, .. } = *self.case;
+        let Case { registered, landmarks, assessment, takes, .. } = *self.case;
         let RuleParams { max_latency_s, max_moved_mm, ref limits, .. } = *self.rules;
         let all: Vec<TakeMotion> = takes.scan.into_iter().chain(takes.located).chain(takes.touched).cloned().collect();
         let motion_limits = MotionLimits { max_latency_s, max_moved_mm, limits };
         let motion = motion_signs(&all, registered.t_target_source, &self.place, &motion_limits);
         let planned: Vec<NamedPoint> = landmarks.iter().chain(assessment).cloned().collect();
-        let attitude = attitude_assumption(&takes, &planned, located, measured_tre_mm, registered.t_target_source);
+        let attitude = untested_attitude(self.case, self.place.cuts, &planned, self.rules);
+        let (attitude, trust_ends) =
+            attitude.map_or((None, None), |untested| (Some(untested.assumption), untested.beyond));
+        let place = marker_place_reason(self.case);
         OfTakes {
-            reasons: motion.reason.into_iter().chain(contradiction_reason(&all, self.errors)).collect(),
+            reasons: motion.reason.into_iter().chain(contradiction_reason(&all, self.errors)).chain(place).collect(),
             assumptions: motion.assumptions.into_iter().chain(attitude).collect(),
+            trust_ends,
         }
     }
 
@@ -125,6 +136,7 @@ impl Judging<'_> {
         reasons.extend(self.stylus(predicted.as_ref()));
         reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules));
         reasons.extend(data_reasons(&examined.evidence, self.order.as_ref(), self.rules));
+        reasons.extend(self.landmarks(examined.spread.as_ref()));
         if self.is_mirror_due(&reasons, cause.is_some()) {
             examined.examine_mirrored(registered);
             // A gross mistake is named before the cause that would explain it.
@@ -155,7 +167,10 @@ impl Judging<'_> {
         let unexamined = Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals");
         let start = self.case.start.and_then(|start| start_reason(start, self.rules.min_shape_clearness, false));
         let converged = self.case.icp.and_then(|ended| convergence_reason(ended, None));
-        let reasons = [self.stylus(None), start, converged, Some(unexamined)].into_iter().flatten().collect();
+        let reasons = [self.stylus(None), start, converged, self.landmarks(None), Some(unexamined)]
+            .into_iter()
+            .flatten()
+            .collect();
         OfScan { reasons, ..OfScan::default() }
     }
 
@@ -170,6 +185,17 @@ impl Judging<'_> {
     fn stylus(&self, predicted: Option<&Predicted>) -> Option<Reason> {
         let RuleParams { max_measured_tre_mm, stylus, .. } = self.rules;
         stylus_reason(self.case.measured_tre_mm, predicted, *max_measured_tre_mm, stylus)
+    }
+
+    /// The sign in landmarks against the surface; none where they are exchanged, which says more.
+    fn landmarks(&self, spread: Option<&Spread>) -> Option<Reason> {
+        let Case { landmarks: planned, carried, on_surface, .. } = *self.case;
+        let LandmarkErrors { landmark_mm, fiducial_mm } = self.rules.landmarks;
+        let (word, sd_mm) = if on_surface { ("landmark", landmark_mm) } else { ("fiducial", fiducial_mm) };
+        let spread = spread.map(|spread| spread.clone().widened(self.errors.ct_bias_mm));
+        let is_exchanged = self.order.as_ref().and_then(order_reason).is_some();
+        let compared = Compared { planned, carried, word, sd_mm };
+        landmarks_contradict(&compared, spread.as_ref()).filter(|_| !is_exchanged)
     }
 
     /// What may be wrong beside the pose.

@@ -40,9 +40,7 @@ pub(super) fn predict_last(
     errors: &PredictParams,
 ) -> Option<PredictedLast> {
     let at_scan = takes.scan?.bone.as_ref().map(BonePose::isometry)?;
-    let first = |planes: &Planes| planes.planes.iter().find_map(Plane::isometry).copied();
-    let t_world_target = first(takes.last?)? * first(planned?)?.inverse();
-    let at_last = t_world_target * t_target_source;
+    let at_last = bone_at_last(takes, planned, t_target_source)?;
     let turned_rad = at_last.rotation.angle_to(&at_scan.rotation);
     let remains = 1.0 + (2.0 * (turned_rad / 2.0).sin()).powi(2);
     let marker = t_target_source * Point3::origin();
@@ -57,6 +55,17 @@ pub(super) fn predict_last(
     };
     let cuts: Vec<PredictedLastCut> = cuts.iter().zip(&predicted.cuts).map(cut).collect();
     Some(PredictedLast { turned_deg: turned_rad.to_degrees(), cuts })
+}
+
+/// The pose of the bone's marker at the last planes that followed it.
+pub(super) fn bone_at_last(
+    takes: &Takes<'_>,
+    planned: Option<&Planes>,
+    t_target_source: &Isometry3<f64>,
+) -> Option<Isometry3<f64>> {
+    let first = |planes: &Planes| planes.planes.iter().find_map(Plane::isometry).copied();
+    let t_world_target = first(takes.last?)? * first(planned?)?.inverse();
+    Some(t_world_target * t_target_source)
 }
 
 impl PredictedLast {

@@ -1,5 +1,6 @@
 //! The thresholds of the rules.
 
+use super::landmarks::LandmarkErrors;
 use super::limits::Limits;
 use super::stylus::StylusErrors;
 use crate::coarse::CLEAR;
@@ -59,6 +60,8 @@ pub struct RuleParams {
     pub max_measured_tre_mm: f64,
     /// Stated errors of the stylus, against which its reading contradicts the predicted error.
     pub stylus: StylusErrors,
+    /// Stated errors of landmarks and fiducials, against which they contradict the surface or each other.
+    pub landmarks: LandmarkErrors,
     /// Doubtful if the camera reads a check piece farther from where its marker has it, mean over its points, mm; refused from
     /// three times that. 0.8: four standard deviations above the mean of sound simulated procedures (0.35 mm, SD 0.12 mm, at
     /// most 0.72 mm of 100), and less than a knock of 1 mm leaves on average.
@@ -77,6 +80,9 @@ pub struct RuleParams {
     /// than noise explains, mm. 1: as much smears a scan by two thirds of a limit.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_moved_mm: f64,
+    /// Whether it is known that the attitude of the bone's marker is read as it was written. false: where no turn of the bone between the
+    /// scan and its landmarks tests it, trust ends at the planes of the scan. true for a tracker whose poses were tested before.
+    pub attitude_stated: bool,
 }
 
 impl Default for RuleParams {
@@ -94,10 +100,12 @@ impl Default for RuleParams {
             max_fre_mm: 3.0,
             max_measured_tre_mm: 2.5,
             stylus: StylusErrors::default(),
+            landmarks: LandmarkErrors::default(),
             max_check_mm: 0.8,
             max_common_shift_mm: 3.0,
             max_latency_s: 0.1,
             max_moved_mm: 1.0,
+            attitude_stated: false,
         }
     }
 }

@@ -22,6 +22,9 @@ pub struct Verdict {
     /// What may be wrong beside the pose: measured, bounded by the data, or unseen by them.
     #[serde(default)]
     pub nuisances: Vec<Nuisance>,
+    /// Why the answer holds for the planes at the scan, and not for those that followed the bone's marker since; none if it holds for both.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trust_ends: Option<String>,
 }
 
 impl Verdict {
@@ -40,6 +43,6 @@ impl Verdict {
             ([], None) => "no sign against it was found".to_owned(),
             ([first, others @ ..], _) => first.sentence(others.len()),
         };
-        Self { answer, sentence, reasons, assumptions, predicted, measured, nuisances }
+        Self { answer, sentence, reasons, assumptions, predicted, measured, nuisances, trust_ends: None }
     }
 }

@@ -1,7 +1,7 @@
 //! Mistakes in the poses of a folder that no single row shows: another name of a marker, parent and child exchanged, the scalar
 //! first, another unit of lengths or times.
 
-use crate::FileError;
+use crate::{FileError, spellings::words};
 use nalgebra::{UnitQuaternion, Vector3};
 use osteoflow_geometry::StampNs;
 use std::{
@@ -76,15 +76,16 @@ fn exchanged(path: &Path, row: &RowRead, occurs: &dyn Fn(&str) -> bool) -> Resul
 
 /// A marker that resembles one of a procedure which never occurs.
 fn other_name(path: &Path, row: &RowRead, occurs: &dyn Fn(&str) -> bool) -> Result<(), FileError> {
-    let is_known = MARKERS.contains(&row.child.as_str()) || row.parent != WORLD;
-    let missing = || MARKERS.iter().filter(|marker| !occurs(marker));
-    let Some(meant) = missing().find(|marker| !is_known && resembles(&row.child, marker)) else { return Ok(()) };
     let RowRead { line, child, .. } = row;
+    let is_known = MARKERS.contains(&child.as_str()) || row.parent != WORLD;
+    let is_meant = |marker: &str| words(child) == marker || !occurs(marker) && resembles(child, marker);
+    let Some(meant) = MARKERS.into_iter().find(|marker| !is_known && is_meant(marker)) else { return Ok(()) };
+    let rows = if occurs(meant) { "other rows have" } else { "no row has" };
     Err(fault(
         path,
         *line,
         format!(
-            "the child is \"{child}\", and no row has the child \"{meant}\"; likely cause: another name of that marker; the markers of a \
+            "the child is \"{child}\", and {rows} the child \"{meant}\"; likely cause: another name of that marker; the markers of a \
              procedure are {}, so call it {meant} here",
             MARKERS.join(", ")
         ),
@@ -314,6 +315,18 @@ mod tests {
             let found = message(vec![camera(), bone()], &[(1_750_000_000_500_000_000_f64 / unit) as i64]);
             assert!(found.contains(&format!("the scan's stamp is in {name}")), "{found}");
         }
+    }
+
+    #[test]
+    fn another_spelling_of_a_marker_that_occurs_is_refused_and_its_rows_are_not_left_out() {
+        for name in ["Bone_Marker", "bone marker", "bone-marker"] {
+            let rows = vec![row(2, "world", "bone_marker", AT), row(3, "world", name, BESIDE)];
+            let found = message(rows, &[]);
+            let expected = format!("line 3: the child is \"{name}\", and other rows have the child \"bone_marker\"");
+            assert!(found.contains(&expected), "{found}");
+        }
+        let other = vec![row(2, "world", "bone_marker", AT), row(3, "world", "bone_marker_2", BESIDE)];
+        assert_eq!(message(other, &[]), "", "another marker");
     }
 
     #[test]

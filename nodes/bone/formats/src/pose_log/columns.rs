@@ -1,6 +1,10 @@
 //! Tables of poses whose heading is described, such as those of NDI's and Atracsys' programs.
 
-use super::{FARTHEST_MM, Log, LogOptions, Sample, Turn, ndi::Ndi, stamp::nanoseconds};
+use super::{
+    FARTHEST_MM, Log, LogOptions, Sample, Turn,
+    ndi::{self, Ndi},
+    stamp::nanoseconds,
+};
 use crate::{FileError, LostPose, columns::quoted_cells, cursor::Cursor, input, scalar};
 use nalgebra::{Matrix3, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::StampNs;
@@ -97,6 +101,8 @@ struct Table<'a> {
 /// The places of a tool's columns.
 struct Places<'a> {
     tool: &'a Tool,
+    /// The column of the port's name, which each line of NDI's tables repeats.
+    port: Option<usize>,
     time: usize,
     time_ns: Option<usize>,
     child: Option<usize>,
@@ -143,6 +149,7 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
             ndi.check(&cells).map_err(|message| row.fault(message))?;
         }
         for tool in &tools {
+            tool.check_port(&row)?;
             let from = match (tool.child, &tool.tool.child) {
                 (Some(place), _) => row.cell(place)?,
                 (None, child) => child.as_deref().unwrap_or_default(),
@@ -153,6 +160,12 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
             let stamp_ns = tool.stamp_ns(&row, exponent)?;
             let pose = tool.pose(&row, unit_mm, (&columns.parent, from), stamp_ns)?;
             log.push(pose, || format!("line {line}"));
+        }
+        let (n, n_columns) = (cells.len(), table.heading.len());
+        if n < n_columns && table.cursor.rest().is_empty() && !bytes.ends_with(b"\n") {
+            let message =
+                format!("the last line has no end, and {n} cells of {n_columns}; was the file cut short? remove it");
+            return Err(row.fault(message));
         }
     }
     Ok(())
@@ -165,10 +178,7 @@ impl<'a> Table<'a> {
         let first = columns.tools.first().map(|tool| bare(&tool.translation[0])).unwrap_or_default();
         while let Some(line) = cursor.filled_line() {
             for separator in SEPARATORS {
-                let heading: Vec<String> = quoted_cells(&line, separator)
-                    .iter()
-                    .map(|cell| cell.trim().trim_start_matches('#').trim().to_owned())
-                    .collect();
+                let heading = named(&quoted_cells(&line, separator));
                 if [bare(&columns.time), first].iter().all(|name| heading.iter().any(|cell| cell == name)) {
                     return Ok(Self { cursor, separator, heading_line: cursor.line, heading });
                 }
@@ -205,6 +215,13 @@ impl<'a> Table<'a> {
             }
         }
     }
+}
+
+/// The names of a heading.
+pub(super) fn named(cells: &[String]) -> Vec<String> {
+    let mut names: Vec<_> = cells.iter().map(|cell| cell.trim().trim_start_matches('#').trim().to_owned()).collect();
+    names.truncate(names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1));
+    names
 }
 
 /// A column's name without the count behind it, and the number of columns of that name before it.
@@ -307,8 +324,10 @@ impl<'a> Places<'a> {
             _ => return fault("columns: a tool has one of quaternion, matrix and euler_zyx_deg"),
         };
         let child = tool.child_column.as_deref().map(|name| table.place(name, start.saturating_sub(1))).transpose()?;
+        let port = start.checked_sub(1).filter(|place| ndi::is_port(&table.heading[*place]));
         Ok(Self {
             tool,
+            port,
             time: stamp(&columns.time)?,
             time_ns: columns.time_ns.as_deref().map(stamp).transpose()?,
             child,
@@ -316,6 +335,20 @@ impl<'a> Places<'a> {
             rotation,
             status: optional(&tool.status)?,
         })
+    }
+
+    /// Refuses a line in which the tool's columns are those of another port.
+    fn check_port(&self, row: &Row) -> Result<(), FileError> {
+        let Some(place) = self.port else { return Ok(()) };
+        let (cell, heading) = (row.cell(place)?, &row.table.heading[place]);
+        if ndi::is_same_port(cell, heading) {
+            return Ok(());
+        }
+        let found = if cell.is_empty() { "names no port".into() } else { format!("has \"{cell}\"") };
+        Err(row.fault(format!(
+            "the line {found} where the heading has \"{heading}\", so that its poses are not of that tool; was a tool plugged in anew? split \
+             the file there, with a heading of its own for each part"
+        )))
     }
 
     /// The stamp of this tool: in units of `10^exponent` ns, or frames of a rate.

@@ -9,7 +9,7 @@
 //! Exports and their readers as others published them: a table of a Polaris Vega in the tests of a reader of three trackers of a knee, the
 //! reader of a Polaris Vicra's of the HRRT user's software (`vicra_plot`), and the sample program `sample.cpp` of NDI's Combined API.
 
-use super::columns::{Columns, QuaternionColumns, SEPARATORS, TimeUnit, Tool};
+use super::columns::{Columns, QuaternionColumns, SEPARATORS, TimeUnit, Tool, named};
 use crate::{columns::quoted_cells, cursor::Cursor};
 
 /// The heading is among so many lines.
@@ -29,18 +29,29 @@ fn heading(line: &str) -> Vec<String> {
     let line = line.trim_start_matches('\u{feff}');
     let cut = SEPARATORS.map(|separator| quoted_cells(line, separator));
     let cells = cut.into_iter().max_by_key(Vec::len).unwrap_or_default();
-    cells.iter().map(|cell| cell.trim().trim_start_matches('#').trim().to_owned()).collect()
+    named(&cells)
 }
 
-fn is_port(cell: &str) -> bool {
+/// Whether a cell names a port.
+pub(super) fn is_port(cell: &str) -> bool {
     cell.starts_with("Port ")
+}
+
+/// Whether two cells name one port, `Port 10: NAME`, of which one may be without the tool's name.
+pub(super) fn is_same_port(a: &str, b: &str) -> bool {
+    let parts = |cell: &str| {
+        let (port, tool) = cell.split_once(':').unwrap_or((cell, ""));
+        [port, tool].map(|part| part.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase())
+    };
+    let ([port_a, tool_a], [port_b, tool_b]) = (parts(a), parts(b));
+    port_a == port_b && (tool_a == tool_b || tool_a.is_empty() || tool_b.is_empty())
 }
 
 /// Whether a line is the heading of a table of NDI.
 pub(super) fn is_heading(line: &str) -> bool {
     let cells = heading(line);
     let has = |name: &str| cells.iter().any(|cell| cell == name);
-    let is_of_track = cells[0] == "Tools" && cells.iter().any(|cell| is_port(cell));
+    let is_of_track = cells.first().is_some_and(|cell| cell == "Tools") && cells.iter().any(|cell| is_port(cell));
     let is_of_sample = has("ToolInfo") && has("TransformStatus");
     ["Tx", "Ty", "Tz"].iter().all(|name| has(name)) && (is_of_track || is_of_sample)
 }
@@ -93,11 +104,7 @@ impl Ndi {
             parent: "tracker".into(),
             tools,
         };
-        Self {
-            columns,
-            count: first.and_then(|k| k.checked_sub(1)),
-            n_columns: cells.len() - usize::from(cells.last().is_some_and(String::is_empty)),
-        }
+        Self { columns, count: first.and_then(|k| k.checked_sub(1)), n_columns: cells.len() }
     }
 
     /// Whether the columns of a line are those of the heading: a line of other tools or markers has its poses elsewhere.
@@ -188,6 +195,75 @@ mod tests {
             let expected: Vec<_> = tools.iter().map(|(name, x)| ((*name).to_owned(), 2_000_000_000, Ok(*x))).collect();
             assert_eq!(found, expected);
         }
+    }
+
+    /// A table of Track with two ports, and lines of the names that they have there.
+    fn track(rows: &[[&str; 2]]) -> String {
+        let columns = "Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz";
+        let mut text = format!("Tools,Port 10: Bone s/n:1,{columns},Port 11: Stylus s/n:2,{columns}\n");
+        for (k, ports) in rows.iter().enumerate() {
+            let tool = |port: &str, x: usize| format!("{port},{k},12.{k},0,OK,1,0,0,0,{x}.5,50,-900,0.1,1,OK,1,2,3");
+            text += &format!("2,{},{}\n", tool(ports[0], 100 + k), tool(ports[1], 200 + k));
+        }
+        text
+    }
+
+    const BONE: &str = "Port 10: Bone s/n:1";
+    const STYLUS: &str = "Port 11: Stylus s/n:2";
+
+    #[test]
+    fn a_line_that_names_another_port_than_the_heading_is_refused_and_given_to_no_tool() {
+        let sound = read(&track(&[[BONE, STYLUS], ["Port 10", "port 11:  Stylus s/n:2 "]]), None).unwrap();
+        assert_eq!(sound.poses.len(), 4, "the name of the tool may be left out");
+        let as_heading = "where the heading has \"Port 10: Bone s/n:1\", so that its poses are not of that tool";
+        for (ports, found) in [
+            // Another port, the ports in another order, another tool on that port, one whose number begins alike, and none.
+            (["Port 12: Camera s/n:3", STYLUS], "the line has \"Port 12: Camera s/n:3\""),
+            ([STYLUS, BONE], "the line has \"Port 11: Stylus s/n:2\""),
+            (["Port 10: Bone s/n:9", STYLUS], "the line has \"Port 10: Bone s/n:9\""),
+            (["Port 1: Bone s/n:1", STYLUS], "the line has \"Port 1: Bone s/n:1\""),
+            (["", STYLUS], "the line names no port"),
+        ] {
+            let error = read(&track(&[[BONE, STYLUS], ports, [BONE, STYLUS]]), None).unwrap_err();
+            assert!(error.contains(&format!("line 3: {found} {as_heading}")), "{error}\n{found}");
+        }
+        // By columns that a user describes, too.
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), track(&[[BONE, STYLUS], [BONE, "Port 13: Stylus s/n:2"]])).unwrap();
+        let columns = "time = \"Time [sec]\"\ntime_unit = \"s\"\nparent = \"tracker\"\n[[tools]]\nchild = \"stylus\"\nafter = \"Port 11\"\n\
+                       translation = [\"Tx\", \"Ty\", \"Tz\"]\nquaternion = { w = \"Q0\", x = \"Qx\", y = \"Qy\", z = \"Qz\" }\n";
+        let options = LogOptions { columns: Some(toml::from_str(columns).unwrap()), ..LogOptions::default() };
+        let error = read_log(file.path(), &options).unwrap_err().to_string();
+        assert!(error.contains("line 3: the line has \"Port 13: Stylus s/n:2\" where the heading has"), "{error}");
+    }
+
+    #[test]
+    fn a_port_that_is_missing_or_appears_later_a_second_heading_and_a_cut_end_are_refused() {
+        let sound = track(&[[BONE, STYLUS], [BONE, STYLUS]]);
+        let first = sound.lines().nth(1).unwrap();
+        let one = format!("1{}\n", &first[1..first.find(",Port 11").unwrap()]);
+        let more = format!("3{},Port 12: Camera s/n:3,1,12.1,0,OK,1,0,0,0,1,2,3,0.1,1,OK,1,2,3\n", &first[1..]);
+        let heading = sound.lines().next().unwrap().replace("Bone", "Saw");
+        for (more, expected) in [
+            (one.as_str(), "line 4: the line has 1 tools, and the heading has columns of 2"),
+            (&more, "line 4: the line has 3 tools, and the heading has columns of 2"),
+            (&heading, "line 4: the line has \"Port 10: Saw s/n:1\" where the heading has \"Port 10: Bone s/n:1\""),
+        ] {
+            let error = read(&format!("{sound}{more}"), None).unwrap_err();
+            assert!(error.contains(expected), "{error}\n{expected}");
+        }
+        // A single tool, whose lines may have other markers: wherever it is cut, no number is taken for a shorter one.
+        let single = "Tools,Port 10: Bone s/n:1,Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz\n\
+                      1,Port 10: Bone s/n:1,1,12.5,0,OK,1,0,0,0,100,50,-1655.25,0.1,1,OK,1,2,3\n";
+        let start = single.find("\n1,").unwrap() + 3;
+        for end in start..single.find(",2,3\n").unwrap() {
+            assert!(read(&single[..end], None).is_err(), "{}", &single[start..end]);
+        }
+        assert_eq!(
+            found(&read(single.trim_end(), None).unwrap())[0].2,
+            Ok(100.0),
+            "only the end of the line is missing"
+        );
     }
 
     #[test]

@@ -201,10 +201,11 @@ mod tests {
         let still = frame(1, "OK").replace("0 -1 0 10 1 0 0 20 0 0 1 1", "1 0 0 0 0 1 0 0 0 0 1 0");
         let log = read_text(&sequence(&[frame(0, "OK"), still, frame(2, "OK")].concat())).unwrap();
         let expected = "t_Tracker_Stylus: 1 of 3 poses are the identity to the last bit, as programs write for a tool that was not seen";
-        assert_eq!(log.notes, [expected]);
+        assert_eq!(log.signs, [("identity_poses", expected.to_owned())]);
         let metres = sequence(&[0, 1, 2].map(|k| frame(k, "OK").replace("10 1 0 0 20", "0.1 1 0 0 0.2")).concat());
-        let notes = read_text(&metres).unwrap().notes;
-        assert!(notes[0].contains("all positions are within 2.012 mm of the origin; are they in metres?"), "{notes:?}");
+        let signs = read_text(&metres).unwrap().signs;
+        let expected = "all positions are within 2.012 mm of the origin; are they in metres?";
+        assert!(signs[0].0 == "length_unit" && signs[0].1.contains(expected), "{signs:?}");
     }
 
     #[test]

@@ -423,11 +423,8 @@ mod tests {
             log.poses.iter().filter_map(|pose| pose.as_ref().err()).map(|lost| lost.reason.as_str()).collect();
         assert_eq!(reasons, ["a position that is not finite", "an all-zero quaternion"]);
         assert!(log.notes.iter().any(|note| note.starts_with("the last line has no end")), "{:?}", log.notes);
-        assert!(
-            log.notes.iter().any(|note| note.contains("stamps run backwards once, first at line 4")),
-            "{:?}",
-            log.notes
-        );
+        let (rule, sign) = &log.signs[0];
+        assert!(*rule == "stamp_order" && sign.contains("stamps run backwards once, first at line 4"), "{sign}");
     }
 
     #[test]
@@ -484,9 +481,9 @@ mod tests {
             assert!(error.contains(expected), "{error}\n{expected}");
         }
         // Stamps in another unit are no tracker's.
-        let fast: String = (0..9).map(|k| format!("{}.0 1 2 {k} 0 0 0 1\n", 1_403_636_579 + 1000 * k)).collect();
-        let log = read_with(&fast, &options()).unwrap();
-        assert!(log.notes[0].contains("its poses are 1.0e3 s apart, as of no tracker"), "{:?}", log.notes);
+        let slow: String = (0..9).map(|k| format!("{}.0 1 2 0.0{k} 0 0 0 1\n", 1_403_636_579 + 50 * k)).collect();
+        let signs = read_with(&slow, &options()).unwrap().signs;
+        assert!(signs[0].1.contains("its poses are 50.0 s apart, and 50.0 ms, as of a tracker, if"), "{signs:?}");
     }
 
     /// What people make of a TUM trajectory: each is read with the same pose.
@@ -547,7 +544,7 @@ mod tests {
         // The second half before the first, as of two files that were put together.
         let halves: String = (0..20).map(|k| row((k + 10) % 20) + "\n").collect();
         let log = read_with(&halves, &options()).unwrap();
-        assert!(log.notes[0].contains("stamps run backwards once, first at line 11"), "{:?}", log.notes);
+        assert!(log.signs[0].1.contains("stamps run backwards once, first at line 11"), "{:?}", log.signs);
         let error = read_with("# timestamp tx ty tz qx qy qz qw\n", &options()).unwrap_err().to_string();
         assert!(error.contains("there is no pose in the file; was it cut short?"), "{error}");
         for (text, expected) in [
@@ -571,9 +568,11 @@ mod tests {
         let mm: String = (0..3).map(|k| format!("{k}.5 120.5 -80 1500 0 0 0 1\n")).collect();
         let log = read_with(&mm, &options()).unwrap();
         assert!(
-            log.notes[0].contains("its positions are up to 1507 m away, farther than a tracker sees; are they in mm?"),
+            log.signs[0]
+                .1
+                .contains("its positions are up to 1507 m away, farther than a tracker sees; are they in mm?"),
             "{:?}",
-            log.notes
+            log.signs
         );
         let named = format!("# timestamp [s] x [mm] y [mm] z [mm] qx qy qz qw\n{mm}");
         let error = read_with(&named, &options()).unwrap_err().to_string();

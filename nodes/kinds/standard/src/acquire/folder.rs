@@ -1,22 +1,24 @@
 //! The kind `acquire.folder`.
 
 use super::{
-    frozen::Frozen,
-    one_stamp::OneStamp,
     playback::{Event, Playback, in_order},
     procedure_ports::{ProcedureOut, ProcedurePort, ProcedurePorts},
+    sifted::{PoseStreamParams, Sign, sifted},
 };
 use osteoflow_formats::{
     LostPose,
     folder::{FolderBody, FolderItem, FolderStreams, ProcedureFolder},
 };
-use osteoflow_geometry::Points;
+use osteoflow_geometry::{Points, Pose};
 use osteoflow_node::{
     Context, Describe, Emission, FilePath, NodeError, OutputPorts, Outputs, ParamError, Source, schemars::JsonSchema,
     serde::Deserialize,
 };
 use osteoflow_payloads::Flag;
-use std::{collections::BTreeSet, path::PathBuf};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::PathBuf,
+};
 
 /// The streams of a procedure stored as a folder of files, for setups without a recorder.
 ///
@@ -34,16 +36,12 @@ pub struct Folder {
 
 /// Parameters of [`Folder`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The folder with `procedure.toml`, or that file.
     pub path: FilePath,
-    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and its
-    /// poses are empties that say why until they change. Unset: 2000, forty samples of a slow tracker: at rest one
-    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never.
-    #[serde(default)]
-    #[schemars(range(min = 0.0, max = 3_600_000.0))]
-    pub frozen_after_ms: Option<f64>,
+    /// When poses are lost, and how a marker moves.
+    #[serde(flatten)]
+    pub stream: PoseStreamParams,
 }
 
 /// An answer on one of the ports of a procedure.
@@ -89,23 +87,10 @@ impl Folder {
     fn open(&self, ctx: &mut Context) -> Result<Vec<Event<Emission>>, NodeError> {
         let folder = ProcedureFolder::open(self.params.path.as_ref())?;
         let mut streams = folder.streams()?;
-        let mut frozen = Frozen::new(self.params.frozen_after_ms);
-        let mut one_stamp = OneStamp::default();
-        streams.items.retain(|item| match &item.body {
-            FolderBody::Pose(Ok(pose)) => !one_stamp.is_repeat(&format!("t_{}_{}", pose.to, pose.from), pose),
-            _ => true,
-        });
-        streams.notes.extend(one_stamp.notes());
-        for item in &mut streams.items {
-            let FolderBody::Pose(Ok(pose)) = &item.body else { continue };
-            let what = format!("t_{}_{}", pose.to, pose.from);
-            if let Some(reason) = frozen.take(&what, &pose.isometry, pose.stamp_ns, &mut streams.notes) {
-                let reason = format!("no new pose: {reason}");
-                let (to, from, stamp_ns) = (pose.to.clone(), pose.from.clone(), pose.stamp_ns);
-                item.body = FolderBody::Pose(Err(LostPose { to, from, stamp_ns, reason }));
-            }
-        }
+        let signs = self.sift(&mut streams.items);
         streams.notes.iter().for_each(|note| ctx.warn(note));
+        signs.into_iter().for_each(|(rule, sign)| ctx.sign(rule, sign));
+        streams.signs.iter().for_each(|(rule, sign)| ctx.sign(rule, sign));
         let start_ns = streams.items.iter().map(|item| item.stamp_ns).find(|&stamp_ns| stamp_ns != 0).unwrap_or(0);
         let has = |role: &str| streams.items.iter().any(|item| item.role == role);
         let tracked = has("bone_marker");
@@ -143,6 +128,38 @@ impl Folder {
         }
         events.extend(streams.items.into_iter().filter_map(event));
         Ok(events)
+    }
+}
+
+impl Folder {
+    /// Takes out the poses that are no measurements, or says why they are not.
+    fn sift(&self, items: &mut Vec<FolderItem>) -> Vec<Sign> {
+        let mut roles: BTreeMap<String, Vec<Pose>> = BTreeMap::new();
+        items.retain(|item| match &item.body {
+            FolderBody::Pose(Ok(pose)) => {
+                roles.entry(item.role.clone()).or_default().push(pose.clone());
+                false
+            }
+            _ => true,
+        });
+        let mut signs = Vec::new();
+        for (role, poses) in roles {
+            let (poses, more) = sifted(poses, &self.params.stream);
+            signs.extend(more);
+            items.extend(poses.into_iter().map(|(pose, reason)| {
+                let stamp_ns = pose.stamp_ns;
+                let body = FolderBody::Pose(match reason {
+                    None => Ok(pose),
+                    Some(reason) => {
+                        let reason = format!("no new pose: {reason}");
+                        Err(LostPose { to: pose.to, from: pose.from, stamp_ns, reason })
+                    }
+                });
+                FolderItem { role: role.clone(), stamp_ns, body }
+            }));
+        }
+        items.sort_by_key(|item| item.stamp_ns);
+        signs
     }
 }
 

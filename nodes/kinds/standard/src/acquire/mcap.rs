@@ -170,7 +170,8 @@ impl Mcap {
         for (topic, corrections) in found.corrections {
             corrections.note().into_iter().for_each(|note| ctx.warn(format!("topic {topic}: {note}")));
         }
-        found.notes.into_iter().for_each(|note| ctx.warn(note));
+        found.notes.into_iter().chain(found.spellings.notes).for_each(|note| ctx.warn(note));
+        found.signs.into_iter().chain(found.spellings.signs).for_each(|(rule, sign)| ctx.sign(rule, sign));
         found.stamps.notes().map_err(NodeError::new)?.into_iter().for_each(|note| ctx.warn(note));
         match frames.keys().find(|frame| !found.renamed.contains(*frame)) {
             Some(frame) => Err(NodeError::new(format!(

@@ -5,16 +5,17 @@ use super::{
     mcap_ports::PortParams,
     playback::silences,
     sifted::{self, sifted},
-    topics::{self, Constants, last_part},
+    topics::{self, Constants, TransformFilter, last_part, named_transforms},
     unstamped::{MissingStamps, without_publish_time},
 };
 use osteoflow_formats::{
-    PoseError, StampOrder,
+    PoseError, Sign, Spellings, StampOrder,
     mcap_read::{Message, Recording},
     message_read::{
         Calibration, MessageError, is_image, procedure_region, read_calibration, read_cloud_head, read_image_head,
         read_pose_in_frame, read_transforms,
     },
+    without_slash,
 };
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
 use osteoflow_node::{DeclaredPort, Emission, NodeError};
@@ -45,6 +46,10 @@ pub(super) struct Findings {
     pub(super) renamed: BTreeSet<String>,
     /// What the user should know.
     pub(super) notes: Vec<String>,
+    /// Signs that the recording is wrong.
+    pub(super) signs: Vec<Sign>,
+    /// The names of its frames.
+    pub(super) spellings: Spellings,
     /// Messages without a stamp.
     pub(super) stamps: MissingStamps,
 }
@@ -138,7 +143,7 @@ impl Port<'_> {
             let label = label.or_else(|| self.params.labels.get(i).map(String::as_str)).unwrap_or(last_part(topic));
             events.push((stamp_ns, body(message.clone(), label.into(), self.renamed(&frame))));
         }
-        self.found.notes.extend(stamps.notes());
+        self.found.signs.extend(stamps.signs());
         Ok(events)
     }
 
@@ -194,7 +199,10 @@ impl Port<'_> {
 
     /// The name of a frame in the graph, if it is another.
     fn renamed(&mut self, frame: &Frame) -> Option<Frame> {
-        let (name, renamed) = self.frames.get_key_value(frame.as_str())?;
+        let plain = self.found.spellings.take(frame);
+        let Some((name, renamed)) = self.frames.iter().find(|(name, _)| without_slash(name) == plain.as_str()) else {
+            return (plain != *frame).then_some(plain);
+        };
         self.found.renamed.insert(name.clone());
         Some(renamed.as_str().into())
     }
@@ -216,7 +224,8 @@ impl Port<'_> {
         let mut poses = Vec::new();
         for (i, message) in self.recording.messages(topic).iter().enumerate() {
             let n_before = events.len() + poses.len();
-            let read = self.params.transforms.poses(topic, without_publish_time(message));
+            let (message_read, spellings) = (without_publish_time(message), &mut self.found.spellings);
+            let read = self.params.transforms.poses(topic, message_read, spellings);
             for read in read.map_err(|error| self.at(topic, i, error))? {
                 let (to, from, stamp_ns) = match read {
                     Ok(pose) => {
@@ -242,7 +251,7 @@ impl Port<'_> {
                 published_ns = published_ns.max(message.publish_time_ns);
             }
         }
-        self.found.notes.extend(stamps.notes());
+        self.found.signs.extend(stamps.signs());
         events.extend(self.unless_frozen(topic, poses));
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
@@ -255,8 +264,8 @@ impl Port<'_> {
     /// The poses of a topic in the order of their stamps, equal ones of one stamp once, with empties in place of those of a frozen
     /// tracker.
     fn unless_frozen(&mut self, topic: &str, poses: Vec<Pose>) -> Vec<(StampNs, EventBody)> {
-        let (poses, notes) = sifted(poses, self.params.stream.frozen_after_ms);
-        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
+        let (poses, signs) = sifted(poses, &self.params.stream);
+        self.found.signs.extend(signs.into_iter().map(|(rule, sign)| (rule, format!("topic {topic}: {sign}"))));
         let event = |pose| {
             let (stamp_ns, emission) = sifted::emission(pose);
             (stamp_ns, EventBody::Ready(emission))
@@ -271,31 +280,28 @@ impl Port<'_> {
         let (Some(parent), Some(child)) = (&params.transforms.parent, &params.transforms.child) else {
             return Ok(None);
         };
+        let (parent, child) = (without_slash(parent), without_slash(child));
         let topics: Vec<String> = params.read_topics();
-        let (mut tree, mut moving, mut last_ns) = (TransformTree::default(), Vec::new(), StampNs::MIN);
+        let (mut tree, mut moving, mut statics, mut last_ns) =
+            (TransformTree::default(), Vec::new(), Vec::new(), StampNs::MIN);
         let is_named = |topic: &String| params.topics().iter().any(|(named, _)| named == topic);
         for topic in &topics {
-            let mut constants = Constants::default();
+            if Constants::are_on(topic) {
+                statics.extend(self.statics(topic, &TransformFilter::default())?);
+                continue;
+            }
             for (i, message) in self.recording.messages(topic).iter().enumerate() {
-                let Ok(read) = read_transforms(without_publish_time(message)) else { return Ok(None) };
-                for read in read {
-                    let (to, from) = match &read {
-                        Ok(pose) => (&pose.value.to, &pose.value.from),
-                        Err(PoseError::Lost(lost)) => (&lost.to, &lost.from),
-                        Err(PoseError::NotRigid { to, from, .. }) => (to, from),
-                    };
-                    if is_named(topic) && (to.as_str(), from.as_str()) == (parent, child) {
+                let unstamped = without_publish_time(message);
+                let Ok(read) = named_transforms(unstamped, &mut self.found.spellings) else { return Ok(None) };
+                for mut read in read {
+                    let [to, from] = topics::frames_mut(&mut read);
+                    if is_named(topic) && params.transforms.wants(to, from) {
                         return Ok(None);
                     }
-                    let is_constant = Constants::are_on(topic);
                     match read {
                         Ok(pose) => {
                             let mut pose = self.found.corrections.entry(topic.clone()).or_default().take(pose);
                             pose.stamp_ns = self.stamp(topic, message, pose.stamp_ns);
-                            if is_constant {
-                                moving.extend(constants.take(pose, &mut self.found.notes));
-                                continue;
-                            }
                             last_ns = last_ns.max(message.publish_time_ns);
                             self.found.stamps.track(topic, &pose);
                             moving.push(pose);
@@ -309,16 +315,28 @@ impl Port<'_> {
                 }
             }
         }
-        let (poses, notes) = sifted(moving, params.stream.frozen_after_ms);
+        let is_direct = |pose: &Pose| params.transforms.wants(&pose.to, &pose.from);
+        if topics.iter().any(|topic| is_named(topic) && Constants::are_on(topic)) && statics.iter().any(is_direct) {
+            return Ok(None);
+        }
+        let (poses, signs) = sifted(moving, &params.stream);
         for (pose, reason) in poses {
             let motion = reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));
             tree.add(&pose.to, &pose.from, pose.stamp_ns, motion);
+        }
+        for Pose { to, from, stamp_ns, isometry, .. } in &statics {
+            if !tree.add_static(to, from, *stamp_ns, *isometry) {
+                let message = format!(
+                    "t_{to}_{from} is static on one topic and moves on another, whose poses are used; remove one"
+                );
+                self.found.signs.push(("static_moves", message));
+            }
         }
         let read =
             sifted::through(&tree, (parent, child), params.stream.max_gap_ms).map_err(|message| self.fault(message))?;
         let Some((mut poses, note)) = read else { return Ok(None) };
         let name = topics.join(" and ");
-        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {name}: {note}")));
+        self.found.signs.extend(signs.into_iter().map(|(rule, sign)| (rule, format!("topic {name}: {sign}"))));
         self.found.notes.push(format!("port \"{}\": {name}: {note}", self.declared.name));
         for (pose, _) in &mut poses {
             self.rename(&mut pose.to, &mut pose.from);
@@ -348,21 +366,31 @@ impl Port<'_> {
         if self.params.stream.lost_after_ms.is_some() {
             return Err(self.fault(format!("{topic} holds for good, so nothing on it is lost; remove lost_after_ms")));
         }
-        let (mut events, mut constants, mut notes) = (Vec::new(), Constants::default(), Vec::new());
-        for (i, message) in self.recording.messages(topic).iter().enumerate() {
-            for read in self.params.transforms.poses(topic, message).map_err(|error| self.at(topic, i, error))? {
-                let pose = read.map_err(|error| self.at(topic, i, error))?;
-                let mut pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
-                self.rename(&mut pose.to, &mut pose.from);
-                let constant = constants.take(pose, &mut notes);
-                events.extend(constant.map(|pose| (pose.stamp_ns, EventBody::Ready(Emission::value(pose)))));
-            }
+        let mut events = Vec::new();
+        for mut pose in self.statics(topic, &self.params.transforms)? {
+            self.rename(&mut pose.to, &mut pose.from);
+            events.push((pose.stamp_ns, EventBody::Ready(Emission::value(pose))));
         }
-        self.found.notes.extend(notes.into_iter().map(|note| format!("topic {topic}: {note}")));
         if events.is_empty() {
             return Err(self.no_such_transform(topic));
         }
         Ok(events)
+    }
+
+    /// The static transforms of a topic, which need no stamps.
+    fn statics(&mut self, topic: &str, filter: &TransformFilter) -> Result<Vec<Pose>, NodeError> {
+        let (mut poses, mut constants, mut signs) = (Vec::new(), Constants::default(), Vec::new());
+        for (i, message) in self.recording.messages(topic).iter().enumerate() {
+            let read = filter.poses(topic, message, &mut self.found.spellings);
+            for read in read.map_err(|error| self.at(topic, i, error))? {
+                let pose = read.map_err(|error| self.at(topic, i, error))?;
+                let pose = self.found.corrections.entry(topic.into()).or_default().take(pose);
+                let tell = |sign| signs.push(("static_changes", format!("topic {topic}: {sign}")));
+                poses.extend(constants.take(pose, tell));
+            }
+        }
+        self.found.signs.extend(signs);
+        Ok(poses)
     }
 
     fn points(&mut self, topic: &str, label: Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
@@ -374,7 +402,7 @@ impl Port<'_> {
             stamps.add(message, i, format!("topic {topic}"), tip.stamp_ns);
             tips.push(tip);
         }
-        self.found.notes.extend(stamps.notes());
+        self.found.signs.extend(stamps.signs());
         // Labels are in the order in which the points were touched.
         tips.sort_by_key(|tip| tip.stamp_ns);
         let events = tips.into_iter().enumerate().map(|(i, tip)| {
@@ -454,14 +482,14 @@ impl Stamps {
         self.0.push((message.log_time_ns, index, what, stamp_ns));
     }
 
-    /// Notes on stamps that run backwards in the order in which the messages were recorded, which is that of log times: a file
-    /// may hold them in another.
-    fn notes(mut self) -> Vec<String> {
+    /// Stamps that run backwards in the order in which the messages were recorded, which is that of log times: a file may hold them in
+    /// another.
+    fn signs(mut self) -> Vec<Sign> {
         self.0.sort_by_key(|(log_time_ns, index, ..)| (*log_time_ns, *index));
         let mut orders: BTreeMap<&str, StampOrder> = BTreeMap::new();
         for (_, index, what, stamp_ns) in &self.0 {
             orders.entry(what).or_default().take(*stamp_ns, || format!("message {}", index + 1));
         }
-        orders.iter().filter_map(|(what, order)| order.note(what)).collect()
+        orders.iter().filter_map(|(what, order)| Some(("stamp_order", order.note(what)?))).collect()
     }
 }

@@ -1,4 +1,8 @@
-use super::{sifted::PoseStreamParams, topics::TransformFilter, unstamped::Unstamped};
+use super::{
+    sifted::PoseStreamParams,
+    topics::{TransformFilter, last_part},
+    unstamped::Unstamped,
+};
 use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
 
 /// The messages that one port of `acquire.mcap` and `acquire.mcap_live` reads; `type` is the payload it gives.
@@ -63,7 +67,7 @@ impl PortParams {
     /// The topics whose messages the port may need: with `/tf`, `/tf_static` beside it.
     pub(super) fn read_topics(&self) -> Vec<String> {
         let mut topics: Vec<String> = self.topics().into_iter().map(|(topic, _)| topic.to_owned()).collect();
-        let beside = |topic: &String| topic.strip_suffix("/tf").map(|start| format!("{start}/tf_static"));
+        let beside = |topic: &String| (last_part(topic) == "tf").then(|| format!("{topic}_static"));
         let statics: Vec<String> = topics.iter().filter_map(beside).filter(|name| !topics.contains(name)).collect();
         topics.extend(statics);
         topics

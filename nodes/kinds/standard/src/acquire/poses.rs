@@ -2,10 +2,13 @@
 
 use super::{
     playback::{Event, Playback, in_order, silences},
-    sifted::{self, PoseStreamParams, Sifted, sifted},
+    sifted::{self, PoseStreamParams, Sifted, Sign, sifted},
     topics::TransformFilter,
 };
-use osteoflow_formats::pose_log::{Columns, LogFormat, LogOptions, read_log};
+use osteoflow_formats::{
+    pose_log::{Columns, LogFormat, LogOptions, read_log},
+    without_slash,
+};
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
 use osteoflow_node::{
     Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
@@ -136,15 +139,17 @@ impl Poses {
             }
         }
         let mut notes: Vec<String> = log.notes.into_iter().chain(corrections.note()).collect();
+        let mut signs = Vec::new();
         let (mut events, mut renamed) = (Vec::new(), BTreeSet::new());
         for (port, declared) in ctx.declared().iter().enumerate() {
             let port_log = PortLog { declared, params: declared.params()?, streams: &streams };
-            let read = port_log.events(frames, &mut renamed, &mut notes);
+            let read = port_log.events(frames, &mut renamed, &mut notes, &mut signs);
             let read =
                 read.map_err(|message| NodeError::new(format!("{name}: port \"{}\": {message}", declared.name)))?;
             events.extend(read.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
+        signs.into_iter().chain(log.signs).for_each(|(rule, sign)| ctx.sign(rule, format!("{name}: {sign}")));
         match frames.keys().find(|frame| !renamed.contains(*frame)) {
             Some(frame) => Err(NodeError::new(format!(
                 "{name}: frames names \"{frame}\", but no pose that a port reads is in it; `osteoflow info` lists the frames"
@@ -175,21 +180,21 @@ impl PortLog<'_> {
         frames: &BTreeMap<String, String>,
         renamed: &mut BTreeSet<String>,
         notes: &mut Vec<String>,
+        signs: &mut Vec<Sign>,
     ) -> Result<Vec<(StampNs, Emission)>, String> {
         if self.declared.payload.name != "geometry/Pose" {
             return Err(format!("a log gives geometry/Pose, but not {}", self.declared.payload.name));
         }
         let TransformFilter { parent, child } = &self.params.transforms;
-        let wanted = |of: &Option<String>, frame: &Frame| of.as_deref().is_none_or(|name| name == frame.as_str());
         let found: Vec<_> =
-            self.streams.iter().filter(|((to, from), _)| wanted(parent, to) && wanted(child, from)).collect();
+            self.streams.iter().filter(|((to, from), _)| self.params.transforms.wants(to, from)).collect();
         let (poses, lost) = match (&found[..], parent, child) {
             ([(_, stream)], ..) => {
-                let (poses, more) = sifted(stream.poses.clone(), self.params.stream.frozen_after_ms);
-                notes.extend(more);
+                let (poses, more) = sifted(stream.poses.clone(), &self.params.stream);
+                signs.extend(more);
                 (poses, stream.lost.clone())
             }
-            ([], Some(parent), Some(child)) => (self.chained(parent, child, notes)?, Vec::new()),
+            ([], Some(parent), Some(child)) => (self.chained(parent, child, notes, signs)?, Vec::new()),
             _ => {
                 let wanted = [child, parent].map(|name| name.as_deref().unwrap_or("any"));
                 let there = if found.is_empty() { "there are" } else { "several fit" };
@@ -205,7 +210,7 @@ impl PortLog<'_> {
         let stamps: Vec<StampNs> =
             poses.iter().map(|(pose, _)| pose.stamp_ns).chain(lost.iter().map(|(stamp, _)| *stamp)).collect();
         let mut rename = |frame: &mut Frame| {
-            if let Some((name, other)) = frames.get_key_value(frame.as_str()) {
+            if let Some((name, other)) = frames.iter().find(|(name, _)| without_slash(name) == frame.as_str()) {
                 renamed.insert(name.clone());
                 *frame = other.as_str().into();
             }
@@ -233,11 +238,18 @@ impl PortLog<'_> {
     }
 
     /// The poses between two frames that several transforms join, or an inverse.
-    fn chained(&self, parent: &str, child: &str, notes: &mut Vec<String>) -> Result<Vec<Sifted>, String> {
+    fn chained(
+        &self,
+        parent: &str,
+        child: &str,
+        notes: &mut Vec<String>,
+        signs: &mut Vec<Sign>,
+    ) -> Result<Vec<Sifted>, String> {
+        let (parent, child) = (without_slash(parent), without_slash(child));
         let mut tree = TransformTree::default();
         for ((to, from), stream) in self.streams {
-            let (poses, more) = sifted(stream.poses.clone(), self.params.stream.frozen_after_ms);
-            notes.extend(more);
+            let (poses, more) = sifted(stream.poses.clone(), &self.params.stream);
+            signs.extend(more);
             for (pose, reason) in poses {
                 let motion =
                     reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));

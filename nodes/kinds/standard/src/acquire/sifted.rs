@@ -1,8 +1,11 @@
-//! Poses that are measured again, sorted out from those that a stuck tracker repeats.
+//! Poses of markers that are measurements, and why others are left out.
 
 use super::{frozen::Frozen, one_stamp::OneStamp};
+use osteoflow_algorithms::marker_stream::{Arrival, Cause, Kind, MotionLimits, Sample, judge};
+pub(super) use osteoflow_formats::Sign;
 use osteoflow_geometry::{Pose, StampNs, TransformTree, nalgebra::Isometry3};
 use osteoflow_node::{Emission, schemars::JsonSchema, serde::Deserialize};
+use std::collections::BTreeMap;
 
 /// Time between two samples up to which a transform of a chain is interpolated, ms: four periods of a slow tracker (20 Hz).
 const MAX_GAP_MS: f64 = 200.0;
@@ -15,11 +18,14 @@ pub struct PoseStreamParams {
     /// recording on any topic, or the last pose of the log. Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
-    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties that say why until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
-    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is given again and again.
+    /// Time for which poses may be the same to the last bit while their stamps go on: beyond it the tracker is frozen, and the
+    /// port gives empties that say why until the pose changes. Unset: as long as this tracker repeats its poses by chance, three times
+    /// over, and 500 to 2000 ms: at rest one that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is
+    /// given again and again.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
+    /// How a marker moves at most: poses that contradict it, or their neighbours, are left out and counted.
+    pub motion: MotionLimits,
     /// Time between two samples up to which a transform is interpolated, where `parent` and `child` are joined by several
     /// transforms, or by an inverse, as tf of ROS joins frames: by the one path in their tree, each transform at the same time. Unset:
     /// 200, four samples of a slow tracker.
@@ -30,20 +36,85 @@ pub struct PoseStreamParams {
 /// A pose, and why it is not to be used, if it is not.
 pub(super) type Sifted = (Pose, Option<String>);
 
-/// Poses in the order of their stamps, equal ones of one stamp once, those of a frozen tracker with the reason; and notes.
-pub(super) fn sifted(mut poses: Vec<Pose>, frozen_after_ms: Option<f64>) -> (Vec<Sifted>, Vec<String>) {
+/// The poses of markers in the order of their stamps, equal ones of one stamp once, those that are no measurements with the reason, or
+/// left out where their neighbours are near enough to be interpolated; and the signs.
+pub(super) fn sifted(mut poses: Vec<Pose>, params: &PoseStreamParams) -> (Vec<Sifted>, Vec<Sign>) {
     poses.sort_by_key(|pose| pose.stamp_ns);
-    let (mut frozen, mut one_stamp, mut notes) = (Frozen::new(frozen_after_ms), OneStamp::default(), Vec::new());
-    let mut sifted = Vec::new();
+    let mut one_stamp = OneStamp::default();
+    let mut streams: BTreeMap<String, Vec<Pose>> = BTreeMap::new();
     for pose in poses {
         let what = format!("t_{}_{}", pose.to, pose.from);
         if !one_stamp.is_repeat(&what, &pose) {
-            let reason = frozen.take(&what, &pose.isometry, pose.stamp_ns, &mut notes);
-            sifted.push((pose, reason));
+            streams.entry(what).or_default().push(pose);
         }
     }
-    notes.extend(one_stamp.notes());
-    (sifted, notes)
+    let (mut sifted, mut signs) = (Vec::new(), Vec::new());
+    for (what, poses) in streams {
+        sifted.extend(of_marker(&what, poses, params, &mut signs));
+    }
+    signs.extend(one_stamp.notes().into_iter().map(|note| ("stamps_contradict", note)));
+    sifted.sort_by_key(|(pose, _)| pose.stamp_ns);
+    (sifted, signs)
+}
+
+/// The poses of one marker.
+fn of_marker(what: &str, poses: Vec<Pose>, params: &PoseStreamParams, signs: &mut Vec<Sign>) -> Vec<Sifted> {
+    let frozen = Frozen::of(what, &poses, params.frozen_after_ms, signs);
+    let measured: Vec<usize> = (0..poses.len()).filter(|k| frozen[*k].is_none() && poses[*k].stamp_ns != 0).collect();
+    let samples: Vec<Sample> = measured.iter().map(|k| (poses[*k].stamp_ns, poses[*k].isometry)).collect();
+    let judged = judge(&samples, &params.motion);
+    signs.extend(out_signs(what, &samples, &judged.out));
+    signs.extend(judged.jumps.iter().map(|(k, jump)| ("marker_jump", jump_words(what, samples[*k].0, jump))));
+    let stamps: Vec<StampNs> = samples.iter().map(|(stamp_ns, _)| *stamp_ns).collect();
+    let arrival = Arrival::of(&stamps).filter(|_| params.motion.are_set());
+    signs.extend(arrival.map(|arrival| ("stamps_of_arrival", format!("{what}: {}", arrival.words()))));
+    let mut reasons = frozen;
+    for (k, cause) in measured.iter().zip(&judged.out) {
+        reasons[*k] = cause.map(|cause| format!("{what} is left out: {}", cause.words()));
+    }
+    // Between neighbours that are near enough a pose is interpolated.
+    let max_gap_ns = (params.max_gap_ms.unwrap_or(MAX_GAP_MS) * 1e6).round() as StampNs;
+    let mut is_bridged = vec![false; poses.len()];
+    let sound: Vec<usize> = (0..poses.len()).filter(|k| reasons[*k].is_none()).collect();
+    for pair in sound.windows(2).filter(|pair| poses[pair[1]].stamp_ns - poses[pair[0]].stamp_ns <= max_gap_ns) {
+        is_bridged[pair[0] + 1..pair[1]].iter_mut().for_each(|bridged| *bridged = true);
+    }
+    poses.into_iter().zip(reasons).zip(is_bridged).filter(|(_, bridged)| !bridged).map(|(sifted, _)| sifted).collect()
+}
+
+/// One sentence for each kind of fault.
+fn out_signs(what: &str, samples: &[Sample], out: &[Option<Cause>]) -> Vec<Sign> {
+    let mut kinds: BTreeMap<Kind, Vec<usize>> = BTreeMap::new();
+    for (k, cause) in out.iter().enumerate() {
+        kinds
+            .entry(match cause {
+                Some(cause) => cause.kind,
+                None => continue,
+            })
+            .or_default()
+            .push(k);
+    }
+    let sign = |(kind, of): (Kind, Vec<usize>)| {
+        let size = |k: &usize| out[*k].map_or(0.0, |cause| cause.mm + cause.rad.to_degrees());
+        let largest = of.iter().copied().max_by(|a, b| size(a).total_cmp(&size(b))).unwrap_or(of[0]);
+        let words = out[largest].map(|cause| cause.words()).unwrap_or_default();
+        let (n, n_all, first_ns, at_ns) = (of.len(), samples.len(), samples[of[0]].0, samples[largest].0);
+        let (are, at) = if n == 1 {
+            ("pose is", format!("at {at_ns} ns"))
+        } else {
+            ("poses are", format!("from {first_ns} to {} ns; at {at_ns} ns", samples[of[n - 1]].0))
+        };
+        (kind.rule(), format!("{what}: {n} of {n_all} {are} left out, {at}: {words}"))
+    };
+    kinds.into_iter().map(sign).collect()
+}
+
+/// A motion that no hand makes.
+pub(crate) fn jump_words(what: &str, stamp_ns: StampNs, jump: &Cause) -> String {
+    format!(
+        "{what}: by {stamp_ns} ns {} and it stayed there: the marker slipped, was knocked, or its attitude is read wrongly on one side of that;          what was measured on both sides of it does not belong together",
+        jump.words()
+    )
 }
 
 /// What a port gives for a pose.

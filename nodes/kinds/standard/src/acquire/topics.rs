@@ -1,11 +1,12 @@
 //! Messages of Foxglove's schemas and ROS 2's on topics, as recordings and bridges have them.
 
 use osteoflow_formats::{
-    PoseError,
+    PoseError, Spellings,
     message_read::{
         CloudRead, Encoded, MessageError, MessageKind, TipRead, is_sensor_frame, read_cloud, read_pose_in_frame,
         read_transforms,
     },
+    without_slash,
 };
 use osteoflow_geometry::{Cloud, Frame, NamedPoint, Nearest, Points, Pose};
 use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
@@ -21,29 +22,60 @@ pub struct TransformFilter {
 }
 
 impl TransformFilter {
-    /// The poses of a message between the frames of the port.
+    /// The poses of a message between the frames of the port, whose names have no leading slash.
     pub(super) fn poses<'a>(
         &self,
         topic: &str,
         message: impl Into<Encoded<'a>>,
-    ) -> Result<Vec<Result<Nearest<Pose>, PoseError>>, MessageError> {
+        spellings: &mut Spellings,
+    ) -> Result<Vec<TransformRead>, MessageError> {
         let message = message.into();
         if MessageKind::of(message.schema_name) == Some(MessageKind::Pose) {
             let child = self.child.as_deref().unwrap_or(last_part(topic));
             return Ok(vec![read_pose_in_frame(message)?.pose(child)]);
         }
-        let wanted = |to: &Frame, from: &Frame| {
-            self.parent.as_deref().is_none_or(|p| p == to.as_str())
-                && self.child.as_deref().is_none_or(|c| c == from.as_str())
-        };
-        let poses = read_transforms(message)?.into_iter().filter(|pose| match pose {
-            Ok(pose) => wanted(&pose.value.to, &pose.value.from),
-            Err(PoseError::Lost(lost)) => wanted(&lost.to, &lost.from),
-            Err(PoseError::NotRigid { to, from, .. }) => wanted(to, from),
+        let mut poses = named_transforms(message, spellings)?;
+        poses.retain_mut(|pose| {
+            let [to, from] = frames_mut(pose);
+            self.wants(to, from)
         });
-        Ok(poses.collect())
+        Ok(poses)
+    }
+
+    /// Whether the port takes `t_to_from`.
+    pub(super) fn wants(&self, to: &Frame, from: &Frame) -> bool {
+        let is = |wanted: &Option<String>, frame: &Frame| {
+            wanted.as_deref().is_none_or(|wanted| without_slash(wanted) == frame.as_str())
+        };
+        is(&self.parent, to) && is(&self.child, from)
     }
 }
+
+/// A transform of a message, or why it gives no pose.
+pub(super) type TransformRead = Result<Nearest<Pose>, PoseError>;
+
+/// The transforms of a message, between frames without a leading slash.
+pub(super) fn named_transforms<'a>(
+    message: impl Into<Encoded<'a>>,
+    spellings: &mut Spellings,
+) -> Result<Vec<TransformRead>, MessageError> {
+    let mut read = read_transforms(message)?;
+    read.iter_mut().flat_map(frames_mut).for_each(|frame| *frame = spellings.take(frame));
+    Ok(read)
+}
+
+/// The frames to and from of a transform.
+pub(super) fn frames_mut(read: &mut TransformRead) -> [&mut Frame; 2] {
+    match read {
+        Ok(pose) => [&mut pose.value.to, &mut pose.value.from],
+        Err(PoseError::Lost(lost)) => [&mut lost.to, &mut lost.from],
+        Err(PoseError::NotRigid { to, from, .. }) => [to, from],
+    }
+}
+
+/// Static transforms farther apart than this differ: rounding in single precision.
+const EQUAL_MM: f64 = 1e-4;
+const EQUAL_RAD: f64 = 1e-6;
 
 /// Transforms that hold from the beginning, whenever they are sent.
 #[derive(Default)]
@@ -56,13 +88,25 @@ impl Constants {
     }
 
     /// The constant, without a stamp; `None` where it is sent again. One that is sent again with another value holds from its own
-    /// stamp on.
-    pub(super) fn take(&mut self, mut pose: Pose, notes: &mut Vec<String>) -> Option<Pose> {
-        match self.0.iter().rfind(|known| (&known.to, &known.from) == (&pose.to, &pose.from)) {
-            None => pose.stamp_ns = 0,
-            Some(known) if known.isometry == pose.isometry => return None,
-            Some(_) => {
-                notes.push(format!("t_{}_{} changes at {} ns, though it is static", pose.to, pose.from, pose.stamp_ns))
+    /// stamp on, which is told once.
+    pub(super) fn take(&mut self, mut pose: Pose, tell: impl FnOnce(String)) -> Option<Pose> {
+        let known: Vec<_> = self.0.iter().filter(|known| (&known.to, &known.from) == (&pose.to, &pose.from)).collect();
+        match known[..] {
+            [] => pose.stamp_ns = 0,
+            [.., last] => {
+                let between = last.isometry.inverse() * pose.isometry;
+                let (mm, rad) = (between.translation.vector.norm(), between.rotation.angle());
+                if mm <= EQUAL_MM && rad <= EQUAL_RAD {
+                    return None;
+                }
+                if known.len() == 1 {
+                    let Pose { to, from, stamp_ns, .. } = &pose;
+                    tell(format!(
+                        "t_{to}_{from} changes at {stamp_ns} ns by {mm:.2} mm and {:.2} degrees, though it is static; the new value is used from \
+                         then on; find what else sends this transform",
+                        rad.to_degrees()
+                    ));
+                }
             }
         }
         self.0.push(pose.clone());

@@ -1,6 +1,8 @@
 //! The kind `calibrate.hand_eye`.
 
-use osteoflow_algorithms::calibrate::{HandEyeMethod, HandEyeReport, hand_eye};
+use osteoflow_algorithms::calibrate::{
+    HAND_EYE_TELLING_RMS_MM, HAND_EYE_TELLING_RMS_RAD, HandEyeMethod, HandEyeReport, hand_eye,
+};
 use osteoflow_geometry::{Pose, nalgebra::Isometry3};
 use osteoflow_node::{
     Context, Describe, Function, Inputs, NodeError, Outputs,
@@ -29,13 +31,17 @@ method = "park_martin"
 )]
 pub struct HandEye;
 
-/// A target that does not move is within this of its mean place, mm: ten times what a tracker errs by.
-const MOST_RMS_MM: f64 = 2.0;
-/// Likewise, radians: 2 degrees, 2 mm at 60 mm.
-const MOST_RMS_RAD: f64 = 0.035;
+/// Largest RMS distance of the target from one place, mm: no camera errs by it.
+const MOST_RMS_MM: f64 = 10.0;
+/// A scale is a sign if it differs from 1 by more than this, and by four of its standard deviations: 1 mm at 200 mm.
+const MOST_SCALE: f64 = 0.005;
+const SCALE_SIGMAS: f64 = 4.0;
+/// Largest radius that holds 90 % of the errors of the translation, mm, and that radius in standard deviations per direction.
+const MOST_ERROR_MM: f64 = 5.0;
+const RADIUS_90: f64 = 2.5;
 
-/// A marker is no farther from its camera, mm: half a metre of arm.
-const FARTHEST_MARKER_MM: f64 = 600.0;
+/// A marker is no farther from its camera than this, mm, where the target is nearer to the tracker than half of it.
+const FARTHEST_MARKER_MM: f64 = 300.0;
 
 /// Parameters of [`HandEye`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -108,24 +114,65 @@ impl Function for HandEye {
             ));
         }
         let fit = hand_eye(&t_world_marker, &t_camera_target, params.method)?;
-        let HandEyeReport { rms_mm, rms_rad, .. } = fit.report;
-        if rms_mm > MOST_RMS_MM || rms_rad > MOST_RMS_RAD {
-            ctx.warn(format!(
-                "the target is {rms_mm:.1} mm and {:.1} degrees RMS from one place; was it moved, is its length in another unit, or are \
-                 poses of different times paired?",
-                rms_rad.to_degrees()
-            ));
-        }
+        check(&fit.report, ctx)?;
         let camera_mm = fit.t_marker_camera.translation.vector.norm();
         let placed = t_world_marker[0] * fit.t_marker_camera * t_camera_target[0];
         let target_mm = placed.translation.vector.norm();
         if camera_mm > FARTHEST_MARKER_MM && target_mm < camera_mm / 2.0 {
-            ctx.warn(format!(
-                "the camera is {camera_mm:.0} mm from its marker, and the target {target_mm:.0} mm from the tracker; are marker and target \
-                 exchanged, or are the poses of both inverses?"
+            ctx.sign("hand_eye_exchanged", format!(
+                "the camera is {camera_mm:.0} mm from its marker, and the target {target_mm:.0} mm from the tracker; is the camera on a \
+                 stand and the target on the marker, are marker and target exchanged, or the poses of both inverses?"
             ));
         }
         let t_camera_camera_marker = Pose::new(&target.to, &marker.from, fit.t_marker_camera.inverse());
         Ok(Out { t_camera_camera_marker, report: fit.report })
     }
+}
+
+/// Refuses a fit that does not explain its poses, and signs one that is doubtful.
+fn check(report: &HandEyeReport, ctx: &mut Context) -> Result<(), NodeError> {
+    let HandEyeReport { rms_mm, rms_rad, scale, scale_sd, .. } = *report;
+    let is_scaled = (scale - 1.0).abs() > MOST_SCALE.max(SCALE_SIGMAS * scale_sd);
+    if is_scaled {
+        ctx.sign(
+            "hand_eye_scale",
+            format!(
+                "the target's lengths are {scale:.4} +- {scale_sd:.4} of the tracker's, and leave {:.2} mm RMS in place of {rms_mm:.2} mm; \
+                 multiply the size of the board by {:.4}, or give both logs in mm (the pose is that of scale 1)",
+                report.scaled_rms_mm,
+                1.0 / scale
+            ),
+        );
+    }
+    let words = format!(
+        "the target is {rms_mm:.1} mm and {:.1} degrees RMS from one place; was it moved, is its length in another unit, or are poses of \
+         different times paired?",
+        rms_rad.to_degrees()
+    );
+    if rms_mm > MOST_RMS_MM {
+        return Err(NodeError::new(words));
+    }
+    if !is_scaled && (rms_mm > HAND_EYE_TELLING_RMS_MM || rms_rad > HAND_EYE_TELLING_RMS_RAD) {
+        ctx.sign("hand_eye_rms", words);
+    }
+    if report.n_outliers > 0 {
+        let (n, n_kept) = (report.n_outliers, report.n_poses);
+        ctx.sign(
+            "hand_eye_outliers",
+            format!(
+                "{n} of {} poses are left out: the target is far from where the others have it; are they flipped?",
+                n + n_kept
+            ),
+        );
+    }
+    if RADIUS_90 * report.translation_sd_mm > MOST_ERROR_MM {
+        ctx.sign(
+            "hand_eye_open",
+            format!(
+                "the camera's place is known to {:.1} mm (90 %); take more poses, and turn the camera by 30 degrees or more",
+                RADIUS_90 * report.translation_sd_mm
+            ),
+        );
+    }
+    Ok(())
 }

@@ -17,7 +17,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, Value, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Emit, Function, Inputs, NodeError, Outputs, Value, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 
@@ -31,7 +31,7 @@ use osteoflow_payloads::Json;
 #[describe(
     example = r#"
 kind = "verdict.registration"
-in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", plan = "plan.report", surface = "bone.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report", take_motion = "to_bone.take_motion", located_motion = { from = "to_bone_laser.take_motion", n = 3 } }
+in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source = "icp.t_target_source", icp = "icp.report", plan = "plan.report", surface = "bone.report", landmarks = "plan.landmarks", located = { from = "hole.point", n = 3 }, assessment = "plan.assessment", planes = "plan.planes", followed = "planes_last.planes", known = "planes_last.known", calibration = "calibration.report", t_camera_camera_marker = "calibration.t_camera_camera_marker", t_camera_phantom_marker = "calibration.t_camera_phantom_marker", measured = "tre_measured.report", take_motion = "to_bone.take_motion", located_motion = { from = "to_bone_laser.take_motion", n = 3 } }
 "#,
     literature = [
         "Gelfand et al. 2003",
@@ -53,6 +53,9 @@ pub struct Params {
     pub rules: RuleParams,
     /// Stated errors of the devices, for the predicted error.
     pub errors: PredictParams,
+    /// Whether the landmarks lie on the surface. false: they are fiducials, such as screws, rings or skin markers, whose stated error is
+    /// `rules.landmarks.fiducial_mm`, and their distance from the surface is no sign.
+    pub on_surface: bool,
     /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone
     /// probably do not belong together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is
     /// 90 mm wide.
@@ -63,7 +66,7 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Self {
         let (examine, rules, errors) = Default::default();
-        Self { examine, rules, errors, max_plane_distance_mm: 50.0 }
+        Self { examine, rules, errors, on_surface: true, max_plane_distance_mm: 50.0 }
     }
 }
 
@@ -129,6 +132,9 @@ pub struct In {
     /// come or the wire ends.
     #[port(join = "once")]
     followed: Option<Planes>,
+    /// The last of them that are known, for the output `planes`. Unwired: those of `followed`.
+    #[port(join = "once")]
+    known: Option<Planes>,
     /// The report of the calibration.
     #[port(join = "once")]
     calibration: Option<PhantomReport>,
@@ -161,6 +167,10 @@ pub struct In {
 pub struct Out {
     /// The verdict.
     verdict: Verdict,
+    /// The last planes that are known, with their stamp; empty if the verdict does not hold for them, because nothing has tested the
+    /// attitude of the bone's marker.
+    #[port(frame = "followed")]
+    planes: Emit<Planes>,
 }
 
 impl Function for Registration {
@@ -185,8 +195,9 @@ impl Function for Registration {
             Tracking::new(&poses, i.calibration.as_ref())
         });
         let (landmarks, assessment) = (named(&i.landmarks), named(&i.assessment));
+        let carried = located.as_ref().map(|located| carried(located, &i.source, &t_target_source));
         let plan = i.plan.as_ref().map(|report| {
-            let carried = located.as_ref().map(|located| carried(located, &i.source, &t_target_source)).transpose()?;
+            let carried = carried.clone().transpose()?;
             let (key, max_mm) = (surface_key(i.surface.as_ref()), params.rules.max_common_shift_mm);
             let report = PlanReport::deserialize(&*report.0);
             let report = report.map_err(|error| NodeError::new(format!("plan is no report of a plan: {error}")))?;
@@ -195,6 +206,7 @@ impl Function for Registration {
         });
         let plan = plan.transpose()?.unwrap_or_default();
         let located = named(&located);
+        let carried = carried.and_then(Result::ok).unwrap_or_default();
         let mut signs: Vec<Reason> = i.followed.as_ref().and_then(trust::planes_lost).into_iter().collect();
         signs.extend(plan.reasons);
         let check: Vec<CheckReport> = i.check.into_iter().flatten().collect();
@@ -221,6 +233,8 @@ impl Function for Registration {
             icp: ended.as_ref(),
             landmarks: &landmarks,
             located: &located,
+            carried: &carried,
+            on_surface: params.on_surface,
             assessment: &assessment,
             planes: i.planes.as_ref(),
             tracking: tracking.as_ref(),
@@ -239,7 +253,15 @@ impl Function for Registration {
         {
             params.far_planes(planes, &i.target).into_iter().for_each(|warning| ctx.warn(warning));
         }
-        Ok(Out { verdict })
+        let planes = match (&verdict.trust_ends, i.known.or(i.followed)) {
+            (Some(why), _) => {
+                ctx.sign("attitude_untested", why);
+                Emit::Empty(why.clone())
+            }
+            (None, Some(planes)) => Emit::Value(planes),
+            (None, None) => Emit::Empty("no planes were followed".into()),
+        };
+        Ok(Out { verdict, planes })
     }
 }
 

@@ -7,8 +7,9 @@ use crate::acquire::{
     unstamped,
 };
 use osteoflow_formats::{
-    PoseError,
+    PoseError, Spellings,
     message_read::{Encoded, MessageError, MessageKind, read_cloud_head, read_pose_in_frame},
+    without_slash,
 };
 use osteoflow_geometry::{Frame, Nearest, ROTATION_NOISE};
 use osteoflow_node::{DeclaredPort, Emission, NodeError, schemars::JsonSchema, serde::Deserialize};
@@ -48,7 +49,9 @@ pub(super) struct TopicMessage<'a> {
 
 impl TopicMessage<'_> {
     fn renamed(&self, frame: &Frame) -> Option<Frame> {
-        self.frames.get(frame.as_str()).map(|name| name.as_str().into())
+        let plain = without_slash(frame.as_str());
+        let renamed = self.frames.iter().find(|(name, _)| without_slash(name) == plain).map(|(_, name)| name.as_str());
+        renamed.or_else(|| (plain != frame.as_str()).then_some(plain)).map(Frame::from)
     }
 
     fn rename(&self, frames: [&mut Frame; 2]) {
@@ -62,6 +65,7 @@ impl TopicMessage<'_> {
 pub(crate) struct Content {
     transforms: TransformFilter,
     constants: Constants,
+    spellings: Spellings,
     /// Topics of which a message was looked at for a stamp of its own.
     is_looked_at: BTreeSet<String>,
 }
@@ -85,8 +89,12 @@ impl Content {
                 return fault(&format!("topics give geometry/Cloud, Pose, Points and report/Flag, but not {other}"));
             }
         }
-        let content =
-            Self { transforms: params.transforms, constants: Constants::default(), is_looked_at: BTreeSet::new() };
+        let content = Self {
+            transforms: params.transforms,
+            constants: Constants::default(),
+            spellings: Spellings::default(),
+            is_looked_at: BTreeSet::new(),
+        };
         Ok(Port::new(declared, params.stream, topics, content))
     }
 }
@@ -147,7 +155,8 @@ impl Port<Content> {
             _ if Constants::are_on(message.topic) => return true,
             "geometry/Cloud" => read_cloud_head(encoded).into_iter().map(|head| head.stamp_ns).collect(),
             "geometry/Pose" => {
-                let poses = self.content.transforms.poses(message.topic, encoded).into_iter().flatten();
+                let poses = self.content.transforms.poses(message.topic, encoded, &mut Spellings::default());
+                let poses = poses.into_iter().flatten();
                 poses.filter_map(Result::ok).map(|pose| pose.value.stamp_ns).collect()
             }
             _ => read_pose_in_frame(encoded).into_iter().map(|tip| tip.stamp_ns).collect(),
@@ -165,12 +174,15 @@ impl Port<Content> {
     }
 
     fn poses(&mut self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
-        for pose in self.content.transforms.poses(message.topic, message.encoded.clone())? {
+        let Content { transforms, spellings, .. } = &mut self.content;
+        let read = transforms.poses(message.topic, message.encoded.clone(), spellings)?;
+        out.notes.extend(spellings.notes.drain(..).chain(spellings.signs.drain(..).map(|(_, sign)| sign)));
+        for pose in read {
             match pose {
                 Ok(Nearest { value: mut pose, correction }) => {
                     message.rename([&mut pose.to, &mut pose.from]);
                     if Constants::are_on(message.topic) {
-                        let constant = self.content.constants.take(pose, &mut out.notes);
+                        let constant = self.content.constants.take(pose, |sign| out.notes.push(sign));
                         out.items.extend(constant.map(|pose| (pose.stamp_ns, Emission::value(pose))));
                     } else {
                         let what = format!("t_{}_{}", pose.to, pose.from);

@@ -1,6 +1,7 @@
 //! The ports of a source over a network, and the items on their way to them.
 
-use crate::acquire::{frozen::Frozen, one_stamp::OneStamp, playback::Event};
+use crate::acquire::{frozen::Frozen, live_marker::LiveMarker, one_stamp::OneStamp, playback::Event, sifted::Sign};
+use osteoflow_algorithms::marker_stream::MotionLimits;
 use osteoflow_formats::openigtlink::{ClockNote, ClockOffset};
 use osteoflow_geometry::{Correction, Pose, StampNs};
 use osteoflow_node::{Context, DeclaredPort, Emission, Payload, schemars::JsonSchema, serde::Deserialize};
@@ -26,6 +27,9 @@ pub struct StreamParams {
     /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
+    /// How a marker moves at most: poses that contradict it, or those before them, are left out and counted. Where nothing is given for
+    /// 100 ms, the port gives an empty that says why.
+    pub motion: MotionLimits,
     /// What a `report/Flag` gives with the first item of another port, if no message gave it a value before. Unset: it waits for one.
     pub default: Option<bool>,
 }
@@ -43,6 +47,9 @@ pub(crate) struct Port<T> {
     labels: Vec<String>,
     frozen: Frozen,
     one_stamp: OneStamp,
+    motion: MotionLimits,
+    /// By the name of the pose.
+    markers: BTreeMap<String, LiveMarker>,
     lost_after_ns: Option<StampNs>,
     /// The newest stamp of an item.
     last_ns: Option<StampNs>,
@@ -57,6 +64,8 @@ pub(crate) struct Port<T> {
 pub(crate) struct PortItems {
     pub(crate) items: Vec<(StampNs, Emission)>,
     pub(crate) notes: Vec<String>,
+    /// The signs that what comes is wrong.
+    pub(crate) signs: Vec<Sign>,
     /// Why the graph cannot read what comes; the source fails with it.
     pub(crate) fault: Option<String>,
 }
@@ -113,6 +122,8 @@ impl<T> Port<T> {
             labels: params.labels,
             frozen: Frozen::new(params.frozen_after_ms),
             one_stamp: OneStamp::default(),
+            motion: params.motion,
+            markers: BTreeMap::new(),
             lost_after_ns: params.lost_after_ms.map(|ms| (ms * 1e6).round() as StampNs),
             last_ns: None,
             is_lost: false,
@@ -136,16 +147,24 @@ impl<T> Port<T> {
     /// Whether a pose called `what` repeats one of its stamp; one that contradicts another is told.
     pub(crate) fn is_repeat(&mut self, what: &str, pose: &Pose, out: &mut PortItems) -> bool {
         let is_repeat = self.one_stamp.is_repeat(what, pose);
-        out.notes.extend(self.one_stamp.first_note(what));
+        out.signs.extend(self.one_stamp.first_note(what).map(|note| ("stamps_contradict", note)));
         is_repeat
     }
 
-    /// Adds a pose called `what`, unless the tracker is frozen; `correction` is reported if it is above `limit`.
+    /// Adds a pose called `what`, unless it is no measurement; `correction` is reported if it is above `limit`.
     pub(crate) fn put_pose(&mut self, what: &str, pose: Pose, correction: Correction, limit: f64, out: &mut PortItems) {
         if correction.deviation > limit {
             out.notes.push(format!("{what}: a rotation is rounded, and the nearest one is used: {correction}"));
         }
-        out.items.push((pose.stamp_ns, self.frozen.emission(what, pose, &mut out.notes)));
+        let stamp_ns = pose.stamp_ns;
+        let mut notes = Vec::new();
+        let frozen = self.frozen.take(what, &pose.isometry, stamp_ns, &mut notes);
+        out.signs.extend(notes.into_iter().map(|note| ("marker_frozen", note)));
+        let emission = match frozen {
+            Some(reason) => Some(Emission::Empty(reason)),
+            None => self.markers.entry(what.into()).or_default().take(what, pose, &self.motion, &mut out.signs),
+        };
+        out.items.extend(emission.map(|emission| (stamp_ns, emission)));
     }
 
     /// The newest stamp, or a later one.
@@ -194,12 +213,19 @@ impl<T> Inbox<T> {
 
     /// Warns, at most [`N_WARNINGS`] times of each sort.
     pub(crate) fn warn(&mut self, sort: &str, message: String, ctx: &mut Context) {
+        if let Some(message) = self.counted(sort, message) {
+            ctx.warn(message);
+        }
+    }
+
+    /// The message, unless there were enough of its sort.
+    fn counted(&mut self, sort: &str, message: String) -> Option<String> {
         let n = self.n_warnings.entry(sort.into()).or_default();
         *n += 1;
         match *n {
-            n if n < N_WARNINGS => ctx.warn(message),
-            N_WARNINGS => ctx.warn(format!("{message}; more of these are not reported")),
-            _ => {}
+            n if n < N_WARNINGS => Some(message),
+            N_WARNINGS => Some(format!("{message}; more of these are not reported")),
+            _ => None,
         }
     }
 
@@ -285,13 +311,14 @@ impl<T> Inbox<T> {
         ctx: &mut Context,
         mut read: impl FnMut(&mut Port<T>) -> Option<PortItems>,
     ) -> Option<StampNs> {
-        let (mut newest_ns, mut notes) = (None, Vec::new());
+        let (mut newest_ns, mut notes, mut signs) = (None, Vec::new(), Vec::new());
         for (index, port) in self.ports.iter_mut().enumerate().filter(|(_, port)| port.reads(stream)) {
             let Some(out) = read(port) else { continue };
             newest_ns = newest_ns.max(out.items.iter().map(|(stamp_ns, _)| *stamp_ns).max().or(Some(0)));
             port.n_messages += 1;
             port.present.insert(stream.into());
             notes.extend(out.notes);
+            signs.extend(out.signs);
             self.fault = self.fault.take().or(out.fault);
             for (stamp_ns, body) in out.items {
                 port.last_ns = port.last_ns.max(Some(stamp_ns));
@@ -300,6 +327,11 @@ impl<T> Inbox<T> {
             }
         }
         notes.into_iter().for_each(|note| self.warn(stream, note, ctx));
+        for (rule, sign) in signs {
+            if let Some(sign) = self.counted(&format!("{rule} of {stream}"), sign) {
+                ctx.sign(rule, sign);
+            }
+        }
         newest_ns
     }
 

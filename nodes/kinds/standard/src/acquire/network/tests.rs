@@ -315,7 +315,7 @@ fn silent_device<P: Rig>() {
         part::<P>(|talk| {
             for begin in [0, 1000] {
                 P::pose(talk, "A", STAMP + begin * MS, begin as f64);
-                (1..20).for_each(|i| P::pose(talk, "B", STAMP + (begin + i * 50) * MS, i as f64));
+                (1..20).for_each(|i| P::pose(talk, "B", STAMP + (begin + i * 50) * MS, (begin / 50 + i) as f64));
             }
         }),
     );
