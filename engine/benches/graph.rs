@@ -31,11 +31,8 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
             });
             link
         });
-        let inputs = description.inputs.iter().map(|port| PlanInput {
-            port: port.clone(),
-            links: link.into_iter().collect(),
-            may_stay_empty: false,
-        });
+        let inputs =
+            description.inputs.iter().map(|port| PlanInput { port: port.clone(), links: link.into_iter().collect() });
         let outputs = outputs.iter().map(|port| PlanOutput {
             name: port.name.into(),
             payload: port.payload,

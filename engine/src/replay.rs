@@ -23,7 +23,7 @@ use crate::{
     plan::{OutputId, Plan, Sources},
     plugin::{self, Kinds},
     recording::{Recording, RecordingError},
-    run::{self, RunError, RunReport, Verdict},
+    run::{self, NOTHING_CAME, RunError, RunReport, Verdict},
     runtime::{Observer, Replayed, Sign, Substitutes},
 };
 use compare::Compare;
@@ -391,11 +391,11 @@ pub(crate) fn replay_plan(
     })
 }
 
-/// The recorded signs of nodes that are played.
+/// The recorded signs of nodes that are played. To whom nothing came is judged anew.
 fn recorded_signs(recording: &Recording, is_played: impl Fn(&str) -> bool) -> Vec<Sign> {
     let reasons = recording.results.as_ref().and_then(|results| results[REASONS].as_array()).into_iter().flatten();
     let signs = reasons.filter_map(|reason| Sign::deserialize(reason).ok());
-    signs.filter(|sign| is_played(&sign.node)).collect()
+    signs.filter(|sign| is_played(&sign.node) && sign.rule != NOTHING_CAME).collect()
 }
 
 /// The outputs of a plan that the recording has, and those whose payload is another one in the graph, so that they can be

@@ -12,6 +12,8 @@ mod nothing_came;
 mod report;
 mod results;
 #[cfg(test)]
+mod sign_tests;
+#[cfg(test)]
 mod tests;
 pub mod verdict;
 #[cfg(test)]
@@ -26,6 +28,7 @@ pub use crate::{
     options::{GIVEN_NODES, ListenedChannel, Listener, RunOptions},
 };
 pub(crate) use finished::{Finished, WireItems};
+pub(crate) use nothing_came::NOTHING_CAME;
 pub use report::{Outcome, RunError, RunReport};
 pub use verdict::{Answer, Reason, Verdict};
 

@@ -177,8 +177,6 @@ pub struct PlanInput {
     /// The links that feed it, as indices into [`Plan::links`], in the order of the graph: several where a port collects
     /// from several wires, none where an optional port is not wired.
     pub links: Vec<usize>,
-    /// Whether the run may end without a value here, at a node without outputs.
-    pub may_stay_empty: bool,
 }
 
 /// An output of a plan's node.

@@ -24,8 +24,6 @@ pub(super) struct Input {
     pub(super) capacity: usize,
     pub(super) max_bytes: u64,
     pub(super) policy: Policy,
-    /// Whether the graph says that the node may get nothing here.
-    pub(super) may_stay_empty: bool,
 }
 
 /// A wire to an input.
@@ -86,7 +84,6 @@ impl Check<'_> {
             capacity: DEFAULT_CAPACITY,
             max_bytes: DEFAULT_MAX_BYTES,
             policy: Policy::Block,
-            may_stay_empty: false,
         };
         let mut inputs: Vec<_> = ports.iter().map(blank).collect();
         let Some(table) = parsed_node.table.get("in") else { return inputs };
@@ -106,7 +103,7 @@ impl Check<'_> {
                 Some(index) => {
                     let input = &mut inputs[index];
                     input.wires = wires;
-                    self.options(input, entry, &owner, parsed_node, parsed_nodes, header);
+                    self.options(input, entry, &owner, parsed_nodes, header);
                     self.several(input, entry, &owner, parsed_nodes);
                     self.fits(input, &owner, parsed_nodes);
                     self.previous(input, entry, &owner);

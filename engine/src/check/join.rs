@@ -9,7 +9,7 @@ use crate::{
     graph::{Entry, Spanned, Value, extract::Section, grammar, header::Header},
     plan::Policy,
 };
-use osteoflow_node::{Join, OutputPorts, PortPayload, Role};
+use osteoflow_node::{Join, PortPayload, Role};
 
 /// Most items that wait on a wire: queues count twice as many.
 const MAX_CAPACITY: u64 = (usize::MAX / 2) as u64;
@@ -21,7 +21,6 @@ impl Check<'_> {
         input: &mut Input,
         entry: &Entry,
         owner: &str,
-        parsed_node: &ParsedNode<'_>,
         parsed_nodes: &[ParsedNode<'_>],
         header: &Header,
     ) {
@@ -32,18 +31,6 @@ impl Check<'_> {
         input.capacity = table.whole("capacity", MAX_CAPACITY, &mut self.faults).unwrap_or(input.capacity);
         input.max_bytes = table.bytes("max_bytes", &mut self.faults).unwrap_or(input.max_bytes);
         self.policy(input, &table, owner, parsed_nodes, header);
-        input.may_stay_empty = table.flag("optional", &mut self.faults);
-        let has_outputs = |node: &ParsedNode<'_>| {
-            node.kind
-                .is_some_and(|kind| !matches!(&kind.description.outputs, OutputPorts::Fixed(ports) if ports.is_empty()))
-        };
-        if let Some(optional) = table.get("optional").filter(|_| input.may_stay_empty && has_outputs(parsed_node)) {
-            let fault =
-                Fault::new(format!("{owner} is of a node with outputs, which gives empty items where it gets nothing"));
-            let help =
-                "take optional away; [results] and the inputs of nodes without outputs say what a run may end without";
-            self.faults.push(fault.at(&optional.key_at, "only of a node without outputs").help(help));
-        }
     }
 
     fn join(&mut self, input: &mut Input, table: &Section<'_>, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {

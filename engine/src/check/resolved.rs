@@ -119,7 +119,6 @@ fn wired(input: &Input, from: &str) -> String {
         Policy::Sample(n) => format!("\"sample\", every = {n}"),
     };
     parts.push(format!("policy = {policy}"));
-    parts.extend(input.may_stay_empty.then(|| "optional = true".to_owned()));
     format!("{{ {} }}", parts.join(", "))
 }
 

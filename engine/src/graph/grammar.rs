@@ -139,7 +139,6 @@ pub(crate) static INPUT: Keys = LazyLock::new(|| {
         "max_bytes": { "type": ["integer", "string"], "minimum": 1, "description": "How many bytes wait on the wire at most: a number, or a text such as \"64 MiB\"." },
         "policy": { "enum": ["block", "drop_old", "drop_new", "sample", "fail"], "description": "What happens to an item that finds the wire full." },
         "every": { "type": "integer", "minimum": 1, "description": "With sample: one item in this many is kept." },
-        "optional": { "type": "boolean", "default": false, "description": "Of a node without outputs: whether the run may end without a value here. Otherwise a run in which no input brings one is refused." },
         "join": { "enum": JOINS, "description": "How items are chosen for a firing. Default: as the kind declares it." },
         "tolerance_ms": { "type": "number", "minimum": 0, "description": "With stamp: the largest difference of stamps." },
         "after_ms": { "type": "number", "minimum": 0, "description": "With latest: how long after the firing stamp an item may be. Default: 0." },

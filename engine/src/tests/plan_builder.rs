@@ -81,7 +81,7 @@ impl PlanBuilder {
                 let policy = Policy::Block;
                 self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_bytes: 1 << 20, policy });
             }
-            plan_inputs.push(PlanInput { port, links, may_stay_empty: false });
+            plan_inputs.push(PlanInput { port, links });
         }
         self.push(name, kind, params, Arc::from([]), outputs, plan_inputs);
         self
@@ -142,6 +142,15 @@ impl PlanBuilder {
         let node = self.plan.node(node).unwrap();
         let input = self.plan.nodes[node].inputs.iter().find(|i| i.port.name == port).unwrap();
         change(&mut self.plan.links[input.links[0]]);
+        self
+    }
+
+    /// Declares the output of a source to be optional.
+    pub(crate) fn optional(mut self, node: &str, port: usize) -> Self {
+        let node = self.plan.node(node).unwrap();
+        let mut declared = self.plan.nodes[node].declared.to_vec();
+        declared[port].params = json!({ "optional": true });
+        self.plan.nodes[node].declared = declared.into();
         self
     }
 
