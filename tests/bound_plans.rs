@@ -118,13 +118,14 @@ fn a_displaced_plan_is_doubtful_unless_it_is_bound_or_confirmed_and_aiming_is_a_
         assert_eq!(answer(&ran), "trusted", "{}", ran.results["verdict"]);
         assert!(assumes(&ran, "to which nothing binds it"), "{}", ran.results["verdict"]);
 
-        // Bound, all landmarks 8 mm off are aimed there: the pose does not follow them.
+        // Bound, all landmarks 8 mm off are aimed there: the pose does not follow them, and they contradict the surface.
         let (file, bound) = (plans.dir.path().join("aimed.json"), plans.dir.path().join("bound.json"));
         fs::write(&file, plans.aimed_off(along * 8.0).to_string()).unwrap();
         let done = bind(&file, &plans.case.bone, &bound);
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
         let ran = plans.run(&json(&bound), &[]);
-        assert_eq!(answer(&ran), "trusted", "{}", ran.results["verdict"]);
+        assert_eq!(answer(&ran), "doubtful", "{}", ran.results["verdict"]);
+        assert!(reason(&ran, "landmarks_contradict").is_some(), "{}", ran.results["verdict"]);
         assert!(assumes(&ran, "so they were aimed there"), "{}", ran.results["verdict"]);
         let found = crate::common::isometry(&ran.results["poses"]["t_ct_world"]["matrix"]);
         let truth = plans.case.t_world_ct().inverse();

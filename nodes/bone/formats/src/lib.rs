@@ -67,7 +67,6 @@ mod ply;
 mod png;
 pub mod pose_file;
 pub mod pose_log;
-pub mod poses_csv;
 pub mod recording_write;
 mod refused;
 pub mod region_file;
@@ -85,6 +84,7 @@ pub mod write;
 
 pub use error::FileError;
 pub use lost::{LostPose, PoseError};
+pub use pose_log::poses_csv;
 pub use space::Space;
 pub use spellings::{Spellings, without_slash};
 pub use stamp_order::StampOrder;

@@ -15,6 +15,7 @@
 
 mod columns;
 mod ndi;
+pub mod poses_csv;
 mod sequence;
 mod stamp;
 mod stamp_unit;
@@ -25,7 +26,7 @@ pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
 pub use write_tum::write_tum;
 
 use crate::{
-    FileError, LostPose, Sign, Spellings, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage, poses_csv,
+    FileError, LostPose, Sign, Spellings, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage,
     refused::refusal,
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};

@@ -53,8 +53,13 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
     let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
-    let assumed =
-        takes.trust_ends.iter().cloned().chain(assumed).chain(takes.assumptions).chain(devices).chain(last).collect();
+    let assumed = assumed
+        .into_iter()
+        .chain(takes.assumptions)
+        .chain(takes.trust_ends.clone())
+        .chain(devices)
+        .chain(last)
+        .collect();
     let trust_ends = takes.trust_ends;
     Verdict { trust_ends, ..Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances) }
 }

@@ -3,12 +3,12 @@
 //! # Source
 //! The descriptions of the three data sets, and the readers of evo (`evo/tools/file_interface.py`).
 
-use super::{Log, LogFormat, LogOptions, Sample, Turn, ndi, stamp::nanoseconds};
+use super::{Log, LogFormat, LogOptions, Sample, Turn, ndi, poses_csv, stamp::nanoseconds};
 use crate::{
     FileError,
     columns::Row,
     cursor::{Cursor, is_text},
-    input, poses_csv,
+    input,
     scalar::number,
 };
 use nalgebra::{Matrix3, Quaternion, Vector3};

@@ -3,7 +3,6 @@
 use super::{
     playback::{Event, Playback, in_order},
     procedure_ports::{ProcedureOut, ProcedurePort},
-    sifted::{PoseStreamParams, Sign, emission, sifted},
 };
 use crate::own_bone::OwnBone;
 use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
@@ -54,9 +53,7 @@ impl Source for Simulated {
             let Params { own, procedure } = &self.params;
             let subject = own.subject(&procedure.bone)?;
             let procedure = Procedure::simulate_for(&subject, procedure, ctx.seed())?;
-            let (events, signs) = events(procedure);
-            signs.into_iter().for_each(|(rule, sign)| ctx.sign(rule, sign));
-            self.playback = Some(in_order(events));
+            self.playback = Some(in_order(events(procedure)));
         }
         let Some(event) = self.playback.as_mut().and_then(Iterator::next) else { return Ok(None) };
         ctx.set_stamp_ns(event.stamp_ns);
@@ -64,8 +61,8 @@ impl Source for Simulated {
     }
 }
 
-fn events(procedure: Procedure) -> (Vec<Event<Emission>>, Vec<Sign>) {
-    let mut events = Events(Vec::new(), Vec::new());
+fn events(procedure: Procedure) -> Vec<Event<Emission>> {
+    let mut events = Events(Vec::new());
     let start_ns = procedure.camera_marker.first().map_or(0, |pose| pose.stamp_ns);
     let truth = procedure.truth;
     events.add(ProcedurePort::Simulated, start_ns, Emission::value(Flag(true)));
@@ -122,11 +119,10 @@ fn events(procedure: Procedure) -> (Vec<Event<Emission>>, Vec<Sign>) {
     }
     events.poses(ProcedurePort::StylusPivoting, procedure.stylus_pivoting);
     events.poses(ProcedurePort::StylusMarker, procedure.stylus_marker);
-    (events.0, events.1)
+    events.0
 }
 
-/// What the ports give, and the signs in it.
-struct Events(Vec<Event<Emission>>, Vec<Sign>);
+struct Events(Vec<Event<Emission>>);
 
 impl Events {
     fn add(&mut self, port: ProcedurePort, stamp_ns: StampNs, body: Emission) {
@@ -138,9 +134,7 @@ impl Events {
     }
 
     fn poses(&mut self, port: ProcedurePort, poses: Vec<Pose>) {
-        let (poses, signs) = sifted(poses, &PoseStreamParams::default());
-        poses.into_iter().map(emission).for_each(|(stamp_ns, body)| self.add(port, stamp_ns, body));
-        self.1.extend(signs);
+        poses.into_iter().for_each(|pose| self.add(port, pose.stamp_ns, Emission::value(pose)));
     }
 
     /// One item for each point, as a stylus gives them.

@@ -10,9 +10,9 @@
 //! the quaternion's scalar last. `t_ns` is nanoseconds; 0 is for a constant pose. A row without numbers, or with NaN or an
 //! all-zero quaternion, means that the marker was not seen. Columns may be in any order; further ones are ignored.
 
+use super::{Log, LogFormat, PoseLog};
 use crate::{
     FileError, LostPose, input,
-    pose_log::{Log, LogFormat, PoseLog},
     table::{self, Row, Table},
 };
 use nalgebra::{Isometry3, Quaternion, Translation3};
