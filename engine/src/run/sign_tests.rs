@@ -129,10 +129,10 @@ fn signing(numbers: &[f64], sign: bool) -> PlanBuilder {
 
 const EXPECTED: [&str; 5] = [
     "scan script_wrong 0 x4: the stamps are in ms",
-    "first number_negative 1 x2: -2 is below 0",
-    "first number_negative 2 x1: -3 is below 0",
-    "last number_negative 1 x2: -2 is below 0",
-    "last number_negative 2 x1: -3 is below 0",
+    "first number_negative 1 x2: -2 is below -1",
+    "first number_negative 2 x1: -3 is below -1",
+    "last number_negative 1 x2: -2 is below -1",
+    "last number_negative 2 x1: -3 is below -1",
 ];
 
 #[test]
@@ -143,7 +143,7 @@ fn signs_are_listed_by_node_and_item_each_once_on_any_number_of_workers() {
     let warnings: Vec<_> = report.warnings.iter().filter(|w| w.node == "last").map(|w| w.message.as_str()).collect();
     assert_eq!(
         warnings,
-        ["-2 is below 0 [number_negative]", "-3 is below 0 [number_negative]", "-2 is below 0 [number_negative]"]
+        ["-2 is below -1 [number_negative]", "-3 is below -1 [number_negative]", "-2 is below -1 [number_negative]"]
     );
 }
 
@@ -161,7 +161,7 @@ fn a_node_that_warns_often_hides_no_sign() {
     let report = report(&signing(&numbers, false).plan());
     assert_eq!(
         short(&report.results),
-        ["first number_negative 299 x1: -2 is below 0", "last number_negative 299 x1: -2 is below 0"]
+        ["first number_negative 299 x1: -2 is below -1", "last number_negative 299 x1: -2 is below -1"]
     );
 }
 
@@ -180,7 +180,7 @@ impl Observer for StopAtWarning {
 fn runs_that_fail_or_are_stopped_list_the_signs_too() {
     let failed = report(&signing(&[-2.0, 13.0, 1.0], true).plan());
     assert!(matches!(failed.outcome, Outcome::Refused(_)) && failed.results["refused"].is_object());
-    assert_eq!(short(&failed.results)[1], "first number_negative 0 x1: -2 is below 0");
+    assert_eq!(short(&failed.results)[1], "first number_negative 0 x1: -2 is below -1");
 
     let calls = json!([{ "stamp_ns": 1, "give": [[0, 1.0]], "sign": "odd" }, { "stamp_ns": 2, "give": [[0, 1.0]], "device": "waits for the stop" }]);
     let plan = PlanBuilder::new().source("scan", "toy.live", 1, json!({ "calls": calls })).plan();
@@ -227,7 +227,7 @@ fn a_replay_has_the_signs_of_the_sources_that_it_plays_and_of_the_nodes_that_it_
 fn a_replay_that_no_longer_finds_a_sign_differs() {
     let dir = tempfile::tempdir().unwrap();
     let (_, mut recording) = recorded(&signing(&[1.0, -2.0], true).plan(), dir.path());
-    recording.results.as_mut().unwrap()["reasons"][1]["reason"] = "-7 is below 0".into();
+    recording.results.as_mut().unwrap()["reasons"][1]["reason"] = "-7 is below -1".into();
     let again = replayed(&signing(&[1.0, -2.0], true).plan(), &recording, None, 1);
     assert_eq!(again.results_equal, Some(false));
 }
