@@ -53,14 +53,14 @@ impl ItemKeeper {
 
     /// Combines the outcome of the run with the kept items.
     pub(crate) fn finish(self, ended: RunOutcome, saved: Saved) -> Finished {
-        let wire = |(((_, items), n_items), n_values): (((Keep, Mutex<Vec<Item>>), &u64), &u64)| WireItems {
-            n_items: *n_items,
-            n_values: *n_values,
+        let wire = |node: usize, port: usize, items: Mutex<Vec<Item>>| WireItems {
+            n_items: ended.n_items[node][port],
+            n_values: ended.n_values[node][port],
             items: items.into_inner().unwrap_or_else(PoisonError::into_inner),
         };
-        let outputs = self.0.into_iter().zip(&ended.n_items).zip(&ended.n_values);
-        let outputs =
-            outputs.map(|((kept, n_items), n_values)| kept.into_iter().zip(n_items).zip(n_values).map(wire).collect());
+        let outputs = self.0.into_iter().enumerate().map(|(node, kept)| {
+            kept.into_iter().enumerate().map(|(port, (_, items))| wire(node, port, items)).collect()
+        });
         let outputs = outputs.collect();
         Finished { ended, outputs, saved }
     }

@@ -139,7 +139,7 @@ const EXPECTED: [&str; 5] = [
 fn signs_are_listed_by_node_and_item_each_once_on_any_number_of_workers() {
     let report = report(&signing(&[1.0, -2.0, -3.0, -2.0], true).plan());
     assert_eq!(short(&report.results), EXPECTED);
-    assert_eq!(report.results.as_object().unwrap().keys().last().unwrap(), "reasons");
+    assert_eq!(report.results.as_object().unwrap().keys().next_back().unwrap(), "reasons");
     let warnings: Vec<_> = report.warnings.iter().filter(|w| w.node == "last").map(|w| w.message.as_str()).collect();
     assert_eq!(
         warnings,
