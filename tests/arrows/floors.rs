@@ -54,6 +54,7 @@ const CRATES: &[(&str, Floors)] = &[
         &[
             &["activity", "histogram", "join", "names", "panics", "plan", "sync"],
             &["channel", "inject", "report", "scheduler"],
+            &["sign"],
             &["messages", "outcome", "tap"],
             &["latency"],
             &["runtime"],
