@@ -38,7 +38,8 @@ impl Passes {
     fn at(&self, s: f64) -> f64 {
         let near = self.moments_s.iter().min_by(|a, b| (**a - s).abs().total_cmp(&(**b - s).abs()));
         let off_s = near.map_or(0.0, |moment| s - moment);
-        let back_s = (self.half_s * (Self::REACH_S - off_s.abs()) / (Self::REACH_S - self.half_s)).clamp(0.0, self.half_s);
+        let back_s =
+            (self.half_s * (Self::REACH_S - off_s.abs()) / (Self::REACH_S - self.half_s)).clamp(0.0, self.half_s);
         if off_s.abs() <= self.half_s { off_s } else { back_s * off_s.signum() }
     }
 

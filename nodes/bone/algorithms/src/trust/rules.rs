@@ -77,6 +77,10 @@ pub struct RuleParams {
     /// than noise explains, mm. 1: as much smears a scan by two thirds of a limit.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_moved_mm: f64,
+    /// Time that a scan takes where neither its points nor `duration_s` of `transform.to_world` say it, s: what the markers moved in such a
+    /// time shears it. 2: longer than structured light takes (0.1 to 1), and a line that is swept by hand over 100 mm at 50 mm/s.
+    #[schemars(range(min = 0.0, max = 60.0))]
+    pub assumed_scan_s: f64,
 }
 
 impl Default for RuleParams {
@@ -98,6 +102,7 @@ impl Default for RuleParams {
             max_common_shift_mm: 3.0,
             max_latency_s: 0.1,
             max_moved_mm: 1.0,
+            assumed_scan_s: 2.0,
         }
     }
 }

@@ -188,7 +188,8 @@ impl Scene<'_> {
         let sight = Sight { lumps: tissue, ..self.sight(&stretch) };
         let at = |from_stamp_s: f64| self.t_ct_camera(s + from_stamp_s);
         let camera = &self.params.camera;
-        let sweep = Sweep { duration_s: camera.scan_s, direction_rad: camera.sweep_deg.to_radians(), t_object_camera: &at };
+        let sweep =
+            Sweep { duration_s: camera.scan_s, direction_rad: camera.sweep_deg.to_radians(), t_object_camera: &at };
         let mut pixels = view(&sight, &at(0.0), camera, bias, Some(&sweep).filter(|sweep| sweep.duration_s > 0.0));
         if !pixels.iter().any(|p| p.on_object) {
             let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
