@@ -31,7 +31,9 @@ impl Scene<'_> {
         let scans: Vec<(f64, f64)> = (0..=n_laser).map(|k| burst(SCAN_S + k as f64 * LASER_EVERY_S)).collect();
         let calibration = [burst(CALIBRATION_S)];
         let camera_spans = [&calibration[..], &scans].concat();
-        let bone_spans = [&scans[..], &[(self.touches_s - 0.5, self.end_s())]].concat();
+        let scanned_s = scans.last().map_or(0.0, |(_, to_s)| *to_s);
+        let touches = ((self.touches_s - 0.5).max(scanned_s + 1e-6), self.end_s());
+        let bone_spans = [&scans[..], &[touches]].concat();
         let on_camera =
             |s: f64| if s < KNOCK_S { self.t_camera_camera_marker } else { self.t_camera_camera_marker_knocked };
         let on_phantom = |_| self.t_phantom_phantom_marker;

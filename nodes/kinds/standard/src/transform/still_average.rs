@@ -49,14 +49,14 @@ pub struct Params {
     /// more. 0.05 degrees: five times an optical tracker's noise.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub still_deg: f64,
-    /// Length of the path, s. 5: a slow sweep by hand, and a second after it.
+    /// Length of the path, s. 6: a slow sweep by hand, of 3 s before its stamp or after it.
     #[schemars(range(min = 0.0, max = 60.0))]
     pub path_s: f64,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { window_ms: 500.0, still_mm: 0.1, still_deg: 0.05, path_s: 5.0 }
+        Self { window_ms: 500.0, still_mm: 0.1, still_deg: 0.05, path_s: 6.0 }
     }
 }
 

@@ -40,8 +40,8 @@ pub struct In {
     pub(super) tracked: Option<Flag>,
     /// How the camera's marker moved while the cloud was taken, from `transform.to_world`.
     pub(super) take_motion: Option<TakeMotion>,
-    /// Where the marker was while the cloud was taken, from `transform.still_average`: up to a second after its stamp, or `after_ms`.
-    #[port(join = "latest", after_ms = 1000.0)]
+    /// Where the marker was while the cloud was taken, from `transform.still_average`: up to 3 s after its stamp, or `after_ms`.
+    #[port(join = "latest", after_ms = 3000.0)]
     pub(super) path: Option<MarkerPath>,
 }
 
@@ -66,14 +66,18 @@ impl Function for ToBoneMarker {
 
     fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
-        let pose = pose_at(&i.cloud.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
-        let to_bone = pose.inverse();
+        let mut pose = pose_at(&i.cloud.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;
         // The world itself is no marker.
-        let on_bone = Some(&pose.isometry).filter(|_| pose.to != pose.from);
-        let path = i.path.filter(|_| on_bone.is_some());
-        let mut take_motion = i.take_motion.unwrap_or_else(|| TakeMotion::new(what));
+        let path = i.path.filter(|_| pose.to != pose.from);
         let has_times = i.cloud.extras().iter().any(|(name, _)| &**name == POINT_TIME);
         let times = if has_times { point_times(&i.cloud, PointTimeUnit::S).ok().flatten() } else { None };
+        // An average lags behind a marker that moves, and points with poses of their own do not.
+        if let Some(at_stamp) = path.as_ref().zip(times.as_ref()).and_then(|(p, _)| p.at(i.cloud.stamp_ns, 0).ok()) {
+            pose.isometry = at_stamp;
+        }
+        let to_bone = pose.inverse();
+        let on_bone = Some(&pose.isometry).filter(|_| pose.to != pose.from);
+        let mut take_motion = i.take_motion.unwrap_or_else(|| TakeMotion::new(what));
         let by = Carried { marker: "bone", path: path.as_ref(), times: times.as_ref(), t_at_stamp: &to_bone };
         let (cloud, is_undone) = by.cloud(&i.cloud, |marker| marker.inverse())?;
         match take_motion.time.as_mut().filter(|_| is_undone) {
