@@ -198,9 +198,12 @@ fn judge_island(
     judged.jumps.extend(linked.jumps.into_iter().map(|(index, cause)| (island[index], cause)));
     // Where many disagree, nothing says which are right.
     let seconds_at: Vec<f64> = samples.iter().map(|(stamp_ns, _)| seconds(*stamp_ns - samples[0].0)).collect();
+    let end_s = seconds_at.last().copied().unwrap_or(0.0);
     for (k, index) in island.iter().enumerate() {
-        let from = seconds_at.partition_point(|s| *s < seconds_at[k] - WINDOW_S);
-        let to = seconds_at.partition_point(|s| *s <= seconds_at[k] + WINDOW_S);
+        // At an end the window lies within the samples.
+        let from_s = (seconds_at[k] - WINDOW_S).min(end_s - 2.0 * WINDOW_S).max(0.0);
+        let from = seconds_at.partition_point(|s| *s < from_s);
+        let to = seconds_at.partition_point(|s| *s <= from_s + 2.0 * WINDOW_S);
         let off = linked.out[from..to].iter().flatten().filter(|cause| cause.kind != Kind::Unconfirmed);
         let (n_off, n) = (off.clone().count(), to - from);
         if n_off >= N_JUDGED && n_off as f64 >= AMBIGUOUS * n as f64 && judged.out[*index].is_none() {

@@ -23,6 +23,9 @@ pub(super) struct Linked {
     pub(super) jumps: Vec<(usize, Cause)>,
 }
 
+/// Shares of the time between two parts at which the motion of one goes over into that of the other.
+const MEETS_AT: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+
 /// Number of samples by which a track may reach into the next: where a motion begins, a sample may fit both.
 const N_OVERLAP: usize = 3;
 
@@ -88,6 +91,7 @@ fn heaviest(tracks: &[Part]) -> Vec<Part> {
         parts.push(part);
         at = best[track].1;
     }
+    parts.retain(|part| !part.is_empty());
     parts.reverse();
     parts
 }
@@ -96,6 +100,10 @@ fn heaviest(tracks: &[Part]) -> Vec<Part> {
 fn overlap(first: &Part, second: &Part) -> (usize, usize) {
     let (begin, end) = (second[0], first[first.len() - 1]);
     (first.partition_point(|k| *k < begin), second.partition_point(|k| *k <= end))
+}
+
+fn outweighs(n: usize, other: usize) -> bool {
+    n >= N_OUTWEIGHS && n >= OUTWEIGHS * other
 }
 
 struct Links<'a> {
@@ -107,7 +115,7 @@ impl Links<'_> {
     /// Takes off what the last samples alone say.
     fn leave_unconfirmed(&self, parts: &mut Vec<Part>) {
         while let [.., before, last] = &parts[..] {
-            if self.is_confirmed(before, last) {
+            if self.is_confirmed(before, last) || self.is_back(&parts[..parts.len() - 2], last) {
                 return;
             }
             parts.pop();
@@ -122,12 +130,24 @@ impl Links<'_> {
         rests || motion.over(&self.scales.noise.max(step)) > 1.0
     }
 
+    /// Whether a part begins where one before it ended.
+    fn is_back(&self, before: &[Part], part: &Part) -> bool {
+        let shaken = self.scales.by_hand(part[0], 0.0);
+        let ends = before.iter().filter_map(|part| part.last());
+        ends.into_iter().any(|end| deviation(&self.samples[part[0]].1, &self.samples[*end].1).over(&shaken) <= 1.0)
+    }
+
     /// Joins the parts between which a hand moves the marker, and leaves out those that the others outweigh; gives the samples of parts
     /// that contradict each other with nothing to choose between them.
     fn join(&self, parts: &mut Vec<Part>) -> Vec<usize> {
         let mut contradicted = Vec::new();
         let mut at = 0;
         while at + 1 < parts.len() {
+            if self.is_astray(&parts[at..]) {
+                parts.remove(at + 1);
+                at = 0;
+                continue;
+            }
             if self.is_by_hand(&parts[at], &parts[at + 1]) {
                 let next = parts.remove(at + 1);
                 parts[at].extend(next);
@@ -136,7 +156,6 @@ impl Links<'_> {
             }
             let (stays, other_stays) = (self.stays(&parts[at]), self.stays(&parts[at + 1]));
             let (n, n_other) = (parts[at].len(), parts[at + 1].len());
-            let outweighs = |n: usize, other: usize| n >= N_OUTWEIGHS && n >= OUTWEIGHS * other;
             match (stays, other_stays) {
                 (true, true) => {
                     at += 1;
@@ -151,6 +170,17 @@ impl Links<'_> {
         contradicted
     }
 
+    /// Whether of the first three parts the second, which the others outweigh, leads from the first but not to the third, and the first does.
+    fn is_astray(&self, parts: &[Part]) -> bool {
+        let [before, part, after, ..] = parts else { return false };
+        self.stays(before)
+            && self.stays(after)
+            && outweighs(before.len().min(after.len()), part.len())
+            && self.is_by_hand(before, after)
+            && self.is_by_hand(before, part)
+            && !self.is_by_hand(part, after)
+    }
+
     fn stays(&self, part: &Part) -> bool {
         part.len() >= N_STAYS && self.span_s(part) >= STAYS_S
     }
@@ -162,13 +192,16 @@ impl Links<'_> {
         }
     }
 
-    /// Whether the velocities at the end of one part and at the begin of the next meet half-way.
+    /// Whether the velocities at the end of one part and at the begin of the next meet somewhere between them.
     fn is_by_hand(&self, before: &Part, after: &Part) -> bool {
         let (Some(&from), Some(&to)) = (before.last(), after.first()) else { return false };
         let gap_s = seconds(self.samples[to].0 - self.samples[from].0);
-        let led = self.led(before.iter().rev(), gap_s / 2.0);
-        let back = self.led(after.iter(), gap_s / 2.0);
-        deviation(&led, &back).over(&self.scales.by_hand(to, gap_s)) <= 1.0
+        let by_hand = self.scales.by_hand(to, gap_s);
+        MEETS_AT.iter().any(|share| {
+            let led = self.led(before.iter().rev(), gap_s * share);
+            let back = self.led(after.iter(), gap_s * (1.0 - share));
+            deviation(&led, &back).over(&by_hand) <= 1.0
+        })
     }
 
     /// Where the first of these samples is led by the one after it, away from that.

@@ -11,6 +11,9 @@ const TOLERANCE_SDS: f64 = 4.0;
 /// Number of samples at the end of a track that lead on.
 const N_LEAD: usize = 2;
 
+/// Number of samples of another track between two of one, from which it may have been left.
+const N_LEFT: usize = 3;
+
 /// The numbers of samples that lead from one to the next, each in one track.
 pub(super) fn tracks(samples: &[Sample], scales: &Scales) -> Vec<Vec<usize>> {
     let mut tracks: Vec<Vec<usize>> = Vec::new();
@@ -39,7 +42,20 @@ pub(super) fn tracks(samples: &[Sample], scales: &Scales) -> Vec<Vec<usize>> {
         }
     }
     tracks.extend(firsts);
-    tracks
+    split(&tracks, samples.len())
+}
+
+/// The tracks, ended where another goes on for some samples before they go on: whether the marker was on that other one is for both to say.
+fn split(tracks: &[Vec<usize>], n: usize) -> Vec<Vec<usize>> {
+    let mut track_of = vec![0; n];
+    for (track, samples) in tracks.iter().enumerate() {
+        samples.iter().for_each(|k| track_of[*k] = track);
+    }
+    let is_left = |a: &usize, b: &usize| {
+        let between = &track_of[a + 1..*b];
+        between.iter().any(|track| between.iter().filter(|other| *other == track).count() >= N_LEFT)
+    };
+    tracks.iter().flat_map(|track| track.chunk_by(|a, b| !is_left(a, b)).map(<[usize]>::to_vec)).collect()
 }
 
 /// Where a track leads a sample.

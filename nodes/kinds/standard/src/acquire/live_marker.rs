@@ -61,3 +61,57 @@ impl LiveMarker {
         (!is_bridged).then_some(Emission::Empty(reason))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::nalgebra::{Isometry3, Vector3};
+
+    const MS: StampNs = 1_000_000;
+
+    /// What is given for positions at 20 Hz, and the rules that told something.
+    fn given(x: impl Fn(usize) -> f64, n: usize) -> (Vec<Option<Result<f64, String>>>, Vec<&'static str>) {
+        let (mut marker, mut signs) = (LiveMarker::default(), Vec::new());
+        let one = |k: usize| {
+            let noise = 0.02 * ((k * 7919 % 101) as f64 / 50.0 - 1.0);
+            let pose = Pose::new(
+                "world",
+                "bone_marker",
+                Isometry3::new(Vector3::new(300.0 + x(k) + noise, noise, 0.0), Vector3::z()),
+            );
+            let emission =
+                marker.take("t", pose.at(1000 * MS + 50 * MS * k as StampNs), &MotionLimits::default(), &mut signs)?;
+            Some(match emission {
+                Emission::Value(value) => {
+                    Ok(value.get::<Pose>().expect("a pose").isometry.translation.x - 300.0 - noise)
+                }
+                Emission::Empty(reason) => Err(reason),
+                _ => panic!("a pose or an empty"),
+            })
+        };
+        let given = (0..n).map(one).collect();
+        (given, signs.into_iter().map(|(rule, _)| rule).collect())
+    }
+
+    #[test]
+    fn a_spike_is_not_given_and_a_burst_makes_the_marker_unknown_after_100_ms() {
+        let (one, signs) = given(|k| if k == 60 { 20.0 } else { 0.0 }, 100);
+        assert!(one[60].is_none() && one.iter().flatten().all(|x| x.as_ref().is_ok_and(|x| x.abs() < 1e-9)));
+        assert_eq!(signs, Vec::<&str>::new(), "it may have been the begin of a motion");
+        let (five, signs) = given(|k| if (60..65).contains(&k) { 20.0 } else { 0.0 }, 100);
+        let unknown: Vec<usize> = (0..100).filter(|k| matches!(five[*k], Some(Err(_)))).collect();
+        assert_eq!((unknown, signs), (vec![62, 63, 64], vec!["marker_unconfirmed"]));
+        assert!((65..100).all(|k| five[k].as_ref().is_some_and(Result::is_ok)));
+    }
+
+    #[test]
+    fn a_motion_of_300_mm_per_s_is_given_from_its_third_sample_on_and_a_jump_after_a_second() {
+        let (moving, signs) = given(|k| 15.0 * k.saturating_sub(59) as f64, 100);
+        let missing: Vec<usize> = (0..100).filter(|k| !matches!(moving[*k], Some(Ok(_)))).collect();
+        assert!(missing.iter().all(|k| (60..63).contains(k)) && signs.is_empty(), "{missing:?}, {signs:?}");
+        let (jump, signs) = given(|k| if k < 60 { 0.0 } else { 80.0 }, 120);
+        let first = (60..120).find(|k| matches!(jump[*k], Some(Ok(_)))).expect("it is taken again");
+        assert!((80..=82).contains(&first) && (first..120).all(|k| matches!(jump[k], Some(Ok(_)))), "{first}");
+        assert_eq!(signs, ["marker_unconfirmed", "marker_jump"]);
+    }
+}

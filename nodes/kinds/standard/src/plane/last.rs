@@ -83,3 +83,48 @@ fn jumped(stamp_ns: i64, cause: &Cause) -> String {
         cause.rad.to_degrees()
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::nalgebra::{Isometry3, Vector3};
+
+    /// The last planes and the last known ones, of a plane whose place at 20 Hz is this; `None` where its marker is lost.
+    fn last(x: impl Fn(usize) -> Option<f64>, n: usize) -> (Result<f64, String>, f64) {
+        let one = |k: usize| {
+            let noise = 0.02 * ((k * 7919 % 101) as f64 / 50.0 - 1.0);
+            let stamp_ns = 1_000_000_000 + 50_000_000 * k as i64;
+            let at = |x: f64| Plane::new("cut", Isometry3::new(Vector3::new(x + noise, 0.0, 9.0), Vector3::zeros()));
+            let planes = Planes::new("world", vec![at(x(k).unwrap_or(0.0))]).at(stamp_ns);
+            Some(if x(k).is_some() { planes } else { planes.unknown("world", stamp_ns, "the marker is hidden") })
+        };
+        let mut ctx = Context::for_test("last");
+        let i = In { planes: (0..n).map(one).collect() };
+        let out = Last::process(&MotionLimits::default(), i, &mut ctx).unwrap();
+        let (Emit::Value(planes), Emit::Value(known)) = (out.planes, out.known) else {
+            panic!("planes that were known")
+        };
+        let x = |plane: &Plane| plane.isometry().map(|t| t.translation.x.round());
+        let why = match &planes.planes[0].place {
+            PlanePlace::Unknown(why) => Err(why.to_string()),
+            PlanePlace::Known(_) => Ok(x(&planes.planes[0]).unwrap_or_default()),
+        };
+        (why, x(&known.planes[0]).unwrap_or_default())
+    }
+
+    #[test]
+    fn the_last_planes_are_known_only_as_far_as_no_sign_speaks_against_them() {
+        assert_eq!(last(|_| Some(0.0), 80), (Ok(0.0), 0.0));
+        assert_eq!(last(|k| Some(15.0 * k.saturating_sub(40) as f64), 80), (Ok(585.0), 585.0), "carried at 300 mm/s");
+        let (why, known) = last(|k| (k < 70).then_some(0.0), 80);
+        assert_eq!((why.unwrap_err().as_str(), known), ("the marker is hidden", 0.0));
+        let (why, known) = last(|k| Some(if k == 79 { 20.0 } else { 0.0 }), 80);
+        assert!(why.unwrap_err().contains("no later ones confirm it") && known == 0.0);
+        let (why, known) = last(|k| Some(if k < 40 { 0.0 } else { 80.0 }), 80);
+        let why = why.unwrap_err();
+        assert!(
+            why.contains("moved the planes by 80.0 mm") && why.contains("faster than a hand") && known == 0.0,
+            "{why}"
+        );
+    }
+}
