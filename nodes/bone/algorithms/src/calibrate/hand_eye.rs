@@ -1,19 +1,17 @@
 //! Hand-eye calibration: the camera in its marker's frame, from poses of the marker and of a target that does not move.
 
-mod agreeing;
-mod causes;
 mod late;
-mod scale;
+mod misfit;
 mod signs;
 
+use super::inliers::{N_OF_START, inliers, selected};
 use super::interval::radius_90;
 use crate::Refusal;
-use agreeing::agreeing;
 pub use late::{hand_eye_late, hand_eye_pairs};
+use misfit::{in_scale, judged_mm, offsets_mm, with_scale, within_gate};
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
 };
-use scale::{in_scale, with_scale};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -63,45 +61,33 @@ pub struct HandEyeFit {
 }
 
 /// Residuals, observability and predicted error of a hand-eye calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct HandEyeReport {
     /// Number of pairs of poses used.
     pub n_poses: usize,
     /// Indices of the pairs that were left out, in order: the target was elsewhere, by far more than in the others.
-    #[serde(default)]
     pub outliers: Vec<usize>,
     /// Largest distance of the target in these from its mean place in the others, mm; 0 without any.
-    #[serde(default)]
     pub outlier_max_mm: f64,
     /// Largest such angle, radians.
-    #[serde(default)]
     pub outlier_max_rad: f64,
     /// Scale of the target's lengths beside those of the tracker, estimated beside the pose: 1 if right, 1.05 of a board whose squares
     /// are stated 5 % too large. The pose is that of scale 1.
-    #[serde(default)]
     pub scale: f64,
     /// Its standard deviation, by the same jackknife.
-    #[serde(default)]
     pub scale_sd: f64,
     /// RMS distance of the target from its mean place in that scale, mm.
-    #[serde(default)]
     pub scaled_rms_mm: f64,
     /// Distance between the camera in that scale and in scale 1, mm.
-    #[serde(default)]
     pub scaled_off_mm: f64,
     /// Distance between the camera and its marker, mm.
-    #[serde(default)]
     pub camera_mm: f64,
     /// Distance between the target and the origin of the tracker's frame, mm.
-    #[serde(default)]
     pub target_mm: f64,
-    /// RMS angle between the directions in which the camera saw the target, radians.
-    #[serde(default)]
-    pub target_wander_rad: f64,
-    /// RMS angle between the directions of the camera in the target's frame, radians: a camera keeps the target in view, so it is the
-    /// larger one.
-    #[serde(default)]
-    pub camera_wander_rad: f64,
+    /// How far the directions of the target from the camera spread (RMS), beside those of the camera from the target: less than 1 of a
+    /// camera that keeps its target in view.
+    pub view_ratio: f64,
     /// Number of motions between two of them that were used.
     pub n_motions: usize,
     /// RMS distance of the target from its mean place, as the calibration carries it to the tracker, mm.
@@ -121,10 +107,8 @@ pub struct HandEyeReport {
     /// Standard deviation of the rotation, RMS over its three directions, radians, likewise.
     pub rotation_sd_rad: f64,
     /// Radius about the translation of `t_camera_camera_marker` that holds its true value with a chance of 90 %, mm.
-    #[serde(default)]
     pub error_90_mm: f64,
     /// Angle about the rotation that holds it with that chance, radians.
-    #[serde(default)]
     pub error_90_rad: f64,
     /// Largest distance between the translations of this method and the two others, mm.
     pub others_mm: f64,
@@ -171,42 +155,29 @@ pub fn hand_eye(
     if let Some(index) = pairs.iter().position(|(marker, target)| !is_finite(marker) || !is_finite(target)) {
         return Err(Refusal::of(format!("pose {index} is not finite; drop it before calibrating")));
     }
-    check_turns(&pairs)?;
-    let is_kept = agreeing(&pairs);
-    let kept: Vec<Pair> = pairs.iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(pair, _)| *pair).collect();
-    check_turns(&kept)?;
-    let mut fit = fit(&kept, method)?;
-    let (home, turn) = home(&kept, &fit.t_marker_camera);
-    for (index, (marker, target)) in pairs.iter().enumerate().filter(|(index, _)| !is_kept[*index]) {
-        let at = marker * fit.t_marker_camera * target;
-        fit.report.outliers.push(index);
-        fit.report.outlier_max_mm = fit.report.outlier_max_mm.max((at.translation.vector - home).norm());
-        fit.report.outlier_max_rad = fit.report.outlier_max_rad.max(at.rotation.angle_to(&turn));
-    }
+    let is_kept = if n > N_OF_START + 1 {
+        inliers(&pairs, |used| offsets_mm(&pairs, used), judged_mm, within_gate)
+    } else {
+        vec![true; n]
+    };
+    let fit = fit(&pairs, &is_kept, method)?;
     fit.check(&pairs)?;
     Ok(fit)
 }
 
-fn check_turns(pairs: &[Pair]) -> Result<(), Refusal> {
-    let motions = motions(pairs);
-    if motions.len() >= 2 && axis_spread(&motions) >= LEAST_SPREAD {
-        return Ok(());
+fn fit(all: &[Pair], is_kept: &[bool], method: Method) -> Result<HandEyeFit, Refusal> {
+    let pairs = selected(all, is_kept);
+    let (n, motions) = (pairs.len(), motions(&pairs));
+    let max_turn_rad = motions.iter().map(|m| m.a.rotation.angle()).fold(0.0, f64::max);
+    let axis_spread = axis_spread(&motions);
+    if motions.len() < 2 || axis_spread < LEAST_SPREAD {
+        return Err(Refusal::of(format!(
+            "the camera was turned by up to {:.0} degrees, and about {}: its translation along that axis is left free; turn it by 30 \
+             degrees or more about two axes that are far from parallel",
+            max_turn_rad.to_degrees(),
+            if motions.len() < 2 { "no axis that can be told" } else { "one axis alone" }
+        )));
     }
-    Err(Refusal::of(format!(
-        "the camera was turned by up to {:.0} degrees, and about {}: its translation along that axis is left free; turn it by 30 \
-         degrees or more about two axes that are far from parallel",
-        max_turn_rad(&motions).to_degrees(),
-        if motions.len() < 2 { "no axis that can be told" } else { "one axis alone" }
-    )))
-}
-
-fn max_turn_rad(motions: &[Motion]) -> f64 {
-    motions.iter().map(|m| m.a.rotation.angle()).fold(0.0, f64::max)
-}
-
-fn fit(pairs: &[Pair], method: Method) -> Result<HandEyeFit, Refusal> {
-    let n = pairs.len();
-    let motions = motions(pairs);
     let fit = solution(method, &motions).ok_or_else(|| {
         Refusal::of(format!(
             "{method:?} has no answer for these motions; take another method, or turn the camera farther"
@@ -219,39 +190,42 @@ fn fit(pairs: &[Pair], method: Method) -> Result<HandEyeFit, Refusal> {
         others_mm = others_mm.max((other.translation.vector - fit.translation.vector).norm());
         others_rad = others_rad.max(other.rotation.angle_to(&fit.rotation));
     }
-    let spread = Spread::of(pairs, &fit, method);
+    let ([camera, marker, turn, scales], n_parts) = spread(&pairs, &fit, method);
+    let sd = |covariance: &Matrix3<f64>| (covariance.trace() / 3.0).sqrt();
     let (scaled, scale) = with_scale(fit.rotation, &motions).unwrap_or((fit, 1.0));
-    let in_scale: Vec<Pair> = pairs.iter().map(|(marker, target)| (*marker, in_scale(target, scale))).collect();
-    let (placed, squares) = placed(pairs, &fit);
-    let (home, turn) = home(pairs, &fit);
-    let turns: f64 = placed.iter().map(|t| t.rotation.angle_to(&turn).powi(2)).sum();
-    let targets: Vec<Isometry3<f64>> = pairs.iter().map(|(_, target)| *target).collect();
-    let cameras: Vec<Isometry3<f64>> = targets.iter().map(Isometry3::inverse).collect();
+    let (placed, home) = placed(&pairs, &fit);
+    let distances = |of: &[Isometry3<f64>], home: &Isometry3<f64>| -> Vec<f64> {
+        of.iter().map(|t| (t.translation.vector - home.translation.vector).norm_squared()).collect()
+    };
+    let (placed_scaled, home_scaled) = self::placed(&in_scale(&pairs, scale), &scaled);
+    let squares = distances(&placed, &home);
+    let turns: Vec<f64> = placed.iter().map(|t| t.rotation.angle_to(&home.rotation).powi(2)).collect();
+    let outliers: Vec<usize> = (0..all.len()).filter(|k| !is_kept[*k]).collect();
+    let off = |k: &usize| home.inverse() * all[*k].0 * fit * all[*k].1;
     Ok(HandEyeFit {
         t_marker_camera: fit,
         report: HandEyeReport {
             n_poses: n,
-            outliers: Vec::new(),
-            outlier_max_mm: 0.0,
-            outlier_max_rad: 0.0,
+            outlier_max_mm: outliers.iter().map(|k| off(k).translation.vector.norm()).fold(0.0, f64::max),
+            outlier_max_rad: outliers.iter().map(|k| off(k).rotation.angle()).fold(0.0, f64::max),
+            outliers,
             scale,
-            scale_sd: spread.scale_sd,
-            scaled_rms_mm: rms(&self::placed(&in_scale, &scaled).1),
+            scale_sd: scales.trace().sqrt(),
+            scaled_rms_mm: rms(&distances(&placed_scaled, &home_scaled)),
             scaled_off_mm: (scaled.translation.vector - fit.translation.vector).norm(),
             camera_mm: fit.translation.vector.norm(),
-            target_mm: home.norm(),
-            target_wander_rad: wander_rad(&targets),
-            camera_wander_rad: wander_rad(&cameras),
+            target_mm: home.translation.vector.norm(),
+            view_ratio: wander_rad(pairs.iter().map(|of| of.1)) / wander_rad(pairs.iter().map(|of| of.1.inverse())),
             n_motions: motions.len(),
             rms_mm: rms(&squares),
             max_mm: squares.iter().copied().fold(0.0, f64::max).sqrt(),
-            rms_rad: (turns / n as f64).sqrt(),
-            axis_spread: axis_spread(&motions),
-            max_turn_rad: max_turn_rad(&motions),
-            translation_sd_mm: sd(&spread.camera),
-            rotation_sd_rad: sd(&spread.turn),
-            error_90_mm: radius_90(&spread.marker, spread.n_parts as f64 - 1.0),
-            error_90_rad: radius_90(&spread.turn, spread.n_parts as f64 - 1.0),
+            rms_rad: rms(&turns),
+            axis_spread,
+            max_turn_rad,
+            translation_sd_mm: sd(&camera),
+            rotation_sd_rad: sd(&turn),
+            error_90_mm: radius_90(&marker, n_parts as f64 - 1.0),
+            error_90_rad: radius_90(&turn, n_parts as f64 - 1.0),
             others_mm,
             others_rad,
         },
@@ -262,24 +236,17 @@ fn rms(squares: &[f64]) -> f64 {
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
-/// The target in the tracker's frame at each pose, and its squared distances from its mean place, mm².
-fn placed(pairs: &[Pair], fit: &Isometry3<f64>) -> (Vec<Isometry3<f64>>, Vec<f64>) {
+/// The target in the tracker's frame at each pose, and its mean place and orientation.
+fn placed(pairs: &[Pair], fit: &Isometry3<f64>) -> (Vec<Isometry3<f64>>, Isometry3<f64>) {
     let placed: Vec<Isometry3<f64>> = pairs.iter().map(|(marker, target)| marker * fit * target).collect();
     let mean = placed.iter().map(|t| t.translation.vector).sum::<Vector3<f64>>() / pairs.len() as f64;
-    let squares = placed.iter().map(|t| (t.translation.vector - mean).norm_squared()).collect();
-    (placed, squares)
+    let home = Isometry3::from_parts(mean.into(), mean_rotation(&placed));
+    (placed, home)
 }
 
-/// The mean place and orientation of the target in the tracker's frame.
-fn home(pairs: &[Pair], fit: &Isometry3<f64>) -> (Vector3<f64>, UnitQuaternion<f64>) {
-    let placed = placed(pairs, fit).0;
-    (placed.iter().map(|t| t.translation.vector).sum::<Vector3<f64>>() / pairs.len() as f64, mean_rotation(&placed))
-}
-
-/// RMS angle between the directions of the origins of `poses` and their mean, radians.
-fn wander_rad(poses: &[Isometry3<f64>]) -> f64 {
-    let directions: Vec<Vector3<f64>> =
-        poses.iter().filter_map(|t| t.translation.vector.try_normalize(f64::EPSILON)).collect();
+/// RMS angle between the directions of the origins of poses and their mean, radians.
+fn wander_rad(poses: impl Iterator<Item = Isometry3<f64>>) -> f64 {
+    let directions: Vec<Vector3<f64>> = poses.map(|t| t.translation.vector.normalize()).collect();
     let mean: Vector3<f64> = directions.iter().sum();
     rms(&directions.iter().map(|direction| direction.angle(&mean).powi(2)).collect::<Vec<_>>())
 }
@@ -396,79 +363,45 @@ fn daniilidis(motions: &[Motion]) -> Option<Isometry3<f64>> {
     Some(Isometry3::from_parts(Translation3::from(t.vector().clone_owned()), UnitQuaternion::from_quaternion(real)))
 }
 
-/// Errors by a jackknife.
-struct Spread {
-    /// Covariance of the camera in its marker's frame, mm².
-    camera: Matrix3<f64>,
-    /// Of the marker in the camera's frame, mm².
-    marker: Matrix3<f64>,
-    /// Of the rotation, rad².
-    turn: Matrix3<f64>,
-    scale_sd: f64,
-    n_parts: usize,
-}
-
-impl Spread {
-    fn of(pairs: &[Pair], fit: &Isometry3<f64>, method: Method) -> Self {
-        let n_parts = N_PARTS.min(pairs.len());
-        let by_poses: Vec<usize> = (0..pairs.len()).map(|k| k * n_parts / pairs.len()).collect();
-        let without = |parts: &[usize]| Self::without(parts, pairs, fit, method);
-        // Without a part the others may not determine it: nothing is known of the error then.
-        let unknown = Matrix3::from_diagonal_element(f64::INFINITY);
-        stations(pairs).and_then(|parts| without(&parts)).or_else(|| without(&by_poses)).unwrap_or(Self {
-            camera: unknown,
-            marker: unknown,
-            turn: unknown,
-            scale_sd: f64::INFINITY,
-            n_parts,
-        })
-    }
-
-    /// `parts` has the number of the part of each pair, in order.
-    fn without(parts: &[usize], pairs: &[Pair], fit: &Isometry3<f64>, method: Method) -> Option<Self> {
-        let n_parts = parts.last()? + 1;
-        let without = |part: usize| {
-            let kept: Vec<Pair> =
-                pairs.iter().zip(parts).filter(|(_, of)| **of != part).map(|(pair, _)| *pair).collect();
-            let motions = motions(&kept);
-            let scale = with_scale(fit.rotation, &motions).map_or(1.0, |(_, scale)| scale);
-            Some((solution(method, &motions)?, scale))
-        };
-        let found = (0..n_parts).map(without).collect::<Option<Vec<_>>>()?;
-        let of = |value: &dyn Fn(&(Isometry3<f64>, f64)) -> Vector3<f64>| {
-            let mean = found.iter().map(value).sum::<Vector3<f64>>() / n_parts as f64;
-            let off = |of| value(of) - mean;
-            let sum: Matrix3<f64> = found.iter().map(|of| off(of) * off(of).transpose()).sum();
-            sum * ((n_parts - 1) as f64 / n_parts as f64)
-        };
-        Some(Self {
-            camera: of(&|(t, _)| t.translation.vector),
-            marker: of(&|(t, _)| t.inverse().translation.vector),
-            turn: of(&|(t, _)| (fit.rotation.inverse() * t.rotation).scaled_axis()),
-            scale_sd: of(&|(_, scale)| Vector3::new(*scale, 0.0, 0.0)).trace().sqrt(),
-            n_parts,
-        })
-    }
-}
-
-/// Standard deviation, RMS over the directions.
-fn sd(covariance: &Matrix3<f64>) -> f64 {
-    (covariance.trace() / 3.0).sqrt()
-}
-
-/// The part of each pair if the camera was held still at stations: those of one follow each other, turned by less than a motion.
-fn stations(pairs: &[Pair]) -> Option<Vec<usize>> {
-    let (mut first, mut n) = (pairs[0].0, 0);
-    let mut station = |(marker, _): &Pair| {
-        if first.rotation.angle_to(&marker.rotation) > LEAST_TURN_RAD {
-            (first, n) = (*marker, n + 1);
-        }
-        n
+/// Covariances by a jackknife: of the camera in its marker's frame and of the marker in the camera's, mm², of the rotation, rad², and of
+/// the scale; and the number of parts that were left out, one by one.
+fn spread(pairs: &[Pair], fit: &Isometry3<f64>, method: Method) -> ([Matrix3<f64>; 4], usize) {
+    let parts = parts(pairs);
+    let n_parts = parts[parts.len() - 1] + 1;
+    let without = |part: usize| {
+        let motions = motions(&selected(pairs, &parts.iter().map(|of| *of != part).collect::<Vec<_>>()));
+        let t = solution(method, &motions)?;
+        let scale = with_scale(fit.rotation, &motions).map_or(1.0, |(_, scale)| scale);
+        let turn = (fit.rotation.inverse() * t.rotation).scaled_axis();
+        Some([t.translation.vector, t.inverse().translation.vector, turn, Vector3::new(scale, 0.0, 0.0)])
     };
-    let stations: Vec<usize> = pairs.iter().map(&mut station).collect();
-    let n_stations = stations.last()? + 1;
-    let n_parts = N_PARTS.min(n_stations);
-    (n_stations >= LEAST_STATIONS).then(|| stations.iter().map(|station| station * n_parts / n_stations).collect())
+    // Without a part the others may not determine it: nothing is known of the error then.
+    let Some(found) = (0..n_parts).map(without).collect::<Option<Vec<_>>>() else {
+        return ([Matrix3::from_diagonal_element(f64::INFINITY); 4], n_parts);
+    };
+    let of = |k: usize| {
+        let mean = found.iter().map(|values| values[k]).sum::<Vector3<f64>>() / n_parts as f64;
+        let sum: Matrix3<f64> = found.iter().map(|values| (values[k] - mean) * (values[k] - mean).transpose()).sum();
+        sum * ((n_parts - 1) as f64 / n_parts as f64)
+    };
+    ([0, 1, 2, 3].map(of), n_parts)
+}
+
+/// The part of each pair: of stations, at which the camera was held still, or else of successive poses.
+fn parts(pairs: &[Pair]) -> Vec<usize> {
+    let (mut first, mut station) = (pairs[0].0, 0);
+    let mut of: Vec<usize> = Vec::new();
+    for (marker, _) in pairs {
+        if first.rotation.angle_to(&marker.rotation) > LEAST_TURN_RAD {
+            (first, station) = (*marker, station + 1);
+        }
+        of.push(station);
+    }
+    if station + 1 < LEAST_STATIONS {
+        of = (0..pairs.len()).collect();
+    }
+    let n = of[of.len() - 1] + 1;
+    of.iter().map(|k| k * N_PARTS.min(n) / n).collect()
 }
 
 /// The mean of rotations: the largest eigenvector of their quaternions' products.

@@ -2,12 +2,10 @@
 
 mod signs;
 
+use super::inliers::{inliers, selected};
 use super::interval::radius_90;
-use super::misread::MISREADINGS;
 use crate::Refusal;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point3, Vector3};
-use rand::RngExt;
-use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 
 /// Maximum condition number of the equations: poses turned about one axis alone give infinity, a cone of 15 degrees
@@ -21,40 +19,23 @@ const MEDIAN_LENGTH: f64 = 1.538_2;
 /// An RMS residual beyond this calls for a search for outliers, mm: a tip in its divot stays within the divot's play and the tracker's
 /// noise, together below 1 mm. Many outliers widen the gate that the median gives until it holds them all.
 const TELLING_RMS_MM: f64 = 1.0;
-/// Largest RMS residual, mm: twice the play of the widest divot, and beyond any tracker's noise.
-const MOST_RMS_MM: f64 = 5.0;
-/// Another reading explains poses that it fits this many times better.
-const FAR_BETTER: f64 = 5.0;
-/// A tip is no farther from its marker, mm: half a metre of stylus.
-const FARTHEST_TIP_MM: f64 = 500.0;
 /// Residuals up to this are no outliers, mm: rounding.
 const EXACT_MM: f64 = 1e-6;
-/// Fits to few poses from which the search for outliers starts: with a third of outliers 60 of 300 are without any.
-const N_STARTS: usize = 300;
-/// Poses of such a fit.
-const N_OF_START: usize = 4;
-/// Maximum number of times that outliers are sought again after a fit.
-const N_ROUNDS: usize = 20;
-
 /// A stylus' tip and its accuracy.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct PivotReport {
     /// Number of poses.
     pub n_poses: usize,
     /// Number of poses that were left out: the tip was elsewhere.
-    #[serde(default)]
     pub n_outliers: usize,
     /// Indices of these poses, in order.
-    #[serde(default)]
     pub outliers: Vec<usize>,
     /// Largest distance between the tip of a pose that was left out and the pivot, mm; 0 without any.
-    #[serde(default)]
     pub outlier_max_mm: f64,
     /// Distance between the median tip in the first and in the last third of the poses, mm: a tip that slips drifts.
-    #[serde(default)]
     pub drift_mm: f64,
     /// Number of independent poses that tell as much as those used, whose errors depend on those before them.
-    #[serde(default)]
     pub n_effective: f64,
     /// RMS distance between the tip of each pose used and the pivot, mm.
     pub rms_mm: f64,
@@ -66,7 +47,6 @@ pub struct PivotReport {
     /// directions, mm.
     pub tip_sd_mm: f64,
     /// Radius about the tip that holds its true place with a chance of 90 %, mm.
-    #[serde(default)]
     pub error_90_mm: f64,
     /// The tip in the marker's frame, mm.
     pub tip: [f64; 3],
@@ -101,28 +81,19 @@ pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, Refusal> 
     let mut fit = Fit::of(t_world_marker)?;
     let lengths = |fit: &Fit| -> Vec<f64> { t_world_marker.iter().map(|t| fit.residual(t).norm()).collect() };
     let all = lengths(&fit);
-    let mut inliers: Vec<bool> = within_gate(&all);
+    let mut is_used: Vec<bool> = within_gate(&all);
     let rms_mm = (all.iter().map(|length| length * length).sum::<f64>() / n as f64).sqrt();
-    if inliers.contains(&false) || fit.condition > MAX_CONDITION || rms_mm > TELLING_RMS_MM {
-        if let Some(start) = least_median(t_world_marker, median(&all)) {
-            inliers = within_gate(&lengths(&start));
-        }
-        for _ in 0..N_ROUNDS {
-            fit = Fit::of(&selected(t_world_marker, &inliers))?;
-            let next = within_gate(&lengths(&fit));
-            if std::mem::replace(&mut inliers, next.clone()) == next {
-                break;
-            }
-        }
+    if is_used.contains(&false) || fit.condition > MAX_CONDITION || rms_mm > TELLING_RMS_MM {
+        let of = |used: &[Isometry3<f64>]| Fit::of(used).ok().filter(|fit| fit.condition <= MAX_CONDITION);
+        is_used = inliers(t_world_marker, |used| of(used).map(|fit| lengths(&fit)), median, within_gate);
     }
-    let used = selected(t_world_marker, &inliers);
+    let used = selected(t_world_marker, &is_used);
     if used.len() < 3 || 2 * used.len() < n {
         return Err(Refusal::of(format!(
             "{} of {n} poses of the stylus agree on a tip, and half are needed; {}",
             used.len(),
-            misread(t_world_marker, rms_mm).unwrap_or_else(|| {
-                "keep the tip in one place, and cut the recording to the time when it was".into()
-            })
+            signs::misread(t_world_marker, rms_mm)
+                .unwrap_or_else(|| "keep the tip in one place, and cut the recording to the time when it was".into())
         )));
     }
     fit = Fit::of(&used)?;
@@ -133,21 +104,20 @@ pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, Refusal> 
              farther, in all directions"
         )));
     }
-    let report = report(&fit, &used, t_world_marker, &inliers);
-    check(&report, t_world_marker)?;
+    let report = report(&fit, &used, t_world_marker, &is_used);
+    report.check(t_world_marker)?;
     Ok(report)
 }
 
-fn report(fit: &Fit, used: &[Isometry3<f64>], all: &[Isometry3<f64>], inliers: &[bool]) -> PivotReport {
+fn report(fit: &Fit, used: &[Isometry3<f64>], all: &[Isometry3<f64>], is_used: &[bool]) -> PivotReport {
     let residuals: Vec<Vector3<f64>> = used.iter().map(|t| fit.residual(t)).collect();
     let squares: Vec<f64> = residuals.iter().map(Vector3::norm_squared).collect();
     let sum: f64 = squares.iter().sum();
     let of_all: Vec<Vector3<f64>> = all.iter().map(|t| fit.residual(t)).collect();
-    let outliers: Vec<usize> = (0..all.len()).filter(|k| !inliers[*k]).collect();
+    let outliers: Vec<usize> = (0..all.len()).filter(|k| !is_used[*k]).collect();
     let n_effective = used.len() as f64 / correlation_length(&residuals);
     // Three poses determine the tip, and leave nothing over to predict an error from beyond rounding.
     let variance = sum / (3 * used.len() - 6).max(1) as f64 * (used.len() as f64 / n_effective);
-    let tip_sd_mm = (variance * fit.tip_covariance.trace() / 3.0).sqrt();
     PivotReport {
         n_poses: all.len(),
         n_outliers: outliers.len(),
@@ -158,45 +128,11 @@ fn report(fit: &Fit, used: &[Isometry3<f64>], all: &[Isometry3<f64>], inliers: &
         rms_mm: (sum / used.len() as f64).sqrt(),
         max_mm: squares.iter().copied().fold(0.0, f64::max).sqrt(),
         condition: fit.condition,
-        tip_sd_mm,
+        tip_sd_mm: (variance * fit.tip_covariance.trace() / 3.0).sqrt(),
         error_90_mm: radius_90(&(variance * fit.tip_covariance), 3.0 * n_effective - 6.0),
         tip: fit.tip.coords.into(),
         pivot: fit.pivot.coords.into(),
     }
-}
-
-/// Refuses what no stylus gives.
-fn check(report: &PivotReport, t_world_marker: &[Isometry3<f64>]) -> Result<(), Refusal> {
-    let (tip_mm, pivot_mm, rms_mm) = (report.tip_mm(), report.pivot_mm(), report.rms_mm);
-    if rms_mm > MOST_RMS_MM {
-        let cause = misread(t_world_marker, rms_mm).unwrap_or_else(|| "was it kept in one divot?".into());
-        return Err(Refusal::of(format!(
-            "the tip is {rms_mm:.1} mm RMS from one place, {MOST_RMS_MM} mm is allowed; {cause}"
-        )));
-    }
-    if tip_mm > FARTHEST_TIP_MM {
-        return Err(Refusal::of(format!(
-            "the tip is {tip_mm:.0} mm from its marker, {FARTHEST_TIP_MM} mm is allowed, and the pivot {pivot_mm:.0} mm from the \
-             tracker; {}give the marker in the tracker's frame, in mm",
-            if tip_mm > pivot_mm { "are the poses inverses? " } else { "" }
-        )));
-    }
-    Ok(())
-}
-
-/// Another reading of the poses whose tip is in one place.
-fn misread(poses: &[Isometry3<f64>], rms_mm: f64) -> Option<String> {
-    MISREADINGS.iter().find_map(|(words, undo)| {
-        let undone: Vec<Isometry3<f64>> = poses.iter().map(undo).collect();
-        let fit = Fit::of(&undone).ok().filter(|fit| fit.condition <= MAX_CONDITION)?;
-        let mm = median(&undone.iter().map(|t| fit.residual(t).norm()).collect::<Vec<_>>());
-        (mm < MOST_RMS_MM && FAR_BETTER * mm < rms_mm).then(|| {
-            format!(
-                "the poses {words}: undone, the tip is within {mm:.2} mm of one place; export them as x, y, z in mm and x, y, z, w of a \
-                 right-handed frame"
-            )
-        })
-    })
 }
 
 /// A least-squares fit.
@@ -252,26 +188,6 @@ fn within_gate(lengths: &[f64]) -> Vec<bool> {
     let gate_mm = (GATE_SIGMAS * median(lengths) / MEDIAN_LENGTH).max(EXACT_MM);
     // A NaN is no inlier.
     lengths.iter().map(|length| *length <= gate_mm).collect()
-}
-
-fn selected(poses: &[Isometry3<f64>], inliers: &[bool]) -> Vec<Isometry3<f64>> {
-    poses.iter().zip(inliers).filter(|(_, is_inlier)| **is_inlier).map(|(pose, _)| *pose).collect()
-}
-
-/// The fit to few poses with the least median residual of all poses, if it is below `median_mm`.
-fn least_median(poses: &[Isometry3<f64>], median_mm: f64) -> Option<Fit> {
-    let mut rng = ChaCha8Rng::seed_from_u64(0);
-    let (mut best, mut best_mm) = (None, median_mm);
-    for _ in 0..N_STARTS {
-        let few: Vec<_> = (0..N_OF_START).map(|_| poses[rng.random_range(0..poses.len())]).collect();
-        let Some(fit) = Fit::of(&few).ok().filter(|fit| fit.condition <= MAX_CONDITION) else { continue };
-        let of_all: Vec<f64> = poses.iter().map(|t| fit.residual(t).norm()).collect();
-        let found_mm = median(&of_all);
-        if found_mm < best_mm {
-            (best, best_mm) = (Some(fit), found_mm);
-        }
-    }
-    best
 }
 
 fn drift_mm(residuals: &[Vector3<f64>]) -> f64 {

@@ -185,7 +185,7 @@ fn cameras_are_right_or_told_or_refused_by_their_cause() {
         row("target's poses are inverses", Expected::Cause(&["poses of the target are inverses"]), &|seed| {
             Camera::sound(seed).written(same, inverse)
         }),
-        row("both are inverses", Expected::Cause(&["of both logs are inverses"]), &|seed| {
+        row("both are inverses", Expected::Cause(&["poses of both logs are inverses"]), &|seed| {
             Camera::sound(seed).written(inverse, inverse)
         }),
         row("camera on a stand", Expected::Cause(&["camera is on a stand"]), &Camera::on_stand),
@@ -248,12 +248,9 @@ fn a_log_of_another_clock_is_paired_by_the_difference_that_explains_it() {
             let marker: Vec<_> = camera.marker.iter().enumerate().map(|(k, t)| (stamp(k), *t)).collect();
             let target: Vec<_> =
                 camera.target.iter().enumerate().map(|(k, t)| (stamp(k) + late_ns + 4_000_000, *t)).collect();
-            let (found_ns, mm) = hand_eye_late(&marker, &target, 25e6).unwrap();
+            let found_ns = hand_eye_late(&marker, &target, 25e6).unwrap();
             // A station is held for 40 ms, and poses within 25 ms are paired.
-            assert!(
-                (found_ns - late_ns).abs() < 70_000_000 && mm < 1.0,
-                "seed {seed}, {late_s} s: {found_ns} ns, {mm} mm"
-            );
+            assert!((found_ns - late_ns).abs() < 70_000_000, "seed {seed}, {late_s} s: {found_ns} ns");
             assert_eq!(hand_eye_pairs(&marker, &target, late_ns, 25e6).len(), marker.len());
             let right: Vec<_> = target.iter().map(|(ns, t)| (ns - late_ns, *t)).collect();
             assert_eq!(hand_eye_late(&marker, &right, 25e6), None, "clocks that are alike");

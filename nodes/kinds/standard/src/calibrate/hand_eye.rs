@@ -97,19 +97,18 @@ impl Function for HandEye {
                 params.max_stamp_difference_ms
             ));
         }
-        let (t_world_marker, t_camera_target): (Vec<_>, Vec<_>) = pairs.iter().map(|(_, m, t)| (*m, *t)).unzip();
-        let stamps_ns: Vec<i64> = pairs.iter().map(|(stamp_ns, ..)| *stamp_ns).collect();
+        let (stamps_ns, pairs): (Vec<i64>, Vec<_>) = pairs.into_iter().unzip();
+        let (t_world_marker, t_camera_target): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
         let found = hand_eye(&t_world_marker, &t_camera_target, params.method);
         let signs = found.as_ref().map_or_else(|_| Vec::new(), |fit| fit.report.signs(&stamps_ns));
-        let is_unexplained = found.is_err() || signs.iter().any(|(rule, _)| *rule == "hand_eye_rms");
-        if let Some((late_ns, mm)) =
-            is_unexplained.then(|| hand_eye_late(&stamped_markers, &stamped_targets, max_ns)).flatten()
-        {
-            return Err(NodeError::new(format!(
-                "the stamps of the target are about {:.3} s later than those of the marker: paired so, the target is within {mm:.2} mm of one \
-                 place; set both clocks alike, or shift the stamps of one log",
-                late_ns as f64 * 1e-9
-            )));
+        if found.is_err() || signs.iter().any(|(rule, _)| *rule == "hand_eye_rms") {
+            if let Some(late_ns) = hand_eye_late(&stamped_markers, &stamped_targets, max_ns) {
+                return Err(NodeError::new(format!(
+                    "the stamps of the target are about {:.2} s later than those of the marker: paired so, the target is in one place; set both \
+                     clocks alike, or shift the stamps of one log",
+                    late_ns as f64 * 1e-9
+                )));
+            }
         }
         let fit = found?;
         signs.into_iter().for_each(|(rule, words)| ctx.sign(rule, words));

@@ -1,14 +1,20 @@
-//! What makes a pivot calibration doubtful.
+//! What makes a pivot calibration doubtful, or no calibration at all.
 
-use super::{PivotReport, TELLING_RMS_MM};
-use crate::calibrate::one_end::is_at_one_end;
+use super::{Fit, MAX_CONDITION, PivotReport, TELLING_RMS_MM, median};
+use crate::Refusal;
+use crate::calibrate::{inliers::is_at_one_end, misread::MISREADINGS};
+use nalgebra::Isometry3;
 
+/// Largest RMS residual, mm: twice the play of the widest divot, and beyond any tracker's noise.
+const MOST_RMS_MM: f64 = 5.0;
+/// Another reading explains poses that it fits this many times better.
+const FAR_BETTER: f64 = 5.0;
+/// A tip is no farther from its marker, mm: half a metre of stylus.
+const FARTHEST_TIP_MM: f64 = 500.0;
 /// Nearest tip of a stylus to its marker, mm: the markers of a tracker are wider.
 const NEAREST_TIP_MM: f64 = 20.0;
-/// Poses whose tip and pivot are both nearer than these, mm, are in centimetres: a tip is farther from its marker, or a divot from the
-/// tracker.
-const NEAR_TIP_MM: f64 = 50.0;
-const NEAR_PIVOT_MM: f64 = 250.0;
+/// Poses whose tip and pivot are both nearer than these, mm, are in centimetres.
+const NEAR_MM: [f64; 2] = [50.0, 250.0];
 /// Largest drift of the tip, mm: more than a divot's play.
 const MOST_DRIFT_MM: f64 = 0.75;
 /// Largest error of the tip (90 %), mm.
@@ -23,73 +29,84 @@ const SLIP_SHARE: f64 = 0.05;
 impl PivotReport {
     /// Signs that a pose or the log is wrong: the rule and what to do, for poses with these stamps.
     pub fn signs(&self, stamps_ns: &[i64]) -> Vec<(&'static str, String)> {
-        let mut signs = Vec::new();
-        let (tip_mm, pivot_mm) = (self.tip_mm(), self.pivot_mm());
-        if tip_mm < NEAREST_TIP_MM || tip_mm < NEAR_TIP_MM && pivot_mm < NEAR_PIVOT_MM {
-            signs.push(("pivot_unit", format!(
+        let Self { rms_mm, drift_mm, error_90_mm, n_outliers, outlier_max_mm, max_mm, n_poses, .. } = *self;
+        let (tip_mm, pivot_mm, n) = (self.tip_mm(), self.pivot_mm(), n_outliers as f64);
+        let is_unit = tip_mm < NEAREST_TIP_MM || tip_mm < NEAR_MM[0] && pivot_mm < NEAR_MM[1];
+        let is_stray = n <= (STRAY_SHARE * n_poses as f64).max(1.0) && outlier_max_mm < STRAY_FARTHER * max_mm;
+        let is_slip = is_at_one_end(&self.outliers, n_poses) && n > SLIP_SHARE * n_poses as f64;
+        let signs = [
+            is_unit.then(|| ("pivot_unit", format!(
                 "the tip is {tip_mm:.2} mm from its marker and {pivot_mm:.1} mm from the tracker, nearer than a stylus in its divot is; are the \
                  poses in metres or centimetres? give them in mm"
-            )));
-        } else if tip_mm > pivot_mm {
-            signs.push(("pivot_inverses", format!(
+            ))),
+            (!is_unit && tip_mm > pivot_mm).then(|| ("pivot_inverses", format!(
                 "the tip is {tip_mm:.0} mm from its marker, and {pivot_mm:.0} mm from the tracker; are the poses inverses? give the marker in the \
                  tracker's frame"
-            )));
-        }
-        if self.rms_mm > TELLING_RMS_MM {
-            signs.push((
-                "pivot_rms",
-                format!(
-                    "the tip is {:.2} mm RMS from one place, {TELLING_RMS_MM} mm is allowed; was it kept in one divot?",
-                    self.rms_mm
-                ),
-            ));
-        }
-        if self.drift_mm > MOST_DRIFT_MM {
-            signs.push(("pivot_slipped", format!(
-                "the tip drifts by {:.2} mm from the first to the last third of the poses, {MOST_DRIFT_MM} mm is allowed; did it slip?",
-                self.drift_mm
-            )));
-        }
-        signs.extend(self.outlier_sign(stamps_ns));
-        // NaN and infinity are open, too.
-        if !(self.error_90_mm <= MOST_ERROR_MM) {
-            signs.push(("pivot_open", format!(
-                "the tip is known to {:.1} mm (90 %), {MOST_ERROR_MM} mm is allowed; tilt the stylus by 30 degrees or more in all directions, and \
-                 for longer", self.error_90_mm
-            )));
-        }
-        signs
+            ))),
+            (rms_mm > TELLING_RMS_MM).then(|| ("pivot_rms", format!(
+                "the tip is {rms_mm:.2} mm RMS from one place, {TELLING_RMS_MM} mm is allowed; was it kept in one divot?"
+            ))),
+            (drift_mm > MOST_DRIFT_MM).then(|| ("pivot_slipped", format!(
+                "the tip drifts by {drift_mm:.2} mm from the first to the last third of the poses, {MOST_DRIFT_MM} mm is allowed; did it slip?"
+            ))),
+            self.outliers.first().filter(|_| !is_stray).map(|first| {
+                let (rule, cause) = if is_slip {
+                    ("pivot_slipped", "did it slip there, or had it not arrived?")
+                } else {
+                    ("pivot_outliers", "are poses of the marker flipped?")
+                };
+                let stamp_ns = stamps_ns.get(*first).unwrap_or(&0);
+                (rule, format!(
+                    "{n} of {n_poses} poses are left out, first at {stamp_ns} ns: their tip is up to {outlier_max_mm:.2} mm from the pivot, where \
+                     the others are within {max_mm:.2} mm; {cause}"
+                ))
+            }),
+            (error_90_mm > MOST_ERROR_MM).then(|| ("pivot_open", format!(
+                "the tip is known to {error_90_mm:.1} mm (90 %), {MOST_ERROR_MM} mm is allowed; tilt the stylus by 30 degrees or more in all \
+                 directions, and for longer"
+            ))),
+        ];
+        signs.into_iter().flatten().collect()
     }
 
-    fn outlier_sign(&self, stamps_ns: &[i64]) -> Option<(&'static str, String)> {
-        let first = *self.outliers.first()?;
-        let is_rare = self.n_outliers as f64 <= (STRAY_SHARE * self.n_poses as f64).max(1.0);
-        if is_rare && self.outlier_max_mm < STRAY_FARTHER * self.max_mm {
-            return None;
+    /// Refuses what no stylus gives.
+    pub(super) fn check(&self, poses: &[Isometry3<f64>]) -> Result<(), Refusal> {
+        let (tip_mm, pivot_mm, rms_mm) = (self.tip_mm(), self.pivot_mm(), self.rms_mm);
+        if rms_mm > MOST_RMS_MM {
+            let cause = misread(poses, rms_mm).unwrap_or_else(|| "was it kept in one divot?".into());
+            return Err(Refusal::of(format!(
+                "the tip is {rms_mm:.1} mm RMS from one place, {MOST_RMS_MM} mm is allowed; {cause}"
+            )));
         }
-        let said = format!(
-            "{} of {} poses are left out: their tip is up to {:.2} mm from the pivot, where the others are within {:.2} mm, first at {} ns",
-            self.n_outliers,
-            self.n_poses,
-            self.outlier_max_mm,
-            self.max_mm,
-            stamps_ns.get(first).copied().unwrap_or_default()
-        );
-        let is_slip =
-            is_at_one_end(&self.outliers, self.n_poses) && self.n_outliers as f64 > SLIP_SHARE * self.n_poses as f64;
-        Some(if is_slip {
-            ("pivot_slipped", format!("{said}; did it slip there, or had it not arrived?"))
-        } else {
-            ("pivot_outliers", format!("{said}; are poses of the marker flipped?"))
-        })
+        if tip_mm > FARTHEST_TIP_MM {
+            return Err(Refusal::of(format!(
+                "the tip is {tip_mm:.0} mm from its marker, {FARTHEST_TIP_MM} mm is allowed, and {pivot_mm:.0} mm from the tracker; are the \
+                 poses inverses, or in another unit? give the marker in the tracker's frame, in mm"
+            )));
+        }
+        Ok(())
     }
 
-    pub(super) fn tip_mm(&self) -> f64 {
+    fn tip_mm(&self) -> f64 {
         self.tip.iter().map(|x| x * x).sum::<f64>().sqrt()
     }
 
-    pub(super) fn pivot_mm(&self) -> f64 {
+    fn pivot_mm(&self) -> f64 {
         self.pivot.iter().map(|x| x * x).sum::<f64>().sqrt()
     }
+}
+
+/// Another reading of the poses whose tip is in one place.
+pub(super) fn misread(poses: &[Isometry3<f64>], rms_mm: f64) -> Option<String> {
+    MISREADINGS.iter().find_map(|(words, undo)| {
+        let undone: Vec<Isometry3<f64>> = poses.iter().map(undo).collect();
+        let fit = Fit::of(&undone).ok().filter(|fit| fit.condition <= MAX_CONDITION)?;
+        let mm = median(&undone.iter().map(|t| fit.residual(t).norm()).collect::<Vec<_>>());
+        (mm < MOST_RMS_MM && FAR_BETTER * mm < rms_mm).then(|| {
+            format!(
+                "the poses {words}: undone, the tip is within {mm:.2} mm of one place; export them as x, y, z in mm and x, y, z, w of a \
+                 right-handed frame"
+            )
+        })
+    })
 }
