@@ -59,7 +59,7 @@ fn each_laser_point_is_within_a_millimetre_of_the_true_spot() {
 #[test]
 fn planes_are_right_at_the_scan_and_after_the_motion() {
     for case in Case::all("planes_are_right_at_the_scan_and_after_the_motion") {
-        let ran = case.run(&["--no-record"]);
+        let ran = case.run(&["--no-record", "--set", "verdict.rules.attitude_stated=true"]);
         for (key, truth) in [("planes_at_scan", "planes_W_scan"), ("planes", "planes_W_after_motion")] {
             let found = ran.results[key].as_array().unwrap();
             let true_planes = case.truth[truth].as_array().unwrap();
@@ -165,7 +165,7 @@ fn run_tracked(dir: &Path, recording: &[u8]) -> Ran {
     std::fs::write(dir.join("tracked.mcap"), recording).unwrap();
     let port = |marker: &str| {
         format!(
-            "out.{marker} = {{ type = \"geometry/Pose\", topic = \"/tracker/{marker}\", to = \"world\", from = \"{marker}\" }}\n"
+            "out.{marker} = {{ type = \"geometry/Pose\", topic = \"/tracker/{marker}\", to = \"world\", from = \"{marker}\", motion.hand_mm_s = 0.0 }}\n"
         )
     };
     let graph = format!(

@@ -216,7 +216,7 @@ fn a_range_plays_the_calibration_and_the_registration_that_do_not_change_and_com
         ] {
             assert_eq!(part_of(&answer, wire).0, part, "{range:?}: {wire}");
         }
-        assert_eq!(answer["results"]["planes"].as_array().unwrap().len(), 2, "{range:?}: the planes are known");
+        assert_eq!(answer["results"]["planes_at_scan"].as_array().unwrap().len(), 2, "{range:?}: the planes are known");
     }
     // What is not compared is not called equal.
     let output = osteoflow().arg("replay").arg(&recording).args(["--start", "15"]).output().unwrap();

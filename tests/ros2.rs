@@ -163,7 +163,7 @@ fn a_bag_of_ros_2_gives_the_answer_of_the_recording_that_it_was_made_from() {
         let (mm, rad) = ((a.translation.vector - b.translation.vector).norm(), off.rotation.angle());
         assert!(mm < 1e-6 && rad < 1e-9, "{pose}: {mm} mm, {rad} rad; both are written in double precision");
     }
-    let n_planes = |ran: &Ran| ran.results["planes"].as_array().unwrap().len();
+    let n_planes = |ran: &Ran| ran.results["planes_at_scan"].as_array().unwrap().len();
     assert_eq!((n_planes(&ran), n_planes(expected)), (2, 2));
 }
 

@@ -143,7 +143,7 @@ fn colours_assumptions_and_json_are_given_where_asked_for() {
     let answer: Value = serde_json::from_str(&printed.out).unwrap();
     assert_eq!((printed.code, &answer["outcome"]["exit_code"]), (3, &3.into()));
     assert_eq!((&answer["verdict"], &answer["icp"]), (&results["verdict"], &results["icp"]));
-    let remove = r#"remove=["node.verdict", "node.export", "results.verdict"]"#;
+    let remove = r#"remove=["node.verdict", "node.export", "results.verdict", "results.planes"]"#;
     let unjudged = crate::common::run("graphs/fibula.toml", &["--no-record", "--set", remove]);
     assert_eq!((unjudged.code, unjudged.results.get("verdict")), (0, None), "nothing judged it");
 }

@@ -207,7 +207,7 @@ fn the_layout_shows_what_the_page_shows_and_neither_truths_nor_frames() {
         topics.iter().filter(|(_, of)| of["visible"] == true).map(|(topic, _)| &**topic).collect();
     visible.sort_unstable();
     let expected =
-        ["/run/registered", "/view/bone.mesh", "/view/hole.point", "/view/laser_points.points", "/view/planes.planes"];
+        ["/run/registered", "/view/bone.mesh", "/view/hole.point", "/view/laser_points.points", "/view/verdict.planes"];
     let expected: Vec<_> = expected.into_iter().filter(|topic| topics.contains_key(*topic)).collect();
     assert_eq!(visible, expected);
     assert!(scene["transforms"].as_object().unwrap().values().all(|frame| frame["visible"] == false));

@@ -13,21 +13,25 @@ use crate::{
     check::{check, check_recorded},
     diff,
     fault::{Fault, Faults},
-    graph::{grammar::VERDICT, written::sets},
+    graph::{
+        grammar::{REASONS, VERDICT},
+        written::sets,
+    },
     hash::Digest,
     options::RunOptions,
     partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
     plugin::{self, Kinds},
     recording::{Recording, RecordingError},
-    run::{self, RunError, RunReport, Verdict},
-    runtime::{Observer, Replayed, Substitutes},
+    run::{self, NOTHING_CAME, RunError, RunReport, Verdict},
+    runtime::{Observer, Replayed, Sign, Substitutes},
 };
 use compare::Compare;
 use foreign::Topics;
 pub use map::Mapping;
 use osteoflow_node::{Body, ClockReading, Item, Registry, Role, StampNs};
 use range::{is_constant, play_what_does_not_change};
+use serde::Deserialize;
 use std::{
     borrow::Cow,
     collections::{BTreeMap, BTreeSet},
@@ -335,6 +339,7 @@ pub(crate) fn replay_plan(
         substitutes,
         drops: Some(drops(&reduced, recording, &cut)),
         // With items left out at the beginning, firings have other numbers, so readings come from the clock.
+        signs: recorded_signs(recording, |node| reduced.node(node).is_some_and(|index| !is_computed(index))),
         readings: changes.start.is_none().then(|| readings(&reduced, recording)),
     };
     let not_compared = (changes.start.is_some() || changes.end.is_some())
@@ -384,6 +389,13 @@ pub(crate) fn replay_plan(
         differences,
         warnings: Vec::new(),
     })
+}
+
+/// The recorded signs of nodes that are played. To whom nothing came is judged anew.
+fn recorded_signs(recording: &Recording, is_played: impl Fn(&str) -> bool) -> Vec<Sign> {
+    let reasons = recording.results.as_ref().and_then(|results| results[REASONS].as_array()).into_iter().flatten();
+    let signs = reasons.filter_map(|reason| Sign::deserialize(reason).ok());
+    signs.filter(|sign| is_played(&sign.node) && sign.rule != NOTHING_CAME).collect()
 }
 
 /// The outputs of a plan that the recording has, and those whose payload is another one in the graph, so that they can be

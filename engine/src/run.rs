@@ -8,8 +8,11 @@ mod finished;
 #[cfg(test)]
 mod live_tests;
 mod manifest;
+mod nothing_came;
 mod report;
 mod results;
+#[cfg(test)]
+mod sign_tests;
 #[cfg(test)]
 mod tests;
 pub mod verdict;
@@ -17,14 +20,15 @@ pub mod verdict;
 mod verdict_tests;
 
 pub use crate::runtime::{
-    BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Spread,
-    Warning,
+    BuildFault, Enlargement, Event, Injected, Injection, LatencyStats, LinkStats, NodeStats, Observer, Refusal, Sign,
+    Spread, Warning,
 };
 pub use crate::{
     answer_cache::CachedAnswer,
     options::{GIVEN_NODES, ListenedChannel, Listener, RunOptions},
 };
 pub(crate) use finished::{Finished, WireItems};
+pub(crate) use nothing_came::NOTHING_CAME;
 pub use report::{Outcome, RunError, RunReport};
 pub use verdict::{Answer, Reason, Verdict};
 
@@ -146,7 +150,7 @@ pub(crate) fn run_part(
         }
         None => (plan, None),
     };
-    let (outcome, mut results) = results::collect(plan, options, &finished);
+    let (outcome, mut results) = results::collect(plan, options, &mut finished, &shown);
     if recorder.is_some() {
         finished.ended.warnings.extend(paths_in_results(plan, &results, &shown));
     }
@@ -163,6 +167,7 @@ pub(crate) fn run_part(
     if let (Some(Err(error)), Outcome::Interrupted) = (&recorded, &outcome) {
         // The user did not stop the run.
         results = results::not_recorded(options, &error.to_string());
+        results::add_reasons(&mut results, &finished.ended.signs, &shown);
     }
     let mut report = report_of(plan, finished, outcome, results);
     report.latencies = latencies;

@@ -54,6 +54,7 @@ const CRATES: &[(&str, Floors)] = &[
         &[
             &["activity", "histogram", "join", "names", "panics", "plan", "sync"],
             &["channel", "inject", "report", "scheduler"],
+            &["sign"],
             &["messages", "outcome", "tap"],
             &["latency"],
             &["runtime"],
@@ -223,7 +224,8 @@ const CRATES: &[(&str, Floors)] = &[
             &["columns", "mcap_read", "obj", "off", "openigtlink", "pcd", "ply", "stl", "volume", "vtk", "write"],
             &["cloud_text", "message_read", "table"],
             &["mesh_or_cloud", "picked_points", "plan_file", "pose_file", "recording_write", "region_file"],
-            &["folder", "pose_log"],
+            &["pose_log"],
+            &["folder"],
         ],
     ),
     (

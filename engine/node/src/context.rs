@@ -370,7 +370,11 @@ impl Context {
 
     /// Warns of a sign that an input is wrong, found by the rule of this name, such as `marker_jump`: a warning that ends with the rule in
     /// brackets, which `results.json` lists under `reasons`.
+    ///
+    /// # Panics
+    /// If the rule is not of two or more words of small letters, joined by `_`: it would be taken for a part of the message.
     pub fn sign(&mut self, rule: &'static str, message: impl std::fmt::Display) {
+        assert!(is_rule(rule), "the rule \"{rule}\" of a sign is not of two or more words, such as marker_jump");
         self.warn(format!("{message} [{rule}]"));
     }
 
@@ -397,8 +401,13 @@ fn fnv1a(bytes: &[u8]) -> u64 {
 /// A warning that is a sign, as [`Context::sign`] writes it: its message and its rule.
 pub fn sign(warning: &str) -> Option<(&str, &str)> {
     let (message, rule) = warning.strip_suffix(']')?.rsplit_once(" [")?;
-    let is_name = !rule.is_empty() && rule.chars().all(|c| c.is_ascii_lowercase() || c == '_');
-    is_name.then_some((message, rule))
+    is_rule(rule).then_some((message, rule))
+}
+
+/// Whether it is two or more words, which no unit and no name of a table in brackets is.
+fn is_rule(rule: &str) -> bool {
+    let is_word = |word: &str| !word.is_empty() && word.bytes().all(|c| c.is_ascii_lowercase());
+    rule.contains('_') && rule.split('_').all(is_word)
 }
 
 #[cfg(test)]

@@ -200,6 +200,22 @@ impl Joiner {
         self.absent.drain(..)
     }
 
+    /// Why a wired port brings nothing, if no port brings a value.
+    pub(crate) fn unfed(&self) -> Option<Arc<Empty>> {
+        let is_value = |item: &Item| item.body.value().is_some();
+        let is_fed = || {
+            self.joined.slots.iter().any(|slot| match slot {
+                Slot::Item(item) => is_value(item),
+                Slot::Items(items) => items.iter().any(is_value),
+                Slot::Absent(_) => false,
+            })
+        };
+        let wired = |name: &str| self.ports.iter().any(|port| port.spec.name == name && port.spec.wire.is_some());
+        (!self.absent.is_empty() && !is_fed())
+            .then(|| self.absent.iter().rev().find(|(name, _)| wired(name)))?
+            .map(|(_, empty)| empty.clone())
+    }
+
     /// Releases the current activation: drops its items.
     #[inline]
     pub(crate) fn release(&mut self) {

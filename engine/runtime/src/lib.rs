@@ -22,6 +22,7 @@ pub mod plan;
 mod report;
 mod runtime;
 mod scheduler;
+mod sign;
 mod sync;
 mod tap;
 
@@ -33,5 +34,6 @@ pub use report::{
     BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, NodeStats, Observer, Refusal, Warning,
 };
 pub use runtime::{AnswerCache, CpuClock, RunSettings, Runtime, emission_fault, refusal, stamp_or_zero};
+pub use sign::Sign;
 pub use sync::on_workers;
 pub use tap::{Failed, Replayed, Substitutes, Tap};

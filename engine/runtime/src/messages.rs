@@ -3,13 +3,14 @@
 use crate::{
     plan::Plan,
     report::{Failure, Warning},
+    sign::{Sign, Signs},
 };
 
 /// Maximum number of warnings listed per node, and of failures after which the node went on; further ones are counted.
 /// Otherwise a node that warns at every item would fill the memory in a long run.
 const MAX_PER_NODE: u64 = 100;
 
-/// Warnings and failures of a run in progress.
+/// Warnings, signs and failures of a run in progress.
 pub(crate) struct Messages {
     warnings: Vec<(usize, Warning)>,
     failures: Vec<Failure>,
@@ -24,6 +25,7 @@ struct Counts {
     last_warned: u64,
     /// The latest failure that is only counted; the node's last empty gives it as its reason.
     latest: Option<Failure>,
+    signs: Signs,
 }
 
 impl Messages {
@@ -33,6 +35,9 @@ impl Messages {
 
     pub(crate) fn warning(&mut self, node: usize, warning: Warning) {
         let counts = &mut self.nodes[node];
+        if let Some(sign) = warning.sign() {
+            counts.signs.add(sign);
+        }
         counts.warned += 1;
         if counts.warned <= MAX_PER_NODE {
             self.warnings.push((node, warning));
@@ -52,9 +57,11 @@ impl Messages {
     }
 
     /// Failures in the order of the plan, not of time: the first is the same on any number of workers. Where messages
-    /// were left out, a last warning gives their number.
-    pub(crate) fn finish(mut self, plan: &Plan) -> (Vec<Failure>, Vec<(usize, Warning)>) {
+    /// were left out, a last warning or sign gives their number.
+    pub(crate) fn finish(mut self, plan: &Plan) -> (Vec<Failure>, Vec<(usize, Warning)>, Vec<Sign>) {
+        let mut signs = Vec::new();
         for (node, counts) in self.nodes.into_iter().enumerate() {
+            signs.extend(counts.signs.finish());
             let mut more = |n: u64, item: u64, what: &str| {
                 let message = format!("{n} more {what} of this node are counted and not listed");
                 self.warnings.push((node, Warning { node: plan.nodes[node].name.to_string(), item, message }));
@@ -72,6 +79,6 @@ impl Messages {
             }
         }
         self.failures.sort_by_key(|failure| (failure.node, failure.item));
-        (self.failures, self.warnings)
+        (self.failures, self.warnings, signs)
     }
 }

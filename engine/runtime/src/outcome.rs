@@ -2,6 +2,7 @@ use crate::{
     activity::{self, Doing, Name},
     panics,
     report::{Enlargement, Failure, LinkStats, NodeStats, Warning},
+    sign::Sign,
 };
 use osteoflow_node::Built;
 use std::time::Duration;
@@ -12,12 +13,16 @@ pub struct RunOutcome {
     pub interrupted: bool,
     /// Number of items, by node and output.
     pub n_items: Vec<Vec<u64>>,
+    /// Number of items that are values, by node and output.
+    pub n_values: Vec<Vec<u64>>,
     /// In the order of the plan.
     pub failures: Vec<Failure>,
     /// Why the run got stuck, if it did.
     pub stall: Option<Failure>,
     /// In the order of the plan.
     pub warnings: Vec<Warning>,
+    /// In the order of the plan.
+    pub signs: Vec<Sign>,
     /// Statistics, in the order of the plan.
     pub nodes: Vec<NodeStats>,
     /// Statistics, in the order of the plan.

@@ -112,10 +112,12 @@ pub struct NodeStats {
     pub items: u64,
     /// Activations skipped because an input had no value.
     pub skipped: u64,
-    /// The empty for which the last of them was skipped.
-    pub skipped_for: Option<Arc<Empty>>,
     /// Activations that failed.
     pub failed: u64,
+    /// Activations to which no input brought a value, including skipped ones.
+    pub unfed: u64,
+    /// Why the last of these brought none.
+    pub last_empty: Option<Arc<Empty>>,
     /// Total time of its firings; may include the engine's own work for a firing, which is below a microsecond.
     pub busy: Duration,
     /// Processor time of its firings, where the run measures it.

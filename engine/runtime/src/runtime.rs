@@ -16,6 +16,7 @@ use crate::{
     plan::{OutputId, Plan, PlanInput, PlanNode, Policy},
     report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning},
     scheduler::{Scheduler, Stepped, Turn, Work},
+    sign::Sign,
     sync::locked,
     tap::{Failed, Replayed, Tap},
 };
@@ -106,6 +107,8 @@ pub struct Runtime<'a> {
     began: Instant,
     elapsed: Duration,
     readings: Option<BTreeMap<(usize, u64), Vec<ClockReading>>>,
+    /// Recorded signs of nodes that are played.
+    signs: Vec<Sign>,
     /// Live sources that have not started.
     sources: Mutex<Vec<Live>>,
     /// Number of live sources that are asked for their next answer.
@@ -226,6 +229,7 @@ impl<'a> Runtime<'a> {
             began: Instant::now(),
             elapsed: Duration::ZERO,
             readings: replayed.readings,
+            signs: replayed.signs,
             n_pending: AtomicUsize::new(sources.len()),
             mailbox: Mailbox::new(sources.len()),
             sources: Mutex::new(sources),
@@ -270,7 +274,9 @@ impl<'a> Runtime<'a> {
         let cells: Vec<Cell> =
             self.cells.into_iter().map(|cell| cell.into_inner().unwrap_or_else(PoisonError::into_inner)).collect();
         let messages = self.messages.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let (failures, mut warnings) = messages.finish(self.plan);
+        let (failures, mut warnings, mut signs) = messages.finish(self.plan);
+        signs.extend(self.signs);
+        signs.sort_by_cached_key(|sign| self.plan.node(&sign.node));
         if !interrupted {
             warnings.extend(self.planned.iter().enumerate().flat_map(|(node, planned)| {
                 planned.missed().map(move |injection| (node, missed_injection(injection)))
@@ -297,9 +303,11 @@ impl<'a> Runtime<'a> {
             nodes: cells.iter().map(|cell| cell.stats(&self.plan.nodes[cell.index].name)).collect(),
             links,
             n_items: cells.iter().map(|cell| cell.outputs.iter().map(Output::n_items).collect()).collect(),
+            n_values: cells.iter().map(|cell| cell.outputs.iter().map(|output| output.n_values).collect()).collect(),
             failures,
             stall,
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
+            signs,
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
             retired: Retired::new(cells.into_iter().map(Cell::into_retired)),

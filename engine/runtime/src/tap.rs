@@ -1,6 +1,6 @@
 //! Taps, which listen to a run, and what a replay substitutes.
 
-use crate::{inject::Injected, plan::OutputId};
+use crate::{inject::Injected, plan::OutputId, sign::Sign};
 use osteoflow_node::{AnySource, ClockReading, Item, Joined, StampNs};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -21,6 +21,8 @@ pub struct Replayed {
     /// Clock readings, by the index of the node and the number of the firing; a firing that is missing had none.
     /// `None`: the clock answers.
     pub readings: Option<BTreeMap<(usize, u64), Vec<ClockReading>>>,
+    /// The signs that nodes gave whose recorded items are played.
+    pub signs: Vec<Sign>,
 }
 
 /// Listener to a run. It does not affect the run.

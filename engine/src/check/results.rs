@@ -8,13 +8,14 @@ use crate::{
     graph::{
         Entry, Graph, Value,
         extract::{self, Section},
-        grammar::{self, REQUIRE, VERDICT},
+        grammar::{self, REASONS, REQUIRE, VERDICT},
     },
     plan::Require,
 };
 
-/// The key that the engine writes when a run is refused.
-const REFUSED: &str = "refused";
+/// The keys that the engine writes, and what they say.
+const TAKEN: [(&str, &str); 2] =
+    [("refused", "says why a run has no results"), (REASONS, "lists the signs that inputs are wrong")];
 
 /// Most words with dots between them in a result's key: each is a level of `results.json`, and readers of JSON stop at 128.
 const MAX_PARTS: usize = 32;
@@ -88,9 +89,9 @@ impl Check<'_> {
             let fault = Fault::new(format!("a result cannot be called {key:?}")).at(&entry.key_at, "a part is empty");
             self.faults.push(fault.help("write words with dots between them: \"poses.t_ct_world\""));
         }
-        if key.split('.').next() == Some(REFUSED) {
+        if let Some((taken, what)) = TAKEN.iter().find(|(taken, _)| key.split('.').next() == Some(taken)) {
             let fault = Fault::new(format!("a result cannot be called \"{key}\"")).at(&entry.key_at, "taken");
-            self.faults.push(fault.help("\"refused\" says why a run has no results; choose another name"));
+            self.faults.push(fault.help(format!("\"{taken}\" {what}; choose another name")));
         }
         let inside = |outer: &str, inner: &str| inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('.'));
         if inside(VERDICT, key) || inside(REQUIRE, key) {

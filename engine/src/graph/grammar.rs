@@ -189,6 +189,8 @@ static RESULTS: Keys = LazyLock::new(|| {
 });
 /// The entry of `[results]` that is the verdict on the results.
 pub(crate) const VERDICT: &str = "verdict";
+/// The key of `results.json` with the signs that inputs are wrong; no entry of `[results]`.
+pub(crate) const REASONS: &str = "reasons";
 /// The key of `[results]` that is no wire: the answer that the verdict must give at least.
 pub(crate) const REQUIRE: &str = "require";
 

@@ -5,7 +5,7 @@ use crate::{
     options::RunOptions,
     plan::Plan,
     run::{Finished, FullRun, RunError, RunReport, WireItems, run_part},
-    runtime::{Failure, NodeStats, Observer, Replayed, RunOutcome, Substitutes, Warning},
+    runtime::{Failure, NodeStats, Observer, Replayed, RunOutcome, Sign, Substitutes, Warning},
 };
 use osteoflow_node::{Body, Item, Registry};
 use std::sync::Arc;
@@ -16,6 +16,7 @@ pub(crate) struct FinishedNode {
     pub(crate) outputs: Vec<WireItems>,
     pub(crate) stats: NodeStats,
     pub(crate) warnings: Vec<Warning>,
+    pub(crate) signs: Vec<Sign>,
 }
 
 impl FinishedNode {
@@ -26,6 +27,7 @@ impl FinishedNode {
             outputs: finished.outputs[index].clone(),
             stats: finished.ended.nodes[index].clone(),
             warnings: of_node.cloned().collect(),
+            signs: finished.ended.signs.iter().filter(|sign| *sign.node == *plan.nodes[index].name).cloned().collect(),
         }
     }
 
@@ -115,9 +117,15 @@ impl<'a> PartialRun<'a> {
         let before = self.left.iter().flatten().flat_map(|left| &left.warnings).cloned();
         let mut warnings: Vec<_> = before.chain(part.warnings).collect();
         warnings.sort_by_cached_key(|warning| self.plan.node(&warning.node));
+        let mut signs: Vec<_> =
+            self.left.iter().flatten().flat_map(|left| &left.signs).cloned().chain(part.signs).collect();
+        signs.sort_by_cached_key(|sign| self.plan.node(&sign.node));
         let failures = part.failures.into_iter().map(moved).collect();
         let n_items = outputs.iter().map(|wires| wires.iter().map(|wire: &WireItems| wire.n_items).collect()).collect();
-        let ended = RunOutcome { n_items, nodes, warnings, failures, stall: part.stall.map(moved), ..part };
+        let n_values =
+            outputs.iter().map(|wires| wires.iter().map(|wire: &WireItems| wire.n_values).collect()).collect();
+        let ended =
+            RunOutcome { n_items, n_values, nodes, warnings, signs, failures, stall: part.stall.map(moved), ..part };
         Finished { ended, outputs, saved }
     }
 }

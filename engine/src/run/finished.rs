@@ -22,6 +22,8 @@ pub(crate) struct Finished {
 pub(crate) struct WireItems {
     /// Number of items that the wire carried.
     pub(crate) n_items: u64,
+    /// Number of items that are values.
+    pub(crate) n_values: u64,
     /// Kept items, in order.
     pub(crate) items: Vec<Item>,
 }
@@ -51,12 +53,15 @@ impl ItemKeeper {
 
     /// Combines the outcome of the run with the kept items.
     pub(crate) fn finish(self, ended: RunOutcome, saved: Saved) -> Finished {
-        let wire = |((_, items), n_items): ((Keep, Mutex<Vec<Item>>), &u64)| WireItems {
-            n_items: *n_items,
+        let wire = |node: usize, port: usize, items: Mutex<Vec<Item>>| WireItems {
+            n_items: ended.n_items[node][port],
+            n_values: ended.n_values[node][port],
             items: items.into_inner().unwrap_or_else(PoisonError::into_inner),
         };
-        let outputs = self.0.into_iter().zip(&ended.n_items);
-        let outputs = outputs.map(|(kept, n_items)| kept.into_iter().zip(n_items).map(wire).collect()).collect();
+        let outputs = self.0.into_iter().enumerate().map(|(node, kept)| {
+            kept.into_iter().enumerate().map(|(port, (_, items))| wire(node, port, items)).collect()
+        });
+        let outputs = outputs.collect();
         Finished { ended, outputs, saved }
     }
 }

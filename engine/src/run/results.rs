@@ -1,54 +1,48 @@
 //! `results.json`: the verdict and the values that `[results]` names, or why there are none.
 
 use super::{
-    Finished, Outcome,
+    Finished, Outcome, nothing_came,
     verdict::{Answer, FAILURE, INTERRUPTED, REQUIRE, Verdict},
 };
 use crate::{
-    graph::grammar::VERDICT,
+    graph::grammar::{REASONS, VERDICT},
     options::RunOptions,
-    plan::{OutputId, Plan, Require, ResultEntry},
-    runtime::{Failure, Refusal, Warning, refusal as refusal_of},
+    plan::{OutputId, Plan, PlanInput, Require, ResultEntry},
+    runtime::{Failure, Refusal, Sign, refusal as refusal_of},
+    shown_paths::ShownPaths,
 };
-use osteoflow_node::{Body, Role, sign};
+use osteoflow_node::{Body, Role};
 use serde_json::{Map, Value as Json, json};
 
 /// Prefix of the names of payloads that say how the run went. Of refused results, only these are given.
 const REPORT: &str = "report/";
 
 /// Determines how the run ended, and the content of `results.json`.
-pub(crate) fn collect(plan: &Plan, options: &RunOptions, run: &Finished) -> (Outcome, Json) {
-    let (outcome, mut results) = outcome_and_results(plan, options, run);
-    let reasons = reasons(&run.ended.warnings);
-    if let (Json::Object(results), false) = (&mut results, reasons.is_empty()) {
-        results.insert(REASONS.into(), reasons.into());
-    }
+pub(super) fn collect(plan: &Plan, options: &RunOptions, run: &mut Finished, shown: &ShownPaths) -> (Outcome, Json) {
+    let (outcome, mut results) = outcome_of(plan, options, run);
+    add_reasons(&mut results, &run.ended.signs, shown);
     (outcome, results)
 }
 
-/// Key of the signs that an input is wrong.
-const REASONS: &str = "reasons";
-
-/// The warnings that are signs, each once, in the order of the plan, with how often it was given.
-fn reasons(warnings: &[Warning]) -> Vec<Json> {
-    let mut reasons: Vec<(&str, &str, &str, u64)> = Vec::new();
-    for warning in warnings {
-        let Some((message, rule)) = sign(&warning.message) else { continue };
-        let node = warning.node.as_str();
-        match reasons.iter_mut().find(|(of, known, said, _)| (*of, *known, *said) == (node, rule, message)) {
-            Some((.., n)) => *n += 1,
-            None => reasons.push((node, rule, message, 1)),
-        }
+/// Lists the signs that inputs are wrong.
+pub(super) fn add_reasons(results: &mut Json, signs: &[Sign], shown: &ShownPaths) {
+    if !signs.is_empty() {
+        let shown = |sign: &Sign| json!(Sign { reason: shown.text(&sign.reason), ..sign.clone() });
+        results[REASONS] = signs.iter().map(shown).collect();
     }
-    let json = |(node, rule, reason, n)| json!({ "node": node, "rule": rule, "reason": reason, "n": n });
-    reasons.into_iter().map(json).collect()
 }
 
-fn outcome_and_results(plan: &Plan, options: &RunOptions, run: &Finished) -> (Outcome, Json) {
+fn outcome_of(plan: &Plan, options: &RunOptions, run: &mut Finished) -> (Outcome, Json) {
     if run.ended.interrupted {
         return (Outcome::Interrupted, interrupted(options));
     }
-    match ended(plan, run) {
+    let mut ended = ended(plan, run);
+    if let Ok(Entries { refusal: None, .. }) = ended
+        && let Some((node, sign)) = nothing_came::note(plan, run)
+    {
+        ended = Err(refusal_at(plan, node, None, sign.reason));
+    }
+    match ended {
         Ok(Entries { verdict, refusal, values }) => {
             let mut results = begin(options, verdict);
             if let Some(refusal) = &refusal {
@@ -155,38 +149,7 @@ fn ended<'a>(plan: &'a Plan, run: &Finished) -> Result<Entries<'a>, Refusal> {
             None => return Err(cause(plan, run, entry.from)),
         }
     }
-    match sink_without_items(plan, run).filter(|_| refusal.is_none()) {
-        Some(refusal) => Err(refusal),
-        None => Ok(Entries { verdict, refusal, values }),
-    }
-}
-
-/// Why a node without outputs, such as one that writes a file, never got what it needs.
-fn sink_without_items(plan: &Plan, run: &Finished) -> Option<Refusal> {
-    let is_needed =
-        |input: &crate::plan::PlanInput| !input.port.unused && !input.port.optional && !input.links.is_empty();
-    plan.nodes.iter().enumerate().find_map(|(index, node)| {
-        let stats = run.ended.nodes.iter().find(|stats| stats.name == *node.name)?;
-        let is_idle = stats.items == stats.skipped && stats.failed == 0;
-        if node.role != Role::Node || !node.outputs.is_empty() || !is_idle || !node.inputs.iter().any(is_needed) {
-            return None;
-        }
-        let reason = match &stats.skipped_for {
-            Some(empty) => {
-                let n = stats.skipped;
-                let items = if n == 1 { "the only item".to_owned() } else { format!("each of {n} items") };
-                format!("it got nothing: {items} was empty, the last as {} says: {}", empty.node, empty.reason)
-            }
-            None => {
-                let fed = node.inputs.iter().filter(|input| is_needed(input)).flat_map(|input| &input.links);
-                let from =
-                    fed.map(|link| plan.links[*link].from).find(|from| run.outputs[from.node][from.port].n_items == 0);
-                let why = from.map(|from| silent_wire(plan, run, from).1);
-                format!("it got nothing: {}", why.unwrap_or_else(|| "items came, but never together".into()))
-            }
-        };
-        Some(refusal_at(plan, index, None, reason))
-    })
+    Ok(Entries { verdict, refusal, values })
 }
 
 /// The verdict, and the refusal if it does not suffice.
@@ -291,18 +254,25 @@ fn refusal_at(plan: &Plan, node: usize, item: Option<u64>, reason: String) -> Re
 
 /// The wire furthest upstream that carried no item, and its node.
 fn silent_wire(plan: &Plan, run: &Finished, wire: OutputId) -> (usize, String) {
-    let node = &plan.nodes[wire.node];
-    if node.role == Role::Node {
-        let fed = |input: &&crate::plan::PlanInput| !input.port.unused && !input.port.optional;
-        let links = node.inputs.iter().filter(fed).flat_map(|input| &input.links);
-        let from = links.map(|link| plan.links[*link].from);
-        if let Some(from) = from.clone().find(|from| run.outputs[from.node][from.port].n_items == 0) {
-            return silent_wire(plan, run, from);
-        }
-        let inputs: Vec<_> = from.map(|from| plan.wire_name(from)).collect();
-        return (wire.node, format!("it never fired: items came on {}, but never together", inputs.join(" and ")));
+    match plan.nodes[wire.node].role {
+        Role::Node => never_fired(plan, run, wire.node),
+        _ => (wire.node, format!("no item ever came on {}", plan.wire_name(wire))),
     }
-    (wire.node, format!("no item ever came on {}", plan.wire_name(wire)))
+}
+
+/// Why a node without activations has none: the wire furthest upstream that carried no item, and its node.
+pub(super) fn never_fired(plan: &Plan, run: &Finished, index: usize) -> (usize, String) {
+    let node = &plan.nodes[index];
+    let is_required = |input: &&PlanInput| !input.port.unused && !input.port.optional && !input.links.is_empty();
+    // A sink may have optional inputs alone.
+    let takes_any = node.outputs.is_empty() && !node.inputs.iter().any(|input| is_required(&input));
+    let fed = node.inputs.iter().filter(|input| takes_any || is_required(input)).flat_map(|input| &input.links);
+    let from = fed.map(|link| plan.links[*link].from);
+    if let Some(from) = from.clone().find(|from| run.outputs[from.node][from.port].n_items == 0) {
+        return silent_wire(plan, run, from);
+    }
+    let inputs: Vec<_> = from.map(|from| plan.wire_name(from)).collect();
+    (index, format!("it never fired: items came on {}, but never together", inputs.join(" and ")))
 }
 
 /// Inserts a value at a dotted key.

@@ -200,10 +200,22 @@ mod tests {
     fn left() -> FinishedNode {
         let none = std::time::Duration::ZERO;
         let (name, busy, p50, p95, p99) = (String::new(), none, none, none, none);
-        let (skipped_for, cpu) = (None, None);
-        let stats =
-            NodeStats { name, items: 0, skipped: 0, skipped_for, failed: 0, busy, cpu, wall: none, p50, p95, p99 };
-        FinishedNode { outputs: Vec::new(), stats, warnings: Vec::new() }
+        let (cpu, last_empty) = (None, None);
+        let stats = NodeStats {
+            name,
+            items: 0,
+            skipped: 0,
+            failed: 0,
+            unfed: 0,
+            last_empty,
+            busy,
+            cpu,
+            wall: none,
+            p50,
+            p95,
+            p99,
+        };
+        FinishedNode { outputs: Vec::new(), stats, warnings: Vec::new(), signs: Vec::new() }
     }
 
     #[test]

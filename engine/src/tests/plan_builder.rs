@@ -145,6 +145,15 @@ impl PlanBuilder {
         self
     }
 
+    /// Declares the output of a source to be optional.
+    pub(crate) fn optional(mut self, node: &str, port: usize) -> Self {
+        let node = self.plan.node(node).unwrap();
+        let mut declared = self.plan.nodes[node].declared.to_vec();
+        declared[port].params = json!({ "optional": true });
+        self.plan.nodes[node].declared = declared.into();
+        self
+    }
+
     pub(crate) fn skip_errors(mut self, node: &str) -> Self {
         self.plan.nodes.iter_mut().filter(|n| &*n.name == node).for_each(|n| n.on_error = OnError::Skip);
         self

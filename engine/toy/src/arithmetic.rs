@@ -71,6 +71,9 @@ impl Node for Add {
         if i.a.0 == 99.0 {
             ctx.warn("99 is nearly 100");
         }
+        if i.a.0 < -1.0 {
+            ctx.sign("number_negative", format!("{} is below -1", i.a.0));
+        }
         let mut from_clock = 0.0;
         if let Some(us) = self.0.budget_us {
             let mut budget = ctx.budget(Duration::from_micros(us));

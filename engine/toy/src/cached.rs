@@ -61,6 +61,9 @@ impl<const WITH_SEED: bool> Node for Cached<WITH_SEED> {
         if i.a.0 == 99.0 {
             ctx.warn("99 is nearly 100");
         }
+        if i.a.0 < -1.0 {
+            ctx.sign("number_negative", format!("{} is below -1", i.a.0));
+        }
         let used = match self.0.takes.as_deref() {
             Some("draws") => ctx.rng().random(),
             Some("stamp") => ctx.stamp_ns() as f64,

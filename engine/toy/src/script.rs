@@ -29,6 +29,8 @@ struct Call {
     stamp_ns: i64,
     give: Vec<(usize, Option<f64>)>,
     #[serde(default)]
+    sign: Option<String>,
+    #[serde(default)]
     fail: Option<String>,
     /// `waits ..` until cancelled, `deaf ..` to cancellation (both open the gate `in ..`), `panics`, or the name of a gate
     /// to pass.
@@ -48,6 +50,9 @@ impl Source for Script {
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Declared<ScriptParams>>, NodeError> {
         let Some(call) = self.calls.next() else { return Ok(None) };
         ctx.set_stamp_ns(call.stamp_ns);
+        if let Some(message) = call.sign {
+            ctx.sign("script_wrong", message);
+        }
         if let Some(message) = call.fail {
             return Err(NodeError::new(message));
         }

@@ -5,7 +5,7 @@ use serde_json::Value;
 /// Width of the terminal that lines are wrapped to.
 const WIDTH: usize = 100;
 /// Keys whose numbers other tables show.
-const SHOWN: [&str; 6] = ["verdict", "refused", "poses", "laser_points", "planes_at_scan", "planes"];
+const SHOWN: [&str; 7] = ["verdict", "refused", "reasons", "poses", "laser_points", "planes_at_scan", "planes"];
 /// What the steps of a registration report of themselves. A verdict has judged it, so it is for --verbose.
 const OF_STEPS: [&str; 11] = [
     "calibration",

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::app::{is_said_by_verdict, is_settled, judged, refusal_in_short, without_reason};
 use anyhow::Result;
-use osteoflow_engine::run::{Outcome, RunReport, files};
+use osteoflow_engine::run::{Outcome, RunReport, Warning, files};
 use serde_json::Value;
 use std::{io::Write, path::Path};
 
@@ -47,7 +47,8 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
         Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
         Outcome::Complete => {}
     }
-    for warning in report.warnings.iter().filter(|warning| is_new(&warning.message)) {
+    let is_refusal = |warning: &&Warning| matches!((&report.outcome, warning.sign()), (Outcome::Refused(refusal), Some(sign)) if (&refusal.node, &refusal.reason) == (&sign.node, &sign.reason));
+    for warning in report.warnings.iter().filter(|warning| is_new(&warning.message) && !is_refusal(warning)) {
         let word = global.paint_err("warning", "1;33");
         writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
     }

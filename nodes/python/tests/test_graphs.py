@@ -71,7 +71,7 @@ def test_a_wire_is_replaced_by_an_array_and_gives_the_bits_of_its_file(files):
         graph.run(inputs={"icp.report": by_file.results["icp"]})
     with pytest.raises(osteoflow.UsageError, match='carries geometry/Cloud, but geometry/Mesh was given'):
         graph.run(inputs={"scan": osteoflow.read(files / "bone.stl")})
-    with pytest.raises(osteoflow.UsageError, match='no wire "scam".*scan'):
+    with pytest.raises(osteoflow.UsageError, match='there is no wire "scam"'):
         graph.run(inputs={"scam": scan.points})
 
 

@@ -50,8 +50,9 @@ pub(crate) struct Cell {
     /// Stamp of the last activation, or of the last promise after it.
     stamp_ns: StampNs,
     skipped: u64,
-    skipped_for: Option<Arc<Empty>>,
     failed: u64,
+    /// Activations to which no input brought a value, and why the last of them has none.
+    unfed: (u64, Option<Arc<Empty>>),
     /// Durations of firings.
     took: Histogram,
     /// Processor time of its firings, where it is measured.
@@ -139,8 +140,8 @@ impl Cell {
             item: 0,
             stamp_ns: StampNs::MIN,
             skipped: 0,
-            skipped_for: None,
             failed: 0,
+            unfed: (0, None),
             took: Histogram::default(),
             cpu: None,
             began: None,
@@ -347,13 +348,16 @@ impl Cell {
         self.stamp_ns = stamp_ns;
         if let Some(empty) = activation.skip {
             self.skipped += 1;
-            self.skipped_for = Some(empty.clone());
+            self.unfed = (self.unfed.0 + 1, Some(empty.clone()));
             run.event(&Event::Skipped { node: self.context.node(), item });
             self.send_empties(empty, run, turn);
             return;
         }
         let began = self.begin(item, stamp_ns, run, turn);
         let (node, joiner) = self.core.node();
+        if let Some(empty) = joiner.unfed() {
+            self.unfed = (self.unfed.0 + 1, Some(empty));
+        }
         joiner.take_absent().for_each(|(port, empty)| self.context.note_absent(port, empty));
         let (context, out) = (&mut self.context, &mut self.emissions);
         let answer_cache = run.answer_cache(self.index);
@@ -643,8 +647,9 @@ impl Cell {
             name: name.into(),
             items: self.item,
             skipped: self.skipped,
-            skipped_for: self.skipped_for.clone(),
             failed: self.failed,
+            unfed: self.unfed.0,
+            last_empty: self.unfed.1.clone(),
             busy: Duration::from_nanos(self.took.sum_ns()),
             cpu: self.cpu,
             wall: self.wall,

@@ -3,12 +3,12 @@
 use super::{Column, Reader, spec::TIMES};
 use crate::{
     fault::Fault,
-    graph::{Spanned, Table},
+    graph::{Spanned, Table, grammar::REASONS},
     names::nearest,
 };
 
 /// Results that every run has, regardless of `[results]`.
-const ALWAYS: [&str; 2] = ["notice", "refused"];
+const ALWAYS: [&str; 3] = ["notice", REASONS, "refused"];
 
 impl Reader<'_> {
     /// Faults for columns and points that no run can have; `results` and `nodes` are those of the graph.

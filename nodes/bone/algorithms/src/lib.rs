@@ -71,6 +71,7 @@ pub mod parts;
 pub mod perturb;
 mod point_blocks;
 mod point_grid;
+pub mod point_times;
 mod refusal;
 pub mod roi;
 pub mod sample;

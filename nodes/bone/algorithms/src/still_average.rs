@@ -1,10 +1,12 @@
 //! The mean pose of a marker at rest.
 
 mod motion;
+mod path;
 mod take;
 mod wander;
 
-pub use take::{BonePose, Carries, MarkerMotion, TakeMotion};
+pub use path::{MarkerPath, PathError};
+pub use take::{BonePose, Carries, MarkerMotion, TakeMotion, TakeTime};
 pub use wander::Wander;
 
 use motion::Motion;

@@ -33,6 +33,7 @@ mod rules;
 mod score;
 mod size;
 mod slid;
+mod smear;
 mod spread;
 mod stylus;
 mod surface_error;

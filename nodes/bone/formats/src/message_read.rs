@@ -197,7 +197,7 @@ pub fn read_cloud_head<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudHead,
 /// message's `pose`, metres turned to mm.
 ///
 /// Points with a NaN or infinite coordinate are left out and counted. Normals (`normal_x` .. or `nx` ..) come along when
-/// every kept point has one; other fields are ignored. The viewpoint is the origin of the frame, for a
+/// every kept point has one, and the times of points (`t`, `time`, `offset_time` ..) as a column; other fields are ignored. The viewpoint is the origin of the frame, for a
 /// sensor looks from there, whatever `pose` its points are given in; in a frame that is no sensor's (`world`, `ct`,
 /// `phantom`, a marker) it is the `pose`, or unknown where there is none. `O(n)`.
 ///
@@ -213,6 +213,7 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
     let layout = Layout::of(&raw, big_endian)?;
     let n_points_in_message = layout.n_points;
     let (mut points, mut normals) = (Vec::with_capacity(n_points_in_message), Vec::new());
+    let mut times = Vec::new();
     let mut points_in_sensor = Vec::with_capacity(n_points_in_message);
     for (k, bytes) in raw.data.chunks_exact(layout.stride.max(1)).take(n_points_in_message).enumerate() {
         let at_m = layout.position.map(|field| field.value(bytes));
@@ -229,6 +230,7 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
         if let Some(fields) = layout.normal {
             normals.push(Vector3::from(fields.map(|field| field.value(bytes))));
         }
+        times.extend(layout.time.as_ref().map(|(_, field)| field.value(bytes)));
     }
     let n_dropped = n_points_in_message - points.len();
     let invalid = invalid(&points_in_sensor, n_points_in_message);
@@ -236,6 +238,9 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
         retain(&mut points, keep);
         if layout.normal.is_some() {
             retain(&mut normals, keep);
+        }
+        if layout.time.is_some() {
+            retain(&mut times, keep);
         }
     }
     let stamp_ns = nanoseconds(raw.timestamp).unwrap_or(message.publish_time_ns);
@@ -248,6 +253,9 @@ pub fn read_cloud<'a>(message: impl Into<Encoded<'a>>) -> Result<CloudRead, Mess
             normals.iter_mut().for_each(|normal| *normal = t * *normal);
         }
         cloud = cloud.with_normals(normals).expect("each kept point has its unit normal");
+    }
+    if let Some((name, _)) = layout.time {
+        cloud = cloud.with_extra(name, times).expect("each kept point has its time");
     }
     cloud.stamp_ns = stamp_ns;
     cloud.viewpoint = if is_sensor_frame(cloud.frame.as_str()) { Some(Isometry3::identity()) } else { pose };

@@ -12,7 +12,7 @@ use foxglove::{
 };
 use nalgebra::{Isometry3, Point3};
 use osteoflow_container::{MessageHeader, WriteOptions, Writer};
-use osteoflow_geometry::{Cloud, Frame, MM_PER_M, Pose, StampNs};
+use osteoflow_geometry::{Cloud, Frame, MM_PER_M, Pose, StampNs, time_column};
 use std::{collections::BTreeMap, io};
 
 /// From sensor time, which is publish time, to log time, ns: transport, so that log time cannot pass for sensor time.
@@ -177,7 +177,7 @@ fn write(
     writer.finish()
 }
 
-/// The points, and the normals if there are any, in single precision.
+/// The points, and the normals if there are any, in single precision; the times of points, if there are any, in double precision.
 fn cloud_message(cloud: &Cloud, time: Timestamp) -> PointCloud {
     let names = ["x", "y", "z", "normal_x", "normal_y", "normal_z"];
     let names = if cloud.normals().is_some() { &names[..] } else { &names[..3] };
@@ -186,7 +186,13 @@ fn cloud_message(cloud: &Cloud, time: Timestamp) -> PointCloud {
         offset,
         r#type: NumericType::Float32.into(),
     });
-    let stride = 4 * names.len();
+    let time_field = cloud.extras().iter().find(|(name, _)| time_column(name).is_some());
+    let field_of_time = time_field.map(|(name, _)| PackedElementField {
+        name: name.to_string(),
+        offset: 4 * names.len() as u32,
+        r#type: NumericType::Float64.into(),
+    });
+    let stride = 4 * names.len() + 8 * usize::from(time_field.is_some());
     let mut data = Vec::with_capacity(cloud.len() * stride);
     for (index, point) in cloud.points().iter().enumerate() {
         let normal = cloud.normals().map(|normals| normals[index]);
@@ -194,13 +200,14 @@ fn cloud_message(cloud: &Cloud, time: Timestamp) -> PointCloud {
         for value in point.iter().chain(normal.iter().flatten()) {
             data.extend((*value as f32).to_le_bytes());
         }
+        data.extend(time_field.into_iter().flat_map(|(_, times)| times[index].to_le_bytes()));
     }
     PointCloud {
         timestamp: Some(time),
         frame_id: cloud.frame.to_string(),
         pose: Some(pose_message(&Isometry3::identity())),
         point_stride: stride as u32,
-        fields: fields.collect(),
+        fields: fields.chain(field_of_time).collect(),
         data: data.into(),
     }
 }

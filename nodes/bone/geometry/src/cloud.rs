@@ -124,13 +124,23 @@ impl Cloud {
 
     /// The cloud in frame `to`, moved by `t_to_frame`; normals and viewpoint go along, extra columns stay. `O(n)`.
     pub fn transformed(&self, to: impl Into<Frame>, t_to_frame: &Isometry3<f64>) -> Cloud {
+        self.transformed_each(to, t_to_frame, |_| t_to_frame)
+    }
+
+    /// The cloud in frame `to`, each point moved by a motion of its own, and the viewpoint by `t_to_frame`. `O(n)`.
+    pub fn transformed_each<'t>(
+        &self,
+        to: impl Into<Frame>,
+        t_to_frame: &Isometry3<f64>,
+        each: impl Fn(usize) -> &'t Isometry3<f64>,
+    ) -> Cloud {
         Cloud {
             frame: to.into(),
             stamp_ns: self.stamp_ns,
             label: self.label.clone(),
             viewpoint: self.viewpoint.map(|v| t_to_frame * v),
-            points: self.points.iter().map(|p| t_to_frame * p).collect(),
-            normals: self.normals.as_ref().map(|n| n.iter().map(|n| t_to_frame * n).collect()),
+            points: self.points.iter().enumerate().map(|(k, p)| each(k) * p).collect(),
+            normals: self.normals.as_ref().map(|n| n.iter().enumerate().map(|(k, n)| each(k) * n).collect()),
             extras: self.extras.clone(),
         }
     }

@@ -30,6 +30,7 @@ mod points;
 mod pose;
 mod region;
 mod rigid;
+mod time_column;
 mod transform_tree;
 mod units;
 
@@ -51,5 +52,6 @@ pub use rigid::{
     Correction, Corrections, EXACT_ROTATION, Nearest, ROTATION_NOISE, ROUNDED_ROTATION, RigidError, check_rotation,
     direction, exact_isometry, first_not_unit, isometry_from_matrix, matrix_rows, nearest_isometry, nearest_rotation,
 };
+pub use time_column::time_column;
 pub use transform_tree::{Chain, Step, TransformTree, TreeError};
 pub use units::{MM_PER_M, StampNs};

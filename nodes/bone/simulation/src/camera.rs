@@ -34,12 +34,27 @@ pub(crate) struct Pixel {
     bias_mm: f64,
     /// Standard deviation of the error drawn for each cloud, mm.
     noise_mm: f64,
+    /// When it is measured, where clouds take time.
+    instant: Option<Instant>,
+}
+
+/// When a pixel is measured.
+#[derive(Debug, Clone, Copy)]
+struct Instant {
+    /// Time from the cloud's stamp.
+    from_stamp_s: f64,
+    /// Carries what the camera sees at this instant, on the object, to where it sees it at the stamp.
+    t_stamp_instant: Isometry3<f64>,
 }
 
 impl Pixel {
-    /// The true point of the surface, camera frame.
+    /// The true point of the surface, camera frame at the cloud's stamp.
     pub(crate) fn point(&self) -> Point3<f64> {
-        Point3::from(self.ray * self.distance_mm)
+        self.at_stamp(Point3::from(self.ray * self.distance_mm))
+    }
+
+    fn at_stamp(&self, point: Point3<f64>) -> Point3<f64> {
+        self.instant.map_or(point, |instant| instant.t_stamp_instant * point)
     }
 
     /// Factor of an error along the ray: 1 where the surface faces the camera.
@@ -49,7 +64,7 @@ impl Pixel {
 
     /// The true point of the film on it, which the light falls on; of the surface where it is bare.
     pub(crate) fn lit(&self) -> Point3<f64> {
-        Point3::from(self.ray * (self.distance_mm - self.film_mm))
+        self.at_stamp(Point3::from(self.ray * (self.distance_mm - self.film_mm)))
     }
 }
 
@@ -85,22 +100,51 @@ pub(crate) struct Sight<'a> {
     pub(crate) lumps: Option<&'a MeshQuery>,
 }
 
+/// The columns or rows of a cloud measured one after the other.
+pub(crate) struct Sweep<'a> {
+    pub(crate) duration_s: f64,
+    /// From the image's x towards its y.
+    pub(crate) direction_rad: f64,
+    /// At a time from the cloud's stamp, which is in the middle.
+    pub(crate) t_object_camera: &'a (dyn Fn(f64) -> Isometry3<f64> + Sync),
+}
+
+impl Sweep<'_> {
+    /// Times before and after the stamp at which the sweep begins and ends.
+    fn ends_s(&self) -> [f64; 2] {
+        [-self.duration_s / 2.0, self.duration_s / 2.0]
+    }
+
+    /// When a direction within a window is measured.
+    fn instant(&self, [x0, x1, y0, y1]: [f64; 4], [x, y]: [f64; 2]) -> Instant {
+        let (sin, cos) = self.direction_rad.sin_cos();
+        let extent = cos.abs() * (x1 - x0) + sin.abs() * (y1 - y0);
+        let share = (cos * (x - (x0 + x1) / 2.0) + sin * (y - (y0 + y1) / 2.0)) / extent;
+        let from_stamp_s = self.duration_s * share.clamp(-0.5, 0.5);
+        let at = self.t_object_camera;
+        Instant { from_stamp_s, t_stamp_instant: at(0.0).inverse() * at(from_stamp_s) }
+    }
+}
+
 /// Pixels of the grid that see the object within its stretch or its surroundings, row by row, up to the maximum
 /// incidence. Nothing is drawn at random, so all scans of one view have the same pixels.
 ///
-/// `t_object_camera` maps into the surfaces' frame. The resolution of the grid follows from `n_points`.
+/// `t_object_camera` maps into the surfaces' frame, at the cloud's stamp. The resolution of the grid follows from `n_points`.
 pub(crate) fn view(
     sight: &Sight<'_>,
     t_object_camera: &Isometry3<f64>,
     params: &CameraParams,
     bias: &DepthBias,
+    sweep: Option<&Sweep<'_>>,
 ) -> Vec<Pixel> {
     let Sight { object, stretch, around, lumps } = *sight;
-    let t_camera_object = t_object_camera.inverse();
     let outline = around.unwrap_or(object).mesh().vertices().iter();
     let outline = outline.chain(lumps.map_or(&[][..], |lumps| lumps.mesh().vertices()));
     let stretch_seen = if around.is_some() { None } else { stretch };
-    let seen = outline.filter(|p| stretch_seen.is_none_or(|s| s.holds(p))).map(|p| t_camera_object * p);
+    let outline: Vec<_> = outline.filter(|p| stretch_seen.is_none_or(|s| s.holds(p))).collect();
+    let ends = sweep.into_iter().flat_map(|sweep| sweep.ends_s().map(sweep.t_object_camera));
+    let poses: Vec<Isometry3<f64>> = std::iter::once(*t_object_camera).chain(ends).map(|t| t.inverse()).collect();
+    let seen = poses.iter().flat_map(|t_camera_object| outline.iter().map(move |p| t_camera_object * **p));
     let window = seen.filter(|p| p.z > 1.0).map(|p| [p.x / p.z, p.y / p.z]).fold(None, |window, [x, y]| {
         let [x0, x1, y0, y1] = window.unwrap_or([x, x, y, y]);
         Some([x.min(x0), x.max(x1), y.min(y0), y.max(y1)])
@@ -116,8 +160,11 @@ pub(crate) fn view(
             .map(|row| {
                 (first..=last)
                     .filter_map(|column| {
-                        let ray = Vector3::new(column as f64 * step, row as f64 * step, 1.0).normalize();
-                        look(sight, t_object_camera, params, ray).map(|pixel| Pixel { cell: [column, row], ..pixel })
+                        let [x, y] = [column as f64 * step, row as f64 * step];
+                        let ray = Vector3::new(x, y, 1.0).normalize();
+                        let instant = sweep.map(|sweep| sweep.instant(window, [x, y]));
+                        let at = instant.map_or(*t_object_camera, |i| t_object_camera * i.t_stamp_instant);
+                        look(sight, &at, params, ray).map(|pixel| Pixel { cell: [column, row], instant, ..pixel })
                     })
                     .collect()
             })
@@ -134,7 +181,8 @@ pub(crate) fn view(
     let step = (solid_angle / (params.n_points as f64 * SURPLUS)).sqrt();
     let mut pixels = cast(step);
     pixels.par_iter_mut().for_each(|pixel| {
-        pixel.bias_mm = bias.at(&pixel.point()) + pixel.slanted(params) * bias.across(&pixel.point());
+        let seen = Point3::from(pixel.ray * pixel.distance_mm);
+        pixel.bias_mm = bias.at(&seen) + pixel.slanted(params) * bias.across(&seen);
         pixel.noise_mm = params.depth_noise_mm * pixel.slanted(params);
     });
     if params.edge_outliers > 0.0 {
@@ -201,6 +249,7 @@ fn look(
         film_mm: 0.0,
         bias_mm: 0.0,
         noise_mm: 0.0,
+        instant: None,
     })
 }
 
@@ -351,7 +400,9 @@ impl Periosteum {
     /// Moves what pixels see of the bone towards the camera, until it is as far off the bone as the film is thick.
     pub(crate) fn cover(&self, pixels: &mut [Pixel], t_object_camera: &Isometry3<f64>, object: &MeshQuery) {
         pixels.par_iter_mut().filter(|pixel| pixel.on_object).for_each(|pixel| {
-            pixel.film_mm = self.along(&pixel.point(), pixel.cos_incidence, t_object_camera, object);
+            let seen = Point3::from(pixel.ray * pixel.distance_mm);
+            let t_stamp_instant = pixel.instant.map_or_else(Isometry3::identity, |instant| instant.t_stamp_instant);
+            pixel.film_mm = self.along(&seen, pixel.cos_incidence, &(t_object_camera * t_stamp_instant), object);
         });
     }
 
@@ -434,7 +485,7 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
     let mut outliers = (n_at_edge > 0).then(|| stream(seed, Term::EdgeOutliers, number));
     let within = |p: &Point3<f64>, centre: &Point3<f64>, radius_mm: f64| (p - centre).norm() < radius_mm;
 
-    let mut kept: Vec<(u64, Point3<f64>)> = Vec::with_capacity(pixels.len());
+    let mut kept: Vec<(u64, Point3<f64>, f64)> = Vec::with_capacity(pixels.len());
     for pixel in pixels {
         let (noise, drop, key) = (normal(&mut noise), dropout.random::<f64>(), thinning.random::<u64>());
         let outlier_mm = outliers.as_mut().map_or(0.0, |rng| {
@@ -459,17 +510,22 @@ pub(crate) fn scan(shot: &Shot<'_>, params: &CameraParams, seed: u64) -> Result<
             }
         }
         let distance_mm = pixel.distance_mm - pixel.film_mm + pixel.noise_mm * noise + pixel.bias_mm + outlier_mm;
-        kept.push((key, Point3::from(pixel.ray * distance_mm)));
+        let from_stamp_s = pixel.instant.map_or(0.0, |instant| instant.from_stamp_s);
+        kept.push((key, Point3::from(pixel.ray * distance_mm), from_stamp_s));
     }
     if kept.len() > params.n_points {
-        let mut keys: Vec<u64> = kept.iter().map(|(key, _)| *key).collect();
+        let mut keys: Vec<u64> = kept.iter().map(|(key, ..)| *key).collect();
         // Truncation keeps the lower index in the unlikely case of equal keys.
         let (_, &mut limit, _) = keys.select_nth_unstable(params.n_points - 1);
-        kept.retain(|(key, _)| *key <= limit);
+        kept.retain(|(key, ..)| *key <= limit);
         kept.truncate(params.n_points);
     }
-    let points: Vec<Point3<f64>> = kept.into_iter().map(|(_, point)| point).collect();
-    Ok(Cloud::new("camera", points)?.at(stamp_ns).seen_from(Isometry3::identity()))
+    let points: Vec<Point3<f64>> = kept.iter().map(|(_, point, _)| *point).collect();
+    let cloud = Cloud::new("camera", points)?.at(stamp_ns).seen_from(Isometry3::identity());
+    if !params.point_times || wound.is_none() {
+        return Ok(cloud);
+    }
+    cloud.with_extra("t", kept.iter().map(|(.., from_stamp_s)| *from_stamp_s).collect::<Vec<_>>())
 }
 
 #[cfg(test)]
@@ -487,7 +543,7 @@ mod tests {
 
     fn pixels(params: &CameraParams) -> Vec<Pixel> {
         let sight = Sight { object: &wall(), stretch: None, around: None, lumps: None };
-        view(&sight, &Isometry3::identity(), params, &DepthBias::new(params, 1))
+        view(&sight, &Isometry3::identity(), params, &DepthBias::new(params, 1), None)
     }
 
     fn quiet() -> CameraParams {
@@ -581,6 +637,6 @@ mod tests {
         let away = vec![Point3::new(0.0, 0.0, -200.0), Point3::new(9.0, 0.0, -200.0), Point3::new(0.0, 9.0, -200.0)];
         let mesh = Mesh::new("ct", SurfaceOrigin::Exact, away, vec![[0, 1, 2]]).unwrap();
         let sight = Sight { object: &MeshQuery::new(&mesh), stretch: None, around: None, lumps: None };
-        assert!(view(&sight, &Isometry3::identity(), &quiet(), &DepthBias::new(&quiet(), 1)).is_empty());
+        assert!(view(&sight, &Isometry3::identity(), &quiet(), &DepthBias::new(&quiet(), 1), None).is_empty());
     }
 }

@@ -57,6 +57,9 @@ pub(crate) enum Term {
     SurfaceError = 45,
     EdgeOutliers = 46,
     TrackerRepeats = 47,
+    BoneSpeed = 48,
+    Carry = 49,
+    Saw = 50,
 }
 
 /// The stream of `term`; `item` distinguishes scans, markers or placements.

@@ -140,6 +140,15 @@ pub struct CameraParams {
     /// 0: off.
     #[schemars(range(min = -20.0, max = 20.0))]
     pub depth_percent: f64,
+    /// Time that a cloud of the bone takes, half of it before its stamp, s: each point is measured where bone and camera are then.
+    /// 0: an instant, as the paper's camera nearly does; a line that is swept by hand takes some seconds.
+    #[schemars(range(min = 0.0, max = 3.0))]
+    pub scan_s: f64,
+    /// Direction in the image in which a cloud is swept. 0 degrees: along the bone, proximally; 90: across it.
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub sweep_deg: f64,
+    /// Whether clouds of the bone have the time of each point, as a column `t` in seconds from their stamp. false: few files have it.
+    pub point_times: bool,
 }
 
 impl Default for CameraParams {
@@ -173,6 +182,9 @@ impl Default for CameraParams {
             unit_factor: 1.0,
             scale_percent: 0.0,
             depth_percent: 0.0,
+            scan_s: 0.0,
+            sweep_deg: 0.0,
+            point_times: false,
         }
     }
 }
@@ -219,7 +231,8 @@ pub struct TrackerParams {
     /// up.
     #[schemars(range(min = 0.0, max = 5.0))]
     pub drift_mm_per_min: f64,
-    /// Time for which a marker is tracked before and after each cloud. 0.6 s: assumed, a dozen samples on either side.
+    /// Time for which a marker is tracked before and after each cloud, beyond the half of `camera.scan_s`. 0.6 s: assumed, a dozen samples on
+    /// either side; 1.9: throughout.
     #[schemars(range(min = 0.1, max = 1.9))]
     pub burst_s: f64,
     /// Time by which all poses are stamped too late, s: the localiser's transport, or a clock of its own. 0: off; it is seen
@@ -612,9 +625,37 @@ pub struct MotionParams {
     #[schemars(range(min = 0.0, max = 30.0))]
     pub camera_between_scans_deg: f64,
     /// Speed of the camera at every cloud of the bone, for a second before and after it, in a direction drawn per run, mm/s.
-    /// 0: off, it is held still. A cloud is taken in an instant.
+    /// 0: off, it is held still.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub camera_speed_mm_s: f64,
+    /// Turn of the camera at every cloud of the bone, about what it looks at, degrees/s. 0: off.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub camera_speed_deg_s: f64,
+    /// Speed of the bone at every cloud of it, as `camera_speed_mm_s`. 0: off, the leg is held.
+    #[schemars(range(min = 0.0, max = 200.0))]
+    pub bone_speed_mm_s: f64,
+    /// Turn of the bone at every cloud of it, about the middle of its scan, degrees/s. 0: off.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub bone_speed_deg_s: f64,
+    /// Distance by which the bone is carried away and back between two clouds, each way in a second, in a direction drawn each time;
+    /// the fastest is 1.5 times as much per second. 0: off.
+    #[schemars(range(min = 0.0, max = 500.0))]
+    pub carry_mm: f64,
+    /// Rotation of the bone on that way. 0: off.
+    #[schemars(range(min = 0.0, max = 90.0))]
+    pub carry_deg: f64,
+    /// Time for which the bone is sawed after the touches, before its last motion, s: it shakes with its marker. 0: off.
+    #[schemars(range(min = 0.0, max = 60.0))]
+    pub saw_s: f64,
+    /// Amplitude of that shaking, in a direction drawn per run. 1 mm: assumed, a leg in the hands of an assistant.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub saw_mm: f64,
+    /// Rotation of the bone in that shaking. 0.5 degrees: assumed.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub saw_deg: f64,
+    /// Frequency of that shaking. 5 Hz: assumed, strokes of a hand and what the saw leaves of them.
+    #[schemars(range(min = 0.1, max = 50.0))]
+    pub saw_hz: f64,
     /// Slip of the bone's marker, in a direction drawn per run. 0: off, a marker that holds.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub marker_slip_mm: f64,
@@ -676,6 +717,15 @@ impl Default for MotionParams {
             camera_between_scans_mm: 0.0,
             camera_between_scans_deg: 0.0,
             camera_speed_mm_s: 0.0,
+            camera_speed_deg_s: 0.0,
+            bone_speed_mm_s: 0.0,
+            bone_speed_deg_s: 0.0,
+            carry_mm: 0.0,
+            carry_deg: 0.0,
+            saw_s: 0.0,
+            saw_mm: 1.0,
+            saw_deg: 0.5,
+            saw_hz: 5.0,
             marker_slip_mm: 0.0,
             marker_slip_deg: 0.0,
             marker_slips_before: SlipsBefore::Touches,

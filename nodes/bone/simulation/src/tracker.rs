@@ -14,27 +14,69 @@ pub(crate) struct Path {
     start: Isometry3<f64>,
     moves: Vec<Move>,
     passes: Option<Passes>,
+    shake: Option<Shake>,
 }
 
 /// Moments at which an object is in its place, but at a constant velocity.
 #[derive(Debug, Clone)]
-struct Passes {
-    mm_per_s: Vector3<f64>,
-    /// In order, several seconds apart.
-    moments_s: Vec<f64>,
+pub(crate) struct Passes {
+    pub(crate) mm_per_s: Vector3<f64>,
+    pub(crate) rad_per_s: Vector3<f64>,
+    /// Of the turn, in the object's frame.
+    pub(crate) pivot: Point3<f64>,
+    /// In order, four seconds apart.
+    pub(crate) moments_s: Vec<f64>,
+    /// Time for which the velocity is constant, before and after each moment: the object is back in its place 2 s from it.
+    pub(crate) half_s: f64,
 }
 
 impl Passes {
-    /// Time for which the velocity is constant, before and after each moment; half of the time from rest and to rest.
-    const HALF_S: f64 = 1.0;
+    /// Time from rest to rest.
+    const REACH_S: f64 = 2.0;
 
-    /// The displacement from the place.
-    fn at(&self, s: f64) -> Vector3<f64> {
+    /// The time for which it has moved from its place, negative before the moment.
+    fn at(&self, s: f64) -> f64 {
         let near = self.moments_s.iter().min_by(|a, b| (**a - s).abs().total_cmp(&(**b - s).abs()));
         let off_s = near.map_or(0.0, |moment| s - moment);
-        let back_s = (2.0 * Self::HALF_S - off_s.abs()).clamp(0.0, Self::HALF_S);
-        self.mm_per_s * if off_s.abs() <= Self::HALF_S { off_s } else { back_s * off_s.signum() }
+        let back_s =
+            (self.half_s * (Self::REACH_S - off_s.abs()) / (Self::REACH_S - self.half_s)).clamp(0.0, self.half_s);
+        if off_s.abs() <= self.half_s { off_s } else { back_s * off_s.signum() }
     }
+
+    fn applied(&self, s: f64, place: &Isometry3<f64>) -> Isometry3<f64> {
+        let for_s = self.at(s);
+        moved(place, self.mm_per_s * for_s, self.rad_per_s * for_s, &self.pivot)
+    }
+}
+
+/// An object that swings about its place for a time.
+#[derive(Debug, Clone)]
+pub(crate) struct Shake {
+    pub(crate) from_s: f64,
+    pub(crate) to_s: f64,
+    pub(crate) hz: f64,
+    pub(crate) shift: Vector3<f64>,
+    pub(crate) turn: Vector3<f64>,
+    /// Of the turn, in the object's frame.
+    pub(crate) pivot: Point3<f64>,
+}
+
+impl Shake {
+    /// Time in which it begins and ends.
+    const RAMP_S: f64 = 0.2;
+
+    fn applied(&self, s: f64, place: &Isometry3<f64>) -> Isometry3<f64> {
+        let grown = smoothstep((s - self.from_s) / Self::RAMP_S) * smoothstep((self.to_s - s) / Self::RAMP_S);
+        let share = grown * (std::f64::consts::TAU * self.hz * (s - self.from_s)).sin();
+        moved(place, self.shift * share, self.turn * share, &self.pivot)
+    }
+}
+
+/// A pose shifted and turned in the world about a point of the object.
+fn moved(at: &Isometry3<f64>, shift: Vector3<f64>, turn: Vector3<f64>, pivot: &Point3<f64>) -> Isometry3<f64> {
+    let pivot = (at * pivot).coords;
+    let turn = Translation3::from(pivot) * UnitQuaternion::from_scaled_axis(turn) * Translation3::from(-pivot);
+    Translation3::from(shift) * turn * at
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -49,12 +91,17 @@ struct Move {
 
 impl Path {
     pub(crate) fn resting(start: Isometry3<f64>) -> Self {
-        Self { start, moves: Vec::new(), passes: None }
+        Self { start, moves: Vec::new(), passes: None, shake: None }
     }
 
-    /// Lets the object pass its place at this velocity at these moments: between them it goes back as fast.
-    pub(crate) fn passing(&mut self, mm_per_s: Vector3<f64>, moments_s: Vec<f64>) {
-        self.passes = Some(Passes { mm_per_s, moments_s });
+    /// Lets the object pass its place at some moments: between them it goes back.
+    pub(crate) fn passing(&mut self, passes: Passes) {
+        self.passes = Some(passes);
+    }
+
+    /// Lets the object shake.
+    pub(crate) fn shaken(&mut self, shake: Shake) {
+        self.shake = Some(shake);
     }
 
     /// Adds a move after all others: `shift` (mm) and `turn` (rotation vector), both in world, about `pivot` of the
@@ -67,13 +114,10 @@ impl Path {
     pub(crate) fn at(&self, s: f64) -> Isometry3<f64> {
         let place = self.moves.iter().fold(self.start, |at, m| {
             let share = m.share(s);
-            let pivot = (at * m.pivot).coords;
-            let turn = Translation3::from(pivot)
-                * UnitQuaternion::from_scaled_axis(m.turn * share)
-                * Translation3::from(-pivot);
-            Translation3::from(m.shift * share) * turn * at
+            moved(&at, m.shift * share, m.turn * share, &m.pivot)
         });
-        self.passes.as_ref().map_or(place, |passes| Translation3::from(passes.at(s)) * place)
+        let place = self.passes.as_ref().map_or(place, |passes| passes.applied(s, &place));
+        self.shake.as_ref().map_or(place, |shake| shake.applied(s, &place))
     }
 
     /// The index of the resting place, and the share of the move to the next one.

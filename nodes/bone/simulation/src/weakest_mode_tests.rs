@@ -141,7 +141,7 @@ fn visible_surface(bone: &Mesh, anatomy: &Anatomy, camera: &CameraParams) -> Res
         max_mm: camera.scan_to_mm,
     };
     let sight = Sight { object: &surface, stretch: Some(&stretch), around: None, lumps: None };
-    let pixels = view(&sight, &t_ct_camera, &params.camera, &DepthBias::new(&params.camera, 0));
+    let pixels = view(&sight, &t_ct_camera, &params.camera, &DepthBias::new(&params.camera, 0), None);
     if pixels.is_empty() {
         return Err(nothing);
     }

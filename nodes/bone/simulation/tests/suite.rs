@@ -11,3 +11,4 @@ mod procedure;
 mod rgb_spot;
 mod shape_alone;
 mod slide;
+mod sweeps;

@@ -47,6 +47,7 @@ reports! {
     "IcpTrace" = osteoflow_algorithms::icp::IcpTrace;
     "LaserSpot" = osteoflow_algorithms::metrics::LaserSpotReport;
     "Motion" = osteoflow_algorithms::still_average::StillReport;
+    "Path" = osteoflow_algorithms::still_average::MarkerPath;
     "Pivot" = osteoflow_algorithms::calibrate::PivotReport;
     "PoseError" = osteoflow_algorithms::metrics::PoseErrorReport;
     "Ruled" = osteoflow_algorithms::landmarks::RuledReport;

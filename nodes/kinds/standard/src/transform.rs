@@ -11,5 +11,8 @@ pub mod stylus_tip;
 pub mod to_bone_marker;
 pub mod to_world;
 
+#[cfg(test)]
+mod own_times_tests;
+
 pub use bone_frame::TrackingParams;
-pub(crate) use bone_frame::{marker_motion, note_motion, pose_at};
+pub(crate) use bone_frame::{Carried, marker_motion, note_motion, pose_at};

@@ -17,6 +17,8 @@ pub(crate) struct Output {
     /// Indices of the run's taps that listen to the wire.
     listeners: Vec<usize>,
     next_number: u64,
+    /// Number of items that are values.
+    pub(crate) n_values: u64,
     /// No further item may have an earlier stamp.
     pub(crate) floor: StampNs,
     pub(crate) late: Late,
@@ -35,7 +37,16 @@ pub(crate) struct Late {
 
 impl Output {
     pub(crate) fn new(id: OutputId, payload: PortPayload, links: Vec<SendEnd>) -> Self {
-        Self { id, payload, links, listeners: Vec::new(), next_number: 0, floor: StampNs::MIN, late: Late::default() }
+        Self {
+            id,
+            payload,
+            links,
+            listeners: Vec::new(),
+            next_number: 0,
+            n_values: 0,
+            floor: StampNs::MIN,
+            late: Late::default(),
+        }
     }
 
     /// Number of items that a live source gave later than promised.
@@ -72,6 +83,7 @@ impl Output {
     ) -> Result<(), usize> {
         let item = Item { number: self.next_number, stamp_ns, body };
         self.next_number += 1;
+        self.n_values += u64::from(item.body.value().is_some());
         self.floor = stamp_ns;
         self.listeners.iter().for_each(|tap| run.taps[*tap].item(self.id, &item));
         let Some((last, others)) = self.links.split_last_mut() else { return Ok(()) };

@@ -1,6 +1,6 @@
 //! How markers moved while something was measured, for what judges it later.
 
-use super::StillReport;
+use super::{MarkerPath, StillReport};
 use nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3};
 use osteoflow_geometry::StampNs;
 use serde::{Deserialize, Serialize};
@@ -10,6 +10,24 @@ const MIN_SAMPLES: usize = 3;
 
 /// Samples that end earlier after a scan say nothing about the time after it, s.
 const MIN_AFTER_S: f64 = 0.1;
+
+/// Of a scan whose time is not known the motion over this time about its stamp is looked at, s: what a hand does to a scan of a second and
+/// more, and not how the leg was put there.
+const ABOUT_S: f64 = 1.5;
+
+/// A shorter time has too few samples for a velocity, s.
+const MIN_TIME_S: f64 = 0.5;
+
+/// When the points of a scan were measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TakeTime {
+    /// From the first point to the last, s.
+    pub duration_s: f64,
+    /// The middle of that time, from the scan's stamp, s; none where it is not known whether it began or ended with the stamp.
+    pub middle_s: Option<f64>,
+    /// The markers by whose pose at its own time each point was carried: their motion does not shear the scan.
+    pub undone: Vec<String>,
+}
 
 /// How the markers moved while a scan was taken or a point was touched.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,6 +39,13 @@ pub struct TakeMotion {
     /// The same markers in the time after it, where that was looked at.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub after: Vec<MarkerMotion>,
+    /// The markers that moved over the time of the scan, by more than noise explains: over all of it, over its first half and over its second
+    /// half.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub during: Vec<Vec<MarkerMotion>>,
+    /// When the points of a scan were measured, if that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time: Option<TakeTime>,
     /// The markers of which too few samples show whether they moved, before it and after it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unseen: Vec<String>,
@@ -29,7 +54,7 @@ pub struct TakeMotion {
     pub bone: Option<BonePose>,
 }
 
-/// A pose of the bone's marker in the world.
+/// A pose of a marker in the world.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BonePose {
     /// Its origin, mm.
@@ -39,6 +64,14 @@ pub struct BonePose {
 }
 
 impl BonePose {
+    /// The pose of a motion.
+    pub fn new(t: &Isometry3<f64>) -> Self {
+        Self {
+            position_mm: t.translation.vector.into(),
+            rotation_xyzw: (t.rotation.coords * 1.0_f64.copysign(t.rotation.w)).into(),
+        }
+    }
+
     /// As a motion.
     pub fn isometry(&self) -> Isometry3<f64> {
         let [x, y, z, w] = self.rotation_xyzw;
@@ -110,7 +143,7 @@ impl MarkerMotion {
     }
 
     /// In another frame.
-    fn carried(mut self, t: &Isometry3<f64>) -> Self {
+    pub(crate) fn carried(mut self, t: &Isometry3<f64>) -> Self {
         self.at_mm = (t * Point3::from(self.at_mm)).coords.into();
         self.shift_mm = (t * Vector3::from(self.shift_mm)).into();
         self.turn_rad = (t * Vector3::from(self.turn_rad)).into();
@@ -131,7 +164,15 @@ impl MarkerMotion {
 impl TakeMotion {
     /// What no marker carries.
     pub fn new(what: impl Into<String>) -> Self {
-        Self { what: what.into(), markers: Vec::new(), after: Vec::new(), unseen: Vec::new(), bone: None }
+        Self {
+            what: what.into(),
+            markers: Vec::new(),
+            after: Vec::new(),
+            during: Vec::new(),
+            time: None,
+            unseen: Vec::new(),
+            bone: None,
+        }
     }
 
     /// Also carried by another marker.
@@ -167,20 +208,56 @@ impl TakeMotion {
         self
     }
 
+    /// With the motion of a marker over the time of the scan, in the frame that the marker's poses lead to. Without a path it is taken to have
+    /// moved as before the scan.
+    #[must_use]
+    pub fn during(mut self, marker: &str, carries: Carries, stamp_ns: StampNs, path: Option<&MarkerPath>) -> Self {
+        if self.is_undone(marker) {
+            return self;
+        }
+        let Some(path) = path else {
+            let before = self.markers.iter().find(|before| before.marker == marker && before.is_significant()).cloned();
+            self.during.resize_with(self.during.len().max(usize::from(before.is_some())), Vec::new);
+            self.during.first_mut().into_iter().for_each(|whole| whole.extend(before.clone()));
+            return self;
+        };
+        let (duration_s, middle_s) =
+            self.time.as_ref().map_or((ABOUT_S, 0.0), |time| (time.duration_s, time.middle_s.unwrap_or(0.0)));
+        let half_s = duration_s.max(MIN_TIME_S) / 2.0;
+        let halves =
+            [[-half_s, 0.0], [0.0, half_s]].into_iter().filter(|_| self.time.is_some() && half_s >= MIN_TIME_S);
+        for (phase, ends_s) in [[-half_s, half_s]].into_iter().chain(halves).enumerate() {
+            let [from_ns, to_ns] = ends_s.map(|s| stamp_ns + ((middle_s + s) * 1e9) as StampNs);
+            let moved = path.motion(from_ns, to_ns);
+            let seen_s = moved.as_ref().map_or(0.0, |moved| moved.span_s);
+            if phase == 0 && self.time.is_some() && seen_s < half_s {
+                self.unseen.push(marker.to_owned());
+            }
+            let moved = moved.map(|moved| MarkerMotion::new(marker, carries, &moved.at_mm.into(), &moved));
+            if let Some(moved) = moved.filter(MarkerMotion::is_significant) {
+                self.during.resize_with(self.during.len().max(phase + 1), Vec::new);
+                self.during[phase].push(moved);
+            }
+        }
+        self
+    }
+
+    /// Whether each point was carried by the marker's pose at its own time.
+    pub fn is_undone(&self, marker: &str) -> bool {
+        self.time.as_ref().is_some_and(|time| time.undone.iter().any(|undone| undone == marker))
+    }
+
     /// While the bone's marker was at this pose in the world.
     #[must_use]
     pub fn on_bone(self, t_world_bone_marker: Option<&Isometry3<f64>>) -> Self {
-        let bone = t_world_bone_marker.map(|t| BonePose {
-            position_mm: t.translation.vector.into(),
-            rotation_xyzw: (t.rotation.coords * 1.0_f64.copysign(t.rotation.w)).into(),
-        });
-        Self { bone, ..self }
+        Self { bone: t_world_bone_marker.map(BonePose::new), ..self }
     }
 
     /// In another frame.
     #[must_use]
     pub fn carried(self, t: &Isometry3<f64>) -> Self {
         let carried = |markers: Vec<MarkerMotion>| markers.into_iter().map(|marker| marker.carried(t)).collect();
-        Self { markers: carried(self.markers), after: carried(self.after), ..self }
+        let during = self.during.into_iter().map(carried).collect();
+        Self { markers: carried(self.markers), after: carried(self.after), during, ..self }
     }
 }

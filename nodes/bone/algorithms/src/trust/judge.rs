@@ -25,6 +25,7 @@ use super::rules::RuleParams;
 use super::size::size_reason;
 use super::slid::slide_reasons;
 use super::spread::Spread;
+use super::smear::Smear;
 use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
@@ -133,13 +134,21 @@ impl Judging<'_> {
             return self.unexamined();
         };
         let nuisances = self.nuisances(&examined.evidence);
-        let predicted = self.predicted(&examined, nuisances.as_ref());
-        let (found, nuisances, unseen) = nuisances.map(|n| (n.reason, n.list, n.assumptions)).unwrap_or_default();
+        let smear = self.case.takes.scan.and_then(|take| Smear::new(take, registered, &self.place, self.rules));
+        let predicted = self.predicted(&examined, nuisances.as_ref(), smear.as_ref());
+        let (found, nuisances, mut unseen) = nuisances.map(|n| (n.reason, n.list, n.assumptions)).unwrap_or_default();
         let mut reasons = self.of_end(&examined.evidence);
         let cause = found.as_ref().map(|found| found.rule.clone());
         reasons.extend(found);
         reasons.extend(self.stylus(predicted.as_ref()));
-        reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules));
+        let smeared = smear.as_ref().zip(predicted.as_ref()).and_then(|(smear, p)| smear.reason(p, self.rules));
+        let assumption = smear.as_ref().filter(|_| smeared.is_none()).and_then(|s| s.assumption(&self.rules.limits));
+        unseen.extend(assumption.map(|text| (false, text)));
+        match smeared {
+            // What the motion explains is not told as another uncertainty.
+            Some(smeared) => reasons.push(smeared),
+            None => reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules)),
+        }
         reasons.extend(data_reasons(&examined.evidence, self.order.as_ref(), self.rules));
         reasons.extend(self.landmarks(examined.spread.as_ref()));
         if self.is_mirror_due(&reasons, cause.is_some()) {
@@ -209,12 +218,18 @@ impl Judging<'_> {
         nuisance::examine(registered, &self.place, evidence.noise_mm, self.rules, priors)
     }
 
-    fn predicted(&self, examined: &Examined, nuisances: Option<&Nuisances>) -> Option<Predicted> {
+    fn predicted(
+        &self,
+        examined: &Examined,
+        nuisances: Option<&Nuisances>,
+        smear: Option<&Smear>,
+    ) -> Option<Predicted> {
+        let motion = smear.map(|smear| &smear.pose);
         let deformation = nuisances.and_then(|nuisances| nuisances.deformation.as_ref());
         let to_settled = examined.to_settled.unwrap_or_else(Isometry3::identity);
         let (tracking, limits) = (self.case.tracking, &self.rules.limits);
         let spread = examined.spread.as_ref()?;
-        Some(predict(spread, &to_settled, deformation, tracking, &self.place, limits, self.errors))
+        Some(predict(spread, &to_settled, deformation, tracking, motion, &self.place, limits, self.errors))
     }
 
     /// Whether the scan's mirror image is registered, too.

@@ -1,6 +1,6 @@
 //! What the motion of markers says against a registration: the error of poses that are late.
 
-use super::cut::Displaced;
+use super::nuisance::Effect;
 use super::{Limits, Where};
 use crate::still_average::{MarkerMotion, TakeMotion};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -61,7 +61,7 @@ pub(super) fn motion_signs(
     let moved: Vec<Moved<'_>> = moved(When::Before).chain(moved(When::After)).collect();
     let mut assumptions: Vec<String> = unseen(&takes).into_iter().collect();
     let is_beyond =
-        |moved: &&Moved<'_>| moved.moved_mm > limits.max_moved_mm || moved.critical_s < limits.max_latency_s;
+        |moved: &&Moved<'_>| moved.is_smeared(limits.max_moved_mm) || moved.critical_s < limits.max_latency_s;
     // What moves on after a take is told only where nothing moved before it.
     let first = |of: &dyn Fn(&&Moved<'_>) -> bool| -> Option<(String, String)> {
         let all = |when: When| moved.iter().filter(|moved| moved.when == when && of(moved)).collect::<Vec<_>>();
@@ -121,16 +121,14 @@ impl<'a> Moved<'a> {
             markers.iter().map(|marker| (*marker, size(marker))).max_by(|a, b| a.1.total_cmp(&b.1))?;
         // Poses of one tracker are late together, so motions of two markers add up with their signs.
         let velocity = |p: &Point3<f64>| -> Vector3<f64> { markers.iter().map(|m| m.displacement(p) / m.span_s).sum() };
-        let largest = |of: &dyn Fn(&Displaced) -> f64| {
-            at.cuts.iter().map(|cut| of(&cut.displaced_by(&velocity))).fold(0.0, f64::max)
-        };
-        let per_s = limits.limits.times(
-            mean(&|p| velocity(p).norm()),
-            largest(&|displaced| displaced.offset_mm),
-            largest(&|displaced| displaced.slope.to_degrees()),
-        );
+        let per_s = Effect::new(at, limits.limits, &velocity).times;
         let late_mm = limits.max_latency_s * mean(&|p| velocity(p).norm());
         Some(Self { take, when, marker, moved_mm, late_mm, critical_s: 1.0 / per_s })
+    }
+
+    /// Whether the motion is too large whatever the lateness, where points were not carried by poses of their own.
+    fn is_smeared(&self, max_moved_mm: f64) -> bool {
+        self.moved_mm > max_moved_mm && !self.take.is_undone(&self.marker.marker)
     }
 
     /// How the marker moved, and in which takes.

@@ -2,6 +2,7 @@
 
 use super::cut::Cut;
 use super::nuisance::params::NuisanceParams;
+use super::smear::TERM;
 use super::{Limits, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
@@ -264,12 +265,15 @@ fn stated(tracking: &Tracking, centre: &Point3<f64>, params: &PredictParams) -> 
 /// for surface registration.
 ///
 /// `to_settled` is the motion from the pose to the one at which the scan fits best nearby: an error that the pose is known to
-/// have, about which the others spread.
+/// have, about which the others spread. `motion` is the error of the pose by the motion while the scan was taken, and the point about which it
+/// acts.
+#[expect(clippy::too_many_arguments, reason = "each is another source of error, or where and how it is told")]
 pub fn predict(
     spread: &Spread,
     to_settled: &Isometry3<f64>,
     deformation: Option<&Deformation>,
     tracking: Option<&Tracking>,
+    motion: Option<&(Matrix6<f64>, Point3<f64>)>,
     at: &Where<'_>,
     limits: &Limits,
     params: &PredictParams,
@@ -280,9 +284,10 @@ pub fn predict(
     let stated = tracking.map(|tracking| stated(tracking, &centre, params)).unwrap_or_default();
     let fit = tracking.and_then(|tracking| tracking.phantom_fit.as_ref());
     let fit = fit.map(|(covariance, about)| ("phantom's fit", carried(covariance, about, &centre)));
+    let motion = motion.map(|(covariance, about)| (TERM, carried(covariance, about, &centre)));
     let registration = ("registration", spread.covariance);
     let terms: Vec<(&str, Matrix6<f64>)> =
-        [registration].into_iter().chain(stated.iter().copied()).chain(fit).collect();
+        [registration].into_iter().chain(motion).chain(stated.iter().copied()).chain(fit).collect();
     let shift = to_settled * centre - centre;
     let turn = to_settled.rotation.scaled_axis();
     let mean = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);

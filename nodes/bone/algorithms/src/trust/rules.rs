@@ -83,6 +83,10 @@ pub struct RuleParams {
     /// Whether it is known that the attitude of the bone's marker is read as it was written. false: where no turn of the bone between the
     /// scan and its landmarks tests it, trust ends at the planes of the scan. true for a tracker whose poses were tested before.
     pub attitude_stated: bool,
+    /// Time that a scan takes where neither its points nor `duration_s` of `transform.to_world` say it, s: what the markers moved in such a
+    /// time shears it. 2: longer than structured light takes (0.1 to 1), and a line that is swept by hand over 100 mm at 50 mm/s.
+    #[schemars(range(min = 0.0, max = 60.0))]
+    pub assumed_scan_s: f64,
 }
 
 impl Default for RuleParams {
@@ -106,6 +110,7 @@ impl Default for RuleParams {
             max_latency_s: 0.1,
             max_moved_mm: 1.0,
             attitude_stated: false,
+            assumed_scan_s: 2.0,
         }
     }
 }

@@ -312,10 +312,18 @@ fn the_predicted_interval_holds_nine_tenths_of_the_errors_of_its_own_model() {
     let centre = Point3::new(0.0, 0.0, 60.0);
     let spread = Spread { covariance, centre, bias: Matrix6::zeros(), n_cells: 20 };
     let place = Where { points: &marks(), cuts: &[], limited: &[] };
-    let set =
-        predict(&spread, &Isometry3::identity(), None, None, &place, &Limits::default(), &PredictParams::default())
-            .assessment
-            .unwrap();
+    let set = predict(
+        &spread,
+        &Isometry3::identity(),
+        None,
+        None,
+        None,
+        &place,
+        &Limits::default(),
+        &PredictParams::default(),
+    )
+    .assessment
+    .unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let errors: Vec<f64> = (0..2000)
         .map(|_| {

@@ -1,6 +1,7 @@
 use super::fault::MessageError;
 use crate::scalar::Scalar;
 use foxglove::messages::{PointCloud, packed_element_field::NumericType};
+use osteoflow_geometry::time_column;
 
 /// A number within a point.
 #[derive(Clone, Copy)]
@@ -23,6 +24,8 @@ pub(super) struct Layout {
     pub(super) n_points: usize,
     pub(super) position: [Field; 3],
     pub(super) normal: Option<[Field; 3]>,
+    /// The times of points, with their name.
+    pub(super) time: Option<(String, Field)>,
 }
 
 impl Layout {
@@ -36,6 +39,10 @@ impl Layout {
             let [x, y, z] = names.map(|name| Self::field(raw, name, big_endian).ok().flatten());
             Some([x?, y?, z?])
         });
+        let time =
+            raw.fields.iter().find(|field| time_column(&field.name).is_some()).and_then(|field| {
+                Some((field.name.clone(), Self::field(raw, &field.name, big_endian).ok().flatten()?))
+            });
         let n_bytes = raw.data.len();
         let rest = n_bytes.checked_rem(stride as usize).unwrap_or(n_bytes);
         if rest != 0 {
@@ -45,7 +52,7 @@ impl Layout {
             )));
         }
         let n_points = n_bytes.checked_div(stride as usize).unwrap_or(0);
-        Ok(Self { stride: stride as usize, n_points, position, normal })
+        Ok(Self { stride: stride as usize, n_points, position, normal, time })
     }
 
     /// The first field of that name.

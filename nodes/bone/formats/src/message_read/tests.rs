@@ -72,6 +72,24 @@ fn points_that_are_not_finite_are_left_out_and_counted() {
 }
 
 #[test]
+fn the_times_of_points_are_a_column_and_those_of_points_that_are_left_out_are_not_in_it() {
+    // As Ouster and Livox write them: nanoseconds from the stamp, unsigned.
+    let point = |x: f32, ns: u32| [x.to_le_bytes(), 0f32.to_le_bytes(), 1f32.to_le_bytes(), ns.to_le_bytes()].concat();
+    let points = [(0.1, 0), (f32::NAN, 1_000_000_000), (0.3, 3_000_000_000)];
+    let data = points.iter().flat_map(|(x, ns)| point(*x, *ns)).collect();
+    let fields = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("offset_time", 12, 5), ("intensity", 0, 7)];
+    let cloud = read(&cloud_of(16, &fields, data)).unwrap().cloud;
+    let columns: Vec<(&str, &[f64])> = cloud.extras().iter().map(|(name, values)| (&**name, &**values)).collect();
+    assert_eq!(columns, [("offset_time", &[0.0, 3e9][..])]);
+    // As Hesai and RoboSense do: seconds since 1970.
+    let point = |s: f64| [&0.1f32.to_le_bytes()[..], &[0; 8], &s.to_le_bytes()].concat();
+    let data = [1_750_000_011.25, 1_750_000_011.5].iter().flat_map(|s| point(*s)).collect();
+    let fields = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("timestamp", 12, 8)];
+    let cloud = read(&cloud_of(20, &fields, data)).unwrap().cloud;
+    assert_eq!(&*cloud.extras()[0].1, [1_750_000_011.25, 1_750_000_011.5]);
+}
+
+#[test]
 fn an_empty_cloud_is_a_cloud() {
     let read = read(&xyz_f32(&[])).unwrap();
     assert!(read.cloud.is_empty() && read.n_points_in_message == 0);

@@ -24,12 +24,16 @@ impl Markers {
 impl Scene<'_> {
     /// Samples whose stamps lie in bursts around the clouds: poses that are late are those of earlier times. Of the bone's marker also from the touches to the end.
     pub(super) fn markers(&self, tracker: &Tracker<'_>, n_laser: usize) -> Markers {
-        let (burst_s, late_s) = (self.params.tracker.burst_s, self.params.tracker.late_s);
+        let late_s = self.params.tracker.late_s;
+        // Bursts stay apart.
+        let burst_s = (self.params.tracker.burst_s + self.params.camera.scan_s / 2.0).min(1.9);
         let burst = |s: f64| (s - late_s - burst_s, s - late_s + burst_s);
         let scans: Vec<(f64, f64)> = (0..=n_laser).map(|k| burst(SCAN_S + k as f64 * LASER_EVERY_S)).collect();
         let calibration = [burst(CALIBRATION_S)];
         let camera_spans = [&calibration[..], &scans].concat();
-        let bone_spans = [&scans[..], &[(self.touches_s - 0.5, self.end_s())]].concat();
+        let scanned_s = scans.last().map_or(0.0, |(_, to_s)| *to_s);
+        let touches = ((self.touches_s - 0.5).max(scanned_s + 1e-6), self.end_s());
+        let bone_spans = [&scans[..], &[touches]].concat();
         let on_camera =
             |s: f64| if s < KNOCK_S { self.t_camera_camera_marker } else { self.t_camera_camera_marker_knocked };
         let on_phantom = |_| self.t_phantom_phantom_marker;

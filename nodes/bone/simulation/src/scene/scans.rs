@@ -2,7 +2,7 @@
 
 use super::{CALIBRATION_S, SCAN_S, Scene, laser_s};
 use crate::SimulationError;
-use crate::camera::{DepthBias, FilmSite, Hole, Periosteum, Pixel, Shot, Sight, Stretch, Wound, scan, view};
+use crate::camera::{DepthBias, FilmSite, Hole, Periosteum, Pixel, Shot, Sight, Stretch, Sweep, Wound, scan, view};
 use crate::draws::{Term, stream};
 use crate::image;
 use crate::plan::section_centre;
@@ -19,7 +19,7 @@ impl Scene<'_> {
         let camera = &self.params.camera;
         let t_object_camera = self.phantom_path.at(CALIBRATION_S).inverse() * self.camera.at(CALIBRATION_S);
         let sight = Sight { object: &self.phantom_surface, stretch: None, around: None, lumps: None };
-        let pixels = view(&sight, &t_object_camera, camera, bias);
+        let pixels = view(&sight, &t_object_camera, camera, bias, None);
         if pixels.is_empty() {
             return Err(SimulationError::nothing_visible("phantom", "is its mesh in millimetres?"));
         }
@@ -186,7 +186,11 @@ impl Scene<'_> {
     ) -> Result<Vec<Pixel>, SimulationError> {
         let stretch = self.stretch();
         let sight = Sight { lumps: tissue, ..self.sight(&stretch) };
-        let mut pixels = view(&sight, &self.t_ct_camera(s), &self.params.camera, bias);
+        let at = |from_stamp_s: f64| self.t_ct_camera(s + from_stamp_s);
+        let camera = &self.params.camera;
+        let sweep =
+            Sweep { duration_s: camera.scan_s, direction_rad: camera.sweep_deg.to_radians(), t_object_camera: &at };
+        let mut pixels = view(&sight, &at(0.0), camera, bias, Some(&sweep).filter(|sweep| sweep.duration_s > 0.0));
         if !pixels.iter().any(|p| p.on_object) {
             let hint = "scan_from_mm and scan_to_mm should lie on the bone, view_azimuth_deg beside it";
             return Err(SimulationError::nothing_visible("bone", hint));

@@ -4,11 +4,11 @@ use super::places::{bone_marker_pose, bone_pose, camera_offset_at_phantom, phant
 use super::ruler::Ruler;
 use super::{CALIBRATION_S, LASER_EVERY_S, MOTION_S, PALPATION_RATE_HZ, SCAN_S, Scene, TOUCH_EVERY_S, laser_s};
 use crate::draws::{Term, direction, small_motion, stream};
-use crate::params::PhantomParams;
+use crate::params::{MotionParams, PhantomParams};
 use crate::phantom::t_camera_camera_marker_nominal;
 use crate::plan::section_centre;
 use crate::surroundings::surroundings;
-use crate::tracker::Path;
+use crate::tracker::{Passes, Path, Shake};
 use crate::{ProcedureParams, SimulationError, phantom};
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_algorithms::mesh_query::MeshQuery;
@@ -52,12 +52,14 @@ impl<'a> Scene<'a> {
 
         let mut bone_path = Path::resting(t_world_ct);
         move_between_scans(&mut bone_path, &mut camera, n_laser, &focus, params, seed);
-        pass_at_scans(&mut camera, n_laser, params, seed);
+        pass_at_scans([&mut camera, &mut bone_path], n_laser, &focus, params, seed);
         let touches_s = SCAN_S + n_laser as f64 * LASER_EVERY_S + 2.0;
         let n_touches = landmarks.points.len() + assessment.points.len();
         let palpation_s = params.stylus.n_palpated as f64 / PALPATION_RATE_HZ;
-        let motion_s = (touches_s + (n_touches + 2) as f64 * TOUCH_EVERY_S + palpation_s + 1.0).ceil();
+        let saw_s = (touches_s + (n_touches + 2) as f64 * TOUCH_EVERY_S + palpation_s + 1.0).ceil();
         let motion = &params.motion;
+        let motion_s = saw_s + motion.saw_s;
+        saw(&mut bone_path, [saw_s, motion_s], focus, motion, seed);
         let (shift, turn) = random_motion(&mut stream(seed, Term::BoneMotion, 0), motion.bone_mm, motion.bone_deg);
         bone_path.then(motion_s, motion_s + MOTION_S, shift, turn, focus);
 
@@ -177,24 +179,58 @@ fn move_between_scans(
             in_view,
         ),
     ];
+    let is_carried = motion.carry_mm > 0.0 || motion.carry_deg > 0.0;
     for (term, path, shift_mm, turn_deg, pivot) in moves {
-        if shift_mm <= 0.0 && turn_deg <= 0.0 {
-            continue;
-        }
+        let is_carried = is_carried && term == Term::MotionBetweenScans;
+        let is_moved = shift_mm > 0.0 || turn_deg > 0.0;
         for gap in 0..n_laser {
             let s = SCAN_S + (gap as f64 + 0.5) * LASER_EVERY_S;
-            let (shift, turn) = random_motion(&mut stream(seed, term, gap as u64), shift_mm, turn_deg);
-            path.then(s - 0.1, s + 0.1, shift, turn, pivot);
+            let carry = random_motion(&mut stream(seed, Term::Carry, gap as u64), motion.carry_mm, motion.carry_deg);
+            if is_carried {
+                path.then(s - 0.1 - CARRY_S, s - 0.1, carry.0, carry.1, pivot);
+            }
+            if is_moved {
+                let (shift, turn) = random_motion(&mut stream(seed, term, gap as u64), shift_mm, turn_deg);
+                path.then(s - 0.1, s + 0.1, shift, turn, pivot);
+            }
+            if is_carried {
+                path.then(s + 0.1, s + 0.1 + CARRY_S, -carry.0, -carry.1, pivot);
+            }
         }
     }
 }
 
-/// Lets the camera move at every cloud of the bone.
-fn pass_at_scans(camera: &mut Path, n_laser: usize, params: &ProcedureParams, seed: u64) {
-    let mm_per_s = params.motion.camera_speed_mm_s;
-    if mm_per_s > 0.0 {
-        let way = direction(&mut stream(seed, Term::CameraSpeed, 0));
-        camera.passing(way * mm_per_s, std::iter::once(SCAN_S).chain((0..n_laser).map(laser_s)).collect());
+/// Time for which the bone is carried away, and back.
+const CARRY_S: f64 = 1.0;
+
+/// Lets camera and bone move at every cloud of the bone, each about a point of its frame.
+fn pass_at_scans(
+    [camera, bone]: [&mut Path; 2],
+    n_laser: usize,
+    focus: &Point3<f64>,
+    params: &ProcedureParams,
+    seed: u64,
+) {
+    let MotionParams { camera_speed_mm_s, camera_speed_deg_s, bone_speed_mm_s, bone_speed_deg_s, .. } = params.motion;
+    let in_view = Point3::new(0.0, 0.0, params.camera.working_distance_mm);
+    let half_s = (params.camera.scan_s / 2.0 + 0.1).max(1.0);
+    for (term, path, mm_per_s, deg_per_s, pivot) in [
+        (Term::CameraSpeed, camera, camera_speed_mm_s, camera_speed_deg_s, in_view),
+        (Term::BoneSpeed, bone, bone_speed_mm_s, bone_speed_deg_s, *focus),
+    ] {
+        if mm_per_s > 0.0 || deg_per_s > 0.0 {
+            let (mm_per_s, rad_per_s) = random_motion(&mut stream(seed, term, 0), mm_per_s, deg_per_s);
+            let moments_s = std::iter::once(SCAN_S).chain((0..n_laser).map(laser_s)).collect();
+            path.passing(Passes { mm_per_s, rad_per_s, pivot, moments_s, half_s });
+        }
+    }
+}
+
+/// Lets the bone shake between two times.
+fn saw(bone: &mut Path, [from_s, to_s]: [f64; 2], pivot: Point3<f64>, motion: &MotionParams, seed: u64) {
+    if motion.saw_s > 0.0 {
+        let (shift, turn) = random_motion(&mut stream(seed, Term::Saw, 0), motion.saw_mm, motion.saw_deg);
+        bone.shaken(Shake { from_s, to_s, hz: motion.saw_hz, shift, turn, pivot });
     }
 }
 

@@ -72,6 +72,9 @@ fn scaled(cloud: Cloud, factors: &Vector3<f64>) -> Result<Cloud, CloudError> {
     let points: Vec<Point3<f64>> =
         cloud.points().iter().map(|p| Point3::from(p.coords.component_mul(factors))).collect();
     let mut scaled = Cloud::new(&cloud.frame, points)?.at(cloud.stamp_ns);
+    for (name, values) in cloud.extras() {
+        scaled = scaled.with_extra(name.clone(), values.clone())?;
+    }
     (scaled.viewpoint, scaled.label) = (cloud.viewpoint, cloud.label);
     Ok(scaled)
 }

@@ -41,11 +41,11 @@ impl Frozen {
     pub(super) fn of(what: &str, poses: &[Pose], after_ms: Option<f64>, signs: &mut Vec<Sign>) -> Vec<Option<String>> {
         let mut whole = Self::new(after_ms);
         poses.iter().for_each(|pose| drop(whole.take(what, &pose.isometry, pose.stamp_ns, &mut Vec::new())));
-        let after_ms = whole
+        let own_ms = whole
             .streams
             .get(what)
             .map(|stream| stream.after_ms(after_ms, poses.last().map_or(0, |pose| pose.stamp_ns)));
-        let (mut frozen, mut notes) = (Self::new(after_ms), Vec::new());
+        let (mut frozen, mut notes) = (Self::new(own_ms.or(after_ms)), Vec::new());
         let mut reasons: Vec<Option<String>> = Vec::with_capacity(poses.len());
         for pose in poses {
             let reason = frozen.take(what, &pose.isometry, pose.stamp_ns, &mut notes);

@@ -1,6 +1,7 @@
-use osteoflow_algorithms::still_average::{Carries, MarkerMotion, StillReport};
+use osteoflow_algorithms::point_times::PointTimes;
+use osteoflow_algorithms::still_average::{Carries, MarkerMotion, MarkerPath, StillReport};
 use osteoflow_geometry::{
-    Frame, Pose,
+    Cloud, Frame, Pose,
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{Context, NodeError, schemars, serde};
@@ -47,6 +48,44 @@ pub(crate) fn pose_at(
     };
     world.expect(&pose.to, "what is carried over")?;
     Ok(pose)
+}
+
+/// By what a cloud is carried.
+pub(crate) struct Carried<'a> {
+    pub(crate) marker: &'a str,
+    /// Where the marker was while the cloud was taken.
+    pub(crate) path: Option<&'a MarkerPath>,
+    /// When each point was measured.
+    pub(crate) times: Option<&'a PointTimes>,
+    /// The motion of the cloud at its stamp.
+    pub(crate) t_at_stamp: &'a Pose,
+}
+
+impl Carried<'_> {
+    /// The carried cloud, and whether each point was carried by the marker's pose at its own time: `of` is the motion for a pose of the marker
+    /// in the world.
+    pub(crate) fn cloud(
+        &self,
+        cloud: &Cloud,
+        of: impl Fn(&Isometry3<f64>) -> Isometry3<f64>,
+    ) -> Result<(Cloud, bool), NodeError> {
+        let Pose { to, isometry, .. } = self.t_at_stamp;
+        let (Some(path), Some(times)) = (self.path, self.times) else {
+            return Ok((cloud.transformed(to, isometry), false));
+        };
+        let at = |after_ns: &i64| path.at(cloud.stamp_ns, *after_ns).map(|pose| of(&pose));
+        let motions: Result<Vec<Isometry3<f64>>, _> = times.after_ns.iter().map(at).collect();
+        let motions = motions.map_err(|fault| {
+            let (PointTimes { name, span_s: [from_s, to_s], .. }, marker) = (times, self.marker);
+            NodeError::new(format!(
+                "column \"{name}\" says that the points were measured {from_s:.3} s to {to_s:.3} s after the cloud's stamp, and where the \
+                 {marker} marker was then is not known: {fault}; is the unit another one (point_times = \"ns\", or \"ignored\" where it is \
+                 no time), were poses lost, or does the scan end later than the path (after_ms of `path`, path_s of \
+                 transform.still_average)?"
+            ))
+        })?;
+        Ok((cloud.transformed_each(to, isometry, |k| &motions[k]), true))
+    }
 }
 
 /// How a marker moved about its pose, in the frame that the pose leads to; `None` where nothing is known.

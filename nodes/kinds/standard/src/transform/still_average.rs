@@ -1,6 +1,8 @@
 //! The kind `transform.still_average`.
 
-use osteoflow_algorithms::still_average::{StillAverage as Mean, StillError, StillReport, Wander, still_average};
+use osteoflow_algorithms::still_average::{
+    MarkerPath, StillAverage as Mean, StillError, StillReport, Wander, still_average,
+};
 use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
 use osteoflow_node::{
     Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
@@ -47,11 +49,14 @@ pub struct Params {
     /// more. 0.05 degrees: five times an optical tracker's noise.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub still_deg: f64,
+    /// Length of the path, s. 6: a slow sweep by hand, of 3 s before its stamp or after it.
+    #[schemars(range(min = 0.0, max = 60.0))]
+    pub path_s: f64,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { window_ms: 500.0, still_mm: 0.1, still_deg: 0.05 }
+        Self { window_ms: 500.0, still_mm: 0.1, still_deg: 0.05, path_s: 6.0 }
     }
 }
 
@@ -70,6 +75,8 @@ pub struct Out {
     pose: Pose,
     /// The motion of the marker over the whole window.
     motion: StillReport,
+    /// The samples of the last seconds, at most 256: for `transform.to_world` and `transform.to_bone_marker`.
+    path: MarkerPath,
 }
 
 impl Node for StillAverage {
@@ -91,12 +98,17 @@ impl Node for StillAverage {
         }
         let window_ns = (self.params.window_ms * 1e6) as StampNs;
         self.history.push_back((now_ns, i.pose.isometry));
-        let forgotten_ns = now_ns.saturating_sub(window_ns.saturating_mul(HISTORY));
+        let path_ns = (self.params.path_s * 1e9) as StampNs;
+        let forgotten_ns = now_ns.saturating_sub(window_ns.saturating_mul(HISTORY).max(path_ns));
         while self.history.front().is_some_and(|(stamp_ns, _)| *stamp_ns < forgotten_ns) {
             self.history.pop_front();
         }
         let history = &*self.history.make_contiguous();
-        let window = &history[history.partition_point(|(stamp_ns, _)| *stamp_ns < now_ns.saturating_sub(window_ns))..];
+        let last = |for_ns: StampNs| {
+            &history[history.partition_point(|(stamp_ns, _)| *stamp_ns < now_ns.saturating_sub(for_ns))..]
+        };
+        let window = last(window_ns);
+        let path = MarkerPath::of(last(path_ns));
         let poses: Vec<Isometry3<f64>> = window.iter().map(|(_, pose)| *pose).collect();
         let wander = Wander::of(history, poses.len(), window_ns);
         let oldest_ns = window.first().map_or(now_ns, |(stamp_ns, _)| *stamp_ns);
@@ -109,7 +121,7 @@ impl Node for StillAverage {
             ..still_average(&poses, f64::INFINITY, f64::INFINITY)?.report.explained_by(&wander)
         };
         let isometry = self.still_part(&poses, &wander.of_halves())?.mean;
-        Ok(Out { pose: Pose { isometry, ..i.pose }, motion })
+        Ok(Out { pose: Pose { isometry, ..i.pose }, motion, path })
     }
 }
 

@@ -6,24 +6,28 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 /// The directions of a registered scan, target's frame.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Axes {
+pub(in crate::trust) struct Axes {
     /// Centroid of the scan.
-    pub(super) centre: Point3<f64>,
+    pub(in crate::trust) centre: Point3<f64>,
     /// Unit direction of its longest extent: a shaft's axis.
-    pub(super) along: Vector3<f64>,
+    pub(in crate::trust) along: Vector3<f64>,
     /// Unit direction towards the camera, perpendicular to `along`; without a camera, the mean normal of the surface.
-    pub(super) towards: Vector3<f64>,
+    pub(in crate::trust) towards: Vector3<f64>,
     /// `along` x `towards`.
-    pub(super) sideways: Vector3<f64>,
+    pub(in crate::trust) sideways: Vector3<f64>,
     /// Half of the extent along `along`, mm.
-    pub(super) half_mm: f64,
+    pub(in crate::trust) half_mm: f64,
     /// Where the camera was.
-    pub(super) camera: Option<Point3<f64>>,
+    pub(in crate::trust) camera: Option<Point3<f64>>,
 }
 
 impl Axes {
     /// The directions of a scan whose points have these normals; `None` where it has none.
-    pub(super) fn new(points: &[Point3<f64>], normals: &[Vector3<f64>], camera: Option<Point3<f64>>) -> Option<Self> {
+    pub(in crate::trust) fn new(
+        points: &[Point3<f64>],
+        normals: &[Vector3<f64>],
+        camera: Option<Point3<f64>>,
+    ) -> Option<Self> {
         let centre = centroid(points);
         let scatter: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
         let ([along, ..], _) = largest_first(&scatter);

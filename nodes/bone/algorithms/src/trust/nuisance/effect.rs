@@ -7,18 +7,22 @@ use nalgebra::{Point3, Vector3, Vector6};
 
 /// The largest errors at the targets.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Effect {
+pub(in crate::trust) struct Effect {
     /// The larger of the mean TRE and the displacements of cuts, mm.
-    pub(super) mm: f64,
+    pub(in crate::trust) mm: f64,
     /// The largest tilt of a cut, degrees.
-    pub(super) deg: f64,
+    pub(in crate::trust) deg: f64,
     /// The largest of error over limit.
-    pub(super) times: f64,
+    pub(in crate::trust) times: f64,
 }
 
 impl Effect {
     /// The effect of an error at the targets.
-    pub(super) fn new(place: &Where<'_>, limits: &Limits, error: &dyn Fn(&Point3<f64>) -> Vector3<f64>) -> Self {
+    pub(in crate::trust) fn new(
+        place: &Where<'_>,
+        limits: &Limits,
+        error: &dyn Fn(&Point3<f64>) -> Vector3<f64>,
+    ) -> Self {
         let tre_mm = place.limited.iter().map(|p| error(p).norm()).sum::<f64>() / place.limited.len().max(1) as f64;
         let (mut offset_mm, mut tilt_deg) = (0.0_f64, 0.0_f64);
         for displaced in place.cuts.iter().map(|cut| cut.displaced_by(error)) {
@@ -26,6 +30,11 @@ impl Effect {
             tilt_deg = tilt_deg.max(displaced.slope.atan().to_degrees());
         }
         Self { mm: tre_mm.max(offset_mm), deg: tilt_deg, times: limits.times(tre_mm, offset_mm, tilt_deg) }
+    }
+
+    /// The larger in each.
+    pub(in crate::trust) fn larger(self, other: Self) -> Self {
+        Self { mm: self.mm.max(other.mm), deg: self.deg.max(other.deg), times: self.times.max(other.times) }
     }
 
     /// The effect of an error that is larger by a factor.

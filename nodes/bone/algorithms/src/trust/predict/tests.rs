@@ -44,7 +44,7 @@ fn predicted_with(errors: &PredictParams) -> Predicted {
     let to_settled = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.002, 0.001, -0.003));
     let spread = spread([0.1, 0.2, 0.3, 0.002, 0.001, 0.004]);
     let limits = Limits { max_tre_mm: 0.8, max_offset_mm: 0.9, max_tilt_deg: 0.4 };
-    predict(&spread, &to_settled, None, Some(&tracking()), &at, &limits, errors)
+    predict(&spread, &to_settled, None, Some(&tracking()), None, &at, &limits, errors)
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn the_mean_error_of_a_gaussian_shift_is_that_of_maxwell() {
     let at = Where { points: &place, cuts: &[], limited: &[] };
     let spread = Spread { bias: Matrix6::zeros(), ..spread([0.5, 0.5, 0.5, 0.0, 0.0, 0.0]) };
     let predicted =
-        predict(&spread, &Isometry3::identity(), None, None, &at, &Limits::default(), &PredictParams::default());
+        predict(&spread, &Isometry3::identity(), None, None, None, &at, &Limits::default(), &PredictParams::default());
     let set = predicted.assessment.unwrap();
     let mean = 0.5 * (8.0 / std::f64::consts::PI).sqrt();
     assert!((set.mean_tre_mm / mean - 1.0).abs() < 0.02, "{} instead of {mean} mm", set.mean_tre_mm);
@@ -204,7 +204,7 @@ fn a_deformation_widens_the_error_where_it_acts_and_nowhere_else() {
     let spread = Spread { bias: Matrix6::zeros(), ..spread([0.01, 0.01, 0.01, 0.0, 0.0, 0.0]) };
     let limits = Limits { max_tre_mm: 9.0, max_offset_mm: 9.0, max_tilt_deg: 0.5 };
     let with = |deformation: Option<&Deformation>| {
-        predict(&spread, &Isometry3::identity(), deformation, None, &at, &limits, &PredictParams::default())
+        predict(&spread, &Isometry3::identity(), deformation, None, None, &at, &limits, &PredictParams::default())
     };
     let (rigid, wide) = (with(None), with(Some(&deformation)));
     assert_eq!(rigid.points[0], wide.points[0]);

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::icp::{self, IcpParams, Method};
+use crate::still_average::{Carries, MarkerPath, TakeMotion, TakeTime};
 use crate::trust::cut::{Displaced, planned_cuts};
 use osteoflow_geometry::Planes;
 use std::ops::ControlFlow;
@@ -206,4 +207,154 @@ fn the_critical_size_of_a_growing_film_is_that_at_which_a_refit_is_wrong() {
         "at its critical size of {:.2} mm the refit is wrong {ratio:.2} times",
         film.critical
     );
+}
+
+/// How the camera's marker is, from the time of a scan.
+type Pose = dyn Fn(f64) -> Isometry3<f64>;
+
+/// A steady motion of the camera, about a marker 200 mm beside the bone.
+fn steady(shift_mm_s: Vector3<f64>, turn_rad_s: Vector3<f64>) -> impl Fn(f64) -> Isometry3<f64> {
+    let marker = nalgebra::Translation3::new(200.0, 0.0, MIDDLE);
+    move |s| marker * Isometry3::new(shift_mm_s * s, turn_rad_s * s) * marker.inverse()
+}
+
+/// A take of a scan, with the poses of 2 s on either side of it.
+fn take(camera: &Pose, time: Option<TakeTime>) -> TakeMotion {
+    let marker = Isometry3::translation(200.0, 0.0, MIDDLE);
+    let sample = |k: i64| (k * 50_000_000, camera(k as f64 / 20.0) * marker);
+    let path = MarkerPath::of(&(-40..=40).map(sample).collect::<Vec<_>>());
+    TakeMotion { time, ..TakeMotion::new("scan") }.during("camera", Carries::Data, 0, Some(&path))
+}
+
+fn of_2_s(middle_s: Option<f64>) -> TakeTime {
+    TakeTime { duration_s: 2.0, middle_s, undone: Vec::new() }
+}
+
+/// The scan of a camera that moves, whose points are carried by its pose at the stamp; `at_s` has the time of a point.
+fn smeared(scan: &Cloud, camera: &Pose, at_s: impl Fn(&Point3<f64>) -> f64) -> Cloud {
+    displaced(scan, |p| camera(at_s(p)).inverse() * p)
+}
+
+/// The verdict on a registered scan with a take.
+fn judged_take(scan: &Cloud, take: &TakeMotion) -> Verdict {
+    let target = target_of(&shaft());
+    let observer = &mut |_: &icp::IcpStep| ControlFlow::Continue(());
+    let start = Isometry3::identity();
+    let fit = icp::register(Method::PointToPlane, &target, scan, &start, &IcpParams::default(), observer).unwrap();
+    let (points, planes) = plan(&|p| *p);
+    let takes = Takes { scan: Some(take), ..Takes::default() };
+    let case = Case { assessment: &points, planes: Some(&planes), takes, ..bare(&target, scan, &fit.t_target_source) };
+    judge(&case, &EvidenceParams::default(), &RuleParams::default(), &PredictParams::default())
+}
+
+/// The effect in the verdict's rule, for limits that any motion exceeds: (mm, degrees).
+fn told(verdict: &Verdict) -> Option<(f64, f64)> {
+    let reason = verdict.reasons.iter().find(|reason| reason.rule == "smeared")?;
+    let text = reason.reason.split("puts the answer up to ").nth(1)?;
+    let numbers: Vec<f64> = text.split(' ').filter_map(|word| word.parse().ok()).collect();
+    Some((numbers[0], numbers[1]))
+}
+
+#[test]
+fn the_effect_of_a_motion_is_that_of_a_refit_for_the_worst_way_to_sweep() {
+    let scan = scan_of(&shaft(), HEIGHTS, 37);
+    let (sound, _) = judged(&shaft(), &scan, &|p| *p);
+    let share = |p: &Point3<f64>| (p.z - MIDDLE) / (HEIGHTS[1] - HEIGHTS[0]);
+    let (width, nothing) = (24.0, Vector3::zeros());
+    for (shift, turn) in [
+        (Vector3::new(1.0, 0.0, 0.0), nothing),
+        (Vector3::new(0.0, 1.0, 0.0), nothing),
+        (Vector3::new(0.0, 0.0, 3.0), nothing),
+        (nothing, Vector3::new(0.0, 0.0, 0.006)),
+        (Vector3::new(0.5, -0.4, 1.0), Vector3::new(0.004, -0.003, 0.002)),
+    ] {
+        let camera = steady(shift, turn);
+        let of = |middle_s: Option<f64>| {
+            let rules = RuleParams { max_beyond_limits: 0.0, ..RuleParams::default() };
+            let target = target_of(&shaft());
+            let (points, planes) = plan(&|p| *p);
+            let take = take(&camera, Some(of_2_s(middle_s)));
+            let takes = Takes { scan: Some(&take), ..Takes::default() };
+            let case = Case { assessment: &points, planes: Some(&planes), takes, ..bare(&target, &scan, &sound) };
+            let verdict = judge(&case, &EvidenceParams::default(), &rules, &PredictParams::default());
+            let (mm, deg) = told(&verdict).unwrap_or_else(|| panic!("{:?}", verdict.reasons));
+            Limits::default().times(mm, mm, deg)
+        };
+        let off =
+            |at_s: &dyn Fn(&Point3<f64>) -> f64| refitted(&shaft(), &smeared(&scan, &camera, at_s), &|p| *p, &sound);
+        let along = [2.0, -2.0].map(|s| off(&|p| s * share(p)));
+        let across = [2.0, -2.0].map(|s| off(&|p| s * (p.y / width).clamp(-0.5, 0.5)));
+        let worst = along.into_iter().chain(across).fold(0.0, f64::max);
+        let predicted = of(Some(0.0));
+        println!("{shift:?} {turn:?}: {predicted:.2}, refitted {along:.2?} and {across:.2?}");
+        assert!((0.7..1.6).contains(&(predicted / worst)), "{predicted:.2} times the limits, {worst:.2} refitted");
+        // A stamp at the end is a motion of all points, which nothing undoes.
+        let ended = off(&|_| -1.0);
+        let predicted = of(Some(-1.0));
+        assert!(predicted > 0.85 * ended.max(worst), "{predicted:.2} times, {ended:.2} of a stamp at the end");
+        assert!(of(None) > 0.85 * ended.max(worst), "where it is not known, the worst");
+    }
+}
+
+#[test]
+fn a_slow_sweep_is_told_with_its_cause_and_one_with_points_of_their_own_times_is_not() {
+    let scan = scan_of(&shaft(), HEIGHTS, 38);
+    let camera = steady(Vector3::new(0.8, 0.6, 0.0), Vector3::zeros());
+    let swept = smeared(&scan, &camera, |p| 2.0 * (p.z - MIDDLE) / (HEIGHTS[1] - HEIGHTS[0]));
+    for time in [None, Some(of_2_s(None)), Some(of_2_s(Some(0.0)))] {
+        let verdict = judged_take(&swept, &take(&camera, time.clone()));
+        assert_eq!(rules(&verdict), ["smeared"], "{time:?}: {:?}", verdict.reasons);
+        let text = &verdict.reasons[0].reason;
+        assert!(text.starts_with("the camera marker moved the bone in the camera by 2.0 mm over "), "{text}");
+        let said = if time.is_none() { "2.0 s, which it is assumed to take" } else { "the 2.0 s of the scan" };
+        assert!(text.contains(said), "{text}");
+        let terms = verdict.predicted.unwrap().terms;
+        assert!(terms.iter().any(|term| term.name == "motion during the scan" && term.tre_mm > 0.3), "{terms:?}");
+    }
+    let undone = TakeTime { undone: vec!["camera".into()], ..of_2_s(Some(0.0)) };
+    assert_eq!(judged_take(&scan, &take(&camera, Some(undone))).answer, Answer::Trusted);
+    let instant = TakeTime { duration_s: 0.05, ..of_2_s(None) };
+    assert_eq!(judged_take(&scan, &take(&camera, Some(instant))).answer, Answer::Trusted);
+}
+
+#[test]
+fn a_motion_that_would_matter_if_it_were_larger_is_an_assumption_with_its_critical_size() {
+    let scan = scan_of(&shaft(), HEIGHTS, 39);
+    let camera = steady(Vector3::new(0.12, 0.09, 0.0), Vector3::zeros());
+    let verdict = judged_take(&scan, &take(&camera, Some(of_2_s(Some(0.0)))));
+    assert_eq!(verdict.answer, Answer::Trusted, "{:?}", verdict.reasons);
+    let said = verdict.assumptions.iter().find(|text| text.starts_with("the camera marker moved the bone")).unwrap();
+    let critical: f64 = said.split("a motion of ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    // 0.5 degrees over 90 mm are 0.8 mm, and the ends of the scan count more.
+    assert!((0.6..1.1).contains(&critical), "{said}");
+    let rest = judged_take(&scan, &take(&steady(Vector3::zeros(), Vector3::zeros()), None));
+    let of_motion =
+        |verdict: &Verdict| verdict.assumptions.iter().filter(|text| text.contains("in the camera")).count();
+    assert_eq!((of_motion(&verdict), of_motion(&rest)), (1, 0));
+    let without = judged_take(&scan, &TakeMotion::new("scan"));
+    assert_eq!(rest, without, "markers at rest change nothing");
+}
+
+#[test]
+fn a_bone_and_a_camera_that_are_carried_together_shear_nothing() {
+    let scan = scan_of(&shaft(), HEIGHTS, 40);
+    let camera = steady(Vector3::new(3.0, -4.0, 2.0), Vector3::new(0.01, 0.02, 0.01));
+    let marker = Isometry3::translation(200.0, 0.0, MIDDLE);
+    let path = |of: &dyn Fn(f64) -> Isometry3<f64>| {
+        MarkerPath::of(&(-40..=40).map(|k| (k * 50_000_000, of(k as f64 / 20.0) * marker)).collect::<Vec<_>>())
+    };
+    let take = TakeMotion { time: Some(of_2_s(Some(0.0))), ..TakeMotion::new("scan") };
+    let take = take.during("camera", Carries::Data, 0, Some(&path(&camera)));
+    let alone = judged_take(&scan, &take);
+    let together = judged_take(&scan, &take.during("bone", Carries::Frame, 0, Some(&path(&camera))));
+    assert_eq!((rules(&alone), together.answer), (vec!["smeared"], Answer::Trusted));
+    assert!(!together.assumptions.iter().any(|text| text.contains("bone in the camera")));
+}
+
+#[test]
+fn a_camera_that_goes_and_comes_back_during_the_scan_is_told() {
+    let scan = scan_of(&shaft(), HEIGHTS, 41);
+    let there_and_back = |s: f64| Isometry3::translation(0.0, 2.0 * (1.0 - s.abs()), 0.0);
+    let verdict = judged_take(&scan, &take(&there_and_back, Some(of_2_s(Some(0.0)))));
+    assert_eq!(rules(&verdict), ["smeared"], "{:?}", verdict.reasons);
 }

@@ -659,7 +659,11 @@ fn stamps_are_corrected_by_the_offset_of_the_senders_clock_and_by_that_after_a_j
         for k in 0..60 {
             let now = now_ns();
             let behind = if k < 30 { slow } else { slow - jump };
-            stream.write_all(&transform("StylusToReference", now - behind, f64::from(k)).to_bytes().unwrap()).unwrap();
+            stream
+                .write_all(
+                    &transform("StylusToReference", now - behind, 300.0 + 0.01 * f64::from(k)).to_bytes().unwrap(),
+                )
+                .unwrap();
             sent_at.push(now);
             thread::sleep(Duration::from_millis(10));
         }
