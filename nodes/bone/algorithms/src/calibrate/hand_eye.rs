@@ -8,9 +8,10 @@ use super::inliers::{N_OF_START, inliers, selected};
 use super::interval::radius_90;
 use crate::Refusal;
 pub use late::{hand_eye_late, hand_eye_pairs};
-use misfit::{in_scale, judged_mm, offsets_mm, with_scale, within_gate};
+use misfit::{GATE, in_scale, offsets_mm};
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
+    DMatrix, DVector, Isometry3, Matrix3, Matrix3x4, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion,
+    Vector3, Vector4, stack,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -155,11 +156,8 @@ pub fn hand_eye(
     if let Some(index) = pairs.iter().position(|(marker, target)| !is_finite(marker) || !is_finite(target)) {
         return Err(Refusal::of(format!("pose {index} is not finite; drop it before calibrating")));
     }
-    let is_kept = if n > N_OF_START + 1 {
-        inliers(&pairs, |used| offsets_mm(&pairs, used), judged_mm, within_gate)
-    } else {
-        vec![true; n]
-    };
+    let is_kept =
+        if n > N_OF_START + 1 { inliers(&pairs, |used| offsets_mm(&pairs, used), &GATE) } else { vec![true; n] };
     let fit = fit(&pairs, &is_kept, method)?;
     fit.check(&pairs)?;
     Ok(fit)
@@ -183,72 +181,76 @@ fn fit(all: &[Pair], is_kept: &[bool], method: Method) -> Result<HandEyeFit, Ref
             "{method:?} has no answer for these motions; take another method, or turn the camera farther"
         ))
     })?;
-    let (mut others_mm, mut others_rad) = (0.0_f64, 0.0_f64);
-    for other in Method::ALL.into_iter().filter(|other| *other != method) {
-        // A method without an answer is no measure of this one.
-        let Some(other) = solution(other, &motions) else { continue };
-        others_mm = others_mm.max((other.translation.vector - fit.translation.vector).norm());
-        others_rad = others_rad.max(other.rotation.angle_to(&fit.rotation));
-    }
+    // A method without an answer is no measure of this one.
+    let others = Method::ALL.into_iter().filter(|other| *other != method).filter_map(|other| solution(other, &motions));
+    let (others_mm, others_rad) = lengths(others.map(|other| fit.inv_mul(&other)));
     let ([camera, marker, turn, scales], n_parts) = spread(&pairs, &fit, method);
     let sd = |covariance: &Matrix3<f64>| (covariance.trace() / 3.0).sqrt();
-    let (scaled, scale) = with_scale(fit.rotation, &motions).unwrap_or((fit, 1.0));
-    let (placed, home) = placed(&pairs, &fit);
-    let distances = |of: &[Isometry3<f64>], home: &Isometry3<f64>| -> Vec<f64> {
-        of.iter().map(|t| (t.translation.vector - home.translation.vector).norm_squared()).collect()
-    };
-    let (placed_scaled, home_scaled) = self::placed(&in_scale(&pairs, scale), &scaled);
-    let squares = distances(&placed, &home);
-    let turns: Vec<f64> = placed.iter().map(|t| t.rotation.angle_to(&home.rotation).powi(2)).collect();
+    let (scaled, scale) = with_scale(fit.rotation, &motions, true).unwrap_or((fit, 1.0));
+    let in_scale = in_scale(&pairs, scale);
+    let scaled_mm = offsets(&in_scale, &scaled, &home(&in_scale, &scaled)).0;
+    let home = home(&pairs, &fit);
+    let (mm, rad) = offsets(&pairs, &fit, &home);
     let outliers: Vec<usize> = (0..all.len()).filter(|k| !is_kept[*k]).collect();
-    let off = |k: &usize| home.inverse() * all[*k].0 * fit * all[*k].1;
+    let (outlier_mm, outlier_rad) =
+        offsets(&selected(all, &is_kept.iter().map(|is| !is).collect::<Vec<_>>()), &fit, &home);
+    let max = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
     Ok(HandEyeFit {
         t_marker_camera: fit,
         report: HandEyeReport {
             n_poses: n,
-            outlier_max_mm: outliers.iter().map(|k| off(k).translation.vector.norm()).fold(0.0, f64::max),
-            outlier_max_rad: outliers.iter().map(|k| off(k).rotation.angle()).fold(0.0, f64::max),
+            outlier_max_mm: max(&outlier_mm),
+            outlier_max_rad: max(&outlier_rad),
             outliers,
             scale,
             scale_sd: scales.trace().sqrt(),
-            scaled_rms_mm: rms(&distances(&placed_scaled, &home_scaled)),
+            scaled_rms_mm: rms(&scaled_mm),
             scaled_off_mm: (scaled.translation.vector - fit.translation.vector).norm(),
             camera_mm: fit.translation.vector.norm(),
             target_mm: home.translation.vector.norm(),
             view_ratio: wander_rad(pairs.iter().map(|of| of.1)) / wander_rad(pairs.iter().map(|of| of.1.inverse())),
             n_motions: motions.len(),
-            rms_mm: rms(&squares),
-            max_mm: squares.iter().copied().fold(0.0, f64::max).sqrt(),
-            rms_rad: rms(&turns),
+            rms_mm: rms(&mm),
+            max_mm: max(&mm),
+            rms_rad: rms(&rad),
             axis_spread,
             max_turn_rad,
             translation_sd_mm: sd(&camera),
             rotation_sd_rad: sd(&turn),
             error_90_mm: radius_90(&marker, n_parts as f64 - 1.0),
             error_90_rad: radius_90(&turn, n_parts as f64 - 1.0),
-            others_mm,
-            others_rad,
+            others_mm: max(&others_mm),
+            others_rad: max(&others_rad),
         },
     })
 }
 
-fn rms(squares: &[f64]) -> f64 {
-    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// The target in the tracker's frame at each pose, and its mean place and orientation.
-fn placed(pairs: &[Pair], fit: &Isometry3<f64>) -> (Vec<Isometry3<f64>>, Isometry3<f64>) {
+/// The mean place and orientation of the target in the tracker's frame.
+fn home(pairs: &[Pair], fit: &Isometry3<f64>) -> Isometry3<f64> {
     let placed: Vec<Isometry3<f64>> = pairs.iter().map(|(marker, target)| marker * fit * target).collect();
     let mean = placed.iter().map(|t| t.translation.vector).sum::<Vector3<f64>>() / pairs.len() as f64;
-    let home = Isometry3::from_parts(mean.into(), mean_rotation(&placed));
-    (placed, home)
+    Isometry3::from_parts(mean.into(), mean_rotation(&placed))
+}
+
+/// How far the target is from there at each pose, mm and radians.
+fn offsets(pairs: &[Pair], fit: &Isometry3<f64>, home: &Isometry3<f64>) -> (Vec<f64>, Vec<f64>) {
+    lengths(pairs.iter().map(|(marker, target)| home.inv_mul(&(marker * fit * target))))
+}
+
+/// Lengths and angles of motions, mm and radians.
+fn lengths(motions: impl Iterator<Item = Isometry3<f64>>) -> (Vec<f64>, Vec<f64>) {
+    motions.map(|t| (t.translation.vector.norm(), t.rotation.angle())).unzip()
 }
 
 /// RMS angle between the directions of the origins of poses and their mean, radians.
 fn wander_rad(poses: impl Iterator<Item = Isometry3<f64>>) -> f64 {
     let directions: Vec<Vector3<f64>> = poses.map(|t| t.translation.vector.normalize()).collect();
     let mean: Vector3<f64> = directions.iter().sum();
-    rms(&directions.iter().map(|direction| direction.angle(&mean).powi(2)).collect::<Vec<_>>())
+    rms(&directions.iter().map(|direction| direction.angle(&mean)).collect::<Vec<_>>())
 }
 
 /// The motions between all pairs of poses, or an even thinning of them.
@@ -273,8 +275,8 @@ fn axis_spread(motions: &[Motion]) -> f64 {
 
 fn solution(method: Method, motions: &[Motion]) -> Option<Isometry3<f64>> {
     let pose = match method {
-        Method::ParkMartin => with_translation(park_martin(motions)?, motions)?,
-        Method::TsaiLenz => with_translation(tsai_lenz(motions)?, motions)?,
+        Method::ParkMartin => with_scale(park_martin(motions)?, motions, false)?.0,
+        Method::TsaiLenz => with_scale(tsai_lenz(motions)?, motions, false)?.0,
         Method::Daniilidis => daniilidis(motions)?,
     };
     pose.to_homogeneous().iter().all(|x| x.is_finite()).then_some(pose)
@@ -308,18 +310,25 @@ fn tsai_lenz(motions: &[Motion]) -> Option<UnitQuaternion<f64>> {
     Some(UnitQuaternion::from_quaternion(Quaternion::from_parts(1.0, imaginary)))
 }
 
-/// The translation of the rotation: `(R_a - I) t = R t_b - t_a` for all motions.
-fn with_translation(rotation: UnitQuaternion<f64>, motions: &[Motion]) -> Option<Isometry3<f64>> {
-    let mut equations = DMatrix::zeros(3 * motions.len(), 3);
-    let mut right = DVector::zeros(3 * motions.len());
-    for (k, m) in motions.iter().enumerate() {
+/// The camera in its marker's frame with this rotation, and the scale of the target's lengths, which is 1 unless it is sought:
+/// `(R_a - I) t - R t_b / scale = -t_a` for all motions. `None` if they do not determine it.
+fn with_scale(rotation: UnitQuaternion<f64>, motions: &[Motion], is_sought: bool) -> Option<(Isometry3<f64>, f64)> {
+    let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+    for m in motions {
         let turn = m.a.rotation.to_rotation_matrix().into_inner() - Matrix3::identity();
-        equations.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(&turn);
-        let difference = rotation * m.b.translation.vector - m.a.translation.vector;
-        right.fixed_rows_mut::<3>(3 * k).copy_from(&difference);
+        let rows: Matrix3x4<f64> = stack![turn, -(rotation * m.b.translation.vector)];
+        normal += rows.tr_mul(&rows);
+        right -= rows.tr_mul(&m.a.translation.vector);
     }
-    let t = equations.svd(true, true).solve(&right, 1e-12).ok()?;
-    Some(Isometry3::from_parts(Translation3::new(t[0], t[1], t[2]), rotation))
+    if !is_sought {
+        right -= normal.column(3);
+        normal.fill_row(3, 0.0);
+        normal.fill_column(3, 0.0);
+        (normal[(3, 3)], right[3]) = (1.0, 1.0);
+    }
+    let solution = normal.cholesky()?.solve(&right);
+    let (t, scale) = (Translation3::from(solution.xyz()), 1.0 / solution[3]);
+    (scale.is_finite() && scale > 0.0).then_some((Isometry3::from_parts(t, rotation), scale))
 }
 
 fn daniilidis(motions: &[Motion]) -> Option<Isometry3<f64>> {
@@ -371,7 +380,7 @@ fn spread(pairs: &[Pair], fit: &Isometry3<f64>, method: Method) -> ([Matrix3<f64
     let without = |part: usize| {
         let motions = motions(&selected(pairs, &parts.iter().map(|of| *of != part).collect::<Vec<_>>()));
         let t = solution(method, &motions)?;
-        let scale = with_scale(fit.rotation, &motions).map_or(1.0, |(_, scale)| scale);
+        let scale = with_scale(fit.rotation, &motions, true).map_or(1.0, |(_, scale)| scale);
         let turn = (fit.rotation.inverse() * t.rotation).scaled_axis();
         Some([t.translation.vector, t.inverse().translation.vector, turn, Vector3::new(scale, 0.0, 0.0)])
     };
@@ -389,12 +398,10 @@ fn spread(pairs: &[Pair], fit: &Isometry3<f64>, method: Method) -> ([Matrix3<f64
 
 /// The part of each pair: of stations, at which the camera was held still, or else of successive poses.
 fn parts(pairs: &[Pair]) -> Vec<usize> {
-    let (mut first, mut station) = (pairs[0].0, 0);
-    let mut of: Vec<usize> = Vec::new();
-    for (marker, _) in pairs {
-        if first.rotation.angle_to(&marker.rotation) > LEAST_TURN_RAD {
-            (first, station) = (*marker, station + 1);
-        }
+    let mut station = 0;
+    let mut of = vec![0];
+    for pair in pairs.windows(2) {
+        station += usize::from(pair[0].0.rotation.angle_to(&pair[1].0.rotation) > LEAST_TURN_RAD);
         of.push(station);
     }
     if station + 1 < LEAST_STATIONS {

@@ -4,6 +4,10 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 type Pose = Isometry3<f64>;
 
+/// Another reading explains poses that it fits this many times better. Noise makes both fit alike.
+pub(super) const FAR_BETTER: f64 = 5.0;
+pub(super) const AS_WANTED: &str = "export them as x, y, z in mm and x, y, z, w of a right-handed frame";
+
 /// What may have happened to the poses of a log, and what undoes it. Inverses are not among them: some calibrations hold for these, too.
 pub(super) const MISREADINGS: [(&str, fn(&Pose) -> Pose); 6] = [
     ("have the quaternion in the order w, x, y, z", |t| with(t, |q| Quaternion::new(q.i, q.j, q.k, q.w), [1.0; 3])),

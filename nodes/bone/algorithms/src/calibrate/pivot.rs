@@ -2,7 +2,7 @@
 
 mod signs;
 
-use super::inliers::{inliers, selected};
+use super::inliers::{Gate, inliers, selected};
 use super::interval::radius_90;
 use crate::Refusal;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point3, Vector3};
@@ -12,15 +12,10 @@ use serde::{Deserialize, Serialize};
 /// about 8.
 const MAX_CONDITION: f64 = 100.0;
 
-/// Residuals beyond this many standard deviations are outliers. 5: one of 60 000 poses by chance.
-const GATE_SIGMAS: f64 = 5.0;
-/// Median length of a vector of three normal numbers, in standard deviations.
-const MEDIAN_LENGTH: f64 = 1.538_2;
-/// An RMS residual beyond this calls for a search for outliers, mm: a tip in its divot stays within the divot's play and the tracker's
-/// noise, together below 1 mm. Many outliers widen the gate that the median gives until it holds them all.
-const TELLING_RMS_MM: f64 = 1.0;
-/// Residuals up to this are no outliers, mm: rounding.
-const EXACT_MM: f64 = 1e-6;
+/// Residuals beyond six standard deviations, one of which the median of lengths of three normal numbers is 1.538 times, are outliers: one
+/// of millions of poses by chance. 1e-6 mm: rounding.
+const GATE: Gate = Gate { share: 0.5, times: 6.0 / 1.538_2, least_mm: 1e-6 };
+
 /// A stylus' tip and its accuracy.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -57,13 +52,13 @@ pub struct PivotReport {
 /// The tip `t` of a stylus in its marker's frame and the pivot `p`, from `R_i t + x_i = p` for all poses in the order in which they
 /// were taken, in the least-squares sense; `O(n)`.
 ///
-/// Poses whose tip is farther from the pivot than five standard deviations, by the median of all, are left out: the tip had slipped,
+/// Poses whose tip is farther from the pivot than six standard deviations, by the median of all, are left out: the tip had slipped,
 /// or had not arrived. Where none is, the answer is that of all poses. Errors of poses that follow each other are alike, so the
 /// predicted error counts as many independent poses as the autocorrelation of the residuals leaves.
 ///
 /// # Errors
-/// [`Refusal`] if there are fewer than three poses, one is not finite, fewer than half agree, they do not determine the tip, it is
-/// farther than 500 mm from its marker, or more than 5 mm RMS from one place; with the cause if another reading explains the poses.
+/// [`Refusal`] if there are fewer than three poses, one is not finite, they do not determine the tip, it is farther than 500 mm from its
+/// marker, or more than 5 mm RMS from one place; with the cause if another reading explains the poses.
 ///
 /// # Source
 /// Yaniv 2015, "Which pivot calibration?", Proc. SPIE 9415: the algebraic one-step method. The start of the search for outliers: least
@@ -78,25 +73,13 @@ pub fn pivot(t_world_marker: &[Isometry3<f64>]) -> Result<PivotReport, Refusal> 
     if let Some(index) = t_world_marker.iter().position(|t| !t.to_homogeneous().iter().all(|x| x.is_finite())) {
         return Err(Refusal::of(format!("pose {index} of the stylus is not finite; drop it before calibrating")));
     }
-    let mut fit = Fit::of(t_world_marker)?;
-    let lengths = |fit: &Fit| -> Vec<f64> { t_world_marker.iter().map(|t| fit.residual(t).norm()).collect() };
-    let all = lengths(&fit);
-    let mut is_used: Vec<bool> = within_gate(&all);
-    let rms_mm = (all.iter().map(|length| length * length).sum::<f64>() / n as f64).sqrt();
-    if is_used.contains(&false) || fit.condition > MAX_CONDITION || rms_mm > TELLING_RMS_MM {
-        let of = |used: &[Isometry3<f64>]| Fit::of(used).ok().filter(|fit| fit.condition <= MAX_CONDITION);
-        is_used = inliers(t_world_marker, |used| of(used).map(|fit| lengths(&fit)), median, within_gate);
-    }
+    let offsets_mm = |used: &[Isometry3<f64>]| -> Option<Vec<f64>> {
+        let fit = Fit::of(used).ok().filter(|fit| fit.condition <= MAX_CONDITION)?;
+        Some(t_world_marker.iter().map(|t| fit.residual(t).norm()).collect())
+    };
+    let is_used = inliers(t_world_marker, offsets_mm, &GATE);
     let used = selected(t_world_marker, &is_used);
-    if used.len() < 3 || 2 * used.len() < n {
-        return Err(Refusal::of(format!(
-            "{} of {n} poses of the stylus agree on a tip, and half are needed; {}",
-            used.len(),
-            signs::misread(t_world_marker, rms_mm)
-                .unwrap_or_else(|| "keep the tip in one place, and cut the recording to the time when it was".into())
-        )));
-    }
-    fit = Fit::of(&used)?;
+    let fit = Fit::of(&used)?;
     let condition = fit.condition;
     if condition.is_nan() || condition > MAX_CONDITION {
         return Err(Refusal::of(format!(
@@ -183,13 +166,6 @@ fn median(lengths: &[f64]) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Which residuals are within the gate that their median gives.
-fn within_gate(lengths: &[f64]) -> Vec<bool> {
-    let gate_mm = (GATE_SIGMAS * median(lengths) / MEDIAN_LENGTH).max(EXACT_MM);
-    // A NaN is no inlier.
-    lengths.iter().map(|length| *length <= gate_mm).collect()
-}
-
 fn drift_mm(residuals: &[Vector3<f64>]) -> f64 {
     let third = residuals.len() / 3;
     let middle =
@@ -214,6 +190,8 @@ fn correlation_length(residuals: &[Vector3<f64>]) -> f64 {
 mod tests {
     use super::*;
     use nalgebra::{Translation3, UnitQuaternion};
+    use rand::RngExt;
+    use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
     const TIP: [f64; 3] = [12.0, -4.0, 158.0];
 

@@ -185,9 +185,11 @@ fn cameras_are_right_or_told_or_refused_by_their_cause() {
         row("target's poses are inverses", Expected::Cause(&["poses of the target are inverses"]), &|seed| {
             Camera::sound(seed).written(same, inverse)
         }),
-        row("both are inverses", Expected::Cause(&["poses of both logs are inverses"]), &|seed| {
-            Camera::sound(seed).written(inverse, inverse)
-        }),
+        row(
+            "both are inverses",
+            Expected::Cause(&["poses of the marker are inverses, and the poses of the target are inverses"]),
+            &|seed| Camera::sound(seed).written(inverse, inverse),
+        ),
         row("camera on a stand", Expected::Cause(&["camera is on a stand"]), &Camera::on_stand),
         row("camera on a stand, marker's inverses", Expected::Cause(&["camera is on a stand"]), &|seed| {
             Camera::on_stand(seed).written(inverse, same)

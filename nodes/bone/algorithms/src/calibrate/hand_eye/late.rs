@@ -1,7 +1,7 @@
 //! Logs whose clocks differ.
 
-use super::signs::{FAR_BETTER, TELLING_RMS_MM};
-use super::{Pair, misfit::misfit_mm};
+use super::{Pair, misfit::misfit_mm, signs::TELLING_RMS_MM};
+use crate::calibrate::misread::FAR_BETTER;
 use nalgebra::Isometry3;
 
 /// Largest difference of the clocks that is tried, ns: 5 s.

@@ -1,9 +1,12 @@
 //! What makes a hand-eye calibration doubtful, or no calibration at all.
 
 use super::misfit::misfit_mm;
-use super::{HandEyeFit, HandEyeReport, Method, Pair, motions, placed, solution};
+use super::{HandEyeFit, HandEyeReport, Method, Pair, home, motions, solution};
 use crate::Refusal;
-use crate::calibrate::{inliers::is_at_one_end, misread::MISREADINGS};
+use crate::calibrate::{
+    inliers::is_at_one_end,
+    misread::{AS_WANTED, FAR_BETTER, MISREADINGS},
+};
 use nalgebra::Isometry3;
 
 /// A target that does not move is within this of its mean place, mm RMS: ten times what a tracker errs by.
@@ -12,8 +15,6 @@ pub(super) const TELLING_RMS_MM: f64 = 2.0;
 const TELLING_RMS_RAD: f64 = 0.035;
 /// Beyond this many times as much there is no calibration.
 const REFUSED: f64 = 5.0;
-/// Another reading explains poses that it fits this many times better. Noise makes both fit alike.
-pub(super) const FAR_BETTER: f64 = 5.0;
 /// Least share of the poses that agree. Of a target that was moved half-way only half do.
 const LEAST_SHARE: f64 = 0.6;
 /// A scale is a sign if it differs from 1 by more than this, and by four of its standard deviations: 0.7 mm at 350 mm.
@@ -32,32 +33,23 @@ impl HandEyeReport {
     pub fn signs(&self, stamps_ns: &[i64]) -> Vec<(&'static str, String)> {
         let is_far = self.camera_mm > FARTHEST_MARKER_MM && self.target_mm < self.camera_mm / 2.0;
         let (error_mm, error_deg) = (self.error_90_mm, self.error_90_rad.to_degrees());
-        let arrangement = match (is_far, self.view_ratio > if is_far { 1.0 } else { FAR_WIDER }) {
-            (false, false) => "",
-            (true, false) => "the camera is on a stand and the target on a marker whose poses are inverses",
-            (true, true) => "the poses of both logs are inverses, or marker and target are exchanged",
-            (false, true) => {
-                "the camera is on a stand, the target on the marker, and the poses of the target are inverses"
-            }
-        };
+        let is_inverse = self.view_ratio > if is_far { 1.0 } else { FAR_WIDER };
         let signs = [
             self.is_scaled().then(|| ("hand_eye_scale", self.scale_words())),
             (!self.is_scaled() && self.is_beyond(1.0)).then(|| ("hand_eye_rms", self.rms_words())),
             self.outliers.first().map(|first| {
                 let (n, n_all, stamp_ns) = (self.outliers.len(), self.n_all(), stamps_ns.get(*first).unwrap_or(&0));
                 let (mm, deg) = (self.outlier_max_mm, self.outlier_max_rad.to_degrees());
-                // One flipped station may be at the end as well.
-                let (rule, cause) = if is_at_one_end(&self.outliers, n_all) && n > n_all / 8 {
+                let (rule, cause) = if is_at_one_end(&self.outliers, n_all) {
                     ("hand_eye_moved", "they are all before or all after the others: was the target moved, or a marker knocked?")
                 } else {
                     ("hand_eye_outliers", "are they flipped, as those of a flat board may be?")
                 };
                 (rule, format!("{n} of {n_all} poses are left out, first at {stamp_ns} ns: the target is up to {mm:.1} mm and {deg:.1} degrees from where the others have it; {cause}"))
             }),
-            (!arrangement.is_empty()).then(|| ("hand_eye_arrangement", format!(
-                "the camera would be {:.0} mm from its marker, and the target {:.0} mm from the tracker; probably {arrangement}; give the marker in the \
-                 tracker's frame, the target in the camera's, and the camera in the hand",
-                self.camera_mm, self.target_mm
+            (is_far || is_inverse).then(|| ("hand_eye_arrangement", format!(
+                "the camera would be {:.0} mm from its marker, and the target {:.0} mm from the tracker; probably {}",
+                self.camera_mm, self.target_mm, arrangement(is_far != is_inverse, is_far, is_inverse)
             ))),
             (error_mm > MOST_ERROR_MM || self.error_90_rad > MOST_ERROR_RAD).then(|| ("hand_eye_open", format!(
                 "the marker's place in the camera is known to {error_mm:.1} mm and {error_deg:.2} degrees (90 %), {MOST_ERROR_MM} mm and 0.5 degrees are \
@@ -81,12 +73,14 @@ impl HandEyeReport {
     }
 
     fn rms_words(&self) -> String {
+        let cause = if is_at_one_end(&self.outliers, self.n_all()) {
+            "the others are all before or all after them: the target was moved, or a marker knocked; cut the logs there"
+        } else {
+            "was it moved, are poses of different times paired, or poses of the board flipped?"
+        };
+        let (rms_mm, deg, n) = (self.rms_mm, self.rms_rad.to_degrees(), self.n_poses);
         format!(
-            "the target is {:.1} mm and {:.1} degrees RMS from one place, with {} of {} poses; was it moved, are poses of different times \
-             paired, or poses of the board flipped?",
-            self.rms_mm,
-            self.rms_rad.to_degrees(),
-            self.n_poses,
+            "{n} of {} poses have the target {rms_mm:.1} mm and {deg:.1} degrees RMS from one place; {cause}",
             self.n_all()
         )
     }
@@ -115,15 +109,8 @@ impl HandEyeFit {
             return Ok(());
         }
         let cause = if is_scale && !is_apart { Some(report.scale_words()) } else { self.explanation(pairs) };
-        let is_moved = is_apart && is_at_one_end(&report.outliers, pairs.len());
         match cause {
             Some(cause) => Err(Refusal::of(cause)),
-            None if is_moved => Err(Refusal::of(format!(
-                "{} of {} poses agree, and the others are all before or all after them: the target was moved, or a marker knocked; cut \
-                 the logs there",
-                report.n_poses,
-                pairs.len()
-            ))),
             None if is_apart || report.is_beyond(REFUSED) => Err(Refusal::of(report.rms_words())),
             None => Ok(()),
         }
@@ -131,43 +118,50 @@ impl HandEyeFit {
 
     /// A reading of the poses with which the target is in one place.
     fn explanation(&self, pairs: &[Pair]) -> Option<String> {
-        let (is_mm, rms_mm) = (misfit_mm(pairs), self.report.rms_mm);
-        let explains = |other: &[Pair]| {
-            let mm = misfit_mm(other);
-            (mm < TELLING_RMS_MM && FAR_BETTER * mm < is_mm).then_some(mm)
-        };
-        let with = |undo: fn(&Isometry3<f64>) -> Isometry3<f64>, marker: bool, target: bool| -> Vec<Pair> {
-            pairs.iter().map(|(m, t)| (if marker { undo(m) } else { *m }, if target { undo(t) } else { *t })).collect()
-        };
-        let inverted = with(Isometry3::inverse, false, true);
-        if let Some(mm) = explains(&inverted) {
-            let other = solution(Method::ParkMartin, &motions(&inverted))?;
-            let is_far = other.translation.vector.norm() > placed(&inverted, &other).1.translation.vector.norm();
-            let cause = match (is_far, self.report.view_ratio > 1.0) {
-                (false, false) => {
-                    "the camera is on a stand, the target on the marker; calibrate it in the hand, before a target that does not move"
-                }
-                (true, false) => "the poses of the marker are inverses; give the marker in the tracker's frame",
-                (false, true) => "the poses of the target are inverses; give the target in the camera's frame",
-                (true, true) => {
-                    "the camera is on a stand, the target on the marker, and the poses of both are inverses; calibrate it in the hand"
-                }
+        let (all_mm, rms_mm) = (misfit_mm(pairs), self.report.rms_mm);
+        let read =
+            |undo: fn(&Isometry3<f64>) -> Isometry3<f64>, marker: bool, target: bool| -> Option<(f64, Vec<Pair>)> {
+                let undo = |is_so: bool, t: &Isometry3<f64>| if is_so { undo(t) } else { *t };
+                let other: Vec<Pair> = pairs.iter().map(|(m, t)| (undo(marker, m), undo(target, t))).collect();
+                let mm = misfit_mm(&other);
+                (mm < TELLING_RMS_MM && FAR_BETTER * mm < all_mm).then_some((mm, other))
             };
-            return Some(format!(
-                "the target is {rms_mm:.1} mm RMS from one place, and within {mm:.2} mm if the poses of the marker or of the target are \
-                 inverted: {cause}"
-            ));
-        }
-        MISREADINGS.iter().find_map(|(words, undo)| {
-            let logs = [("the marker", true, false), ("the target", false, true), ("both", true, true)];
-            let found = logs.map(|(log, marker, target)| Some((log, explains(&with(*undo, marker, target))?)));
-            let logs: Vec<&str> = found.iter().flatten().map(|(log, _)| *log).collect();
-            let mm = found.iter().flatten().next()?.1;
-            Some(format!(
-                "the target is {rms_mm:.1} mm RMS from one place, and within {mm:.2} mm if undone: the poses of {} {words}; export them as x, y, \
-                 z in mm and x, y, z, w of a right-handed frame",
-                logs.join(" or of ")
-            ))
-        })
+        let (mm, words) = if let Some((mm, other)) = read(Isometry3::inverse, false, true) {
+            let fit = solution(Method::ParkMartin, &motions(&other))?;
+            let is_far = fit.translation.vector.norm() > home(&other, &fit).translation.vector.norm();
+            let is_inverse = self.report.view_ratio > 1.0;
+            (
+                mm,
+                format!(
+                    "if the poses of the marker or of the target are inverted: {}",
+                    arrangement(is_far == is_inverse, is_far, is_inverse)
+                ),
+            )
+        } else {
+            MISREADINGS.iter().find_map(|(words, undo)| {
+                let logs = [("the marker", true, false), ("the target", false, true), ("both", true, true)];
+                let found = logs.map(|(log, marker, target)| Some((read(*undo, marker, target)?.0, log)));
+                let logs: Vec<&str> = found.iter().flatten().map(|(_, log)| *log).collect();
+                Some((
+                    found.iter().flatten().next()?.0,
+                    format!("if undone: the poses of {} {words}; {AS_WANTED}", logs.join(" or of ")),
+                ))
+            })?
+        };
+        Some(format!("the target is {rms_mm:.1} mm RMS from one place, and within {mm:.2} mm {words}"))
     }
+}
+
+/// What a camera that is no camera in the hand probably is, or which logs are inverses.
+fn arrangement(is_on_stand: bool, is_marker_inverse: bool, is_target_inverse: bool) -> String {
+    let words = [
+        (is_on_stand, "the camera is on a stand and the target on the marker"),
+        (is_marker_inverse, "the poses of the marker are inverses"),
+        (is_target_inverse, "the poses of the target are inverses"),
+    ];
+    let words: Vec<&str> = words.into_iter().filter_map(|(is_so, words)| is_so.then_some(words)).collect();
+    format!(
+        "{}; give the marker in the tracker's frame, the target in the camera's, and the camera in the hand",
+        words.join(", and ")
+    )
 }

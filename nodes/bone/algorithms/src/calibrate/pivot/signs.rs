@@ -1,14 +1,17 @@
 //! What makes a pivot calibration doubtful, or no calibration at all.
 
-use super::{Fit, MAX_CONDITION, PivotReport, TELLING_RMS_MM, median};
+use super::{Fit, GATE, MAX_CONDITION, PivotReport};
 use crate::Refusal;
-use crate::calibrate::{inliers::is_at_one_end, misread::MISREADINGS};
-use nalgebra::Isometry3;
+use crate::calibrate::{
+    inliers::is_at_one_end,
+    misread::{AS_WANTED, FAR_BETTER, MISREADINGS},
+};
+use nalgebra::{Isometry3, Vector3};
 
+/// An RMS residual beyond this is a sign, mm: a tip in its divot stays within the divot's play and the tracker's noise.
+const TELLING_RMS_MM: f64 = 1.0;
 /// Largest RMS residual, mm: twice the play of the widest divot, and beyond any tracker's noise.
 const MOST_RMS_MM: f64 = 5.0;
-/// Another reading explains poses that it fits this many times better.
-const FAR_BETTER: f64 = 5.0;
 /// A tip is no farther from its marker, mm: half a metre of stylus.
 const FARTHEST_TIP_MM: f64 = 500.0;
 /// Nearest tip of a stylus to its marker, mm: the markers of a tracker are wider.
@@ -19,21 +22,13 @@ const NEAR_MM: [f64; 2] = [50.0, 250.0];
 const MOST_DRIFT_MM: f64 = 0.75;
 /// Largest error of the tip (90 %), mm.
 const MOST_ERROR_MM: f64 = 1.0;
-/// Some pose of thousands is beyond the gate by chance: one, or up to this share, no farther than so many times the farthest of the
-/// others, is no sign.
-const STRAY_SHARE: f64 = 0.01;
-const STRAY_FARTHER: f64 = 2.0;
-/// More than this share of outliers at one end is a slip.
-const SLIP_SHARE: f64 = 0.05;
 
 impl PivotReport {
     /// Signs that a pose or the log is wrong: the rule and what to do, for poses with these stamps.
     pub fn signs(&self, stamps_ns: &[i64]) -> Vec<(&'static str, String)> {
         let Self { rms_mm, drift_mm, error_90_mm, n_outliers, outlier_max_mm, max_mm, n_poses, .. } = *self;
-        let (tip_mm, pivot_mm, n) = (self.tip_mm(), self.pivot_mm(), n_outliers as f64);
+        let (tip_mm, pivot_mm) = (Vector3::from(self.tip).norm(), Vector3::from(self.pivot).norm());
         let is_unit = tip_mm < NEAREST_TIP_MM || tip_mm < NEAR_MM[0] && pivot_mm < NEAR_MM[1];
-        let is_stray = n <= (STRAY_SHARE * n_poses as f64).max(1.0) && outlier_max_mm < STRAY_FARTHER * max_mm;
-        let is_slip = is_at_one_end(&self.outliers, n_poses) && n > SLIP_SHARE * n_poses as f64;
         let signs = [
             is_unit.then(|| ("pivot_unit", format!(
                 "the tip is {tip_mm:.2} mm from its marker and {pivot_mm:.1} mm from the tracker, nearer than a stylus in its divot is; are the \
@@ -49,15 +44,15 @@ impl PivotReport {
             (drift_mm > MOST_DRIFT_MM).then(|| ("pivot_slipped", format!(
                 "the tip drifts by {drift_mm:.2} mm from the first to the last third of the poses, {MOST_DRIFT_MM} mm is allowed; did it slip?"
             ))),
-            self.outliers.first().filter(|_| !is_stray).map(|first| {
-                let (rule, cause) = if is_slip {
+            self.outliers.first().map(|first| {
+                let (rule, cause) = if is_at_one_end(&self.outliers, n_poses) {
                     ("pivot_slipped", "did it slip there, or had it not arrived?")
                 } else {
-                    ("pivot_outliers", "are poses of the marker flipped?")
+                    ("pivot_outliers", "are poses of the marker flipped, or was the tip elsewhere?")
                 };
                 let stamp_ns = stamps_ns.get(*first).unwrap_or(&0);
                 (rule, format!(
-                    "{n} of {n_poses} poses are left out, first at {stamp_ns} ns: their tip is up to {outlier_max_mm:.2} mm from the pivot, where \
+                    "{n_outliers} of {n_poses} poses are left out, first at {stamp_ns} ns: their tip is up to {outlier_max_mm:.2} mm from the pivot, where \
                      the others are within {max_mm:.2} mm; {cause}"
                 ))
             }),
@@ -71,7 +66,8 @@ impl PivotReport {
 
     /// Refuses what no stylus gives.
     pub(super) fn check(&self, poses: &[Isometry3<f64>]) -> Result<(), Refusal> {
-        let (tip_mm, pivot_mm, rms_mm) = (self.tip_mm(), self.pivot_mm(), self.rms_mm);
+        let (tip_mm, pivot_mm, rms_mm) =
+            (Vector3::from(self.tip).norm(), Vector3::from(self.pivot).norm(), self.rms_mm);
         if rms_mm > MOST_RMS_MM {
             let cause = misread(poses, rms_mm).unwrap_or_else(|| "was it kept in one divot?".into());
             return Err(Refusal::of(format!(
@@ -86,27 +82,15 @@ impl PivotReport {
         }
         Ok(())
     }
-
-    fn tip_mm(&self) -> f64 {
-        self.tip.iter().map(|x| x * x).sum::<f64>().sqrt()
-    }
-
-    fn pivot_mm(&self) -> f64 {
-        self.pivot.iter().map(|x| x * x).sum::<f64>().sqrt()
-    }
 }
 
 /// Another reading of the poses whose tip is in one place.
-pub(super) fn misread(poses: &[Isometry3<f64>], rms_mm: f64) -> Option<String> {
+fn misread(poses: &[Isometry3<f64>], rms_mm: f64) -> Option<String> {
     MISREADINGS.iter().find_map(|(words, undo)| {
         let undone: Vec<Isometry3<f64>> = poses.iter().map(undo).collect();
         let fit = Fit::of(&undone).ok().filter(|fit| fit.condition <= MAX_CONDITION)?;
-        let mm = median(&undone.iter().map(|t| fit.residual(t).norm()).collect::<Vec<_>>());
-        (mm < MOST_RMS_MM && FAR_BETTER * mm < rms_mm).then(|| {
-            format!(
-                "the poses {words}: undone, the tip is within {mm:.2} mm of one place; export them as x, y, z in mm and x, y, z, w of a \
-                 right-handed frame"
-            )
-        })
+        let mm = GATE.judged_mm(&undone.iter().map(|t| fit.residual(t).norm()).collect::<Vec<_>>());
+        (mm < MOST_RMS_MM && FAR_BETTER * mm < rms_mm)
+            .then(|| format!("the poses {words}: undone, the tip is within {mm:.2} mm of one place; {AS_WANTED}"))
     })
 }
