@@ -13,8 +13,7 @@ use std::path::PathBuf;
 
 /// Logs of each kind; the seeds of the long run played no part in choosing a limit.
 fn seeds() -> std::ops::Range<u64> {
-    let n = std::env::var("OSTEOFLOW_N").map_or(12, |n| n.parse().unwrap());
-    if is_slow() { 50_000..50_200 } else { 0..n }
+    if is_slow() { 71_000..71_200 } else { 0..12 }
 }
 
 fn is_slow() -> bool {
@@ -68,33 +67,41 @@ impl Row {
         self.outcomes.iter().filter(|(_, outcome)| is(outcome)).count()
     }
 
-    /// Outcomes that are no fault of the calibration.
-    fn n_good(&self) -> usize {
-        self.count(|o| match self.expected {
+    /// Whether the outcome is no fault of the calibration.
+    fn is_good(&self, o: &Outcome) -> bool {
+        match self.expected {
             Expected::Sound => o.is_right() && o.said.is_empty(),
             Expected::Right => o.is_right(),
-            Expected::Cause(causes) => o.names(causes) || o.error.is_some() && o.is_right(),
+            Expected::Cause(causes) => o.names(causes) || o.is_right(),
             Expected::Unseen => o.said.is_empty(),
-        })
+        }
     }
 
-    /// The share of the logs that may come out otherwise: intervals hold for 90 %, and a cause may hide in the noise.
+    fn n_within(&self) -> usize {
+        self.count(|o| o.error.is_some_and(|(mm, radius_mm)| mm <= radius_mm))
+    }
+
+    /// Of the long run one of forty may come out otherwise, as a cause may hide in the noise, and one of ten where an interval of 90 % is
+    /// above 1 mm; the intervals hold for nine of ten but for three standard deviations.
     fn check(&self) {
-        let n_bad = self.outcomes.len() - self.n_good();
-        let most = if is_slow() { self.outcomes.len() / 40 } else { 0 };
-        let bad: Vec<String> = self
-            .outcomes
-            .iter()
-            .filter(|(_, o)| match self.expected {
-                Expected::Sound => !o.is_right() || !o.said.is_empty(),
-                Expected::Right => !o.is_right(),
-                Expected::Cause(causes) => !o.names(causes) && !o.is_right(),
-                Expected::Unseen => !o.said.is_empty(),
-            })
-            .map(|(seed, o)| format!("seed {seed}: {:?} {:?}", o.error, o.said))
-            .collect();
-        println!("{}: {n_bad} otherwise\n{}", self.kind, bad.join("\n"));
-        assert!(n_bad <= most || std::env::var_os("OSTEOFLOW_LOOK").is_some(), "{}: {}", self.kind, bad.join("\n"));
+        let bad = self.outcomes.iter().filter(|(_, o)| !self.is_good(o));
+        let bad: Vec<String> = bad.map(|(seed, o)| format!("seed {seed}: {:?} {:?}", o.error, o.said)).collect();
+        let n = self.outcomes.len();
+        let most = match (is_slow(), self.expected) {
+            (false, _) => 0,
+            (true, Expected::Right) => n / 10,
+            (true, _) => n / 40,
+        };
+        assert!(bad.len() <= most, "{}: {}", self.kind, bad.join("\n"));
+        if is_slow() && matches!(self.expected, Expected::Sound | Expected::Right) {
+            let least = 0.9 * n as f64 - 3.0 * (0.09 * n as f64).sqrt();
+            assert!(
+                self.n_within() as f64 >= least,
+                "{}: {} of {n} are within the interval",
+                self.kind,
+                self.n_within()
+            );
+        }
     }
 
     fn cells(&self) -> String {
@@ -104,12 +111,11 @@ impl Row {
             Expected::Cause(causes) => self.count(|o| o.names(causes)).to_string(),
             _ => String::new(),
         };
-        let within = self.count(|o| o.error.is_some_and(|(mm, radius_mm)| mm <= radius_mm));
         let n_answers = self.count(with);
         let coverage = if matches!(self.expected, Expected::Sound | Expected::Right) && n_answers > 0 {
             let mut radii: Vec<f64> = self.outcomes.iter().filter_map(|(_, o)| Some(o.error?.1)).collect();
             radii.sort_by(f64::total_cmp);
-            format!("{:.1} % ({:.2} mm)", 100.0 * within as f64 / n_answers as f64, radii[radii.len() / 2])
+            format!("{:.1} % ({:.2} mm)", 100.0 * self.n_within() as f64 / n_answers as f64, radii[radii.len() / 2])
         } else {
             String::new()
         };

@@ -169,11 +169,13 @@ fn fit(all: &[Pair], is_kept: &[bool], method: Method) -> Result<HandEyeFit, Ref
     let max_turn_rad = motions.iter().map(|m| m.a.rotation.angle()).fold(0.0, f64::max);
     let axis_spread = axis_spread(&motions);
     if motions.len() < 2 || axis_spread < LEAST_SPREAD {
+        let turned = match motions.len() {
+            0 | 1 => "less than 3 degrees, and about no axis that can be told".into(),
+            _ => format!("up to {:.0} degrees, and about one axis alone", max_turn_rad.to_degrees()),
+        };
         return Err(Refusal::of(format!(
-            "the camera was turned by up to {:.0} degrees, and about {}: its translation along that axis is left free; turn it by 30 \
-             degrees or more about two axes that are far from parallel",
-            max_turn_rad.to_degrees(),
-            if motions.len() < 2 { "no axis that can be told" } else { "one axis alone" }
+            "the camera was turned by {turned}: its translation along that axis is left free; turn it by 30 degrees or more about two axes \
+             that are far from parallel"
         )));
     }
     let fit = solution(method, &motions).ok_or_else(|| {

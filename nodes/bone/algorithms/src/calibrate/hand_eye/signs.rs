@@ -73,28 +73,25 @@ impl HandEyeReport {
     }
 
     fn rms_words(&self) -> String {
-        let cause = if is_at_one_end(&self.outliers, self.n_all()) {
-            "the others are all before or all after them: the target was moved, or a marker knocked; cut the logs there"
-        } else {
-            "was it moved, are poses of different times paired, or poses of the board flipped?"
+        let (n, n_all, mm, deg) = (self.n_poses, self.n_all(), self.outlier_max_mm, self.outlier_max_rad.to_degrees());
+        let cause = match (self.outliers.first(), self.outliers.last()) {
+            (Some(first), Some(last)) if is_at_one_end(&self.outliers, n_all) => format!(
+                "in those from {first} to {last} it is up to {mm:.1} mm and {deg:.1} degrees off: the target was moved, or a marker knocked; cut the \
+                 logs there"
+            ),
+            _ => "was it moved, are poses of different times paired, or poses of the board flipped?".into(),
         };
-        let (rms_mm, deg, n) = (self.rms_mm, self.rms_rad.to_degrees(), self.n_poses);
-        format!(
-            "{n} of {} poses have the target {rms_mm:.1} mm and {deg:.1} degrees RMS from one place; {cause}",
-            self.n_all()
-        )
+        let (mm, deg) = (self.rms_mm, self.rms_rad.to_degrees());
+        format!("{n} of {n_all} poses have the target {mm:.1} mm and {deg:.1} degrees RMS from one place; {cause}")
     }
 
     fn scale_words(&self) -> String {
+        let Self { scale, scale_sd, scaled_rms_mm, scaled_off_mm, rms_mm, .. } = self;
         format!(
-            "the target's lengths are {:.4} +- {:.4} times those of the tracker, and leave {:.2} mm RMS instead of {:.2} mm; multiply the size \
-             of the board by {:.4}, and give both logs in mm (in scale 1, which is given, the camera is {:.1} mm off)",
-            self.scale,
-            self.scale_sd,
-            self.scaled_rms_mm,
-            self.rms_mm,
-            1.0 / self.scale,
-            self.scaled_off_mm
+            "the target's lengths are {scale:.4} +- {scale_sd:.4} times those of the tracker, and leave {scaled_rms_mm:.2} mm RMS instead of \
+             {rms_mm:.2} mm; multiply the size of the board by {:.4}, and give both logs in mm (in scale 1, which is given, the camera is \
+             {scaled_off_mm:.1} mm off)",
+            1.0 / scale
         )
     }
 }

@@ -38,7 +38,8 @@ impl PivotReport {
                 "the tip is {tip_mm:.0} mm from its marker, and {pivot_mm:.0} mm from the tracker; are the poses inverses? give the marker in the \
                  tracker's frame"
             ))),
-            (rms_mm > TELLING_RMS_MM).then(|| ("pivot_rms", format!(
+            // Noise alone differs from pose to pose.
+            (rms_mm > TELLING_RMS_MM && 2.0 * self.n_effective < (n_poses - n_outliers) as f64).then(|| ("pivot_rms", format!(
                 "the tip is {rms_mm:.2} mm RMS from one place, {TELLING_RMS_MM} mm is allowed; was it kept in one divot?"
             ))),
             (drift_mm > MOST_DRIFT_MM).then(|| ("pivot_slipped", format!(
