@@ -11,7 +11,7 @@ pub use late::{hand_eye_late, hand_eye_pairs};
 use misfit::{GATE, in_scale, offsets_mm};
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix3, Matrix3x4, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion,
-    Vector3, Vector4, stack,
+    Vector3, Vector4,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -318,7 +318,8 @@ fn with_scale(rotation: UnitQuaternion<f64>, motions: &[Motion], is_sought: bool
     let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
     for m in motions {
         let turn = m.a.rotation.to_rotation_matrix().into_inner() - Matrix3::identity();
-        let rows: Matrix3x4<f64> = stack![turn, -(rotation * m.b.translation.vector)];
+        let mut rows: Matrix3x4<f64> = turn.insert_column(3, 0.0);
+        rows.set_column(3, &-(rotation * m.b.translation.vector));
         normal += rows.tr_mul(&rows);
         right -= rows.tr_mul(&m.a.translation.vector);
     }

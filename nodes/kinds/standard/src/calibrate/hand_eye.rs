@@ -101,14 +101,14 @@ impl Function for HandEye {
         let (t_world_marker, t_camera_target): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
         let found = hand_eye(&t_world_marker, &t_camera_target, params.method);
         let signs = found.as_ref().map_or_else(|_| Vec::new(), |fit| fit.report.signs(&stamps_ns));
-        if found.is_err() || signs.iter().any(|(rule, _)| *rule == "hand_eye_rms") {
-            if let Some(late_ns) = hand_eye_late(&stamped_markers, &stamped_targets, max_ns) {
-                return Err(NodeError::new(format!(
-                    "the stamps of the target are about {:.2} s later than those of the marker: paired so, the target is in one place; set both \
-                     clocks alike, or shift the stamps of one log",
-                    late_ns as f64 * 1e-9
-                )));
-            }
+        if (found.is_err() || signs.iter().any(|(rule, _)| *rule == "hand_eye_rms"))
+            && let Some(late_ns) = hand_eye_late(&stamped_markers, &stamped_targets, max_ns)
+        {
+            return Err(NodeError::new(format!(
+                "the stamps of the target are about {:.2} s later than those of the marker: paired so, the target is in one place; set both \
+                 clocks alike, or shift the stamps of one log",
+                late_ns as f64 * 1e-9
+            )));
         }
         let fit = found?;
         signs.into_iter().for_each(|(rule, words)| ctx.sign(rule, words));

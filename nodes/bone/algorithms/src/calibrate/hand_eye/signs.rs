@@ -5,7 +5,7 @@ use super::{HandEyeFit, HandEyeReport, Method, Pair, home, motions, solution};
 use crate::Refusal;
 use crate::calibrate::{
     inliers::is_at_one_end,
-    misread::{AS_WANTED, FAR_BETTER, MISREADINGS},
+    misread::{AS_WANTED, FAR_BETTER, MISREADINGS, Undo},
 };
 use nalgebra::Isometry3;
 
@@ -116,13 +116,12 @@ impl HandEyeFit {
     /// A reading of the poses with which the target is in one place.
     fn explanation(&self, pairs: &[Pair]) -> Option<String> {
         let (all_mm, rms_mm) = (misfit_mm(pairs), self.report.rms_mm);
-        let read =
-            |undo: fn(&Isometry3<f64>) -> Isometry3<f64>, marker: bool, target: bool| -> Option<(f64, Vec<Pair>)> {
-                let undo = |is_so: bool, t: &Isometry3<f64>| if is_so { undo(t) } else { *t };
-                let other: Vec<Pair> = pairs.iter().map(|(m, t)| (undo(marker, m), undo(target, t))).collect();
-                let mm = misfit_mm(&other);
-                (mm < TELLING_RMS_MM && FAR_BETTER * mm < all_mm).then_some((mm, other))
-            };
+        let read = |undo: Undo, marker: bool, target: bool| -> Option<(f64, Vec<Pair>)> {
+            let undo = |is_so: bool, t: &Isometry3<f64>| if is_so { undo(t) } else { *t };
+            let other: Vec<Pair> = pairs.iter().map(|(m, t)| (undo(marker, m), undo(target, t))).collect();
+            let mm = misfit_mm(&other);
+            (mm < TELLING_RMS_MM && FAR_BETTER * mm < all_mm).then_some((mm, other))
+        };
         let (mm, words) = if let Some((mm, other)) = read(Isometry3::inverse, false, true) {
             let fit = solution(Method::ParkMartin, &motions(&other))?;
             let is_far = fit.translation.vector.norm() > home(&other, &fit).translation.vector.norm();
