@@ -3,6 +3,7 @@
 
 mod answers;
 mod bones;
+mod calibrations;
 mod common;
 mod compact;
 mod gross;

@@ -1,9 +1,7 @@
 //! The kind `calibrate.hand_eye`.
 
-use osteoflow_algorithms::calibrate::{
-    HAND_EYE_TELLING_RMS_MM, HAND_EYE_TELLING_RMS_RAD, HandEyeMethod, HandEyeReport, hand_eye,
-};
-use osteoflow_geometry::{Pose, nalgebra::Isometry3};
+use osteoflow_algorithms::calibrate::{HandEyeMethod, HandEyeReport, hand_eye, hand_eye_late, hand_eye_pairs};
+use osteoflow_geometry::Pose;
 use osteoflow_node::{
     Context, Describe, Function, Inputs, NodeError, Outputs,
     schemars::{self, JsonSchema},
@@ -14,8 +12,10 @@ use osteoflow_node::{
 ///
 /// The target is a phantom or a board whose pose the camera sees, in any frame of its own. Its place in the tracker's
 /// world need not be known, while `calibrate.phantom_icp` needs it. The camera is turned by 30 degrees or more about
-/// two axes or more, and held still at each pose. Motions about one axis alone are refused, as are poses of which one or the other are
-/// inverses; a camera that is farther from its marker than the target from the tracker is warned of. The report says how far the methods differ and how well the motions determine the answer.
+/// two axes or more, and held still at each pose. Motions about one axis alone are refused, as is a target that the poses do not have in
+/// one place; the reason names inverses, another order of the quaternion, a mirrored log, another unit, clocks that differ and a camera
+/// on a stand. Single poses that contradict the others are left out. These, and a board of the wrong size, are signs. The report has the
+/// error with an interval of 90 %, the scale beside the pose, how far the methods differ and how well the motions determine the answer.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -30,18 +30,6 @@ method = "park_martin"
     ]
 )]
 pub struct HandEye;
-
-/// Largest RMS distance of the target from one place, mm: no camera errs by it.
-const MOST_RMS_MM: f64 = 10.0;
-/// A scale is a sign if it differs from 1 by more than this, and by four of its standard deviations: 1 mm at 200 mm.
-const MOST_SCALE: f64 = 0.005;
-const SCALE_SIGMAS: f64 = 4.0;
-/// Largest radius that holds 90 % of the errors of the translation, mm, and that radius in standard deviations per direction.
-const MOST_ERROR_MM: f64 = 5.0;
-const RADIUS_90: f64 = 2.5;
-
-/// A marker is no farther from its camera than this, mm, where the target is nearer to the tracker than half of it.
-const FARTHEST_MARKER_MM: f64 = 300.0;
 
 /// Parameters of [`HandEye`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -64,12 +52,12 @@ impl Default for Params {
 /// Inputs of [`HandEye`].
 #[derive(Inputs)]
 pub struct In {
-    /// The camera's marker in the tracker's frame, all poses until the end.
+    /// The camera's marker in the tracker's frame, all poses until the end; those that are left out are not used.
     #[port(join = "collect")]
-    marker: Vec<Pose>,
-    /// The target in the camera's frame, all poses until the end.
+    marker: Vec<Option<Pose>>,
+    /// The target in the camera's frame, likewise.
     #[port(join = "collect")]
-    target: Vec<Pose>,
+    target: Vec<Option<Pose>>,
 }
 
 /// Outputs of [`HandEye`].
@@ -89,23 +77,19 @@ impl Function for HandEye {
     type Outputs = Out;
 
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
-        let (Some(marker), Some(target)) = (i.marker.first(), i.target.first()) else {
-            let missing = if i.marker.is_empty() { "marker" } else { "target" };
+        let taken = |of: Vec<Option<Pose>>| of.into_iter().flatten().collect::<Vec<Pose>>();
+        let (markers, targets) = (taken(i.marker), taken(i.target));
+        let (Some(marker), Some(target)) = (markers.first(), targets.first()) else {
+            let missing = if markers.is_empty() { "marker" } else { "target" };
             return Err(NodeError::new(format!("no pose was received at \"{missing}\"")));
         };
-        let markers =
-            i.marker.iter().map(|pose| pose.expect(&marker.to, &marker.from)).collect::<Result<Vec<_>, _>>()?;
-        let targets =
-            i.target.iter().map(|pose| pose.expect(&target.to, &target.from)).collect::<Result<Vec<_>, _>>()?;
-        let most_ns = params.max_stamp_difference_ms * 1e6;
-        let pair = |(pose, t_camera_target): (&Pose, &Isometry3<f64>)| {
-            let off = |of: &Pose| of.stamp_ns.abs_diff(pose.stamp_ns);
-            let (marker, t_world_marker) = i.marker.iter().zip(&markers).min_by_key(|(marker, _)| off(marker))?;
-            (off(marker) as f64 <= most_ns).then_some((*t_world_marker, *t_camera_target))
+        let stamped = |of: &[Pose], first: &Pose| -> Result<Vec<_>, NodeError> {
+            of.iter().map(|pose| Ok((pose.stamp_ns, pose.expect(&first.to, &first.from)?))).collect()
         };
-        let (t_world_marker, t_camera_target): (Vec<_>, Vec<_>) =
-            i.target.iter().zip(&targets).filter_map(pair).unzip();
-        let n_alone = targets.len() - t_camera_target.len();
+        let (stamped_markers, stamped_targets) = (stamped(&markers, marker)?, stamped(&targets, target)?);
+        let max_ns = params.max_stamp_difference_ms * 1e6;
+        let pairs = hand_eye_pairs(&stamped_markers, &stamped_targets, 0, max_ns);
+        let n_alone = targets.len() - pairs.len();
         if n_alone > 0 {
             ctx.warn(format!(
                 "{n_alone} of {} poses of the target are left out: no pose of the marker is within {} ms of them",
@@ -113,66 +97,22 @@ impl Function for HandEye {
                 params.max_stamp_difference_ms
             ));
         }
-        let fit = hand_eye(&t_world_marker, &t_camera_target, params.method)?;
-        check(&fit.report, ctx)?;
-        let camera_mm = fit.t_marker_camera.translation.vector.norm();
-        let placed = t_world_marker[0] * fit.t_marker_camera * t_camera_target[0];
-        let target_mm = placed.translation.vector.norm();
-        if camera_mm > FARTHEST_MARKER_MM && target_mm < camera_mm / 2.0 {
-            ctx.sign("hand_eye_exchanged", format!(
-                "the camera is {camera_mm:.0} mm from its marker, and the target {target_mm:.0} mm from the tracker; is the camera on a \
-                 stand and the target on the marker, are marker and target exchanged, or the poses of both inverses?"
-            ));
+        let (stamps_ns, pairs): (Vec<i64>, Vec<_>) = pairs.into_iter().unzip();
+        let (t_world_marker, t_camera_target): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
+        let found = hand_eye(&t_world_marker, &t_camera_target, params.method);
+        let signs = found.as_ref().map_or_else(|_| Vec::new(), |fit| fit.report.signs(&stamps_ns));
+        if (found.is_err() || signs.iter().any(|(rule, _)| *rule == "hand_eye_rms"))
+            && let Some(late_ns) = hand_eye_late(&stamped_markers, &stamped_targets, max_ns)
+        {
+            return Err(NodeError::new(format!(
+                "the stamps of the target are about {:.2} s later than those of the marker: paired so, the target is in one place; set both \
+                 clocks alike, or shift the stamps of one log",
+                late_ns as f64 * 1e-9
+            )));
         }
+        let fit = found?;
+        signs.into_iter().for_each(|(rule, words)| ctx.sign(rule, words));
         let t_camera_camera_marker = Pose::new(&target.to, &marker.from, fit.t_marker_camera.inverse());
         Ok(Out { t_camera_camera_marker, report: fit.report })
     }
-}
-
-/// Refuses a fit that does not explain its poses, and signs one that is doubtful.
-fn check(report: &HandEyeReport, ctx: &mut Context) -> Result<(), NodeError> {
-    let HandEyeReport { rms_mm, rms_rad, scale, scale_sd, .. } = *report;
-    let is_scaled = (scale - 1.0).abs() > MOST_SCALE.max(SCALE_SIGMAS * scale_sd);
-    if is_scaled {
-        ctx.sign(
-            "hand_eye_scale",
-            format!(
-                "the target's lengths are {scale:.4} +- {scale_sd:.4} of the tracker's, and leave {:.2} mm RMS in place of {rms_mm:.2} mm; \
-                 multiply the size of the board by {:.4}, or give both logs in mm (the pose is that of scale 1)",
-                report.scaled_rms_mm,
-                1.0 / scale
-            ),
-        );
-    }
-    let words = format!(
-        "the target is {rms_mm:.1} mm and {:.1} degrees RMS from one place; was it moved, is its length in another unit, or are poses of \
-         different times paired?",
-        rms_rad.to_degrees()
-    );
-    if rms_mm > MOST_RMS_MM {
-        return Err(NodeError::new(words));
-    }
-    if !is_scaled && (rms_mm > HAND_EYE_TELLING_RMS_MM || rms_rad > HAND_EYE_TELLING_RMS_RAD) {
-        ctx.sign("hand_eye_rms", words);
-    }
-    if report.n_outliers > 0 {
-        let (n, n_kept) = (report.n_outliers, report.n_poses);
-        ctx.sign(
-            "hand_eye_outliers",
-            format!(
-                "{n} of {} poses are left out: the target is far from where the others have it; are they flipped?",
-                n + n_kept
-            ),
-        );
-    }
-    if RADIUS_90 * report.translation_sd_mm > MOST_ERROR_MM {
-        ctx.sign(
-            "hand_eye_open",
-            format!(
-                "the camera's place is known to {:.1} mm (90 %); take more poses, and turn the camera by 30 degrees or more",
-                RADIUS_90 * report.translation_sd_mm
-            ),
-        );
-    }
-    Ok(())
 }
