@@ -128,7 +128,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "nodes/bone/geometry/src",
         &[
-            &["column", "distortion", "farthest", "frame", "units"],
+            &["column", "distortion", "farthest", "frame", "time_column", "units"],
             &["axes", "region", "rigid"],
             &["cloud", "drawn_region", "image", "mesh", "plane", "points", "pose"],
             &["plan", "transform_tree"],
@@ -242,6 +242,7 @@ const CRATES: &[(&str, Floors)] = &[
                 "marker_stream",
                 "merge",
                 "point_grid",
+                "point_times",
                 "roi",
                 "sample",
                 "section",

@@ -113,7 +113,8 @@ fn a_bone_that_is_carried_is_back_at_each_cloud_and_one_that_is_sawed_shakes_aft
     let before = sawed.bone_marker.iter().filter(|pose| pose.stamp_ns < until_ns);
     let off: Vec<f64> = before.map(|pose| (pose.isometry.translation.vector - rest).norm()).collect();
     let largest = off.iter().copied().fold(0.0, f64::max);
-    assert!((1.3..=1.5 + 1e-9).contains(&largest), "{largest} mm");
+    // Four samples in each period see at least 1 / sqrt(2) of 1.5 mm.
+    assert!((1.06..=1.5 + 1e-9).contains(&largest), "{largest} mm");
     let n_shaken = off.iter().filter(|off| **off > 0.1).count();
     assert!((60..=80).contains(&n_shaken), "{n_shaken} of the samples of 4 s at 20 Hz");
 }

@@ -2,7 +2,6 @@
 
 use super::cut::Cut;
 use super::nuisance::params::NuisanceParams;
-use super::smear::TERM;
 use super::{Limits, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
@@ -25,6 +24,9 @@ const SCALE_SIGMA: f64 = 0.2;
 
 /// Semi-axes of the ellipsoid that holds 90 % of a three-dimensional Gaussian, in standard deviations.
 const ELLIPSOID_SIGMAS: f64 = 2.500_278;
+
+/// The name of the term of what the markers move while the scan is taken.
+pub(super) const SCAN_MOTION: &str = "motion during the scan";
 
 /// Stated errors.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -284,7 +286,7 @@ pub fn predict(
     let stated = tracking.map(|tracking| stated(tracking, &centre, params)).unwrap_or_default();
     let fit = tracking.and_then(|tracking| tracking.phantom_fit.as_ref());
     let fit = fit.map(|(covariance, about)| ("phantom's fit", carried(covariance, about, &centre)));
-    let motion = motion.map(|(covariance, about)| (TERM, carried(covariance, about, &centre)));
+    let motion = motion.map(|(covariance, about)| (SCAN_MOTION, carried(covariance, about, &centre)));
     let registration = ("registration", spread.covariance);
     let terms: Vec<(&str, Matrix6<f64>)> =
         [registration].into_iter().chain(motion).chain(stated.iter().copied()).chain(fit).collect();

@@ -2,6 +2,7 @@
 
 use super::evidence::Registered;
 use super::nuisance::{Axes, Effect};
+use super::predict::SCAN_MOTION;
 use super::{Limits, Predicted, Residual, Residuals, RuleParams, Where};
 use crate::kabsch::centroid;
 use crate::still_average::{MarkerMotion, TakeMotion};
@@ -16,9 +17,6 @@ const REACH_MM: f64 = 3.0;
 
 /// An effect of less than this share of a limit is not told.
 const MATTERS: f64 = 0.1;
-
-/// The name of the error in the prediction.
-pub(super) const TERM: &str = "motion during the scan";
 
 /// The motion while a scan was taken, and the error of the pose that it makes.
 #[derive(Debug, Clone, PartialEq)]
@@ -92,7 +90,7 @@ impl Smear {
     /// The sign that the motion makes an error beyond the limits likely: where it is the largest part of the predicted one.
     pub(super) fn reason(&self, predicted: &Predicted, rules: &RuleParams) -> Option<Reason> {
         let of = |name: &str| predicted.terms.iter().find(|term| term.name == name).map_or(0.0, |term| term.tre_mm);
-        let is_largest = predicted.terms.iter().all(|term| term.tre_mm <= of(TERM));
+        let is_largest = predicted.terms.iter().all(|term| term.tre_mm <= of(SCAN_MOTION));
         let is_likely = predicted.beyond_limits > rules.max_beyond_limits && (is_largest || self.effect.times > 1.0);
         let remedy = "hold camera and bone still and take the scan again; or give each point its time (a column `t`) and wire `path` of \
                       transform.to_world and transform.to_bone_marker; duration_s of transform.to_world states how long a scan takes";
