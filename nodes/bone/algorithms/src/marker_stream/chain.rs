@@ -158,8 +158,11 @@ impl Links<'_> {
             let (n, n_other) = (parts[at].len(), parts[at + 1].len());
             match (stays, other_stays) {
                 (true, true) => {
-                    at += 1;
-                    continue;
+                    let (before, after) = parts.split_at_mut(at + 1);
+                    if !self.trim(&mut before[at], &mut after[0]) {
+                        at += 1;
+                        continue;
+                    }
                 }
                 _ if outweighs(n, n_other) || (stays && !other_stays) => drop(parts.remove(at + 1)),
                 _ if outweighs(n_other, n) || (other_stays && !stays) => drop(parts.remove(at)),
@@ -176,6 +179,7 @@ impl Links<'_> {
         self.stays(before)
             && self.stays(after)
             && outweighs(before.len().min(after.len()), part.len())
+            && self.span_s(part) < RESTS_S
             && self.is_by_hand(before, after)
             && self.is_by_hand(before, part)
             && !self.is_by_hand(part, after)
@@ -192,11 +196,34 @@ impl Links<'_> {
         }
     }
 
+    /// Whether a hand moves the marker from one part to the next.
+    fn is_by_hand(&self, before: &[usize], after: &[usize]) -> bool {
+        self.tolerance(before, after).is_some_and(|by_hand| self.meet(before, after, by_hand))
+    }
+
+    /// Takes off the last sample of one part, or the first of the next, if the others meet without it.
+    fn trim(&self, before: &mut Part, after: &mut Part) -> bool {
+        let Some(by_hand) = self.tolerance(before, after) else { return false };
+        if self.meet(&before[..before.len() - 1], after, by_hand) {
+            before.pop();
+        } else if self.meet(before, &after[1..], by_hand) {
+            after.remove(0);
+        } else {
+            return false;
+        }
+        true
+    }
+
+    /// What a hand moves the marker between the parts, beyond their velocities.
+    fn tolerance(&self, before: &[usize], after: &[usize]) -> Option<Size> {
+        let (from, to) = (*before.last()?, *after.first()?);
+        Some(self.scales.by_hand(to, seconds(self.samples[to].0 - self.samples[from].0)))
+    }
+
     /// Whether the velocities at the end of one part and at the begin of the next meet somewhere between them.
-    fn is_by_hand(&self, before: &Part, after: &Part) -> bool {
+    fn meet(&self, before: &[usize], after: &[usize], by_hand: Size) -> bool {
         let (Some(&from), Some(&to)) = (before.last(), after.first()) else { return false };
         let gap_s = seconds(self.samples[to].0 - self.samples[from].0);
-        let by_hand = self.scales.by_hand(to, gap_s);
         MEETS_AT.iter().any(|share| {
             let led = self.led(before.iter().rev(), gap_s * share);
             let back = self.led(after.iter(), gap_s * (1.0 - share));
