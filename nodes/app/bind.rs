@@ -45,7 +45,7 @@ pub(crate) struct Bone<'a> {
 pub(crate) fn bind(plan: &Path, bone: &Bone<'_>, out: &Path) -> Result<(SurfaceKey, Vec<String>)> {
     check_new(out)?;
     if ending(out) != "json" {
-        return Err(UsageError(format!("{}: a plan is written as .json", out.display())).into());
+        usage!("{}: a plan is written as .json", out.display());
     }
     let text = input::read_text(plan)?;
     let PlanRead { plan: drawn, mut notes, .. } = parse_plan(plan, &text)?;

@@ -263,8 +263,7 @@ pub(crate) fn write_list(file: &Path, points: &[NamedPoint], space: Space, no_sp
         // A comment before the heading would keep other programs from reading it.
         () if name.ends_with(".csv") => write_points_csv(file, points, Space::Unknown),
         () => {
-            let message = "picked points are written as .csv, .mrk.json or .fcsv";
-            return Err(UsageError(format!("{}: {message}", file.display())).into());
+            usage!("{}: picked points are written as .csv, .mrk.json or .fcsv", file.display());
         }
     };
     Ok(written?)

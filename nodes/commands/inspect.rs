@@ -2,7 +2,7 @@ mod module_docs;
 mod node_docs;
 
 use super::common::{Exit, Format, Global, graph_args, plugins, print_json, terminal};
-use crate::app::{GraphArgs, Plugins, UsageError, registry};
+use crate::app::{GraphArgs, Plugins, registry};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{CheckedFile, plugin::Plugin};
@@ -112,9 +112,7 @@ impl Inspect {
         let graph = GraphArgs { graph: file.into(), sets: Vec::new(), plugins: self.plugins.clone() };
         let Some(checked) = graph_args::check_file(&graph, global)? else { return Ok(Exit::Usage) };
         let CheckedFile::Module(module) = checked else {
-            let message =
-                format!("{file} is a graph, not a module; `osteoflow check` and `osteoflow graph` show graphs");
-            return Err(UsageError(message).into());
+            usage!("{file} is a graph, not a module; `osteoflow check` and `osteoflow graph` show graphs");
         };
         match global.format {
             Format::Json => print_json(&json!(module.description))?,

@@ -68,7 +68,7 @@ impl OutFiles {
         }
         if let Some(file) = all.source.as_deref().filter(|file| !MOVED.contains(&ending(file).as_str())) {
             let message = format!("{} cannot be written: end it with .ply, .pcd or .csv", file.display());
-            return Err(UsageError(format!("--write-source: {message}")).into());
+            usage!("--write-source: {message}");
         }
         all.all().try_for_each(|file| check_new(file))?;
         Ok(all)
@@ -89,7 +89,7 @@ impl OutFiles {
             files.poses.retain(|(_, form)| *form != Form::Itk);
         }
         let Some((file, _)) = files.poses.iter().find(|(_, form)| *form == Form::Itk) else { return Ok(files) };
-        let message = format!(
+        usage!(
             "{}: a .tfm is always LPS, and {}; give --space LPS, as 3D Slicer takes such files, or --space RAS",
             file.display(),
             match &unknown[..] {
@@ -97,7 +97,6 @@ impl OutFiles {
                 both => format!("{} do not state the space of their numbers", both.join(" and ")),
             }
         );
-        Err(UsageError(message).into())
     }
 
     /// Every file, in the order in which they are written.

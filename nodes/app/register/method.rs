@@ -49,14 +49,14 @@ impl RegisterRequest {
         if self.is_built_in() {
             if !BUILT_IN.iter().any(|(known, _)| *known == self.method) {
                 let known = BUILT_IN.map(|(known, _)| known).join(", ");
-                return Err(UsageError(format!("method \"{}\" is none of {known}", self.method)).into());
+                usage!("method \"{}\" is none of {known}", self.method);
             }
             return Ok((Kinds::from(&registry()), format!("icp.{}", self.method)));
         }
         let kinds = self.plugins.kinds_apart()?;
         let known = kinds.known();
         if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
-            return Err(UsageError(format!("{}: {}", refused.path.display(), refused.why)).into());
+            usage!("{}: {}", refused.path.display(), refused.why);
         }
         let of_plugins = known.registry.kinds().filter(|kind| known.of_kind(kind.description.kind).is_some());
         let names = of_plugins.filter(|kind| match &self.kind {
