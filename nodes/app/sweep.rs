@@ -234,8 +234,8 @@ impl SweepRun {
     /// # Errors
     /// The folder cannot be read.
     pub fn n_left(&self) -> Result<usize> {
-        let n_done = self.folder.runs_kept(self.options.retry_failed).map_err(folder_error)?.len();
-        Ok(self.sweep.part(self.options.shard).count().saturating_sub(n_done))
+        let done = self.folder.runs_kept(self.options.retry_failed).map_err(folder_error)?;
+        Ok(self.sweep.part(self.options.shard).filter(|row| done.binary_search(&row.run).is_err()).count())
     }
 
     pub(crate) fn make(&self, watcher: &dyn Watcher) -> Result<SweepCounts> {
@@ -348,11 +348,9 @@ pub fn summary(folder: &Folder) -> Result<Value> {
 /// Converts an error: a wrong folder is a fault of the command line.
 pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
     match error {
-        FolderError::NoSweep { .. }
-        | FolderError::Other { .. }
-        | FolderError::Part { .. }
-        | FolderError::Grown { .. }
-        | FolderError::Missing { .. } => UsageError(error.to_string()).into(),
+        FolderError::NoSweep { .. } | FolderError::Other { .. } | FolderError::Missing { .. } => {
+            UsageError(error.to_string()).into()
+        }
         other => other.into(),
     }
 }

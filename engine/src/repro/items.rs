@@ -2,7 +2,7 @@
 
 use crate::recording::{
     RecordingError, codec,
-    format::{EXACT_ENCODING, EXACT_SCHEMA_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
+    format::{EXACT_ENCODING, EXACT_SCHEMA_ENCODING, REPRO_PROFILE, Topic, WireHeader},
     scan::{Carried, Gather, PassState, Scanned, scan},
     typed,
     wires::Carries,
@@ -33,8 +33,8 @@ impl Items {
             ..WriteOptions::default()
         };
         let mut writer = Writer::new(File::create(path)?, options)?;
-        let firing = ReproRecord { node: node.into(), item };
-        writer.write_metadata(ReproRecord::NAME, &firing.to_metadata())?;
+        let firing = [("node", node.to_owned()), ("item", item.to_string())];
+        writer.write_metadata("osteoflow.repro", &firing.map(|(key, value)| (key.to_owned(), value)).into())?;
         Ok(Self { writer })
     }
 

@@ -73,31 +73,6 @@ pub enum FolderError {
         /// What differs.
         what: String,
     },
-    /// It holds another part of the sweep.
-    #[error(
-        "{path} holds {}, not {}; go on with {}, or begin in another folder",
-        part(.there), part(.asked), option(.there)
-    )]
-    Part {
-        /// The folder.
-        path: String,
-        /// Its part; all if none is given.
-        there: Option<String>,
-        /// The requested part.
-        asked: Option<String>,
-    },
-    /// It holds a part of a sweep that is to have more repeats.
-    #[error(
-        "{path} holds {}, and a part gets no more repeats; combine the parts by --merge, then go on with the whole in its \
-         folder, without --shard",
-        part(.there)
-    )]
-    Grown {
-        /// The folder.
-        path: String,
-        /// Its part; all if none is given.
-        there: Option<String>,
-    },
     /// An input file changed while the sweep ran.
     #[error(
         "{path} has changed while the sweep ran, which was stopped; the runs that are there are of the file as it was: \
@@ -161,14 +136,6 @@ impl FolderError {
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, FolderError> {
     let text = fs::read_to_string(path).map_err(|source| FolderError::read(path, source))?;
     serde_json::from_str(&text).map_err(|error| FolderError::form(path, error))
-}
-
-fn part(shard: &Option<String>) -> String {
-    shard.as_ref().map_or_else(|| "the whole sweep".into(), |shard| format!("part {shard} of the sweep"))
-}
-
-fn option(shard: &Option<String>) -> String {
-    shard.as_ref().map_or_else(|| "--resume without --shard".into(), |shard| format!("--shard {shard} --resume"))
 }
 
 /// What was asked for by settings, instead of by `[sweep]`.

@@ -119,7 +119,8 @@ impl Pack {
     fn open(dir: &Path) -> Result<Self> {
         let (what, about) = if dir.join(sweep::DESIGN).is_file() {
             let folder = Folder::open(dir).map_err(folder_error)?;
-            if let Some(shard) = folder.about["shard"].as_str() {
+            let is_whole = folder.runs().map_err(folder_error)?.len() >= folder.n_runs();
+            if let Some(shard) = folder.about["shard"].as_str().filter(|_| !is_whole) {
                 let dir = dir.display();
                 usage!(
                     "{dir} is part {shard} of a sweep; combine the parts by `osteoflow sweep --merge`, and export that"
