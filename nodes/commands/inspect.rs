@@ -6,7 +6,7 @@ use crate::app::{GraphArgs, Plugins, registry};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{CheckedFile, plugin::Plugin};
-use osteoflow_node::{Description, OutputPorts, Registry};
+use osteoflow_node::{Description, Registry};
 use serde_json::json;
 use std::{
     fs,
@@ -153,12 +153,7 @@ fn is_file(word: &str, registry: &Registry) -> bool {
 
 /// Lists the payload types with the kinds that produce and take each.
 fn payloads(registry: &Registry, global: &Global) -> Result<Exit> {
-    let gives = |name: &str| {
-        kinds_with(registry, |d| match &d.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().any(|port| port.payload.name() == name),
-            OutputPorts::Declared { .. } => false,
-        })
-    };
+    let gives = |name: &str| kinds_with(registry, |d| d.outputs.fixed().iter().any(|port| port.payload.name() == name));
     let takes =
         |name: &str| kinds_with(registry, |d| d.inputs.iter().any(|port| port.payload.name() == name && !port.unused));
     let types: Vec<_> = registry.payload_types().collect();

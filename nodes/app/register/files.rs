@@ -1,7 +1,10 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
 use super::RegisterRequest;
-use crate::app::{error::UsageError, files::check_new};
+use crate::app::{
+    error::UsageError,
+    files::{check_new, write_new},
+};
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{
@@ -16,7 +19,6 @@ use osteoflow_geometry::{
 use osteoflow_standard::parts;
 use std::{
     fs,
-    io::Write as _,
     path::{Path, PathBuf},
 };
 
@@ -126,13 +128,6 @@ impl OutFiles {
         self.trace.iter().try_for_each(|file| write_new(file, &steps()))?;
         Ok(notes)
     }
-}
-
-/// Writes a new file.
-fn write_new(file: &Path, text: &str) -> Result<()> {
-    let opened = fs::OpenOptions::new().write(true).create_new(true).open(file);
-    let written = opened.and_then(|mut file| file.write_all(text.as_bytes()));
-    written.with_context(|| format!("{} cannot be written", file.display()))
 }
 
 fn form_of(file: &Path) -> Result<Form> {

@@ -4,7 +4,7 @@ use super::RegisterRequest;
 use crate::app::{error::UsageError, program::registry};
 use anyhow::Result;
 use osteoflow_engine::plugin::Kinds;
-use osteoflow_node::{Kind, OutputPorts};
+use osteoflow_node::Kind;
 
 /// Ports that a kind needs to register.
 const INPUTS: [&str; 3] = ["source", "target", "init"];
@@ -87,7 +87,7 @@ fn registers(kind: &Kind) -> bool {
 
 /// Whether a kind has an output of this name.
 pub(super) fn has_output(kind: &Kind, name: &str) -> bool {
-    matches!(&kind.description.outputs, OutputPorts::Fixed(ports) if ports.iter().any(|port| port.name == name))
+    kind.description.outputs.fixed().iter().any(|port| port.name == name)
 }
 
 #[cfg(test)]
