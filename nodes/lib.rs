@@ -3,6 +3,13 @@
 //! `main` reads the command line, starts logging and turns the result into an exit code; each subcommand is a file in
 //! `commands/`. [`app`] does what the subcommands ask for, also for the Python package.
 
+/// Returns the error that the request is impossible as stated, for this reason.
+macro_rules! usage {
+    ($($reason:tt)+) => {
+        return Err($crate::app::UsageError(format!($($reason)+)).into())
+    };
+}
+
 pub mod app;
 mod commands;
 
@@ -15,12 +22,9 @@ use app::{UsageError, with_causes};
 use clap::{ColorChoice, Parser};
 use commands::{
     command_line::Cli,
-    common::{Exit, Format, Global, crash, log, terminal, usage},
+    common::{Exit, Format, Global, crash, log, usage},
 };
-use std::{
-    ffi::OsString,
-    io::{IsTerminal, Write},
-};
+use std::{ffi::OsString, io::IsTerminal};
 
 /// Runs the command with these arguments, the program's name first, as all that this process does; returns its exit code.
 ///
@@ -52,7 +56,7 @@ fn code_of(arguments: Vec<OsString>) -> u8 {
         // A reader of stdout may stop reading, as `head` does.
         Err(error) if is_broken_pipe(&error) => Exit::Done,
         Err(error) => {
-            let _ = writeln!(terminal::stderr(), "{}: {}", cli.global.paint_err("error", "1;31"), with_causes(&error));
+            let _ = cli.global.say("error", with_causes(&error));
             if error.chain().any(|cause| cause.is::<UsageError>()) { Exit::Usage } else { Exit::Failed }
         }
     };

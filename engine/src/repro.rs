@@ -15,7 +15,7 @@ mod save;
 mod tests;
 
 pub use bundle::{BUNDLE, INPUTS};
-pub use bundle::{Bundle, Declared, Failure, Input, Node, Output, PortItems, Program, ReproError, Shown};
+pub use bundle::{Bundle, Declared, Failure, Input, Node, PortItems, Program, ReproError, Shown};
 pub(crate) use save::Saver;
 pub use save::{FOLDER, Saved, SavedBundle};
 
@@ -33,8 +33,8 @@ use crate::{
     runtime::{self, emission_fault, planned_failure},
 };
 use osteoflow_node::{
-    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, OutputPorts, PayloadType, Place, PortPayload,
-    Registry, Role, Slot, StampNs,
+    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, Place, PortPayload, Registry,
+    Role, Slot, StampNs,
 };
 use std::{
     path::Path,
@@ -102,23 +102,16 @@ pub fn repro(
     let build = |message: String| {
         ReproError::Unfit(format!("node \"{}\" cannot be built from the bundle's parameters: {message}", node.name))
     };
-    let outputs = node.outputs.iter().map(|output| Ok((output.name.as_str(), payload(registry, &output.payload)?)));
-    let outputs: Vec<(&str, PortPayload)> = outputs.collect::<Result<_, ReproError>>()?;
     let declared = node.declared.iter().map(|port| {
-        let PortPayload::Type(payload) = payload(registry, &port.payload)? else {
-            return Err(not_here("payload", &port.payload));
-        };
+        let payload = registry.payload_type(&port.payload).ok_or_else(|| not_here("payload", &port.payload))?;
         Ok(DeclaredPort { name: port.name.clone(), payload, params: port.params.clone() })
     });
     let declared = match &changed {
         Some(changed) => changed.declared.clone(),
         None => declared.collect::<Result<Vec<_>, ReproError>>()?,
     };
-    let outputs = match &kind.description.outputs {
-        OutputPorts::Fixed(ports) if is_exchanged => ports.iter().map(|port| (port.name, port.payload)).collect(),
-        _ => outputs,
-    };
     let declared: Arc<[DeclaredPort]> = declared.into();
+    let outputs: Vec<_> = kind.description.outputs.payloads(&declared).collect();
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
     let stop_after = node.stop_after_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
     let place = Place { process: node.process, stop_after, pool: None };
@@ -138,7 +131,8 @@ pub fn repro(
     let no_folder = |error| ReproError::Files(format!("no folder can be made for what the node writes: {error}"));
     let scratch = scratch.map_err(no_folder)?;
     let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.path()));
-    let mut context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared).with_out_dir(out_dir);
+    let mut context =
+        Context::new(node.name.clone(), bundle.seed, Arc::default(), declared.clone()).with_out_dir(out_dir);
     if backtrace {
         panics::show();
     }
@@ -232,14 +226,6 @@ fn changed(node: &Node, sets: &[String], is_exchanged: bool, known: &Known) -> R
     }
     check_node(format!("{table}\n[graph]\nformat = 1\n"), sets, known)
         .map_err(|faults| ReproError::Unfit(format!("the node cannot be set so\n{faults}")))
-}
-
-fn payload(registry: &Registry, name: &str) -> Result<PortPayload, ReproError> {
-    if name == PortPayload::Any.name() {
-        return Ok(PortPayload::Any);
-    }
-    let ty: Option<&'static PayloadType> = registry.payload_type(name);
-    ty.map(PortPayload::Type).ok_or_else(|| not_here("payload", name))
 }
 
 fn not_here(what: &str, name: &str) -> ReproError {

@@ -197,13 +197,12 @@ impl Sweep {
         part.into_iter().map(|run| &self.runs[run].row)
     }
 
-    /// Resumes the sweep in its folder, with the part it was started with. A folder of the same sweep with fewer repeats gets the
-    /// numbers of this one.
+    /// Resumes the sweep in its folder, of whichever part. A folder of the same sweep with fewer repeats gets the numbers of this one.
     ///
     /// # Errors
-    /// If the folder holds another sweep, another part, or no sweep.
+    /// If the folder holds another sweep, or no sweep.
     pub fn resume(&self, dir: &Path, options: &SweepOptions) -> Result<Folder, FolderError> {
-        let (mut folder, shard) = (Folder::open(dir)?, options.shard);
+        let mut folder = Folder::open(dir)?;
         let path = dir.display().to_string();
         if folder.is_study() {
             let what = "its runs were asked for one by one from Python, which also goes on with it".into();
@@ -212,16 +211,9 @@ impl Sweep {
         folder.finish_growth()?;
         let n_repeats = folder.spec()?.repeat;
         let is_smaller = n_repeats < self.spec.repeat && folder.hash() != self.hash.to_string();
-        let about = if is_smaller { self.about_repeats(n_repeats) } else { self.about(shard, &Json::Null) };
+        let about = if is_smaller { self.about_repeats(n_repeats) } else { self.about(None, &Json::Null) };
         if let Some(what) = difference(&about, &self.plan.resolved, &folder)? {
             return Err(FolderError::Other { path, what });
-        }
-        let (there, asked) = (folder.about["shard"].as_str().map(str::to_owned), shard.map(|shard| shard.to_string()));
-        if is_smaller && there.is_some() {
-            return Err(FolderError::Grown { path, there });
-        }
-        if there != asked {
-            return Err(FolderError::Part { path, there, asked });
         }
         if is_smaller {
             self.grow(&mut folder, n_repeats, &options.run.command)?;
@@ -248,7 +240,7 @@ impl Sweep {
     /// Gives the runs of a folder of fewer repeats the numbers of this sweep.
     fn grow(&self, folder: &mut Folder, n_repeats: usize, command: &Json) -> Result<(), FolderError> {
         let mut about = self.about(None, command);
-        for key in ["plugins", "merged", "grown"] {
+        for key in ["plugins", "merged", "grown", "shard"] {
             if !folder.about[key].is_null() {
                 about[key] = folder.about[key].clone();
             }

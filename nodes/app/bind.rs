@@ -1,7 +1,10 @@
 //! Binds a plan to the surface that it was drawn on.
 
-use super::{error::UsageError, files::check_new};
-use anyhow::{Context, Result, anyhow, bail};
+use super::{
+    error::UsageError,
+    files::{check_new, write_new},
+};
+use anyhow::{Result, anyhow, bail};
 use osteoflow_algorithms::{
     mesh_query::MeshQuery,
     trust::{Answer, fingerprint, plan_faults},
@@ -17,7 +20,7 @@ use osteoflow_geometry::{NamedPoint, SurfaceKey};
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde::Deserialize as _;
 use serde_json::json;
-use std::{io::Write as _, path::Path};
+use std::path::Path;
 
 /// Distance from the surface beyond which a planned point is noted, mm: picks on a surface are on it, and its triangles are finer.
 const OFF_MM: f64 = 1.0;
@@ -45,7 +48,7 @@ pub(crate) struct Bone<'a> {
 pub(crate) fn bind(plan: &Path, bone: &Bone<'_>, out: &Path) -> Result<(SurfaceKey, Vec<String>)> {
     check_new(out)?;
     if ending(out) != "json" {
-        return Err(UsageError(format!("{}: a plan is written as .json", out.display())).into());
+        usage!("{}: a plan is written as .json", out.display());
     }
     let text = input::read_text(plan)?;
     let PlanRead { plan: drawn, mut notes, .. } = parse_plan(plan, &text)?;
@@ -122,19 +125,4 @@ impl Bone<'_> {
         key.points = fingerprint(&vertices);
         Ok(BoneRead { mesh, key })
     }
-}
-
-/// Writes a file that is whole or not there; nothing is overwritten.
-fn write_new(out: &Path, text: &str) -> Result<()> {
-    let folder = out.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-    let cannot = || format!("{} cannot be written", out.display());
-    #[cfg_attr(not(unix), allow(unused_mut, reason = "only Unix has permissions to set"))]
-    let mut builder = tempfile::Builder::new();
-    // As any other file: who may read it is the user's umask.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).with_context(cannot)?;
-    file.write_all(text.as_bytes()).and_then(|()| file.as_file().sync_all()).with_context(cannot)?;
-    file.persist_noclobber(out).with_context(cannot)?;
-    Ok(())
 }

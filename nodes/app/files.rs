@@ -20,7 +20,7 @@ use osteoflow_geometry::{
 };
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
-use std::{fs, path::Path};
+use std::{io::Write as _, path::Path};
 
 /// Faults of a graph file, or that it is no graph but a file of data, with the command that takes it.
 pub(crate) fn unless_data<T>(path: &Path, checked: Result<T, Faults>) -> Result<T, Faults> {
@@ -222,6 +222,21 @@ pub(crate) fn check_new(file: &Path) -> Result<()> {
     Err(UsageError(format!("{} exists already; name another file, nothing is overwritten", file.display())).into())
 }
 
+/// Writes a file that is whole or not there; nothing is overwritten.
+pub(crate) fn write_new(out: &Path, text: &str) -> Result<()> {
+    let folder = out.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let cannot = || format!("{} cannot be written", out.display());
+    #[cfg_attr(not(unix), allow(unused_mut, reason = "only Unix has permissions to set"))]
+    let mut builder = tempfile::Builder::new();
+    // As any other file: who may read it is the user's umask.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder.tempfile_in(folder).with_context(cannot)?;
+    file.write_all(text.as_bytes()).and_then(|()| file.as_file().sync_all()).with_context(cannot)?;
+    file.persist_noclobber(out).with_context(cannot)?;
+    Ok(())
+}
+
 /// Writes a surface as PLY, STL or OBJ, by the ending of the file, and returns what its reader should know; nothing is overwritten.
 ///
 /// # Errors
@@ -263,8 +278,7 @@ pub(crate) fn write_list(file: &Path, points: &[NamedPoint], space: Space, no_sp
         // A comment before the heading would keep other programs from reading it.
         () if name.ends_with(".csv") => write_points_csv(file, points, Space::Unknown),
         () => {
-            let message = "picked points are written as .csv, .mrk.json or .fcsv";
-            return Err(UsageError(format!("{}: {message}", file.display())).into());
+            usage!("{}: picked points are written as .csv, .mrk.json or .fcsv", file.display());
         }
     };
     Ok(written?)
@@ -288,8 +302,7 @@ pub fn write_pose(file: &Path, rows: &[[f64; 4]; 4]) -> Result<(), Error> {
             return Err(Error::Usage(format!("{}: {message}", file.display())));
         }
     };
-    fs::write(file, text).with_context(|| format!("{} cannot be written", file.display()))?;
-    Ok(())
+    Ok(write_new(file, &text)?)
 }
 
 /// The picked points in the bytes of a file; `None` if it is something else.

@@ -11,6 +11,7 @@ use osteoflow_engine::{
     store::Store,
 };
 use osteoflow_formats::Space;
+use serde::Deserialize;
 use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
 
 /// The value of a key of a graph: a boolean, number, text, list or table.
@@ -56,7 +57,8 @@ pub struct Leave {
 }
 
 /// Whether to cache answers between runs.
-#[derive(Debug, Clone, Default, Args)]
+#[derive(Debug, Clone, Default, Args, Deserialize)]
+#[serde(default)]
 pub struct Keep {
     /// Compute everything: neither load answers from the store nor save them there. The results are the same with and
     /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits its size (1 GiB).

@@ -1,9 +1,6 @@
 //! The folder that a run writes its files into: new or empty, except with `--force`, and of this process alone.
 
-use super::{
-    error::UsageError,
-    folder_lock::{FolderLock, HOLDER},
-};
+use super::folder_lock::{FolderLock, HOLDER};
 use anyhow::{Context, Result};
 use jiff::Timestamp;
 use osteoflow_engine::run::files;
@@ -47,14 +44,14 @@ pub(crate) fn make_plain(dir: &Path, force: bool, remedy: &str) -> Result<()> {
     make_folder(dir)?;
     let mut entries = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?;
     if entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)) && !force {
-        return Err(UsageError(format!("{} is not empty; {remedy}", dir.display())).into());
+        usage!("{} is not empty; {remedy}", dir.display());
     }
     Ok(())
 }
 
 fn make_folder(dir: &Path) -> Result<()> {
     if let Some(file) = dir.ancestors().find(|above| above.is_file()) {
-        return Err(UsageError(format!("{} is a file; name a folder", file.display())).into());
+        usage!("{} is a file; name a folder", file.display());
     }
     fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))
 }
@@ -119,7 +116,7 @@ pub(crate) fn make_after(dir: &Path) -> Result<OutDir> {
         None => std::path::absolute(dir).with_context(|| format!("{} is not a folder", dir.display()))?,
     };
     let (Some(parent), Some(name)) = (dir.parent(), dir.file_name()) else {
-        return Err(UsageError(format!("{} has no parent folder; name another folder", dir.display())).into());
+        usage!("{} has no parent folder; name another folder", dir.display());
     };
     make_numbered(parent, &name.to_string_lossy(), 2)
 }

@@ -1,6 +1,6 @@
 //! Where the kinds of plugins come from: which libraries, which interpreter, and which program looks at them.
 
-use super::{error::UsageError, host, program::registry};
+use super::{host, program::registry};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
@@ -101,8 +101,7 @@ fn prober() -> Result<Prober> {
         Some(Ok(seconds)) if seconds > 0.0 && seconds <= 86_400.0 => Duration::from_secs_f64(seconds),
         Some(_) => {
             let value = value.unwrap_or_default();
-            let message = format!("{TIMEOUT} is \"{value}\", but must be a number of seconds, such as 10");
-            return Err(UsageError(message).into());
+            usage!("{TIMEOUT} is \"{value}\", but must be a number of seconds, such as 10");
         }
     };
     Ok(Prober { launcher: host::launcher("plugin-probe")?, timeout })

@@ -13,8 +13,8 @@ pub use answer::Registration;
 pub(crate) use steps::cells;
 
 use super::{
-    error::UsageError,
-    options::{Keep, space},
+    error::{Error, UsageError},
+    options::{Keep, SettingValue, space},
     plugins::Plugins,
     program, shipped,
 };
@@ -43,6 +43,7 @@ use osteoflow_geometry::{
 };
 use osteoflow_node::Kind;
 use osteoflow_standard::parts;
+use serde::Deserialize;
 use serde_json::Value;
 use std::{
     collections::BTreeSet,
@@ -59,13 +60,16 @@ const IDENTITY: &str = "identity";
 const FRAMES: [&str; 2] = ["ct", "camera"];
 
 /// A registration of SOURCE, which moves, onto TARGET, which stays.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct RegisterRequest {
     /// The surface that stays, or points of it.
+    #[serde(skip)]
     #[arg(value_parser = PathBufValueParser::new().map(RegisterInput::from))]
     pub target: RegisterInput,
 
     /// The points that move, or a surface, whose vertices are taken.
+    #[serde(skip)]
     #[arg(value_parser = PathBufValueParser::new().map(RegisterInput::from))]
     pub source: RegisterInput,
 
@@ -75,6 +79,7 @@ pub struct RegisterRequest {
     pub init: Option<PathBuf>,
 
     /// A start in memory, source to target, mm.
+    #[serde(skip)]
     #[arg(skip)]
     pub init_pose: Option<Isometry3<f64>>,
 
@@ -94,6 +99,7 @@ pub struct RegisterRequest {
     pub method: String,
 
     /// Plugins, of which one registers instead of a built-in method.
+    #[serde(skip)]
     #[command(flatten)]
     pub plugins: Plugins,
 
@@ -150,10 +156,12 @@ pub struct RegisterRequest {
     pub source_component: Option<String>,
 
     /// Only the points of SOURCE in this box, two opposite corners in its frame, mm. Of several regions, what is in all of them.
+    #[serde(rename = "box")]
     #[arg(long = "box", value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = box_mm, allow_hyphen_values = true)]
     pub box_mm: Option<[f64; 6]>,
 
     /// Only the points of SOURCE in this ball, its centre in SOURCE's frame and its radius, mm.
+    #[serde(rename = "sphere")]
     #[arg(long = "sphere", value_name = "X,Y,Z,R", value_parser = sphere_mm, allow_hyphen_values = true)]
     pub sphere_mm: Option<[f64; 4]>,
 
@@ -226,6 +234,7 @@ pub struct RegisterRequest {
     pub write_source: Option<PathBuf>,
 
     /// The space of the numbers in TARGET and SOURCE where they do not state it, for a .tfm, which is always LPS.
+    #[serde(skip)]
     #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
     pub space: Option<Space>,
 
@@ -235,7 +244,8 @@ pub struct RegisterRequest {
 }
 
 /// When to stop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Stop {
     /// At convergence.
     Converge,
@@ -244,7 +254,8 @@ pub enum Stop {
 }
 
 /// The worst verdict with which a pose is given.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Require {
     /// A doubtful pose is given.
     Doubtful,
@@ -334,7 +345,21 @@ fn sphere_mm(text: &str) -> Result<[f64; 4], String> {
 /// Radii that `crop.sphere` takes, mm.
 const RADII_MM: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 
+impl Default for RegisterRequest {
+    fn default() -> Self {
+        Self::new("target", "source")
+    }
+}
+
 impl RegisterRequest {
+    /// The options by the names of their fields, all others at their default.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for an option that there is not, or that takes another value.
+    pub fn of(options: SettingValue) -> Result<Self, Error> {
+        options.try_into().map_err(|error| Error::Usage(error.to_string().trim().replace('\n', " ")))
+    }
+
     /// A registration with every option at its default.
     pub fn new(target: impl Into<PathBuf>, source: impl Into<PathBuf>) -> Self {
         let arguments = ["register".into(), "--".into(), target.into(), source.into()];
@@ -349,16 +374,24 @@ impl RegisterRequest {
     pub fn check(mut self) -> Result<Register> {
         program::check_workers(self.workers)?;
         if self.repeat == 0 {
-            return Err(UsageError("repeat is 0, but must be at least 1".into()).into());
+            usage!("repeat is 0, but must be at least 1");
+        }
+        let has_init = self.init.is_some() || self.init_pose.is_some();
+        if [has_init, self.landmarks.is_some(), self.fiducials.is_some()].iter().filter(|is_given| **is_given).count()
+            > 1
+        {
+            usage!("the start is given by more than one of init, landmarks and fiducials; leave one");
+        }
+        if let Some(corners) = self.box_mm.filter(|corners| ordered(*corners).is_none()) {
+            usage!("the box {corners:?} has two corners with a coordinate in common");
         }
         let files = OutFiles::of(&self)?;
         for input in [&self.target, &self.source].into_iter().filter(|input| input.content.is_none()) {
             if input.path.extension().is_some_and(|ending| ending == "toml") {
                 let file = input.path.display();
-                return Err(UsageError(format!(
+                usage!(
                     "{file} is a graph by its name, and no surface, points or CT; a graph is run by osteoflow run {file}"
-                ))
-                .into());
+                );
             }
             shipped::check_is_here(&input.path)?;
             if !input.path.is_dir() {
@@ -380,7 +413,7 @@ impl RegisterRequest {
         };
         sets.push(format!("remove={:?}", self.removed(&start, has_output(kind, REPORT))));
         sets.extend(self.graph_sets(&kind_name, &params));
-        sets.extend(self.region_sets()?);
+        sets.extend(self.region_sets());
         self.choose_parts(&mut notes)?;
         let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &sets, kinds)?;
         // Without the files, which a caller of the settings names.
@@ -435,7 +468,10 @@ impl RegisterRequest {
                 let [target, source] = landmarks::read([target, source], units, self.space, notes)?;
                 ReadStart::Landmarks { target, source }
             }
-            (None, _) => ReadStart::Shape,
+            (None, Some(files)) => {
+                usage!("{} files of picked points are given, but must be two: in TARGET, in SOURCE", files.len());
+            }
+            (None, None) => ReadStart::Shape,
         })
     }
 
@@ -494,51 +530,37 @@ impl RegisterRequest {
         keys.chain(of_method).collect()
     }
 
-    /// The nodes that crop the scan, in the order in which it passes them, with what they keep.
-    fn crops(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
-        let given = [
-            ("crop_region", "region", self.region.is_some()),
-            ("crop_sphere", "sphere", self.sphere_mm.is_some()),
-            ("crop", "box", self.box_mm.is_some()),
-        ];
-        given.into_iter().filter_map(|(node, option, is_given)| is_given.then_some((node, option)))
+    /// The nodes that crop the scan, in the order in which it passes them: their names, the options, and their settings.
+    fn crops(&self) -> impl Iterator<Item = (&'static str, &'static str, Vec<String>)> {
+        let region = self.region.as_ref().map(|file| {
+            let path = toml::Value::from(file.display().to_string());
+            ("crop_region", "region", vec!["kind=\"crop.file\"".to_owned(), format!("path={path}")])
+        });
+        let sphere = self.sphere_mm.map(|[x, y, z, radius]| {
+            let centre = format!("centre_mm=[{x:?}, {y:?}, {z:?}]");
+            ("crop_sphere", "sphere", vec!["kind=\"crop.sphere\"".to_owned(), centre, format!("radius_mm={radius:?}")])
+        });
+        // The graph's own node.
+        let of_box = self.box_mm.and_then(ordered).map(|[x0, y0, z0, x1, y1, z1]| {
+            let corners = [format!("min_mm=[{x0:?}, {y0:?}, {z0:?}]"), format!("max_mm=[{x1:?}, {y1:?}, {z1:?}]")];
+            ("crop", "box", corners.to_vec())
+        });
+        [region, sphere, of_box].into_iter().flatten()
     }
 
-    /// The settings that insert a node for each region; the box is that of the graph's own node, which comes last.
-    fn region_sets(&self) -> Result<Vec<String>> {
+    /// The settings that insert a node for each region.
+    fn region_sets(&self) -> Vec<String> {
         let mut sets = Vec::new();
         let mut wire = "scan.cloud".to_owned();
-        for (node, _) in self.crops() {
+        for (node, _, of_node) in self.crops() {
             sets.push(format!("node.{node}.in.cloud={wire:?}"));
-            match node {
-                "crop_region" => {
-                    let path = self.region.as_ref().map(|file| toml::Value::from(file.display().to_string()));
-                    sets.push(format!("node.{node}.kind=\"crop.file\""));
-                    sets.extend(path.map(|path| format!("node.{node}.path={path}")));
-                }
-                "crop_sphere" => {
-                    let [x, y, z, radius] = self.sphere_mm.unwrap_or_default();
-                    sets.push(format!("node.{node}.kind=\"crop.sphere\""));
-                    sets.push(format!("node.{node}.centre_mm=[{x:?}, {y:?}, {z:?}]"));
-                    sets.push(format!("node.{node}.radius_mm={radius:?}"));
-                }
-                _ => {}
-            }
+            sets.extend(of_node.iter().map(|set| format!("node.{node}.{set}")));
             wire = format!("{node}.cloud");
         }
         if wire != "crop.cloud" {
             sets.push(format!("node.crop.in.cloud={wire:?}"));
         }
-        if let Some(corners) = self.box_mm {
-            let Some([x0, y0, z0, x1, y1, z1]) = ordered(corners) else {
-                return Err(
-                    UsageError(format!("the box {corners:?} has two corners with a coordinate in common")).into()
-                );
-            };
-            sets.push(format!("node.crop.min_mm=[{x0:?}, {y0:?}, {z0:?}]"));
-            sets.push(format!("node.crop.max_mm=[{x1:?}, {y1:?}, {z1:?}]"));
-        }
-        Ok(sets)
+        sets
     }
 
     /// Chooses the parts of files that are in memory, as their nodes would.

@@ -150,7 +150,7 @@ impl SweepRequest {
         let mut numbers: Vec<usize> = Vec::new();
         for number in self.only.iter().cloned().flatten() {
             if numbers.len() > MAX_ONLY {
-                return Err(UsageError(format!("--only takes at most {MAX_ONLY} runs; leave it out to run all")).into());
+                usage!("--only takes at most {MAX_ONLY} runs; leave it out to run all");
             }
             if !numbers.contains(&number) {
                 numbers.push(number);
@@ -169,12 +169,11 @@ impl SweepRequest {
         let one = |number: usize| -> Result<OneRun> {
             if stored.binary_search(&number).is_err() {
                 let has = stored.last().map_or("none".into(), |last| format!("{} runs up to {last}", stored.len()));
-                let message = format!("{} has no run {number}; it has {has}", graph.display());
-                return Err(UsageError(message).into());
+                usage!("{} has no run {number}; it has {has}", graph.display());
             }
             let done = folder.read(number).map_err(folder_error)?;
-            let sets = folder.sets(number).map_err(folder_error)?;
-            let row = SweepRow { run: number, values: done.values.clone(), seed: done.seed, sets };
+            let (values, sets) = (done.values.clone().into_iter().collect(), done.sets.clone());
+            let row = SweepRow { run: number, values, seed: done.seed, sets };
             let checked = sweep::again(&folder, number, &self.sets, &kinds).map_err(folder_error)??;
             let registry = Arc::new(checked.registry);
             Ok(OneRun { row, plan: checked.plan, registry, stored: Some(done) })
@@ -235,8 +234,8 @@ impl SweepRun {
     /// # Errors
     /// The folder cannot be read.
     pub fn n_left(&self) -> Result<usize> {
-        let n_done = self.folder.runs_kept(self.options.retry_failed).map_err(folder_error)?.len();
-        Ok(self.sweep.part(self.options.shard).count().saturating_sub(n_done))
+        let done = self.folder.runs_kept(self.options.retry_failed).map_err(folder_error)?;
+        Ok(self.sweep.part(self.options.shard).filter(|row| done.binary_search(&row.run).is_err()).count())
     }
 
     pub(crate) fn make(&self, watcher: &dyn Watcher) -> Result<SweepCounts> {
@@ -269,7 +268,7 @@ impl SweepRequest {
     /// All faults of the graph; the folder is in use, or of another study.
     pub fn study(&self) -> Result<OpenStudy> {
         let (Some(graph), Some(dir)) = (&self.graph, &self.out) else {
-            return Err(UsageError("a study needs a graph file and a folder".into()).into());
+            usage!("a study needs a graph file and a folder");
         };
         match self.resume {
             true => drop(Folder::open(dir).map_err(folder_error)?),
@@ -292,9 +291,8 @@ impl OpenStudy {
         let columns = self.study.spec().columns.iter();
         let value = |path: &str| sweep::at_path(&done.results, path).cloned().unwrap_or_default();
         let columns: serde_json::Map<_, _> = columns.map(|column| (column.name.clone(), value(&column.path))).collect();
-        let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
         json!({
-            "run": done.run, "seed": done.seed, "values": values, "status": done.status, "reason": done.reason,
+            "run": done.run, "seed": done.seed, "values": done.values, "status": done.status, "reason": done.reason,
             "verdict": done.verdict().map(|answer| answer.name()), "warnings": done.warnings, "columns": columns,
             "results": done.results,
         })
@@ -350,11 +348,9 @@ pub fn summary(folder: &Folder) -> Result<Value> {
 /// Converts an error: a wrong folder is a fault of the command line.
 pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
     match error {
-        FolderError::NoSweep { .. }
-        | FolderError::Other { .. }
-        | FolderError::Part { .. }
-        | FolderError::Grown { .. }
-        | FolderError::Missing { .. } => UsageError(error.to_string()).into(),
+        FolderError::NoSweep { .. } | FolderError::Other { .. } | FolderError::Missing { .. } => {
+            UsageError(error.to_string()).into()
+        }
         other => other.into(),
     }
 }
@@ -364,8 +360,7 @@ pub(crate) fn new_dir(out: Option<&Path>, graph: &str) -> Result<OutDir> {
     let Some(dir) = out else { return out_dir::make(None, graph, false) };
     let shown = dir.display();
     if dir.join(sweep::DESIGN).is_file() {
-        let message = format!("{shown} holds a sweep already; continue it with --resume, or name another folder");
-        return Err(UsageError(message).into());
+        usage!("{shown} holds a sweep already; continue it with --resume, or name another folder");
     }
     out_dir::make_plain(dir, false, "name another folder")?;
     out_dir::make(out, graph, false)

@@ -72,18 +72,14 @@ impl Compare {
                     format!("{} is {}", dir.display(), if is_sweep(dir) { "a sweep" } else { "no sweep" })
                 };
                 let found = self.folders.iter().map(of).collect::<Vec<_>>().join(", ");
-                let message =
-                    format!("runs and sweeps cannot be compared with each other: {found}; name folders of one kind");
-                Err(UsageError(message).into())
+                usage!("runs and sweeps cannot be compared with each other: {found}; name folders of one kind");
             }
         }
     }
 
     fn same(&self, global: &Global) -> Result<Exit> {
         let [first, second] = &self.folders[..] else {
-            return Err(
-                UsageError("two are compared by --same; name a folder or an archive, and another".into()).into()
-            );
+            usage!("two are compared by --same; name a folder or an archive, and another");
         };
         let found = same(first, second)?;
         let exit = if found.is_equal() { Exit::Done } else { Exit::Differs };
@@ -119,9 +115,7 @@ impl Compare {
             if !spec.columns.iter().any(|column| column.name == *name) {
                 let known: Vec<_> = spec.columns.iter().map(|column| column.name.as_str()).collect();
                 let known = known.join(", ");
-                return Err(
-                    UsageError(format!("--margin: the first sweep has no column {name}; it has {known}")).into()
-                );
+                usage!("--margin: the first sweep has no column {name}; it has {known}");
             }
         }
         let own = spec.compare.iter().flat_map(|compare| &compare.margins);

@@ -130,8 +130,10 @@ impl Convert {
         }
         let bytes = input::read(&self.input)?;
         if self.series.is_some() {
-            let message = "--series is for a folder with DICOM series, and this is a file of points; leave it out";
-            return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+            usage!(
+                "{}: --series is for a folder with DICOM series, and this is a file of points; leave it out",
+                self.input.display()
+            );
         }
         if self.iso_hu.is_some() {
             // What cannot be read at all says so itself.
@@ -143,13 +145,14 @@ impl Convert {
                 },
             };
             let message = format!("--iso-hu is for a CT, and this file holds {holds}; leave it out");
-            return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+            usage!("{}: {message}", self.input.display());
         }
         let (done, notes) = match self.picked(&bytes) {
             Some(_) if self.component.is_some() => {
-                let message =
-                    "--component is for a surface, a cloud or a CT, and this file holds picked points; leave it out";
-                return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+                usage!(
+                    "{}: --component is for a surface, a cloud or a CT, and this file holds picked points; leave it out",
+                    self.input.display()
+                );
             }
             Some(picked) => self.points(picked?)?,
             None => self.shape(&bytes)?,
@@ -175,7 +178,7 @@ impl Convert {
         let by = by.into_iter().flatten().collect::<Vec<_>>().join(", ");
         if !global.quiet {
             for note in notes {
-                writeln!(terminal::stderr(), "{}: {note}", global.paint_err("note", "1"))?;
+                global.say("note", note)?;
             }
         }
         self.done(&format!("the plan, bound to {} by {by}", path.display()), &[], global)
@@ -185,7 +188,7 @@ impl Convert {
     fn done(&self, done: &str, notes: &[String], global: &Global) -> Result<Exit> {
         if !global.quiet {
             for note in notes {
-                writeln!(terminal::stderr(), "{}: {}: {note}", global.paint_err("note", "1"), self.input.display())?;
+                global.say("note", format!("{}: {note}", self.input.display()))?;
             }
             writeln!(terminal::stdout(), "{}: {done}", self.output.display())?;
         }
@@ -195,11 +198,10 @@ impl Convert {
     /// The surface of a CT.
     fn ct(&self) -> Result<(String, Vec<String>)> {
         if self.scale != 1.0 || self.space.is_some() {
-            let message = "a CT states its unit and space; leave out --scale and --space";
-            return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+            usage!("{}: a CT states its unit and space; leave out --scale and --space", self.input.display());
         }
         let Some(iso_hu) = self.iso_hu else {
-            return Err(UsageError(format!("{}: give --iso-hu; bone is above it", self.input.display())).into());
+            usage!("{}: give --iso-hu; bone is above it", self.input.display());
         };
         let params = serde_json::from_value(json!({
             "path": self.input,
@@ -288,8 +290,7 @@ impl Convert {
             // The reader has turned it.
             (_, None) => Ok((UnitQuaternion::identity(), Space::Lps)),
             (stated, Some(_)) => {
-                let message = format!("{} states {stated}; leave out --space", self.input.display());
-                Err(UsageError(message).into())
+                usage!("{} states {stated}; leave out --space", self.input.display());
             }
         }
     }

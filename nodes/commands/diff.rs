@@ -1,5 +1,4 @@
 use super::common::{Exit, Format, Global, print_json, progress::Reading, run_path, terminal, text_table::TextTable};
-use crate::app::UsageError;
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::diff::{DiffOptions, DiffReport, Difference, Largest, WireDiff, diff};
@@ -36,15 +35,13 @@ pub(crate) struct Diff {
 impl Diff {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         if !(self.tolerance >= 0.0 && self.tolerance.is_finite()) {
-            let message = format!("--tolerance takes a number that is not negative, not {}", self.tolerance);
-            return Err(UsageError(message).into());
+            usage!("--tolerance takes a number that is not negative, not {}", self.tolerance);
         }
         let options = DiffOptions { wires: self.wires.clone(), tolerance: self.tolerance };
         let [a, b] = [run_path::recording(&self.a)?, run_path::recording(&self.b)?];
         let report = Reading::of("comparing", &a, global, |progress| diff(&a, &b, &options, progress))?;
         if report.wires.is_empty() && !self.wires.is_empty() {
-            let message = format!("no wire of either recording is called {}", self.wires.join(" or "));
-            return Err(UsageError(message).into());
+            usage!("no wire of either recording is called {}", self.wires.join(" or "));
         }
         let exit = if report.is_equal() { Exit::Done } else { Exit::Differs };
         match global.format {
@@ -55,11 +52,10 @@ impl Diff {
     }
 
     fn print_text(&self, report: &DiffReport, global: &Global) -> Result<()> {
-        let word = global.paint_err("warning", "1;33");
         for (path, side) in [&self.a, &self.b].into_iter().zip(&report.sides) {
             if let Some(reason) = &side.incomplete {
                 let path = path.display();
-                writeln!(terminal::stderr(), "{word}: {path} may lack items ({reason}); the rest is compared")?;
+                global.say("warning", format!("{path} may lack items ({reason}); the rest is compared"))?;
             }
         }
         let mut out = terminal::stdout().lock();

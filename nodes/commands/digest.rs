@@ -42,9 +42,7 @@ impl Digest {
                     answers.push(json!({ "file": file.display().to_string(), "error": error.to_string() }));
                 }
                 (Format::Text, Ok(report)) => print_text(file, &report, global)?,
-                (Format::Text, Err(error)) => {
-                    writeln!(terminal::stderr(), "{}: {error}", global.paint_err("error", "1;31"))?;
-                }
+                (Format::Text, Err(error)) => global.say("error", error)?,
             }
         }
         if global.format == Format::Json {
@@ -55,9 +53,8 @@ impl Digest {
 }
 
 fn print_text(file: &Path, report: &DigestReport, global: &Global) -> Result<()> {
-    let word = global.paint_err("warning", "1;33");
     for warning in report.incomplete.iter().chain(&report.partial) {
-        writeln!(terminal::stderr(), "{word}: {}: {warning}; the digest is of the remaining items", file.display())?;
+        global.say("warning", format!("{}: {warning}; the digest is of the remaining items", file.display()))?;
     }
     let mut out = terminal::stdout().lock();
     if !global.quiet {

@@ -34,7 +34,7 @@ impl Export {
         }
         if !global.quiet {
             for note in &exported.notes {
-                writeln!(terminal::stderr(), "{}: {note}", global.paint_err("warning", "1;33"))?;
+                global.say("warning", note)?;
             }
             let without = match exported.n_without {
                 0 => String::new(),

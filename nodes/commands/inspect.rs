@@ -2,11 +2,11 @@ mod module_docs;
 mod node_docs;
 
 use super::common::{Exit, Format, Global, graph_args, plugins, print_json, terminal};
-use crate::app::{GraphArgs, Plugins, UsageError, registry};
+use crate::app::{GraphArgs, Plugins, registry};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{CheckedFile, plugin::Plugin};
-use osteoflow_node::{Description, OutputPorts, Registry};
+use osteoflow_node::{Description, Registry};
 use serde_json::json;
 use std::{
     fs,
@@ -112,9 +112,7 @@ impl Inspect {
         let graph = GraphArgs { graph: file.into(), sets: Vec::new(), plugins: self.plugins.clone() };
         let Some(checked) = graph_args::check_file(&graph, global)? else { return Ok(Exit::Usage) };
         let CheckedFile::Module(module) = checked else {
-            let message =
-                format!("{file} is a graph, not a module; `osteoflow check` and `osteoflow graph` show graphs");
-            return Err(UsageError(message).into());
+            usage!("{file} is a graph, not a module; `osteoflow check` and `osteoflow graph` show graphs");
         };
         match global.format {
             Format::Json => print_json(&json!(module.description))?,
@@ -155,12 +153,7 @@ fn is_file(word: &str, registry: &Registry) -> bool {
 
 /// Lists the payload types with the kinds that produce and take each.
 fn payloads(registry: &Registry, global: &Global) -> Result<Exit> {
-    let gives = |name: &str| {
-        kinds_with(registry, |d| match &d.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().any(|port| port.payload.name() == name),
-            OutputPorts::Declared { .. } => false,
-        })
-    };
+    let gives = |name: &str| kinds_with(registry, |d| d.outputs.fixed().iter().any(|port| port.payload.name() == name));
     let takes =
         |name: &str| kinds_with(registry, |d| d.inputs.iter().any(|port| port.payload.name() == name && !port.unused));
     let types: Vec<_> = registry.payload_types().collect();

@@ -124,9 +124,10 @@ impl Plugin {
         let sdk = match self.lang {
             Lang::Rust => self.sdk()?,
             Lang::C | Lang::Cpp | Lang::Python if self.sdk.is_some() => {
-                let message = "--sdk is for Rust; in C and C++ the headers of this program are written beside the plugin, and in \
-                               Python its module comes from the program";
-                return Err(UsageError(message.into()).into());
+                usage!(
+                    "--sdk is for Rust; in C and C++ the headers of this program are written beside the plugin, and in \
+                               Python its module comes from the program"
+                );
             }
             Lang::C | Lang::Cpp | Lang::Python => Sdk::default(),
         };
@@ -155,8 +156,7 @@ impl Plugin {
             let crate_in = |folder: &str| -> Result<String> {
                 let path = checkout.join(folder);
                 if !path.join("Cargo.toml").is_file() {
-                    let message = format!("--sdk: there is no {}; name a checkout of Osteoflow", path.display());
-                    return Err(UsageError(message).into());
+                    usage!("--sdk: there is no {}; name a checkout of Osteoflow", path.display());
                 }
                 let path = path.canonicalize().with_context(|| format!("{} cannot be read", path.display()))?;
                 Ok(format!("path = {:?}", path))
@@ -167,9 +167,10 @@ impl Plugin {
         let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
         let (commit, changed) = revision.split_once(',').map_or((revision, false), |(commit, _)| (commit, true));
         if commit.is_empty() {
-            let message = "this program was built outside git, so it does not know the revision of its SDK; name a checkout of \
-                        Osteoflow with --sdk";
-            return Err(UsageError(message.into()).into());
+            usage!(
+                "this program was built outside git, so it does not know the revision of its SDK; name a checkout of \
+                        Osteoflow with --sdk"
+            );
         }
         let git = format!("git = {:?}, rev = {commit:?}", env!("CARGO_PKG_REPOSITORY"));
         let mut note = "the first build fetches the SDK over the network; --sdk names a checkout instead".to_owned();

@@ -1,5 +1,5 @@
 use super::common::{Exit, Format, Global, graph_args, print_json, progress::Progress, running, terminal};
-use crate::app::{GraphArgs, Keep, UsageError, out_dir, run_error};
+use crate::app::{GraphArgs, Keep, out_dir, run_error};
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::run::{Outcome, RunOptions, files};
@@ -43,8 +43,7 @@ impl Record {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let file = &self.out;
         if file.exists() && !self.force {
-            let message = format!("{} exists already; name another file, or replace it with --force", file.display());
-            return Err(UsageError(message).into());
+            usage!("{} exists already; name another file, or replace it with --force", file.display());
         }
         let mut sets = self.graph.sets.clone();
         sets.push(format!("record.wires={}", json!(self.wires)));
@@ -77,7 +76,7 @@ impl Record {
             .with_context(|| format!("{} cannot be written", file.display()))?;
         fs::remove_dir_all(&*part).with_context(|| format!("{} cannot be removed", part.display()))?;
         if let Outcome::Refused(refusal) = &report.outcome {
-            writeln!(terminal::stderr(), "{}: {refusal}", global.paint_err("refused", "1;31"))?;
+            global.say("refused", refusal)?;
         }
         let exit = Exit::of(&report.outcome);
         match global.format {

@@ -70,30 +70,27 @@ impl Register {
     /// Prints the answer, and returns the exit code.
     fn print(&self, registration: &Registration, checked: &Checked, global: &Global) -> Result<Exit> {
         let exit = Exit::of(&registration.run.outcome);
-        let mut err = terminal::stderr().lock();
         if !global.quiet {
             if global.format == Format::Text {
                 for note in registration.notes(checked) {
-                    writeln!(err, "{}: {note}", global.paint_err("note", "1"))?;
+                    global.say("note", note)?;
                 }
             }
             let is_text = global.format == Format::Text;
             let results = &registration.run.results;
             let is_new = |warning: &String| !(is_text && is_said_by_verdict(warning, results));
             for warning in registration.warnings(checked).iter().filter(|warning| is_new(warning)) {
-                writeln!(err, "{}: {warning}", global.paint_err("warning", "1;33"))?;
+                global.say("warning", warning)?;
             }
         }
         match (exit, registration.refusal_text(checked)) {
-            (Exit::Interrupted, _) => writeln!(err, "{}: there is no pose", global.paint_err("interrupted", "1;33"))?,
+            (Exit::Interrupted, _) => global.say("interrupted", "there is no pose")?,
             (_, Some(why)) if global.format == Format::Text => {
-                let why = without_reason(why, &registration.run.results);
-                writeln!(err, "{}: {why}", global.paint_err("refused", "1;31"))?
+                global.say("refused", without_reason(why, &registration.run.results))?
             }
-            (_, Some(why)) => writeln!(err, "{}: {why}", global.paint_err("refused", "1;31"))?,
+            (_, Some(why)) => global.say("refused", why)?,
             (_, None) => {}
         }
-        drop(err);
         let mut out = terminal::stdout().lock();
         match global.format {
             // One line, so that the last line is the answer wherever others print before it.

@@ -137,33 +137,29 @@ impl Replay {
 
 fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> {
     graph_args::warn(&report.warnings, global)?;
-    let mut err = terminal::stderr().lock();
     if let Some(reason) = &report.truncated {
-        let word = global.paint_err("warning", "1;33");
-        writeln!(err, "{word}: the recording ends early ({reason}); everything before is compared")?;
+        global.say("warning", format!("the recording ends early ({reason}); everything before is compared"))?;
     }
     for difference in report.unsound.iter().chain(&report.differences) {
-        writeln!(err, "{}: {difference}", global.paint_err("warning", "1;33"))?;
+        global.say("warning", difference)?;
     }
     if let Some(reason) = &report.not_compared {
-        writeln!(err, "{}: nothing is compared: {reason}", global.paint_err("note", "1;36"))?;
+        global.say("note", format!("nothing is compared: {reason}"))?;
     }
-    if !report.computed_too.is_empty() {
-        let (word, nodes) = (global.paint_err("note", "1;36"), report.computed_too.join(", "));
-        writeln!(err, "{word}: also computed, because their outputs were not recorded: {nodes}")?;
-    }
-    if !report.own_sources.is_empty() {
-        let (word, nodes) = (global.paint_err("note", "1;36"), report.own_sources.join(", "));
-        writeln!(err, "{word}: run as the graph has them, because nothing recorded is played as theirs: {nodes}")?;
+    for (nodes, why) in [
+        (&report.computed_too, "also computed, because their outputs were not recorded"),
+        (&report.own_sources, "run as the graph has them, because nothing recorded is played as theirs"),
+    ] {
+        if !nodes.is_empty() {
+            global.say("note", format!("{why}: {}", nodes.join(", ")))?;
+        }
     }
     if let Outcome::Refused(refusal) = &report.run.outcome {
-        let refusal = refusal_in_short(refusal, &report.run.results);
-        writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?;
+        global.say("refused", refusal_in_short(refusal, &report.run.results))?;
     }
     if exit == Exit::Interrupted {
-        writeln!(err, "{}: nothing is compared", global.paint_err("interrupted", "1;33"))?;
+        global.say("interrupted", "nothing is compared")?;
     }
-    drop(err);
     let mut out = terminal::stdout().lock();
     if global.verbose > 0 {
         writeln!(out, "{}", run_table::text(&report.run))?;

@@ -56,19 +56,18 @@ impl Report {
         } else if dir.join(files::MANIFEST).is_file() {
             osteoflow_report::of_run(&dir, &registry)?
         } else {
-            let message = format!(
+            usage!(
                 "{} is not the folder of a run ({} is missing) or of a sweep ({} is missing); name one that `osteoflow run` \
                  or `osteoflow sweep` has left",
                 dir.display(),
                 files::MANIFEST,
                 sweep::DESIGN
             );
-            return Err(UsageError(message).into());
         };
         let page = self.out.clone().unwrap_or_else(|| dir.join(osteoflow_report::PAGE));
         report.write(&dir, &page)?;
         if let Some(fault) = &report.fault {
-            writeln!(terminal::stderr(), "{}: {fault}", global.paint_err("warning", "1;33"))?;
+            global.say("warning", fault)?;
         }
         print_end(&page, &report, global)
     }

@@ -65,14 +65,12 @@ impl Repro {
 
 fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<()> {
     let bundle = &report.bundle;
-    let mut err = terminal::stderr().lock();
     for difference in &report.differences {
-        writeln!(err, "{}: {difference}", global.paint_err("warning", "1;33"))?;
+        global.say("warning", difference)?;
     }
     for warning in &report.warnings {
-        writeln!(err, "{}: node \"{}\": {warning}", global.paint_err("warning", "1;33"), bundle.node.name)?;
+        global.say("warning", format!("node \"{}\": {warning}", bundle.node.name))?;
     }
-    drop(err);
     let mut out = terminal::stdout().lock();
     let (name, kind) = (&bundle.node.name, &bundle.node.kind);
     writeln!(out, "node \"{name}\" ({kind}), item {}, {}", bundle.item, bundle.location)?;

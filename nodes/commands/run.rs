@@ -92,17 +92,15 @@ impl Run {
             let is_graph = |file: &Path| file.extension().is_some_and(|ending| ending == "toml");
             if is_graph(scan) || is_graph(&request.graph.graph) {
                 let (first, second) = (request.graph.graph.display(), scan.display());
-                return Err(UsageError(format!(
+                usage!(
                     "run takes one graph, and {first} and {second} are named: run each by itself; a file with extends, or --set, changes a graph"
-                ))
-                .into());
+                );
             }
             let (bone, scan) = (request.graph.graph.display(), scan.display());
-            return Err(UsageError(format!(
+            usage!(
                 "run takes one graph; two files are registered by\n  osteoflow register {bone} {scan}\nor, with a recording of \
                  the run, by\n  osteoflow run graphs/two_files.toml --set bone.path={bone} --set scan.path={scan}"
-            ))
-            .into());
+            );
         }
         if let Some((graph, _)) = self.archive.open(&request.graph.graph, &mut request.graph.plugins)? {
             request.graph.graph = graph;

@@ -153,13 +153,11 @@ fn run_alone(
     let (Some(stored), Some(sweep)) = (&one.stored, &request.graph) else { return Ok(exit) };
     let is_equal = stored.gave(&report.results);
     if !is_equal && exit != Exit::Interrupted {
-        let word = global.paint_err("warning", "1;33");
         let (number, sweep) = (one.row.run, sweep.display());
-        writeln!(
-            terminal::stderr(),
-            "{word}: run {number} has other results in {sweep}: an input file, a plugin or the program is another since, or a \
-             setting; compare manifest.json with {sweep}/sweep.json"
-        )?;
+        let why = "an input file, a plugin or the program is another since, or a setting";
+        let message =
+            format!("run {number} has other results in {sweep}: {why}; compare manifest.json with {sweep}/sweep.json");
+        global.say("warning", message)?;
     }
     Ok(exit)
 }
@@ -194,27 +192,21 @@ fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Glob
         (0, 0, true) => Exit::Refused,
         (0, 0, false) => Exit::Done,
     };
-    let mut err = terminal::stderr().lock();
     if n_failed > 0 {
-        let word = global.paint_err("incomplete", "1;31");
         let first = summary["incomplete"]["first"].as_str().unwrap_or_default();
-        writeln!(
-            err,
-            "{word}: {n_failed} runs failed; {first}; run them again with --out {dir} --resume --retry-failed"
-        )?;
+        let again = format!("run them again with --out {dir} --resume --retry-failed");
+        global.say("incomplete", format!("{n_failed} runs failed; {first}; {again}"))?;
     }
     if let (true, Some(first)) = (nothing, folder.done().map_err(folder_error)?.next()) {
-        let (first, word) = (first.map_err(folder_error)?, global.paint_err("refused", "1;31"));
+        let first = first.map_err(folder_error)?;
         let reason = first.reason.as_deref().unwrap_or("no reason given");
-        writeln!(err, "{word}: none of {n_without} runs has results; run {}: {reason}", first.run)?;
+        global.say("refused", format!("none of {n_without} runs has results; run {}: {reason}", first.run))?;
     }
     if !global.quiet {
-        let word = global.paint_err("warning", "1;33");
         for note in summary["notes"].as_array().into_iter().flatten().filter_map(Value::as_str) {
-            writeln!(err, "{word}: {note}; look into {dir}/{RUNS_DIR}")?;
+            global.say("warning", format!("{note}; look into {dir}/{RUNS_DIR}"))?;
         }
     }
-    drop(err);
     if global.format == Format::Json {
         let mut outcome = exit.to_json();
         outcome["out_dir"] = dir.to_string().into();
@@ -226,12 +218,8 @@ fn print_end(folder: &Folder, swept: &SweepCounts, took: Duration, global: &Glob
         return Ok(exit);
     }
     if swept.n_missing > 0 && !global.quiet {
-        let word = global.paint_err("interrupted", "1;33");
-        writeln!(
-            terminal::stderr(),
-            "{word}: {} runs are missing; continue with --out {dir} --resume",
-            swept.n_missing
-        )?;
+        let message = format!("{} runs are missing; continue with --out {dir} --resume", swept.n_missing);
+        global.say("interrupted", message)?;
     }
     let mut out = terminal::stdout().lock();
     writeln!(out, "{}", summary_table::text(&summary, global))?;

@@ -46,6 +46,25 @@ pub enum OutputPorts {
     },
 }
 
+impl OutputPorts {
+    /// The ports of the kind: none if a graph declares them.
+    pub fn fixed(&self) -> &[OutputPort] {
+        match self {
+            Self::Fixed(ports) => ports,
+            Self::Declared { .. } => &[],
+        }
+    }
+
+    /// The ports of a node with their payloads: those of the kind, or the declared ones.
+    pub fn payloads<'a>(
+        &'a self,
+        declared: &'a [DeclaredPort],
+    ) -> impl Iterator<Item = (&'a str, PortPayload)> + use<'a> {
+        let declared = declared.iter().map(|port| (port.name.as_str(), PortPayload::Type(port.payload)));
+        self.fixed().iter().map(|port| (port.name, port.payload)).chain(declared)
+    }
+}
+
 /// The payload of a port.
 #[derive(Clone, Copy, PartialEq)]
 pub enum PortPayload {

@@ -181,9 +181,8 @@ pub(super) fn describe(
             Some((index, port))
         });
         let payload = wire.and_then(|wire| inputs::output(wire, parsed_nodes)?.payload);
-        let doc = wire.and_then(|(node, port)| match &parsed_nodes[node].kind?.description.outputs {
-            osteoflow_node::OutputPorts::Fixed(ports) => Some(first_paragraph(ports.get(port)?.doc)),
-            osteoflow_node::OutputPorts::Declared { .. } => None,
+        let doc = wire.and_then(|(node, port)| {
+            Some(first_paragraph(parsed_nodes[node].kind?.description.outputs.fixed().get(port)?.doc))
         });
         ModuleOutput {
             name: output_decl.name.clone(),

@@ -3,7 +3,7 @@ use super::{
     parsed_nodes::ParsedNode,
 };
 use crate::{fault::Fault, graph::Removed};
-use osteoflow_node::{FrameExpr, InputPort, OutputPorts, PortPayload, Registry};
+use osteoflow_node::{FrameExpr, InputPort, PortPayload, Registry};
 
 const LIST: usize = 8;
 
@@ -79,10 +79,8 @@ impl ProducerSearch<'_, '_> {
     }
 
     fn kinds(&self, takes: &PortPayload) -> Option<String> {
-        let gives = |kind: &&osteoflow_node::Kind| match &kind.description.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().any(|port| port.payload == *takes),
-            OutputPorts::Declared { .. } => false,
-        };
+        let gives =
+            |kind: &&osteoflow_node::Kind| kind.description.outputs.fixed().iter().any(|port| port.payload == *takes);
         let kinds: Vec<_> = self.registry.kinds().filter(gives).map(|kind| kind.description.kind).take(LIST).collect();
         (!kinds.is_empty()).then(|| kinds.join(", "))
     }

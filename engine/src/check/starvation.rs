@@ -6,7 +6,7 @@ use super::{
     wires::{self, OutputIndex},
 };
 use crate::fault::{Fault, Span};
-use osteoflow_node::{Join, OutputPorts, Role};
+use osteoflow_node::{Join, Role};
 
 /// Number of items that an output gives.
 #[derive(Clone, Copy, PartialEq)]
@@ -104,8 +104,7 @@ impl<'a> Node<'a, '_> {
     }
 
     fn has_one_output_of_its_own(&self) -> bool {
-        let outputs = self.parsed_node.kind.map(|kind| &kind.description.outputs);
-        matches!(outputs, Some(OutputPorts::Fixed(ports)) if ports.len() == 1)
+        self.parsed_node.kind.is_some_and(|kind| kind.description.outputs.fixed().len() == 1)
     }
 
     fn warnings(&self) -> Vec<Fault> {

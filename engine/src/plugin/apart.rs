@@ -14,8 +14,7 @@ use crate::{
 };
 use osteoflow_node::{
     AnyNode, AnySource, Body, BuildContext, Built, Context, Emission, Item, Join, Joined, Kind, Launch, NodeError,
-    OutputPorts, ParamError, PayloadType, PortPayload, Role, SILENT_AFTER, Slot, StampNs, Value,
-    abi::schema::PayloadDescription,
+    ParamError, PayloadType, PortPayload, Role, SILENT_AFTER, Slot, StampNs, Value, abi::schema::PayloadDescription,
 };
 use std::{
     collections::BTreeMap,
@@ -82,12 +81,8 @@ impl Launch for Processes {
             n_threads: rayon::current_num_threads(),
             log_level: log_lines::level(),
         }));
-        let outputs = match &kind.description.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().map(|port| (port.name.into(), port.payload)).collect(),
-            OutputPorts::Declared { .. } => {
-                context.declared.iter().map(|port| (port.name.clone(), PortPayload::Type(port.payload))).collect()
-            }
-        };
+        let outputs = kind.description.outputs.payloads(&context.declared);
+        let outputs = outputs.map(|(name, payload)| (name.into(), payload)).collect();
         let is_pooled = self.finder.held.is_some() && context.place.pool != Some(false);
         let key = format!("{} {}", kind.plugin.as_deref().unwrap_or_default(), kind.description.kind);
         let worker = is_pooled.then(|| lock(&self.idle).get_mut(&key)?.pop()).flatten();
@@ -133,15 +128,8 @@ impl Processes {
 /// The payload types of a node's ports.
 fn of_ports(kind: &Kind, context: &BuildContext) -> Vec<&'static PayloadType> {
     let inputs = kind.description.inputs.iter().map(|port| port.payload);
-    let outputs = match &kind.description.outputs {
-        OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload).collect(),
-        OutputPorts::Declared { .. } => Vec::new(),
-    };
-    let types = inputs.chain(outputs).filter_map(|payload| match payload {
-        PortPayload::Type(ty) => Some(ty),
-        PortPayload::Any => None,
-    });
-    types.chain(context.declared.iter().map(|port| port.payload)).collect()
+    let outputs = kind.description.outputs.payloads(&context.declared).map(|(_, payload)| payload);
+    inputs.chain(outputs).filter_map(|payload| payload.ty()).collect()
 }
 
 fn library(plugin: &Plugin) -> wire::Library {

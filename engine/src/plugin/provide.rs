@@ -71,10 +71,8 @@ pub fn provide(
     let types: Arc<[&'static PayloadType]> = registry.payload_types().collect();
     for (index, kind) in description.kinds.iter().enumerate() {
         let description = describe(registry, kind)?;
-        let outputs: Vec<(String, PortPayload)> = match &description.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().map(|port| (port.name.into(), port.payload)).collect(),
-            OutputPorts::Declared { .. } => Vec::new(),
-        };
+        let outputs: Vec<(String, PortPayload)> =
+            description.outputs.payloads(&[]).map(|(name, payload)| (name.into(), payload)).collect();
         let (load, types) = (load.clone(), types.clone());
         registry.add_kind(description, sha256.clone(), move |params, context| {
             let library = load().map_err(|message| osteoflow_node::ParamError::new("", message))?;
@@ -102,10 +100,7 @@ fn describe(registry: &Registry, kind: &KindDescription) -> Result<Description, 
         }
         OutputsDescription::Declared(schema) => OutputPorts::Declared { schema: schema.clone() },
     };
-    let given = match &outputs {
-        OutputPorts::Fixed(ports) => ports.iter().map(|port| port.name).collect(),
-        OutputPorts::Declared { .. } => Vec::new(),
-    };
+    let given: Vec<_> = outputs.fixed().iter().map(|port| port.name).collect();
     for names in [inputs.iter().map(|port| port.name).collect(), given] {
         if let Some(name) = names.iter().find(|name| !extract::is_name(name)) {
             return Err(unsound(format!("a port is called {name:?}, but a name has letters, digits, _ and - only")));

@@ -212,10 +212,7 @@ impl Node {
             Ok(built) => built.map_err(|error| (error.parameter, error.message))?,
             Err(panic) => return Err(whole(panic)),
         };
-        let n_outputs = match &kind.description.outputs {
-            osteoflow_node::OutputPorts::Fixed(ports) => ports.len(),
-            osteoflow_node::OutputPorts::Declared { .. } => declared.len(),
-        };
+        let n_outputs = kind.description.outputs.payloads(&declared).count();
         let inputs = kind.description.inputs.iter().map(|port| port.name).collect();
         let context = Context::new(build.node, build.seed, cancelled, declared);
         Ok(Self { built, context, inputs, out: vec![Emission::Silent; n_outputs] })

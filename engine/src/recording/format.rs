@@ -8,8 +8,8 @@ mod records;
 
 pub(crate) use messages::{Drops, Live, Log, LogLevel, RunMessage, Timing};
 pub(crate) use records::{
-    INPUT_HASHES, LATE_PLUGIN_TEXTS, LATE_PLUGINS, Outcome, PROGRAM, PluginRecords, PluginTexts, Recovered,
-    ReproRecord, WireCount, WireCounts, WireHeader, plugins,
+    INPUT_HASHES, LATE_PLUGIN_TEXTS, LATE_PLUGINS, Outcome, PROGRAM, PluginRecords, PluginTexts, Recovered, WireCount,
+    WireCounts, WireHeader, plugins,
 };
 pub use records::{RecordedFailure, RunRecord};
 

@@ -246,16 +246,16 @@ pub(crate) fn typed(item: RecordedItem, payload: &str, version: u32, registry: &
 
 /// What a replay needs of a file, up to the first damage: later items may depend on lost ones.
 #[derive(Default)]
-struct Gathering {
-    wires: BTreeMap<String, Gathered>,
+pub(crate) struct Gathering {
+    pub(crate) wires: BTreeMap<String, Gathered>,
     drops: BTreeMap<(String, String), BTreeSet<u64>>,
     readings: BTreeMap<(String, u64), Vec<ClockReading>>,
 }
 
-struct Gathered {
-    about: Wire,
+pub(crate) struct Gathered {
+    pub(crate) about: Wire,
     /// By number, in file order.
-    messages: Vec<(Option<u64>, Vec<u8>)>,
+    pub(crate) messages: Vec<(Option<u64>, Vec<u8>)>,
 }
 
 impl Gather for Gathering {

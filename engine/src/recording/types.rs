@@ -1,7 +1,7 @@
 //! Payload types described by a recording, for reading it without their crates.
 
 use super::wires::Wire;
-use osteoflow_node::{OutputPort, OutputPorts, PayloadType, Registry, SchemaEntry};
+use osteoflow_node::{PayloadType, Registry, SchemaEntry};
 use std::collections::BTreeMap;
 
 /// Payload types made from the schemas of a recording's wires, by name and version, or why a schema makes none.
@@ -37,11 +37,7 @@ impl RecordedTypes {
         let mut registry = known.clone();
         let ports = known.kinds().flat_map(|kind| {
             let inputs = kind.description.inputs.iter().map(|port| port.payload);
-            let outputs: &[OutputPort] = match &kind.description.outputs {
-                OutputPorts::Fixed(outputs) => outputs,
-                OutputPorts::Declared { .. } => &[],
-            };
-            inputs.chain(outputs.iter().map(|port| port.payload))
+            inputs.chain(kind.description.outputs.fixed().iter().map(|port| port.payload))
         });
         for ty in
             ports.filter_map(|payload| payload.ty()).chain(self.0.values().filter_map(|ty| ty.as_ref().ok().copied()))

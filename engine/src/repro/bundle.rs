@@ -9,8 +9,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Version of the bundle; increased when older readers cannot read it.
-pub(super) const FORMAT_VERSION: u32 = 1;
+/// Version of the bundle; increased when older readers cannot read it. 2: its outputs are those of the kind. Version 1 is read too.
+pub(super) const FORMAT_VERSION: u32 = 2;
 /// The file that describes the failed firing.
 pub const BUNDLE: &str = "repro.json";
 /// The recording of the items that the ports had joined.
@@ -80,17 +80,6 @@ pub struct Node {
     /// Outputs that the graph declared.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub declared: Vec<Declared>,
-    /// Its outputs.
-    pub outputs: Vec<Output>,
-}
-
-/// An output.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Output {
-    /// Its name.
-    pub name: String,
-    /// The payload's name.
-    pub payload: String,
 }
 
 /// An output that the graph declared.
@@ -250,8 +239,12 @@ impl Bundle {
         let json: Json =
             serde_json::from_slice(&std::fs::read(&path).map_err(read)?).map_err(|error| foreign(error.to_string()))?;
         match json.get("format_version").and_then(Json::as_u64) {
-            Some(version) if version == u64::from(FORMAT_VERSION) => {}
-            Some(found) => return Err(foreign(format!("it has version {found}, this program reads {FORMAT_VERSION}"))),
+            Some(version) if (1..=u64::from(FORMAT_VERSION)).contains(&version) => {}
+            Some(found) => {
+                return Err(foreign(format!(
+                    "it has version {found}, this program reads versions up to {FORMAT_VERSION}"
+                )));
+            }
             None => return Err(foreign("it has no format_version".into())),
         }
         serde_json::from_value(json).map_err(|error| foreign(error.to_string()))

@@ -1,15 +1,15 @@
 //! `inputs.mcap`: the items that the ports of a firing had joined.
 
 use crate::recording::{
-    RecordingError, codec,
-    format::{EXACT_ENCODING, EXACT_SCHEMA_ENCODING, MetadataRecord, REPRO_PROFILE, ReproRecord, Topic, WireHeader},
-    scan::{Carried, Gather, PassState, Scanned, scan},
+    Gathered, Gathering, RecordingError, codec,
+    format::{EXACT_ENCODING, EXACT_SCHEMA_ENCODING, REPRO_PROFILE, Topic, WireHeader},
+    scan::{Scanned, scan},
     typed,
-    wires::Carries,
+    wires::Wire,
 };
 use osteoflow_container::{Compression, MessageHeader, WriteOptions, Writer};
 use osteoflow_node::{Body, DisplayContext, FrameEdge, Item, PayloadType, PortPayload, Registry, StampNs};
-use std::{collections::BTreeMap, fs::File, io, ops::ControlFlow, path::Path};
+use std::{collections::BTreeMap, fs::File, io, path::Path};
 
 /// Writes the items of a firing, one at a time, so that they are not copied all at once.
 pub(super) struct Items {
@@ -33,8 +33,8 @@ impl Items {
             ..WriteOptions::default()
         };
         let mut writer = Writer::new(File::create(path)?, options)?;
-        let firing = ReproRecord { node: node.into(), item };
-        writer.write_metadata(ReproRecord::NAME, &firing.to_metadata())?;
+        let firing = [("node", node.to_owned()), ("item", item.to_string())];
+        writer.write_metadata("osteoflow.repro", &firing.map(|(key, value)| (key.to_owned(), value)).into())?;
         Ok(Self { writer })
     }
 
@@ -89,42 +89,22 @@ fn unplanned(stamp_ns: StampNs) -> DisplayContext<'static> {
 /// # Errors
 /// [`RecordingError`] if the file is damaged or holds a payload that is unknown here.
 pub(super) fn read(path: &Path, registry: &Registry) -> Result<BTreeMap<String, Vec<Item>>, RecordingError> {
-    let mut ports = Ports { registry, items: BTreeMap::new(), fault: None };
-    let Scanned { damage, n_unknown, .. } = scan(path, &mut ports, &mut |_, _| {})?;
-    if let Some(fault) = ports.fault {
-        return Err(fault);
+    let mut gathered = Gathering::default();
+    let Scanned { damage, n_unknown, .. } = scan(path, &mut gathered, &mut |_, _| {})?;
+    let mut ports = BTreeMap::new();
+    for (name, Gathered { about: Wire { header, .. }, messages }) in gathered.wires {
+        // On a port that takes any payload, each value names its own.
+        let item = |(number, message): (Option<u64>, Vec<u8>)| {
+            let item = codec::decode(&message).map_err(|error| error.to_string());
+            let item = item.and_then(|item| typed(item, &header.payload, header.version, registry));
+            item.map_err(|reason| RecordingError::item(&name, number.unwrap_or_default(), reason))
+        };
+        ports.insert(name.clone(), messages.into_iter().map(item).collect::<Result<_, _>>()?);
     }
     let unknown =
         (n_unknown > 0).then(|| format!("{n_unknown} messages belong to channels that nothing in the file describes"));
     match damage.or(unknown) {
         Some(reason) => Err(RecordingError::foreign(path, reason)),
-        None => Ok(ports.items),
-    }
-}
-
-struct Ports<'a> {
-    registry: &'a Registry,
-    items: BTreeMap<String, Vec<Item>>,
-    fault: Option<RecordingError>,
-}
-
-impl Gather for Ports<'_> {
-    const STOPS_AT_DAMAGE: bool = true;
-
-    fn message(&mut self, carried: Carried<'_>, state: &mut PassState) -> ControlFlow<()> {
-        let Carried { carries, message, .. } = carried;
-        let Carries::Exact(port) = carries else { return ControlFlow::Continue(()) };
-        state.allowance.take(message.data.len())?;
-        // On a port that takes any payload, each value names its own.
-        let item = codec::decode(message.data).map_err(|error| error.to_string());
-        let item = item.and_then(|item| typed(item, &port.header.payload, port.header.version, self.registry));
-        match item {
-            Ok(item) => self.items.entry(port.name.clone()).or_default().push(item),
-            Err(reason) => {
-                self.fault = Some(RecordingError::item(&port.name, message.sequence.into(), reason));
-                return ControlFlow::Break(());
-            }
-        }
-        ControlFlow::Continue(())
+        None => Ok(ports),
     }
 }

@@ -1,7 +1,7 @@
 //! Saves failed firings during a run.
 
 use super::{
-    bundle::{self, Bundle, Declared, Failure, Input, Node, Output, PortItems, Program, Shown},
+    bundle::{self, Bundle, Declared, Failure, Input, Node, PortItems, Program, Shown},
     items::Items,
 };
 use crate::{
@@ -230,8 +230,6 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
         payload: port.payload.name.into(),
         params: port.params.clone(),
     });
-    let outputs =
-        node.outputs.iter().map(|output| Output { name: output.name.clone(), payload: output.payload.name().into() });
     Bundle {
         format_version: bundle::FORMAT_VERSION,
         graph: plan.name.clone(),
@@ -248,7 +246,6 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
             plugin: plan.plugins.iter().find(|plugin| plugin.kinds.iter().any(|kind| **kind == *node.kind)).cloned(),
             params: node.params.clone(),
             declared: declared.collect(),
-            outputs: outputs.collect(),
         },
         item: failed.item,
         stamp_ns: failed.stamp_ns,

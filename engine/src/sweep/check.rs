@@ -244,7 +244,7 @@ pub fn again(
     kinds: &Kinds,
 ) -> Result<Result<Checked, Faults>, FolderError> {
     let path = Path::new(folder.about["graph"]["file"].as_str().unwrap_or(GRAPH));
-    let (graph, row, variants) = (folder.graph()?, folder.sets(run)?, folder.spec()?.variants());
+    let (graph, row, variants) = (folder.graph()?, folder.read(run)?.sets, folder.spec()?.variants());
     // The frozen graph states the defaults of its kinds, which go with them.
     let of_row = variants.iter().filter(|variant| row.contains(&variant.setting()));
     let keys = of_row.flat_map(Variant::keys).map(|key| format!("{key}="));

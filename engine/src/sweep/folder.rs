@@ -19,8 +19,8 @@ use crate::{
     run::{Answer, Verdict},
 };
 use osteoflow_node::Registry;
-use serde::{Deserialize, Serialize};
-use serde_json::{Value as Json, json};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::{Map, Value as Json, json};
 use std::{
     collections::BTreeMap,
     fs, io,
@@ -73,31 +73,6 @@ pub enum FolderError {
         /// What differs.
         what: String,
     },
-    /// It holds another part of the sweep.
-    #[error(
-        "{path} holds {}, not {}; go on with {}, or begin in another folder",
-        part(.there), part(.asked), option(.there)
-    )]
-    Part {
-        /// The folder.
-        path: String,
-        /// Its part; all if none is given.
-        there: Option<String>,
-        /// The requested part.
-        asked: Option<String>,
-    },
-    /// It holds a part of a sweep that is to have more repeats.
-    #[error(
-        "{path} holds {}, and a part gets no more repeats; combine the parts by --merge, then go on with the whole in its \
-         folder, without --shard",
-        part(.there)
-    )]
-    Grown {
-        /// The folder.
-        path: String,
-        /// Its part; all if none is given.
-        there: Option<String>,
-    },
     /// An input file changed while the sweep ran.
     #[error(
         "{path} has changed while the sweep ran, which was stopped; the runs that are there are of the file as it was: \
@@ -143,12 +118,24 @@ pub enum FolderError {
     },
 }
 
-fn part(shard: &Option<String>) -> String {
-    shard.as_ref().map_or_else(|| "the whole sweep".into(), |shard| format!("part {shard} of the sweep"))
+impl FolderError {
+    fn read(path: &Path, source: io::Error) -> Self {
+        Self::Read { path: path.display().to_string(), source }
+    }
+
+    fn form(path: &Path, what: impl ToString) -> Self {
+        Self::Form { path: path.display().to_string(), what: what.to_string() }
+    }
+
+    /// Whether the file is not there.
+    fn is_missing(&self) -> bool {
+        matches!(self, Self::Read { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
 }
 
-fn option(shard: &Option<String>) -> String {
-    shard.as_ref().map_or_else(|| "--resume without --shard".into(), |shard| format!("--shard {shard} --resume"))
+fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, FolderError> {
+    let text = fs::read_to_string(path).map_err(|source| FolderError::read(path, source))?;
+    serde_json::from_str(&text).map_err(|error| FolderError::form(path, error))
 }
 
 /// What was asked for by settings, instead of by `[sweep]`.
@@ -161,32 +148,39 @@ pub struct StudyRow {
 }
 
 /// A run that ended.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Done {
     /// Number of the run.
     pub run: usize,
     /// Seed of the run.
     pub seed: u64,
     /// The values of factors, draws and repeat.
-    pub values: Vec<(String, Json)>,
+    pub values: Map<String, Json>,
+    /// Its settings, in the form of `--set`.
+    #[serde(rename = "set")]
+    pub sets: Vec<String>,
     /// `complete`, `refused` or `failed`.
     pub status: String,
     /// Why there are no results.
     pub reason: Option<String>,
     /// Warnings of nodes.
+    #[serde(default)]
     pub warnings: Vec<String>,
     /// Values of the graph's `[results]`, as in `results.json`.
+    #[serde(default)]
     pub results: Json,
     /// If it was computed twice: the nodes that answered otherwise the second time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub twice: Option<Vec<Unsteady>>,
     /// What was asked for, in a study.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub asked: Option<StudyRow>,
 }
 
 impl Done {
     /// Value of a factor, a draw or the repeat, by name.
     pub fn value(&self, name: &str) -> Option<&Json> {
-        self.values.iter().find(|(known, _)| known == name).map(|(_, value)| value)
+        self.values.get(name)
     }
 
     pub(super) const FAILED: &'static str = "failed";
@@ -222,9 +216,9 @@ impl Done {
         warnings: Vec<String>,
         results: Json,
     ) -> Self {
-        let (values, status) = (row.values.clone(), status.to_owned());
-        let (run, seed, twice, asked) = (row.run, row.seed, None, None);
-        Self { run, seed, values, status, reason, warnings, results, twice, asked }
+        let (values, sets) = (row.values.iter().cloned().collect(), row.sets.clone());
+        let (run, seed, status, twice, asked) = (row.run, row.seed, status.to_owned(), None, None);
+        Self { run, seed, values, sets, status, reason, warnings, results, twice, asked }
     }
 }
 
@@ -258,33 +252,28 @@ impl Folder {
     /// If it is not the folder of a sweep, or this program cannot read it.
     pub fn open(dir: &Path) -> Result<Self, FolderError> {
         let path = dir.join(DESIGN);
-        let text = match fs::read_to_string(&path) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                return Err(FolderError::NoSweep { path: dir.display().to_string() });
-            }
-            text => text.map_err(|source| FolderError::Read { path: path.display().to_string(), source })?,
+        let about: Json = match read_json(&path) {
+            Err(error) if error.is_missing() => return Err(FolderError::NoSweep { path: dir.display().to_string() }),
+            about => about?,
         };
-        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
-        let about: Json = serde_json::from_str(&text).map_err(|error| form(error.to_string()))?;
         match about["format"].as_u64() {
             Some(FORMAT) => {
                 let folder = Self { dir: dir.into(), about };
                 folder.check_runs_folder()?;
                 Ok(folder)
             }
-            Some(other) => Err(form(format!("format {other}, this program reads {FORMAT}"))),
-            None => Err(form("it does not say its format".into())),
+            Some(other) => Err(FolderError::form(&path, format!("format {other}, this program reads {FORMAT}"))),
+            None => Err(FolderError::form(&path, "it does not say its format")),
         }
     }
 
     /// Refuses a link: runs would be written outside of the folder.
     fn check_runs_folder(&self) -> Result<(), FolderError> {
         let path = self.runs_path();
-        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
         match fs::symlink_metadata(&path) {
             Ok(found) if found.is_dir() => Ok(()),
-            Ok(_) => Err(form("it is a link or a file, not a folder".into())),
-            Err(error) => Err(form(error.to_string())),
+            Ok(_) => Err(FolderError::form(&path, "it is a link or a file, not a folder")),
+            Err(error) => Err(FolderError::form(&path, error)),
         }
     }
 
@@ -319,8 +308,8 @@ impl Folder {
     /// # Errors
     /// If this program cannot read the specification.
     pub fn spec(&self) -> Result<Spec, FolderError> {
-        let path = self.dir.join(DESIGN).display().to_string();
-        serde_json::from_value(self.about["sweep"].clone()).map_err(|e| FolderError::Form { path, what: e.to_string() })
+        let path = self.dir.join(DESIGN);
+        serde_json::from_value(self.about["sweep"].clone()).map_err(|error| FolderError::form(&path, error))
     }
 
     /// Numbers of the stored runs, ascending. An empty file is what a full disk or a power cut may leave of a run that
@@ -330,7 +319,7 @@ impl Folder {
     /// If the folder cannot be read, or a file is named as another one would be of the same run.
     pub fn runs(&self) -> Result<Vec<usize>, FolderError> {
         let dir = self.runs_path();
-        let cannot = |source| FolderError::Read { path: dir.display().to_string(), source };
+        let cannot = |source| FolderError::read(&dir, source);
         let mut runs = Vec::new();
         for entry in fs::read_dir(&dir).map_err(cannot)? {
             let entry = entry.map_err(cannot)?;
@@ -338,9 +327,8 @@ impl Folder {
             let number = name.to_str().and_then(|name| name.strip_suffix(".json")?.parse::<usize>().ok());
             let Some(run) = number else { continue };
             if *name != *file_name(run) {
-                let path = entry.path().display().to_string();
                 let what = format!("run {run} is read from {} only; remove one of the two", file_name(run));
-                return Err(FolderError::Form { path, what });
+                return Err(FolderError::form(&entry.path(), what));
             }
             if entry.metadata().map_err(cannot)?.len() > 0 {
                 runs.push(run);
@@ -376,26 +364,11 @@ impl Folder {
     /// If it is missing or cannot be parsed.
     pub fn read(&self, run: usize) -> Result<Done, FolderError> {
         let path = self.runs_path().join(file_name(run));
-        let text = fs::read_to_string(&path);
-        let text = text.map_err(|source| FolderError::Read { path: path.display().to_string(), source })?;
-        let form = |what: String| FolderError::Form { path: path.display().to_string(), what };
-        let json: Json = serde_json::from_str(&text).map_err(|error| form(error.to_string()))?;
-        if json["run"].as_u64() != Some(run as u64) {
-            return Err(form(format!("it holds run {}", json["run"])));
+        let done: Done = read_json(&path)?;
+        match done.run == run {
+            true => Ok(done),
+            false => Err(FolderError::form(&path, format!("it holds run {}", done.run))),
         }
-        let values = json["values"].as_object().ok_or_else(|| form("no values".into()))?;
-        let warnings = json["warnings"].as_array().into_iter().flatten();
-        Ok(Done {
-            run,
-            seed: json["seed"].as_u64().ok_or_else(|| form("no seed".into()))?,
-            values: values.iter().map(|(name, value)| (name.clone(), value.clone())).collect(),
-            status: json["status"].as_str().ok_or_else(|| form("no status".into()))?.into(),
-            reason: json["reason"].as_str().map(str::to_owned),
-            warnings: warnings.filter_map(Json::as_str).map(str::to_owned).collect(),
-            results: json["results"].clone(),
-            twice: serde_json::from_value(json["twice"].clone()).map_err(|error| form(error.to_string()))?,
-            asked: serde_json::from_value(json["asked"].clone()).map_err(|error| form(error.to_string()))?,
-        })
     }
 
     /// How long a run took; `None` if it was run by a version that did not measure it.
@@ -403,14 +376,9 @@ impl Folder {
     /// # Errors
     /// If the times cannot be read.
     pub fn times(&self, run: usize) -> Result<Option<RunTimes>, FolderError> {
-        let path = self.runs_path().join(times_name(run));
-        let shown = || path.display().to_string();
-        match fs::read_to_string(&path) {
-            Ok(text) => serde_json::from_str(&text)
-                .map(Some)
-                .map_err(|error| FolderError::Form { path: shown(), what: error.to_string() }),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-            Err(source) => Err(FolderError::Read { path: shown(), source }),
+        match read_json(&self.runs_path().join(times_name(run))) {
+            Err(error) if error.is_missing() => Ok(None),
+            times => times.map(Some),
         }
     }
 
@@ -420,7 +388,7 @@ impl Folder {
     /// If it cannot be read.
     pub fn graph(&self) -> Result<String, FolderError> {
         let path = self.dir.join(GRAPH);
-        fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.display().to_string(), source })
+        fs::read_to_string(&path).map_err(|source| FolderError::read(&path, source))
     }
 
     /// The frozen graph to run again with the settings of the rows: nodes that rows give another kind state what the user wrote
@@ -438,10 +406,9 @@ impl Folder {
         if written.is_none()
             && sets.iter().any(|set| set.split('=').next().is_some_and(|key| key.trim().ends_with(".kind")))
         {
-            let path = self.dir.join(DESIGN).display().to_string();
             let what = "its runs have several kinds, and it does not say which parameters were written (`written`), as sweeps of \
                         earlier versions: sweep the graph again with this version, and export that";
-            return Err(FolderError::Form { path, what: what.into() });
+            return Err(FolderError::form(&self.dir.join(DESIGN), what));
         }
         let path = Path::new(self.about["graph"]["file"].as_str().unwrap_or(GRAPH));
         let kinds = Kinds::from(&Registry::default());
@@ -456,36 +423,20 @@ impl Folder {
         difference(&self.about, &self.graph()?, other)
     }
 
-    /// Settings of a run, in the form of `--set`.
-    ///
-    /// # Errors
-    /// If the run cannot be read.
-    pub fn sets(&self, run: usize) -> Result<Vec<String>, FolderError> {
-        let path = self.runs_path().join(file_name(run)).display().to_string();
-        let text = fs::read_to_string(&path).map_err(|source| FolderError::Read { path: path.clone(), source })?;
-        let json: Json = serde_json::from_str(&text)
-            .map_err(|error| FolderError::Form { path: path.clone(), what: error.to_string() })?;
-        let sets = json["set"].as_array().ok_or(FolderError::Form { path, what: "no settings".into() })?;
-        Ok(sets.iter().filter_map(Json::as_str).map(str::to_owned).collect())
-    }
-
     /// Stores a run that ended, with its settings and times.
     ///
     /// # Errors
     /// If it cannot be written, or its number is now that of another run.
-    pub(super) fn keep(&self, done: &Done, sets: &[String], times: Option<&RunTimes>) -> Result<(), FolderError> {
-        // The hash of the whole is the one that is indented least.
-        let path = self.dir.join(DESIGN);
-        let read = fs::read_to_string(&path);
-        let text = read.map_err(|source| FolderError::Read { path: path.display().to_string(), source })?;
-        if !text.contains(&format!("\n  \"hash\": \"{}\"", self.hash())) {
+    pub(super) fn keep(&self, done: &Done, times: Option<&RunTimes>) -> Result<(), FolderError> {
+        let now: Json = read_json(&self.dir.join(DESIGN))?;
+        if now["hash"] != self.about["hash"] {
             let what = "another process has given it more repeats".into();
             return Err(FolderError::Other { path: self.dir.display().to_string(), what });
         }
-        self.keep_in(RUNS_DIR, done, sets, times)
+        self.keep_in(RUNS_DIR, done, times)
     }
 
-    fn keep_in(&self, folder: &str, done: &Done, sets: &[String], times: Option<&RunTimes>) -> Result<(), FolderError> {
+    fn keep_in(&self, folder: &str, done: &Done, times: Option<&RunTimes>) -> Result<(), FolderError> {
         if let Some(times) = times {
             let dir = self.dir.join(folder).join(TIMES_DIR);
             let is_there = || fs::symlink_metadata(&dir).is_ok_and(|found| found.is_dir());
@@ -496,18 +447,7 @@ impl Folder {
             }
             self.write(&format!("{folder}/{}", times_name(done.run)), format!("{}\n", json!(times)).as_bytes())?;
         }
-        let values: serde_json::Map<_, _> = done.values.iter().cloned().collect();
-        let mut json = json!({
-            "run": done.run, "seed": done.seed, "values": values, "set": sets, "status": done.status,
-            "reason": done.reason, "warnings": done.warnings, "results": done.results,
-        });
-        if let Some(unsteady) = &done.twice {
-            json["twice"] = json!(unsteady);
-        }
-        if let Some(asked) = &done.asked {
-            json["asked"] = json!(asked);
-        }
-        self.write(&format!("{folder}/{}", file_name(done.run)), format!("{json}\n").as_bytes())
+        self.write(&format!("{folder}/{}", file_name(done.run)), format!("{}\n", json!(done)).as_bytes())
     }
 
     /// Describes the folder anew, with the plugins that are noted in it.
@@ -527,10 +467,9 @@ impl Folder {
         }
         fs::create_dir(&grown).map_err(cannot)?;
         for run in self.runs()? {
-            let (done, sets) = (self.read(run)?, self.sets(run)?);
-            let (run, times) = (number(run), self.times(run)?);
+            let (done, times, run) = (self.read(run)?, self.times(run)?, number(run));
             let times = times.map(|times| RunTimes { run, ..times });
-            self.keep_in(GROWN_DIR, &Done { run, ..done }, &sets, times.as_ref())?;
+            self.keep_in(GROWN_DIR, &Done { run, ..done }, times.as_ref())?;
         }
         about["runs_in"] = GROWN_DIR.into();
         self.describe(about)
@@ -636,18 +575,8 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
         return Err(FolderError::Missing { n: 1 + missing.count(), all, first: run });
     }
     let folder = Folder::begin(dir, &first.graph()?, about)?;
-    let times = format!("{RUNS_DIR}/{TIMES_DIR}");
-    fs::create_dir(dir.join(&times)).map_err(|source| folder.cannot_write(&times, source))?;
     for (run, shard) in from {
-        for name in [times_name(run), file_name(run)] {
-            let path = shard.runs_path().join(&name);
-            match fs::read(&path) {
-                Ok(bytes) => folder.write(&format!("{RUNS_DIR}/{name}"), &bytes)?,
-                // Not measured by earlier versions.
-                Err(error) if name == times_name(run) && error.kind() == io::ErrorKind::NotFound => {}
-                Err(source) => return Err(FolderError::Read { path: path.display().to_string(), source }),
-            }
-        }
+        folder.keep_in(RUNS_DIR, &shard.read(run)?, shard.times(run)?.as_ref())?;
     }
     folder.write_tables()?;
     Ok(folder)

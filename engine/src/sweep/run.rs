@@ -90,7 +90,7 @@ impl Sweep {
                         drop(found);
                         let kept =
                             done.as_ref().map(|done| match (self.changed(run), late_difference(&loaded_before)) {
-                                (None, None) => folder.keep(done, &run.row.sets, times.as_ref()),
+                                (None, None) => folder.keep(done, times.as_ref()),
                                 (Some(file), _) => Err(FolderError::Changed { path: file.display().to_string() }),
                                 (None, Some(what)) => {
                                     Err(FolderError::Other { path: folder.dir().display().to_string(), what })

@@ -211,7 +211,7 @@ impl Study {
                     let reason = faults.0.iter().map(|fault| fault.render(false)).collect::<Vec<_>>().join("; ");
                     let mut done = Done::of(&row, Done::FAILED, Some(reason), Vec::new(), Json::Null);
                     done.asked = Some(of(number, None));
-                    self.folder.keep(&done, &row.sets, None)?;
+                    self.folder.keep(&done, None)?;
                     watcher.ended(&done);
                 }
             }

@@ -625,7 +625,7 @@ fn a_unit_that_is_nearly_a_factor_is_not_taken_for_the_repeats() {
 }
 
 #[test]
-fn a_part_of_a_sweep_lists_its_own_runs_and_resumes_in_its_own_folder() {
+fn a_part_of_a_sweep_lists_its_own_runs_and_its_folder_takes_the_others_too() {
     let desk = Desk::new(&graph("sweep-part", SIX));
     let sweep = desk.check();
     let shard = |index| Some(Shard { index, of: 3 });
@@ -640,17 +640,15 @@ fn a_part_of_a_sweep_lists_its_own_runs_and_resumes_in_its_own_folder() {
     }
     all.sort_unstable();
     assert_eq!(all, [0, 1, 2, 3, 4, 5]);
-    sweep.resume(&desk.path("part1"), &part(shard(1))).unwrap();
-    let message = sweep.resume(&desk.path("part1"), &part(shard(2))).unwrap_err().to_string();
-    assert!(
-        message.contains("holds part 1/3 of the sweep, not part 2/3") && message.contains("--shard 1/3"),
-        "{message}"
-    );
-    let message = sweep.resume(&desk.path("part1"), &part(None)).unwrap_err().to_string();
-    assert!(message.contains("not the whole sweep"), "{message}");
-    desk.sweep("whole", &options(1, true));
-    let message = sweep.resume(&desk.path("whole"), &part(shard(2))).unwrap_err().to_string();
-    assert!(message.contains("holds the whole sweep") && message.contains("--resume without --shard"), "{message}");
+    // In the folder of a part, another part and the whole go on.
+    for (options, n_before, n_run) in [(part(shard(1)), 2, 0), (part(shard(2)), 0, 2), (part(None), 4, 2)] {
+        let folder = sweep.resume(&desk.path("part1"), &options).unwrap();
+        let swept = sweep.run(&folder, &options, &()).unwrap();
+        assert_eq!((swept.n_before, swept.n_run), (n_before, n_run), "{:?}", options.shard);
+        folder.write_tables().unwrap();
+    }
+    let (_, runs, _) = desk.sweep("whole", &options(1, true));
+    assert_eq!(fs::read_to_string(desk.path("part1").join(RUNS)).unwrap(), runs);
 }
 
 #[test]

@@ -119,12 +119,12 @@ impl Pack {
     fn open(dir: &Path) -> Result<Self> {
         let (what, about) = if dir.join(sweep::DESIGN).is_file() {
             let folder = Folder::open(dir).map_err(folder_error)?;
-            if let Some(shard) = folder.about["shard"].as_str() {
+            let is_whole = folder.runs().map_err(folder_error)?.len() >= folder.n_runs();
+            if let Some(shard) = folder.about["shard"].as_str().filter(|_| !is_whole) {
                 let dir = dir.display();
-                let message = format!(
+                usage!(
                     "{dir} is part {shard} of a sweep; combine the parts by `osteoflow sweep --merge`, and export that"
                 );
-                return Err(UsageError(message).into());
             }
             (What::Sweep, folder.about)
         } else {
@@ -142,12 +142,11 @@ impl Pack {
             [("given_wires", "inputs that a program gave it in memory"), ("given_nodes", "functions of a notebook")]
         {
             if about["command"][key].as_array().is_some_and(|given| !given.is_empty()) {
-                let message = format!(
+                usage!(
                     "{}: the run had {why} ({}), which no file holds; save them to files, and run it again",
                     dir.display(),
                     about["command"][key]
                 );
-                return Err(UsageError(message).into());
             }
         }
         let graph_file = PathBuf::from(about["graph"]["file"].as_str().unwrap_or_default());
@@ -182,16 +181,13 @@ impl Pack {
             let path = self.renamed.resolved(entry["path"].as_str().unwrap_or_default());
             let (Some(bytes), Some(digest)) = (entry["bytes"].as_u64(), entry["sha256"].as_str()) else {
                 let path = path.display();
-                return Err(UsageError(format!("input {path} was not read: {}", entry["error"])).into());
+                usage!("input {path} was not read: {}", entry["error"]);
             };
             if let Some((_, _, other)) = inputs.iter().find(|(known, ..)| *known == path)
                 && other != digest
             {
                 let path = path.display();
-                return Err(UsageError(format!(
-                    "two inputs of the run are called {path}; give them other names, and run it again"
-                ))
-                .into());
+                usage!("two inputs of the run are called {path}; give them other names, and run it again");
             }
             inputs.push((path, bytes, digest.into()));
         }
@@ -243,13 +239,12 @@ impl Pack {
             self.add(&name, Role::Input, source);
         }
         if !missing.is_empty() {
-            let message = format!(
+            usage!(
                 "{} input files are not what the {} read: {}; name a folder that holds them by --data DIR, or leave inputs out by --no-data",
                 missing.len(),
                 self.what.name(),
                 missing.join(", ")
             );
-            return Err(UsageError(message).into());
         }
         Ok(())
     }
@@ -305,18 +300,16 @@ impl Pack {
     fn code(&mut self, name: &str, role: Role, path: &Path, digest: &str, plugin: &str) -> Result<()> {
         let bytes = fs::metadata(path).map_or(0, |about| about.len());
         if !has_content(path, bytes, digest) {
-            let message = format!(
+            usage!(
                 "{} of plugin {plugin} is no longer what the {} ran (SHA-256 {digest}); restore it, or run again",
                 path.display(),
                 self.what.name()
             );
-            return Err(UsageError(message).into());
         }
         if let Some((_, Source::Known(other, _, of_other))) = self.files.get(name)
             && of_other != digest
         {
-            let message = format!("{} and {} would have one name in the archive", other.display(), path.display());
-            return Err(UsageError(message).into());
+            usage!("{} and {} would have one name in the archive", other.display(), path.display());
         }
         self.renamed.add(path, name);
         self.add(name, role, Source::Known(path.into(), bytes, digest.into()));

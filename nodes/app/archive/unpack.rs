@@ -110,13 +110,12 @@ impl ArchiveArgs {
         if brought.is_empty() {
             return Ok(());
         }
-        let message = format!(
+        usage!(
             "{} brings plugins ({}), which would run with your rights; look at them, then allow them by --allow-plugins, or name your \
              own of the same file name by --plugin FILE",
             archive.display(),
             brought.join(", ")
         );
-        Err(UsageError(message).into())
     }
 
     /// Takes inputs that were left out from the user's folders.
@@ -145,12 +144,11 @@ impl ArchiveArgs {
             false => {
                 let folders =
                     if self.data.is_empty() { "" } else { ", and no file of the --data folders has their contents" };
-                let message = format!(
+                usage!(
                     "{} inputs were left out of the archive{folders}: {}; name a folder that holds them by --data DIR",
                     missing.len(),
                     missing.join(", ")
                 );
-                Err(UsageError(message).into())
             }
         }
     }
@@ -233,9 +231,7 @@ impl Archive {
         let index = match zip.by_name(INDEX) {
             Ok(entry) => read_index(path, entry)?,
             Err(_) => {
-                return Err(
-                    UsageError(format!("{shown} is a zip, but none of `osteoflow export`: it has no {INDEX}")).into()
-                );
+                usage!("{shown} is a zip, but none of `osteoflow export`: it has no {INDEX}");
             }
         };
         let unpacked = index
@@ -281,12 +277,11 @@ impl Archive {
             if fs::read(dir.join(INDEX)).is_ok_and(|there| there == list) && self.index.files.iter().all(is_ours) {
                 return Ok(());
             }
-            let message = format!(
+            usage!(
                 "{} holds something else than {}; name another folder by --unpack DIR",
                 dir.display(),
                 self.path.display()
             );
-            return Err(UsageError(message).into());
         }
         let cannot = || format!("{} cannot be made a folder", dir.display());
         let parent = dir.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));

@@ -6,10 +6,7 @@ use super::{
     steps,
     words::{converged, describe, short, stop_reason},
 };
-use crate::app::{
-    error::UsageError,
-    program::{NOTICE, about_command},
-};
+use crate::app::program::{NOTICE, about_command};
 use anyhow::Result;
 use osteoflow_algorithms::{
     icp::{IcpReport, IcpStep},
@@ -350,7 +347,7 @@ impl Registration {
         let names = [&request.target.path, &request.source.path];
         if request.space.is_some() && stated.iter().all(|space| *space != Space::Unknown) {
             let names = names.map(|name| name.display().to_string()).join(" and ");
-            return Err(UsageError(format!("{names} state their space; leave out --space")).into());
+            usage!("{names} state their space; leave out --space");
         }
         let spaces = stated.map(|stated| space_of(stated, request.space));
         let files = of.files.with_known_spaces(names, spaces)?;

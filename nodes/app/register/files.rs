@@ -1,7 +1,10 @@
 //! The files that `register` writes: the pose in several forms, and the moved source with its residuals.
 
 use super::RegisterRequest;
-use crate::app::{error::UsageError, files::check_new};
+use crate::app::{
+    error::UsageError,
+    files::{check_new, write_new},
+};
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{
@@ -16,7 +19,6 @@ use osteoflow_geometry::{
 use osteoflow_standard::parts;
 use std::{
     fs,
-    io::Write as _,
     path::{Path, PathBuf},
 };
 
@@ -68,7 +70,7 @@ impl OutFiles {
         }
         if let Some(file) = all.source.as_deref().filter(|file| !MOVED.contains(&ending(file).as_str())) {
             let message = format!("{} cannot be written: end it with .ply, .pcd or .csv", file.display());
-            return Err(UsageError(format!("--write-source: {message}")).into());
+            usage!("--write-source: {message}");
         }
         all.all().try_for_each(|file| check_new(file))?;
         Ok(all)
@@ -89,7 +91,7 @@ impl OutFiles {
             files.poses.retain(|(_, form)| *form != Form::Itk);
         }
         let Some((file, _)) = files.poses.iter().find(|(_, form)| *form == Form::Itk) else { return Ok(files) };
-        let message = format!(
+        usage!(
             "{}: a .tfm is always LPS, and {}; give --space LPS, as 3D Slicer takes such files, or --space RAS",
             file.display(),
             match &unknown[..] {
@@ -97,7 +99,6 @@ impl OutFiles {
                 both => format!("{} do not state the space of their numbers", both.join(" and ")),
             }
         );
-        Err(UsageError(message).into())
     }
 
     /// Every file, in the order in which they are written.
@@ -127,13 +128,6 @@ impl OutFiles {
         self.trace.iter().try_for_each(|file| write_new(file, &steps()))?;
         Ok(notes)
     }
-}
-
-/// Writes a new file.
-fn write_new(file: &Path, text: &str) -> Result<()> {
-    let opened = fs::OpenOptions::new().write(true).create_new(true).open(file);
-    let written = opened.and_then(|mut file| file.write_all(text.as_bytes()));
-    written.with_context(|| format!("{} cannot be written", file.display()))
 }
 
 fn form_of(file: &Path) -> Result<Form> {

@@ -4,7 +4,7 @@ use super::RegisterRequest;
 use crate::app::{error::UsageError, program::registry};
 use anyhow::Result;
 use osteoflow_engine::plugin::Kinds;
-use osteoflow_node::{Kind, OutputPorts};
+use osteoflow_node::Kind;
 
 /// Ports that a kind needs to register.
 const INPUTS: [&str; 3] = ["source", "target", "init"];
@@ -49,14 +49,14 @@ impl RegisterRequest {
         if self.is_built_in() {
             if !BUILT_IN.iter().any(|(known, _)| *known == self.method) {
                 let known = BUILT_IN.map(|(known, _)| known).join(", ");
-                return Err(UsageError(format!("method \"{}\" is none of {known}", self.method)).into());
+                usage!("method \"{}\" is none of {known}", self.method);
             }
             return Ok((Kinds::from(&registry()), format!("icp.{}", self.method)));
         }
         let kinds = self.plugins.kinds_apart()?;
         let known = kinds.known();
         if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
-            return Err(UsageError(format!("{}: {}", refused.path.display(), refused.why)).into());
+            usage!("{}: {}", refused.path.display(), refused.why);
         }
         let of_plugins = known.registry.kinds().filter(|kind| known.of_kind(kind.description.kind).is_some());
         let names = of_plugins.filter(|kind| match &self.kind {
@@ -87,7 +87,7 @@ fn registers(kind: &Kind) -> bool {
 
 /// Whether a kind has an output of this name.
 pub(super) fn has_output(kind: &Kind, name: &str) -> bool {
-    matches!(&kind.description.outputs, OutputPorts::Fixed(ports) if ports.iter().any(|port| port.name == name))
+    kind.description.outputs.fixed().iter().any(|port| port.name == name)
 }
 
 #[cfg(test)]

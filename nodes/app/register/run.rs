@@ -164,7 +164,7 @@ impl Register {
         let n_of = |wire: &str| value::<Cloud>(wires, wire).map(|cloud| cloud.len());
         let mut before = n_of("scan.cloud");
         let mut notes = Vec::new();
-        for (node, option) in self.request.crops() {
+        for (node, option, _) in self.request.crops() {
             let after = n_of(&format!("{node}.cloud"));
             if let (Some(before), Some(after)) = (before, after) {
                 notes.push(format!("{after} of {before} points are in the {option}"));

@@ -1,7 +1,11 @@
 //! The switches of every command.
 
+use super::terminal;
 use clap::{ArgAction, Args, ColorChoice, ValueEnum};
-use std::io::IsTerminal;
+use std::{
+    fmt,
+    io::{self, IsTerminal, Write},
+};
 
 /// Switches of every command.
 #[derive(Debug, Clone, Args)]
@@ -42,9 +46,14 @@ impl Global {
         paint(is_coloured(self.color, std::io::stdout().is_terminal()), text, style)
     }
 
-    /// `text` in an ANSI style such as `1;31`, if colours are used on stderr.
-    pub(crate) fn paint_err(&self, text: &str, style: &str) -> String {
-        paint(self.colour_err(), text, style)
+    /// Writes a line to stderr: a word for what it is, in its colour, and the rest.
+    pub(crate) fn say(&self, word: &str, what: impl fmt::Display) -> io::Result<()> {
+        let style = match word {
+            "error" | "refused" | "incomplete" => "1;31",
+            "note" | "page" | "stream" => "1",
+            _ => "1;33",
+        };
+        writeln!(terminal::stderr(), "{}: {what}", paint(self.colour_err(), word, style))
     }
 }
 

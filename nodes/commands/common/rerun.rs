@@ -2,7 +2,7 @@
 
 use super::{exit::Exit, global::Global, progress::Progress};
 use crate::app::{
-    GraphArgs, Leave, UsageError,
+    GraphArgs, Leave,
     out_dir::{self, OutDir},
 };
 use anyhow::Result;
@@ -102,10 +102,9 @@ impl Runs {
         };
         if let Some(read) = plan.input_files.iter().find(within) {
             let (dir, read) = (dir.display(), read.display());
-            let message = format!(
+            usage!(
                 "{dir} is inside {read}, which the graph reads, so each run would start the next; name another folder with --out"
             );
-            return Err(UsageError(message).into());
         }
         Ok(dir)
     }

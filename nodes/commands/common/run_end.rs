@@ -28,7 +28,6 @@ pub(crate) fn print_end(report: &RunReport, dir: &Path, global: &Global) -> Resu
 /// Prints warnings, and the reason if there are no results, to stderr.
 pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) -> Result<Exit> {
     let exit = Exit::of(&report.outcome);
-    let mut err = terminal::stderr().lock();
     // What the verdict is printed to say is said once.
     let is_text = global.format == Format::Text;
     let is_new = |message: &str| {
@@ -42,18 +41,17 @@ pub(crate) fn print_warnings_and_failure(report: &RunReport, global: &Global) ->
         Outcome::Refused(refusal) => {
             let refusal = refusal_in_short(refusal, &report.results);
             let refusal = if is_text { without_reason(refusal, &report.results) } else { refusal };
-            writeln!(err, "{}: {refusal}", global.paint_err("refused", "1;31"))?
+            global.say("refused", refusal)?
         }
-        Outcome::Interrupted => writeln!(err, "{}: there are no results", global.paint_err("interrupted", "1;33"))?,
+        Outcome::Interrupted => global.say("interrupted", "there are no results")?,
         Outcome::Complete => {}
     }
     let is_refusal = |warning: &&Warning| matches!((&report.outcome, warning.sign()), (Outcome::Refused(refusal), Some(sign)) if (&refusal.node, &refusal.reason) == (&sign.node, &sign.reason));
     for warning in report.warnings.iter().filter(|warning| is_new(&warning.message) && !is_refusal(warning)) {
-        let word = global.paint_err("warning", "1;33");
-        writeln!(err, "{word}: node \"{}\", item {}: {}", warning.node, warning.item, warning.message)?;
+        global.say("warning", format!("node \"{}\", item {}: {}", warning.node, warning.item, warning.message))?;
     }
     if !global.quiet {
-        print_repro_commands(&mut err, report)?;
+        print_repro_commands(&mut terminal::stderr(), report)?;
     }
     Ok(exit)
 }

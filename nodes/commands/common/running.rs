@@ -4,7 +4,6 @@ use super::{
     busy::{Busy, LOOK},
     global::Global,
     progress::Progress,
-    terminal,
 };
 use crate::app::program;
 use anyhow::{Context, Result, anyhow};
@@ -119,10 +118,8 @@ impl Observer for WithSilence<'_> {
 
 /// Prints where the files of an aborted run are.
 pub(crate) fn print_left_files(out_dir: &std::path::Path, global: &Global) {
-    use std::io::Write;
-    let (word, dir) = (global.paint_err("left", "1;33"), out_dir.display());
-    let message = format!("{word}: the files are in {dir}; the end of {} may be missing", files::RECORDING);
-    let _ = writeln!(terminal::stderr(), "{message}");
+    let dir = out_dir.display();
+    let _ = global.say("left", format!("the files are in {dir}; the end of {} may be missing", files::RECORDING));
 }
 
 #[cfg(test)]

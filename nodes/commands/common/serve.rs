@@ -7,7 +7,7 @@ pub(crate) mod picks;
 pub(crate) use graph::as_json as graph_json;
 
 use super::{global::Global, terminal};
-use crate::app::{UsageError, refusal_in_short};
+use crate::app::refusal_in_short;
 use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{
@@ -61,32 +61,23 @@ impl Admission {
         global: &Global,
     ) -> Result<Server> {
         if !address.ip().is_loopback() && !self.serve_public {
-            let message = format!(
+            usage!(
                 "{} is reached by other machines, without encryption; add --serve-public if that is wanted, or serve on \
                  the loopback and forward the port by ssh",
                 address.ip()
             );
-            return Err(UsageError(message).into());
         }
         for origin in &self.allow_origin {
             let rest = origin.split_once("://").map_or("", |(_, rest)| rest);
             if rest.is_empty() || rest.contains(['/', '*', ' ', ';', ',', '\r', '\n']) {
-                let message = format!(
-                    "--allow-origin {origin}: an origin is a scheme and a host, such as https://app.foxglove.dev"
-                );
-                return Err(UsageError(message).into());
+                usage!("--allow-origin {origin}: an origin is a scheme and a host, such as https://app.foxglove.dev");
             }
         }
         let options = ServeOptions { address, allowed_origins: self.allow_origin.clone(), name: name.to_owned() };
         let server = Server::start(options, stream, app).with_context(|| format!("{address} cannot be served"))?;
-        let mut err = terminal::stderr().lock();
-        writeln!(err, "{}: {}", global.paint_err("page", "1"), server.page())?;
-        writeln!(
-            err,
-            "{}: {} for Foxglove and Lichtblick on the desktop; for their web pages add --allow-origin ORIGIN",
-            global.paint_err("stream", "1"),
-            server.stream_address()
-        )?;
+        global.say("page", server.page())?;
+        let viewers = "for Foxglove and Lichtblick on the desktop; for their web pages add --allow-origin ORIGIN";
+        global.say("stream", format!("{} {viewers}", server.stream_address()))?;
         Ok(server)
     }
 }

@@ -84,9 +84,8 @@ impl Compare {
         for Swept { folder, done, .. } in sweeps.iter().filter(|_| !global.quiet) {
             let (n, all) = (done.len(), folder.n_runs());
             if n < all {
-                let word = global.paint_err("warning", "1;33");
                 let dir = folder.dir().display();
-                writeln!(terminal::stderr(), "{word}: {dir} is not finished: it has {n} of {all} runs")?;
+                global.say("warning", format!("{dir} is not finished: it has {n} of {all} runs"))?;
             }
         }
         let made = sweeps.iter().map(Swept::made).collect::<Result<Vec<_>>>()?;

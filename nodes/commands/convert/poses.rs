@@ -1,7 +1,6 @@
 //! A log of poses as a recording, a table or a trajectory.
 
 use super::Convert;
-use crate::app::UsageError;
 use anyhow::Result;
 use osteoflow_formats::{
     LostPose,
@@ -23,9 +22,7 @@ impl Convert {
         let ending = ending(&self.output);
         if !["mcap", "csv", "tum"].contains(&ending.as_str()) {
             let what = format.map_or_else(|| "a table of poses".into(), |format| format.to_string());
-            let message =
-                format!("{} is {what}, which is written as .mcap, .csv or .tum; name OUT so", self.input.display());
-            return Err(UsageError(message).into());
+            usage!("{} is {what}, which is written as .mcap, .csv or .tum; name OUT so", self.input.display());
         }
         let log = read_log(&self.input, &options)?;
         let (mut corrections, mut notes) = (Corrections::default(), log.notes);
@@ -42,7 +39,7 @@ impl Convert {
             pairs.sort();
             pairs.dedup();
             let message = format!("no poses between --parent and --child; there are {}", pairs.join(", "));
-            return Err(UsageError(format!("{}: {message}", self.input.display())).into());
+            usage!("{}: {message}", self.input.display());
         }
         notes.extend(corrections.note().into_iter().chain(log.signs.into_iter().map(|(_, sign)| sign)));
         let n_lost = poses.iter().filter(|pose| pose.is_err()).count();

@@ -2,7 +2,7 @@
 
 use super::{super::common::LogArgs, poses::poses};
 use crate::app::{
-    UsageError, archive,
+    archive,
     files::picked_points,
     register::{PART_KEY, TARGET_PART},
 };
@@ -188,7 +188,7 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
     }
     if series.is_some() {
         let message = "--series is for a folder with DICOM series; leave it out";
-        return Err(UsageError(format!("{}: {message}", file.display())).into());
+        usage!("{}: {message}", file.display());
     }
     if let Some(summary) = archive::summary(file)? {
         return Ok(archived(file, summary));

@@ -39,7 +39,7 @@ pub(super) fn execute(run: &Run, global: &Global) -> Result<Exit> {
     let graph = request.graph.clone();
     if !graph.graph.exists() {
         // Waits for a file to be fixed, but not for one with a misspelt name.
-        return Err(UsageError(format!("there is no graph file {}", graph.graph.display())).into());
+        usage!("there is no graph file {}", graph.graph.display());
     }
     let runs = Runs { options, global: global.clone(), leave: request.leave.clone(), n: 0 };
     let mut watch = Watch { graph, runs, session: Session::default(), results: None };
@@ -111,7 +111,7 @@ impl Watch {
             return Err(UsageError(message).into());
         }
         match self.runs.global.format {
-            Format::Text => writeln!(terminal::stderr(), "{}: {message}", self.runs.global.paint_err("error", "1;31"))?,
+            Format::Text => self.runs.global.say("error", message)?,
             Format::Json => {
                 print_line(&json!({ "outcome": Exit::Usage.to_json(), "faults": [{ "message": message }] }))?
             }

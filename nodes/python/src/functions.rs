@@ -3,8 +3,8 @@
 use crate::{errors::UsageError, views};
 use osteoflow::app;
 use osteoflow_node::{
-    AnyNode, Body, BuildContext, Built, Context, Emission, Item, Joined, Kind, Launch, NodeError, OutputPorts,
-    ParamError, PayloadType, PortPayload, Registry, Slot, serde_json,
+    AnyNode, Body, BuildContext, Built, Context, Emission, Item, Joined, Kind, Launch, NodeError, ParamError,
+    PayloadType, PortPayload, Registry, Slot, serde_json,
 };
 use pyo3::{prelude::*, types::PyList};
 use std::{
@@ -80,12 +80,7 @@ impl Launch for Functions {
                 _ => kind.build(params, context),
             };
         };
-        let outputs = match &kind.description.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload).collect(),
-            OutputPorts::Declared { .. } => {
-                context.declared.iter().map(|port| PortPayload::Type(port.payload)).collect()
-            }
-        };
+        let outputs = kind.description.outputs.payloads(&context.declared).map(|(_, payload)| payload).collect();
         let function = Python::attach(|py| function.clone_ref(py));
         let stop = self.cancelled.clone();
         Ok(Built::Node(Box::new(FunctionNode { function, outputs, types: self.types.clone(), stop })))

@@ -10,13 +10,12 @@ mod views;
 use errors::{exception, watched};
 use osteoflow::{
     app::{
-        self, Ask, GraphArgs, Keep, Leave, RegisterInput, RegisterRequest, Require, RunRequest, ShardFault,
-        SimulateRequest, Stop, StreamFormat, SweepRequest, WireInputs,
+        self, Ask, GraphArgs, Keep, Leave, RegisterInput, RegisterRequest, RunRequest, ShardFault, SimulateRequest,
+        StreamFormat, SweepRequest, WireInputs,
     },
     progress::{self, Progress},
 };
 use osteoflow_engine::Recording;
-use osteoflow_geometry::nalgebra::{Isometry3, Point3};
 use osteoflow_node::{Item, PortPayload};
 use pyo3::{
     exceptions::{PyKeyError, PyValueError},
@@ -30,118 +29,18 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-/// The options of a registration, by the names that they have in Python.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct RegisterOptions {
-    init: Option<PathBuf>,
-    method: String,
-    landmarks: Option<[PathBuf; 2]>,
-    fiducials: Option<[PathBuf; 2]>,
-    pairing: Option<String>,
-    max_pair_distance_mm: Option<f64>,
-    max_iterations: Option<u32>,
-    step_mm: Option<f64>,
-    step_rad: Option<f64>,
-    stop: String,
-    threshold_hu: Option<f64>,
-    series: Option<String>,
-    component: Option<String>,
-    source_component: Option<String>,
-    #[pyo3(item("box"))]
-    box_mm: Option<[f64; 6]>,
-    #[pyo3(item("sphere"))]
-    sphere_mm: Option<[f64; 4]>,
-    region: Option<PathBuf>,
-    target_points: u64,
-    max_points: u64,
-    seed: u64,
-    unit_mm: f64,
-    target_unit_mm: Option<f64>,
-    source_unit_mm: Option<f64>,
-    init_unit_mm: Option<f64>,
-    camera: Option<[f64; 3]>,
-    workers: Option<usize>,
-    cache: bool,
-    repeat: u32,
-    verdict: bool,
-    require: String,
-    out: Option<PathBuf>,
-    write_source: Option<PathBuf>,
-    space: Option<String>,
-}
-
-impl RegisterOptions {
-    /// The request, for a start in memory or the one of the options.
-    fn request(
-        self,
-        target: RegisterInput,
-        source: RegisterInput,
-        init: Option<Isometry3<f64>>,
-    ) -> PyResult<RegisterRequest> {
-        let has_init = init.is_some() || self.init.is_some();
-        if usize::from(has_init) + usize::from(self.landmarks.is_some()) + usize::from(self.fiducials.is_some()) > 1 {
-            let message = "the start is given by more than one of init, landmarks and fiducials; leave one";
-            return Err(errors::UsageError::new_err(message));
-        }
-        let [target_path, source_path] = [&target, &source].map(|input| input.path.clone());
-        Ok(RegisterRequest {
-            target,
-            source,
-            init: self.init,
-            init_pose: init,
-            landmarks: self.landmarks.map(Vec::from),
-            fiducials: self.fiducials.map(Vec::from),
-            method: self.method,
-            pairing: self.pairing,
-            max_pair_distance_mm: self.max_pair_distance_mm,
-            max_iterations: self.max_iterations,
-            step_mm: self.step_mm,
-            step_rad: self.step_rad,
-            stop: settings::choice("stop", &self.stop, [("converge", Stop::Converge), ("fixed", Stop::Fixed)])?,
-            threshold_hu: self.threshold_hu,
-            series: self.series,
-            component: self.component,
-            source_component: self.source_component,
-            box_mm: self.box_mm,
-            sphere_mm: self.sphere_mm,
-            region: self.region,
-            target_points: self.target_points,
-            max_points: self.max_points,
-            seed: self.seed,
-            unit_mm: self.unit_mm,
-            target_unit_mm: self.target_unit_mm,
-            source_unit_mm: self.source_unit_mm,
-            init_unit_mm: self.init_unit_mm,
-            camera: self.camera.map(Point3::from),
-            workers: settings::workers(self.workers)?,
-            keep: Keep { no_cache: !self.cache },
-            repeat: self.repeat,
-            no_verdict: !self.verdict,
-            require: settings::choice(
-                "require",
-                &self.require,
-                [("doubtful", Require::Doubtful), ("trusted", Require::Trusted)],
-            )?,
-            out: self.out,
-            write_source: self.write_source,
-            space: self.space.as_deref().map(shapes::space_of).transpose()?,
-            ..RegisterRequest::new(target_path, source_path)
-        })
-    }
-}
-
 /// Registers as the command does, and returns its JSON. `target` and `source` are a name and, if they are in memory, the content.
 #[pyfunction]
-#[pyo3(signature = (target, source, init, options, set, trace, progress))]
 #[allow(clippy::too_many_arguments, reason = "named where they are given, in Python")]
 fn register(
     py: Python<'_>,
     target: (PathBuf, Option<Bound<'_, PyAny>>),
     source: (PathBuf, Option<Bound<'_, PyAny>>),
     init: Option<[[f64; 4]; 4]>,
-    options: RegisterOptions,
+    options: Bound<'_, PyAny>,
     set: Option<Bound<'_, PyAny>>,
+    workers: Option<usize>,
+    space: Option<&str>,
     trace: bool,
     progress: bool,
 ) -> PyResult<String> {
@@ -150,9 +49,15 @@ fn register(
         let content = content.map(|shape| shapes::given(&shape, what)).transpose()?;
         Ok(RegisterInput { path, content })
     };
-    let (target, source) = (input(target, "target")?, input(source, "source")?);
-    let init = init.map(|rows| shapes::rigid(&rows, "init")).transpose()?;
-    let request = RegisterRequest { sets: settings::settings(set.as_ref())?, ..options.request(target, source, init)? };
+    let request = RegisterRequest {
+        target: input(target, "target")?,
+        source: input(source, "source")?,
+        init_pose: init.map(|rows| shapes::rigid(&rows, "init")).transpose()?,
+        sets: settings::settings(set.as_ref())?,
+        workers: settings::workers(workers)?,
+        space: space.map(shapes::space_of).transpose()?,
+        ..RegisterRequest::of(settings::value_of(&options)?).map_err(|error| exception(py, error))?
+    };
     let cancelled = Arc::default();
     let json = watched(py, &cancelled, || -> Result<_, app::Error> {
         let checked = request.check()?;

@@ -35,7 +35,8 @@ pub(crate) fn setting_texts(given: Option<Bound<'_, PyAny>>) -> PyResult<Vec<Str
     settings(given.as_ref())
 }
 
-fn value_of(value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
+/// A value of Python as one of a graph file.
+pub(crate) fn value_of(value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
     if value.is_instance_of::<PyBool>() {
         return Ok(SettingValue::Boolean(value.extract()?));
     }

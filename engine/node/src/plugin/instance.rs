@@ -4,7 +4,7 @@
 use super::panic;
 use crate::{
     AnyNode, Body, BuildContext, Built, Context, DeclaredPort, Emission, Empty, Item, Joined, Kind, NodeError,
-    OutputPorts, ParamError, PayloadType, PortPayload, Slot, Value, abi, host::Host,
+    ParamError, PayloadType, PortPayload, Slot, Value, abi, host::Host,
 };
 use std::{ffi::c_void, sync::Arc, time::Duration};
 
@@ -119,10 +119,7 @@ pub(super) unsafe extern "C" fn silent_after_ns(node: *mut c_void) -> i64 {
 impl Instance {
     fn new(kind: &Kind, params: &serde_json::Value, host: Host) -> Result<Self, ParamError> {
         let description = &kind.description;
-        let outputs = match &description.outputs {
-            OutputPorts::Fixed(ports) => ports.iter().map(|port| port.payload.ty()).collect(),
-            OutputPorts::Declared { .. } => Vec::new(),
-        };
+        let outputs: Vec<_> = description.outputs.fixed().iter().map(|port| port.payload.ty()).collect();
         let declared = host.declared().map_err(|error| ParamError::new("out", error.message))?;
         let declared = declared.into_iter().map(|(name, payload, params)| match serde_json::from_str(&params) {
             Ok(params) => Ok(DeclaredPort { name, payload, params }),

@@ -7,7 +7,7 @@ use crate::{
         Entry, Spanned, Value, Variant,
         extract::{self, Section},
     },
-    names::nearest,
+    names::{glob, nearest},
 };
 use serde_json::Value as Json;
 use std::{
@@ -139,28 +139,8 @@ fn split(pattern: &str) -> (PathBuf, Vec<&str>) {
 /// The entries of a folder whose name a segment of a pattern matches, under `shown`. Hidden ones need a dot in the pattern.
 fn entries(folder: &Path, segment: &str, shown: &Path) -> Vec<PathBuf> {
     let names = fs::read_dir(folder).into_iter().flatten().flatten().filter_map(|e| e.file_name().into_string().ok());
-    let names = names.filter(|name| matches(segment, name) && (segment.starts_with('.') || !name.starts_with('.')));
+    let names = names.filter(|name| glob::fits(segment, name) && (segment.starts_with('.') || !name.starts_with('.')));
     names.map(|name| shown.join(name)).collect()
-}
-
-/// Whether a name matches a segment of a pattern.
-fn matches(segment: &str, name: &str) -> bool {
-    let (segment, name): (Vec<char>, Vec<char>) = (segment.chars().collect(), name.chars().collect());
-    // reach[k]: the segment so far matches the first k characters.
-    let mut reach = vec![false; name.len() + 1];
-    reach[0] = true;
-    for c in segment {
-        if c == '*' {
-            let first = reach.iter().position(|reached| *reached).unwrap_or(reach.len());
-            reach[first..].fill(true);
-        } else {
-            for k in (0..name.len()).rev() {
-                reach[k + 1] = reach[k] && (c == '?' || c == name[k]);
-            }
-            reach[0] = false;
-        }
-    }
-    reach[name.len()]
 }
 
 /// The order of names in which `scan_2` is before `scan_10`.
@@ -206,7 +186,7 @@ mod tests {
             ("a", "b", false),
             ("a", "ab", false),
         ] {
-            assert_eq!(matches(segment, name), so, "{segment} {name}");
+            assert_eq!(glob::fits(segment, name), so, "{segment} {name}");
         }
         let mut names = ["s10", "s2", "s02", "s1b", "t", "s"];
         names.sort_by(|a, b| natural(a, b));

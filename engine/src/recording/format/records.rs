@@ -302,25 +302,6 @@ impl MetadataRecord for Recovered {
     }
 }
 
-/// The firing whose inputs are in a repro bundle.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct ReproRecord {
-    pub(crate) node: String,
-    pub(crate) item: u64,
-}
-
-impl MetadataRecord for ReproRecord {
-    const NAME: &'static str = "osteoflow.repro";
-
-    fn to_metadata(&self) -> Entries {
-        entries([("node", self.node.clone()), ("item", self.item.to_string())])
-    }
-
-    fn from_metadata(entries: &Entries) -> Result<Self, String> {
-        Ok(Self { node: text(entries, "node")?, item: number(entries, "item")? })
-    }
-}
-
 /// A wire as described by the metadata of its exact channel.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct WireHeader {

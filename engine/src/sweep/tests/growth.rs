@@ -103,7 +103,7 @@ fn a_process_of_the_smaller_sweep_writes_no_run_into_the_grown_one() {
 }
 
 #[test]
-fn parts_fewer_repeats_and_other_changes_are_refused_by_name() {
+fn fewer_repeats_and_other_changes_are_refused_by_name_and_parts_grow() {
     let desk = Desk::new(&repeats(3));
     desk.sweep("whole", &options(2, true));
     let part = SweepOptions { shard: Some(Shard { index: 1, of: 2 }), ..options(1, true) };
@@ -114,10 +114,10 @@ fn parts_fewer_repeats_and_other_changes_are_refused_by_name() {
     let message = refused("whole", &options(1, true));
     assert!(message.contains("its repeat is 3, not 2"), "{message}");
     desk.set_repeats(5);
-    let message = refused("part", &part);
-    assert!(message.contains("holds part 1/2 of the sweep") && message.contains("--merge"), "{message}");
-    let message = refused("whole", &part);
-    assert!(message.contains("holds the whole sweep, not part 1/2"), "{message}");
+    // The runs of a part get their new numbers, too.
+    let n_runs = Folder::open(&desk.path("part")).unwrap().runs().unwrap().len();
+    let grown = desk.check().resume(&desk.path("part"), &part).unwrap();
+    assert_eq!((grown.runs().unwrap().len(), &grown.about["shard"]), (n_runs, &"1/2".into()));
     fs::write(&desk.graph, repeats(5).replace("[false, true]", "[true, false]")).unwrap();
     assert!(refused("whole", &options(1, true)).contains("its table [sweep] differs"), "{message}");
     fs::write(&desk.graph, repeats(5).replace("kind  = \"toy.add\"", "kind  = \"toy.add\"\nsleep_us = 1")).unwrap();

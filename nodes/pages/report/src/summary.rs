@@ -204,7 +204,8 @@ mod tests {
             Done {
                 run,
                 seed: 1,
-                values: vec![("procedure".into(), run.into())],
+                values: [("procedure".into(), run.into())].into_iter().collect(),
+                sets: Vec::new(),
                 status: (*status).into(),
                 reason: None,
                 warnings: Vec::new(),

@@ -261,10 +261,11 @@ def register(
         component=component if component is None else str(component), region=region, sphere=sphere, box=box,
         source_component=source_component if source_component is None else str(source_component),
         target_points=target_points, max_points=max_points, seed=seed, unit_mm=unit_mm, target_unit_mm=target_unit_mm, source_unit_mm=source_unit_mm,
-        init_unit_mm=init_unit_mm, camera=camera, workers=workers, cache=cache, repeat=repeat, verdict=verdict, require=require,
-        out=out, write_source=write_source, space=space,
+        init_unit_mm=init_unit_mm, camera=camera, keep=dict(no_cache=not cache), repeat=repeat, no_verdict=not verdict, require=require,
+        out=out, write_source=write_source,
     )
-    answer = _core.register((target_name, target), (source_name, source), start, options, set, trace, progress)
+    options = {name: value for name, value in options.items() if value is not None}
+    answer = _core.register((target_name, target), (source_name, source), start, options, set, workers, space, trace, progress)
     fit = Registration(_json.loads(answer))
     fit._given = as_given
     _warn(fit.report["warnings"])

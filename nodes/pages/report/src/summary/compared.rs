@@ -170,7 +170,7 @@ pub fn with_holm(mut comparisons: Vec<Value>) -> Vec<Value> {
 
 /// All values of a run except that of one factor, as a key.
 fn key_without(run: &Done, factor: &str) -> String {
-    let values = run.values.iter().filter(|(name, _)| name != factor);
+    let values = run.values.iter().filter(|(name, _)| *name != factor);
     values.map(|(name, value)| format!("{name}={value}\u{1f}")).collect()
 }
 

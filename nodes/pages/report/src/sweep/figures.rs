@@ -414,7 +414,8 @@ mod tests {
                     runs.push(Done {
                         run: runs.len(),
                         seed: 1,
-                        values: values.map(|(name, value)| (name.to_owned(), value.clone())).into(),
+                        values: values.map(|(name, value)| (name.to_owned(), value.clone())).into_iter().collect(),
+                        sets: Vec::new(),
                         status: "complete".into(),
                         reason: None,
                         warnings: Vec::new(),
