@@ -22,7 +22,7 @@ const ARROWS: [(&str, &str, &[&str]); 19] = [
         &["osteoflow-container", "osteoflow-node", "osteoflow-runtime", "osteoflow-verdict"],
     ),
     ("osteoflow-draw", "engine/draw", &[]),
-    ("osteoflow-toy", "engine/toy", &["osteoflow-node"]),
+    ("osteoflow-toy", "engine/tests/toy", &["osteoflow-node"]),
     ("osteoflow-geometry", "nodes/bone/geometry", &[]),
     ("osteoflow-algorithms", "nodes/bone/algorithms", &["osteoflow-geometry", "osteoflow-verdict"]),
     ("osteoflow-formats", "nodes/bone/formats", &["osteoflow-container", "osteoflow-geometry"]),

@@ -41,7 +41,7 @@ const CRATES: &[(&str, Floors)] = &[
     ),
     ("engine/draw/src", &[&["layout", "xml"], &["svg", "text"]]),
     (
-        "engine/toy/src",
+        "engine/tests/toy/src",
         &[
             &["NoParams", "context", "number", "samples"],
             &["judge", "script", "stages", "stream"],

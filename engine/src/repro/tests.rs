@@ -60,7 +60,7 @@ fn a_panic_is_reproduced_at_the_same_line() {
     let again = rerun(&report);
     assert!(again.same, "{again:?}");
     let (place, message) = again.bundle.failure.place();
-    assert!(place.unwrap().starts_with("engine/toy/src/arithmetic.rs:") && message == "the beast of item 0");
+    assert!(place.unwrap().starts_with("engine/tests/toy/src/arithmetic.rs:") && message == "the beast of item 0");
 }
 
 #[test]

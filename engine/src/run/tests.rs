@@ -189,7 +189,7 @@ fn a_panic_is_the_nodes_error() {
     let report = check(&branches([666.0, 2.0, 3.0], false).plan());
     let refusal = refusal_of(&report);
     assert!(refusal.panicked && refusal.reason.ends_with("the beast of item 0"), "{}", refusal.reason);
-    assert!(refusal.reason.starts_with("panicked at engine/toy/src/arithmetic.rs:"), "{}", refusal.reason);
+    assert!(refusal.reason.starts_with("panicked at engine/tests/toy/src/arithmetic.rs:"), "{}", refusal.reason);
 }
 
 #[test]
