@@ -75,6 +75,13 @@ pub struct StillReport {
     /// The largest angle between two poses of one stamp in the stream so far, rad.
     #[serde(default)]
     pub contradiction_rad: f64,
+    /// How late the samples may be whose stamps look like times of arrival, s; 0 where they look like those of a clock.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub late_s: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Errors of [`still_average()`].
@@ -154,6 +161,7 @@ pub fn still_average(poses: &[Isometry3<f64>], limit_mm: f64, limit_rad: f64) ->
         until_ns: 0,
         contradiction_mm: 0.0,
         contradiction_rad: 0.0,
+        late_s: 0.0,
     };
     Ok(StillAverage { mean, report })
 }

@@ -107,6 +107,9 @@ pub struct MarkerMotion {
     pub contradiction_mm: f64,
     /// The largest angle between two poses of one stamp in the stream so far, rad.
     pub contradiction_rad: f64,
+    /// How late the poses may be whose stamps look like times of arrival, s.
+    #[serde(default, skip_serializing_if = "super::is_zero")]
+    pub late_s: f64,
 }
 
 /// Whether a marker carries its data with it, or is the frame in which they are seen.
@@ -139,6 +142,7 @@ impl MarkerMotion {
             turn_rad: significant(still.moved_rad, still.explained_rad, &still.turn_rad),
             contradiction_mm: still.contradiction_mm,
             contradiction_rad: still.contradiction_rad,
+            late_s: still.late_s,
         }
     }
 

@@ -24,8 +24,8 @@ use super::predict_last::predict_last;
 use super::rules::RuleParams;
 use super::size::size_reason;
 use super::slid::slide_reasons;
-use super::spread::Spread;
 use super::smear::Smear;
+use super::spread::Spread;
 use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
@@ -208,7 +208,10 @@ impl Judging<'_> {
         let (word, sd_mm) = if on_surface { ("landmark", landmark_mm) } else { ("fiducial", fiducial_mm) };
         let spread = spread.map(|spread| spread.clone().widened(self.errors.ct_bias_mm));
         let is_exchanged = self.order.as_ref().and_then(order_reason).is_some();
-        let compared = Compared { planned, carried, word, sd_mm };
+        let registered = &self.case.registered;
+        let scan: Vec<Point3<f64>> =
+            registered.source.points().iter().map(|p| registered.t_target_source * p).collect();
+        let compared = Compared { planned, carried, word, sd_mm, scan: &scan };
         landmarks_contradict(&compared, spread.as_ref()).filter(|_| !is_exchanged)
     }
 

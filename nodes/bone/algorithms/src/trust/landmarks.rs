@@ -45,6 +45,8 @@ pub(super) struct Compared<'a> {
     pub(super) word: &'a str,
     /// Stated error of one of them, SD per axis, mm.
     pub(super) sd_mm: f64,
+    /// The scan, as the registration carries it.
+    pub(super) scan: &'a [Point3<f64>],
 }
 
 /// A planned landmark and the place to which the registration carries the located one.
@@ -71,7 +73,7 @@ struct Misfit {
 /// The sign that landmarks lie farther from where the registration of the surface puts them than their errors and its spread allow;
 /// without a spread, that they do not fit each other.
 pub(super) fn landmarks_contradict(compared: &Compared<'_>, spread: Option<&Spread>) -> Option<Reason> {
-    let Compared { planned, carried, word, sd_mm } = *compared;
+    let Compared { planned, carried, word, sd_mm, scan } = *compared;
     let pair = |p: &'_ NamedPoint| carried.iter().find(|c| c.name == p.name).map(|c| c.position);
     let pairs: Vec<Pair<'_>> =
         planned.iter().filter_map(|p| Some(Pair { name: &p.name, planned: p.position, carried: pair(p)? })).collect();
@@ -102,10 +104,14 @@ pub(super) fn landmarks_contradict(compared: &Compared<'_>, spread: Option<&Spre
         None => {
             let worst = pairs.iter().max_by(|a, b| a.off().norm().total_cmp(&b.off().norm()))?;
             let worst = spread.map(|_| format!(", {} by {:.1} mm", worst.name, worst.off().norm())).unwrap_or_default();
+            let rms_mm = found.rms_mm;
+            let apart = apart_at(&pairs, scan).map_or_else(
+                || format!("{rms_mm:.1} mm"),
+                |mm| format!("{mm:.1} mm at the scan (mean), {rms_mm:.1} mm at the {word}s"),
+            );
             format!(
-                "{word}s and surface contradict each other by {:.1} mm: so far (RMS) do the {} {word}s lie from where {reference} {puts} \
+                "{word}s and surface contradict each other by {apart}: so far (RMS) do the {} {word}s lie from where {reference} {puts} \
                  them{worst}; their stated error of {sd_mm} mm per axis and the spread of the registration explain {explained_mm:.1} mm",
-                found.rms_mm,
                 pairs.len()
             )
         }
@@ -115,6 +121,13 @@ pub(super) fn landmarks_contradict(compared: &Compared<'_>, spread: Option<&Spre
          (`rules.landmarks`) if it is larger"
     );
     Some(Reason::new("landmarks_contradict", Answer::Doubtful, text, remedy))
+}
+
+/// How far apart the fit of the landmarks and the registration of the surface put the scan, mm; none with fewer than three landmarks.
+fn apart_at(pairs: &[Pair<'_>], scan: &[Point3<f64>]) -> Option<f64> {
+    let (planned, carried): (Vec<_>, Vec<_>) = pairs.iter().map(|pair| (pair.planned, pair.carried)).unzip();
+    let t = kabsch(&planned, &carried).ok().filter(|_| !scan.is_empty())?;
+    Some(scan.iter().map(|p| (t * p - p).norm()).sum::<f64>() / scan.len() as f64)
 }
 
 /// Distance of a landmark from where the fit of the others puts it, mm.

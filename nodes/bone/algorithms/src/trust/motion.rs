@@ -57,6 +57,9 @@ pub(super) fn motion_signs(
     limits: &MotionLimits<'_>,
 ) -> MotionSigns {
     let takes: Vec<TakeMotion> = takes.iter().map(|take| take.clone().carried(t_target_source)).collect();
+    // Stamps that are times of arrival are late by as much as they scatter.
+    let late_s = takes.iter().flat_map(|take| &take.markers).map(|marker| marker.late_s);
+    let limits = &MotionLimits { max_latency_s: late_s.fold(limits.max_latency_s, f64::max), ..*limits };
     let moved = |when: When| takes.iter().filter_map(move |take| Moved::of(take, when, at, limits));
     let moved: Vec<Moved<'_>> = moved(When::Before).chain(moved(When::After)).collect();
     let mut assumptions: Vec<String> = unseen(&takes).into_iter().collect();

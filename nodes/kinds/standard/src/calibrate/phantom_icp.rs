@@ -41,10 +41,10 @@ pub struct In {
     #[port(join = "once", to = "phantom", from = "t_world_phantom_marker.from")]
     t_phantom_phantom_marker: Pose,
     /// The tracked marker on the phantom.
-    #[port(join = "interpolate", max_gap_ms = 200.0, to = "t_world_camera_marker.to")]
+    #[port(join = "interpolate", max_gap_ms = 500.0, to = "t_world_camera_marker.to")]
     t_world_phantom_marker: Pose,
     /// The tracked marker on the camera.
-    #[port(join = "interpolate", max_gap_ms = 200.0, from = "nominal.from")]
+    #[port(join = "interpolate", max_gap_ms = 500.0, from = "nominal.from")]
     t_world_camera_marker: Pose,
 }
 

@@ -30,7 +30,7 @@ pub struct In {
     #[port(join = "once", to = "read", from = "t_world_camera_marker.from")]
     calibration: Pose,
     /// The tracked marker on the camera.
-    #[port(join = "interpolate", max_gap_ms = 200.0, to = "known", from = "calibration.from")]
+    #[port(join = "interpolate", max_gap_ms = 500.0, to = "known", from = "calibration.from")]
     t_world_camera_marker: Pose,
     /// The true calibration, where it is known.
     #[port(join = "once", to = "calibration.to", from = "calibration.from")]

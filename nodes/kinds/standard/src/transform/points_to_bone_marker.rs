@@ -23,7 +23,7 @@ pub struct In {
     #[port(frame = "t_world_bone_marker.to")]
     points: Points,
     /// The tracked marker on the bone.
-    #[port(join = "interpolate", max_gap_ms = 200.0, to = "points")]
+    #[port(join = "interpolate", max_gap_ms = 500.0, to = "points")]
     t_world_bone_marker: Option<Pose>,
     /// Whether the bone carries a marker at all. Unwired: it does.
     #[port(join = "once")]

@@ -1,5 +1,6 @@
 //! The kind `transform.still_average`.
 
+use osteoflow_algorithms::marker_stream::Arrival;
 use osteoflow_algorithms::still_average::{
     MarkerPath, StillAverage as Mean, StillError, StillReport, Wander, still_average,
 };
@@ -113,11 +114,13 @@ impl Node for StillAverage {
         let wander = Wander::of(history, poses.len(), window_ns);
         let oldest_ns = window.first().map_or(now_ns, |(stamp_ns, _)| *stamp_ns);
         let (contradiction_mm, contradiction_rad) = self.contradiction;
+        let stamps: Vec<StampNs> = last(path_ns).iter().map(|(stamp_ns, _)| *stamp_ns).collect();
         let motion = StillReport {
             span_s: (now_ns - oldest_ns) as f64 / 1e9,
             until_ns: now_ns,
             contradiction_mm,
             contradiction_rad,
+            late_s: Arrival::of(&stamps).map_or(0.0, |arrival| arrival.late_s),
             ..still_average(&poses, f64::INFINITY, f64::INFINITY)?.report.explained_by(&wander)
         };
         let isometry = self.still_part(&poses, &wander.of_halves())?.mean;

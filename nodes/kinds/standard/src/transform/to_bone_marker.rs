@@ -30,7 +30,7 @@ pub struct In {
     #[port(frame = "t_world_bone_marker.to")]
     pub(super) cloud: Cloud,
     /// The tracked marker on the bone.
-    #[port(join = "interpolate", max_gap_ms = 200.0, to = "cloud")]
+    #[port(join = "interpolate", max_gap_ms = 500.0, to = "cloud")]
     pub(super) t_world_bone_marker: Option<Pose>,
     /// How the marker moved in the time before a sample, from `transform.still_average`.
     #[port(join = "latest")]

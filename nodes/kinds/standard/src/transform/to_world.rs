@@ -11,7 +11,7 @@ use osteoflow_node::{
 /// The camera's cloud in the tracker's world.
 ///
 /// `cloud_world = t_world_camera_marker * inverse(t_camera_camera_marker) * cloud_camera`. The camera marker's pose is
-/// interpolated at the cloud's stamp; if the tracker did not see the marker for longer than `max_gap_ms` around it,
+/// interpolated at the cloud's stamp; if the tracker did not see the marker for longer than `max_gap_ms` around it (500: a hand that passes),
 /// there is no result, because an old pose is never used. A marker that moved before the scan by more than the
 /// tracker's noise explains is reported.
 ///
@@ -77,7 +77,7 @@ pub struct In {
     #[port(frame = "calibration.to")]
     pub(super) cloud: Cloud,
     /// The tracked marker on the camera.
-    #[port(join = "interpolate", max_gap_ms = 200.0, from = "calibration.from")]
+    #[port(join = "interpolate", max_gap_ms = 500.0, from = "calibration.from")]
     pub(super) t_world_camera_marker: Pose,
     /// How the marker moved in the time before a sample, from `transform.still_average`.
     #[port(join = "latest")]

@@ -41,7 +41,7 @@ fn draw(n: usize, noise_mm: f64, seed: u64) -> Drawn {
 
 fn reason(drawn: &Drawn, spread: Option<&Spread>) -> Option<Reason> {
     let sd_mm = LandmarkErrors::default().landmark_mm;
-    let compared = Compared { planned: &drawn.planned, carried: &drawn.carried, word: "landmark", sd_mm };
+    let compared = Compared { planned: &drawn.planned, carried: &drawn.carried, word: "landmark", sd_mm, scan: &[] };
     landmarks_contradict(&compared, spread)
 }
 
