@@ -91,13 +91,13 @@ const CRATES: &[(&str, Floors)] = &[
             &["app::archive", "app::register"],
             &["app"],
             // What subcommands share.
+            &["commands::common::terminal"],
             &[
                 "commands::common::busy",
                 "commands::common::exit",
                 "commands::common::global",
                 "commands::common::other_numbers",
                 "commands::common::run_path",
-                "commands::common::terminal",
                 "commands::common::text_table",
             ],
             &[
