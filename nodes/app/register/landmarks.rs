@@ -152,6 +152,9 @@ pub(super) fn off_surface(
         picked.iter().map(apart).fold(0.0, f64::max) > OFF_SURFACE_MM
     };
     let cause = causes.iter().find(|(_, moved)| farthest(*moved) <= OFF_SURFACE_MM && is_spread(*moved));
-    let cause = cause.map_or("were they picked on this surface?", |(cause, _)| cause);
+    let cause = cause.map_or(
+        "were they picked on this surface? Fiducials that lie off it are given by --fiducials",
+        |(cause, _)| cause,
+    );
     Some(format!("points picked in the target are up to {off_mm:.1} mm off its surface; {cause}"))
 }

@@ -107,7 +107,9 @@ pub fn plan_faults(surface: &MeshQuery, points: &[NamedPoint], planes: Option<&P
         let reason = format!(
             "{n_off} of {n} planned points lie off the surface, up to {largest_mm:.0} mm; likely cause: {cause}"
         );
-        add(Answer::Refused, reason, "take plan and surface from the same CT, in the same coordinates");
+        let remedy = "take plan and surface from the same CT, in the same coordinates; points that lie off the surface by nature are fiducials \
+                      (on_surface = false of verdict.registration, register --fiducials)";
+        add(Answer::Refused, reason, remedy);
     }
     let planes: &[Plane] = match planes {
         Some(planes) => &planes.planes,
