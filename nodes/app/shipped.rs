@@ -42,6 +42,7 @@ pub(crate) const FILES: &[(&str, &str)] = files![
     "graphs/trust/curves.toml",
     "graphs/trust/intervals.toml",
     "graphs/trust/mistakes.toml",
+    "graphs/trust/slow_scans.toml",
     "graphs/trust/sound.toml",
     "graphs/two_files.toml",
     "graphs/variants/fibula_export.toml",

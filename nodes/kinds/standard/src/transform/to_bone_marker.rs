@@ -40,8 +40,8 @@ pub struct In {
     pub(super) tracked: Option<Flag>,
     /// How the camera's marker moved while the cloud was taken, from `transform.to_world`.
     pub(super) take_motion: Option<TakeMotion>,
-    /// Where the marker was while the cloud was taken, from `transform.still_average`: up to 3 s after its stamp, or `after_ms`.
-    #[port(join = "latest", after_ms = 3000.0)]
+    /// Where the marker was while the cloud was taken, from `transform.still_average`: up to 1 s after its stamp, or `after_ms`.
+    #[port(join = "latest", after_ms = 1000.0)]
     pub(super) path: Option<MarkerPath>,
 }
 

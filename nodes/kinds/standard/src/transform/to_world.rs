@@ -82,8 +82,8 @@ pub struct In {
     /// How the marker moved in the time before a sample, from `transform.still_average`.
     #[port(join = "latest")]
     pub(super) motion: Option<StillReport>,
-    /// Where the marker was while the scan was taken, from `transform.still_average`: up to 3 s after the scan's stamp, or `after_ms`.
-    #[port(join = "latest", after_ms = 3000.0)]
+    /// Where the marker was while the scan was taken, from `transform.still_average`: up to 1 s after the scan's stamp, or `after_ms`.
+    #[port(join = "latest", after_ms = 1000.0)]
     pub(super) path: Option<MarkerPath>,
     /// `t_camera_camera_marker`, equation 1.
     #[port(join = "once", to = "cloud")]
