@@ -69,8 +69,11 @@ mod tests {
 
     const MS: StampNs = 1_000_000;
 
+    /// A position that is given, an empty's reason, or nothing.
+    type Given = Option<Result<f64, String>>;
+
     /// What is given for positions at 20 Hz, and the rules that told something.
-    fn given(x: impl Fn(usize) -> f64, n: usize) -> (Vec<Option<Result<f64, String>>>, Vec<&'static str>) {
+    fn given(x: impl Fn(usize) -> f64, n: usize) -> (Vec<Given>, Vec<&'static str>) {
         let (mut marker, mut signs) = (LiveMarker::default(), Vec::new());
         let one = |k: usize| {
             let noise = 0.02 * ((k * 7919 % 101) as f64 / 50.0 - 1.0);
