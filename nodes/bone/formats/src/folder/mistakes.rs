@@ -21,8 +21,9 @@ const ONE_PLACE_MM: f64 = 0.01;
 const FAR_MM: f64 = 50.0;
 /// Time between a scan and the poses beyond which they are of other clocks, ns: an hour.
 const CLOCK_NS: f64 = 3.6e12;
-/// Number of rows from which signs are no coincidence.
-const N_SIGNS: usize = 20;
+/// Number of attitudes from which signs are no coincidence, and the angle between two of them, rad: of a marker at rest all rows have one sign.
+const N_SIGNS: usize = 6;
+const APART_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 /// Units of times, in ns.
 const TIMES: [(f64, &str, &str); 3] = [(1e9, "seconds", "s"), (1e6, "milliseconds", "ms"), (1e3, "microseconds", "us")];
 
@@ -222,7 +223,12 @@ pub(super) fn scalar_first(file: &PosesFile) -> Option<String> {
     }
     let (n_first, n_last) =
         quaternions().fold((0, 0), |(i, w), (_, q)| (i + usize::from(q.i < 0.0), w + usize::from(q.w < 0.0)));
-    (file.rows.len() >= N_SIGNS && n_first == 0 && n_last > 0).then(|| {
+    let mut attitudes: Vec<UnitQuaternion<f64>> = Vec::new();
+    for row in file.rows.iter().take_while(|_| n_first == 0 && n_last > 0) {
+        let is_new = attitudes.iter().all(|other| other.angle_to(&row.rotation) > APART_RAD);
+        attitudes.extend((is_new && attitudes.len() < N_SIGNS).then_some(row.rotation));
+    }
+    (attitudes.len() == N_SIGNS).then(|| {
         format!(
             "line {}: the quaternion is {}, and in all {} rows its first number is positive while its last is negative in {n_last}; likely \
              cause: the scalar comes first; {remedy}",
@@ -348,6 +354,12 @@ mod tests {
             PosesFile { path: "poses.csv".into(), rows: rows.collect() }
         };
         assert_eq!(scalar_first(&file(false)), None);
+        // Of a program that writes either sign, a marker at rest shows one of them.
+        let mut at_rest = file(true);
+        at_rest.rows.iter_mut().for_each(|row| {
+            row.rotation = UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(-0.8, 0.4, 0.2, 0.4))
+        });
+        assert_eq!(scalar_first(&at_rest), None);
         let mut first = file(true);
         first.rows.remove(0);
         let found = scalar_first(&first).expect("it is named");
