@@ -3,8 +3,8 @@
 use nalgebra::Matrix3;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-/// Radius about an estimate that holds the true vector with a chance of 90 %, from the covariance of its error, estimated with so many
-/// degrees of freedom.
+/// Radius about an estimate that holds the true vector with a chance of 90 %, from the covariance of its error and the degrees of
+/// freedom with which that is estimated.
 ///
 /// The square of the error is taken for a chi-squared one with as many degrees of freedom as its directions count for (Satterthwaite
 /// 1946): 3 if all are alike, 1 if all of the error is in one.

@@ -138,17 +138,17 @@ fn turned(pose: &Isometry3<f64>, deg: f64, axis: Vector3<f64>) -> Isometry3<f64>
 /// What is wrong with a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
-    /// So many samples in a row.
+    /// This number of samples in a row.
     Burst(usize),
-    /// Every so many-th sample, from the first on.
+    /// Every second, third .. sample, from the first on.
     Every(usize),
     /// One of ten, at random.
     Tenth,
-    /// The last so many.
+    /// This number of samples at the end.
     Last(usize),
     /// All from a time on.
     Stays,
-    /// So many in a row are the identity.
+    /// This number in a row are the identity.
     Identity(usize),
 }
 

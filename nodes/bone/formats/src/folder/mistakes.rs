@@ -21,8 +21,9 @@ const ONE_PLACE_MM: f64 = 0.01;
 const FAR_MM: f64 = 50.0;
 /// Time between a scan and the poses beyond which they are of other clocks, ns: an hour.
 const CLOCK_NS: f64 = 3.6e12;
-/// Number of attitudes from which signs are no coincidence, and the angle between two of them, rad: of a marker at rest all rows have one sign.
-const N_SIGNS: usize = 6;
+/// Number of attitudes from which the signs of their quaternions are no coincidence.
+const N_ATTITUDES: usize = 6;
+/// Attitudes that differ by less are one, rad: of a marker at rest all rows have one sign.
 const APART_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 /// Units of times, in ns.
 const TIMES: [(f64, &str, &str); 3] = [(1e9, "seconds", "s"), (1e6, "milliseconds", "ms"), (1e3, "microseconds", "us")];
@@ -226,9 +227,9 @@ pub(super) fn scalar_first(file: &PosesFile) -> Option<String> {
     let mut attitudes: Vec<UnitQuaternion<f64>> = Vec::new();
     for row in file.rows.iter().take_while(|_| n_first == 0 && n_last > 0) {
         let is_new = attitudes.iter().all(|other| other.angle_to(&row.rotation) > APART_RAD);
-        attitudes.extend((is_new && attitudes.len() < N_SIGNS).then_some(row.rotation));
+        attitudes.extend((is_new && attitudes.len() < N_ATTITUDES).then_some(row.rotation));
     }
-    (attitudes.len() == N_SIGNS).then(|| {
+    (attitudes.len() == N_ATTITUDES).then(|| {
         format!(
             "line {}: the quaternion is {}, and in all {} rows its first number is positive while its last is negative in {n_last}; likely \
              cause: the scalar comes first; {remedy}",

@@ -6,9 +6,9 @@ use osteoflow_geometry::{Pose, StampNs};
 use osteoflow_node::Emission;
 use std::collections::VecDeque;
 
-/// Samples by which the next is judged: of this time, and at most so many.
+/// Samples by which the next is judged: of this time, and no nearer to each other than this, so that a fast tracker's are few and reach as far back.
 const KEPT_NS: StampNs = 2_500_000_000;
-const N_KEPT: usize = 200;
+const APART_NS: StampNs = 12_500_000;
 
 /// Time for which nothing is given after the last pose, before the marker is unknown.
 const UNKNOWN_AFTER_NS: StampNs = 100_000_000;
@@ -36,8 +36,12 @@ impl LiveMarker {
         if stamp_ns == 0 || !limits.are_set() {
             return Some(Emission::value(pose));
         }
+        let n = self.samples.len();
+        if n > 1 && self.samples[n - 1].0 - self.samples[n - 2].0 < APART_NS {
+            self.samples.pop_back();
+        }
         self.samples.push_back((stamp_ns, pose.isometry));
-        while self.samples.len() > N_KEPT || self.samples.front().is_some_and(|(ns, _)| stamp_ns - ns > KEPT_NS) {
+        while self.samples.front().is_some_and(|(ns, _)| stamp_ns - ns > KEPT_NS) {
             self.samples.pop_front();
         }
         let last = self.samples.len() - 1;
@@ -74,6 +78,10 @@ mod tests {
 
     /// What is given for positions at 20 Hz, and the rules that told something.
     fn given(x: impl Fn(usize) -> f64, n: usize) -> (Vec<Given>, Vec<&'static str>) {
+        given_every(50 * MS, x, n)
+    }
+
+    fn given_every(period_ns: StampNs, x: impl Fn(usize) -> f64, n: usize) -> (Vec<Given>, Vec<&'static str>) {
         let (mut marker, mut signs) = (LiveMarker::default(), Vec::new());
         let one = |k: usize| {
             let noise = 0.02 * ((k * 7919 % 101) as f64 / 50.0 - 1.0);
@@ -82,8 +90,12 @@ mod tests {
                 "bone_marker",
                 Isometry3::new(Vector3::new(300.0 + x(k) + noise, noise, 0.0), Vector3::z()),
             );
-            let emission =
-                marker.take("t", pose.at(1000 * MS + 50 * MS * k as StampNs), &MotionLimits::default(), &mut signs)?;
+            let emission = marker.take(
+                "t",
+                pose.at(1000 * MS + period_ns * k as StampNs),
+                &MotionLimits::default(),
+                &mut signs,
+            )?;
             Some(match emission {
                 Emission::Value(value) => {
                     Ok(value.get::<Pose>().expect("a pose").isometry.translation.x - 300.0 - noise)
@@ -116,5 +128,16 @@ mod tests {
         let first = (60..120).find(|k| matches!(jump[*k], Some(Ok(_)))).expect("it is taken again");
         assert!((80..=82).contains(&first) && (first..120).all(|k| matches!(jump[k], Some(Ok(_)))), "{first}");
         assert_eq!(signs, ["marker_unconfirmed", "marker_jump"]);
+    }
+    #[test]
+    fn a_fast_tracker_is_judged_by_as_long_a_time_as_a_slow_one() {
+        // 1000 Hz: a jump after 3 s.
+        let (jump, signs) = given_every(MS, |k| if k < 3000 { 0.0 } else { 80.0 }, 5000);
+        let first = (3000..5000).find(|k| matches!(jump[*k], Some(Ok(_)))).expect("it is taken again");
+        assert!((3990..=4030).contains(&first), "after {} ms", first - 3000);
+        assert_eq!(signs, ["marker_unconfirmed", "marker_jump"]);
+        let (spike, signs) = given_every(MS, |k| if k == 3001 { 20.0 } else { 0.0 }, 3500);
+        let missing: Vec<usize> = (0..3500).filter(|k| !matches!(spike[*k], Some(Ok(_)))).collect();
+        assert_eq!((missing, signs), (vec![3001], vec![]));
     }
 }

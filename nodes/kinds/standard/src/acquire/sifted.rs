@@ -112,7 +112,8 @@ fn out_signs(what: &str, samples: &[Sample], out: &[Option<Cause>]) -> Vec<Sign>
 /// A motion that no hand makes.
 pub(crate) fn jump_words(what: &str, stamp_ns: StampNs, jump: &Cause) -> String {
     format!(
-        "{what}: by {stamp_ns} ns {} and it stayed there: the marker slipped, was knocked, or its attitude is read wrongly on one side of that;          what was measured on both sides of it does not belong together",
+        "{what}: by {stamp_ns} ns {} and it stayed there: the marker slipped, was knocked, or its attitude is read wrongly on one side of \
+         that; what was measured on both sides of it does not belong together",
         jump.words()
     )
 }

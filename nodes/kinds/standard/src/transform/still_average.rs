@@ -13,6 +13,9 @@ use std::collections::VecDeque;
 /// Number of windows before the last whose samples show the tracker's noise.
 const HISTORY: StampNs = 20;
 
+/// Number of stamps, the newest, that show whether they are times of arrival.
+const N_STAMPS: usize = 200;
+
 /// A tracked pose, averaged over the time for which the marker has not moved.
 ///
 /// One answer for each sample: the mean of the window before it. If the marker moved within the window, the older half
@@ -114,7 +117,7 @@ impl Node for StillAverage {
         let wander = Wander::of(history, poses.len(), window_ns);
         let oldest_ns = window.first().map_or(now_ns, |(stamp_ns, _)| *stamp_ns);
         let (contradiction_mm, contradiction_rad) = self.contradiction;
-        let stamps: Vec<StampNs> = last(path_ns).iter().map(|(stamp_ns, _)| *stamp_ns).collect();
+        let stamps: Vec<StampNs> = history.iter().rev().take(N_STAMPS).rev().map(|(stamp_ns, _)| *stamp_ns).collect();
         let motion = StillReport {
             span_s: (now_ns - oldest_ns) as f64 / 1e9,
             until_ns: now_ns,

@@ -63,7 +63,7 @@ impl HandEyeReport {
         self.n_poses + self.outliers.len()
     }
 
-    /// Whether the target is farther from one place than so many times what is telling.
+    /// Whether the target is farther from one place than the telling distance or angle, times a factor.
     fn is_beyond(&self, times: f64) -> bool {
         self.rms_mm > times * TELLING_RMS_MM || self.rms_rad > times * TELLING_RMS_RAD
     }
