@@ -60,7 +60,7 @@ pub use osteoflow_verdict::{Answer, Reason};
 pub use pattern::Pattern;
 pub use planned::{OrderEvidence, landmark_order, plan_faults, planes_lost};
 pub use predict::{
-    Deformation, Interval, Levers, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking,
+    Component, Deformation, Interval, Levers, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking,
     Where, predict,
 };
 pub use predict_last::{PredictedLast, PredictedLastCut};

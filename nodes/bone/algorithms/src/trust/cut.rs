@@ -2,7 +2,7 @@
 
 use crate::section;
 use crate::target::Target;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{DMatrix, Point3, Vector3};
 use osteoflow_geometry::{NamedPoint, Plane, Planes};
 
 /// A planned cut.
@@ -46,6 +46,17 @@ impl Cut {
         let [u, v] = self.arms();
         let slope = slope(u, u_plus - u_minus).hypot(slope(v, v_plus - v_minus));
         Displaced { offset_mm: middle.dot(&self.normal).abs(), slope }
+    }
+
+    /// What parameters do to the cut, whose levers on a point have three rows: along the normal, mm, and both slopes.
+    pub(super) fn levers(&self, at: &dyn Fn(&Point3<f64>) -> DMatrix<f64>) -> [DMatrix<f64>; 2] {
+        let [middle, u_plus, u_minus, v_plus, v_minus] =
+            self.probes().map(|p| DMatrix::from_row_slice(1, 3, self.normal.as_slice()) * at(&p));
+        let [u, v] = self.arms().map(|arm| 2.0 * arm.norm());
+        let mut slopes = DMatrix::zeros(2, middle.ncols());
+        slopes.row_mut(0).copy_from(&((u_plus - u_minus) / u).row(0));
+        slopes.row_mut(1).copy_from(&((v_plus - v_minus) / v).row(0));
+        [middle, slopes]
     }
 
     /// What a field of displacements, mm, does to the cut.

@@ -136,7 +136,8 @@ impl Judging<'_> {
         let nuisances = self.nuisances(&examined.evidence);
         let smear = self.case.takes.scan.and_then(|take| Smear::new(take, registered, &self.place, self.rules));
         let predicted = self.predicted(&examined, nuisances.as_ref(), smear.as_ref());
-        let (found, nuisances, mut unseen) = nuisances.map(|n| (n.reason, n.list, n.assumptions)).unwrap_or_default();
+        let known = nuisances.as_ref().zip(predicted.as_ref()).map(|(n, p)| n.known(p, &self.place, self.rules));
+        let (found, nuisances, mut unseen) = known.map(|n| (n.reason, n.list, n.assumptions)).unwrap_or_default();
         let mut reasons = self.of_end(&examined.evidence);
         let cause = found.as_ref().map(|found| found.rule.clone());
         reasons.extend(found);
@@ -228,11 +229,11 @@ impl Judging<'_> {
         smear: Option<&Smear>,
     ) -> Option<Predicted> {
         let motion = smear.map(|smear| &smear.pose);
-        let deformation = nuisances.and_then(|nuisances| nuisances.deformation.as_ref());
+        let deformation = nuisances.map(Nuisances::deformation);
         let to_settled = examined.to_settled.unwrap_or_else(Isometry3::identity);
         let (tracking, limits) = (self.case.tracking, &self.rules.limits);
         let spread = examined.spread.as_ref()?;
-        Some(predict(spread, &to_settled, deformation, tracking, motion, &self.place, limits, self.errors))
+        Some(predict(spread, &to_settled, deformation.as_ref(), tracking, motion, &self.place, limits, self.errors))
     }
 
     /// Whether the scan's mirror image is registered, too.

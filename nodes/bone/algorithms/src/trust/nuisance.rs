@@ -3,6 +3,7 @@
 //! A registration estimates six numbers. Each way in which the world departs from a rigid copy of the CT is a few numbers more,
 //! with a prior: it is fitted beside the six, and is then *measured*, *bounded* by the data, or *unseen* by them.
 
+mod axes;
 mod cause;
 mod effect;
 mod field;
@@ -17,14 +18,14 @@ use super::evidence::Registered;
 use super::predict::Where;
 use super::{Residual, Residuals};
 use crate::nearest::Nearest;
-pub(super) use cause::Axes;
+pub(super) use axes::Axes;
 pub(super) use effect::Effect;
 use field::Field;
-use model::Model;
+pub(super) use model::Nuisances;
+use model::Family;
 use nalgebra::Point3;
 pub use params::NuisanceParams;
 use rayon::prelude::*;
-pub(super) use report::Nuisances;
 pub use report::{Nuisance, NuisanceState};
 
 /// Number of points of the scan that are fitted, each for its neighbours.
@@ -48,10 +49,13 @@ pub(super) fn examine(
         middling(&read, N_FITTED).into_iter().map(|at| (at.point, at.normal)).unzip();
     let noise_mm = noise_mm / (read.len() as f64 / N_FITTED as f64).max(1.0).sqrt();
     let camera = source.viewpoint.map(|viewpoint| t_target_source * (viewpoint * Point3::origin()));
-    let axes = Axes::new(&points, &seen, camera)?;
-    let field = Field::new(&axes, &points, params.field_mm, params.offset_mm);
-    let problem = fit::Problem { target, normals, points: &points, axes: &axes, field: &field, noise_mm };
-    Some(Model::new(problem, place, rules, params)?.judge())
+    let targets = place.limited.iter().chain(place.cuts.iter().map(|cut| &cut.middle.position));
+    let axes = Axes::new(&points, &seen, camera)?.with_targets(targets);
+    let field = Field::new(&axes, &points, params.field_mm);
+    let (families, modes) = Family::all(&axes, params);
+    let problem =
+        fit::Problem { target, normals, points: &points, axes: &axes, field: &field, modes: &modes, noise_mm };
+    Nuisances::new(&problem, families, place, &rules.limits, params)
 }
 
 /// At most about `n` of the residuals: of those around one of an even thinning, the median one, so that the noise of single points is

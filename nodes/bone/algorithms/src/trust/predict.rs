@@ -15,6 +15,9 @@ use serde::{Deserialize, Serialize};
 /// Number of draws of the pose that an interval is read from: its ends are then known to 3 %.
 const N_DRAWS: usize = 4000;
 
+/// Least number of draws of what is unlikely.
+const N_LEAST: usize = 100;
+
 /// Share of the draws below and above an interval of 90 %.
 const TAIL: f64 = 0.05;
 
@@ -125,6 +128,9 @@ pub struct Predicted {
     pub all_cuts: Option<PredictedSet>,
     /// The chance that the answer is wrong by the limits, from the same errors.
     pub beyond_limits: f64,
+    /// The same by what may be at fault beside the pose, the sound one first; the sum is that of `beyond_limits`.
+    #[serde(skip)]
+    pub(super) beyond_by: Vec<f64>,
     /// Each source of error, RMS over all of these points.
     pub terms: Vec<Term>,
     /// The interval of the mean TRE of the assessment points, else of the cuts, if the stated errors of markers and phantom were
@@ -136,24 +142,37 @@ pub struct Predicted {
     pub last: Option<PredictedLast>,
 }
 
-impl Deformation {
-    /// Covariance of the error at a point, mm².
-    fn covariance_at(&self, p: &Point3<f64>) -> Matrix3<f64> {
-        let lever = (self.at)(p);
-        let covariance = &lever * &self.covariance * lever.transpose();
-        Matrix3::from_fn(|row, column| covariance[(row, column)])
-    }
+/// What a number of 1 does to the answer at a point of the target's frame: a column of 3 for each number, mm.
+pub type Levers<'a> = dyn Fn(&Point3<f64>) -> DMatrix<f64> + 'a;
+
+/// What numbers may be, with the weight of this among others.
+#[derive(Debug, Clone, Copy)]
+pub struct Component<'a> {
+    /// Its weight; those of all components are 1.
+    pub weight: f64,
+    /// Mean of the numbers.
+    pub mean: &'a DVector<f64>,
+    /// Covariance of the numbers.
+    pub covariance: &'a DMatrix<f64>,
 }
 
-/// What a number of 1 does to the answer at a point of the target's frame: a column of 3 for each number, mm.
-pub type Levers = dyn Fn(&Point3<f64>) -> DMatrix<f64>;
+/// Errors that are no rigid motion, as numbers that are one of several Gaussians.
+pub struct Deformation<'a> {
+    /// What the numbers may be; the likeliest sound one first.
+    pub components: Vec<Component<'a>>,
+    /// Their levers at a point.
+    pub at: Box<Levers<'a>>,
+}
 
-/// Errors that are no rigid motion, as numbers with a covariance.
-pub struct Deformation {
-    /// Covariance of the numbers.
-    pub covariance: DMatrix<f64>,
-    /// Its levers at a point.
-    pub at: Box<Levers>,
+impl Deformation<'_> {
+    /// Second moment of the error at a point, mm², of the first component.
+    fn moment_at(&self, p: &Point3<f64>) -> Matrix3<f64> {
+        let Some(first) = self.components.first() else { return Matrix3::zeros() };
+        let lever = (self.at)(p);
+        let mean = &lever * first.mean;
+        let moment = &lever * first.covariance * lever.transpose() + &mean * mean.transpose();
+        Matrix3::from_fn(|row, column| moment[(row, column)])
+    }
 }
 
 /// Where the error is predicted, in the target's frame.
@@ -273,7 +292,7 @@ fn stated(tracking: &Tracking, centre: &Point3<f64>, params: &PredictParams) -> 
 pub fn predict(
     spread: &Spread,
     to_settled: &Isometry3<f64>,
-    deformation: Option<&Deformation>,
+    deformation: Option<&Deformation<'_>>,
     tracking: Option<&Tracking>,
     motion: Option<&(Matrix6<f64>, Point3<f64>)>,
     at: &Where<'_>,
@@ -305,45 +324,45 @@ pub fn predict(
         terms.iter().map(|(name, covariance)| Term { name: (*name).to_owned(), tre_mm: rms(covariance) }).collect();
     terms.push(Term { name: "not settled".to_owned(), tre_mm: rms(&(mean * mean.transpose())) });
     if let Some(deformation) = deformation {
-        let tre_mm = rms_of(&|p| deformation.covariance_at(p).trace());
+        let tre_mm = rms_of(&|p| deformation.moment_at(p).trace());
         terms.push(Term { name: "what may be wrong beside the pose".to_owned(), tre_mm });
     }
     terms.push(Term { name: "stated bias of the CT".to_owned(), tre_mm: rms(&bias) });
-    let draws = |covariance: &Matrix6<f64>| Draws::new(&mean, covariance, &centre, deformation);
+    let outputs = Outputs::new(at, &centre, deformation);
+    let numbers = Numbers::new(deformation);
+    let draws = |covariance: &Matrix6<f64>| outputs.draws(&mean, covariance, &numbers);
     let (given, biased) = (draws(&total), draws(&(total + bias)));
-    let set = |named: &[NamedPoint]| {
-        let positions: Vec<Point3<f64>> = named.iter().map(|p| p.position).collect();
-        let (mean_tre_mm, interval_mm) = given.mean_error(&positions)?;
-        let (_, interval_with_ct_bias_mm) = biased.mean_error(&positions)?;
+    let set = |rows: &[usize]| {
+        let (mean_tre_mm, interval_mm) = given.mean_error(rows)?;
+        let (_, interval_with_ct_bias_mm) = biased.mean_error(rows)?;
         Some(PredictedSet { mean_tre_mm, interval_mm, interval_with_ct_bias_mm })
     };
     let devices_twice_mm = (!stated.is_empty()).then(|| {
         let draws = draws(&(total + devices * 3.0));
-        let mean = |named: &[NamedPoint]| {
-            let positions: Vec<Point3<f64>> = named.iter().map(|p| p.position).collect();
-            draws.mean_error(&positions)
-        };
-        mean(points).or_else(|| mean(&cuts)).map(|(_, interval)| interval)
+        let mean = draws.mean_error(&outputs.points).or_else(|| draws.mean_error(&outputs.middles));
+        mean.map(|(_, interval)| interval)
     });
     let moved = |p: &Point3<f64>| shift + turn.cross(&(p - centre));
-    let point = |named: &NamedPoint| {
-        let own = deformation.map_or(Matrix3::zeros(), |deformation| deformation.covariance_at(&named.position));
+    let point = |(named, row): (&NamedPoint, &usize)| {
+        let own = deformation.map_or(Matrix3::zeros(), |deformation| deformation.moment_at(&named.position));
         let covariance = covariance_at(&total, &centre, &named.position) + own;
         let (semi_axes_mm, directions) = ellipsoid(&covariance);
         PredictedPoint {
             name: named.name.to_string(),
             tre_mm: (covariance.trace() + moved(&named.position).norm_squared()).max(0.0).sqrt(),
-            interval_mm: given.mean_error(&[named.position]).map_or([0.0; 2], |(_, interval)| interval),
+            interval_mm: given.mean_error(&[*row]).map_or([0.0; 2], |(_, interval)| interval),
             semi_axes_mm,
             directions,
         }
     };
+    let beyond_by = given.beyond_limits(&outputs, limits);
     Predicted {
-        points: points.iter().map(point).collect(),
-        cuts: cuts.iter().map(point).collect(),
-        assessment: set(points),
-        all_cuts: set(&cuts),
-        beyond_limits: given.beyond_limits(at, limits),
+        points: points.iter().zip(&outputs.points).map(point).collect(),
+        cuts: cuts.iter().zip(&outputs.middles).map(point).collect(),
+        assessment: set(&outputs.points),
+        all_cuts: set(&outputs.middles),
+        beyond_limits: beyond_by.iter().sum(),
+        beyond_by,
         terms,
         devices_twice_mm: devices_twice_mm.flatten(),
         last: None,
@@ -360,98 +379,168 @@ fn ellipsoid(covariance: &Matrix3<f64>) -> ([f64; 3], [[f64; 3]; 3]) {
     (variances.map(|value| ELLIPSOID_SIGMAS * value.max(0.0).sqrt()), directions.map(Into::into))
 }
 
-/// Draws of the errors, always from the same random numbers.
-struct Draws<'a> {
-    /// A column for each draw: shift and turn about the centre, then the numbers of the deformation.
-    columns: DMatrix<f64>,
-    centre: &'a Point3<f64>,
-    deformation: Option<&'a Deformation>,
+/// What errors do, as rows: the displacements of points, three rows each, and of cuts.
+struct Outputs {
+    /// The first row of each assessment point.
+    points: Vec<usize>,
+    /// The first row of each point whose mean error is limited.
+    limited: Vec<usize>,
+    /// The first row of the middle of each cut; after it come the offset along the normal and the two slopes.
+    middles: Vec<usize>,
+    /// What a shift and a turn about the centre do.
+    of_pose: DMatrix<f64>,
+    /// What the numbers of the deformation do.
+    of_numbers: DMatrix<f64>,
 }
 
-impl<'a> Draws<'a> {
-    fn new(
-        mean: &Vector6<f64>,
-        covariance: &Matrix6<f64>,
-        centre: &'a Point3<f64>,
-        deformation: Option<&'a Deformation>,
-    ) -> Self {
-        let k = deformation.map_or(0, |deformation| deformation.covariance.nrows());
-        let mut columns = DMatrix::zeros(6 + k, N_DRAWS);
-        let mut draw = |first: usize, mean: &DVector<f64>, covariance: DMatrix<f64>, seed: u64| {
-            let n = mean.len();
-            let eigen = covariance.symmetric_eigen();
-            let root =
-                eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let standard = DMatrix::from_fn(n, N_DRAWS, |_, _| normal(&mut rng));
-            let mut rows = columns.rows_mut(first, n);
-            rows.copy_from(&(root * standard));
-            rows.column_iter_mut().for_each(|mut column| column += mean);
+impl Outputs {
+    fn new(at: &Where<'_>, centre: &Point3<f64>, deformation: Option<&Deformation<'_>>) -> Self {
+        let named: Vec<Point3<f64>> = at.points.iter().map(|p| p.position).collect();
+        let is_same = named == at.limited;
+        let positions = if is_same { named } else { [&named, at.limited].concat() };
+        let rows = |lever: &dyn Fn(&Point3<f64>) -> DMatrix<f64>| {
+            let of_cut = |cut: &Cut| {
+                let [offset, slopes] = cut.levers(lever);
+                [lever(&cut.middle.position), offset, slopes]
+            };
+            let all: Vec<DMatrix<f64>> = positions.iter().map(lever).chain(at.cuts.iter().flat_map(of_cut)).collect();
+            let mut rows = DMatrix::zeros(all.iter().map(DMatrix::nrows).sum(), all.first().map_or(0, DMatrix::ncols));
+            let mut first = 0;
+            for part in all {
+                rows.rows_mut(first, part.nrows()).copy_from(&part);
+                first += part.nrows();
+            }
+            rows
         };
-        let pose = DMatrix::from_fn(6, 6, |row, column| covariance[(row, column)]);
-        draw(0, &DVector::from_column_slice(mean.as_slice()), pose, 1);
-        if let Some(deformation) = deformation {
-            draw(6, &DVector::zeros(k), deformation.covariance.clone(), 3);
+        let pose = |p: &Point3<f64>| {
+            let mut lever = DMatrix::zeros(3, 6);
+            lever.view_mut((0, 0), (3, 3)).copy_from(&Matrix3::identity());
+            lever.view_mut((0, 3), (3, 3)).copy_from(&-(p - centre).cross_matrix());
+            lever
+        };
+        let (n, n_limited) = (at.points.len(), at.limited.len());
+        let first = 3 * positions.len();
+        Self {
+            points: (0..n).map(|k| 3 * k).collect(),
+            limited: (0..n_limited).map(|k| 3 * if is_same { k } else { n + k }).collect(),
+            middles: (0..at.cuts.len()).map(|k| first + 6 * k).collect(),
+            of_pose: rows(&pose),
+            of_numbers: deformation.map_or_else(|| DMatrix::zeros(0, 0), |deformation| rows(&*deformation.at)),
         }
-        Self { columns, centre, deformation }
     }
 
-    /// What each number does at a point: 3 rows, mm.
-    fn lever(&self, p: &Point3<f64>) -> DMatrix<f64> {
-        let mut lever = DMatrix::zeros(3, self.columns.nrows());
-        lever.view_mut((0, 0), (3, 3)).copy_from(&Matrix3::identity());
-        lever.view_mut((0, 3), (3, 3)).copy_from(&-(p - self.centre).cross_matrix());
-        if let Some(deformation) = self.deformation {
-            let own = (deformation.at)(p);
-            lever.view_mut((0, 6), own.shape()).copy_from(&own);
+    /// Draws of the errors of a pose of this mean and covariance, and of the numbers.
+    fn draws(&self, mean: &Vector6<f64>, covariance: &Matrix6<f64>, numbers: &Numbers<'_>) -> Draws {
+        let eigen = covariance.symmetric_eigen();
+        let root = eigen.eigenvectors * Matrix6::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
+        let root = DMatrix::from_column_slice(6, 6, root.as_slice());
+        let mean = DVector::from_column_slice(mean.as_slice());
+        let mut pose = &self.of_pose * root * &numbers.of_pose;
+        let at_mean = &self.of_pose * mean;
+        pose.column_iter_mut().for_each(|mut column| column += &at_mean);
+        let mut draws = Draws { columns: DMatrix::zeros(pose.nrows(), 0), weights: Vec::new(), of: Vec::new() };
+        let mut parts = Vec::new();
+        for (k, (component, root, n)) in numbers.components.iter().enumerate() {
+            let mut part = pose.columns(0, *n).into_owned();
+            part += &self.of_numbers * root * numbers.standard.columns(0, *n);
+            let at_mean = &self.of_numbers * component.mean;
+            part.column_iter_mut().for_each(|mut column| column += &at_mean);
+            draws.weights.extend(vec![component.weight / *n as f64; *n]);
+            draws.of.extend(vec![k; *n]);
+            parts.extend_from_slice(part.as_slice());
         }
-        lever
-    }
-
-    /// The errors of a point, mm, a column for each draw.
-    fn errors(&self, p: &Point3<f64>) -> DMatrix<f64> {
-        self.lever(p) * &self.columns
-    }
-
-    /// The mean error of points for each draw, mm.
-    fn means(&self, points: &[Point3<f64>]) -> Vec<f64> {
-        let mut means = vec![0.0; self.columns.ncols()];
-        for p in points {
-            let errors = self.errors(p);
-            means.iter_mut().zip(errors.column_iter()).for_each(|(mean, error)| *mean += error.norm());
+        if numbers.components.is_empty() {
+            draws.weights = vec![1.0 / N_DRAWS as f64; N_DRAWS];
+            draws.of = vec![0; N_DRAWS];
+            draws.columns = pose;
+        } else {
+            draws.columns = DMatrix::from_vec(pose.nrows(), draws.of.len(), parts);
         }
-        means.iter().map(|sum| sum / points.len().max(1) as f64).collect()
+        draws
+    }
+}
+
+/// Standard normal numbers, always the same, and what makes the numbers of a deformation of them.
+struct Numbers<'a> {
+    /// A column for each draw.
+    of_pose: DMatrix<f64>,
+    standard: DMatrix<f64>,
+    /// Each component with a root of its covariance, and its number of draws.
+    components: Vec<(Component<'a>, DMatrix<f64>, usize)>,
+}
+
+impl<'a> Numbers<'a> {
+    fn new(deformation: Option<&Deformation<'a>>) -> Self {
+        let components = deformation.map(|deformation| deformation.components.clone()).unwrap_or_default();
+        let n = components.first().map_or(0, |component| component.mean.len());
+        let standard = |rows: usize, seed: u64| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            DMatrix::from_fn(rows, N_DRAWS, |_, _| normal(&mut rng))
+        };
+        let of = |component: Component<'a>| {
+            let root = component.covariance.clone().cholesky().map(|cholesky| cholesky.unpack());
+            let n_draws = (component.weight * N_DRAWS as f64) as usize;
+            (component, root.unwrap_or_else(|| DMatrix::zeros(n, n)), n_draws.clamp(N_LEAST, N_DRAWS))
+        };
+        Self { of_pose: standard(6, 1), standard: standard(n, 3), components: components.into_iter().map(of).collect() }
+    }
+}
+
+/// Draws of the errors.
+struct Draws {
+    /// A column for each draw.
+    columns: DMatrix<f64>,
+    weights: Vec<f64>,
+    /// The component of each.
+    of: Vec<usize>,
+}
+
+impl Draws {
+    /// The mean error of the points at some rows for each draw, mm.
+    fn means(&self, rows: &[usize]) -> Vec<f64> {
+        let mean = |column: nalgebra::DVectorView<'_, f64>| {
+            rows.iter().map(|row| column.fixed_rows::<3>(*row).norm()).sum::<f64>() / rows.len().max(1) as f64
+        };
+        self.columns.column_iter().map(mean).collect()
     }
 
     /// Mean and 90 % interval of the mean error of points; `None` without points.
-    fn mean_error(&self, points: &[Point3<f64>]) -> Option<(f64, Interval)> {
-        if points.is_empty() {
+    fn mean_error(&self, rows: &[usize]) -> Option<(f64, Interval)> {
+        if rows.is_empty() {
             return None;
         }
-        let errors = self.means(points);
+        let errors = self.means(rows);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let mut scaled: Vec<f64> = errors.iter().map(|e| e * (1.0 + SCALE_SIGMA * normal(&mut rng)).abs()).collect();
-        scaled.sort_by(f64::total_cmp);
-        let at = |share: f64| scaled[((scaled.len() - 1) as f64 * share).round() as usize];
-        Some((errors.iter().sum::<f64>() / errors.len() as f64, [at(TAIL), at(1.0 - TAIL)]))
+        let mut scaled: Vec<(f64, f64)> =
+            errors.iter().map(|e| e * (1.0 + SCALE_SIGMA * normal(&mut rng)).abs()).zip(self.weights.clone()).collect();
+        scaled.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let at = |share: f64| {
+            let mut sum = 0.0;
+            let reached = scaled.iter().find(|(_, weight)| {
+                sum += weight;
+                sum >= share
+            });
+            reached.or(scaled.last()).map_or(0.0, |(error, _)| *error)
+        };
+        let mean = errors.iter().zip(&self.weights).map(|(error, weight)| error * weight).sum();
+        Some((mean, [at(TAIL), at(1.0 - TAIL)]))
     }
 
-    /// Share of the draws that are beyond a limit.
-    fn beyond_limits(&self, at: &Where<'_>, limits: &Limits) -> f64 {
-        let n = self.columns.ncols();
-        let tre_mm = self.means(at.limited);
-        let (mut offset_mm, mut tilt_deg) = (vec![0.0_f64; n], vec![0.0_f64; n]);
-        for cut in at.cuts {
-            let errors = cut.probes().map(|p| self.errors(&p));
-            for k in 0..n {
-                let displaced =
-                    cut.displaced(std::array::from_fn(|probe| errors[probe].fixed_view::<3, 1>(0, k).into()));
-                offset_mm[k] = offset_mm[k].max(displaced.offset_mm);
-                tilt_deg[k] = tilt_deg[k].max(displaced.slope.to_degrees());
+    /// The chance of each component that the errors are beyond a limit.
+    fn beyond_limits(&self, outputs: &Outputs, limits: &Limits) -> Vec<f64> {
+        let tre_mm = self.means(&outputs.limited);
+        let mut chances = vec![0.0; self.of.last().map_or(0, |last| last + 1)];
+        for (k, column) in self.columns.column_iter().enumerate() {
+            let (mut offset_mm, mut slope) = (0.0_f64, 0.0_f64);
+            for middle in &outputs.middles {
+                offset_mm = offset_mm.max(column[middle + 3].abs());
+                slope = slope.max(column[middle + 4].hypot(column[middle + 5]));
+            }
+            if limits.times(tre_mm[k], offset_mm, slope.to_degrees()) > 1.0 {
+                chances[self.of[k]] += self.weights[k];
             }
         }
-        let is_beyond = |k: &usize| limits.times(tre_mm[*k], offset_mm[*k], tilt_deg[*k]) > 1.0;
-        (0..n).filter(is_beyond).count() as f64 / n.max(1) as f64
+        chances
     }
 }
 

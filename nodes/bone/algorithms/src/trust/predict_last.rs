@@ -113,6 +113,7 @@ mod tests {
             assessment: None,
             all_cuts: None,
             beyond_limits: 0.0,
+            beyond_by: vec![],
             terms: vec![],
             devices_twice_mm: None,
             last: None,

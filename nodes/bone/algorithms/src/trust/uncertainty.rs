@@ -14,8 +14,10 @@ pub(super) fn spread_reason(predicted: Option<&Predicted>, evidence: &Evidence, 
         return Some(Reason::new("spread", Answer::Doubtful, reason, remedy));
     };
     let (spread_mm, unsettled_mm) = (evidence.spread_mm?, evidence.unsettled_mm.unwrap_or(0.0));
-    let percent = 100.0 * predicted.beyond_limits;
-    (predicted.beyond_limits > rules.max_beyond_limits).then(|| match unsettled_mm > spread_mm {
+    // Of what is at fault beside the pose the cause is told.
+    let sound = predicted.beyond_by.first().copied().unwrap_or(0.0);
+    let percent = 100.0 * sound;
+    (sound > rules.max_beyond_limits).then(|| match unsettled_mm > spread_mm {
         true => Reason::new(
             "unsettled",
             Answer::Doubtful,

@@ -1,50 +1,9 @@
-//! The ways in which the world may depart from a rigid copy of the CT, each as displacements of the scan's points.
+//! The ways in which the world may depart from a rigid copy of the CT: each a few displacements, with a prior, and what shows it.
 
-use crate::axes::largest_first;
-use crate::kabsch::centroid;
-use nalgebra::{Matrix3, Point3, Vector3};
-
-/// The directions of a registered scan, target's frame.
-#[derive(Debug, Clone, PartialEq)]
-pub(in crate::trust) struct Axes {
-    /// Centroid of the scan.
-    pub(in crate::trust) centre: Point3<f64>,
-    /// Unit direction of its longest extent: a shaft's axis.
-    pub(in crate::trust) along: Vector3<f64>,
-    /// Unit direction towards the camera, perpendicular to `along`; without a camera, the mean normal of the surface.
-    pub(in crate::trust) towards: Vector3<f64>,
-    /// `along` x `towards`.
-    pub(in crate::trust) sideways: Vector3<f64>,
-    /// Half of the extent along `along`, mm.
-    pub(in crate::trust) half_mm: f64,
-    /// Where the camera was.
-    pub(in crate::trust) camera: Option<Point3<f64>>,
-}
-
-impl Axes {
-    /// The directions of a scan whose points have these normals; `None` where it has none.
-    pub(in crate::trust) fn new(
-        points: &[Point3<f64>],
-        normals: &[Vector3<f64>],
-        camera: Option<Point3<f64>>,
-    ) -> Option<Self> {
-        let centre = centroid(points);
-        let scatter: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
-        let ([along, ..], _) = largest_first(&scatter);
-        let mean: Vector3<f64> = normals.iter().sum();
-        let view = camera.map_or(mean, |camera| camera - centre);
-        let towards = (view - along * view.dot(&along)).try_normalize(1e-9)?;
-        let mut far: Vec<f64> = points.iter().map(|p| (p - centre).dot(&along).abs()).collect();
-        far.sort_by(f64::total_cmp);
-        let half_mm = far[(far.len() - 1) * 98 / 100].max(1.0);
-        Some(Self { centre, along, towards, sideways: along.cross(&towards), half_mm, camera })
-    }
-
-    /// Position along the axis, from -1 at one end of the scan to 1 at the other.
-    pub(super) fn along_share(&self, p: &Point3<f64>) -> f64 {
-        (p - self.centre).dot(&self.along) / self.half_mm
-    }
-}
+use super::NuisanceParams;
+use super::axes::Axes;
+use nalgebra::{Point3, Vector3};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 /// A displacement that carries points of the scan, where the bone is, to where the CT shows them; for a parameter of 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,8 +18,8 @@ pub(super) enum Mode {
     Bend(Vector3<f64>),
     /// A turn about the axis by 1 rad at one end and -1 rad at the other.
     Twist,
-    /// Along the surface's outward normal, 1 mm everywhere.
-    Offset,
+    /// Along the surface's outward normal, 1 mm: `half_waves` along the scan, `around` waves around the bone, from `phase` on.
+    Surface { half_waves: f64, around: f64, phase: f64 },
     /// A film on the side that faces the camera, 1 mm where the surface faces it; from none at one end to 1 mm at the other for a
     /// ramp of 1 or -1, as thick everywhere for 0.
     Film { ramp: f64 },
@@ -68,10 +27,14 @@ pub(super) enum Mode {
     FilmAround,
     /// Beyond a place along the axis, 1 mm towards a direction.
     Step { beyond_mm: f64, to: Vector3<f64> },
+    /// Beyond an end of the scan, a turn about it by 1 rad.
+    TurnBeyond { end_mm: f64, about: Vector3<f64> },
     /// Away from the camera, in proportion to the distance.
     Scale(Point3<f64>),
-    /// Away from the camera along its view, in proportion to the depth.
-    Depth(Point3<f64>),
+    /// Along the camera's view: of the depth, and of its square along `across`, as multiples.
+    Depth { camera: Point3<f64>, scale: f64, plane: Vector3<f64>, bend: Vector3<f64> },
+    /// The plan alone, towards a direction.
+    Plan(Vector3<f64>),
 }
 
 impl Mode {
@@ -87,7 +50,11 @@ impl Mode {
                 to * (s * s) - axes.along * (2.0 * s * to.dot(&arm) / axes.half_mm)
             }
             Self::Twist => axes.along.cross(&arm) * axes.along_share(p),
-            Self::Offset => *normal,
+            Self::Surface { half_waves, around, phase } => {
+                let along = (half_waves * FRAC_PI_2 * (axes.along_share(p).clamp(-1.0, 1.0) + 1.0)).cos();
+                let angle = normal.dot(&axes.sideways).atan2(normal.dot(&axes.towards));
+                normal * (along * (around * angle + phase).cos())
+            }
             Self::Film { ramp } => {
                 let thickness = if ramp == 0.0 { 1.0 } else { 0.5 * (1.0 + ramp * axes.along_share(p)) };
                 -normal * (normal.dot(&axes.towards).max(0.0) * thickness)
@@ -95,168 +62,330 @@ impl Mode {
             Self::FilmAround => -normal * (0.5 * (1.0 + normal.dot(&axes.sideways))),
             Self::Step { beyond_mm, to } if arm.dot(&axes.along) > beyond_mm => to,
             Self::Step { .. } => Vector3::zeros(),
-            Self::Scale(camera) => p - camera,
-            Self::Depth(camera) => {
-                let view = (axes.centre - camera).normalize();
-                view * view.dot(&(p - camera))
+            Self::TurnBeyond { end_mm, about } => {
+                let beyond = arm - axes.along * end_mm;
+                if beyond.dot(&axes.along) * end_mm > 0.0 { about.cross(&beyond) } else { Vector3::zeros() }
             }
+            Self::Scale(camera) => p - camera,
+            Self::Depth { camera, scale, plane, bend } => {
+                let view = (axes.centre - camera).normalize();
+                let across = bend.dot(&arm) / axes.half_mm;
+                view * (scale * view.dot(&(p - camera)) + plane.dot(&arm) + across * across)
+            }
+            Self::Plan(to) => to,
         }
     }
 
     /// Whether it displaces the planned points with the bone; else it displaces the scan alone.
-    pub(super) fn moves_bone(&self) -> bool {
-        !matches!(self, Self::Offset | Self::Film { .. } | Self::FilmAround | Self::Scale(_) | Self::Depth(_))
-    }
-}
-
-/// A cause of error beyond the pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Cause {
-    Along,
-    Growth,
-    Shear,
-    Across,
-    Bend,
-    Twist,
-    Offset,
-    FilmAlong,
-    FilmAround,
-    Film,
-    Step { beyond_mm: f64 },
-    CameraScale,
-    CameraDepth,
-}
-
-impl Cause {
-    /// The name in the results.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Along => "stretch_along",
-            Self::Growth => "growth",
-            Self::Shear => "shear",
-            Self::Across => "stretch_across",
-            Self::Bend => "bend",
-            Self::Twist => "twist",
-            Self::Offset => "offset",
-            Self::FilmAlong => "film_along",
-            Self::FilmAround => "film_around",
-            Self::Film => "film",
-            Self::Step { .. } => "step",
-            Self::CameraScale => "camera_scale",
-            Self::CameraDepth => "camera_depth",
-        }
-    }
-
-    /// The unit of its size, and what a parameter is multiplied by to have it.
-    pub(super) fn unit(self) -> (&'static str, f64) {
-        match self {
-            Self::Along | Self::Growth | Self::Across | Self::CameraScale | Self::CameraDepth => ("%", 100.0),
-            Self::Shear | Self::Twist => ("degrees", 1_f64.to_degrees()),
-            _ => ("mm", 1.0),
-        }
-    }
-
-    /// The usual size of its parameters where it is there: stretches of 3 %, tilts of a gantry of 8 degrees.
-    pub(super) fn usual(self) -> f64 {
-        match self {
-            Self::Along | Self::Growth | Self::Across => 0.03,
-            Self::CameraScale | Self::CameraDepth => 0.015,
-            Self::Shear => 8_f64.to_radians(),
-            Self::Twist => 3_f64.to_radians(),
-            Self::Bend | Self::Offset => 0.5,
-            Self::FilmAlong | Self::FilmAround | Self::Film | Self::Step { .. } => 2.0,
-        }
-    }
-
-    /// The largest size that is what its name says: beyond it, tissue or another bone is explained. A slice spacing may be any.
-    pub(super) fn largest(self) -> f64 {
-        match self {
-            Self::Along => f64::INFINITY,
-            Self::Growth | Self::Across => 0.15,
-            Self::CameraScale | Self::CameraDepth => 0.1,
-            Self::Shear | Self::Twist => 30_f64.to_radians(),
-            Self::Bend | Self::Offset | Self::Step { .. } => 10.0,
-            Self::FilmAlong | Self::FilmAround | Self::Film => 5.0,
-        }
-    }
-
-    /// Number of its parameters that make its size: a shear is fitted beside a stretch.
-    pub(super) fn n_own(self) -> usize {
-        match self {
-            Self::Bend | Self::Step { .. } => 2,
-            _ => 1,
-        }
-    }
-
-    /// The direction in which a cause acts.
-    pub(super) fn axis(self, axes: &Axes, values: Option<&[f64]>) -> Option<Vector3<f64>> {
-        match (self, values) {
-            (Self::Along | Self::FilmAlong | Self::Twist, _) => Some(axes.along),
-            (Self::Bend | Self::Step { .. }, Some([a, b])) => {
-                (axes.towards * *a + axes.sideways * *b).try_normalize(1e-12)
-            }
-            (Self::Shear, _) => Some(Vector3::y()),
-            (Self::FilmAround, _) => Some(axes.sideways),
-            (Self::Film, _) => Some(axes.towards),
-            (Self::CameraDepth, _) => axes.camera.and_then(|camera| (axes.centre - camera).try_normalize(1e-9)),
-            _ => None,
-        }
-    }
-
-    /// The place at which a cause acts.
-    pub(super) fn place(self, axes: &Axes) -> Option<Point3<f64>> {
-        match self {
-            Self::Step { beyond_mm } => Some(axes.centre + axes.along * beyond_mm),
-            _ => None,
-        }
-    }
-
-    /// Its size, from its parameters.
-    pub(super) fn size(self, values: &[f64]) -> f64 {
-        match (self, values) {
-            (Self::Shear, [shear, ..]) => *shear,
-            (_, [value]) => *value,
-            _ => values.iter().map(|value| value * value).sum::<f64>().sqrt(),
-        }
-    }
-
-    /// Whether it is of the camera, which a check piece tests.
-    pub(super) fn is_of_camera(self) -> bool {
-        matches!(self, Self::CameraScale | Self::CameraDepth)
-    }
-
-    /// Whether it is an assumption even where the data limit it: a film has any profile, and the camera's scale moves a bone at its
-    /// working distance more than its size shows.
-    pub(super) fn is_assumed(self) -> bool {
-        matches!(
+    pub(super) fn moves_plan(&self) -> bool {
+        let of_scan = matches!(
             self,
-            Self::CameraScale | Self::CameraDepth | Self::Step { .. } | Self::Film | Self::FilmAlong | Self::FilmAround
-        )
+            Self::Surface { .. } | Self::Film { .. } | Self::FilmAround | Self::Scale(_) | Self::Depth { .. }
+        );
+        !of_scan
     }
 
-    /// Its parameters; none where it needs a camera that is not known.
-    pub(super) fn modes(self, axes: &Axes) -> Vec<Mode> {
-        let (along, towards, sideways) = (axes.along, axes.towards, axes.sideways);
+    /// Whether it displaces anything that the scan shows.
+    pub(super) fn moves_scan(&self) -> bool {
+        !matches!(self, Self::Plan(_) | Self::TurnBeyond { .. })
+    }
+}
+
+/// Units of a size: percent, degrees or mm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Unit {
+    Percent,
+    Degrees,
+    Mm,
+}
+
+impl Unit {
+    /// Its name, and what a parameter is multiplied by to have it.
+    pub(super) fn of(self) -> (&'static str, f64) {
         match self {
-            Self::Along => vec![Mode::Strain { of: along, to: along }],
-            Self::Growth => vec![Mode::Growth],
-            // Slices are stacked along z of the CT, and a gantry tilts about x. Up to a turn and a stretch of second order, both
-            // ways to write it are one: this moves a shaft the least.
-            Self::Shear => {
-                let (y, z) = (Vector3::y(), Vector3::z());
-                let (of, to) = if along.z.abs() >= along.y.abs() { (y, z) } else { (z, y) };
-                vec![Mode::Strain { of, to }, Mode::Strain { of: along, to: along }]
-            }
-            Self::Across => vec![Mode::Across],
-            Self::Bend => vec![Mode::Bend(towards), Mode::Bend(sideways)],
-            Self::Twist => vec![Mode::Twist],
-            Self::Offset => vec![Mode::Offset],
-            Self::FilmAlong => vec![Mode::Film { ramp: 1.0 }],
-            Self::FilmAround => vec![Mode::FilmAround],
-            Self::Film => vec![Mode::Film { ramp: 0.0 }],
-            Self::Step { beyond_mm } => [towards, sideways].map(|to| Mode::Step { beyond_mm, to }).to_vec(),
-            Self::CameraScale => axes.camera.map(Mode::Scale).into_iter().collect(),
-            Self::CameraDepth => axes.camera.map(Mode::Depth).into_iter().collect(),
+            Self::Percent => ("%", 100.0),
+            Self::Degrees => ("degrees", 1_f64.to_degrees()),
+            Self::Mm => ("mm", 1.0),
         }
     }
 }
+
+/// A family of errors beyond the pose.
+pub(super) struct Cause {
+    /// The name in the results.
+    pub(super) name: &'static str,
+    pub(super) unit: Unit,
+    /// Standard deviation of each parameter in a sound procedure, in the unit.
+    pub(super) prior: fn(&NuisanceParams) -> f64,
+    /// The same where it is a fault.
+    pub(super) fault: f64,
+    /// The largest size that is what its name says: beyond it, tissue or another bone is explained.
+    pub(super) largest: f64,
+    /// Its displacements; none where it needs a camera that is not known, or where nothing lies there.
+    pub(super) modes: fn(&Axes) -> Vec<Mode>,
+    /// What is found: `{}` is the size, and `[a|b]` one of two words by its sign.
+    pub(super) found: &'static str,
+    /// What is taken for granted, and the size from which it would be wrong.
+    pub(super) taken: [&'static str; 2],
+    /// What shows it.
+    pub(super) remedy: &'static str,
+    /// Whether it is of the camera, which a check piece tests.
+    pub(super) is_of_camera: bool,
+}
+
+/// Half waves along the scan and waves around the bone of the smooth errors of a surface; a constant is the offset.
+const SMOOTH: [(f64, f64); 8] =
+    [(1.0, 0.0), (2.0, 0.0), (0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (0.0, 2.0), (1.0, 2.0), (2.0, 2.0)];
+
+/// Every family.
+pub(super) const CAUSES: &[Cause] = &[
+    Cause {
+        name: "stretch_along",
+        unit: Unit::Percent,
+        prior: |p| p.stretch_percent,
+        fault: 3.0,
+        largest: f64::INFINITY,
+        modes: |a| vec![Mode::Strain { of: a.along, to: a.along }],
+        found: "the CT is {} too [long|short] along the bone",
+        taken: ["the CT has the bone's length", "a stretch along it of more than {}"],
+        remedy: "check the slice spacing of the CT",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "growth",
+        unit: Unit::Percent,
+        prior: |p| p.stretch_percent,
+        fault: 3.0,
+        largest: 15.0,
+        modes: |_| vec![Mode::Growth],
+        found: "the CT is {} too [large|small] in all directions",
+        taken: ["the CT has the bone's size", "a growth or shrinkage of more than {}"],
+        remedy: "check the voxel size of the CT and its date; a bone grows",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "stretch_across",
+        unit: Unit::Percent,
+        prior: |p| p.affine_percent,
+        fault: 3.0,
+        largest: 15.0,
+        modes: |_| vec![Mode::Across],
+        found: "the CT is {} too [wide|narrow] across the bone",
+        taken: ["the CT has the bone's width", "a stretch across it of more than {}"],
+        remedy: "check the pixel spacing of the CT",
+        is_of_camera: false,
+    },
+    Cause {
+        // Slices are stacked along z of the CT, and a gantry tilts about x. Up to a turn, both ways to write it are one: this moves a
+        // shaft the least.
+        name: "shear",
+        unit: Unit::Degrees,
+        prior: |p| p.shear_deg,
+        fault: 8.0,
+        largest: 30.0,
+        modes: |a| {
+            let (y, z) = (Vector3::y(), Vector3::z());
+            let (of, to) = if a.along.z.abs() >= a.along.y.abs() { (y, z) } else { (z, y) };
+            vec![Mode::Strain { of, to }]
+        },
+        found: "the CT's slices are sheared by {}",
+        taken: ["the CT is not sheared", "a shear of more than {}"],
+        remedy: "check the tilt of the CT's gantry",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "affine",
+        unit: Unit::Percent,
+        prior: |p| p.affine_percent,
+        fault: 2.0,
+        largest: 15.0,
+        modes: |a| {
+            let [x, y, z] = [a.along, a.towards, a.sideways];
+            [(x, x), (y, y), (z, z), (x, y), (x, z), (y, z)].map(|(of, to)| Mode::Strain { of, to }).to_vec()
+        },
+        found: "the CT is distorted by {}, differently along three directions",
+        taken: ["the CT has the bone's proportions", "a distortion, as by a wrong spacing of an oblique reformat, of more than {}"],
+        remedy: "check the spacing of the CT's voxels in all three directions, and whether it was reformatted",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "bend",
+        unit: Unit::Mm,
+        prior: |p| p.bend_mm,
+        fault: 0.5,
+        largest: 10.0,
+        modes: |a| vec![Mode::Bend(a.towards), Mode::Bend(a.sideways)],
+        found: "the bone is bent against the CT by {} over the scan",
+        taken: ["the bone is not bent against the CT", "a bend of more than {} at the ends of the scan against its middle"],
+        remedy: "check whether the bone was bent, has healed or moved during the CT",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "twist",
+        unit: Unit::Degrees,
+        prior: |p| p.twist_deg,
+        fault: 3.0,
+        largest: 30.0,
+        modes: |_| vec![Mode::Twist],
+        found: "the bone is twisted against the CT by {} over half of the scan",
+        taken: ["the bone is not twisted against the CT", "a twist of more than {} from the middle of the scan to an end"],
+        remedy: "check whether the bone was bent, has healed or moved during the CT",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "offset",
+        unit: Unit::Mm,
+        prior: |p| p.offset_mm,
+        fault: 0.5,
+        largest: 10.0,
+        modes: |_| vec![Mode::Surface { half_waves: 0.0, around: 0.0, phase: 0.0 }],
+        found: "the CT's surface is {} [outside|inside] the bone's",
+        taken: ["the CT's surface is the bone's", "an offset of more than {}"],
+        remedy: "check the threshold of the CT's segmentation",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "smooth",
+        unit: Unit::Mm,
+        prior: |p| p.smooth_mm,
+        fault: 0.3,
+        largest: 5.0,
+        modes: |_| {
+            let of = |(half_waves, around): (f64, f64)| {
+                let phases = if around > 0.0 { vec![0.0, -FRAC_PI_2] } else { vec![0.0] };
+                phases.into_iter().map(move |phase| Mode::Surface { half_waves, around, phase })
+            };
+            SMOOTH.into_iter().flat_map(of).collect()
+        },
+        found: "the CT's surface is off the bone's by {}, differently along and around it",
+        taken: ["the CT's surface is nowhere more off the bone's than elsewhere", "a smooth error of more than {}"],
+        remedy: "check the CT's segmentation: a threshold that drifts, beam hardening, or a surface from a model of shapes",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "film_along",
+        unit: Unit::Mm,
+        prior: |p| p.film_mm,
+        fault: 1.5,
+        largest: 5.0,
+        modes: |_| vec![Mode::Film { ramp: 1.0 }],
+        found: "a film of {} covers the bone",
+        taken: ["no film grows along the bone", "one that grows by more than {} from one end of the scan to the other"],
+        remedy: "clean the bone and scan again",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "film_around",
+        unit: Unit::Mm,
+        prior: |p| p.film_mm,
+        fault: 1.5,
+        largest: 5.0,
+        modes: |_| vec![Mode::FilmAround],
+        found: "a film of {} covers one side of the bone",
+        taken: ["no film grows around the bone", "one that grows by more than {} from one side of the scan to the other"],
+        remedy: "clean the bone and scan again",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "film",
+        unit: Unit::Mm,
+        prior: |p| p.film_mm,
+        fault: 1.5,
+        largest: 5.0,
+        modes: |_| vec![Mode::Film { ramp: 0.0 }],
+        found: "a film of {} covers the bone",
+        taken: ["no film covers the bone", "one of more than {} on the side that was scanned"],
+        remedy: "clean the bone and scan again",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "camera_scale",
+        unit: Unit::Percent,
+        prior: |p| p.camera_percent,
+        fault: 1.5,
+        largest: 10.0,
+        modes: |a| a.camera.map(Mode::Scale).into_iter().collect(),
+        found: "the camera measures {} too [short|long]",
+        taken: ["the camera's scale has not changed since its calibration", "a change of more than {}"],
+        remedy: "measure an object of known size with the camera",
+        is_of_camera: true,
+    },
+    Cause {
+        name: "camera_depth",
+        unit: Unit::Percent,
+        prior: |p| p.camera_percent,
+        fault: 1.5,
+        largest: 10.0,
+        modes: |a| a.depth(1.0, Vector3::zeros(), Vector3::zeros()),
+        found: "the camera measures depths {} too [short|long]",
+        taken: ["the camera's depth has not changed since its calibration", "a change of more than {}"],
+        remedy: "measure an object of known size with the camera",
+        is_of_camera: true,
+    },
+    Cause {
+        name: "camera_plane",
+        unit: Unit::Percent,
+        prior: |p| p.camera_percent,
+        fault: 1.0,
+        largest: 10.0,
+        modes: |a| [a.along, a.sideways].into_iter().flat_map(|way| a.depth(0.0, way, Vector3::zeros())).collect(),
+        found: "the camera's depth is tilted by {}",
+        taken: ["the camera shows a plane where it is", "a tilt of its depth of more than {}"],
+        remedy: "measure a plane of known place with the camera",
+        is_of_camera: true,
+    },
+    Cause {
+        name: "camera_bend",
+        unit: Unit::Mm,
+        prior: |p| p.field_mm,
+        fault: 0.5,
+        largest: 10.0,
+        modes: |a| {
+            let diagonal = [a.along + a.sideways, a.along - a.sideways].map(|way| way * FRAC_PI_4.sin());
+            [[a.along, a.sideways], diagonal].concat().into_iter().flat_map(|way| a.depth(0.0, Vector3::zeros(), way)).collect()
+        },
+        found: "the camera shows a plane bent by {}",
+        taken: ["the camera shows a plane as flat", "a bend of its depth of more than {} over half of the scan"],
+        remedy: "measure a flat object with the camera",
+        is_of_camera: true,
+    },
+    Cause {
+        name: "beyond",
+        unit: Unit::Degrees,
+        prior: |p| p.beyond_deg,
+        fault: 1.5,
+        largest: 30.0,
+        modes: |a| {
+            let turns = |end_mm: f64| [a.along, a.towards, a.sideways].map(|about| Mode::TurnBeyond { end_mm, about });
+            a.beyond_mm.into_iter().flatten().flat_map(turns).collect()
+        },
+        found: "the bone beyond the scan is turned by {}",
+        taken: ["beyond the scan the bone is as in the CT", "a turn of more than {} there, as of a leg that moved during the CT,"],
+        remedy: "scan the part that is cut",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "step",
+        unit: Unit::Mm,
+        prior: |p| p.step_mm,
+        fault: 1.5,
+        largest: 10.0,
+        modes: |a| a.steps().iter().flat_map(|at| a.step(*at)).collect(),
+        found: "a part of the bone is displaced by {}",
+        taken: ["no part of the bone is displaced against the others", "a step of more than {}"],
+        remedy: "check for a fracture, a loosened part, or slices that are missing, and scan the part that is cut",
+        is_of_camera: false,
+    },
+    Cause {
+        name: "plan",
+        unit: Unit::Mm,
+        prior: |p| p.plan_mm,
+        fault: 3.0,
+        largest: f64::INFINITY,
+        modes: |_| [Vector3::x(), Vector3::y(), Vector3::z()].map(Mode::Plan).to_vec(),
+        found: "the plan is displaced by {}",
+        taken: ["the plan was drawn on this surface", "a shift of more than {}"],
+        remedy: "look at plan and surface together, and bind the plan (osteoflow convert PLAN OUT --bind BONE)",
+        is_of_camera: false,
+    },
+];

@@ -1,9 +1,10 @@
-//! What a deformation does at the targets.
+//! What errors do at the targets.
 
-use super::cause::{Axes, Mode};
+use super::axes::Axes;
+use super::cause::Mode;
 use crate::trust::Limits;
 use crate::trust::predict::Where;
-use nalgebra::{Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
 
 /// The largest errors at the targets.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -43,17 +44,56 @@ impl Effect {
     }
 }
 
-/// The error of the answer at a point: what the pose of `shift` and `turn` about the centroid and the modes do there, mm.
-pub(super) fn error_at(
-    axes: &Axes,
-    pose: &Vector6<f64>,
-    modes: &[Mode],
-    values: &[f64],
-    p: &Point3<f64>,
-) -> Vector3<f64> {
-    let (shift, turn) = (pose.fixed_rows::<3>(0).into_owned(), pose.fixed_rows::<3>(3).into_owned());
-    let bone = modes.iter().zip(values).filter(|(mode, _)| mode.moves_bone());
-    // A planned point has no normal of its own, and no mode that moves the bone needs one.
-    let own: Vector3<f64> = bone.map(|(mode, value)| mode.at(axes, p, &Vector3::zeros()) * *value).sum();
-    shift + turn.cross(&(p - axes.centre)) + own
+/// What parameters of modes do at the targets, through the pose that a registration answers with and by themselves.
+pub(super) struct Levers {
+    axes: Axes,
+    modes: Vec<Mode>,
+    /// The pose's answer to each mode: a shift and a turn about the centre, a column for each.
+    response: DMatrix<f64>,
+}
+
+impl Levers {
+    pub(super) fn new(axes: Axes, modes: Vec<Mode>, response: DMatrix<f64>) -> Self {
+        Self { axes, modes, response }
+    }
+
+    /// A column for each mode: the error of the answer at a point, mm, for a parameter of 1.
+    pub(super) fn at(&self, p: &Point3<f64>) -> DMatrix<f64> {
+        let arm = p - self.axes.centre;
+        let mut levers = DMatrix::zeros(3, self.modes.len());
+        for (k, (mode, mut column)) in self.modes.iter().zip(levers.column_iter_mut()).enumerate() {
+            let pose = Vector6::from_fn(|row, _| self.response[(row, k)]);
+            let (shift, turn) = (pose.fixed_rows::<3>(0).into_owned(), pose.fixed_rows::<3>(3).into_owned());
+            // A planned point has no normal of its own, and no mode that moves it needs one.
+            let own = if mode.moves_plan() { mode.at(&self.axes, p, &Vector3::zeros()) } else { Vector3::zeros() };
+            column.copy_from(&(shift + turn.cross(&arm) + own));
+        }
+        levers
+    }
+
+    /// The effect of parameters.
+    pub(super) fn effect(&self, place: &Where<'_>, limits: &Limits, values: &DVector<f64>) -> Effect {
+        Effect::new(place, limits, &|p| {
+            let error = self.at(p) * values;
+            Vector3::new(error[0], error[1], error[2])
+        })
+    }
+
+    /// Of the modes `first..first + k` the directions of unit length that may move one of the targets most.
+    pub(super) fn worst(&self, place: &Where<'_>, first: usize, k: usize) -> Vec<DVector<f64>> {
+        let of = |p: &Point3<f64>| self.at(p).columns(first, k).into_owned();
+        let mut maps: Vec<DMatrix<f64>> = place.cuts.iter().flat_map(|cut| cut.levers(&of)).collect();
+        let mut points = DMatrix::zeros(3 * place.limited.len(), k);
+        for (i, p) in place.limited.iter().enumerate() {
+            points.rows_mut(3 * i, 3).copy_from(&of(p));
+        }
+        maps.push(points);
+        let top = |map: DMatrix<f64>| {
+            let eigen = (map.transpose() * &map).symmetric_eigen();
+            let mut whole = DVector::zeros(self.modes.len());
+            whole.rows_mut(first, k).copy_from(&eigen.eigenvectors.column(eigen.eigenvalues.imax()));
+            whole
+        };
+        maps.into_iter().map(top).collect()
+    }
 }

@@ -1,21 +1,17 @@
-//! The pose and a few numbers more, fitted to a scan.
+//! Pose, field and all causes, fitted to a scan at once.
 
-use super::cause::{Axes, Mode};
+use super::axes::Axes;
+use super::cause::Mode;
 use super::field::{Field, N_FIELD};
 use crate::target::Target;
-use crate::trust::Residual;
-use nalgebra::{Isometry3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
+use crate::trust::surface_error::CELL_MM;
+use crate::trust::{Residual, SurfaceError};
+use nalgebra::{DMatrix, DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of unknowns: a shift, a turn, the field, and at most two numbers more.
-pub(super) const N: usize = N_BEFORE + 2;
-
-/// Number of unknowns that every fit has.
+/// Number of unknowns before the causes': a shift, a turn, and the field.
 pub(super) const N_BEFORE: usize = 6 + N_FIELD;
-
-pub(super) type Normal = SMatrix<f64, N, N>;
-pub(super) type Row = SVector<f64, N>;
 
 /// Pairs are searched within this distance, mm.
 pub(super) const REACH_MM: f64 = 6.0;
@@ -23,24 +19,26 @@ pub(super) const REACH_MM: f64 = 6.0;
 /// Residuals beyond this many robust standard deviations have no weight.
 const GATE_SIGMAS: f64 = 4.0;
 
+/// Residuals count as at most this many in what is left.
+const CAP_SIGMAS: f64 = 3.0;
+
 /// The least such gate of the first steps, mm: a part that is displaced by millimetres is found again before the gate closes.
 const GATES_MM: [f64; 5] = [2.5, 1.8, 1.2, 0.8, 0.5];
 
-/// Largest number of steps of a first look, which tells a cause that is there from one that is not.
-pub(super) const LOOK: usize = 10;
+/// Largest number of steps.
+const MAX_STEPS: usize = 12;
 
-/// Largest number of steps of a fit whose size is told: a shear slides along a shaft, slowly.
-pub(super) const THOROUGH: usize = 100;
-
-/// Number of residuals that say as much as one that is independent, for the weight of a prior. 10: so much more the pose varies in
-/// simulated scans, beside such a field, than with independent residuals.
+/// Number of residuals that say as much as one that is independent, for the weight of the priors while it is fitted.
 const N_TOGETHER: f64 = 10.0;
 
 /// The least standard deviation of residuals for the weight of a prior, mm: no surface of a segmentation is truer.
 const SURFACE_MM: f64 = 0.05;
 
 /// A fit ends where no point moves farther in a step, mm.
-const STEP_MM: f64 = 0.001;
+const STEP_MM: f64 = 0.01;
+
+/// The least edge of the cells whose residuals count as one draw, mm: some points of the scan are in each.
+const MIN_CELL_MM: f64 = 4.0;
 
 /// A quarter of a Gaussian's absolute values are below this many standard deviations.
 const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
@@ -55,54 +53,51 @@ pub(super) struct Problem<'a> {
     pub(super) points: &'a [Point3<f64>],
     pub(super) axes: &'a Axes,
     pub(super) field: &'a Field,
+    /// The causes' modes.
+    pub(super) modes: &'a [Mode],
     /// The sensor's noise, mm.
     pub(super) noise_mm: f64,
 }
 
-/// What a fit has reached.
-struct Unknowns {
-    motion: Isometry3<f64>,
-    values: Vec<f64>,
-    field_mm: [f64; N_FIELD],
+/// What a scan says of pose, field and causes, to first order about where they fit together.
+pub(super) struct Information {
+    /// Weighted products of the unknowns' columns, and of the columns with the distances that they are to explain, in residuals that are
+    /// independent and have a variance of 1.
+    pub(super) matrix: DMatrix<f64>,
+    pub(super) vector: DVector<f64>,
+    /// Sum of the squares of what is left there, each at most that of an outlier.
+    pub(super) misfit: f64,
+    /// How the pose of a registration answers to each cause: a shift and a turn about the centre.
+    pub(super) response: DMatrix<f64>,
 }
 
-impl Unknowns {
-    /// The field's amplitudes among the unknowns.
-    fn row(&self) -> Row {
-        field(|k| self.field_mm[k])
-    }
-
-    fn add(&mut self, delta: &Row) {
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(delta[3], delta[4], delta[5]));
-        let shift = Translation3::new(delta[0], delta[1], delta[2]);
-        self.motion = Isometry3::from_parts(shift * self.motion.translation, turn * self.motion.rotation);
-        self.field_mm.iter_mut().zip(delta.iter().skip(6)).for_each(|(value, delta)| *value += delta);
-        self.values.iter_mut().zip(delta.iter().skip(N_BEFORE)).for_each(|(value, delta)| *value += delta);
-    }
-}
-
-/// A fitted pose with the parameters of some modes.
-#[derive(Debug, Clone)]
+/// Where a fit has come to.
 pub(super) struct Fit {
-    /// The motion from the registration to the fitted pose, about the centroid.
-    pub(super) motion: Isometry3<f64>,
-    /// The parameters.
-    pub(super) values: Vec<f64>,
-    /// The amplitudes of the field, mm.
-    pub(super) field_mm: [f64; N_FIELD],
-    /// Robust standard deviation of the residuals, mm.
-    pub(super) sigma_mm: f64,
-    /// Residuals beyond this have no weight, mm.
-    pub(super) gate_mm: f64,
-    /// The pairs of all points with the residuals that are left; none where the surface is out of reach.
-    pub(super) pairs: Vec<Option<Pair>>,
+    /// The unknowns: shift and turn about the centroid, the field's amplitudes, the causes' parameters.
+    at: DVector<f64>,
+    /// The surface's normal at each point's last pair.
+    normals: Vec<Vector3<f64>>,
+    /// Robust standard deviation of the residuals where it is first looked at, and variance of those that are independent, mm².
+    sigma_mm: f64,
+    variance: f64,
+}
+
+impl Fit {
+    fn motion(&self) -> Isometry3<f64> {
+        let of = |first: usize| Vector3::from_column_slice(&self.at.as_slice()[first..first + 3]);
+        Isometry3::from_parts(Translation3::from(of(0)), UnitQuaternion::from_scaled_axis(of(3)))
+    }
+
+    fn keep_normals(&mut self, step: &Step) {
+        for (normal, pair) in self.normals.iter_mut().zip(&step.pairs) {
+            *normal = pair.as_ref().map_or(*normal, |pair| pair.normal);
+        }
+    }
 }
 
 /// A point of the scan with the surface nearest to it.
 #[derive(Debug, Clone)]
-pub(super) struct Pair {
-    /// Where the registration puts it, target's frame.
-    registered: Point3<f64>,
+struct Pair {
     /// Where the fit puts it.
     point: Point3<f64>,
     /// The surface's normal.
@@ -111,88 +106,107 @@ pub(super) struct Pair {
     residual_mm: f64,
 }
 
+/// A step of a fit.
+struct Step {
+    pairs: Vec<Option<Pair>>,
+    /// A row for each point.
+    rows: DMatrix<f64>,
+    weights: Vec<f64>,
+    sigma_mm: f64,
+}
+
 impl Problem<'_> {
-    /// Fits the pose, the field and the modes, from the registration on, with pairs and weights found anew in each step from
-    /// all points. `field_sds_mm` are the priors of the field's amplitudes.
+    /// Fits pose, field and causes, whose standard deviations are `sds`, from the registration on, with pairs and weights found anew in each
+    /// step from all points.
     ///
-    /// `None` where the points leave one of them undetermined.
-    pub(super) fn fit(&self, modes: &[Mode], field_sds_mm: &[f64; N_FIELD], max_steps: usize) -> Option<Fit> {
-        let (values, field_mm) = (vec![0.0; modes.len()], [0.0; N_FIELD]);
-        let mut at = Unknowns { motion: Isometry3::identity(), values, field_mm };
-        let mut normals = vec![Vector3::zeros(); self.points.len()];
-        for step in 0.. {
-            let pairs = self.pairs(modes, &at, &normals);
-            let sigma_mm = self.sigma_mm(&pairs);
-            let gate_mm = (GATE_SIGMAS * sigma_mm).max(GATES_MM.get(step).copied().unwrap_or(0.0));
-            let rows = self.rows(&pairs, modes, &at.motion);
-            let (mut h, mut b) = normal_equations(&pairs, &rows, gate_mm, N_BEFORE + modes.len());
-            let prior = prior(field_sds_mm, sigma_mm);
-            h += Normal::from_diagonal(&prior);
-            b -= prior.component_mul(&at.row());
-            let delta = h.cholesky()?.solve(&b);
+    /// `None` where the points leave the pose undetermined.
+    pub(super) fn fit(&self, sds: &[f64]) -> Option<Fit> {
+        let n = N_BEFORE + self.modes.len();
+        let mut fit = Fit { at: DVector::zeros(n), normals: vec![Vector3::zeros(); self.points.len()], sigma_mm: 1.0, variance: 1.0 };
+        for n in 0..MAX_STEPS {
+            let step = self.step(&fit, GATES_MM.get(n).copied().unwrap_or(0.0));
+            let (mut h, b) = step.normal_equations();
+            let prior = self.prior(sds, N_TOGETHER * step.sigma_mm.max(SURFACE_MM).powi(2));
+            (0..h.nrows()).for_each(|k| h[(k, k)] += prior[k]);
+            let delta = h.cholesky()?.solve(&(&b - prior.component_mul(&fit.at)));
             if !delta.iter().all(|value| value.is_finite()) {
                 return None;
             }
-            at.add(&delta);
-            for (normal, pair) in normals.iter_mut().zip(&pairs) {
-                *normal = pair.as_ref().map_or(*normal, |pair| pair.normal);
-            }
-            let moved_mm = rows.iter().map(|row| row.dot(&delta).abs()).fold(0.0, f64::max);
-            if step + 1 == max_steps || (step >= GATES_MM.len() && moved_mm < STEP_MM) {
-                let mut left = pairs.clone();
-                for (pair, row) in left.iter_mut().zip(&rows) {
-                    pair.iter_mut().for_each(|pair| pair.residual_mm -= row.dot(&delta));
-                }
-                let Unknowns { motion, values, field_mm } = at;
-                return Some(Fit { motion, values, field_mm, sigma_mm, gate_mm, pairs: left });
+            let moved_mm = (&step.rows * &delta).amax();
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(delta[3], delta[4], delta[5]));
+            let turned = (turn * fit.motion().rotation).scaled_axis();
+            fit.at += delta;
+            fit.at.rows_mut(3, 3).copy_from(&turned);
+            fit.keep_normals(&step);
+            if n >= GATES_MM.len() && moved_mm < STEP_MM {
+                break;
             }
         }
-        None
+        Some(fit)
     }
 
-    /// The pairs at a pose with the field and the modes' parameters; none where the surface is out of reach. `normals` are those of
-    /// the last pairs.
-    fn pairs(&self, modes: &[Mode], at: &Unknowns, normals: &[Vector3<f64>]) -> Vec<Option<Pair>> {
-        let centre = self.axes.centre;
-        let pair = |((index, p), normal): ((usize, &Point3<f64>), &Vector3<f64>)| {
-            let shifts = modes.iter().zip(&at.values).map(|(mode, value)| mode.at(self.axes, p, normal) * *value);
-            let field = self.field.displacement(index, &self.axes.towards, normal, &at.field_mm);
-            let warped = p + shifts.sum::<Vector3<f64>>() + field;
-            let point = centre + at.motion.rotation * (warped - centre) + at.motion.translation.vector;
-            let (nearest, _) = self.target.nearest(&point, REACH_MM)?;
-            let normal = self.normals[nearest];
-            let residual_mm = (self.target.points()[nearest] - point).dot(&normal);
-            Some(Pair { registered: *p, point, normal, residual_mm })
-        };
-        self.points.par_iter().enumerate().zip(normals.par_iter()).map(pair).collect()
+    /// What the scan says about a fit, whose unknowns are replaced by `at` if given. What is independent is counted where it is not.
+    pub(super) fn look(&self, fit: &mut Fit, at: Option<DVector<f64>>) -> Option<Information> {
+        let is_first = at.is_none();
+        if let Some(at) = at {
+            fit.at = at;
+        }
+        let step = self.step(fit, 0.0);
+        fit.keep_normals(&step);
+        let (h, b) = step.normal_equations();
+        let cap_mm = CAP_SIGMAS * if is_first { step.sigma_mm } else { fit.sigma_mm };
+        if is_first {
+            fit.sigma_mm = step.sigma_mm;
+            // With too few cells nothing is known of what is independent: the priors are left.
+            fit.variance = self.together(&step, &h).unwrap_or(f64::INFINITY) * step.sigma_mm.powi(2);
+        }
+        let squares = |pair: &Option<Pair>| pair.as_ref().map_or(cap_mm, |p| p.residual_mm.abs().min(cap_mm)).powi(2);
+        let misfit = step.pairs.iter().map(squares).sum::<f64>() / fit.variance;
+        self.information(h, b, misfit, fit)
     }
 
-    /// How far each point moves along its pair's normal with each unknown.
-    fn rows(&self, pairs: &[Option<Pair>], modes: &[Mode], motion: &Isometry3<f64>) -> Vec<Row> {
-        let row = |(index, pair): (usize, &Option<Pair>)| {
-            let mut row = Row::zeros();
-            if let Some(pair) = pair {
-                row.fixed_rows_mut::<N_BEFORE>(0).copy_from(&self.row_before(index, pair, motion));
-                for (k, mode) in modes.iter().enumerate() {
-                    row[N_BEFORE + k] = self.response(pair, mode, motion);
+    /// Pairs, rows and weights at a fit.
+    fn step(&self, fit: &Fit, gate_mm: f64) -> Step {
+        let (centre, motion, at) = (self.axes.centre, fit.motion(), &fit.at);
+        let (field_mm, values) = (&at.as_slice()[6..N_BEFORE], &at.as_slice()[N_BEFORE..]);
+        let towards = self.axes.towards;
+        let n = at.len();
+        let pair = |((index, p), last): ((usize, &Point3<f64>), &Vector3<f64>)| {
+            let shifts = self.modes.iter().zip(values).filter(|(mode, value)| **value != 0.0 && mode.moves_scan());
+            let shifts: Vector3<f64> = shifts.map(|(mode, value)| mode.at(self.axes, p, last) * *value).sum();
+            let warped = p + shifts + self.field.displacement(index, &towards, field_mm);
+            let point = centre + motion.rotation * (warped - centre) + motion.translation.vector;
+            let mut row = vec![0.0; n];
+            let found = self.target.nearest(&point, REACH_MM).map(|(nearest, _)| {
+                let normal = self.normals[nearest];
+                let turn = (point - centre).cross(&normal);
+                row[..3].copy_from_slice(normal.as_slice());
+                row[3..6].copy_from_slice(turn.as_slice());
+                let facing = normal.dot(&(motion.rotation * towards));
+                row[6..N_BEFORE].iter_mut().zip(self.field.at(index)).for_each(|(of, wave)| *of = facing * wave);
+                let back = motion.rotation.inverse() * normal;
+                for (of, mode) in row[N_BEFORE..].iter_mut().zip(self.modes).filter(|(_, mode)| mode.moves_scan()) {
+                    *of = back.dot(&mode.at(self.axes, p, &normal));
                 }
-            }
-            row
+                let residual_mm = (self.target.points()[nearest] - point).dot(&normal);
+                Pair { point, normal, residual_mm }
+            });
+            (found, row)
         };
-        pairs.iter().enumerate().map(row).collect()
+        let found: Vec<(Option<Pair>, Vec<f64>)> =
+            self.points.par_iter().enumerate().zip(fit.normals.par_iter()).map(pair).collect();
+        let rows = DMatrix::from_row_iterator(found.len(), n, found.iter().flat_map(|(_, row)| row.iter().copied()));
+        let pairs: Vec<Option<Pair>> = found.into_iter().map(|(pair, _)| pair).collect();
+        let sigma_mm = self.sigma_mm(&pairs);
+        let gate_mm = (GATE_SIGMAS * sigma_mm).max(gate_mm);
+        let weights = pairs.iter().map(|pair| pair.as_ref().map_or(0.0, |p| weight(p.residual_mm, gate_mm))).collect();
+        Step { pairs, rows, weights, sigma_mm }
     }
 
-    /// How far the point of a pair moves along its normal with shift and turn about the centroid, and with the field's amplitudes.
-    pub(super) fn row_before(&self, index: usize, pair: &Pair, motion: &Isometry3<f64>) -> SVector<f64, N_BEFORE> {
-        let (n, turn) = (pair.normal, (pair.point - self.axes.centre).cross(&pair.normal));
-        let facing = n.dot(&(motion.rotation * self.axes.towards));
-        let along = n.dot(&(motion.rotation * n));
-        SVector::from_iterator(n.iter().chain(&turn).copied().chain(self.field.at(index, facing, along)))
-    }
-
-    /// How far the point of a pair moves along its normal with a mode.
-    pub(super) fn response(&self, pair: &Pair, mode: &Mode, motion: &Isometry3<f64>) -> f64 {
-        pair.normal.dot(&(motion.rotation * mode.at(self.axes, &pair.registered, &pair.normal)))
+    /// What the priors say of the unknowns, in residuals of this variance.
+    fn prior(&self, sds: &[f64], variance: f64) -> DVector<f64> {
+        let sds = self.field.sds_mm.iter().chain(sds).map(|sd| variance / (sd * sd));
+        DVector::from_iterator(N_BEFORE + self.modes.len(), std::iter::repeat_n(0.0, 6).chain(sds))
     }
 
     /// Robust standard deviation of the residuals, mm: from the quarter that is nearest, so that tissue may be on half of the scan.
@@ -201,69 +215,69 @@ impl Problem<'_> {
         if sizes.is_empty() {
             return self.noise_mm;
         }
-        let at = pairs.len() / 4;
-        let at = at.min(sizes.len() - 1);
+        let at = (pairs.len() / 4).min(sizes.len() - 1);
         let (_, quarter, _) = sizes.select_nth_unstable_by(at, f64::total_cmp);
         (*quarter / QUARTER_SIGMAS).max(self.noise_mm)
     }
 
-    /// Covariance of the unknowns of a fit, with the residuals of one cell of `cell_mm` taken for one draw; `None` with too few cells.
+    /// What the normal equations of a fit say, with residuals counted as many as are independent.
+    fn information(&self, h: DMatrix<f64>, b: DVector<f64>, misfit: f64, fit: &Fit) -> Option<Information> {
+        let pose = h.view((0, 0), (6, 6)).into_owned().cholesky()?;
+        let response = -pose.solve(&h.view((0, N_BEFORE), (6, self.modes.len())).into_owned());
+        Some(Information { vector: (b + &h * &fit.at) / fit.variance, matrix: h / fit.variance, misfit, response })
+    }
+
+    /// Number of residuals that say as much as one that is independent.
     ///
     /// # Source
-    /// White 1980; Liang and Zeger 1986, with the correction for the number of cells.
-    pub(super) fn covariance(
-        &self,
-        fit: &Fit,
-        modes: &[Mode],
-        field_sds_mm: &[f64; N_FIELD],
-        cell_mm: f64,
-    ) -> Option<Normal> {
-        let n = N_BEFORE + modes.len();
-        let rows = self.rows(&fit.pairs, modes, &fit.motion);
-        let (mut h, _) = normal_equations(&fit.pairs, &rows, fit.gate_mm, n);
-        let prior = prior(field_sds_mm, fit.sigma_mm);
-        h += Normal::from_diagonal(&prior);
-        let mut cells: BTreeMap<[i64; 3], Row> = BTreeMap::new();
-        for (pair, row) in fit.pairs.iter().zip(&rows) {
+    /// White 1980; Liang and Zeger 1986: the variance of the pose's scores summed over cells.
+    fn together(&self, step: &Step, h: &DMatrix<f64>) -> Option<f64> {
+        let left: Vec<Residual> = step.left();
+        let cell_mm = SurfaceError::new(&left).cell_mm(MIN_CELL_MM).min(CELL_MM);
+        let mut before = h.view((0, 0), (N_BEFORE, N_BEFORE)).into_owned();
+        let prior = self.prior(&vec![1.0; self.modes.len()], N_TOGETHER * step.sigma_mm.max(SURFACE_MM).powi(2));
+        (0..N_BEFORE).for_each(|k| before[(k, k)] += prior[k]);
+        let inverse = before.cholesky()?.inverse();
+        let mut cells: BTreeMap<[i64; 3], DVector<f64>> = BTreeMap::new();
+        for ((pair, weight), row) in step.pairs.iter().zip(&step.weights).zip(step.rows.row_iter()) {
             let Some(pair) = pair else { continue };
             let key = std::array::from_fn(|k| ((pair.point[k] - self.axes.centre[k]) / cell_mm).floor() as i64);
-            *cells.entry(key).or_insert_with(Row::zeros) += row * (fit.weight(pair) * pair.residual_mm);
+            let score = row.columns(0, N_BEFORE).transpose() * (weight * pair.residual_mm);
+            *cells.entry(key).or_insert_with(|| DVector::zeros(N_BEFORE)) += score;
         }
-        let scores: Normal = cells.values().map(|score| score * score.transpose()).sum();
-        let inverse = h.cholesky()?.inverse();
-        // The prior determines the rest.
-        let n_determined = n as f64 - inverse.diagonal().dot(&prior);
+        let n_determined = N_BEFORE as f64 - inverse.diagonal().dot(&prior.rows(0, N_BEFORE));
         let n_cells = cells.len() as f64;
         let correction = (n_cells > n_determined + 1.0).then(|| n_cells / (n_cells - n_determined))?;
-        // What the prior holds back of the field is error, too.
-        let held_back = prior.component_mul(&prior).component_mul(&field(|k| field_sds_mm[k].powi(2)));
-        Some(inverse * (scores * correction + Normal::from_diagonal(&held_back)) * inverse)
+        let mut variances = DVector::zeros(6);
+        for score in cells.values() {
+            let moved = inverse.rows(0, 6) * score;
+            variances += moved.component_mul(&moved);
+        }
+        let ratio = (0..6).map(|k| variances[k] / inverse[(k, k)]).sum::<f64>() / 6.0;
+        Some((correction * ratio / step.sigma_mm.powi(2)).max(1.0))
     }
 }
 
-impl Fit {
-    /// Weight of a pair.
-    pub(super) fn weight(&self, pair: &Pair) -> f64 {
-        weight(pair.residual_mm, self.gate_mm)
+impl Step {
+    /// Normal matrix and right-hand side.
+    fn normal_equations(&self) -> (DMatrix<f64>, DVector<f64>) {
+        let mut weighted = self.rows.clone();
+        weighted.row_iter_mut().zip(&self.weights).for_each(|(mut row, weight)| row *= *weight);
+        let residuals = self.pairs.iter().map(|pair| pair.as_ref().map_or(0.0, |pair| pair.residual_mm));
+        let residuals = DVector::from_iterator(self.pairs.len(), residuals);
+        (weighted.tr_mul(&self.rows), weighted.tr_mul(&residuals))
     }
 
     /// The residuals of the pairs that have weight.
-    pub(super) fn left(&self) -> Vec<Residual> {
-        let pairs = self.pairs.iter().flatten().filter(|pair| self.weight(pair) > 0.0);
+    fn left(&self) -> Vec<Residual> {
+        let pairs = self.pairs.iter().zip(&self.weights).filter(|(_, weight)| **weight > 0.0);
         let left = |pair: &Pair| Residual {
             point: pair.point,
             normal: pair.normal,
             signed_mm: -pair.residual_mm,
             aside_mm: 0.0,
         };
-        pairs.map(left).collect()
-    }
-
-    /// Sum over all points of the squares of the residuals, each at most `cap_mm`².
-    pub(super) fn squares(&self, cap_mm: f64) -> f64 {
-        let square =
-            |pair: &Option<Pair>| pair.as_ref().map_or(cap_mm, |pair| pair.residual_mm.abs().min(cap_mm)).powi(2);
-        self.pairs.iter().map(square).sum()
+        pairs.filter_map(|(pair, _)| pair.as_ref().map(left)).collect()
     }
 }
 
@@ -271,40 +285,4 @@ impl Fit {
 fn weight(residual_mm: f64, gate_mm: f64) -> f64 {
     let u = residual_mm / gate_mm;
     if u.abs() < 1.0 { (1.0 - u * u).powi(2) } else { 0.0 }
-}
-
-/// A row of the unknowns with these values for the field's amplitudes.
-fn field(of: impl Fn(usize) -> f64) -> Row {
-    Row::from_fn(|k, _| if (6..N_BEFORE).contains(&k) { of(k - 6) } else { 0.0 })
-}
-
-/// What the priors of the field's amplitudes say of them, in residuals.
-pub(super) fn prior(field_sds_mm: &[f64; N_FIELD], sigma_mm: f64) -> Row {
-    field(|k| N_TOGETHER * (sigma_mm.max(SURFACE_MM) / field_sds_mm[k]).powi(2))
-}
-
-/// Lower half of the normal matrix, and right-hand side; unknowns beyond the first `n` are held at zero.
-fn normal_equations(pairs: &[Option<Pair>], rows: &[Row], gate_mm: f64, n: usize) -> (Normal, Row) {
-    let (mut h, mut b) = (Normal::zeros(), Row::zeros());
-    for (pair, row) in pairs.iter().zip(rows) {
-        let Some(pair) = pair else { continue };
-        let weight = weight(pair.residual_mm, gate_mm);
-        if weight == 0.0 {
-            continue;
-        }
-        let weighted = row * weight;
-        for k in 0..n {
-            let column = &mut h.as_mut_slice()[k * N..k * N + n];
-            column[k..].iter_mut().zip(&weighted.as_slice()[k..n]).for_each(|(sum, of)| *sum += of * row[k]);
-        }
-        b += weighted * pair.residual_mm;
-    }
-    (n..N).for_each(|k| h[(k, k)] = 1.0);
-    (h, b)
-}
-
-/// Shift and turn of a motion about the centroid.
-pub(super) fn twist(motion: &Isometry3<f64>) -> Vector6<f64> {
-    let (shift, turn) = (motion.translation.vector, motion.rotation.scaled_axis());
-    Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
 }

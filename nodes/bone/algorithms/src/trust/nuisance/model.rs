@@ -1,395 +1,353 @@
-//! The causes of one registration, fitted and compared.
+//! What a scan says of every cause: a posterior with each cause as large as in a sound procedure, and one for each that may be at fault.
 
-use super::cause::{Cause, Mode};
-use super::effect::{Effect, error_at};
-use super::field::{self, N_FIELD};
-use super::fit::{self, Fit, N_BEFORE, Problem, twist};
+use super::axes::Axes;
+use super::cause::{CAUSES, Cause, Mode};
+use super::effect::{Effect, Levers};
+use super::fit::{Fit, Information, N_BEFORE, Problem};
 use super::params::NuisanceParams;
-use super::report::{Nuisance, NuisanceState, Nuisances};
+use super::report::{Nuisance, NuisanceState};
 use super::words;
-use crate::trust::predict::{Deformation, Where};
-use crate::trust::{RuleParams, SurfaceError};
-use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
+use crate::trust::predict::{Component, Deformation, Predicted, Where};
+use crate::trust::{Limits, RuleParams};
+use nalgebra::{DMatrix, DVector, Vector3};
 use osteoflow_verdict::Reason;
-use statrs::distribution::{ContinuousCDF, Normal};
+use statrs::distribution::{Continuous, ContinuousCDF, Normal};
+use std::ops::Range;
 
-/// The causes that may be told from the pose, a step apart.
-const FITTED: [Cause; 8] = [
-    Cause::Along,
-    Cause::Growth,
-    Cause::Shear,
-    Cause::Across,
-    Cause::Bend,
-    Cause::Twist,
-    Cause::Offset,
-    Cause::CameraScale,
-];
+/// Standard deviations over those that the residuals tell, squared: so much more do sizes scatter in simulated sound scans, as errors of camera
+/// and CT that are in no family are in none of the residuals.
+const UNMODELLED: f64 = 7.84;
 
-/// The causes that look like another pose.
-const UNFITTED: [Cause; 4] = [Cause::FilmAlong, Cause::FilmAround, Cause::Film, Cause::CameraDepth];
+/// Another cause explains the same numbers if it has this share of the best one's chance.
+const AS_WELL: f64 = 0.2;
 
-/// Explanations are as good as each other that differ by this share of what the better explains, or by odds of 1 in 20.
-const HARDLY: f64 = 0.05;
-const SLACK: f64 = 6.0;
+/// Standard deviations from which a deformation is told, however harmless it is.
+const NOTED: f64 = 10.0;
 
-/// Places of a step are tried this far apart, mm.
-const STEP_EVERY_MM: f64 = 8.0;
+/// The modes of a cause among all.
+pub(super) struct Family {
+    cause: &'static Cause,
+    modes: Range<usize>,
+    /// Those that are at fault together: a step is in one place.
+    together: usize,
+    /// Prior standard deviation of each parameter.
+    prior: f64,
+    /// The same where it is a fault.
+    fault: f64,
+}
 
-/// Another cause explains the same numbers if it takes this share of what the best one takes from the residuals.
-const AS_WELL: f64 = 0.75;
-
-/// A cause with this share of the effect that matters, and of the score from which it is measured, is fitted to its end: along and about
-/// a shaft a first look finds a half of it.
-const NEAR: f64 = 0.3;
-
-/// An amplitude of the field that is not fitted has this standard deviation, mm.
-const NONE_MM: f64 = 1e-6;
-
-/// The least edge of the cells whose residuals count as one draw, mm: some points of the scan are in each.
-const MIN_CELL_MM: f64 = 4.0;
-
-/// Standard deviations over those that the residuals tell: so much more do sizes scatter in simulated sound scans, as errors of camera and
-/// CT that are no wave of the field are in none of the residuals.
-const UNMODELLED: f64 = 2.8;
-
-/// Twice the logarithm of the odds against a fault: one in 400.
-const FAULT: f64 = 12.0;
-
-/// 90 % of a Gaussian's absolute values are below this many standard deviations.
-const BOUND_SIGMAS: f64 = 1.645;
-
-/// A fitted cause.
-#[derive(Clone)]
-struct Candidate {
-    cause: Cause,
-    fit: Fit,
-    /// Of its parameters.
+/// What the causes may be if some of them are at fault.
+struct Hypothesis {
+    /// The family at fault, and its modes that are.
+    fault: Option<(usize, Range<usize>)>,
+    weight: f64,
+    /// Logarithm of what prior and odds say of its mean, with the share of the parameters' space that it leaves.
+    log_prior: f64,
+    /// Mean of all unknowns.
+    whole: DVector<f64>,
+    /// Mean and covariance of the causes' parameters.
+    mean: DVector<f64>,
     covariance: DMatrix<f64>,
-    /// Its size in standard deviations.
-    score: f64,
-    effect: Effect,
-    /// How much it takes from the squares of the residuals, less what its prior asks for.
-    gain: f64,
 }
 
-impl Candidate {
-    /// Size of the estimate, in its parameters.
-    fn size(&self) -> f64 {
-        self.cause.size(&self.fit.values).abs()
-    }
+/// The causes of one registration.
+pub(in crate::trust) struct Nuisances {
+    axes: Axes,
+    families: Vec<Family>,
+    /// The first has no fault.
+    hypotheses: Vec<Hypothesis>,
+    levers: Levers,
+    /// For each family, the effect of a parameter of 1 in its worst direction.
+    worst: Vec<Effect>,
+}
 
-    /// Probability that it displaces the targets beyond the limits.
-    fn beyond_limits(&self) -> f64 {
-        let critical = self.size() / self.effect.times;
-        Normal::new(self.size(), self.sd()).map_or(0.0, |size| size.sf(critical))
-    }
+/// What is known of the causes, with the chance that each puts the answer beyond the limits.
+pub(in crate::trust) struct Known {
+    /// Each cause.
+    pub(in crate::trust) list: Vec<Nuisance>,
+    /// The sign against the registration that a cause was measured.
+    pub(in crate::trust) reason: Option<Reason>,
+    /// What is taken for granted, the most dangerous first; each with whether it is of the camera.
+    pub(in crate::trust) assumptions: Vec<(bool, String)>,
+}
 
-    /// Standard deviation of its size, from the data alone.
-    fn sd(&self) -> f64 {
-        self.covariance.diagonal().rows(0, self.cause.n_own()).mean().max(0.0).sqrt()
+impl Family {
+    /// The families that apply, and the modes of all.
+    pub(super) fn all(axes: &Axes, params: &NuisanceParams) -> (Vec<Self>, Vec<Mode>) {
+        let mut all = Vec::new();
+        let family = |cause: &'static Cause| {
+            let first = all.len();
+            all.extend((cause.modes)(axes));
+            let (modes, (_, by)) = (first..all.len(), cause.unit.of());
+            let together = if cause.name == "step" { 3 } else { modes.len() };
+            let n_places = modes.len().div_ceil(together.max(1)).max(1) as f64;
+            Self { cause, modes, together, prior: (cause.prior)(params) / by / n_places.sqrt(), fault: cause.fault / by }
+        };
+        let families = CAUSES.iter().map(family).filter(|family| !family.modes.is_empty()).collect();
+        (families, all)
     }
 }
 
-/// A registration whose causes of error are judged.
-pub(super) struct Model<'a> {
-    problem: Problem<'a>,
-    /// The fit of pose and field alone.
-    rigid: Fit,
-    /// Edge of the cells whose residuals count as one draw, mm.
-    cell_mm: f64,
-    /// How much more the pose varies than with independent residuals.
-    inflation: f64,
-    place: &'a Where<'a>,
-    rules: &'a RuleParams,
-    params: &'a NuisanceParams,
-}
-
-impl<'a> Model<'a> {
-    /// The model at the pose at which the scan fits; `None` where that leaves a motion undetermined.
+impl Nuisances {
+    /// `None` where the scan leaves a motion undetermined.
     pub(super) fn new(
-        problem: Problem<'a>,
-        place: &'a Where<'a>,
-        rules: &'a RuleParams,
-        params: &'a NuisanceParams,
+        problem: &Problem<'_>,
+        families: Vec<Family>,
+        place: &Where<'_>,
+        limits: &Limits,
+        params: &NuisanceParams,
     ) -> Option<Self> {
-        let rigid = problem.fit(&[], &problem.field.sds_mm, fit::THOROUGH)?;
-        // The field explains what is correlated over longer distances.
-        let cell_mm = SurfaceError::new(&rigid.left()).cell_mm(MIN_CELL_MM);
-        let covariance = problem.covariance(&rigid, &[], &problem.field.sds_mm, cell_mm)?;
-        let mut model = Self { problem, rigid, cell_mm, inflation: 1.0, place, rules, params };
-        let (h, _, _) = model.blocks(&[], &model.problem.field.sds_mm);
-        let inverse = h.try_inverse()?;
-        let inflation = (0..6).map(|k| covariance[(k, k)] / inverse[(k, k)]).sum::<f64>() / 6.0;
-        model.inflation = (inflation / model.rigid.sigma_mm.powi(2)).max(1.0);
-        Some(model)
+        let faults: Vec<f64> = families.iter().flat_map(|family| vec![family.fault; family.modes.len()]).collect();
+        let mut fit = problem.fit(&faults)?;
+        let all = |information: &Information| hypotheses(information, problem, &families, params.fault_odds);
+        let likeliest = |mut hypotheses: Vec<Hypothesis>| {
+            let sound = hypotheses.swap_remove(0);
+            let fault = hypotheses.into_iter().max_by(|a, b| a.weight.total_cmp(&b.weight))?;
+            Some((sound, fault))
+        };
+        let (sound, fault) = likeliest(all(&problem.look(&mut fit, None)?)?)?;
+        // To first order about each of the two, which are compared by what they leave: what no data show may be far off where all was at fault.
+        let about = |first: Hypothesis, fit: &mut Fit| {
+            let information = problem.look(fit, Some(first.whole))?;
+            let again = all(&information)?.into_iter().find(|h| h.fault == first.fault)?;
+            let left = problem.look(fit, Some(again.whole.clone()))?;
+            let cost = left.misfit / UNMODELLED - 2.0 * again.log_prior;
+            Some((cost, left))
+        };
+        let (of_sound, of_fault) = (about(sound, &mut fit)?, about(fault, &mut fit));
+        let information = match of_fault {
+            Some(of_fault) if of_fault.0 < of_sound.0 => of_fault.1,
+            _ => of_sound.1,
+        };
+        let hypotheses = all(&information)?;
+        let axes = problem.axes.clone();
+        let levers = Levers::new(axes.clone(), problem.modes.to_vec(), information.response);
+        let worst = |family: &Family| {
+            let (first, k) = (family.modes.start, family.modes.len());
+            let at = |direction: DVector<f64>| {
+                // A size that may be: a tilt is no multiple of an angle that is not small.
+                levers.effect(place, limits, &(direction * family.prior)).scaled(1.0 / family.prior)
+            };
+            let worst = levers.worst(place, first, k).into_iter().map(at);
+            worst.max_by(|a, b| a.times.total_cmp(&b.times)).unwrap_or_default()
+        };
+        let worst = families.iter().map(worst).collect();
+        Some(Self { axes, families, hypotheses, levers, worst })
     }
 
-    /// What the data say of every cause.
-    pub(super) fn judge(&self) -> Nuisances {
-        let mut fitted = FITTED.to_vec();
-        fitted.extend(self.step());
-        let candidates = self.candidates(&fitted);
-        let measured = self.measured(&candidates);
-        let (mut list, mut unseen, mut bounded) = (Vec::new(), Vec::new(), Vec::new());
-        for cause in fitted.into_iter().chain(UNFITTED) {
-            let modes = self.own_modes(cause);
-            if modes.is_empty() {
-                continue;
+    /// What the causes may do to the answer, for the predicted error.
+    pub(in crate::trust) fn deformation(&self) -> Deformation<'_> {
+        fn component(h: &Hypothesis) -> Component<'_> {
+            Component { weight: h.weight, mean: &h.mean, covariance: &h.covariance }
+        }
+        Deformation {
+            components: self.hypotheses.iter().map(component).collect(),
+            at: Box::new(|p| self.levers.at(p)),
+        }
+    }
+
+    /// What is known of the causes, with the predicted error.
+    pub(in crate::trust) fn known(&self, predicted: &Predicted, at: &Where<'_>, rules: &RuleParams) -> Known {
+        let measured = self.measured(predicted, rules);
+        if std::env::var("HYP").is_ok() {
+            for (h, c) in self.hypotheses.iter().zip(&predicted.beyond_by) {
+                let name = h.fault.as_ref().map_or(("none".to_owned(), 0), |(f, r)| (self.families[*f].cause.name.to_owned(), r.start));
+                if h.weight > 0.0005 { println!("     h {name:?} weight {:.5} chance {c:.5}", h.weight); }
             }
-            let candidate = candidates.iter().find(|c| c.cause == cause);
-            let prior = self.params.prior(cause);
-            let linear = self.linear(cause, &modes);
-            let bound = linear.worst.scaled(BOUND_SIGMAS * linear.data_sd);
-            let (state, effect) = match candidate {
-                Some(c) if measured.iter().any(|m| m.cause == cause) => (NuisanceState::Measured, c.effect),
-                Some(_) if !cause.is_assumed() && bound.times <= 1.0 => (NuisanceState::Bounded, bound),
-                _ => (NuisanceState::Unseen, linear.worst.scaled(prior)),
+        }
+        let (mut list, mut taken) = (Vec::new(), Vec::new());
+        for (f, (family, worst)) in self.families.iter().zip(&self.worst).enumerate() {
+            let of_fault = self.of_fault(f);
+            let is_measured = measured.iter().any(|h| h.fault.as_ref().is_some_and(|(of, _)| *of == f));
+            let critical = 1.0 / worst.times.max(1e-12);
+            let (size, sd, modes) = self.size(f, if is_measured { of_fault } else { None });
+            let danger = self.danger(f, critical);
+            let (chance, _) = danger;
+            let within = of_fault.map_or(1.0, |h| self.beyond(h, f, critical).0);
+            let state = match (is_measured, within < 0.1) {
+                (true, _) => NuisanceState::Measured,
+                (false, true) => NuisanceState::Bounded,
+                (false, false) => NuisanceState::Unseen,
             };
-            let critical = 1.0 / linear.worst.times.max(1e-12);
-            match state {
-                NuisanceState::Bounded => bounded.push(cause),
-                NuisanceState::Unseen => {
-                    let assumption = words::assumption(cause, critical, linear.worst, &self.rules.limits);
-                    unseen.push((critical / prior, (cause.is_of_camera(), assumption)));
+            let effect = match state {
+                NuisanceState::Measured => {
+                    let mean = of_fault.map(|h| self.only(f, &h.mean)).unwrap_or_default();
+                    self.levers.effect(at, &rules.limits, &mean)
                 }
-                NuisanceState::Measured => {}
+                _ => worst.scaled(size.abs() + 1.645 * sd),
+            };
+            let (unit, by) = family.cause.unit.of();
+            if state != NuisanceState::Measured {
+                let text = words::assumption(family.cause, critical, *worst, &rules.limits, &self.axes, at);
+                if state == NuisanceState::Unseen {
+                    taken.push((danger.1, family.cause.is_of_camera, text));
+                }
+                let (z, found) = (size.abs() / sd, of_fault.map(|h| self.size(f, Some(h))));
+                if let Some((size, sd, _)) = found.filter(|(size, sd, _)| z > NOTED && size.abs() > NOTED * sd) {
+                    taken.push((f64::INFINITY, false, words::note(family.cause, size, sd)));
+                }
             }
-            let (unit, by) = cause.unit();
-            let values = candidate.map(|c| &c.fit.values[..]);
             list.push(Nuisance {
-                name: cause.name().to_owned(),
+                name: family.cause.name.to_owned(),
                 state,
-                estimate: values.map(|values| by * cause.size(values)),
-                sd: by * linear.sd,
+                estimate: by * size,
+                sd: by * sd,
+                prior: by * family.prior,
                 unit: unit.to_owned(),
-                axis: cause.axis(self.problem.axes, values).map(Into::into),
-                at: cause.place(self.problem.axes).map(|p| p.coords.into()),
+                axis: axis(&modes, &self.axes, family).map(Into::into),
                 effect_mm: effect.mm,
                 effect_deg: effect.deg,
                 critical: by * critical,
+                chance,
             });
         }
-        unseen.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Nuisances {
-            list,
-            reason: self.reason(&measured),
-            assumptions: unseen.into_iter().map(|(_, assumption)| assumption).collect(),
-            deformation: self.deformation(&bounded),
+        taken.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let assumptions = taken.into_iter().map(|(_, is_of_camera, text)| (is_of_camera, text)).collect();
+        Known { list, reason: self.reason(&measured, at, rules), assumptions }
+    }
+
+    /// The faults that make the answer likely wrong: the likeliest, and those that explain about as much.
+    fn measured(&self, predicted: &Predicted, rules: &RuleParams) -> Vec<&Hypothesis> {
+        let of: Vec<(f64, &Hypothesis)> = predicted.beyond_by.iter().copied().zip(&self.hypotheses).collect();
+        let mut faults: Vec<(f64, &Hypothesis)> = of.into_iter().filter(|(_, h)| h.fault.is_some()).collect();
+        faults.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let sound = predicted.beyond_by.first().copied().unwrap_or(0.0);
+        let Some((best, _)) = faults.first().filter(|(best, _)| *best > sound) else { return Vec::new() };
+        if predicted.beyond_limits <= rules.max_beyond_limits {
+            return Vec::new();
         }
-    }
-
-    /// The modes of a cause without what is fitted beside it: the stretch beside a shear is a cause of its own.
-    fn own_modes(&self, cause: Cause) -> Vec<Mode> {
-        cause.modes(self.problem.axes).into_iter().take(cause.n_own()).collect()
-    }
-
-    /// The causes fitted, the one that explains most first.
-    fn candidates(&self, causes: &[Cause]) -> Vec<Candidate> {
-        let mut candidates: Vec<Candidate> =
-            causes.iter().filter_map(|cause| self.candidate(*cause, fit::LOOK)).collect();
-        self.compare(&mut candidates);
-        for candidate in &mut candidates {
-            if candidate.score >= NEAR * self.params.min_score && candidate.effect.times >= NEAR {
-                *candidate = self.candidate(candidate.cause, fit::THOROUGH).unwrap_or_else(|| candidate.clone());
+        let mut named: Vec<&str> = Vec::new();
+        let least = AS_WELL * best;
+        let mut is_new = |h: &Hypothesis| {
+            let name = h.fault.as_ref().map_or("", |(f, _)| self.families[*f].cause.name);
+            !named.contains(&name) && {
+                named.push(name);
+                true
             }
-        }
-        self.compare(&mut candidates);
-        candidates
-    }
-
-    /// The causes that are there and large enough to matter: the best explanation, and those that explain about as much.
-    fn measured<'c>(&self, candidates: &'c [Candidate]) -> Vec<&'c Candidate> {
-        let Some(best) = candidates.first() else { return Vec::new() };
-        let matters =
-            |c: &Candidate| c.beyond_limits() > self.rules.max_beyond_limits && c.size() >= self.params.least(c.cause);
-        // Where the best explanation is harmless, another must be hardly worse.
-        let least = if matters(best) { AS_WELL * best.gain } else { best.gain - (HARDLY * best.gain).max(SLACK) };
-        // A shear is fitted beside a stretch: it is there where the stretch alone explains less.
-        let stretch = candidates.iter().find(|c| c.cause == Cause::Along);
-        let is_stretch = |c: &Candidate| c.cause == Cause::Shear && stretch.is_some_and(|s| s.gain + SLACK > c.gain);
-        let is_measured = |c: &&Candidate| {
-            c.gain > 0.0 && c.gain >= least && c.score >= self.params.min_score && matters(c) && !is_stretch(c)
         };
-        candidates.iter().filter(is_measured).collect()
+        faults.into_iter().filter(|(chance, h)| *chance >= least && is_new(h)).map(|(_, h)| h).collect()
     }
 
-    /// The sign that a cause was measured.
-    fn reason(&self, measured: &[&Candidate]) -> Option<Reason> {
+    fn reason(&self, measured: &[&Hypothesis], at: &Where<'_>, rules: &RuleParams) -> Option<Reason> {
         let (first, others) = measured.split_first()?;
-        let (_, by) = first.cause.unit();
-        let others: Vec<(Cause, &[f64])> = others.iter().map(|c| (c.cause, &c.fit.values[..])).collect();
-        Some(words::measured((first.cause, &first.fit.values), by * first.sd(), first.effect, &others))
+        let of = |h: &Hypothesis| h.fault.as_ref().map(|(f, _)| (*f, self.size(*f, Some(h))));
+        let (f, (size, sd, _)) = of(first)?;
+        let effect = self.levers.effect(at, &rules.limits, &self.only(f, &first.mean));
+        let others: Vec<(&Cause, f64)> =
+            others.iter().filter_map(|h| of(h)).map(|(f, (size, ..))| (self.families[f].cause, size)).collect();
+        Some(words::measured(self.families[f].cause, size, sd, effect, &others))
     }
 
-    /// The place of a step that fits best, if any fits.
-    fn step(&self) -> Option<Cause> {
-        let half_mm = self.problem.axes.half_mm;
-        let every = (self.problem.points.len() / 500).max(1);
-        let few: Vec<Point3<f64>> = self.problem.points.iter().step_by(every).copied().collect();
-        let field = self.problem.field.thinned(every);
-        let problem = Problem { points: &few, field: &field, ..self.problem };
-        let cap_mm = 3.0 * self.rigid.sigma_mm;
-        let n = (half_mm / STEP_EVERY_MM).floor() as i32;
-        let places =
-            (-n..=n).map(|k| f64::from(k) * STEP_EVERY_MM).filter(|mm| mm.abs() < half_mm - 0.5 * STEP_EVERY_MM);
-        let squares = |beyond_mm: f64| {
-            let cause = Cause::Step { beyond_mm };
-            let fit = problem.fit(&cause.modes(self.problem.axes), &self.field_sds_mm(cause), fit::LOOK)?;
-            Some((fit.squares(cap_mm), cause))
+    /// The likeliest hypothesis in which a family is at fault.
+    fn of_fault(&self, f: usize) -> Option<&Hypothesis> {
+        let own = self.hypotheses.iter().filter(|h| h.fault.as_ref().is_some_and(|(of, _)| *of == f));
+        own.max_by(|a, b| a.weight.total_cmp(&b.weight))
+    }
+
+    /// Size, standard deviation and parameters of a family: where one is at fault, of what is; else in the sound posterior. One parameter has a
+    /// sign.
+    fn size(&self, f: usize, fault: Option<&Hypothesis>) -> (f64, f64, Vec<f64>) {
+        let h = fault.unwrap_or(&self.hypotheses[0]);
+        let own = h.fault.as_ref().filter(|(of, _)| *of == f).map(|(_, modes)| modes.clone());
+        let modes = own.unwrap_or_else(|| self.families[f].modes.clone());
+        let values: Vec<f64> = modes.clone().map(|k| h.mean[k]).collect();
+        let size = if values.len() == 1 { values[0] } else { DVector::from_column_slice(&values).norm() };
+        let variance = modes.clone().map(|k| h.covariance[(k, k)]).sum::<f64>() / modes.len() as f64;
+        (size, variance.max(0.0).sqrt(), values)
+    }
+
+    /// The parameters of a family alone.
+    fn only(&self, f: usize, values: &DVector<f64>) -> DVector<f64> {
+        DVector::from_fn(values.len(), |k, _| if self.families[f].modes.contains(&k) { values[k] } else { 0.0 })
+    }
+
+    /// Under a hypothesis the chance that a family is beyond its critical size, and the mean of its size over that where it is.
+    fn beyond(&self, h: &Hypothesis, f: usize, critical: f64) -> (f64, f64) {
+        let (size, sd, _) = self.size(f, Some(h));
+        let (size, sd) = (size.abs() / critical, (sd / critical).max(1e-9));
+        let Ok(normal) = Normal::new(0.0, 1.0) else { return (0.0, 0.0) };
+        let tail = |mean: f64| {
+            let z = (1.0 - mean) / sd;
+            (normal.sf(z), mean * normal.sf(z) + sd * normal.pdf(z))
         };
-        places.filter_map(squares).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, cause)| cause)
+        let (above, below) = (tail(size), tail(-size));
+        (above.0 + below.0, above.1 + below.1)
     }
 
-    /// How much each candidate explains, the best first.
-    fn compare(&self, candidates: &mut [Candidate]) {
-        let sigma_mm = candidates.iter().map(|c| c.fit.sigma_mm).fold(self.rigid.sigma_mm, f64::min);
-        let cap_mm = 3.0 * sigma_mm;
-        let left = |fit: &Fit, sds_mm: &[f64; N_FIELD]| {
-            let field: f64 = fit.field_mm.iter().zip(sds_mm).map(|(mm, sd_mm)| (mm / sd_mm).powi(2)).sum();
-            fit.squares(cap_mm) / (sigma_mm * sigma_mm * self.inflation) + field
-        };
-        let rigid = left(&self.rigid, &self.problem.field.sds_mm);
-        for candidate in candidates.iter_mut() {
-            let gained = rigid - left(&candidate.fit, &self.field_sds_mm(candidate.cause));
-            candidate.gain = gained - self.penalty(candidate);
-        }
-        candidates.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    /// The chance that a family puts the answer beyond the limits, and that times how far.
+    fn danger(&self, f: usize, critical: f64) -> (f64, f64) {
+        let concerns = |h: &&Hypothesis| h.fault.as_ref().is_none_or(|(of, _)| *of == f);
+        let of = self.hypotheses.iter().filter(concerns).map(|h| (h.weight, self.beyond(h, f, critical)));
+        of.fold((0.0, 0.0), |sum, (weight, (chance, times))| (sum.0 + weight * chance, sum.1 + weight * times))
     }
+}
 
-    /// What an explanation costs, as twice the logarithm of its odds: as much as usual in a sound world, or a fault.
-    fn penalty(&self, candidate: &Candidate) -> f64 {
-        let of = |cause: Cause, size: f64| {
-            let as_fault = (size / cause.usual()).powi(2) + FAULT;
-            as_fault.min((size / self.params.prior(cause)).powi(2))
-        };
-        let beside = match (candidate.cause, &candidate.fit.values[..]) {
-            (Cause::Shear, [_, stretch]) => of(Cause::Along, *stretch),
-            _ => 0.0,
-        };
-        of(candidate.cause, candidate.size()) + beside
+/// The direction in which a family acts, where it has one.
+fn axis(values: &[f64], axes: &Axes, family: &Family) -> Option<Vector3<f64>> {
+    match (family.cause.name, values) {
+        ("stretch_along" | "film_along" | "twist", _) => Some(axes.along),
+        ("bend", [a, b]) | ("step", [a, b, _]) => (axes.towards * *a + axes.sideways * *b).try_normalize(1e-12),
+        ("shear", _) => Some(Vector3::y()),
+        ("film_around", _) => Some(axes.sideways),
+        ("film", _) => Some(axes.towards),
+        _ => None,
     }
+}
 
-    /// Priors of the field beside a cause: a bend is its longest wave, and the side that a camera sees does not tell a CT too wide from one with
-    /// an offset.
-    fn field_sds_mm(&self, cause: Cause) -> [f64; N_FIELD] {
-        let mut sds_mm = self.problem.field.sds_mm;
-        match cause {
-            Cause::Bend => sds_mm[field::LONGEST] = NONE_MM,
-            Cause::Offset | Cause::Across => sds_mm[field::OFFSET] = NONE_MM,
-            _ => {}
-        }
-        sds_mm
-    }
-
-    fn candidate(&self, cause: Cause, max_steps: usize) -> Option<Candidate> {
-        let axes = self.problem.axes;
-        let modes = cause.modes(axes);
-        if modes.is_empty() {
-            return None;
-        }
-        let sds_mm = self.field_sds_mm(cause);
-        let fit = self.problem.fit(&modes, &sds_mm, max_steps)?;
-        let k = modes.len();
-        let covariance = self.problem.covariance(&fit, &modes, &sds_mm, self.cell_mm)? * UNMODELLED.powi(2);
-        let covariance = DMatrix::from_fn(k, k, |row, column| covariance[(N_BEFORE + row, N_BEFORE + column)]);
-        let n_own = cause.n_own();
-        let values = DVector::from_column_slice(&fit.values[..n_own]);
-        let own = covariance.view((0, 0), (n_own, n_own)).into_owned();
-        let score = own.cholesky().map_or(0.0, |c| values.dot(&c.solve(&values)).max(0.0).sqrt());
-        let pose = twist(&fit.motion) - twist(&self.rigid.motion);
-        let effect = Effect::new(self.place, &self.rules.limits, &|p| error_at(axes, &pose, &modes, &fit.values, p));
-        Some(Candidate { cause, fit, covariance, score, effect, gain: 0.0 })
-    }
-
-    /// Normal matrices at the rigid fit: of pose and field, of these and modes, of the modes.
-    fn blocks(&self, modes: &[Mode], field_sds_mm: &[f64; N_FIELD]) -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
-        let k = modes.len();
-        let (problem, rigid) = (&self.problem, &self.rigid);
-        let mut h = DMatrix::zeros(N_BEFORE + k, N_BEFORE + k);
-        for (index, pair) in rigid.pairs.iter().enumerate() {
-            let Some(pair) = pair else { continue };
-            let before = problem.row_before(index, pair, &rigid.motion);
-            let responses = modes.iter().map(|mode| problem.response(pair, mode, &rigid.motion));
-            let row = DVector::from_iterator(N_BEFORE + k, before.iter().copied().chain(responses));
-            h.ger(rigid.weight(pair), &row, &row, 1.0);
-        }
-        let prior = fit::prior(field_sds_mm, rigid.sigma_mm);
-        (0..N_BEFORE).for_each(|k| h[(k, k)] += prior[k]);
-        let part = |row, column, rows, columns| h.view((row, column), (rows, columns)).into_owned();
-        (part(0, 0, N_BEFORE, N_BEFORE), part(0, N_BEFORE, N_BEFORE, k), part(N_BEFORE, N_BEFORE, k, k))
-    }
-
-    /// How the registration's pose answers to modes, and the information on them that pose and field leave.
-    fn schur(&self, modes: &[Mode], field_sds_mm: &[f64; N_FIELD]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-        let (h, cross, own) = self.blocks(modes, field_sds_mm);
-        let response = -h.view((0, 0), (6, 6)).into_owned().cholesky()?.solve(&cross.rows(0, 6).into_owned());
-        let left = own - cross.transpose() * h.cholesky()?.solve(&cross);
-        Some((response, left / ((self.rigid.sigma_mm * UNMODELLED).powi(2) * self.inflation)))
-    }
-
-    /// What the data say of a cause's own modes at the rigid fit, to first order.
-    fn linear(&self, cause: Cause, modes: &[Mode]) -> Linear {
-        let (k, prior) = (modes.len(), self.params.prior(cause));
-        let nothing = || (DMatrix::zeros(6, k), DMatrix::zeros(k, k));
-        let (response, information) = self.schur(modes, &self.field_sds_mm(cause)).unwrap_or_else(nothing);
-        let sd = |information: DMatrix<f64>| {
-            information.try_inverse().map_or(f64::INFINITY, |inverse| (inverse.trace() / k as f64).max(0.0).sqrt())
-        };
-        let at = |values: &Vec<f64>| {
-            // A size that may be: a tilt is no multiple of an angle that is not small.
-            let values: Vec<f64> = values.iter().map(|value| value * prior).collect();
-            let pose = &response * DVector::from_column_slice(&values);
-            let pose = Vector6::from_fn(|row, _| pose[row]);
-            Effect::new(self.place, &self.rules.limits, &|p| error_at(self.problem.axes, &pose, modes, &values, p))
-                .scaled(1.0 / prior)
-        };
-        let worst = directions(k).iter().map(at).max_by(|a, b| a.times.total_cmp(&b.times)).unwrap_or_default();
-        Linear { sd: sd(&information + DMatrix::identity(k, k) / (prior * prior)), data_sd: sd(information), worst }
-    }
-
-    /// The joint posterior of causes that the data limit, each with its prior.
-    fn deformation(&self, bounded: &[Cause]) -> Option<Deformation> {
-        let modes: Vec<Mode> = bounded.iter().flat_map(|cause| self.own_modes(*cause)).collect();
-        if modes.is_empty() {
-            return None;
-        }
-        // An offset is not there twice.
-        let field_sds_mm = bounded.iter().find(|cause| **cause == Cause::Offset).map(|cause| self.field_sds_mm(*cause));
-        let (response, information) = self.schur(&modes, &field_sds_mm.unwrap_or(self.problem.field.sds_mm))?;
-        let prior = |cause: &Cause| vec![self.params.prior(*cause).powi(-2); cause.n_own()];
-        let priors = DVector::from_iterator(modes.len(), bounded.iter().flat_map(prior));
-        let covariance = (information + DMatrix::from_diagonal(&priors)).try_inverse()?;
-        let axes = self.problem.axes.clone();
-        let at = move |p: &Point3<f64>| {
-            let column = |k: usize| {
-                let pose = Vector6::from_fn(|row, _| response[(row, k)]);
-                error_at(&axes, &pose, &modes[k..=k], &[1.0], p)
+/// The posteriors: of a sound procedure, and of each fault, with their weights.
+///
+/// A fault changes the priors of a few parameters, so that each posterior follows from that of a sound procedure.
+fn hypotheses(
+    information: &Information,
+    problem: &Problem<'_>,
+    families: &[Family],
+    fault_odds: f64,
+) -> Option<Vec<Hypothesis>> {
+    let of_field = problem.field.sds_mm.iter().map(|sd_mm| sd_mm.powi(-2));
+    let of_causes = families.iter().flat_map(|family| vec![family.prior.powi(-2); family.modes.len()]);
+    let precisions: Vec<f64> = [0.0; 6].into_iter().chain(of_field).chain(of_causes).collect();
+    let precisions = DVector::from_vec(precisions);
+    let mut matrix = &information.matrix / UNMODELLED;
+    (0..precisions.len()).for_each(|k| matrix[(k, k)] += precisions[k]);
+    let cholesky = matrix.cholesky()?;
+    let whole = cholesky.solve(&(&information.vector / UNMODELLED));
+    let n = whole.len() - N_BEFORE;
+    let all_covariance = cholesky.inverse();
+    let mean = whole.rows(N_BEFORE, n).into_owned();
+    let covariance = all_covariance.view((N_BEFORE, N_BEFORE), (n, n)).into_owned();
+    let square = |of: &DVector<f64>| 0.5 * precisions.dot(&of.component_mul(of));
+    let log_prior = -square(&whole);
+    let sound =
+        Hypothesis { fault: None, weight: 0.0, log_prior, mean: mean.clone(), covariance: covariance.clone(), whole: whole.clone() };
+    let mut all = vec![(0.0, sound)];
+    for (f, family) in families.iter().enumerate() {
+        let (k, n_places) = (family.together, (family.modes.len() / family.together) as f64);
+        // The change of the precision.
+        let change = family.fault.powi(-2) - family.prior.powi(-2);
+        for first in family.modes.clone().step_by(k) {
+            let own = covariance.view((first, first), (k, k)).into_owned();
+            let own_mean = mean.rows(first, k).into_owned();
+            let ratio = (DMatrix::identity(k, k) + own * change).lu();
+            let determinant = ratio.determinant();
+            let Some(gain) = ratio.try_inverse().filter(|_| determinant > 0.0).map(|inverse| inverse * change) else {
+                continue;
             };
-            let columns: Vec<Vector3<f64>> = (0..modes.len()).map(column).collect();
-            DMatrix::from_fn(3, columns.len(), |row, k| columns[k][row])
-        };
-        Some(Deformation { covariance, at: Box::new(at) })
-    }
-}
-
-/// To first order: the standard deviation of a parameter, and the effect of a size of 1 in the worst direction.
-struct Linear {
-    /// With the prior.
-    sd: f64,
-    /// From the data alone.
-    data_sd: f64,
-    worst: Effect,
-}
-
-/// Directions of up to three parameters of unit length.
-fn directions(k: usize) -> Vec<Vec<f64>> {
-    match k {
-        1 => vec![vec![1.0]],
-        2 => (0..8).map(|i| f64::from(i) * std::f64::consts::PI / 8.0).map(|a| vec![a.cos(), a.sin()]).collect(),
-        _ => {
-            let all = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9].map(|k| f64::from(k) - 1.0));
-            let unit = |v: [f64; 3]| Vector3::from(v).try_normalize(1e-9).map(|v| v.as_slice().to_vec());
-            all.filter_map(unit).collect()
+            let moved = &gain * &own_mean;
+            // What a wider prior costs, and how much of it the data leave.
+            let space = -0.5 * determinant.ln() + k as f64 * (family.prior / family.fault).ln() + (fault_odds / n_places).ln();
+            let log = -0.5 * own_mean.dot(&moved) + space;
+            let columns = all_covariance.columns(N_BEFORE + first, k).into_owned();
+            let whole = &whole - &columns * moved;
+            let columns = columns.rows(N_BEFORE, n).into_owned();
+            let covariance = &covariance - &columns * gain * columns.transpose();
+            let mean = whole.rows(N_BEFORE, n).into_owned();
+            let log_prior = space - square(&whole) - 0.5 * change * mean.rows(first, k).norm_squared();
+            let fault = Some((f, first..first + k));
+            all.push((log, Hypothesis { fault, weight: 0.0, log_prior, whole, mean, covariance }));
         }
     }
+    let largest = all.iter().map(|(log, _)| *log).fold(0.0, f64::max);
+    let sum: f64 = all.iter().map(|(log, _)| (log - largest).exp()).sum();
+    let weighted = |(log, hypothesis): (f64, Hypothesis)| Hypothesis { weight: (log - largest).exp() / sum, ..hypothesis };
+    Some(all.into_iter().map(weighted).collect())
 }

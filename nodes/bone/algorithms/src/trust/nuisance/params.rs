@@ -1,6 +1,5 @@
 //! Priors of what may be wrong beside the pose.
 
-use super::cause::Cause;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -8,10 +7,6 @@ use serde::Deserialize;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NuisanceParams {
-    /// Standardised score from which a cause is measured; below it is bounded or unseen. 3.3: the level of false alarms over all causes. The
-    /// largest score of 58 simulated sound scans with the measured errors of scanners is 3.4, and below 2.9 in 95 % of them.
-    #[schemars(range(min = 0.0, max = 1000.0))]
-    pub min_score: f64,
     /// Stretch of the CT along the bone, across it, or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
     /// a table that lags by half a slice in 100 is as much.
     #[schemars(range(min = 0.001, max = 100.0))]
@@ -40,59 +35,44 @@ pub struct NuisanceParams {
     /// warms up.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub camera_percent: f64,
-    /// Scale of the camera from which it is reported, percent. 1.3: simulated estimates scatter by 0.3 %, so that 2 %
-    /// is noticed; less may as well be a stretch of the CT, which moves the cuts less.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub min_camera_percent: f64,
-    /// Bend from which it is reported, mm. 0.3: less is an error of the camera's depth.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub min_bend_mm: f64,
     /// Amplitude of the error of the camera's depth that is one wave over the scan, mm; a shorter wave has less in proportion to its
     /// length. 0.1: a calibrated structured-light camera.
     #[schemars(range(min = 0.001, max = 100.0))]
     pub field_mm: f64,
+    /// Any other distortion of the CT, each of six strains, percent. 0.1: what the rounding of a reformat's spacing leaves.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub affine_percent: f64,
+    /// Smooth error of the CT's surface, each of fourteen waves along and around the bone, mm. 0.05: 0.13 mm in all.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub smooth_mm: f64,
+    /// Turn of the bone beyond the scan against the CT, about each axis, degrees. 0.1: as its twist.
+    #[schemars(range(min = 0.001, max = 90.0))]
+    pub beyond_deg: f64,
+    /// Displacement of the plan against the surface, along each axis, mm. 0.1: it is drawn on it.
+    #[schemars(range(min = 0.001, max = 100.0))]
+    pub plan_mm: f64,
+    /// Odds that a cause is at fault, so that it is as large as faults are. 0.0025: one in 400 for each.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub fault_odds: f64,
 }
 
 impl Default for NuisanceParams {
     fn default() -> Self {
         Self {
-            min_score: 3.3,
             stretch_percent: 0.5,
-            shear_deg: 0.1,
-            bend_mm: 0.02,
-            twist_deg: 0.1,
+            shear_deg: 0.05,
+            bend_mm: 0.01,
+            twist_deg: 0.05,
             offset_mm: 0.2,
-            film_mm: 0.3,
+            film_mm: 0.1,
             step_mm: 0.02,
-            camera_percent: 0.2,
-            min_camera_percent: 1.3,
-            min_bend_mm: 0.3,
+            camera_percent: 0.1,
             field_mm: 0.1,
-        }
-    }
-}
-
-impl NuisanceParams {
-    /// Prior standard deviation of a cause's parameters.
-    pub(super) fn prior(&self, cause: Cause) -> f64 {
-        match cause {
-            Cause::Along | Cause::Growth | Cause::Across => self.stretch_percent / 100.0,
-            Cause::Shear => self.shear_deg.to_radians(),
-            Cause::Bend => self.bend_mm,
-            Cause::Twist => self.twist_deg.to_radians(),
-            Cause::Offset => self.offset_mm,
-            Cause::FilmAlong | Cause::FilmAround | Cause::Film => self.film_mm,
-            Cause::Step { .. } => self.step_mm,
-            Cause::CameraScale | Cause::CameraDepth => self.camera_percent / 100.0,
-        }
-    }
-
-    /// The least size of a cause that is told.
-    pub(super) fn least(&self, cause: Cause) -> f64 {
-        match cause {
-            Cause::CameraScale => self.min_camera_percent / 100.0,
-            Cause::Bend => self.min_bend_mm,
-            _ => 0.0,
+            affine_percent: 0.1,
+            smooth_mm: 0.02,
+            beyond_deg: 0.05,
+            plan_mm: 0.1,
+            fault_odds: 0.0025,
         }
     }
 }

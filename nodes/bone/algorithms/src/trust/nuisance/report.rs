@@ -1,7 +1,5 @@
 //! What is known of the causes.
 
-use crate::trust::predict::Deformation;
-use osteoflow_verdict::Reason;
 use serde::{Deserialize, Serialize};
 
 /// What the data say of a cause.
@@ -10,9 +8,9 @@ use serde::{Deserialize, Serialize};
 pub enum NuisanceState {
     /// It is there, and large enough to matter at the targets.
     Measured,
-    /// The data limit it; the limit is part of the predicted error.
+    /// The data exclude a size that matters, even if it is at fault.
     Bounded,
-    /// The data do not limit it: an assumption.
+    /// The data do not: an assumption.
     Unseen,
 }
 
@@ -23,32 +21,21 @@ pub struct Nuisance {
     pub name: String,
     /// What the data say of it.
     pub state: NuisanceState,
-    /// Its size, in `unit`; none where it was not fitted.
-    pub estimate: Option<f64>,
-    /// Standard deviation of the size, from the data and the prior.
+    /// Mean and standard deviation of its size, from data and prior; of several parameters the size is their norm.
+    pub estimate: f64,
     pub sd: f64,
-    /// The unit of `estimate`, `sd` and `critical`.
+    /// Standard deviation of its parameters in a sound procedure.
+    pub prior: f64,
+    /// The unit of `estimate`, `sd`, `prior` and `critical`.
     pub unit: String,
     /// The direction in which it acts, unit vector of the target's frame, where it has one.
     pub axis: Option<[f64; 3]>,
-    /// The place where it acts, target's frame, mm, where it has one.
-    pub at: Option<[f64; 3]>,
-    /// Largest error of mean TRE and cuts, mm: of its size if measured, of its bound of 90 % if bounded, of its prior's if unseen.
+    /// Largest error of mean TRE and cuts, mm: of its size if measured, else of the largest size that is likely (90 %).
     pub effect_mm: f64,
     /// Largest tilt of a cut by as much, degrees.
     pub effect_deg: f64,
     /// The size at which the answer would be beyond the first of the limits.
     pub critical: f64,
-}
-
-/// What is known of the causes.
-pub(in crate::trust) struct Nuisances {
-    /// Each cause.
-    pub list: Vec<Nuisance>,
-    /// The sign against the registration that a cause was measured.
-    pub reason: Option<Reason>,
-    /// What is taken for granted, the most critical first; each with whether it is of the camera.
-    pub assumptions: Vec<(bool, String)>,
-    /// What the causes may do to the answer, for the predicted error.
-    pub deformation: Option<Deformation>,
+    /// The chance that it is larger.
+    pub chance: f64,
 }
