@@ -125,12 +125,47 @@ pub(super) struct Cause {
     pub(super) modes: fn(&Axes) -> Vec<Mode>,
     /// What is found: `{}` is the size, and `[a|b]` one of two words by its sign.
     pub(super) found: &'static str,
-    /// What is taken for granted, and the size from which it would be wrong.
-    pub(super) taken: [&'static str; 2],
-    /// What shows it.
+    /// The size from which it would be wrong.
+    pub(super) wrong: &'static str,
+    /// What to check where it is found.
     pub(super) remedy: &'static str,
-    /// Whether it is of the camera, which a check piece tests.
-    pub(super) is_of_camera: bool,
+    pub(super) of: Of,
+}
+
+/// What is taken for granted where causes are not seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Of {
+    Ct,
+    Surface,
+    /// A check piece tests it.
+    Camera,
+    Plan,
+}
+
+impl Of {
+    pub(super) const ALL: [Self; 4] = [Self::Ct, Self::Surface, Self::Camera, Self::Plan];
+
+    /// What is taken for granted, and what shows it.
+    pub(super) fn words(self) -> [&'static str; 2] {
+        match self {
+            Self::Ct => [
+                "the CT shows the bone as it is",
+                "spacing, reformatting and gantry tilt in its DICOM headers, or a new CT",
+            ],
+            Self::Surface => [
+                "what was scanned is the bone's surface as the CT's segmentation has it",
+                "cleaning, a stylus on the bone, or the surface drawn over the CT's slices",
+            ],
+            Self::Camera => [
+                "the camera measures as at its calibration",
+                "a check piece read after the scan (metrics.check_points), or an object of known size",
+            ],
+            Self::Plan => [
+                "the plan was drawn on this surface",
+                "binding it (osteoflow convert PLAN OUT --bind BONE)",
+            ],
+        }
+    }
 }
 
 /// Half waves along the scan and waves around the bone of the smooth errors of a surface; a constant is the offset.
@@ -147,9 +182,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: f64::INFINITY,
         modes: |a| vec![Mode::Strain { of: a.along, to: a.along }],
         found: "the CT is {} too [long|short] along the bone",
-        taken: ["the CT has the bone's length", "a stretch along it of more than {}"],
+        wrong: "a stretch along it of more than {}",
         remedy: "check the slice spacing of the CT",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "growth",
@@ -159,9 +194,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 15.0,
         modes: |_| vec![Mode::Growth],
         found: "the CT is {} too [large|small] in all directions",
-        taken: ["the CT has the bone's size", "a growth or shrinkage of more than {}"],
+        wrong: "a growth or shrinkage of more than {}",
         remedy: "check the voxel size of the CT and its date; a bone grows",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "stretch_across",
@@ -171,9 +206,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 15.0,
         modes: |_| vec![Mode::Across],
         found: "the CT is {} too [wide|narrow] across the bone",
-        taken: ["the CT has the bone's width", "a stretch across it of more than {}"],
+        wrong: "a stretch across it of more than {}",
         remedy: "check the pixel spacing of the CT",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         // Slices are stacked along z of the CT, and a gantry tilts about x. Up to a turn, both ways to write it are one: this moves a
@@ -189,9 +224,9 @@ pub(super) const CAUSES: &[Cause] = &[
             vec![Mode::Strain { of, to }]
         },
         found: "the CT's slices are sheared by {}",
-        taken: ["the CT is not sheared", "a shear of more than {}"],
+        wrong: "a shear of more than {}",
         remedy: "check the tilt of the CT's gantry",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "affine",
@@ -204,9 +239,9 @@ pub(super) const CAUSES: &[Cause] = &[
             [(x, x), (y, y), (z, z), (x, y), (x, z), (y, z)].map(|(of, to)| Mode::Strain { of, to }).to_vec()
         },
         found: "the CT is distorted by {}, differently along three directions",
-        taken: ["the CT has the bone's proportions", "a distortion, as by a wrong spacing of an oblique reformat, of more than {}"],
+        wrong: "a distortion, as by a wrong spacing of an oblique reformat, of more than {}",
         remedy: "check the spacing of the CT's voxels in all three directions, and whether it was reformatted",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "bend",
@@ -216,9 +251,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| vec![Mode::Bend(a.towards), Mode::Bend(a.sideways)],
         found: "the bone is bent against the CT by {} over the scan",
-        taken: ["the bone is not bent against the CT", "a bend of more than {} at the ends of the scan against its middle"],
+        wrong: "a bend of more than {} at the ends of the scan against its middle",
         remedy: "check whether the bone was bent, has healed or moved during the CT",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "twist",
@@ -228,9 +263,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 30.0,
         modes: |_| vec![Mode::Twist],
         found: "the bone is twisted against the CT by {} over half of the scan",
-        taken: ["the bone is not twisted against the CT", "a twist of more than {} from the middle of the scan to an end"],
+        wrong: "a twist of more than {} from the middle of the scan to an end",
         remedy: "check whether the bone was bent, has healed or moved during the CT",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "offset",
@@ -240,9 +275,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |_| vec![Mode::Surface { half_waves: 0.0, around: 0.0, phase: 0.0 }],
         found: "the CT's surface is {} [outside|inside] the bone's",
-        taken: ["the CT's surface is the bone's", "an offset of more than {}"],
+        wrong: "an offset of more than {}",
         remedy: "check the threshold of the CT's segmentation",
-        is_of_camera: false,
+        of: Of::Surface,
     },
     Cause {
         name: "smooth",
@@ -258,9 +293,9 @@ pub(super) const CAUSES: &[Cause] = &[
             SMOOTH.into_iter().flat_map(of).collect()
         },
         found: "the CT's surface is off the bone's by {}, differently along and around it",
-        taken: ["the CT's surface is nowhere more off the bone's than elsewhere", "a smooth error of more than {}"],
+        wrong: "a smooth error of more than {}",
         remedy: "check the CT's segmentation: a threshold that drifts, beam hardening, or a surface from a model of shapes",
-        is_of_camera: false,
+        of: Of::Surface,
     },
     Cause {
         name: "film_along",
@@ -270,9 +305,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 5.0,
         modes: |_| vec![Mode::Film { ramp: 1.0 }],
         found: "a film of {} covers the bone",
-        taken: ["no film grows along the bone", "one that grows by more than {} from one end of the scan to the other"],
+        wrong: "a film that grows by more than {} from one end of the scan to the other",
         remedy: "clean the bone and scan again",
-        is_of_camera: false,
+        of: Of::Surface,
     },
     Cause {
         name: "film_around",
@@ -282,9 +317,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 5.0,
         modes: |_| vec![Mode::FilmAround],
         found: "a film of {} covers one side of the bone",
-        taken: ["no film grows around the bone", "one that grows by more than {} from one side of the scan to the other"],
+        wrong: "a film that grows by more than {} from one side of the scan to the other",
         remedy: "clean the bone and scan again",
-        is_of_camera: false,
+        of: Of::Surface,
     },
     Cause {
         name: "film",
@@ -294,9 +329,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 5.0,
         modes: |_| vec![Mode::Film { ramp: 0.0 }],
         found: "a film of {} covers the bone",
-        taken: ["no film covers the bone", "one of more than {} on the side that was scanned"],
+        wrong: "a film of more than {} on the side that was scanned",
         remedy: "clean the bone and scan again",
-        is_of_camera: false,
+        of: Of::Surface,
     },
     Cause {
         name: "camera_scale",
@@ -306,9 +341,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| a.camera.map(Mode::Scale).into_iter().collect(),
         found: "the camera measures {} too [short|long]",
-        taken: ["the camera's scale has not changed since its calibration", "a change of more than {}"],
+        wrong: "a change of its scale by more than {}",
         remedy: "measure an object of known size with the camera",
-        is_of_camera: true,
+        of: Of::Camera,
     },
     Cause {
         name: "camera_depth",
@@ -318,9 +353,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| a.depth(1.0, Vector3::zeros(), Vector3::zeros()),
         found: "the camera measures depths {} too [short|long]",
-        taken: ["the camera's depth has not changed since its calibration", "a change of more than {}"],
+        wrong: "a change of its depth by more than {}",
         remedy: "measure an object of known size with the camera",
-        is_of_camera: true,
+        of: Of::Camera,
     },
     Cause {
         name: "camera_plane",
@@ -330,9 +365,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| [a.along, a.sideways].into_iter().flat_map(|way| a.depth(0.0, way, Vector3::zeros())).collect(),
         found: "the camera's depth is tilted by {}",
-        taken: ["the camera shows a plane where it is", "a tilt of its depth of more than {}"],
+        wrong: "a tilt of its depth of more than {}",
         remedy: "measure a plane of known place with the camera",
-        is_of_camera: true,
+        of: Of::Camera,
     },
     Cause {
         name: "camera_bend",
@@ -345,9 +380,9 @@ pub(super) const CAUSES: &[Cause] = &[
             [[a.along, a.sideways], diagonal].concat().into_iter().flat_map(|way| a.depth(0.0, Vector3::zeros(), way)).collect()
         },
         found: "the camera shows a plane bent by {}",
-        taken: ["the camera shows a plane as flat", "a bend of its depth of more than {} over half of the scan"],
+        wrong: "a bend of its depth of more than {} over half of the scan",
         remedy: "measure a flat object with the camera",
-        is_of_camera: true,
+        of: Of::Camera,
     },
     Cause {
         name: "beyond",
@@ -360,9 +395,9 @@ pub(super) const CAUSES: &[Cause] = &[
             a.beyond_mm.into_iter().flatten().flat_map(turns).collect()
         },
         found: "the bone beyond the scan is turned by {}",
-        taken: ["beyond the scan the bone is as in the CT", "a turn of more than {} there, as of a leg that moved during the CT,"],
+        wrong: "a turn of more than {} beyond the scan, as of a leg that moved during the CT",
         remedy: "scan the part that is cut",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "step",
@@ -372,9 +407,9 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| a.steps().iter().flat_map(|at| a.step(*at)).collect(),
         found: "a part of the bone is displaced by {}",
-        taken: ["no part of the bone is displaced against the others", "a step of more than {}"],
+        wrong: "a step of more than {}",
         remedy: "check for a fracture, a loosened part, or slices that are missing, and scan the part that is cut",
-        is_of_camera: false,
+        of: Of::Ct,
     },
     Cause {
         name: "plan",
@@ -384,8 +419,8 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: f64::INFINITY,
         modes: |_| [Vector3::x(), Vector3::y(), Vector3::z()].map(Mode::Plan).to_vec(),
         found: "the plan is displaced by {}",
-        taken: ["the plan was drawn on this surface", "a shift of more than {}"],
+        wrong: "a shift of more than {}",
         remedy: "look at plan and surface together, and bind the plan (osteoflow convert PLAN OUT --bind BONE)",
-        is_of_camera: false,
+        of: Of::Plan,
     },
 ];

@@ -6,7 +6,7 @@ use super::effect::{Effect, Levers};
 use super::fit::{Fit, Information, N_BEFORE, Problem};
 use super::params::NuisanceParams;
 use super::report::{Nuisance, NuisanceState};
-use super::words;
+use super::words::{self, Unseen};
 use crate::trust::predict::{Component, Deformation, Predicted, Where};
 use crate::trust::{Limits, RuleParams};
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -149,13 +149,7 @@ impl Nuisances {
     /// What is known of the causes, with the predicted error.
     pub(in crate::trust) fn known(&self, predicted: &Predicted, at: &Where<'_>, rules: &RuleParams) -> Known {
         let measured = self.measured(predicted, rules);
-        if std::env::var("HYP").is_ok() {
-            for (h, c) in self.hypotheses.iter().zip(&predicted.beyond_by) {
-                let name = h.fault.as_ref().map_or(("none".to_owned(), 0), |(f, r)| (self.families[*f].cause.name.to_owned(), r.start));
-                if h.weight > 0.0005 { println!("     h {name:?} weight {:.5} chance {c:.5}", h.weight); }
-            }
-        }
-        let (mut list, mut taken) = (Vec::new(), Vec::new());
+        let (mut list, mut unseen, mut notes) = (Vec::new(), Vec::new(), Vec::new());
         for (f, (family, worst)) in self.families.iter().zip(&self.worst).enumerate() {
             let of_fault = self.of_fault(f);
             let is_measured = measured.iter().any(|h| h.fault.as_ref().is_some_and(|(of, _)| *of == f));
@@ -178,14 +172,11 @@ impl Nuisances {
             };
             let (unit, by) = family.cause.unit.of();
             if state != NuisanceState::Measured {
-                let text = words::assumption(family.cause, critical, *worst, &rules.limits, &self.axes, at);
                 if state == NuisanceState::Unseen {
-                    taken.push((danger.1, family.cause.is_of_camera, text));
+                    unseen.push(Unseen { cause: family.cause, danger: danger.1, critical, worst: *worst });
                 }
-                let (z, found) = (size.abs() / sd, of_fault.map(|h| self.size(f, Some(h))));
-                if let Some((size, sd, _)) = found.filter(|(size, sd, _)| z > NOTED && size.abs() > NOTED * sd) {
-                    taken.push((f64::INFINITY, false, words::note(family.cause, size, sd)));
-                }
+                let found = of_fault.map(|h| self.size(f, Some(h))).filter(|(size, sd, _)| size.abs() > NOTED * sd);
+                notes.extend(found.map(|(size, sd, _)| (false, words::note(family.cause, size, sd))));
             }
             list.push(Nuisance {
                 name: family.cause.name.to_owned(),
@@ -201,8 +192,7 @@ impl Nuisances {
                 chance,
             });
         }
-        taken.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let assumptions = taken.into_iter().map(|(_, is_of_camera, text)| (is_of_camera, text)).collect();
+        let assumptions = words::assumptions(unseen, &rules.limits, &self.axes, at).into_iter().chain(notes).collect();
         Known { list, reason: self.reason(&measured, at, rules), assumptions }
     }
 

@@ -1,7 +1,7 @@
 //! The causes in words.
 
 use super::axes::Axes;
-use super::cause::{Cause, Unit};
+use super::cause::{Cause, Of, Unit};
 use super::effect::Effect;
 use crate::trust::Limits;
 use crate::trust::predict::Where;
@@ -55,40 +55,63 @@ pub(super) fn note(cause: &Cause, size: f64, sd: f64) -> String {
     format!("{}, which the answer bears; {}", found(cause, size, Some(sd)), cause.remedy)
 }
 
-/// A cause that the data do not limit, with the size at which it would matter.
-pub(super) fn assumption(
-    cause: &Cause,
-    critical: f64,
-    worst: Effect,
-    limits: &Limits,
-    axes: &Axes,
-    at: &Where<'_>,
-) -> String {
-    let [taken, size] = cause.taken;
-    let value = cause.unit.of().1 * critical;
-    let digits = if value < 1.0 { 2 } else { 1 };
-    let size = size.replace("{}", &format!("{value:.digits$} {}", cause.unit.of().0));
-    let does = if worst.deg / limits.max_tilt_deg >= worst.times * (1.0 - 1e-9) {
-        format!("would tilt a cut by {} degrees", limits.max_tilt_deg)
-    } else {
-        format!("would move the targets by {} mm", limits.max_tre_mm.min(limits.max_offset_mm))
-    };
-    match (cause.name, beyond(axes, at)) {
-        ("beyond", Some(where_)) => format!("{where_} beyond the scan; there the bone is taken as in the CT: {size} {does}"),
-        _ => format!("{taken}: {size} {does}"),
-    }
+/// A cause that the data do not limit.
+pub(super) struct Unseen {
+    pub(super) cause: &'static Cause,
+    /// The chance that it puts the answer beyond the limits, times how far.
+    pub(super) danger: f64,
+    /// From which size.
+    pub(super) critical: f64,
+    /// What a parameter of 1 does at worst.
+    pub(super) worst: Effect,
 }
 
-/// How far targets lie beyond the scan.
+/// What is taken for granted, the most dangerous first, each with the sizes from which it would be wrong and what shows it; and whether that is
+/// a check piece.
+pub(super) fn assumptions(mut unseen: Vec<Unseen>, limits: &Limits, axes: &Axes, at: &Where<'_>) -> Vec<(bool, String)> {
+    unseen.sort_by(|a, b| b.danger.total_cmp(&a.danger));
+    let of = |of: Of| {
+        let own: Vec<&Unseen> = unseen.iter().filter(|unseen| unseen.cause.of == of).collect();
+        let tilts = |unseen: &&&Unseen| {
+            unseen.worst.deg / limits.max_tilt_deg >= unseen.worst.times * (1.0 - 1e-9)
+        };
+        let sizes = |unseen: &&Unseen| {
+            let value = unseen.cause.unit.of().1 * unseen.critical;
+            let digits = if value < 1.0 { 2 } else { 1 };
+            unseen.cause.wrong.replace("{}", &format!("{value:.digits$} {}", unseen.cause.unit.of().0))
+        };
+        let part = |own: Vec<&&Unseen>, does: String| {
+            let mut sizes: Vec<String> = own.into_iter().map(sizes).collect();
+            let last = sizes.pop()?;
+            let or = if sizes.is_empty() { "" } else { " or " };
+            Some(format!("{}{or}{last} would {does}", sizes.join(", ")))
+        };
+        let moved_mm = limits.max_tre_mm.min(limits.max_offset_mm);
+        let parts = [
+            part(own.iter().filter(tilts).collect(), format!("tilt a cut by {} degrees", limits.max_tilt_deg)),
+            part(own.iter().filter(|unseen| !tilts(unseen)).collect(), format!("move the targets by {moved_mm} mm")),
+        ];
+        let parts: Vec<String> = parts.into_iter().flatten().collect();
+        let [taken, shown] = of.words();
+        let beyond = beyond(axes, at).filter(|_| own.iter().any(|unseen| unseen.cause.name == "beyond"));
+        let beyond = beyond.map(|places| format!(", also {places}")).unwrap_or_default();
+        let danger = own.iter().map(|unseen| unseen.danger).sum::<f64>();
+        let text = format!("{taken}{beyond}: {}; {shown} shows it", parts.join(", and "));
+        (!own.is_empty()).then_some((danger, of == Of::Camera, text))
+    };
+    let mut all: Vec<(f64, bool, String)> = Of::ALL.into_iter().filter_map(of).collect();
+    all.sort_by(|a, b| b.0.total_cmp(&a.0));
+    all.into_iter().map(|(_, is_of_camera, text)| (is_of_camera, text)).collect()
+}
+
+/// How far targets lie beyond the scan: "15 to 47 mm beyond the scan, where cuts lie".
 fn beyond(axes: &Axes, at: &Where<'_>) -> Option<String> {
     let distance = |p| (axes.along_share(p).abs() - 1.0) * axes.half_mm;
     let of = |what: &str, mm: Vec<f64>| {
         let mm: Vec<f64> = mm.into_iter().filter(|mm| *mm > 0.0).collect();
         let (from, to) = (mm.iter().copied().fold(f64::INFINITY, f64::min), mm.iter().copied().fold(0.0, f64::max));
-        (!mm.is_empty()).then(|| match mm.len() {
-            1 => format!("{what} lie up to {to:.0} mm"),
-            _ => format!("{what} lie {from:.0} to {to:.0} mm"),
-        })
+        let from = if mm.len() > 1 { format!("{from:.0} to ") } else { String::new() };
+        (!mm.is_empty()).then(|| format!("{from}{to:.0} mm beyond the scan, where {what} lie"))
     };
     let cuts = of("cuts", at.cuts.iter().map(|cut| distance(&cut.middle.position)).collect());
     cuts.or_else(|| of("points", at.limited.iter().map(distance).collect()))
