@@ -308,7 +308,7 @@ impl Outcome {
 }
 
 /// What an assumption is about, without what would follow.
-fn named(text: &str) -> &str {
+pub(super) fn named(text: &str) -> &str {
     text.split(':').next().unwrap_or(text)
 }
 

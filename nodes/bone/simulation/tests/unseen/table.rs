@@ -1,14 +1,15 @@
 //! The table of verdicts.
 
 use super::faults::{FAMILIES, Family};
-use super::run::{Errors, Outcome, critical};
+use super::run::{Errors, Outcome, critical, named};
 use osteoflow_algorithms::trust::{Answer, Verdict};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
-fn median(values: impl IntoIterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.into_iter().collect();
+/// Median and number of values, as two cells.
+fn median(mut values: Vec<f64>) -> String {
     values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    values.get(values.len() / 2).map_or("- | 0".to_owned(), |median| format!("{median:.2} | {}", values.len()))
 }
 
 /// The interval of 90 % and the error that is predicted: of the assessment points, of the cuts.
@@ -74,23 +75,17 @@ fn quarters(name: &str, all: &[&Outcome]) -> String {
 fn sound(all: &[&Outcome]) -> String {
     let verdicts = || all.iter().filter_map(|o| o.judged.as_ref()).map(|(_, verdict)| verdict);
     let mut text = String::new();
-    for unit in ["mm", "%", "degrees"] {
-        let sizes: Vec<f64> = verdicts()
-            .filter_map(|v| v.assumptions.iter().find_map(|text| critical(text)))
-            .filter_map(|(size, of)| (of == unit).then_some(size))
-            .collect();
-        writeln!(text, "| first critical size, {unit} | {:.2} | {} |", median(sizes.iter().copied()), sizes.len())
-            .unwrap();
+    let mut sizes: BTreeMap<(&str, &str), Vec<f64>> = BTreeMap::new();
+    for text in verdicts().filter_map(|v| v.assumptions.iter().find(|text| critical(text).is_some())) {
+        let (size, unit) = critical(text).unwrap();
+        sizes.entry((named(text), unit)).or_default().push(size);
+    }
+    for ((what, unit), sizes) in sizes {
+        writeln!(text, "| first critical size, {what}, {unit} | {} |", median(sizes)).unwrap();
     }
     for (which, name) in ["assessment points", "cuts"].into_iter().enumerate() {
         let ends: Vec<f64> = verdicts().filter_map(|v| Some(predicted(v)[which]?.0[1])).collect();
-        writeln!(
-            text,
-            "| upper end of the interval, {name}, mm | {:.2} | {} |",
-            median(ends.iter().copied()),
-            ends.len()
-        )
-        .unwrap();
+        writeln!(text, "| upper end of the interval, {name}, mm | {} |", median(ends)).unwrap();
     }
     text
 }
