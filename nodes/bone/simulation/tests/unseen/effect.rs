@@ -1,7 +1,7 @@
 //! What a fault does: to the CT, to its surface, to the plan, to the camera's points, to what covers the bone, or to a marker.
 
 use super::sound::{Site, normal, stream};
-use osteoflow_geometry::nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Unit, Vector3};
+use osteoflow_geometry::nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Unit, UnitQuaternion, Vector3};
 use osteoflow_geometry::{NamedPoint, Plane, Planes, Points};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -117,8 +117,12 @@ fn moved_plane(place: &Isometry3<f64>, size: f64, field: &Field) -> Isometry3<f6
     }
     let normal = place * Vector3::z();
     let inverse = (Matrix3::identity() + change).try_inverse().unwrap_or_else(Matrix3::identity);
-    let turn = Rotation3::rotation_between(&normal, &(inverse.transpose() * normal)).unwrap();
-    let turn = osteoflow_geometry::nalgebra::UnitQuaternion::from_rotation_matrix(&turn);
+    let image = inverse.transpose() * normal;
+    // By arctangent, as the cosine of a small angle may be rounded to more than one.
+    let axis = normal.cross(&image);
+    let rad = axis.norm().atan2(normal.dot(&image));
+    let turn =
+        Unit::try_new(axis, 0.0).map_or_else(UnitQuaternion::identity, |a| UnitQuaternion::from_axis_angle(&a, rad));
     Isometry3::from_parts(shifted, turn * place.rotation)
 }
 

@@ -299,9 +299,12 @@ impl Outcome {
         let covered = if self.is_wrong() && self.is_covered() { ", covered" } else { "" };
         let rules: Vec<&str> = verdict.reasons.iter().map(|reason| &*reason.rule).collect();
         let first: Vec<&String> = verdict.assumptions.iter().take(3).collect();
+        let of = verdict.predicted.as_ref();
+        let [points, cuts] = [of.and_then(|p| p.assessment.as_ref()), of.and_then(|p| p.all_cuts.as_ref())]
+            .map(|set| set.map_or("none".to_owned(), |set| format!("{:.2?}", set.interval_mm)));
         format!(
             "{what} {is}, TRE {tre_mm:.2}, cuts {cuts_mm:.2} mm, offset {offset_mm:.2} mm, tilt {tilt_deg:.2} deg: {:?} by {rules:?}{covered}; \
-             {first:?}; {:.0} of {:.0} ms",
+             predicted {points}, cuts {cuts}; {first:?}; {:.0} of {:.0} ms",
             verdict.answer, self.judge_ms, self.case_ms
         )
     }
