@@ -7,6 +7,7 @@ mod scan;
 use super::effect::{Effect, fault_stream, log_uniform};
 use super::priors;
 use super::sound::Site;
+use Family::{CameraMaps, CtMaps, Cuts, Fields, Films, Headers, Kinks, Motions};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -45,8 +46,8 @@ pub(super) const LARGEST: f64 = 3.0;
 /// The same of each of several.
 const EACH_OF_SEVERAL: [f64; 2] = [0.15, 0.7];
 
-/// A printed assumption covers a fault if it has one of the words and a critical size in this unit; `per_size` takes the fault's size to that
-/// unit.
+/// A printed assumption covers a fault if it has one of the words and a critical size in this unit; `per_size` takes the
+/// fault's size to that unit.
 pub(super) struct Claim {
     pub(super) words: &'static [&'static str],
     pub(super) unit: &'static str,
@@ -86,35 +87,80 @@ const PLAN: &[&str] = &["plan", "header", "series"];
 const MM_PER_DEG: f64 = 0.41;
 const DEG_PER_PERCENT: f64 = 0.573;
 
-#[rustfmt::skip]
+const fn kind(
+    family: Family,
+    name: &'static str,
+    half_wrong: f64,
+    make: fn(&mut ChaCha8Rng, &Site) -> Effect,
+    claims: &'static [Claim],
+) -> Kind {
+    Kind { family, name, half_wrong, claims, make }
+}
+
 pub(super) const KINDS: [Kind; 27] = [
-    Kind { family: Family::Fields, name: "field of the segmentation", half_wrong: 0.8, claims: &[claim(FIELD, "mm", 1.0)], make: ct::segmentation },
-    Kind { family: Family::Fields, name: "threshold that drifts", half_wrong: 0.17, claims: &[claim(FIELD, "mm", 1.0)], make: ct::threshold },
-    Kind { family: Family::Fields, name: "warp of the bone", half_wrong: 0.55, claims: &[claim(SHAPE, "mm", 1.0)], make: ct::warp },
-    Kind { family: Family::Kinks, name: "kink", half_wrong: 0.8, claims: &[claim(KINK, "degrees", 1.0), claim(KINK, "mm", MM_PER_DEG), claim(BENT, "mm", MM_PER_DEG)], make: ct::kink },
-    Kind { family: Family::Kinks, name: "bend from a place on", half_wrong: 0.5, claims: &[claim(BENT, "mm", 1.0)], make: ct::bend },
-    Kind { family: Family::Kinks, name: "twist from a place on", half_wrong: 12.0, claims: &[claim(TWIST, "degrees", 0.5)], make: ct::twist },
-    Kind { family: Family::Cuts, name: "slices missing", half_wrong: 2.0, claims: &[claim(SLICES, "mm", 1.0)], make: ct::missing },
-    Kind { family: Family::Cuts, name: "slices doubled", half_wrong: 2.0, claims: &[claim(SLICES, "mm", 1.0)], make: ct::doubled },
-    Kind { family: Family::Cuts, name: "piece taken out, closed askew", half_wrong: 1.2, claims: &[claim(SLICES, "mm", 1.0), claim(KINK, "mm", 1.0)], make: ct::piece },
-    Kind { family: Family::Motions, name: "shift in the scan", half_wrong: 1.5, claims: &[claim(MOVED, "mm", 1.0)], make: scan::shift },
-    Kind { family: Family::Motions, name: "screw in the scan", half_wrong: 1.2, claims: &[claim(MOVED, "mm", 1.0)], make: scan::screw },
-    Kind { family: Family::Motions, name: "shake in the scan", half_wrong: 1.5, claims: &[claim(MOVED, "mm", 1.0)], make: scan::shake },
-    Kind { family: Family::Motions, name: "turn of the leg in the CT", half_wrong: 1.0, claims: &[claim(LEG, "degrees", 1.0), claim(LEG, "mm", MM_PER_DEG)], make: ct::leg },
-    Kind { family: Family::Motions, name: "marker moved after the scan", half_wrong: 1.5, claims: &[claim(MARKER, "mm", 1.0)], make: scan::slip },
-    Kind { family: Family::CtMaps, name: "oblique spacing", half_wrong: 1.8, claims: &[claim(STRETCH, "%", 1.0), claim(SHEAR, "degrees", DEG_PER_PERCENT / 2.0), claim(AFFINE, "%", 1.0)], make: ct::spacing },
-    Kind { family: Family::CtMaps, name: "shear", half_wrong: 1.4, claims: &[claim(SHEAR, "degrees", DEG_PER_PERCENT), claim(AFFINE, "%", 1.0)], make: ct::shear },
-    Kind { family: Family::CtMaps, name: "affine map", half_wrong: 1.2, claims: &[claim(AFFINE, "%", 1.0), claim(SHEAR, "degrees", DEG_PER_PERCENT / 2.0)], make: ct::affine },
-    Kind { family: Family::CameraMaps, name: "plane in depth", half_wrong: 0.6, claims: &[claim(DEPTH, "mm", 1.0), claim(DEPTH, "degrees", 1.15)], make: camera::plane },
-    Kind { family: Family::CameraMaps, name: "bend in depth", half_wrong: 0.7, claims: &[claim(DEPTH, "mm", 1.0), claim(BENT, "mm", 1.0)], make: camera::bend },
-    Kind { family: Family::CameraMaps, name: "scale of the camera", half_wrong: 0.75, claims: &[claim(DEPTH, "%", 1.0)], make: camera::scale },
-    Kind { family: Family::CameraMaps, name: "scales of the camera's axes", half_wrong: 1.8, claims: &[claim(DEPTH, "%", 1.0)], make: camera::axes },
-    Kind { family: Family::CameraMaps, name: "radial distortion", half_wrong: 10.0, claims: &[claim(DEPTH, "%", 1.0)], make: camera::radial },
-    Kind { family: Family::CameraMaps, name: "drift after the calibration", half_wrong: 1.6, claims: &[claim(DEPTH, "mm", 1.0), claim(MARKER, "mm", 1.0)], make: camera::drift },
-    Kind { family: Family::Films, name: "smooth film", half_wrong: 1.0, claims: &[claim(FILM, "mm", 1.0)], make: scan::film },
-    Kind { family: Family::Films, name: "film in patches", half_wrong: 1.5, claims: &[claim(FILM, "mm", 1.0)], make: scan::patches },
-    Kind { family: Family::Headers, name: "shift of the plan's header", half_wrong: 1.4, claims: &[claim(PLAN, "mm", 1.0)], make: ct::header_shift },
-    Kind { family: Family::Headers, name: "spacing of the plan's header", half_wrong: 1.0, claims: &[claim(PLAN, "%", 1.0), claim(PLAN, "mm", 1.5)], make: ct::header_spacing },
+    kind(Fields, "field of the segmentation", 0.8, ct::segmentation, &[claim(FIELD, "mm", 1.0)]),
+    kind(Fields, "threshold that drifts", 0.17, ct::threshold, &[claim(FIELD, "mm", 1.0)]),
+    kind(Fields, "warp of the bone", 0.55, ct::warp, &[claim(SHAPE, "mm", 1.0)]),
+    kind(
+        Kinks,
+        "kink",
+        0.8,
+        ct::kink,
+        &[claim(KINK, "degrees", 1.0), claim(KINK, "mm", MM_PER_DEG), claim(BENT, "mm", MM_PER_DEG)],
+    ),
+    kind(Kinks, "bend from a place on", 0.5, ct::bend, &[claim(BENT, "mm", 1.0)]),
+    kind(Kinks, "twist from a place on", 12.0, ct::twist, &[claim(TWIST, "degrees", 0.5)]),
+    kind(Cuts, "slices missing", 2.0, ct::missing, &[claim(SLICES, "mm", 1.0)]),
+    kind(Cuts, "slices doubled", 2.0, ct::doubled, &[claim(SLICES, "mm", 1.0)]),
+    kind(Cuts, "piece taken out, closed askew", 1.2, ct::piece, &[claim(SLICES, "mm", 1.0), claim(KINK, "mm", 1.0)]),
+    kind(Motions, "shift in the scan", 1.5, scan::shift, &[claim(MOVED, "mm", 1.0)]),
+    kind(Motions, "screw in the scan", 1.2, scan::screw, &[claim(MOVED, "mm", 1.0)]),
+    kind(Motions, "shake in the scan", 1.5, scan::shake, &[claim(MOVED, "mm", 1.0)]),
+    kind(
+        Motions,
+        "turn of the leg in the CT",
+        1.0,
+        ct::leg,
+        &[claim(LEG, "degrees", 1.0), claim(LEG, "mm", MM_PER_DEG)],
+    ),
+    kind(Motions, "marker moved after the scan", 1.5, scan::slip, &[claim(MARKER, "mm", 1.0)]),
+    kind(
+        CtMaps,
+        "oblique spacing",
+        1.8,
+        ct::spacing,
+        &[claim(STRETCH, "%", 1.0), claim(SHEAR, "degrees", DEG_PER_PERCENT / 2.0), claim(AFFINE, "%", 1.0)],
+    ),
+    kind(CtMaps, "shear", 1.4, ct::shear, &[claim(SHEAR, "degrees", DEG_PER_PERCENT), claim(AFFINE, "%", 1.0)]),
+    kind(
+        CtMaps,
+        "affine map",
+        1.2,
+        ct::affine,
+        &[claim(AFFINE, "%", 1.0), claim(SHEAR, "degrees", DEG_PER_PERCENT / 2.0)],
+    ),
+    kind(CameraMaps, "plane in depth", 0.6, camera::plane, &[claim(DEPTH, "mm", 1.0), claim(DEPTH, "degrees", 1.15)]),
+    kind(CameraMaps, "bend in depth", 0.7, camera::bend, &[claim(DEPTH, "mm", 1.0), claim(BENT, "mm", 1.0)]),
+    kind(CameraMaps, "scale of the camera", 0.75, camera::scale, &[claim(DEPTH, "%", 1.0)]),
+    kind(CameraMaps, "scales of the camera's axes", 1.8, camera::axes, &[claim(DEPTH, "%", 1.0)]),
+    kind(CameraMaps, "radial distortion", 10.0, camera::radial, &[claim(DEPTH, "%", 1.0)]),
+    kind(
+        CameraMaps,
+        "drift after the calibration",
+        1.6,
+        camera::drift,
+        &[claim(DEPTH, "mm", 1.0), claim(MARKER, "mm", 1.0)],
+    ),
+    kind(Films, "smooth film", 1.0, scan::film, &[claim(FILM, "mm", 1.0)]),
+    kind(Films, "film in patches", 1.5, scan::patches, &[claim(FILM, "mm", 1.0)]),
+    kind(Headers, "shift of the plan's header", 1.4, ct::header_shift, &[claim(PLAN, "mm", 1.0)]),
+    kind(
+        Headers,
+        "spacing of the plan's header",
+        1.0,
+        ct::header_spacing,
+        &[claim(PLAN, "%", 1.0), claim(PLAN, "mm", 1.5)],
+    ),
 ];
 
 /// One thing that is wrong.

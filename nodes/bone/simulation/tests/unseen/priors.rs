@@ -1,6 +1,6 @@
 //! All causes at once, each drawn from its stated prior.
 //!
-//! The only place that knows the judge's parameters, by the names of their fields. Where a parameter is renamed or one is added, this list
+//! The only place that knows the judge's parameters, by the names of their fields. Where one is renamed or added, this list
 //! follows.
 
 use super::effect::{self, Effect, Modes};

@@ -276,7 +276,8 @@ impl Outcome {
         self.judged.as_ref().is_none_or(|(errors, _)| errors.is_wrong())
     }
 
-    /// Whether one of the first three printed assumptions names the fault's family, with a critical size of 0.3 to 1 times the true one.
+    /// Whether one of the first three printed assumptions names the fault's family, with a critical size of 0.3 to 1 times
+    /// the true one.
     pub(super) fn is_covered(&self) -> bool {
         let Some((_, verdict)) = &self.judged else { return false };
         verdict.assumptions.iter().take(3).filter_map(|text| Some((text, critical(text)?))).any(
@@ -303,7 +304,8 @@ impl Outcome {
         let [points, cuts] = [of.and_then(|p| p.assessment.as_ref()), of.and_then(|p| p.all_cuts.as_ref())]
             .map(|set| set.map_or("none".to_owned(), |set| format!("{:.2?}", set.interval_mm)));
         format!(
-            "{what} {is}, TRE {tre_mm:.2}, cuts {cuts_mm:.2} mm, offset {offset_mm:.2} mm, tilt {tilt_deg:.2} deg: {:?} by {rules:?}{covered}; \
+            "{what} {is}, TRE {tre_mm:.2}, cuts {cuts_mm:.2} mm, offset {offset_mm:.2} mm, \
+             tilt {tilt_deg:.2} deg: {:?} by {rules:?}{covered}; \
              predicted {points}, cuts {cuts}; {first:?}; {:.0} of {:.0} ms",
             verdict.answer, self.judge_ms, self.case_ms
         )
