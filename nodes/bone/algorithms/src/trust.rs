@@ -60,8 +60,8 @@ pub use osteoflow_verdict::{Answer, Reason};
 pub use pattern::Pattern;
 pub use planned::{OrderEvidence, landmark_order, plan_faults, planes_lost};
 pub use predict::{
-    Component, Deformation, Interval, Levers, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet, Term, Tracking,
-    Where, predict,
+    Component, Deformation, Interval, Levers, MarkerPoses, PredictParams, Predicted, PredictedPoint, PredictedSet,
+    Term, Tracking, Where, predict,
 };
 pub use predict_last::{PredictedLast, PredictedLastCut};
 pub use residuals::{Residual, Residuals};

@@ -280,16 +280,12 @@ impl Outcome {
     /// the true one.
     pub(super) fn is_covered(&self) -> bool {
         let Some((_, verdict)) = &self.judged else { return false };
-        verdict.assumptions.iter().take(3).filter_map(|text| Some((text, critical(text)?))).any(
-            |(text, (size, unit))| {
-                let is_covered = |(words, of, true_size): &(&[&str], &str, f64)| {
-                    *of == unit
-                        && words.iter().any(|word| named(text).contains(word))
-                        && (0.3..=1.0).contains(&(size / true_size))
-                };
-                self.claims.iter().any(is_covered)
-            },
-        )
+        verdict.assumptions.iter().take(3).flat_map(|text| sizes(text)).any(|(what, size, unit)| {
+            let is_covered = |(words, of, true_size): &(&[&str], &str, f64)| {
+                *of == unit && words.iter().any(|word| what.contains(word)) && (0.3..=1.0).contains(&(size / true_size))
+            };
+            self.claims.iter().any(is_covered)
+        })
     }
 
     pub(super) fn line(&self) -> String {
@@ -315,6 +311,18 @@ impl Outcome {
 /// What an assumption is about, without what would follow.
 pub(super) fn named(text: &str) -> &str {
     text.split(':').next().unwrap_or(text)
+}
+
+/// The critical sizes that a printed assumption has, each with what it is of.
+pub(super) fn sizes(text: &str) -> Vec<(&str, f64, &str)> {
+    let parts = text.split([':', ';', ',']).flat_map(|part| part.split(" or "));
+    let all: Vec<(&str, f64, &str)> =
+        parts.filter_map(|part| critical(part).map(|(size, unit)| (part, size, unit))).collect();
+    match all[..] {
+        // What it is of is said before.
+        [(_, size, unit)] => vec![(text, size, unit)],
+        _ => all,
+    }
 }
 
 /// The critical size that a printed assumption has: the number after "more than" or a word like that, with its unit.

@@ -160,10 +160,7 @@ impl Of {
                 "the camera measures as at its calibration",
                 "a check piece read after the scan (metrics.check_points), or an object of known size",
             ],
-            Self::Plan => [
-                "the plan was drawn on this surface",
-                "binding it (osteoflow convert PLAN OUT --bind BONE)",
-            ],
+            Self::Plan => ["the plan was drawn on this surface", "binding it (osteoflow convert PLAN OUT --bind BONE)"],
         }
     }
 }
@@ -341,7 +338,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| a.camera.map(Mode::Scale).into_iter().collect(),
         found: "the camera measures {} too [short|long]",
-        wrong: "a change of its scale by more than {}",
+        wrong: "a change of the camera's scale by more than {}",
         remedy: "measure an object of known size with the camera",
         of: Of::Camera,
     },
@@ -353,7 +350,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| a.depth(1.0, Vector3::zeros(), Vector3::zeros()),
         found: "the camera measures depths {} too [short|long]",
-        wrong: "a change of its depth by more than {}",
+        wrong: "a change of the camera's depth by more than {}",
         remedy: "measure an object of known size with the camera",
         of: Of::Camera,
     },
@@ -365,7 +362,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| [a.along, a.sideways].into_iter().flat_map(|way| a.depth(0.0, way, Vector3::zeros())).collect(),
         found: "the camera's depth is tilted by {}",
-        wrong: "a tilt of its depth of more than {}",
+        wrong: "a tilt of the camera's depth of more than {}",
         remedy: "measure a plane of known place with the camera",
         of: Of::Camera,
     },
@@ -377,10 +374,14 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| {
             let diagonal = [a.along + a.sideways, a.along - a.sideways].map(|way| way * FRAC_PI_4.sin());
-            [[a.along, a.sideways], diagonal].concat().into_iter().flat_map(|way| a.depth(0.0, Vector3::zeros(), way)).collect()
+            [[a.along, a.sideways], diagonal]
+                .concat()
+                .into_iter()
+                .flat_map(|way| a.depth(0.0, Vector3::zeros(), way))
+                .collect()
         },
         found: "the camera shows a plane bent by {}",
-        wrong: "a bend of its depth of more than {} over half of the scan",
+        wrong: "a bend of the camera's depth of more than {} over half of the scan",
         remedy: "measure a flat object with the camera",
         of: Of::Camera,
     },
@@ -419,7 +420,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: f64::INFINITY,
         modes: |_| [Vector3::x(), Vector3::y(), Vector3::z()].map(Mode::Plan).to_vec(),
         found: "the plan is displaced by {}",
-        wrong: "a shift of more than {}",
+        wrong: "a shift of the plan of more than {}",
         remedy: "look at plan and surface together, and bind the plan (osteoflow convert PLAN OUT --bind BONE)",
         of: Of::Plan,
     },

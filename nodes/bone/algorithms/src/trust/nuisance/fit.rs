@@ -122,7 +122,12 @@ impl Problem<'_> {
     /// `None` where the points leave the pose undetermined.
     pub(super) fn fit(&self, sds: &[f64]) -> Option<Fit> {
         let n = N_BEFORE + self.modes.len();
-        let mut fit = Fit { at: DVector::zeros(n), normals: vec![Vector3::zeros(); self.points.len()], sigma_mm: 1.0, variance: 1.0 };
+        let mut fit = Fit {
+            at: DVector::zeros(n),
+            normals: vec![Vector3::zeros(); self.points.len()],
+            sigma_mm: 1.0,
+            variance: 1.0,
+        };
         for n in 0..MAX_STEPS {
             let step = self.step(&fit, GATES_MM.get(n).copied().unwrap_or(0.0));
             let (mut h, b) = step.normal_equations();

@@ -81,7 +81,13 @@ impl Family {
             let (modes, (_, by)) = (first..all.len(), cause.unit.of());
             let together = if cause.name == "step" { 3 } else { modes.len() };
             let n_places = modes.len().div_ceil(together.max(1)).max(1) as f64;
-            Self { cause, modes, together, prior: (cause.prior)(params) / by / n_places.sqrt(), fault: cause.fault / by }
+            Self {
+                cause,
+                modes,
+                together,
+                prior: (cause.prior)(params) / by / n_places.sqrt(),
+                fault: cause.fault / by,
+            }
         };
         let families = CAUSES.iter().map(family).filter(|family| !family.modes.is_empty()).collect();
         (families, all)
@@ -140,10 +146,7 @@ impl Nuisances {
         fn component(h: &Hypothesis) -> Component<'_> {
             Component { weight: h.weight, mean: &h.mean, covariance: &h.covariance }
         }
-        Deformation {
-            components: self.hypotheses.iter().map(component).collect(),
-            at: Box::new(|p| self.levers.at(p)),
-        }
+        Deformation { components: self.hypotheses.iter().map(component).collect(), at: Box::new(|p| self.levers.at(p)) }
     }
 
     /// What is known of the causes, with the predicted error.
@@ -307,8 +310,14 @@ fn hypotheses(
     let covariance = all_covariance.view((N_BEFORE, N_BEFORE), (n, n)).into_owned();
     let square = |of: &DVector<f64>| 0.5 * precisions.dot(&of.component_mul(of));
     let log_prior = -square(&whole);
-    let sound =
-        Hypothesis { fault: None, weight: 0.0, log_prior, mean: mean.clone(), covariance: covariance.clone(), whole: whole.clone() };
+    let sound = Hypothesis {
+        fault: None,
+        weight: 0.0,
+        log_prior,
+        mean: mean.clone(),
+        covariance: covariance.clone(),
+        whole: whole.clone(),
+    };
     let mut all = vec![(0.0, sound)];
     for (f, family) in families.iter().enumerate() {
         let (k, n_places) = (family.together, (family.modes.len() / family.together) as f64);
@@ -324,7 +333,8 @@ fn hypotheses(
             };
             let moved = &gain * &own_mean;
             // What a wider prior costs, and how much of it the data leave.
-            let space = -0.5 * determinant.ln() + k as f64 * (family.prior / family.fault).ln() + (fault_odds / n_places).ln();
+            let space =
+                -0.5 * determinant.ln() + k as f64 * (family.prior / family.fault).ln() + (fault_odds / n_places).ln();
             let log = -0.5 * own_mean.dot(&moved) + space;
             let columns = all_covariance.columns(N_BEFORE + first, k).into_owned();
             let whole = &whole - &columns * moved;
@@ -338,6 +348,7 @@ fn hypotheses(
     }
     let largest = all.iter().map(|(log, _)| *log).fold(0.0, f64::max);
     let sum: f64 = all.iter().map(|(log, _)| (log - largest).exp()).sum();
-    let weighted = |(log, hypothesis): (f64, Hypothesis)| Hypothesis { weight: (log - largest).exp() / sum, ..hypothesis };
+    let weighted =
+        |(log, hypothesis): (f64, Hypothesis)| Hypothesis { weight: (log - largest).exp() / sum, ..hypothesis };
     Some(all.into_iter().map(weighted).collect())
 }

@@ -68,13 +68,16 @@ pub(super) struct Unseen {
 
 /// What is taken for granted, the most dangerous first, each with the sizes from which it would be wrong and what shows it; and whether that is
 /// a check piece.
-pub(super) fn assumptions(mut unseen: Vec<Unseen>, limits: &Limits, axes: &Axes, at: &Where<'_>) -> Vec<(bool, String)> {
+pub(super) fn assumptions(
+    mut unseen: Vec<Unseen>,
+    limits: &Limits,
+    axes: &Axes,
+    at: &Where<'_>,
+) -> Vec<(bool, String)> {
     unseen.sort_by(|a, b| b.danger.total_cmp(&a.danger));
     let of = |of: Of| {
         let own: Vec<&Unseen> = unseen.iter().filter(|unseen| unseen.cause.of == of).collect();
-        let tilts = |unseen: &&&Unseen| {
-            unseen.worst.deg / limits.max_tilt_deg >= unseen.worst.times * (1.0 - 1e-9)
-        };
+        let tilts = |unseen: &&&Unseen| unseen.worst.deg / limits.max_tilt_deg >= unseen.worst.times * (1.0 - 1e-9);
         let sizes = |unseen: &&Unseen| {
             let value = unseen.cause.unit.of().1 * unseen.critical;
             let digits = if value < 1.0 { 2 } else { 1 };
