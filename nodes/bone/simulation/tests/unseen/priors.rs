@@ -28,7 +28,7 @@ fn in_ct(rng: &mut ChaCha8Rng, site: &Site, params: &PredictParams) -> Vec<Part>
     let wide = way * way.transpose();
     let sheared = way * site.along.transpose();
     let (stretch, shear) = (priors.stretch_percent / 100.0 * normal(rng), priors.shear_deg.to_radians() * normal(rng));
-    let across = priors.affine_percent / 100.0 * normal(rng);
+    let across = priors.stretch_percent / 100.0 * normal(rng);
     let growth = priors.stretch_percent / 100.0 * normal(rng);
     let (bent, half_mm, middle_mm) = (effect::across(rng, site), site.length_mm() / 2.0, site.centre_mm());
     let [at_bend, at_twist, at_step] = [site.clone(), site.clone(), site.clone()];

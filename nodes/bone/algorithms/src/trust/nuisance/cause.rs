@@ -198,7 +198,7 @@ pub(super) const CAUSES: &[Cause] = &[
     Cause {
         name: "stretch_across",
         unit: Unit::Percent,
-        prior: |p| p.affine_percent,
+        prior: |p| p.stretch_percent,
         fault: 3.0,
         largest: 15.0,
         modes: |_| vec![Mode::Across],
