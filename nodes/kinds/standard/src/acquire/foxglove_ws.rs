@@ -9,7 +9,7 @@ use super::network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Prot
 use osteoflow_formats::message_read::Encoded;
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, DeclaredPort, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize, tracing,
+    Context, DeclaredPort, Describe, NodeError, ParamError, params, schemars::JsonSchema, serde::Deserialize, tracing,
 };
 use ports::{Content, TopicMessage};
 use protocol::{Channel, FromServer, SUBPROTOCOLS, shortened};
@@ -58,23 +58,17 @@ pub struct FoxgloveWs {
 }
 
 /// Parameters of [`FoxgloveWs`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Address of the server, with the path that it asks for. ws://127.0.0.1:8765: the port of foxglove_bridge.
+    #[param("ws://127.0.0.1:8765")]
     pub address: String,
     /// Frames of the server that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
     pub frames: BTreeMap<String, String>,
     /// What every source over a network has.
     #[serde(flatten)]
     pub network: NetworkParams,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        let (frames, network) = Default::default();
-        Self { address: "ws://127.0.0.1:8765".into(), frames, network }
-    }
 }
 
 /// The address of a server.

@@ -12,8 +12,8 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::Frame;
 use osteoflow_node::{
-    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
-    serde::Deserialize,
+    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, params,
+    schemars::JsonSchema, serde::Deserialize,
 };
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -39,16 +39,14 @@ pub struct Mcap {
 }
 
 /// Parameters of [`Mcap`].
+#[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The recording.
     pub path: FilePath,
     /// Whether the intact part of a damaged recording is used, with a warning. false: a damaged recording is an error.
-    #[serde(default)]
     pub allow_truncated: bool,
     /// Frames of the recording that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
-    #[serde(default)]
     pub frames: BTreeMap<String, String>,
 }
 

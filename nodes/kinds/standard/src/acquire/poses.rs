@@ -11,8 +11,8 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
 use osteoflow_node::{
-    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
-    serde::Deserialize,
+    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, params,
+    schemars::JsonSchema, serde::Deserialize,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -36,40 +36,31 @@ pub struct Poses {
 }
 
 /// Parameters of [`Poses`].
+#[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The log.
     pub path: FilePath,
     /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses`, `ndi` or `table`. Unset: recognised by the content.
-    #[serde(default)]
     pub format: Option<LogFormat>,
     /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, which are in metres, and 1 for the others.
-    #[serde(default)]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: Option<f64>,
     /// The frame that the poses lead to, in formats that name none: TUM, EuRoC, KITTI.
-    #[serde(default)]
     pub parent: Option<String>,
     /// The frame that moves, in formats that name none.
-    #[serde(default)]
     pub child: Option<String>,
     /// Poses a second, for KITTI, which has no stamps, and for tables that count frames.
-    #[serde(default)]
     #[schemars(range(min = 1e-3, max = 1e6))]
     pub rate_hz: Option<f64>,
     /// The `times.txt` of a KITTI trajectory: a stamp in seconds for each pose.
-    #[serde(default)]
     pub times: Option<FilePath>,
     /// What is in the columns of a table.
-    #[serde(default)]
     pub columns: Option<Columns>,
     /// Added to all stamps, s: the offset of the tracker's clock from that of the other sources. 0: they have one clock.
-    #[serde(default)]
-    #[schemars(range(min = -1e10, max = 1e10))]
+    #[param(0.0, -1e10..=1e10)]
     pub stamp_offset_s: f64,
     /// Frames of the log that have other names in the graph, such as `{ Tracker = "world" }`.
-    #[serde(default)]
     pub frames: BTreeMap<String, String>,
 }
 

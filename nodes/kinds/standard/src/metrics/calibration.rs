@@ -3,7 +3,7 @@
 use osteoflow_algorithms::metrics::{PoseErrorReport, pose_error};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The true error of a calibration, and what it does to a point at the working distance.
@@ -22,18 +22,12 @@ working_distance_mm = 200.0
 pub struct Calibration;
 
 /// Parameters of [`Calibration`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Distance of the bone from the camera. 200 mm: the paper's 200 +- 50 mm.
-    #[schemars(range(min = 1.0, max = 10_000.0))]
+    #[param(200.0, 1.0..=10_000.0)]
     pub working_distance_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { working_distance_mm: 200.0 }
-    }
 }
 
 /// Inputs of [`Calibration`].

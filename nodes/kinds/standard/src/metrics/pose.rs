@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::{Cloud, Pose as PosePayload};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Function, Inputs, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use serde_json::json;
@@ -23,21 +23,15 @@ in   = { cloud = "perturb.cloud", t_target_source = "icp.t_target_source", t_tar
 pub struct Pose;
 
 /// Parameters of [`Pose`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// A right pose is off by less at the centroid, mm. 4 mm: as published for bones of a hip.
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(4.0, 1e-6..=1e6)]
     pub right_mm: f64,
     /// A right pose is turned by less, degrees. 5 degrees: as published for bones of a hip.
-    #[schemars(range(min = 1e-6, max = 180.0))]
+    #[param(5.0, 1e-6..=180.0)]
     pub right_deg: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { right_mm: 4.0, right_deg: 5.0 }
-    }
 }
 
 /// Inputs of [`Pose`].
