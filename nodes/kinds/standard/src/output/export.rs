@@ -135,7 +135,6 @@ fn write_scan(
 /// The column of the distance from the bone. CloudCompare takes what begins so for a scalar field, and shows it without asking.
 const DISTANCE: &str = "scalar_distance_mm";
 
-/// The column of the points that belong to the bone.
 /// A cloud with its distance from a surface, whether it belongs to that, and the colours of that; those that a camera saw are kept instead.
 fn coloured(cloud: Cloud, surface: &MeshQuery, inliers_mm: Option<[f64; 2]>) -> Result<Cloud, NodeError> {
     let distances: Vec<f64> = cloud.points().iter().map(|p| distance_outside(p, surface).unwrap_or(f64::NAN)).collect();
