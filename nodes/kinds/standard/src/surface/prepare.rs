@@ -3,7 +3,7 @@
 use osteoflow_algorithms::{icp::NO_FIELD, mesh_query::MeshQuery, normals, sample, target::Target};
 use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
 use osteoflow_node::{
-    CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    CachePolicy, Context, Describe, Inputs, NodeError, Outputs, function, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -88,12 +88,9 @@ pub struct Out {
     ct_surface: Text,
 }
 
-impl Function for Prepare {
-    const KIND: &'static str = "surface.prepare";
+#[function("surface.prepare")]
+impl Prepare {
     const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
 
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let target = params.prepare(&i.mesh, ctx)?;
@@ -140,12 +137,9 @@ pub struct CloudOut {
     ct_surface: Text,
 }
 
-impl Function for PrepareCloud {
-    const KIND: &'static str = "surface.prepare_cloud";
+#[function("surface.prepare_cloud")]
+impl PrepareCloud {
     const CACHE: CachePolicy = CachePolicy::ByInputs;
-    type Params = CloudParams;
-    type Inputs = CloudIn;
-    type Outputs = CloudOut;
 
     fn process(_: &CloudParams, i: CloudIn, _ctx: &mut Context) -> Result<CloudOut, NodeError> {
         let target = prepare_points(&i.cloud)?;
@@ -197,12 +191,9 @@ pub struct AnyOut {
     target: Target,
 }
 
-impl Function for PrepareAny {
-    const KIND: &'static str = "surface.prepare_any";
+#[function("surface.prepare_any")]
+impl PrepareAny {
     const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
-    type Params = Params;
-    type Inputs = AnyIn;
-    type Outputs = AnyOut;
 
     fn process(params: &Params, i: AnyIn, ctx: &mut Context) -> Result<AnyOut, NodeError> {
         let target = match (&i.mesh, &i.points) {
@@ -221,6 +212,7 @@ impl Function for PrepareAny {
 mod tests {
     use super::*;
     use osteoflow_geometry::nalgebra::{Point3, Vector3};
+    use osteoflow_node::Function;
 
     #[test]
     fn points_are_as_far_apart_as_asked_for_whatever_the_surfaces_size_or_refused() {
