@@ -1,4 +1,4 @@
-//! The built-in nodes: thin adapters from ports to algorithms, one file per kind, folders in pipeline order.
+//! The built-in nodes: thin adapters from ports to algorithms, one file per kind or for kinds of the same parameters, folders in pipeline order.
 //!
 //! A node holds no mathematics: it checks the frames of its inputs, calls one function of `osteoflow-algorithms`, and gives
 //! the result its frames and stamp.
