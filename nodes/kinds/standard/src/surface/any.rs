@@ -11,7 +11,9 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
 use osteoflow_node::{
-    Context, Describe, Emit, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Emit, FilePath, NodeError, Outputs, ParamError,
+    schemars::{JsonSchema, Schema},
+    serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use serde_json::{Value, json};
@@ -61,7 +63,7 @@ threshold_hu = 600.0
 )]
 pub struct Ct;
 
-/// Parameters of [`Any`], [`File`] and [`Ct`].
+/// Parameters of [`Any`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Params {
@@ -93,6 +95,35 @@ pub struct Params {
     pub seed_mm: Option<[f64; 3]>,
     /// Whether spaces enclosed by the bone in a CT count as bone. Unset: they do, since a camera sees only the outside.
     pub fill_cavities: Option<bool>,
+}
+
+/// Parameters of [`File`]: those of [`Any`] without the ones of a CT.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[schemars(transform = without_those_of_ct)]
+pub struct FileParams {
+    #[serde(flatten)]
+    bone: Params,
+}
+
+/// Parameters of [`Ct`]: those of [`Any`] without what a CT states itself.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[schemars(transform = without_stated)]
+pub struct CtParams {
+    #[serde(flatten)]
+    pub(super) bone: Params,
+}
+
+fn without_those_of_ct(schema: &mut Schema) {
+    without(schema, &["threshold_hu", "series", "seed_mm", "fill_cavities"]);
+}
+
+fn without_stated(schema: &mut Schema) {
+    without(schema, &["unit_mm", "space"]);
+}
+
+fn without(schema: &mut Schema, names: &[&str]) {
+    let properties = schema.get_mut("properties").and_then(Value::as_object_mut);
+    properties.into_iter().for_each(|all| all.retain(|name, _| !names.contains(&name.as_str())));
 }
 
 /// The axes of a patient's coordinates.
@@ -172,7 +203,25 @@ impl Constant for Any {
     type Outputs = Out;
 
     fn check(params: &Params) -> Result<(), ParamError> {
-        params.check(is_volume(params.path.as_ref()))
+        let path = params.path.as_ref();
+        if is_volume(path) {
+            let stated = [("space", params.space.is_some()), ("unit_mm", params.unit_mm != 1.0)];
+            return match stated.iter().find(|(_, is_given)| *is_given) {
+                Some((name, _)) => Err(ParamError::new(*name, "a CT states its unit and its axes; leave it out")),
+                None => params.check_ct(),
+            };
+        }
+        let of_ct = [
+            ("threshold_hu", params.threshold_hu.is_some()),
+            ("series", params.series.is_some()),
+            ("seed_mm", params.seed_mm.is_some()),
+            ("fill_cavities", params.fill_cavities.is_some()),
+        ];
+        if let Some((name, _)) = of_ct.iter().find(|(_, is_given)| *is_given && path.exists()) {
+            let file = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+            return Err(ParamError::new(*name, format!("{name} is for a CT, and {file} is none; leave it out")));
+        }
+        parts::choice(params.component.as_deref()).map(drop)
     }
 
     fn files(params: &Params) -> Vec<PathBuf> {
@@ -200,14 +249,14 @@ impl Constant for Any {
 
 impl Constant for File {
     const KIND: &'static str = "surface.file";
-    type Params = Params;
+    type Params = FileParams;
     type Outputs = MeshOut;
 
-    fn check(params: &Params) -> Result<(), ParamError> {
-        params.check(false)
+    fn check(params: &FileParams) -> Result<(), ParamError> {
+        parts::choice(params.bone.component.as_deref()).map(drop)
     }
 
-    fn read(params: &Params, ctx: &mut Context) -> Result<MeshOut, NodeError> {
+    fn read(FileParams { bone: params }: &FileParams, ctx: &mut Context) -> Result<MeshOut, NodeError> {
         let path = params.path.as_ref();
         let read = read_mesh(path, params.unit_mm, params.frame.as_str(), SurfaceOrigin::User)?;
         let MeshOrCloud::Mesh(read) = params.taken(MeshOrCloud::Mesh(read), ctx)? else {
@@ -219,52 +268,30 @@ impl Constant for File {
 
 impl Constant for Ct {
     const KIND: &'static str = "surface.ct";
-    type Params = Params;
+    type Params = CtParams;
     type Outputs = MeshOut;
 
-    fn check(params: &Params) -> Result<(), ParamError> {
-        params.check(true)
+    fn check(params: &CtParams) -> Result<(), ParamError> {
+        params.bone.check_ct()
     }
 
-    fn files(params: &Params) -> Vec<PathBuf> {
-        data_files(params.path.as_ref())
+    fn files(params: &CtParams) -> Vec<PathBuf> {
+        data_files(params.bone.path.as_ref())
     }
 
-    fn read(params: &Params, ctx: &mut Context) -> Result<MeshOut, NodeError> {
-        let bone = read_bone(params, NoThreshold::Refuse)?;
+    fn read(params: &CtParams, ctx: &mut Context) -> Result<MeshOut, NodeError> {
+        let bone = read_bone(&params.bone, NoThreshold::Refuse)?;
         bone.notes.into_iter().for_each(|note| ctx.warn(note));
         Ok(MeshOut { mesh: bone.mesh, report: Json(Arc::new(bone.report)) })
     }
 }
 
 impl Params {
-    /// Refuses what a CT, or another file, does not take, and what no file serves.
-    fn check(&self, is_ct: bool) -> Result<(), ParamError> {
-        let path = self.path.as_ref();
-        let of_other: &[(&str, bool)] = match is_ct {
-            true => &[("space", self.space.is_some()), ("unit_mm", self.unit_mm != 1.0)],
-            false => &[
-                ("threshold_hu", self.threshold_hu.is_some()),
-                ("series", self.series.is_some()),
-                ("seed_mm", self.seed_mm.is_some()),
-                ("fill_cavities", self.fill_cavities.is_some()),
-            ],
-        };
-        if let Some((name, _)) = of_other.iter().find(|(_, is_given)| *is_given && path.exists()) {
-            let file = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
-            let message = match (is_ct, is_volume(path)) {
-                (true, _) => "a CT states its unit and its axes; leave it out".into(),
-                (false, true) => format!("{name} is for a CT, which surface.ct and surface.any read"),
-                (false, false) => format!("{name} is for a CT, and {file} is none; leave it out"),
-            };
-            return Err(ParamError::new(*name, message));
-        }
-        match is_ct {
-            true if self.threshold_hu.is_some_and(|t| !t.is_finite()) => {
-                Err(ParamError::new("threshold_hu", "it is not finite"))
-            }
-            true => self.part_of_ct().map(drop),
-            false => parts::choice(self.component.as_deref()).map(drop),
+    /// Refuses a choice of parts or a threshold that no CT serves.
+    fn check_ct(&self) -> Result<(), ParamError> {
+        match self.threshold_hu.is_some_and(|t| !t.is_finite()) {
+            true => Err(ParamError::new("threshold_hu", "it is not finite")),
+            false => self.part_of_ct().map(drop),
         }
     }
 

@@ -170,7 +170,7 @@ mod tests {
     use super::*;
     use crate::{
         constant::Once,
-        surface::any::{Ct, MeshOut},
+        surface::any::{Ct, CtParams, MeshOut},
     };
     use osteoflow_geometry::nalgebra::Point3;
     use osteoflow_node::{Context, FilePath, Source};
@@ -192,7 +192,7 @@ mod tests {
 
     fn run(params: Params) -> Result<(MeshOut, Vec<String>), String> {
         let mut ctx = Context::for_test("bone");
-        let mut node = Once::<Ct>::new(params).map_err(|error| error.to_string())?;
+        let mut node = Once::<Ct>::new(CtParams { bone: params }).map_err(|error| error.to_string())?;
         let out = node.next(&mut ctx).map_err(|error| error.to_string())?.ok_or("nothing")?;
         assert!(node.next(&mut ctx).unwrap().is_none(), "once");
         Ok((out, ctx.warnings().to_vec()))
