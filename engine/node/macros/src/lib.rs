@@ -2,9 +2,10 @@
 
 use proc_macro::TokenStream;
 use quote::quote;
-use syn::{DeriveInput, parse_macro_input};
+use syn::{DeriveInput, ItemImpl, LitStr, parse_macro_input};
 
 mod describe;
+mod function;
 mod port;
 
 /// Derives input ports from the fields of a struct.
@@ -28,6 +29,14 @@ pub fn outputs(input: TokenStream) -> TokenStream {
 #[proc_macro_derive(Describe, attributes(describe))]
 pub fn describe(input: TokenStream) -> TokenStream {
     expand(describe::describe(&parse_macro_input!(input as DeriveInput)))
+}
+
+/// Implements `Function`, a kind without memory, by `process` alone: `#[function("icp.symmetric")] impl Symmetric { fn process(..) .. }`.
+/// The types are those of its signature; other items of the trait, such as `const CACHE`, may stand beside it.
+#[proc_macro_attribute]
+pub fn function(kind: TokenStream, block: TokenStream) -> TokenStream {
+    let (kind, block) = (parse_macro_input!(kind as LitStr), parse_macro_input!(block as ItemImpl));
+    expand(function::function(&kind, &block))
 }
 
 fn expand(tokens: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
