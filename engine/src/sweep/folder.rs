@@ -14,15 +14,13 @@ use crate::{
     durable,
     graph::difference::{self, EntryDifference},
     plan::PlanPlugin,
-    plugin::Kinds,
     replay::exchange::without_old_defaults,
     run::{Answer, Verdict},
 };
-use osteoflow_node::Registry;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Map, Value as Json, json};
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs, io,
     path::{Path, PathBuf},
 };
@@ -398,21 +396,21 @@ impl Folder {
     /// If a file of the folder cannot be read.
     pub fn graph_of_rows(&self) -> Result<String, FolderError> {
         let (spec, graph) = (self.spec()?, self.graph()?);
-        let written: Option<BTreeMap<_, _>> = serde_json::from_value(self.about["written"].clone()).ok();
         let of_levels = spec.factors.iter().flat_map(|factor| &factor.levels).flat_map(|level| &level.sets).cloned();
         let of_draws = spec.draws.iter().flat_map(|draw| &draw.keys).map(|key| format!("{key}="));
         let of_variants = spec.variants().into_iter().flat_map(|variant| variant.keys());
         let sets: Vec<_> = of_levels.chain(of_draws).chain(of_variants.map(|key| format!("{key}="))).collect();
-        if written.is_none()
-            && sets.iter().any(|set| set.split('=').next().is_some_and(|key| key.trim().ends_with(".kind")))
-        {
-            let what = "its runs have several kinds, and it does not say which parameters were written (`written`), as sweeps of \
-                        earlier versions: sweep the graph again with this version, and export that";
-            return Err(FolderError::form(&self.dir.join(DESIGN), what));
-        }
-        let path = Path::new(self.about["graph"]["file"].as_str().unwrap_or(GRAPH));
-        let kinds = Kinds::from(&Registry::default());
-        Ok(without_old_defaults(&graph, path, written.as_ref(), &sets, &kinds).unwrap_or(graph))
+        Ok(without_old_defaults(&graph, &self.written()?, &sets).unwrap_or(graph))
+    }
+
+    /// The parameters of each node that the user wrote.
+    pub(super) fn written(&self) -> Result<BTreeMap<String, BTreeSet<String>>, FolderError> {
+        let unread = |error| {
+            let what =
+                format!("it does not say which parameters were written (`written`): {error}; sweep the graph again");
+            FolderError::form(&self.dir.join(DESIGN), what)
+        };
+        serde_json::from_value(self.about["written"].clone()).map_err(unread)
     }
 
     /// What makes `other` another sweep than this one; `None` if it is the same.

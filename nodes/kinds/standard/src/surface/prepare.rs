@@ -1,6 +1,6 @@
 //! The kind `surface.prepare`.
 
-use osteoflow_algorithms::{icp::NO_FIELD, mesh_query::MeshQuery, sample, target::Target};
+use osteoflow_algorithms::{mesh_query::MeshQuery, sample, target::Target};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{
     CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
@@ -26,7 +26,6 @@ const MAX_POINTS: usize = 10_000_000;
 /// Parameters of [`Prepare`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct Params {
     /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
     #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]

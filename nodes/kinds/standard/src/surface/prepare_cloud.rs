@@ -1,6 +1,6 @@
 //! The kind `surface.prepare_cloud`.
 
-use osteoflow_algorithms::{icp::NO_FIELD, normals, target::Target};
+use osteoflow_algorithms::{normals, target::Target};
 use osteoflow_geometry::{Cloud, SurfaceOrigin};
 use osteoflow_node::{
     CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
@@ -25,7 +25,6 @@ pub struct PrepareCloud;
 /// Parameters of [`PrepareCloud`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct Params {}
 
 /// Inputs of [`PrepareCloud`].
