@@ -616,8 +616,7 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
             differences.push(format!("its table [sweep] differs{}", named.unwrap_or_default()));
         }
     }
-    let is_same = |ours: &PlanPlugin, plugin: &PlanPlugin| ours.name == plugin.name && ours.sha256 == plugin.sha256;
-    differences.extend(plugin_differences(&folder.about, about, is_same));
+    differences.extend(plugin_differences(&folder.about, about));
     if hash != other_hash || hash == "unknown" {
         if differences.is_empty() {
             differences.push("its settings differ".into());
@@ -625,12 +624,6 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
         differences.push(format!("its hash is {other_hash}, not {hash}"));
     }
     Ok((!differences.is_empty()).then(|| differences.join("; ")))
-}
-
-/// How the plugins `now` differ from those of the same names in `then`, and what they have loaded: both are `sweep.json` or
-/// `manifest.json`.
-pub fn difference_of_plugins(then: &Json, now: &Json) -> Vec<String> {
-    plugin_differences(then, now, |now, then| now.name == then.name)
 }
 
 /// By what number of repeats and by which values of factors another table `[sweep]` differs.
@@ -662,9 +655,10 @@ fn spec_differences(ours: &Spec, other: &Spec) -> Vec<String> {
     differences
 }
 
-fn plugin_differences(then: &Json, now: &Json, is_same: impl Fn(&PlanPlugin, &PlanPlugin) -> bool) -> Vec<String> {
+fn plugin_differences(then: &Json, now: &Json) -> Vec<String> {
     let of = |about: &Json| serde_json::from_value::<Vec<PlanPlugin>>(about["plugins"].clone()).unwrap_or_default();
     let now = of(now);
+    let is_same = |now: &PlanPlugin, then: &PlanPlugin| now.name == then.name && now.sha256 == then.sha256;
     let difference = |then: &PlanPlugin| then.difference(now.iter().find(|now| is_same(now, then))?);
     of(then).iter().filter_map(difference).collect()
 }
