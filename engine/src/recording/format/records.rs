@@ -355,7 +355,7 @@ impl WireHeader {
         all
     }
 
-    /// Missing entries become empty: channels of earlier programs have fewer.
+    /// Missing entries become empty: channels of repro bundles have fewer.
     pub(crate) fn from_metadata(entries: &Entries) -> Self {
         let text = |key: &str| entries.get(key).cloned().unwrap_or_default();
         Self {
