@@ -1,6 +1,6 @@
 //! The kinds `surface.prepare`, `surface.prepare_cloud`, and `surface.prepare_any`, which takes the inputs of both.
 
-use osteoflow_algorithms::{icp::NO_FIELD, mesh_query::MeshQuery, normals, sample, target::Target};
+use osteoflow_algorithms::{mesh_query::MeshQuery, normals, sample, target::Target};
 use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
 use osteoflow_node::{
     CachePolicy, Context, Describe, Inputs, NodeError, Outputs, function, schemars::JsonSchema, serde::Deserialize,
@@ -26,7 +26,6 @@ const MAX_POINTS: usize = 10_000_000;
 /// Parameters of [`Prepare`] and [`PrepareAny`].
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct Params {
     /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
     #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]
@@ -116,7 +115,6 @@ pub struct PrepareCloud;
 /// Parameters of [`PrepareCloud`].
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct CloudParams {}
 
 /// Inputs of [`PrepareCloud`].
