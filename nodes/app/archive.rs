@@ -12,7 +12,6 @@ mod search;
 mod unpack;
 
 pub use pack::{ExportRequest, Exported};
-pub(crate) use same::causes;
 pub use same::{Sameness, same};
 pub use unpack::ArchiveArgs;
 

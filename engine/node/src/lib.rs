@@ -66,7 +66,7 @@
 // The derives use the public name of this crate, also within it.
 extern crate self as osteoflow_node;
 
-pub use osteoflow_node_macros::{Describe, Inputs, Outputs, params};
+pub use osteoflow_node_macros::{Describe, Inputs, Outputs, function, params};
 pub use {rand, rand_chacha, schemars, serde, serde_json, tracing};
 
 pub mod abi;

@@ -85,9 +85,9 @@ pub(crate) fn run_record(
     let name = RunRecord::NAME;
     let missing = || truncated.map_or_else(|| format!("it has no metadata record \"{name}\""), str::to_owned);
     let entries = metadata.entries(name).ok_or_else(|| foreign(missing()))?;
-    match entries.get("format_version").and_then(|version| version.parse().ok()) {
-        Some(version) if !format::is_read(version) => Err(RecordingError(format!(
-            "{} has format version {version}, this program reads versions up to {FORMAT_VERSION}",
+    match entries.get("format_version").and_then(|version| version.parse::<u32>().ok()) {
+        Some(version) if version != FORMAT_VERSION => Err(RecordingError(format!(
+            "{} has format version {version}, this program reads version {FORMAT_VERSION}",
             path.display()
         ))),
         Some(_) => RunRecord::from_metadata(entries)

@@ -2,9 +2,10 @@
 
 use proc_macro::TokenStream;
 use quote::quote;
-use syn::{DeriveInput, Ident, ItemStruct, Token, parse_macro_input, punctuated::Punctuated};
+use syn::{DeriveInput, Ident, ItemImpl, ItemStruct, LitStr, Token, parse_macro_input, punctuated::Punctuated};
 
 mod describe;
+mod function;
 mod params;
 mod port;
 
@@ -40,6 +41,14 @@ pub fn describe(input: TokenStream) -> TokenStream {
 pub fn params(required: TokenStream, item: TokenStream) -> TokenStream {
     let required = parse_macro_input!(required with Punctuated::<Ident, Token![,]>::parse_terminated);
     expand(params::params(&Vec::from_iter(required), parse_macro_input!(item as ItemStruct)))
+}
+
+/// Implements `Function`, a kind without memory, by `process` alone: `#[function("icp.symmetric")] impl Symmetric { fn process(..) .. }`.
+/// The types are those of its signature; other items of the trait, such as `const CACHE`, may stand beside it.
+#[proc_macro_attribute]
+pub fn function(kind: TokenStream, block: TokenStream) -> TokenStream {
+    let (kind, block) = (parse_macro_input!(kind as LitStr), parse_macro_input!(block as ItemImpl));
+    expand(function::function(&kind, &block))
 }
 
 fn expand(tokens: syn::Result<proc_macro2::TokenStream>) -> TokenStream {

@@ -73,10 +73,6 @@ const JUST_OUTSIDE_MM: f64 = 1e-3;
 /// Parameters of [`phantom_icp`].
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[schemars(extend("x-removed" = { "trim_fraction": {
-    "default": 0.1,
-    "help": "pairs are left out by their distance, never by rank, which lost the smallest face: see gate_sigmas",
-} }))]
 pub struct PhantomParams {
     /// Pairs farther apart are not used at the start, mm. 10: a nominal pose is good to a few mm and about 2 degrees.
     #[param(10.0, 0.1..=1000.0)]

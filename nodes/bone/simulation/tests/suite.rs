@@ -12,3 +12,4 @@ mod rgb_spot;
 mod shape_alone;
 mod slide;
 mod sweeps;
+mod unseen;

@@ -4,7 +4,7 @@ use crate::{
     indexed::{Entry, IndexedRecording, Messages, last_of_each},
     protocol::{self, PlaybackState},
     server::App,
-    stream::{DROPS, FRAMES, Out, Stream, TIMING, TRANSFORM},
+    stream::{DROPS, Out, Stream, TIMING, TRANSFORM},
 };
 use osteoflow_container::ReadError;
 use osteoflow_engine::run::Listener;
@@ -52,11 +52,8 @@ impl Playback {
         let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Err(ReadError::Empty) };
         // Constants are logged with the first item, or at the beginning of all time; the first transforms come just before
         // everything else, and with them alone there is nothing to see.
-        let is_shown = |entry: &&Entry| {
-            channels
-                .get(&entry.channel)
-                .is_none_or(|channel| channel.topic != FRAMES && channel.schema_name != TRANSFORM)
-        };
+        let is_shown =
+            |entry: &&Entry| channels.get(&entry.channel).is_none_or(|channel| channel.schema_name != TRANSFORM);
         let shown = || entries.iter().filter(is_shown).map(|entry| entry.log_time_ns);
         let start = shown().find(|ns| *ns > 1_000_000).or_else(|| shown().next()).unwrap_or(first.log_time_ns);
         let range_ns = (start, last.log_time_ns);

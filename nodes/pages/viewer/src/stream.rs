@@ -25,8 +25,6 @@ const OWN_CHANNELS: u32 = u32::MAX;
 /// Channels of a run whose messages add up, and the one that has their sums.
 pub(crate) const TIMING: &str = "/run/timing";
 pub(crate) const DROPS: &str = "/run/drops";
-/// Channel of older recordings with the first transforms, with a time before all others.
-pub(crate) const FRAMES: &str = "/run/frames";
 /// The schema of transforms.
 pub(crate) const TRANSFORM: &str = "foxglove.FrameTransform";
 const NODES: &str = "/viewer/nodes";

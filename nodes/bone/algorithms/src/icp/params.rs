@@ -5,19 +5,9 @@ use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Said where a graph or a recording of an earlier version asks for the closest-point field.
-pub const NO_FIELD: &str = "there is no closest-point field any more: pairing = \"field\" is read as \"cached\", and field and field_exact are ignored";
-
 /// Parameters of pairing, weights, steps and stop rules, the same for every variant.
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[schemars(extend("x-removed" = {
-    "published_reading": {
-        "default": "none",
-        "help": "the stop rules that the paper may have used are kind = \"icp.published\", whose reading takes this value",
-    },
-    "field_exact": { "default": true, "warning": NO_FIELD },
-}))]
 pub struct IcpParams {
     /// Largest distance of a pair, mm. 5: twice the largest error of a three-point fit to laser holes, and less than half the
     /// thickness of a fibula, so that no point pairs with the opposite side of the bone.
@@ -99,7 +89,6 @@ pub struct IcpParams {
 /// Correspondence search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-#[schemars(extend("x-replaced" = { "field": { "by": "cached", "warning": NO_FIELD } }))]
 pub enum PairingKind {
     /// The nearest samples, searched again only after a point has moved so far that another could be nearer.
     Cached,

@@ -5,7 +5,10 @@ mod protocol;
 
 pub use ports::PortParams;
 
-use super::network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting};
+use super::{
+    network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting},
+    topics::FrameNames,
+};
 use osteoflow_formats::message_read::Encoded;
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
@@ -49,7 +52,7 @@ out.bone_marker = { type = "geometry/Pose", topic = "/tf", parent = "world", chi
 pub struct FoxgloveWs {
     socket: WebSocket<TcpStream>,
     /// Frames of the server that have other names in the graph.
-    frames: BTreeMap<String, String>,
+    frames: FrameNames,
     timeout_s: f64,
     channels: BTreeMap<u64, Channel>,
     /// The channel of each subscription.
@@ -137,7 +140,7 @@ impl Protocol for FoxgloveWs {
                 }
             }
         };
-        let (frames, timeout_s) = (params.frames.clone(), params.network.timeout_s);
+        let (frames, timeout_s) = (FrameNames::new(&params.frames), params.network.timeout_s);
         let (channels, subscriptions) = Default::default();
         Ok(Self { socket, frames, timeout_s, channels, subscriptions, next_subscription: 1 })
     }
@@ -222,9 +225,9 @@ impl FoxgloveWs {
                 Some(Channel { topic, schema_name, encoding, .. }) => {
                     let publish_time_ns = StampNs::try_from(log_time_ns).unwrap_or(0);
                     let encoded = Encoded { schema_name, message_encoding: encoding, publish_time_ns, data };
-                    let message = TopicMessage { topic, encoded, frames: &self.frames };
+                    let mut message = TopicMessage { topic, encoded, frames: &mut self.frames };
                     inbox.arrive(ctx);
-                    let newest_ns = inbox.offer(topic, ctx, |port| Some(port.read(&message)));
+                    let newest_ns = inbox.offer(topic, ctx, |port| Some(port.read(&mut message)));
                     // Constants have no time.
                     if let Some(sent_ns) = newest_ns.filter(|ns| *ns > 0) {
                         inbox.stamp(Some(sent_ns), ctx);

@@ -4,11 +4,11 @@ use super::{
     mcap_events::{Findings, Port},
     mcap_ports::PortParams,
     playback::{Event, Playback, in_order},
-    topics,
+    topics::{self, FrameNames},
 };
 use osteoflow_formats::{
     mcap_read::{Message, Recording},
-    message_read::{Calibration, MessageKind, read_depth, read_image},
+    message_read::{Calibration, read_depth, read_image},
 };
 use osteoflow_geometry::Frame;
 use osteoflow_node::{
@@ -16,6 +16,8 @@ use osteoflow_node::{
     schemars::JsonSchema, serde::Deserialize,
 };
 use std::{collections::BTreeMap, sync::Arc};
+
+pub use topics::reads;
 
 /// The streams of a recording in MCAP, of Foxglove's schemas or ROS 2's, in the order of sensor time.
 ///
@@ -48,16 +50,6 @@ pub struct Params {
     pub allow_truncated: bool,
     /// Frames of the recording that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
     pub frames: BTreeMap<String, String>,
-}
-
-/// Whether a port with this payload reads messages of this schema without further parameters; images need a calibration.
-pub fn reads(payload: &str, schema: &str) -> bool {
-    match MessageKind::of(schema) {
-        Some(MessageKind::Cloud) => payload == "geometry/Cloud",
-        Some(MessageKind::Transform | MessageKind::Transforms) => payload == "geometry/Pose",
-        Some(MessageKind::Pose) => ["geometry/Pose", "geometry/Points"].contains(&payload),
-        None => false,
-    }
 }
 
 /// The body of an event. Clouds and images are decoded when they are due.
@@ -157,12 +149,12 @@ impl Mcap {
                 "no port reads this topic"
             );
         }
-        let (mut events, mut found) = (Vec::new(), Findings::default());
+        let frames = FrameNames::new(&self.params.frames);
+        let (mut events, mut found) = (Vec::new(), Findings { frames, ..Findings::default() });
         let path = self.params.path.as_ref();
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
-        let frames = &self.params.frames;
         for (port, (declared, params)) in ports.iter().zip(&params).enumerate() {
-            let mut stream = Port { recording: &recording, name: &name, declared, params, frames, found: &mut found };
+            let mut stream = Port { recording: &recording, name: &name, declared, params, found: &mut found };
             events.extend(stream.events()?.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         for (topic, corrections) in found.corrections {
@@ -171,11 +163,6 @@ impl Mcap {
         found.notes.into_iter().chain(found.spellings.notes).for_each(|note| ctx.warn(note));
         found.signs.into_iter().chain(found.spellings.signs).for_each(|(rule, sign)| ctx.sign(rule, sign));
         found.stamps.notes().map_err(NodeError::new)?.into_iter().for_each(|note| ctx.warn(note));
-        match frames.keys().find(|frame| !found.renamed.contains(*frame)) {
-            Some(frame) => Err(NodeError::new(format!(
-                "frames names \"{frame}\", but no message that a port reads is in it; `osteoflow info` lists the frames"
-            ))),
-            None => Ok(events),
-        }
+        found.frames.check_met("message").map(|()| events)
     }
 }

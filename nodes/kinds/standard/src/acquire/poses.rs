@@ -3,7 +3,7 @@
 use super::{
     playback::{Event, Playback, in_order, silences},
     sifted::{self, PoseStreamParams, Sifted, Sign, sifted},
-    topics::TransformFilter,
+    topics::{FrameNames, TransformFilter},
 };
 use osteoflow_formats::{
     pose_log::{Columns, LogFormat, LogOptions, read_log},
@@ -14,7 +14,7 @@ use osteoflow_node::{
     Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, params,
     schemars::JsonSchema, serde::Deserialize,
 };
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// The poses of a tracker's log in the order of their stamps: tracked sequences of PLUS (`.igs.mha`), trajectories of TUM, EuRoC and
 /// KITTI, `t_ns,parent,child,..`, and tables of NDI, Atracsys and others, whose heading `columns` describes.
@@ -131,22 +131,18 @@ impl Poses {
         }
         let mut notes: Vec<String> = log.notes.into_iter().chain(corrections.note()).collect();
         let mut signs = Vec::new();
-        let (mut events, mut renamed) = (Vec::new(), BTreeSet::new());
+        let (mut events, mut frames) = (Vec::new(), FrameNames::new(frames));
         for (port, declared) in ctx.declared().iter().enumerate() {
             let port_log = PortLog { declared, params: declared.params()?, streams: &streams };
-            let read = port_log.events(frames, &mut renamed, &mut notes, &mut signs);
+            let read = port_log.events(&mut frames, &mut notes, &mut signs);
             let read =
                 read.map_err(|message| NodeError::new(format!("{name}: port \"{}\": {message}", declared.name)))?;
             events.extend(read.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
         signs.into_iter().chain(log.signs).for_each(|(rule, sign)| ctx.sign(rule, format!("{name}: {sign}")));
-        match frames.keys().find(|frame| !renamed.contains(*frame)) {
-            Some(frame) => Err(NodeError::new(format!(
-                "{name}: frames names \"{frame}\", but no pose that a port reads is in it; `osteoflow info` lists the frames"
-            ))),
-            None => Ok(events),
-        }
+        let named = |NodeError { message }| NodeError::new(format!("{name}: {message}"));
+        frames.check_met("pose").map(|()| events).map_err(named)
     }
 }
 
@@ -168,8 +164,7 @@ impl PortLog<'_> {
     /// What the port gives, in no order.
     fn events(
         &self,
-        frames: &BTreeMap<String, String>,
-        renamed: &mut BTreeSet<String>,
+        frames: &mut FrameNames,
         notes: &mut Vec<String>,
         signs: &mut Vec<Sign>,
     ) -> Result<Vec<(StampNs, Emission)>, String> {
@@ -200,14 +195,8 @@ impl PortLog<'_> {
         };
         let stamps: Vec<StampNs> =
             poses.iter().map(|(pose, _)| pose.stamp_ns).chain(lost.iter().map(|(stamp, _)| *stamp)).collect();
-        let mut rename = |frame: &mut Frame| {
-            if let Some((name, other)) = frames.iter().find(|(name, _)| without_slash(name) == frame.as_str()) {
-                renamed.insert(name.clone());
-                *frame = other.as_str().into();
-            }
-        };
         let emission = |(mut pose, reason): Sifted| {
-            [&mut pose.to, &mut pose.from].into_iter().for_each(&mut rename);
+            frames.rename([&mut pose.to, &mut pose.from]);
             sifted::emission((pose, reason))
         };
         let mut events: Vec<_> = poses.into_iter().map(emission).collect();

@@ -3,7 +3,7 @@
 use osteoflow_algorithms::calibrate::{HandEyeMethod, HandEyeReport, hand_eye, hand_eye_late, hand_eye_pairs};
 use osteoflow_geometry::Pose;
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, params,
+    Context, Describe, Inputs, NodeError, Outputs, function, params,
     schemars::{self, JsonSchema},
     serde::Deserialize,
 };
@@ -64,12 +64,8 @@ pub struct Out {
     report: HandEyeReport,
 }
 
-impl Function for HandEye {
-    const KIND: &'static str = "calibrate.hand_eye";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("calibrate.hand_eye")]
+impl HandEye {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let taken = |of: Vec<Option<Pose>>| of.into_iter().flatten().collect::<Vec<Pose>>();
         let (markers, targets) = (taken(i.marker), taken(i.target));

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::downsample;
-use osteoflow_node::{Context, Describe, Function, NodeError, params, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{Context, Describe, NodeError, function, params, schemars::JsonSchema, serde::Deserialize};
 
 /// A cloud with fewer points: one in each cell of a grid, every n-th, or a given number.
 ///
@@ -50,12 +50,8 @@ pub enum Pick {
     Random,
 }
 
-impl Function for Downsample {
-    const KIND: &'static str = "cloud.downsample";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("cloud.downsample")]
+impl Downsample {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let thinned =
             if params.cell_mm > 0.0 { i.cloud.selected(&downsample::voxel(&i.cloud, params.cell_mm)) } else { i.cloud };
@@ -93,6 +89,7 @@ impl Function for Downsample {
 mod tests {
     use super::*;
     use osteoflow_geometry::{Cloud, nalgebra::Point3};
+    use osteoflow_node::Function;
 
     #[test]
     fn of_more_points_than_the_maximum_every_nth_is_kept_and_a_warning_says_so() {

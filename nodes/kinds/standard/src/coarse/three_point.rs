@@ -5,7 +5,7 @@ use osteoflow_algorithms::coarse::{self, CoarseReport, DoubtParams};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, Unused, params, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, Unused, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The rigid motion that best carries located landmarks onto the planned ones.
@@ -68,12 +68,8 @@ pub struct Out {
     report: CoarseReport,
 }
 
-impl Function for ThreePoint {
-    const KIND: &'static str = "coarse.three_point";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("coarse.three_point")]
+impl ThreePoint {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let _ = (i.cloud, i.surface);
         let source = in_one_list(&i.source)?;

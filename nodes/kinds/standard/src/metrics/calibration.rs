@@ -3,7 +3,7 @@
 use osteoflow_algorithms::metrics::{PoseErrorReport, pose_error};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The true error of a calibration, and what it does to a point at the working distance.
@@ -48,12 +48,8 @@ pub struct Out {
     report: PoseErrorReport,
 }
 
-impl Function for Calibration {
-    const KIND: &'static str = "metrics.calibration";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.calibration")]
+impl Calibration {
     fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let (t, truth) = (i.t_camera_camera_marker, i.t_camera_camera_marker_true);
         // A measured world point reaches the camera by the true calibration and comes back by the one in use.

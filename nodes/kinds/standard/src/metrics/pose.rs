@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::{Cloud, Pose as PosePayload};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use serde_json::json;
@@ -54,12 +54,8 @@ pub struct Out {
     report: Json,
 }
 
-impl Function for Pose {
-    const KIND: &'static str = "metrics.pose";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.pose")]
+impl Pose {
     fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let (t, truth) = (i.t_target_source, i.t_target_source_true);
         let error = t.compose(&truth.inverse())?.expect(&truth.to, &truth.to)?;
@@ -75,6 +71,7 @@ impl Function for Pose {
 mod tests {
     use super::*;
     use osteoflow_geometry::nalgebra::{Isometry3, Point3, Vector3};
+    use osteoflow_node::Function;
 
     #[test]
     fn a_pose_is_right_below_both_limits_at_the_centroid() {

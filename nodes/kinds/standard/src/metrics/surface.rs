@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// Distances of the registered scan from the CT surface, over its inliers and over all points.
@@ -48,12 +48,8 @@ pub struct Out {
     report: SurfaceReport,
 }
 
-impl Function for Surface {
-    const KIND: &'static str = "metrics.surface";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.surface")]
+impl Surface {
     fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let limit_mm = params.max_pair_distance_mm;

@@ -4,7 +4,7 @@ use osteoflow_algorithms::perturb::random_motion;
 use osteoflow_formats::pose_file::read_pose;
 use osteoflow_geometry::{Cloud, Frame, Pose, nalgebra::Isometry3};
 use osteoflow_node::{
-    Context, Describe, FilePath, Function, Inputs, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, FilePath, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// A scan at a random pose, and the pose that takes it back: the start of a registration whose answer is known.
@@ -59,12 +59,8 @@ pub struct Out {
     pose: Pose,
 }
 
-impl Function for Perturb {
-    const KIND: &'static str = "pose.perturb";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("pose.perturb")]
+impl Perturb {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let t_to_file = match &params.truth {
             Some(path) => {
@@ -87,6 +83,7 @@ impl Function for Perturb {
 mod tests {
     use super::*;
     use osteoflow_geometry::nalgebra::{Point3, Vector3};
+    use osteoflow_node::Function;
 
     fn perturbed(params: &Params, seed: u64) -> (Vec<Point3<f64>>, Pose) {
         let points = [[0.0, 0.0, 900.0], [30.0, 0.0, 900.0], [0.0, 40.0, 910.0]].map(Point3::from);

@@ -4,7 +4,7 @@ use crate::icp::In;
 use osteoflow_algorithms::slide::{SlideParams, SlideReport, slide};
 use osteoflow_geometry::Pose;
 use osteoflow_node::{
-    Context, Describe, Function, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The best place of a registered scan along the bone and around it, and how well the residuals determine it.
@@ -48,12 +48,8 @@ pub struct Out {
     report: SlideReport,
 }
 
-impl Function for Slide {
-    const KIND: &'static str = "refine.slide";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("refine.slide")]
+impl Slide {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let init = i.init.expect(&i.target.frame, &i.source.frame)?;
         let fit = slide(&i.target, &i.source, &init, &params.profile)?;

@@ -2,7 +2,7 @@
 
 use osteoflow_geometry::Pose;
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, params, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The first of two poses that has a value, such as that of the recording, or else that of the plan.
@@ -46,12 +46,8 @@ pub struct Out {
     pose: Pose,
 }
 
-impl Function for FirstOf {
-    const KIND: &'static str = "transform.first_of";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.first_of")]
+impl FirstOf {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         if let (Some(first), Some(second)) = (&i.first, &i.second) {
             let between = first.isometry.inverse() * second.isometry;

@@ -17,7 +17,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{
-    Context, Describe, Emit, Function, Inputs, NodeError, Outputs, Value, params, schemars::JsonSchema,
+    Context, Describe, Emit, Inputs, NodeError, Outputs, Value, function, params, schemars::JsonSchema,
     serde::Deserialize,
 };
 use osteoflow_payloads::Json;
@@ -168,12 +168,8 @@ pub struct Out {
     planes: Emit<Planes>,
 }
 
-impl Function for Registration {
-    const KIND: &'static str = "verdict.registration";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("verdict.registration")]
+impl Registration {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let located: Vec<Points> = i.located.iter().flatten().cloned().collect();
