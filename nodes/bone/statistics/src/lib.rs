@@ -91,5 +91,5 @@ pub use repeatability::{Repeatability, repeatability};
 pub use summary::Summary;
 pub use tost::{Tost, tost};
 pub use units::{UnitMeans, Units, unit_means};
-pub use wilcoxon::{Alternative, Wilcoxon, WilcoxonMethod, WilcoxonParams, wilcoxon};
+pub use wilcoxon::{Wilcoxon, wilcoxon};
 pub use wilson::{Share, wilson, wilson_clustered};

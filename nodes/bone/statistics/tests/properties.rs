@@ -59,7 +59,7 @@ fn the_order_of_the_rows_changes_no_bit() {
             bootstrap_mean(&units, &values, &BootstrapParams::default()),
             bootstrap(&units, &values, median, &bca),
             wilson_clustered(&units, &hits, 0.95),
-            wilcoxon(&values, &WilcoxonParams::default()),
+            wilcoxon(&values),
             tost(&values, 0.3, 0.05),
             bland_altman_repeated(&units, &values, 0.95),
             repeatability(&groups, &values),
