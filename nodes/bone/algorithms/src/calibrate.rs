@@ -202,7 +202,7 @@ pub fn phantom_icp(
         noise_mm,
         max_mm,
         cap_mm: off_mm,
-        sample_mm2: area_mm2(phantom) / f64::from(params.n_samples) * target.points().len() as f64
+        sample_mm2: phantom.area_mm2() / f64::from(params.n_samples) * target.points().len() as f64
             / faces.points.len() as f64,
     });
     let mirrored_rms_mm = mirror::mirrored_mm(&faces, &thin, &fit.t_target_source, &start, max_mm, off_mm);
@@ -277,11 +277,6 @@ fn fitted(
     };
     let few = register(&scan.thinned(N_FIRST), start, &first)?;
     register(scan, &few.t_target_source, &last)
-}
-
-/// Area of the surface, mm².
-fn area_mm2(mesh: &Mesh) -> f64 {
-    (0..mesh.faces().len()).map(|face| mesh.area_vector(face).norm() / 2.0).sum()
 }
 
 fn no_fit(error: IcpError) -> Refusal {

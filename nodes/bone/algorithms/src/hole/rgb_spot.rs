@@ -212,7 +212,7 @@ impl<'a> Search<'a> {
                  together, and the intrinsics to the image?"
             )));
         }
-        let depth_mm = super::scene::median(&mut seen.iter().map(|(_, depth, _)| *depth).collect::<Vec<_>>());
+        let depth_mm = crate::median::median(&mut seen.iter().map(|(_, depth, _)| *depth).collect::<Vec<_>>());
         let spacing_px = scene.median_spacing_mm * image.intrinsics().fx / depth_mm;
         let mask = Mask::of(image, seen.iter().map(|(pixel, ..)| *pixel), 1.5 * spacing_px.max(1.0));
         Ok(Self { scene, image, t_cloud_image, params, mask, seen, spacing_px, depth_mm })
@@ -402,7 +402,7 @@ fn circle(rim: &[Vector2<f64>], start: Vector2<f64>) -> Option<(Vector2<f64>, f6
         return None;
     }
     let mut radii: Vec<f64> = rim.iter().map(|p| (p - start).norm()).collect();
-    let (mut at, mut radius) = (start, super::scene::median(&mut radii));
+    let (mut at, mut radius) = (start, crate::median::median(&mut radii));
     for _ in 0..STEPS {
         // Algebraic fit of x² + y² = 2 a x + 2 b y + c about the present centre.
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());

@@ -2,7 +2,7 @@
 
 use super::{LEVEL, groups, or_reason, path, value, word};
 use osteoflow_engine::sweep::{Column, Compare, Done, Spec};
-use osteoflow_statistics::{Units, WilcoxonParams, bland_altman, counted, holm, plural, tost, unit_means, wilcoxon};
+use osteoflow_statistics::{Units, bland_altman, counted, holm, plural, tost, unit_means, wilcoxon};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -122,7 +122,7 @@ fn compared(
             "column": column.name, "a": a, "b": b, "unit": unit, "n": n, "n_pairs": rows.len(),
             "mean_a": mean(with.iter().map(|(_, a, _)| *a)), "mean_b": mean(with.iter().map(|(.., b)| *b)),
             "mean_difference": mean(differences.iter().copied()),
-            "wilcoxon": or_reason(wilcoxon(&differences, &WilcoxonParams::default())),
+            "wilcoxon": or_reason(wilcoxon(&differences)),
             "tost": margin(margins, &column.name).map_or(Value::Null, |margin| or_reason(tost(&differences, margin, ALPHA))),
             "bland_altman": or_reason(bland_altman(&differences, LEVEL)),
             "note": (!notes.is_empty()).then(|| notes.join("; ")),
