@@ -1,6 +1,6 @@
 //! Tables of arbitrary JSON results.
 
-use crate::{cell::Cell, degrees::shown_unit, format::number, html::Page};
+use crate::{cell::Cell, degrees::in_degrees, format::number, html::Page};
 use nalgebra::{Isometry3, Matrix4};
 use osteoflow_geometry::isometry_from_matrix;
 use serde::Deserialize;
@@ -112,19 +112,6 @@ fn pose(path: &str, object: &Map<String, Json>) -> Option<Vec<Cell>> {
 fn rigid(matrix: &Json) -> Option<Isometry3<f64>> {
     let rows = <[[f64; 4]; 4]>::deserialize(matrix).ok()?;
     isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column])).ok()
-}
-
-/// A result whose name ends with `_rad` in degrees, under the name with that unit.
-fn in_degrees(name: &str, value: &Json) -> (String, Json) {
-    let (shown, scale) = shown_unit(name);
-    let scaled = match value {
-        Json::Number(number) if scale != 1.0 => number.as_f64().map(|rad| Json::from(rad * scale)),
-        Json::Array(items) if scale != 1.0 => {
-            items.iter().map(|item| item.as_f64().map(|rad| Json::from(rad * scale))).collect()
-        }
-        _ => None,
-    };
-    (shown, scaled.unwrap_or_else(|| value.clone()))
 }
 
 /// The object with the keys of nested objects as `a.b`, without values that do not fit a cell.
