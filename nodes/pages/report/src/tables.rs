@@ -34,7 +34,9 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     for (path, mut items) in tables.lists {
         if path == "holes" && items.len() == laser_points.len() {
             // A hole's report has no name; the points of the same scans have, in the same order.
-            items.iter_mut().zip(&laser_points).for_each(|(hole, point)| *hole = joined(point, hole));
+            items.iter_mut().zip(&laser_points).for_each(|(hole, point)| {
+                *hole = point.iter().chain(&*hole).map(|(key, value)| (key.clone(), value.clone())).collect();
+            });
         }
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }
@@ -57,11 +59,6 @@ fn named(points: Option<&Json>) -> Vec<Map<String, Json>> {
     let keys = ["name", "frame", "position_mm"];
     let point = |point: &Json| keys.iter().filter_map(|key| Some(((*key).into(), point.get(key)?.clone()))).collect();
     points.and_then(Json::as_array).into_iter().flatten().map(point).collect()
-}
-
-/// The entries of both, those of `first` first.
-fn joined(first: &Map<String, Json>, second: &Map<String, Json>) -> Map<String, Json> {
-    first.iter().chain(second).map(|(key, value)| (key.clone(), value.clone())).collect()
 }
 
 /// Results by form.
