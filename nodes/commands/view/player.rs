@@ -4,15 +4,9 @@ use osteoflow_viewer::{App, Playback, Response};
 
 /// A recording on the page: it is played, and what is picked on it is saved.
 pub(super) struct Player {
-    playback: Playback,
-    picks: Picks,
-    plan: Option<SurgicalPlan>,
-}
-
-impl Player {
-    pub(super) fn new(playback: Playback, picks: Picks, plan: Option<SurgicalPlan>) -> Self {
-        Self { playback, picks, plan }
-    }
+    pub(super) playback: Playback,
+    pub(super) picks: Picks,
+    pub(super) plan: Option<SurgicalPlan>,
 }
 
 impl App for Player {

@@ -122,11 +122,9 @@ impl Page {
         let mut against: Vec<_> = verdict.against().collect();
         let mut sentence = verdict.sentence();
         // A sentence that is made of the first reason gives way to the reason with its remedy, as on the live page.
-        let worst = against.iter().position(|reason| reason.answer == answer);
-        if let Some(k) = worst.filter(|&k| sentence.starts_with(&against[k].reason)) {
-            let first = against.remove(k);
-            let remedy = if first.remedy.is_empty() { String::new() } else { format!("; {}", first.remedy) };
-            sentence = format!("{}{remedy}", first.reason);
+        if let Some(first) = verdict.first().filter(|first| sentence.starts_with(&first.reason)) {
+            against.retain(|reason| !std::ptr::eq(*reason, first));
+            sentence = first.to_string();
         }
         let _ = writeln!(
             self.body,
