@@ -189,12 +189,10 @@ impl Page {
         let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
     }
 
-    /// Begins a collapsed box that ends with [`Self::unfold`].
-    pub(crate) fn fold(&mut self, title: &str) {
+    /// A table in a collapsed box.
+    pub(crate) fn folded_table(&mut self, title: &str, caption: &str, head: &[&str], rows: &[Vec<Cell>]) {
         let _ = writeln!(self.body, "<details><summary>{}</summary>", escape(title));
-    }
-
-    pub(crate) fn unfold(&mut self) {
+        self.table(caption, head, rows);
         self.body.push_str("</details>\n");
     }
 

@@ -41,17 +41,15 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }
     if !tables.poses.is_empty() {
-        page.fold(&format!("Poses ({})", tables.poses.len()));
+        let title = format!("Poses ({})", tables.poses.len());
         let caption = "Every pose t_to_from by its path in results.json: the position of the origin of one frame in the other, \
                        and the rotation between their axes.";
         let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "rotation (deg)", "about"];
-        page.table(caption, &head, &tables.poses);
-        page.unfold();
+        page.folded_table(&title, caption, &head, &tables.poses);
     }
-    page.fold(&format!("All single results ({})", tables.singles.len()));
+    let title = format!("All single results ({})", tables.singles.len());
     let caption = "Every result that is one number or word, by its path in results.json.";
-    page.table(caption, &["result", "value"], &tables.singles);
-    page.unfold();
+    page.folded_table(&title, caption, &["result", "value"], &tables.singles);
 }
 
 /// Name, frame and position of each point.
