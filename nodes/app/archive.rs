@@ -15,7 +15,8 @@ pub use pack::{ExportRequest, Exported};
 pub use same::{Sameness, same};
 pub use unpack::ArchiveArgs;
 
-pub(crate) use unpack::{Summary, is_archive, summary};
+pub(crate) use index::{Entry, Index, Role};
+pub(crate) use unpack::{index_of, is_archive};
 
 /// The list of the files of an archive.
 pub(crate) const INDEX: &str = "experiment.json";

@@ -188,7 +188,7 @@ const CRATES: &[(&str, Floors)] = &[
     ),
     (
         "nodes/pages/viewer/src",
-        &[&["access", "http", "indexed", "protocol"], &["page", "still", "stream"], &["server"], &["playback"]],
+        &[&["access", "http", "indexed", "protocol"], &["page", "still", "stream"], &["playback"], &["server"]],
     ),
     (
         "nodes/bone/formats/src",
