@@ -6,7 +6,7 @@
 //! damage: so far a replay can compute, since what lies behind may rest on what is lost.
 
 use crate::recording::{
-    RecordingError, codec,
+    RecordingError, check_version, codec,
     findings::Finding,
     format::{INPUT_HASHES, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
@@ -95,7 +95,7 @@ impl RecoverReport {
 /// Writes what is intact of `from` to `to`, which must not exist.
 ///
 /// # Errors
-/// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` exists or cannot be written.
+/// [`RecoverError`] if `from` cannot be read, is of a version that is not read or holds nothing, or `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
     copy(from, to, Recovery::default(), progress)
 }
@@ -113,7 +113,12 @@ fn copy(
         _ => write_error(error),
     })?;
     recovery.output.file = Some(file);
-    let passed = pass(from, &mut recovery, progress).map_err(RecoverError::Read);
+    let passed = pass(from, &mut recovery, progress).and_then(|passed| {
+        // Nothing would read what is written.
+        passed.metadata.entries(RunRecord::NAME).map_or(Ok(()), |entries| check_version(from, entries))?;
+        Ok(passed)
+    });
+    let passed = passed.map_err(RecoverError::Read);
     let report = passed.and_then(|passed| recovery.finish(from, passed).map_err(write_error));
     let report = report.and_then(|report| match report.n_messages == 0 && !report.is_recording() {
         true => {

@@ -207,14 +207,44 @@ impl View {
     }
 }
 
-macro_rules! field_from {
-    ($($value:ty => $field:ident),*) => {
-        $(impl From<$value> for Field {
-            fn from(value: $value) -> Self {
-                Self::$field(value.into())
-            }
-        })*
-    };
+impl From<bool> for Field {
+    fn from(value: bool) -> Self {
+        Self::Bool(value)
+    }
 }
 
-field_from!(bool => Bool, i64 => Int, f64 => Float, Vec<f64> => Floats, &str => Text, Arc<str> => Text, String => Text);
+impl From<i64> for Field {
+    fn from(value: i64) -> Self {
+        Self::Int(value)
+    }
+}
+
+impl From<f64> for Field {
+    fn from(value: f64) -> Self {
+        Self::Float(value)
+    }
+}
+
+impl From<Vec<f64>> for Field {
+    fn from(values: Vec<f64>) -> Self {
+        Self::Floats(values)
+    }
+}
+
+impl From<&str> for Field {
+    fn from(text: &str) -> Self {
+        Self::Text(text.into())
+    }
+}
+
+impl From<Arc<str>> for Field {
+    fn from(text: Arc<str>) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl From<String> for Field {
+    fn from(text: String) -> Self {
+        Self::Text(text.into())
+    }
+}

@@ -71,13 +71,16 @@ fn a_recording_of_version_2_is_refused_by_its_number() {
     as_version_2(&record(dir.path(), &[], 1), &old);
     let replayed = replay(&old, &ReplayOptions::default(), &registry(), &RunOptions::default(), &());
     let validated = validate(&old, &registry(), &mut |_, _| {}).unwrap();
+    let out = dir.path().join("out.mcap");
     for refused in [
+        saved(&old, &out).unwrap_err().to_string(),
         replayed.unwrap_err().to_string(),
         digest(&old, &mut |_, _| {}).unwrap_err().to_string(),
         validated.findings.iter().map(|finding| format!("{finding}\n")).collect(),
     ] {
         assert!(refused.contains("has format version 2, this program reads version 3"), "{refused}");
     }
+    assert!(!out.exists(), "nothing would read it");
 }
 
 #[test]

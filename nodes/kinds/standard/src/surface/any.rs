@@ -11,7 +11,7 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
 use osteoflow_node::{
-    Context, Describe, Emit, FilePath, NodeError, Outputs, ParamError,
+    Context, Describe, Emit, FilePath, NodeError, Outputs, ParamError, params,
     schemars::{JsonSchema, Schema},
     serde::Deserialize,
 };
@@ -64,18 +64,17 @@ threshold_hu = 600.0
 pub struct Ct;
 
 /// Parameters of [`Any`].
+#[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The file: of a CT .nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd or an enhanced DICOM file, or the folder of a DICOM series.
     pub path: FilePath,
     /// The frame of its coordinates. `ct`: the plan's.
-    #[serde(default = "crate::params::ct")]
+    #[param("ct")]
     pub frame: String,
     /// Millimetres in the unit of a surface or of points. 1: files of bones are in millimetres; 1000 for a file in metres. A CT
     /// states its unit.
-    #[serde(default = "crate::params::one")]
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(1.0, 1e-6..=1e6)]
     pub unit_mm: f64,
     /// The axes of the numbers of a surface or of points, where the file does not state them; RAS is turned to LPS. Unset: in
     /// frame `ct` they are taken for LPS, as 3D Slicer takes them, with a warning.
@@ -115,6 +114,8 @@ pub struct CtParams {
 
 fn without_those_of_ct(schema: &mut Schema) {
     without(schema, &["threshold_hu", "series", "seed_mm", "fill_cavities"]);
+    let path = schema.pointer_mut("/properties/path/description");
+    path.into_iter().for_each(|path| *path = "The file.".into());
 }
 
 fn without_stated(schema: &mut Schema) {

@@ -1,9 +1,11 @@
 //! The kinds `surface.prepare`, `surface.prepare_cloud`, and `surface.prepare_any`, which takes the inputs of both.
 
+use crate::params::NoParams;
 use osteoflow_algorithms::{mesh_query::MeshQuery, normals, sample, target::Target};
 use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
 use osteoflow_node::{
-    CachePolicy, Context, Describe, Inputs, NodeError, Outputs, function, schemars::JsonSchema, serde::Deserialize,
+    CachePolicy, Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema,
+    serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -24,22 +26,16 @@ const MIN_POINTS: usize = 100;
 const MAX_POINTS: usize = 10_000_000;
 
 /// Parameters of [`Prepare`] and [`PrepareAny`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
-    #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]
+    #[param(150_000, MIN_POINTS..=MAX_POINTS)]
     pub n_points: usize,
     /// Spacing of the points, mm: one for each square of this edge, whatever the surface's size, instead of `n_points`.
     /// 0: `n_points` decides.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.0, 0.0..=100.0)]
     pub spacing_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { n_points: 150_000, spacing_mm: 0.0 }
-    }
 }
 
 impl Params {
@@ -112,11 +108,6 @@ in   = { cloud = "ct_points.cloud" }
 )]
 pub struct PrepareCloud;
 
-/// Parameters of [`PrepareCloud`].
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct CloudParams {}
-
 /// Inputs of [`PrepareCloud`].
 #[derive(Inputs)]
 pub struct CloudIn {
@@ -139,7 +130,7 @@ pub struct CloudOut {
 impl PrepareCloud {
     const CACHE: CachePolicy = CachePolicy::ByInputs;
 
-    fn process(_: &CloudParams, i: CloudIn, _ctx: &mut Context) -> Result<CloudOut, NodeError> {
+    fn process(_: &NoParams, i: CloudIn, _ctx: &mut Context) -> Result<CloudOut, NodeError> {
         let target = prepare_points(&i.cloud)?;
         Ok(CloudOut { target, ct_surface: Text(SurfaceOrigin::User.to_string().into()) })
     }
@@ -234,7 +225,7 @@ mod tests {
         };
         let cloud = Cloud::new("ct", (0..4000).map(on_ball).collect::<Vec<_>>()).expect("a cloud");
         let made =
-            PrepareCloud::process(&CloudParams {}, CloudIn { cloud }, &mut Context::for_test("ct")).expect("a target");
+            PrepareCloud::process(&NoParams {}, CloudIn { cloud }, &mut Context::for_test("ct")).expect("a target");
         let normals = made.target.normals().expect("estimated");
         assert!(made.target.points().iter().zip(normals).all(|(p, n)| p.coords.dot(n) > 19.5), "outwards");
     }
