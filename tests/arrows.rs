@@ -24,9 +24,17 @@ const ARROWS: [(&str, &str, &[&str]); 19] = [
     ("osteoflow-draw", "engine/draw", &[]),
     ("osteoflow-toy", "engine/tests/toy", &["osteoflow-node"]),
     ("osteoflow-geometry", "nodes/bone/geometry", &[]),
-    ("osteoflow-algorithms", "nodes/bone/algorithms", &["osteoflow-geometry", "osteoflow-verdict"]),
+    (
+        "osteoflow-algorithms",
+        "nodes/bone/algorithms",
+        &["osteoflow-geometry", "osteoflow-node-macros", "osteoflow-verdict"],
+    ),
     ("osteoflow-formats", "nodes/bone/formats", &["osteoflow-container", "osteoflow-geometry"]),
-    ("osteoflow-simulation", "nodes/bone/simulation", &["osteoflow-algorithms", "osteoflow-geometry"]),
+    (
+        "osteoflow-simulation",
+        "nodes/bone/simulation",
+        &["osteoflow-algorithms", "osteoflow-geometry", "osteoflow-node-macros"],
+    ),
     ("osteoflow-statistics", "nodes/bone/statistics", &[]),
     (
         "osteoflow-report",

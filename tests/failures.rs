@@ -202,7 +202,7 @@ fn a_damaged_bundle_is_refused_with_the_reason() {
     let text = std::fs::read_to_string(&path).unwrap();
     for (from, to, code, words) in [
         ("\"icp.point_to_plane\"", "\"icp.no_such\"", 2, "there is no kind \"icp.no_such\" here"),
-        ("\"format_version\": 2", "\"format_version\": 3", 1, "it has version 3, this program reads versions up to 2"),
+        ("\"format_version\": 2", "\"format_version\": 3", 1, "it has version 3, this program reads version 2"),
         ("\"min_pairs\": 10", "\"min_pairs\": \"x\"", 2, "cannot be built from the bundle's parameters"),
         ("{", "[", 1, "describes no failed firing"),
     ] {

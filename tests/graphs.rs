@@ -107,21 +107,6 @@ fn check_prints_the_numbers_of_nodes_and_wires_as_json() {
     );
 }
 
-#[test]
-fn a_graph_of_an_earlier_version_with_the_closest_point_field_is_read_with_cached_pairs_and_one_warning() {
-    let registry = osteoflow_standard::registry();
-    let graph = root().join("graphs/fibula.toml");
-    let sets = ["icp.pairing=\"field\"", "icp.field_exact=false", "ct_surface.field=true"].map(String::from);
-    let checked = osteoflow_engine::check(&graph, &sets, &registry).unwrap();
-    let [warning] = &checked.warnings[..] else { panic!("{:#?}", checked.warnings) };
-    assert!(warning.message.starts_with("there is no closest-point field any more"), "{warning}");
-    let params = |plan: &Plan| plan.nodes.iter().map(|node| node.params.clone()).collect::<Vec<_>>();
-    assert_eq!((warning.also.len(), params(&checked.plan)), (2, params(&plan("graphs/fibula.toml"))));
-    // What recordings spell out is no reason for a warning.
-    let sets = ["icp.field_exact=true", "ct_surface.field=false"].map(String::from);
-    assert!(osteoflow_engine::check(&graph, &sets, &registry).unwrap().warnings.is_empty());
-}
-
 /// The parameters of a node's table that equal the default of its kind.
 fn defaults_written(table: &toml::Table, schema: &Value, root: &Value) -> Vec<String> {
     let mut written = Vec::new();

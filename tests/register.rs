@@ -329,11 +329,6 @@ fn the_published_method_stops_by_the_reading_it_is_given() {
     let fault = |more: &[&str]| case.fault(2, &[&files, more].concat());
     assert!(fault(&["--method", "published"]).contains("parameter \"reading\" is missing"));
     assert!(fault(&["--method", "published", "--pairing", "tree"]).contains("no parameter \"pairing\""));
-    let removed = fault(&["--set", "published_reading=change_0.01"]);
-    assert!(removed.contains("icp.point_to_plane has no parameter \"published_reading\" any more"), "{removed}");
-    assert!(removed.contains("kind = \"icp.published\""), "{removed}");
-    // Recordings of earlier versions spell out its default.
-    case.answer("points.ply", "scan.ply", &["--set", "published_reading=none"]);
 }
 
 #[test]
@@ -1061,17 +1056,6 @@ fn the_true_camera_keeps_the_right_answer_on_a_socket_and_names_one_that_is_insi
         let message = stderr_of(&case.register(&[target, "at_origin.ply", "--no-cache"]));
         assert!(!message.contains("metres"), "{target}: {message}");
     }
-}
-
-#[test]
-fn the_pairing_of_earlier_versions_is_read_as_cached_with_one_note() {
-    let case = Case::new();
-    let answer = |more: &[&str]| case.answer("bone.stl", "scan.ply", &[&["--target-points", "20000"], more].concat());
-    let (cached, field) = (answer(&[]), answer(&["--pairing", "field", "--set", "field_exact=false"]));
-    assert_eq!((&field["T"], &field["pairing"]), (&cached["T"], &cached["pairing"]));
-    let notes = field["notes"].as_array().unwrap();
-    let n_said = notes.iter().filter(|note| note.as_str().unwrap().contains("no closest-point field")).count();
-    assert_eq!((n_said, notes.len()), (1, cached["notes"].as_array().unwrap().len() + 1), "{notes:?}");
 }
 
 #[test]

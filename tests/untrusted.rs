@@ -149,7 +149,7 @@ fn bomb(path: &Path, topic: &str, n_messages: u32) -> u64 {
     let options =
         WriteOptions { compression: Compression::Zstd, chunk_bytes: 8 << 20, index: false, ..Default::default() };
     let mut writer = Writer::new(File::create(path).unwrap(), options).unwrap();
-    let channel = writer.add_channel(0, topic, "osteoflow-view", &BTreeMap::new()).unwrap();
+    let channel = writer.add_channel(0, topic, "cdr", &BTreeMap::new()).unwrap();
     for _ in 0..n_messages {
         let header = MessageHeader { channel_id: channel, sequence: 0, log_time: 1, publish_time: 1 };
         writer.write_message(header, Vec::new().into()).unwrap();
@@ -186,7 +186,7 @@ fn items_out_of_order_count_where_a_file_is_read_as_a_stream() {
     let folder = Folder::new();
     let path = folder.path("gaps.mcap");
     let mut writer = Writer::new(File::create(&path).unwrap(), WriteOptions::default()).unwrap();
-    let channel = writer.add_channel(0, "/exact/scan.cloud", "osteoflow-view", &BTreeMap::new()).unwrap();
+    let channel = writer.add_channel(0, "/exact/scan.cloud", "cdr", &BTreeMap::new()).unwrap();
     for k in 0..20_000_u64 {
         // An empty item, the number of which leaves a gap (docs/use/recording.md, "The layout of a message").
         let mut data = b"OSTEOVW1".to_vec();

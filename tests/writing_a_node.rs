@@ -31,22 +31,17 @@ max_distance_mm = 250.0
 pub struct Range(RangeParams);
 
 /// Range of distances to keep.
+#[osteoflow_node::params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct RangeParams {
     /// Minimum distance. 150: the near end of the camera's range.
-    #[schemars(range(min = 0.0, max = 10_000.0))]
+    #[param(150.0, 0.0..=10_000.0)]
     min_distance_mm: f64,
     /// Maximum distance. 250: the far end of the camera's range.
-    #[schemars(range(min = 0.0, max = 10_000.0))]
+    #[param(250.0, 0.0..=10_000.0)]
     max_distance_mm: f64,
-}
-
-impl Default for RangeParams {
-    fn default() -> Self {
-        Self { min_distance_mm: 150.0, max_distance_mm: 250.0 }
-    }
 }
 
 /// The inputs.

@@ -6,11 +6,12 @@
 
 mod compare;
 mod index;
-mod made;
 mod numbers;
 mod order;
+mod provenance;
 
 pub use compare::{Difference, Largest};
+pub use provenance::Provenance;
 
 use crate::{
     graph::difference,
@@ -163,10 +164,12 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
         Some(Divergence { wire: diff.wire.clone(), item, what })
     });
     let both = |get: fn(&Index) -> Option<String>| Some((get(&a)?, get(&b)?));
+    let mut made = provenance::graph_differences(&a, &b);
+    made.extend(Provenance::of_recording(&a).differences(&Provenance::of_recording(&b), ["A", "B"]));
     Ok(DiffReport {
         same_graph: both(|i| Some(i.run.as_ref()?.graph.clone())).map(|(a, b)| a == b),
         same_results: both(|i| Some(i.metadata.sound::<Outcome>()?.results.to_string())).map(|(a, b)| a == b),
-        made: made::differences(&a, &b),
+        made,
         sides: [side(&a), side(&b)],
         first,
         wires: diffs,

@@ -12,9 +12,11 @@ use std::{
 pub const GIVEN_NODES: &str = "given_nodes";
 
 /// How to run a graph and which files to write.
+#[osteoflow_node::params]
 #[derive(Debug, Clone)]
 pub struct RunOptions {
     /// Number of threads that run nodes; with 1 all nodes run on the calling thread.
+    #[param(1)]
     pub workers: usize,
     /// For testing: seed for random delays, spurious wake-ups and another order of nodes; the results do not depend on
     /// it.
@@ -70,23 +72,4 @@ pub struct ListenedChannel {
     pub schema: Arc<[u8]>,
     /// Its metadata: node, port, kind, units.
     pub metadata: BTreeMap<String, String>,
-}
-
-impl Default for RunOptions {
-    fn default() -> Self {
-        Self {
-            workers: 1,
-            shuffle: None,
-            out_dir: None,
-            record: false,
-            latency: false,
-            cpu_time: false,
-            fixed_results: Vec::new(),
-            cancelled: Arc::default(),
-            command: serde_json::Value::Null,
-            inject: Vec::new(),
-            store: None,
-            listener: None,
-        }
-    }
 }

@@ -316,7 +316,7 @@ fn begin(
         seed: plan.seed,
         sources: plan.recording.sources,
         version: env!("CARGO_PKG_VERSION").into(),
-        written: Some(plan.nodes.iter().map(|node| (node.name.to_string(), node.written())).collect()),
+        written: plan.nodes.iter().map(|node| (node.name.to_string(), node.written())).collect(),
         functions: serde_json::from_value(options.command[GIVEN_NODES].clone()).unwrap_or_default(),
     };
     let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);

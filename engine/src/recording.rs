@@ -13,6 +13,6 @@ pub(crate) mod wires;
 
 pub use codec::item_bytes;
 pub use format::{RecordedFailure, RunRecord};
-pub(crate) use read::{Gathered, Gathering, run_record, typed};
+pub(crate) use read::{Gathered, Gathering, check_version, run_record, typed};
 pub use read::{RecordedWire, Recording, RecordingError};
 pub(crate) use types::RecordedTypes;

@@ -6,12 +6,9 @@
 //! damage: so far a replay can compute, since what lies behind may rest on what is lost.
 
 use crate::recording::{
-    RecordingError, codec,
+    RecordingError, check_version, codec,
     findings::Finding,
-    format::{
-        BARE_ENCODING, EXACT_ENCODING, EXACT_SCHEMA_ENCODING, FORMAT_VERSION, INPUT_HASHES, MetadataRecord, Outcome,
-        Recovered, RunRecord, Topic, WireCounts,
-    },
+    format::{INPUT_HASHES, MetadataRecord, Outcome, Recovered, RunRecord, WireCounts},
     number_set::NumberSet,
     scan::{Carried, Gather, PassState, Passed, pass},
     wires::{Carries, Wire},
@@ -61,8 +58,6 @@ pub struct RecoverReport {
     pub lost: Vec<String>,
     /// Messages whose channels nothing describes any more; they are left out.
     pub n_unknown: u64,
-    /// Whether its pictures are those of an earlier version, which viewers place beside the bone once that has moved.
-    pub has_old_pictures: bool,
 }
 
 /// A wire and what is left of it.
@@ -100,7 +95,7 @@ impl RecoverReport {
 /// Writes what is intact of `from` to `to`, which must not exist.
 ///
 /// # Errors
-/// [`RecoverError`] if `from` cannot be read or holds nothing, or `to` exists or cannot be written.
+/// [`RecoverError`] if `from` cannot be read, is of a version that is not read or holds nothing, or `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path, progress: Progress<'_>) -> Result<RecoverReport, RecoverError> {
     copy(from, to, Recovery::default(), progress)
 }
@@ -118,7 +113,12 @@ fn copy(
         _ => write_error(error),
     })?;
     recovery.output.file = Some(file);
-    let passed = pass(from, &mut recovery, progress).map_err(RecoverError::Read);
+    let passed = pass(from, &mut recovery, progress).and_then(|passed| {
+        // Nothing would read what is written.
+        passed.metadata.entries(RunRecord::NAME).map_or(Ok(()), |entries| check_version(from, entries))?;
+        Ok(passed)
+    });
+    let passed = passed.map_err(RecoverError::Read);
     let report = passed.and_then(|passed| recovery.finish(from, passed).map_err(write_error));
     let report = report.and_then(|report| match report.n_messages == 0 && !report.is_recording() {
         true => {
@@ -172,9 +172,6 @@ impl Output {
     }
 }
 
-/// The key of the version of the format.
-const VERSION: &str = "format_version";
-
 /// Name, encoding and data of a schema.
 type Schema = (String, String, Vec<u8>);
 
@@ -192,8 +189,6 @@ struct Recovery<'a> {
     /// Names of the metadata records in the new file.
     metadata: BTreeSet<String>,
     n_messages: u64,
-    /// Whether the file was of an earlier version of the format.
-    was_older: bool,
     /// Messages whose channels could not be written.
     n_lost: u64,
 }
@@ -215,16 +210,7 @@ impl Recovery<'_> {
                     Some(rename) => &entries.iter().map(|(key, text)| (rename(key), rename(text))).collect(),
                     None => entries,
                 };
-                let mut entries = entries.clone();
-                if *name == RunRecord::NAME
-                    && entries
-                        .get(VERSION)
-                        .is_some_and(|version| version.parse().is_ok_and(|v: u32| v < FORMAT_VERSION))
-                {
-                    self.was_older = true;
-                    entries.insert(VERSION.into(), FORMAT_VERSION.to_string());
-                }
-                self.output.writer("")?.write_metadata(name, &entries)
+                self.output.writer("")?.write_metadata(name, entries)
             }
             _ => Ok(()),
         }
@@ -247,17 +233,11 @@ impl Recovery<'_> {
             return Ok(());
         }
         let writer = self.output.writer("")?;
-        let is_bare =
-            channel.message_encoding == BARE_ENCODING && matches!(Topic::parse(&channel.topic), Some(Topic::Exact(_)));
         let schema_id = match self.schemas.get(&channel.schema_id) {
-            Some((name, _, _)) if is_bare => {
-                writer.add_schema(name, EXACT_SCHEMA_ENCODING, codec::schema_text().as_bytes())?
-            }
             Some((name, encoding, data)) => writer.add_schema(name, encoding, data)?,
             None => 0,
         };
-        let encoding = if is_bare { EXACT_ENCODING } else { &*channel.message_encoding };
-        let new = writer.add_channel(schema_id, &channel.topic, encoding, &channel.metadata)?;
+        let new = writer.add_channel(schema_id, &channel.topic, &channel.message_encoding, &channel.metadata)?;
         self.ids.insert(id, new);
         Ok(())
     }
@@ -313,7 +293,6 @@ impl Recovery<'_> {
             n_messages: self.n_messages,
             lost,
             n_unknown: passed.n_unknown + self.n_lost,
-            has_old_pictures: self.was_older,
         };
         if is_ours && (!report.is_whole() || recovered_before.is_some()) {
             let metadata = recovered(&report, from, recovered_before).to_metadata();

@@ -221,8 +221,8 @@ fn changed(node: &Node, sets: &[String], is_exchanged: bool, known: &Known) -> R
         .parse()
         .map_err(|error| ReproError::Files(format!("the table of the node in the bundle cannot be read: {error}")))?;
     let own = table.get_mut("node").and_then(|nodes| nodes.get_mut(name)).and_then(toml::Value::as_table_mut);
-    if let (true, Some(own), Some(written)) = (is_exchanged, own, &node.written) {
-        remove_unwritten(own, written);
+    if let (true, Some(own)) = (is_exchanged, own) {
+        remove_unwritten(own, &node.written);
     }
     check_node(format!("{table}\n[graph]\nformat = 1\n"), sets, known)
         .map_err(|faults| ReproError::Unfit(format!("the node cannot be set so\n{faults}")))

@@ -22,9 +22,7 @@ mod twice;
 pub use crate::check::sweep::{Column, Compare, Distribution, Draw, Factor, Level, PointColumn, Spec, Variant};
 pub use check::{again, check, check_as, check_only};
 pub use design::{SweepRow, rows};
-pub use folder::{
-    DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, StudyRow, TIMES, difference_of_plugins, merge,
-};
+pub use folder::{DESIGN, Done, Folder, FolderError, GRAPH, POINTS, RUNS, RUNS_DIR, StudyRow, TIMES, merge};
 
 pub use study::{Ask, Study, StudyError};
 pub use table::{PointValue, at_path, point_values, without_value, write_points, write_runs};

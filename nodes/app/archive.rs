@@ -12,11 +12,11 @@ mod search;
 mod unpack;
 
 pub use pack::{ExportRequest, Exported};
-pub(crate) use same::causes;
 pub use same::{Sameness, same};
 pub use unpack::ArchiveArgs;
 
-pub(crate) use unpack::{Summary, is_archive, summary};
+pub(crate) use index::{Entry, Index, Role};
+pub(crate) use unpack::{index_of, is_archive};
 
 /// The list of the files of an archive.
 pub(crate) const INDEX: &str = "experiment.json";

@@ -6,7 +6,6 @@ use osteoflow_engine::{hash::program, plugin::Launcher};
 use std::{
     env,
     ffi::OsString,
-    io,
     path::{Path, PathBuf},
     sync::OnceLock,
 };
@@ -39,11 +38,6 @@ pub(crate) fn arguments() -> Vec<String> {
 /// The interpreter that runs this library, if it is known.
 pub(crate) fn interpreter() -> Option<&'static Path> {
     HOST.get().map(|(program, _)| &**program).filter(|program| !program.as_os_str().is_empty())
-}
-
-/// The file with the code of this program.
-pub(crate) fn file() -> io::Result<PathBuf> {
-    program::file()
 }
 
 /// This program with a subcommand, to be started as another process.

@@ -1,6 +1,6 @@
 //! Options that several requests share, each stated once: as the command line takes it, and as a field.
 
-use super::{error::UsageError, files::unless_data, plugins::Plugins, program, shipped};
+use super::{error::UsageError, files::unless_data, plugins::Plugins, shipped};
 use anyhow::Result;
 use clap::{
     Args,
@@ -8,7 +8,7 @@ use clap::{
 };
 use osteoflow_engine::{
     check::{Checked, check},
-    store::Store,
+    store::{Settings, Store},
 };
 use osteoflow_formats::Space;
 use serde::Deserialize;
@@ -69,7 +69,11 @@ pub struct Keep {
 impl Keep {
     /// The store that the environment names, unless caching is disabled.
     pub(crate) fn store(&self) -> Result<Option<Arc<Store>>, UsageError> {
-        if self.no_cache { Ok(None) } else { program::store() }
+        if self.no_cache {
+            return Ok(None);
+        }
+        let settings = Settings::from_env().map_err(|error| UsageError(error.to_string()))?;
+        Ok(settings.map(|settings| Arc::new(Store::open(settings))))
     }
 }
 

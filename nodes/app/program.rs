@@ -3,7 +3,7 @@
 use super::{error::UsageError, host};
 use osteoflow_engine::{
     run::{RunError, RunOptions},
-    store::{self, Settings, Store},
+    store,
 };
 use serde_json::json;
 use std::{
@@ -70,12 +70,6 @@ pub(crate) fn about_command() -> serde_json::Value {
 
 /// The processor features that the manifest tells of: a repetition compares them.
 const CPU_FEATURES: [&str; 4] = ["avx", "avx2", "fma", "avx512f"];
-
-/// The store that the environment names.
-pub(super) fn store() -> Result<Option<Arc<Store>>, UsageError> {
-    let settings = Settings::from_env().map_err(|e| UsageError(e.to_string()))?;
-    Ok(settings.map(|settings| Arc::new(Store::open(settings))))
-}
 
 /// Converts an error: a node that cannot be built from its parameters is a fault of the graph.
 pub(crate) fn run_error(error: RunError) -> anyhow::Error {

@@ -406,7 +406,7 @@ impl RegisterRequest {
         let mut notes: Vec<String> = warnings.into_iter().map(|warning| warning.message).collect();
         let began = Instant::now();
         let start = self.read_start(&mut notes)?;
-        let init_ms = ms_since(began);
+        let init_ms = began.elapsed().as_secs_f64() * 1e3;
         let mut sets = match start {
             ReadStart::Landmarks { .. } => two_files::from_pairs()?,
             ReadStart::Shape | ReadStart::Pose(_) => Vec::new(),
@@ -640,8 +640,4 @@ pub struct Register {
     start: ReadStart,
     init_ms: f64,
     notes: Vec<String>,
-}
-
-fn ms_since(began: Instant) -> f64 {
-    began.elapsed().as_secs_f64() * 1e3
 }

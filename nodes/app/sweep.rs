@@ -196,15 +196,18 @@ impl SweepRequest {
         Ok(RunOptions { record: true, latency: true, store: self.keep.store()?, ..options })
     }
 
+    fn options(&self, cancelled: &Arc<AtomicBool>) -> Result<SweepOptions> {
+        let run = RunOptions { store: self.keep.store()?, ..program::options(self.workers, cancelled) };
+        let (shard, retry_failed) = (self.shard, self.retry_failed);
+        Ok(SweepOptions { workers: run.workers, run, share: !self.no_share, shard, retry_failed })
+    }
+
     /// A new folder for the sweep, or the one to resume.
     ///
     /// # Errors
     /// The folder is in use, or of another sweep.
     pub fn begin(&self, sweep: Sweep, cancelled: &Arc<AtomicBool>) -> Result<SweepRun> {
-        let mut run = program::options(self.workers, cancelled);
-        run.store = self.keep.store()?;
-        let (shard, retry_failed) = (self.shard, self.retry_failed);
-        let options = SweepOptions { workers: run.workers, run, share: !self.no_share, shard, retry_failed };
+        let options = self.options(cancelled)?;
         let folder = match (&self.out, self.resume) {
             (Some(dir), true) => {
                 let _lock = sweep.renumbers(dir).then(|| FolderLock::take(dir)).transpose()?;
@@ -275,10 +278,7 @@ impl SweepRequest {
             false => drop(new_dir(Some(dir), "")?),
         }
         let lock = FolderLock::take(dir)?;
-        let mut run = program::options(self.workers, &Arc::default());
-        run.store = self.keep.store()?;
-        let (workers, retry_failed) = (run.workers, self.retry_failed);
-        let options = SweepOptions { workers, run, share: !self.no_share, shard: None, retry_failed };
+        let options = self.options(&Arc::default())?;
         let kinds = self.plugins.kinds_apart()?;
         let study = Study::open(graph, &self.sets, kinds, dir, self.resume, options.clone())?;
         Ok(OpenStudy { study: study.map_err(folder_error)?, options, _lock: lock })

@@ -115,18 +115,21 @@ impl Convert {
         if let Some(bone) = &self.bind {
             return self.bound(bone, global);
         }
+        let (done, notes) = self.converted()?;
+        self.done(&done, &notes, global)
+    }
+
+    /// Writes OUT by what IN holds; what was written, and notes.
+    fn converted(&self) -> Result<(String, Vec<String>)> {
         if is_recording(&self.input) {
-            let (done, notes) = self.recorded()?;
-            return self.done(&done, &notes, global);
+            return self.recorded();
         }
         let log = if self.input.is_file() { log_format(&self.input)? } else { None };
         if log.is_some() || self.log.says_poses() {
-            let (done, notes) = self.poses(log)?;
-            return self.done(&done, &notes, global);
+            return self.poses(log);
         }
         if is_volume(&self.input) {
-            let (done, notes) = self.ct()?;
-            return self.done(&done, &notes, global);
+            return self.ct();
         }
         let bytes = input::read(&self.input)?;
         if self.series.is_some() {
@@ -147,17 +150,16 @@ impl Convert {
             let message = format!("--iso-hu is for a CT, and this file holds {holds}; leave it out");
             usage!("{}: {message}", self.input.display());
         }
-        let (done, notes) = match self.picked(&bytes) {
+        match self.picked(&bytes) {
             Some(_) if self.component.is_some() => {
                 usage!(
                     "{}: --component is for a surface, a cloud or a CT, and this file holds picked points; leave it out",
                     self.input.display()
                 );
             }
-            Some(picked) => self.points(picked?)?,
-            None => self.shape(&bytes)?,
-        };
-        self.done(&done, &notes, global)
+            Some(picked) => self.points(picked?),
+            None => self.shape(&bytes),
+        }
     }
 
     /// A plan bound to its bone.

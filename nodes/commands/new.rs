@@ -3,9 +3,10 @@ mod procedure;
 mod template;
 
 use super::common::{Exit, Format, Global, print_json, terminal};
-use crate::app::{UsageError, host, out_dir, registry};
+use crate::app::{UsageError, out_dir, registry};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
+use osteoflow_engine::hash::program;
 use serde_json::{Value, json};
 use std::{
     fs,
@@ -183,7 +184,7 @@ impl Plugin {
 
 /// The checkout whose `target` folder this program lies in.
 fn own_checkout() -> Option<PathBuf> {
-    let program = host::file().ok()?;
+    let program = program::file().ok()?;
     let has_sdk = |folder: &&Path| folder.join(NODE_PATH_IN_CHECKOUT).is_file();
     program.ancestors().find(has_sdk).map(Path::to_owned)
 }

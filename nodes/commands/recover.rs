@@ -67,14 +67,6 @@ impl Recover {
         if !report.is_recording() {
             writeln!(out, "it can be digested and compared, but not replayed, because the graph is lost")?;
         }
-        if report.has_old_pictures {
-            writeln!(
-                out,
-                "note: its pictures are those of an earlier version: once the bone has moved, viewers draw the scan beside it; \
-                 `osteoflow replay {} --out DIR` records the run again with new ones",
-                self.to.display()
-            )?;
-        }
         let (n, of) = (report.bytes_lost(), report.n_bytes);
         let what = match report.is_whole() {
             true => "nothing is missing".into(),
@@ -107,7 +99,6 @@ impl Recover {
             "bytes": report.n_bytes,
             "bytes_lost": report.bytes_lost(),
             "damages": damages.collect::<Value>(),
-            "old_pictures": report.has_old_pictures,
             "unsound": report.unsound.iter().map(ToString::to_string).collect::<Vec<_>>(),
             "lost": report.lost,
             "messages_of_unknown_channels": report.n_unknown,

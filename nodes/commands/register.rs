@@ -60,7 +60,7 @@ impl Register {
         let checked = self.request.clone().check();
         let Some(checked) = or_faults(checked, |_| &[], global)?.map(Arc::new) else { return Ok(Exit::Usage) };
         running::make_pool(self.request.workers)?;
-        let progress = Progress::of_short(checked.plan(), global);
+        let progress = Progress::begin("", Some(checked.plan().nodes.len()), global);
         let cancelled = Arc::default();
         let (work, until) = (checked.clone(), Arc::clone(&cancelled));
         let registration = running::watch(progress, cancelled, move |progress| work.run(progress, &until))?;

@@ -136,7 +136,7 @@ impl View {
             Some(file) => Some(known_plan::given(file, recording.as_ref())?),
             None => recording.as_ref().and_then(known_plan::of),
         };
-        let player = Player::new(playback, Picks::new(&self.picks), plan);
+        let player = Player { playback, picks: Picks::new(&self.picks), plan };
         let server = self.admission.serve(self.address, name, stream, Arc::new(player), global)?;
         let cancelled = Arc::default();
         let (until, global) = (Arc::clone(&cancelled), global.clone());

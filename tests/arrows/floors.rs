@@ -188,7 +188,7 @@ const CRATES: &[(&str, Floors)] = &[
     ),
     (
         "nodes/pages/viewer/src",
-        &[&["access", "http", "indexed", "protocol"], &["page", "still", "stream"], &["server"], &["playback"]],
+        &[&["access", "http", "indexed", "protocol"], &["page", "still", "stream"], &["playback"], &["server"]],
     ),
     (
         "nodes/bone/formats/src",
@@ -232,7 +232,7 @@ const CRATES: &[(&str, Floors)] = &[
         "nodes/bone/algorithms/src",
         &[
             // A name that `lib.rs` hands on is on the floor of its module.
-            &["Refusal", "refusal"],
+            &["Refusal", "median", "refusal"],
             &[
                 "axes",
                 "bvh",

@@ -9,7 +9,8 @@ use std::{
 use syn::{Attribute, ImplItem, Item, ItemImpl, TraitItem, UseTree, Visibility};
 
 /// The attributes that are part of an item for its users.
-const SHOWN: [&str; 4] = ["derive", "non_exhaustive", "must_use", "proc_macro_derive"];
+const SHOWN: [&str; 6] =
+    ["derive", "params", "non_exhaustive", "must_use", "proc_macro_attribute", "proc_macro_derive"];
 
 /// A crate as a tree of modules.
 pub(super) struct Crate {
@@ -163,7 +164,7 @@ impl Crate {
         let mut listed = Listed::line(format!("pub {words} {path}{rest}"));
         let derived: Vec<String> = attributes(item)
             .iter()
-            .filter(|a| SHOWN.iter().any(|shown| a.path().is_ident(shown)))
+            .filter(|a| a.path().segments.last().is_some_and(|name| SHOWN.iter().any(|shown| name.ident == shown)))
             .map(|attribute| text(&attribute.meta))
             .collect();
         listed.lines.extend(derived.iter().map(|attribute| format!("#[{attribute}] {path}")));

@@ -25,17 +25,14 @@
 //! #[describe(example = r#"kind = "example.stretch""#)]
 //! struct Stretch(Params);
 //!
+//! #[osteoflow_node::params]
 //! #[derive(serde::Deserialize, schemars::JsonSchema)]
 //! #[serde(default, deny_unknown_fields, crate = "serde")]
 //! #[schemars(crate = "schemars")]
 //! struct Params {
 //!     /// Factor of the length. 2: doubling shows an effect.
-//!     #[schemars(range(min = 1.0, max = 100.0))]
+//!     #[param(2.0, 1.0..=100.0)]
 //!     factor: f64,
-//! }
-//!
-//! impl Default for Params {
-//!     fn default() -> Self { Self { factor: 2.0 } }
 //! }
 //!
 //! #[derive(Inputs)]
@@ -69,7 +66,7 @@
 // The derives use the public name of this crate, also within it.
 extern crate self as osteoflow_node;
 
-pub use osteoflow_node_macros::{Describe, Inputs, Outputs};
+pub use osteoflow_node_macros::{Describe, Inputs, Outputs, function, params};
 pub use {rand, rand_chacha, schemars, serde, serde_json, tracing};
 
 pub mod abi;

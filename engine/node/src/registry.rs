@@ -148,11 +148,6 @@ impl Registry {
         self.launcher = Some(launcher);
     }
 
-    /// What builds nodes that fire in processes of their own.
-    pub fn launcher(&self) -> Option<&Arc<dyn Launch>> {
-        self.launcher.as_ref()
-    }
-
     /// Builds a node of `kind` from checked parameters, in this process or one of its own.
     ///
     /// # Errors

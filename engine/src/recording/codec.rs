@@ -3,7 +3,7 @@
 //! The layout of the bytes is [`LAYOUT`]. A value names its payload on a wire that takes any; columns are aligned to 8 bytes
 //! from the start of the message, so that their rows can be used in place.
 
-use super::format::{BARE_ENCODING, EXACT_ENCODING};
+use super::format::EXACT_ENCODING;
 use osteoflow_container::Segments;
 use osteoflow_node::{
     Body, Buffer, Column, ColumnType, Empty, Field, Item, PayloadType, PortPayload, StampNs, View, ViewError,
@@ -49,11 +49,7 @@ pub(crate) fn unframed(message: &[u8]) -> &[u8] {
 
 /// The item in a message of an exact channel with this encoding; `None` if it is none that exact channels have.
 pub fn item_bytes<'a>(encoding: &str, message: &'a [u8]) -> Option<&'a [u8]> {
-    match encoding {
-        EXACT_ENCODING => Some(unframed(message)),
-        BARE_ENCODING => Some(message),
-        _ => None,
-    }
+    (encoding == EXACT_ENCODING).then(|| unframed(message))
 }
 
 const MAGIC: &[u8; 8] = b"OSTEOVW1";

@@ -15,19 +15,13 @@ pub use records::{RecordedFailure, RunRecord};
 
 use std::collections::BTreeMap;
 
-/// Version of topics and metadata records; increased when older readers cannot read them.
-///
-/// 2: the counts of a wire are JSON. 3: exact messages are sequences of bytes in CDR. Older versions are read too.
+/// Version of topics and metadata records; increased when older readers cannot read them. No release wrote versions 1 and 2.
 pub const FORMAT_VERSION: u32 = 3;
-/// Oldest version that can be read.
-const FIRST_VERSION: u32 = 1;
 
 /// The encoding of messages on exact channels, which viewers know: bytes in a message of ROS 2.
 pub const EXACT_ENCODING: &str = "cdr";
 /// The encoding of the schemas of exact channels.
 pub const EXACT_SCHEMA_ENCODING: &str = "ros2msg";
-/// The encoding of exact channels before version 3: the bytes alone.
-pub const BARE_ENCODING: &str = "osteoflow-view";
 /// The sequence number of the transforms that are repeated before everything else, for viewers that begin there.
 pub(crate) const OPENING: u32 = u32::MAX;
 /// The encoding of messages about the run itself.
@@ -58,8 +52,6 @@ pub enum Topic<'a> {
     Drops,
     /// What firings read from the clock.
     Live,
-    /// Where each frame is first known to be, for viewers; in recordings before version 3.
-    Frames,
     /// The scan where its registration places it on the surface, for viewers.
     Registered,
     /// The verdict so far, for viewers.
@@ -71,7 +63,7 @@ pub enum Topic<'a> {
 impl<'a> Topic<'a> {
     /// Parses a topic; `None` for another program's.
     pub fn parse(topic: &'a str) -> Option<Self> {
-        let run = [Self::Timing, Self::Drops, Self::Live, Self::Frames, Self::Registered, Self::Verdict, Self::Log]
+        let run = [Self::Timing, Self::Drops, Self::Live, Self::Registered, Self::Verdict, Self::Log]
             .into_iter()
             .find(|run| run.name() == topic);
         run.or_else(|| Some(Self::Exact(topic.strip_prefix(EXACT)?)))
@@ -86,7 +78,6 @@ impl<'a> Topic<'a> {
             Self::Timing => "/run/timing".into(),
             Self::Drops => "/run/drops".into(),
             Self::Live => "/run/live".into(),
-            Self::Frames => "/run/frames".into(),
             Self::Registered => "/run/registered".into(),
             Self::Verdict => "/run/verdict".into(),
             Self::Log => "/run/log".into(),
@@ -144,11 +135,6 @@ impl MetadataRecords {
     pub(crate) fn sound<T: MetadataRecord>(&self) -> Option<T> {
         self.get()?.ok()
     }
-}
-
-/// Whether this version can be read.
-pub(crate) fn is_read(version: u32) -> bool {
-    (FIRST_VERSION..=FORMAT_VERSION).contains(&version)
 }
 
 #[cfg(test)]

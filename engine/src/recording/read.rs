@@ -4,8 +4,8 @@ use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
     format::{
-        self, Drops, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome, RecordedFailure,
-        Recovered, RunRecord, WireCounts,
+        self, Drops, Entries, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome,
+        RecordedFailure, Recovered, RunRecord, WireCounts,
     },
     scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
@@ -85,14 +85,22 @@ pub(crate) fn run_record(
     let name = RunRecord::NAME;
     let missing = || truncated.map_or_else(|| format!("it has no metadata record \"{name}\""), str::to_owned);
     let entries = metadata.entries(name).ok_or_else(|| foreign(missing()))?;
-    match entries.get("format_version").and_then(|version| version.parse().ok()) {
-        Some(version) if !format::is_read(version) => Err(RecordingError(format!(
-            "{} has format version {version}, this program reads versions up to {FORMAT_VERSION}",
+    check_version(path, entries)?;
+    RunRecord::from_metadata(entries).map_err(|error| foreign(format!("its metadata record \"{name}\": {error}")))
+}
+
+/// Refuses the run record of a version that is not read.
+pub(crate) fn check_version(path: &Path, entries: &Entries) -> Result<(), RecordingError> {
+    match entries.get("format_version").and_then(|version| version.parse::<u32>().ok()) {
+        Some(FORMAT_VERSION) => Ok(()),
+        Some(version) => Err(RecordingError(format!(
+            "{} has format version {version}, this program reads version {FORMAT_VERSION}",
             path.display()
         ))),
-        Some(_) => RunRecord::from_metadata(entries)
-            .map_err(|error| foreign(format!("its metadata record \"{name}\": {error}"))),
-        None => Err(foreign(format!("its metadata record \"{name}\" lacks the number \"format_version\""))),
+        None => {
+            let reason = format!("its metadata record \"{}\" lacks the number \"format_version\"", RunRecord::NAME);
+            Err(RecordingError::foreign(path, reason))
+        }
     }
 }
 

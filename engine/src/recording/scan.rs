@@ -4,7 +4,7 @@ use super::{
     container::{Container, summary_of},
     findings::{Finding, Findings},
     format::{MetadataRecords, RunRecord},
-    read::RecordingError,
+    read::{RecordingError, run_record},
     wires::{Carries, Channels, Wire},
 };
 use osteoflow_container::{
@@ -86,10 +86,13 @@ pub(crate) struct Scanned {
 }
 
 impl Scanned {
-    /// Refuses a file without wires that does not say that it is a recording.
+    /// Refuses a file without wires that does not say that it is a recording, or is one of a version that is not read.
     pub(crate) fn refuse_foreign(&self, path: &Path, has_wires: bool) -> Result<(), RecordingError> {
-        if has_wires || self.metadata.has::<RunRecord>() {
+        if has_wires {
             return Ok(());
+        }
+        if self.metadata.has::<RunRecord>() {
+            return run_record(path, &self.metadata, None).map(drop);
         }
         let reason = self.damage.clone().or_else(|| self.unsound.clone());
         let reason = reason.unwrap_or_else(|| "it has no exact channel".into());

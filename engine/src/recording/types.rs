@@ -9,8 +9,7 @@ use std::collections::BTreeMap;
 pub(crate) struct RecordedTypes(BTreeMap<(String, u32), Result<&'static PayloadType, String>>);
 
 impl RecordedTypes {
-    /// Adds the payload of a wire's channel. Channels of earlier programs, and of wires that take anything, describe
-    /// none.
+    /// Adds the payload of a wire's channel. Channels of wires that take anything describe none.
     pub(crate) fn add(&mut self, wire: &Wire) {
         let Some(schema) = &wire.header.schema else { return };
         let of = || {

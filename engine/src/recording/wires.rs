@@ -2,7 +2,7 @@
 
 use super::{
     codec,
-    format::{BARE_ENCODING, EXACT_ENCODING, Topic, WireHeader},
+    format::{EXACT_ENCODING, Topic, WireHeader},
 };
 use osteoflow_container::Channel;
 use std::collections::BTreeMap;
@@ -28,15 +28,13 @@ pub(crate) struct Wire {
     /// `node.port`.
     pub(crate) name: String,
     pub(crate) header: WireHeader,
-    /// Whether its messages are sequences of bytes in CDR.
-    is_framed: bool,
 }
 
 impl Carries {
     /// The item in a message of an exact channel, any other message as it is.
     pub(crate) fn content<'a>(&self, message: &'a [u8]) -> &'a [u8] {
         match self {
-            Self::Exact(Wire { is_framed: true, .. }) => codec::unframed(message),
+            Self::Exact(_) => codec::unframed(message),
             _ => message,
         }
     }
@@ -44,9 +42,8 @@ impl Carries {
 
 fn carries(channel: &Channel) -> Carries {
     match Topic::parse(&channel.topic) {
-        Some(Topic::Exact(name)) if [EXACT_ENCODING, BARE_ENCODING].contains(&&*channel.message_encoding) => {
-            let is_framed = channel.message_encoding == EXACT_ENCODING;
-            Carries::Exact(Wire { name: name.into(), header: WireHeader::from_metadata(&channel.metadata), is_framed })
+        Some(Topic::Exact(name)) if channel.message_encoding == EXACT_ENCODING => {
+            Carries::Exact(Wire { name: name.into(), header: WireHeader::from_metadata(&channel.metadata) })
         }
         Some(Topic::View(name)) => Carries::View { wire: name.into(), encoding: channel.message_encoding.clone() },
         Some(Topic::Drops) => Carries::Drops,

@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Version of the bundle; increased when older readers cannot read it. 2: its outputs are those of the kind. Version 1 is read too.
+/// Version of the bundle; increased when older readers cannot read it. No release wrote version 1.
 pub(super) const FORMAT_VERSION: u32 = 2;
 /// The file that describes the failed firing.
 pub const BUNDLE: &str = "repro.json";
@@ -69,9 +69,8 @@ pub struct Node {
     pub stop_after_s: Option<f64>,
     /// Its table in the resolved graph, in the text of a graph file; informative.
     pub table: String,
-    /// The parameters that the user wrote; `None` in a bundle that does not say.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub written: Option<BTreeSet<String>>,
+    /// The parameters that the user wrote.
+    pub written: BTreeSet<String>,
     /// The plugin that provides its kind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<PlanPlugin>,
@@ -239,11 +238,9 @@ impl Bundle {
         let json: Json =
             serde_json::from_slice(&std::fs::read(&path).map_err(read)?).map_err(|error| foreign(error.to_string()))?;
         match json.get("format_version").and_then(Json::as_u64) {
-            Some(version) if (1..=u64::from(FORMAT_VERSION)).contains(&version) => {}
+            Some(version) if version == u64::from(FORMAT_VERSION) => {}
             Some(found) => {
-                return Err(foreign(format!(
-                    "it has version {found}, this program reads versions up to {FORMAT_VERSION}"
-                )));
+                return Err(foreign(format!("it has version {found}, this program reads version {FORMAT_VERSION}")));
             }
             None => return Err(foreign("it has no format_version".into())),
         }

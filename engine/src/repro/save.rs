@@ -242,7 +242,7 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
             process: node.place.process,
             stop_after_s: node.place.stop_after.map(|limit| limit.as_secs_f64()),
             table: table(plan, node),
-            written: Some(node.written()),
+            written: node.written(),
             plugin: plan.plugins.iter().find(|plugin| plugin.kinds.iter().any(|kind| **kind == *node.kind)).cloned(),
             params: node.params.clone(),
             declared: declared.collect(),

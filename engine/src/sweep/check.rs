@@ -16,7 +16,6 @@ use crate::{
 use osteoflow_node::{Registry, Role};
 use serde_json::{Value as Json, json};
 use std::{
-    collections::BTreeMap,
     path::Path,
     sync::{
         Arc, Mutex, PoisonError,
@@ -249,8 +248,7 @@ pub fn again(
     let of_row = variants.iter().filter(|variant| row.contains(&variant.setting()));
     let keys = of_row.flat_map(Variant::keys).map(|key| format!("{key}="));
     let all: Vec<String> = row.iter().chain(sets).cloned().chain(keys).collect();
-    let written: Option<BTreeMap<_, _>> = serde_json::from_value(folder.about["written"].clone()).ok();
-    let graph = without_old_defaults(&graph, path, written.as_ref(), &all, kinds).unwrap_or(graph);
+    let graph = without_old_defaults(&graph, &folder.written()?, &all).unwrap_or(graph);
     Ok(check::check_frozen(graph, path, &row, &variants, sets, kinds))
 }
 

@@ -14,15 +14,13 @@ use crate::{
     durable,
     graph::difference::{self, EntryDifference},
     plan::PlanPlugin,
-    plugin::Kinds,
     replay::exchange::without_old_defaults,
     run::{Answer, Verdict},
 };
-use osteoflow_node::Registry;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Map, Value as Json, json};
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs, io,
     path::{Path, PathBuf},
 };
@@ -398,21 +396,21 @@ impl Folder {
     /// If a file of the folder cannot be read.
     pub fn graph_of_rows(&self) -> Result<String, FolderError> {
         let (spec, graph) = (self.spec()?, self.graph()?);
-        let written: Option<BTreeMap<_, _>> = serde_json::from_value(self.about["written"].clone()).ok();
         let of_levels = spec.factors.iter().flat_map(|factor| &factor.levels).flat_map(|level| &level.sets).cloned();
         let of_draws = spec.draws.iter().flat_map(|draw| &draw.keys).map(|key| format!("{key}="));
         let of_variants = spec.variants().into_iter().flat_map(|variant| variant.keys());
         let sets: Vec<_> = of_levels.chain(of_draws).chain(of_variants.map(|key| format!("{key}="))).collect();
-        if written.is_none()
-            && sets.iter().any(|set| set.split('=').next().is_some_and(|key| key.trim().ends_with(".kind")))
-        {
-            let what = "its runs have several kinds, and it does not say which parameters were written (`written`), as sweeps of \
-                        earlier versions: sweep the graph again with this version, and export that";
-            return Err(FolderError::form(&self.dir.join(DESIGN), what));
-        }
-        let path = Path::new(self.about["graph"]["file"].as_str().unwrap_or(GRAPH));
-        let kinds = Kinds::from(&Registry::default());
-        Ok(without_old_defaults(&graph, path, written.as_ref(), &sets, &kinds).unwrap_or(graph))
+        Ok(without_old_defaults(&graph, &self.written()?, &sets).unwrap_or(graph))
+    }
+
+    /// The parameters of each node that the user wrote.
+    pub(super) fn written(&self) -> Result<BTreeMap<String, BTreeSet<String>>, FolderError> {
+        let unread = |error| {
+            let what =
+                format!("it does not say which parameters were written (`written`): {error}; sweep the graph again");
+            FolderError::form(&self.dir.join(DESIGN), what)
+        };
+        serde_json::from_value(self.about["written"].clone()).map_err(unread)
     }
 
     /// What makes `other` another sweep than this one; `None` if it is the same.
@@ -618,8 +616,7 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
             differences.push(format!("its table [sweep] differs{}", named.unwrap_or_default()));
         }
     }
-    let is_same = |ours: &PlanPlugin, plugin: &PlanPlugin| ours.name == plugin.name && ours.sha256 == plugin.sha256;
-    differences.extend(plugin_differences(&folder.about, about, is_same));
+    differences.extend(plugin_differences(&folder.about, about));
     if hash != other_hash || hash == "unknown" {
         if differences.is_empty() {
             differences.push("its settings differ".into());
@@ -627,12 +624,6 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
         differences.push(format!("its hash is {other_hash}, not {hash}"));
     }
     Ok((!differences.is_empty()).then(|| differences.join("; ")))
-}
-
-/// How the plugins `now` differ from those of the same names in `then`, and what they have loaded: both are `sweep.json` or
-/// `manifest.json`.
-pub fn difference_of_plugins(then: &Json, now: &Json) -> Vec<String> {
-    plugin_differences(then, now, |now, then| now.name == then.name)
 }
 
 /// By what number of repeats and by which values of factors another table `[sweep]` differs.
@@ -664,9 +655,10 @@ fn spec_differences(ours: &Spec, other: &Spec) -> Vec<String> {
     differences
 }
 
-fn plugin_differences(then: &Json, now: &Json, is_same: impl Fn(&PlanPlugin, &PlanPlugin) -> bool) -> Vec<String> {
+fn plugin_differences(then: &Json, now: &Json) -> Vec<String> {
     let of = |about: &Json| serde_json::from_value::<Vec<PlanPlugin>>(about["plugins"].clone()).unwrap_or_default();
     let now = of(now);
+    let is_same = |now: &PlanPlugin, then: &PlanPlugin| now.name == then.name && now.sha256 == then.sha256;
     let difference = |then: &PlanPlugin| then.difference(now.iter().find(|now| is_same(now, then))?);
     of(then).iter().filter_map(difference).collect()
 }

@@ -3,32 +3,32 @@
 use serde::{Deserialize, Serialize};
 
 /// Increase when the layout of an archive changes.
-pub(super) const FORMAT: u64 = 1;
+pub(crate) const FORMAT: u64 = 1;
 
 /// The content of `experiment.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Index {
-    pub(super) format: u64,
+pub(crate) struct Index {
+    pub(crate) format: u64,
     /// Version of the program that wrote it.
-    pub(super) version: String,
-    pub(super) what: What,
+    pub(crate) version: String,
+    pub(crate) what: What,
     /// Name of the graph.
-    pub(super) name: String,
+    pub(crate) name: String,
     /// All other files, by path.
-    pub(super) files: Vec<Entry>,
+    pub(crate) files: Vec<Entry>,
 }
 
 /// What an archive holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum What {
+pub(crate) enum What {
     Run,
     Sweep,
 }
 
 impl What {
     /// The subcommand that runs it again.
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Run => "run",
             Self::Sweep => "sweep",
@@ -38,19 +38,19 @@ impl What {
 
 /// A file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Entry {
-    pub(super) path: String,
-    pub(super) role: Role,
-    pub(super) bytes: u64,
-    pub(super) sha256: String,
+pub(crate) struct Entry {
+    pub(crate) path: String,
+    pub(crate) role: Role,
+    pub(crate) bytes: u64,
+    pub(crate) sha256: String,
     /// Whether the archive holds it; inputs may be left out.
-    pub(super) included: bool,
+    pub(crate) included: bool,
 }
 
 /// What a file is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Role {
+pub(crate) enum Role {
     /// The graph that is run again.
     Graph,
     /// A file that the graph was written in.
@@ -65,7 +65,7 @@ pub(super) enum Role {
 }
 
 impl Index {
-    pub(super) fn of(&self, role: Role) -> impl Iterator<Item = &Entry> {
+    pub(crate) fn of(&self, role: Role) -> impl Iterator<Item = &Entry> {
         self.files.iter().filter(move |entry| entry.role == role)
     }
 }

@@ -81,6 +81,22 @@ enum Source {
     Absent(u64, String),
 }
 
+impl Source {
+    /// What the list of files says of it.
+    fn entry(&self, path: &str, role: Role) -> Result<Entry> {
+        let (bytes, sha256, included) = match self {
+            Self::Bytes(bytes) => (bytes.len() as u64, Digest::of(bytes).to_string(), true),
+            Self::File(file) => {
+                let found = sha256(file).with_context(|| format!("{} cannot be read", file.display()))?;
+                (found.0, found.1.to_string(), true)
+            }
+            Self::Known(_, bytes, digest) => (*bytes, digest.clone(), true),
+            Self::Absent(bytes, digest) => (*bytes, digest.clone(), false),
+        };
+        Ok(Entry { path: path.into(), role, bytes, sha256, included })
+    }
+}
+
 /// An archive under way.
 struct Pack {
     what: What,
@@ -207,24 +223,14 @@ impl Pack {
             self.renamed.add(path, &name_in(path));
         }
         for path in named.iter().filter(is_within) {
-            let above = path
-                .ancestors()
-                .skip(1)
-                .find_map(|above| Some((self.renamed.name(above)?, path.strip_prefix(above).ok()?)));
-            if let Some(name) = above.map(|(folder, below)| format!("{folder}/{}", below.display())) {
+            if let Some(name) = self.renamed.name_below(path) {
                 self.renamed.add(path, &name);
             }
         }
         let search = Search::below(&request.data)?;
         let mut missing = Vec::new();
         for (path, bytes, digest) in inputs {
-            let above =
-                path.ancestors().find_map(|above| Some((self.renamed.name(above)?, path.strip_prefix(above).ok()?)));
-            let name = match above {
-                Some((folder, below)) if below != Path::new("") => format!("{folder}/{}", below.display()),
-                Some((name, _)) => name.into(),
-                None => name_in(&path),
-            };
+            let name = self.renamed.name_below(&path).unwrap_or_else(|| name_in(&path));
             self.renamed.add(&path, &name);
             let source = if request.no_data {
                 Source::Absent(bytes, digest)
@@ -418,16 +424,7 @@ impl Pack {
         let version = env!("CARGO_PKG_VERSION").into();
         let mut index = Index { format: FORMAT, version, what: self.what, name, files: Vec::new() };
         for (path, (role, source)) in &self.files {
-            let (bytes, sha256, included) = match source {
-                Source::Bytes(bytes) => (bytes.len() as u64, Digest::of(bytes).to_string(), true),
-                Source::File(file) => {
-                    let found = sha256(file).with_context(|| format!("{} cannot be read", file.display()))?;
-                    (found.0, found.1.to_string(), true)
-                }
-                Source::Known(_, bytes, digest) => (*bytes, digest.clone(), true),
-                Source::Absent(bytes, digest) => (*bytes, digest.clone(), false),
-            };
-            index.files.push(Entry { path: path.clone(), role: *role, bytes, sha256, included });
+            index.files.push(source.entry(path, *role)?);
         }
         let ended = match self.what {
             What::Run => self.about["ended"].as_str().map(str::to_owned),
@@ -441,15 +438,9 @@ impl Pack {
         let mut about = self.about.clone();
         self.renamed.json(&mut about);
         let text = format!("{:#}\n", ro_crate::metadata(&index, &about, &ended, licence));
-        let entry = Entry {
-            path: ro_crate::FILE.into(),
-            role: Role::About,
-            bytes: text.len() as u64,
-            sha256: Digest::of(text.as_bytes()).to_string(),
-            included: true,
-        };
-        index.files.push(entry);
-        self.add(ro_crate::FILE, Role::About, Source::Bytes(text.into_bytes()));
+        let metadata = Source::Bytes(text.into_bytes());
+        index.files.push(metadata.entry(ro_crate::FILE, Role::About)?);
+        self.add(ro_crate::FILE, Role::About, metadata);
         index.files.sort_by(|a, b| a.path.cmp(&b.path));
         Ok(index)
     }

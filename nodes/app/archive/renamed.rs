@@ -67,6 +67,13 @@ impl Renamed {
         self.paths.iter().find(|(known, _)| known == path).map(|(_, name)| name.as_str())
     }
 
+    /// The name of a file or folder that has one, or that is within a folder that has one.
+    pub(super) fn name_below(&self, path: &Path) -> Option<String> {
+        let above = |above: &Path| Some((self.name(above)?, path.strip_prefix(above).ok()?));
+        let (name, below) = path.ancestors().find_map(above)?;
+        Some(if below == Path::new("") { name.into() } else { format!("{name}/{}", below.display()) })
+    }
+
     /// A text without known paths of the machine.
     pub(super) fn text(&self, text: &str) -> String {
         if !text.contains('/') {

@@ -2,7 +2,7 @@
 
 use super::{
     GRAPH, README, RESULTS,
-    index::{Entry, Index, Role, What},
+    index::{Entry, Index, Role},
 };
 use serde_json::{Value as Json, json};
 
@@ -26,13 +26,7 @@ pub(super) fn metadata(index: &Index, about: &Json, ended: &str, licence: Option
     let ids = |entries: &[&Entry]| entries.iter().map(|entry| json!({ "@id": id(entry) })).collect::<Vec<_>>();
     let with = |role| index.of(role).collect::<Vec<_>>();
     let (inputs, results) = (with(Role::Input), with(Role::Result));
-    let (name, word) = (
-        &index.name,
-        match index.what {
-            What::Run => "run",
-            What::Sweep => "sweep",
-        },
-    );
+    let (name, word) = (&index.name, index.what.name());
     let command = &about["command"];
     let version = command["version"].as_str().unwrap_or(&index.version);
     let mut object: Vec<Json> = ids(&inputs);

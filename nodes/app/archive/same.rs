@@ -4,10 +4,11 @@ use super::unpack::results;
 use crate::app::error::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_engine::{
+    diff::Provenance,
     hash::Digest,
     recording::digest::{DigestReport, digest},
     run::files,
-    sweep::{self, Column, difference_of_plugins},
+    sweep::{self, Column},
 };
 use serde::Serialize;
 use serde_json::Value as Json;
@@ -68,7 +69,7 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
             for table in [sweep::RUNS, sweep::POINTS] {
                 tables(&a.join(table), &b.join(table), table, &times, &mut same)?;
             }
-            same.causes = causes(&about[0], &about[1]);
+            same.causes = causes([&about[0], &about[1]]);
         }
         (false, false) => {
             let of = |dir: &Path, shown: &Path| {
@@ -79,11 +80,17 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
             };
             let (about_a, about_b) = (of(&a, first)?, of(&b, second)?);
             runs(&a, &b, &mut same)?;
-            same.causes = causes(&about_a, &about_b);
+            same.causes = causes([&about_a, &about_b]);
         }
         _ => return Err(UsageError("a run and a sweep cannot be compared with each other".into()).into()),
     }
     Ok(same)
+}
+
+/// What differs of how two runs or sweeps came about, by their manifests or designs.
+fn causes(about: [&Json; 2]) -> Vec<String> {
+    let [a, b] = about.map(Provenance::of);
+    a.differences(&b, ["first", "second"])
 }
 
 fn json(path: &Path) -> Result<Json> {
@@ -235,51 +242,4 @@ fn values_of(a: &Json, b: &Json, at: &str, same: &mut Sameness) {
         }
         _ => {}
     }
-}
-
-/// What differs of how two runs or sweeps came about, by their manifests or designs.
-pub(crate) fn causes(a: &Json, b: &Json) -> Vec<String> {
-    let mut found = Vec::new();
-    let word = |json: &Json| json.as_str().map_or_else(|| json.to_string(), str::to_owned);
-    for (what, pointer) in [
-        ("the program's version", "/command/version"),
-        ("the program's revision", "/command/git_revision"),
-        ("the program's file, by SHA-256,", "/program_sha256"),
-        ("the program's compiler", "/command/compiler"),
-        ("the target", "/command/target"),
-        ("the processor's features", "/command/cpu_features"),
-        ("the seed", "/graph/seed"),
-    ] {
-        if let (Some(a), Some(b)) = (a.pointer(pointer), b.pointer(pointer))
-            && a != b
-        {
-            found.push(format!("{what} is {} and {}", word(a), word(b)));
-        }
-    }
-    let inputs = |about: &Json| -> BTreeSet<(String, String)> {
-        let entries = about["inputs"].as_array().into_iter().flatten();
-        entries
-            .map(|entry| {
-                (
-                    word(&entry["sha256"]),
-                    Path::new(&word(&entry["path"])).file_name().unwrap_or_default().to_string_lossy().into_owned(),
-                )
-            })
-            .collect()
-    };
-    let (of_a, of_b) = (inputs(a), inputs(b));
-    let lacks = |all: &BTreeSet<(String, String)>, sha: &str| all.iter().all(|(other, _)| other != sha);
-    for (which, here, there) in [("first", &of_a, &of_b), ("second", &of_b, &of_a)] {
-        for (sha, name) in here.iter().filter(|(sha, _)| lacks(there, sha)) {
-            found.push(format!("the input {name} (SHA-256 {sha}) is of the {which} alone"));
-        }
-    }
-    found.extend(difference_of_plugins(a, b));
-    let names = |about: &Json| -> BTreeSet<String> {
-        about["plugins"].as_array().into_iter().flatten().map(|plugin| word(&plugin["name"])).collect()
-    };
-    for (which, only) in [("first", &names(a) - &names(b)), ("second", &names(b) - &names(a))] {
-        found.extend(only.iter().map(|name| format!("the plugin {name} is of the {which} alone")));
-    }
-    found
 }

@@ -170,46 +170,14 @@ pub(crate) fn results(path: &Path, dir: &Path) -> Result<PathBuf> {
     Ok(dir.join(RESULTS))
 }
 
-/// What an archive holds, for people who have not opened it yet.
-pub(crate) struct Summary {
-    /// `run` or `sweep`.
-    pub(crate) what: &'static str,
-    /// Name of the graph.
-    pub(crate) name: String,
-    /// Version of the program that wrote it.
-    pub(crate) version: String,
-    pub(crate) n_files: usize,
-    pub(crate) bytes: u64,
-    /// The plugins and their modules.
-    pub(crate) code: Vec<String>,
-    /// The inputs that it holds, and those that it lacks.
-    pub(crate) inputs: Vec<String>,
-    pub(crate) inputs_left_out: Vec<String>,
-}
-
 /// What an archive holds; `None` for any other file, also another zip.
 ///
 /// # Errors
 /// The archive is not sound.
-pub(crate) fn summary(path: &Path) -> Result<Option<Summary>> {
+pub(crate) fn index_of(path: &Path) -> Result<Option<Index>> {
     let is_ours = |file: File| ZipArchive::new(file).is_ok_and(|zip| zip.index_for_name(INDEX).is_some());
-    if path.is_dir() || !is_archive(path) || !File::open(path).is_ok_and(is_ours) {
-        return Ok(None);
-    }
-    let Index { what, name, version, files, .. } = Archive::open(path)?.index;
-    let of = |which: &dyn Fn(&Entry) -> bool| {
-        files.iter().filter(|entry| which(entry)).map(|entry| entry.path.clone()).collect()
-    };
-    Ok(Some(Summary {
-        what: what.name(),
-        name,
-        version,
-        n_files: files.iter().filter(|entry| entry.included).count(),
-        bytes: files.iter().filter(|entry| entry.included).map(|entry| entry.bytes).sum(),
-        code: of(&|entry| matches!(entry.role, Role::Plugin | Role::Module)),
-        inputs: of(&|entry| entry.role == Role::Input && entry.included),
-        inputs_left_out: of(&|entry| !entry.included),
-    }))
+    let is_archive = !path.is_dir() && is_archive(path) && File::open(path).is_ok_and(is_ours);
+    is_archive.then(|| Ok(Archive::open(path)?.index)).transpose()
 }
 
 /// A zip whose list of files is sound.

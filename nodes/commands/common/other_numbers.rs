@@ -1,5 +1,6 @@
 //! The numbers of a run's results that no table of their own shows: reports, and metrics of the user.
 
+use osteoflow_report::summary::in_degrees;
 use serde_json::Value;
 
 /// Width of the terminal that lines are wrapped to.
@@ -118,19 +119,6 @@ impl Numbers {
             _ => self.n_left_out += count(value),
         }
     }
-}
-
-/// An angle, or a list of them, in degrees with a name that says so; anything else as it is.
-pub(crate) fn in_degrees(name: &str, value: &Value) -> (String, Value) {
-    let Some(of) = name.strip_suffix("_rad") else { return (name.into(), value.clone()) };
-    let degrees = match value {
-        Value::Number(number) => number.as_f64().map(|rad| Value::from(rad.to_degrees())),
-        Value::Array(list) => {
-            list.iter().map(|number| number.as_f64().map(|rad| Value::from(rad.to_degrees()))).collect()
-        }
-        _ => None,
-    };
-    degrees.map_or_else(|| (name.into(), value.clone()), |degrees| (format!("{of}_deg"), degrees))
 }
 
 /// A number, or up to three in brackets.

@@ -182,7 +182,7 @@ impl Progress {
         }
     }
 
-    /// Begins to show progress; `n_nodes` if known.
+    /// Begins to show progress; `n_nodes` if known. An empty `what`, for runs that are mostly short, writes no line at the beginning.
     pub(crate) fn begin(what: &str, n_nodes: Option<usize>, global: &Global) -> Self {
         Self::new(what, n_nodes, Shown::of(global))
     }
@@ -192,11 +192,6 @@ impl Progress {
         let (name, nodes, seed) = (&plan.name, plan.nodes.len(), plan.seed);
         let what = format!("running {name}: {nodes} nodes, seed {seed}, {workers} workers");
         Self::begin(&what, Some(nodes), global)
-    }
-
-    /// Begins to show the progress of a run that is mostly short: without a line that it begins.
-    pub(crate) fn of_short(plan: &Plan, global: &Global) -> Self {
-        Self::new("", Some(plan.nodes.len()), Shown::of(global))
     }
 
     /// Begins to show the progress of a run on a terminal, if there is one.

@@ -128,8 +128,8 @@ fn pose_cells(matrix: &Value) -> Vec<String> {
 fn points(results: &Value) -> Option<TextTable> {
     let mut table = TextTable::new("laser points", &["x", "y", "z mm", "confidence"]);
     for point in results.get("laser_points")?.as_array()? {
-        let mut cells = numbers(&point["position_mm"], 2);
-        cells.push(point["confidence"].as_f64().map_or_else(|| "-".into(), |c| fixed(c, 2)));
+        let mut cells: Vec<_> = point["position_mm"].as_array().into_iter().flatten().map(|c| number(c, 2)).collect();
+        cells.push(number(&point["confidence"], 2));
         cells.extend(point["frame"].as_str().map(|frame| format!("in {frame}")));
         table.row(word(&point["name"]), cells);
     }
@@ -139,11 +139,10 @@ fn points(results: &Value) -> Option<TextTable> {
 fn icp(results: &Value) -> Option<TextTable> {
     let icp = results.get("icp")?;
     let mut table = TextTable::new(ICP, &["iterations", "pairs", "rms mm", "leaves mm"]);
-    let rms = icp["rms_mm"].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 4));
     let how = if icp["converged"] == Value::Bool(true) { "converged" } else { "not converged" };
     let stop = format!("stopped by {}", word(&icp["stop_reason"]));
-    let leaves = icp["left_mm"].as_f64().or(icp["remaining_mm"].as_f64()).map_or_else(|| "-".into(), |v| fixed(v, 3));
-    table.row(how, [word(&icp["iterations"]), word(&icp["n_pairs"]), rms, leaves, stop]);
+    let leaves = number(if icp["left_mm"].is_number() { &icp["left_mm"] } else { &icp["remaining_mm"] }, 3);
+    table.row(how, [word(&icp["iterations"]), word(&icp["n_pairs"]), number(&icp["rms_mm"], 4), leaves, stop]);
     some(table)
 }
 
@@ -172,7 +171,6 @@ fn planes(results: &Value, key: &str, title: &str) -> Option<TextTable> {
 fn cuts(results: &Value) -> Option<TextTable> {
     let report = results.get("metrics")?.get("cuts")?;
     let mut table = TextTable::new(CUTS, &["offset mm", "tilt deg", "roll deg", "moved mm"]);
-    let number = |of: &Value, digits| of.as_f64().map_or_else(|| "-".into(), |v| fixed(v, digits));
     let degrees = |of: &Value| of.as_f64().map_or_else(|| "-".into(), |v| fixed(v.to_degrees(), 2));
     for cut in report["cuts"].as_array()? {
         let cells = [number(&cut["offset_mm"], 3), degrees(&cut["tilt_rad"]), degrees(&cut["roll_rad"])];
@@ -212,12 +210,11 @@ fn both_target_errors(results: &Value) -> Option<TextTable> {
 }
 
 fn components(of: &Value) -> Vec<String> {
-    ["x", "y", "z", "norm"].iter().map(|k| of[k].as_f64().map_or_else(|| "-".into(), |v| fixed(v, 3))).collect()
+    ["x", "y", "z", "norm"].iter().map(|k| number(&of[k], 3)).collect()
 }
 
-fn numbers(list: &Value, digits: usize) -> Vec<String> {
-    let list = list.as_array().map(Vec::as_slice).unwrap_or_default();
-    list.iter().map(|v| v.as_f64().map_or_else(|| "-".into(), |v| fixed(v, digits))).collect()
+fn number(of: &Value, digits: usize) -> String {
+    of.as_f64().map_or_else(|| "-".into(), |v| fixed(v, digits))
 }
 
 fn matrix4(rows: &Value) -> Option<Matrix4<f64>> {

@@ -1,7 +1,7 @@
 //! What was set otherwise in runs or sweeps: the entries of their graphs, and what made them.
 
-use crate::{app::archive::causes, commands::common::text_table::TextTable};
-use osteoflow_engine::diff::entries_that_differ;
+use crate::commands::common::text_table::TextTable;
+use osteoflow_engine::diff::{Provenance, entries_that_differ};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -57,9 +57,9 @@ pub(super) fn text(all: &[Made], more: Vec<(String, Vec<String>)>, is_brief: boo
     let mut others = Vec::new();
     for (k, made) in all.iter().enumerate().skip(1) {
         // The seed is an entry of the graph.
-        let causes = causes(&all[0].about, &made.about).into_iter().filter(|cause| !cause.starts_with("the seed"));
-        let which = if all.len() > 2 { format!(", in [1] and [{}]", k + 1) } else { String::new() };
-        others.extend(causes.map(|cause| format!("  {cause}{which}\n")));
+        let [first, other] = [&all[0], made].map(|made| Provenance::of(&made.about));
+        let differ = first.differences(&other, ["[1]", &format!("[{}]", k + 1)]).into_iter();
+        others.extend(differ.filter(|what| !what.starts_with("program, seed")).map(|what| format!("  {what}\n")));
     }
     others.iter().take(n_listed).for_each(|line| out += line);
     match rows.len().saturating_sub(n_listed) + others.len().saturating_sub(n_listed) {

@@ -5,11 +5,10 @@ use super::{
     otherwise::{self, Made, heads},
     published,
 };
-use crate::commands::common::{
-    Exit, Format, Global, other_numbers::in_degrees, print_json, terminal, text_table::TextTable,
-};
+use crate::commands::common::{Exit, Format, Global, print_json, terminal, text_table::TextTable};
 use anyhow::{Context, Result, bail};
 use osteoflow_engine::run::files;
+use osteoflow_report::summary::in_degrees;
 use serde_json::{Value, json};
 use std::{collections::BTreeMap, fs, io::Write, path::Path};
 

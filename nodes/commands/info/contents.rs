@@ -2,7 +2,7 @@
 
 use super::{super::common::LogArgs, poses::poses};
 use crate::app::{
-    archive,
+    archive::{Entry, Index, Role, index_of},
     files::picked_points,
     register::{PART_KEY, TARGET_PART},
 };
@@ -155,8 +155,19 @@ impl Contents {
 }
 
 /// A run or a sweep as one file.
-fn archived(file: &Path, summary: archive::Summary) -> Contents {
-    let archive::Summary { what, name, version, n_files, bytes, code, inputs, inputs_left_out } = summary;
+fn archived(file: &Path, index: Index) -> Contents {
+    let Index { what, name, version, files, .. } = index;
+    let what = what.name();
+    let of = |which: &dyn Fn(&Entry) -> bool| {
+        files.iter().filter(|entry| which(entry)).map(|entry| entry.path.clone()).collect::<Vec<_>>()
+    };
+    let (code, inputs_left_out) =
+        (of(&|entry| matches!(entry.role, Role::Plugin | Role::Module)), of(&|entry| !entry.included));
+    let inputs = of(&|entry| entry.role == Role::Input && entry.included);
+    let (n_files, bytes) = (
+        files.len() - inputs_left_out.len(),
+        files.iter().filter(|entry| entry.included).map(|entry| entry.bytes).sum::<u64>(),
+    );
     let plugins = if code.is_empty() { "" } else { " --allow-plugins" };
     let data = if inputs_left_out.is_empty() { "" } else { " --data DIR" };
     let shown = file.display();
@@ -190,8 +201,8 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
         let message = "--series is for a folder with DICOM series; leave it out";
         usage!("{}: {message}", file.display());
     }
-    if let Some(summary) = archive::summary(file)? {
-        return Ok(archived(file, summary));
+    if let Some(index) = index_of(file)? {
+        return Ok(archived(file, index));
     }
     let bytes = input::read(file)?;
     if bytes.is_empty() {

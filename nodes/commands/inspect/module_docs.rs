@@ -1,6 +1,6 @@
 //! Markdown documentation of a module.
 
-use super::node_docs::cell;
+use super::node_docs::{cell, heading};
 use osteoflow_engine::check::ModuleDescription;
 use std::fmt::Write as _;
 
@@ -10,31 +10,19 @@ pub(crate) fn markdown(of: &ModuleDescription, file: &str) -> String {
     if !of.doc.is_empty() {
         let _ = write!(out, "\n{}\n", of.doc.trim());
     }
-    out += "\n**Inputs**";
-    match of.inputs.is_empty() {
-        true => out += ": none.\n",
-        false => out += "\n\n| Input | Takes | Join | Feeds | |\n|---|---|---|---|---|\n",
-    }
+    out += &heading("Inputs", of.inputs.is_empty(), "| Input | Takes | Join | Feeds | |");
     for input in &of.inputs {
         let doc = if input.optional { format!("Optional. {}", input.doc) } else { input.doc.clone() };
         let joins: Vec<_> = input.joins.iter().map(|join| format!("`{join}`")).collect();
         let (joins, to, doc) = (joins.join(", "), code(&input.to), cell(&doc));
         let _ = writeln!(out, "| `{}` | `{}` | {joins} | {to} | {doc} |", input.name, input.payload);
     }
-    out += "\n**Outputs**";
-    match of.outputs.is_empty() {
-        true => out += ": none.\n",
-        false => out += "\n\n| Output | Gives | Wire within | |\n|---|---|---|---|\n",
-    }
+    out += &heading("Outputs", of.outputs.is_empty(), "| Output | Gives | Wire within | |");
     for output in &of.outputs {
         let _ =
             writeln!(out, "| `{}` | `{}` | `{}` | {} |", output.name, output.payload, output.from, cell(&output.doc));
     }
-    out += "\n**Parameters**";
-    match of.params.is_empty() {
-        true => out += ": none.\n",
-        false => out += "\n\n| Name | Default | Sets | |\n|---|---|---|---|\n",
-    }
+    out += &heading("Parameters", of.params.is_empty(), "| Name | Default | Sets | |");
     for param in &of.params {
         let default = match (&param.default, param.required) {
             (_, true) => "required".into(),

@@ -98,7 +98,7 @@ pub(crate) fn markdown(of: &Description) -> String {
 }
 
 fn inputs(out: &mut String, ports: &[InputPort]) {
-    out.push_str("\n**Inputs**\n\n| Port | Takes | Join | Frame | |\n|---|---|---|---|---|\n");
+    *out += &heading("Inputs", false, "| Port | Takes | Join | Frame | |");
     for port in ports {
         let doc = match (port.unused, port.optional) {
             (true, _) => {
@@ -115,7 +115,7 @@ fn inputs(out: &mut String, ports: &[InputPort]) {
 fn outputs(out: &mut String, ports: &OutputPorts) {
     match ports {
         OutputPorts::Fixed(ports) => {
-            out.push_str("\n**Outputs**\n\n| Port | Gives | Frame | |\n|---|---|---|---|\n");
+            *out += &heading("Outputs", false, "| Port | Gives | Frame | |");
             for port in ports {
                 let (gives, frames) = (port.payload.name(), frames(&port.frames));
                 let _ = writeln!(out, "| `{}` | `{gives}` | {frames} | {} |", port.name, cell(port.doc));
@@ -168,13 +168,16 @@ fn frames(of: &FrameExpr) -> String {
 fn parameters(out: &mut String, title: &str, schema: &Value) {
     let mut rows = String::new();
     parameter_rows(&mut rows, "", schema, schema, None);
-    if rows.is_empty() {
-        let _ = write!(out, "\n**{title}**: none.\n");
-        return;
+    let head = "| Name | Type | Unit | Default | Range | Meaning, and reason for the default |";
+    *out += &(heading(title, rows.is_empty(), head) + &rows);
+}
+
+/// The heading of a list, with the head of its table if there are any.
+pub(super) fn heading(title: &str, is_empty: bool, head: &str) -> String {
+    match is_empty {
+        true => format!("\n**{title}**: none.\n"),
+        false => format!("\n**{title}**\n\n{head}\n|{}\n", "---|".repeat(head.matches('|').count() - 1)),
     }
-    let header =
-        "| Name | Type | Unit | Default | Range | Meaning, and reason for the default |\n|---|---|---|---|---|---|";
-    let _ = write!(out, "\n**{title}**\n\n{header}\n{rows}");
 }
 
 /// A row for each parameter; nested parameters are named `table.parameter`.

@@ -1,18 +1,12 @@
 use crate::commands::common::serve::picks::{Known, Picks};
 use osteoflow_geometry::SurgicalPlan;
-use osteoflow_viewer::{App, Playback, PlaybackState, Response};
+use osteoflow_viewer::{App, Playback, Response};
 
 /// A recording on the page: it is played, and what is picked on it is saved.
 pub(super) struct Player {
-    playback: Playback,
-    picks: Picks,
-    plan: Option<SurgicalPlan>,
-}
-
-impl Player {
-    pub(super) fn new(playback: Playback, picks: Picks, plan: Option<SurgicalPlan>) -> Self {
-        Self { playback, picks, plan }
-    }
+    pub(super) playback: Playback,
+    pub(super) picks: Picks,
+    pub(super) plan: Option<SurgicalPlan>,
 }
 
 impl App for Player {
@@ -24,15 +18,7 @@ impl App for Player {
         self.picks.post(path, body, Known { plan: self.plan.as_ref(), made_for: None })
     }
 
-    fn range_ns(&self) -> Option<(u64, u64)> {
-        self.playback.range_ns()
-    }
-
-    fn play(&self, plays: bool, speed: f32, seek_ns: Option<u64>) -> Option<PlaybackState> {
-        self.playback.play(plays, speed, seek_ns)
-    }
-
-    fn playback(&self) -> Option<PlaybackState> {
-        self.playback.playback()
+    fn playback(&self) -> Option<&Playback> {
+        Some(&self.playback)
     }
 }

@@ -36,7 +36,7 @@ use std::{
     io::Write,
     net::SocketAddr,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Instant,
 };
 
@@ -57,14 +57,20 @@ pub(crate) struct SteerRequest {
 /// What the page shows, and what it may change.
 struct Steering {
     changes: Changes,
-    /// The parameters as the page lists them, by node.
-    graph: Mutex<Value>,
-    /// The plan that the graph reads, with what the page does not see of it.
-    plan: Mutex<Option<SurgicalPlan>>,
-    /// The plan that the procedure was made for, if the graph reads another one.
-    made_for: Mutex<Option<SurgicalPlan>>,
+    shown: Mutex<Shown>,
     picks: Picks,
     two_files: Option<TwoFiles>,
+}
+
+/// What the page shows of the graph that is run.
+#[derive(Default)]
+struct Shown {
+    /// The parameters as the page lists them, by node.
+    graph: Value,
+    /// The plan that the graph reads, with what the page does not see of it.
+    plan: Option<SurgicalPlan>,
+    /// The plan that the procedure was made for, if the graph reads another one.
+    made_for: Option<SurgicalPlan>,
 }
 
 impl Steering {
@@ -87,8 +93,8 @@ impl Steering {
         }
     }
 
-    fn plan(&self) -> Option<SurgicalPlan> {
-        self.plan.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    fn shown(&self) -> MutexGuard<'_, Shown> {
+        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Saves a region that was drawn on the page, and lets a crop use it.
@@ -97,14 +103,10 @@ impl Steering {
     /// A sentence for the user.
     fn save_region(&self, request: &Value) -> Result<Value, String> {
         let node = request["node"].as_str().ok_or("\"node\" is missing: the crop that uses the region")?;
-        let is_crop = {
-            let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut nodes = graph["nodes"].as_array().into_iter().flatten();
-            nodes.any(|known| {
-                known["name"] == node && known["kind"].as_str().is_some_and(|kind| kind.starts_with("crop."))
-            })
+        let is_crop = |known: &Value| {
+            known["name"] == node && known["kind"].as_str().is_some_and(|kind| kind.starts_with("crop."))
         };
-        if !is_crop {
+        if !self.shown().graph["nodes"].as_array().into_iter().flatten().any(is_crop) {
             return Err(format!("the graph has no crop \"{node}\" that could use the region"));
         }
         let path = self.picks.save_region(&request["region"].to_string())?;
@@ -124,8 +126,8 @@ impl Steering {
 
     /// The nodes that give plans.
     fn plan_nodes(&self) -> Vec<String> {
-        let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner);
-        let nodes = graph["nodes"].as_array().into_iter().flatten().filter(|node| {
+        let shown = self.shown();
+        let nodes = shown.graph["nodes"].as_array().into_iter().flatten().filter(|node| {
             let mut outputs = node["outputs"].as_array().into_iter().flatten();
             node["kind"].as_str().is_some_and(|kind| kind.starts_with("plan."))
                 && outputs.any(|output| output["name"] == "planes")
@@ -173,14 +175,16 @@ impl App for Steering {
         let plans = self.plan_nodes();
         let runs = [(!plans.is_empty(), "plan"), (self.two_files.is_some(), "pairs")];
         let runs: Vec<&str> = runs.into_iter().filter_map(|(is, what)| is.then_some(what)).collect();
-        self.picks.get(path, self.plan().as_ref(), &runs)
+        self.picks.get(path, self.shown().plan.as_ref(), &runs)
     }
 
     fn post(&self, path: &str, body: &[u8]) -> Option<Response> {
         if let Some(what) = path.strip_prefix("save/") {
-            let made_for = self.made_for.lock().unwrap_or_else(PoisonError::into_inner).clone();
-            let known = self.plan();
-            let saved = self.picks.save(what, body, Known { plan: known.as_ref(), made_for: made_for.as_ref() });
+            let (plan, made_for) = {
+                let shown = self.shown();
+                (shown.plan.clone(), shown.made_for.clone())
+            };
+            let saved = self.picks.save(what, body, Known { plan: plan.as_ref(), made_for: made_for.as_ref() });
             return Some(picks::reply(saved.and_then(|mut saved| {
                 let more = self.use_picks(what, &saved)?;
                 saved["message"] = format!("{}{more}", saved["message"].as_str().unwrap_or_default()).into();
@@ -193,16 +197,16 @@ impl App for Steering {
     }
 
     fn parameters(&self) -> Vec<(String, Value)> {
-        let graph = self.graph.lock().unwrap_or_else(PoisonError::into_inner);
+        let shown = self.shown();
         let mut all = Vec::new();
-        for node in graph["nodes"].as_array().into_iter().flatten() {
+        for node in shown.graph["nodes"].as_array().into_iter().flatten() {
             let name = node["name"].as_str().unwrap_or_default();
             all.push((format!("{name}.kind"), node["kind"].clone()));
             for param in node["params"].as_array().into_iter().flatten() {
                 all.push((format!("{name}.{}", param["name"].as_str().unwrap_or_default()), param["value"].clone()));
             }
         }
-        drop(graph);
+        drop(shown);
         // What was set counts before it has been run.
         self.changes.overlay(&mut all);
         all
@@ -234,14 +238,8 @@ pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
     let built_in = request.two_files.as_ref();
     let no_file = built_in.map(|_| "this graph is built in; show graphs/two_files.toml to change a file");
     let changes = Changes::new(request.graph.clone(), no_file);
-    let steering = Arc::new(Steering {
-        changes,
-        graph: Mutex::default(),
-        plan: Mutex::default(),
-        made_for: Mutex::default(),
-        picks: request.picks,
-        two_files: request.two_files,
-    });
+    let steering =
+        Arc::new(Steering { changes, shown: Mutex::default(), picks: request.picks, two_files: request.two_files });
     let name = request.graph.graph.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let server = request.admission.serve(request.address, &name, stream.clone(), steering.clone(), global)?;
     let leave = Leave { out: request.out, force: false, workers: None };
@@ -316,9 +314,8 @@ impl Rerun for Session {
         }
         let dir = self.runs.folder(&plan)?;
         let graph = serve::graph_json(&plan, &registry);
-        *self.steering.plan.lock().unwrap_or_else(PoisonError::into_inner) = known_plan::of_graph(&plan);
-        *self.steering.made_for.lock().unwrap_or_else(PoisonError::into_inner) = known_plan::made_for(&plan);
-        self.steering.graph.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&graph);
+        let (known, made_for) = (known_plan::of_graph(&plan), known_plan::made_for(&plan));
+        *self.steering.shown() = Shown { graph: graph.clone(), plan: known, made_for };
         self.stream.restart();
         self.stream.publish_parameters(&self.steering.parameters());
         let mut serving = Serving::begin(self.stream.clone(), &plan, &graph);

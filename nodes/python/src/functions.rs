@@ -29,8 +29,7 @@ impl Stop {
 /// Builds the nodes that are functions, and all others as before.
 struct Functions {
     by_node: BTreeMap<String, Py<PyAny>>,
-    before: Option<Arc<dyn Launch>>,
-    types: Registry,
+    graph: Registry,
     cancelled: Arc<AtomicBool>,
 }
 
@@ -56,10 +55,9 @@ pub(crate) fn registry(
             return Err(UsageError::new_err(message));
         }
     }
-    let types = graph.registry().clone();
-    let mut registry = types.clone();
-    let before = types.launcher().cloned();
-    registry.set_launcher(Arc::new(Functions { by_node: functions, before, types, cancelled: cancelled.clone() }));
+    let graph = graph.registry().clone();
+    let mut registry = graph.clone();
+    registry.set_launcher(Arc::new(Functions { by_node: functions, graph, cancelled: cancelled.clone() }));
     Ok(app::Functions { nodes, registry })
 }
 
@@ -69,21 +67,11 @@ impl Launch for Functions {
     }
 
     fn launch(&self, kind: &Kind, params: &serde_json::Value, context: &BuildContext) -> Result<Built, ParamError> {
-        let Some(function) = self.by_node.get(&*context.node) else {
-            return match &self.before {
-                Some(before) if context.place.process.unwrap_or_else(|| before.is_wanted(kind)) => {
-                    before.launch(kind, params, context)
-                }
-                None if context.place.process == Some(true) => {
-                    Err(ParamError::new("process", "this program runs no nodes in processes of their own"))
-                }
-                _ => kind.build(params, context),
-            };
-        };
+        let Some(function) = self.by_node.get(&*context.node) else { return self.graph.build(kind, params, context) };
         let outputs = kind.description.outputs.payloads(&context.declared).map(|(_, payload)| payload).collect();
         let function = Python::attach(|py| function.clone_ref(py));
         let stop = self.cancelled.clone();
-        Ok(Built::Node(Box::new(FunctionNode { function, outputs, types: self.types.clone(), stop })))
+        Ok(Built::Node(Box::new(FunctionNode { function, outputs, types: self.graph.clone(), stop })))
     }
 }
 

@@ -28,22 +28,17 @@ radius_mm = 1.0
 pub struct Difference;
 
 /// Parameters of [`Difference`].
+#[osteoflow_node::params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
     /// A point of the full scan is missing if the scan with the laser has none nearer. 1: twice the spacing of a scan.
-    #[schemars(range(min = 0.01, max = 20.0))]
+    #[param(1.0, 0.01..=20.0)]
     radius_mm: f64,
     /// Minimum number of points of a hole. 15: a spot of 2 mm radius leaves thirty.
-    #[schemars(range(min = 3, max = 100_000))]
+    #[param(15, 3..=100_000)]
     min_points: usize,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { radius_mm: 1.0, min_points: 15 }
-    }
 }
 
 /// The ports of every hole detector, so that graphs can switch to this one by its kind.

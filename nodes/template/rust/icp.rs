@@ -36,25 +36,20 @@ max_pair_distance_mm = 5.0
 pub struct PointToPoint;
 
 /// Parameters of [`PointToPoint`].
+#[osteoflow_node::params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
     /// Pairs farther apart are not used, mm. 5: twice the largest error of a three-point fit to laser holes.
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(5.0, 1e-6..=1e6)]
     max_pair_distance_mm: f64,
     /// Stop when a step changes the RMS distance of the pairs by less, mm. 1e-5: far below the noise of a camera.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(1e-5, 0.0..=10.0)]
     stop_residual_mm: f64,
     /// Maximum number of steps. 500: more than real bones need.
-    #[schemars(range(min = 1, max = 100_000))]
+    #[param(500, 1..=100_000)]
     max_iterations: u32,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { max_pair_distance_mm: 5.0, stop_residual_mm: 1e-5, max_iterations: 500 }
-    }
 }
 
 /// The ports of every ICP, so that graphs can switch to this one by its kind.

@@ -18,19 +18,14 @@ limit_mm = 1.5
 pub struct Tre;
 
 /// Parameters of [`Tre`].
+#[osteoflow_node::params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
     /// Points off by at most this much are good. 1.5: half of what a cut may be off.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(1.5, 0.0..=1000.0)]
     limit_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { limit_mm: 1.5 }
-    }
 }
 
 /// The inputs.

@@ -18,19 +18,14 @@ unit_mm = 1.0
 pub struct Xyz;
 
 /// Parameters of [`Xyz`].
+#[osteoflow_node::params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", default, deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
 pub struct Params {
     /// Millimetres in the file's unit. 1: the file is in mm; 1000: in metres.
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(1.0, 1e-6..=1e6)]
     unit_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { unit_mm: 1.0 }
-    }
 }
 
 /// The inputs.

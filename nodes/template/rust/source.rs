@@ -20,6 +20,7 @@ pub struct Xyz {
 }
 
 /// Parameters of [`Xyz`].
+#[osteoflow_node::params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(crate = "osteoflow_node::serde", deny_unknown_fields)]
 #[schemars(crate = "osteoflow_node::schemars")]
@@ -27,20 +28,11 @@ pub struct Params {
     /// The file.
     path: FilePath,
     /// The frame of its coordinates. `camera`: a scan is in the frame of the camera that made it.
-    #[serde(default = "camera")]
+    #[param("camera")]
     frame: String,
     /// Millimetres in the file's unit. 1: the file is in mm; 1000: in metres.
-    #[serde(default = "one")]
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(1.0, 1e-6..=1e6)]
     unit_mm: f64,
-}
-
-fn camera() -> String {
-    "camera".into()
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 /// The outputs.

@@ -1,10 +1,12 @@
-//! The derives of `osteoflow-node`. The generated code names `osteoflow_node` only.
+//! The derives of `osteoflow-node`, and the defaults of parameters. The code of the derives names `osteoflow_node` only.
 
 use proc_macro::TokenStream;
 use quote::quote;
-use syn::{DeriveInput, parse_macro_input};
+use syn::{DeriveInput, Ident, ItemImpl, ItemStruct, LitStr, Token, parse_macro_input, punctuated::Punctuated};
 
 mod describe;
+mod function;
+mod params;
 mod port;
 
 /// Derives input ports from the fields of a struct.
@@ -28,6 +30,25 @@ pub fn outputs(input: TokenStream) -> TokenStream {
 #[proc_macro_derive(Describe, attributes(describe))]
 pub fn describe(input: TokenStream) -> TokenStream {
     expand(describe::describe(&parse_macro_input!(input as DeriveInput)))
+}
+
+/// Reads parameters whose fields state their defaults and ranges: `#[param(5.0)]`, `#[param(5.0, 0.0..=10.0)]`; a field without it has
+/// the default of its type.
+///
+/// Stands before the derives. The struct gets `Default`, the schema the ranges, and serde `default, deny_unknown_fields` unless the
+/// struct has an attribute of serde. `#[params(path)]`: the field `path` must be given, so there is no `Default`.
+#[proc_macro_attribute]
+pub fn params(required: TokenStream, item: TokenStream) -> TokenStream {
+    let required = parse_macro_input!(required with Punctuated::<Ident, Token![,]>::parse_terminated);
+    expand(params::params(&Vec::from_iter(required), parse_macro_input!(item as ItemStruct)))
+}
+
+/// Implements `Function`, a kind without memory, by `process` alone: `#[function("icp.symmetric")] impl Symmetric { fn process(..) .. }`.
+/// The types are those of its signature; other items of the trait, such as `const CACHE`, may stand beside it.
+#[proc_macro_attribute]
+pub fn function(kind: TokenStream, block: TokenStream) -> TokenStream {
+    let (kind, block) = (parse_macro_input!(kind as LitStr), parse_macro_input!(block as ItemImpl));
+    expand(function::function(&kind, &block))
 }
 
 fn expand(tokens: syn::Result<proc_macro2::TokenStream>) -> TokenStream {

@@ -10,10 +10,6 @@ use crate::{
 };
 use serde_json::{Number, Value as Json};
 
-/// Extension of a schema of words: words of earlier versions, each as `word: { by, warning }`. The word `by` is read instead,
-/// with the warning.
-const REPLACED: &str = "x-replaced";
-
 impl<'a> Walker<'a> {
     /// Reads a value by its schema; `None` if it has a fault.
     pub(super) fn read(&mut self, schema: &'a Json, value: &Spanned, what: &Quantity) -> Option<Json> {
@@ -48,12 +44,7 @@ impl<'a> Walker<'a> {
                 let given = value.as_text_or_written()?;
                 match words.iter().find(|(word, _)| *word == given) {
                     Some((word, _)) => Some(Json::from(*word)),
-                    None => {
-                        let replaced = resolve(root, schema).get(REPLACED).and_then(|replaced| replaced.get(given));
-                        replaced
-                            .and_then(|replaced| self.replaced(replaced, value))
-                            .or_else(|| self.unknown_word(schema, value, what, &words))
-                    }
+                    None => self.unknown_word(schema, value, what, &words),
                 }
             }
             (ValueType::List { items, min, max }, Value::Array(values)) => {
@@ -146,13 +137,6 @@ impl<'a> Walker<'a> {
         }
         self.faults.push(fault);
         None
-    }
-
-    /// The word that is read for one of an earlier version.
-    fn replaced(&mut self, replaced: &Json, value: &Spanned) -> Option<Json> {
-        let (by, warning) = (replaced.get("by")?, replaced.get("warning")?.as_str()?);
-        self.faults.push(Fault::new(warning).at(&value.at, "of an earlier version").warning());
-        Some(by.clone())
     }
 
     fn unknown_word(

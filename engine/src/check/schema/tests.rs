@@ -185,14 +185,6 @@ fn a_value_of_another_type_is_refused_with_what_is_taken() {
             ],
         ),
         (
-            json!({ "enum": ["near", "far"], "x-replaced": { "close": { "by": "near", "warning": "close is near" } } }),
-            &[
-                ("\"near\"", "\"near\""),
-                ("\"close\"", "{\"v\":\"near\"}\nclose is near [of an earlier version]"),
-                ("\"clos\"", "x: v takes one of \"near\", \"far\", found the text \"clos\" [not one of them]"),
-            ],
-        ),
-        (
             json!({ "const": "only", "description": "No other." }),
             &[
                 ("\"only\"", "\"only\""),

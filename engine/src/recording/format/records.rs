@@ -49,8 +49,8 @@ pub struct RunRecord {
     pub sources: Sources,
     /// The version of the program that wrote it.
     pub version: String,
-    /// The parameters of each node that the user wrote, as `rules.most`, and not its kind; `None` in a recording that does not say.
-    pub written: Option<BTreeMap<String, BTreeSet<String>>>,
+    /// The parameters of each node that the user wrote, as `rules.most`, and not its kind.
+    pub written: BTreeMap<String, BTreeSet<String>>,
     /// The nodes that were functions of the program that ran it, which no file holds.
     pub functions: Vec<String>,
 }
@@ -67,8 +67,8 @@ impl MetadataRecord for RunRecord {
             ("seed", self.seed.to_string()),
             ("sources", self.sources.name().into()),
             ("version", self.version.clone()),
+            ("written", json_text(&self.written)),
         ]);
-        entries.extend(self.written.as_ref().map(|written| ("written".to_owned(), json_text(written))));
         let functions = Some(&self.functions).filter(|functions| !functions.is_empty());
         entries.extend(functions.map(|functions| ("functions".to_owned(), json_text(functions))));
         entries
@@ -83,7 +83,7 @@ impl MetadataRecord for RunRecord {
             seed: number(entries, "seed")?,
             sources: if sources == Sources::Hashes.name() { Sources::Hashes } else { Sources::Wires },
             version: text(entries, "version")?,
-            written: entries.contains_key("written").then(|| json(entries, "written")).transpose()?,
+            written: json(entries, "written")?,
             functions: entries
                 .contains_key("functions")
                 .then(|| json(entries, "functions"))
@@ -176,11 +176,7 @@ pub(crate) struct WireCounts(pub(crate) BTreeMap<String, WireCount>);
 impl WireCounts {
     /// Parses the counts of a wire.
     pub(crate) fn parse(text: &str) -> Option<WireCount> {
-        serde_json::from_str(text).ok().or_else(|| {
-            // Format version 1.
-            let (items, values) = text.strip_suffix(" values")?.split_once(" items, ")?;
-            Some(WireCount { items: items.parse().ok()?, values: values.parse().ok()? })
-        })
+        serde_json::from_str(text).ok()
     }
 }
 
@@ -359,7 +355,7 @@ impl WireHeader {
         all
     }
 
-    /// Missing entries become empty: channels of earlier programs have fewer.
+    /// Missing entries become empty: channels of repro bundles have fewer.
     pub(crate) fn from_metadata(entries: &Entries) -> Self {
         let text = |key: &str| entries.get(key).cloned().unwrap_or_default();
         Self {

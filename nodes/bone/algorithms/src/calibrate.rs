@@ -36,6 +36,7 @@ use align::{Steps, align};
 use contradiction::Misfit;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Column, Mesh};
+use osteoflow_node_macros::params;
 use pairs::{Faces, Pair, Scan, agreeing, capped_rms_mm, distances, near_rms_mm, on_faces};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rayon::prelude::*;
@@ -70,91 +71,65 @@ const FIRST_SCALED_MM: f64 = 3.0;
 const JUST_OUTSIDE_MM: f64 = 1e-3;
 
 /// Parameters of [`phantom_icp`].
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = { "trim_fraction": {
-    "default": 0.1,
-    "help": "pairs are left out by their distance, never by rank, which lost the smallest face: see gate_sigmas",
-} }))]
 pub struct PhantomParams {
     /// Pairs farther apart are not used at the start, mm. 10: a nominal pose is good to a few mm and about 2 degrees.
-    #[schemars(range(min = 0.1, max = 1000.0))]
+    #[param(10.0, 0.1..=1000.0)]
     pub max_pair_distance_mm: f64,
     /// Pairs farther apart than this many standard deviations have no weight in the last steps, after a first fit by all
     /// pairs. 6: things around the phantom are left out, but no face of the phantom is, even if few points are on it.
-    #[schemars(range(min = 1.0, max = 1000.0))]
+    #[param(6.0, 1.0..=1000.0)]
     pub gate_sigmas: f64,
     /// Smooth error of the camera's depth, mm, which a motion of the phantom may hide, so that it is not seen in the
     /// residuals. 0.05: a structured-light camera after its own calibration, assumed; over about 20 mm it is the same.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.05, 0.0..=100.0)]
     pub smooth_mm: f64,
     /// Maximum number of steps. 200: ten times what a phantom takes.
-    #[schemars(range(min = 1, max = 100000))]
+    #[param(200, 1..=100000)]
     pub max_iterations: u32,
     /// Points drawn from the CAD's surface. 40000: less than a millimetre apart on a cube of 60 mm; on flat faces the
     /// spacing does not matter.
-    #[schemars(range(min = 100, max = 10000000))]
+    #[param(40_000, 100..=10000000)]
     pub n_samples: u32,
     /// Distance from the camera at which the error caused by the calibration is reported, mm. 200: the paper's.
-    #[schemars(range(min = 1.0, max = 10000.0))]
+    #[param(200.0, 1.0..=10000.0)]
     pub working_distance_mm: f64,
     /// Maximum RMS distance of the used pairs from the CAD's faces, mm. 0.5: ten times the camera's noise; above it the
     /// start was wrong, or it is another phantom.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.5, 0.001..=100.0)]
     pub max_rms_mm: f64,
     /// Maximum RMS of what the scan's own noise does not explain of the distances from the CAD's faces, mm. 0.2: four times
     /// a camera's smooth error; a wrong fit or another phantom leaves more.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.2, 0.001..=100.0)]
     pub max_excess_mm: f64,
     /// Maximum share of the points within `max_pair_distance_mm` that lie farther than `3 max_rms_mm` from the CAD's
     /// faces.
     /// 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.2, 0.0..=1.0)]
     pub max_off_share: f64,
     /// Maximum share of the scan that the camera sees through the CAD, by 2 mm and six standard deviations of the noise or more. 0.003:
     /// simulated sound scans with the errors of measured ones give none.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.003, 0.0..=1.0)]
     pub max_through_share: f64,
     /// Maximum share of the scan that is before the CAD, by as much. 0.003: as for the former.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.003, 0.0..=1.0)]
     pub max_before_share: f64,
     /// Maximum median distance of a seen face of the CAD from its points, mm. 0.4: simulated scans with
     /// the errors of measured ones stay below 0.2.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.4, 0.0..=100.0)]
     pub max_part_off_mm: f64,
     /// Maximum deviation of the scan's scale from 1, unless it is within four of its standard deviations. 0.02: it moves the
     /// calibration by 4 mm.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.02, 0.0..=1.0)]
     pub max_scale_error: f64,
     /// Maximum distance between the nominal pose and the fit, at the camera or at the phantom, whichever is less, mm. 15: a
     /// nominal pose is good to a few mm.
-    #[schemars(range(min = 0.0, max = 10000.0))]
+    #[param(15.0, 0.0..=10000.0)]
     pub max_moved_mm: f64,
     /// Maximum angle between the nominal pose and the fit, degrees. 10: five times what a nominal pose is good to.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(10.0, 0.0..=180.0)]
     pub max_moved_deg: f64,
-}
-
-impl Default for PhantomParams {
-    fn default() -> Self {
-        Self {
-            max_pair_distance_mm: 10.0,
-            gate_sigmas: 6.0,
-            smooth_mm: 0.05,
-            max_iterations: 200,
-            n_samples: 40_000,
-            working_distance_mm: 200.0,
-            max_rms_mm: 0.5,
-            max_excess_mm: 0.2,
-            max_off_share: 0.2,
-            max_through_share: 0.003,
-            max_before_share: 0.003,
-            max_part_off_mm: 0.4,
-            max_scale_error: 0.02,
-            max_moved_mm: 15.0,
-            max_moved_deg: 10.0,
-        }
-    }
 }
 
 /// Registers the phantom's CAD to its scan (in the camera's frame, camera at the origin), from a nominal pose.
@@ -227,7 +202,7 @@ pub fn phantom_icp(
         noise_mm,
         max_mm,
         cap_mm: off_mm,
-        sample_mm2: area_mm2(phantom) / f64::from(params.n_samples) * target.points().len() as f64
+        sample_mm2: phantom.area_mm2() / f64::from(params.n_samples) * target.points().len() as f64
             / faces.points.len() as f64,
     });
     let mirrored_rms_mm = mirror::mirrored_mm(&faces, &thin, &fit.t_target_source, &start, max_mm, off_mm);
@@ -302,11 +277,6 @@ fn fitted(
     };
     let few = register(&scan.thinned(N_FIRST), start, &first)?;
     register(scan, &few.t_target_source, &last)
-}
-
-/// Area of the surface, mm².
-fn area_mm2(mesh: &Mesh) -> f64 {
-    (0..mesh.faces().len()).map(|face| mesh.area_vector(face).norm() / 2.0).sum()
 }
 
 fn no_fit(error: IcpError) -> Refusal {

@@ -29,7 +29,7 @@ mod weights;
 
 pub use error::IcpError;
 pub use observability::{Observability, WeakDirection};
-pub use params::{IcpParams, Kernel, NO_FIELD, PairingKind, StepRule};
+pub use params::{IcpParams, Kernel, PairingKind, StepRule};
 pub use published::{PublishedParams, PublishedReading, register_published};
 pub use report::{Halt, IcpFit, IcpReport, IcpStep, IcpTrace};
 pub use source::Source;

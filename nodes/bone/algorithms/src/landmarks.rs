@@ -9,6 +9,7 @@ use crate::mesh_query::MeshQuery;
 use crate::section;
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::{Anatomy, NamedPoint};
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -19,24 +20,18 @@ const OUTSIDE_MM: f64 = 200.0;
 const SECTION_REACH_MM: f64 = 60.0;
 
 /// Positions of the paper's landmarks on a fibula.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct RecipeParams {
     /// P1 above the tip of the malleolus, along the bone, mm. 100: clear of the ankle, where a graft may be taken.
-    #[schemars(range(min = 1.0, max = 1000.0))]
+    #[param(100.0, 1.0..=1000.0)]
     pub p1_from_tip_mm: f64,
     /// P2 above P1, along the bone, mm. 30: the paper's d12.
-    #[schemars(range(min = -500.0, max = 500.0))]
+    #[param(30.0, -500.0..=500.0)]
     pub p2_from_p1_mm: f64,
     /// P3 above P1, along the bone, mm. 25: the paper's d13, which we read from P1.
-    #[schemars(range(min = -500.0, max = 500.0))]
+    #[param(25.0, -500.0..=500.0)]
     pub p3_from_p1_mm: f64,
-}
-
-impl Default for RecipeParams {
-    fn default() -> Self {
-        Self { p1_from_tip_mm: 100.0, p2_from_p1_mm: 30.0, p3_from_p1_mm: 25.0 }
-    }
 }
 
 /// P1, P2 and P3 by the paper's recipe, on any surface of a fibula.

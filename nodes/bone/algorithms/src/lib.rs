@@ -60,6 +60,7 @@ mod joined;
 pub mod kabsch;
 pub mod landmarks;
 pub mod marker_stream;
+mod median;
 pub mod merge;
 pub mod mesh_query;
 pub mod mesh_topology;

@@ -13,6 +13,7 @@ pub use frozen::Repeats;
 
 use nalgebra::Isometry3;
 use osteoflow_geometry::StampNs;
+use osteoflow_node_macros::params;
 use scale::Scales;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -34,28 +35,22 @@ const AMBIGUOUS: f64 = 0.4;
 const N_JUDGED: usize = 3;
 
 /// How fast a marker moves at most.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct MotionLimits {
     /// Largest speed of a marker that a hand carries. 1000 mm/s: three times that of a leg that is carried, and what a hand reaches
     /// freely; reached within 0.25 s. 0: poses are given as they are.
-    #[schemars(range(min = 0.0, max = 100_000.0))]
+    #[param(1000.0, 0.0..=100_000.0)]
     pub hand_mm_s: f64,
     /// Largest speed of its rotation. 300 degrees/s: a stylus that is turned about its tip; reached within 0.25 s.
-    #[schemars(range(min = 0.0, max = 100_000.0))]
+    #[param(300.0, 0.0..=100_000.0)]
     pub hand_deg_s: f64,
     /// Amplitude with which a saw shakes a marker faster than the tracker follows. 2 mm: half of the stroke of a saw's blade.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(2.0, 0.0..=1000.0)]
     pub saw_mm: f64,
     /// Amplitude of its rotation. 1 degree: 2 mm over the 115 mm from the middle of a cut to a marker.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(1.0, 0.0..=180.0)]
     pub saw_deg: f64,
-}
-
-impl Default for MotionLimits {
-    fn default() -> Self {
-        Self { hand_mm_s: 1000.0, hand_deg_s: 300.0, saw_mm: 2.0, saw_deg: 1.0 }
-    }
 }
 
 /// A pose and its stamp.

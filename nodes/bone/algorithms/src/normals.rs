@@ -10,26 +10,21 @@ use crate::kabsch::centroid;
 use crate::nearest::Nearest;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Cloud;
+use osteoflow_node_macros::params;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Parameters of [`estimate`].
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct NormalParams {
     /// Neighbours of a point, itself included. 24: averages depth noise of a quarter of the point spacing to 3 degrees.
-    #[schemars(range(min = 3, max = 1000))]
+    #[param(24, 3..=1000)]
     pub neighbours: u32,
     /// Maximum distance of a neighbour, mm. 3: a quarter of a fibula's thickness, beyond which it bends away.
-    #[schemars(range(min = 1e-3, max = 1e3))]
+    #[param(3.0, 1e-3..=1e3)]
     pub max_distance_mm: f64,
-}
-
-impl Default for NormalParams {
-    fn default() -> Self {
-        Self { neighbours: 24, max_distance_mm: 3.0 }
-    }
 }
 
 /// The cloud with unit normals, each of the plane fitted to a point's neighbours, turned towards the camera.

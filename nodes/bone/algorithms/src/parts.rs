@@ -2,6 +2,7 @@
 
 use crate::Refusal;
 use crate::iso_surface::compacted;
+use crate::median::median;
 use crate::mesh_query::MeshQuery;
 use crate::mesh_topology::{components, each_edge, first_in_place};
 use crate::nearest::Nearest;
@@ -273,8 +274,7 @@ fn median_spacing_mm(points: &[Point3<f64>]) -> f64 {
     let step = points.len().div_ceil(MEDIAN_OF).max(1);
     let spacing = |point: &Point3<f64>| Some(tree.nearest_n(point, 2).get(1)?.1.sqrt());
     let mut spacings: Vec<f64> = points.iter().step_by(step).filter_map(spacing).collect();
-    spacings.sort_unstable_by(f64::total_cmp);
-    spacings.get(spacings.len() / 2).copied().unwrap_or_default()
+    median(&mut spacings)
 }
 
 /// For each point the number of its cluster, and the number of clusters: chains of gaps up to `gap_mm`.

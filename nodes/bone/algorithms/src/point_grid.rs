@@ -283,16 +283,7 @@ impl PointGrid {
     /// query's own.
     #[inline]
     pub(crate) fn nearest(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
-        match self.nearest_by_lanes(query, limit_mm, filter) {
-            Some(found) => Some(found),
-            None => self.nearest_exactly(query, limit_mm, filter),
-        }
-    }
-
-    /// [`Self::nearest`] by distances in double precision alone.
-    #[inline(never)]
-    fn nearest_exactly(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
-        self.nearest_in_eight(query, limit_mm, filter).or_else(|| self.nearest_in_rings(query, limit_mm, filter))
+        self.nearest_by_lanes(query, limit_mm, filter).or_else(|| self.nearest_in_rings(query, limit_mm, filter))
     }
 
     /// The first of the 2 × 2 × 2 cells around a place given in cells, and the distance from it to their nearest side, mm: 0.5 to
@@ -306,25 +297,6 @@ impl PointGrid {
         let first = [u.x as u32, u.y as u32, u.z as u32];
         let side = (0..3).map(|k| 1.0 - (u[k] - f64::from(first[k]) - 0.5).abs()).fold(f64::INFINITY, f64::min);
         Some((first, side * self.cell_mm))
-    }
-
-    /// The nearest point if it lies in the 2 × 2 × 2 cells around the query and no point outside of them can be nearer.
-    /// Answers most queries close to the surface.
-    #[inline(always)]
-    fn nearest_in_eight(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
-        let (first, side_mm) = self.eight_cells(&((query - self.min) / self.cell_mm))?;
-        let (first, seen_square) = (first.map(|cell| cell as i32), side_mm.powi(2));
-        let mut best = Best::within(limit_mm * limit_mm);
-        for (x, y) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            let [x, y, z] = [first[0] + x, first[1] + y, first[2]];
-            if z as u32 % EDGE + 1 < EDGE {
-                self.add(self.run([x, y, z], 2), query, filter, &mut best);
-            } else {
-                self.add(self.run([x, y, z], 1), query, filter, &mut best);
-                self.add(self.run([x, y, z + 1], 1), query, filter, &mut best);
-            }
-        }
-        (best.search_square() <= seen_square).then(|| self.nearby(&best, seen_square))
     }
 
     /// The result of a search that has seen all points within `seen_square`.
@@ -373,6 +345,8 @@ impl PointGrid {
         K::ALL || (square < best.second && filter.accepts(self.items[at], &self.points[at]))
     }
 
+    /// [`Self::nearest`] by distances in double precision alone.
+    #[inline(never)]
     fn nearest_in_rings(&self, query: &Vector3<f64>, limit_mm: f64, filter: impl PointFilter) -> Option<Nearby> {
         let limit_square = limit_mm * limit_mm;
         let own = self.cell(query);

@@ -21,6 +21,7 @@ use crate::target::Target;
 use axis::LongAxis;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
+use osteoflow_node_macros::params;
 use profile::Motion;
 use schemars::JsonSchema;
 use search::Minimum;
@@ -37,33 +38,27 @@ const MAX_ROUNDS: usize = 3;
 const RECENTRE_SHARE: f64 = 0.5;
 
 /// Extent of a slide profile, and what it takes for undetermined.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct SlideParams {
     /// How far along the bone minima are looked for, mm, both ways. 30: three times the largest error of a mark that is ruled
     /// from the malleolus (section 3.2.3 of the paper).
-    #[schemars(range(min = 1.0, max = 200.0))]
+    #[param(30.0, 1.0..=200.0)]
     pub along_mm: f64,
     /// How far around the bone minima are looked for, degrees, both ways. 60: twice the error of a coarse fit by three marks
     /// on a bent bone.
-    #[schemars(range(min = 1.0, max = 180.0))]
+    #[param(60.0, 1.0..=180.0)]
     pub around_deg: f64,
     /// Noise floor of the scan, mm. 0.07: as of the ICP.
-    #[schemars(range(min = 0.001, max = 10.0))]
+    #[param(0.07, 0.001..=10.0)]
     pub noise_mm: f64,
     /// Undetermined along the bone if the residuals do not tell the result from a place farther away than this, mm. 10: the
     /// error of a mark that is ruled, so the scan would add nothing to it.
-    #[schemars(range(min = 0.1, max = 200.0))]
+    #[param(10.0, 0.1..=200.0)]
     pub undetermined_mm: f64,
     /// Undetermined around the bone, likewise, degrees. 30.
-    #[schemars(range(min = 0.1, max = 180.0))]
+    #[param(30.0, 0.1..=180.0)]
     pub undetermined_deg: f64,
-}
-
-impl Default for SlideParams {
-    fn default() -> Self {
-        Self { along_mm: 30.0, around_deg: 60.0, noise_mm: 0.07, undetermined_mm: 10.0, undetermined_deg: 30.0 }
-    }
 }
 
 /// The best place of a scan along and around the bone.

@@ -1,25 +1,20 @@
 //! Tracking by registration: whether a registration may be the start of the next.
 
 use crate::icp::IcpReport;
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// When a registration counts as lost.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct TrackLimits {
     /// Maximum RMS residual of the inliers. 0.5 mm: five times what a camera's noise of 0.05 mm leaves.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.5, 0.0..=100.0)]
     pub max_rms_mm: f64,
     /// Minimum share of the scan's points that are inliers. 0.5: the smaller half may be tissue.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.5, 0.0..=1.0)]
     pub min_pair_share: f64,
-}
-
-impl Default for TrackLimits {
-    fn default() -> Self {
-        Self { max_rms_mm: 0.5, min_pair_share: 0.5 }
-    }
 }
 
 impl TrackLimits {

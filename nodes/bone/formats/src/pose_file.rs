@@ -237,6 +237,10 @@ impl Part<'_> {
         };
         let (parameters, fixed) = (numbers("Parameters")?, numbers("FixedParameters")?);
         let name = kind.split('_').next().unwrap_or(kind);
+        let wrong_number = |expected: usize| {
+            let message = format!("{expected} numbers are expected, but there are {}", parameters.len());
+            fault(path, "Parameters", message)
+        };
         let mut correction = Correction::default();
         let (rotation, shift) = match (name, &parameters[..]) {
             ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", [matrix @ .., x, y, z])
@@ -261,20 +265,8 @@ impl Part<'_> {
             }
             ("IdentityTransform", []) => (Matrix3::identity(), Vector3::zeros()),
             ("TranslationTransform", &[x, y, z]) => (Matrix3::identity(), Vector3::new(x, y, z)),
-            ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", numbers) => {
-                return Err(fault(
-                    path,
-                    "Parameters",
-                    format!("12 numbers are expected, but there are {}", numbers.len()),
-                ));
-            }
-            ("Euler3DTransform" | "VersorRigid3DTransform", numbers) => {
-                return Err(fault(
-                    path,
-                    "Parameters",
-                    format!("6 numbers are expected, but there are {}", numbers.len()),
-                ));
-            }
+            ("AffineTransform" | "MatrixOffsetTransformBase" | "Rigid3DTransform", _) => return Err(wrong_number(12)),
+            ("Euler3DTransform" | "VersorRigid3DTransform", _) => return Err(wrong_number(6)),
             _ => {
                 let message = format!("\"{kind}\" is no rigid transform in 3D; save a linear one");
                 return Err(fault(path, "Transform", message));

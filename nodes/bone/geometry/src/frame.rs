@@ -29,20 +29,8 @@ impl Frame {
     }
 }
 
-impl From<&str> for Frame {
-    fn from(name: &str) -> Self {
-        Self(name.into())
-    }
-}
-
-impl From<Arc<str>> for Frame {
-    fn from(name: Arc<str>) -> Self {
-        Self(name)
-    }
-}
-
-impl From<String> for Frame {
-    fn from(name: String) -> Self {
+impl<T: Into<Arc<str>>> From<T> for Frame {
+    fn from(name: T) -> Self {
         Self(name.into())
     }
 }

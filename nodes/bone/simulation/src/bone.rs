@@ -9,6 +9,7 @@ use crate::error::SimulationError;
 use crate::ranges;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use osteoflow_geometry::{Anatomy, Mesh, SurfaceOrigin};
+use osteoflow_node_macros::params;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;
@@ -16,89 +17,68 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 /// Shape and position of the built-in right fibula, and what makes another bone of it or of one of your own.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct BoneParams {
     /// From malleolus tip to the top of the head. 350 mm: within the 336 to 360 mm of the two measured fibulas that the
     /// development data holds.
-    #[schemars(range(min = 250.0, max = 450.0))]
+    #[param(350.0, 250.0..=450.0)]
     pub length_mm: f64,
     /// Scales every section. 1: a shaft 11 to 15 mm across, as in those two bones.
-    #[schemars(range(min = 0.6, max = 1.6))]
+    #[param(1.0, 0.6..=1.6)]
     pub girth: f64,
     /// Seed of the bone's unevenness; another seed is another bone of the same kind. Not the run's seed: repeated
     /// procedures are on one bone.
+    #[param(1)]
     pub shape_seed: u64,
     /// Standard deviation of the unevenness drawn by `shape_seed`; 0 gives the smooth formula. 0.35 mm: assumed; with
     /// it the bone's weakest mode lies between those of the two measured fibulas, see docs/method/simulation.md.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.35, 0.0..=1.0)]
     pub unevenness_mm: f64,
     /// Length of the mesh's edges along the bone, and about that around it. 1 mm: as a segmented clinical CT gives.
-    #[schemars(range(min = 0.3, max = 5.0))]
+    #[param(1.0, 0.3..=5.0)]
     pub edge_mm: f64,
     /// Centre of the bone in the CT frame. Far from the origin, as in every CT.
+    #[param([-90.0, -85.0, -890.0])]
     pub centre_mm: [f64; 3],
     /// Whether the bone is its mirror image, with its anatomy and plan: a right bone becomes a left one in the same
     /// place. Also for a bone of your own. false: off; true in plan and surface alone is the CT of the other leg.
     pub mirrored: bool,
     /// RMS displacement of the bone, with its anatomy and plan, by a smooth field of wavelengths from 40 to 120 mm. Also
     /// for a bone of your own. 0: off; with `mirrored` and 0.8 (assumed) it is the other leg of the same person.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.0, 0.0..=3.0)]
     pub warp_mm: f64,
     /// Seed of that field. Not the run's seed: repeated procedures are on one bone.
+    #[param(1)]
     pub warp_seed: u64,
     /// Excess of the length along the CT's z, with anatomy and plan: a CT that was read with slices farther apart than they
     /// are. 0: off; 4 for slices of 0.625 mm read as 0.65 mm. As all that follow, it is for plan and surface and not for
     /// the recording, and for a bone of your own too.
-    #[schemars(range(min = -20.0, max = 20.0))]
+    #[param(0.0, -20.0..=20.0)]
     pub stretch_percent: f64,
     /// Excess of all lengths. 0: off; negative for a bone that has grown since its CT, or a CT of a wrong pixel size.
-    #[schemars(range(min = -20.0, max = 20.0))]
+    #[param(0.0, -20.0..=20.0)]
     pub growth_percent: f64,
     /// Tilt of the gantry, left out when the slices were stacked: y is larger by tan(angle) times z. 0: off; 10 to 20 in
     /// CTs of the head.
-    #[schemars(range(min = -45.0, max = 45.0))]
+    #[param(0.0, -45.0..=45.0)]
     pub gantry_deg: f64,
     /// Bend towards lateral: sagitta of the arc over 100 mm of a straight bone. 0: off, a bone that has not yielded.
-    #[schemars(range(min = -20.0, max = 20.0))]
+    #[param(0.0, -20.0..=20.0)]
     pub bend_mm: f64,
     /// Twist about the long axis over 100 mm. 0: off.
-    #[schemars(range(min = -30.0, max = 30.0))]
+    #[param(0.0, -30.0..=30.0)]
     pub twist_deg: f64,
     /// Displacement of the distal part towards lateral. 0: off, a bone that is whole; a fracture, or a part that loosened
     /// since the CT.
-    #[schemars(range(min = -30.0, max = 30.0))]
+    #[param(0.0, -30.0..=30.0)]
     pub step_mm: f64,
     /// Rotation of the distal part, about the posterior direction through the bone at the step. 0: off.
-    #[schemars(range(min = -45.0, max = 45.0))]
+    #[param(0.0, -45.0..=45.0)]
     pub step_deg: f64,
     /// The step's place, along the bone from the malleolus tip. 118 mm: the middle of the default scan.
-    #[schemars(range(min = 0.0, max = 450.0))]
+    #[param(118.0, 0.0..=450.0)]
     pub step_at_mm: f64,
-}
-
-impl Default for BoneParams {
-    fn default() -> Self {
-        Self {
-            length_mm: 350.0,
-            girth: 1.0,
-            shape_seed: 1,
-            unevenness_mm: 0.35,
-            edge_mm: 1.0,
-            centre_mm: [-90.0, -85.0, -890.0],
-            mirrored: false,
-            warp_mm: 0.0,
-            warp_seed: 1,
-            stretch_percent: 0.0,
-            growth_percent: 0.0,
-            gantry_deg: 0.0,
-            bend_mm: 0.0,
-            twist_deg: 0.0,
-            step_mm: 0.0,
-            step_deg: 0.0,
-            step_at_mm: 118.0,
-        }
-    }
 }
 
 impl BoneParams {

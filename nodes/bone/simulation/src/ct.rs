@@ -8,6 +8,7 @@ use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::iso_surface::{iso_surface, make_well_composed};
 use osteoflow_algorithms::mesh_topology::{largest_component, open_edges};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
+use osteoflow_node_macros::params;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -16,66 +17,47 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The scanner and the segmentation.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct CtParams {
     /// Edge of the cubic voxels. 0.7 mm: a clinical CT of the leg.
-    #[schemars(range(min = 0.2, max = 3.0))]
+    #[param(0.7, 0.2..=3.0)]
     pub voxel_mm: f64,
     /// Standard deviation of the scanner's point spread. 0.5 mm: assumed, 1.2 mm full width at half maximum.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.5, 0.0..=3.0)]
     pub blur_mm: f64,
     /// Standard deviation of a voxel's noise, in HU. 50: assumed, a low-dose bone protocol.
-    #[schemars(range(min = 0.0, max = 500.0))]
+    #[param(50.0, 0.0..=500.0)]
     pub noise_hu: f64,
     /// Correlation length of the noise, as a standard deviation. 0.5 mm: assumed, as the blur.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.5, 0.0..=3.0)]
     pub noise_correlation_mm: f64,
     /// Soft tissue around the bone, in HU. 50: muscle.
-    #[schemars(range(min = -1000.0, max = 500.0))]
+    #[param(50.0, -1000.0..=500.0)]
     pub tissue_hu: f64,
     /// The bone, in HU, filled, as only its outer surface is extracted. 1250: cortical bone.
-    #[schemars(range(min = 200.0, max = 3000.0))]
+    #[param(1250.0, 200.0..=3000.0)]
     pub bone_hu: f64,
     /// Threshold of the segmentation, in HU. 650: half-way, where blur moves a flat wall least; a lower one swells the
     /// bone.
-    #[schemars(range(min = -500.0, max = 2500.0))]
+    #[param(650.0, -500.0..=2500.0)]
     pub threshold_hu: f64,
     /// Number of smoothing steps (Taubin's, which do not shrink). 0: off, as segmented; programs often take 10 to 20.
-    #[schemars(range(min = 0, max = 1000))]
+    #[param(0, 0..=1000)]
     pub smoothing: u32,
     /// RMS of smooth bumps of the surface along its normals, as of cartilage or a segmentation by hand. 0: off.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.0, 0.0..=3.0)]
     pub bumps_mm: f64,
     /// The wavelength of those bumps. 20 mm: assumed, a few along a scan.
-    #[schemars(range(min = 2.0, max = 500.0))]
+    #[param(20.0, 2.0..=500.0)]
     pub bumps_wavelength_mm: f64,
     /// Distance by which the surface is moved outward along its normals: a segmentation at too low a threshold, or less
     /// than 0 at too high a one. 0: off. The plan stays.
-    #[schemars(range(min = -3.0, max = 3.0))]
+    #[param(0.0, -3.0..=3.0)]
     pub offset_mm: f64,
     /// Seed of the grid's position, the noise and the bumps. None: the run's seed; a number for many procedures on one
     /// patient, who has one CT.
     pub scan_seed: Option<u64>,
-}
-
-impl Default for CtParams {
-    fn default() -> Self {
-        Self {
-            voxel_mm: 0.7,
-            blur_mm: 0.5,
-            noise_hu: 50.0,
-            noise_correlation_mm: 0.5,
-            tissue_hu: 50.0,
-            bone_hu: 1250.0,
-            threshold_hu: 650.0,
-            smoothing: 0,
-            bumps_mm: 0.0,
-            bumps_wavelength_mm: 20.0,
-            offset_mm: 0.0,
-            scan_seed: None,
-        }
-    }
 }
 
 impl CtParams {

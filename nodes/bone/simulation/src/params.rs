@@ -6,6 +6,7 @@
 use crate::bone::BoneParams;
 use crate::error::{SimulationError, check_rules};
 use crate::ranges::{self, without_table_defaults};
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -41,256 +42,198 @@ pub struct ProcedureParams {
 }
 
 /// The structured-light camera and its view of the bone.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct CameraParams {
     /// Points of each cloud. 20,000: the paper's.
-    #[schemars(range(min = 100, max = 500_000))]
+    #[param(20_000, 100..=500_000)]
     pub n_points: usize,
     /// Distance from the camera to the bone's surface. 200 mm: the paper's working distance.
-    #[schemars(range(min = 50.0, max = 1000.0))]
+    #[param(200.0, 50.0..=1000.0)]
     pub working_distance_mm: f64,
     /// Start of the stripped bone, along the bone from the malleolus tip. 70 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 450.0))]
+    #[param(70.0, 0.0..=450.0)]
     pub scan_from_mm: f64,
     /// End of the stripped bone, along the bone from the malleolus tip. 165 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 450.0))]
+    #[param(165.0, 0.0..=450.0)]
     pub scan_to_mm: f64,
     /// Whether the wound's bed and the skin around the stripped bone are seen too, and take their share of the points.
     /// false: in the paper the user's region of interest excludes them.
     pub surroundings: bool,
     /// The direction from the bone to the camera, about the bone from lateral (0) towards posterior (90). 45 degrees:
     /// both faces that carry landmarks are seen at about 45 degrees.
-    #[schemars(range(min = -180.0, max = 180.0))]
+    #[param(45.0, -180.0..=180.0)]
     pub view_azimuth_deg: f64,
     /// Standard deviation, per axis, of the hand-held camera's attitude from that view. 3 degrees: assumed.
-    #[schemars(range(min = 0.0, max = 15.0))]
+    #[param(3.0, 0.0..=15.0)]
     pub view_spread_deg: f64,
     /// Standard deviation of the depth of single points along the ray, at normal incidence. 0.05 mm: 0.045 to 0.051 mm in
     /// laser scans of the Stanford repository.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.05, 0.0..=2.0)]
     pub depth_noise_mm: f64,
     /// Depth noise grows as 1 / cos(incidence) to this power. 1: assumed, a slanted pixel spreads over that much depth.
-    #[schemars(range(min = 0.0, max = 4.0))]
+    #[param(1.0, 0.0..=4.0)]
     pub depth_noise_growth: f64,
     /// Maximum angle of incidence; surfaces beyond give no point. 72 degrees: other simulator.
-    #[schemars(range(min = 10.0, max = 89.0))]
+    #[param(72.0, 10.0..=89.0)]
     pub max_incidence_deg: f64,
     /// The share of pixels that fail at random. 0.02: other simulator.
-    #[schemars(range(min = 0.0, max = 0.9))]
+    #[param(0.02, 0.0..=0.9)]
     pub dropout: f64,
     /// Round patches that are missing, drawn for each cloud (a highlight, a drop of blood). 3: other simulator.
-    #[schemars(range(min = 0, max = 100))]
+    #[param(3, 0..=100)]
     pub n_patches: u32,
     /// The radius of such a patch. 1.2 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 20.0))]
+    #[param(1.2, 0.0..=20.0)]
     pub patch_radius_mm: f64,
     /// Round pools of blood on the bone, in the same place in all clouds of a run, none on a mark. 0: off; assumed 3 in
     /// a bleeding wound.
-    #[schemars(range(min = 0, max = 100))]
+    #[param(0, 0..=100)]
     pub n_pools: u32,
     /// The radius of such a pool. 3 mm: assumed, a large drop.
-    #[schemars(range(min = 0.0, max = 20.0))]
+    #[param(3.0, 0.0..=20.0)]
     pub pool_radius_mm: f64,
     /// The share of the bone's pixels that fail where it reflects the projector into the lens, drawn for each cloud. 0:
     /// off, a bone wiped dry; assumed 0.7 for a wet one.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.0, 0.0..=1.0)]
     pub specular_dropout: f64,
     /// Maximum angle between the surface's normal and that of the reflection. 8 degrees: assumed, the gloss of a wet
     /// surface.
-    #[schemars(range(min = 0.0, max = 45.0))]
+    #[param(8.0, 0.0..=45.0)]
     pub specular_deg: f64,
     /// Distance from the lens to the projector, along the camera's x. 80 mm: assumed, a hand-held scanner's baseline.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(80.0, 0.0..=1000.0)]
     pub projector_mm: f64,
     /// RMS of the smooth error in depth that the camera's own calibration leaves; one field for all clouds of a run, as
     /// it belongs to the camera. 0.05 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.05, 0.0..=2.0)]
     pub depth_bias_mm: f64,
     /// Wavelength of that error. 60 mm: assumed, a few periods over the field of view.
-    #[schemars(range(min = 10.0, max = 1000.0))]
+    #[param(60.0, 10.0..=1000.0)]
     pub depth_bias_wavelength_mm: f64,
     /// Seed of that error's field. None: the run's seed; a number for many procedures with one camera.
     pub bias_seed: Option<u64>,
     /// RMS of the error across the surface that neighbouring points share: fringes, laser lines and lenses err alike over some
     /// millimetres. One field in the camera's space for a run, so that scans of one view share it. 0.075 mm: so that
     /// residuals have the 0.09 to 0.1 mm of those scans; 0 is off.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.075, 0.0..=2.0)]
     pub surface_error_mm: f64,
     /// Wavelength of that error. 20 mm: with the other terms residuals are correlated by 0.55 at 2 mm and 0.42 at 4 mm, as in
     /// the Stanford scans, see docs/method/simulation.md.
-    #[schemars(range(min = 1.0, max = 200.0))]
+    #[param(20.0, 1.0..=200.0)]
     pub surface_error_wavelength_mm: f64,
     /// The share of the points that are outliers, all within half a millimetre of where the surface ends in the image.
     /// 0.025: so that 1.4 % of the residuals are beyond five standard deviations, 1 to 2 % in those scans; 0 is off.
-    #[schemars(range(min = 0.0, max = 0.2))]
+    #[param(0.025, 0.0..=0.2)]
     pub edge_outliers: f64,
     /// Standard deviation of an outlier's error across the surface. 1 mm: assumed, so that two thirds are beyond 0.45 mm.
-    #[schemars(range(min = 0.0, max = 20.0))]
+    #[param(1.0, 0.0..=20.0)]
     pub edge_outlier_mm: f64,
     /// Factor of every coordinate that the camera gives: clouds, region of interest, and the check piece's holes. 1: off,
     /// millimetres; 0.001 if it gives metres that are taken for millimetres, 1000 the other way round.
-    #[schemars(range(min = 0.000_001, max = 1_000_000.0))]
+    #[param(1.0, 0.000_001..=1_000_000.0)]
     pub unit_factor: f64,
     /// Excess of every coordinate in the clouds of the bone, the region of interest and the check piece at the bone, and not
     /// in the phantom's scan: a camera that has warmed up or was bumped since its calibration. 0: off.
-    #[schemars(range(min = -20.0, max = 20.0))]
+    #[param(0.0, -20.0..=20.0)]
     pub scale_percent: f64,
     /// Excess of z alone, along the optical axis, in the same clouds: a baseline or a focal length that has changed since.
     /// 0: off.
-    #[schemars(range(min = -20.0, max = 20.0))]
+    #[param(0.0, -20.0..=20.0)]
     pub depth_percent: f64,
     /// Time that a cloud of the bone takes, half of it before its stamp, s: each point is measured where bone and camera are then.
     /// 0: an instant, as the paper's camera nearly does; a line that is swept by hand takes some seconds.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.0, 0.0..=3.0)]
     pub scan_s: f64,
     /// Direction in the image in which a cloud is swept. 0 degrees: along the bone, proximally; 90: across it.
-    #[schemars(range(min = -360.0, max = 360.0))]
+    #[param(0.0, -360.0..=360.0)]
     pub sweep_deg: f64,
     /// Whether clouds of the bone have the time of each point, as a column `t` in seconds from their stamp. false: few files have it.
     pub point_times: bool,
 }
 
-impl Default for CameraParams {
-    fn default() -> Self {
-        Self {
-            n_points: 20_000,
-            working_distance_mm: 200.0,
-            scan_from_mm: 70.0,
-            scan_to_mm: 165.0,
-            surroundings: false,
-            view_azimuth_deg: 45.0,
-            view_spread_deg: 3.0,
-            depth_noise_mm: 0.05,
-            depth_noise_growth: 1.0,
-            max_incidence_deg: 72.0,
-            dropout: 0.02,
-            n_patches: 3,
-            patch_radius_mm: 1.2,
-            n_pools: 0,
-            pool_radius_mm: 3.0,
-            specular_dropout: 0.0,
-            specular_deg: 8.0,
-            projector_mm: 80.0,
-            depth_bias_mm: 0.05,
-            depth_bias_wavelength_mm: 60.0,
-            bias_seed: None,
-            surface_error_mm: 0.075,
-            surface_error_wavelength_mm: 20.0,
-            edge_outliers: 0.025,
-            edge_outlier_mm: 1.0,
-            unit_factor: 1.0,
-            scale_percent: 0.0,
-            depth_percent: 0.0,
-            scan_s: 0.0,
-            sweep_deg: 0.0,
-            point_times: false,
-        }
-    }
-}
-
 /// The localiser, which measures the markers' poses in frame `world`.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct TrackerParams {
     /// Samples per second. 20 Hz: other simulator.
-    #[schemars(range(min = 2.0, max = 1000.0))]
+    #[param(20.0, 2.0..=1000.0)]
     pub rate_hz: f64,
     /// The share of samples that are lost. 0.03: other simulator.
-    #[schemars(range(min = 0.0, max = 0.9))]
+    #[param(0.03, 0.0..=0.9)]
     pub lost: f64,
     /// Mean number of samples that are lost in a row. 0: each is lost by itself, as the gaps of two periods in the test data of
     /// PLUS, 4 of 995; more for a marker that is hidden for a moment.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(0.0, 0.0..=1000.0)]
     pub lost_run: f64,
     /// Standard deviation, per axis, of the constant error of a marker at one place. 0.06 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.06, 0.0..=2.0)]
     pub placement_mm: f64,
     /// Standard deviation of that error about each axis. 0.023 degrees (0.0004 rad): other simulator.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.023, 0.0..=2.0)]
     pub placement_deg: f64,
     /// Standard deviation, per axis, of the noise of each sample. 0.03 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.03, 0.0..=2.0)]
     pub noise_mm: f64,
     /// Standard deviation of that noise about each axis. 0.0115 degrees (0.0002 rad): other simulator.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.0115, 0.0..=2.0)]
     pub noise_deg: f64,
     /// Correlation of a sample's noise with that of the sample before. 0.85: 0.7 to 0.96 in streams of markers at rest in the
     /// test data of PLUS; 0: white noise.
-    #[schemars(range(min = 0.0, max = 0.999))]
+    #[param(0.85, 0.0..=0.999)]
     pub noise_lag1: f64,
     /// Step of the coordinates of a position, as a localiser writes them. 0.01 mm: optical streams of those data; 0.11 mm in
     /// electromagnetic ones; 0 is off.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.01, 0.0..=1.0)]
     pub step_mm: f64,
     /// The share of samples that repeat the one before to the bit, with a new stamp. 0.1: assumed for an optical localiser;
     /// 634 of 800 frames in an electromagnetic stream of those data; 0 is off.
-    #[schemars(range(min = 0.0, max = 0.99))]
+    #[param(0.1, 0.0..=0.99)]
     pub repeats: f64,
     /// Drift of the localiser's world per minute, in one direction per run. 0.05 mm: assumed, a localiser that warms
     /// up.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[param(0.05, 0.0..=5.0)]
     pub drift_mm_per_min: f64,
     /// Time for which a marker is tracked before and after each cloud, beyond the half of `camera.scan_s`. 0.6 s: assumed, a dozen samples on
     /// either side; 1.9: throughout.
-    #[schemars(range(min = 0.1, max = 1.9))]
+    #[param(0.6, 0.1..=1.9)]
     pub burst_s: f64,
     /// Time by which all poses are stamped too late, s: the localiser's transport, or a clock of its own. 0: off; it is seen
     /// where a marker moves.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.0, 0.0..=1.0)]
     pub late_s: f64,
     /// Whether there is no localiser, as in vivo: the camera at the full scan is the world, its marker's poses are
     /// identities, and there are no bone marker, stylus and check piece. false: the paper's bench.
     pub none: bool,
 }
 
-impl Default for TrackerParams {
-    fn default() -> Self {
-        Self {
-            rate_hz: 20.0,
-            lost: 0.03,
-            lost_run: 0.0,
-            placement_mm: 0.06,
-            placement_deg: 0.023,
-            noise_mm: 0.03,
-            noise_deg: 0.0115,
-            noise_lag1: 0.85,
-            step_mm: 0.01,
-            repeats: 0.1,
-            drift_mm_per_min: 0.05,
-            burst_s: 0.6,
-            late_s: 0.0,
-            none: false,
-        }
-    }
-}
-
 /// The laser pointer; its spot blinds the camera.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct LaserParams {
     /// The radius of the disc around the spot where the camera measures nothing. 2 mm: the paper's hole.
-    #[schemars(range(min = 0.2, max = 10.0))]
+    #[param(2.0, 0.2..=10.0)]
     pub hole_radius_mm: f64,
     /// Standard deviation of aiming across the bone. 0.6 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[param(0.6, 0.0..=5.0)]
     pub aim_across_mm: f64,
     /// Standard deviation of aiming along the bone. 0.7 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 30.0))]
+    #[param(0.7, 0.0..=30.0)]
     pub aim_along_mm: f64,
     /// Maximum number of attempts to aim at a mark, each with its own aiming error, until the camera sees a third of
     /// the laser's disc on the bone (assumed). If no attempt succeeds, the one with the largest share counts. 1: other
     /// simulator; a surgeon who watches the screen would point again, perhaps 3 times: assumed.
-    #[schemars(range(min = 1, max = 100))]
+    #[param(1, 1..=100)]
     pub max_attempts: usize,
     /// Shape of the region around the spot where the camera measures nothing. `ball`: other simulator.
     pub disc: LaserDisc,
     /// Standard deviation, about each axis across it, of the beam's direction from the camera's ray to the spot. 10
     /// degrees: assumed, a pointer held beside the camera.
-    #[schemars(range(min = 0.0, max = 30.0))]
+    #[param(10.0, 0.0..=30.0)]
     pub beam_deg: f64,
     /// Whether scans with the laser are taken. true: the paper's method; false for experiments that start from ruled
     /// marks or by shape alone, where the stripped bone need not show the landmarks.
+    #[param(true)]
     pub scans: bool,
     /// Whether the laser also points at the assessment marks, after the landmarks, as in vivo, where no stylus touches
     /// them. false: the paper's bench.
@@ -312,60 +255,44 @@ pub enum LaserDisc {
     Beam,
 }
 
-impl Default for LaserParams {
-    fn default() -> Self {
-        Self {
-            hole_radius_mm: 2.0,
-            aim_across_mm: 0.6,
-            aim_along_mm: 0.7,
-            max_attempts: 1,
-            disc: LaserDisc::Ball,
-            beam_deg: 10.0,
-            scans: true,
-            assessment: false,
-            swap: Vec::new(),
-        }
-    }
-}
-
 /// The colour images that the camera takes at each scan with the laser. The paper's camera takes none.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct ImageParams {
     /// Whether images are taken. false: the paper's camera has no colour.
     pub taken: bool,
     /// Width. 640: assumed, the colour sensor of a small depth camera.
-    #[schemars(range(min = 16, max = 4096))]
+    #[param(640, 16..=4096)]
     pub width_px: u32,
     /// Height. 480: assumed.
-    #[schemars(range(min = 16, max = 4096))]
+    #[param(480, 16..=4096)]
     pub height_px: u32,
     /// Horizontal field of view. 40 degrees: 146 mm at the working distance, so the stripped bone is in the image.
-    #[schemars(range(min = 5.0, max = 120.0))]
+    #[param(40.0, 5.0..=120.0)]
     pub field_deg: f64,
     /// What marks the landmark in the image. `laser`.
     pub mark: ImageMark,
     /// Radius of a pen's mark. 1 mm: assumed.
-    #[schemars(range(min = 0.1, max = 10.0))]
+    #[param(1.0, 0.1..=10.0)]
     pub pen_radius_mm: f64,
     /// Brightness of bone that faces the lamp, relative to white. 0.6: assumed, an exposure that keeps the bone unsaturated.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.6, 0.0..=10.0)]
     pub exposure: f64,
     /// The laser's irradiance at its centre, relative to white; it falls to 0.12 at the radius of the laser's hole. 8: assumed, so
     /// that the core saturates all channels.
-    #[schemars(range(min = 0.3, max = 1000.0))]
+    #[param(8.0, 0.3..=1000.0)]
     pub laser_peak: f64,
     /// Number of white highlights on the bone, drawn for each image. 3: assumed, a wet bone.
-    #[schemars(range(min = 0, max = 100))]
+    #[param(3, 0..=100)]
     pub n_glare: u32,
     /// The radius at which a highlight's light has fallen to a third. 1 mm: assumed.
-    #[schemars(range(min = 0.1, max = 20.0))]
+    #[param(1.0, 0.1..=20.0)]
     pub glare_radius_mm: f64,
     /// Brightness of a second reflection of the laser, somewhere on the bone, relative to the spot. 0: off.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.0, 0.0..=1.0)]
     pub reflection: f64,
     /// Standard deviation of each channel's noise, levels of 255. 2: assumed.
-    #[schemars(range(min = 0.0, max = 50.0))]
+    #[param(2.0, 0.0..=50.0)]
     pub noise_levels: f64,
 }
 
@@ -380,101 +307,58 @@ pub enum ImageMark {
     Pen,
 }
 
-impl Default for ImageParams {
-    fn default() -> Self {
-        Self {
-            taken: false,
-            width_px: 640,
-            height_px: 480,
-            field_deg: 40.0,
-            mark: ImageMark::Laser,
-            pen_radius_mm: 1.0,
-            exposure: 0.6,
-            laser_peak: 8.0,
-            n_glare: 3,
-            glare_radius_mm: 1.0,
-            reflection: 0.0,
-            noise_levels: 2.0,
-        }
-    }
-}
-
 /// The calibration phantom as printed, and the support that carries the camera's marker.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct PhantomParams {
     /// Standard deviation, per axis, of the printed phantom marker against its CAD. 0.05 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.05, 0.0..=2.0)]
     pub print_mm: f64,
     /// Standard deviation of that error about each axis. 0.023 degrees (0.0004 rad): other simulator.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.023, 0.0..=2.0)]
     pub print_deg: f64,
     /// Seed of the print's error. None: the run's seed; a number for many procedures with one phantom.
     pub print_seed: Option<u64>,
     /// Standard deviation, per axis, of the camera marker against its nominal pose. 1.5 mm: assumed, "good to a few
     /// mm".
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(1.5, 0.0..=10.0)]
     pub mounting_mm: f64,
     /// Standard deviation of the mounting about each axis. 1.2 degrees: assumed, about 2 degrees in all.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(1.2, 0.0..=10.0)]
     pub mounting_deg: f64,
     /// Seed of the camera marker's mounting. None: the run's seed; a number for many procedures with one support.
     pub mounting_seed: Option<u64>,
     /// Distance from the camera to the phantom, half its radius nearer than its centre. None: the working distance.
-    #[schemars(range(min = 50.0, max = 1000.0))]
+    #[param(None, 50.0..=1000.0)]
     pub distance_mm: Option<f64>,
     /// Factor of every coordinate in the phantom's scan, from the lens. 1: off; 1.05 if the camera's scale was 5 % too
     /// large at the calibration alone.
-    #[schemars(range(min = 0.000_001, max = 1_000_000.0))]
+    #[param(1.0, 0.000_001..=1_000_000.0)]
     pub scan_scale: f64,
     /// Whether the phantom's scan is a mirror image, its x negated. false: off.
     pub scan_mirrored: bool,
     /// Error of `t_phantom_phantom_marker` as the recording gives it, in a direction drawn per run; the plan's has none.
     /// 0: off.
-    #[schemars(range(min = 0.0, max = 500.0))]
+    #[param(0.0, 0.0..=500.0)]
     pub marker_cad_wrong_mm: f64,
     /// Rotation of that pose, about an axis drawn per run. 0: off.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(0.0, 0.0..=180.0)]
     pub marker_cad_wrong_deg: f64,
 }
 
-impl Default for PhantomParams {
-    fn default() -> Self {
-        Self {
-            print_mm: 0.05,
-            print_deg: 0.023,
-            print_seed: None,
-            mounting_mm: 1.5,
-            mounting_deg: 1.2,
-            mounting_seed: None,
-            distance_mm: None,
-            scan_scale: 1.0,
-            scan_mirrored: false,
-            marker_cad_wrong_mm: 0.0,
-            marker_cad_wrong_deg: 0.0,
-        }
-    }
-}
-
 /// A printed piece with twelve holes and a marker, which the camera sees at the places of the phantom and the bone.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct CheckParams {
     /// Standard deviation, per axis, of a hole's position as read from the cloud. 0.1 mm: assumed, half the spacing of
     /// the points.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[param(0.1, 0.0..=5.0)]
     pub reading_mm: f64,
     /// Standard deviation, per axis, of a printed hole against the piece's CAD. 0.05 mm: as the phantom's.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.05, 0.0..=2.0)]
     pub print_mm: f64,
     /// Seed of the print's error. None: the run's seed; a number for many procedures with one piece.
     pub print_seed: Option<u64>,
-}
-
-impl Default for CheckParams {
-    fn default() -> Self {
-        Self { reading_mm: 0.1, print_mm: 0.05, print_seed: None }
-    }
 }
 
 /// Errors of the marks on the bone, which are measured off from the malleolus with a ruler and moved back onto the
@@ -495,204 +379,173 @@ pub struct RulerParams {
 }
 
 /// A patchy film on the bone, which the camera sees instead of the bone, always closer. The stylus pierces it.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct PeriosteumParams {
     /// Maximum thickness, off the bone. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.0, 0.0..=3.0)]
     pub thickness_mm: f64,
     /// The share of the surface that is covered, on average over seeds. 0.5: assumed.
-    #[schemars(range(min = 0.01, max = 0.99))]
+    #[param(0.5, 0.01..=0.99)]
     pub share: f64,
     /// The wavelength of the patches. 15 mm: assumed, a few strokes of a scraper.
-    #[schemars(range(min = 1.0, max = 500.0))]
+    #[param(15.0, 1.0..=500.0)]
     pub patch_mm: f64,
     /// Thickness, at the end of the stripped stretch, of a film that covers it all and grows evenly from 0 at its start:
     /// blood that has run down, or a scraper that was lifted. 0: off.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.0, 0.0..=3.0)]
     pub grows_mm: f64,
     /// Thickness on the posterior side of a film that covers it all and grows evenly around the bone from 0 on the lateral
     /// side. 0: off.
-    #[schemars(range(min = 0.0, max = 3.0))]
+    #[param(0.0, 0.0..=3.0)]
     pub around_mm: f64,
     /// Seed of the patches. None: the run's seed; a number for many procedures on one stripped bone.
     pub film_seed: Option<u64>,
 }
 
-impl Default for PeriosteumParams {
-    fn default() -> Self {
-        Self { thickness_mm: 0.0, share: 0.5, patch_mm: 15.0, grows_mm: 0.0, around_mm: 0.0, film_seed: None }
-    }
-}
-
 /// Lumps of soft tissue on the stripped bone, none on a mark, in the same place in all clouds of a run. They hide what is
 /// behind them. The stylus pierces them.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct TissueParams {
     /// The share of the bone that the camera sees, by number of pixels, covered by at least half the minimum thickness.
     /// 0: off.
-    #[schemars(range(min = 0.0, max = 0.9))]
+    #[param(0.0, 0.0..=0.9)]
     pub share: f64,
     /// Minimum and maximum thickness at the top of a lump, drawn for each. 1 to 6 mm: assumed, remains of muscle.
+    #[param([1.0, 6.0])]
     #[schemars(inner(range(min = 0.1, max = 20.0)))]
     pub thickness_mm: [f64; 2],
     /// Minimum and maximum diameter of a lump, drawn for each; the last is as small as the share requires. 10 to 25 mm:
     /// assumed.
+    #[param([10.0, 25.0])]
     #[schemars(inner(range(min = 2.0, max = 100.0)))]
     pub patch_mm: [f64; 2],
     /// Seed of the lumps. None: the run's seed; a number for many procedures on one stripped bone.
     pub seed: Option<u64>,
 }
 
-impl Default for TissueParams {
-    fn default() -> Self {
-        Self { share: 0.0, thickness_mm: [1.0, 6.0], patch_mm: [10.0, 25.0], seed: None }
-    }
-}
-
 /// The tracked stylus: the reference of the assessment, and the baseline method.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct StylusParams {
     /// Standard deviation, per axis, of the tip's constant error, left by its own calibration. 0.1 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[param(0.1, 0.0..=5.0)]
     pub tip_mm: f64,
     /// Standard deviation, per axis, of each touch of a mark or hole. 0.1 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[param(0.1, 0.0..=5.0)]
     pub touch_mm: f64,
     /// Points palpated on the surface. 300: the paper's baseline.
-    #[schemars(range(min = 0, max = 10_000))]
+    #[param(300, 0..=10_000)]
     pub n_palpated: usize,
     /// Standard deviation, per axis, of the constant error of a palpation, beyond the tip's. 0.3 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[param(0.3, 0.0..=5.0)]
     pub palpation_bias_mm: f64,
     /// Standard deviation, per axis, of each palpated point. 0.25 mm: other simulator.
-    #[schemars(range(min = 0.0, max = 5.0))]
+    #[param(0.25, 0.0..=5.0)]
     pub palpation_mm: f64,
     /// Number of poses of a pivot calibration before the procedure. 0: none, the tip's error is drawn (`tip_mm`);
     /// otherwise it is that of the calibration, and the stylus' marker is tracked at every touch.
-    #[schemars(range(min = 0, max = 10_000))]
+    #[param(0, 0..=10_000)]
     pub pivot_poses: usize,
     /// Maximum tilt of the stylus about its tip in the calibration. 30 degrees: assumed, as markers stay in view.
-    #[schemars(range(min = 1.0, max = 80.0))]
+    #[param(30.0, 1.0..=80.0)]
     pub pivot_deg: f64,
     /// Standard deviation, per axis, of the tip's position in the dimple. 0.05 mm: assumed.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[param(0.05, 0.0..=2.0)]
     pub dimple_mm: f64,
 }
 
-impl Default for StylusParams {
-    fn default() -> Self {
-        Self {
-            tip_mm: 0.1,
-            touch_mm: 0.1,
-            n_palpated: 300,
-            palpation_bias_mm: 0.3,
-            palpation_mm: 0.25,
-            pivot_poses: 0,
-            pivot_deg: 30.0,
-            dimple_mm: 0.05,
-        }
-    }
-}
-
 /// Start of the procedure, and its motions.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct MotionParams {
     /// Seconds since the Unix epoch at which the procedure begins. 1,750,000,000 (15 June 2025): never 0, which viewers
     /// refuse.
-    #[schemars(range(min = 1.0, max = 4_000_000_000.0))]
+    #[param(1_750_000_000, 1.0..=4_000_000_000.0)]
     pub start_s: u32,
     /// Motion of the bone after all scans and touches, in a direction drawn per run. 60 mm: assumed, a leg that is
     /// repositioned.
-    #[schemars(range(min = 0.0, max = 500.0))]
+    #[param(60.0, 0.0..=500.0)]
     pub bone_mm: f64,
     /// Rotation of the bone in that motion. 7 degrees: assumed.
-    #[schemars(range(min = 0.0, max = 90.0))]
+    #[param(7.0, 0.0..=90.0)]
     pub bone_deg: f64,
     /// Motion of the bone between two scans, drawn each time. 0: assumed, the leg is held.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.0, 0.0..=100.0)]
     pub bone_between_scans_mm: f64,
     /// Rotation of the bone between two scans. 0: assumed, the leg is held.
-    #[schemars(range(min = 0.0, max = 30.0))]
+    #[param(0.0, 0.0..=30.0)]
     pub bone_between_scans_deg: f64,
     /// Motion of the camera between two scans of the bone, drawn each time. 0: assumed, it is on an arm.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.0, 0.0..=100.0)]
     pub camera_between_scans_mm: f64,
     /// Rotation of the camera between two scans. 0: assumed, it is on an arm.
-    #[schemars(range(min = 0.0, max = 30.0))]
+    #[param(0.0, 0.0..=30.0)]
     pub camera_between_scans_deg: f64,
     /// Speed of the camera at every cloud of the bone, for a second before and after it, in a direction drawn per run, mm/s.
     /// 0: off, it is held still.
-    #[schemars(range(min = 0.0, max = 200.0))]
+    #[param(0.0, 0.0..=200.0)]
     pub camera_speed_mm_s: f64,
     /// Turn of the camera at every cloud of the bone, about what it looks at, degrees/s. 0: off.
-    #[schemars(range(min = 0.0, max = 90.0))]
+    #[param(0.0, 0.0..=90.0)]
     pub camera_speed_deg_s: f64,
     /// Speed of the bone at every cloud of it, as `camera_speed_mm_s`. 0: off, the leg is held.
-    #[schemars(range(min = 0.0, max = 200.0))]
+    #[param(0.0, 0.0..=200.0)]
     pub bone_speed_mm_s: f64,
     /// Turn of the bone at every cloud of it, about the middle of its scan, degrees/s. 0: off.
-    #[schemars(range(min = 0.0, max = 90.0))]
+    #[param(0.0, 0.0..=90.0)]
     pub bone_speed_deg_s: f64,
     /// Distance by which the bone is carried away and back between two clouds, each way in a second, in a direction drawn each time;
     /// the fastest is 1.5 times as much per second. 0: off.
-    #[schemars(range(min = 0.0, max = 500.0))]
+    #[param(0.0, 0.0..=500.0)]
     pub carry_mm: f64,
     /// Rotation of the bone on that way. 0: off.
-    #[schemars(range(min = 0.0, max = 90.0))]
+    #[param(0.0, 0.0..=90.0)]
     pub carry_deg: f64,
     /// Time for which the bone is sawed after the touches, before its last motion, s: it shakes with its marker. 0: off.
-    #[schemars(range(min = 0.0, max = 60.0))]
+    #[param(0.0, 0.0..=60.0)]
     pub saw_s: f64,
     /// Amplitude of that shaking, in a direction drawn per run. 1 mm: assumed, a leg in the hands of an assistant.
-    #[schemars(range(min = 0.0, max = 20.0))]
+    #[param(1.0, 0.0..=20.0)]
     pub saw_mm: f64,
     /// Rotation of the bone in that shaking. 0.5 degrees: assumed.
-    #[schemars(range(min = 0.0, max = 20.0))]
+    #[param(0.5, 0.0..=20.0)]
     pub saw_deg: f64,
     /// Frequency of that shaking. 5 Hz: assumed, strokes of a hand and what the saw leaves of them.
-    #[schemars(range(min = 0.1, max = 50.0))]
+    #[param(5.0, 0.1..=50.0)]
     pub saw_hz: f64,
     /// Slip of the bone's marker, in a direction drawn per run. 0: off, a marker that holds.
-    #[schemars(range(min = 0.0, max = 20.0))]
+    #[param(0.0, 0.0..=20.0)]
     pub marker_slip_mm: f64,
     /// Rotation of the bone's marker in that slip. 0: off.
-    #[schemars(range(min = 0.0, max = 30.0))]
+    #[param(0.0, 0.0..=30.0)]
     pub marker_slip_deg: f64,
     /// Time of that slip: before the `touches`, after all scans; or before the `laser` scans, after the full scan.
     pub marker_slips_before: SlipsBefore,
     /// Shift of the camera's marker on the camera between the calibration and the full scan, in a direction drawn per
     /// run. 0: off, a marker that is not knocked.
-    #[schemars(range(min = 0.0, max = 200.0))]
+    #[param(0.0, 0.0..=200.0)]
     pub knock_mm: f64,
     /// Rotation of the camera's marker in that knock. 0: off.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(0.0, 0.0..=180.0)]
     pub knock_deg: f64,
 }
 
 /// Scans of the bone during its last motion.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct StreamParams {
     /// Scans per second. 5 Hz: assumed, a structured-light camera that projects a dozen patterns for each cloud.
-    #[schemars(range(min = 0.1, max = 100.0))]
+    #[param(5.0, 0.1..=100.0)]
     pub rate_hz: f64,
     /// Number of scans. 40: a second of rest, six of motion and one of rest.
-    #[schemars(range(min = 1, max = 10_000))]
+    #[param(40, 1..=10_000)]
     pub n_scans: u32,
     /// Duration of the motion by `motion.bone_mm` and `motion.bone_deg`. 6 s: assumed, a leg that is repositioned under the
     /// camera; at most 3.75 mm from scan to scan at 5 Hz and 60 mm.
-    #[schemars(range(min = 0.1, max = 600.0))]
+    #[param(6.0, 0.1..=600.0)]
     pub motion_s: f64,
-}
-
-impl Default for StreamParams {
-    fn default() -> Self {
-        Self { rate_hz: 5.0, n_scans: 40, motion_s: 6.0 }
-    }
 }
 
 /// The time at which the bone's marker slips.
@@ -704,35 +557,6 @@ pub enum SlipsBefore {
     Touches,
     /// Between the full scan and the first laser scan.
     Laser,
-}
-
-impl Default for MotionParams {
-    fn default() -> Self {
-        Self {
-            start_s: 1_750_000_000,
-            bone_mm: 60.0,
-            bone_deg: 7.0,
-            bone_between_scans_mm: 0.0,
-            bone_between_scans_deg: 0.0,
-            camera_between_scans_mm: 0.0,
-            camera_between_scans_deg: 0.0,
-            camera_speed_mm_s: 0.0,
-            camera_speed_deg_s: 0.0,
-            bone_speed_mm_s: 0.0,
-            bone_speed_deg_s: 0.0,
-            carry_mm: 0.0,
-            carry_deg: 0.0,
-            saw_s: 0.0,
-            saw_mm: 1.0,
-            saw_deg: 0.5,
-            saw_hz: 5.0,
-            marker_slip_mm: 0.0,
-            marker_slip_deg: 0.0,
-            marker_slips_before: SlipsBefore::Touches,
-            knock_mm: 0.0,
-            knock_deg: 0.0,
-        }
-    }
 }
 
 impl ProcedureParams {

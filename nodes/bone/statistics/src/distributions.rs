@@ -1,6 +1,6 @@
 //! The quantiles and probabilities needed here, by `statrs`.
 
-use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 /// `Φ⁻¹(p)`.
 pub(crate) fn normal_quantile(p: f64) -> f64 {
@@ -25,11 +25,6 @@ pub(crate) fn two_sided_t(level: f64, df: usize) -> f64 {
 /// Probability that Student's t exceeds `t`.
 pub(crate) fn t_above(t: f64, df: usize) -> f64 {
     students_t(df).sf(t)
-}
-
-/// The quantile of chi-squared with `df` degrees of freedom at probability `p`.
-pub(crate) fn chi_squared_quantile(p: f64, df: usize) -> f64 {
-    ChiSquared::new(df as f64).expect("df is at least 1").inverse_cdf(p)
 }
 
 fn students_t(df: usize) -> StudentsT {

@@ -13,7 +13,7 @@
 //! | what share is below 2 mm? | [`wilson_clustered`], [`wilson`] for independent rows |
 //! | is A better than B on the same procedures? | [`wilcoxon`], then [`holm`] over all pairs compared |
 //! | are A and B equivalent? | [`tost`] with a margin stated beforehand |
-//! | how well do two methods agree on one measurement? | [`bland_altman`], [`bland_altman_repeated`] |
+//! | how well do two methods agree on one measurement? | [`bland_altman`] |
 //! | how well does a measurement repeat? | [`repeatability`] |
 //! | does the error depend on a cause? | [`pearson`], [`spearman`] |
 //!
@@ -78,7 +78,7 @@ mod units;
 mod wilcoxon;
 mod wilson;
 
-pub use bland_altman::{BlandAltman, bland_altman, bland_altman_repeated};
+pub use bland_altman::{BlandAltman, bland_altman};
 pub use bootstrap::{Bootstrap, BootstrapKind, BootstrapParams, FEW_UNITS, bootstrap, bootstrap_mean, bootstrap_rows};
 pub use correlation::{Correlation, pearson, spearman};
 pub use counted::{counted, plural};
@@ -91,5 +91,5 @@ pub use repeatability::{Repeatability, repeatability};
 pub use summary::Summary;
 pub use tost::{Tost, tost};
 pub use units::{UnitMeans, Units, unit_means};
-pub use wilcoxon::{Alternative, Wilcoxon, WilcoxonMethod, WilcoxonParams, wilcoxon};
+pub use wilcoxon::{Wilcoxon, wilcoxon};
 pub use wilson::{Share, wilson, wilson_clustered};

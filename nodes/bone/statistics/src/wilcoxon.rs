@@ -4,42 +4,6 @@ use serde::Serialize;
 
 use crate::{StatisticsError, distributions::normal_cdf, hodges_lehmann, ranks::ranks};
 
-/// The alternative hypothesis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Alternative {
-    /// The differences are not centred on zero.
-    #[default]
-    TwoSided,
-    /// The differences tend to be negative.
-    Less,
-    /// The differences tend to be positive.
-    Greater,
-}
-
-/// How the p-value is computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum WilcoxonMethod {
-    /// Exact up to 50 differences without ties and zeros, up to 13 with them; normal beyond. The rule of scipy's "auto".
-    #[default]
-    Auto,
-    /// Exact over all assignments of signs to the ranks, with ties. `O(n³)`: meant for n up to a few hundred.
-    Exact,
-    /// By the normal distribution, with the variance corrected for ties.
-    Normal,
-}
-
-/// Parameters of the test.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct WilcoxonParams {
-    /// The alternative; two-sided.
-    pub alternative: Alternative,
-    /// The method for p; as scipy's "auto".
-    pub method: WilcoxonMethod,
-    /// Moves the rank sum by half a rank towards its mean in the normal approximation; off.
-    pub continuity: bool,
-}
-
 /// Wilcoxon's signed-rank test of paired differences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Wilcoxon {
@@ -51,8 +15,8 @@ pub struct Wilcoxon {
     pub w_plus: f64,
     /// Sum of the ranks of negative differences.
     pub w_minus: f64,
-    /// The alternative hypothesis.
-    pub alternative: Alternative,
+    /// The alternative hypothesis: `two_sided`, the differences are not centred on zero.
+    pub alternative: &'static str,
     /// Whether p is exact rather than approximated.
     pub exact: bool,
     /// The p-value.
@@ -68,7 +32,8 @@ pub struct Wilcoxon {
 ///
 /// The absolute differences are ranked without zeros, with mean ranks for ties, and the ranks of each sign are summed.
 /// Exact: the share of all 2ⁿ sign assignments with a rank sum at least as extreme, doubled for two sides. Normal:
-/// `z = (w_plus - n(n+1)/4) / √(n(n+1)(2n+1)/24 - Σ(t³-t)/48)` over groups of t ties.
+/// `z = (w_plus - n(n+1)/4) / √(n(n+1)(2n+1)/24 - Σ(t³-t)/48)` over groups of t ties. Exact up to 50 differences without ties and
+/// zeros, up to 13 with them; normal beyond, without a correction for continuity. The rule of scipy's "auto".
 ///
 /// Assumes independent differences: if they repeat within units, test [`crate::unit_means`].
 ///
@@ -78,7 +43,7 @@ pub struct Wilcoxon {
 /// # Source
 /// Wilcoxon 1945, Biometrics Bulletin 1:80-83. Effect size: Kerby 2014, Comprehensive Psychology 3:11.IT.3.1. The exact test
 /// uses the tied ranks, as scipy does up to 13 differences; scipy's `method="exact"` ignores ties.
-pub fn wilcoxon(differences: &[f64], params: &WilcoxonParams) -> Result<Wilcoxon, StatisticsError> {
+pub fn wilcoxon(differences: &[f64]) -> Result<Wilcoxon, StatisticsError> {
     let hodges_lehmann = hodges_lehmann(differences)?;
     let signed: Vec<f64> = differences.iter().copied().filter(|d| *d != 0.0).collect();
     let (n, n_zeros) = (differences.len(), differences.len() - signed.len());
@@ -90,19 +55,14 @@ pub fn wilcoxon(differences: &[f64], params: &WilcoxonParams) -> Result<Wilcoxon
     let w_plus: f64 = ranks.iter().zip(&signed).filter(|(_, d)| **d > 0.0).map(|(rank, _)| rank).sum();
     let w_minus = ranks.iter().sum::<f64>() - w_plus;
     let plain = n_zeros == 0 && ties.len() == signed.len();
-    let exact = match params.method {
-        WilcoxonMethod::Auto => n <= if plain { 50 } else { 13 },
-        WilcoxonMethod::Exact => true,
-        WilcoxonMethod::Normal => false,
-    };
-    let alternative = params.alternative;
-    let p = if exact { exact_p(&ranks, w_plus, alternative) } else { normal_p(&ties, w_plus, params) };
+    let exact = n <= if plain { 50 } else { 13 };
+    let p = if exact { exact_p(&ranks, w_plus) } else { normal_p(&ties, w_plus) };
     let rank_biserial = (w_plus - w_minus) / (w_plus + w_minus);
-    Ok(Wilcoxon { n, n_zeros, w_plus, w_minus, alternative, exact, p, rank_biserial, hodges_lehmann })
+    Ok(Wilcoxon { n, n_zeros, w_plus, w_minus, alternative: "two_sided", exact, p, rank_biserial, hodges_lehmann })
 }
 
 /// p over all sign assignments.
-fn exact_p(ranks: &[f64], w_plus: f64, alternative: Alternative) -> f64 {
+fn exact_p(ranks: &[f64], w_plus: f64) -> f64 {
     // Doubled ranks are integers even with ties. The share of assignments with each doubled sum, rank by rank.
     let doubled: Vec<usize> = ranks.iter().map(|rank| (2.0 * rank) as usize).collect();
     let mut shares = vec![0.0; doubled.iter().sum::<usize>() + 1];
@@ -117,32 +77,16 @@ fn exact_p(ranks: &[f64], w_plus: f64, alternative: Alternative) -> f64 {
     let doubled_w = (2.0 * w_plus) as usize;
     let less: f64 = shares[..=doubled_w].iter().sum();
     let greater: f64 = shares[doubled_w..].iter().sum();
-    match alternative {
-        Alternative::TwoSided => (2.0 * less.min(greater)).min(1.0),
-        Alternative::Less => less,
-        Alternative::Greater => greater,
-    }
+    (2.0 * less.min(greater)).min(1.0)
 }
 
 /// p by the normal approximation.
-fn normal_p(ties: &[usize], w_plus: f64, params: &WilcoxonParams) -> f64 {
+fn normal_p(ties: &[usize], w_plus: f64) -> f64 {
     let n = ties.iter().sum::<usize>() as f64;
     let tied: f64 = ties.iter().map(|t| *t as f64).map(|t| t * t * t - t).sum();
     let sd = (n * (n + 1.0) * (2.0 * n + 1.0) / 24.0 - tied / 48.0).sqrt();
-    let off = w_plus - n * (n + 1.0) / 4.0;
-    let towards_mean = match params.alternative {
-        _ if !params.continuity => 0.0,
-        Alternative::TwoSided if off == 0.0 => 0.0,
-        Alternative::TwoSided => 0.5 * off.signum(),
-        Alternative::Less => -0.5,
-        Alternative::Greater => 0.5,
-    };
-    let z = (off - towards_mean) / sd;
-    match params.alternative {
-        Alternative::TwoSided => 2.0 * normal_cdf(-z.abs()),
-        Alternative::Less => normal_cdf(z),
-        Alternative::Greater => normal_cdf(-z),
-    }
+    let z = (w_plus - n * (n + 1.0) / 4.0) / sd;
+    2.0 * normal_cdf(-z.abs())
 }
 
 #[cfg(test)]
@@ -151,31 +95,26 @@ mod tests {
 
     #[test]
     fn one_difference_proves_nothing() {
-        let test = wilcoxon(&[0.4], &WilcoxonParams::default()).unwrap();
+        let test = wilcoxon(&[0.4]).unwrap();
         assert_eq!((test.p, test.rank_biserial, test.hodges_lehmann, test.exact), (1.0, 1.0, 0.4, true));
     }
 
     #[test]
     fn differences_that_are_all_zero_are_refused_and_the_others_counted() {
-        let refused = wilcoxon(&[0.0, -0.0], &WilcoxonParams::default());
+        let refused = wilcoxon(&[0.0, -0.0]);
         assert!(refused.unwrap_err().to_string().starts_with("all 2 differences are 0, without any spread"));
-        let test = wilcoxon(&[0.0, 1.0, 2.0], &WilcoxonParams::default()).unwrap();
+        let test = wilcoxon(&[0.0, 1.0, 2.0]).unwrap();
         assert_eq!((test.n, test.n_zeros, test.w_plus, test.hodges_lehmann), (3, 1, 3.0, 1.0));
-        assert!(
-            wilcoxon(&[f64::NAN], &WilcoxonParams::default())
-                .unwrap_err()
-                .to_string()
-                .contains("leave rows without a number out")
-        );
+        assert!(wilcoxon(&[f64::NAN]).unwrap_err().to_string().contains("leave rows without a number out"));
     }
 
     #[test]
     fn swapping_the_methods_turns_the_effect_around_and_keeps_p() {
-        let differences = [0.3, -0.1, 0.5, 0.2, 0.2, -0.7, 0.9, 0.0];
-        let swapped = differences.map(|d| -d);
-        for method in [WilcoxonMethod::Exact, WilcoxonMethod::Normal] {
-            let params = WilcoxonParams { method, ..Default::default() };
-            let (a, b) = (wilcoxon(&differences, &params).unwrap(), wilcoxon(&swapped, &params).unwrap());
+        let few = [0.3, -0.1, 0.5, 0.2, 0.2, -0.7, 0.9, 0.0];
+        for differences in [few.to_vec(), few.repeat(8)] {
+            let swapped: Vec<f64> = differences.iter().map(|d| -d).collect();
+            let (a, b) = (wilcoxon(&differences).unwrap(), wilcoxon(&swapped).unwrap());
+            assert_eq!(a.exact, differences.len() == few.len());
             assert!((a.p - b.p).abs() < 1e-14, "{} {}", a.p, b.p);
             assert_eq!((a.rank_biserial, a.hodges_lehmann), (-b.rank_biserial, -b.hodges_lehmann));
         }

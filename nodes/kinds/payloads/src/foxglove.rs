@@ -4,12 +4,13 @@ mod scene;
 
 pub(crate) use scene::{mesh, named_points, no_planes, planes, scene_schema, surface_points, surface_schema};
 
+pub(crate) use foxglove::messages::{FrameTransform, PointCloud, RawImage};
+
 use foxglove::{
     Encode,
     bytes::Bytes,
     messages::{
-        FrameTransform, PackedElementField, PointCloud, Pose as FoxglovePose, Quaternion, RawImage, Timestamp, Vector3,
-        packed_element_field::NumericType,
+        PackedElementField, Pose as FoxglovePose, Quaternion, Timestamp, Vector3, packed_element_field::NumericType,
     },
 };
 use osteoflow_algorithms::{
@@ -26,17 +27,8 @@ use std::cell::RefCell;
 
 const NS_PER_S: i64 = 1_000_000_000;
 
-/// The channel of [`points`].
-pub(crate) fn points_schema() -> Option<Display> {
-    schema::<PointCloud>()
-}
-
-/// The channel of [`transform`].
-pub(crate) fn transform_schema() -> Option<Display> {
-    schema::<FrameTransform>()
-}
-
-fn schema<M: Encode>() -> Option<Display> {
+/// The channel of a message.
+pub(crate) fn schema<M: Encode>() -> Option<Display> {
     let schema = M::get_schema()?;
     Some(Display {
         schema_name: schema.name,
@@ -51,18 +43,29 @@ fn schema<M: Encode>() -> Option<Display> {
 
 /// `foxglove.PointCloud` with `x`, `y`, `z` as 32-bit floats: half the bytes, a resolution of 0.03 µm at 300 mm.
 pub(crate) fn points(frame: &Frame, stamp_ns: StampNs, points: &[Point3<f64>]) -> Option<Vec<u8>> {
-    let field =
-        |name: &str, offset| PackedElementField { name: name.into(), offset, r#type: i32::from(NumericType::Float32) };
     let mut data = Vec::with_capacity(points.len() * 12);
     for coordinate in points.iter().flat_map(|p| p.iter()) {
         data.extend_from_slice(&((coordinate / MM_PER_M) as f32).to_le_bytes());
     }
+    point_cloud(frame, stamp_ns, &["x", "y", "z"], &[], data)
+}
+
+/// The message of points that have these fields: 32-bit floats, then bytes.
+fn point_cloud(frame: &Frame, stamp_ns: StampNs, floats: &[&str], bytes: &[&str], data: Vec<u8>) -> Option<Vec<u8>> {
+    let types = floats.iter().map(|name| (name, 4, NumericType::Float32));
+    let mut point_stride = 0;
+    let fields = types.chain(bytes.iter().map(|name| (name, 1, NumericType::Uint8))).map(|(name, size, of)| {
+        let offset = point_stride;
+        point_stride += size;
+        PackedElementField { name: (*name).into(), offset, r#type: i32::from(of) }
+    });
+    let fields = fields.collect();
     encode(&PointCloud {
         timestamp: timestamp(stamp_ns),
         frame_id: frame.to_string(),
         pose: Some(pose(&Isometry3::identity())),
-        point_stride: 12,
-        fields: vec![field("x", 0), field("y", 4), field("z", 8)],
+        point_stride,
+        fields,
         data: Bytes::from(data),
     })
 }
@@ -82,7 +85,7 @@ pub(crate) fn points_on(cloud: &Cloud, surface: &Value, pose: &Pose, stamp_ns: S
         return None;
     }
     let query = mesh.as_ref().or_else(|| target?.mesh());
-    let mut data = Vec::with_capacity(cloud.len() * POINT_ON_BYTES as usize);
+    let mut data = Vec::with_capacity(cloud.len() * 20);
     for point in cloud.points() {
         let point = t * point;
         let distance_mm = query.and_then(|query| distance_outside(&point, query)).unwrap_or(f64::NAN);
@@ -91,22 +94,7 @@ pub(crate) fn points_on(cloud: &Cloud, surface: &Value, pose: &Pose, stamp_ns: S
         data.extend(distance_colour(distance_mm));
         data.push(u8::MAX);
     }
-    let field = |(name, offset, ty): (&str, u32, NumericType)| PackedElementField {
-        name: name.into(),
-        offset,
-        r#type: i32::from(ty),
-    };
-    let floats = [("x", 0), ("y", 4), ("z", 8), ("distance_mm", 12)].map(|(name, at)| (name, at, NumericType::Float32));
-    let bytes =
-        [("red", 16), ("green", 17), ("blue", 18), ("alpha", 19)].map(|(name, at)| (name, at, NumericType::Uint8));
-    encode(&PointCloud {
-        timestamp: timestamp(stamp_ns),
-        frame_id: frame.to_string(),
-        pose: Some(self::pose(&Isometry3::identity())),
-        point_stride: POINT_ON_BYTES,
-        fields: floats.into_iter().chain(bytes).map(field).collect(),
-        data: Bytes::from(data),
-    })
+    point_cloud(frame, stamp_ns, &["x", "y", "z", "distance_mm"], &["red", "green", "blue", "alpha"], data)
 }
 
 /// The query of a mesh, whose search structure is built once where the same mesh comes again, as for each fit of a live scan.
@@ -122,14 +110,6 @@ fn query_of(mesh: &Mesh) -> MeshQuery {
             None => last.insert(MeshQuery::new(mesh)).clone(),
         }
     })
-}
-
-/// Bytes of a point with its distance and colour.
-const POINT_ON_BYTES: u32 = 20;
-
-/// The channel of [`image`].
-pub(crate) fn image_schema() -> Option<Display> {
-    schema::<RawImage>()
 }
 
 /// `foxglove.RawImage`, `rgb8` or `mono8`. The intrinsics are in the exact payload alone.

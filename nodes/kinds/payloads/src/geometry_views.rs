@@ -122,7 +122,7 @@ impl Payload<Table> for Cloud {
 
     #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
-        foxglove::points_schema()
+        foxglove::schema::<foxglove::PointCloud>()
     }
 
     #[cfg(feature = "viewer")]
@@ -232,7 +232,7 @@ impl Payload<Table> for Pose {
 
     #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
-        foxglove::transform_schema()
+        foxglove::schema::<foxglove::FrameTransform>()
     }
 
     #[cfg(feature = "viewer")]
@@ -527,7 +527,7 @@ impl Payload<Table> for Image {
 
     #[cfg(feature = "viewer")]
     fn display() -> Option<Display> {
-        foxglove::image_schema()
+        foxglove::schema::<foxglove::RawImage>()
     }
 
     #[cfg(feature = "viewer")]

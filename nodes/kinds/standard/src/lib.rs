@@ -1,4 +1,4 @@
-//! The built-in nodes: thin adapters from ports to algorithms, one file per kind, folders in pipeline order.
+//! The built-in nodes: thin adapters from ports to algorithms, one file per kind or for kinds of the same parameters, folders in pipeline order.
 //!
 //! A node holds no mathematics: it checks the frames of its inputs, calls one function of `osteoflow-algorithms`, and gives
 //! the result its frames and stamp.
@@ -59,13 +59,13 @@ pub fn registry() -> Registry {
         .source::<Once<plan::simulated::Simulated>>()
         .node::<plan::landmarks::Landmarks>()
         .source::<Once<surface::any::Any>>()
-        .source::<Once<surface::ct::Ct>>()
-        .source::<Once<surface::file::File>>()
+        .source::<Once<surface::any::Ct>>()
+        .source::<Once<surface::any::File>>()
         .source::<Once<surface::simulated::Simulated>>()
         .source::<Once<surface::simulated_phantom::SimulatedPhantom>>()
         .function::<surface::prepare::Prepare>()
-        .function::<surface::prepare_any::PrepareAny>()
-        .function::<surface::prepare_cloud::PrepareCloud>()
+        .function::<surface::prepare::PrepareAny>()
+        .function::<surface::prepare::PrepareCloud>()
         .function::<calibrate::phantom_icp::PhantomIcp>()
         .function::<calibrate::hand_eye::HandEye>()
         .function::<calibrate::stylus_pivot::StylusPivot>()

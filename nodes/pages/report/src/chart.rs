@@ -241,7 +241,7 @@ impl Chart {
             line(out, "grid", at);
             text(out, (LEFT - 7.0, at + 4.0), SMALL_AT_END, word);
         }
-        if y.holds(0.0) && !y.is_log() {
+        if y.holds(0.0) && !y.log {
             line(out, "zero", y.place(0.0));
         }
         for (at, word) in &x.ticks {

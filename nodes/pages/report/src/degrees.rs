@@ -14,14 +14,15 @@ pub fn shown_unit(column: &str) -> (String, f64) {
     }
 }
 
-/// The name of a column, and its statistics or comparison, in degrees if they are in radians.
+/// The name of a column, and its number, list, statistics or comparison, in degrees if they are in radians.
 pub fn in_degrees(column: &str, of: &Value) -> (String, Value) {
     let (name, scale) = shown_unit(column);
     let mut of = of.clone();
     if scale != 1.0 {
         // Its interval is of the share, and only its limit of the column.
         let share = of.get_mut("share_below").map(Value::take);
-        multiply(&mut of, scale);
+        let has_counts = of.is_object();
+        multiply(&mut of, scale, has_counts);
         if let Some(mut share) = share {
             if let Some(limit) = share["limit"].as_f64() {
                 share["limit"] = (limit * scale).into();
@@ -32,18 +33,18 @@ pub fn in_degrees(column: &str, of: &Value) -> (String, Value) {
     (name, of)
 }
 
-/// Multiplies all numbers but counts and those that are no quantity of the column.
-fn multiply(of: &mut Value, scale: f64) {
+/// Multiplies all numbers but those that are no quantity of the column and, if it has counts, whole ones.
+fn multiply(of: &mut Value, scale: f64, has_counts: bool) {
     match of {
         Value::Object(entries) => {
             for (key, value) in entries.iter_mut() {
                 if !NO_QUANTITIES.contains(&key.as_str()) {
-                    multiply(value, scale);
+                    multiply(value, scale, has_counts);
                 }
             }
         }
-        Value::Array(items) => items.iter_mut().for_each(|item| multiply(item, scale)),
-        Value::Number(number) if number.is_f64() => {
+        Value::Array(items) => items.iter_mut().for_each(|item| multiply(item, scale, has_counts)),
+        Value::Number(number) if number.is_f64() || !has_counts => {
             if let Some(value) = number.as_f64() {
                 *of = (value * scale).into();
             }
@@ -74,5 +75,10 @@ mod tests {
             assert_eq!(shown.pointer(path), of.pointer(path), "{path}");
         }
         assert_eq!(in_degrees("tre_mm", &of), ("tre_mm".into(), of));
+        assert_eq!(
+            in_degrees("turn_rad", &json!([turn, 0])),
+            ("turn_deg".into(), json!([90.0, 0.0])),
+            "a whole number is an angle, too"
+        );
     }
 }

@@ -4,6 +4,7 @@ use crate::format::{duration, percent};
 use osteoflow_draw::{Diagram, Link, Node};
 use osteoflow_engine::plan::{self, Plan, PlanOutput, PortFrames};
 use osteoflow_node::Role;
+use osteoflow_statistics::counted;
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
 
@@ -91,7 +92,7 @@ fn node(entry: &Json, name: &str, busy_ms: f64, refusal: Option<(&str, &str)>, w
     let mut lines = vec![format!("{} \u{b7} {}", duration(own_ms), percent(share))];
     let counts = [("skipped", number("skipped")), ("failed", number("failed"))];
     let counts = counts.into_iter().filter(|(_, n)| *n > 0.0).map(|(what, n)| format!(", {n} {what}"));
-    lines.push(format!("{} {}{}", items, plural(items, "item"), counts.collect::<String>()));
+    lines.push(counted(items as usize, "item") + &counts.collect::<String>());
     if items > 1.0 {
         lines.push(format!("p50 {}, p99 {}", duration(number("p50_ms")), duration(number("p99_ms"))));
     }
@@ -135,7 +136,7 @@ fn notes(manifest: &Json) -> Vec<String> {
     let outcome = &manifest["outcome"];
     let mut first = vec![outcome["status"].as_str().unwrap_or("unfinished").to_owned()];
     first.extend(manifest["elapsed_ms"].as_f64().map(|ms| format!("after {}", duration(ms))));
-    first.extend(manifest["workers"].as_u64().map(|n| format!("{n} {}", plural(n as f64, "worker"))));
+    first.extend(manifest["workers"].as_u64().map(|n| counted(n as usize, "worker")));
     first.extend(manifest["graph"]["seed"].as_u64().map(|seed| format!("seed {seed}")));
     first.extend(manifest["began"].as_str().map(str::to_owned));
     let mut lines = vec![first.join(", ")];
@@ -143,10 +144,6 @@ fn notes(manifest: &Json) -> Vec<String> {
         lines.push(format!("node \"{node}\": {reason}"));
     }
     lines
-}
-
-fn plural(n: f64, word: &str) -> String {
-    if n == 1.0 { word.into() } else { format!("{word}s") }
 }
 
 #[cfg(test)]

@@ -122,11 +122,9 @@ impl Page {
         let mut against: Vec<_> = verdict.against().collect();
         let mut sentence = verdict.sentence();
         // A sentence that is made of the first reason gives way to the reason with its remedy, as on the live page.
-        let worst = against.iter().position(|reason| reason.answer == answer);
-        if let Some(k) = worst.filter(|&k| sentence.starts_with(&against[k].reason)) {
-            let first = against.remove(k);
-            let remedy = if first.remedy.is_empty() { String::new() } else { format!("; {}", first.remedy) };
-            sentence = format!("{}{remedy}", first.reason);
+        if let Some(first) = verdict.first().filter(|first| sentence.starts_with(&first.reason)) {
+            against.retain(|reason| !std::ptr::eq(*reason, first));
+            sentence = first.to_string();
         }
         let _ = writeln!(
             self.body,
@@ -191,12 +189,10 @@ impl Page {
         let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
     }
 
-    /// Begins a collapsed box that ends with [`Self::unfold`].
-    pub(crate) fn fold(&mut self, title: &str) {
+    /// A table in a collapsed box.
+    pub(crate) fn folded_table(&mut self, title: &str, caption: &str, head: &[&str], rows: &[Vec<Cell>]) {
         let _ = writeln!(self.body, "<details><summary>{}</summary>", escape(title));
-    }
-
-    pub(crate) fn unfold(&mut self) {
+        self.table(caption, head, rows);
         self.body.push_str("</details>\n");
     }
 

@@ -146,9 +146,8 @@ fn steps(page: &mut Page, nodes: &[(String, toml::Table)], registry: &Registry) 
             Cell::word(differs.join(", ")),
         ]);
     }
-    page.fold("Every step with its method and its parameters that are not default");
-    page.table("The steps in their order.", &["node", "kind", "purpose", "parameters"], &rows);
-    page.unfold();
+    let title = "Every step with its method and its parameters that are not default";
+    page.folded_table(title, "The steps in their order.", &["node", "kind", "purpose", "parameters"], &rows);
 }
 
 /// A table of the error terms of simulated sources, with their values and the reasons for them.
@@ -166,10 +165,9 @@ fn error_terms(page: &mut Page, nodes: &[(String, toml::Table)], registry: &Regi
     if rows.is_empty() {
         return;
     }
-    page.fold(&format!("Terms of the simulation: {} values with their sources", rows.len()));
+    let title = format!("Terms of the simulation: {} values with their sources", rows.len());
     let head = ["term", "value", "meaning, and where the value comes from"];
-    page.table("Terms of the simulation. \u{201c}Assumed\u{201d} means not measured.", &head, &rows);
-    page.unfold();
+    page.folded_table(&title, "Terms of the simulation. \u{201c}Assumed\u{201d} means not measured.", &head, &rows);
 }
 
 #[derive(Debug, Clone)]

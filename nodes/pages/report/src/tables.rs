@@ -1,6 +1,6 @@
 //! Tables of arbitrary JSON results.
 
-use crate::{cell::Cell, degrees::shown_unit, format::number, html::Page};
+use crate::{cell::Cell, degrees::in_degrees, format::number, html::Page};
 use nalgebra::{Isometry3, Matrix4};
 use osteoflow_geometry::isometry_from_matrix;
 use serde::Deserialize;
@@ -34,22 +34,22 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
     for (path, mut items) in tables.lists {
         if path == "holes" && items.len() == laser_points.len() {
             // A hole's report has no name; the points of the same scans have, in the same order.
-            items.iter_mut().zip(&laser_points).for_each(|(hole, point)| *hole = joined(point, hole));
+            items.iter_mut().zip(&laser_points).for_each(|(hole, point)| {
+                *hole = point.iter().chain(&*hole).map(|(key, value)| (key.clone(), value.clone())).collect();
+            });
         }
         objects(page, &path.replace('_', " ").replace('.', ": "), &items);
     }
     if !tables.poses.is_empty() {
-        page.fold(&format!("Poses ({})", tables.poses.len()));
+        let title = format!("Poses ({})", tables.poses.len());
         let caption = "Every pose t_to_from by its path in results.json: the position of the origin of one frame in the other, \
                        and the rotation between their axes.";
         let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "rotation (deg)", "about"];
-        page.table(caption, &head, &tables.poses);
-        page.unfold();
+        page.folded_table(&title, caption, &head, &tables.poses);
     }
-    page.fold(&format!("All single results ({})", tables.singles.len()));
+    let title = format!("All single results ({})", tables.singles.len());
     let caption = "Every result that is one number or word, by its path in results.json.";
-    page.table(caption, &["result", "value"], &tables.singles);
-    page.unfold();
+    page.folded_table(&title, caption, &["result", "value"], &tables.singles);
 }
 
 /// Name, frame and position of each point.
@@ -57,11 +57,6 @@ fn named(points: Option<&Json>) -> Vec<Map<String, Json>> {
     let keys = ["name", "frame", "position_mm"];
     let point = |point: &Json| keys.iter().filter_map(|key| Some(((*key).into(), point.get(key)?.clone()))).collect();
     points.and_then(Json::as_array).into_iter().flatten().map(point).collect()
-}
-
-/// The entries of both, those of `first` first.
-fn joined(first: &Map<String, Json>, second: &Map<String, Json>) -> Map<String, Json> {
-    first.iter().chain(second).map(|(key, value)| (key.clone(), value.clone())).collect()
 }
 
 /// Results by form.
@@ -112,19 +107,6 @@ fn pose(path: &str, object: &Map<String, Json>) -> Option<Vec<Cell>> {
 fn rigid(matrix: &Json) -> Option<Isometry3<f64>> {
     let rows = <[[f64; 4]; 4]>::deserialize(matrix).ok()?;
     isometry_from_matrix(&Matrix4::from_fn(|row, column| rows[row][column])).ok()
-}
-
-/// A result whose name ends with `_rad` in degrees, under the name with that unit.
-fn in_degrees(name: &str, value: &Json) -> (String, Json) {
-    let (shown, scale) = shown_unit(name);
-    let scaled = match value {
-        Json::Number(number) if scale != 1.0 => number.as_f64().map(|rad| Json::from(rad * scale)),
-        Json::Array(items) if scale != 1.0 => {
-            items.iter().map(|item| item.as_f64().map(|rad| Json::from(rad * scale))).collect()
-        }
-        _ => None,
-    };
-    (shown, scaled.unwrap_or_else(|| value.clone()))
 }
 
 /// The object with the keys of nested objects as `a.b`, without values that do not fit a cell.

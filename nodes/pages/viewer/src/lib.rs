@@ -18,7 +18,6 @@ mod stream;
 pub use http::Response;
 pub use page::{THREE_LICENSE, script};
 pub use playback::Playback;
-pub use protocol::PlaybackState;
 pub use server::{App, NoApp, ServeOptions, Server};
-pub use still::{LastMessage, last_messages};
+pub use still::last_messages;
 pub use stream::{Stream, Totals};

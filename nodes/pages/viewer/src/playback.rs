@@ -3,8 +3,7 @@
 use crate::{
     indexed::{Entry, IndexedRecording, Messages, last_of_each},
     protocol::{self, PlaybackState},
-    server::App,
-    stream::{DROPS, FRAMES, Out, Stream, TIMING, TRANSFORM},
+    stream::{DROPS, Out, Stream, TIMING, TRANSFORM},
 };
 use osteoflow_container::ReadError;
 use osteoflow_engine::run::Listener;
@@ -52,11 +51,8 @@ impl Playback {
         let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Err(ReadError::Empty) };
         // Constants are logged with the first item, or at the beginning of all time; the first transforms come just before
         // everything else, and with them alone there is nothing to see.
-        let is_shown = |entry: &&Entry| {
-            channels
-                .get(&entry.channel)
-                .is_none_or(|channel| channel.topic != FRAMES && channel.schema_name != TRANSFORM)
-        };
+        let is_shown =
+            |entry: &&Entry| channels.get(&entry.channel).is_none_or(|channel| channel.schema_name != TRANSFORM);
         let shown = || entries.iter().filter(is_shown).map(|entry| entry.log_time_ns);
         let start = shown().find(|ns| *ns > 1_000_000).or_else(|| shown().next()).unwrap_or(first.log_time_ns);
         let range_ns = (start, last.log_time_ns);
@@ -75,24 +71,17 @@ impl Playback {
     pub fn problem(&self) -> Option<&str> {
         self.problem.as_deref()
     }
-}
 
-impl Drop for Playback {
-    fn drop(&mut self) {
-        self.control.lock().ends = true;
-        self.control.changed.notify_one();
-    }
-}
-
-impl App for Playback {
-    fn range_ns(&self) -> Option<(u64, u64)> {
-        Some(self.range_ns)
+    /// First and last time, ns.
+    pub(crate) fn range_ns(&self) -> (u64, u64) {
+        self.range_ns
     }
 
-    fn play(&self, plays: bool, speed: f32, seek_ns: Option<u64>) -> Option<PlaybackState> {
+    /// Plays, stops, or goes to a time.
+    pub(crate) fn play(&self, plays: bool, speed: f32, seek_ns: Option<u64>) -> PlaybackState {
         let mut player = self.control.lock();
         if player.ends {
-            return Some(player.state);
+            return player.state;
         }
         let (start, end) = self.range_ns;
         // From the end it plays from the start.
@@ -107,11 +96,19 @@ impl App for Playback {
         let state = player.state;
         drop(player);
         self.control.changed.notify_one();
-        Some(state)
+        state
     }
 
-    fn playback(&self) -> Option<PlaybackState> {
-        Some(self.control.lock().state)
+    /// How it goes.
+    pub(crate) fn state(&self) -> PlaybackState {
+        self.control.lock().state
+    }
+}
+
+impl Drop for Playback {
+    fn drop(&mut self) {
+        self.control.lock().ends = true;
+        self.control.changed.notify_one();
     }
 }
 

@@ -59,15 +59,15 @@ pub(crate) struct PlaybackRequest {
 
 /// How the playback goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlaybackState {
+pub(crate) struct PlaybackState {
     /// Whether time advances.
-    pub plays: bool,
+    pub(crate) plays: bool,
     /// Whether the end was reached.
-    pub ended: bool,
+    pub(crate) ended: bool,
     /// Time of the recording, ns.
-    pub at_ns: u64,
+    pub(crate) at_ns: u64,
     /// Seconds of the recording in a second.
-    pub speed: f32,
+    pub(crate) speed: f32,
 }
 
 /// Severity of a status.

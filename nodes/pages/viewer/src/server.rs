@@ -4,7 +4,8 @@ use crate::{
     access::{Access, Credentials, Refusal, token},
     http::{PATIENCE, Request, Response},
     page,
-    protocol::{self, FromClient, Level, PlaybackState, SUBPROTOCOLS},
+    playback::Playback,
+    protocol::{self, FromClient, Level, SUBPROTOCOLS},
     stream::{Out, Stream, Totals, Viewer},
 };
 use serde_json::Value;
@@ -93,18 +94,8 @@ pub trait App: Send + Sync {
         Err(format!("there is no service {service}"))
     }
 
-    /// First and last time of a recording that is played, ns.
-    fn range_ns(&self) -> Option<(u64, u64)> {
-        None
-    }
-
-    /// Plays, stops, or goes to a time; `None` if nothing is played.
-    fn play(&self, _plays: bool, _speed: f32, _seek_ns: Option<u64>) -> Option<PlaybackState> {
-        None
-    }
-
-    /// How the playback goes; `None` if nothing is played.
-    fn playback(&self) -> Option<PlaybackState> {
+    /// The recording that is played, if one is.
+    fn playback(&self) -> Option<&Playback> {
         None
     }
 }
@@ -329,7 +320,12 @@ fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool) {
     let mut writer = WebSocket::from_raw_socket(Duplex(b, both), Role::Server, None);
 
     let services = shared.app.services();
-    let info = protocol::server_info(&shared.name, &shared.session, !services.is_empty(), shared.app.range_ns());
+    let info = protocol::server_info(
+        &shared.name,
+        &shared.session,
+        !services.is_empty(),
+        shared.app.playback().map(Playback::range_ns),
+    );
     if writer.send(Message::text(info)).is_err() {
         return;
     }
@@ -337,7 +333,7 @@ fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool) {
     if plays {
         viewer.take_playback();
     }
-    if let Some(state) = shared.app.playback() {
+    if let Some(state) = shared.app.playback().map(Playback::state) {
         viewer.send(Out::Binary(protocol::playback_state(&state, false, "")));
     }
     if !services.is_empty() {
@@ -420,8 +416,8 @@ impl Shared {
                     return Err(format!("a playback speed of {speed} is not possible"));
                 }
                 viewer.take_playback();
-                let state = self.app.play(request.plays, speed, request.seek_ns);
-                let state = state.ok_or("nothing is played back: this is live")?;
+                let playback = self.app.playback().ok_or("nothing is played back: this is live")?;
+                let state = playback.play(request.plays, speed, request.seek_ns);
                 // The playback announces a jump to all viewers, before what follows it.
                 let bytes = protocol::playback_state(&state, false, &request.id);
                 viewer.send(Out::Binary(bytes));

@@ -5,27 +5,22 @@ use osteoflow_container::ReadError;
 use osteoflow_engine::run::ListenedChannel;
 use std::path::Path;
 
-/// The last message of a channel.
-#[derive(Debug, Clone)]
-pub struct LastMessage {
-    /// The channel.
-    pub channel: ListenedChannel,
-    /// The bytes of the message.
-    pub data: Vec<u8>,
-}
-
-/// The last messages of the channels that `wants` chooses, in the order in which a viewer gets them. What is damaged is left out.
+/// The bytes of the last message of each channel that `wants` chooses, in the order in which a viewer gets them. What is damaged is
+/// left out.
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be read.
-pub fn last_messages(path: &Path, wants: impl Fn(&ListenedChannel) -> bool) -> Result<Vec<LastMessage>, ReadError> {
+pub fn last_messages(
+    path: &Path,
+    wants: impl Fn(&ListenedChannel) -> bool,
+) -> Result<Vec<(ListenedChannel, Vec<u8>)>, ReadError> {
     let mut recording = IndexedRecording::open(path)?;
     let mut last: Vec<usize> = last_of_each(&recording.entries).into_values().collect();
     last.sort_unstable();
     let mut messages = Vec::new();
     for entry in last.into_iter().map(|at| recording.entries[at]) {
         let Some(channel) = recording.channels.get(&entry.channel).filter(|channel| wants(channel)) else { continue };
-        messages.push(LastMessage { channel: channel.clone(), data: recording.messages.data(entry)? });
+        messages.push((channel.clone(), recording.messages.data(entry)?));
     }
     Ok(messages)
 }

@@ -25,8 +25,6 @@ const OWN_CHANNELS: u32 = u32::MAX;
 /// Channels of a run whose messages add up, and the one that has their sums.
 pub(crate) const TIMING: &str = "/run/timing";
 pub(crate) const DROPS: &str = "/run/drops";
-/// Channel of older recordings with the first transforms, with a time before all others.
-pub(crate) const FRAMES: &str = "/run/frames";
 /// The schema of transforms.
 pub(crate) const TRANSFORM: &str = "foxglove.FrameTransform";
 const NODES: &str = "/viewer/nodes";
@@ -67,8 +65,6 @@ struct Hub {
 /// Numbers of messages of all viewers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Totals {
-    /// Viewers so far.
-    pub n_viewers: u64,
     /// Messages that were sent.
     pub n_sent: u64,
     /// Messages that slow viewers have lost.
@@ -129,7 +125,6 @@ impl Stream {
         let mut hub = self.hub();
         viewer.send(Out::Text(protocol::advertise(&hub.channels)));
         hub.viewers.push(viewer.clone());
-        hub.totals.n_viewers += 1;
         viewer
     }
 
@@ -237,7 +232,7 @@ impl Hub {
 impl Totals {
     fn with(self, viewer: &Viewer) -> Self {
         let queue = viewer.queue();
-        Self { n_sent: self.n_sent + queue.n_sent, n_dropped: self.n_dropped + queue.n_dropped, ..self }
+        Self { n_sent: self.n_sent + queue.n_sent, n_dropped: self.n_dropped + queue.n_dropped }
     }
 }
 
@@ -489,9 +484,9 @@ mod tests {
         let (got, status) = received_and_status(&slow);
         assert_eq!(got, [200, 7, 8, 9], "the only message of channel 2 stays");
         assert!(status.contains("too slowly: 7 of 8"), "{status}");
-        assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
+        assert_eq!(stream.totals(), Totals { n_sent: 15, n_dropped: 7 });
         [slow, quick].into_iter().for_each(|viewer| stream.leave(&viewer));
-        assert_eq!(stream.totals(), Totals { n_viewers: 2, n_sent: 15, n_dropped: 7 });
+        assert_eq!(stream.totals(), Totals { n_sent: 15, n_dropped: 7 });
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Where the scan contradicts the phantom's CAD: it looks through the CAD, or shows something before it.
 
 use super::pairs::Faces;
+use crate::median::median;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
 use nalgebra::{Isometry3, Point3};
@@ -74,11 +75,10 @@ pub(super) fn contradicted(
         let n = of.len() as f64;
         let sum: nalgebra::Vector3<f64> = of.iter().map(|i| points[*i].coords).sum();
         let mut distances: Vec<f64> = of.iter().filter_map(|i| all[*i]).map(f64::abs).collect();
-        distances.sort_by(f64::total_cmp);
         Contradiction {
             share: n / counted.len().max(1) as f64,
             at_mm: (n > 0.0).then(|| (sum / n).into()),
-            along_mm: distances.get(distances.len() / 2).copied().unwrap_or(0.0),
+            along_mm: median(&mut distances),
         }
     })
 }

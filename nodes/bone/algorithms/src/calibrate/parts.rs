@@ -1,6 +1,7 @@
 //! Which planes of the phantom the camera could see, and which the scan shows.
 
 use super::pairs::{Faces, SAME_FACE_COS};
+use crate::median::median;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -138,9 +139,6 @@ impl<'a> OnCad<'a> {
         on.dedup();
         let mut off: Vec<f64> = on.iter().map(|i| normal.dot(&self.points[*i].coords) - at_mm).collect();
         off.retain(|mm| mm.abs() <= ON_PLANE_MM);
-        (off.len() >= MIN_POINTS).then(|| {
-            let middle = off.len() / 2;
-            *off.select_nth_unstable_by(middle, f64::total_cmp).1
-        })
+        (off.len() >= MIN_POINTS).then(|| median(&mut off))
     }
 }

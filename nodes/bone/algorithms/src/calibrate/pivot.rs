@@ -5,6 +5,7 @@ mod signs;
 use super::inliers::{Gate, inliers, selected};
 use super::interval::radius_90;
 use crate::Refusal;
+use crate::median::median;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -160,16 +161,10 @@ impl Fit {
     }
 }
 
-fn median(lengths: &[f64]) -> f64 {
-    let mut sorted = lengths.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
-}
-
 fn drift_mm(residuals: &[Vector3<f64>]) -> f64 {
     let third = residuals.len() / 3;
     let middle =
-        |of: &[Vector3<f64>]| Vector3::from_fn(|axis, _| median(&of.iter().map(|r| r[axis]).collect::<Vec<_>>()));
+        |of: &[Vector3<f64>]| Vector3::from_fn(|axis, _| median(&mut of.iter().map(|r| r[axis]).collect::<Vec<_>>()));
     (middle(&residuals[residuals.len() - third..]) - middle(&residuals[..third])).norm()
 }
 

@@ -6,6 +6,7 @@ use super::mirror::mirrored_mm;
 use super::pairs::{Faces, Scan, capped_rms_mm, distances, on_faces};
 use super::parts::{OnCad, PhantomPart, parts};
 use super::turned::best_turned;
+use crate::median::median;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -59,11 +60,6 @@ pub(super) struct Fitted<'a> {
     pub(super) sample_mm2: f64,
 }
 
-/// About the distance between samples of the CAD's surface, mm.
-fn spacing_of_samples_mm(sample_mm2: f64) -> f64 {
-    sample_mm2.sqrt()
-}
-
 impl PhantomShown {
     pub(super) fn of(fit: &Fitted<'_>) -> Self {
         let t = fit.t_phantom_camera;
@@ -72,12 +68,12 @@ impl PhantomShown {
         let tree = Nearest::new(&points);
         let near = |p: &Point3<f64>| tree.nearest_n(p, SPACING_OF + 1).last().map_or(0.0, |(_, square)| square.sqrt());
         let mut spacings: Vec<f64> = points.iter().step_by(points.len().div_ceil(1000)).map(near).collect();
-        let middle = spacings.len() / 2;
-        let spacing_mm = *spacings.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let spacing_mm = median(&mut spacings);
         let [through, before] = contradicted(fit.query, fit.faces, &points, &tree, t, fit.noise_mm);
         let on_cad = OnCad::new(points, normals, &tree, spacing_mm, fit.sample_mm2);
         let parts = parts(fit.faces, fit.query, &on_cad, t);
-        let near = fit.scan.near(fit.faces, t, fit.cap_mm + spacing_of_samples_mm(fit.sample_mm2)).thinned(fit.n_thin);
+        // Samples of the CAD's surface are about the root of their area apart.
+        let near = fit.scan.near(fit.faces, t, fit.cap_mm + fit.sample_mm2.sqrt()).thinned(fit.n_thin);
         let turned = best_turned(fit.faces, &near, &parts, t, fit.max_mm, fit.cap_mm);
         let mirrored_rms_mm = mirrored_mm(fit.faces, &near, t, t, fit.max_mm, fit.cap_mm);
         let of_fit = distances(&on_faces(fit.faces, &near, t, fit.max_mm));

@@ -15,6 +15,7 @@ use anywhere::{Effort, Ground, Shape, radius_of};
 use axis::{Scan, stations};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
+use osteoflow_node_macros::params;
 use patches::patches;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -74,29 +75,23 @@ pub(crate) const CROP: &str = "crop the scan to the bone (register: --box, --sph
                               osteoflow view; in a graph: crop.box)";
 
 /// Spacing and number of the starts of [`global()`].
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct GlobalParams {
     /// Distance between starts along the bone, mm. 10: a few steps on a coarse map recover half of it.
-    #[schemars(range(min = 0.5, max = 100.0))]
+    #[param(10.0, 0.5..=100.0)]
     pub slide_mm: f64,
     /// Number of starts around the bone. 12: 30 degrees apart, half of which the same steps recover.
-    #[schemars(range(min = 4, max = 360))]
+    #[param(12, 4..=360)]
     pub n_turns: usize,
     /// Maximum number of starts that are refined on the map: the best ones, of those at different places. 40: a fibula
     /// has fewer plausible places.
-    #[schemars(range(min = 1, max = 10_000))]
+    #[param(40, 1..=10_000)]
     pub n_refined: usize,
     /// Maximum number of refined starts that are registered onto the surface: the best ones, at least 4 mm apart. 4:
     /// the right one and its rivals.
-    #[schemars(range(min = 1, max = 1000))]
+    #[param(4, 1..=1000)]
     pub n_registered: usize,
-}
-
-impl Default for GlobalParams {
-    fn default() -> Self {
-        Self { slide_mm: 10.0, n_turns: 12, n_refined: 40, n_registered: 4 }
-    }
 }
 
 /// A registration by shape alone.

@@ -91,7 +91,7 @@ pub(super) fn blobs(
         .map(|i| if mask.inside[i] { strength_of([i % width, i / width]) } else { f64::NEG_INFINITY })
         .collect();
     let mut on_mask: Vec<f64> = strengths.iter().copied().filter(|s| s.is_finite()).collect();
-    let threshold = super::scene::median(&mut on_mask) + min_contrast;
+    let threshold = crate::median::median(&mut on_mask) + min_contrast;
     let mut kinds: Vec<Kind> = (0..width * height)
         .map(|i| match mask.inside[i] {
             false => Kind::Outside,

@@ -78,7 +78,7 @@ fn fill(cloud: &Cloud, t_cloud_camera: &Isometry3<f64>, params: &HoleParams) -> 
     // As dense as the scan.
     let step = grid.cell * (grid.n_filled() as f64 / flat.len() as f64).sqrt();
     let mut depths: Vec<f64> = in_camera.iter().map(|p| p.z).collect();
-    let depth = super::scene::median(&mut depths);
+    let depth = crate::median::median(&mut depths);
     let radius = params.spot_radius_mm / depth;
     let empty =
         Empty::over(&grid, step, |place| tree.nearest(place).map_or(f64::INFINITY, |(_, square)| square.sqrt() / step));
@@ -145,7 +145,7 @@ struct Surface {
 impl Surface {
     fn through(around: &[Point3<f64>], middle: &Point3<f64>, radius: f64, radius_mm: f64) -> Option<Self> {
         let mut depths: Vec<f64> = around.iter().map(|p| p.z).collect();
-        let usual = super::scene::median(&mut depths);
+        let usual = crate::median::median(&mut depths);
         let near: Vec<&Point3<f64>> = around.iter().filter(|p| (p.z - usual).abs() <= DEPTH * radius_mm).collect();
         if near.len() < MIN_AROUND {
             return None;

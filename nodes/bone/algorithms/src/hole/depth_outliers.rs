@@ -4,8 +4,8 @@
 //! something was seen in its direction, but not where: counted where it is, it makes the rim of a hole out of the empty space beside a
 //! silhouette, or takes from the surface what no laser hides.
 
-use super::scene::median;
 use super::sight::LEAST_COS;
+use crate::median::median;
 use crate::nearest::Nearest;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::Cloud;

@@ -1,6 +1,6 @@
 //! The camera's image as a grid of cells.
 
-use super::scene::median;
+use crate::median::median;
 use crate::nearest::Nearest;
 use nalgebra::Point3;
 

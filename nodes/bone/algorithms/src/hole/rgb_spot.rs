@@ -8,6 +8,7 @@ use super::{Hole, HoleParams, HoleReport};
 use crate::Refusal;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector2, Vector3};
 use osteoflow_geometry::{Cloud, Image, Intrinsics};
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -48,35 +49,28 @@ pub enum Mark {
 }
 
 /// Parameters of [`rgb_spot`].
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct RgbSpotParams {
     /// What to find: `laser`, a red spot, or `pen`, a violet or blue mark. laser: the paper's.
     pub mark: Mark,
     /// Radius of the coloured spot on the surface, mm; found spots may be 2.5 times smaller or larger. 2: the laser of the paper.
-    #[schemars(range(min = 0.1, max = 50.0))]
+    #[param(HoleParams::default().spot_radius_mm, 0.1..=50.0)]
     pub spot_radius_mm: f64,
     /// Maximum median distance of the scan with the laser from the reference, mm. 0.5: as for the other detectors.
-    #[schemars(range(min = 1e-3, max = 10.0))]
+    #[param(HoleParams::default().max_scan_residual_mm, 1e-3..=10.0)]
     pub max_scan_residual_mm: f64,
     /// Minimum confidence. 0.4: as for the other detectors; a rim in 7 of 12 directions and a radius twice too small give 0.38.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(HoleParams::default().min_confidence, 0.0..=1.0)]
     pub min_confidence: f64,
     /// Minimum difference of the spot's colour from the bone's, levels of 255. 40: noise of 2 levels and ivory bone stay below 25.
-    #[schemars(range(min = 1.0, max = 255.0))]
+    #[param(40.0, 1.0..=255.0)]
     pub min_contrast: f64,
     /// Whether the scan has to lack half of its points at the laser's spot. true: a mirrored image, wrong intrinsics and the image of
     /// another scan are recognized by it, and a spot of which the silhouette hides a part; false for a camera whose depth the laser does
     /// not disturb. Not used for a pen.
+    #[param(true)]
     pub require_hole: bool,
-}
-
-impl Default for RgbSpotParams {
-    fn default() -> Self {
-        let HoleParams { spot_radius_mm, max_scan_residual_mm, min_confidence, .. } = HoleParams::default();
-        let (mark, require_hole) = (Mark::Laser, true);
-        Self { mark, spot_radius_mm, max_scan_residual_mm, min_confidence, min_contrast: 40.0, require_hole }
-    }
 }
 
 impl Mark {
@@ -218,7 +212,7 @@ impl<'a> Search<'a> {
                  together, and the intrinsics to the image?"
             )));
         }
-        let depth_mm = super::scene::median(&mut seen.iter().map(|(_, depth, _)| *depth).collect::<Vec<_>>());
+        let depth_mm = crate::median::median(&mut seen.iter().map(|(_, depth, _)| *depth).collect::<Vec<_>>());
         let spacing_px = scene.median_spacing_mm * image.intrinsics().fx / depth_mm;
         let mask = Mask::of(image, seen.iter().map(|(pixel, ..)| *pixel), 1.5 * spacing_px.max(1.0));
         Ok(Self { scene, image, t_cloud_image, params, mask, seen, spacing_px, depth_mm })
@@ -408,7 +402,7 @@ fn circle(rim: &[Vector2<f64>], start: Vector2<f64>) -> Option<(Vector2<f64>, f6
         return None;
     }
     let mut radii: Vec<f64> = rim.iter().map(|p| (p - start).norm()).collect();
-    let (mut at, mut radius) = (start, super::scene::median(&mut radii));
+    let (mut at, mut radius) = (start, crate::median::median(&mut radii));
     for _ in 0..STEPS {
         // Algebraic fit of x² + y² = 2 a x + 2 b y + c about the present centre.
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());

@@ -4,6 +4,7 @@ use super::HoleParams;
 use super::depth_outliers::corrected;
 use super::sight::Sight;
 use crate::Refusal;
+use crate::median::median;
 use crate::nearest::Nearest;
 use crate::normals::plane_normal;
 use nalgebra::Point3;
@@ -179,12 +180,6 @@ impl Scene {
         let slant = if shared.is_empty() { 1.0 } else { median(&mut slants.collect::<Vec<_>>()) };
         [median(&mut shared), slant]
     }
-}
-
-/// The median; zero without values.
-pub(super) fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// The refusal of an empty scan, `reference` or `laser`.

@@ -1,6 +1,6 @@
 //! Points as the camera of a scan sees them.
 
-use super::scene::median;
+use crate::median::median;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::Cloud;
 

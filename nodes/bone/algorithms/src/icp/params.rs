@@ -1,46 +1,38 @@
 //! Parameters of the registrations.
 
 use super::IcpError;
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Said where a graph or a recording of an earlier version asks for the closest-point field.
-pub const NO_FIELD: &str = "there is no closest-point field any more: pairing = \"field\" is read as \"cached\", and field and field_exact are ignored";
-
 /// Parameters of pairing, weights, steps and stop rules, the same for every variant.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = {
-    "published_reading": {
-        "default": "none",
-        "help": "the stop rules that the paper may have used are kind = \"icp.published\", whose reading takes this value",
-    },
-    "field_exact": { "default": true, "warning": NO_FIELD },
-}))]
 pub struct IcpParams {
     /// Largest distance of a pair, mm. 5: twice the largest error of a three-point fit to laser holes, and less than half the
     /// thickness of a fibula, so that no point pairs with the opposite side of the bone.
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(5.0, 1e-6..=1e6)]
     pub max_pair_distance_mm: f64,
     /// Correspondence search. `cached`: the nearest samples, searched again only after a point has moved so far that another
     /// could be nearer; the pairs of `tree` in a fifth of its time. `tree`: the nearest samples, searched at every step.
+    #[param(PairingKind::Cached)]
     pub pairing: PairingKind,
     /// Whether a pair is used only if the source point is the nearest to its target point in turn. false: a scan covers a part
     /// of the bone, and each of its points has a target point.
     pub reciprocal: bool,
     /// Largest angle between the normals of a pair, degrees. 180: all pairs are used. The scan's normals are estimated if the
     /// cloud has none.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(180.0, 0.0..=180.0)]
     pub max_normal_angle_deg: f64,
     /// The gate: residuals beyond this many standard deviations of the inliers have no weight, those below 0.85 of it full
     /// weight. 5: bare bone keeps full weight, and up to half of the points may be some millimetres off and lose theirs. 0: no
     /// gate, all pairs within `max_pair_distance_mm` have full weight. Before the last level the gate is just beyond the better
     /// half of the points.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(5.0, 0.0..=1000.0)]
     pub gate_sigmas: f64,
     /// Depth noise of the camera, mm: a lower bound on the standard deviation of the residuals. 0.07: a structured-light
     /// camera's at 300 mm. A camera with less noise gets a wider gate than it needs; more noise is estimated.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.07, 0.0..=100.0)]
     pub noise_mm: f64,
     /// Whether points outside the surface count less than those inside: soft tissue lies outside the bone everywhere, noise on
     /// both sides. Before the last level they have a twentieth of the weight, then a gate of 2.5 standard deviations. Needs a cloud
@@ -48,9 +40,10 @@ pub struct IcpParams {
     pub one_sided: Option<bool>,
     /// Robust kernel, beside the gate; its scale is the standard deviation of the residuals. `none`: least squares. `huber`,
     /// `tukey`, `welsch`: an efficiency of 95 % on Gaussian noise.
+    #[param(Kernel::None)]
     pub kernel: Kernel,
     /// Share of the pairs, those with the largest residuals, that a step leaves out. 0: the gate leaves out the outliers.
-    #[schemars(range(min = 0.0, max = 0.9))]
+    #[param(0.0, 0.0..=0.9)]
     pub trim_fraction: f64,
     /// Whether a pair is weighted by the squared cosine of the camera's incidence on the target, as depth noise grows with its
     /// inverse. false: no assumption on the camera. Needs a cloud with a viewpoint.
@@ -58,69 +51,44 @@ pub struct IcpParams {
     /// Subsets to register before all points: every n-th source point for each, until its noise exceeds its steps. [32, 8]:
     /// most of the distance at a twentieth of the cost. The first subset pairs with a thinned target. []: all points from the
     /// start.
+    #[param(vec![32, 8])]
     #[schemars(length(max = 8), inner(range(min = 2, max = 10_000)))]
     pub levels: Vec<u32>,
     /// Solution of a step. `gauss_newton`: the minimum of the linearised problem, with a line search.
     /// `levenberg_marquardt`: damped until the cost does not rise.
+    #[param(StepRule::GaussNewton)]
     pub step: StepRule,
     /// `point_to_point`: number of earlier steps that the next one is extrapolated from (Anderson). 5: as in the literature; 0:
     /// Kabsch's steps only, without Gauss-Newton steps along the normals either, which takes hundreds of steps, as each
     /// recovers 0.1 % of a slide along the bone. Other variants ignore it.
-    #[schemars(range(min = 0, max = 5))]
+    #[param(5, 0..=5)]
     pub acceleration: u32,
     /// Converged if the remaining distance, estimated from the last steps, is below this, mm. 0.001: a hundredth of the
     /// tracker's resolution. Distances are RMS movements of the source points.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.001, 0.0..=10.0)]
     pub stop_step_mm: f64,
     /// And if the last turn is below this, rad. 1e-5: a micrometre at 100 mm.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(1e-5, 0.0..=1.0)]
     pub stop_step_rad: f64,
     /// Also stop if a step changes the RMS residual by less than this, mm. 0: never. Near a coarse fit the residual of a bone
     /// hardly changes while it still slides along its axis, so 0.01 stops after three or four steps, millimetres away; the
     /// report then does not say converged.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.0, 0.0..=10.0)]
     pub stop_residual_mm: f64,
     /// Also stop after this many milliseconds. 0: never. A stop by time is recorded, and a replay stops at the same step.
-    #[schemars(range(min = 0.0, max = 1e9))]
+    #[param(0.0, 0.0..=1e9)]
     pub stop_after_ms: f64,
     /// Largest number of steps, all levels together. 500: ten times the steps on real bones.
-    #[schemars(range(min = 1, max = 100_000))]
+    #[param(500, 1..=100_000)]
     pub max_iterations: u32,
     /// Smallest number of pairs; fewer are an error. 10: six unknowns and some redundancy.
-    #[schemars(range(min = 3, max = 1_000_000))]
+    #[param(10, 3..=1_000_000)]
     pub min_pairs: u32,
-}
-
-impl Default for IcpParams {
-    fn default() -> Self {
-        Self {
-            max_pair_distance_mm: 5.0,
-            pairing: PairingKind::Cached,
-            reciprocal: false,
-            max_normal_angle_deg: 180.0,
-            gate_sigmas: 5.0,
-            noise_mm: 0.07,
-            one_sided: None,
-            kernel: Kernel::None,
-            trim_fraction: 0.0,
-            incidence_weights: false,
-            levels: vec![32, 8],
-            step: StepRule::GaussNewton,
-            acceleration: 5,
-            stop_step_mm: 0.001,
-            stop_step_rad: 1e-5,
-            stop_residual_mm: 0.0,
-            stop_after_ms: 0.0,
-            max_iterations: 500,
-            min_pairs: 10,
-        }
-    }
 }
 
 /// Correspondence search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-#[schemars(extend("x-replaced" = { "field": { "by": "cached", "warning": NO_FIELD } }))]
 pub enum PairingKind {
     /// The nearest samples, searched again only after a point has moved so far that another could be nearer.
     Cached,

@@ -37,7 +37,7 @@ pub(super) fn minimize(
                 return Ok(minimizer.end(StopReason::Step, &step));
             }
             // Only plain steps find the pairs that stay among the roughness.
-            minimizer.go_plain();
+            (minimizer.is_plain, minimizer.n_calm) = (true, 0);
         }
         if minimizer.n_steps >= max_steps {
             return Ok(minimizer.end(StopReason::Iterations, &step));
@@ -176,10 +176,6 @@ impl<'a> Minimizer<'a> {
         let equations = self.problem.linearize(&state, &mut self.correspondences, &mut self.weights, false).ok()?;
         let cost = self.problem.mean_cost(&equations);
         Some(Trial { state, equations, cost, is_accelerated })
-    }
-
-    fn go_plain(&mut self) {
-        (self.is_plain, self.n_calm) = (true, 0);
     }
 
     /// Takes the step; the end of the level if the observer or the rule on the residual says so.

@@ -14,44 +14,29 @@ use super::stop::StopReason;
 use super::weights::Weights;
 use crate::target::Target;
 use nalgebra::Isometry3;
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
 /// Parameters of [`register_published`].
+#[params(reading)]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct PublishedParams {
     /// The stop rule. Required, as the paper does not say which it used.
     pub reading: PublishedReading,
     /// Largest distance of a pair, mm. 5: as of the other kinds.
-    #[serde(default = "max_pair_distance_mm")]
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(IcpParams::default().max_pair_distance_mm, 1e-6..=1e6)]
     pub max_pair_distance_mm: f64,
     /// Largest number of steps. 500: as of the other kinds; the number of steps with `reading = "iterations"`.
-    #[serde(default = "max_iterations")]
-    #[schemars(range(min = 1, max = 100_000))]
+    #[param(IcpParams::default().max_iterations, 1..=100_000)]
     pub max_iterations: u32,
     /// Also stop after this many milliseconds. 0: never. A stop by time is recorded, and a replay stops at the same step.
-    #[serde(default)]
-    #[schemars(range(min = 0.0, max = 1e9))]
+    #[param(0.0, 0.0..=1e9)]
     pub stop_after_ms: f64,
     /// Smallest number of pairs; fewer are an error. 10: six unknowns and some redundancy.
-    #[serde(default = "min_pairs")]
-    #[schemars(range(min = 3, max = 1_000_000))]
+    #[param(IcpParams::default().min_pairs, 3..=1_000_000)]
     pub min_pairs: u32,
-}
-
-fn max_pair_distance_mm() -> f64 {
-    IcpParams::default().max_pair_distance_mm
-}
-
-fn max_iterations() -> u32 {
-    IcpParams::default().max_iterations
-}
-
-fn min_pairs() -> u32 {
-    IcpParams::default().min_pairs
 }
 
 /// A reading of the paper's stop rule.

@@ -2,6 +2,7 @@ use crate::Refusal;
 use crate::mesh_query::MeshQuery;
 use nalgebra::{Point3, Unit, Vector3};
 use osteoflow_geometry::NamedPoint;
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -24,38 +25,32 @@ pub enum ThirdFrom {
 }
 
 /// Errors of a surgeon's ruler at each of the three marks.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct RulerErrors {
     /// Error of the first mark along the bone, mm, and of all marks ruled from it. 0: as planned. The paper
     /// draws it within 10 mm both ways, because the malleolus is hard to find.
-    #[schemars(range(min = -100.0, max = 100.0))]
+    #[param(0.0, -100.0..=100.0)]
     pub first_mm: f64,
     /// Error of the second mark from the first, along the bone, mm. 0: as planned. The paper draws it within 2 mm both
     /// ways.
-    #[schemars(range(min = -100.0, max = 100.0))]
+    #[param(0.0, -100.0..=100.0)]
     pub second_mm: f64,
     /// Error of the third mark from the one it is ruled from, along the bone, mm. 0: as planned. The paper draws it
     /// within 2 mm both ways.
-    #[schemars(range(min = -100.0, max = 100.0))]
+    #[param(0.0, -100.0..=100.0)]
     pub third_mm: f64,
     /// Error of the second mark across the bone, along the tangent of its face, mm. 0: as planned. The paper draws it
     /// within 3 mm both ways, and calls the direction x.
-    #[schemars(range(min = -20.0, max = 20.0))]
+    #[param(0.0, -20.0..=20.0)]
     pub across_mm: f64,
     /// The mark from which the third one is ruled. `first`, as we read the paper's d13; `second` is the other reading.
     pub third_from: ThirdFrom,
     /// Whether each mark is moved to the closest point of the surface. On: a surgeon marks bone. Off: displaced by the
     /// errors alone, as the paper prints them; on a straight fibula the start then differs by 0.1 mm along the bone and
     /// by 3 degrees about it on average, on a bent one by 0.3 mm and 10 degrees.
+    #[param(true)]
     pub on_surface: bool,
-}
-
-impl Default for RulerErrors {
-    fn default() -> Self {
-        let third_from = ThirdFrom::First;
-        Self { first_mm: 0.0, second_mm: 0.0, third_mm: 0.0, across_mm: 0.0, third_from, on_surface: true }
-    }
 }
 
 /// Marks on the bone and their errors.

@@ -9,6 +9,7 @@ use crate::nearest::Nearest;
 use crate::sample;
 use nalgebra::{Isometry3, Point3, Vector3};
 use osteoflow_geometry::{Mesh, NamedPoint, Planes};
+use osteoflow_node_macros::params;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,23 +18,17 @@ use serde::{Deserialize, Serialize};
 const SAMPLE_SEED: u64 = 1;
 
 /// Resolution of the comparison of fragments.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct CutDifferenceParams {
     /// Spacing of the grid on which both fragments are remeshed for the comparison by vertices, mm. 1: as finely as
     /// bones are meshed from CT.
-    #[schemars(range(min = 0.05, max = 10.0))]
+    #[param(1.0, 0.05..=10.0)]
     pub spacing_mm: f64,
     /// Points drawn evenly from each fragment for the distances to the other's surface. 1000: the standard error of the
     /// mean over both is a fortieth of the standard deviation.
-    #[schemars(range(min = 100, max = 1_000_000))]
+    #[param(1000, 100..=1_000_000)]
     pub n_samples: usize,
-}
-
-impl Default for CutDifferenceParams {
-    fn default() -> Self {
-        Self { spacing_mm: 1.0, n_samples: 1000 }
-    }
 }
 
 /// Difference of the executed fragment from the planned one.

@@ -116,7 +116,7 @@ impl PointFilter for Even {
 fn tally(filter: impl PointFilter, accepted: impl Fn(u32) -> bool) -> String {
     let points = sheet(3000);
     let cells = cells_of(&points);
-    let mut tallies = [(0, 0, 0.0); 3];
+    let mut tallies = [(0, 0, 0.0); 2];
     for k in 0..600_usize {
         let off = Vector3::new(0.45, -0.35, 0.6) * (k % 13) as f64 * if k % 2 == 0 { 0.5 } else { -0.5 };
         let query = points[k * 5].coords + off;
@@ -127,11 +127,8 @@ fn tally(filter: impl PointFilter, accepted: impl Fn(u32) -> bool) -> String {
             .collect();
         squares.sort_by(|a, b| a.0.total_cmp(&b.0));
         for limit_mm in [0.2, 1.0, 3.0, 50.0] {
-            let answers = [
-                cells.nearest_by_lanes(&query, limit_mm, filter),
-                cells.nearest_in_eight(&query, limit_mm, filter),
-                cells.nearest_in_rings(&query, limit_mm, filter),
-            ];
+            let answers =
+                [cells.nearest_by_lanes(&query, limit_mm, filter), cells.nearest_in_rings(&query, limit_mm, filter)];
             for (found, tally) in answers.iter().zip(&mut tallies) {
                 let Some(found) = found else { continue };
                 let expected = Some((squares[0].1, squares[0].0)).filter(|n| n.1 <= limit_mm * limit_mm);
@@ -151,8 +148,8 @@ fn tally(filter: impl PointFilter, accepted: impl Fn(u32) -> bool) -> String {
 #[test]
 fn all_searches_answer_as_often_and_with_as_wide_a_bound_as_they_did() {
     // Fewer answers are slower, as the kd-tree is asked; so is a narrower bound, as a point is looked up again sooner.
-    assert_eq!(tally(All, |_| true), "[(1761, 1299, 0.3227), (401, 396, 0.1331), (1854, 1362, 0.3571)]");
-    assert_eq!(tally(Even, |i| i.is_multiple_of(2)), "[(1135, 673, 0.3075), (213, 208, 0.1364), (1848, 1303, 0.3887)]");
+    assert_eq!(tally(All, |_| true), "[(1761, 1299, 0.3227), (1854, 1362, 0.3571)]");
+    assert_eq!(tally(Even, |i| i.is_multiple_of(2)), "[(1135, 673, 0.3075), (1848, 1303, 0.3887)]");
 }
 
 #[test]

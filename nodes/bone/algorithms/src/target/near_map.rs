@@ -1,6 +1,7 @@
 //! Nearest samples of a surface by a map of voxels: approximate, in a few nanoseconds.
 
 use super::Target;
+use crate::bvh::Aabb;
 use crate::kabsch::centroid;
 use nalgebra::{Point3, Vector3};
 
@@ -38,15 +39,10 @@ pub(crate) struct Sample {
     pub(crate) normal: Vector3<f64>,
 }
 
-fn bounds(samples: &[Sample]) -> (Vector3<f64>, Vector3<f64>) {
-    let first = samples[0].point;
-    samples.iter().fold((first, first), |(a, b), s| (a.inf(&s.point), b.sup(&s.point)))
-}
-
 impl NearMap {
     pub(crate) fn new(target: &Target) -> Self {
         let samples = Self::samples_of(target, N_MAPPED);
-        let (min, max) = bounds(&samples);
+        let Aabb { min, max } = Aabb::of(samples.iter().map(|s| &s.point));
         let voxel_mm = VOXEL_MM.min((max - min).max() / N_ALONG).max(f64::MIN_POSITIVE);
         Self::of(samples, centroid(target.points()), voxel_mm, MARGIN * voxel_mm)
     }
@@ -66,7 +62,7 @@ impl NearMap {
 
     /// The map of these samples, which are about `centre`, with voxels of at least `voxel_mm`.
     pub(crate) fn of(samples: Vec<Sample>, centre: Point3<f64>, voxel_mm: f64, margin_mm: f64) -> Self {
-        let (min, max) = bounds(&samples);
+        let Aabb { min, max } = Aabb::of(samples.iter().map(|s| &s.point));
         let extent = (max - min).add_scalar(2.0 * margin_mm);
         let voxel_mm = voxel_mm.max((extent.product() / MAX_VOXELS).cbrt());
         let size: [usize; 3] = std::array::from_fn(|k| (extent[k] / voxel_mm).ceil() as usize + 1);

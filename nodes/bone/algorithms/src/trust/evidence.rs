@@ -9,6 +9,7 @@ use crate::sensor_noise::sensor_noise_mm;
 use crate::target::{Side, Target};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -43,14 +44,16 @@ pub struct Registered<'a> {
 }
 
 /// What is examined.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct EvidenceParams {
     /// Whether the scan is also registered by shape alone, as a second opinion. true: it notices landmarks that are
     /// swapped, displaced or of another bone; it takes about 0.15 s of one core.
+    #[param(true)]
     pub shape: bool,
     /// When the scan's mirror image is registered too: `always`, `never`, or `if_raised`, where another sign is. `if_raised`: it
     /// names the cause, and no mirrored bone passes the other signs.
+    #[param(When::IfRaised)]
     pub mirror: When,
 }
 
@@ -64,12 +67,6 @@ pub enum When {
     IfRaised,
     /// In none.
     Never,
-}
-
-impl Default for EvidenceParams {
-    fn default() -> Self {
-        Self { shape: true, mirror: When::IfRaised }
-    }
 }
 
 /// What the data of a registration say about it. Lengths in mm.

@@ -4,6 +4,7 @@ use super::Spread;
 use crate::kabsch::kabsch;
 use nalgebra::{DMatrix, DVector, Matrix3x6, Point3, Vector3};
 use osteoflow_geometry::NamedPoint;
+use osteoflow_node_macros::params;
 use osteoflow_verdict::{Answer, Reason};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,23 +17,17 @@ const LEVEL: f64 = 0.002;
 const N_ALONE: usize = 4;
 
 /// Stated errors of located landmarks.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct LandmarkErrors {
     /// Standard deviation, per axis, of a landmark on the surface, planned and located, mm. 1.5: landmarks are aimed with a laser or
     /// picked by hand to 1 to 2 mm along the surface.
-    #[schemars(range(min = 0.01, max = 100.0))]
+    #[param(1.5, 0.01..=100.0)]
     pub landmark_mm: f64,
     /// Standard deviation, per axis, of a fiducial off the surface, mm. 0.5: fiducials touched with a tracked stylus were located to
     /// 0.3 to 0.4 mm per axis (FRE of 0.4 to 0.6 mm) before the stylus' own tip, 0.2 mm, and the CT's voxel, 0.2 mm.
-    #[schemars(range(min = 0.01, max = 100.0))]
+    #[param(0.5, 0.01..=100.0)]
     pub fiducial_mm: f64,
-}
-
-impl Default for LandmarkErrors {
-    fn default() -> Self {
-        Self { landmark_mm: 1.5, fiducial_mm: 0.5 }
-    }
 }
 
 /// Located landmarks beside the planned ones.

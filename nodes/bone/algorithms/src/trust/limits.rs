@@ -1,27 +1,22 @@
 //! What counts as a wrong answer.
 
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Limits of a right answer: beyond any of them it is wrong.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Limits {
     /// Maximum mean TRE of the assessment points, mm. 1.5: half of what a cut may be off.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(1.5, 0.0..=1000.0)]
     pub max_tre_mm: f64,
     /// Maximum displacement of a cut along its normal, in the middle of the bone, mm. 1.5: as above.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(1.5, 0.0..=1000.0)]
     pub max_offset_mm: f64,
     /// Maximum tilt of a cut, degrees. 0.5: moves its rim by 0.1 mm on a fibula; a jaw of several pieces adds them up.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(0.5, 0.0..=180.0)]
     pub max_tilt_deg: f64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { max_tre_mm: 1.5, max_offset_mm: 1.5, max_tilt_deg: 0.5 }
-    }
 }
 
 impl Limits {

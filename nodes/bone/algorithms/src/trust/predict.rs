@@ -7,6 +7,7 @@ use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector6};
 use osteoflow_geometry::NamedPoint;
+use osteoflow_node_macros::params;
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use schemars::JsonSchema;
@@ -32,42 +33,29 @@ const ELLIPSOID_SIGMAS: f64 = 2.500_278;
 pub(super) const SCAN_MOTION: &str = "motion during the scan";
 
 /// Stated errors.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct PredictParams {
     /// Standard deviation, per axis, of a marker's tracked position while it stands still, mm. 0.06: an optical tracker's
     /// volumetric error of 0.1 mm in all.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.06, 0.0..=10.0)]
     pub marker_mm: f64,
     /// Standard deviation of its tracked attitude about each axis, degrees. 0.023: that error over a marker of 150 mm.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.023, 0.0..=10.0)]
     pub marker_deg: f64,
     /// Standard deviation, per axis, of the phantom's marker against its CAD, mm. 0.05: a printed part.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.05, 0.0..=10.0)]
     pub print_mm: f64,
     /// Standard deviation of its attitude against the CAD about each axis, degrees. 0.03: as much over the phantom.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.03, 0.0..=10.0)]
     pub print_deg: f64,
     /// RMS error of the CT's surface over patches of a centimetre, mm, as stated: by how much it may swell or shrink with the
     /// segmentation's threshold. 0.1: a seventh of a voxel of 0.7 mm. It widens the second interval only, as what varies along
     /// the scan is in the first already.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.1, 0.0..=10.0)]
     pub ct_bias_mm: f64,
     /// What may be wrong beside the pose.
     pub nuisances: NuisanceParams,
-}
-
-impl Default for PredictParams {
-    fn default() -> Self {
-        Self {
-            marker_mm: 0.06,
-            marker_deg: 0.023,
-            print_mm: 0.05,
-            print_deg: 0.03,
-            ct_bias_mm: 0.1,
-            nuisances: NuisanceParams::default(),
-        }
-    }
 }
 
 /// The poses by which the markers' places are carried to the target.

@@ -4,12 +4,13 @@ use super::landmarks::LandmarkErrors;
 use super::limits::Limits;
 use super::stylus::StylusErrors;
 use crate::coarse::CLEAR;
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Thresholds of the rules.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 #[schemars(extend("x-removed" = { "max_scale_error": {
     "default": 0.025,
     "warning": "max_scale_error is ignored: a stretch is measured along the bone, across it and in all directions (errors.nuisances)",
@@ -19,44 +20,44 @@ pub struct RuleParams {
     pub limits: Limits,
     /// Doubtful if the predicted chance of an error beyond the limits is larger. 0.07: on two development bones, with the measured
     /// errors of scanners, right answers had up to 0.068 and wrong ones 0.078 and more.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.07, 0.0..=1.0)]
     pub max_beyond_limits: f64,
     /// The error of scan and surface together over patches of some millimetres, as stated, mm (RMS): a misfit up to it is no sign
     /// against the registration; what it does to the answer is in the predicted error. None: `max_misfit_mm`. Usual values:
     /// structured light 0.03 to 0.1, laser triangulation 0.05 to 0.1, stereo 0.3, a stylus 0.3, tracked ultrasound 0.4 to 1, the
     /// segmentation of a CT 0.2 to 0.8.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(None, 0.0..=100.0)]
     pub surface_error_mm: Option<f64>,
     /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger by more than 0.15 times the noise, mm, where no
     /// `surface_error_mm` is stated: surface and scan differ by more than a structured-light camera and a good segmentation do.
     /// 0.12: fitted likewise; half of a CT's voxel explains 0.05.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.12, 0.0..=100.0)]
     pub max_misfit_mm: f64,
     /// Refused if the misfit of the patches inside the surface is larger, mm, beside the scan's noise and `surface_error_mm`: soft
     /// tissue lies outside, so this is another bone, its mirror image, or another place on it. 0.57: the half inside of 0.8 mm,
     /// by which seven groups' segmentations of one CT were off the bone (RMS; Soodmand 2018).
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.57, 0.0..=100.0)]
     pub max_inward_misfit_mm: f64,
     /// Doubtful, or refused if it fits clearly better, if the registration by shape alone lies farther away, mm.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(1.5, 0.0..=1000.0)]
     pub max_shape_apart_mm: f64,
     /// Clearness from which a registration by shape alone is a contradiction where it does not fit better, and below which a
     /// registration that started from it is doubtful. 0.3: on real bones right answers had 0.4 and more, wrong ones 0.2 and less.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(CLEAR, 0.0..=1.0)]
     pub min_shape_clearness: f64,
     /// Doubtful if a larger share of the scan lies inside the surface in whole patches of 4 mm, each by more than four times the
     /// noise and 0.3 mm. 0.1: outliers of a sensor are single points on both sides.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.1, 0.0..=1.0)]
     pub max_inside: f64,
     /// Doubtful if a smaller share of the scan lies on the surface.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.35, 0.0..=1.0)]
     pub min_on_surface: f64,
     /// Doubtful if the RMS residual of the landmarks is larger, mm, and the shape alone does not agree.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(3.0, 0.0..=100.0)]
     pub max_fre_mm: f64,
     /// Doubtful if the mean error measured with the stylus is larger, mm; refused from three times that. Below it, doubtful where the
     /// predicted error and the stylus' own (`stylus`) explain it in less than one of 100 sound procedures.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(2.5, 0.0..=100.0)]
     pub max_measured_tre_mm: f64,
     /// Stated errors of the stylus, against which its reading contradicts the predicted error.
     pub stylus: StylusErrors,
@@ -65,52 +66,26 @@ pub struct RuleParams {
     /// Doubtful if the camera reads a check piece farther from where its marker has it, mean over its points, mm; refused from
     /// three times that. 0.8: four standard deviations above the mean of sound simulated procedures (0.35 mm, SD 0.12 mm, at
     /// most 0.72 mm of 100), and less than a knock of 1 mm leaves on average.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.8, 0.0..=100.0)]
     pub max_check_mm: f64,
     /// Doubtful if all located landmarks lie farther from the planned ones, the same way, and nothing binds the plan to the surface,
     /// mm. 3: landmarks are aimed to 1 to 2 mm, and a cut that is off by 3 mm is twice beyond its limit.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(3.0, 0.0..=100.0)]
     pub max_common_shift_mm: f64,
     /// By how much the tracker's poses may be late against the camera's scans, s: doubtful if a motion during a scan, a landmark or
     /// a touch then puts the answer beyond the limits. 0.1: two frames of a slow tracker (20 Hz), or an exposure that is stamped at
     /// its end.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[param(0.1, 0.0..=10.0)]
     pub max_latency_s: f64,
     /// Doubtful, whatever the latency, if a marker moves by more over the samples before a scan, a landmark or a touch, and by more
     /// than noise explains, mm. 1: as much smears a scan by two thirds of a limit.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(1.0, 0.0..=100.0)]
     pub max_moved_mm: f64,
     /// Whether it is known that the attitude of the bone's marker is read as it was written. false: where no turn of the bone between the
     /// scan and its landmarks tests it, trust ends at the planes of the scan. true for a tracker whose poses were tested before.
     pub attitude_stated: bool,
     /// Time that a scan takes where neither its points nor `duration_s` of `transform.to_world` say it, s: what the markers moved in such a
     /// time shears it. 2: longer than structured light takes (0.1 to 1), and a line that is swept by hand over 100 mm at 50 mm/s.
-    #[schemars(range(min = 0.0, max = 60.0))]
+    #[param(2.0, 0.0..=60.0)]
     pub assumed_scan_s: f64,
-}
-
-impl Default for RuleParams {
-    fn default() -> Self {
-        Self {
-            limits: Limits::default(),
-            max_beyond_limits: 0.07,
-            surface_error_mm: None,
-            max_misfit_mm: 0.12,
-            max_inward_misfit_mm: 0.57,
-            max_shape_apart_mm: 1.5,
-            min_shape_clearness: CLEAR,
-            max_inside: 0.1,
-            min_on_surface: 0.35,
-            max_fre_mm: 3.0,
-            max_measured_tre_mm: 2.5,
-            stylus: StylusErrors::default(),
-            landmarks: LandmarkErrors::default(),
-            max_check_mm: 0.8,
-            max_common_shift_mm: 3.0,
-            max_latency_s: 0.1,
-            max_moved_mm: 1.0,
-            attitude_stated: false,
-            assumed_scan_s: 2.0,
-        }
-    }
 }

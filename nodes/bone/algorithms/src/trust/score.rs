@@ -2,23 +2,19 @@
 
 use super::{Answer, Limits, Verdict};
 use crate::metrics::{CutReport, CutsReport, TreReport};
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// What counts as a wrong answer.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct VerdictScoreParams {
     /// What is wrong whatever CT and scan are.
     pub limits: Limits,
     /// Whether CT and scan are of the same bone and the landmarks in the planned order; otherwise every answer is wrong.
+    #[param(true)]
     pub is_sound: bool,
-}
-
-impl Default for VerdictScoreParams {
-    fn default() -> Self {
-        Self { limits: Limits::default(), is_sound: true }
-    }
 }
 
 /// A verdict beside the truth.

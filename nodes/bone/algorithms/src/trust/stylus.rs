@@ -1,6 +1,7 @@
 //! What a stylus says against a registration.
 
 use super::Predicted;
+use osteoflow_node_macros::params;
 use osteoflow_verdict::{Answer, Reason};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,23 +17,17 @@ const CONTRARY_SIGMAS: f64 = 2.326;
 const CONTRARY_LENGTH: f64 = 3.368;
 
 /// Stated errors of the stylus.
+#[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct StylusErrors {
     /// Standard deviation, per axis, of the calibrated tip, mm: all touches share it. 0.2: pivots of one electromagnetic stylus
     /// differ by 0.27 mm, those of an optical one by half as much.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.2, 0.0..=100.0)]
     pub tip_mm: f64,
     /// Standard deviation, per axis, of a single touch, mm: the seat of the tip in its hole, and the tracked markers of stylus and
     /// bone. 0.25: a hole of 1 mm, and a marker's 0.06 mm with its attitude over 150 mm of stylus, twice.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.25, 0.0..=100.0)]
     pub touch_mm: f64,
-}
-
-impl Default for StylusErrors {
-    fn default() -> Self {
-        Self { tip_mm: 0.2, touch_mm: 0.25 }
-    }
 }
 
 /// The sign in the mean error that a stylus measured, mm; `None` if it is at most `max_mm`, and at most what the prediction and the

@@ -1,5 +1,5 @@
 use crate::{FileError, error::other_format, foreign_recording};
-use osteoflow_container::{Cause, Damage, ReadError};
+use osteoflow_container::{Damage, ReadError};
 
 /// A recording that cannot be read, or not to its end.
 #[derive(Debug, thiserror::Error)]
@@ -88,9 +88,4 @@ impl McapError {
             format!("byte 0: an MCAP begins with 89 4D 43 41 50 30 0D 0A, but this file begins with {start}{hint}");
         Self::Unreadable { path: path.into(), reason }
     }
-}
-
-/// The damage of a section whose CRC does not hold; its bytes are used all the same.
-pub(super) fn section_damage(what: &'static str, bytes: std::ops::Range<u64>, stored: u32, computed: u32) -> Damage {
-    Damage { bytes, cause: Cause::Crc { what, stored, computed } }
 }

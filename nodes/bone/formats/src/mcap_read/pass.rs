@@ -1,6 +1,6 @@
 //! Gathers the messages of a recording in one pass.
 
-use super::{Attachment, McapError, Message, Recording, Topic, error::section_damage};
+use super::{Attachment, McapError, Message, Recording, Topic};
 use bytes::Bytes;
 use osteoflow_container::{
     Allowance, Cause, Channel, Damage, End, Location, MESSAGE_HEADER_BYTES, Reader, Record, Statistics, Visitor,
@@ -123,7 +123,8 @@ impl<'a> Pass<'a> {
     ) -> ControlFlow<()> {
         match computed {
             Some(computed) if stored != 0 && computed != stored => {
-                self.tolerate(section_damage(what, bytes, stored, computed), |note| note)
+                // The bytes are used all the same.
+                self.tolerate(Damage { bytes, cause: Cause::Crc { what, stored, computed } }, |note| note)
             }
             _ => ControlFlow::Continue(()),
         }

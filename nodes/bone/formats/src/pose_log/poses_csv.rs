@@ -10,13 +10,13 @@
 //! the quaternion's scalar last. `t_ns` is nanoseconds; 0 is for a constant pose. A row without numbers, or with NaN or an
 //! all-zero quaternion, means that the marker was not seen. Columns may be in any order; further ones are ignored.
 
-use super::{Log, LogFormat, PoseLog};
+use super::{Log, LogFormat, PoseLog, Sample, Turn};
 use crate::{
     FileError, LostPose, input,
     table::{self, Row, Table},
 };
-use nalgebra::{Isometry3, Quaternion, Translation3};
-use osteoflow_geometry::{Frame, Nearest, Pose, TooFar, nearest_rotation};
+use nalgebra::Quaternion;
+use osteoflow_geometry::{Frame, Nearest, Pose};
 use std::path::Path;
 
 /// The columns, in the order in which they are written.
@@ -81,19 +81,12 @@ fn pose(
         *value = row.number(column)?;
     }
     let [x, y, z, qx, qy, qz, qw] = values;
-    let quaternion = Quaternion::new(qw, qx, qy, qz);
-    let lost = |reason: &str| Ok(Err(LostPose { to: to.clone(), from: from.clone(), stamp_ns, reason: reason.into() }));
     if !values.iter().all(|v| v.is_finite()) {
-        return lost("a row without finite numbers");
+        return Ok(Err(LostPose { to, from, stamp_ns, reason: "a row without finite numbers".into() }));
     }
-    if quaternion.norm() == 0.0 {
-        return lost("an all-zero quaternion");
-    }
-    let rotation =
-        nearest_rotation(quaternion).map_err(|error| row.fault(format!("{error}; are the columns qx,qy,qz,qw?")))?;
-    let translation = Translation3::new(x * unit_mm, y * unit_mm, z * unit_mm);
-    TooFar::check(translation.vector.as_slice()).map_err(|far| row.fault(format!("the translation: {far}")))?;
-    Ok(Ok(rotation.map(|rotation| Pose::new(to, from, Isometry3::from_parts(translation, rotation)).at(stamp_ns))))
+    let translation_mm = [x, y, z].map(|c| c * unit_mm);
+    let turn = Turn::Quaternion(Quaternion::new(qw, qx, qy, qz));
+    Sample { to, from, stamp_ns, translation_mm, turn }.pose().map_err(|message| row.fault(message))
 }
 
 /// The fault of a stamp with a fraction.
@@ -145,7 +138,7 @@ pub fn write_rows<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
+    use nalgebra::{Isometry3, Vector3};
 
     fn read(text: &str) -> Result<Vec<Result<Nearest<Pose>, LostPose>>, FileError> {
         let file = tempfile::NamedTempFile::new().unwrap();

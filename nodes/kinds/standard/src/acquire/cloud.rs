@@ -7,7 +7,7 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{Cloud, nalgebra::Isometry3};
 use osteoflow_node::{
-    Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, FilePath, NodeError, Outputs, ParamError, params, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use serde_json::json;
@@ -27,31 +27,24 @@ camera = [0.0, 0.0, 0.0]
 pub struct CloudFile;
 
 /// Parameters of [`CloudFile`].
+#[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The file.
     pub path: FilePath,
     /// The frame of its coordinates. `camera`: a scan is in the frame of the camera that made it.
-    #[serde(default = "camera")]
+    #[param("camera")]
     pub frame: String,
     /// Millimetres in the file's unit. 1: most scanners write millimetres; 1000 for a file in metres.
-    #[serde(default = "crate::params::one")]
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(1.0, 1e-6..=1e6)]
     pub unit_mm: f64,
     /// Position of the camera in the file's coordinates, mm; scans in the frame of their camera have it at 0, 0, 0. Points then
     /// pair only with the side of the bone that faces it. Unset: unknown, as after a turntable or a merge of scans.
-    #[serde(default)]
     pub camera: Option<[f64; 3]>,
     /// Which part of the file is the scan: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part nearest to
     /// a point, mm; `osteoflow info` lists them. Parts of a surface share corners; of points a part is a cluster: gaps in it are at
     /// most five times the median distance to the nearest other point. Unset: all of it.
-    #[serde(default)]
     pub component: Option<String>,
-}
-
-fn camera() -> String {
-    "camera".into()
 }
 
 /// Outputs of [`CloudFile`].

@@ -2,7 +2,7 @@
 
 use super::{
     playback::{Event, Playback, in_order},
-    procedure_ports::{ProcedureOut, ProcedurePort, ProcedurePorts},
+    procedure_ports::{ProcedureEvents, ProcedureOut, ProcedurePort, ProcedurePorts},
     sifted::{PoseStreamParams, Sign, sifted},
 };
 use osteoflow_formats::{
@@ -14,7 +14,6 @@ use osteoflow_node::{
     Context, Describe, Emission, FilePath, NodeError, OutputPorts, Outputs, ParamError, Source, schemars::JsonSchema,
     serde::Deserialize,
 };
-use osteoflow_payloads::Flag;
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::PathBuf,
@@ -93,19 +92,8 @@ impl Folder {
         streams.signs.iter().for_each(|(rule, sign)| ctx.sign(rule, sign));
         let start_ns = streams.items.iter().map(|item| item.stamp_ns).find(|&stamp_ns| stamp_ns != 0).unwrap_or(0);
         let has = |role: &str| streams.items.iter().any(|item| item.role == role);
-        let tracked = has("bone_marker");
-        let mut events = vec![
-            at(ProcedurePort::Simulated, start_ns, Emission::value(Flag(folder.simulated))),
-            at(ProcedurePort::BoneTracked, start_ns, Emission::value(Flag(tracked))),
-            at(
-                ProcedurePort::Region,
-                start_ns,
-                match folder.region {
-                    Some(region) => Emission::value(region),
-                    None => Emission::Empty("procedure.toml gives no region of interest".into()),
-                },
-            ),
-        ];
+        let region = folder.region.ok_or("procedure.toml gives no region of interest");
+        let mut events = ProcedureEvents::new(start_ns, folder.simulated, has("bone_marker"), region);
         let mut needed =
             vec![(ProcedurePort::BoneMarker, "bone_marker"), (ProcedurePort::PhantomMarkerCad, "phantom_marker_cad")];
         if folder.tracked {
@@ -116,18 +104,15 @@ impl Folder {
         }
         for (port, name) in needed {
             if !has(name) {
-                events.push(at(
-                    port,
-                    start_ns,
-                    Emission::Empty(format!("the folder has no poses of {name}; {}", of(&streams))),
-                ));
+                let reason = format!("the folder has no poses of {name}; {}", of(&streams));
+                events.add(port, start_ns, Emission::Empty(reason));
             }
         }
         for port in ProcedurePort::OF_EXPERIMENTS {
-            events.push(at(port, start_ns, Emission::Empty("a folder has no such stream".into())));
+            events.add(port, start_ns, Emission::Empty("a folder has no such stream".into()));
         }
-        events.extend(streams.items.into_iter().filter_map(event));
-        Ok(events)
+        events.0.extend(streams.items.into_iter().filter_map(event));
+        Ok(events.0)
     }
 }
 
@@ -175,10 +160,6 @@ fn of(streams: &FolderStreams) -> String {
         0 => "it has none at all".into(),
         _ => format!("it has those of {}", poses.into_iter().collect::<Vec<_>>().join(", ")),
     }
-}
-
-fn at(port: ProcedurePort, stamp_ns: i64, body: Emission) -> Event<Emission> {
-    Event { stamp_ns, port: port as usize, body }
 }
 
 /// The item on the port of its role; `None` if there is no such port.

@@ -5,11 +5,14 @@ mod protocol;
 
 pub use ports::PortParams;
 
-use super::network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting};
+use super::{
+    network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting},
+    topics::FrameNames,
+};
 use osteoflow_formats::message_read::Encoded;
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, DeclaredPort, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize, tracing,
+    Context, DeclaredPort, Describe, NodeError, ParamError, params, schemars::JsonSchema, serde::Deserialize, tracing,
 };
 use ports::{Content, TopicMessage};
 use protocol::{Channel, FromServer, SUBPROTOCOLS, shortened};
@@ -49,7 +52,7 @@ out.bone_marker = { type = "geometry/Pose", topic = "/tf", parent = "world", chi
 pub struct FoxgloveWs {
     socket: WebSocket<TcpStream>,
     /// Frames of the server that have other names in the graph.
-    frames: BTreeMap<String, String>,
+    frames: FrameNames,
     timeout_s: f64,
     channels: BTreeMap<u64, Channel>,
     /// The channel of each subscription.
@@ -58,23 +61,17 @@ pub struct FoxgloveWs {
 }
 
 /// Parameters of [`FoxgloveWs`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Address of the server, with the path that it asks for. ws://127.0.0.1:8765: the port of foxglove_bridge.
+    #[param("ws://127.0.0.1:8765")]
     pub address: String,
     /// Frames of the server that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
     pub frames: BTreeMap<String, String>,
     /// What every source over a network has.
     #[serde(flatten)]
     pub network: NetworkParams,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        let (frames, network) = Default::default();
-        Self { address: "ws://127.0.0.1:8765".into(), frames, network }
-    }
 }
 
 /// The address of a server.
@@ -143,7 +140,7 @@ impl Protocol for FoxgloveWs {
                 }
             }
         };
-        let (frames, timeout_s) = (params.frames.clone(), params.network.timeout_s);
+        let (frames, timeout_s) = (FrameNames::new(&params.frames), params.network.timeout_s);
         let (channels, subscriptions) = Default::default();
         Ok(Self { socket, frames, timeout_s, channels, subscriptions, next_subscription: 1 })
     }
@@ -228,9 +225,9 @@ impl FoxgloveWs {
                 Some(Channel { topic, schema_name, encoding, .. }) => {
                     let publish_time_ns = StampNs::try_from(log_time_ns).unwrap_or(0);
                     let encoded = Encoded { schema_name, message_encoding: encoding, publish_time_ns, data };
-                    let message = TopicMessage { topic, encoded, frames: &self.frames };
+                    let mut message = TopicMessage { topic, encoded, frames: &mut self.frames };
                     inbox.arrive(ctx);
-                    let newest_ns = inbox.offer(topic, ctx, |port| Some(port.read(&message)));
+                    let newest_ns = inbox.offer(topic, ctx, |port| Some(port.read(&mut message)));
                     // Constants have no time.
                     if let Some(sent_ns) = newest_ns.filter(|ns| *ns > 0) {
                         inbox.stamp(Some(sent_ns), ctx);

@@ -4,18 +4,20 @@ use super::{
     mcap_events::{Findings, Port},
     mcap_ports::PortParams,
     playback::{Event, Playback, in_order},
-    topics,
+    topics::{self, FrameNames},
 };
 use osteoflow_formats::{
     mcap_read::{Message, Recording},
-    message_read::{Calibration, MessageKind, read_depth, read_image},
+    message_read::{Calibration, read_depth, read_image},
 };
 use osteoflow_geometry::Frame;
 use osteoflow_node::{
-    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
-    serde::Deserialize,
+    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, params,
+    schemars::JsonSchema, serde::Deserialize,
 };
 use std::{collections::BTreeMap, sync::Arc};
+
+pub use topics::reads;
 
 /// The streams of a recording in MCAP, of Foxglove's schemas or ROS 2's, in the order of sensor time.
 ///
@@ -39,27 +41,15 @@ pub struct Mcap {
 }
 
 /// Parameters of [`Mcap`].
+#[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The recording.
     pub path: FilePath,
     /// Whether the intact part of a damaged recording is used, with a warning. false: a damaged recording is an error.
-    #[serde(default)]
     pub allow_truncated: bool,
     /// Frames of the recording that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
-    #[serde(default)]
     pub frames: BTreeMap<String, String>,
-}
-
-/// Whether a port with this payload reads messages of this schema without further parameters; images need a calibration.
-pub fn reads(payload: &str, schema: &str) -> bool {
-    match MessageKind::of(schema) {
-        Some(MessageKind::Cloud) => payload == "geometry/Cloud",
-        Some(MessageKind::Transform | MessageKind::Transforms) => payload == "geometry/Pose",
-        Some(MessageKind::Pose) => ["geometry/Pose", "geometry/Points"].contains(&payload),
-        None => false,
-    }
 }
 
 /// The body of an event. Clouds and images are decoded when they are due.
@@ -159,12 +149,12 @@ impl Mcap {
                 "no port reads this topic"
             );
         }
-        let (mut events, mut found) = (Vec::new(), Findings::default());
+        let frames = FrameNames::new(&self.params.frames);
+        let (mut events, mut found) = (Vec::new(), Findings { frames, ..Findings::default() });
         let path = self.params.path.as_ref();
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
-        let frames = &self.params.frames;
         for (port, (declared, params)) in ports.iter().zip(&params).enumerate() {
-            let mut stream = Port { recording: &recording, name: &name, declared, params, frames, found: &mut found };
+            let mut stream = Port { recording: &recording, name: &name, declared, params, found: &mut found };
             events.extend(stream.events()?.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         for (topic, corrections) in found.corrections {
@@ -173,11 +163,6 @@ impl Mcap {
         found.notes.into_iter().chain(found.spellings.notes).for_each(|note| ctx.warn(note));
         found.signs.into_iter().chain(found.spellings.signs).for_each(|(rule, sign)| ctx.sign(rule, sign));
         found.stamps.notes().map_err(NodeError::new)?.into_iter().for_each(|note| ctx.warn(note));
-        match frames.keys().find(|frame| !found.renamed.contains(*frame)) {
-            Some(frame) => Err(NodeError::new(format!(
-                "frames names \"{frame}\", but no message that a port reads is in it; `osteoflow info` lists the frames"
-            ))),
-            None => Ok(events),
-        }
+        found.frames.check_met("message").map(|()| events)
     }
 }

@@ -5,7 +5,7 @@ use super::{
     mcap_ports::PortParams,
     playback::silences,
     sifted::{self, sifted},
-    topics::{self, Constants, TransformFilter, last_part, named_transforms},
+    topics::{self, Constants, FrameNames, TransformFilter, last_part, named_transforms},
     unstamped::{MissingStamps, without_publish_time},
 };
 use osteoflow_formats::{
@@ -32,8 +32,6 @@ pub(super) struct Port<'a> {
     pub(super) name: &'a str,
     pub(super) declared: &'a DeclaredPort,
     pub(super) params: &'a PortParams,
-    /// Frames of the recording by another name.
-    pub(super) frames: &'a BTreeMap<String, String>,
     pub(super) found: &'a mut Findings,
 }
 
@@ -42,8 +40,7 @@ pub(super) struct Port<'a> {
 pub(super) struct Findings {
     /// The corrections of rotations by topic.
     pub(super) corrections: BTreeMap<String, Corrections>,
-    /// Frames that have another name in the graph.
-    pub(super) renamed: BTreeSet<String>,
+    pub(super) frames: FrameNames,
     /// What the user should know.
     pub(super) notes: Vec<String>,
     /// Signs that the recording is wrong.
@@ -200,11 +197,7 @@ impl Port<'_> {
     /// The name of a frame in the graph, if it is another.
     fn renamed(&mut self, frame: &Frame) -> Option<Frame> {
         let plain = self.found.spellings.take(frame);
-        let Some((name, renamed)) = self.frames.iter().find(|(name, _)| without_slash(name) == plain.as_str()) else {
-            return (plain != *frame).then_some(plain);
-        };
-        self.found.renamed.insert(name.clone());
-        Some(renamed.as_str().into())
+        self.found.frames.of(&plain).or_else(|| (plain != *frame).then_some(plain))
     }
 
     fn rename(&mut self, to: &mut Frame, from: &mut Frame) {

@@ -7,7 +7,8 @@ use super::{
 };
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, Declared, Describe, NodeError, ParamError, Source, rand::RngExt, schemars::JsonSchema, serde::Deserialize,
+    Context, Declared, Describe, NodeError, ParamError, Source, params, rand::RngExt, schemars::JsonSchema,
+    serde::Deserialize,
 };
 use std::time::{Duration, Instant};
 
@@ -31,33 +32,25 @@ pub struct McapLive {
 }
 
 /// Parameters of [`McapLive`].
+#[params(mcap)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// Those of `acquire.mcap`.
     #[serde(flatten)]
     pub mcap: mcap::Params,
     /// Playback speed relative to the recording. 1: as recorded; more simulates overload.
-    #[serde(default = "crate::params::one")]
-    #[schemars(range(min = 0.001, max = 1e9))]
+    #[param(1.0, 0.001..=1e9)]
     pub rate: f64,
     /// Maximum delay of an item, drawn for each from the run's seed; each stream stays in order. 0: no delay.
-    #[serde(default)]
-    #[schemars(range(min = 0.0, max = 60_000.0))]
+    #[param(0.0, 0.0..=60_000.0)]
     pub jitter_ms: f64,
     /// Maximum delay of one stream against another; an item beyond it is late and replaced by an empty. Joins wait this much
     /// longer. 0: sufficient without jitter.
-    #[serde(default)]
-    #[schemars(range(min = 0.0, max = 60_000.0))]
+    #[param(0.0, 0.0..=60_000.0)]
     pub max_delay_ms: f64,
     /// Time without an item after which the source is reported as silent. 5 s: longer than any camera's interval.
-    #[serde(default = "five")]
-    #[schemars(range(min = 0.01, max = 86_400.0))]
+    #[param(osteoflow_node::SILENT_AFTER.as_secs_f64(), 0.01..=86_400.0)]
     pub silent_after_s: f64,
-}
-
-fn five() -> f64 {
-    osteoflow_node::SILENT_AFTER.as_secs_f64()
 }
 
 /// The remaining events and their schedule by the clock of this machine.

@@ -18,7 +18,7 @@ pub(crate) use inbox::{Inbox, Port, PortItems};
 use connector::{Connector, TRY};
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, Declared, DeclaredPort, Describe, Emission, NodeError, ParamError, Parameters, Source,
+    Context, Declared, DeclaredPort, Describe, Emission, NodeError, ParamError, Parameters, Source, params,
     schemars::JsonSchema, serde::Deserialize, tracing,
 };
 use std::{
@@ -27,29 +27,24 @@ use std::{
 };
 
 /// Parameters of every source over a network.
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct NetworkParams {
     /// Time to wait for the first connection, and for the first topic where topics are advertised, after which the run fails. 10 s:
     /// a server takes that long to start.
-    #[schemars(range(min = 0.1, max = 86_400.0))]
+    #[param(10.0, 0.1..=86_400.0)]
     pub timeout_s: f64,
     /// Whether to wait for the other side again when the connection ends. false: the source ends with it.
+    #[param(true)]
     pub reconnect: bool,
     /// Time without an item after which the source is reported as silent. 5 s: longer than any camera's interval.
-    #[schemars(range(min = 0.01, max = 86_400.0))]
+    #[param(osteoflow_node::SILENT_AFTER.as_secs_f64(), 0.01..=86_400.0)]
     pub silent_after_s: f64,
     /// Maximum delay of one device or topic against another; an item beyond it is late and replaced by an empty. Joins wait this much
     /// longer. 0: sufficient where the sender sends in the order of its stamps.
-    #[schemars(range(min = 0.0, max = 60_000.0))]
+    #[param(0.0, 0.0..=60_000.0)]
     pub max_delay_ms: f64,
-}
-
-impl Default for NetworkParams {
-    fn default() -> Self {
-        let silent_after_s = osteoflow_node::SILENT_AFTER.as_secs_f64();
-        Self { timeout_s: 10.0, reconnect: true, silent_after_s, max_delay_ms: 0.0 }
-    }
 }
 
 /// A conversation with a peer, from the opening of a connection to its end.

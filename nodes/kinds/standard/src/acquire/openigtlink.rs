@@ -9,7 +9,7 @@ use super::network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Prot
 use osteoflow_formats::openigtlink::{Body, Decoder, Message, Status};
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, DeclaredPort, Describe, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize, tracing,
+    Context, DeclaredPort, Describe, NodeError, ParamError, params, schemars::JsonSchema, serde::Deserialize, tracing,
 };
 use ports::Content;
 use std::{
@@ -76,12 +76,14 @@ pub enum Clock {
 }
 
 /// Parameters of [`OpenIgtLink`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Host and port of the sender, or where to listen for it. 127.0.0.1:18944: the port of the protocol.
+    #[param("127.0.0.1:18944")]
     pub address: String,
     /// `client` connects to the sender; `server` listens for one sender at a time. client: PLUS is a server.
+    #[param(Role::Client)]
     pub role: Role,
     /// The least time between two TDATA, which the source then asks for (STT_TDATA): PLUS sends them on request only. Unset: not
     /// asked for.
@@ -90,17 +92,11 @@ pub struct Params {
     /// The clock of the stamps. `sender`: as they are sent. `receiver`: corrected by the offset of the sender's clock, for joins with
     /// another source; its first messages wait for at most 1 s until 20 of them give the offset, which is corrected again when the
     /// clock jumps. sender: one sender's stamps agree with each other, and the offset contains the shortest delay of a message.
+    #[param(Clock::Sender)]
     pub clock: Clock,
     /// What every source over a network has.
     #[serde(flatten)]
     pub network: NetworkParams,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        let network = NetworkParams::default();
-        Self { address: "127.0.0.1:18944".into(), role: Role::Client, tdata_ms: None, clock: Clock::Sender, network }
-    }
 }
 
 /// Whether an address has a host and a port.

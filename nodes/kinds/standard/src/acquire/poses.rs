@@ -3,7 +3,7 @@
 use super::{
     playback::{Event, Playback, in_order, silences},
     sifted::{self, PoseStreamParams, Sifted, Sign, sifted},
-    topics::TransformFilter,
+    topics::{FrameNames, TransformFilter},
 };
 use osteoflow_formats::{
     pose_log::{Columns, LogFormat, LogOptions, read_log},
@@ -11,10 +11,10 @@ use osteoflow_formats::{
 };
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
 use osteoflow_node::{
-    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, schemars::JsonSchema,
-    serde::Deserialize,
+    Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, params,
+    schemars::JsonSchema, serde::Deserialize,
 };
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// The poses of a tracker's log in the order of their stamps: tracked sequences of PLUS (`.igs.mha`), trajectories of TUM, EuRoC and
 /// KITTI, `t_ns,parent,child,..`, and tables of NDI, Atracsys and others, whose heading `columns` describes.
@@ -36,40 +36,31 @@ pub struct Poses {
 }
 
 /// Parameters of [`Poses`].
+#[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The log.
     pub path: FilePath,
     /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses`, `ndi` or `table`. Unset: recognised by the content.
-    #[serde(default)]
     pub format: Option<LogFormat>,
     /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, which are in metres, and 1 for the others.
-    #[serde(default)]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: Option<f64>,
     /// The frame that the poses lead to, in formats that name none: TUM, EuRoC, KITTI.
-    #[serde(default)]
     pub parent: Option<String>,
     /// The frame that moves, in formats that name none.
-    #[serde(default)]
     pub child: Option<String>,
     /// Poses a second, for KITTI, which has no stamps, and for tables that count frames.
-    #[serde(default)]
     #[schemars(range(min = 1e-3, max = 1e6))]
     pub rate_hz: Option<f64>,
     /// The `times.txt` of a KITTI trajectory: a stamp in seconds for each pose.
-    #[serde(default)]
     pub times: Option<FilePath>,
     /// What is in the columns of a table.
-    #[serde(default)]
     pub columns: Option<Columns>,
     /// Added to all stamps, s: the offset of the tracker's clock from that of the other sources. 0: they have one clock.
-    #[serde(default)]
-    #[schemars(range(min = -1e10, max = 1e10))]
+    #[param(0.0, -1e10..=1e10)]
     pub stamp_offset_s: f64,
     /// Frames of the log that have other names in the graph, such as `{ Tracker = "world" }`.
-    #[serde(default)]
     pub frames: BTreeMap<String, String>,
 }
 
@@ -140,22 +131,18 @@ impl Poses {
         }
         let mut notes: Vec<String> = log.notes.into_iter().chain(corrections.note()).collect();
         let mut signs = Vec::new();
-        let (mut events, mut renamed) = (Vec::new(), BTreeSet::new());
+        let (mut events, mut frames) = (Vec::new(), FrameNames::new(frames));
         for (port, declared) in ctx.declared().iter().enumerate() {
             let port_log = PortLog { declared, params: declared.params()?, streams: &streams };
-            let read = port_log.events(frames, &mut renamed, &mut notes, &mut signs);
+            let read = port_log.events(&mut frames, &mut notes, &mut signs);
             let read =
                 read.map_err(|message| NodeError::new(format!("{name}: port \"{}\": {message}", declared.name)))?;
             events.extend(read.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         notes.into_iter().for_each(|note| ctx.warn(format!("{name}: {note}")));
         signs.into_iter().chain(log.signs).for_each(|(rule, sign)| ctx.sign(rule, format!("{name}: {sign}")));
-        match frames.keys().find(|frame| !renamed.contains(*frame)) {
-            Some(frame) => Err(NodeError::new(format!(
-                "{name}: frames names \"{frame}\", but no pose that a port reads is in it; `osteoflow info` lists the frames"
-            ))),
-            None => Ok(events),
-        }
+        let named = |NodeError { message }| NodeError::new(format!("{name}: {message}"));
+        frames.check_met("pose").map(|()| events).map_err(named)
     }
 }
 
@@ -177,8 +164,7 @@ impl PortLog<'_> {
     /// What the port gives, in no order.
     fn events(
         &self,
-        frames: &BTreeMap<String, String>,
-        renamed: &mut BTreeSet<String>,
+        frames: &mut FrameNames,
         notes: &mut Vec<String>,
         signs: &mut Vec<Sign>,
     ) -> Result<Vec<(StampNs, Emission)>, String> {
@@ -209,14 +195,8 @@ impl PortLog<'_> {
         };
         let stamps: Vec<StampNs> =
             poses.iter().map(|(pose, _)| pose.stamp_ns).chain(lost.iter().map(|(stamp, _)| *stamp)).collect();
-        let mut rename = |frame: &mut Frame| {
-            if let Some((name, other)) = frames.iter().find(|(name, _)| without_slash(name) == frame.as_str()) {
-                renamed.insert(name.clone());
-                *frame = other.as_str().into();
-            }
-        };
         let emission = |(mut pose, reason): Sifted| {
-            [&mut pose.to, &mut pose.from].into_iter().for_each(&mut rename);
+            frames.rename([&mut pose.to, &mut pose.from]);
             sifted::emission((pose, reason))
         };
         let mut events: Vec<_> = poses.into_iter().map(emission).collect();

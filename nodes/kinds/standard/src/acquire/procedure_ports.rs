@@ -1,4 +1,5 @@
-use osteoflow_geometry::{Cloud, Image, Planes, Points, Pose, Region};
+use super::playback::Event;
+use osteoflow_geometry::{Cloud, Image, Planes, Points, Pose, Region, StampNs};
 use osteoflow_node::{Emission, Emit, OutputPorts, Outputs};
 use osteoflow_payloads::Flag;
 
@@ -111,6 +112,25 @@ impl ProcedurePort {
         Self::AssessmentTrue,
         Self::PlanesTrue,
     ];
+}
+
+/// The events of a procedure.
+pub(super) struct ProcedureEvents(pub(super) Vec<Event<Emission>>);
+
+impl ProcedureEvents {
+    /// What is known of a procedure from its start on; without a region, why there is none.
+    pub(super) fn new(start_ns: StampNs, simulated: bool, tracked: bool, region: Result<Region, &str>) -> Self {
+        let mut events = Self(Vec::new());
+        events.add(ProcedurePort::Simulated, start_ns, Emission::value(Flag(simulated)));
+        events.add(ProcedurePort::BoneTracked, start_ns, Emission::value(Flag(tracked)));
+        let region = region.map_or_else(|why| Emission::Empty(why.into()), Emission::value);
+        events.add(ProcedurePort::Region, start_ns, region);
+        events
+    }
+
+    pub(super) fn add(&mut self, port: ProcedurePort, stamp_ns: StampNs, body: Emission) {
+        self.0.push(Event { stamp_ns, port: port as usize, body });
+    }
 }
 
 /// An answer on one of the [`ProcedurePorts`].

@@ -2,14 +2,13 @@
 
 use super::{
     playback::{Event, Playback, in_order},
-    procedure_ports::{ProcedureOut, ProcedurePort},
+    procedure_ports::{ProcedureEvents, ProcedureOut, ProcedurePort},
 };
 use crate::own_bone::OwnBone;
-use osteoflow_geometry::{Cloud, Points, Pose, StampNs};
+use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{
     Context, Describe, Emission, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
 };
-use osteoflow_payloads::Flag;
 use osteoflow_simulation::{Procedure, ProcedureParams};
 
 /// A simulated procedure on the built-in bone or on one of your own: everything that a recording holds, and the truth.
@@ -62,25 +61,15 @@ impl Source for Simulated {
 }
 
 fn events(procedure: Procedure) -> Vec<Event<Emission>> {
-    let mut events = Events(Vec::new());
     let start_ns = procedure.camera_marker.first().map_or(0, |pose| pose.stamp_ns);
-    let truth = procedure.truth;
-    events.add(ProcedurePort::Simulated, start_ns, Emission::value(Flag(true)));
-    let is_tracked = !procedure.bone_marker.is_empty();
-    events.add(ProcedurePort::BoneTracked, start_ns, Emission::value(Flag(is_tracked)));
+    let (truth, is_tracked) = (procedure.truth, !procedure.bone_marker.is_empty());
+    let region = procedure.region.ok_or("no region of interest was drawn");
+    let mut events = ProcedureEvents::new(start_ns, true, is_tracked, region);
     if !is_tracked {
         for port in [ProcedurePort::PhantomMarker, ProcedurePort::BoneMarker] {
             events.add(port, start_ns, Emission::Empty("nothing is tracked (tracker.none)".into()));
         }
     }
-    events.add(
-        ProcedurePort::Region,
-        start_ns,
-        match procedure.region {
-            Some(region) => Emission::value(region),
-            None => Emission::Empty("no region of interest was drawn".into()),
-        },
-    );
     events.clouds(ProcedurePort::PhantomScan, [procedure.phantom_scan]);
     events.clouds(ProcedurePort::Scan, [procedure.scan]);
     let mut on_landmarks = procedure.laser;
@@ -122,13 +111,7 @@ fn events(procedure: Procedure) -> Vec<Event<Emission>> {
     events.0
 }
 
-struct Events(Vec<Event<Emission>>);
-
-impl Events {
-    fn add(&mut self, port: ProcedurePort, stamp_ns: StampNs, body: Emission) {
-        self.0.push(Event { stamp_ns, port: port as usize, body });
-    }
-
+impl ProcedureEvents {
     fn clouds(&mut self, port: ProcedurePort, clouds: impl IntoIterator<Item = Cloud>) {
         clouds.into_iter().for_each(|cloud| self.add(port, cloud.stamp_ns, Emission::value(cloud)));
     }

@@ -9,7 +9,59 @@ use osteoflow_formats::{
     without_slash,
 };
 use osteoflow_geometry::{Cloud, Frame, NamedPoint, Nearest, Points, Pose};
-use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{NodeError, schemars::JsonSchema, serde::Deserialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Whether a port with this payload reads messages of this schema without further parameters; images need a calibration.
+pub fn reads(payload: &str, schema: &str) -> bool {
+    match MessageKind::of(schema) {
+        Some(MessageKind::Cloud) => payload == "geometry/Cloud",
+        Some(MessageKind::Transform | MessageKind::Transforms) => payload == "geometry/Pose",
+        Some(MessageKind::Pose) => ["geometry/Pose", "geometry/Points"].contains(&payload),
+        None => false,
+    }
+}
+
+/// Frames of a source that have other names in the graph, and those of them that were met. A leading slash is none of a name.
+#[derive(Default)]
+pub(super) struct FrameNames {
+    names: BTreeMap<String, String>,
+    met: BTreeSet<String>,
+}
+
+impl FrameNames {
+    pub(super) fn new(names: &BTreeMap<String, String>) -> Self {
+        Self { names: names.clone(), met: BTreeSet::new() }
+    }
+
+    /// The name of a frame in the graph, if it is another.
+    pub(super) fn of(&mut self, frame: &Frame) -> Option<Frame> {
+        let plain = without_slash(frame.as_str());
+        match self.names.iter().find(|(name, _)| without_slash(name) == plain) {
+            Some((name, in_graph)) => {
+                self.met.insert(name.clone());
+                Some(in_graph.as_str().into())
+            }
+            None => (plain != frame.as_str()).then(|| plain.into()),
+        }
+    }
+
+    pub(super) fn rename(&mut self, frames: [&mut Frame; 2]) {
+        for frame in frames {
+            *frame = self.of(frame).unwrap_or_else(|| frame.clone());
+        }
+    }
+
+    /// Refuses a name of a frame that no `item` is in.
+    pub(super) fn check_met(&self, item: &str) -> Result<(), NodeError> {
+        match self.names.keys().find(|name| !self.met.contains(*name)) {
+            Some(name) => Err(NodeError::new(format!(
+                "frames names \"{name}\", but no {item} that a port reads is in it; `osteoflow info` lists the frames"
+            ))),
+            None => Ok(()),
+        }
+    }
+}
 
 /// The transforms that a port takes from its topics.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]

@@ -3,7 +3,7 @@
 use osteoflow_algorithms::calibrate::{HandEyeMethod, HandEyeReport, hand_eye, hand_eye_late, hand_eye_pairs};
 use osteoflow_geometry::Pose;
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs,
+    Context, Describe, Inputs, NodeError, Outputs, function, params,
     schemars::{self, JsonSchema},
     serde::Deserialize,
 };
@@ -32,21 +32,15 @@ method = "park_martin"
 pub struct HandEye;
 
 /// Parameters of [`HandEye`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// The method. park_martin: rotation by least squares, then translation; the others show in the report how far they differ.
     pub method: HandEyeMethod,
     /// Largest difference between the stamps of a pose of the target and the nearest one of the marker, ms. 25: half an interval
     /// of a slow tracker; the camera is held still.
-    #[schemars(range(min = 0.0, max = 10_000.0))]
+    #[param(25.0, 0.0..=10_000.0)]
     pub max_stamp_difference_ms: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { method: HandEyeMethod::default(), max_stamp_difference_ms: 25.0 }
-    }
 }
 
 /// Inputs of [`HandEye`].
@@ -70,12 +64,8 @@ pub struct Out {
     report: HandEyeReport,
 }
 
-impl Function for HandEye {
-    const KIND: &'static str = "calibrate.hand_eye";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("calibrate.hand_eye")]
+impl HandEye {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let taken = |of: Vec<Option<Pose>>| of.into_iter().flatten().collect::<Vec<Pose>>();
         let (markers, targets) = (taken(i.marker), taken(i.target));

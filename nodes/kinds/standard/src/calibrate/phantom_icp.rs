@@ -4,7 +4,7 @@ use osteoflow_algorithms::calibrate::{
     PhantomParams, PhantomReport, equation_1, nominal_t_camera_phantom, phantom_icp,
 };
 use osteoflow_geometry::{Cloud, Mesh, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The pose of the camera's marker in the camera, from one scan of a tracked phantom of known shape.
 ///
@@ -61,12 +61,8 @@ pub struct Out {
     report: PhantomReport,
 }
 
-impl Function for PhantomIcp {
-    const KIND: &'static str = "calibrate.phantom_icp";
-    type Params = PhantomParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("calibrate.phantom_icp")]
+impl PhantomIcp {
     fn process(params: &PhantomParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let (camera, camera_marker) = (&i.nominal.to, &i.nominal.from);
         i.cloud.frame.expect(camera, "the phantom's scan")?;

@@ -2,7 +2,7 @@
 
 use osteoflow_algorithms::calibrate::{PivotReport, pivot};
 use osteoflow_geometry::{NamedPoint, Points, Pose, nalgebra::Isometry3};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 ///
@@ -39,12 +39,8 @@ pub struct Out {
     report: PivotReport,
 }
 
-impl Function for StylusPivot {
-    const KIND: &'static str = "calibrate.stylus_pivot";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("calibrate.stylus_pivot")]
+impl StylusPivot {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let poses: Vec<Pose> = i.pose.into_iter().flatten().collect();
         let first = poses.first().ok_or_else(|| NodeError::new("no pose of the stylus' marker was received"))?;

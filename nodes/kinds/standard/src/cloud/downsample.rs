@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::downsample;
-use osteoflow_node::{Context, Describe, Function, NodeError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{Context, Describe, NodeError, function, params, schemars::JsonSchema, serde::Deserialize};
 
 /// A cloud with fewer points: one in each cell of a grid, every n-th, or a given number.
 ///
@@ -17,22 +17,22 @@ pick     = "random"
 pub struct Downsample;
 
 /// Parameters of [`Downsample`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// One point is kept in each cube of this edge: the one nearest to the mean. 0: no grid.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(0.0, 0.0..=1000.0)]
     pub cell_mm: f64,
     /// Then every n-th point is kept, in order. 1: all.
-    #[schemars(range(min = 1, max = 1_000_000))]
+    #[param(1, 1..=1_000_000)]
     pub every: usize,
     /// Then, of a cloud with more points, every n-th is kept, with the least n that leaves no more than these; a warning says so. 0:
     /// all. 100000 is ample for a registration: the mean of as many residuals of 0.1 mm is known to 0.0003 mm, a twentieth of the
     /// error that the surface leaves.
-    #[schemars(range(min = 0, max = 100_000_000))]
+    #[param(0, 0..=100_000_000)]
     pub max_points: usize,
     /// Then this number of points is kept, in order. 0: all. A cloud with fewer keeps all, with a warning.
-    #[schemars(range(min = 0, max = 100_000_000))]
+    #[param(0, 0..=100_000_000)]
     pub n_points: usize,
     /// The points that are kept. `stride`: at even steps through the cloud's order. `random`: drawn from the run's seed, with
     /// equal probability for every set.
@@ -50,18 +50,8 @@ pub enum Pick {
     Random,
 }
 
-impl Default for Params {
-    fn default() -> Self {
-        Self { cell_mm: 0.0, every: 1, max_points: 0, n_points: 0, pick: Pick::Stride }
-    }
-}
-
-impl Function for Downsample {
-    const KIND: &'static str = "cloud.downsample";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("cloud.downsample")]
+impl Downsample {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let thinned =
             if params.cell_mm > 0.0 { i.cloud.selected(&downsample::voxel(&i.cloud, params.cell_mm)) } else { i.cloud };
@@ -99,6 +89,7 @@ impl Function for Downsample {
 mod tests {
     use super::*;
     use osteoflow_geometry::{Cloud, nalgebra::Point3};
+    use osteoflow_node::Function;
 
     #[test]
     fn of_more_points_than_the_maximum_every_nth_is_kept_and_a_warning_says_so() {

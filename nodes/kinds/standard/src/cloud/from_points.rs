@@ -2,7 +2,7 @@
 
 use crate::transform::points::in_one_list;
 use osteoflow_geometry::{Cloud, Points};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// A cloud of points that were touched one by one, such as a surface palpated with a stylus.
 #[derive(Describe)]
@@ -27,12 +27,8 @@ pub struct Out {
     cloud: Cloud,
 }
 
-impl Function for FromPoints {
-    const KIND: &'static str = "cloud.from_points";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("cloud.from_points")]
+impl FromPoints {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let points = in_one_list(&i.points)?;
         Ok(Out { cloud: Cloud::new(&points.frame, points.positions())?.at(ctx.stamp_ns()) })

@@ -2,7 +2,7 @@
 
 use osteoflow_algorithms::merge::merge;
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// Several views of the bone as one cloud, in the bone's frame.
 ///
@@ -29,12 +29,8 @@ pub struct Out {
     cloud: Cloud,
 }
 
-impl Function for Merge {
-    const KIND: &'static str = "cloud.merge";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("cloud.merge")]
+impl Merge {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         Ok(Out { cloud: merge(&i.clouds)? })
     }

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::normals::{NormalParams, estimate};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// A cloud with normals, oriented towards the camera.
 ///
@@ -17,12 +17,8 @@ in   = { cloud = "to_bone.cloud" }
 )]
 pub struct Normals;
 
-impl Function for Normals {
-    const KIND: &'static str = "cloud.normals";
-    type Params = NormalParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("cloud.normals")]
+impl Normals {
     fn process(params: &NormalParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let (cloud, n_dropped) = estimate(&i.cloud, params)?;
         if n_dropped > 0 {

@@ -5,7 +5,7 @@ use osteoflow_algorithms::{
     target::Target,
 };
 use osteoflow_geometry::{Cloud, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs, Unused};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, Unused, function};
 
 /// Registration of the scan by shape alone, without landmarks.
 ///
@@ -54,12 +54,8 @@ pub struct Out {
     report: GlobalReport,
 }
 
-impl Function for Global {
-    const KIND: &'static str = "coarse.global";
-    type Params = GlobalParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("coarse.global")]
+impl Global {
     fn process(params: &GlobalParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let _ = (i.target, i.source);
         let fit = global(&i.surface, &i.cloud, params)?;

@@ -5,7 +5,7 @@ use osteoflow_algorithms::coarse::{self, CoarseReport, DoubtParams};
 use osteoflow_algorithms::target::Target;
 use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, Unused, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, Unused, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The rigid motion that best carries located landmarks onto the planned ones.
@@ -24,28 +24,22 @@ in   = { target = "plan.landmarks", source = { from = "hole.point", n = 3 } }
 pub struct ThreePoint;
 
 /// Parameters of [`ThreePoint`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Maximum residual (RMS); beyond, the points are not the planned landmarks. 10 mm: landmarks that a ruler placed 10 mm
     /// off still pass, a spot found on the wrong side of the scan does not.
-    #[schemars(range(min = 0.01, max = 1000.0))]
+    #[param(10.0, 0.01..=1000.0)]
     pub max_fre_mm: f64,
     /// Points of less confidence are refused where a distance to another point disagrees with the plan. 0.4: the
     /// `min_confidence` of the hole detectors, which a lost patch of a scan rarely reaches.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.4, 0.0..=1.0)]
     pub min_confidence: f64,
     /// Maximum difference between such a point's distances to the others and the planned ones. 3 mm: aiming errors of 0.6
     /// and 0.7 mm across and along the bone change the worse of a point's two distances by 1.0 mm (median), 2.7 mm (99 %)
     /// and 3.1 mm (largest of 2000).
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(3.0, 0.0..=1000.0)]
     pub max_side_difference_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { max_fre_mm: 10.0, min_confidence: 0.4, max_side_difference_mm: 3.0 }
-    }
 }
 
 /// Inputs of [`ThreePoint`].
@@ -74,12 +68,8 @@ pub struct Out {
     report: CoarseReport,
 }
 
-impl Function for ThreePoint {
-    const KIND: &'static str = "coarse.three_point";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("coarse.three_point")]
+impl ThreePoint {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let _ = (i.cloud, i.surface);
         let source = in_one_list(&i.source)?;

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::roi;
-use osteoflow_node::{Context, Describe, Function, NodeError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{Context, Describe, NodeError, function, schemars::JsonSchema, serde::Deserialize};
 
 /// The points within a distance of a centre.
 #[derive(Describe)]
@@ -28,12 +28,8 @@ pub struct Params {
     pub radius_mm: f64,
 }
 
-impl Function for Sphere {
-    const KIND: &'static str = "crop.sphere";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("crop.sphere")]
+impl Sphere {
     fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let chosen = roi::in_sphere(&i.cloud, &params.centre_mm.into(), params.radius_mm);
         i.cropped(chosen)

@@ -3,7 +3,7 @@
 use super::{Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Unused};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Unused, function};
 
 /// The landmark under a laser spot, found in that scan alone as a gap with points all around it.
 ///
@@ -33,12 +33,8 @@ pub struct In {
     cloud: Cloud,
 }
 
-impl Function for Boundary {
-    const KIND: &'static str = "hole.boundary";
-    type Params = HoleParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("hole.boundary")]
+impl Boundary {
     fn process(params: &HoleParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let _ = i.reference;
         answer(&i.cloud, hole::boundary(&i.cloud, params), ctx)

@@ -2,7 +2,7 @@
 
 use super::{In, Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// The landmark under a laser spot: the points of the full scan that the scan with the laser lacks.
 ///
@@ -21,12 +21,8 @@ spot_radius_mm = 2.0
 )]
 pub struct CloudDifference;
 
-impl Function for CloudDifference {
-    const KIND: &'static str = "hole.cloud_difference";
-    type Params = HoleParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("hole.cloud_difference")]
+impl CloudDifference {
     fn process(params: &HoleParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.check()?;
         answer(&i.cloud, hole::cloud_difference(&i.reference, &i.cloud, params), ctx)

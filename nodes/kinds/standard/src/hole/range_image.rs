@@ -2,7 +2,7 @@
 
 use super::{In, Out, answer};
 use osteoflow_algorithms::hole::{self, HoleParams};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// The landmark under a laser spot, found in the camera's image grid.
 ///
@@ -18,12 +18,8 @@ spot_radius_mm = 2.0
 )]
 pub struct RangeImage;
 
-impl Function for RangeImage {
-    const KIND: &'static str = "hole.range_image";
-    type Params = HoleParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("hole.range_image")]
+impl RangeImage {
     fn process(params: &HoleParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.check()?;
         answer(&i.cloud, hole::range_image(&i.reference, &i.cloud, params), ctx)

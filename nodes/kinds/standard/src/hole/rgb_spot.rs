@@ -3,7 +3,7 @@
 use super::{Out, answer, name};
 use osteoflow_algorithms::hole::{self, RgbSpotParams};
 use osteoflow_geometry::{Cloud, FrameError, Image, Pose, nalgebra::Isometry3};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// The landmark under a laser spot, or under a mark of a surgical pen, found by its colour in an image of the scan.
 ///
@@ -44,12 +44,8 @@ pub struct In {
 /// Maximum difference of the stamps of scan and image: scans with the laser are seconds apart.
 const MAX_APART_NS: u64 = 100_000_000;
 
-impl Function for RgbSpot {
-    const KIND: &'static str = "hole.rgb_spot";
-    type Params = RgbSpotParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("hole.rgb_spot")]
+impl RgbSpot {
     fn process(params: &RgbSpotParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.cloud.frame.expect(&i.reference.frame, "the scan with the laser")?;
         i.check_pair(&name(&i.cloud, ctx))?;

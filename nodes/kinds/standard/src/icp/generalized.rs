@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// Fine registration of a bone surface onto the CT surface by generalized ICP (GICP), plane to plane.
 ///
@@ -19,12 +19,8 @@ max_pair_distance_mm = 5.0
 )]
 pub struct Generalized;
 
-impl Function for Generalized {
-    const KIND: &'static str = "icp.generalized";
-    type Params = IcpParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("icp.generalized")]
+impl Generalized {
     fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.register(Method::Generalized, params, ctx)
     }

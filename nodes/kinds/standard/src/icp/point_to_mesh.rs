@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// Fine registration of a bone surface onto the CT surface by the closest points of its triangles.
 ///
@@ -19,12 +19,8 @@ max_pair_distance_mm = 5.0
 )]
 pub struct PointToMesh;
 
-impl Function for PointToMesh {
-    const KIND: &'static str = "icp.point_to_mesh";
-    type Params = IcpParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("icp.point_to_mesh")]
+impl PointToMesh {
     fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.register(Method::PointToMesh, params, ctx)
     }

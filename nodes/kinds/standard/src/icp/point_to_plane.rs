@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// Fine registration of a bone surface onto the CT surface by point-to-plane ICP.
 ///
@@ -19,12 +19,8 @@ max_pair_distance_mm = 5.0
 )]
 pub struct PointToPlane;
 
-impl Function for PointToPlane {
-    const KIND: &'static str = "icp.point_to_plane";
-    type Params = IcpParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("icp.point_to_plane")]
+impl PointToPlane {
     fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.register(Method::PointToPlane, params, ctx)
     }

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{PublishedParams, register_published};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// Fine registration by plain point-to-point ICP, under one of the stop rules that the paper may have used.
 ///
@@ -20,12 +20,8 @@ max_iterations = 50
 )]
 pub struct Published;
 
-impl Function for Published {
-    const KIND: &'static str = "icp.published";
-    type Params = PublishedParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("icp.published")]
+impl Published {
     fn process(params: &PublishedParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.run(params.stop_after_ms, ctx, |target, source, init, observer| {
             register_published(target, source, init, params, observer)

@@ -2,7 +2,7 @@
 
 use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
-use osteoflow_node::{Context, Describe, Function, NodeError};
+use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// Fine registration of a bone surface onto the CT surface by symmetric ICP.
 ///
@@ -19,12 +19,8 @@ max_pair_distance_mm = 5.0
 )]
 pub struct Symmetric;
 
-impl Function for Symmetric {
-    const KIND: &'static str = "icp.symmetric";
-    type Params = IcpParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("icp.symmetric")]
+impl Symmetric {
     fn process(params: &IcpParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         i.register(Method::Symmetric, params, ctx)
     }

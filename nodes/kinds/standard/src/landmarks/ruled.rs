@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
     mesh_query::MeshQuery,
 };
 use osteoflow_geometry::{Axes, Mesh, Points, Pose, direction, nalgebra::Vector3};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The true positions of P1, P2 and P3 as a surgeon marks them on the bone with a ruler, with the ruler's errors.
 ///
@@ -58,12 +58,8 @@ pub struct Out {
     report: RuledReport,
 }
 
-impl Function for Ruled {
-    const KIND: &'static str = "landmarks.ruled";
-    type Params = RulerErrors;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("landmarks.ruled")]
+impl Ruled {
     fn process(params: &RulerErrors, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let ct = &i.planned.frame;
         i.mesh.frame.expect(ct, "the bone's surface")?;

@@ -3,7 +3,7 @@
 use osteoflow_algorithms::metrics::{PoseErrorReport, pose_error};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The true error of a calibration, and what it does to a point at the working distance.
@@ -22,18 +22,12 @@ working_distance_mm = 200.0
 pub struct Calibration;
 
 /// Parameters of [`Calibration`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Distance of the bone from the camera. 200 mm: the paper's 200 +- 50 mm.
-    #[schemars(range(min = 1.0, max = 10_000.0))]
+    #[param(200.0, 1.0..=10_000.0)]
     pub working_distance_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { working_distance_mm: 200.0 }
-    }
 }
 
 /// Inputs of [`Calibration`].
@@ -54,12 +48,8 @@ pub struct Out {
     report: PoseErrorReport,
 }
 
-impl Function for Calibration {
-    const KIND: &'static str = "metrics.calibration";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.calibration")]
+impl Calibration {
     fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let (t, truth) = (i.t_camera_camera_marker, i.t_camera_camera_marker_true);
         // A measured world point reaches the camera by the true calibration and comes back by the one in use.

@@ -2,7 +2,7 @@
 
 use osteoflow_algorithms::metrics::{CheckReport, check_points};
 use osteoflow_geometry::{Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The distance between points read by the camera, carried over by a calibration, and the same points by localiser and CAD.
 ///
@@ -44,12 +44,8 @@ pub struct Out {
     report: CheckReport,
 }
 
-impl Function for CheckPoints {
-    const KIND: &'static str = "metrics.check_points";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.check_points")]
+impl CheckPoints {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let t_camera_world = i.calibration.compose(&i.t_world_camera_marker.inverse())?;
         let t_camera_world = t_camera_world.expect(&i.read.frame, &i.known.frame)?;

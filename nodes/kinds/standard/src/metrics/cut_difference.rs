@@ -3,7 +3,7 @@
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::metrics::{CutDifferenceParams, CutDifferenceReport, cut_difference, error_at_points};
 use osteoflow_geometry::{Mesh, Planes, Points, Pose, nalgebra::Isometry3};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The difference between the bone fragment of the executed cuts and the planned one.
 ///
@@ -60,12 +60,8 @@ pub struct Out {
     report: CutDifferenceReport,
 }
 
-impl Function for CutDifference {
-    const KIND: &'static str = "metrics.cut_difference";
-    type Params = CutDifferenceParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.cut_difference")]
+impl CutDifference {
     fn process(params: &CutDifferenceParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let error = i.t_ct_world.compose(&i.t_ct_world_true.inverse())?;
         let error = error.expect(&i.planes.frame, &i.planes.frame)?;

@@ -4,7 +4,7 @@ use super::axes;
 use crate::moved::Moved;
 use osteoflow_algorithms::metrics::{CutsReport, achieved, cuts};
 use osteoflow_geometry::{Axes, Mesh, Plane, Planes, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 use osteoflow_payloads::Json;
 
 /// The error of the cuts against the planned ones, where the true registration is known.
@@ -56,12 +56,8 @@ pub struct Out {
     report: CutsReport,
 }
 
-impl Function for Cuts {
-    const KIND: &'static str = "metrics.cuts";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.cuts")]
+impl Cuts {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let slip = i.t_ct_world_true.compose(&i.t_ct_world.inverse())?;
         let slip = slip.expect(&i.planes.frame, &i.planes.frame)?;

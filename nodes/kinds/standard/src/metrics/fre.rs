@@ -3,7 +3,7 @@
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::metrics::{FreReport, fre};
 use osteoflow_geometry::{Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// Fiducial registration error: the residual of a registration at the landmarks, which does not predict the accuracy elsewhere.
 #[derive(Describe)]
@@ -37,12 +37,8 @@ pub struct Out {
     report: FreReport,
 }
 
-impl Function for Fre {
-    const KIND: &'static str = "metrics.fre";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.fre")]
+impl Fre {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let located = in_one_list(&i.located)?;
         let t_ct_bone_marker = i.t_ct_bone_marker.expect(&i.planned.frame, &located.frame)?;

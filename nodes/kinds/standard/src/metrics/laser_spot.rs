@@ -4,7 +4,7 @@ use super::axes;
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::metrics::{LaserSpotReport, laser_spot};
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The error of located laser spots against the true spots, and against the marks aimed at, in a simulation.
 ///
@@ -50,12 +50,8 @@ pub struct Out {
     report: LaserSpotReport,
 }
 
-impl Function for LaserSpot {
-    const KIND: &'static str = "metrics.laser_spot";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.laser_spot")]
+impl LaserSpot {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let located = in_one_list(&i.located)?;
         let axes = axes(i.axes, i.bone.as_ref())?;

@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::{Cloud, Pose as PosePayload};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 use serde_json::json;
@@ -23,21 +23,15 @@ in   = { cloud = "perturb.cloud", t_target_source = "icp.t_target_source", t_tar
 pub struct Pose;
 
 /// Parameters of [`Pose`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// A right pose is off by less at the centroid, mm. 4 mm: as published for bones of a hip.
-    #[schemars(range(min = 1e-6, max = 1e6))]
+    #[param(4.0, 1e-6..=1e6)]
     pub right_mm: f64,
     /// A right pose is turned by less, degrees. 5 degrees: as published for bones of a hip.
-    #[schemars(range(min = 1e-6, max = 180.0))]
+    #[param(5.0, 1e-6..=180.0)]
     pub right_deg: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { right_mm: 4.0, right_deg: 5.0 }
-    }
 }
 
 /// Inputs of [`Pose`].
@@ -60,12 +54,8 @@ pub struct Out {
     report: Json,
 }
 
-impl Function for Pose {
-    const KIND: &'static str = "metrics.pose";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.pose")]
+impl Pose {
     fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let (t, truth) = (i.t_target_source, i.t_target_source_true);
         let error = t.compose(&truth.inverse())?.expect(&truth.to, &truth.to)?;
@@ -81,6 +71,7 @@ impl Function for Pose {
 mod tests {
     use super::*;
     use osteoflow_geometry::nalgebra::{Isometry3, Point3, Vector3};
+    use osteoflow_node::Function;
 
     #[test]
     fn a_pose_is_right_below_both_limits_at_the_centroid() {

@@ -6,7 +6,7 @@ use osteoflow_algorithms::{
 };
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// Distances of the registered scan from the CT surface, over its inliers and over all points.
@@ -20,18 +20,12 @@ in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source
 pub struct Surface;
 
 /// Parameters of [`Surface`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Points no farther from the surface than this are inliers. 1 mm: twenty times the camera's noise.
-    #[schemars(range(min = 1e-3, max = 1000.0))]
+    #[param(1.0, 1e-3..=1000.0)]
     pub max_pair_distance_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { max_pair_distance_mm: 1.0 }
-    }
 }
 
 /// Inputs of [`Surface`].
@@ -54,12 +48,8 @@ pub struct Out {
     report: SurfaceReport,
 }
 
-impl Function for Surface {
-    const KIND: &'static str = "metrics.surface";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.surface")]
+impl Surface {
     fn process(params: &Params, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let limit_mm = params.max_pair_distance_mm;

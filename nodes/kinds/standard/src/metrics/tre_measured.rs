@@ -4,7 +4,7 @@ use super::{TreOut, axes};
 use crate::{moved::Moved, transform::points::in_one_list};
 use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, Points, Pose};
-use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Emit, Inputs, NodeError, function};
 use osteoflow_payloads::Json;
 
 /// Target registration error at points touched with a stylus, which includes the stylus' own error.
@@ -44,12 +44,8 @@ pub struct In {
     plan: Option<Json>,
 }
 
-impl Function for TreMeasured {
-    const KIND: &'static str = "metrics.tre_measured";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = TreOut;
-
+#[function("metrics.tre_measured")]
+impl TreMeasured {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<TreOut, NodeError> {
         let measured = in_one_list(&i.measured)?;
         let t_ct_bone_marker = i.t_ct_bone_marker.expect(&i.planned.frame, &measured.frame)?;

@@ -4,7 +4,7 @@ use super::{TreOut, axes};
 use crate::moved::Moved;
 use osteoflow_algorithms::metrics::tre;
 use osteoflow_geometry::{Axes, Mesh, NamedPoint, Points, Pose};
-use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Emit, Inputs, NodeError, function};
 use osteoflow_payloads::Json;
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
@@ -48,12 +48,8 @@ pub struct In {
     plan: Option<Json>,
 }
 
-impl Function for TreTrue {
-    const KIND: &'static str = "metrics.tre_true";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = TreOut;
-
+#[function("metrics.tre_true")]
+impl TreTrue {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<TreOut, NodeError> {
         let error = i.t_ct_world.compose(&i.t_ct_world_true.inverse())?;
         let error = error.expect(&i.planned.frame, &i.planned.frame)?;

@@ -3,7 +3,7 @@
 use osteoflow_algorithms::metrics::{CutReport, CutsReport, TreReport};
 use osteoflow_algorithms::trust::{Verdict as Judged, VerdictScore, VerdictScoreParams, verdict_score};
 use osteoflow_geometry::{Pose, nalgebra::Point3};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// A verdict beside the true error, where that is known: was a wrong answer trusted, or a right answer not trusted?
 ///
@@ -41,12 +41,8 @@ pub struct Out {
     report: VerdictScore,
 }
 
-impl Function for Verdict {
-    const KIND: &'static str = "metrics.verdict";
-    type Params = VerdictScoreParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("metrics.verdict")]
+impl Verdict {
     fn process(params: &VerdictScoreParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let error = i.t_ct_world_true.compose(&i.t_ct_world.inverse())?.isometry;
         // Reports of older recordings do not have it; their CT and bone differ by the registration alone.

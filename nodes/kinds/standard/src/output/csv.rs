@@ -2,7 +2,7 @@
 
 use super::{NoOutputs, file_of};
 use osteoflow_geometry::Points;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// Named points as a CSV file in the run's folder: `name,frame,x_mm,y_mm,z_mm,stamp_ns`.
 #[derive(Describe)]
@@ -19,12 +19,8 @@ pub struct In {
     points: Points,
 }
 
-impl Function for Csv {
-    const KIND: &'static str = "output.csv";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = NoOutputs;
-
+#[function("output.csv")]
+impl Csv {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         let Some(path) = file_of(ctx, "csv")? else { return Ok(NoOutputs {}) };
         let mut file = ::csv::Writer::from_path(path)?;

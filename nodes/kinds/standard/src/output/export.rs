@@ -14,7 +14,7 @@ use osteoflow_formats::{
     write::{Precision, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Value};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Value, function};
 use std::path::PathBuf;
 
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
@@ -61,12 +61,8 @@ pub struct In {
     verdict: Option<Verdict>,
 }
 
-impl Function for Export {
-    const KIND: &'static str = "output.export";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = NoOutputs;
-
+#[function("output.export")]
+impl Export {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         let frame = match (&i.bone, &i.bone_points) {
             (Some(mesh), _) => &mesh.frame,
@@ -135,7 +131,6 @@ fn write_scan(
 /// The column of the distance from the bone. CloudCompare takes what begins so for a scalar field, and shows it without asking.
 const DISTANCE: &str = "scalar_distance_mm";
 
-/// The column of the points that belong to the bone.
 /// A cloud with its distance from a surface, whether it belongs to that, and the colours of that; those that a camera saw are kept instead.
 fn coloured(cloud: Cloud, surface: &MeshQuery, inliers_mm: Option<[f64; 2]>) -> Result<Cloud, NodeError> {
     let distances: Vec<f64> = cloud.points().iter().map(|p| distance_outside(p, surface).unwrap_or(f64::NAN)).collect();

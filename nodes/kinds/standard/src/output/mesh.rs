@@ -6,7 +6,7 @@ use osteoflow_formats::{
     write::{Precision, write_mesh},
 };
 use osteoflow_geometry::Mesh as MeshPayload;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// Surfaces as binary STL files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
 #[derive(Describe)]
@@ -23,12 +23,8 @@ pub struct In {
     mesh: MeshPayload,
 }
 
-impl Function for Mesh {
-    const KIND: &'static str = "output.mesh";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = NoOutputs;
-
+#[function("output.mesh")]
+impl Mesh {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         if let Some(path) = file_of(ctx, "stl")? {
             let notes = write_mesh(&path, &i.mesh, Space::of(&i.mesh.frame), Precision::Single)?;

@@ -3,7 +3,7 @@
 use super::{NoOutputs, file_of, lps};
 use osteoflow_formats::picked_points::write_planes_mrk_json;
 use osteoflow_geometry::Planes as PlaneList;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// Planes in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node; planes that are unknown
 /// are left out, with a warning.
@@ -21,12 +21,8 @@ pub struct In {
     planes: PlaneList,
 }
 
-impl Function for Planes {
-    const KIND: &'static str = "output.planes";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = NoOutputs;
-
+#[function("output.planes")]
+impl Planes {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         lps(&i.planes.frame, "the planes are", "wire plan.planes")?;
         let known: Vec<_> = i.planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();

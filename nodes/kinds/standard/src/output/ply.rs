@@ -7,7 +7,7 @@ use osteoflow_formats::{
     write::{Precision, write_cloud},
 };
 use osteoflow_geometry::Cloud;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// Clouds as PLY files in the run's folder, named after the node; mm, those in `ct` say that they are LPS.
 ///
@@ -28,12 +28,8 @@ pub struct In {
     verdict: Option<Verdict>,
 }
 
-impl Function for Ply {
-    const KIND: &'static str = "output.ply";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = NoOutputs;
-
+#[function("output.ply")]
+impl Ply {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         if is_refused(i.verdict.as_ref(), ctx) {
             return Ok(NoOutputs {});

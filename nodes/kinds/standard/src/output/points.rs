@@ -3,7 +3,7 @@
 use super::{NoOutputs, file_of, lps};
 use osteoflow_formats::picked_points::write_mrk_json;
 use osteoflow_geometry::Points as PointList;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// Named points in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node.
 ///
@@ -22,12 +22,8 @@ pub struct In {
     points: PointList,
 }
 
-impl Function for Points {
-    const KIND: &'static str = "output.points";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = NoOutputs;
-
+#[function("output.points")]
+impl Points {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         let space = lps(&i.points.frame, "the points are", "transform them (transform.points), or use output.csv")?;
         if let Some(path) = file_of(ctx, "mrk.json")? {

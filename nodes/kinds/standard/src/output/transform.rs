@@ -4,7 +4,7 @@ use super::{NOTICE, NoOutputs, file_of, is_refused, lps};
 use osteoflow_algorithms::trust::Verdict;
 use osteoflow_formats::pose_file::itk_text;
 use osteoflow_geometry::Pose;
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// Poses as ITK transforms (`.tfm`) in the run's folder, named after the node, for 3D Slicer.
 ///
@@ -26,12 +26,8 @@ pub struct In {
     verdict: Option<Verdict>,
 }
 
-impl Function for Transform {
-    const KIND: &'static str = "output.transform";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = NoOutputs;
-
+#[function("output.transform")]
+impl Transform {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         lps(&i.pose.to, "the pose leads to coordinates", "wire one that leads to ct, such as icp.t_target_source")?;
         if is_refused(i.verdict.as_ref(), ctx) {

@@ -4,7 +4,7 @@ use super::Out;
 use crate::constant::Constant;
 use crate::moved::Moved;
 use osteoflow_formats::plan_file::read_plan;
-use osteoflow_node::{Context, Describe, FilePath, NodeError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{Context, Describe, FilePath, NodeError, params, schemars::JsonSchema, serde::Deserialize};
 
 /// A surgical plan from a JSON file, in millimetres and the CT frame.
 #[derive(Describe)]
@@ -15,20 +15,18 @@ path = "plan.json"
 pub struct File;
 
 /// Parameters of [`File`].
+#[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Params {
     /// The plan.
     pub path: FilePath,
     /// Whether you have looked at plan and surface together and found that they belong to each other. The verdict then takes a
     /// shift of all landmarks for aiming, as with a plan that is bound to its surface (its key `surface`), and says so.
-    #[serde(default)]
     pub confirm: bool,
     /// The plan that the procedure was made for, if it is another one than `path`, as after a change on the page: assessment points
     /// that are elsewhere now were not touched where they are planned, so their measurements are left out, and the truths of a
     /// simulation are taken from its true registration; landmarks that are elsewhere now were located where they were planned then,
     /// so the registration starts from those places. Default: the procedure was made for this plan.
-    #[serde(default)]
     pub made_for: Option<FilePath>,
 }
 

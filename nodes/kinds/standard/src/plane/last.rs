@@ -5,7 +5,7 @@ use osteoflow_algorithms::{
     trust,
 };
 use osteoflow_geometry::{Plane, PlanePlace, Planes};
-use osteoflow_node::{Context, Describe, Emit, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Emit, Inputs, NodeError, Outputs, function};
 
 /// The cutting planes at the end of the recording.
 ///
@@ -39,12 +39,8 @@ pub struct Out {
     known: Emit<Planes>,
 }
 
-impl Function for Last {
-    const KIND: &'static str = "plane.last";
-    type Params = MotionLimits;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("plane.last")]
+impl Last {
     fn process(limits: &MotionLimits, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let planes: Vec<Planes> = i.planes.into_iter().flatten().collect();
         let pose = |planes: &Planes| planes.planes.iter().find_map(Plane::isometry).copied();
@@ -88,6 +84,7 @@ fn jumped(stamp_ns: i64, cause: &Cause) -> String {
 mod tests {
     use super::*;
     use osteoflow_geometry::nalgebra::{Isometry3, Vector3};
+    use osteoflow_node::Function;
 
     /// The last planes and the last known ones, of a plane whose place at 20 Hz is this; `None` where its marker is lost.
     fn last(x: impl Fn(usize) -> Option<f64>, n: usize) -> (Result<f64, String>, f64) {

@@ -1,7 +1,7 @@
 //! The kind `plane.to_world`.
 
 use osteoflow_geometry::{Planes, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The planned cutting planes in the world, where the bone was at the scan.
 ///
@@ -41,12 +41,8 @@ pub struct Out {
     t_ct_world: Pose,
 }
 
-impl Function for ToWorld {
-    const KIND: &'static str = "plane.to_world";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("plane.to_world")]
+impl ToWorld {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let stamp_ns = ctx.stamp_ns();
         let t_ct_world = i.t_ct_bone_marker.compose(&i.t_world_bone_marker.inverse())?.at(stamp_ns);

@@ -1,7 +1,7 @@
 //! The kind `plane.update`.
 
 use osteoflow_geometry::{Planes, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The planned cutting planes in the world, following the marker on the bone at the tracker's rate.
 ///
@@ -38,12 +38,8 @@ pub struct Out {
     planes: Planes,
 }
 
-impl Function for Update {
-    const KIND: &'static str = "plane.update";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("plane.update")]
+impl Update {
     fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let Some(t_world_bone_marker) = i.t_world_bone_marker else {
             let why = ctx.absent_reason("t_world_bone_marker").unwrap_or("the bone marker is not tracked");

@@ -4,7 +4,7 @@ use osteoflow_algorithms::perturb::random_motion;
 use osteoflow_formats::pose_file::read_pose;
 use osteoflow_geometry::{Cloud, Frame, Pose, nalgebra::Isometry3};
 use osteoflow_node::{
-    Context, Describe, FilePath, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, FilePath, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// A scan at a random pose, and the pose that takes it back: the start of a registration whose answer is known.
@@ -21,28 +21,24 @@ max_shift_mm = 500.0
 pub struct Perturb;
 
 /// Parameters of [`Perturb`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Largest angle, degrees; each up to it is as likely. 180: any, as where nothing is known of the start.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(180.0, 0.0..=180.0)]
     pub max_turn_deg: f64,
     /// Largest length of the shift, mm; each up to it is as likely. 500 mm: as published for bones in a tracker's view.
-    #[schemars(range(min = 0.0, max = 1e6))]
+    #[param(500.0, 0.0..=1e6)]
     pub max_shift_mm: f64,
     /// A file with the true pose of the scan, a matrix of 16 numbers that takes it to the surface, mm. Unset: both files are in one
     /// frame.
     pub truth: Option<FilePath>,
     /// The frame of the surface, which the pose leads to. `ct`: that of a bone.
+    #[param("ct")]
     pub to: String,
     /// The frame of the perturbed scan. `camera`: that of a scan.
+    #[param("camera")]
     pub frame: String,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { max_turn_deg: 180.0, max_shift_mm: 500.0, truth: None, to: "ct".into(), frame: "camera".into() }
-    }
 }
 
 /// Inputs of [`Perturb`].
@@ -63,12 +59,8 @@ pub struct Out {
     pose: Pose,
 }
 
-impl Function for Perturb {
-    const KIND: &'static str = "pose.perturb";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("pose.perturb")]
+impl Perturb {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let t_to_file = match &params.truth {
             Some(path) => {
@@ -91,6 +83,7 @@ impl Function for Perturb {
 mod tests {
     use super::*;
     use osteoflow_geometry::nalgebra::{Point3, Vector3};
+    use osteoflow_node::Function;
 
     fn perturbed(params: &Params, seed: u64) -> (Vec<Point3<f64>>, Pose) {
         let points = [[0.0, 0.0, 900.0], [30.0, 0.0, 900.0], [0.0, 40.0, 910.0]].map(Point3::from);

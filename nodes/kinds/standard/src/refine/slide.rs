@@ -3,7 +3,9 @@
 use crate::icp::In;
 use osteoflow_algorithms::slide::{SlideParams, SlideReport, slide};
 use osteoflow_geometry::Pose;
-use osteoflow_node::{Context, Describe, Function, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{
+    Context, Describe, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
+};
 
 /// The best place of a registered scan along the bone and around it, and how well the residuals determine it.
 ///
@@ -23,23 +25,17 @@ in   = { source = "to_bone.cloud", target = "ct_surface.target", init = "icp.t_t
 pub struct Slide;
 
 /// Parameters of [`Slide`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// How far along the bone, how far around it, and what is undetermined.
     pub profile: SlideParams,
     /// Warns if it moved the scan along the bone by more, mm. 1.5: more than what point-to-point leaves of a sound start.
-    #[schemars(range(min = 0.0, max = 200.0))]
+    #[param(1.5, 0.0..=200.0)]
     pub warn_mm: f64,
     /// Warns if it turned the scan about the bone by more, degrees. 2.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(2.0, 0.0..=180.0)]
     pub warn_deg: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { profile: SlideParams::default(), warn_mm: 1.5, warn_deg: 2.0 }
-    }
 }
 
 /// Outputs of [`Slide`].
@@ -52,12 +48,8 @@ pub struct Out {
     report: SlideReport,
 }
 
-impl Function for Slide {
-    const KIND: &'static str = "refine.slide";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("refine.slide")]
+impl Slide {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let init = i.init.expect(&i.target.frame, &i.source.frame)?;
         let fit = slide(&i.target, &i.source, &init, &params.profile)?;

@@ -18,7 +18,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3, Translation3},
 };
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, Node, NodeError, ParamError, params, schemars::JsonSchema, serde::Deserialize,
 };
 use outlet::{Outlet, Task, status};
 use std::time::Duration;
@@ -55,39 +55,28 @@ struct Said {
 }
 
 /// Parameters of [`OpenIgtLink`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Where receivers connect, or the receiver. 127.0.0.1:18945: beside the port of a PLUS server.
+    #[param("127.0.0.1:18945")]
     pub address: String,
     /// `server` listens for receivers; `client` connects to one, and again when it is lost. server: 3D Slicer is a client, and there
     /// may be several.
+    #[param(Role::Server)]
     pub role: Role,
     /// Largest rate of planes and tip, by their stamps. 20: a tracker's, and what a screen shows.
-    #[schemars(range(min = 0.1, max = 1000.0))]
+    #[param(20.0, 0.1..=1000.0)]
     pub rate_hz: f64,
     /// Whether planes and registration of a doubtful verdict are sent too. false: a STATUS says why not. Those of a refused one are
     /// never sent.
     pub send_doubtful: bool,
     /// Edge of the square that shows each plane as a POLYDATA. 60 mm: wider than a fibula; 0: transforms alone.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(60.0, 0.0..=1000.0)]
     pub plane_size_mm: f64,
     /// Time of this machine without new planes after which a STATUS calls those shown old. 1 s: twenty samples of a tracker.
-    #[schemars(range(min = 0.1, max = 3600.0))]
+    #[param(1.0, 0.1..=3600.0)]
     pub stale_after_s: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self {
-            address: "127.0.0.1:18945".into(),
-            role: Role::Server,
-            rate_hz: 20.0,
-            send_doubtful: false,
-            plane_size_mm: 60.0,
-            stale_after_s: 1.0,
-        }
-    }
 }
 
 /// Inputs of [`OpenIgtLink`].

@@ -1,129 +1,16 @@
-//! The kind `surface.ct`.
+//! The surface of the bone in a CT.
 
-use crate::{constant::Constant, parts};
+use super::any::Params;
 use osteoflow_algorithms::ct_surface::{
     ComponentChoice, CtSurface, CtSurfaceParams, VolumeView, ct_surface, suggested_threshold,
 };
-use osteoflow_algorithms::parts::PartChoice;
 use osteoflow_formats::{
     FileError, input,
     volume::{Volume, VoxelUnit, data_files, read_volume},
 };
 use osteoflow_geometry::Mesh;
-use osteoflow_node::{
-    Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
-};
-use osteoflow_payloads::Json;
-use std::{
-    path::{Path, PathBuf},
-    sync::Arc,
-};
-
-/// The surface of a bone in a CT: NIfTI, NRRD, MetaImage, or a DICOM series in a folder.
-///
-/// The surface lies where linear interpolation between voxels meets the threshold. It is not smoothed, and spaces
-/// inside the bone are not part of it. Where the border of the volume cuts through the bone, the surface stays open,
-/// because the bone has no face there. Coordinates are LPS, as in the file.
-#[derive(Describe)]
-#[describe(
-    example = r#"
-kind = "surface.ct"
-path = "ct_series"
-threshold_hu = 600.0
-"#,
-    literature = ["Gibson 1998"]
-)]
-pub struct Ct;
-
-/// Parameters of [`Ct`].
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Params {
-    /// A .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file, an enhanced DICOM file, or the folder of a DICOM series.
-    pub path: FilePath,
-    /// Bone is above, in HU; in the file's own values if they are not HU. None: refused with a suggestion from the histogram,
-    /// as the threshold moves the surface.
-    pub threshold_hu: Option<f64>,
-    /// Which connected part above the threshold is the bone: `"largest"`, its number by size, such as `"2"`, or
-    /// `"nearest:X,Y,Z"`, the part nearest to a point, LPS, mm.
-    #[serde(default = "largest")]
-    pub component: String,
-    /// A point in the bone's cortex, LPS, which chooses the part instead of `component`.
-    pub seed_mm: Option<[f64; 3]>,
-    /// Which DICOM series of the folder: its number, or the ending of its identifier, with `#2` behind it for the second stack of a
-    /// series with several. None: the only one that may be a CT; localizers and pages in colours are left out by name.
-    pub series: Option<String>,
-    /// Whether spaces enclosed by the bone count as bone. true: a camera sees only the outside.
-    #[serde(default = "yes")]
-    pub fill_cavities: bool,
-    /// The frame of its coordinates. `ct`: the plan's.
-    #[serde(default = "crate::params::ct")]
-    pub frame: String,
-}
-
-pub(super) fn largest() -> String {
-    "largest".into()
-}
-
-fn yes() -> bool {
-    true
-}
-
-/// Outputs of [`Ct`].
-#[derive(Outputs)]
-pub struct Out {
-    /// The surface, once.
-    #[port(frame = "$frame")]
-    mesh: Mesh,
-    /// The volume, the components, how far the surface moves with the threshold, and by what a plan may be bound to it:
-    /// `frame_of_reference_uid` of a DICOM series, `sha256` of a single file.
-    report: Json,
-}
-
-impl Params {
-    /// Refuses a choice of parts or a threshold that no volume serves.
-    pub(super) fn check(&self) -> Result<(), ParamError> {
-        self.choice()?;
-        match self.threshold_hu.is_some_and(|t| !t.is_finite()) {
-            true => Err(ParamError::new("threshold_hu", "it is not finite")),
-            false => Ok(()),
-        }
-    }
-
-    fn choice(&self) -> Result<ComponentChoice, ParamError> {
-        match (&self.seed_mm, self.component.as_str()) {
-            (Some(_), component) if component != "largest" => {
-                Err(ParamError::new("seed_mm", "the seed and component both choose a part; give one of them"))
-            }
-            (Some(seed), _) => Ok(ComponentChoice::Seed((*seed).into())),
-            (None, component) => match parts::choice(Some(component))? {
-                Some(PartChoice::Nearest(place)) => Ok(ComponentChoice::Nearest(place)),
-                Some(PartChoice::Rank(rank)) => Ok(ComponentChoice::Rank(rank)),
-                None => Ok(ComponentChoice::Rank(1)),
-            },
-        }
-    }
-}
-
-impl Constant for Ct {
-    const KIND: &'static str = "surface.ct";
-    type Params = Params;
-    type Outputs = Out;
-
-    fn check(params: &Params) -> Result<(), ParamError> {
-        params.check()
-    }
-
-    fn files(params: &Params) -> Vec<PathBuf> {
-        data_files(params.path.as_ref())
-    }
-
-    fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
-        let bone = read_bone(params, NoThreshold::Refuse)?;
-        bone.notes.into_iter().for_each(|note| ctx.warn(note));
-        Ok(Out { mesh: bone.mesh, report: Json(Arc::new(bone.report)) })
-    }
-}
+use osteoflow_node::NodeError;
+use std::path::Path;
 
 /// A bone's surface from a CT.
 pub struct CtBone {
@@ -165,8 +52,8 @@ pub fn read_bone(params: &Params, no_threshold: NoThreshold) -> Result<CtBone, N
     let Some(threshold) = params.threshold_hu.or_else(suggested) else {
         return Err(NodeError::new(without_threshold(&view, volume.unit)));
     };
-    let component = params.choice().map_err(|error| NodeError::new(error.to_string()))?;
-    let choice = CtSurfaceParams { threshold, component, fill_cavities: params.fill_cavities };
+    let component = params.part_of_ct().map_err(|error| NodeError::new(error.to_string()))?;
+    let choice = CtSurfaceParams { threshold, component, fill_cavities: params.fill_cavities.unwrap_or(true) };
     let surface = ct_surface(&view, &choice)?;
     notes.extend(warnings(volume, &surface, &choice));
     let report = serde_json::json!({
@@ -281,25 +168,31 @@ fn warnings(volume: &Volume, surface: &CtSurface, params: &CtSurfaceParams) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::constant::Once;
+    use crate::{
+        constant::Once,
+        surface::any::{Ct, CtParams, MeshOut},
+    };
     use osteoflow_geometry::nalgebra::Point3;
-    use osteoflow_node::Source;
+    use osteoflow_node::{Context, FilePath, Source};
+    use std::path::PathBuf;
 
     fn params(path: &Path) -> Params {
         Params {
             path: FilePath(path.into()),
-            threshold_hu: Some(500.0),
-            component: "largest".into(),
-            seed_mm: None,
-            series: None,
-            fill_cavities: true,
             frame: "ct".into(),
+            unit_mm: 1.0,
+            space: None,
+            threshold_hu: Some(500.0),
+            series: None,
+            component: None,
+            seed_mm: None,
+            fill_cavities: None,
         }
     }
 
-    fn run(params: Params) -> Result<(Out, Vec<String>), String> {
+    fn run(params: Params) -> Result<(MeshOut, Vec<String>), String> {
         let mut ctx = Context::for_test("bone");
-        let mut node = Once::<Ct>::new(params).map_err(|error| error.to_string())?;
+        let mut node = Once::<Ct>::new(CtParams { bone: params }).map_err(|error| error.to_string())?;
         let out = node.next(&mut ctx).map_err(|error| error.to_string())?.ok_or("nothing")?;
         assert!(node.next(&mut ctx).unwrap().is_none(), "once");
         Ok((out, ctx.warnings().to_vec()))
@@ -341,9 +234,9 @@ mod tests {
         assert_eq!(out.report.0["n_components"], 2);
 
         for choice in [
-            Params { component: "2".into(), ..params(file.path()) },
+            Params { component: Some("2".into()), ..params(file.path()) },
             // Nearer to the centre of the other ball than to that of this one, but not to its surface.
-            Params { component: "nearest:17.8,10,2".into(), ..params(file.path()) },
+            Params { component: Some("nearest:17.8,10,2".into()), ..params(file.path()) },
             Params { seed_mm: Some([24.0, 10.0, 1.0]), ..params(file.path()) },
         ] {
             let (out, warnings) = run(choice).unwrap();
@@ -371,11 +264,11 @@ mod tests {
         let unknown = two_balls(2000.0, "");
         let message = refused(Params { threshold_hu: None, ..params(unknown.path()) });
         assert!(message.contains("the values are not HU"), "{message}");
-        let message = refused(Params { component: "0".into(), ..params(file.path()) });
+        let message = refused(Params { component: Some("0".into()), ..params(file.path()) });
         assert!(message.contains("\"0\" names no part; give largest"), "{message}");
-        let message = refused(Params { component: "2".into(), seed_mm: Some([0.0; 3]), ..params(file.path()) });
+        let message = refused(Params { component: Some("2".into()), seed_mm: Some([0.0; 3]), ..params(file.path()) });
         assert!(message.contains("give one of them"), "{message}");
-        let message = refused(Params { component: "3".into(), ..params(file.path()) });
+        let message = refused(Params { component: Some("3".into()), ..params(file.path()) });
         assert!(message.contains("component 3 was asked for, but 2 are above"), "{message}");
         let message = refused(Params { threshold_hu: Some(9000.0), ..params(file.path()) });
         assert!(message.contains("no voxel is above the threshold 9000"), "{message}");

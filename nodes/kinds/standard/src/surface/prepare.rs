@@ -1,9 +1,11 @@
-//! The kind `surface.prepare`.
+//! The kinds `surface.prepare`, `surface.prepare_cloud`, and `surface.prepare_any`, which takes the inputs of both.
 
-use osteoflow_algorithms::{icp::NO_FIELD, mesh_query::MeshQuery, sample, target::Target};
-use osteoflow_geometry::Mesh;
+use crate::params::NoParams;
+use osteoflow_algorithms::{mesh_query::MeshQuery, normals, sample, target::Target};
+use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
 use osteoflow_node::{
-    CachePolicy, Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    CachePolicy, Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema,
+    serde::Deserialize,
 };
 use osteoflow_payloads::Text;
 
@@ -23,29 +25,22 @@ const MIN_POINTS: usize = 100;
 /// Maximum number of points, for the memory they take.
 const MAX_POINTS: usize = 10_000_000;
 
-/// Parameters of [`Prepare`].
+/// Parameters of [`Prepare`] and [`PrepareAny`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-#[schemars(extend("x-removed" = { "field": { "default": false, "warning": NO_FIELD } }))]
 pub struct Params {
     /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
-    #[schemars(range(min = MIN_POINTS, max = MAX_POINTS))]
+    #[param(150_000, MIN_POINTS..=MAX_POINTS)]
     pub n_points: usize,
     /// Spacing of the points, mm: one for each square of this edge, whatever the surface's size, instead of `n_points`.
     /// 0: `n_points` decides.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.0, 0.0..=100.0)]
     pub spacing_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { n_points: 150_000, spacing_mm: 0.0 }
-    }
 }
 
 impl Params {
     /// Samples a surface and prepares it.
-    pub(super) fn prepare(&self, mesh: &Mesh, ctx: &mut Context) -> Result<Target, NodeError> {
+    fn prepare(&self, mesh: &Mesh, ctx: &mut Context) -> Result<Target, NodeError> {
         let samples = sample::surface(mesh, self.n_points_on(mesh.area_mm2())?, &mut ctx.rng());
         let target = Target::new(&mesh.frame, mesh.origin, samples.points, Some(samples.normals.into()))?;
         let target = target.with_mesh(MeshQuery::new(mesh));
@@ -88,12 +83,9 @@ pub struct Out {
     ct_surface: Text,
 }
 
-impl Function for Prepare {
-    const KIND: &'static str = "surface.prepare";
+#[function("surface.prepare")]
+impl Prepare {
     const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
 
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let target = params.prepare(&i.mesh, ctx)?;
@@ -101,9 +93,115 @@ impl Function for Prepare {
     }
 }
 
+/// The points of a surface without faces, prepared for registration; normals are estimated where missing.
+///
+/// Estimated normals point outwards if the surface is closed. On an open surface all of them point to the same side,
+/// but which side is a guess. This does not change distances along them. But a source with a viewpoint is paired only
+/// with the side that faces it; for such a source give the cloud normals by `cloud.normals`.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "surface.prepare_cloud"
+in   = { cloud = "ct_points.cloud" }
+"#,
+    literature = ["Hoppe et al. 1992, sections 3.2 and 3.3"]
+)]
+pub struct PrepareCloud;
+
+/// Inputs of [`PrepareCloud`].
+#[derive(Inputs)]
+pub struct CloudIn {
+    /// Points all over the surface.
+    #[port(join = "once")]
+    cloud: Cloud,
+}
+
+/// Outputs of [`PrepareCloud`].
+#[derive(Outputs)]
+pub struct CloudOut {
+    /// Points, normals, and the grid that finds them.
+    #[port(frame = "cloud")]
+    target: Target,
+    /// Where the surface comes from: `user`.
+    ct_surface: Text,
+}
+
+#[function("surface.prepare_cloud")]
+impl PrepareCloud {
+    const CACHE: CachePolicy = CachePolicy::ByInputs;
+
+    fn process(_: &NoParams, i: CloudIn, _ctx: &mut Context) -> Result<CloudOut, NodeError> {
+        let target = prepare_points(&i.cloud)?;
+        Ok(CloudOut { target, ct_surface: Text(SurfaceOrigin::User.to_string().into()) })
+    }
+}
+
+/// Points of a surface, prepared; their normals are estimated where missing.
+fn prepare_points(points: &Cloud) -> Result<Target, NodeError> {
+    let normals = match points.normal_column() {
+        Some(given) => given.clone(),
+        None => normals::of_surface(points.points())?.into(),
+    };
+    let target = Target::new(&points.frame, SurfaceOrigin::User, points.point_column().clone(), Some(normals))?;
+    target.prepare();
+    Ok(target)
+}
+
+/// A surface, or points of it, prepared for registration.
+///
+/// A surface is prepared as by `surface.prepare`, which has the same parameters. Points are prepared as by
+/// `surface.prepare_cloud`: all of them are used, and missing normals are estimated.
+#[derive(Describe)]
+#[describe(
+    example = r#"
+kind = "surface.prepare_any"
+in   = { mesh = "bone.mesh", points = "bone.points" }
+"#,
+    literature = ["Hoppe et al. 1992, sections 3.2 and 3.3"]
+)]
+pub struct PrepareAny;
+
+/// Inputs of [`PrepareAny`].
+#[derive(Inputs)]
+pub struct AnyIn {
+    /// The surface.
+    #[port(join = "once", frame = "points")]
+    mesh: Option<Mesh>,
+    /// Points all over the surface.
+    #[port(join = "once", frame = "mesh")]
+    points: Option<Cloud>,
+}
+
+/// Outputs of [`PrepareAny`].
+#[derive(Outputs)]
+pub struct AnyOut {
+    /// Points, normals, the grid that finds them, and the surface if there is one.
+    #[port(frame = "mesh")]
+    target: Target,
+}
+
+#[function("surface.prepare_any")]
+impl PrepareAny {
+    const CACHE: CachePolicy = CachePolicy::ByInputsAndSeed;
+
+    fn process(params: &Params, i: AnyIn, ctx: &mut Context) -> Result<AnyOut, NodeError> {
+        let target = match (&i.mesh, &i.points) {
+            (Some(mesh), None) => params.prepare(mesh, ctx)?,
+            (None, Some(points)) => prepare_points(points)?,
+            (None, None) => return Err(NodeError::new("there is neither a surface nor points of one")),
+            (Some(_), Some(_)) => {
+                return Err(NodeError::new("there are a surface and points of one; wire one of them"));
+            }
+        };
+        Ok(AnyOut { target })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use osteoflow_geometry::nalgebra::{Point3, Vector3};
+    use osteoflow_node::Function;
 
     #[test]
     fn points_are_as_far_apart_as_asked_for_whatever_the_surfaces_size_or_refused() {
@@ -115,5 +213,20 @@ mod tests {
             let message = n(spacing, 14_309.0).unwrap_err().to_string();
             assert!(message.contains("mm2, 100 to 10000000 are possible"), "{message}");
         }
+    }
+
+    #[test]
+    fn a_cloud_without_normals_becomes_a_target_whose_normals_point_outwards() {
+        // Points of a ball, evenly by the golden angle.
+        let on_ball = |k: u32| {
+            let (z, turn) = (1.0 - (f64::from(k) + 0.5) / 2000.0, 2.399_963 * f64::from(k));
+            let across = (1.0 - z * z).sqrt();
+            Point3::from(Vector3::new(across * turn.cos(), across * turn.sin(), z) * 20.0)
+        };
+        let cloud = Cloud::new("ct", (0..4000).map(on_ball).collect::<Vec<_>>()).expect("a cloud");
+        let made =
+            PrepareCloud::process(&NoParams {}, CloudIn { cloud }, &mut Context::for_test("ct")).expect("a target");
+        let normals = made.target.normals().expect("estimated");
+        assert!(made.target.points().iter().zip(normals).all(|(p, n)| p.coords.dot(n) > 19.5), "outwards");
     }
 }

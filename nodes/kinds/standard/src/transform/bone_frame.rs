@@ -4,29 +4,23 @@ use osteoflow_geometry::{
     Cloud, Frame, Pose,
     nalgebra::{Isometry3, Point3},
 };
-use osteoflow_node::{Context, NodeError, schemars, serde};
+use osteoflow_node::{Context, NodeError, params, schemars, serde};
 use osteoflow_payloads::Flag;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Parameters of the nodes that carry data by a tracked marker.
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct TrackingParams {
     /// Marker motion before a scan above which it is reported, if the tracker's noise does not explain it. 0.1 mm: half the
     /// point spacing of a scan.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.1, 0.0..=100.0)]
     pub flag_motion_above_mm: f64,
     /// Marker rotation before a scan above which it is reported, if the tracker's noise does not explain it. 0.03 degrees:
     /// moves a point at 200 mm by 0.1 mm.
-    #[schemars(range(min = 0.0, max = 90.0))]
+    #[param(0.03, 0.0..=90.0)]
     pub flag_motion_above_deg: f64,
-}
-
-impl Default for TrackingParams {
-    fn default() -> Self {
-        Self { flag_motion_above_mm: 0.1, flag_motion_above_deg: 0.03 }
-    }
 }
 
 /// The pose of the bone's marker at the time of `what`, or the world itself where the bone carries no marker.

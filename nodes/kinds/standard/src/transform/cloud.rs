@@ -1,7 +1,7 @@
 //! The kind `transform.cloud`.
 
 use osteoflow_geometry::{Cloud as CloudPayload, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// A cloud in another frame, by a pose: a scan on the CT, for export.
 #[derive(Describe)]
@@ -30,12 +30,8 @@ pub struct Out {
     cloud: CloudPayload,
 }
 
-impl Function for Cloud {
-    const KIND: &'static str = "transform.cloud";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.cloud")]
+impl Cloud {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         i.cloud.frame.expect(&i.pose.from, "the cloud")?;
         Ok(Out { cloud: i.cloud.transformed(&i.pose.to, &i.pose.isometry) })

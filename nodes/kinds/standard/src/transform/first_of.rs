@@ -2,7 +2,7 @@
 
 use osteoflow_geometry::Pose;
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The first of two poses that has a value, such as that of the recording, or else that of the plan.
@@ -16,21 +16,15 @@ in   = { first = "recording.phantom_marker_cad", second = "plan.t_phantom_phanto
 pub struct FirstOf;
 
 /// Parameters of [`FirstOf`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Maximum distance between the origins of both poses, mm. 0.5: rounding of files and units, far below any mistake.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[param(0.5, 0.0..=1000.0)]
     pub max_apart_mm: f64,
     /// Maximum angle between both poses, degrees. 0.2: as much.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[param(0.2, 0.0..=180.0)]
     pub max_apart_deg: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { max_apart_mm: 0.5, max_apart_deg: 0.2 }
-    }
 }
 
 /// Inputs of [`FirstOf`].
@@ -52,12 +46,8 @@ pub struct Out {
     pose: Pose,
 }
 
-impl Function for FirstOf {
-    const KIND: &'static str = "transform.first_of";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.first_of")]
+impl FirstOf {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         if let (Some(first), Some(second)) = (&i.first, &i.second) {
             let between = first.isometry.inverse() * second.isometry;

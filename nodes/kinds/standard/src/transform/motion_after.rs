@@ -2,7 +2,7 @@
 
 use super::{TrackingParams, note_motion};
 use osteoflow_algorithms::still_average::{Carries, StillReport, TakeMotion};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// How the markers moved around the time of a scan: before it, as `transform.to_bone_marker` gives it, and after it.
 ///
@@ -37,12 +37,8 @@ pub struct Out {
     take_motion: TakeMotion,
 }
 
-impl Function for MotionAfter {
-    const KIND: &'static str = "transform.motion_after";
-    type Params = TrackingParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.motion_after")]
+impl MotionAfter {
     fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let stamp_ns = ctx.stamp_ns();
         let In { mut take_motion, camera_motion, bone_motion } = i;

@@ -1,7 +1,7 @@
 //! The kind `transform.points`.
 
 use osteoflow_geometry::{NamedPoint, Points as PointList, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// Named points of a stream as one list, in another frame.
 #[derive(Describe)]
@@ -30,12 +30,8 @@ pub struct Out {
     points: PointList,
 }
 
-impl Function for Points {
-    const KIND: &'static str = "transform.points";
-    type Params = crate::NoParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.points")]
+impl Points {
     fn process(_: &crate::NoParams, i: In, _ctx: &mut Context) -> Result<Out, NodeError> {
         let points = in_one_list(&i.points)?;
         points.frame.expect(&i.pose.from, "a list of points")?;

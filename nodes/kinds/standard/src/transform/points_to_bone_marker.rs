@@ -3,7 +3,7 @@
 use super::{TrackingParams, marker_motion, note_motion, pose_at};
 use osteoflow_algorithms::still_average::{Carries, StillReport, TakeMotion};
 use osteoflow_geometry::{Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 use osteoflow_payloads::Flag;
 
 /// Points touched in the world, in the frame of the marker on the bone.
@@ -48,12 +48,8 @@ pub struct Out {
     take_motion: TakeMotion,
 }
 
-impl Function for PointsToBoneMarker {
-    const KIND: &'static str = "transform.points_to_bone_marker";
-    type Params = TrackingParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.points_to_bone_marker")]
+impl PointsToBoneMarker {
     fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let what = i.points.points.first().map_or("a point", |p| &*p.name);
         let pose = pose_at(&i.points.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;

@@ -6,7 +6,7 @@ use osteoflow_algorithms::still_average::{
 };
 use osteoflow_geometry::{Pose, StampNs, nalgebra::Isometry3};
 use osteoflow_node::{
-    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, Node, NodeError, Outputs, ParamError, params, schemars::JsonSchema, serde::Deserialize,
 };
 use std::collections::VecDeque;
 
@@ -39,29 +39,23 @@ pub struct StillAverage {
 }
 
 /// Parameters of [`StillAverage`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// Length of the window. 500 ms: ten samples at 20 Hz, which leaves a third of the tracker's noise.
-    #[schemars(range(min = 0.0, max = 60_000.0))]
+    #[param(500.0, 0.0..=60_000.0)]
     pub window_ms: f64,
     /// Maximum distance between the means of the window's halves for a marker at rest, unless its noise in the time before explains
     /// more. 0.1 mm: three times an optical tracker's noise.
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[param(0.1, 0.0..=100.0)]
     pub still_mm: f64,
     /// Maximum rotation between the means of the window's halves for a marker at rest, unless its noise in the time before explains
     /// more. 0.05 degrees: five times an optical tracker's noise.
-    #[schemars(range(min = 0.0, max = 90.0))]
+    #[param(0.05, 0.0..=90.0)]
     pub still_deg: f64,
     /// Length of the path, s. 6: a slow sweep by hand, of 3 s before its stamp or after it.
-    #[schemars(range(min = 0.0, max = 60.0))]
+    #[param(6.0, 0.0..=60.0)]
     pub path_s: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self { window_ms: 500.0, still_mm: 0.1, still_deg: 0.05, path_s: 6.0 }
-    }
 }
 
 /// Inputs of [`StillAverage`].

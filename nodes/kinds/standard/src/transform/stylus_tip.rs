@@ -3,7 +3,7 @@
 use super::{TrackingParams, marker_motion, note_motion};
 use osteoflow_algorithms::still_average::{Carries, StillReport, TakeMotion};
 use osteoflow_geometry::{NamedPoint, Points, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// Touched points, recomputed from the stylus' tracked marker and its calibrated tip.
 #[derive(Describe)]
@@ -40,12 +40,8 @@ pub struct Out {
     take_motion: TakeMotion,
 }
 
-impl Function for StylusTip {
-    const KIND: &'static str = "transform.stylus_tip";
-    type Params = TrackingParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.stylus_tip")]
+impl StylusTip {
     fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let [touch] = &i.touched.points[..] else {
             return Err(NodeError::new(format!("{} touches at once, where one is expected", i.touched.points.len())));

@@ -4,7 +4,7 @@ use super::{Carried, TrackingParams, marker_motion, note_motion, pose_at};
 use osteoflow_algorithms::point_times::{POINT_TIME, PointTimeUnit, point_times};
 use osteoflow_algorithms::still_average::{Carries, MarkerPath, StillReport, TakeMotion};
 use osteoflow_geometry::{Cloud, Pose};
-use osteoflow_node::{Context, Describe, Function, Inputs, NodeError, Outputs};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 use osteoflow_payloads::Flag;
 
 /// A cloud in the frame of the marker on the bone, where clouds of different times coincide.
@@ -58,12 +58,8 @@ pub struct Out {
     pub(super) take_motion: TakeMotion,
 }
 
-impl Function for ToBoneMarker {
-    const KIND: &'static str = "transform.to_bone_marker";
-    type Params = TrackingParams;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.to_bone_marker")]
+impl ToBoneMarker {
     fn process(params: &TrackingParams, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let what = i.cloud.label.as_deref().unwrap_or("the scan");
         let mut pose = pose_at(&i.cloud.frame, i.t_world_bone_marker, i.tracked, what, ctx)?;

@@ -5,7 +5,7 @@ use osteoflow_algorithms::point_times::{POINT_TIME, PointTimeUnit, point_times};
 use osteoflow_algorithms::still_average::{Carries, MarkerPath, StillReport, TakeMotion, TakeTime};
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{
-    Context, Describe, Function, Inputs, NodeError, Outputs, schemars, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Inputs, NodeError, Outputs, function, schemars, schemars::JsonSchema, serde::Deserialize,
 };
 
 /// The camera's cloud in the tracker's world.
@@ -103,12 +103,8 @@ pub struct Out {
     pub(super) take_motion: TakeMotion,
 }
 
-impl Function for ToWorld {
-    const KIND: &'static str = "transform.to_world";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("transform.to_world")]
+impl ToWorld {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let t_world_camera = i.t_world_camera_marker.compose(&i.calibration.inverse())?;
         i.cloud.frame.expect(&t_world_camera.from, "the cloud")?;

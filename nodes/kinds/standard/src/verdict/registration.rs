@@ -17,7 +17,8 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{
-    Context, Describe, Emit, Function, Inputs, NodeError, Outputs, Value, schemars::JsonSchema, serde::Deserialize,
+    Context, Describe, Emit, Inputs, NodeError, Outputs, Value, function, params, schemars::JsonSchema,
+    serde::Deserialize,
 };
 use osteoflow_payloads::Json;
 
@@ -44,8 +45,8 @@ in   = { source = "to_bone.cloud", target = "ct_surface.target", t_target_source
 pub struct Registration;
 
 /// Parameters of [`Registration`].
+#[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct Params {
     /// What is examined beside the residuals.
     pub examine: EvidenceParams,
@@ -55,19 +56,13 @@ pub struct Params {
     pub errors: PredictParams,
     /// Whether the landmarks lie on the surface. false: they are fiducials, such as screws, rings or skin markers, whose stated error is
     /// `rules.landmarks.fiducial_mm`, and their distance from the surface is no sign.
+    #[param(true)]
     pub on_surface: bool,
     /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone
     /// probably do not belong together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is
     /// 90 mm wide.
-    #[schemars(range(min = 0.0, max = 10_000.0))]
+    #[param(50.0, 0.0..=10_000.0)]
     pub max_plane_distance_mm: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        let (examine, rules, errors) = Default::default();
-        Self { examine, rules, errors, on_surface: true, max_plane_distance_mm: 50.0 }
-    }
 }
 
 impl Params {
@@ -173,12 +168,8 @@ pub struct Out {
     planes: Emit<Planes>,
 }
 
-impl Function for Registration {
-    const KIND: &'static str = "verdict.registration";
-    type Params = Params;
-    type Inputs = In;
-    type Outputs = Out;
-
+#[function("verdict.registration")]
+impl Registration {
     fn process(params: &Params, i: In, ctx: &mut Context) -> Result<Out, NodeError> {
         let t_target_source = i.t_target_source.expect(&i.target.frame, &i.source.frame)?;
         let located: Vec<Points> = i.located.iter().flatten().cloned().collect();

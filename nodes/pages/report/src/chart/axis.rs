@@ -21,7 +21,7 @@ pub(crate) enum Axis {
 /// The mapping from values to positions.
 #[derive(Debug, Clone)]
 pub(crate) struct Scale {
-    log: bool,
+    pub(crate) log: bool,
     /// The range; logarithms on a logarithmic axis.
     from: f64,
     to: f64,
@@ -39,10 +39,6 @@ impl Scale {
 
     pub(crate) fn holds(&self, value: f64) -> bool {
         (self.from..=self.to).contains(&value)
-    }
-
-    pub(crate) fn is_log(&self) -> bool {
-        self.log
     }
 }
 

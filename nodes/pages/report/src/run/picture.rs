@@ -58,14 +58,14 @@ impl Picture {
                 || (channel.topic.starts_with(VIEW) && channel.schema_name == "foxglove.FrameTransform")
         });
         let (mut transforms, mut items) = (Vec::new(), Vec::new());
-        for message in wanted.map_err(|error| error.to_string())? {
-            let topic = &message.channel.topic;
+        for (channel, data) in wanted.map_err(|error| error.to_string())? {
+            let topic = &channel.topic;
             if let Some(wire) = topic.strip_prefix(VIEW) {
-                let read = Transform::read(wire, &message.data);
+                let read = Transform::read(wire, &data);
                 transforms.push(read.ok_or_else(|| format!("the transform of the wire {wire} is damaged"))?);
             } else if let Some(wire) = topic.strip_prefix(EXACT) {
-                let data = item_bytes(&message.channel.encoding, &message.data).unwrap_or_default().to_vec();
-                items.extend(LastItem::read(run, wire, &message.channel.schema_name, data)?);
+                let data = item_bytes(&channel.encoding, &data).unwrap_or_default().to_vec();
+                items.extend(LastItem::read(run, wire, &channel.schema_name, data)?);
             }
         }
         if items.iter().all(|item| !item.is_drawn()) {

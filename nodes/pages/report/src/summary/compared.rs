@@ -2,7 +2,7 @@
 
 use super::{LEVEL, groups, or_reason, path, value, word};
 use osteoflow_engine::sweep::{Column, Compare, Done, Spec};
-use osteoflow_statistics::{Units, WilcoxonParams, bland_altman, counted, holm, plural, tost, unit_means, wilcoxon};
+use osteoflow_statistics::{Units, bland_altman, counted, holm, plural, tost, unit_means, wilcoxon};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -29,7 +29,10 @@ pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
         let others = spec.factors.iter().find(|factor| factor.name == *name);
         let others = others.into_iter().flat_map(|factor| &factor.levels).filter(|level| level.label != *to);
         let base: Vec<&Done> = side(to);
-        let key = |d: &Done| key_without(d, name);
+        let key = |d: &Done| -> String {
+            let others = d.values.iter().filter(|(of, _)| *of != name);
+            others.map(|(of, value)| format!("{of}={value}\u{1f}")).collect()
+        };
         // Where margins are given, only their columns are compared.
         let columns =
             spec.columns.iter().filter(|column| margins.is_empty() || margin(margins, &column.name).is_some());
@@ -122,7 +125,7 @@ fn compared(
             "column": column.name, "a": a, "b": b, "unit": unit, "n": n, "n_pairs": rows.len(),
             "mean_a": mean(with.iter().map(|(_, a, _)| *a)), "mean_b": mean(with.iter().map(|(.., b)| *b)),
             "mean_difference": mean(differences.iter().copied()),
-            "wilcoxon": or_reason(wilcoxon(&differences, &WilcoxonParams::default())),
+            "wilcoxon": or_reason(wilcoxon(&differences)),
             "tost": margin(margins, &column.name).map_or(Value::Null, |margin| or_reason(tost(&differences, margin, ALPHA))),
             "bland_altman": or_reason(bland_altman(&differences, LEVEL)),
             "note": (!notes.is_empty()).then(|| notes.join("; ")),
@@ -166,12 +169,6 @@ pub fn with_holm(mut comparisons: Vec<Value>) -> Vec<Value> {
         with.iter().zip(corrected).for_each(|(&i, p)| comparisons[i]["p_holm"] = p.into());
     }
     comparisons
-}
-
-/// All values of a run except that of one factor, as a key.
-fn key_without(run: &Done, factor: &str) -> String {
-    let values = run.values.iter().filter(|(name, _)| *name != factor);
-    values.map(|(name, value)| format!("{name}={value}\u{1f}")).collect()
 }
 
 fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {

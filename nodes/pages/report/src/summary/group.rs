@@ -3,8 +3,7 @@
 use super::{LEVEL, levels, number, or_reason, path, path_of_highest, units_of, value, verdicts};
 use osteoflow_engine::sweep::{Done, Spec, point_values};
 use osteoflow_statistics::{
-    BootstrapParams, Share, StatisticsError, Summary, Units, bootstrap_mean, pearson, plural, repeatability, spearman,
-    wilson_clustered,
+    BootstrapParams, Summary, Units, bootstrap_mean, pearson, plural, repeatability, spearman, wilson_clustered,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -22,8 +21,10 @@ pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -
         if let Some((_, limit)) = spec.limits.iter().find(|(name, _)| *name == column.name) {
             // A run without results is not below any limit.
             let hits: Vec<_> = runs.iter().map(|d| value(d, column).is_some_and(|x| x.abs() < *limit)).collect();
-            let share = units_of(spec, runs).map(|units| wilson_clustered(&units, &hits, LEVEL));
-            entry["share_below"] = share.map_or(Value::Null, |share| share_json(*limit, share));
+            if let Some(units) = units_of(spec, runs) {
+                entry["share_below"] = or_reason(wilson_clustered(&units, &hits, LEVEL));
+                entry["share_below"]["limit"] = (*limit).into();
+            }
         }
         columns.insert(column.name.clone(), entry);
     }
@@ -34,12 +35,6 @@ pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -
         "units": units_of(spec, runs).map(|units| levels(&units)),
         "columns": columns, "points": points(spec, runs), "correlations": correlations(spec, runs),
     })
-}
-
-fn share_json(limit: f64, share: Result<Share, StatisticsError>) -> Value {
-    let mut entry = or_reason(share);
-    entry["limit"] = limit.into();
-    entry
 }
 
 /// Statistics of the points, by measure and axis.

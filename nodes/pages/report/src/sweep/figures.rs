@@ -123,7 +123,7 @@ fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String
     let chart = |(title, lines): &(String, Vec<Line<'_>>)| Chart {
         title: if title.is_empty() { format!("{what} against {label}") } else { title.clone() },
         about: format!("Medians with quartiles of {} for each value of {}.", column.name, factor.name),
-        x: if is_logarithmic(factor) { Axis::Log(label.clone()) } else { Axis::Linear(label.clone()) },
+        x: axis(&factor.name, factor.levels.iter().filter_map(|level| level.label.as_f64())),
         y: Axis::Linear(what.clone()),
         series: series(lines),
         note: if title.is_empty() { String::new() } else { format!("{what} against {label}") },
@@ -173,19 +173,18 @@ fn line(column: &Column, factor: &Factor, name: &str, settings: &[&Setting<'_>],
     Series { name: name.to_owned(), colour, marks }
 }
 
-/// Whether the values are spaced by ratios rather than differences: 100, 1000, 10,000.
-fn is_logarithmic(factor: &Factor) -> bool {
-    let values: Vec<f64> = factor.levels.iter().filter_map(|level| level.label.as_f64()).collect();
-    let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    low > 0.0 && high / low >= 20.0
+/// A logarithmic axis if the values are spaced by ratios rather than differences: 100, 1000, 10,000.
+fn axis(name: &str, values: impl Iterator<Item = f64>) -> Axis {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    let is_log = low > 0.0 && high / low >= 20.0;
+    if is_log { Axis::Log(axis_label(name)) } else { Axis::Linear(axis_label(name)) }
 }
 
 /// A box for each setting.
 fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (String, String) {
     let marks = settings.iter().enumerate().filter_map(|(k, setting)| {
         let tukey = Tukey::of(&values(setting, column))?;
-        Some(Series::unnamed(0, vec![Mark::Box(k as f64, box_width(settings.len()), tukey)]))
+        Some(Series::unnamed(0, vec![Mark::Box(k as f64, if settings.len() < 3 { 0.12 } else { 0.3 }, tukey)]))
     });
     let chart = Chart {
         title: axis_label(&column.name),
@@ -204,10 +203,6 @@ fn setting_label(settings: &[Setting<'_>]) -> String {
         Some([]) | None => "setting".into(),
         Some(values) => values.iter().map(|(name, _)| axis_label(name)).collect::<Vec<_>>().join(", "),
     }
-}
-
-fn box_width(n: usize) -> f64 {
-    if n < 3 { 0.12 } else { 0.3 }
 }
 
 /// Boxes of the values at points by axis, with the settings side by side.
@@ -305,13 +300,8 @@ fn against_time(page: &mut Page, settings: &[Setting<'_>], time: &Column, column
         setting.runs.iter().filter_map(pair).collect()
     };
     let all: Vec<_> = settings.iter().map(pairs).collect();
-    let spread = |value: fn(&(f64, f64, String)) -> f64| {
-        let values = all.iter().flatten().map(value);
-        let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
-        low > 0.0 && high / low >= 20.0
-    };
-    let axis = |log, name: &str| if log { Axis::Log(axis_label(name)) } else { Axis::Linear(axis_label(name)) };
-    let (x, y) = (axis(spread(|p| p.0), &time.name), axis(spread(|p| p.1), &column.name));
+    let x = axis(&time.name, all.iter().flatten().map(|p| p.0));
+    let y = axis(&column.name, all.iter().flatten().map(|p| p.1));
     let series = settings.iter().zip(&all).enumerate().filter_map(|(k, (setting, pairs))| {
         let of = |value: fn(&(f64, f64, String)) -> f64| Tukey::of(&pairs.iter().map(value).collect::<Vec<_>>());
         let (time, error) = (of(|p| p.0)?.median, of(|p| p.1)?.median);

@@ -1,78 +1,58 @@
 //! Priors of what may be wrong beside the pose.
 
+use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// What may be wrong beside the pose in a sound procedure, as standard deviations, and when it counts as measured.
+#[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct NuisanceParams {
     /// Stretch of the CT along the bone, across it, or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
     /// a table that lags by half a slice in 100 is as much.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.5, 0.001..=100.0)]
     pub stretch_percent: f64,
     /// Shear of the CT's slices, as by a tilt of the gantry, degrees. 0.1: scanners state a tilt to as much, and it is corrected or
     /// it is many degrees.
-    #[schemars(range(min = 0.001, max = 90.0))]
+    #[param(0.05, 0.001..=90.0)]
     pub shear_deg: f64,
     /// Bend of the bone against the CT, mm at the ends of the scan against its middle. 0.02: what 1.6 N at an arm of 100 mm bend 100 mm
     /// of a fibula (17 GPa, 600 mm^4), which lies free.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.01, 0.001..=100.0)]
     pub bend_mm: f64,
     /// Twist of the bone against the CT, degrees from the middle of the scan to its ends. 0.1: a fibula without load.
-    #[schemars(range(min = 0.001, max = 90.0))]
+    #[param(0.05, 0.001..=90.0)]
     pub twist_deg: f64,
     /// Offset of the CT's surface, as by a segmentation's threshold, mm. 0.2: a quarter of a voxel of 0.8 mm.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.2, 0.001..=100.0)]
     pub offset_mm: f64,
     /// Film on the bone, mm. 0.3: what remains after cleaning.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.1, 0.001..=100.0)]
     pub film_mm: f64,
     /// Displacement of a part of the bone across it, mm. 0.02: a bone in one piece, as its bend.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.02, 0.001..=100.0)]
     pub step_mm: f64,
     /// Scale of the camera and of its depth against the calibration, percent. 0.2: the drift of a structured-light camera that
     /// warms up.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.1, 0.001..=100.0)]
     pub camera_percent: f64,
     /// Amplitude of the error of the camera's depth that is one wave over the scan, mm; a shorter wave has less in proportion to its
     /// length. 0.1: a calibrated structured-light camera.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.1, 0.001..=100.0)]
     pub field_mm: f64,
     /// Any other distortion of the CT, each of six strains, percent. 0.1: what the rounding of a reformat's spacing leaves.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.1, 0.001..=100.0)]
     pub affine_percent: f64,
     /// Smooth error of the CT's surface, each of fourteen waves along and around the bone, mm. 0.05: 0.13 mm in all.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.02, 0.001..=100.0)]
     pub smooth_mm: f64,
     /// Turn of the bone beyond the scan against the CT, about each axis, degrees. 0.1: as its twist.
-    #[schemars(range(min = 0.001, max = 90.0))]
+    #[param(0.05, 0.001..=90.0)]
     pub beyond_deg: f64,
     /// Displacement of the plan against the surface, along each axis, mm. 0.1: it is drawn on it.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[param(0.1, 0.001..=100.0)]
     pub plan_mm: f64,
     /// Odds that a cause is at fault, so that it is as large as faults are. 0.0025: one in 400 for each.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[param(0.0025, 0.0..=1.0)]
     pub fault_odds: f64,
-}
-
-impl Default for NuisanceParams {
-    fn default() -> Self {
-        Self {
-            stretch_percent: 0.5,
-            shear_deg: 0.05,
-            bend_mm: 0.01,
-            twist_deg: 0.05,
-            offset_mm: 0.2,
-            film_mm: 0.1,
-            step_mm: 0.02,
-            camera_percent: 0.1,
-            field_mm: 0.1,
-            affine_percent: 0.1,
-            smooth_mm: 0.02,
-            beyond_deg: 0.05,
-            plan_mm: 0.1,
-            fault_odds: 0.0025,
-        }
-    }
 }

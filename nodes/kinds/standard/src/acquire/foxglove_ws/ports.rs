@@ -3,17 +3,16 @@
 use super::protocol::Channel;
 use crate::acquire::{
     network::{Port, PortItems, StreamParams},
-    topics::{self, Constants, TransformFilter, last_part},
+    topics::{self, Constants, FrameNames, TransformFilter, last_part},
     unstamped,
 };
 use osteoflow_formats::{
     PoseError, Spellings,
-    message_read::{Encoded, MessageError, MessageKind, read_cloud_head, read_pose_in_frame},
-    without_slash,
+    message_read::{Encoded, MessageError, read_cloud_head, read_pose_in_frame},
 };
-use osteoflow_geometry::{Frame, Nearest, ROTATION_NOISE};
+use osteoflow_geometry::{Nearest, ROTATION_NOISE};
 use osteoflow_node::{DeclaredPort, Emission, NodeError, schemars::JsonSchema, serde::Deserialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 /// Encodings of messages that are read.
 const ENCODINGS: [&str; 3] = ["protobuf", "json", "cdr"];
@@ -43,22 +42,7 @@ pub struct PortParams {
 pub(super) struct TopicMessage<'a> {
     pub(super) topic: &'a str,
     pub(super) encoded: Encoded<'a>,
-    /// Frames of the server that have other names in the graph.
-    pub(super) frames: &'a BTreeMap<String, String>,
-}
-
-impl TopicMessage<'_> {
-    fn renamed(&self, frame: &Frame) -> Option<Frame> {
-        let plain = without_slash(frame.as_str());
-        let renamed = self.frames.iter().find(|(name, _)| without_slash(name) == plain).map(|(_, name)| name.as_str());
-        renamed.or_else(|| (plain != frame.as_str()).then_some(plain)).map(Frame::from)
-    }
-
-    fn rename(&self, frames: [&mut Frame; 2]) {
-        for frame in frames {
-            *frame = self.renamed(frame).unwrap_or_else(|| frame.clone());
-        }
-    }
+    pub(super) frames: &'a mut FrameNames,
 }
 
 /// What this protocol knows of a port.
@@ -106,19 +90,15 @@ impl Port<Content> {
     /// What is read instead.
     pub(super) fn check(&self, channel: &Channel) -> Result<(), String> {
         let Channel { topic, encoding, schema_name, .. } = channel;
-        let kind = MessageKind::of(schema_name);
-        let (is_read, needed) = match self.payload {
-            "geometry/Cloud" => {
-                (kind == Some(MessageKind::Cloud), "foxglove.PointCloud or sensor_msgs/msg/PointCloud2")
-            }
-            "geometry/Pose" => (
-                kind.is_some_and(|kind| kind != MessageKind::Cloud),
-                "foxglove.FrameTransform(s), tf2_msgs/msg/TFMessage, geometry_msgs/msg/TransformStamped or a pose in a frame",
-            ),
-            _ => (kind == Some(MessageKind::Pose), "foxglove.PoseInFrame or geometry_msgs/msg/PoseStamped"),
-        };
         let (name, payload) = (&self.name, self.payload);
-        if !is_read {
+        if !topics::reads(payload, schema_name) {
+            let needed = match payload {
+                "geometry/Cloud" => "foxglove.PointCloud or sensor_msgs/msg/PointCloud2",
+                "geometry/Pose" => {
+                    "foxglove.FrameTransform(s), tf2_msgs/msg/TFMessage, geometry_msgs/msg/TransformStamped or a pose in a frame"
+                }
+                _ => "foxglove.PoseInFrame or geometry_msgs/msg/PoseStamped",
+            };
             return Err(format!("port \"{name}\": {topic} has {schema_name}, but {payload} is read from {needed}"));
         }
         if !ENCODINGS.contains(&encoding.as_str()) {
@@ -129,7 +109,7 @@ impl Port<Content> {
     }
 
     /// The items of a message.
-    pub(super) fn read(&mut self, message: &TopicMessage<'_>) -> PortItems {
+    pub(super) fn read(&mut self, message: &mut TopicMessage<'_>) -> PortItems {
         let mut out = PortItems::default();
         let read = match self.payload {
             "geometry/Cloud" => self.cloud(message, &mut out),
@@ -164,23 +144,22 @@ impl Port<Content> {
         !stamps.into_iter().any(unstamped::is_missing)
     }
 
-    fn cloud(&self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
+    fn cloud(&self, message: &mut TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
         let label = self.label(message.topic).unwrap_or(last_part(message.topic));
-        let renamed = |frame: &Frame| message.renamed(frame);
-        let (cloud, notes) = topics::cloud(message.encoded.clone(), label, renamed)?;
+        let (cloud, notes) = topics::cloud(message.encoded.clone(), label, |frame| message.frames.of(frame))?;
         out.notes.extend(notes);
         out.items.push((cloud.stamp_ns, Emission::value(cloud)));
         Ok(())
     }
 
-    fn poses(&mut self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
+    fn poses(&mut self, message: &mut TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
         let Content { transforms, spellings, .. } = &mut self.content;
         let read = transforms.poses(message.topic, message.encoded.clone(), spellings)?;
         out.notes.extend(spellings.notes.drain(..).chain(spellings.signs.drain(..).map(|(_, sign)| sign)));
         for pose in read {
             match pose {
                 Ok(Nearest { value: mut pose, correction }) => {
-                    message.rename([&mut pose.to, &mut pose.from]);
+                    message.frames.rename([&mut pose.to, &mut pose.from]);
                     if Constants::are_on(message.topic) {
                         let constant = self.content.constants.take(pose, |sign| out.notes.push(sign));
                         out.items.extend(constant.map(|pose| (pose.stamp_ns, Emission::value(pose))));
@@ -192,7 +171,7 @@ impl Port<Content> {
                     }
                 }
                 Err(PoseError::Lost(mut lost)) => {
-                    message.rename([&mut lost.to, &mut lost.from]);
+                    message.frames.rename([&mut lost.to, &mut lost.from]);
                     out.items.push((lost.stamp_ns, Emission::Empty(lost.to_string())));
                 }
                 Err(error @ PoseError::NotRigid { .. }) => {
@@ -205,11 +184,11 @@ impl Port<Content> {
         Ok(())
     }
 
-    fn point(&self, message: &TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
+    fn point(&self, message: &mut TopicMessage<'_>, out: &mut PortItems) -> Result<(), MessageError> {
         let tip = read_pose_in_frame(message.encoded.clone())?;
         let numbered = || format!("{}_{}", last_part(message.topic), self.n_messages + 1);
         let name = self.label(message.topic).map_or_else(numbered, str::to_owned);
-        let frame = message.renamed(&tip.frame).unwrap_or_else(|| tip.frame.clone());
+        let frame = message.frames.of(&tip.frame).unwrap_or_else(|| tip.frame.clone());
         out.items.push((tip.stamp_ns, Emission::value(topics::point(&tip, name, frame))));
         Ok(())
     }
