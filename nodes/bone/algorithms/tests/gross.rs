@@ -14,8 +14,25 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use std::ops::ControlFlow;
 
 /// The causes beside the pose that a verdict may name.
-const CAUSES: [&str; 9] =
-    ["stretch_along", "stretch_across", "growth", "shear", "bend", "twist", "offset", "step", "camera_scale"];
+const CAUSES: [&str; 17] = [
+    "stretch_along",
+    "stretch_across",
+    "growth",
+    "shear",
+    "affine",
+    "bend",
+    "twist",
+    "offset",
+    "smooth",
+    "film",
+    "film_along",
+    "film_around",
+    "camera_scale",
+    "camera_depth",
+    "camera_plane",
+    "camera_bend",
+    "step",
+];
 
 fn target_of(mesh: &Mesh) -> Target {
     let samples = sample::surface(mesh, 100_000, &mut ChaCha8Rng::seed_from_u64(1));

@@ -18,7 +18,7 @@ use super::misfit::misfit_reason;
 use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::{self, Nuisance, Nuisances};
 use super::on_surface::{facing_away_reason, on_surface_reason};
-use super::planned::{OrderEvidence, landmark_order, landmarks_reason, order_reason, plan_faults};
+use super::planned::{OrderEvidence, landmark_order, order_reason, plan_faults};
 use super::predict::{PredictParams, Predicted, Where, predict};
 use super::predict_last::predict_last;
 use super::rules::RuleParams;
@@ -150,7 +150,7 @@ impl Judging<'_> {
             Some(smeared) => reasons.push(smeared),
             None => reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules)),
         }
-        reasons.extend(data_reasons(&examined.evidence, self.order.as_ref(), self.rules));
+        reasons.extend(data_reasons(&examined.evidence, self.rules));
         reasons.extend(self.landmarks(examined.spread.as_ref()));
         if self.is_mirror_due(&reasons, cause.is_some()) {
             examined.examine_mirrored(registered);
@@ -248,14 +248,13 @@ impl Judging<'_> {
 }
 
 /// The signs in the residuals, and in the registration by shape alone.
-fn data_reasons(evidence: &Evidence, order: Option<&OrderEvidence>, rules: &RuleParams) -> Vec<Reason> {
+fn data_reasons(evidence: &Evidence, rules: &RuleParams) -> Vec<Reason> {
     let signs = [
         misfit_reason(evidence, rules),
         inside_reason(&evidence.inside_patches, evidence.noise_mm, rules.max_inside),
         on_surface_reason(evidence, rules),
         facing_away_reason(evidence),
         shape_reason(evidence, rules),
-        order.and_then(|order| landmarks_reason(order, evidence, rules)),
     ];
     signs.into_iter().flatten().collect()
 }

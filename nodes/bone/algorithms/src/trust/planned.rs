@@ -1,7 +1,5 @@
 //! What the plan says about itself: the order of its landmarks, and whether it belongs to the surface.
 
-use super::evidence::Evidence;
-use super::rules::RuleParams;
 use crate::coarse::{best_other_order, rms};
 use crate::kabsch::kabsch;
 use crate::mesh_query::MeshQuery;
@@ -53,15 +51,6 @@ pub(super) fn order_reason(order: &OrderEvidence) -> Option<Reason> {
         );
         let remedy = "check which landmark each scan shows; two were probably exchanged";
         Reason::new("landmark_order", Answer::Doubtful, reason, remedy)
-    })
-}
-
-/// The sign that the landmarks miss the planned ones where the registration by shape alone lies elsewhere.
-pub(super) fn landmarks_reason(order: &OrderEvidence, evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
-    let is_apart = evidence.shape.as_ref().is_some_and(|shape| shape.apart_mm > rules.max_shape_apart_mm);
-    (is_apart && order.fre_mm > rules.max_fre_mm).then(|| {
-        let reason = format!("the landmarks miss the planned ones by {:.1} mm (RMS)", order.fre_mm);
-        Reason::new("landmarks", Answer::Doubtful, reason, "locate the landmarks again")
     })
 }
 

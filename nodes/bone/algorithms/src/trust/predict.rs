@@ -104,7 +104,7 @@ impl Tracking {
 }
 
 /// The predicted error.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Predicted {
     /// At each assessment point.
     pub points: Vec<PredictedPoint>,

@@ -107,17 +107,7 @@ mod tests {
             semi_axes_mm: [0.0; 3],
             directions: [[0.0; 3]; 3],
         };
-        let predicted = Predicted {
-            points: vec![],
-            cuts: vec![point],
-            assessment: None,
-            all_cuts: None,
-            beyond_limits: 0.0,
-            beyond_by: vec![],
-            terms: vec![],
-            devices_twice_mm: None,
-            last: None,
-        };
+        let predicted = Predicted { cuts: vec![point], ..Predicted::default() };
         predict_last(&predicted, &[cut], &takes, Some(&planned), &registration, &PredictParams::default()).unwrap()
     }
 

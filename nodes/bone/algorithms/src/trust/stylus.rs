@@ -77,16 +77,7 @@ mod tests {
     fn predicted(interval_mm: [f64; 2]) -> Predicted {
         let mean_tre_mm = (interval_mm[0] + interval_mm[1]) / 2.0;
         let set = PredictedSet { mean_tre_mm, interval_mm, interval_with_ct_bias_mm: interval_mm };
-        Predicted {
-            points: vec![],
-            cuts: vec![],
-            assessment: Some(set),
-            all_cuts: None,
-            beyond_limits: 0.0,
-            terms: vec![],
-            devices_twice_mm: None,
-            last: None,
-        }
+        Predicted { assessment: Some(set), ..Predicted::default() }
     }
 
     fn reason(mm: f64, interval_mm: [f64; 2]) -> Option<Reason> {

@@ -22,8 +22,9 @@ const GATE_SIGMAS: f64 = 4.0;
 /// Residuals count as at most this many in what is left.
 const CAP_SIGMAS: f64 = 3.0;
 
-/// The least such gate of the first steps, mm: a part that is displaced by millimetres is found again before the gate closes.
-const GATES_MM: [f64; 5] = [2.5, 1.8, 1.2, 0.8, 0.5];
+/// The least such gate of the first steps where all may be at fault, mm: a part that is displaced by millimetres is found again before the gate
+/// closes.
+pub(super) const GATES_MM: [f64; 5] = [2.5, 1.8, 1.2, 0.8, 0.5];
 
 /// Largest number of steps.
 const MAX_STEPS: usize = 12;
@@ -74,7 +75,7 @@ pub(super) struct Information {
 /// Where a fit has come to.
 pub(super) struct Fit {
     /// The unknowns: shift and turn about the centroid, the field's amplitudes, the causes' parameters.
-    at: DVector<f64>,
+    pub(super) at: DVector<f64>,
     /// The surface's normal at each point's last pair.
     normals: Vec<Vector3<f64>>,
     /// Robust standard deviation of the residuals where it is first looked at, and variance of those that are independent, mm².
@@ -117,10 +118,10 @@ struct Step {
 
 impl Problem<'_> {
     /// Fits pose, field and causes, whose standard deviations are `sds`, from the registration on, with pairs and weights found anew in each
-    /// step from all points.
+    /// step from all points; the first steps reach as far as these gates, mm.
     ///
     /// `None` where the points leave the pose undetermined.
-    pub(super) fn fit(&self, sds: &[f64]) -> Option<Fit> {
+    pub(super) fn fit(&self, sds: &[f64], gates_mm: &[f64]) -> Option<Fit> {
         let n = N_BEFORE + self.modes.len();
         let mut fit = Fit {
             at: DVector::zeros(n),
@@ -129,7 +130,7 @@ impl Problem<'_> {
             variance: 1.0,
         };
         for n in 0..MAX_STEPS {
-            let step = self.step(&fit, GATES_MM.get(n).copied().unwrap_or(0.0));
+            let step = self.step(&fit, gates_mm.get(n).copied().unwrap_or(0.0));
             let (mut h, b) = step.normal_equations();
             let prior = self.prior(sds, N_TOGETHER * step.sigma_mm.max(SURFACE_MM).powi(2));
             (0..h.nrows()).for_each(|k| h[(k, k)] += prior[k]);
@@ -143,7 +144,7 @@ impl Problem<'_> {
             fit.at += delta;
             fit.at.rows_mut(3, 3).copy_from(&turned);
             fit.keep_normals(&step);
-            if n >= GATES_MM.len() && moved_mm < STEP_MM {
+            if n >= gates_mm.len() && moved_mm < STEP_MM {
                 break;
             }
         }
@@ -270,7 +271,8 @@ impl Step {
         weighted.row_iter_mut().zip(&self.weights).for_each(|(mut row, weight)| row *= *weight);
         let residuals = self.pairs.iter().map(|pair| pair.as_ref().map_or(0.0, |pair| pair.residual_mm));
         let residuals = DVector::from_iterator(self.pairs.len(), residuals);
-        (weighted.tr_mul(&self.rows), weighted.tr_mul(&residuals))
+        let weighted = weighted.transpose();
+        (&weighted * &self.rows, weighted * residuals)
     }
 
     /// The residuals of the pairs that have weight.

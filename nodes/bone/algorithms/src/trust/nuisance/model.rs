@@ -3,13 +3,13 @@
 use super::axes::Axes;
 use super::cause::{CAUSES, Cause, Mode};
 use super::effect::{Effect, Levers};
-use super::fit::{Fit, Information, N_BEFORE, Problem};
+use super::fit::{Fit, GATES_MM, Information, N_BEFORE, Problem};
 use super::params::NuisanceParams;
 use super::report::{Nuisance, NuisanceState};
 use super::words::{self, Unseen};
 use crate::trust::predict::{Component, Deformation, Predicted, Where};
 use crate::trust::{Limits, RuleParams};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Point3, Vector3};
 use osteoflow_verdict::Reason;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 use std::ops::Range;
@@ -103,24 +103,24 @@ impl Nuisances {
         limits: &Limits,
         params: &NuisanceParams,
     ) -> Option<Self> {
-        let faults: Vec<f64> = families.iter().flat_map(|family| vec![family.fault; family.modes.len()]).collect();
-        let mut fit = problem.fit(&faults)?;
-        let all = |information: &Information| hypotheses(information, problem, &families, params.fault_odds);
-        let likeliest = |mut hypotheses: Vec<Hypothesis>| {
-            let sound = hypotheses.swap_remove(0);
-            let fault = hypotheses.into_iter().max_by(|a, b| a.weight.total_cmp(&b.weight))?;
-            Some((sound, fault))
+        let sds = |of: fn(&Family) -> f64| -> Vec<f64> {
+            families.iter().flat_map(|family| vec![of(family); family.modes.len()]).collect()
         };
-        let (sound, fault) = likeliest(all(&problem.look(&mut fit, None)?)?)?;
-        // To first order about each of the two, which are compared by what they leave: what no data show may be far off where all was at fault.
-        let about = |first: Hypothesis, fit: &mut Fit| {
-            let information = problem.look(fit, Some(first.whole))?;
-            let again = all(&information)?.into_iter().find(|h| h.fault == first.fault)?;
+        let mut fit = problem.fit(&sds(|family| family.fault), &GATES_MM)?;
+        let all = |information: &Information| hypotheses(information, problem, &families, params.fault_odds);
+        let faults = all(&problem.look(&mut fit, None)?)?.into_iter().skip(1);
+        let fault = faults.max_by(|a, b| a.weight.total_cmp(&b.weight))?;
+        let sound = problem.fit(&sds(|family| family.prior), &[])?.at;
+        // To first order about a sound procedure and about the likeliest fault, which are compared by what they leave: what no data show may be
+        // far off where all was at fault.
+        let about = |first: DVector<f64>, fault: Option<(usize, Range<usize>)>, fit: &mut Fit| {
+            let information = problem.look(fit, Some(first))?;
+            let again = all(&information)?.into_iter().find(|h| h.fault == fault)?;
             let left = problem.look(fit, Some(again.whole.clone()))?;
             let cost = left.misfit / UNMODELLED - 2.0 * again.log_prior;
             Some((cost, left))
         };
-        let (of_sound, of_fault) = (about(sound, &mut fit)?, about(fault, &mut fit));
+        let (of_sound, of_fault) = (about(sound, None, &mut fit)?, about(fault.whole, fault.fault, &mut fit));
         let information = match of_fault {
             Some(of_fault) if of_fault.0 < of_sound.0 => of_fault.1,
             _ => of_sound.1,
@@ -189,6 +189,7 @@ impl Nuisances {
                 prior: by * family.prior,
                 unit: unit.to_owned(),
                 axis: axis(&modes, &self.axes, family).map(Into::into),
+                at: of_fault.and_then(|h| self.place(h)).map(Into::into),
                 effect_mm: effect.mm,
                 effect_deg: effect.deg,
                 critical: by * critical,
@@ -247,6 +248,14 @@ impl Nuisances {
         let size = if values.len() == 1 { values[0] } else { DVector::from_column_slice(&values).norm() };
         let variance = modes.clone().map(|k| h.covariance[(k, k)]).sum::<f64>() / modes.len() as f64;
         (size, variance.max(0.0).sqrt(), values)
+    }
+
+    /// Where a fault acts, if it is a step.
+    fn place(&self, h: &Hypothesis) -> Option<Point3<f64>> {
+        let (f, modes) = h.fault.as_ref()?;
+        let family = self.families.get(*f).filter(|family| family.cause.name == "step")?;
+        let at_mm = self.axes.steps().get((modes.start - family.modes.start) / family.together)?.to_owned();
+        Some(self.axes.centre + self.axes.along * at_mm)
     }
 
     /// The parameters of a family alone.

@@ -4,55 +4,67 @@ use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// What may be wrong beside the pose in a sound procedure, as standard deviations, and when it counts as measured.
+/// What may be wrong beside the pose: standard deviations in a sound procedure, and how often more is wrong.
+///
+/// What the scan shows of a cause narrows its prior; what it does not show enters the predicted error as it is.
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[schemars(extend("x-removed" = {
+    "min_score": { "default": 3.3, "warning": "min_score is ignored: a cause is measured where the chance that it makes the answer wrong says so" },
+    "min_camera_percent": { "default": 1.3, "warning": "min_camera_percent is ignored: a cause is measured where the chance that it makes the answer wrong says so" },
+    "min_bend_mm": { "default": 0.3, "warning": "min_bend_mm is ignored: a cause is measured where the chance that it makes the answer wrong says so" },
+}))]
 pub struct NuisanceParams {
     /// Stretch of the CT along the bone, across it, or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
     /// a table that lags by half a slice in 100 is as much.
     #[param(0.5, 0.001..=100.0)]
     pub stretch_percent: f64,
-    /// Shear of the CT's slices, as by a tilt of the gantry, degrees. 0.1: scanners state a tilt to as much, and it is corrected or
-    /// it is many degrees.
+    /// Shear of the CT's slices, as by a tilt of the gantry, degrees. 0.05: a helical CT is not tilted, and a tilt in DICOM (0018,1120)
+    /// is rounded to 0.1 degrees as a rule.
     #[param(0.05, 0.001..=90.0)]
     pub shear_deg: f64,
-    /// Bend of the bone against the CT, mm at the ends of the scan against its middle. 0.02: what 1.6 N at an arm of 100 mm bend 100 mm
+    /// Bend of the bone against the CT, mm at the ends of the scan against its middle. 0.01: what 0.8 N at an arm of 100 mm bend 100 mm
     /// of a fibula (17 GPa, 600 mm^4), which lies free.
     #[param(0.01, 0.001..=100.0)]
     pub bend_mm: f64,
-    /// Twist of the bone against the CT, degrees from the middle of the scan to its ends. 0.1: a fibula without load.
+    /// Twist of the bone against the CT, degrees from the middle of the scan to its ends. 0.05: what 0.1 N m twist 50 mm of a fibula (5 GPa,
+    /// 1200 mm^4).
     #[param(0.05, 0.001..=90.0)]
     pub twist_deg: f64,
-    /// Offset of the CT's surface, as by a segmentation's threshold, mm. 0.2: a quarter of a voxel of 0.8 mm.
+    /// Offset of the CT's surface, as by a segmentation's threshold, mm. 0.2: a quarter of a voxel of 0.8 mm, and what two segmentations of
+    /// one CT differ by (RMS).
     #[param(0.2, 0.001..=100.0)]
     pub offset_mm: f64,
-    /// Film on the bone, mm. 0.3: what remains after cleaning.
+    /// Film on the bone, mm: of one thickness, and growing along it and around it. 0.1: a bone that was stripped and wiped; periosteum that
+    /// was left, or blood, is several times as much, which is a fault.
     #[param(0.1, 0.001..=100.0)]
     pub film_mm: f64,
     /// Displacement of a part of the bone across it, mm. 0.02: a bone in one piece, as its bend.
     #[param(0.02, 0.001..=100.0)]
     pub step_mm: f64,
-    /// Scale of the camera and of its depth against the calibration, percent. 0.2: the drift of a structured-light camera that
-    /// warms up.
+    /// Scale of the camera, scale of its depth, and tilt of its depth against the calibration, percent. 0.1: a camera that was warm when it was
+    /// calibrated; one that warms up after it drifts by several times as much, which is a fault.
     #[param(0.1, 0.001..=100.0)]
     pub camera_percent: f64,
     /// Amplitude of the error of the camera's depth that is one wave over the scan, mm; a shorter wave has less in proportion to its
     /// length. 0.1: a calibrated structured-light camera.
     #[param(0.1, 0.001..=100.0)]
     pub field_mm: f64,
-    /// Any other distortion of the CT, each of six strains, percent. 0.1: what the rounding of a reformat's spacing leaves.
+    /// Any other distortion of the CT, each of six strains, percent. 0.1: spacings of a reformat are rounded to less.
     #[param(0.1, 0.001..=100.0)]
     pub affine_percent: f64,
-    /// Smooth error of the CT's surface, each of fourteen waves along and around the bone, mm. 0.05: 0.13 mm in all.
+    /// Smooth error of the CT's surface, each of fourteen waves along and around the bone, mm. 0.02: 0.07 mm in all (RMS), a tenth of a
+    /// voxel; what is shorter is taken from the residuals.
     #[param(0.02, 0.001..=100.0)]
     pub smooth_mm: f64,
-    /// Turn of the bone beyond the scan against the CT, about each axis, degrees. 0.1: as its twist.
+    /// Turn of the bone beyond the scan against the CT, about each axis, degrees. 0.05: as its twist.
     #[param(0.05, 0.001..=90.0)]
     pub beyond_deg: f64,
-    /// Displacement of the plan against the surface, along each axis, mm. 0.1: it is drawn on it.
+    /// Displacement of the plan against the surface, along each axis, mm. 0.1: it is drawn on it, to a fraction of a voxel.
     #[param(0.1, 0.001..=100.0)]
     pub plan_mm: f64,
-    /// Odds that a cause is at fault, so that it is as large as faults are. 0.0025: one in 400 for each.
+    /// Odds that a cause is at fault, so that it is as large as faults are. 0.0025: one in 400 for each, one in 20 for all; no statistics of
+    /// such faults are known to us. Ten times as much doubts sound answers, a tenth trusts faults that the scan shows.
     #[param(0.0025, 0.0..=1.0)]
     pub fault_odds: f64,
 }

@@ -21,8 +21,9 @@ pub struct Nuisance {
     pub name: String,
     /// What the data say of it.
     pub state: NuisanceState,
-    /// Mean and standard deviation of its size, from data and prior; of several parameters the size is their norm.
+    /// Mean of its size, from data and prior; of several parameters their norm, of a step that at its likeliest place.
     pub estimate: f64,
+    /// Standard deviation of each of its parameters, from data and prior.
     pub sd: f64,
     /// Standard deviation of its parameters in a sound procedure.
     pub prior: f64,
@@ -30,6 +31,8 @@ pub struct Nuisance {
     pub unit: String,
     /// The direction in which it acts, unit vector of the target's frame, where it has one.
     pub axis: Option<[f64; 3]>,
+    /// Where a step is likeliest, target's frame, mm.
+    pub at: Option<[f64; 3]>,
     /// Largest error of mean TRE and cuts, mm: of its size if measured, else of the largest size that is likely (90 %).
     pub effect_mm: f64,
     /// Largest tilt of a cut by as much, degrees.

@@ -174,9 +174,12 @@ fn a_draw_is_beyond_the_limits_if_it_exceeds_one_of_them() {
     let limited = [centre, Point3::new(3.0, 2.0, 3.0)];
     let at = Where { points: &[], cuts: &cuts, limited: &limited };
     let limits = Limits { max_tre_mm: 2.0, max_offset_mm: 1.0, max_tilt_deg: 60.0 };
+    let outputs = Outputs::new(&at, &centre, None);
     let share = |draws: &[[f64; 6]]| {
-        let columns = DMatrix::from_fn(6, draws.len(), |row, column| draws[column][row]);
-        Draws { columns, centre: &centre, deformation: None }.beyond_limits(&at, &limits)
+        let poses = DMatrix::from_fn(6, draws.len(), |row, column| draws[column][row]);
+        let weights = vec![1.0 / draws.len() as f64; draws.len()];
+        let draws = Draws { columns: &outputs.of_pose * poses, weights, of: vec![0; draws.len()] };
+        draws.beyond_limits(&outputs, &limits)[0]
     };
     let shifted = |x: f64, z: f64| [x, 0.0, z, 0.0, 0.0, 0.0];
     assert_eq!(share(&[shifted(2.0, 0.0), shifted(0.0, -1.0), shifted(0.0, 1.0)]), 0.0);
@@ -189,24 +192,36 @@ fn a_draw_is_beyond_the_limits_if_it_exceeds_one_of_them() {
     assert_eq!(share(&[turned(1.1, 0.0, 0.0), turned(0.0, 0.0, 2.0)]), 0.5);
     // The mean error over both points is half the second's: 2 mm for a turn of 2 rad about z, at the limit, and 2.2 mm for 2.2.
     assert_eq!(share(&[turned(0.0, 0.0, 2.0), turned(0.0, 0.0, 2.2)]), 0.5);
-    assert_eq!(share(&[]), 0.0);
 }
 
-#[test]
-fn a_deformation_widens_the_error_where_it_acts_and_nowhere_else() {
-    // 1 mm along x for each 50 mm above the centre, with a standard deviation of 0.4.
-    let lever = |p: &Point3<f64>| DMatrix::from_column_slice(3, 1, &[(p.z - 60.0) / 50.0, 0.0, 0.0]);
-    let deformation = Deformation { covariance: DMatrix::from_element(1, 1, 0.16), at: Box::new(lever) };
+/// 1 mm along x for each 50 mm above the centre.
+fn lever(p: &Point3<f64>) -> DMatrix<f64> {
+    DMatrix::from_column_slice(3, 1, &[(p.z - 60.0) / 50.0, 0.0, 0.0])
+}
+
+/// The prediction at the centre and 50 mm above it of a deformation that may be each of these: weight, mean and standard deviation.
+fn deformed(of: &[[f64; 3]]) -> Predicted {
+    let numbers: Vec<_> = of
+        .iter()
+        .map(|[_, mean, sd]| (DVector::from_element(1, *mean), DMatrix::from_element(1, 1, sd * sd)))
+        .collect();
+    let components = of.iter().zip(&numbers);
+    let components =
+        components.map(|([weight, ..], (mean, covariance))| Component { weight: *weight, mean, covariance }).collect();
+    let deformation = Deformation { components, at: Box::new(lever) };
     let place = [named("middle", [10.0, 20.0, 60.0]), named("end", [10.0, 20.0, 110.0])];
     let cuts = [Cut { middle: named("across", [10.0, 20.0, 60.0]), normal: Vector3::x() }];
     let limited = [place[0].position];
     let at = Where { points: &place, cuts: &cuts, limited: &limited };
     let spread = Spread { bias: Matrix6::zeros(), ..spread([0.01, 0.01, 0.01, 0.0, 0.0, 0.0]) };
     let limits = Limits { max_tre_mm: 9.0, max_offset_mm: 9.0, max_tilt_deg: 0.5 };
-    let with = |deformation: Option<&Deformation>| {
-        predict(&spread, &Isometry3::identity(), deformation, None, None, &at, &limits, &PredictParams::default())
-    };
-    let (rigid, wide) = (with(None), with(Some(&deformation)));
+    let deformation = (!of.is_empty()).then_some(&deformation);
+    predict(&spread, &Isometry3::identity(), deformation, None, None, &at, &limits, &PredictParams::default())
+}
+
+#[test]
+fn a_deformation_widens_the_error_where_it_acts_and_nowhere_else() {
+    let (rigid, wide) = (deformed(&[]), deformed(&[[1.0, 0.0, 0.4]]));
     assert_eq!(rigid.points[0], wide.points[0]);
     let expected = (3.0 * 0.01_f64.powi(2) + 0.16).sqrt();
     assert!((wide.points[1].tre_mm - expected).abs() < 1e-9, "{}", wide.points[1].tre_mm);
@@ -214,4 +229,29 @@ fn a_deformation_widens_the_error_where_it_acts_and_nowhere_else() {
     // A slope of 0.4 / 50 is 0.46 degrees: 0.5 degrees are exceeded by 28 % of a Gaussian.
     assert_eq!(rigid.beyond_limits, 0.0);
     assert!((wide.beyond_limits - 0.276).abs() < 0.03, "{}", wide.beyond_limits);
+}
+
+#[test]
+fn what_is_known_of_a_deformation_is_no_error_about_zero() {
+    // A slope of 0.6 / 50 is 0.69 degrees, whose sign matters to no limit and whose spread is small.
+    for mean in [-0.6, 0.6] {
+        let known = deformed(&[[1.0, mean, 0.05]]);
+        assert!(known.beyond_limits > 0.99, "{}", known.beyond_limits);
+        let [from_mm, to_mm] = known.points[1].interval_mm;
+        // 0.6 mm with a fifth as the error of all errors.
+        assert!((0.35..0.48).contains(&from_mm) && (0.72..0.9).contains(&to_mm), "{from_mm} to {to_mm}");
+    }
+}
+
+#[test]
+fn the_chance_is_the_sum_over_what_may_be_at_fault_and_the_interval_holds_all_of_it() {
+    let (sound, fault) = ([0.9, 0.0, 0.01], [0.1, 2.0, 0.01]);
+    let both = deformed(&[sound, fault]);
+    assert_eq!(both.beyond_by.len(), 2);
+    assert!(both.beyond_by[0] == 0.0 && (both.beyond_by[1] - 0.1).abs() < 1e-9, "{:?}", both.beyond_by);
+    assert!((both.beyond_limits - 0.1).abs() < 1e-9, "{}", both.beyond_limits);
+    // The upper end lies among the draws of the fault, of which half are above it.
+    let upper_mm = both.points[1].interval_mm[1];
+    assert!((1.5..2.5).contains(&upper_mm), "{upper_mm}");
+    assert!(deformed(&[[1.0, 0.0, 0.01]]).points[1].interval_mm[1] < 0.1);
 }
