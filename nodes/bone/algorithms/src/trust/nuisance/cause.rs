@@ -37,26 +37,42 @@ pub(super) enum Mode {
     Plan(Vector3<f64>),
 }
 
+/// A place on the bone, for every mode.
+pub(super) struct Spot {
+    p: Point3<f64>,
+    /// The surface's outward normal.
+    normal: Vector3<f64>,
+    /// From the centroid.
+    arm: Vector3<f64>,
+    /// Position along the axis, from -1 at one end of the scan to 1 at the other.
+    share: f64,
+    /// Angle of the normal about the axis, from the camera on.
+    angle: f64,
+}
+
+impl Spot {
+    pub(super) fn new(axes: &Axes, p: Point3<f64>, normal: Vector3<f64>) -> Self {
+        let angle = normal.dot(&axes.sideways).atan2(normal.dot(&axes.towards));
+        Self { p, normal, arm: p - axes.centre, share: axes.along_share(&p), angle }
+    }
+}
+
 impl Mode {
-    /// The displacement at a point with this outward normal, mm.
-    pub(super) fn at(&self, axes: &Axes, p: &Point3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
-        let arm = p - axes.centre;
+    /// The displacement at a place, mm.
+    pub(super) fn at(&self, axes: &Axes, spot: &Spot) -> Vector3<f64> {
+        let Spot { p, normal, arm, share, angle } = *spot;
         match *self {
             Self::Strain { of, to } => to * of.dot(&arm),
             Self::Growth => arm,
             Self::Across => arm - axes.along * axes.along.dot(&arm),
-            Self::Bend(to) => {
-                let s = axes.along_share(p);
-                to * (s * s) - axes.along * (2.0 * s * to.dot(&arm) / axes.half_mm)
-            }
-            Self::Twist => axes.along.cross(&arm) * axes.along_share(p),
+            Self::Bend(to) => to * (share * share) - axes.along * (2.0 * share * to.dot(&arm) / axes.half_mm),
+            Self::Twist => axes.along.cross(&arm) * share,
             Self::Surface { half_waves, around, phase } => {
-                let along = (half_waves * FRAC_PI_2 * (axes.along_share(p).clamp(-1.0, 1.0) + 1.0)).cos();
-                let angle = normal.dot(&axes.sideways).atan2(normal.dot(&axes.towards));
+                let along = (half_waves * FRAC_PI_2 * (share.clamp(-1.0, 1.0) + 1.0)).cos();
                 normal * (along * (around * angle + phase).cos())
             }
             Self::Film { ramp } => {
-                let thickness = if ramp == 0.0 { 1.0 } else { 0.5 * (1.0 + ramp * axes.along_share(p)) };
+                let thickness = if ramp == 0.0 { 1.0 } else { 0.5 * (1.0 + ramp * share) };
                 -normal * (normal.dot(&axes.towards).max(0.0) * thickness)
             }
             Self::FilmAround => -normal * (0.5 * (1.0 + normal.dot(&axes.sideways))),

@@ -1,7 +1,7 @@
 //! What errors do at the targets.
 
 use super::axes::Axes;
-use super::cause::Mode;
+use super::cause::{Mode, Spot};
 use crate::trust::Limits;
 use crate::trust::predict::Where;
 use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
@@ -60,12 +60,13 @@ impl Levers {
     /// A column for each mode: the error of the answer at a point, mm, for a parameter of 1.
     pub(super) fn at(&self, p: &Point3<f64>) -> DMatrix<f64> {
         let arm = p - self.axes.centre;
+        // A planned point has no normal of its own, and no mode that moves it needs one.
+        let spot = Spot::new(&self.axes, *p, Vector3::zeros());
         let mut levers = DMatrix::zeros(3, self.modes.len());
         for (k, (mode, mut column)) in self.modes.iter().zip(levers.column_iter_mut()).enumerate() {
             let pose = Vector6::from_fn(|row, _| self.response[(row, k)]);
             let (shift, turn) = (pose.fixed_rows::<3>(0).into_owned(), pose.fixed_rows::<3>(3).into_owned());
-            // A planned point has no normal of its own, and no mode that moves it needs one.
-            let own = if mode.moves_plan() { mode.at(&self.axes, p, &Vector3::zeros()) } else { Vector3::zeros() };
+            let own = if mode.moves_plan() { mode.at(&self.axes, &spot) } else { Vector3::zeros() };
             column.copy_from(&(shift + turn.cross(&arm) + own));
         }
         levers

@@ -1,7 +1,7 @@
 //! Pose, field and all causes, fitted to a scan at once.
 
 use super::axes::Axes;
-use super::cause::Mode;
+use super::cause::{Mode, Spot};
 use super::field::{Field, N_FIELD};
 use crate::target::Target;
 use crate::trust::surface_error::CELL_MM;
@@ -179,7 +179,8 @@ impl Problem<'_> {
         let n = at.len();
         let pair = |((index, p), last): ((usize, &Point3<f64>), &Vector3<f64>)| {
             let shifts = self.modes.iter().zip(values).filter(|(mode, value)| **value != 0.0 && mode.moves_scan());
-            let shifts: Vector3<f64> = shifts.map(|(mode, value)| mode.at(self.axes, p, last) * *value).sum();
+            let spot = Spot::new(self.axes, *p, *last);
+            let shifts: Vector3<f64> = shifts.map(|(mode, value)| mode.at(self.axes, &spot) * *value).sum();
             let warped = p + shifts + self.field.displacement(index, &towards, field_mm);
             let point = centre + motion.rotation * (warped - centre) + motion.translation.vector;
             let mut row = vec![0.0; n];
@@ -191,8 +192,9 @@ impl Problem<'_> {
                 let facing = normal.dot(&(motion.rotation * towards));
                 row[6..N_BEFORE].iter_mut().zip(self.field.at(index)).for_each(|(of, wave)| *of = facing * wave);
                 let back = motion.rotation.inverse() * normal;
+                let spot = Spot::new(self.axes, *p, normal);
                 for (of, mode) in row[N_BEFORE..].iter_mut().zip(self.modes).filter(|(_, mode)| mode.moves_scan()) {
-                    *of = back.dot(&mode.at(self.axes, p, &normal));
+                    *of = back.dot(&mode.at(self.axes, &spot));
                 }
                 let residual_mm = (self.target.points()[nearest] - point).dot(&normal);
                 Pair { point, normal, residual_mm }
