@@ -101,6 +101,12 @@ impl Mode {
         !of_scan
     }
 
+    /// Whether only that of it which looks as another pose is known well enough: how evenly a film covers the side that faces the camera is not
+    /// known, so that what little would tell an even one from a shift and a tilt says nothing of a real one.
+    pub(super) fn is_as_pose(&self) -> bool {
+        matches!(self, Self::Film { .. })
+    }
+
     /// Whether it displaces anything that the scan shows.
     pub(super) fn moves_scan(&self) -> bool {
         !matches!(self, Self::Plan(_) | Self::TurnBeyond { .. })

@@ -232,7 +232,16 @@ impl Problem<'_> {
     fn information(&self, h: DMatrix<f64>, b: DVector<f64>, misfit: f64, fit: &Fit) -> Option<Information> {
         let pose = h.view((0, 0), (6, 6)).into_owned().cholesky()?;
         let response = -pose.solve(&h.view((0, N_BEFORE), (6, self.modes.len())).into_owned());
-        Some(Information { vector: (b + &h * &fit.at) / fit.variance, matrix: h / fit.variance, misfit, response })
+        let (mut vector, mut matrix) = (b + &h * &fit.at, h);
+        for (k, response) in response.column_iter().enumerate().filter(|(k, _)| self.modes[*k].is_as_pose()) {
+            let column = -matrix.columns(0, 6) * response;
+            let k = N_BEFORE + k;
+            vector[k] = -vector.rows(0, 6).dot(&response);
+            matrix.column_mut(k).copy_from(&column);
+            matrix.row_mut(k).copy_from(&column.transpose());
+            matrix[(k, k)] = -column.rows(0, 6).dot(&response);
+        }
+        Some(Information { vector: vector / fit.variance, matrix: matrix / fit.variance, misfit, response })
     }
 
     /// Number of residuals that say as much as one that is independent.
