@@ -5,7 +5,7 @@ use super::nuisance::params::NuisanceParams;
 use super::{Limits, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
 use osteoflow_node_macros::params;
 use rand::RngExt;
@@ -144,7 +144,7 @@ pub struct Component<'a> {
     pub covariance: &'a DMatrix<f64>,
 }
 
-/// Errors that are no rigid motion, as numbers that are one of several Gaussians.
+/// Errors of pose, CT and camera, as numbers that are one of several Gaussians.
 pub struct Deformation<'a> {
     /// What the numbers may be; the likeliest sound one first.
     pub components: Vec<Component<'a>>,
@@ -265,16 +265,16 @@ fn stated(tracking: &Tracking, centre: &Point3<f64>, params: &PredictParams) -> 
 
 /// Predicts the error at points and cuts.
 ///
-/// The terms are independent rigid errors: the spread of the registration; the camera's marker at the scan and at the
-/// calibration; the phantom's marker, its print and its fit. The bone's marker cancels, as planes are carried back by the pose
-/// that brought the scan. The interval of a mean is read from draws of their sum, always the same.
+/// The terms are independent: the registration with what may be wrong beside the pose, in one posterior, or without it the spread of the
+/// registration; the camera's marker at the scan and at the calibration; the phantom's marker, its print and its fit. The bone's marker cancels,
+/// as planes are carried back by the pose that brought the scan. The interval of a mean is read from draws of their sum, always the same.
 ///
 /// # Source
 /// Propagation of rigid errors to a target: Fitzpatrick, West and Maurer 1998; Moghari and Abolmaesumi 2009; Ma and Ellis 2006
 /// for surface registration.
 ///
 /// `to_settled` is the motion from the pose to the one at which the scan fits best nearby: an error that the pose is known to
-/// have, about which the others spread. `motion` is the error of the pose by the motion while the scan was taken, and the point about which it
+/// have, about which the others spread; a posterior has its own. `motion` is the error of the pose by the motion while the scan was taken, and the point about which it
 /// acts.
 #[expect(clippy::too_many_arguments, reason = "each is another source of error, or where and how it is told")]
 pub fn predict(
@@ -294,11 +294,12 @@ pub fn predict(
     let fit = tracking.and_then(|tracking| tracking.phantom_fit.as_ref());
     let fit = fit.map(|(covariance, about)| ("phantom's fit", carried(covariance, about, &centre)));
     let motion = motion.map(|(covariance, about)| (SCAN_MOTION, carried(covariance, about, &centre)));
-    let registration = ("registration", spread.covariance);
+    let registration = deformation.is_none().then_some(("registration", spread.covariance));
     let terms: Vec<(&str, Matrix6<f64>)> =
-        [registration].into_iter().chain(motion).chain(stated.iter().copied()).chain(fit).collect();
-    let shift = to_settled * centre - centre;
-    let turn = to_settled.rotation.scaled_axis();
+        registration.into_iter().chain(motion).chain(stated.iter().copied()).chain(fit).collect();
+    let settles = deformation.is_none();
+    let shift = if settles { to_settled * centre - centre } else { Vector3::zeros() };
+    let turn = if settles { to_settled.rotation.scaled_axis() } else { Vector3::zeros() };
     let mean = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
     let sum = |terms: &[(&str, Matrix6<f64>)]| terms.iter().map(|(_, covariance)| covariance).sum::<Matrix6<f64>>();
     let (total, devices) = (sum(&terms), sum(&stated));
@@ -310,10 +311,12 @@ pub fn predict(
     let rms = |covariance: &Matrix6<f64>| rms_of(&|p| covariance_at(covariance, &centre, p).trace());
     let mut terms: Vec<Term> =
         terms.iter().map(|(name, covariance)| Term { name: (*name).to_owned(), tre_mm: rms(covariance) }).collect();
-    terms.push(Term { name: "not settled".to_owned(), tre_mm: rms(&(mean * mean.transpose())) });
-    if let Some(deformation) = deformation {
-        let tre_mm = rms_of(&|p| deformation.moment_at(p).trace());
-        terms.push(Term { name: "what may be wrong beside the pose".to_owned(), tre_mm });
+    match deformation {
+        Some(deformation) => {
+            let tre_mm = rms_of(&|p| deformation.moment_at(p).trace());
+            terms.insert(0, Term { name: "registration, CT and camera".to_owned(), tre_mm });
+        }
+        None => terms.push(Term { name: "not settled".to_owned(), tre_mm: rms(&(mean * mean.transpose())) }),
     }
     terms.push(Term { name: "stated bias of the CT".to_owned(), tre_mm: rms(&bias) });
     let outputs = Outputs::new(at, &centre, deformation);

@@ -447,3 +447,85 @@ pub(super) const CAUSES: &[Cause] = &[
         of: Of::Plan,
     },
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axes(camera: Option<Point3<f64>>) -> Axes {
+        let points: Vec<Point3<f64>> = (0..100).map(|k| Point3::new(5.0, f64::from(k % 3), f64::from(k))).collect();
+        let axes = Axes::new(&points, &vec![Vector3::x(); points.len()], camera).unwrap();
+        axes.with_targets([Point3::new(5.0, 0.0, 130.0)].iter())
+    }
+
+    #[test]
+    fn every_family_is_whole() {
+        let axes = axes(Some(Point3::new(300.0, 0.0, 50.0)));
+        let spot = Spot::new(&axes, Point3::new(5.0, 1.0, 70.0), Vector3::x());
+        let mut names: Vec<&str> = CAUSES.iter().map(|cause| cause.name).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), CAUSES.len());
+        for cause in CAUSES {
+            let sound = (cause.prior)(&NuisanceParams::default());
+            assert!(sound > 0.0 && sound < cause.fault && cause.fault < cause.largest, "{}", cause.name);
+            assert!(
+                cause.found.contains("{}") && cause.wrong.contains("{}") && !cause.remedy.is_empty(),
+                "{}",
+                cause.name
+            );
+            let modes = (cause.modes)(&axes);
+            assert!(!modes.is_empty(), "{}", cause.name);
+            for mode in modes {
+                let shift = mode.at(&axes, &spot);
+                assert!(shift.iter().all(|mm| mm.is_finite()), "{}: {mode:?}", cause.name);
+                assert!(mode.moves_scan() || mode.moves_plan(), "{}: {mode:?} moves nothing", cause.name);
+            }
+        }
+    }
+
+    #[test]
+    fn what_needs_a_camera_or_targets_beyond_the_scan_is_left_out_without() {
+        let axes = axes(None);
+        let of = |name: &str| (CAUSES.iter().find(|cause| cause.name == name).unwrap().modes)(&axes).len();
+        assert_eq!(["camera_scale", "camera_depth", "camera_plane", "camera_bend"].map(of), [0; 4]);
+        assert_eq!(of("beyond"), 3, "one end");
+        assert_eq!(of("step") % 3, 0);
+    }
+
+    #[test]
+    fn displacements_are_as_stated() {
+        let axes = axes(Some(Point3::new(300.0, 0.0, 50.0)));
+        let at = |mode: Mode, p: [f64; 3], normal: [f64; 3]| {
+            mode.at(&axes, &Spot::new(&axes, Point3::from(p), Vector3::from(normal)))
+        };
+        let centre = axes.centre.coords;
+        let near = |found: Vector3<f64>, expected: Vector3<f64>| (found - expected).norm() < 1e-9;
+        let end = centre + axes.along * axes.half_mm;
+        let across = Vector3::new(1.0, 0.0, 0.0);
+        assert!(near(
+            at(Mode::Strain { of: axes.along, to: axes.along }, end.into(), [1.0, 0.0, 0.0]),
+            axes.along * axes.half_mm
+        ));
+        // The sag of an end against the middle is 1 mm.
+        let bent = at(Mode::Bend(axes.towards), end.into(), [1.0, 0.0, 0.0]);
+        assert!((bent.dot(&axes.towards) - 1.0).abs() < 1e-9, "{bent}");
+        let beyond = Mode::TurnBeyond { end_mm: axes.half_mm, about: axes.towards };
+        assert_eq!(at(beyond, centre.into(), [1.0, 0.0, 0.0]), Vector3::zeros());
+        let farther = end + axes.along * 30.0;
+        assert!(near(at(beyond, farther.into(), [1.0, 0.0, 0.0]), axes.towards.cross(&axes.along) * 30.0));
+        let step = Mode::Step { beyond_mm: 8.0, to: across };
+        assert_eq!(at(step, (centre + axes.along * 9.0).into(), [1.0, 0.0, 0.0]), across);
+        assert_eq!(at(step, (centre + axes.along * 7.0).into(), [1.0, 0.0, 0.0]), Vector3::zeros());
+        // A film is where the surface faces the camera, and grows from none to 1 mm.
+        let film = |ramp: f64, p: Vector3<f64>, facing: f64| {
+            at(Mode::Film { ramp }, p.into(), (axes.towards * facing).into()).dot(&(axes.towards * facing))
+        };
+        assert!((film(0.0, centre, 1.0) + 1.0).abs() < 1e-9 && film(0.0, centre, -1.0) == 0.0);
+        assert!((film(1.0, end, 1.0) + 1.0).abs() < 1e-9 && film(-1.0, end, 1.0).abs() < 1e-9);
+        // A camera that measures 1 % too long puts a point at 300 mm 3 mm too far.
+        let camera = Point3::new(300.0, 0.0, 50.0);
+        let scaled = at(Mode::Scale(camera), [5.0, 0.0, 50.0], [1.0, 0.0, 0.0]) * 0.01;
+        assert!(near(scaled, Vector3::new(-2.95, 0.0, 0.0)), "{scaled}");
+    }
+}

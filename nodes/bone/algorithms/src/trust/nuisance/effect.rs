@@ -4,7 +4,7 @@ use super::axes::Axes;
 use super::cause::{Mode, Spot};
 use crate::trust::Limits;
 use crate::trust::predict::Where;
-use nalgebra::{DMatrix, DVector, Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3, Vector6};
 
 /// The largest errors at the targets.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -68,6 +68,18 @@ impl Levers {
             let (shift, turn) = (pose.fixed_rows::<3>(0).into_owned(), pose.fixed_rows::<3>(3).into_owned());
             let own = if mode.moves_plan() { mode.at(&self.axes, &spot) } else { Vector3::zeros() };
             column.copy_from(&(shift + turn.cross(&arm) + own));
+        }
+        levers
+    }
+
+    /// A column for each of the pose's shifts and turns, and one for each mode at a pose that does not answer.
+    pub(super) fn with_pose(&self, p: &Point3<f64>) -> DMatrix<f64> {
+        let spot = Spot::new(&self.axes, *p, Vector3::zeros());
+        let mut levers = DMatrix::zeros(3, 6 + self.modes.len());
+        levers.view_mut((0, 0), (3, 3)).copy_from(&Matrix3::identity());
+        levers.view_mut((0, 3), (3, 3)).copy_from(&-(p - self.axes.centre).cross_matrix());
+        for (k, mode) in self.modes.iter().enumerate().filter(|(_, mode)| mode.moves_plan()) {
+            levers.column_mut(6 + k).copy_from(&mode.at(&self.axes, &spot));
         }
         levers
     }
