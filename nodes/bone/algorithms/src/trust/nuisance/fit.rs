@@ -19,8 +19,8 @@ pub(super) const REACH_MM: f64 = 6.0;
 /// Residuals beyond this many robust standard deviations have no weight.
 const GATE_SIGMAS: f64 = 4.0;
 
-/// Residuals count as at most this many in what is left.
-const CAP_SIGMAS: f64 = 3.0;
+/// Residuals from this many on are of points that a fit leaves out.
+const FAR_SIGMAS: f64 = 3.0;
 
 /// The least such gate of the first steps where all may be at fault, mm: a part that is displaced by millimetres is found again before the gate
 /// closes.
@@ -66,8 +66,8 @@ pub(super) struct Information {
     /// independent and have a variance of 1.
     pub(super) matrix: DMatrix<f64>,
     pub(super) vector: DVector<f64>,
-    /// Sum of the squares of what is left there, each at most that of an outlier.
-    pub(super) misfit: f64,
+    /// Share of the scan that is left out there.
+    pub(super) left_out: f64,
     /// How the pose of a registration answers to each cause: a shift and a turn about the centre.
     pub(super) response: DMatrix<f64>,
 }
@@ -160,15 +160,15 @@ impl Problem<'_> {
         let step = self.step(fit, 0.0);
         fit.keep_normals(&step);
         let (h, b) = step.normal_equations();
-        let cap_mm = CAP_SIGMAS * if is_first { step.sigma_mm } else { fit.sigma_mm };
+        let far_mm = FAR_SIGMAS * if is_first { step.sigma_mm } else { fit.sigma_mm };
         if is_first {
             fit.sigma_mm = step.sigma_mm;
             // With too few cells nothing is known of what is independent: the priors are left.
             fit.variance = self.together(&step, &h).unwrap_or(f64::INFINITY) * step.sigma_mm.powi(2);
         }
-        let squares = |pair: &Option<Pair>| pair.as_ref().map_or(cap_mm, |p| p.residual_mm.abs().min(cap_mm)).powi(2);
-        let misfit = step.pairs.iter().map(squares).sum::<f64>() / fit.variance;
-        self.information(h, b, misfit, fit)
+        let is_out = |pair: &&Option<Pair>| pair.as_ref().is_none_or(|p| p.residual_mm.abs() >= far_mm);
+        let left_out = step.pairs.iter().filter(is_out).count() as f64 / step.pairs.len().max(1) as f64;
+        self.information(h, b, left_out, fit)
     }
 
     /// Pairs, rows and weights at a fit.
@@ -229,7 +229,7 @@ impl Problem<'_> {
     }
 
     /// What the normal equations of a fit say, with residuals counted as many as are independent.
-    fn information(&self, h: DMatrix<f64>, b: DVector<f64>, misfit: f64, fit: &Fit) -> Option<Information> {
+    fn information(&self, h: DMatrix<f64>, b: DVector<f64>, left_out: f64, fit: &Fit) -> Option<Information> {
         let pose = h.view((0, 0), (6, 6)).into_owned().cholesky()?;
         let response = -pose.solve(&h.view((0, N_BEFORE), (6, self.modes.len())).into_owned());
         let (mut vector, mut matrix) = (b + &h * &fit.at, h);
@@ -241,7 +241,7 @@ impl Problem<'_> {
             matrix.row_mut(k).copy_from(&column.transpose());
             matrix[(k, k)] = -column.rows(0, 6).dot(&response);
         }
-        Some(Information { vector: vector / fit.variance, matrix: matrix / fit.variance, misfit, response })
+        Some(Information { vector: vector / fit.variance, matrix: matrix / fit.variance, left_out, response })
     }
 
     /// Number of residuals that say as much as one that is independent.

@@ -18,11 +18,17 @@ use std::ops::Range;
 /// are in none of the residuals. With 15 one of 30 simulated sound scans, from any side and of any part of a fibula, is doubted, with 8 13 are.
 const UNMODELLED: f64 = 15.0;
 
+/// A fault is looked at from its own fit where it explains this share of the scan, which the sound fit leaves out.
+const EXPLAINED: f64 = 0.03;
+
 /// Another cause explains the same numbers if it has this share of the best one's chance.
 const AS_WELL: f64 = 0.2;
 
 /// Standard deviations from which a deformation is told, however harmless it is.
 const NOTED: f64 = 10.0;
+
+/// Chance from which a fault is there.
+const THERE: f64 = 0.5;
 
 /// The modes of a cause among all.
 pub(super) struct Family {
@@ -41,8 +47,6 @@ struct Hypothesis {
     /// The family at fault, and its modes that are.
     fault: Option<(usize, Range<usize>)>,
     weight: f64,
-    /// Logarithm of what prior and odds say of its mean, with the share of the parameters' space that it leaves.
-    log_prior: f64,
     /// Mean of all unknowns.
     whole: DVector<f64>,
     /// Mean and covariance of the causes' parameters.
@@ -115,19 +119,16 @@ impl Nuisances {
         let faults = all(&problem.look(&mut fit, None)?)?.into_iter().skip(1);
         let fault = faults.max_by(|a, b| a.weight.total_cmp(&b.weight))?;
         let sound = problem.fit(&sds(|family| family.prior), &[])?.at;
-        // To first order about a sound procedure and about the likeliest fault, which are compared by what they leave: what no data show may be
-        // far off where all was at fault.
+        // To first order about a sound procedure, or about the likeliest fault where that explains a part of the scan that the other leaves out.
         let about = |first: DVector<f64>, fault: Option<(usize, Range<usize>)>, fit: &mut Fit| {
             let information = problem.look(fit, Some(first))?;
             let again = all(&information)?.into_iter().find(|h| h.fault == fault)?;
-            let left = problem.look(fit, Some(again.whole.clone()))?;
-            let cost = left.misfit / UNMODELLED - 2.0 * again.log_prior;
-            Some((cost, left))
+            problem.look(fit, Some(again.whole))
         };
         let (of_sound, of_fault) = (about(sound, None, &mut fit)?, about(fault.whole, fault.fault, &mut fit));
         let information = match of_fault {
-            Some(of_fault) if of_fault.0 < of_sound.0 => of_fault.1,
-            _ => of_sound.1,
+            Some(of_fault) if of_sound.left_out - of_fault.left_out > EXPLAINED => of_fault,
+            _ => of_sound,
         };
         let hypotheses = all(&information)?;
         let axes = problem.axes.clone();
@@ -156,7 +157,7 @@ impl Nuisances {
 
     /// What is known of the causes, with the predicted error.
     pub(in crate::trust) fn known(&self, predicted: &Predicted, at: &Where<'_>, rules: &RuleParams) -> Known {
-        let measured = self.measured(predicted, rules);
+        let measured = self.measured(predicted, at, rules);
         let (mut list, mut unseen, mut notes) = (Vec::new(), Vec::new(), Vec::new());
         for (f, (family, worst)) in self.families.iter().zip(&self.worst).enumerate() {
             let of_fault = self.of_fault(f);
@@ -183,8 +184,9 @@ impl Nuisances {
                 if state == NuisanceState::Unseen {
                     unseen.push(Unseen { cause: family.cause, danger: danger.1, critical, worst: *worst });
                 }
-                let found = of_fault.map(|h| self.size(f, Some(h))).filter(|(size, sd, _)| size.abs() > NOTED * sd);
-                notes.extend(found.map(|(size, sd, _)| (false, words::note(family.cause, size, sd))));
+                let found = of_fault.map(|h| (h.weight > THERE, self.size(f, Some(h))));
+                let found = found.filter(|(is_there, (size, sd, _))| *is_there || size.abs() > NOTED * sd);
+                notes.extend(found.map(|(_, (size, sd, _))| (false, words::note(family.cause, size, sd))));
             }
             list.push(Nuisance {
                 name: family.cause.name.to_owned(),
@@ -205,16 +207,20 @@ impl Nuisances {
         Known { list, reason: self.reason(&measured, at, rules), assumptions }
     }
 
-    /// The faults that make the answer likely wrong: the likeliest, and those that explain about as much.
-    fn measured(&self, predicted: &Predicted, rules: &RuleParams) -> Vec<&Hypothesis> {
+    /// The faults that make the answer likely wrong: the likeliest, and those that explain about as much. Else one that is there and would
+    /// make an answer wrong that knows nothing of it: which part of a bone a plan belongs to, no scan shows.
+    fn measured(&self, predicted: &Predicted, at: &Where<'_>, rules: &RuleParams) -> Vec<&Hypothesis> {
         let of: Vec<(f64, &Hypothesis)> = predicted.beyond_by.iter().copied().zip(&self.hypotheses).collect();
         let mut faults: Vec<(f64, &Hypothesis)> = of.into_iter().filter(|(_, h)| h.fault.is_some()).collect();
         faults.sort_by(|a, b| b.0.total_cmp(&a.0));
         let sound = predicted.beyond_by.first().copied().unwrap_or(0.0);
-        let Some((best, _)) = faults.first().filter(|(best, _)| *best > sound) else { return Vec::new() };
-        if predicted.beyond_limits <= rules.max_beyond_limits {
-            return Vec::new();
-        }
+        let is_harmful = |h: &&Hypothesis| {
+            let of = h.fault.as_ref().map(|(f, _)| self.levers.effect(at, &rules.limits, &self.only(*f, &h.mean)));
+            h.weight > THERE && of.is_some_and(|effect| effect.times > 1.0)
+        };
+        let likely =
+            faults.first().filter(|(best, _)| *best > sound && predicted.beyond_limits > rules.max_beyond_limits);
+        let Some((best, _)) = likely else { return self.hypotheses.iter().filter(is_harmful).collect() };
         let mut named: Vec<&str> = Vec::new();
         let least = AS_WELL * best;
         let mut is_new = |h: &Hypothesis| {
@@ -327,13 +333,10 @@ fn hypotheses(
     let joint = |mean: &DVector<f64>, covariance: &DMatrix<f64>| {
         (mean.select_rows(&kept), covariance.select_rows(&kept).select_columns(&kept))
     };
-    let square = |of: &DVector<f64>| 0.5 * precisions.dot(&of.component_mul(of));
-    let log_prior = -square(&whole);
     let (joint_mean, joint_covariance) = joint(&whole, &all_covariance);
     let sound = Hypothesis {
         fault: None,
         weight: 0.0,
-        log_prior,
         mean: mean.clone(),
         covariance: covariance.clone(),
         whole: whole.clone(),
@@ -365,12 +368,8 @@ fn hypotheses(
             let columns = columns.rows(N_BEFORE, n).into_owned();
             let covariance = &covariance - &columns * gain * columns.transpose();
             let mean = whole.rows(N_BEFORE, n).into_owned();
-            let log_prior = space - square(&whole) - 0.5 * change * mean.rows(first, k).norm_squared();
             let fault = Some((f, first..first + k));
-            all.push((
-                log,
-                Hypothesis { fault, weight: 0.0, log_prior, whole, mean, covariance, joint_mean, joint_covariance },
-            ));
+            all.push((log, Hypothesis { fault, weight: 0.0, whole, mean, covariance, joint_mean, joint_covariance }));
         }
     }
     let largest = all.iter().map(|(log, _)| *log).fold(0.0, f64::max);

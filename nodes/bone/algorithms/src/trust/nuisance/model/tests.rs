@@ -19,7 +19,7 @@ fn information(of: impl Fn(usize) -> f64) -> Information {
     let noise = DVector::from_fn(60, |_, _| rng.random::<f64>() - 0.5);
     let left = &rows * DVector::from_fn(n, |k, _| of(k)) + noise;
     let (matrix, vector) = (rows.transpose() * &rows, rows.transpose() * left);
-    Information { matrix, vector, misfit: 0.0, response: DMatrix::zeros(6, 7) }
+    Information { matrix, vector, left_out: 0.0, response: DMatrix::zeros(6, 7) }
 }
 
 #[test]
