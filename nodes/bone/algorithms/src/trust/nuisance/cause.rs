@@ -161,18 +161,18 @@ pub(super) enum Of {
     Surface,
     /// A check piece tests it.
     Camera,
-    Plan,
 }
 
 impl Of {
-    pub(super) const ALL: [Self; 4] = [Self::Ct, Self::Surface, Self::Camera, Self::Plan];
+    pub(super) const ALL: [Self; 3] = [Self::Ct, Self::Surface, Self::Camera];
 
     /// What is taken for granted, and what shows it.
     pub(super) fn words(self) -> [&'static str; 2] {
         match self {
             Self::Ct => [
-                "the CT shows the bone as it is",
-                "spacing, reformatting and gantry tilt in its DICOM headers, or a new CT",
+                "the CT shows the bone as it is, and the plan was drawn on it",
+                "spacing, origin, reformatting and gantry tilt in the headers of CT and plan, binding the plan (osteoflow convert PLAN OUT --bind \
+                 BONE), or a new CT",
             ],
             Self::Surface => [
                 "what was scanned is the bone's surface as the CT's segmentation has it",
@@ -182,7 +182,6 @@ impl Of {
                 "the camera measures as at its calibration",
                 "a check piece read after the scan (metrics.check_points), or an object of known size",
             ],
-            Self::Plan => ["the plan was drawn on this surface", "binding it (osteoflow convert PLAN OUT --bind BONE)"],
         }
     }
 }
@@ -444,7 +443,7 @@ pub(super) const CAUSES: &[Cause] = &[
         found: "the plan is displaced by {}",
         wrong: "a shift of the plan of more than {}",
         remedy: "look at plan and surface together, and bind the plan (osteoflow convert PLAN OUT --bind BONE)",
-        of: Of::Plan,
+        of: Of::Ct,
     },
 ];
 
