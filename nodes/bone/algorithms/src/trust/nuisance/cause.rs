@@ -171,16 +171,15 @@ impl Of {
         match self {
             Self::Ct => [
                 "the CT shows the bone as it is, and the plan was drawn on it",
-                "spacing, origin, reformatting and gantry tilt in the headers of CT and plan, binding the plan (osteoflow convert PLAN OUT --bind \
-                 BONE), or a new CT",
+                "the headers of both, binding (osteoflow convert PLAN OUT --bind BONE) or a new CT",
             ],
             Self::Surface => [
-                "what was scanned is the bone's surface as the CT's segmentation has it",
-                "cleaning, a stylus on the bone, or the surface drawn over the CT's slices",
+                "what was scanned is the bone's surface as the CT was segmented",
+                "cleaning, a stylus, or the surface drawn over the CT's slices",
             ],
             Self::Camera => [
                 "the camera measures as at its calibration",
-                "a check piece read after the scan (metrics.check_points), or an object of known size",
+                "a check piece read after the scan (metrics.check_points)",
             ],
         }
     }
@@ -200,7 +199,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: f64::INFINITY,
         modes: |a| vec![Mode::Strain { of: a.along, to: a.along }],
         found: "the CT is {} too [long|short] along the bone",
-        wrong: "a stretch along it of more than {}",
+        wrong: "a stretch along the bone of more than {}",
         remedy: "check the slice spacing of the CT",
         of: Of::Ct,
     },
@@ -257,7 +256,7 @@ pub(super) const CAUSES: &[Cause] = &[
             [(x, x), (y, y), (z, z), (x, y), (x, z), (y, z)].map(|(of, to)| Mode::Strain { of, to }).to_vec()
         },
         found: "the CT is distorted by {}, differently along three directions",
-        wrong: "a distortion, as by a wrong spacing of an oblique reformat, of more than {}",
+        wrong: "an oblique distortion of more than {}",
         remedy: "check the spacing of the CT's voxels in all three directions, and whether it was reformatted",
         of: Of::Ct,
     },
@@ -269,7 +268,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 10.0,
         modes: |a| vec![Mode::Bend(a.towards), Mode::Bend(a.sideways)],
         found: "the bone is bent against the CT by {} over the scan",
-        wrong: "a bend of more than {} at the ends of the scan against its middle",
+        wrong: "a bend of more than {} over the scan",
         remedy: "check whether the bone was bent, has healed or moved during the CT",
         of: Of::Ct,
     },
@@ -281,7 +280,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 30.0,
         modes: |_| vec![Mode::Twist],
         found: "the bone is twisted against the CT by {} over half of the scan",
-        wrong: "a twist of more than {} from the middle of the scan to an end",
+        wrong: "a twist of more than {} over half of the scan",
         remedy: "check whether the bone was bent, has healed or moved during the CT",
         of: Of::Ct,
     },
@@ -323,7 +322,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 5.0,
         modes: |_| vec![Mode::Film { ramp: 1.0 }],
         found: "a film of {} covers the bone",
-        wrong: "a film that grows by more than {} from one end of the scan to the other",
+        wrong: "a film that grows along the bone by more than {}",
         remedy: "clean the bone and scan again",
         of: Of::Surface,
     },
@@ -335,7 +334,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 5.0,
         modes: |_| vec![Mode::FilmAround],
         found: "a film of {} covers one side of the bone",
-        wrong: "a film that grows by more than {} from one side of the scan to the other",
+        wrong: "a film that grows around the bone by more than {}",
         remedy: "clean the bone and scan again",
         of: Of::Surface,
     },
@@ -347,7 +346,7 @@ pub(super) const CAUSES: &[Cause] = &[
         largest: 5.0,
         modes: |_| vec![Mode::Film { ramp: 0.0 }],
         found: "a film of {} covers the bone",
-        wrong: "a film of more than {} on the side that was scanned",
+        wrong: "a film of more than {} on the scanned side",
         remedy: "clean the bone and scan again",
         of: Of::Surface,
     },
@@ -402,7 +401,7 @@ pub(super) const CAUSES: &[Cause] = &[
                 .collect()
         },
         found: "the camera shows a plane bent by {}",
-        wrong: "a bend of the camera's depth of more than {} over half of the scan",
+        wrong: "a bend of the camera's depth of more than {}",
         remedy: "measure a flat object with the camera",
         of: Of::Camera,
     },
@@ -417,7 +416,7 @@ pub(super) const CAUSES: &[Cause] = &[
             a.beyond_mm.into_iter().flatten().flat_map(turns).collect()
         },
         found: "the bone beyond the scan is turned by {}",
-        wrong: "a turn of more than {} beyond the scan, as of a leg that moved during the CT",
+        wrong: "a turn of the leg of more than {} beyond the scan",
         remedy: "scan the part that is cut",
         of: Of::Ct,
     },
