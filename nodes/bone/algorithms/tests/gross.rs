@@ -14,9 +14,8 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use std::ops::ControlFlow;
 
 /// The causes beside the pose that a verdict may name.
-const CAUSES: [&str; 17] = [
+const CAUSES: [&str; 16] = [
     "stretch_along",
-    "stretch_across",
     "growth",
     "shear",
     "affine",

@@ -12,8 +12,6 @@ pub(super) enum Mode {
     Strain { of: Vector3<f64>, to: Vector3<f64> },
     /// Away from the centroid, in proportion to the distance.
     Growth,
-    /// Away from the axis, in proportion to the distance.
-    Across,
     /// Towards a direction by 1 mm at both ends of the scan against its middle, with the turn of the sections that goes with it.
     Bend(Vector3<f64>),
     /// A turn about the axis by 1 rad at one end and -1 rad at the other.
@@ -64,7 +62,6 @@ impl Mode {
         match *self {
             Self::Strain { of, to } => to * of.dot(&arm),
             Self::Growth => arm,
-            Self::Across => arm - axes.along * axes.along.dot(&arm),
             Self::Bend(to) => to * (share * share) - axes.along * (2.0 * share * to.dot(&arm) / axes.half_mm),
             Self::Twist => axes.along.cross(&arm) * share,
             Self::Surface { half_waves, around, phase } => {
@@ -216,18 +213,6 @@ pub(super) const CAUSES: &[Cause] = &[
         of: Of::Ct,
     },
     Cause {
-        name: "stretch_across",
-        unit: Unit::Percent,
-        prior: |p| p.stretch_percent,
-        fault: 3.0,
-        largest: 15.0,
-        modes: |_| vec![Mode::Across],
-        found: "the CT is {} too [wide|narrow] across the bone",
-        wrong: "a stretch across it of more than {}",
-        remedy: "check the pixel spacing of the CT",
-        of: Of::Ct,
-    },
-    Cause {
         // Slices are stacked along z of the CT, and a gantry tilts about x. Up to a turn, both ways to write it are one: this moves a
         // shaft the least.
         name: "shear",
@@ -255,8 +240,8 @@ pub(super) const CAUSES: &[Cause] = &[
             let [x, y, z] = [a.along, a.towards, a.sideways];
             [(x, x), (y, y), (z, z), (x, y), (x, z), (y, z)].map(|(of, to)| Mode::Strain { of, to }).to_vec()
         },
-        found: "the CT is distorted by {}, differently along three directions",
-        wrong: "an oblique distortion of more than {}",
+        found: "the CT is distorted by {}, differently along three directions, as by a wrong spacing across the bone or of an oblique reformat",
+        wrong: "an oblique distortion or a stretch across the bone of more than {}",
         remedy: "check the spacing of the CT's voxels in all three directions, and whether it was reformatted",
         of: Of::Ct,
     },

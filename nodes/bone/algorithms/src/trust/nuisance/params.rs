@@ -15,7 +15,7 @@ use serde::Deserialize;
     "min_bend_mm": { "default": 0.3, "warning": "min_bend_mm is ignored: a cause is measured where the chance that it makes the answer wrong says so" },
 }))]
 pub struct NuisanceParams {
-    /// Stretch of the CT along the bone, across it, or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
+    /// Stretch of the CT along the bone or in all directions, percent. 0.5: a spacing in DICOM is rounded to less, and
     /// a table that lags by half a slice in 100 is as much.
     #[param(0.5, 0.001..=100.0)]
     pub stretch_percent: f64,
@@ -50,7 +50,7 @@ pub struct NuisanceParams {
     /// length. 0.1: a calibrated structured-light camera.
     #[param(0.1, 0.001..=100.0)]
     pub field_mm: f64,
-    /// Any other distortion of the CT, each of six strains, percent. 0.1: spacings of a reformat are rounded to less.
+    /// Any other distortion of the CT, as across the bone, each of six strains, percent. 0.1: spacings of a reformat are rounded to less.
     #[param(0.1, 0.001..=100.0)]
     pub affine_percent: f64,
     /// Smooth error of the CT's surface, each of fourteen waves along and around the bone, mm. 0.02: 0.07 mm in all (RMS), a tenth of a
