@@ -16,8 +16,9 @@ pub(super) enum Mode {
     Bend(Vector3<f64>),
     /// A turn about the axis by 1 rad at one end and -1 rad at the other.
     Twist,
-    /// Along the surface's outward normal, 1 mm: `half_waves` along the scan, `around` waves around the bone, from `phase` on.
-    Surface { half_waves: f64, around: f64, phase: f64 },
+    /// Along the surface's outward normal, 1 mm: up to two `half_waves` along the scan times up to two waves `around` the bone, a cosine from the
+    /// camera on or a sine.
+    Surface { half_waves: usize, around: usize, is_sine: bool },
     /// A film on the side that faces the camera, 1 mm where the surface faces it; from none at one end to 1 mm at the other for a
     /// ramp of 1 or -1, as thick everywhere for 0.
     Film { ramp: f64 },
@@ -44,29 +45,36 @@ pub(super) struct Spot {
     arm: Vector3<f64>,
     /// Position along the axis, from -1 at one end of the scan to 1 at the other.
     share: f64,
-    /// Angle of the normal about the axis, from the camera on.
-    angle: f64,
+    /// Cosines of 0, 1 and 2 half waves along the scan.
+    along: [f64; 3],
+    /// Cosines and sines of 0, 1 and 2 times the normal's angle about the axis, from the camera on.
+    around: [[f64; 2]; 3],
 }
 
 impl Spot {
     pub(super) fn new(axes: &Axes, p: Point3<f64>, normal: Vector3<f64>) -> Self {
-        let angle = normal.dot(&axes.sideways).atan2(normal.dot(&axes.towards));
-        Self { p, normal, arm: p - axes.centre, share: axes.along_share(&p), angle }
+        let share = axes.along_share(&p);
+        let half_wave = (FRAC_PI_2 * (share.clamp(-1.0, 1.0) + 1.0)).cos();
+        let [x, y] = [axes.towards, axes.sideways].map(|way| normal.dot(&way));
+        let size = x.hypot(y);
+        let [cos, sin] = if size > 0.0 { [x / size, y / size] } else { [1.0, 0.0] };
+        let around = [[1.0, 0.0], [cos, sin], [cos * cos - sin * sin, 2.0 * sin * cos]];
+        let along = [1.0, half_wave, 2.0 * half_wave * half_wave - 1.0];
+        Self { p, normal, arm: p - axes.centre, share, along, around }
     }
 }
 
 impl Mode {
     /// The displacement at a place, mm.
     pub(super) fn at(&self, axes: &Axes, spot: &Spot) -> Vector3<f64> {
-        let Spot { p, normal, arm, share, angle } = *spot;
+        let Spot { p, normal, arm, share, along, around } = *spot;
         match *self {
             Self::Strain { of, to } => to * of.dot(&arm),
             Self::Growth => arm,
             Self::Bend(to) => to * (share * share) - axes.along * (2.0 * share * to.dot(&arm) / axes.half_mm),
             Self::Twist => axes.along.cross(&arm) * share,
-            Self::Surface { half_waves, around, phase } => {
-                let along = (half_waves * FRAC_PI_2 * (share.clamp(-1.0, 1.0) + 1.0)).cos();
-                normal * (along * (around * angle + phase).cos())
+            Self::Surface { half_waves, around: waves, is_sine } => {
+                normal * (along[half_waves] * around[waves][usize::from(is_sine)])
             }
             Self::Film { ramp } => {
                 let thickness = if ramp == 0.0 { 1.0 } else { 0.5 * (1.0 + ramp * share) };
@@ -168,7 +176,7 @@ impl Of {
         match self {
             Self::Ct => [
                 "the bone is as in the CT, and the plan as drawn",
-                "both headers, binding (osteoflow convert PLAN OUT --bind BONE) or a new CT",
+                "both headers, osteoflow convert --bind or a new CT",
             ],
             Self::Surface => {
                 ["the scan shows the bone's surface as segmented", "cleaning, a stylus or the surface over the CT"]
@@ -179,8 +187,7 @@ impl Of {
 }
 
 /// Half waves along the scan and waves around the bone of the smooth errors of a surface; a constant is the offset.
-const SMOOTH: [(f64, f64); 8] =
-    [(1.0, 0.0), (2.0, 0.0), (0.0, 1.0), (1.0, 1.0), (2.0, 1.0), (0.0, 2.0), (1.0, 2.0), (2.0, 2.0)];
+const SMOOTH: [(usize, usize); 8] = [(1, 0), (2, 0), (0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (2, 2)];
 
 /// Every family.
 pub(super) const CAUSES: &[Cause] = &[
@@ -271,7 +278,7 @@ pub(super) const CAUSES: &[Cause] = &[
         prior: |p| p.offset_mm,
         fault: 0.5,
         largest: 10.0,
-        modes: |_| vec![Mode::Surface { half_waves: 0.0, around: 0.0, phase: 0.0 }],
+        modes: |_| vec![Mode::Surface { half_waves: 0, around: 0, is_sine: false }],
         found: "the CT's surface is {} [outside|inside] the bone's",
         wrong: "an offset above {}",
         remedy: "check the threshold of the CT's segmentation",
@@ -284,9 +291,9 @@ pub(super) const CAUSES: &[Cause] = &[
         fault: 0.3,
         largest: 5.0,
         modes: |_| {
-            let of = |(half_waves, around): (f64, f64)| {
-                let phases = if around > 0.0 { vec![0.0, -FRAC_PI_2] } else { vec![0.0] };
-                phases.into_iter().map(move |phase| Mode::Surface { half_waves, around, phase })
+            let of = |(half_waves, around): (usize, usize)| {
+                let sines = if around > 0 { vec![false, true] } else { vec![false] };
+                sines.into_iter().map(move |is_sine| Mode::Surface { half_waves, around, is_sine })
             };
             SMOOTH.into_iter().flat_map(of).collect()
         },
