@@ -80,7 +80,7 @@ pub(super) fn assumptions(
         let tilts = |unseen: &&&Unseen| unseen.worst.deg / limits.max_tilt_deg >= unseen.worst.times * (1.0 - 1e-9);
         let sizes = |unseen: &&Unseen| {
             let value = unseen.cause.unit.of().1 * unseen.critical;
-            let digits = if value < 1.0 { 2 } else { 1 };
+            let digits = if value < 0.095 { 3 } else { 1 + usize::from(value < 1.0) };
             unseen.cause.wrong.replace("{}", &format!("{value:.digits$} {}", unseen.cause.unit.of().0))
         };
         let part = |own: Vec<&&Unseen>, does: String| {

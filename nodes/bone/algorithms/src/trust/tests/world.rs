@@ -86,9 +86,10 @@ fn a_sound_scan_bounds_what_it_shows_and_leaves_the_rest_as_assumptions_with_siz
     // Each unseen cause is told once, with its critical size, beside what shows it.
     for unseen in verdict.nuisances.iter().filter(|n| n.state == NuisanceState::Unseen) {
         let digits = if unseen.critical < 1.0 { 2 } else { 1 };
-        let size = format!("more than {:.digits$} {}", unseen.critical, unseen.unit);
-        let of: Vec<&String> = verdict.assumptions.iter().filter(|text| text.contains(&size)).collect();
-        assert!(!of.is_empty(), "{unseen:?}: {:?}", verdict.assumptions);
+        let size = format!("{:.digits$} {}", unseen.critical, unseen.unit);
+        let is_told =
+            |text: &String| ["more than ", "above "].iter().any(|word| text.contains(&format!("{word}{size}")));
+        assert!(verdict.assumptions.iter().any(is_told), "{unseen:?}: {:?}", verdict.assumptions);
     }
 }
 
