@@ -181,7 +181,7 @@ impl Of {
             Self::Surface => {
                 ["the scan shows the bone's surface as segmented", "cleaning, a stylus or the surface over the CT"]
             }
-            Self::Camera => ["the camera is as calibrated", "a check piece (metrics.check_points)"],
+            Self::Camera => ["the camera is as calibrated", "a check piece read after the scan"],
         }
     }
 }
