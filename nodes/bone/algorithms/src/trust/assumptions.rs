@@ -6,7 +6,7 @@ use super::rules::RuleParams;
 use super::slid::slide_note;
 
 /// What is taken for granted: one list for every way to a verdict. `is_predicted` says whether the verdict states an error;
-/// `unseen` are the causes that the data do not limit, each with whether it is of the camera.
+/// `unseen` are the causes that the data do not limit, each with whether it is of camera or markers.
 pub(super) fn assumptions(
     case: &Case<'_>,
     rules: &RuleParams,
@@ -14,9 +14,10 @@ pub(super) fn assumptions(
     unseen: &[(bool, String)],
 ) -> Vec<String> {
     let is_checked = is_checked(case.check, case.registered.source.stamp_ns, rules.max_check_mm);
-    let left = unseen.iter().filter(|(is_of_camera, _)| !(is_checked && *is_of_camera));
+    let left = unseen.iter().filter(|(is_of_devices, _)| !(is_checked && *is_of_devices));
     let mut all: Vec<&str> = case.untested.iter().copied().chain(left.map(|(_, text)| text.as_str())).collect();
-    if case.tracking.is_some() {
+    let are_sized = unseen.iter().any(|(is_of_devices, _)| *is_of_devices);
+    if case.tracking.is_some() && (is_checked || !are_sized) {
         if !is_checked {
             all.push(
                 "the camera marker has not moved on its camera since the calibration, and the camera measures lengths as it did then; \

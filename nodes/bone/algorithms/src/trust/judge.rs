@@ -80,7 +80,7 @@ struct OfScan {
     predicted: Option<Predicted>,
     measured: Option<Evidence>,
     nuisances: Vec<Nuisance>,
-    /// The causes that the data do not limit, each with whether it is of the camera.
+    /// The causes that the data do not limit, each with whether it is of camera or markers.
     unseen: Vec<(bool, String)>,
 }
 
@@ -219,7 +219,8 @@ impl Judging<'_> {
     /// What may be wrong beside the pose.
     fn nuisances(&self, evidence: &Evidence) -> Option<Nuisances> {
         let (registered, priors) = (&self.case.registered, &self.errors.nuisances);
-        nuisance::examine(registered, &self.place, evidence.noise_mm, self.rules, priors)
+        let has_markers = self.case.tracking.is_some();
+        nuisance::examine(registered, &self.place, evidence.noise_mm, has_markers, self.rules, priors)
     }
 
     fn predicted(

@@ -39,7 +39,7 @@ fn vector(rng: &mut ChaCha8Rng, sd: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| sd * normal(rng))
 }
 
-/// The CT's causes, and the plan's.
+/// The CT's causes, the plan's and the marker's.
 fn in_ct(rng: &mut ChaCha8Rng, site: &Site, priors: &NuisanceParams) -> Vec<Part> {
     let centre = site.middle(site.centre_mm());
     let linear = |matrix: Matrix3<f64>| Effect::Ct(field(move |p| matrix * (p - centre)));
@@ -79,7 +79,8 @@ fn in_ct(rng: &mut ChaCha8Rng, site: &Site, priors: &NuisanceParams) -> Vec<Part
     let of_voxels = [("stretch", stretch), ("growth", growth), ("affine", affine), ("shear", shear)];
     let of_voxels = of_voxels.map(|(name, matrix)| cause(name, linear(matrix)));
     let plan = cause("plan", Effect::Plan(field(move |_| plan)));
-    of_voxels.into_iter().chain(of_bone).chain([plan]).collect()
+    let marker = cause("marker", Effect::Marker(vector(rng, priors.slip_mm), Vector3::zeros()));
+    of_voxels.into_iter().chain(of_bone).chain([plan, marker]).collect()
 }
 
 /// Causes on the surface and on the bone.

@@ -32,8 +32,8 @@ pub(super) enum Mode {
     Scale(Point3<f64>),
     /// Along the camera's view: of the depth, and of its square along `across`, as multiples.
     Depth { camera: Point3<f64>, scale: f64, plane: Vector3<f64>, bend: Vector3<f64> },
-    /// The plan alone, towards a direction.
-    Plan(Vector3<f64>),
+    /// The plan alone, or the bone against its marker, towards a direction.
+    Shift(Vector3<f64>),
 }
 
 /// A place on the bone, for every mode.
@@ -93,7 +93,7 @@ impl Mode {
                 let across = bend.dot(&arm) / axes.half_mm;
                 view * (scale * view.dot(&(p - camera)) + plane.dot(&arm) + across * across)
             }
-            Self::Plan(to) => to,
+            Self::Shift(to) => to,
         }
     }
 
@@ -114,7 +114,7 @@ impl Mode {
 
     /// Whether it displaces anything that the scan shows.
     pub(super) fn moves_scan(&self) -> bool {
-        !matches!(self, Self::Plan(_) | Self::TurnBeyond { .. })
+        !matches!(self, Self::Shift(_) | Self::TurnBeyond { .. })
     }
 }
 
@@ -165,11 +165,11 @@ pub(super) enum Of {
     Ct,
     Surface,
     /// A check piece tests it.
-    Camera,
+    Devices,
 }
 
 impl Of {
-    pub(super) const ALL: [Self; 3] = [Self::Ct, Self::Surface, Self::Camera];
+    pub(super) const ALL: [Self; 3] = [Self::Ct, Self::Surface, Self::Devices];
 
     /// What is taken for granted, and what shows it.
     pub(super) fn words(self) -> [&'static str; 2] {
@@ -181,13 +181,20 @@ impl Of {
             Self::Surface => {
                 ["the scan shows the bone's surface as segmented", "cleaning, a stylus or the surface over the CT"]
             }
-            Self::Camera => ["the camera is as calibrated", "a check piece read after the scan"],
+            Self::Devices => {
+                ["camera and markers are as calibrated", "a check piece or landmark touched after the scan"]
+            }
         }
     }
 }
 
 /// Half waves along the scan and waves around the bone of the smooth errors of a surface; a constant is the offset.
 const SMOOTH: [(usize, usize); 8] = [(1, 0), (2, 0), (0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (2, 2)];
+
+/// A shift in any direction of what the scan does not show.
+fn shifts() -> Vec<Mode> {
+    [Vector3::x(), Vector3::y(), Vector3::z()].map(Mode::Shift).to_vec()
+}
 
 /// Every family.
 pub(super) const CAUSES: &[Cause] = &[
@@ -348,7 +355,7 @@ pub(super) const CAUSES: &[Cause] = &[
         found: "the camera measures {} too [short|long]",
         wrong: "a camera scale error above {}",
         remedy: "measure an object of known size with the camera",
-        of: Of::Camera,
+        of: Of::Devices,
     },
     Cause {
         name: "camera_depth",
@@ -360,7 +367,7 @@ pub(super) const CAUSES: &[Cause] = &[
         found: "the camera measures depths {} too [short|long]",
         wrong: "a camera depth error above {}",
         remedy: "measure an object of known size with the camera",
-        of: Of::Camera,
+        of: Of::Devices,
     },
     Cause {
         name: "camera_plane",
@@ -372,7 +379,7 @@ pub(super) const CAUSES: &[Cause] = &[
         found: "the camera's depth is tilted by {}",
         wrong: "a camera depth tilt above {}",
         remedy: "measure a plane of known place with the camera",
-        of: Of::Camera,
+        of: Of::Devices,
     },
     Cause {
         name: "camera_bend",
@@ -391,7 +398,7 @@ pub(super) const CAUSES: &[Cause] = &[
         found: "the camera shows a plane bent by {}",
         wrong: "a camera depth bend above {}",
         remedy: "measure a flat object with the camera",
-        of: Of::Camera,
+        of: Of::Devices,
     },
     Cause {
         name: "beyond",
@@ -426,11 +433,23 @@ pub(super) const CAUSES: &[Cause] = &[
         prior: |p| p.plan_mm,
         fault: 3.0,
         largest: f64::INFINITY,
-        modes: |_| [Vector3::x(), Vector3::y(), Vector3::z()].map(Mode::Plan).to_vec(),
+        modes: |_| shifts(),
         found: "the plan is displaced by {}",
         wrong: "a shift of the plan above {}",
         remedy: "look at plan and surface together, and bind the plan (osteoflow convert PLAN OUT --bind BONE)",
         of: Of::Ct,
+    },
+    Cause {
+        name: "marker",
+        unit: Unit::Mm,
+        prior: |p| p.slip_mm,
+        fault: 3.0,
+        largest: f64::INFINITY,
+        modes: |a| if a.has_markers { shifts() } else { Vec::new() },
+        found: "a marker has moved by {}",
+        wrong: "a marker's shift above {}",
+        remedy: "check the screws of the markers, and touch a landmark or a check piece after the scan",
+        of: Of::Devices,
     },
 ];
 
@@ -441,7 +460,7 @@ mod tests {
     fn axes(camera: Option<Point3<f64>>) -> Axes {
         let points: Vec<Point3<f64>> = (0..100).map(|k| Point3::new(5.0, f64::from(k % 3), f64::from(k))).collect();
         let axes = Axes::new(&points, &vec![Vector3::x(); points.len()], camera).unwrap();
-        axes.with_targets([Point3::new(5.0, 0.0, 130.0)].iter())
+        Axes { has_markers: camera.is_some(), ..axes.with_targets([Point3::new(5.0, 0.0, 130.0)].iter()) }
     }
 
     #[test]
@@ -474,7 +493,7 @@ mod tests {
     fn what_needs_a_camera_or_targets_beyond_the_scan_is_left_out_without() {
         let axes = axes(None);
         let of = |name: &str| (CAUSES.iter().find(|cause| cause.name == name).unwrap().modes)(&axes).len();
-        assert_eq!(["camera_scale", "camera_depth", "camera_plane", "camera_bend"].map(of), [0; 4]);
+        assert_eq!(["camera_scale", "camera_depth", "camera_plane", "camera_bend", "marker"].map(of), [0; 5]);
         assert_eq!(of("beyond"), 3, "one end");
         assert_eq!(of("step") % 3, 0);
     }

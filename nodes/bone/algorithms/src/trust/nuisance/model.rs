@@ -74,7 +74,7 @@ pub(in crate::trust) struct Known {
     pub(in crate::trust) list: Vec<Nuisance>,
     /// The sign against the registration that a cause was measured.
     pub(in crate::trust) reason: Option<Reason>,
-    /// What is taken for granted, the most dangerous first; each with whether it is of the camera.
+    /// What is taken for granted, the most dangerous first; each with whether it is of camera or markers.
     pub(in crate::trust) assumptions: Vec<(bool, String)>,
 }
 

@@ -63,6 +63,10 @@ pub struct NuisanceParams {
     /// Displacement of the plan against the surface, along each axis, mm. 0.1: it is drawn on it, to a fraction of a voxel.
     #[param(0.1, 0.001..=100.0)]
     pub plan_mm: f64,
+    /// Shift of a marker on its camera since the calibration or on the bone since the scan, along each axis, mm. 0.05: a marker that is screwed;
+    /// a knock shifts it by millimetres, which is a fault.
+    #[param(0.05, 0.001..=100.0)]
+    pub slip_mm: f64,
     /// Odds that a cause is at fault, so that it is as large as faults are. 0.0025: one in 400 for each, one in 20 for all; no statistics of
     /// such faults are known to us. Ten times as much doubts sound answers, a tenth trusts faults that the scan shows.
     #[param(0.0025, 0.0..=1.0)]

@@ -100,11 +100,11 @@ pub(super) fn assumptions(
         let beyond = beyond.map(|places| format!(", also {places}")).unwrap_or_default();
         let danger = own.iter().map(|unseen| unseen.danger).sum::<f64>();
         let text = format!("{taken}{beyond}: {}; {shown} shows it", parts.join(", and "));
-        (!own.is_empty()).then_some((danger, of == Of::Camera, text))
+        (!own.is_empty()).then_some((danger, of == Of::Devices, text))
     };
     let mut all: Vec<(f64, bool, String)> = Of::ALL.into_iter().filter_map(of).collect();
     all.sort_by(|a, b| b.0.total_cmp(&a.0));
-    all.into_iter().map(|(_, is_of_camera, text)| (is_of_camera, text)).collect()
+    all.into_iter().map(|(_, is_of_devices, text)| (is_of_devices, text)).collect()
 }
 
 /// How far targets lie beyond the scan: "15 to 47 mm beyond the scan, where cuts lie".
