@@ -182,7 +182,7 @@ impl Of {
                 ["the scan shows the bone's surface as segmented", "cleaning, a stylus or the surface over the CT"]
             }
             Self::Devices => {
-                ["camera and markers are as calibrated", "a check piece or landmark touched after the scan"]
+                ["camera and markers are as calibrated", "a later check piece or stylus"]
             }
         }
     }
