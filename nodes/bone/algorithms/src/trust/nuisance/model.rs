@@ -14,12 +14,12 @@ use osteoflow_verdict::Reason;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 use std::ops::Range;
 
-/// Standard deviations over those that the residuals tell, squared: errors of camera and CT that are in no family, such as the steps of voxels,
-/// are in none of the residuals. With 8 two of 40 simulated sound scans, from any side and of any part of a fibula, are doubted, with 5 nine are.
-const UNMODELLED: f64 = 8.0;
-
 /// A fault is looked at from its own fit where it explains this share of the scan, which the sound fit leaves out.
 const EXPLAINED: f64 = 0.03;
+
+/// And this share of all that lies near the surface and is left out: a surface that is distorted into tissue and the wound's edges takes some of
+/// them with it.
+const MOST: f64 = 0.5;
 
 /// Another cause explains the same numbers if it has this share of the best one's chance.
 const AS_WELL: f64 = 0.2;
@@ -127,7 +127,9 @@ impl Nuisances {
         };
         let (of_sound, of_fault) = (about(sound, None, &mut fit)?, about(fault.whole, fault.fault, &mut fit));
         let information = match of_fault {
-            Some(of_fault) if of_sound.left_out - of_fault.left_out > EXPLAINED => of_fault,
+            Some(of_fault) if of_sound.left_out - of_fault.left_out > EXPLAINED.max(MOST * of_sound.left_out) => {
+                of_fault
+            }
             _ => of_sound,
         };
         let hypotheses = all(&information)?;
@@ -320,10 +322,10 @@ fn hypotheses(
     let of_causes = families.iter().flat_map(|family| vec![family.prior.powi(-2); family.modes.len()]);
     let precisions: Vec<f64> = [0.0; 6].into_iter().chain(of_field).chain(of_causes).collect();
     let precisions = DVector::from_vec(precisions);
-    let mut matrix = &information.matrix / UNMODELLED;
+    let mut matrix = information.matrix.clone();
     (0..precisions.len()).for_each(|k| matrix[(k, k)] += precisions[k]);
     let cholesky = matrix.cholesky()?;
-    let whole = cholesky.solve(&(&information.vector / UNMODELLED));
+    let whole = cholesky.solve(&information.vector);
     let n = whole.len() - N_BEFORE;
     let all_covariance = cholesky.inverse();
     let mean = whole.rows(N_BEFORE, n).into_owned();

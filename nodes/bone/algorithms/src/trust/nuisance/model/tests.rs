@@ -36,9 +36,9 @@ fn each_hypothesis_is_that_of_its_own_precisions() {
         let sds: Vec<f64> = field.iter().copied().chain((0..7).map(sd)).collect();
         let precisions =
             DVector::from_iterator(sds.len() + 6, [0.0; 6].into_iter().chain(sds.iter().map(|sd| sd.powi(-2))));
-        let inverse = (&information.matrix / UNMODELLED + DMatrix::from_diagonal(&precisions)).try_inverse().unwrap();
-        let mean = &inverse * &information.vector / UNMODELLED;
-        let evidence = 0.5 * mean.dot(&(&information.vector / UNMODELLED)) + 0.5 * inverse.determinant().ln()
+        let inverse = (&information.matrix + DMatrix::from_diagonal(&precisions)).try_inverse().unwrap();
+        let mean = &inverse * &information.vector;
+        let evidence = 0.5 * mean.dot(&information.vector) + 0.5 * inverse.determinant().ln()
             - sds.iter().map(|sd| sd.ln()).sum::<f64>();
         let n_places = fault.as_ref().map_or(1, |(f, _)| families[*f].modes.len() / families[*f].together);
         let log_odds = if fault.is_some() { (odds / n_places as f64).ln() } else { 0.0 };
