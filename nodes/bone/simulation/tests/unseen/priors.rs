@@ -127,9 +127,7 @@ fn of_camera(rng: &mut ChaCha8Rng, site: &Site, priors: &NuisanceParams) -> Vec<
         (f64::from(half_waves), sd_mm * normal(rng), sd_mm * normal(rng))
     });
     let waves: Vec<(f64, f64, f64)> = waves.collect();
-    let along_view = |mm: Box<dyn Fn(&Point3<f64>) -> f64 + Send + Sync>| {
-        Effect::Camera(field(move |p| Vector3::new(0.0, 0.0, mm(p))))
-    };
+    let along_view = |mm: Profile| Effect::Camera(field(move |p| Vector3::new(0.0, 0.0, mm(p))));
     let bend = move |p: &Point3<f64>| -> f64 {
         bends.iter().map(|((x, y), mm)| mm * ((x * p.x + y * p.y) / half_mm).powi(2)).sum()
     };
