@@ -156,10 +156,10 @@ fn knocked(knock_mm: f64, more: &[&str]) -> Ran {
 
 const CHECK_PIECE: &str = "graphs/trust/check_piece.toml";
 
-/// Whether the verdict takes for granted that the camera's marker has not moved.
+/// Whether the verdict takes for granted that no marker has moved.
 fn assumes_camera_marker(ran: &Ran) -> bool {
     let assumptions = ran.results["verdict"]["assumptions"].as_array().unwrap();
-    assumptions.iter().any(|text| text.as_str().unwrap().contains("camera marker"))
+    assumptions.iter().any(|text| text.as_str().unwrap().contains("a marker's shift"))
 }
 
 #[test]
