@@ -139,7 +139,9 @@ fn a_sound_pose_is_trusted_by_every_method_and_the_verdict_comes_first() {
     for assumed in ["the scan shows the bone's surface as segmented: ", "the scan does not say where the camera was"] {
         assert!(verbose.contains(&format!("  assumed: {assumed}")), "{assumed}\n{verbose}");
     }
-    assert!(!verbose.contains("camera marker"), "{verbose}");
+    for of_others in ["marker", "the plan as drawn"] {
+        assert!(!verbose.contains(of_others), "{of_others} is assumed, and none was given\n{verbose}");
+    }
 }
 
 #[test]

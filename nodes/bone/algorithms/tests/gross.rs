@@ -1,4 +1,4 @@
-//! What is named first where scan and surface are of different bones, or one is mirrored. With `SLOW_TESTS` more stretches are scanned.
+//! What is named first where scan and surface are of different bones, or one is mirrored.
 
 use crate::common::{Bone, USUAL, bones, own_bone};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -12,26 +12,6 @@ use osteoflow_geometry::{Cloud, Mesh, NamedPoint, SurfaceOrigin};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use std::ops::ControlFlow;
-
-/// The causes beside the pose that a verdict may name.
-const CAUSES: [&str; 16] = [
-    "stretch_along",
-    "growth",
-    "shear",
-    "affine",
-    "bend",
-    "twist",
-    "offset",
-    "smooth",
-    "film",
-    "film_along",
-    "film_around",
-    "camera_scale",
-    "camera_depth",
-    "camera_plane",
-    "camera_bend",
-    "step",
-];
 
 fn target_of(mesh: &Mesh) -> Target {
     let samples = sample::surface(mesh, 100_000, &mut ChaCha8Rng::seed_from_u64(1));
@@ -76,8 +56,7 @@ fn a_gross_mistake_is_never_first_named_a_stretch_of_the_ct() {
         all.iter().map(|bone| [target_of(&bone.mesh), target_of(&mirrored(&bone.mesh))]).collect();
     let mut n_named = 0;
     for (k, bone) in all.iter().enumerate() {
-        let n_windows = if std::env::var_os("SLOW_TESTS").is_some() { 3 } else { 1 };
-        for heights_mm in [[70.0, 165.0], [10.0, 120.0], [100.0, 190.0]].into_iter().take(n_windows) {
+        for heights_mm in [[70.0, 165.0], [10.0, 120.0], [100.0, 190.0]] {
             let scan = scan(bone, heights_mm, 3);
             for (j, other) in all.iter().enumerate() {
                 for (is_mirrored, target) in targets[j].iter().enumerate() {
@@ -90,9 +69,10 @@ fn a_gross_mistake_is_never_first_named_a_stretch_of_the_ct() {
                     }
                     assert_ne!(verdict.answer, Answer::Trusted, "{what}");
                     // A cause beside the pose comes after the sign of a gross mistake.
-                    let at = |of: fn(&&str) -> bool| rules.iter().position(of);
-                    let gross = at(|rule| ["mirrored", "another_bone", "inward_misfit", "shape"].contains(rule));
-                    if let Some(cause) = at(|rule| CAUSES.contains(rule)) {
+                    let is_gross = |rule: &&str| ["mirrored", "another_bone", "inward_misfit", "shape"].contains(rule);
+                    let gross = rules.iter().position(is_gross);
+                    let is_cause = |rule: &&str| verdict.nuisances.iter().any(|nuisance| nuisance.name == **rule);
+                    if let Some(cause) = rules.iter().position(is_cause) {
                         assert!(gross.is_some_and(|gross| gross < cause), "{what}: {rules:?}");
                         n_named += 1;
                     }
@@ -100,7 +80,7 @@ fn a_gross_mistake_is_never_first_named_a_stretch_of_the_ct() {
             }
         }
     }
-    assert!(all.len() == 1 || n_named > 0, "{n_named} causes were named beside gross mistakes");
+    assert!(all.len() == 1 || n_named > 5, "{n_named} causes were named beside gross mistakes");
 }
 
 /// A closed body of revolution, as a bottle: about z, its radius at 49 heights.

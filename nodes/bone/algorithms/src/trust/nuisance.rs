@@ -51,9 +51,9 @@ pub(super) fn examine(
     let noise_mm = noise_mm / (read.len() as f64 / N_FITTED as f64).max(1.0).sqrt();
     let camera = source.viewpoint.map(|viewpoint| t_target_source * (viewpoint * Point3::origin()));
     let targets = place.limited.iter().chain(place.cuts.iter().map(|cut| &cut.middle.position));
-    let axes = Axes { has_markers, ..Axes::new(&points, &seen, camera)?.with_targets(targets) };
+    let axes = Axes::new(&points, &seen, camera)?.with_targets(targets);
     let field = Field::new(&axes, &points, params.field_mm);
-    let (families, modes) = Family::all(&axes, params);
+    let (families, modes) = Family::all(&axes, has_markers, params);
     let problem =
         fit::Problem { target, normals, points: &points, axes: &axes, field: &field, modes: &modes, noise_mm };
     Nuisances::new(&problem, families, place, &rules.limits, params)

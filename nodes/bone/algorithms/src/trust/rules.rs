@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 pub struct RuleParams {
     /// Limits of a right answer.
     pub limits: Limits,
-    /// Doubtful if the predicted chance of an error beyond the limits is larger. 0.1: nine in ten, as the intervals; with it 38 of 40 simulated
+    /// Doubtful if the predicted chance of an error beyond the limits is larger. 0.1: nine in ten, as the intervals; with it 36 of 40 simulated
     /// sound scans from any side and of any part of a fibula are trusted.
     #[param(0.1, 0.0..=1.0)]
     pub max_beyond_limits: f64,

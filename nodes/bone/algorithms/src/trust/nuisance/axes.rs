@@ -25,8 +25,6 @@ pub(in crate::trust) struct Axes {
     pub(in crate::trust) camera: Option<Point3<f64>>,
     /// The ends of the scan beyond which targets lie, mm from its centre along the axis.
     pub(super) beyond_mm: [Option<f64>; 2],
-    /// Whether the answer is carried by markers.
-    pub(super) has_markers: bool,
 }
 
 impl Axes {
@@ -46,7 +44,7 @@ impl Axes {
         far.sort_by(f64::total_cmp);
         let half_mm = far[(far.len() - 1) * 98 / 100].max(1.0);
         let sideways = along.cross(&towards);
-        Some(Self { centre, along, towards, sideways, half_mm, camera, beyond_mm: [None; 2], has_markers: false })
+        Some(Self { centre, along, towards, sideways, half_mm, camera, beyond_mm: [None; 2] })
     }
 
     /// With the ends of the scan beyond which some of these targets lie.

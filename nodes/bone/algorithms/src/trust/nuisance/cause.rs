@@ -171,17 +171,19 @@ pub(super) enum Of {
 impl Of {
     pub(super) const ALL: [Self; 3] = [Self::Ct, Self::Surface, Self::Devices];
 
-    /// What is taken for granted, and what shows it.
-    pub(super) fn words(self) -> [&'static str; 2] {
+    /// What is taken for granted, and what shows it; of plan and markers where they are among the causes.
+    pub(super) fn words(self, has: impl Fn(&str) -> bool) -> [&'static str; 2] {
         match self {
-            Self::Ct => [
+            Self::Ct if has("plan") => [
                 "the bone is as in the CT, and the plan as drawn",
                 "both headers, osteoflow convert --bind or a new CT",
             ],
+            Self::Ct => ["the bone is as in the CT", "its header or a new CT"],
             Self::Surface => {
                 ["the scan shows the bone's surface as segmented", "cleaning, a stylus or the surface over the CT"]
             }
-            Self::Devices => ["camera and markers are as calibrated", "a later check piece or stylus"],
+            Self::Devices if has("marker") => ["camera and markers are as calibrated", "a later check piece or stylus"],
+            Self::Devices => ["the camera is as calibrated", "a later check piece"],
         }
     }
 }
@@ -443,7 +445,7 @@ pub(super) const CAUSES: &[Cause] = &[
         prior: |p| p.slip_mm,
         fault: 3.0,
         largest: f64::INFINITY,
-        modes: |a| if a.has_markers { shifts() } else { Vec::new() },
+        modes: |_| shifts(),
         found: "a marker has moved by {}",
         wrong: "a marker's shift above {}",
         remedy: "check the screws of the markers, and touch a landmark or a check piece after the scan",
@@ -458,7 +460,7 @@ mod tests {
     fn axes(camera: Option<Point3<f64>>) -> Axes {
         let points: Vec<Point3<f64>> = (0..100).map(|k| Point3::new(5.0, f64::from(k % 3), f64::from(k))).collect();
         let axes = Axes::new(&points, &vec![Vector3::x(); points.len()], camera).unwrap();
-        Axes { has_markers: camera.is_some(), ..axes.with_targets([Point3::new(5.0, 0.0, 130.0)].iter()) }
+        axes.with_targets([Point3::new(5.0, 0.0, 130.0)].iter())
     }
 
     #[test]
@@ -491,7 +493,7 @@ mod tests {
     fn what_needs_a_camera_or_targets_beyond_the_scan_is_left_out_without() {
         let axes = axes(None);
         let of = |name: &str| (CAUSES.iter().find(|cause| cause.name == name).unwrap().modes)(&axes).len();
-        assert_eq!(["camera_scale", "camera_depth", "camera_plane", "camera_bend", "marker"].map(of), [0; 5]);
+        assert_eq!(["camera_scale", "camera_depth", "camera_plane", "camera_bend"].map(of), [0; 4]);
         assert_eq!(of("beyond"), 3, "one end");
         assert_eq!(of("step") % 3, 0);
     }

@@ -42,8 +42,8 @@ const STEP_MM: f64 = 0.01;
 const MIN_CELL_MM: f64 = 4.0;
 
 /// Variances over those that the residuals tell beyond the sensor's noise: errors of camera and CT that are in no family, such as the steps of
-/// voxels, are in none of the residuals. With 8 two of 40 simulated sound scans, from any side and of any part of a fibula, are doubted, with 5
-/// nine are.
+/// voxels, are in none of the residuals. With 8 four of 40 simulated sound scans, from any side and of any part of a fibula, are doubted, with 5
+/// ten are.
 const UNMODELLED: f64 = 8.0;
 
 /// A quarter of a Gaussian's absolute values are below this many standard deviations.
@@ -168,9 +168,10 @@ impl Problem<'_> {
         let far_mm = FAR_SIGMAS * if is_first { step.sigma_mm } else { fit.sigma_mm };
         if is_first {
             fit.sigma_mm = step.sigma_mm;
-            // With too few cells nothing is known of what is independent: the priors are left.
             let [noise, all] = [self.noise_mm, step.sigma_mm].map(|mm| mm.powi(2));
+            // Noise that hides a surface's own error does not make it less.
             let variance = (noise + UNMODELLED * (all - noise)).max(UNMODELLED * all.min(SURFACE_MM.powi(2)));
+            // With too few cells nothing is known of what is independent: the priors are left.
             fit.variance = self.together(&step, &h).unwrap_or(f64::INFINITY) * variance;
         }
         let is_out = |pair: &&Option<Pair>| pair.as_ref().is_some_and(|p| p.residual_mm.abs() >= far_mm);

@@ -79,8 +79,8 @@ pub(in crate::trust) struct Known {
 }
 
 impl Family {
-    /// The families that apply, and the modes of all.
-    pub(super) fn all(axes: &Axes, params: &NuisanceParams) -> (Vec<Self>, Vec<Mode>) {
+    /// The families that apply, and the modes of all; markers only where they carry the answer.
+    pub(super) fn all(axes: &Axes, has_markers: bool, params: &NuisanceParams) -> (Vec<Self>, Vec<Mode>) {
         let mut all = Vec::new();
         let family = |cause: &'static Cause| {
             let first = all.len();
@@ -96,7 +96,8 @@ impl Family {
                 fault: cause.fault / by,
             }
         };
-        let families = CAUSES.iter().map(family).filter(|family| !family.modes.is_empty()).collect();
+        let causes = CAUSES.iter().filter(|cause| has_markers || cause.name != "marker");
+        let families = causes.map(family).filter(|family| !family.modes.is_empty()).collect();
         (families, all)
     }
 }
@@ -183,7 +184,8 @@ impl Nuisances {
             };
             let (unit, by) = family.cause.unit.of();
             if state != NuisanceState::Measured {
-                if state == NuisanceState::Unseen {
+                let is_there = family.cause.name != "plan" || !(at.points.is_empty() && at.cuts.is_empty());
+                if state == NuisanceState::Unseen && is_there {
                     unseen.push(Unseen { cause: family.cause, danger: danger.1, critical, worst: *worst });
                 }
                 let found = of_fault.map(|h| (h.weight > THERE, self.size(f, Some(h))));

@@ -66,8 +66,8 @@ pub(super) struct Unseen {
     pub(super) worst: Effect,
 }
 
-/// What is taken for granted, the most dangerous first, each with the sizes from which it would be wrong and what shows it; and whether that is
-/// a check piece.
+/// What is taken for granted, the most dangerous first, each with the sizes from which it would be wrong and what shows it; and whether it is of
+/// camera or markers.
 pub(super) fn assumptions(
     mut unseen: Vec<Unseen>,
     limits: &Limits,
@@ -95,8 +95,9 @@ pub(super) fn assumptions(
             part(own.iter().filter(|unseen| !tilts(unseen)).collect(), format!("move the targets by {moved_mm} mm")),
         ];
         let parts: Vec<String> = parts.into_iter().flatten().collect();
-        let [taken, shown] = of.words();
-        let beyond = beyond(axes, at).filter(|_| own.iter().any(|unseen| unseen.cause.name == "beyond"));
+        let has = |name: &str| own.iter().any(|unseen| unseen.cause.name == name);
+        let [taken, shown] = of.words(has);
+        let beyond = beyond(axes, at).filter(|_| has("beyond"));
         let beyond = beyond.map(|places| format!(", also {places}")).unwrap_or_default();
         let danger = own.iter().map(|unseen| unseen.danger).sum::<f64>();
         let text = format!("{taken}{beyond}: {}; {shown} shows it", parts.join(", and "));

@@ -5,6 +5,7 @@ use crate::icp::{self, IcpParams, Method};
 use crate::still_average::{Carries, MarkerPath, TakeMotion, TakeTime};
 use crate::trust::cut::{Displaced, planned_cuts};
 use osteoflow_geometry::Planes;
+use rand::RngExt;
 use std::ops::ControlFlow;
 
 const HEIGHTS: [f64; 2] = [15.0, 105.0];
@@ -190,6 +191,24 @@ fn a_scan_that_is_too_large_is_the_cameras_scale_or_a_growth() {
     assert!((scale.estimate + 3.0).abs() < 0.7, "within its standard deviation: {scale:?}");
     // That of 200 mm.
     assert!((scale.effect_mm + 2.0 * scale.estimate).abs() < 0.3, "{scale:?}");
+}
+
+#[test]
+fn a_wounds_edge_beside_the_bone_is_no_deformation_of_it() {
+    for (from, top_mm) in [(0.5, 1.0), (0.7, 1.0), (0.5, 8.0), (0.7, 8.0)] {
+        let scan = scan_of(&shaft(), HEIGHTS, 41);
+        let mut rng = ChaCha8Rng::seed_from_u64(41);
+        // On one side tissue lies on the bone, most of it low.
+        let risen = |p: &Point3<f64>| {
+            let out = Vector3::new(p.x - 0.0005 * p.z * p.z, p.y, 0.0).normalize();
+            let height_mm = top_mm * rng.random::<f64>().powi(2);
+            if out.y > from { p + out * height_mm } else { *p }
+        };
+        let points: Vec<Point3<f64>> = scan.points().iter().map(risen).collect();
+        let scan = Cloud::new("scan", points).unwrap().seen_from(scan.viewpoint.unwrap());
+        let (_, verdict) = judged(&shaft(), &scan, &|p| *p);
+        assert_eq!(verdict.answer, Answer::Trusted, "{from}, {top_mm} mm: {:?}", verdict.reasons);
+    }
 }
 
 #[test]
