@@ -109,7 +109,7 @@ impl Protocol for FoxgloveWs {
         Ok(Peer { role: Role::Client, host_port, shown: shown.join("/"), form: ADDRESS })
     }
 
-    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Content>>, NodeError> {
+    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Content>>, ParamError> {
         declared.iter().map(Content::port).collect()
     }
 
