@@ -1,6 +1,8 @@
 //! Type-erased nodes and sources, as the engine holds them.
 
-use crate::{Context, DeclaredPort, Emission, Inputs, Joined, Node, NodeError, Outputs, Source, StampNs, traits::SILENT_AFTER};
+use crate::{
+    Context, DeclaredPort, Emission, Inputs, Joined, Node, NodeError, Outputs, Source, StampNs, traits::SILENT_AFTER,
+};
 use std::{path::PathBuf, time::Duration};
 
 /// A node of any kind.

@@ -1,6 +1,6 @@
 use crate::{
-    Body, CachePolicy, Context, DeclaredPort, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError, Payload, Slot,
-    Value,
+    Body, CachePolicy, Context, DeclaredPort, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError,
+    Payload, Slot, Value,
 };
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;

@@ -322,7 +322,8 @@ impl<'a> Runtime<'a> {
 
     /// Rebuilds a node after it failed.
     pub(crate) fn rebuild(&self, node: usize) -> Result<Built, String> {
-        let built = build(self.registry, &self.plan.nodes[node], self.plan.seed).map_err(|fault| fault.error.message)?;
+        let built =
+            build(self.registry, &self.plan.nodes[node], self.plan.seed).map_err(|fault| fault.error.message)?;
         Ok(self.planned[node].into_node(built))
     }
 

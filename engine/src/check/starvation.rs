@@ -122,12 +122,15 @@ impl<'a> Node<'a, '_> {
         };
         let is_looked_up = |fed: &Fed<'_>| {
             let join = fed.input.port.join;
-            matches!(join, Join::Interpolate { .. } | Join::Latest | Join::LatestAfter { .. }) && !fed.input.port.optional
+            matches!(join, Join::Interpolate { .. } | Join::Latest | Join::LatestAfter { .. })
+                && !fed.input.port.optional
         };
         let fault = |Fed { input, wire, at, .. }: Fed<'_>| {
             let [wire, constant] = [wire, trigger.wire].map(|wire| wires::name(wire, self.parsed_nodes));
             let (node, port) = (self.parsed_node.name, input.port.name);
-            let what = format!("node \"{node}\": input \"{port}\" takes \"{wire}\" at the time of \"{constant}\", which has none");
+            let what = format!(
+                "node \"{node}\": input \"{port}\" takes \"{wire}\" at the time of \"{constant}\", which has none"
+            );
             Fault::new(what)
                 .at(at, "each item has a time")
                 .also(trigger.at, "a constant, at stamp 0")

@@ -19,10 +19,7 @@ pub(super) fn camera_of(
     coefficients: &[f64],
 ) -> Result<Option<Intrinsics>, (&'static str, String)> {
     if model.is_some() && coefficients.is_empty() {
-        return Err((
-            "distortion_model",
-            "distortion_model is given, and distortion, its coefficients, is not".into(),
-        ));
+        return Err(("distortion_model", "distortion_model is given, and distortion, its coefficients, is not".into()));
     }
     let distortion = match coefficients {
         [] => Distortion::NONE,

@@ -176,8 +176,9 @@ impl Content {
             ("use_matrix", use_matrix),
         ];
         if let Some((key, _)) = given.iter().find(|(_, is_given)| *is_given && payload != "geometry/Cloud") {
-            let message =
-                format!("intrinsics, depth_unit_mm and use_matrix are for images, and the port is of {payload}; remove them");
+            let message = format!(
+                "intrinsics, depth_unit_mm and use_matrix are for images, and the port is of {payload}; remove them"
+            );
             return Err(declared.refused(key, message));
         }
         if depth_unit_mm.is_some_and(|unit_mm| !(unit_mm.is_finite() && unit_mm > 0.0)) {
