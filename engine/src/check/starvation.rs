@@ -121,9 +121,7 @@ impl<'a> Node<'a, '_> {
             return Vec::new();
         };
         let is_looked_up = |fed: &Fed<'_>| {
-            let join = fed.input.port.join;
-            matches!(join, Join::Interpolate { .. } | Join::Latest | Join::LatestAfter { .. })
-                && !fed.input.port.optional
+            matches!(fed.input.port.join, Join::Interpolate { .. } | Join::Latest) && !fed.input.port.optional
         };
         let fault = |Fed { input, wire, at, .. }: Fed<'_>| {
             let [wire, constant] = [wire, trigger.wire].map(|wire| wires::name(wire, self.parsed_nodes));

@@ -158,6 +158,8 @@ impl Poses {
         let mut notes: Vec<String> = log.notes.into_iter().chain(corrections.note()).collect();
         let mut signs = Vec::new();
         let (mut events, mut frames) = (Vec::new(), FrameNames::new(frames));
+        // A table that is described has poses that no port reads, and one list of names.
+        streams.keys().for_each(|(to, from)| drop([frames.of(to), frames.of(from)]));
         for (port, declared) in ctx.declared().iter().enumerate() {
             let port_log = PortLog { declared, params: PortParams::of(declared)?, streams: &streams };
             let read = port_log.events(&mut frames, &mut notes, &mut signs);
