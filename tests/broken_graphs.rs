@@ -1,7 +1,7 @@
 //! Every broken graph under tests/broken gives its exact text; every shipped graph has no fault. `UPDATE=1` rewrites the
 //! texts; read the diff.
 
-use osteoflow_engine::{Faults, check, check_text};
+use osteoflow_engine::{Faults, RunOptions, check, check_text, run};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -64,4 +64,27 @@ fn every_shipped_graph_and_its_resolved_graph_check_and_build() {
         let again = again.unwrap_or_else(|faults| panic!("{}: {faults}", path.display()));
         assert_eq!(again.plan.resolved, resolved, "{} resolves to itself", path.display());
     }
+}
+
+#[test]
+fn the_columns_of_a_table_are_written_in_a_graph_as_the_page_of_formats_has_them() {
+    let page = fs::read_to_string("docs/use/formats.md").unwrap();
+    let (_, block) = page.split_once("`columns` of the node").unwrap();
+    let (_, block) = block.split_once("```toml\n").unwrap();
+    let block = block.split_once("```").unwrap().0.replace("[[tools]]", "[[node.tracker.columns.tools]]");
+    let dir = tempfile::tempdir().unwrap();
+    let line = |k: u32| format!("{};stylus;{k},5;0;0;1;0;0;0;{}\n", 1000 * (k + 1), if k == 2 { "LOST" } else { "OK" });
+    let heading = "timestamp_us;marker;Tx;Ty;Tz;Q0;Qx;Qy;Qz;status\n";
+    fs::write(dir.path().join("log.csv"), heading.to_owned() + &(0..4).map(line).collect::<String>()).unwrap();
+    let graph = format!(
+        "[graph]\nformat = 1\n[node.tracker]\nkind = \"acquire.poses\"\npath = \"log.csv\"\n\
+         frames = {{ tracker = \"world\" }}\n[node.tracker.out.stylus]\ntype = \"geometry/Pose\"\nto = \"world\"\nfrom = \"stylus\"\n\
+         [node.tracker.columns]\n{block}\n[results]\nposes = {{ from = \"tracker.stylus\", all = true }}\n"
+    );
+    let registry = osteoflow_standard::registry();
+    let checked = check_text(&graph, &dir.path().join("graph.toml"), &[], &registry);
+    let plan = checked.unwrap_or_else(|faults| panic!("{faults}")).plan;
+    let report = run(&plan, &registry, &RunOptions::default(), &()).unwrap();
+    let text = report.results["poses"].to_string();
+    assert!(["0.5", "1.5", "3.5"].iter().all(|x| text.contains(x)) && !text.contains("2.5"), "{}", report.results);
 }

@@ -268,13 +268,14 @@ fn the_crop_in_c_gives_the_error_messages_of_the_built_in_one() {
     assert!(built_in.starts_with(&format!("{nothing} They lie in the box ")), "{built_in}");
     let turned_over = said("crop_c.box", "min_mm = [0.0, 5.0, 0.0]\nmax_mm = [1.0, 4.0, 1.0]");
     assert!(turned_over.contains("y reaches from 5 to 4; min is below max"), "{turned_over}");
-    assert_eq!(turned_over, said("crop.box", "min_mm = [0.0, 5.0, 0.0]\nmax_mm = [1.0, 4.0, 1.0]"));
-
     let faults = |kind: &str, rest: &str| {
         let graph = format!("[graph]\nformat = 1\n{}", crop(kind, rest));
         let faults = check_text(&graph, Path::new("test.toml"), &[], &registry).unwrap_err();
         faults.0.iter().map(|fault| fault.message.replace("crop_c.", "crop.")).collect::<Vec<_>>()
     };
+    // A run says it of a plugin, which a check does not build.
+    let built_in = faults("crop.box", "min_mm = [0.0, 5.0, 0.0]\nmax_mm = [1.0, 4.0, 1.0]");
+    assert!(built_in.len() == 1 && turned_over.ends_with(&built_in[0]), "{turned_over} is not {built_in:?}");
     for rest in ["min_mm = [0.0, 5.0]", "min_mm = 5", "min = [0.0, 5.0, 1.0]"] {
         assert_eq!(faults("crop_c.box", rest), faults("crop.box", rest), "{rest}");
     }

@@ -1,6 +1,7 @@
-//! Finds all faults of a graph in one pass, before any node is built, and plans it.
+//! Finds all faults of a graph in one pass, before any node fires, and plans it.
 
 mod assemble;
+mod build;
 mod command_line_params;
 mod context;
 mod declared;
@@ -233,7 +234,7 @@ impl Check<'_> {
         let frames = order.as_ref().map(|order| self.frames(&parsed_nodes, &inputs, &header, &order.nodes));
         if let Some(order) = &order {
             self.feedback(&parsed_nodes, &inputs, order);
-            self.faults.extend(starvation::warnings(&parsed_nodes, &inputs, &order.nodes));
+            self.faults.extend(starvation::faults(&parsed_nodes, &inputs, &order.nodes));
         }
         let record = self.record(graph, &parsed_nodes);
         let results = self.results(graph, &parsed_nodes);

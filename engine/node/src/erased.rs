@@ -1,6 +1,8 @@
 //! Type-erased nodes and sources, as the engine holds them.
 
-use crate::{Context, Emission, Inputs, Joined, Node, NodeError, Outputs, Source, StampNs, traits::SILENT_AFTER};
+use crate::{
+    Context, DeclaredPort, Emission, Inputs, Joined, Node, NodeError, Outputs, Source, StampNs, traits::SILENT_AFTER,
+};
 use std::{path::PathBuf, time::Duration};
 
 /// A node of any kind.
@@ -23,6 +25,11 @@ pub trait AnySource: Send {
     /// See [`Source::files`].
     fn files(&self) -> Vec<PathBuf> {
         Vec::new()
+    }
+
+    /// See [`Source::is_timed`].
+    fn is_timed(&self, _port: &DeclaredPort) -> bool {
+        false
     }
 
     /// See [`Source::max_delay_ns`].
@@ -61,6 +68,10 @@ impl<S: Source> AnySource for Erased<S> {
 
     fn files(&self) -> Vec<PathBuf> {
         self.0.files()
+    }
+
+    fn is_timed(&self, port: &DeclaredPort) -> bool {
+        self.0.is_timed(port)
     }
 
     fn max_delay_ns(&self) -> StampNs {

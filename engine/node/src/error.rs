@@ -51,4 +51,17 @@ impl ParamError {
     pub fn new(parameter: impl Into<String>, message: impl Into<String>) -> Self {
         Self { parameter: parameter.into(), message: message.into() }
     }
+
+    /// The message for the table of `node` in a graph.
+    pub fn in_node(&self, node: &str) -> String {
+        match self.parameter.as_str() {
+            "" => format!("node \"{node}\": {}", self.message),
+            parameter => format!("node \"{node}\": parameter \"{parameter}\": {}", self.message),
+        }
+    }
+
+    /// The path of the parameter, then those of the tables that hold it, from the inside out.
+    pub fn paths(&self) -> impl Iterator<Item = &str> {
+        std::iter::successors(Some(self.parameter.as_str()), |path| path.rsplit_once('.').map(|(table, _)| table))
+    }
 }

@@ -1,4 +1,4 @@
-use crate::{Payload, PayloadType};
+use crate::{ParamError, Payload, PayloadType};
 use serde::{Deserialize, Serialize, Serializer, de::DeserializeOwned};
 use std::marker::PhantomData;
 
@@ -226,8 +226,13 @@ impl DeclaredPort {
     /// The port's parameters.
     ///
     /// # Errors
-    /// [`serde_json::Error`] if they do not match `P`; `check` refuses such graphs earlier.
-    pub fn params<P: DeserializeOwned>(&self) -> Result<P, serde_json::Error> {
-        P::deserialize(&self.params)
+    /// [`ParamError`] if they do not match `P`; `check` refuses such graphs earlier.
+    pub fn params<P: DeserializeOwned>(&self) -> Result<P, ParamError> {
+        P::deserialize(&self.params).map_err(|error| ParamError::new(format!("out.{}", self.name), error.to_string()))
+    }
+
+    /// The error of a value of the port: `key` is `type`, a frame or one of its parameters.
+    pub fn refused(&self, key: &str, message: impl Into<String>) -> ParamError {
+        ParamError::new(format!("out.{}.{key}", self.name), message)
     }
 }

@@ -93,7 +93,10 @@ impl Registry {
         let role = if S::LIVE { Role::LiveSource } else { Role::Source };
         let mut description = description::<S, S::Params>(S::KIND, role, Vec::new(), S::Outputs::ports());
         (description.constant, description.unsteady) = (S::CONSTANT, S::UNSTEADY);
-        self.add(description, |p, _| Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?)))))
+        self.add(description, |p, context| {
+            S::check_ports(&context.declared)?;
+            Ok(Built::Source(Box::new(Erased(S::new(read(p)?)?))))
+        })
     }
 
     /// Adds a payload type, so that graphs may declare ports of it and recordings with it can be read.

@@ -1,6 +1,6 @@
 use crate::{
-    Body, CachePolicy, Context, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError, Payload, Slot,
-    Value,
+    Body, CachePolicy, Context, DeclaredPort, Emission, InputPort, Item, Joined, NodeError, OutputPorts, ParamError,
+    Payload, Slot, Value,
 };
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
@@ -21,7 +21,7 @@ pub trait Node: Describe + Send + Sized + 'static {
     /// The output ports.
     type Outputs: Outputs;
 
-    /// Builds the node, after the whole graph has been checked.
+    /// Builds the node; opens nothing yet, as `check` builds it too.
     ///
     /// # Errors
     /// [`ParamError`] for combinations of values that no single range excludes.
@@ -98,11 +98,24 @@ pub trait Source: Describe + Send + Sized + 'static {
     /// The output ports; [`crate::Declared`] where the graph declares them.
     type Outputs: Outputs;
 
-    /// Builds the source; reads nothing yet.
+    /// Builds the source; reads nothing yet, as `check` builds it too.
     ///
     /// # Errors
     /// [`ParamError`] for combinations of values that no single range excludes.
     fn new(params: Self::Params) -> Result<Self, ParamError>;
+
+    /// Refuses ports that the graph declares and the source cannot fill, whatever it reads; called before [`Source::new`].
+    ///
+    /// # Errors
+    /// [`DeclaredPort::refused`] of the first such port.
+    fn check_ports(_ports: &[DeclaredPort]) -> Result<(), ParamError> {
+        Ok(())
+    }
+
+    /// Whether every item of a declared port has a time of its own; false if some may be constants, whose stamp is 0.
+    fn is_timed(&self, _port: &DeclaredPort) -> bool {
+        false
+    }
 
     /// For a live source: maximum delay of an item behind the newest stamp on any other port, ns. A silent port is not
     /// waited for beyond that; a later item is late and replaced by an empty. 0: all ports come in the order of their

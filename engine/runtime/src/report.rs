@@ -1,7 +1,7 @@
 //! Events and statistics of a run.
 
 use crate::plan::Location;
-use osteoflow_node::{Empty, StampNs};
+use osteoflow_node::{Empty, ParamError, StampNs};
 use std::{fmt, sync::Arc, time::Duration};
 
 /// Receives the events of a run as they happen, on any thread.
@@ -169,21 +169,16 @@ pub enum BuildError {
 pub struct BuildFault {
     /// The node.
     pub node: String,
-    /// Where the faulty parameter is set, otherwise where the node's table begins.
+    /// Where the faulty parameter or the table that it is missing in is set, otherwise where the node's table begins.
     pub location: Location,
-    /// The faulty parameter; empty if it is several.
-    pub parameter: String,
-    /// What was expected, what was found, and what to write instead.
-    pub message: String,
+    /// The faulty parameter, what was expected, what was found, and what to write instead.
+    pub error: ParamError,
 }
 
 impl fmt::Display for BuildFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}: node \"{}\": ", self.location.file.display(), self.location.line, self.node)?;
-        match self.parameter.as_str() {
-            "" => f.write_str(&self.message),
-            parameter => write!(f, "parameter \"{parameter}\": {}", self.message),
-        }
+        let Self { node, location, error } = self;
+        write!(f, "{}:{}: {}", location.file.display(), location.line, error.in_node(node))
     }
 }
 

@@ -23,7 +23,8 @@ use crate::{
 use cell::{Cell, Core, Input, Output};
 use live::{Live, LiveMessage, Mailbox};
 use osteoflow_node::{
-    AnyNode, BuildContext, Built, ClockReading, Context, Emission, Joined, NodeError, Registry, Role, StampNs,
+    AnyNode, BuildContext, Built, ClockReading, Context, Emission, Joined, NodeError, ParamError, Registry, Role,
+    StampNs,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -321,7 +322,8 @@ impl<'a> Runtime<'a> {
 
     /// Rebuilds a node after it failed.
     pub(crate) fn rebuild(&self, node: usize) -> Result<Built, String> {
-        let built = build(self.registry, &self.plan.nodes[node], self.plan.seed).map_err(|fault| fault.message)?;
+        let built =
+            build(self.registry, &self.plan.nodes[node], self.plan.seed).map_err(|fault| fault.error.message)?;
         Ok(self.planned[node].into_node(built))
     }
 
@@ -538,23 +540,21 @@ impl Work for Runtime<'_> {
 }
 
 fn build(registry: &Registry, node: &PlanNode, seed: u64) -> Result<Built, BuildFault> {
-    let fault = |parameter: String, message: String| BuildFault {
-        node: node.name.to_string(),
+    let fault = |error: ParamError| {
         // A parameter with its default is set nowhere.
-        location: node.param_places.get(&parameter).unwrap_or(&node.location).clone(),
-        parameter,
-        message,
+        let place = error.paths().find_map(|path| node.param_places.get(path));
+        BuildFault { node: node.name.to_string(), location: place.unwrap_or(&node.location).clone(), error }
     };
     let Some(kind) = registry.kind(&node.kind) else {
-        return Err(fault(String::new(), format!("there is no kind \"{}\" here", node.kind)));
+        return Err(fault(ParamError::new("", format!("there is no kind \"{}\" here", node.kind))));
     };
     let joins = node.inputs.iter().map(|input| input.port.join).collect();
     let build_context =
         BuildContext { node: node.name.clone(), seed, declared: node.declared.clone(), joins, place: node.place };
     let _under = activity::begin(Name::of(&node.name), Doing::Building, 0);
     match panics::catch(|| registry.build(kind, &node.params, &build_context)) {
-        Ok(built) => built.map_err(|error| fault(error.parameter, error.message)),
-        Err(panic) => Err(fault(String::new(), panic)),
+        Ok(built) => built.map_err(fault),
+        Err(panic) => Err(fault(ParamError::new("", panic))),
     }
 }
 

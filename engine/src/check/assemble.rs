@@ -5,21 +5,19 @@ use super::{
     record::Record,
     resolved,
     results::{Result, Results},
-    schema::files::tidy,
     wires::OutputIndex,
 };
 use crate::{
     graph::{Table, Value, header::Header},
     hash::Digest,
-    panics,
     plan::{Link, Location, OutputId, Plan, PlanInput, PlanNode, PlanOutput, PlanPlugin, ResultEntry},
     plugin::Known,
 };
-use osteoflow_node::{BuildContext, Built, Kind, Role};
+use osteoflow_node::Role;
 use serde_json::json;
 use std::{
     collections::{BTreeMap, BTreeSet},
-    path::{Path, PathBuf},
+    path::Path,
     sync::Arc,
 };
 
@@ -63,20 +61,6 @@ fn identity(plugin: &Arc<str>, node: &ParsedNode<'_>) -> Arc<str> {
     }
     let environment: Vec<_> = node.env.iter().map(|(_, entry)| entry).collect();
     Digest::of_json(&json!([plugin.as_ref(), environment])).to_string().into()
-}
-
-/// The files that a source will read beside those that its parameters name. A source of a plugin is not asked.
-fn further_files(node: &PlanNode, kind: &Kind, seed: u64) -> Vec<PathBuf> {
-    if node.role == Role::Node || node.files.is_empty() || kind.plugin.is_some() {
-        return Vec::new();
-    }
-    let declared = node.declared.clone();
-    let context =
-        BuildContext { node: node.name.clone(), seed, declared, joins: Vec::new(), place: Default::default() };
-    // Parameters that do not fit together are a fault when the graph is built.
-    let Ok(Ok(Built::Source(source))) = panics::catch(|| kind.build(&node.params, &context)) else { return Vec::new() };
-    let files = panics::catch(|| source.files()).unwrap_or_default();
-    files.iter().map(|file| tidy(file)).collect()
 }
 
 /// Where each entry of the table, and of the tables in it, is set.
@@ -123,11 +107,8 @@ impl Net<'_> {
             optional: result.optional,
             location: result.key_at.location(),
         };
-        let mut input_files: Vec<_> =
-            self.parsed_nodes.iter().flat_map(|parsed_node| parsed_node.input_files.clone()).collect();
-        let built =
-            nodes.iter().zip(&self.order).filter_map(|(node, parsed)| Some((node, self.parsed_nodes[*parsed].kind?)));
-        input_files.extend(built.flat_map(|(node, kind)| further_files(node, kind, self.header.seed)));
+        let files = self.parsed_nodes.iter().flat_map(|node| node.input_files.iter().chain(&node.further_files));
+        let mut input_files: Vec<_> = files.cloned().collect();
         input_files.sort();
         input_files.dedup();
         Plan {

@@ -40,8 +40,8 @@ impl Check<'_> {
 
     fn port(&mut self, parsed_node: &mut ParsedNode<'_>, entry: &Entry, schema: &Json, header: &Header) -> Output {
         let (node, name) = (parsed_node.name, entry.key.as_str());
-        let mut output =
-            Output { name: name.into(), payload: None, exprs: FrameExpr::default(), given: PortFrames::default() };
+        let (exprs, given) = (FrameExpr::default(), PortFrames::default());
+        let mut output = Output { name: name.into(), payload: None, exprs, given, is_timed: false };
         if !extract::is_name(name) {
             let fault = Fault::new(format!("node \"{node}\": an output cannot be called {name:?}"));
             let fault = fault.at(&entry.key_at, "no name");

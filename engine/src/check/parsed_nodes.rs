@@ -1,6 +1,6 @@
 use super::{context::Check, schema::Walker};
 use crate::{
-    fault::{Fault, Span},
+    fault::{Fault, Severity, Span},
     graph::{
         Entry, Graph, MODULE, Spanned, Table, Value,
         extract::{self, Section},
@@ -23,7 +23,10 @@ pub(super) struct ParsedNode<'a> {
     pub(super) kind: Option<&'a Kind>,
     pub(super) table: &'a Table,
     pub(super) params: Json,
+    /// The files that its parameters name.
     pub(super) input_files: Vec<PathBuf>,
+    /// The files that a source will read beside these.
+    pub(super) further_files: Vec<PathBuf>,
     pub(super) declared: Vec<DeclaredPort>,
     /// `None` if they have a fault.
     pub(super) outputs: Option<Vec<Output>>,
@@ -42,6 +45,8 @@ pub(super) struct Output {
     pub(super) exprs: FrameExpr,
     /// The frames given in the graph.
     pub(super) given: PortFrames,
+    /// Whether each of its items has a time, so that none is a constant.
+    pub(super) is_timed: bool,
 }
 
 impl ParsedNode<'_> {
@@ -116,6 +121,7 @@ impl<'r> Check<'r> {
             self.faults.push(fault);
             return None;
         }
+        let n_faults = self.faults.len();
         let kind = self.kind(name, entry, table, nodes);
         let mut parsed_node = ParsedNode {
             name,
@@ -124,6 +130,7 @@ impl<'r> Check<'r> {
             table,
             params: Json::Object(Map::new()),
             input_files: Vec::new(),
+            further_files: Vec::new(),
             declared: Vec::new(),
             outputs: None,
             on_error: OnError::default(),
@@ -134,6 +141,10 @@ impl<'r> Check<'r> {
         if let Some(kind) = kind {
             self.params(&mut parsed_node, kind);
             self.outputs(&mut parsed_node, kind, header);
+            let has_errors = self.faults[n_faults..].iter().any(|fault| fault.severity == Severity::Error);
+            if kind.plugin.is_none() && !has_errors {
+                self.build(&mut parsed_node, kind, header.seed);
+            }
         }
         Some(parsed_node)
     }
@@ -281,6 +292,7 @@ impl<'r> Check<'r> {
                     payload: Some(port.payload),
                     exprs: port.frames,
                     given: PortFrames::default(),
+                    is_timed: false,
                 };
                 parsed_node.outputs = Some(ports.iter().map(output).collect());
                 if let Some(out) = parsed_node.table.get("out") {

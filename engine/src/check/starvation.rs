@@ -1,4 +1,4 @@
-//! Warnings of joins that never fire, or fire only once on a stream, as far as roles and descriptions prove it.
+//! Joins that never fire, or fire only once on a stream, as far as roles and descriptions prove it.
 
 use super::{
     inputs::Input,
@@ -24,16 +24,21 @@ struct Flow {
     count: Count,
     /// Whether every item has stamp 0, because it is derived from constants only; then there is at most one.
     timeless: bool,
+    /// Whether every item has a time of its own.
+    timed: bool,
 }
 
-/// The warnings, in topological order of the nodes.
-pub(super) fn warnings(parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>], order: &[usize]) -> Vec<Fault> {
-    let mut flows = vec![Flow { count: Count::Unknown, timeless: false }; parsed_nodes.len()];
+const UNKNOWN: Flow = Flow { count: Count::Unknown, timeless: false, timed: false };
+
+/// The faults, most of them warnings, in topological order of the nodes.
+pub(super) fn faults(parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>], order: &[usize]) -> Vec<Fault> {
+    let mut flows = vec![UNKNOWN; parsed_nodes.len()];
     let mut faults = Vec::new();
     for &node in order {
         let node_of = Node { parsed_node: &parsed_nodes[node], inputs: &inputs[node], flows: &flows, parsed_nodes };
         if parsed_nodes[node].role() == Some(Role::Node) {
             faults.extend(node_of.warnings());
+            faults.extend(node_of.without_a_time());
         }
         flows[node] = node_of.flow();
     }
@@ -59,11 +64,13 @@ struct Node<'a, 'd> {
 impl<'a> Node<'a, '_> {
     /// The wires to inputs that are in use.
     fn wired(&self) -> impl Iterator<Item = Fed<'a>> {
-        let flows = self.flows;
+        let flow = |(node, port): OutputIndex| {
+            let output = self.parsed_nodes[node].outputs.as_ref().map(|outputs| &outputs[port]);
+            let flow = self.flows[node];
+            Flow { timed: flow.timed || output.is_some_and(|output| output.is_timed), ..flow }
+        };
         let used = self.inputs.iter().filter(|input| !input.port.unused);
-        used.flat_map(move |input| {
-            input.known_wires().map(move |(wire, at)| Fed { input, wire, at, flow: flows[wire.0] })
-        })
+        used.flat_map(move |input| input.known_wires().map(move |(wire, at)| Fed { input, wire, at, flow: flow(wire) }))
     }
 
     fn triggers(&self) -> impl Iterator<Item = Fed<'a>> {
@@ -71,25 +78,24 @@ impl<'a> Node<'a, '_> {
     }
 
     fn flow(&self) -> Flow {
-        let unknown = Flow { count: Count::Unknown, timeless: false };
         match self.parsed_node.role() {
             // With several outputs, some may give a single item; the only output of a live source is a stream.
             Some(Role::LiveSource) if self.has_one_output_of_its_own() => {
-                return Flow { count: Count::Stream, timeless: false };
+                return Flow { count: Count::Stream, ..UNKNOWN };
             }
             Some(Role::Source) if self.parsed_node.kind.is_some_and(|kind| kind.description.constant) => {
-                return Flow { count: Count::One, timeless: true };
+                return Flow { count: Count::One, timeless: true, timed: false };
             }
             Some(Role::Node) => {}
-            _ => return unknown,
+            _ => return UNKNOWN,
         }
         // Inputs fed from outside a module, and faulty ones, may carry anything.
         if self.inputs.iter().flat_map(|input| &input.wires).any(|wire| wire.from.is_none()) {
-            return unknown;
+            return UNKNOWN;
         }
         let fires: Vec<_> = self.triggers().collect();
         if fires.is_empty() {
-            return Flow { count: Count::One, timeless: self.wired().all(|fed| fed.flow.timeless) };
+            return Flow { count: Count::One, timeless: self.wired().all(|fed| fed.flow.timeless), timed: false };
         }
         // An optional port that has ended is ignored, so only the other ports limit how often the node fires.
         let bounds = |fed: &Fed<'_>| fed.input.port.join == Join::Collect { n: None } || fed.flow.count == Count::One;
@@ -100,11 +106,36 @@ impl<'a> Node<'a, '_> {
             false if fires.iter().all(each_of_a_stream) => Count::Stream,
             false => Count::Unknown,
         };
-        Flow { count, timeless: fires.iter().all(|fed| fed.flow.timeless) }
+        let of_all = |is: fn(&Flow) -> bool| fires.iter().all(|fed| is(&fed.flow));
+        Flow { count, timeless: of_all(|flow| flow.timeless), timed: of_all(|flow| flow.timed) }
     }
 
     fn has_one_output_of_its_own(&self) -> bool {
         self.parsed_node.kind.is_some_and(|kind| kind.description.outputs.fixed().len() == 1)
+    }
+
+    /// Inputs that are looked up at the time of a firing, which has none.
+    fn without_a_time(&self) -> Vec<Fault> {
+        let triggers: Vec<_> = self.triggers().collect();
+        let Some(trigger) = triggers.first().filter(|_| triggers.iter().all(|fed| fed.flow.timeless)) else {
+            return Vec::new();
+        };
+        let is_looked_up = |fed: &Fed<'_>| {
+            matches!(fed.input.port.join, Join::Interpolate { .. } | Join::Latest) && !fed.input.port.optional
+        };
+        let fault = |Fed { input, wire, at, .. }: Fed<'_>| {
+            let [wire, constant] = [wire, trigger.wire].map(|wire| wires::name(wire, self.parsed_nodes));
+            let (node, port) = (self.parsed_node.name, input.port.name);
+            let what = format!(
+                "node \"{node}\": input \"{port}\" takes \"{wire}\" at the time of \"{constant}\", which has none"
+            );
+            Fault::new(what)
+                .at(at, "each item has a time")
+                .also(trigger.at, "a constant, at stamp 0")
+                .note("the node never has a result: no item is as old as stamp 0")
+                .help(format!("give the node the item of a source that states times, or wire a constant to {port}"))
+        };
+        self.wired().filter(|fed| fed.flow.timed && is_looked_up(fed)).map(fault).collect()
     }
 
     fn warnings(&self) -> Vec<Fault> {

@@ -15,6 +15,7 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 use std::{
+    collections::{BTreeMap, BTreeSet},
     fs, io,
     path::{Component, Path, PathBuf},
     sync::{Arc, OnceLock},
@@ -47,7 +48,8 @@ pub(super) struct Chain<'f> {
     /// The files being read, each extending the next: canonical paths, which detect a cycle through links, with the names shown.
     open: Vec<(PathBuf, PathBuf)>,
     /// Canonical paths of all files read so far.
-    merged: Vec<PathBuf>,
+    read: BTreeSet<PathBuf>,
+    n_read: usize,
     n_merged: usize,
     /// The extended files, whether or not they could be read.
     pub(super) texts: Vec<PathBuf>,
@@ -63,8 +65,8 @@ pub(super) struct Chain<'f> {
 
 impl<'f> Chain<'f> {
     pub(super) fn new(removed: &'f mut Removed, faults: &'f mut Vec<Fault>) -> Self {
-        let (open, merged, texts, plugins) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { open, merged, n_merged: 0, texts, plugins, order: 0, used: None, removed, faults }
+        let (open, read, texts, plugins) = (Vec::new(), BTreeSet::new(), Vec::new(), Vec::new());
+        Self { open, read, n_read: 0, n_merged: 0, texts, plugins, order: 0, used: None, removed, faults }
     }
 
     /// The chain of a module's file.
@@ -73,7 +75,7 @@ impl<'f> Chain<'f> {
     }
 
     pub(super) fn len(&self) -> usize {
-        self.merged.len()
+        self.n_read
     }
 
     /// Loads a graph file with everything it extends.
@@ -107,8 +109,9 @@ impl<'f> Chain<'f> {
 
     fn source(&mut self, path: &Path, text: String) -> Arc<SourceText> {
         let used = self.used.as_ref().map(|(node, at)| Use { node: node.clone(), at: at.clone() });
-        let order = self.order + self.merged.len();
-        self.merged.push(canonical(path));
+        let order = self.order + self.n_read;
+        self.n_read += 1;
+        self.read.insert(canonical(path));
         let dir = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
         let (name, merged) = (tidy(path), OnceLock::new());
         Arc::new(SourceText { name, dir, text, order, command_line: false, merged, used })
@@ -134,7 +137,7 @@ impl<'f> Chain<'f> {
                 self.faults.push(Fault::new(message).at(at, "closes the circle").hides(at));
                 continue;
             }
-            if self.merged.contains(&same) {
+            if self.read.contains(&same) {
                 // Two files of a list may extend the same one, which is below both.
                 continue;
             }
@@ -159,7 +162,7 @@ fn named<'e>(entry: &'e Entry, path: &Path, faults: &mut Vec<Fault>) -> Vec<(Pat
         Value::Array(items) => items.as_slice(),
         _ => std::slice::from_ref(&entry.value),
     };
-    let mut files: Vec<(PathBuf, &Span)> = Vec::new();
+    let (mut files, mut known): (Vec<(PathBuf, &Span)>, BTreeMap<PathBuf, &Span>) = Default::default();
     for item in items {
         let Some(text) = item.as_text() else {
             let fault = refused(item, "extends takes the path of a graph file, or a list of them", "a text is needed");
@@ -167,13 +170,17 @@ fn named<'e>(entry: &'e Entry, path: &Path, faults: &mut Vec<Fault>) -> Vec<(Pat
             continue;
         };
         let file = path.parent().unwrap_or(Path::new("")).join(text);
-        match files.iter().find(|(known, _)| canonical(known) == canonical(&file)) {
-            Some((_, first)) => {
+        let same = canonical(&file);
+        match known.get(&same) {
+            Some(first) => {
                 let fault = Fault::new(format!("extends names {} twice", tidy(&file).display()));
                 let fault = fault.at(&item.at, "the second").also(first, "the first").hides(&item.at);
                 faults.push(fault.help("take one of them away"));
             }
-            None => files.push((file, &item.at)),
+            None => {
+                known.insert(same, &item.at);
+                files.push((file, &item.at));
+            }
         }
     }
     files

@@ -2,8 +2,8 @@
 #![allow(dead_code, reason = "the nodes are never run")]
 
 use osteoflow_node::{
-    Context, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Registry, Source, Unused, schemars,
-    serde,
+    Context, Declared, DeclaredPort, Describe, FilePath, Inputs, Node, NodeError, Outputs, ParamError, Registry,
+    Source, Unused, schemars, serde,
 };
 use osteoflow_toy::{
     NoParams,
@@ -100,6 +100,51 @@ impl Source for Listed {
     }
 
     fn next(&mut self, _: &mut Context) -> Result<Option<One>, NodeError> {
+        Ok(None)
+    }
+}
+
+#[derive(serde::Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields, crate = "serde")]
+#[schemars(crate = "schemars")]
+pub(crate) struct TimedPort {
+    device: Option<String>,
+    has_constants: bool,
+}
+
+/// A source of declared poses, which refuses those of a device `none`.
+#[derive(Describe)]
+pub(crate) struct Timed;
+
+impl Timed {
+    fn port(port: &DeclaredPort) -> Result<TimedPort, ParamError> {
+        let params: TimedPort = port.params()?;
+        match params.device.as_deref() {
+            None => Err(port.refused("device", "no device is given")),
+            Some("none") => Err(port.refused("device", "there is no device \"none\"")),
+            Some(_) => Ok(params),
+        }
+    }
+}
+
+impl Source for Timed {
+    const KIND: &'static str = "from.timed";
+    type Params = NoParams;
+    type Outputs = Declared<TimedPort>;
+
+    fn new(_: NoParams) -> Result<Self, ParamError> {
+        Ok(Self)
+    }
+
+    fn check_ports(ports: &[DeclaredPort]) -> Result<(), ParamError> {
+        ports.iter().try_for_each(|port| Self::port(port).map(drop))
+    }
+
+    fn is_timed(&self, port: &DeclaredPort) -> bool {
+        Self::port(port).is_ok_and(|params| !params.has_constants)
+    }
+
+    fn next(&mut self, _: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
         Ok(None)
     }
 }
@@ -245,7 +290,7 @@ pub(crate) fn registry() -> Registry {
     let mut registry = Registry::default();
     registry.payload::<Cloud, _>().payload::<Pose, _>().payload::<Report, _>();
     registry.source::<Live>().source::<LiveTwo>().source::<Constant>().source::<File>().source::<Framed>();
-    registry.source::<Listed>();
+    registry.source::<Listed>().source::<Timed>();
     registry.node::<Pair>().node::<Maybe>().node::<List>().node::<ListAnd>().node::<Spare>();
     registry.node::<Move>().node::<Want>().node::<Optional>().node::<WantReport>().node::<Ranked>();
     registry

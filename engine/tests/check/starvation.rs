@@ -140,3 +140,27 @@ fn a_constant_has_no_neighbours_to_interpolate_between() {
         assert_eq!(warnings(&[&format!("x: pair, {fine}")]), [""; 0], "{fine}");
     }
 }
+
+/// The faults of a pair whose `a` is a constant and whose `b` is joined to a port with or without constants.
+fn looked_up(a: &str, join: &str, has_constants: bool, kind: &str) -> String {
+    let text = format!(
+        "{SOURCES}[node.timed]\nkind = \"from.timed\"\nout.out = {{ type = \"toy/Pose\", device = \"x\", has_constants = \
+         {has_constants} }}\n[node.average]\nkind = \"to.pair\"\nin = {{ a = \"timed.out\", b = {{ from = \"timed.out\", join = \
+         \"latest\" }} }}\n[node.x]\nkind = \"to.{kind}\"\nin = {{ a = \"{a}.out\", b = {{ from = \"average.out\", join = \"{join}\" }} }}\n"
+    );
+    match check_text(&text, Path::new("x.toml"), &[], &registry()) {
+        Ok(_) => String::new(),
+        Err(faults) => faults.0.iter().map(|fault| fault.message.as_str()).collect::<Vec<_>>().join("\n"),
+    }
+}
+
+#[test]
+fn a_stream_that_is_looked_up_at_the_time_of_a_constant_is_a_fault_through_the_nodes_between() {
+    let expected = "node \"x\": input \"b\" takes \"average.out\" at the time of \"constant.out\", which has none";
+    for join in ["interpolate", "latest"] {
+        assert_eq!(looked_up("constant", join, false, "pair"), expected);
+        assert_eq!(looked_up("constant", join, true, "pair"), "", "one of its constants may be there");
+        assert_eq!(looked_up("file", join, false, "pair"), "", "the other may have a time");
+        assert_eq!(looked_up("constant", join, false, "maybe"), "", "the node does without it");
+    }
+}

@@ -127,7 +127,8 @@ impl Instance {
         });
         let declared = declared.collect::<Result<Arc<[_]>, _>>()?;
         let n_outputs = outputs.len().max(declared.len());
-        let built = kind.build(params, &BuildContext::detached(host.node()))?;
+        let context = BuildContext { declared: declared.clone(), ..BuildContext::detached(host.node()) };
+        let built = kind.build(params, &context)?;
         Ok(Self {
             built,
             context: Context::new(host.node(), host.seed(), Arc::default(), declared),

@@ -26,12 +26,18 @@ pub(super) enum ValueType<'a> {
     Any,
 }
 
-/// Follows references to the schema itself.
+/// Follows references to the schema itself, and an optional value's to that of the value.
 pub(super) fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
     // References are never nested this deeply; the bound stops a cycle.
     for _ in 0..16 {
-        let Some(reference) = schema.get("$ref").and_then(Json::as_str) else { break };
-        match reference.strip_prefix('#').and_then(|pointer| root.pointer(pointer)) {
+        let target = match schema.get("$ref").and_then(Json::as_str) {
+            Some(reference) => reference.strip_prefix('#').and_then(|pointer| root.pointer(pointer)),
+            None => match branches(schema).as_deref() {
+                Some([only]) => Some(*only),
+                _ => None,
+            },
+        };
+        match target {
             Some(target) => schema = target,
             None => break,
         }
@@ -39,9 +45,15 @@ pub(super) fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
     schema
 }
 
+/// The branches of a union without `null`, which TOML cannot express.
+fn branches(schema: &Json) -> Option<Vec<&Json>> {
+    let branches = ["oneOf", "anyOf"].iter().find_map(|key| schema.get(*key)?.as_array())?;
+    Some(branches.iter().filter(|branch| type_of(branch) != "null").collect())
+}
+
 pub(super) fn value_type<'a>(root: &'a Json, schema: &'a Json) -> ValueType<'a> {
     let schema = resolve(root, schema);
-    if let Some(branches) = ["oneOf", "anyOf"].iter().find_map(|key| schema.get(*key)?.as_array()) {
+    if let Some(branches) = branches(schema) {
         return union(root, branches);
     }
     if let Some(words) = schema.get("enum").and_then(Json::as_array) {
@@ -70,12 +82,8 @@ fn list(schema: &Json) -> ValueType<'_> {
     ValueType::List { items: schema.get("items"), min: count("minItems").unwrap_or(0), max: count("maxItems") }
 }
 
-/// The branches without `null`, which TOML cannot express; branches of words are merged into one.
-fn union<'a>(root: &'a Json, branches: &'a [Json]) -> ValueType<'a> {
-    let branches: Vec<_> = branches.iter().filter(|b| type_of(resolve(root, b)) != "null").collect();
-    if let [only] = branches.as_slice() {
-        return value_type(root, only);
-    }
+/// Branches of words are merged into one.
+fn union<'a>(root: &'a Json, branches: Vec<&'a Json>) -> ValueType<'a> {
     let mut words = Vec::new();
     for branch in &branches {
         match value_type(root, branch) {

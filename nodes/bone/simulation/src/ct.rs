@@ -61,7 +61,11 @@ pub struct CtParams {
 }
 
 impl CtParams {
-    pub(crate) fn check(&self) -> Result<(), SimulationError> {
+    /// As [`crate::ProcedureParams::check`].
+    ///
+    /// # Errors
+    /// [`SimulationError::Parameter`] of the first that is refused.
+    pub fn check(&self) -> Result<(), SimulationError> {
         ranges::check("ct", self)?;
         check_rules([
             ("ct.bone_hu", self.bone_hu, self.bone_hu > self.tissue_hu, "above tissue_hu"),

@@ -4,6 +4,14 @@ use osteoflow_geometry::{CloudError, FrameError, ImageError, MeshError};
 /// Why there is no simulated procedure or CT.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SimulationError {
+    /// A parameter is out of its range, or does not fit another.
+    #[error("{name} {message}")]
+    Parameter {
+        /// The parameter with its table, perhaps behind which of its values it is.
+        name: String,
+        /// What was found, and what it must be.
+        message: String,
+    },
     /// A parameter, the plan or the bone does not suit a simulation: what was expected, what was found, and a next step.
     #[error("{0}")]
     Unsuitable(String),
@@ -50,7 +58,7 @@ impl SimulationError {
 
     /// A parameter with its table, its value or "not finite", and what it must be.
     pub(crate) fn parameter(name: &str, value: impl std::fmt::Display, expected: &str) -> Self {
-        Self::Unsuitable(format!("{name} is {value}, but must be {expected}"))
+        Self::Parameter { name: name.into(), message: format!("is {value}, but must be {expected}") }
     }
 }
 

@@ -561,7 +561,10 @@ pub enum SlipsBefore {
 
 impl ProcedureParams {
     /// Checks the declared range of every number, and what must hold between two of them.
-    pub(crate) fn check(&self) -> Result<(), SimulationError> {
+    ///
+    /// # Errors
+    /// [`SimulationError::Parameter`] of the first that is refused.
+    pub fn check(&self) -> Result<(), SimulationError> {
         ranges::check("", self)?;
         let (camera, tissue) = (&self.camera, &self.tissue);
         let ([thinnest, thickest], [smallest, largest]) = (tissue.thickness_mm, tissue.patch_mm);

@@ -4,7 +4,7 @@ use osteoflow_formats::{input, mesh_or_cloud::read_mesh, plan_file::read_plan_of
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node::{FilePath, NodeError, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_simulation::{
-    BoneParams, Subject,
+    BoneParams, SimulationError, Subject,
     ct::{self, CtParams},
 };
 use std::path::Path;
@@ -74,6 +74,15 @@ impl OwnBone {
         let subject = LAST.get_or(key.clone(), || read_altered(bone.as_ref(), plan.as_ref(), params))?;
         Ok((key, subject))
     }
+}
+
+/// The refusal of a parameter of a simulation.
+pub(crate) fn refused(error: SimulationError) -> ParamError {
+    let name = match &error {
+        SimulationError::Parameter { name, .. } => name.rsplit(' ').next().unwrap_or_default(),
+        _ => "",
+    };
+    ParamError::new(name, error.to_string())
 }
 
 /// Everything that a subject depends on, to the byte.

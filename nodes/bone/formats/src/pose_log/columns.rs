@@ -107,15 +107,63 @@ struct Places<'a> {
     time_ns: Option<usize>,
     child: Option<usize>,
     translation: [usize; 3],
-    rotation: Rotation,
+    rotation: Rotation<usize>,
     status: Option<usize>,
 }
 
-enum Rotation {
+/// The columns of a rotation, by name or by place.
+enum Rotation<T> {
     /// w, x, y, z.
-    Quaternion([usize; 4]),
-    Matrix([usize; 9]),
-    EulerZyx([usize; 3]),
+    Quaternion([T; 4]),
+    Matrix([T; 9]),
+    EulerZyx([T; 3]),
+}
+
+impl Columns {
+    /// Refuses a description that is none of any table.
+    ///
+    /// # Errors
+    /// The key at fault, and a message.
+    pub fn check(&self, rate_hz: Option<f64>) -> Result<(), (&'static str, &'static str)> {
+        self.time_unit.exponent(rate_hz).map(drop).map_err(|message| ("time_unit", message))?;
+        if self.tools.is_empty() {
+            return Err(("tools", "tools names no tool"));
+        }
+        self.tools.iter().try_for_each(|tool| tool.rotation().map(drop)).map_err(|message| ("tools", message))
+    }
+}
+
+impl TimeUnit {
+    /// A stamp is in units of `10^exponent` ns, or in frames of a rate.
+    fn exponent(self, rate_hz: Option<f64>) -> Result<Result<i32, f64>, &'static str> {
+        Ok(match self {
+            Self::S => Ok(9),
+            Self::Ms => Ok(6),
+            Self::Us => Ok(3),
+            Self::Ns => Ok(0),
+            Self::Frames => {
+                Err(rate_hz.ok_or("time_unit is frames; give the rate of the tracker in Hz (rate_hz, --rate)")?)
+            }
+        })
+    }
+}
+
+impl Tool {
+    /// The columns of its rotation; refuses a tool whose name or position is not described.
+    fn rotation(&self) -> Result<Rotation<&str>, &'static str> {
+        if self.child.is_some() == self.child_column.is_some() {
+            return Err("a tool has either child, its name, or child_column, the column with its name");
+        }
+        if self.translation.iter().any(String::is_empty) {
+            return Err("a tool has translation, the columns of x, y and z");
+        }
+        match (&self.quaternion, &self.matrix, &self.euler_zyx_deg) {
+            (Some(QuaternionColumns { w, x, y, z }), None, None) => Ok(Rotation::Quaternion([w, x, y, z])),
+            (None, Some(names), None) => Ok(Rotation::Matrix(names.each_ref().map(String::as_str))),
+            (None, None, Some(names)) => Ok(Rotation::EulerZyx(names.each_ref().map(String::as_str))),
+            _ => Err("a tool has one of quaternion, matrix and euler_zyx_deg"),
+        }
+    }
 }
 
 /// Reads a table.
@@ -127,21 +175,10 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
         let message = "a table needs columns, which say what is in its heading: time, time_unit, parent and tools";
         return Err(FileError::content(path, "columns", message));
     };
+    let fault = |message| FileError::content(path, "columns", message);
+    columns.check(options.rate_hz).map_err(|(_, message)| fault(message))?;
+    let exponent = columns.time_unit.exponent(options.rate_hz).map_err(fault)?;
     let mut table = Table::open(Cursor::text(path, &bytes)?, columns)?;
-    let exponent = match (columns.time_unit, options.rate_hz) {
-        (TimeUnit::S, _) => Ok(9),
-        (TimeUnit::Ms, _) => Ok(6),
-        (TimeUnit::Us, _) => Ok(3),
-        (TimeUnit::Ns, _) => Ok(0),
-        (TimeUnit::Frames, Some(rate_hz)) => Err(rate_hz),
-        (TimeUnit::Frames, None) => {
-            let message = "time_unit is frames; give the rate of the tracker in Hz (rate_hz, --rate)";
-            return Err(FileError::content(path, "columns", message));
-        }
-    };
-    if columns.tools.is_empty() {
-        return Err(FileError::content(path, "columns", "tools names no tool"));
-    }
     let tools = columns.tools.iter().map(|tool| Places::of(tool, columns, &table)).collect::<Result<Vec<_>, _>>()?;
     while let Some((cells, line)) = table.row() {
         let row = Row { table: &table, cells: &cells, line };
@@ -290,7 +327,6 @@ fn places<const N: usize>(table: &Table, names: [&str; N], start: usize) -> Resu
 
 impl<'a> Places<'a> {
     fn of(tool: &'a Tool, columns: &Columns, table: &Table) -> Result<Self, FileError> {
-        let fault = |message: &str| Err(table.cursor.header_fault(message));
         let start = match tool.after.as_deref() {
             None => 0,
             Some(after) => {
@@ -310,18 +346,10 @@ impl<'a> Places<'a> {
         // Stamps of its own, or those of the line.
         let stamp = |name: &str| table.place(name, start).or_else(|_| table.place(name, 0));
         let optional = |name: &Option<String>| name.as_deref().map(|name| table.place(name, start)).transpose();
-        if tool.child.is_some() == tool.child_column.is_some() {
-            return fault("columns: a tool has either child, its name, or child_column, the column with its name");
-        }
-        let rotation = match (&tool.quaternion, &tool.matrix, &tool.euler_zyx_deg) {
-            (Some(QuaternionColumns { w, x, y, z }), None, None) => {
-                Rotation::Quaternion(places(table, [w, x, y, z].map(String::as_str), start)?)
-            }
-            (None, Some(names), None) => Rotation::Matrix(places(table, names.each_ref().map(String::as_str), start)?),
-            (None, None, Some(names)) => {
-                Rotation::EulerZyx(places(table, names.each_ref().map(String::as_str), start)?)
-            }
-            _ => return fault("columns: a tool has one of quaternion, matrix and euler_zyx_deg"),
+        let rotation = match tool.rotation().map_err(|message| table.cursor.header_fault(message))? {
+            Rotation::Quaternion(names) => Rotation::Quaternion(places(table, names, start)?),
+            Rotation::Matrix(names) => Rotation::Matrix(places(table, names, start)?),
+            Rotation::EulerZyx(names) => Rotation::EulerZyx(places(table, names, start)?),
         };
         let child = tool.child_column.as_deref().map(|name| table.place(name, start.saturating_sub(1))).transpose()?;
         let port = start.checked_sub(1).filter(|place| ndi::is_port(&table.heading[*place]));

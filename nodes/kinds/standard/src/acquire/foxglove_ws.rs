@@ -7,7 +7,7 @@ pub use ports::PortParams;
 
 use super::{
     network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting},
-    topics::FrameNames,
+    topics::{Constants, FrameNames},
 };
 use osteoflow_formats::message_read::Encoded;
 use osteoflow_geometry::StampNs;
@@ -109,8 +109,12 @@ impl Protocol for FoxgloveWs {
         Ok(Peer { role: Role::Client, host_port, shown: shown.join("/"), form: ADDRESS })
     }
 
-    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Content>>, NodeError> {
+    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Content>>, ParamError> {
         declared.iter().map(Content::port).collect()
+    }
+
+    fn is_timed(port: &DeclaredPort) -> bool {
+        Content::port(port).is_ok_and(|port| !port.streams.iter().any(|topic| Constants::are_on(topic)))
     }
 
     fn open(stream: TcpStream, params: &Params, ctx: &Context) -> Result<Self, OpenError> {

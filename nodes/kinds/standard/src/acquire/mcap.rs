@@ -69,6 +69,14 @@ impl Source for Mcap {
         Ok(Self { params, playback: None })
     }
 
+    fn check_ports(ports: &[DeclaredPort]) -> Result<(), ParamError> {
+        ports.iter().try_for_each(|port| PortParams::of(port).map(drop))
+    }
+
+    fn is_timed(&self, port: &DeclaredPort) -> bool {
+        PortParams::is_timed(port)
+    }
+
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
         if self.playback.is_none() {
             self.playback = Some(self.playback(ctx)?);
@@ -129,7 +137,7 @@ impl Mcap {
 
     fn open(&self, ctx: &mut Context) -> Result<Vec<Event<EventBody>>, NodeError> {
         let ports = ctx.declared();
-        let params = ports.iter().map(DeclaredPort::params).collect::<Result<Vec<PortParams>, _>>()?;
+        let params = ports.iter().map(PortParams::of).collect::<Result<Vec<_>, _>>()?;
         let wanted = |topic: &str| {
             let is_named = |p: &PortParams| {
                 [&p.present, &p.calibration].into_iter().any(|name| name.as_deref() == Some(topic))

@@ -74,10 +74,7 @@ impl Port<'_> {
                 Some(events) => Ok(events),
                 None => self.streams(start_ns, Self::poses),
             },
-            "geometry/Points" => self.streams(start_ns, Self::points),
-            other => Err(self.fault(format!(
-                "a recording gives geometry/Cloud, Image, Pose, Points, Region and report/Flag, but not {other}"
-            ))),
+            _ => self.streams(start_ns, Self::points),
         }
     }
 
@@ -88,12 +85,8 @@ impl Port<'_> {
         read: impl Fn(&mut Self, &str, Option<&str>) -> Result<Vec<(StampNs, EventBody)>, NodeError>,
     ) -> Result<Vec<(StampNs, EventBody)>, NodeError> {
         let params = self.params;
-        let topics = params.topics();
-        if topics.is_empty() {
-            return Err(self.fault("neither topic nor topics is given".into()));
-        }
         let mut events = Vec::new();
-        for (topic, label) in topics {
+        for (topic, label) in params.topics() {
             if !self.recording.messages(topic).is_empty() {
                 events.extend(read(self, topic, label)?);
             } else if params.optional {
@@ -152,11 +145,7 @@ impl Port<'_> {
 
     /// The calibration of the images' camera; of a recording without images it is not needed.
     fn calibration(&mut self) -> Result<Option<Arc<Calibration>>, NodeError> {
-        let Some(topic) = self.params.calibration.as_deref() else {
-            return Err(self.fault(
-                "images need calibration, the topic of their camera's foxglove.CameraCalibration or sensor_msgs/CameraInfo".into(),
-            ));
-        };
+        let topic = self.params.calibration(self.declared).map_err(|error| self.fault(error.message))?;
         let rectified = self.params.rectified.unwrap_or(false);
         let mut found: Option<Calibration> = None;
         for (i, message) in self.recording.messages(topic).iter().enumerate() {

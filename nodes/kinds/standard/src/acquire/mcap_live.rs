@@ -7,8 +7,8 @@ use super::{
 };
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
-    Context, Declared, Describe, NodeError, ParamError, Source, params, rand::RngExt, schemars::JsonSchema,
-    serde::Deserialize,
+    Context, Declared, DeclaredPort, Describe, NodeError, ParamError, Source, params, rand::RngExt,
+    schemars::JsonSchema, serde::Deserialize,
 };
 use std::time::{Duration, Instant};
 
@@ -69,6 +69,14 @@ impl Source for McapLive {
 
     fn new(params: Params) -> Result<Self, ParamError> {
         Ok(Self { mcap: Mcap::new(params.mcap.clone())?, params, schedule: None })
+    }
+
+    fn check_ports(ports: &[DeclaredPort]) -> Result<(), ParamError> {
+        Mcap::check_ports(ports)
+    }
+
+    fn is_timed(&self, port: &DeclaredPort) -> bool {
+        self.mcap.is_timed(port)
     }
 
     fn max_delay_ns(&self) -> StampNs {

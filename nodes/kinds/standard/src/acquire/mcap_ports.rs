@@ -1,9 +1,9 @@
 use super::{
     sifted::PoseStreamParams,
-    topics::{TransformFilter, last_part},
+    topics::{Constants, TransformFilter, last_part},
     unstamped::Unstamped,
 };
-use osteoflow_node::{schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{DeclaredPort, ParamError, schemars::JsonSchema, serde::Deserialize};
 
 /// The messages that one port of `acquire.mcap` and `acquire.mcap_live` reads; `type` is the payload it gives.
 ///
@@ -53,6 +53,40 @@ pub struct PortParams {
 }
 
 impl PortParams {
+    /// The parameters of a port.
+    ///
+    /// # Errors
+    /// [`ParamError`] if no recording can fill it.
+    pub(super) fn of(declared: &DeclaredPort) -> Result<Self, ParamError> {
+        let params: Self = declared.params()?;
+        match declared.payload.name {
+            "geometry/Region" | "report/Flag" => return Ok(params),
+            "geometry/Image" => drop(params.calibration(declared)?),
+            "geometry/Cloud" | "geometry/Pose" | "geometry/Points" => {}
+            other => {
+                let given = "a recording gives geometry/Cloud, Image, Pose, Points, Region and report/Flag";
+                return Err(declared.refused("type", format!("{given}, but not {other}")));
+            }
+        }
+        match params.topics().is_empty() {
+            true => Err(declared.refused("topic", "neither topic nor topics is given")),
+            false => Ok(params),
+        }
+    }
+
+    /// The topic of the camera of images.
+    pub(super) fn calibration(&self, declared: &DeclaredPort) -> Result<&str, ParamError> {
+        let message =
+            "images need calibration, the topic of their camera's foxglove.CameraCalibration or sensor_msgs/CameraInfo";
+        self.calibration.as_deref().ok_or_else(|| declared.refused("calibration", message))
+    }
+
+    /// Whether no topic of the port has constants.
+    pub(super) fn is_timed(declared: &DeclaredPort) -> bool {
+        let params = declared.params::<Self>();
+        params.is_ok_and(|params| !params.read_topics().iter().any(|topic| Constants::are_on(topic)))
+    }
+
     /// All topics of the port, each with the label of its messages if labels are by topic.
     pub(crate) fn topics(&self) -> Vec<(&str, Option<&str>)> {
         match &self.topic {

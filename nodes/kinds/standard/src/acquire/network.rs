@@ -75,7 +75,7 @@ pub(crate) trait Protocol: Describe + Send + Sized + 'static {
     ///
     /// # Errors
     /// A port that cannot be read, or two that read the same.
-    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Self::Port>>, NodeError>;
+    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Self::Port>>, ParamError>;
 
     /// Opens a conversation on a connection, whose reads return within a fraction of a second.
     ///
@@ -88,6 +88,11 @@ pub(crate) trait Protocol: Describe + Send + Sized + 'static {
     /// # Errors
     /// What makes the source fail.
     fn receive(&mut self, inbox: &mut Inbox<Self::Port>, ctx: &mut Context) -> Result<Incoming, NodeError>;
+
+    /// As [`Source::is_timed`]. A message without a stamp has the time of its arrival.
+    fn is_timed(_port: &DeclaredPort) -> bool {
+        true
+    }
 
     /// What is wrong if nothing that a port reads was announced in the whole timeout; `None` if that is no fault.
     fn is_useless(&self, _inbox: &Inbox<Self::Port>) -> Option<String> {
@@ -164,6 +169,14 @@ impl<P: Protocol> Source for NetworkSource<P> {
 
     fn new(params: P::Params) -> Result<Self, ParamError> {
         Ok(Self { peer: P::peer(&params)?, params, run: None })
+    }
+
+    fn check_ports(ports: &[DeclaredPort]) -> Result<(), ParamError> {
+        P::ports(ports).map(drop)
+    }
+
+    fn is_timed(&self, port: &DeclaredPort) -> bool {
+        P::is_timed(port)
     }
 
     fn max_delay_ns(&self) -> StampNs {

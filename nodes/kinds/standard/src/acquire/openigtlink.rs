@@ -124,14 +124,14 @@ impl Protocol for OpenIgtLink {
         Ok(Peer { role: *role, host_port: address.clone(), shown: address.clone(), form: ADDRESS })
     }
 
-    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Content>>, NodeError> {
+    fn ports(declared: &[DeclaredPort]) -> Result<Vec<Port<Content>>, ParamError> {
         let ports = declared.iter().map(Content::port).collect::<Result<Vec<_>, _>>()?;
         let mut known = BTreeMap::new();
-        for Port { name, payload, streams, .. } in &ports {
+        for (Port { name, payload, streams, .. }, declared) in ports.iter().zip(declared) {
             for device in streams {
                 if let Some(other) = known.insert((device, payload), name) {
                     let message = format!("ports \"{other}\" and \"{name}\" both read {payload} of {device}");
-                    return Err(NodeError::new(format!("{message}; wire one port to both places")));
+                    return Err(declared.refused("device", format!("{message}; wire one port to both places")));
                 }
             }
         }

@@ -6,7 +6,7 @@ use super::{
     topics::{FrameNames, TransformFilter},
 };
 use osteoflow_formats::{
-    pose_log::{Columns, LogFormat, LogOptions, read_log},
+    pose_log::{Columns, LogFormat, LogOptions, log_format, read_log},
     without_slash,
 };
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
@@ -76,13 +76,39 @@ pub struct PortParams {
     pub stream: PoseStreamParams,
 }
 
+impl PortParams {
+    /// The parameters of a port.
+    ///
+    /// # Errors
+    /// [`ParamError`] if no log can fill it.
+    fn of(declared: &DeclaredPort) -> Result<Self, ParamError> {
+        match declared.payload.name {
+            "geometry/Pose" => declared.params(),
+            other => Err(declared.refused("type", format!("a log gives geometry/Pose, but not {other}"))),
+        }
+    }
+}
+
 impl Source for Poses {
     const KIND: &'static str = "acquire.poses";
     type Params = Params;
     type Outputs = Declared<PortParams>;
 
     fn new(params: Params) -> Result<Self, ParamError> {
+        let described = params.columns.as_ref().map_or(Ok(()), |columns| columns.check(params.rate_hz));
+        described.map_err(|(key, message)| ParamError::new(format!("columns.{key}"), message))?;
         Ok(Self { params, playback: None })
+    }
+
+    fn check_ports(ports: &[DeclaredPort]) -> Result<(), ParamError> {
+        ports.iter().try_for_each(|port| PortParams::of(port).map(drop))
+    }
+
+    fn is_timed(&self, _port: &DeclaredPort) -> bool {
+        let Params { path, format, columns, .. } = &self.params;
+        let by_columns = columns.as_ref().map(|_| LogFormat::Table);
+        let format = format.or(by_columns).or_else(|| log_format(path.as_ref()).ok().flatten());
+        format.is_some_and(|format| format != LogFormat::Poses)
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
@@ -132,8 +158,10 @@ impl Poses {
         let mut notes: Vec<String> = log.notes.into_iter().chain(corrections.note()).collect();
         let mut signs = Vec::new();
         let (mut events, mut frames) = (Vec::new(), FrameNames::new(frames));
+        // A table that is described has poses that no port reads, and one list of names.
+        streams.keys().for_each(|(to, from)| drop([frames.of(to), frames.of(from)]));
         for (port, declared) in ctx.declared().iter().enumerate() {
-            let port_log = PortLog { declared, params: declared.params()?, streams: &streams };
+            let port_log = PortLog { declared, params: PortParams::of(declared)?, streams: &streams };
             let read = port_log.events(&mut frames, &mut notes, &mut signs);
             let read =
                 read.map_err(|message| NodeError::new(format!("{name}: port \"{}\": {message}", declared.name)))?;
@@ -168,9 +196,6 @@ impl PortLog<'_> {
         notes: &mut Vec<String>,
         signs: &mut Vec<Sign>,
     ) -> Result<Vec<(StampNs, Emission)>, String> {
-        if self.declared.payload.name != "geometry/Pose" {
-            return Err(format!("a log gives geometry/Pose, but not {}", self.declared.payload.name));
-        }
         let TransformFilter { parent, child } = &self.params.transforms;
         let found: Vec<_> =
             self.streams.iter().filter(|((to, from), _)| self.params.transforms.wants(to, from)).collect();

@@ -4,7 +4,7 @@ use super::{
     playback::{Event, Playback, in_order},
     procedure_ports::{ProcedureEvents, ProcedureOut, ProcedurePort},
 };
-use crate::own_bone::OwnBone;
+use crate::own_bone::{OwnBone, refused};
 use osteoflow_geometry::{Cloud, Points, Pose};
 use osteoflow_node::{
     Context, Describe, Emission, NodeError, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
@@ -44,6 +44,7 @@ impl Source for Simulated {
 
     fn new(params: Params) -> Result<Self, ParamError> {
         params.own.check(&params.procedure.bone)?;
+        params.procedure.check().map_err(refused)?;
         Ok(Self { params, playback: None })
     }
 

@@ -1,7 +1,7 @@
 //! The kind `acquire.simulated_stream`.
 
 use super::playback::{Event, Playback, in_order};
-use crate::own_bone::OwnBone;
+use crate::own_bone::{OwnBone, refused};
 use osteoflow_geometry::{Cloud, Pose};
 use osteoflow_node::{
     Context, Describe, Emit, NodeError, Outputs, ParamError, Source, schemars::JsonSchema, serde::Deserialize,
@@ -56,6 +56,7 @@ impl Source for SimulatedStream {
 
     fn new(params: Params) -> Result<Self, ParamError> {
         params.own.check(&params.procedure.bone)?;
+        params.procedure.check().map_err(refused)?;
         Ok(Self { params, playback: None })
     }
 

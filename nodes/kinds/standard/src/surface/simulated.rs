@@ -1,6 +1,9 @@
 //! The kind `surface.simulated`.
 
-use crate::{constant::Constant, own_bone::OwnBone};
+use crate::{
+    constant::Constant,
+    own_bone::{OwnBone, refused},
+};
 use osteoflow_geometry::Mesh;
 use osteoflow_node::{Context, Describe, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_payloads::Json;
@@ -51,7 +54,8 @@ impl Constant for Simulated {
     type Outputs = Out;
 
     fn check(params: &Params) -> Result<(), ParamError> {
-        params.own.check(&params.bone)
+        params.own.check(&params.bone)?;
+        if params.exact { Ok(()) } else { params.ct.check().map_err(refused) }
     }
 
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {

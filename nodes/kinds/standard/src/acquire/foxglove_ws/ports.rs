@@ -11,7 +11,7 @@ use osteoflow_formats::{
     message_read::{Encoded, MessageError, read_cloud_head, read_pose_in_frame},
 };
 use osteoflow_geometry::{Nearest, ROTATION_NOISE};
-use osteoflow_node::{DeclaredPort, Emission, NodeError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{DeclaredPort, Emission, ParamError, schemars::JsonSchema, serde::Deserialize};
 use std::collections::BTreeSet;
 
 /// Encodings of messages that are read.
@@ -56,21 +56,25 @@ pub(crate) struct Content {
 
 impl Content {
     /// The port that a graph declares.
-    pub(super) fn port(declared: &DeclaredPort) -> Result<Port<Self>, NodeError> {
+    ///
+    /// # Errors
+    /// [`ParamError`] if no topic can fill it.
+    pub(super) fn port(declared: &DeclaredPort) -> Result<Port<Self>, ParamError> {
         let params: PortParams = declared.params()?;
-        let fault = |message: &str| Err(NodeError::new(format!("port \"{}\": {message}", declared.name)));
+        let fault = |key: &str, message: &str| Err(declared.refused(key, message));
         let topics = if let Some(topic) = params.topic { vec![topic] } else { params.topics };
         match declared.payload.name {
             "report/Flag" if params.stream.default.is_none() => {
-                return fault("default is not given, and no topic states a flag");
+                return fault("default", "default is not given, and no topic states a flag");
             }
-            "report/Flag" if !topics.is_empty() => return fault("no topic states a flag; remove it"),
+            "report/Flag" if !topics.is_empty() => return fault("topic", "no topic states a flag; remove it"),
             "geometry/Cloud" | "geometry/Pose" | "geometry/Points" if topics.is_empty() => {
-                return fault("neither topic nor topics is given");
+                return fault("topic", "neither topic nor topics is given");
             }
             "report/Flag" | "geometry/Cloud" | "geometry/Pose" | "geometry/Points" => {}
             other => {
-                return fault(&format!("topics give geometry/Cloud, Pose, Points and report/Flag, but not {other}"));
+                let message = format!("topics give geometry/Cloud, Pose, Points and report/Flag, but not {other}");
+                return fault("type", &message);
             }
         }
         let content = Self {

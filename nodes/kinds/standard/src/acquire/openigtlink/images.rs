@@ -12,32 +12,36 @@ use osteoflow_geometry::{
 /// The camera of fx, fy, cx and cy, px, with the coefficients of its distortion; `None` of no numbers.
 ///
 /// # Errors
-/// Another number of numbers, or some that no camera has.
+/// The parameter of another number of numbers, or of some that no camera has, and the message.
 pub(super) fn camera_of(
     numbers: &[f64],
     model: Option<&str>,
     coefficients: &[f64],
-) -> Result<Option<Intrinsics>, String> {
+) -> Result<Option<Intrinsics>, (&'static str, String)> {
     if model.is_some() && coefficients.is_empty() {
-        return Err("distortion_model is given, and distortion, its coefficients, is not".into());
+        return Err(("distortion_model", "distortion_model is given, and distortion, its coefficients, is not".into()));
     }
     let distortion = match coefficients {
         [] => Distortion::NONE,
-        _ if numbers.is_empty() => return Err("distortion is that of a camera, whose intrinsics are not given".into()),
-        _ => Distortion::named(model.unwrap_or("plumb_bob"), coefficients).map_err(|error| error.to_string())?,
+        _ if numbers.is_empty() => {
+            return Err(("distortion", "distortion is that of a camera, whose intrinsics are not given".into()));
+        }
+        _ => Distortion::named(model.unwrap_or("plumb_bob"), coefficients)
+            .map_err(|error| ("distortion", error.to_string()))?,
     };
+    let fault = |message| Err(("intrinsics", message));
     let &[fx, fy, cx, cy] = numbers else {
-        let n = numbers.len();
-        return if n == 0 {
-            Ok(None)
-        } else {
-            Err(format!("intrinsics have {n} numbers, and are fx, fy, cx and cy, px"))
+        return match numbers.len() {
+            0 => Ok(None),
+            n => fault(format!("intrinsics have {n} numbers, and are fx, fy, cx and cy, px")),
         };
     };
-    let is_camera = numbers.iter().all(|c| c.is_finite()) && fx > 0.0 && fy > 0.0;
-    is_camera.then_some(Some(Intrinsics { fx, fy, cx, cy, distortion })).ok_or_else(|| {
-        format!("intrinsics fx {fx}, fy {fy}, cx {cx}, cy {cy}: finite numbers and positive focal lengths are expected")
-    })
+    if numbers.iter().any(|c| !c.is_finite()) || fx <= 0.0 || fy <= 0.0 {
+        return fault(format!(
+            "intrinsics fx {fx}, fy {fy}, cx {cx}, cy {cy}: finite numbers and positive focal lengths are expected"
+        ));
+    }
+    Ok(Some(Intrinsics { fx, fy, cx, cy, distortion }))
 }
 
 /// What a port knows of the camera whose images it reads.

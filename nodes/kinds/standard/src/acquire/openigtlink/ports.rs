@@ -12,7 +12,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3, Quaternion, Translation3},
     nearest_rotation,
 };
-use osteoflow_node::{DeclaredPort, NodeError, schemars::JsonSchema, serde::Deserialize};
+use osteoflow_node::{DeclaredPort, ParamError, schemars::JsonSchema, serde::Deserialize};
 use osteoflow_payloads::{Flag, Text as TextPayload};
 
 /// Largest deviation of a rotation that is not reported: single precision leaves 2e-7.
@@ -102,8 +102,11 @@ pub(super) fn payloads_of(type_name: &str) -> &'static [&'static str] {
 
 impl Content {
     /// The port that a graph declares.
-    pub(super) fn port(declared: &DeclaredPort) -> Result<Port<Self>, NodeError> {
-        let fault = |message: String| NodeError::new(format!("port \"{}\": {message}", declared.name));
+    ///
+    /// # Errors
+    /// [`ParamError`] if no message can fill it.
+    pub(super) fn port(declared: &DeclaredPort) -> Result<Port<Self>, ParamError> {
+        let fault = |key: &str, message: String| Err(declared.refused(key, message));
         let params: PortParams = declared.params()?;
         let payload = declared.payload.name;
         let needed: &[_] = match payload {
@@ -113,14 +116,14 @@ impl Content {
             }
             "report/Text" | "report/Flag" => &[],
             other => {
-                return Err(fault(format!(
-                    "OpenIGTLink gives geometry/Pose, Cloud, Image, Mesh, Points, Region, report/Text and Flag, but not {other}"
-                )));
+                let message = "OpenIGTLink gives geometry/Pose, Cloud, Image, Mesh, Points, Region, report/Text and Flag, but not";
+                return fault("type", format!("{message} {other}"));
             }
         };
         if let Some((key, _)) = needed.iter().find(|(_, frame)| frame.is_none()) {
-            return Err(fault(format!("{key} is not given, and no message of OpenIGTLink states it")));
+            return fault(key, format!("{key} is not given, and no message of OpenIGTLink states it"));
         }
+        let camera = Self::camera(declared, &params)?;
         let [frame, to, from] =
             [params.frame, params.to, params.from].map(|name| Frame::from(name.unwrap_or_default()));
         let is_ct = [&frame, &to, &from].iter().any(|frame| Space::of(frame) == Space::Lps);
@@ -128,13 +131,11 @@ impl Content {
             (true, Some(PatientSpace::Ras)) => Isometry3::from_parts(Translation3::identity(), Space::Ras.turn()),
             (true, Some(PatientSpace::Lps)) | (false, None) => Isometry3::identity(),
             (true, None) => {
-                return Err(fault(
-                    "the frame ct is LPS, and OpenIGTLink does not say its axes; set space = \"ras\", as 3D Slicer \
-                                  sends, or \"lps\""
-                        .into(),
-                ));
+                let message = "the frame ct is LPS, and OpenIGTLink does not say its axes; set space = \"ras\", as 3D Slicer sends, \
+                               or \"lps\"";
+                return fault("space", message.into());
             }
-            (false, Some(_)) => return Err(fault("space is for coordinates in ct alone; remove it".into())),
+            (false, Some(_)) => return fault("space", "space is for coordinates in ct alone; remove it".into()),
         };
         let mut devices = params.devices;
         devices.extend(params.device);
@@ -142,50 +143,48 @@ impl Content {
             devices.push(device_name(to.as_str(), from.as_str()));
         }
         if devices.is_empty() && params.stream.default.is_none() {
-            return Err(fault("neither device nor devices is given".into()));
+            return fault("device", "neither device nor devices is given".into());
         }
         if let Some(device) = devices.iter().find(|device| device.len() > 20) {
-            return Err(fault(format!(
-                "device \"{device}\" has {} bytes, and OpenIGTLink sends 20 at most; set device to the name as sent",
-                device.len()
-            )));
+            let n = device.len();
+            let sent = "bytes, and OpenIGTLink sends 20 at most; set device to the name as sent";
+            return fault("device", format!("device \"{device}\" has {n} {sent}"));
         }
         let swapped = device_name(from.as_str(), to.as_str());
         if payload == "geometry/Pose" && devices.contains(&swapped) {
-            return Err(fault(format!(
-                "{swapped} takes coordinates to {from}, but the port is to {to}; swap to and from"
-            )));
+            let message = format!("{swapped} takes coordinates to {from}, but the port is to {to}; swap to and from");
+            return fault("to", message);
         }
         let identity_is_lost = params.identity_is_lost.unwrap_or(true);
-        let model = params.distortion_model.as_deref();
-        let intrinsics = camera_of(&params.intrinsics, model, &params.distortion).map_err(&fault)?;
-        match payload {
-            "geometry/Image" if intrinsics.is_none() => {
-                return Err(fault(
-                    "intrinsics are not given, and no IMAGE has them; set intrinsics = [fx, fy, cx, cy] in pixels of the image as sent"
-                        .into(),
-                ));
-            }
-            "geometry/Cloud" => {}
-            "geometry/Image" if params.depth_unit_mm.is_none() && !params.use_matrix => {}
-            _ if intrinsics.is_some() || params.depth_unit_mm.is_some() || params.use_matrix => {
-                return Err(fault(format!(
-                    "intrinsics, depth_unit_mm and use_matrix are for images, and the port is of {payload}; remove \
-                                          them"
-                )));
-            }
-            _ => {}
-        }
-        if params.depth_unit_mm.is_some_and(|unit_mm| !(unit_mm.is_finite() && unit_mm > 0.0)) {
-            return Err(fault("depth_unit_mm is not a positive length".into()));
-        }
-        let camera = Camera {
-            intrinsics,
-            depth_unit_mm: params.depth_unit_mm,
-            use_matrix: params.use_matrix,
-            ..Camera::default()
-        };
         Ok(Port::new(declared, params.stream, devices, Self { identity_is_lost, turn, frame, to, from, camera }))
+    }
+
+    /// The camera of a port's images.
+    fn camera(declared: &DeclaredPort, params: &PortParams) -> Result<Camera, ParamError> {
+        let (payload, &PortParams { depth_unit_mm, use_matrix, .. }) = (declared.payload.name, params);
+        let model = params.distortion_model.as_deref();
+        let intrinsics = camera_of(&params.intrinsics, model, &params.distortion);
+        let intrinsics = intrinsics.map_err(|(key, message)| declared.refused(key, message))?;
+        if payload == "geometry/Image" && intrinsics.is_none() {
+            let message = "intrinsics are not given, and no IMAGE has them; set intrinsics = [fx, fy, cx, cy] in pixels of the image as \
+                           sent";
+            return Err(declared.refused("intrinsics", message));
+        }
+        let given = [
+            ("intrinsics", intrinsics.is_some() && payload != "geometry/Image"),
+            ("depth_unit_mm", depth_unit_mm.is_some()),
+            ("use_matrix", use_matrix),
+        ];
+        if let Some((key, _)) = given.iter().find(|(_, is_given)| *is_given && payload != "geometry/Cloud") {
+            let message = format!(
+                "intrinsics, depth_unit_mm and use_matrix are for images, and the port is of {payload}; remove them"
+            );
+            return Err(declared.refused(key, message));
+        }
+        if depth_unit_mm.is_some_and(|unit_mm| !(unit_mm.is_finite() && unit_mm > 0.0)) {
+            return Err(declared.refused("depth_unit_mm", "depth_unit_mm is not a positive length"));
+        }
+        Ok(Camera { intrinsics, depth_unit_mm, use_matrix, ..Camera::default() })
     }
 }
 
