@@ -16,11 +16,12 @@
 pub use crate::shape::{CloudFileRead, MeshRead};
 
 use crate::{
-    FileError, Space, cloud_text,
-    cursor::{is_text, without_byte_order_mark},
-    input, obj, off, pcd, ply, refused,
+    FileError, Space,
+    cursor::without_byte_order_mark,
+    input,
+    probe::{self, Kind},
     shape::{Shape, size_note},
-    stl, vtk,
+    stl,
 };
 use osteoflow_geometry::{Cloud, Frame, SurfaceOrigin};
 use std::path::Path;
@@ -82,34 +83,17 @@ impl MeshOrCloud {
     }
 }
 
-/// Whether bytes are of a format, and its reader.
-type Format = (fn(&[u8]) -> bool, fn(&Path, &[u8]) -> Result<Shape, FileError>);
-
-/// The formats with a mark that no other kind of file has.
-const MARKED: [Format; 4] =
-    [(ply::is_ply, ply::shape), (stl::is_binary, stl::binary), (vtk::is_vtk, vtk::shape), (pcd::is_pcd, pcd::shape)];
-
-/// The others, in the order in which they are tried.
-const UNMARKED: [Format; 5] = [
-    (|bytes| !is_text(bytes), stl::binary),
-    (stl::is_ascii, stl::ascii),
-    (obj::is_obj, obj::shape),
-    (off::is_off, off::shape),
-    (|_| true, cloud_text::shape),
-];
-
 /// The content of a file in its own unit.
 fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let probe = probe::of(path, bytes)?;
+    let read = probe.reader.ok_or_else(|| probe.refusal(path, "a surface or a cloud"))?;
     // The 80 bytes that a binary STL begins with may hold anything.
     let bytes = if stl::is_binary(bytes) { bytes } else { without_byte_order_mark(bytes) };
-    let of = |formats: &[Format]| formats.iter().find(|(is_it, _)| is_it(bytes)).map(|(_, read)| *read);
-    match of(&MARKED) {
-        Some(read) => read(path, bytes),
-        None => match refused::refusal(path, bytes) {
-            Some(message) => Err(FileError::content(path, "byte 0", message)),
-            None => of(&UNMARKED).expect("any text may be of points")(path, bytes),
-        },
+    let mut shape = read(path, bytes)?;
+    if probe.kind == Kind::Points {
+        shape.notes.push("these are picked points, which are taken for a cloud".into());
     }
+    Ok(shape)
 }
 
 /// Reads a surface from a file of any of [these formats](self).

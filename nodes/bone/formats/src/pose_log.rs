@@ -23,11 +23,14 @@ mod trajectory;
 mod write_tum;
 
 pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
+pub(crate) use sequence::is_sequence;
 pub use write_tum::write_tum;
 
 use crate::{
-    FileError, LostPose, Sign, Spellings, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage,
-    refused::refusal,
+    FileError, LostPose, Sign, Spellings, StampOrder,
+    cursor::Cursor,
+    input,
+    probe::{Kind, TEXT, probe},
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
@@ -39,12 +42,11 @@ use stamp_unit::Track;
 use std::{
     collections::BTreeMap,
     fmt,
-    io::Read as _,
     path::{Path, PathBuf},
 };
 
 /// Bytes of a file by which its format is recognised.
-const N_HEAD: u64 = 1 << 16;
+const N_HEAD: usize = 1 << 16;
 
 /// A translation beyond this, a kilometre, is a tracker's code for a tool that it does not see.
 const FARTHEST_MM: f64 = 1e6;
@@ -135,18 +137,14 @@ pub struct PoseLog {
     pub signs: Vec<Sign>,
 }
 
-/// The format of a file by its content; none if it is no log, or a table whose heading has to be described.
+/// The format of a text by its content; none if it is no log.
 ///
 /// # Errors
-/// [`FileError`] if the file cannot be read.
-pub fn log_format(path: &Path) -> Result<Option<LogFormat>, FileError> {
-    let mut head = Vec::new();
-    input::open(path)?.take(N_HEAD).read_to_end(&mut head).map_err(FileError::read(path))?;
-    if is_metaimage(&head) {
-        return Ok(sequence::is_sequence(&head).then_some(LogFormat::IgsMha));
-    }
-    let is_whole = (head.len() as u64) < N_HEAD;
-    Ok(trajectory::format_of(&head, is_whole))
+/// [`FileError`] if the order of its quaternions cannot be told.
+pub(crate) fn format_of(path: &Path, bytes: &[u8]) -> Result<Option<LogFormat>, FileError> {
+    let head = &bytes[..bytes.len().min(N_HEAD)];
+    let format = trajectory::format_of(head, head.len() == bytes.len());
+    format.map_err(|message| FileError::content(path, "line 1", message))
 }
 
 /// Reads a log.
@@ -158,7 +156,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
     let format = match options.format {
         Some(format) => format,
         None if options.columns.is_some() => LogFormat::Table,
-        None => log_format(path)?.map_or_else(|| unknown(path), Ok)?,
+        None => found_format(path)?,
     };
     let unit_mm = options.unit_mm.unwrap_or_else(|| format.unit_mm());
     let mut log = Log::default();
@@ -182,16 +180,19 @@ fn no_pose(path: &Path, notes: &[String]) -> FileError {
     FileError::content(path, "poses", format!("there is no pose in the file; {why}"))
 }
 
-/// That a file is no log, by its own name where that is known.
-fn unknown(path: &Path) -> Result<LogFormat, FileError> {
-    let bytes = input::read(path)?;
-    if let Some(message) = refusal(path, &bytes) {
-        return Err(FileError::content(path, "byte 0", message));
+/// The format of a file by its content.
+fn found_format(path: &Path) -> Result<LogFormat, FileError> {
+    let found = probe(path)?;
+    match found.kind {
+        Kind::Poses(format) => Ok(format),
+        _ if found.format == TEXT => {
+            Cursor::text(path, &input::read(path)?)?;
+            let message = "no log of poses is recognised: .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, or \
+                           t_ns,parent,child,x,y,z,qx,qy,qz,qw; describe the heading of another table by columns";
+            Err(FileError::content(path, "byte 0", message))
+        }
+        _ => Err(found.refusal(path, "a log of poses")),
     }
-    Cursor::text(path, &bytes)?;
-    let message = "no log of poses is recognised: .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, or \
-                   t_ns,parent,child,x,y,z,qx,qy,qz,qw; describe the heading of another table by columns";
-    Err(FileError::content(path, "byte 0", message))
 }
 
 /// A rotation as a file gives it.

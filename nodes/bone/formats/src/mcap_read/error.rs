@@ -1,4 +1,4 @@
-use crate::{FileError, error::other_format, foreign_recording};
+use crate::{FileError, foreign_recording, probe};
 use osteoflow_container::{Damage, ReadError};
 
 /// A recording that cannot be read, or not to its end.
@@ -58,14 +58,13 @@ impl McapError {
             s if s.starts_with(b"SQLite") => {
                 return Self::foreign(path, "a ROS 2 bag of the older kind, in SQLite (.db3)");
             }
-            s if other_format(s).is_some() => {
-                let what = other_format(s).unwrap_or_default();
-                let reason =
-                    format!("it is {what}, and an MCAP recording is needed; osteoflow info says what it holds");
-                return Self::Unreadable { path: path.into(), reason };
-            }
             s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
-            _ => "; is it another kind of file, or damaged?",
+            _ => match probe::probe(path.as_ref()) {
+                Ok(probe) if probe.kind != probe::Kind::Unknown => {
+                    return probe.refusal(path.as_ref(), "a recording").into();
+                }
+                _ => "; is it another kind of file, or damaged?",
+            },
         };
         Self::wrong_magic(path, &start, hint)
     }
