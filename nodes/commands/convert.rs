@@ -16,7 +16,7 @@ use osteoflow_formats::{
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     picked_points::{PickedPoints, read_picked_points},
     pose_file::read_pose,
-    probe::{Kind, probe},
+    probe::Kind,
     write::{Precision, ending, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{
@@ -120,16 +120,12 @@ impl Convert {
 
     /// Writes OUT by what IN holds; what was written, and notes.
     fn converted(&self) -> Result<(String, Vec<String>)> {
-        let found = match probe(&self.input) {
-            Err(_) if self.log.says_poses() => Kind::Unknown,
-            found => found?.kind,
-        };
+        let found = self.log.kind(&self.input)?;
         let name = self.output.to_string_lossy().to_lowercase();
         let writes_list = name.ends_with(".mrk.json") || name.ends_with(".fcsv");
         match found {
             Kind::Recording => self.recorded(),
-            Kind::Poses(format) => self.poses(Some(format)),
-            _ if self.log.says_poses() => self.poses(None),
+            Kind::Poses(format) => self.poses(format),
             Kind::Ct => self.ct(),
             _ if self.series.is_some() => self.leave_out("--series", "a folder with DICOM series", found),
             _ if self.iso_hu.is_some() => self.leave_out("--iso-hu", "a CT", found),

@@ -193,13 +193,8 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
     if file.extension().is_some_and(|ending| ending == "toml") {
         return graph(file, &input::read(file)?);
     }
-    let kind = match probe(file) {
-        Err(_) if log.says_poses() => Kind::Unknown,
-        found => found?.kind,
-    };
-    Ok(match kind {
-        Kind::Poses(format) => poses(file, Some(format), log)?,
-        _ if log.says_poses() => poses(file, None, log)?,
+    Ok(match log.kind(file)? {
+        Kind::Poses(format) => poses(file, format, log)?,
         Kind::Ct => volume(file, series)?,
         _ if series.is_some() => {
             let message = "--series is for a folder with DICOM series; leave it out";
@@ -210,7 +205,9 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
         Kind::Points => points(file, read_picked_points(file)?),
         Kind::Plan => plan(file)?,
         Kind::Region => region(file)?,
-        Kind::Results => Contents::new("results", kind).with_verdict(&serde_json::from_slice(&input::read(file)?)?),
+        Kind::Results => {
+            Contents::new("results", Kind::Results).with_verdict(&serde_json::from_slice(&input::read(file)?)?)
+        }
         _ => shape(file, &input::read(file)?)?,
     })
 }

@@ -25,11 +25,6 @@ pub(crate) fn is_obj(bytes: &[u8]) -> bool {
     })
 }
 
-/// Whether a line is a face.
-pub(crate) fn has_faces(bytes: &[u8]) -> bool {
-    bytes.split(|b| *b == b'\n').any(|line| line.trim_ascii_start().starts_with(b"f "))
-}
-
 /// What the lines of an OBJ give.
 #[derive(Default)]
 struct Obj {

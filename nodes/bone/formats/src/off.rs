@@ -18,13 +18,6 @@ pub(crate) fn is_off(bytes: &[u8]) -> bool {
     })
 }
 
-/// Whether its head counts faces.
-pub(crate) fn has_faces(bytes: &[u8]) -> bool {
-    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
-    let words = text.lines().flat_map(|line| line.split('#').next().unwrap_or_default().split_whitespace());
-    words.skip(2).next().is_some_and(|n_faces| n_faces != "0")
-}
-
 /// The surface in an OFF file, or the cloud if it has no faces.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut cursor = Cursor::text(path, bytes)?;

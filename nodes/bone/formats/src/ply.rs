@@ -18,12 +18,6 @@ pub(crate) fn is_ply(bytes: &[u8]) -> bool {
     bytes.starts_with(b"ply")
 }
 
-/// Whether the header counts faces.
-pub(crate) fn has_faces(bytes: &[u8]) -> bool {
-    let header = header(&mut Cursor::new(Path::new(""), bytes));
-    header.is_ok_and(|header| header.elements.iter().any(|element| element.name == "face" && element.count > 0))
-}
-
 /// The content of a PLY file: a surface if it has faces, otherwise a cloud.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut cursor = Cursor::new(path, bytes);

@@ -92,17 +92,22 @@ type Shaped = (&'static str, fn(&[u8]) -> bool, fn(&[u8]) -> bool, Reader);
 
 /// The surfaces and clouds with a mark that no other file has.
 const MARKED: &[Shaped] = &[
-    ("PLY", ply::is_ply, ply::has_faces, ply::shape),
+    (
+        "PLY",
+        ply::is_ply,
+        |bytes| has_line(head(bytes), &["element face "]) && !has_line(head(bytes), &["element face 0"]),
+        ply::shape,
+    ),
     ("STL", stl::is_binary, |_| true, stl::binary),
-    ("VTK", vtk::is_vtk, vtk::has_faces, vtk::shape),
+    ("VTK", vtk::is_vtk, |bytes| has_line(bytes, &["POLYGONS ", "TRIANGLE_STRIPS "]), vtk::shape),
     ("PCD", pcd::is_pcd, |_| false, pcd::shape),
 ];
 
 /// The others, which are text, in the order in which they are tried.
 const UNMARKED: &[Shaped] = &[
     ("STL", stl::is_ascii, |_| true, stl::ascii),
-    ("OBJ", obj::is_obj, obj::has_faces, obj::shape),
-    ("OFF", off::is_off, off::has_faces, off::shape),
+    ("OBJ", obj::is_obj, |bytes| has_line(bytes, &["f "]), obj::shape),
+    ("OFF", off::is_off, counts_faces, off::shape),
     (TEXT, cloud_text::begins_with_points, |_| false, cloud_text::shape),
 ];
 
@@ -236,7 +241,7 @@ fn shaped(formats: &[Shaped], path: &Path, bytes: &[u8]) -> Option<Probe> {
 
 fn unread(path: &Path, bytes: &[u8]) -> Option<Probe> {
     let bytes = bytes.trim_ascii_start();
-    let head = &bytes[..bytes.len().min(4096)];
+    let head = head(bytes);
     let is_it = |(starts, words, ..): &&Unread| starts.iter().any(|start| head.starts_with(start)) && has(head, words);
     let (name, advice) = match UNREAD.iter().find(is_it) {
         Some(_) if has(head, "<PickedPoints") => return None,
@@ -262,7 +267,7 @@ fn folder_kind(path: &Path) -> Kind {
 
 /// A JSON object, by its keys.
 fn object(path: &Path, bytes: &[u8]) -> Result<Probe, FileError> {
-    let head = &bytes[..bytes.len().min(4096)];
+    let head = head(bytes);
     let root: Map<String, Value> = match serde_json::from_slice(bytes) {
         Ok(root) => root,
         // Its reader names the place in its own words.
@@ -282,6 +287,22 @@ fn object(path: &Path, bytes: &[u8]) -> Result<Probe, FileError> {
         () => (Kind::Unread("JSON"), ""),
     };
     Ok(Probe::new(kind, format, path))
+}
+
+/// As many bytes as have the words that tell a format.
+fn head(bytes: &[u8]) -> &[u8] {
+    &bytes[..bytes.len().min(4096)]
+}
+
+fn has_line(bytes: &[u8], starts: &[&str]) -> bool {
+    bytes.split(|b| *b == b'\n').any(|line| starts.iter().any(|start| line.starts_with(start.as_bytes())))
+}
+
+/// Whether the head of an OFF counts faces, behind the vertices.
+fn counts_faces(bytes: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(head(bytes));
+    let mut words = text.lines().flat_map(|line| line.split('#').next().unwrap_or_default().split_whitespace());
+    words.nth(2).is_some_and(|n_faces| n_faces != "0")
 }
 
 fn has(head: &[u8], word: &str) -> bool {

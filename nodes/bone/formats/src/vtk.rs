@@ -15,11 +15,6 @@ pub(crate) fn is_vtk(bytes: &[u8]) -> bool {
     bytes.starts_with(b"# vtk DataFile")
 }
 
-/// Whether there is a section of polygons or strips.
-pub(crate) fn has_faces(bytes: &[u8]) -> bool {
-    bytes.split(|b| *b == b'\n').any(|line| line.starts_with(b"POLYGONS ") || line.starts_with(b"TRIANGLE_STRIPS "))
-}
-
 /// The surface in a VTK file, or the cloud if it has neither polygons nor strips.
 ///
 /// Vertices that are NaN are kept for the cloud to drop. Normals of the points are read, and for a cloud also the scalars

@@ -181,7 +181,9 @@ impl Of {
             Self::Surface => {
                 ["the scan shows the bone's surface as segmented", "cleaning, a stylus or the surface over the CT"]
             }
-            Self::Devices => ["camera and markers are as calibrated", "a later check piece or stylus"],
+            Self::Devices => {
+                ["camera and markers are as calibrated", "a later check piece or stylus"]
+            }
         }
     }
 }
