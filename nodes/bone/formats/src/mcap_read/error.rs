@@ -1,4 +1,4 @@
-use crate::{FileError, foreign_recording, probe};
+use crate::{FileError, probe};
 use osteoflow_container::{Damage, ReadError};
 
 /// A recording that cannot be read, or not to its end.
@@ -52,26 +52,15 @@ impl McapError {
             }
             ReadError::NotMcap { start } => start,
         };
-        let hint = match start.as_slice() {
-            // The first eight bytes are all there is of the start.
-            s if s.starts_with(b"#ROSBAG") => return Self::foreign(path, "a ROS 1 bag"),
-            s if s.starts_with(b"SQLite") => {
-                return Self::foreign(path, "a ROS 2 bag of the older kind, in SQLite (.db3)");
-            }
-            s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
-            _ => match probe::probe(path.as_ref()) {
-                Ok(probe) if probe.kind != probe::Kind::Unknown => {
-                    return probe.refusal(path.as_ref(), "a recording").into();
-                }
-                _ => "; is it another kind of file, or damaged?",
-            },
-        };
-        Self::wrong_magic(path, &start, hint)
-    }
-
-    fn foreign(path: &str, kind: &str) -> Self {
-        let reason = format!("it is {kind}, and MCAP is read; {}", foreign_recording::advice(path.as_ref()));
-        Self::Unreadable { path: path.into(), reason }
+        if osteoflow_container::MAGIC.starts_with(&start) {
+            return Self::wrong_magic(path, &start, "; the file was cut short in its first bytes");
+        }
+        // Bytes in memory have no file.
+        let found = probe::probe(path.as_ref()).or_else(|_| probe::of(path.as_ref(), &start));
+        match found {
+            Ok(found) if found.kind != probe::Kind::Unknown => found.refusal(path.as_ref(), "a recording").into(),
+            _ => Self::wrong_magic(path, &start, "; is it another kind of file, or damaged?"),
+        }
     }
 
     /// Of a file whose header follows a damaged magic.
