@@ -93,9 +93,9 @@ pub(crate) fn begins_with_points(bytes: &[u8]) -> bool {
     let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
     let of_points = |line: &str| {
         let names = heading_names(line.trim_start_matches(['#', '/']).trim());
-        let is_number = |word: &String| scalar::number(&word.replace(',', ".")).is_some();
-        ["x", "y", "z"].iter().all(|axis| place(&names, axis).is_some())
-            || names.len() >= 3 && names.iter().take(3).all(is_number)
+        let words = line.split([' ', '\t', ',', ';']).filter(|word| !word.is_empty()).take(3);
+        let n_numbers = words.filter(|word| scalar::number(word.trim()).is_some()).count();
+        n_numbers == 3 || ["x", "y", "z"].iter().all(|axis| place(&names, axis).is_some())
     };
     text.lines().any(of_points)
 }

@@ -80,9 +80,6 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
         Some(b'<') => text::meshlab(path, bytes)?,
         Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, bytes)?,
         _ if probe.format == TEXT => text::list(path, bytes)?,
-        _ if probe.kind == Kind::Unknown => {
-            return Err(FileError::content(path, "byte 0", "no text; a list of points is expected"));
-        }
         _ => return Err(probe.refusal(path, "a list of points")),
     };
     if picked.points.is_empty() && picked.planes.is_empty() && picked.rois.is_empty() {

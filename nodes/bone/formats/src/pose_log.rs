@@ -28,9 +28,7 @@ pub use write_tum::write_tum;
 
 use crate::{
     FileError, LostPose, Sign, Spellings, StampOrder,
-    cursor::Cursor,
-    input,
-    probe::{Kind, TEXT, probe},
+    probe::{Kind, probe},
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
@@ -182,17 +180,10 @@ fn no_pose(path: &Path, notes: &[String]) -> FileError {
 
 /// The format of a file by its content.
 fn found_format(path: &Path) -> Result<LogFormat, FileError> {
+    const WANTED: &str = "a log of poses, .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, \
+                          t_ns,parent,child,x,y,z,qx,qy,qz,qw, or a table whose heading columns describe,";
     let found = probe(path)?;
-    match found.kind {
-        Kind::Poses(format) => Ok(format),
-        _ if found.format == TEXT => {
-            Cursor::text(path, &input::read(path)?)?;
-            let message = "no log of poses is recognised: .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, or \
-                           t_ns,parent,child,x,y,z,qx,qy,qz,qw; describe the heading of another table by columns";
-            Err(FileError::content(path, "byte 0", message))
-        }
-        _ => Err(found.refusal(path, "a log of poses")),
-    }
+    if let Kind::Poses(format) = found.kind { Ok(format) } else { Err(found.refusal(path, WANTED)) }
 }
 
 /// A rotation as a file gives it.

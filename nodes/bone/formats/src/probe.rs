@@ -4,7 +4,7 @@
 
 use crate::{
     FileError, cloud_text,
-    cursor::{is_text, without_byte_order_mark},
+    cursor::{Cursor, is_text, without_byte_order_mark},
     folder, foreign_recording, input, obj, off, pcd, picked_points, plan_file, ply, pose_file,
     pose_log::{LogFormat, format_of, is_sequence},
     region_file,
@@ -201,6 +201,7 @@ pub(crate) fn of(path: &Path, bytes: &[u8]) -> Result<Probe, FileError> {
     if bytes.trim_ascii_start().starts_with(b"{") {
         return object(path, bytes);
     }
+    Cursor::text(path, bytes)?;
     if pose_file::is_pose(bytes) {
         return Ok(Probe::new(Kind::Pose, "", path));
     }
@@ -329,6 +330,7 @@ impl Probe {
                 "osteoflow info {} says what takes it; if these are points, name the columns in a first line that begins with x y z",
                 path.display()
             ),
+            Kind::Unknown => "is it damaged?".into(),
             Kind::Unread("JSON") => "it has none of the keys of a plan, a pose, markups, a region or results".into(),
             Kind::Unread(_) => SURFACE.into(),
             _ => format!("osteoflow info {} says what takes it", path.display()),
@@ -342,6 +344,7 @@ impl Probe {
         let format = if format.is_empty() { String::new() } else { format!(" ({format})") };
         let message = match kind {
             Kind::Unread(name) => format!("{name} is not read; {advice}"),
+            Kind::Unknown => format!("it is {kind}, and {wanted} is needed; {advice}"),
             kind => format!("it holds {kind}{format}, and {wanted} is needed; {advice}"),
         };
         FileError::content(path, "byte 0", message)
