@@ -3,7 +3,7 @@
 //! A pipe or a socket would be waited for, and a device may never end, so what is not a regular file is refused before it is
 //! opened.
 
-use crate::{FileError, probe};
+use crate::{FileError, kind::marked};
 use sha2::{Digest as _, Sha256};
 use std::{
     fs::{self, File, FileType},
@@ -55,9 +55,9 @@ pub(crate) fn head(path: &Path, n: u64) -> Result<Vec<u8>, FileError> {
 pub fn read_text(path: &Path) -> Result<String, FileError> {
     String::from_utf8(read(path)?).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
-        match probe::of(path, error.as_bytes()) {
-            Ok(probe) if probe.kind != probe::Kind::Unknown => probe.refusal(path, "a text"),
-            _ => FileError::content(path, format!("byte {at}"), "the file is no text in UTF-8; save it as UTF-8"),
+        match marked(path, error.as_bytes()) {
+            Some(found) => found.refusal(path, "a text"),
+            None => FileError::content(path, format!("byte {at}"), "the file is no text in UTF-8; save it as UTF-8"),
         }
     })
 }

@@ -51,6 +51,7 @@ pub mod input;
 mod invalid;
 mod jpeg;
 mod json;
+mod kind;
 mod lost;
 pub mod mcap_read;
 pub mod mesh_or_cloud;

@@ -16,12 +16,14 @@
 pub use crate::shape::{CloudFileRead, MeshRead};
 
 use crate::{
-    FileError, Space,
+    FileError, Space, cloud_text,
     cursor::without_byte_order_mark,
     input,
+    kind::{TEXT, is_binary_stl},
+    obj, off, pcd, ply,
     probe::{self, Kind},
     shape::{Shape, size_note},
-    stl,
+    stl, vtk,
 };
 use osteoflow_geometry::{Cloud, Frame, SurfaceOrigin};
 use std::path::Path;
@@ -86,9 +88,22 @@ impl MeshOrCloud {
 /// The content of a file in its own unit.
 fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let probe = probe::of(path, bytes)?;
-    let read = probe.reader.ok_or_else(|| probe.refusal(path, "a surface or a cloud"))?;
+    let is_binary = is_binary_stl(bytes);
+    let read = match probe.format {
+        "PLY" => ply::shape,
+        "STL" if is_binary => stl::binary,
+        "STL" => stl::ascii,
+        "VTK" => vtk::shape,
+        "PCD" => pcd::shape,
+        "OBJ" => obj::shape,
+        "OFF" => off::shape,
+        TEXT => cloud_text::shape,
+        // A binary STL that was cut short has no other mark.
+        _ if probe.kind == Kind::Unknown => stl::binary,
+        _ => return Err(probe.refusal(path, "a surface or a cloud")),
+    };
     // The 80 bytes that a binary STL begins with may hold anything.
-    let bytes = if stl::is_binary(bytes) { bytes } else { without_byte_order_mark(bytes) };
+    let bytes = if is_binary { bytes } else { without_byte_order_mark(bytes) };
     let mut shape = read(path, bytes)?;
     if probe.kind == Kind::Points {
         shape.notes.push("these are picked points, which are taken for a cloud".into());

@@ -22,9 +22,10 @@ pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_
 
 use crate::{
     FileError,
-    cursor::without_byte_order_mark,
+    cursor::{is_text, without_byte_order_mark},
     input,
-    probe::{self, Kind, TEXT},
+    kind::{Kind, Probe, TEXT, marked},
+    pose_file::is_pose,
 };
 use std::path::Path;
 
@@ -72,15 +73,21 @@ pub fn read_picked_points(path: &Path) -> Result<PickedPoints, FileError> {
 /// [`FileError`] with the place, if the file is of none of these formats, gives a label twice, a number that is not finite,
 /// an unknown coordinate system, another unit than mm, or holds nothing.
 pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
-    let probe = probe::of(path, bytes)?;
     let bytes = without_byte_order_mark(bytes);
     let start = bytes.trim_ascii_start();
+    let other = match start.first() {
+        Some(b'{' | b'<') => None,
+        _ if is_pose(bytes) => Some(Probe::new(Kind::Pose, "", path)),
+        _ => marked(path, bytes).or_else(|| (!is_text(bytes)).then(|| Probe::new(Kind::Unknown, "", path))),
+    };
+    if let Some(other) = other {
+        return Err(other.refusal(path, "a list of points"));
+    }
     let picked = match start.first() {
-        Some(b'{') if matches!(probe.kind, Kind::Points | Kind::Unread(_)) => slicer::markups(path, bytes)?,
+        Some(b'{') => slicer::markups(path, bytes)?,
         Some(b'<') => text::meshlab(path, bytes)?,
         Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, bytes)?,
-        _ if probe.format == TEXT => text::list(path, bytes)?,
-        _ => return Err(probe.refusal(path, "a list of points")),
+        _ => text::list(path, bytes)?,
     };
     if picked.points.is_empty() && picked.planes.is_empty() && picked.rois.is_empty() {
         let skipped = match picked.n_skipped {

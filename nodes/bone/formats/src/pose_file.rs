@@ -10,10 +10,7 @@
 //! An ITK transform takes points of the fixed image to the moving one, and 3D Slicer writes the inverse of the transform
 //! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
 
-use crate::{
-    FileError, input, json,
-    probe::{self, Kind, TEXT},
-};
+use crate::{FileError, input, json, kind::marked};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::{Correction, Nearest, nearest_isometry, nearest_rotation};
 use serde_json::Value;
@@ -49,11 +46,8 @@ pub struct PoseRead {
 /// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from a rotation.
 pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
     let bytes = input::read(path)?;
-    if !bytes.trim_ascii_start().starts_with(b"{") && !bytes.is_empty() {
-        let probe = probe::of(path, &bytes)?;
-        if !matches!(probe.kind, Kind::Pose | Kind::Unknown) && probe.format != TEXT {
-            return Err(probe.refusal(path, "a rigid motion"));
-        }
+    if let Some(found) = marked(path, &bytes) {
+        return Err(found.refusal(path, "a rigid motion"));
     }
     let text = std::str::from_utf8(&bytes)
         .map_err(|error| fault(path, format!("byte {}", error.valid_up_to()), "no text; a 4 x 4 matrix is expected"))?;
@@ -495,7 +489,7 @@ mod tests {
                 "1 0 0 0 0 1 0 0 0 0 1 0".into(),
                 "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 12",
             ),
-            (String::new(), "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 0"),
+            (String::new(), "byte 0: the file is empty; was it written to the end?"),
             ("1 0 0 0\n0 one 0 0".into(), "line 2: \"one\" is not a number"),
             (
                 "1 0 0 0 0 1 0 0 0 0 1 0 5 6 7 1".into(),

@@ -22,24 +22,25 @@ mod stamp_unit;
 mod trajectory;
 mod write_tum;
 
+pub use crate::kind::LogFormat;
 pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
 pub(crate) use sequence::is_sequence;
 pub use write_tum::write_tum;
 
 use crate::{
     FileError, LostPose, Sign, Spellings, StampOrder,
-    probe::{Kind, probe},
+    cursor::Cursor,
+    input,
+    kind::{Kind, Probe, marked},
+    metaimage_header::is_metaimage,
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
     Frame, MM_PER_M, Nearest, Pose, RigidError, StampNs, TooFar, nearest_isometry, nearest_rotation,
 };
-use schemars::JsonSchema;
-use serde::Deserialize;
 use stamp_unit::Track;
 use std::{
     collections::BTreeMap,
-    fmt,
     path::{Path, PathBuf},
 };
 
@@ -53,55 +54,6 @@ const FARTHEST_MM: f64 = 1e6;
 const FARTHEST_SEEN_MM: f64 = 1e5;
 /// A tracker sees no nearer, mm.
 const NEAREST_SEEN_MM: f64 = 10.0;
-
-/// The format of a log.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum LogFormat {
-    /// A MetaImage with a transform for each frame of a sequence.
-    IgsMha,
-    /// TUM: `timestamp x y z qx qy qz qw`.
-    Tum,
-    /// EuRoC: `timestamp,x,y,z,qw,qx,qy,qz`.
-    Euroc,
-    /// KITTI: twelve numbers.
-    Kitti,
-    /// `t_ns,parent,child,x,y,z,qx,qy,qz,qw`.
-    Poses,
-    /// A table of NDI's Track, whose heading begins with `Tools,Port`, or of the sample program of NDI's API, with `ToolInfo`.
-    Ndi,
-    /// A table whose heading is described.
-    Table,
-}
-
-impl LogFormat {
-    /// The unit of length of the format, mm.
-    pub fn unit_mm(self) -> f64 {
-        match self {
-            Self::Tum | Self::Euroc | Self::Kitti => MM_PER_M,
-            Self::IgsMha | Self::Poses | Self::Ndi | Self::Table => 1.0,
-        }
-    }
-
-    /// Whether a file of the format names the frames of its poses.
-    pub fn names_frames(self) -> bool {
-        !matches!(self, Self::Tum | Self::Euroc | Self::Kitti)
-    }
-}
-
-impl fmt::Display for LogFormat {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::IgsMha => "a tracked sequence (.igs.mha)",
-            Self::Tum => "a TUM trajectory",
-            Self::Euroc => "a EuRoC trajectory",
-            Self::Kitti => "a KITTI trajectory",
-            Self::Poses => "poses (t_ns, parent, child, ..)",
-            Self::Ndi => "a table of NDI's programs",
-            Self::Table => "a table of poses",
-        })
-    }
-}
 
 /// What a log does not say itself.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -182,8 +134,16 @@ fn no_pose(path: &Path, notes: &[String]) -> FileError {
 fn found_format(path: &Path) -> Result<LogFormat, FileError> {
     const WANTED: &str = "a log of poses, .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, \
                           t_ns,parent,child,x,y,z,qx,qy,qz,qw, or a table whose heading columns describe,";
-    let found = probe(path)?;
-    if let Kind::Poses(format) = found.kind { Ok(format) } else { Err(found.refusal(path, WANTED)) }
+    let head = input::head(path, N_HEAD as u64)?;
+    if is_metaimage(&head) && is_sequence(&head) {
+        return Ok(LogFormat::IgsMha);
+    }
+    if let Some(found) = marked(path, &head) {
+        return Err(found.refusal(path, WANTED));
+    }
+    let bytes = input::read(path)?;
+    Cursor::text(path, &bytes)?;
+    format_of(path, &bytes)?.ok_or_else(|| Probe::new(Kind::Unknown, "", path).refusal(path, WANTED))
 }
 
 /// A rotation as a file gives it.

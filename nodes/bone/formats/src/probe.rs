@@ -2,170 +2,25 @@
 //!
 //! A format is recognised by its content, never by its name. What is not read is named, with the program that makes of it what is.
 
+pub use crate::kind::{Kind, Probe};
+
 use crate::{
     FileError, cloud_text,
     cursor::{Cursor, is_text, without_byte_order_mark},
-    folder, foreign_recording, input, obj, off, pcd, picked_points, plan_file, ply, pose_file,
-    pose_log::{LogFormat, format_of, is_sequence},
-    region_file,
-    shape::Shape,
-    stl, volume, vtk,
+    input,
+    kind::{LogFormat, TEXT, has, has_line, head, is_binary_stl, marked},
+    obj, off, picked_points, plan_file, pose_file,
+    pose_log::{format_of, is_sequence},
+    region_file, stl, volume,
 };
 use serde_json::{Map, Value};
-use std::{fmt, fs, path::Path};
+use std::{fs, path::Path};
 
-/// What a file or folder holds; it is written as every command names it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// Triangles.
-    Mesh,
-    /// Points.
-    Cloud,
-    /// Named points that were picked by hand.
-    Points,
-    /// Voxels of a CT, or of another scanner.
-    Ct,
-    /// One rigid motion.
-    Pose,
-    /// Poses over time.
-    Poses(LogFormat),
-    /// A surgical plan.
-    Plan,
-    /// A region of interest.
-    Region,
-    /// The results of a run or a registration.
-    Results,
-    /// An MCAP recording, or a folder of such.
-    Recording,
-    /// A folder with a procedure in files.
-    Procedure,
-    /// A format that is not read, by its name.
-    Unread(&'static str),
-    /// None of the known formats.
-    Unknown,
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Mesh => "a surface",
-            Self::Cloud => "a cloud of points",
-            Self::Points => "picked points",
-            Self::Ct => "a CT",
-            Self::Pose => "a rigid motion",
-            Self::Poses(format) => return format.fmt(f),
-            Self::Plan => "a surgical plan",
-            Self::Region => "a region of interest",
-            Self::Results => "results of a run",
-            Self::Recording => "a recording",
-            Self::Procedure => "a folder with a procedure in files",
-            Self::Unread(name) => name,
-            Self::Unknown => "of no known format",
-        })
-    }
-}
-
-/// What a file or folder is.
-#[derive(Debug, Clone)]
-pub struct Probe {
-    /// What it holds.
-    pub kind: Kind,
-    /// The name of its format, where the kind has several.
-    pub format: &'static str,
-    /// What to do with it, where it is not read or something else is needed.
-    pub advice: String,
-    /// Reads it as a surface or a cloud.
-    pub(crate) reader: Option<Reader>,
-}
-
-/// Reads a surface or a cloud.
-pub(crate) type Reader = fn(&Path, &[u8]) -> Result<Shape, FileError>;
-
-/// The format of clouds, picked points and unknown words in lines of text.
-pub(crate) const TEXT: &str = "text";
+/// The file of a folder that says which of its files are what.
+pub(crate) const PROCEDURE: &str = "procedure.toml";
 
 /// Bytes that tell what is too large to be read for that alone.
 const N_HEAD: u64 = 1 << 16;
-
-/// A surface or a cloud: its name, whether bytes are of it, whether they have faces, its reader.
-type Shaped = (&'static str, fn(&[u8]) -> bool, fn(&[u8]) -> bool, Reader);
-
-/// The surfaces and clouds with a mark that no other file has.
-const MARKED: &[Shaped] = &[
-    (
-        "PLY",
-        ply::is_ply,
-        |bytes| has_line(head(bytes), &["element face "]) && !has_line(head(bytes), &["element face 0"]),
-        ply::shape,
-    ),
-    ("STL", stl::is_binary, |_| true, stl::binary),
-    ("VTK", vtk::is_vtk, |bytes| has_line(bytes, &["POLYGONS ", "TRIANGLE_STRIPS "]), vtk::shape),
-    ("PCD", pcd::is_pcd, |_| false, pcd::shape),
-];
-
-/// The others, which are text, in the order in which they are tried.
-const UNMARKED: &[Shaped] = &[
-    ("STL", stl::is_ascii, |_| true, stl::ascii),
-    ("OBJ", obj::is_obj, |bytes| has_line(bytes, &["f "]), obj::shape),
-    ("OFF", off::is_off, counts_faces, off::shape),
-    (TEXT, cloud_text::begins_with_points, |_| false, cloud_text::shape),
-];
-
-/// What is not read: how it begins, words in its head, its name, and what makes of it what is read.
-type Unread = (&'static [&'static [u8]], &'static str, &'static str, &'static str);
-
-const SURFACE: &str = "export the surface as STL, PLY or OBJ";
-const POINTS: &str = "export the points as PLY, PCD or text";
-const PICTURE: &str = "a picture shows a surface and does not hold it; export it as STL, PLY or OBJ";
-const CSV: &str = "save the table as CSV";
-const UNPACK: &str = "unpack it, and give the file that is needed";
-const NUMPY: &str = "write its points by numpy.savetxt(\"points.xyz\", array)";
-const PANDAS: &str = "write it by to_csv(\"points.csv\", index=False) of pandas";
-const MATLAB: &str = "write its points by writematrix(points, \"points.csv\")";
-const FREESURFER: &str = "convert it by `mris_convert FILE bone.stl` of FreeSurfer";
-const BODIES: &str = "export the poses of its bodies as CSV, with one heading, which --columns describes";
-
-/// In the order in which they are tried.
-const UNREAD: &[Unread] = &[
-    (&[b"glTF"], "", "GLB (binary glTF)", SURFACE),
-    (&[b"ASTM-E57"], "", "E57", POINTS),
-    (&[b"LASF"], "", "LAS or LAZ", POINTS),
-    (&[b"\x1f\x8b"], "", "gzip data", UNPACK),
-    (&[b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"7z\xbc\xaf"], "", "compressed data", UNPACK),
-    (&[b"PK\x03\x04"], "xl/", "an Excel workbook", CSV),
-    (&[b"PK\x03\x04"], "3dmodel.model", "3MF (a ZIP archive)", SURFACE),
-    (&[b"PK\x03\x04"], "[Content_Types].xml", "3MF (a ZIP archive)", SURFACE),
-    (&[b"PK\x03\x04"], ".npy", "NumPy arrays (.npz)", NUMPY),
-    (&[b"PK\x03\x04"], "", "a ZIP archive", UNPACK),
-    (&[b"\xd0\xcf\x11\xe0"], "", "a document of an older Office (.xls)", CSV),
-    (&[b"\x93NUMPY"], "", "a NumPy array (.npy)", NUMPY),
-    (&[b"\x80\x03", b"\x80\x04\x95", b"\x80\x05\x95"], "", "a pickle of Python", NUMPY),
-    (&[b"PAR1"], "", "Parquet", PANDAS),
-    (&[b"ARROW1"], "", "Arrow (Feather)", PANDAS),
-    (&[b"MATLAB "], "MAT-file", "a MAT-file of MATLAB", MATLAB),
-    (&[b"\x89HDF\r\n"], "", "HDF5", "export a surface as STL, points as CSV, a transform as .tfm"),
-    (&[b"%PDF"], "", "a PDF document", PICTURE),
-    (&[b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*"], "", "a picture", PICTURE),
-    (&[b"Kaydara FBX"], "", "FBX", SURFACE),
-    (&[b"CCB2"], "", "CloudCompare's own format (.bin)", "save it there as PLY, a surface or a cloud"),
-    (&[b"#VRML"], "", "VRML", SURFACE),
-    (&[b"\xff\xff\xfe", b"\xff\xff\xff", b"#!ascii version of"], "", "a surface of FreeSurfer", FREESURFER),
-    (&[b"BLENDER"], "", "a Blender scene", SURFACE),
-    (&[b"ISO-10303-21"], "", "STEP", SURFACE),
-    (&[b"3D Geometry File Format"], "", "3DM of Rhino", SURFACE),
-    (&[b"PXR-USDC"], "", "USD", SURFACE),
-    (&[b"AutoCAD Binary DXF", b"0\nSECTION", b"0\r\nSECTION"], "", "DXF", SURFACE),
-    (&[b"999"], "SECTION", "DXF", SURFACE),
-    (&[b"AC10"], "", "DWG", SURFACE),
-    (&[b"\x02P"], "", "C3D", BODIES),
-    (&[b"Format Version,"], "", "a table of OptiTrack's Motive", BODIES),
-    (&[b"NO_OF_FRAMES"], "", "a table of Qualisys", BODIES),
-    (&[b"\xff\xfe", b"\xfe\xff"], "", "UTF-16 text", "save it as UTF-8"),
-    (&[b"<"], "<VTKFile", "XML of VTK (.vtp, .vtu)", "write the surface as legacy .vtk, PLY or STL"),
-    (&[b"<"], "<GIFTI", "GIFTI", FREESURFER),
-    (&[b"<"], "<COLLADA", "COLLADA", SURFACE),
-    (&[b"<"], "", "XML or HTML", SURFACE),
-];
 
 /// What a file or folder is.
 ///
@@ -183,20 +38,23 @@ pub fn probe(path: &Path) -> Result<Probe, FileError> {
     }
 }
 
+/// Whether the path is a CT, or a folder that may hold one.
+pub fn is_ct(path: &Path) -> bool {
+    probe(path).is_ok_and(|found| found.kind == Kind::Ct)
+}
+
 /// What the bytes of a file are; `path` is used in messages only.
 pub(crate) fn of(path: &Path, bytes: &[u8]) -> Result<Probe, FileError> {
-    if bytes.is_empty() {
-        return Err(FileError::content(path, "byte 0", "the file is empty; was it written to the end?"));
+    if let Some(empty) = marked(path, bytes).filter(|_| bytes.is_empty()) {
+        return Err(empty.refusal(path, ""));
     }
     // The 80 bytes that a binary STL begins with may hold anything.
-    let bytes = if stl::is_binary(bytes) { bytes } else { without_byte_order_mark(bytes) };
-    let found = volume_or_recording(path, bytes).or_else(|| shaped(MARKED, path, bytes));
-    if let Some(probe) = found.or_else(|| unread(path, bytes)) {
+    let bytes = if is_binary_stl(bytes) { bytes } else { without_byte_order_mark(bytes) };
+    if let Some(probe) = volume_or_recording(path, bytes).or_else(|| marked(path, bytes)) {
         return Ok(probe);
     }
     if !is_text(bytes) {
-        // A binary STL that was cut short has no other mark.
-        return Ok(Probe { reader: Some(stl::binary), ..Probe::new(Kind::Unknown, "", path) });
+        return Ok(Probe::new(Kind::Unknown, "", path));
     }
     if bytes.trim_ascii_start().starts_with(b"{") {
         return object(path, bytes);
@@ -209,48 +67,25 @@ pub(crate) fn of(path: &Path, bytes: &[u8]) -> Result<Probe, FileError> {
         return Ok(Probe::new(Kind::Poses(format), "", path));
     }
     if let Some(format) = picked_points::format_of(path, bytes) {
-        let reader = (format == TEXT).then_some(cloud_text::shape as Reader);
-        return Ok(Probe { reader, ..Probe::new(Kind::Points, format, path) });
+        return Ok(Probe::new(Kind::Points, format, path));
     }
-    let unknown = || Probe { reader: Some(cloud_text::shape), ..Probe::new(Kind::Unknown, TEXT, path) };
-    Ok(shaped(UNMARKED, path, bytes).unwrap_or_else(unknown))
+    let (kind, format) = match () {
+        () if stl::is_ascii(bytes) => (Kind::Mesh, "STL"),
+        () if obj::is_obj(bytes) => (if has_line(bytes, &["f "]) { Kind::Mesh } else { Kind::Cloud }, "OBJ"),
+        () if off::is_off(bytes) => (if counts_faces(bytes) { Kind::Mesh } else { Kind::Cloud }, "OFF"),
+        () if cloud_text::begins_with_points(bytes) => (Kind::Cloud, TEXT),
+        () => (Kind::Unknown, TEXT),
+    };
+    Ok(Probe::new(kind, format, path))
 }
 
 /// A recording, a sequence of poses or a volume, of which the first bytes tell what they are.
 fn volume_or_recording(path: &Path, head: &[u8]) -> Option<Probe> {
-    if head.starts_with(b"\x89MCAP0") {
-        return Some(Probe::new(Kind::Recording, "MCAP", path));
-    }
-    if let Some(name) = foreign_recording::kind(head) {
-        let advice = foreign_recording::advice(path);
-        return Some(Probe { advice, ..Probe::new(Kind::Unread(name), "", path) });
-    }
-    if volume::is_mgh(head) {
-        let advice = "convert it by `mri_convert FILE ct.nii.gz` of FreeSurfer".into();
-        return Some(Probe { advice, ..Probe::new(Kind::Unread("MGH of FreeSurfer"), "", path) });
-    }
-    let format = volume::format_of(head)?;
+    let Some(format) = volume::format_of(head) else {
+        return marked(path, head).filter(|found| found.kind == Kind::Recording);
+    };
     let is_log = format == volume::METAIMAGE && is_sequence(head);
     Some(Probe::new(if is_log { Kind::Poses(LogFormat::IgsMha) } else { Kind::Ct }, format, path))
-}
-
-fn shaped(formats: &[Shaped], path: &Path, bytes: &[u8]) -> Option<Probe> {
-    let (format, _, has_faces, reader) = *formats.iter().find(|(_, is_it, ..)| is_it(bytes))?;
-    let kind = if has_faces(bytes) { Kind::Mesh } else { Kind::Cloud };
-    Some(Probe { reader: Some(reader), ..Probe::new(kind, format, path) })
-}
-
-fn unread(path: &Path, bytes: &[u8]) -> Option<Probe> {
-    let bytes = bytes.trim_ascii_start();
-    let head = head(bytes);
-    let is_it = |(starts, words, ..): &&Unread| starts.iter().any(|start| head.starts_with(start)) && has(head, words);
-    let (name, advice) = match UNREAD.iter().find(is_it) {
-        Some(_) if has(head, "<PickedPoints") => return None,
-        Some((.., name, advice)) => (*name, *advice),
-        None if is_ptx(head) => ("PTX", "save it by CloudCompare as PLY"),
-        None => return None,
-    };
-    Some(Probe { advice: advice.into(), ..Probe::new(Kind::Unread(name), "", path) })
 }
 
 /// What a folder is: that of a procedure, a bag of ROS 2, or of a DICOM series.
@@ -260,7 +95,7 @@ fn folder_kind(path: &Path) -> Kind {
     let has_recording =
         || fs::read_dir(path).is_ok_and(|mut entries| entries.any(|entry| entry.is_ok_and(is_recording)));
     match () {
-        () if path.join(folder::FILE_NAME).is_file() => Kind::Procedure,
+        () if path.join(PROCEDURE).is_file() => Kind::Procedure,
         () if path.join("metadata.yaml").is_file() || has_recording() => Kind::Recording,
         () => Kind::Ct,
     }
@@ -290,15 +125,6 @@ fn object(path: &Path, bytes: &[u8]) -> Result<Probe, FileError> {
     Ok(Probe::new(kind, format, path))
 }
 
-/// As many bytes as have the words that tell a format.
-fn head(bytes: &[u8]) -> &[u8] {
-    &bytes[..bytes.len().min(4096)]
-}
-
-fn has_line(bytes: &[u8], starts: &[&str]) -> bool {
-    bytes.split(|b| *b == b'\n').any(|line| starts.iter().any(|start| line.starts_with(start.as_bytes())))
-}
-
 /// Whether the head of an OFF counts faces, behind the vertices.
 fn counts_faces(bytes: &[u8]) -> bool {
     let text = String::from_utf8_lossy(head(bytes));
@@ -306,54 +132,10 @@ fn counts_faces(bytes: &[u8]) -> bool {
     words.nth(2).is_some_and(|n_faces| n_faces != "0")
 }
 
-fn has(head: &[u8], word: &str) -> bool {
-    word.is_empty() || head.windows(word.len()).any(|window| window == word.as_bytes())
-}
-
-/// Whether a text begins as a PTX: columns, rows, the place of the scanner and its axes, and a 4 x 4 matrix.
-fn is_ptx(head: &[u8]) -> bool {
-    let text = String::from_utf8_lossy(head);
-    let widths = text.lines().take(10).map(|line| {
-        let numbers = line.split_whitespace().map(|word| word.parse::<f64>().ok());
-        numbers.collect::<Option<Vec<_>>>().map_or(0, |numbers| numbers.len())
-    });
-    widths.eq([1, 1, 3, 3, 3, 3, 4, 4, 4, 4])
-}
-
-impl Probe {
-    fn new(kind: Kind, format: &'static str, path: &Path) -> Self {
-        let advice = match kind {
-            Kind::Ct => "segment the bone and export its surface as STL or PLY".into(),
-            Kind::Points => "export the bone's model as STL or PLY".into(),
-            Kind::Pose => format!("osteoflow register BONE SCAN --init {} starts from it", path.display()),
-            Kind::Poses(_) => format!(
-                "osteoflow info {} says what takes it; if these are points, name the columns in a first line that begins with x y z",
-                path.display()
-            ),
-            Kind::Unknown => "is it damaged?".into(),
-            Kind::Unread("JSON") => "it has none of the keys of a plan, a pose, markups, a region or results".into(),
-            Kind::Unread(_) => SURFACE.into(),
-            _ => format!("osteoflow info {} says what takes it", path.display()),
-        };
-        Self { kind, format, advice, reader: None }
-    }
-
-    /// The refusal of a reader that needs something else.
-    pub(crate) fn refusal(&self, path: &Path, wanted: &str) -> FileError {
-        let Self { kind, format, advice, .. } = self;
-        let format = if format.is_empty() { String::new() } else { format!(" ({format})") };
-        let message = match kind {
-            Kind::Unread(name) => format!("{name} is not read; {advice}"),
-            Kind::Unknown => format!("it is {kind}, and {wanted} is needed; {advice}"),
-            kind => format!("it holds {kind}{format}, and {wanted} is needed; {advice}"),
-        };
-        FileError::content(path, "byte 0", message)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kind::{CSV, PICTURE, POINTS, SURFACE};
 
     fn at(place: usize, mark: &[u8]) -> Vec<u8> {
         [&vec![0; place][..], mark, &[0; 8]].concat()

@@ -19,8 +19,8 @@ pub use grid::{Volume, VolumeRead, VoxelUnit};
 
 use crate::{
     FileError, input,
+    kind::{Kind, Probe, is_mgh, marked},
     metaimage_header::is_metaimage,
-    probe::{Kind, probe},
 };
 use flate2::read::GzDecoder;
 use nalgebra::{Matrix3, Point3};
@@ -56,25 +56,11 @@ pub(crate) fn format_of(start: &[u8]) -> Option<&'static str> {
     FORMATS.iter().find(|(_, is_it, _)| is_it(start)).map(|(name, ..)| *name)
 }
 
-/// Whether the path is a folder, as of a DICOM series, or a file that begins as NIfTI, gzip, NRRD, MetaImage or DICOM do. A
-/// MetaImage that is a sequence of poses is none.
-pub fn is_volume(path: &Path) -> bool {
-    probe(path).is_ok_and(|probe| probe.kind == Kind::Ct)
-}
-
 /// Whether a gzip file holds NIfTI, or MGH, which is refused by its name there; one that is damaged is taken for such.
 fn is_gzip_of_a_volume(start: &[u8]) -> bool {
     let mut head = [0; 24];
     let is_gzip = start.starts_with(&[0x1f, 0x8b]);
     is_gzip && GzDecoder::new(start).read_exact(&mut head).map_or(true, |()| nifti::is_nifti(&head) || is_mgh(&head))
-}
-
-/// Whether the bytes begin as an MGH volume: version 1, four sizes and a type of voxels, in big-endian order.
-pub(crate) fn is_mgh(bytes: &[u8]) -> bool {
-    let number =
-        |k: usize| bytes.get(4 * k..4 * k + 4).map(|four| i32::from_be_bytes([four[0], four[1], four[2], four[3]]));
-    let is_size = |k: usize| number(k).is_some_and(|n| (1..1 << 16).contains(&n));
-    number(0) == Some(1) && (1..5).all(is_size) && number(5).is_some_and(|kind| (0..=10).contains(&kind))
 }
 
 /// Reads the volume in a NIfTI, NRRD, MetaImage or DICOM file, recognised by its content, or the DICOM series in a folder.
@@ -92,9 +78,8 @@ pub fn read_volume(path: &Path, series: Option<&str>) -> Result<VolumeRead, File
     } else {
         let start = start_of(path)?;
         let Some((name, _, read)) = FORMATS.iter().find(|(_, is_it, _)| is_it(&start)) else {
-            return Err(
-                probe(path)?.refusal(path, "a NIfTI, NRRD, MetaImage or DICOM file, or the folder of a DICOM series")
-            );
+            let found = marked(path, &start).unwrap_or_else(|| Probe::new(Kind::Unknown, "", path));
+            return Err(found.refusal(path, "a NIfTI, NRRD, MetaImage or DICOM file, or the folder of a DICOM series"));
         };
         if series.is_some() && *name != "DICOM" {
             let message =

@@ -843,7 +843,7 @@ fn a_gzip_file_of_a_text_is_no_volume() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let head = [bytes, &[0; 40][..if bytes.is_empty() { 0 } else { 40 }]].concat();
         std::fs::write(file.path(), gzip(&head)).unwrap();
-        assert_eq!(osteoflow_formats::volume::is_volume(file.path()), is_one, "{bytes:?}");
+        assert_eq!(osteoflow_formats::probe::is_ct(file.path()), is_one, "{bytes:?}");
     }
 }
 

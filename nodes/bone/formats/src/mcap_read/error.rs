@@ -1,4 +1,4 @@
-use crate::{FileError, probe};
+use crate::{FileError, input, kind::marked};
 use osteoflow_container::{Damage, ReadError};
 
 /// A recording that cannot be read, or not to its end.
@@ -56,10 +56,10 @@ impl McapError {
             return Self::wrong_magic(path, &start, "; the file was cut short in its first bytes");
         }
         // Bytes in memory have no file.
-        let found = probe::probe(path.as_ref()).or_else(|_| probe::of(path.as_ref(), &start));
-        match found {
-            Ok(found) if found.kind != probe::Kind::Unknown => found.refusal(path.as_ref(), "a recording").into(),
-            _ => Self::wrong_magic(path, &start, "; is it another kind of file, or damaged?"),
+        let head = input::head(path.as_ref(), 1 << 16).unwrap_or(start);
+        match marked(path.as_ref(), &head) {
+            Some(found) => found.refusal(path.as_ref(), "a recording").into(),
+            None => Self::wrong_magic(path, &head[..head.len().min(8)], "; is it another kind of file, or damaged?"),
         }
     }
 
