@@ -66,15 +66,15 @@ pub(crate) fn of(path: &Path, bytes: &[u8]) -> Result<Probe, FileError> {
     if let Some(format) = format_of(path, bytes)? {
         return Ok(Probe::new(Kind::Poses(format), "", path));
     }
-    if let Some(format) = picked_points::format_of(path, bytes) {
-        return Ok(Probe::new(Kind::Points, format, path));
-    }
     let (kind, format) = match () {
         () if stl::is_ascii(bytes) => (Kind::Mesh, "STL"),
         () if obj::is_obj(bytes) => (if has_line(bytes, &["f "]) { Kind::Mesh } else { Kind::Cloud }, "OBJ"),
         () if off::is_off(bytes) => (if counts_faces(bytes) { Kind::Mesh } else { Kind::Cloud }, "OFF"),
-        () if cloud_text::begins_with_points(bytes) => (Kind::Cloud, TEXT),
-        () => (Kind::Unknown, TEXT),
+        () => match picked_points::format_of(path, bytes) {
+            Some(format) => (Kind::Points, format),
+            None if cloud_text::begins_with_points(bytes) => (Kind::Cloud, TEXT),
+            None => (Kind::Unknown, TEXT),
+        },
     };
     Ok(Probe::new(kind, format, path))
 }

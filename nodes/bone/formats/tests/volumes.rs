@@ -763,7 +763,7 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
         assert!(note.is_some_and(|n| n.contains(expected)), "{expected}: {:?}", read.notes);
     }
     let empty = tempfile::tempdir().unwrap();
-    std::fs::write(empty.path().join("ct.nii.gz"), "x").unwrap();
+    std::fs::write(empty.path().join("ct.nrrd"), "NRRD0004\n").unwrap();
     let message = folder_refusal(&empty);
     assert!(
         message.contains("no DICOM image in it (0 DICOM files without image, 1 other files); give the file"),
