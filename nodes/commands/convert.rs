@@ -134,7 +134,8 @@ impl Convert {
             }
             Kind::Pose if self.space.is_some() => self.leave_out("--space", "points and surfaces", found),
             Kind::Pose => self.pose(),
-            _ if found == Kind::Points || writes_list => self.points(read_picked_points(&self.input)?),
+            Kind::Points => self.points(read_picked_points(&self.input)?),
+            Kind::Cloud | Kind::Unknown if writes_list => self.points(read_picked_points(&self.input)?),
             _ => self.shape(&input::read(&self.input)?),
         }
     }

@@ -280,7 +280,7 @@ impl Probe {
             Kind::Ct => "segment the bone and export its surface as STL or PLY".into(),
             Kind::Points => "export the bone's model as STL or PLY".into(),
             Kind::Pose => format!("osteoflow register BONE SCAN --init {} starts from it", path.display()),
-            Kind::Poses(_) => format!(
+            Kind::Poses(format) if !format.names_frames() || format == LogFormat::Table => format!(
                 "osteoflow info {} says what takes it; if these are points, name the columns in a first line that begins with x y z",
                 path.display()
             ),
