@@ -253,5 +253,5 @@ fn clouds_are_written_for_programs_that_know_floats_alone_with_colours_and_dista
     assert!(said.contains("NOSUCH") && !said.contains("is for a CT"), "{said}");
     let output = osteoflow().arg("convert").arg(&scan).args(["out.stl", "--iso-hu", "300"]).output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.contains("--iso-hu is for a CT, and this file holds a cloud; leave it out"), "{said}");
+    assert!(said.contains("--iso-hu is for a CT, and this file holds a cloud of points; leave it out"), "{said}");
 }

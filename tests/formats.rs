@@ -2,6 +2,7 @@
 //!
 //! `UPDATE=1` rewrites the table.
 
+mod one_answer;
 mod volumes;
 
 use crate::common::{osteoflow, root};

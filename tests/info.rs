@@ -116,7 +116,7 @@ fn a_cut_recording_is_read_in_part_with_its_problem_and_what_cannot_be_read_is_r
     assert!(found["use"][0].as_str().unwrap().starts_with("osteoflow recover "), "{found}");
 
     for (name, bytes, expected) in [
-        ("empty.stl", &b""[..], "empty.stl: the file is empty"),
+        ("empty.stl", &b""[..], "empty.stl: byte 0: the file is empty"),
         ("head.mcap", &bytes[..4], "head.mcap: "),
         ("other.json", b"{\"a\": 1}", "other.json: "),
         ("broken.json", b"{\"a\": ", "broken.json: line 1: no JSON"),

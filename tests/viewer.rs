@@ -206,7 +206,7 @@ fn other_addresses_than_the_loopback_need_a_word_more() {
     let nothing = osteoflow().args(["view", "tests/data/folder/scan.ply"]).output().unwrap();
     assert!(
         String::from_utf8_lossy(&nothing.stderr)
-            .contains("is a cloud of points, and view shows a graph, a run or a recording")
+            .contains("is a cloud of points, and the folder of a run or a recording is needed")
     );
 }
 

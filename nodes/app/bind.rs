@@ -13,7 +13,7 @@ use osteoflow_formats::{
     Space, input,
     mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
     plan_file::{PlanRead, bound_to, parse_plan},
-    volume::is_volume,
+    probe::is_ct,
     write::ending,
 };
 use osteoflow_geometry::{NamedPoint, SurfaceKey};
@@ -90,7 +90,7 @@ impl Bone<'_> {
     fn read(&self, notes: &mut Vec<String>) -> Result<BoneRead> {
         let Self { path, unit_mm, space, threshold_hu, series } = *self;
         let usage = |message: String| UsageError(format!("{}: {message}", path.display()));
-        let (shape, report) = if is_volume(path) {
+        let (shape, report) = if is_ct(path) {
             if unit_mm != 1.0 || space.is_some() {
                 return Err(usage("a CT states its unit and space; leave out --scale and --space".into()).into());
             }

@@ -4,13 +4,11 @@ use super::error::{Error, UsageError};
 use anyhow::{Context, Result, anyhow};
 use osteoflow_engine::{Fault, Faults, run, sweep};
 use osteoflow_formats::{
-    FileError, Space,
-    folder::FILE_NAME as PROCEDURE_FILE,
-    input,
+    Space, input,
     mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
-    picked_points::{PickedPoints, parse_picked_points, write_fcsv, write_mrk_json, write_points_csv},
+    picked_points::{PickedPoints, read_picked_points, write_fcsv, write_mrk_json, write_points_csv},
     pose_file::{itk_text, read_pose},
-    volume::is_volume,
+    probe::{Kind, Probe, probe},
     write::{self, Precision},
 };
 use osteoflow_geometry::{
@@ -20,89 +18,64 @@ use osteoflow_geometry::{
 };
 use osteoflow_standard::surface::ct::{NoThreshold, read_bone};
 use serde_json::json;
-use std::{io::Write as _, path::Path};
+use std::{ffi::OsStr, fmt, io::Write as _, path::Path};
 
 /// Faults of a graph file, or that it is no graph but a file of data, with the command that takes it.
 pub(crate) fn unless_data<T>(path: &Path, checked: Result<T, Faults>) -> Result<T, Faults> {
     checked.map_err(|faults| match Data::of(path) {
         Some(data) => {
-            let fault = Fault::new(format!("{} is no graph, but {}", path.display(), data.what()));
+            let fault = Fault::new(format!("{} is no graph, but {data}", path.display()));
             Faults(vec![data.commands(path).into_iter().fold(fault, Fault::help)])
         }
         None => faults,
     })
 }
 
-/// A file of data, as far as another command takes it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A file or folder of data.
+#[derive(Debug)]
 pub(crate) enum Data {
-    Surface,
-    Ct,
-    Scan,
-    Points,
-    Recording,
     /// The folder of a run.
     Run,
     /// The folder of a sweep.
     Sweep,
-    /// A folder with a procedure in files.
-    Procedure,
+    Other(Probe),
+}
+
+impl fmt::Display for Data {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Run => f.write_str("the folder of a run"),
+            Self::Sweep => f.write_str("the folder of a sweep"),
+            Self::Other(Probe { kind: kind @ Kind::Unread(_), .. }) => write!(f, "{kind}, which is not read"),
+            Self::Other(probe) => probe.kind.fmt(f),
+        }
+    }
 }
 
 impl Data {
-    /// What a file or folder holds; `None` if it cannot be read, or is a text of another kind.
+    /// What a file or folder holds; `None` if it cannot be read, is of no known format, or a graph or an archive by its name.
     pub(crate) fn of(path: &Path) -> Option<Self> {
-        if path.is_dir() {
-            let holds = |name: &str| path.join(name).is_file();
-            let folders =
-                [(sweep::DESIGN, Self::Sweep), (run::files::MANIFEST, Self::Run), (PROCEDURE_FILE, Self::Procedure)];
-            return folders.into_iter().find_map(|(name, data)| holds(name).then_some(data));
-        }
-        if path.is_file() && is_volume(path) {
-            return Some(Self::Ct);
-        }
-        if path.extension().is_some_and(|ending| ending == "toml") {
-            return None;
-        }
-        match read(path, 1.0, "file", None, None).ok()? {
-            Content::Shape(MeshOrCloud::Mesh(_)) => Some(Self::Surface),
-            Content::Shape(MeshOrCloud::Cloud(..)) => Some(Self::Scan),
-            Content::Points(_) => Some(Self::Points),
-            Content::Recording => Some(Self::Recording),
-            Content::Pose(..) => None,
+        let holds = |name: &str| path.join(name).is_file();
+        match path.extension().and_then(OsStr::to_str) {
+            _ if holds(sweep::DESIGN) => Some(Self::Sweep),
+            _ if holds(run::files::MANIFEST) => Some(Self::Run),
+            Some("toml" | "zip") => None,
+            _ => probe(path)
+                .ok()
+                .filter(|found| found.kind != Kind::Unknown && !(found.kind == Kind::Ct && path.is_dir()))
+                .map(Self::Other),
         }
     }
 
-    pub(crate) fn what(self) -> &'static str {
-        match self {
-            Self::Surface => "a surface",
-            Self::Ct => "a CT",
-            Self::Scan => "a cloud of points",
-            Self::Points => "picked points",
-            Self::Recording => "a recording",
-            Self::Run => "the folder of a run",
-            Self::Sweep => "the folder of a sweep",
-            Self::Procedure => "a folder with a procedure in files",
-        }
+    /// What it is, unless that is a run or its folder.
+    pub(crate) fn kind(&self) -> Option<Kind> {
+        if let Self::Other(probe) = self { Some(probe.kind) } else { None }
     }
 
     /// The commands that take it, in words.
-    pub(crate) fn commands(self, path: &Path) -> Vec<String> {
+    pub(crate) fn commands(&self, path: &Path) -> Vec<String> {
         let file = path.display();
         let mut commands: Vec<String> = match self {
-            Self::Surface | Self::Ct => vec![
-                format!("register a scan onto it: osteoflow register {file} SCAN"),
-                format!("and see it in the browser: osteoflow view {file} SCAN"),
-            ],
-            Self::Scan => vec![
-                format!("register it onto its bone: osteoflow register BONE {file}"),
-                format!("and see it in the browser: osteoflow view BONE {file}"),
-            ],
-            Self::Points => vec![format!("start from it: osteoflow register BONE SCAN --landmarks IN_BONE {file}")],
-            Self::Recording => vec![
-                format!("run it: osteoflow run graphs/fibula_recorded.toml --set recording.path={file}"),
-                format!("or see it: osteoflow view {file}"),
-            ],
             Self::Run => vec![
                 format!("see it: osteoflow view {file}"),
                 format!("run it again from its recording: osteoflow replay {file}"),
@@ -112,17 +85,32 @@ impl Data {
                 format!("write a page about it: osteoflow report {file}"),
                 format!("or compare it with another: osteoflow compare {file} OTHER"),
             ],
-            Self::Procedure => {
-                vec![format!("run it: osteoflow run graphs/fibula_folder.toml --set recording.path={file}")]
-            }
+            Self::Other(Probe { kind, advice, .. }) => match kind {
+                Kind::Mesh | Kind::Ct => vec![
+                    format!("register a scan onto it: osteoflow register {file} SCAN"),
+                    format!("and see it in the browser: osteoflow view {file} SCAN"),
+                ],
+                Kind::Cloud => vec![
+                    format!("register it onto its bone: osteoflow register BONE {file}"),
+                    format!("and see it in the browser: osteoflow view BONE {file}"),
+                ],
+                Kind::Points => vec![format!("start from it: osteoflow register BONE SCAN --landmarks IN_BONE {file}")],
+                Kind::Pose => vec![format!("start from it: osteoflow register BONE SCAN --init {file}")],
+                Kind::Recording => vec![
+                    format!("run it: osteoflow run graphs/fibula_recorded.toml --set recording.path={file}"),
+                    format!("or see it: osteoflow view {file}"),
+                ],
+                Kind::Procedure => {
+                    vec![format!("run it: osteoflow run graphs/fibula_folder.toml --set recording.path={file}")]
+                }
+                Kind::Unread(_) => return vec![advice.clone()],
+                _ => Vec::new(),
+            },
         };
         commands.push(format!("what it holds: osteoflow info {file}"));
         commands
     }
 }
-
-/// Nobody picks more points by hand; longer lists of numbers are clouds.
-const N_PICKED: usize = 1000;
 
 /// What a file holds.
 #[derive(Debug)]
@@ -156,41 +144,30 @@ pub fn read(
             format!("unit_mm is {unit_mm}, but must be between 1e-6 and 1e6: 1 for millimetres, 1000 for metres");
         return Err(Error::Usage(message));
     }
-    if is_volume(file) {
+    let kind = probe(file)?.kind;
+    if kind == Kind::Ct {
         return ct(file, unit_mm, frame, threshold_hu, series);
     }
     for (option, is_given) in [("threshold_hu", threshold_hu.is_some()), ("series", series.is_some())] {
         if is_given {
-            return Err(Error::Usage(format!("{option} is for a CT, and {} is none", file.display())));
+            return Err(Error::Usage(format!("{option} is for a CT, and {} is {kind}", file.display())));
         }
     }
-    let bytes = input::read(file)?;
-    if bytes.starts_with(b"\x89MCAP") {
-        return Ok(Content::Recording);
-    }
-    if let Some(picked) = picked_points(file, &bytes) {
-        let mut picked = picked?;
-        if picked.space == Space::Unknown {
-            picked.points.iter_mut().for_each(|point| point.position *= unit_mm);
+    Ok(match kind {
+        Kind::Recording => Content::Recording,
+        Kind::Points => {
+            let mut picked = read_picked_points(file)?;
+            if picked.space == Space::Unknown {
+                picked.points.iter_mut().for_each(|point| point.position *= unit_mm);
+            }
+            Content::Points(picked)
         }
-        return Ok(Content::Points(picked));
-    }
-    if may_be_a_pose(file, &bytes) {
-        let read = read_pose(file, unit_mm)?;
-        return Ok(Content::Pose(read.isometry, read.notes));
-    }
-    Ok(Content::Shape(read_mesh_or_cloud(file, &bytes, unit_mm, frame)?))
-}
-
-/// Whether a file is a transform: an ITK file, JSON, or a text of four rows of four numbers that ends in 0 0 0 1.
-fn may_be_a_pose(file: &Path, bytes: &[u8]) -> bool {
-    let Ok(text) = std::str::from_utf8(bytes) else { return false };
-    let start = text.trim_start();
-    if start.starts_with("#Insight Transform File") || start.starts_with('{') || start.starts_with('[') {
-        return true;
-    }
-    let ends = text.split_whitespace().rev().take(4).filter_map(|word| word.parse::<f64>().ok()).collect::<Vec<_>>();
-    ends == [1.0, 0.0, 0.0, 0.0] && read_pose(file, 1.0).is_ok()
+        Kind::Pose => {
+            let read = read_pose(file, unit_mm)?;
+            Content::Pose(read.isometry, read.notes)
+        }
+        _ => Content::Shape(read_mesh_or_cloud(file, &input::read(file)?, unit_mm, frame)?),
+    })
 }
 
 fn ct(
@@ -292,40 +269,20 @@ pub(crate) fn write_list(file: &Path, points: &[NamedPoint], space: Space, no_sp
 pub fn write_pose(file: &Path, rows: &[[f64; 4]; 4]) -> Result<(), Error> {
     check_new(file)?;
     let matrix = Matrix4::from_fn(|row, column| rows[row][column]);
-    let t_to_from = nearest_isometry(&matrix).map_err(|error| Error::Usage(format!("the pose: {error}")))?.value;
+    let nearest = nearest_isometry(&matrix).map_err(|error| Error::Usage(format!("the pose: {error}")))?;
+    Ok(write_motion(file, &nearest.value, rows)?)
+}
+
+/// Writes a rigid motion, whose numbers may be rounded.
+pub(crate) fn write_motion(file: &Path, t_to_from: &Isometry3<f64>, rows: &[[f64; 4]; 4]) -> Result<()> {
     let text = match write::ending(file).as_str() {
         "txt" => rows.map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat(),
         "json" => format!("{}\n", json!({ "T": rows.concat() })),
-        "tfm" => itk_text(&t_to_from, &[]),
+        "tfm" => itk_text(t_to_from, &[]),
         _ => {
             let message = "no pose is written so; end it with .txt (the matrix), .json or .tfm (3D Slicer)";
-            return Err(Error::Usage(format!("{}: {message}", file.display())));
+            usage!("{}: {message}", file.display());
         }
     };
-    Ok(write_new(file, &text)?)
-}
-
-/// The picked points in the bytes of a file; `None` if it is something else.
-///
-/// A text of numbers may be a list of points or a cloud. It is a list if its points have names that are not numbers, or if it is
-/// short and its lines are an index, a comma, and three coordinates, as CloudCompare writes them.
-pub(crate) fn picked_points(file: &Path, bytes: &[u8]) -> Option<Result<PickedPoints, FileError>> {
-    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
-    let head = String::from_utf8_lossy(&start[..start.len().min(4096)]);
-    let is_markups = head.starts_with('{') && String::from_utf8_lossy(bytes).contains("\"markups\"");
-    let is_fcsv = head.starts_with("# Markups fiducial file");
-    let is_pp = head.starts_with('<') && head.contains("PickedPoints");
-    if is_markups || is_fcsv || is_pp {
-        return Some(parse_picked_points(file, bytes));
-    }
-    let read = parse_picked_points(file, bytes).ok()?;
-    let has_names = read.is_named && read.points.iter().any(|point| point.name.parse::<f64>().is_err());
-    let indexed = |line: &str| {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        // Decimal commas cut numbers, too, but what is between them is no number.
-        let is_number = |cell: &&str| cell.parse::<f64>().is_ok();
-        cells.len() == 4 && cells[0].parse::<u64>().is_ok() && cells[1..].iter().all(is_number)
-    };
-    let is_indexed = head.lines().take(3).all(indexed);
-    (read.points.len() <= N_PICKED && (has_names || is_indexed)).then_some(Ok(read))
+    write_new(file, &text)
 }

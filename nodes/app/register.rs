@@ -35,7 +35,7 @@ use osteoflow_formats::{
     Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     pose_file,
-    volume::is_volume,
+    probe::is_ct,
 };
 use osteoflow_geometry::{
     NamedPoint,
@@ -594,7 +594,7 @@ const SOURCE_PART: &str = "--source-component ";
 impl RegisterInput {
     /// The space that the file states. Reads it, since picked points are turned as the file that they were picked in.
     fn stated_space(&mut self, unit_mm: f64, frame: &str, notes: &mut Vec<String>) -> Result<Space> {
-        if self.content.is_none() && is_volume(&self.path) {
+        if self.content.is_none() && is_ct(&self.path) {
             return Ok(Space::Lps);
         }
         let read = match self.content.take() {

@@ -5,23 +5,22 @@ use super::common::{Exit, Global, LogArgs, terminal};
 use crate::app::{
     UsageError,
     bind::{Bone, bind},
-    files::{check_new, picked_points, write_list},
+    files::{check_new, write_list, write_motion},
     register::{PART_KEY, TARGET_PART, part},
     space,
 };
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use osteoflow_formats::{
-    FileError, Space, input,
-    mcap_read::is_recording,
+    Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
-    picked_points::{PickedPoints, parse_picked_points},
-    pose_log::log_format,
-    volume::is_volume,
+    picked_points::{PickedPoints, read_picked_points},
+    pose_file::read_pose,
+    probe::Kind,
     write::{Precision, ending, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{
-    NamedPoint,
+    NamedPoint, matrix_rows,
     nalgebra::{Isometry3, Translation3, UnitQuaternion},
 };
 use osteoflow_standard::{
@@ -34,12 +33,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Convert a file of points, a surface, picked points, a CT, a log of poses or a recorded cloud into another format, or bind a plan to
+/// Convert a file of points, a surface, picked points, a CT, a rigid motion, a log of poses or a recorded cloud into another format, or bind a plan to
 /// its bone.
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd
 /// or .csv; clouds to .ply, .pcd, .vtk, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv;
-/// a CT to the surface of its largest part; a log of poses (.igs.mha of PLUS, TUM, EuRoC, KITTI, a table) to .mcap, .csv or .tum; a cloud
+/// a CT to the surface of its largest part; a rigid motion to .txt (the matrix), .json or .tfm; a log of poses (.igs.mha of PLUS, TUM, EuRoC, KITTI, a table) to .mcap, .csv or .tum; a cloud
 /// of a recording to what clouds are written as; a plan, with --bind, to the same plan that says which surface it was drawn on.
 /// Lengths are millimetres after --scale. Files that state RAS are turned to LPS; where a file states no space its numbers stay as
 /// they are. Nothing is overwritten.
@@ -121,45 +120,30 @@ impl Convert {
 
     /// Writes OUT by what IN holds; what was written, and notes.
     fn converted(&self) -> Result<(String, Vec<String>)> {
-        if is_recording(&self.input) {
-            return self.recorded();
-        }
-        let log = if self.input.is_file() { log_format(&self.input)? } else { None };
-        if log.is_some() || self.log.says_poses() {
-            return self.poses(log);
-        }
-        if is_volume(&self.input) {
-            return self.ct();
-        }
-        let bytes = input::read(&self.input)?;
-        if self.series.is_some() {
-            usage!(
-                "{}: --series is for a folder with DICOM series, and this is a file of points; leave it out",
-                self.input.display()
-            );
-        }
-        if self.iso_hu.is_some() {
-            // What cannot be read at all says so itself.
-            let holds = match picked_points(&self.input, &bytes) {
-                Some(_) => "picked points",
-                None => match read_mesh_or_cloud(&self.input, &bytes, 1.0, "ct")? {
-                    MeshOrCloud::Mesh(_) => "a surface",
-                    MeshOrCloud::Cloud(..) => "a cloud",
-                },
-            };
-            let message = format!("--iso-hu is for a CT, and this file holds {holds}; leave it out");
-            usage!("{}: {message}", self.input.display());
-        }
-        match self.picked(&bytes) {
-            Some(_) if self.component.is_some() => {
-                usage!(
-                    "{}: --component is for a surface, a cloud or a CT, and this file holds picked points; leave it out",
-                    self.input.display()
-                );
+        let found = self.log.kind(&self.input)?;
+        let name = self.output.to_string_lossy().to_lowercase();
+        let writes_list = name.ends_with(".mrk.json") || name.ends_with(".fcsv");
+        match found {
+            Kind::Recording => self.recorded(),
+            Kind::Poses(format) => self.poses(format),
+            Kind::Ct => self.ct(),
+            _ if self.series.is_some() => self.leave_out("--series", "a folder with DICOM series", found),
+            _ if self.iso_hu.is_some() => self.leave_out("--iso-hu", "a CT", found),
+            Kind::Points | Kind::Pose if self.component.is_some() => {
+                self.leave_out("--component", "a surface, a cloud or a CT", found)
             }
-            Some(picked) => self.points(picked?),
-            None => self.shape(&bytes),
+            Kind::Pose if self.space.is_some() => self.leave_out("--space", "points and surfaces", found),
+            Kind::Pose => self.pose(),
+            Kind::Points => self.points(read_picked_points(&self.input)?),
+            Kind::Cloud | Kind::Unknown if writes_list => self.points(read_picked_points(&self.input)?),
+            _ => self.shape(&input::read(&self.input)?),
         }
+    }
+
+    /// Refuses an option that is for something else.
+    fn leave_out<T>(&self, option: &str, is_for: &str, found: Kind) -> Result<T> {
+        let file = self.input.display();
+        Err(UsageError(format!("{file}: {option} is for {is_for}, and this file holds {found}; leave it out")).into())
     }
 
     /// A plan bound to its bone.
@@ -218,11 +202,11 @@ impl Convert {
         Ok((format!("{n_vertices} vertices, {n_faces} faces{}", in_space(Space::Lps)), notes))
     }
 
-    /// The picked points in the bytes; `None` if it is a surface or a cloud. A text of numbers alone is a list of points if OUT is.
-    fn picked(&self, bytes: &[u8]) -> Option<Result<PickedPoints, FileError>> {
-        let name = self.output.to_string_lossy().to_lowercase();
-        let writes_list = name.ends_with(".mrk.json") || name.ends_with(".fcsv");
-        picked_points(&self.input, bytes).or_else(|| writes_list.then(|| parse_picked_points(&self.input, bytes)))
+    /// A rigid motion.
+    fn pose(&self) -> Result<(String, Vec<String>)> {
+        let read = read_pose(&self.input, self.scale)?;
+        write_motion(&self.output, &read.isometry, &matrix_rows(&read.isometry))?;
+        Ok((Kind::Pose.to_string(), read.notes))
     }
 
     fn points(&self, read: PickedPoints) -> Result<(String, Vec<String>)> {

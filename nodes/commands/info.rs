@@ -25,7 +25,7 @@ Examples:
   osteoflow info bone.stl --format json | jq .extent_mm
 
 Keys of --format json, where they apply:
-  kind        mesh, cloud, points, ct, study, pose, poses, plan, recording, procedure, run, results, archive, graph
+  kind        mesh, cloud, points, ct, study, pose, poses, plan, region, recording, procedure, run, results, archive, graph
   n_points    number of points, those that were dropped left out; n_dropped: those that were not finite
   parts       of a surface or a cloud, the largest first: number, n_points, n_faces, area_mm2, extent_mm, centre_mm; n_parts
   extent_mm   edges of the box around the points

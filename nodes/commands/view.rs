@@ -7,8 +7,8 @@ use super::common::{
     run_path, running,
     serve::{self, Admission, known_plan, picks::Picks},
 };
-use crate::app::{GraphArgs, Plugins, UsageError, files::Data};
-use anyhow::{Context, Result, anyhow};
+use crate::app::{GraphArgs, Plugins, UsageError};
+use anyhow::{Context, Result};
 use clap::Args;
 use osteoflow_engine::{Recording, names::nearest};
 use osteoflow_viewer::{Playback, Stream};
@@ -116,16 +116,6 @@ impl View {
         let path = run_path::recording(&self.what)?;
         let stream = Arc::new(Stream::default());
         let opened = Playback::open(&path, stream.clone());
-        let data = if opened.is_err() { Data::of(&path).filter(|data| *data != Data::Recording) } else { None };
-        if let Some(data) = data {
-            let commands = data.commands(&path).join("\n  ");
-            let message = format!(
-                "{} is {}, and view shows a graph, a run or a recording\n  {commands}",
-                path.display(),
-                data.what()
-            );
-            return Err(anyhow!(message));
-        }
         let playback = opened.with_context(|| format!("{} cannot be shown", path.display()))?;
         // A recording of other programs has neither a name nor results.
         let recording = Recording::open(&path).ok();

@@ -3,8 +3,11 @@
 use crate::app::UsageError;
 use anyhow::Result;
 use clap::Args;
-use osteoflow_formats::pose_log::{LogFormat, LogOptions};
-use std::path::PathBuf;
+use osteoflow_formats::{
+    pose_log::{LogFormat, LogOptions},
+    probe::{Kind, probe},
+};
+use std::path::{Path, PathBuf};
 
 /// What a log of poses does not say itself.
 #[derive(Debug, Default, Args)]
@@ -32,16 +35,16 @@ pub(crate) struct LogArgs {
 
 impl LogArgs {
     /// The options for a log of a format, or of a table, if columns are given.
-    pub(crate) fn options(&self, format: Option<LogFormat>, scale: f64) -> Result<LogOptions> {
+    pub(crate) fn options(&self, format: LogFormat, scale: f64) -> Result<LogOptions> {
         let columns = self.columns.as_ref().map(|path| {
             let text = osteoflow_formats::input::read_text(path)?;
             toml::from_str(&text).map_err(|error| UsageError(format!("{}: {error}", path.display())).into())
         });
         let columns: Option<_> = columns.transpose().map_err(|error: anyhow::Error| error)?;
-        let format = if columns.is_some() { Some(LogFormat::Table) } else { format };
+        let format = if columns.is_some() { LogFormat::Table } else { format };
         Ok(LogOptions {
-            format,
-            unit_mm: format.map(|format| format.unit_mm() * scale),
+            format: Some(format),
+            unit_mm: Some(format.unit_mm() * scale),
             parent: self.parent.clone(),
             child: self.child.clone(),
             rate_hz: self.rate,
@@ -50,8 +53,16 @@ impl LogArgs {
         })
     }
 
-    /// Whether the file is said to be a log of poses.
-    pub(crate) fn says_poses(&self) -> bool {
+    /// What a file is. If it is said to be a log of poses, and is not recognised as one, it is a table.
+    pub(crate) fn kind(&self, file: &Path) -> Result<Kind> {
+        match probe(file) {
+            Ok(found) if !self.says_poses() || matches!(found.kind, Kind::Recording | Kind::Poses(_)) => Ok(found.kind),
+            Err(error) if !self.says_poses() => Err(error.into()),
+            _ => Ok(Kind::Poses(LogFormat::Table)),
+        }
+    }
+
+    fn says_poses(&self) -> bool {
         self.columns.is_some()
             || self.parent.is_some()
             || self.child.is_some()

@@ -2,6 +2,7 @@
 
 use crate::app::{UsageError, files::Data};
 use osteoflow_engine::{run::files, sweep};
+use osteoflow_formats::probe::Kind;
 use std::path::{Path, PathBuf};
 
 /// The recording that `path` names: itself, or that of the run whose folder it is.
@@ -9,8 +10,15 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`UsageError`] for a folder without a recording, with what to name instead.
 pub(crate) fn recording(path: &Path) -> Result<PathBuf, UsageError> {
+    let other = |data: Data| {
+        let commands = data.commands(path).join("\n  ");
+        let message =
+            format!("{} is {data}, and the folder of a run or a recording is needed\n  {commands}", path.display());
+        Err(UsageError(message))
+    };
     if !path.is_dir() {
-        return Ok(path.into());
+        let data = Data::of(path).filter(|data| data.kind() != Some(Kind::Recording));
+        return data.map_or_else(|| Ok(path.into()), other);
     }
     let inside = path.join(files::RECORDING);
     if inside.is_file() {
@@ -23,12 +31,7 @@ pub(crate) fn recording(path: &Path) -> Result<PathBuf, UsageError> {
     } else if path.join("metadata.yaml").is_file() {
         "it is the bag of another program; name one of its .mcap files"
     } else if let Some(data) = Data::of(path) {
-        let commands = data.commands(path).join("\n  ");
-        return Err(UsageError(format!(
-            "{} is {}, and the folder of a run or a recording is needed\n  {commands}",
-            path.display(),
-            data.what()
-        )));
+        return other(data);
     } else {
         "name the folder of a run, or a recording"
     };

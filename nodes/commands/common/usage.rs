@@ -5,6 +5,7 @@ use clap::{
     Error,
     error::{ContextKind, ContextValue, ErrorKind},
 };
+use osteoflow_formats::probe::Kind;
 use std::{ffi::OsString, path::Path};
 
 /// Options of other programs, or of other commands, and what takes their place: command, option, tip. An empty command is any.
@@ -77,10 +78,10 @@ fn tip(message: &Error, arguments: &[&str]) -> Option<String> {
             let what = Data::of(Path::new(file));
             match Path::new(file).extension().is_some_and(|ending| ending == "toml") {
                 true => Some(format!("{file} is a graph by its name: osteoflow run {file}")),
-                false => what.map(|what| match what {
-                    Data::Surface | Data::Ct => format!("{file} is {}: osteoflow register {file} SCAN", what.what()),
-                    Data::Scan => format!("{file} is {}: osteoflow register BONE {file}", what.what()),
-                    _ => format!("{file} is {}: osteoflow register BONE SCAN", what.what()),
+                false => what.map(|what| match what.kind() {
+                    Some(Kind::Mesh | Kind::Ct) => format!("{file} is {what}: osteoflow register {file} SCAN"),
+                    Some(Kind::Cloud) => format!("{file} is {what}: osteoflow register BONE {file}"),
+                    _ => format!("{file} is {what}: osteoflow register BONE SCAN"),
                 }),
             }
         }

@@ -17,12 +17,11 @@ const TOPIC: &str = "/tf";
 
 impl Convert {
     /// The poses of a log.
-    pub(super) fn poses(&self, format: Option<LogFormat>) -> Result<(String, Vec<String>)> {
+    pub(super) fn poses(&self, format: LogFormat) -> Result<(String, Vec<String>)> {
         let options = self.log.options(format, self.scale)?;
         let ending = ending(&self.output);
         if !["mcap", "csv", "tum"].contains(&ending.as_str()) {
-            let what = format.map_or_else(|| "a table of poses".into(), |format| format.to_string());
-            usage!("{} is {what}, which is written as .mcap, .csv or .tum; name OUT so", self.input.display());
+            usage!("{} is {format}, which is written as .mcap, .csv or .tum; name OUT so", self.input.display());
         }
         let log = read_log(&self.input, &options)?;
         let (mut corrections, mut notes) = (Corrections::default(), log.notes);

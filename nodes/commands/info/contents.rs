@@ -3,7 +3,6 @@
 use super::{super::common::LogArgs, poses::poses};
 use crate::app::{
     archive::{Entry, Index, Role, index_of},
-    files::picked_points,
     register::{PART_KEY, TARGET_PART},
 };
 use anyhow::{Result, anyhow, bail};
@@ -16,20 +15,18 @@ use osteoflow_formats::{
     mcap_read::{Message, Recording, Topic as RecordedTopic},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     message_read::{MessageKind, read_cloud_head, read_pose_in_frame, read_transforms},
-    picked_points::PickedPoints,
+    picked_points::{PickedPoints, read_picked_points},
     plan_file::read_plan,
     pose_file::read_pose,
-    pose_log::log_format,
-    volume::{SeriesFound, VoxelUnit, is_volume, list_series, read_volume},
+    probe::{Kind, probe},
+    region_file::read_region,
+    volume::{SeriesFound, VoxelUnit, list_series, read_volume},
 };
 use osteoflow_geometry::{Frame, NamedPoint, Nearest, Pose, nalgebra::Point3};
 use osteoflow_standard::parts::of_bone;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::{collections::BTreeSet, fs, path::Path};
-
-/// The bytes that an MCAP begins with.
-const MCAP: &[u8] = b"\x89MCAP0\r\n";
 
 /// What a file or folder holds.
 #[derive(Debug, Default)]
@@ -66,8 +63,8 @@ pub(super) struct Topic {
 }
 
 impl Contents {
-    pub(super) fn new(kind: &'static str, about: impl Into<String>) -> Self {
-        Self { kind, about: about.into(), ..Self::default() }
+    pub(super) fn new(kind: &'static str, about: impl ToString) -> Self {
+        Self { kind, about: about.to_string(), ..Self::default() }
     }
 
     /// All of it as JSON.
@@ -190,42 +187,29 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
     if file.is_dir() {
         return folder_of(file, series);
     }
-    let format = log_format(file)?;
-    if format.is_some() || log.says_poses() {
-        return poses(file, format, log);
-    }
-    if is_volume(file) {
-        return volume(file, series);
-    }
-    if series.is_some() {
-        let message = "--series is for a folder with DICOM series; leave it out";
-        usage!("{}: {message}", file.display());
-    }
     if let Some(index) = index_of(file)? {
         return Ok(archived(file, index));
     }
-    let bytes = input::read(file)?;
-    if bytes.is_empty() {
-        bail!("{}: the file is empty", file.display());
-    }
-    // Spreadsheets put a byte-order mark before a text.
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").map_or_else(|| bytes.clone(), <[u8]>::to_vec);
-    if bytes.starts_with(MCAP) {
-        return recording(file);
-    }
-    if bytes.starts_with(b"#Insight Transform File") || is_matrix(&bytes) {
-        return pose(file);
-    }
     if file.extension().is_some_and(|ending| ending == "toml") {
-        return graph(file, &bytes);
+        return graph(file, &input::read(file)?);
     }
-    if let Some(picked) = picked_points(file, &bytes) {
-        return Ok(points(file, picked?));
-    }
-    if bytes.trim_ascii_start().starts_with(b"{") {
-        return json_file(file, &bytes);
-    }
-    shape(file, &bytes)
+    Ok(match log.kind(file)? {
+        Kind::Poses(format) => poses(file, format, log)?,
+        Kind::Ct => volume(file, series)?,
+        _ if series.is_some() => {
+            let message = "--series is for a folder with DICOM series; leave it out";
+            usage!("{}: {message}", file.display());
+        }
+        Kind::Recording => recording(file)?,
+        Kind::Pose => pose(file)?,
+        Kind::Points => points(file, read_picked_points(file)?),
+        Kind::Plan => plan(file)?,
+        Kind::Region => region(file)?,
+        Kind::Results => {
+            Contents::new("results", Kind::Results).with_verdict(&serde_json::from_slice(&input::read(file)?)?)
+        }
+        _ => shape(file, &input::read(file)?)?,
+    })
 }
 
 /// A graph, a module, or the table of a folder of a procedure.
@@ -286,19 +270,6 @@ fn graph(file: &Path, bytes: &[u8]) -> Result<Contents> {
     Ok(Contents { used_by, ..contents })
 }
 
-/// Whether it is a text of 16 numbers that ends with the last row of a rigid motion.
-fn is_matrix(bytes: &[u8]) -> bool {
-    if bytes.len() > 4096 {
-        return false;
-    }
-    let Ok(text) = std::str::from_utf8(bytes) else { return false };
-    let lines = text.lines().filter(|line| !line.trim_start().starts_with(['#', '%']) && !line.trim().is_empty());
-    let words: Vec<&str> =
-        lines.flat_map(|line| line.split([' ', '\t', ',', ';', '[', ']'])).filter(|w| !w.is_empty()).collect();
-    let numbers: Vec<f64> = words.iter().filter_map(|word| word.parse().ok()).collect();
-    words.len() == 16 && numbers.len() == 16 && numbers[12..] == [0.0, 0.0, 0.0, 1.0]
-}
-
 fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
     let name = file.display();
     Ok(match read_mesh_or_cloud(file, bytes, 1.0, "file")? {
@@ -306,7 +277,7 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
             let parts = Parts::of_mesh(&read.mesh);
             let (_, of_parts) = of_bone(read.mesh.clone(), None)?;
             let of_parts = of_parts.into_iter().map(|note| note.replace(PART_KEY, TARGET_PART));
-            Contents::new("mesh", "a surface of triangles")
+            Contents::new("mesh", format!("{} of triangles", Kind::Mesh))
                 .with_count("n_points", read.mesh.vertices().len(), "points")
                 .with_count("n_faces", read.mesh.faces().len(), "faces")
                 .with_box(read.mesh.vertices().iter().copied())
@@ -327,7 +298,7 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
                      give register --unit-mm 1000"
                 )
             });
-            let mut contents = Contents::new("cloud", "a cloud of points");
+            let mut contents = Contents::new("cloud", Kind::Cloud);
             contents = contents.with_count("n_points", read.cloud.len(), "points");
             match read.n_dropped {
                 0 => drop(contents.facts.insert("n_dropped".into(), 0.into())),
@@ -352,7 +323,7 @@ fn points(file: &Path, read: PickedPoints) -> Contents {
     let name = file.display();
     let planes = read.planes.iter().map(|plane| format!("plane {}", plane.name));
     let labels = planes.chain(read.rois.iter().map(|roi| format!("box {}", roi.name))).chain(names(&read.points));
-    Contents::new("points", "picked points")
+    Contents::new("points", Kind::Points)
         .with_count("n_points", read.points.len(), "points")
         .with_box(read.points.iter().map(|point| point.position))
         .with_space(read.space)
@@ -371,21 +342,22 @@ fn names(points: &[NamedPoint]) -> impl Iterator<Item = String> {
 fn pose(file: &Path) -> Result<Contents> {
     let read = read_pose(file, 1.0)?;
     let rows = osteoflow_geometry::matrix_rows(&read.isometry);
-    let mut contents = Contents::new("pose", "a rigid motion, the translation in mm").noted(read.notes);
+    let mut contents = Contents::new("pose", format!("{}, the translation in mm", Kind::Pose)).noted(read.notes);
     contents.facts.insert("matrix".into(), json!(rows));
     contents.lines.extend(rows.map(|row| ("", row.map(|c| format!("{c:>14.8}")).join(" "))));
     Ok(contents.used_by([format!("osteoflow register BONE SCAN --init {}", file.display())]))
 }
 
-fn json_file(file: &Path, bytes: &[u8]) -> Result<Contents> {
-    let value: Value = serde_json::from_slice(bytes)
-        .map_err(|error| anyhow!("{}: line {}: no JSON: {error}", file.display(), error.line()))?;
-    if ["T", "t_target_source", "matrix"].iter().any(|key| value.get(key).is_some()) {
-        return pose(file);
-    }
-    if value.get("verdict").is_some() && value.get("notice").is_some() {
-        return Ok(Contents::new("results", "results of a run").with_verdict(&value));
-    }
+fn region(file: &Path) -> Result<Contents> {
+    let region = read_region(file)?;
+    Ok(Contents::new("region", Kind::Region)
+        .with_count("n_keep", region.keep.len(), "keep")
+        .with_count("n_cut", region.cut.len(), "cut")
+        .with_list("frames", vec![region.frame.to_string()], "frame")
+        .used_by([format!("osteoflow register BONE SCAN --region {}", file.display())]))
+}
+
+fn plan(file: &Path) -> Result<Contents> {
     let read = read_plan(file)?;
     let plan = read.plan;
     let mut notes = read.notes;
@@ -397,7 +369,7 @@ fn json_file(file: &Path, bytes: &[u8]) -> Result<Contents> {
         ));
     }
     let labels = names(&plan.landmarks.points).chain(names(&plan.assessment.points));
-    Ok(Contents::new("plan", "a surgical plan")
+    Ok(Contents::new("plan", Kind::Plan)
         .with_list("labels", labels.collect(), "named")
         .with_count("n_planes", plan.planes.planes.len(), "planes")
         .with_list("frames", vec![plan.landmarks.frame.to_string()], "frames")
@@ -441,8 +413,7 @@ fn recording(file: &Path) -> Result<Contents> {
         }
         (false, _) => uses_of(&read, &name.to_string(), damaged.is_some()),
     };
-    let about =
-        format!("{} with {n_messages} messages", if is_run { "a recording of a run" } else { "an MCAP recording" });
+    let about = format!("{} with {n_messages} messages", if is_run { "a recording of a run" } else { "a recording" });
     let contents = Contents::new("recording", about).with_list("frames", frames, "frames");
     Ok(Contents { topics, problems, notes, used_by, ..contents })
 }
@@ -551,8 +522,11 @@ fn volume(file: &Path, series: Option<&str>) -> Result<Contents> {
     let unit = if volume.unit == VoxelUnit::Hu { "HU" } else { "unknown" };
     let [nx, ny, nz] = volume.size;
     let about = format!(
-        "an image of {nx} x {ny} x {nz} voxels of {:.3} x {:.3} x {:.3} mm, values in {unit}",
-        edges[0], edges[1], edges[2]
+        "{}, {nx} x {ny} x {nz} voxels of {:.3} x {:.3} x {:.3} mm, values in {unit}",
+        Kind::Ct,
+        edges[0],
+        edges[1],
+        edges[2]
     );
     let option = series.map_or_else(String::new, |series| format!(" --series {series}"));
     let set = series.map_or_else(String::new, |series| format!(" --set bone.series={series}"));
@@ -596,13 +570,14 @@ fn study(folder: &Path) -> Option<Contents> {
 
 fn folder_of(folder: &Path, series: Option<&str>) -> Result<Contents> {
     let name = folder.display();
-    if folder.join("procedure.toml").is_file() {
+    let kind = probe(folder)?.kind;
+    if kind == Kind::Procedure {
         let read = ProcedureFolder::open(folder)?;
         let streams = read.streams()?;
         let mut roles: Vec<String> = streams.items.iter().map(|item| item.role.clone()).collect();
         roles.sort();
         roles.dedup();
-        let about = format!("a procedure in files, {} items", streams.items.len());
+        let about = format!("{kind}, {} items", streams.items.len());
         return Ok(Contents::new("procedure", about)
             .with_list("labels", roles, "named")
             .noted(streams.notes.into_iter().chain(streams.signs.into_iter().map(|(_, sign)| sign)).collect())
@@ -625,9 +600,7 @@ fn folder_of(folder: &Path, series: Option<&str>) -> Result<Contents> {
         let contents = Contents::new("run", "a run").with_verdict(&results.unwrap_or_default());
         return Ok(Contents { problems, used_by, ..contents });
     }
-    let is_recording =
-        |entry: fs::DirEntry| entry.path().extension().is_some_and(|ending| ending == "mcap" || ending == "db3");
-    if folder.join("metadata.yaml").is_file() || fs::read_dir(folder)?.flatten().any(is_recording) {
+    if kind == Kind::Recording {
         return recording(folder);
     }
     volume(folder, series).map_err(|error| match error.downcast_ref() {

@@ -18,10 +18,10 @@ struct Stream {
 }
 
 /// The contents of a log; where it names no frames, or has no stamps, they are not needed here.
-pub(super) fn poses(file: &Path, format: Option<LogFormat>, log: &LogArgs) -> Result<Contents> {
+pub(super) fn poses(file: &Path, format: LogFormat, log: &LogArgs) -> Result<Contents> {
     let mut options = log.options(format, 1.0)?;
-    let names_frames = format.is_none_or(LogFormat::names_frames);
-    let has_stamps = format != Some(LogFormat::Kitti) || options.rate_hz.is_some() || options.times.is_some();
+    let names_frames = format.names_frames();
+    let has_stamps = format != LogFormat::Kitti || options.rate_hz.is_some() || options.times.is_some();
     if !names_frames {
         options.parent.get_or_insert_with(|| "PARENT".into());
         options.child.get_or_insert_with(|| "CHILD".into());

@@ -4,6 +4,7 @@ use crate::{
     FileError,
     columns::{Heading, Lines, Row, Split, axes, has_words, heading_names, name_axes, place, twice},
     cursor::Cursor,
+    scalar,
     shape::{Places, Shape, normal_columns},
 };
 use nalgebra::Vector3;
@@ -54,13 +55,6 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         return Err(cursor.fault_at(*first_line, message));
     }
     let places = axes(&cursor, &names, line)?;
-    if has_heading && ["qx", "qy", "qz", "qw"].iter().all(|name| place(&names, name).is_some()) {
-        let message = format!(
-            "the columns {} are those of poses, and points are needed; name the file of the scan (acquire.poses and acquire.folder read poses)",
-            names.join(", ")
-        );
-        return Err(cursor.fault_at(line, message));
-    }
     let normals = normal_columns(|name| place(&names, name));
     let is_needed = |k: usize| places.contains(&k) || normals.is_some_and(|normals| normals.contains(&k));
     let columns = columns(&cursor, rows, &split, has_heading, names.len(), is_needed)?;
@@ -92,6 +86,18 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     }
     let lines_of_points = Places::Lines(rows.iter().map(|(_, line)| *line).collect());
     Ok(Shape { stated, notes, places: lines_of_points, ..Shape::of_columns(named, places) })
+}
+
+/// Whether one of the first lines is a heading of points, or has three numbers.
+pub(crate) fn begins_with_points(bytes: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
+    let of_points = |line: &str| {
+        let names = heading_names(line.trim_start_matches(['#', '/']).trim());
+        let words = line.split([' ', '\t', ',', ';']).filter(|word| !word.is_empty()).take(3);
+        let n_numbers = words.filter(|word| scalar::number(word.trim()).is_some()).count();
+        n_numbers == 3 || ["x", "y", "z"].iter().all(|axis| place(&names, axis).is_some())
+    };
+    text.lines().any(of_points)
 }
 
 /// The likely cause of a line with twice the cells: a comma within each number, too.
@@ -164,7 +170,7 @@ fn index_note(rows: &[Row], split: &Split) -> Option<String> {
 }
 
 /// Whether names are those of columns: x, y and z come first, alone or with further words.
-fn is_heading(names: &[String]) -> bool {
+pub(crate) fn is_heading(names: &[String]) -> bool {
     let first = &names[..names.len().min(3)];
     ["x", "y", "z"].iter().all(|axis| place(first, axis).is_some())
 }

@@ -61,25 +61,3 @@ fn why(path: &Path, source: &std::io::Error) -> String {
         _ => source.to_string(),
     }
 }
-
-/// What bytes are that are no text: a format by its first bytes.
-pub(crate) fn other_format(bytes: &[u8]) -> Option<&'static str> {
-    const STARTS: [(&[u8], &str); 12] = [
-        (b"ply\n", "a PLY file"),
-        (b"ply\r\n", "a PLY file"),
-        (b"solid ", "an STL file in text"),
-        (b"# .PCD", "a PCD file"),
-        (b"# vtk", "a VTK file"),
-        (b"\x89MCAP0", "an MCAP recording"),
-        (b"NRRD", "an NRRD volume"),
-        (b"ObjectType", "a MetaImage volume"),
-        (b"\x1f\x8b", "a file compressed with gzip"),
-        (b"PK\x03\x04", "a ZIP archive"),
-        (b"\x89PNG", "a PNG image"),
-        (b"<!doctype html", "an HTML page"),
-    ];
-    let by_start = STARTS.iter().find(|(start, _)| bytes.starts_with(start)).map(|(_, what)| *what);
-    let triangles = || Some(u32::from_le_bytes(bytes.get(80..84)?.try_into().ok()?) as usize);
-    let is_stl = || triangles().is_some_and(|n| bytes.len() == 84 + 50 * n && n > 0);
-    by_start.or_else(|| is_stl().then_some("an STL file"))
-}

@@ -65,6 +65,7 @@ use crate::{
     mesh_or_cloud::{MeshRead, read_cloud, read_mesh},
     plan_file::{PlanRead, read_plan},
     poses_csv::read_poses,
+    probe,
 };
 use mistakes::{PosesFile, RowRead};
 use nalgebra::{Isometry3, Point3};
@@ -73,7 +74,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// The name of the file that names the others.
-pub const FILE_NAME: &str = "procedure.toml";
+pub const FILE_NAME: &str = probe::PROCEDURE;
 
 /// A folder whose `procedure.toml` has been read and whose files have been found.
 #[derive(Debug, Clone)]

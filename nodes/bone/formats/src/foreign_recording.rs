@@ -5,7 +5,8 @@ use std::path::Path;
 /// What a recording is that is no MCAP; none if it is another kind of file.
 pub(crate) fn kind(bytes: &[u8]) -> Option<&'static str> {
     const ROS1: (&[u8], &str) = (b"#ROSBAG", "a ROS 1 bag");
-    const SQLITE: (&[u8], &str) = (b"SQLite format 3\0", "a ROS 2 bag of the older kind, in SQLite (.db3),");
+    // The first eight bytes are all there is of the start of a recording.
+    const SQLITE: (&[u8], &str) = (b"SQLite f", "a ROS 2 bag of the older kind, in SQLite (.db3),");
     [ROS1, SQLITE].into_iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, kind)| kind)
 }
 

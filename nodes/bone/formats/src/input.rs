@@ -3,7 +3,7 @@
 //! A pipe or a socket would be waited for, and a device may never end, so what is not a regular file is refused before it is
 //! opened.
 
-use crate::{FileError, error::other_format};
+use crate::{FileError, kind::marked};
 use sha2::{Digest as _, Sha256};
 use std::{
     fs::{self, File, FileType},
@@ -41,6 +41,13 @@ pub fn read(path: &Path) -> Result<Vec<u8>, FileError> {
     fs::read(path).map_err(FileError::read(path))
 }
 
+/// The first bytes of a regular file, at most `n`.
+pub(crate) fn head(path: &Path, n: u64) -> Result<Vec<u8>, FileError> {
+    let mut head = Vec::new();
+    open(path)?.take(n).read_to_end(&mut head).map_err(FileError::read(path))?;
+    Ok(head)
+}
+
 /// The text of a regular file.
 ///
 /// # Errors
@@ -48,10 +55,8 @@ pub fn read(path: &Path) -> Result<Vec<u8>, FileError> {
 pub fn read_text(path: &Path) -> Result<String, FileError> {
     String::from_utf8(read(path)?).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
-        match other_format(error.as_bytes()) {
-            Some(what) => {
-                FileError::content(path, "byte 0", format!("it is {what}, and a text is needed; name another file"))
-            }
+        match marked(path, error.as_bytes()) {
+            Some(found) => found.refusal(path, "a text"),
             None => FileError::content(path, format!("byte {at}"), "the file is no text in UTF-8; save it as UTF-8"),
         }
     })

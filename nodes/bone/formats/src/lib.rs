@@ -5,6 +5,7 @@
 //!
 //! | Module | Reads | Writes |
 //! |---|---|---|
+//! | [`probe`](mod@probe) | what any file or folder is | |
 //! | [`mcap_read`] | MCAP recordings of any writer, also damaged ones, and the folders of ROS 2 bags | |
 //! | [`message_read`] | point clouds, transforms, poses and images of Foxglove (protobuf, JSON) and ROS 2 (CDR) | |
 //! | [`recording_write`] | | recordings of Foxglove's messages |
@@ -50,6 +51,7 @@ pub mod input;
 mod invalid;
 mod jpeg;
 mod json;
+mod kind;
 mod lost;
 pub mod mcap_read;
 pub mod mesh_or_cloud;
@@ -67,8 +69,8 @@ mod ply;
 mod png;
 pub mod pose_file;
 pub mod pose_log;
+pub mod probe;
 pub mod recording_write;
-mod refused;
 pub mod region_file;
 mod ros2;
 mod scalar;

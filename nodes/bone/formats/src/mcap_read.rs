@@ -31,16 +31,6 @@ use osteoflow_geometry::StampNs;
 use pass::Pass;
 use std::{collections::BTreeMap, io::Cursor, path::Path, sync::Arc};
 
-/// Whether a path is a recording that is read: a file that begins as an MCAP does, or the folder of a ROS 2 bag.
-pub fn is_recording(path: &Path) -> bool {
-    if path.is_dir() {
-        return path.join("metadata.yaml").is_file();
-    }
-    let mut start = [0; osteoflow_container::MAGIC.len()];
-    let read = input::open(path).ok().and_then(|mut file| std::io::Read::read_exact(&mut file, &mut start).ok());
-    read.is_some() && start == *osteoflow_container::MAGIC
-}
-
 /// What a recording holds, read to its end.
 #[derive(Debug, Clone, Default)]
 pub struct Recording {

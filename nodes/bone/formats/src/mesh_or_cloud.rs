@@ -17,8 +17,11 @@ pub use crate::shape::{CloudFileRead, MeshRead};
 
 use crate::{
     FileError, Space, cloud_text,
-    cursor::{is_text, without_byte_order_mark},
-    input, obj, off, pcd, ply, refused,
+    cursor::without_byte_order_mark,
+    input,
+    kind::{TEXT, is_binary_stl},
+    obj, off, pcd, ply,
+    probe::{self, Kind},
     shape::{Shape, size_note},
     stl, vtk,
 };
@@ -82,34 +85,30 @@ impl MeshOrCloud {
     }
 }
 
-/// Whether bytes are of a format, and its reader.
-type Format = (fn(&[u8]) -> bool, fn(&Path, &[u8]) -> Result<Shape, FileError>);
-
-/// The formats with a mark that no other kind of file has.
-const MARKED: [Format; 4] =
-    [(ply::is_ply, ply::shape), (stl::is_binary, stl::binary), (vtk::is_vtk, vtk::shape), (pcd::is_pcd, pcd::shape)];
-
-/// The others, in the order in which they are tried.
-const UNMARKED: [Format; 5] = [
-    (|bytes| !is_text(bytes), stl::binary),
-    (stl::is_ascii, stl::ascii),
-    (obj::is_obj, obj::shape),
-    (off::is_off, off::shape),
-    (|_| true, cloud_text::shape),
-];
-
 /// The content of a file in its own unit.
 fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let probe = probe::of(path, bytes)?;
+    let is_binary = is_binary_stl(bytes);
+    let read = match probe.format {
+        "PLY" => ply::shape,
+        "STL" if is_binary => stl::binary,
+        "STL" => stl::ascii,
+        "VTK" => vtk::shape,
+        "PCD" => pcd::shape,
+        "OBJ" => obj::shape,
+        "OFF" => off::shape,
+        TEXT => cloud_text::shape,
+        // A binary STL that was cut short has no other mark.
+        _ if probe.kind == Kind::Unknown => stl::binary,
+        _ => return Err(probe.refusal(path, "a surface or a cloud")),
+    };
     // The 80 bytes that a binary STL begins with may hold anything.
-    let bytes = if stl::is_binary(bytes) { bytes } else { without_byte_order_mark(bytes) };
-    let of = |formats: &[Format]| formats.iter().find(|(is_it, _)| is_it(bytes)).map(|(_, read)| *read);
-    match of(&MARKED) {
-        Some(read) => read(path, bytes),
-        None => match refused::refusal(path, bytes) {
-            Some(message) => Err(FileError::content(path, "byte 0", message)),
-            None => of(&UNMARKED).expect("any text may be of points")(path, bytes),
-        },
+    let bytes = if is_binary { bytes } else { without_byte_order_mark(bytes) };
+    let mut shape = read(path, bytes)?;
+    if probe.kind == Kind::Points {
+        shape.notes.push("these are picked points, which are taken for a cloud".into());
     }
+    Ok(shape)
 }
 
 /// Reads a surface from a file of any of [these formats](self).

@@ -15,13 +15,6 @@ const LZF_RATIO: u64 = 100;
 /// More zeros than this behind the points are no padding: the largest page of memory of common machines.
 const MAX_PADDING_BYTES: usize = 64 << 10;
 
-/// Whether the first line that is no comment begins a header.
-pub(crate) fn is_pcd(bytes: &[u8]) -> bool {
-    let mut lines = bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii).take(50);
-    let first = lines.find(|line| line.starts_with(b"# .PCD") || !(line.is_empty() || line.starts_with(b"#")));
-    first.is_some_and(|line| [&b"# .PCD"[..], b"VERSION ", b"FIELDS "].iter().any(|word| line.starts_with(word)))
-}
-
 /// One field of each point.
 struct Field {
     name: String,

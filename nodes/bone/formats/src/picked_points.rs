@@ -20,8 +20,44 @@ mod write;
 pub use collected::{PickedPlane, PickedPoints, PickedRoi};
 pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_csv, write_roi_mrk_json};
 
-use crate::{FileError, cursor::is_text, input, refused};
+use crate::{
+    FileError,
+    cursor::{is_text, without_byte_order_mark},
+    input,
+    kind::{Kind, Probe, TEXT, marked},
+    pose_file::is_pose,
+};
 use std::path::Path;
+
+/// Nobody picks more points by hand; longer lists of numbers are clouds.
+const MAX_PICKED: usize = 1000;
+/// A text of as many points is shorter.
+const MAX_LIST_BYTES: usize = 1 << 20;
+
+/// The format of a text that is a list of picked points; none if it is something else.
+///
+/// A text of numbers may be a list of points or a cloud. It is a list if its points have names that are not numbers, or if it is
+/// short and its lines are an index, a comma, and three coordinates, as CloudCompare writes them.
+pub(crate) fn format_of(path: &Path, bytes: &[u8]) -> Option<&'static str> {
+    let start = bytes.trim_ascii_start();
+    if slicer::is_fcsv(start) {
+        return Some("fiducials of 3D Slicer");
+    }
+    if start.starts_with(b"<") {
+        return Some("a list of MeshLab");
+    }
+    let read = if bytes.len() <= MAX_LIST_BYTES { text::list(path, bytes).ok()? } else { return None };
+    let has_names = read.is_named && read.points.iter().any(|point| point.name.parse::<f64>().is_err());
+    let indexed = |line: &str| {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        // Decimal commas cut numbers, too, but what is between them is no number.
+        let is_number = |cell: &&str| cell.parse::<f64>().is_ok();
+        cells.len() == 4 && cells[0].parse::<u64>().is_ok() && cells[1..].iter().all(is_number)
+    };
+    let is_indexed = || String::from_utf8_lossy(start).lines().take(3).all(indexed);
+    let n_points = read.points.len();
+    ((1..=MAX_PICKED).contains(&n_points) && (has_names || is_indexed())).then_some(TEXT)
+}
 
 /// Reads the points of a file of [these formats](self).
 ///
@@ -37,22 +73,21 @@ pub fn read_picked_points(path: &Path) -> Result<PickedPoints, FileError> {
 /// [`FileError`] with the place, if the file is of none of these formats, gives a label twice, a number that is not finite,
 /// an unknown coordinate system, another unit than mm, or holds nothing.
 pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let bytes = without_byte_order_mark(bytes);
     let start = bytes.trim_ascii_start();
-    let refuse = |message: &str| Err(FileError::content(path, "byte 0", message));
+    let other = match start.first() {
+        Some(b'{' | b'<') => None,
+        _ if is_pose(bytes) => Some(Probe::new(Kind::Pose, "", path)),
+        _ => marked(path, bytes).or_else(|| (!is_text(bytes)).then(|| Probe::new(Kind::Unknown, "", path))),
+    };
+    if let Some(other) = other {
+        return Err(other.refusal(path, "a list of points"));
+    }
     let picked = match start.first() {
-        None => return refuse("the file is empty; was it written to the end?"),
         Some(b'{') => slicer::markups(path, bytes)?,
         Some(b'<') => text::meshlab(path, bytes)?,
-        _ if start.starts_with(b"ply") || start.starts_with(b"solid") => {
-            return refuse("this is a surface or a cloud; give a list of points");
-        }
         Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, bytes)?,
-        _ => match refused::refusal(path, bytes) {
-            Some(message) => return refuse(&message),
-            None if !is_text(bytes) => return refuse("no text; a list of points is expected"),
-            None => text::list(path, bytes)?,
-        },
+        _ => text::list(path, bytes)?,
     };
     if picked.points.is_empty() && picked.planes.is_empty() && picked.rois.is_empty() {
         let skipped = match picked.n_skipped {

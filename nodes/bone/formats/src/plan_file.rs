@@ -141,9 +141,18 @@ const SPACES: [&str; 3] = ["frame", "space", "coordinatesystem"];
 /// Keys for people.
 const REMARKS: [&str; 7] = ["$schema", "mesh", "name", "side", "description", "comment", "note"];
 
+fn has_keys(root: &Map<String, Value>) -> bool {
+    KEYS.iter().any(|key| *key != SURFACE && root.contains_key(*key))
+}
+
+/// Whether an object is a plan, or holds those of several bones.
+pub(crate) fn is_plan(root: &Map<String, Value>) -> bool {
+    has_keys(root) || root.values().filter_map(Value::as_object).any(has_keys)
+}
+
 /// The plan, without a note on the keys that were not read.
 fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
-    if !KEYS.iter().any(|key| *key != SURFACE && root.contains_key(*key)) {
+    if !has_keys(root) {
         let advice = if root.contains_key("markups") {
             "these are markups of 3D Slicer, points or planes without their meaning; write them as a plan"
         } else {

@@ -13,11 +13,6 @@ use crate::{
 use nalgebra::{Point3, Vector3};
 use std::{borrow::Cow, path::Path};
 
-/// Whether a file begins as a PLY.
-pub(crate) fn is_ply(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"ply")
-}
-
 /// The content of a PLY file: a surface if it has faces, otherwise a cloud.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut cursor = Cursor::new(path, bytes);

@@ -10,17 +10,20 @@
 //! An ITK transform takes points of the fixed image to the moving one, and 3D Slicer writes the inverse of the transform
 //! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
 
-use crate::{FileError, input, json};
+use crate::{FileError, input, json, kind::marked};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::{Correction, Nearest, nearest_isometry, nearest_rotation};
 use serde_json::Value;
 use std::path::Path;
 
 /// The keys under which a JSON object may hold the matrix, in the order in which they are looked for.
-const KEYS: [&str; 3] = ["T", "t_target_source", "matrix"];
+pub(crate) const KEYS: [&str; 3] = ["T", "t_target_source", "matrix"];
 
 /// Keys that may state the unit of length.
 const UNITS: [&str; 2] = ["units", "unit"];
+
+/// A matrix with as many digits as there are, and comments, is shorter.
+const MAX_MATRIX_BYTES: usize = 4096;
 
 const ITK_MARK: &str = "#Insight Transform File";
 
@@ -43,8 +46,8 @@ pub struct PoseRead {
 /// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from a rotation.
 pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
     let bytes = input::read(path)?;
-    if bytes.starts_with(b"\x89HDF") {
-        return Err(fault(path, "byte 0", "an HDF5 transform is not read; save it as text (.tfm)"));
+    if let Some(found) = marked(path, &bytes) {
+        return Err(found.refusal(path, "a rigid motion"));
     }
     let text = std::str::from_utf8(&bytes)
         .map_err(|error| fault(path, format!("byte {}", error.valid_up_to()), "no text; a 4 x 4 matrix is expected"))?;
@@ -68,7 +71,7 @@ pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
         list if list.starts_with('[') && serde_json::from_str::<serde::de::IgnoredAny>(list).is_ok() => {
             json_matrix(path, list)?
         }
-        _ => text_matrix(path, text)?,
+        _ => sixteen(path, &text_numbers(path, text)?)?,
     };
     for row in 0..3 {
         matrix[(row, 3)] *= unit_mm;
@@ -105,19 +108,38 @@ fn rigid(path: &Path, matrix: &Matrix4<f64>) -> Result<Nearest<Isometry3<f64>>, 
     nearest_isometry(matrix).map_err(|error| fault(path, "matrix", error.to_string()))
 }
 
-fn text_matrix(path: &Path, text: &str) -> Result<Matrix4<f64>, FileError> {
+/// Whether a text is an ITK transform, or 16 numbers in one, four or sixteen lines that end as a rigid motion does, 0 0 0 1.
+pub(crate) fn is_pose(bytes: &[u8]) -> bool {
+    let bytes = bytes.trim_ascii_start();
+    let text = || std::str::from_utf8(bytes).ok();
+    let n_lines = |text: &str| text.lines().filter(|line| line.contains(|c: char| c.is_ascii_digit())).count();
+    let is_matrix = |text: &str| {
+        let numbers = text_numbers(Path::new(""), text).unwrap_or_default();
+        numbers.len() == 16 && numbers[12..] == [0.0, 0.0, 0.0, 1.0] && !matches!(n_lines(text), 2 | 8)
+    };
+    bytes.starts_with(ITK_MARK.as_bytes()) || bytes.len() <= MAX_MATRIX_BYTES && text().is_some_and(is_matrix)
+}
+
+/// The numbers of a text, between blanks, semicolons, brackets or commas, which are decimal in lines of four or sixteen other words.
+fn text_numbers(path: &Path, text: &str) -> Result<Vec<f64>, FileError> {
     let mut numbers = Vec::new();
     for (line, row) in text.lines().enumerate() {
         let end = ["#", "//", "%"].iter().filter_map(|mark| row.find(mark)).min().unwrap_or(row.len());
-        let between = |c: char| c.is_whitespace() || ",;[]()".contains(c);
-        for word in row[..end].split(between).filter(|word| !word.is_empty()) {
+        let between = |c: char| c.is_whitespace() || ";[]()".contains(c);
+        let words = || row[..end].split(between).filter(|word| !word.is_empty());
+        let decimal = words().map(|word| word.replace(',', ".").parse().ok()).collect::<Option<Vec<f64>>>();
+        if let Some(decimal) = decimal.filter(|row| matches!(row.len(), 4 | 16)) {
+            numbers.extend(decimal);
+            continue;
+        }
+        for word in words().flat_map(|word| word.split(',')).filter(|word| !word.is_empty()) {
             let number: f64 = word
                 .parse()
                 .map_err(|_| fault(path, format!("line {}", line + 1), format!("\"{word}\" is not a number")))?;
             numbers.push(number);
         }
     }
-    sixteen(path, &numbers)
+    Ok(numbers)
 }
 
 fn sixteen(path: &Path, numbers: &[f64]) -> Result<Matrix4<f64>, FileError> {
@@ -467,7 +489,7 @@ mod tests {
                 "1 0 0 0 0 1 0 0 0 0 1 0".into(),
                 "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 12",
             ),
-            (String::new(), "matrix: 16 numbers are expected, a 4 x 4 matrix row by row, but there are 0"),
+            (String::new(), "byte 0: the file is empty; was it written to the end?"),
             ("1 0 0 0\n0 one 0 0".into(), "line 2: \"one\" is not a number"),
             (
                 "1 0 0 0 0 1 0 0 0 0 1 0 5 6 7 1".into(),

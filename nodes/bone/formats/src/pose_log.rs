@@ -22,29 +22,30 @@ mod stamp_unit;
 mod trajectory;
 mod write_tum;
 
+pub use crate::kind::LogFormat;
 pub use columns::{Columns, QuaternionColumns, TimeUnit, Tool};
+pub(crate) use sequence::is_sequence;
 pub use write_tum::write_tum;
 
 use crate::{
-    FileError, LostPose, Sign, Spellings, StampOrder, cursor::Cursor, input, metaimage_header::is_metaimage,
-    refused::refusal,
+    FileError, LostPose, Sign, Spellings, StampOrder,
+    cursor::Cursor,
+    input,
+    kind::{Kind, Probe, marked},
+    metaimage_header::is_metaimage,
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
     Frame, MM_PER_M, Nearest, Pose, RigidError, StampNs, TooFar, nearest_isometry, nearest_rotation,
 };
-use schemars::JsonSchema;
-use serde::Deserialize;
 use stamp_unit::Track;
 use std::{
     collections::BTreeMap,
-    fmt,
-    io::Read as _,
     path::{Path, PathBuf},
 };
 
 /// Bytes of a file by which its format is recognised.
-const N_HEAD: u64 = 1 << 16;
+const N_HEAD: usize = 1 << 16;
 
 /// A translation beyond this, a kilometre, is a tracker's code for a tool that it does not see.
 const FARTHEST_MM: f64 = 1e6;
@@ -53,55 +54,6 @@ const FARTHEST_MM: f64 = 1e6;
 const FARTHEST_SEEN_MM: f64 = 1e5;
 /// A tracker sees no nearer, mm.
 const NEAREST_SEEN_MM: f64 = 10.0;
-
-/// The format of a log.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum LogFormat {
-    /// A MetaImage with a transform for each frame of a sequence.
-    IgsMha,
-    /// TUM: `timestamp x y z qx qy qz qw`.
-    Tum,
-    /// EuRoC: `timestamp,x,y,z,qw,qx,qy,qz`.
-    Euroc,
-    /// KITTI: twelve numbers.
-    Kitti,
-    /// `t_ns,parent,child,x,y,z,qx,qy,qz,qw`.
-    Poses,
-    /// A table of NDI's Track, whose heading begins with `Tools,Port`, or of the sample program of NDI's API, with `ToolInfo`.
-    Ndi,
-    /// A table whose heading is described.
-    Table,
-}
-
-impl LogFormat {
-    /// The unit of length of the format, mm.
-    pub fn unit_mm(self) -> f64 {
-        match self {
-            Self::Tum | Self::Euroc | Self::Kitti => MM_PER_M,
-            Self::IgsMha | Self::Poses | Self::Ndi | Self::Table => 1.0,
-        }
-    }
-
-    /// Whether a file of the format names the frames of its poses.
-    pub fn names_frames(self) -> bool {
-        !matches!(self, Self::Tum | Self::Euroc | Self::Kitti)
-    }
-}
-
-impl fmt::Display for LogFormat {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::IgsMha => "a tracked sequence (.igs.mha)",
-            Self::Tum => "a TUM trajectory",
-            Self::Euroc => "a EuRoC trajectory",
-            Self::Kitti => "a KITTI trajectory",
-            Self::Poses => "poses (t_ns, parent, child, ..)",
-            Self::Ndi => "a table of NDI's programs",
-            Self::Table => "a table of poses",
-        })
-    }
-}
 
 /// What a log does not say itself.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -135,18 +87,14 @@ pub struct PoseLog {
     pub signs: Vec<Sign>,
 }
 
-/// The format of a file by its content; none if it is no log, or a table whose heading has to be described.
+/// The format of a text by its content; none if it is no log.
 ///
 /// # Errors
-/// [`FileError`] if the file cannot be read.
-pub fn log_format(path: &Path) -> Result<Option<LogFormat>, FileError> {
-    let mut head = Vec::new();
-    input::open(path)?.take(N_HEAD).read_to_end(&mut head).map_err(FileError::read(path))?;
-    if is_metaimage(&head) {
-        return Ok(sequence::is_sequence(&head).then_some(LogFormat::IgsMha));
-    }
-    let is_whole = (head.len() as u64) < N_HEAD;
-    Ok(trajectory::format_of(&head, is_whole))
+/// [`FileError`] if the order of its quaternions cannot be told.
+pub(crate) fn format_of(path: &Path, bytes: &[u8]) -> Result<Option<LogFormat>, FileError> {
+    let head = &bytes[..bytes.len().min(N_HEAD)];
+    let format = trajectory::format_of(head, head.len() == bytes.len());
+    format.map_err(|message| FileError::content(path, "line 1", message))
 }
 
 /// Reads a log.
@@ -158,7 +106,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
     let format = match options.format {
         Some(format) => format,
         None if options.columns.is_some() => LogFormat::Table,
-        None => log_format(path)?.map_or_else(|| unknown(path), Ok)?,
+        None => found_format(path)?,
     };
     let unit_mm = options.unit_mm.unwrap_or_else(|| format.unit_mm());
     let mut log = Log::default();
@@ -182,16 +130,20 @@ fn no_pose(path: &Path, notes: &[String]) -> FileError {
     FileError::content(path, "poses", format!("there is no pose in the file; {why}"))
 }
 
-/// That a file is no log, by its own name where that is known.
-fn unknown(path: &Path) -> Result<LogFormat, FileError> {
-    let bytes = input::read(path)?;
-    if let Some(message) = refusal(path, &bytes) {
-        return Err(FileError::content(path, "byte 0", message));
+/// The format of a file by its content.
+fn found_format(path: &Path) -> Result<LogFormat, FileError> {
+    const WANTED: &str = "a log of poses, .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, \
+                          t_ns,parent,child,x,y,z,qx,qy,qz,qw, or a table whose heading columns describe,";
+    let head = input::head(path, N_HEAD as u64)?;
+    if is_metaimage(&head) && is_sequence(&head) {
+        return Ok(LogFormat::IgsMha);
     }
+    if let Some(found) = marked(path, &head) {
+        return Err(found.refusal(path, WANTED));
+    }
+    let bytes = input::read(path)?;
     Cursor::text(path, &bytes)?;
-    let message = "no log of poses is recognised: .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, or \
-                   t_ns,parent,child,x,y,z,qx,qy,qz,qw; describe the heading of another table by columns";
-    Err(FileError::content(path, "byte 0", message))
+    format_of(path, &bytes)?.ok_or_else(|| Probe::new(Kind::Unknown, "", path).refusal(path, WANTED))
 }
 
 /// A rotation as a file gives it.

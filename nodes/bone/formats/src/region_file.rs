@@ -19,7 +19,7 @@ use osteoflow_geometry::{DrawnOn, DrawnRegion, FARTHEST_MM, Shape, direction};
 use serde::{Deserialize, Serialize};
 use std::{fs, path::Path};
 
-const FORMAT: &str = "osteoflow-region";
+pub(crate) const FORMAT: &str = "osteoflow-region";
 const VERSION: u32 = 1;
 /// Largest deviation of `right` and `down` from unit length and a right angle.
 const MAX_SKEW: f64 = 1e-6;

@@ -18,11 +18,6 @@ fn promised(bytes: &[u8]) -> Option<(u32, u64)> {
     Some((n, HEADER_BYTES as u64 + FACE_BYTES as u64 * u64::from(n)))
 }
 
-/// Whether the length is that of a binary STL with as many triangles as its header counts.
-pub(crate) fn is_binary(bytes: &[u8]) -> bool {
-    promised(bytes).is_some_and(|(n, expected)| n > 0 && expected == bytes.len() as u64)
-}
-
 /// Whether a text begins as an ASCII STL. Many binary files do, too.
 pub(crate) fn is_ascii(bytes: &[u8]) -> bool {
     bytes.trim_ascii_start().get(..5).is_some_and(|start| start.eq_ignore_ascii_case(b"solid"))

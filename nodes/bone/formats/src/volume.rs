@@ -17,7 +17,11 @@ mod numbers;
 pub use dicom::SeriesFound;
 pub use grid::{Volume, VolumeRead, VoxelUnit};
 
-use crate::{FileError, input, metaimage_header::is_metaimage, refused::is_mgh};
+use crate::{
+    FileError, input,
+    kind::{Kind, Probe, is_mgh, marked},
+    metaimage_header::is_metaimage,
+};
 use flate2::read::GzDecoder;
 use nalgebra::{Matrix3, Point3};
 use osteoflow_geometry::TooFar;
@@ -35,18 +39,21 @@ pub fn data_files(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// Whether the path is a folder, as of a DICOM series, or a file that begins as NIfTI, gzip, NRRD, MetaImage or DICOM do. A
-/// MetaImage that is a sequence of poses is none.
-pub fn is_volume(path: &Path) -> bool {
-    path.is_dir() || start_of(path).is_ok_and(|start| is_volume_file(&start) && !is_sequence(path, &start))
-}
+/// How the files of a format begin, and their reader.
+type Format = (&'static str, fn(&[u8]) -> bool, fn(&Path, Option<&str>) -> Result<VolumeRead, FileError>);
 
-fn is_volume_file(start: &[u8]) -> bool {
-    start.starts_with(b"NRRD")
-        || is_metaimage(start)
-        || dicom::is_dicom(start)
-        || is_gzip_of_a_volume(start)
-        || nifti::is_nifti(start)
+pub(crate) const METAIMAGE: &str = "MetaImage";
+
+const FORMATS: [Format; 4] = [
+    ("NRRD", |start| start.starts_with(b"NRRD"), |path, _| nrrd::read(path)),
+    (METAIMAGE, is_metaimage, |path, _| metaimage::read(path)),
+    ("DICOM", dicom::is_dicom, dicom::read_file),
+    ("NIfTI", |start| nifti::is_nifti(start) || is_gzip_of_a_volume(start), |path, _| nifti::read(path)),
+];
+
+/// The format of a volume by its first bytes; none if it is no volume.
+pub(crate) fn format_of(start: &[u8]) -> Option<&'static str> {
+    FORMATS.iter().find(|(_, is_it, _)| is_it(start)).map(|(name, ..)| *name)
 }
 
 /// Whether a gzip file holds NIfTI, or MGH, which is refused by its name there; one that is damaged is taken for such.
@@ -54,10 +61,6 @@ fn is_gzip_of_a_volume(start: &[u8]) -> bool {
     let mut head = [0; 24];
     let is_gzip = start.starts_with(&[0x1f, 0x8b]);
     is_gzip && GzDecoder::new(start).read_exact(&mut head).map_or(true, |()| nifti::is_nifti(&head) || is_mgh(&head))
-}
-
-fn is_sequence(path: &Path, start: &[u8]) -> bool {
-    is_metaimage(start) && metaimage::n_frames(path).is_some()
 }
 
 /// Reads the volume in a NIfTI, NRRD, MetaImage or DICOM file, recognised by its content, or the DICOM series in a folder.
@@ -74,25 +77,16 @@ pub fn read_volume(path: &Path, series: Option<&str>) -> Result<VolumeRead, File
         dicom::read_folder(path, series)?
     } else {
         let start = start_of(path)?;
-        if series.is_some() && !dicom::is_dicom(&start) {
+        let Some((name, _, read)) = FORMATS.iter().find(|(_, is_it, _)| is_it(&start)) else {
+            let found = marked(path, &start).unwrap_or_else(|| Probe::new(Kind::Unknown, "", path));
+            return Err(found.refusal(path, "a NIfTI, NRRD, MetaImage or DICOM file, or the folder of a DICOM series"));
+        };
+        if series.is_some() && *name != "DICOM" {
             let message =
                 "series chooses among the DICOM series of a folder, but this is a file of another format; leave it out";
             return Err(FileError::content(path, "series", message));
         }
-        if start.starts_with(b"NRRD") {
-            nrrd::read(path)?
-        } else if is_metaimage(&start) {
-            metaimage::read(path)?
-        } else if dicom::is_dicom(&start) {
-            dicom::read_file(path, series)?
-        } else if start.starts_with(&[0x1f, 0x8b]) || nifti::is_nifti(&start) {
-            nifti::read(path)?
-        } else {
-            let message = "neither NIfTI (348 or 540 in the first four bytes), NRRD (\"NRRD\"), MetaImage (\"ObjectType = \
-                           Image\") nor DICOM (\"DICM\" at byte 128); give a .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file, or \
-                           the folder of a DICOM series";
-            return Err(FileError::content(path, "byte 0", message));
-        }
+        read(path, series)?
     };
     let volume = &mut read.volume;
     read.notes.extend(replace_non_finite(&mut volume.voxels));
@@ -132,9 +126,7 @@ pub fn list_series(folder: &Path) -> Result<Vec<SeriesFound>, FileError> {
 
 /// The first bytes of a file, as many as tell its format.
 fn start_of(path: &Path) -> Result<Vec<u8>, FileError> {
-    let mut start = Vec::new();
-    input::open(path)?.take(132).read_to_end(&mut start).map_err(FileError::read(path))?;
-    Ok(start)
+    input::head(path, 132)
 }
 
 /// Sets values above all numbers to the highest of the others, as bone and metal beyond a scanner's range are, and values below

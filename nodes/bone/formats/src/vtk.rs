@@ -10,11 +10,6 @@ use crate::{
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
-/// Whether a file begins as a legacy file of VTK.
-pub(crate) fn is_vtk(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"# vtk DataFile")
-}
-
 /// The surface in a VTK file, or the cloud if it has neither polygons nor strips.
 ///
 /// Vertices that are NaN are kept for the cloud to drop. Normals of the points are read, and for a cloud also the scalars

@@ -105,7 +105,7 @@ fn an_empty_file_is_named_as_such() {
 #[test]
 fn another_kind_of_file_is_named_as_such() {
     let error = Recording::from_bytes("a.mcap", b"#ROSBAG V2.0\n", true).unwrap_err();
-    let begins = "a.mcap: it is a ROS 1 bag, and MCAP is read; convert it with `rosbags-convert --src a.mcap";
+    let begins = "a.mcap: byte 0: a ROS 1 bag is not read; convert it with `rosbags-convert --src a.mcap";
     assert!(error.to_string().starts_with(begins), "{error}");
     let error = Recording::from_bytes("a.mcap", b"\x89MCA", false).unwrap_err();
     assert!(error.to_string().contains("cut short in its first bytes"), "{error}");

@@ -214,13 +214,13 @@ fn clouds_of_pcl_read_in_all_encodings() {
 fn images_and_markups_are_refused_by_name() {
     let Some(data) = data("images and markups") else { return };
     for (name, expected) in [
-        ("medical/nibabel_anatomical.nii", "NIfTI is an image, not a surface"),
-        ("medical/pydicom_CT_small.dcm", "DICOM is an image, not a surface"),
-        ("medical/tlem2r_distal_ct.nii.gz", "gzip data is not read; unpack it"),
-        ("recordings/procedure_dev.mcap", "an MCAP recording is not read"),
-        ("markups/tlem2r_plan_LPS.mrk.json", "Slicer markups is not read; these are points, not a surface"),
-        ("markups/tlem2r_plan_RAS.fcsv", "Slicer markups is not read; these are points, not a surface"),
-        ("markups/tlem2r_plan.pp", "a list of picked points (.pp) is not read"),
+        ("medical/nibabel_anatomical.nii", "it holds a CT (NIfTI), and a surface or a cloud is needed"),
+        ("medical/pydicom_CT_small.dcm", "it holds a CT (DICOM), and a surface or a cloud is needed"),
+        ("medical/tlem2r_distal_ct.nii.gz", "it holds a CT (NIfTI), and a surface or a cloud is needed"),
+        ("recordings/procedure_dev.mcap", "it holds a recording (MCAP), and a surface or a cloud is needed"),
+        ("markups/tlem2r_plan_LPS.mrk.json", "it holds picked points (markups of 3D Slicer), and a surface"),
+        ("markups/tlem2r_plan_RAS.fcsv", "it holds picked points (fiducials of 3D Slicer), and a surface"),
+        ("markups/tlem2r_plan.pp", "it holds picked points (a list of MeshLab), and a surface"),
         ("mcap/bad_empty.mcap", "the file is empty"),
     ] {
         let refusal = read_cloud_file(&data.join(name), 1.0, "ct").unwrap_err().to_string();

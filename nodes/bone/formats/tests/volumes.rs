@@ -267,7 +267,7 @@ fn nifti_that_is_cut_has_frames_or_holds_no_density_is_refused_with_the_reason()
     assert!(with(108, &0f32.to_le_bytes()).contains("vox_offset"), "offset");
     assert!(with(123, &[5]).contains("5 is no unit of length"), "unit");
     assert!(with(280, &[0; 48]).contains("do not span space"), "flat");
-    assert!(refusal(b"").contains("neither NIfTI"), "nothing");
+    assert!(refusal(b"").contains("the file is empty"), "nothing");
     let mut nan = Nifti { datatype: 16, ..PLAIN }.bytes();
     nan[352..356].copy_from_slice(&f32::NAN.to_le_bytes());
     let read = read_bytes(&nan).unwrap();
@@ -763,7 +763,7 @@ fn a_stack_with_gaps_duplicates_or_other_images_is_refused_with_the_position() {
         assert!(note.is_some_and(|n| n.contains(expected)), "{expected}: {:?}", read.notes);
     }
     let empty = tempfile::tempdir().unwrap();
-    std::fs::write(empty.path().join("ct.nii.gz"), "x").unwrap();
+    std::fs::write(empty.path().join("ct.nrrd"), "NRRD0004\n").unwrap();
     let message = folder_refusal(&empty);
     assert!(
         message.contains("no DICOM image in it (0 DICOM files without image, 1 other files); give the file"),
@@ -843,7 +843,7 @@ fn a_gzip_file_of_a_text_is_no_volume() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let head = [bytes, &[0; 40][..if bytes.is_empty() { 0 } else { 40 }]].concat();
         std::fs::write(file.path(), gzip(&head)).unwrap();
-        assert_eq!(osteoflow_formats::volume::is_volume(file.path()), is_one, "{bytes:?}");
+        assert_eq!(osteoflow_formats::probe::is_ct(file.path()), is_one, "{bytes:?}");
     }
 }
 

@@ -4,7 +4,8 @@ use crate::volumes::mutate;
 use nalgebra::{Matrix4, Vector4};
 use osteoflow_formats::{
     input::sha256_of,
-    volume::{VolumeRead, VoxelUnit, data_files, is_volume, list_series, read_volume},
+    probe::is_ct,
+    volume::{VolumeRead, VoxelUnit, data_files, list_series, read_volume},
 };
 use serde::Deserialize;
 use std::{collections::BTreeMap, fs, path::PathBuf};
@@ -50,7 +51,7 @@ fn assert_is(read: &VolumeRead, truth: &Truth, what: &str) {
 #[test]
 fn each_is_read_as_its_writer_reads_it_or_refused_by_name() {
     for (name, truth) in truths() {
-        assert!(is_volume(&folder().join(&name)), "{name}");
+        assert!(is_ct(&folder().join(&name)), "{name}");
         match name.as_str() {
             "jpeg_ls" => {
                 let message = read(&name).unwrap_err();

@@ -1,4 +1,4 @@
-use crate::{FileError, error::other_format, foreign_recording};
+use crate::{FileError, input, kind::marked};
 use osteoflow_container::{Damage, ReadError};
 
 /// A recording that cannot be read, or not to its end.
@@ -52,27 +52,15 @@ impl McapError {
             }
             ReadError::NotMcap { start } => start,
         };
-        let hint = match start.as_slice() {
-            // The first eight bytes are all there is of the start.
-            s if s.starts_with(b"#ROSBAG") => return Self::foreign(path, "a ROS 1 bag"),
-            s if s.starts_with(b"SQLite") => {
-                return Self::foreign(path, "a ROS 2 bag of the older kind, in SQLite (.db3)");
-            }
-            s if other_format(s).is_some() => {
-                let what = other_format(s).unwrap_or_default();
-                let reason =
-                    format!("it is {what}, and an MCAP recording is needed; osteoflow info says what it holds");
-                return Self::Unreadable { path: path.into(), reason };
-            }
-            s if osteoflow_container::MAGIC.starts_with(s) => "; the file was cut short in its first bytes",
-            _ => "; is it another kind of file, or damaged?",
-        };
-        Self::wrong_magic(path, &start, hint)
-    }
-
-    fn foreign(path: &str, kind: &str) -> Self {
-        let reason = format!("it is {kind}, and MCAP is read; {}", foreign_recording::advice(path.as_ref()));
-        Self::Unreadable { path: path.into(), reason }
+        if osteoflow_container::MAGIC.starts_with(&start) {
+            return Self::wrong_magic(path, &start, "; the file was cut short in its first bytes");
+        }
+        // Bytes in memory have no file.
+        let head = input::head(path.as_ref(), 1 << 16).unwrap_or(start);
+        match marked(path.as_ref(), &head) {
+            Some(found) => found.refusal(path.as_ref(), "a recording").into(),
+            None => Self::wrong_magic(path, &head[..head.len().min(8)], "; is it another kind of file, or damaged?"),
+        }
     }
 
     /// Of a file whose header follows a damaged magic.

@@ -174,8 +174,8 @@ fn a_broken_file_says_where_and_why() {
         ("<!DOCTYPE a [<!ENTITY b \"c\">]><a/>".into(), "entities in XML are not read"),
         (String::new(), "byte 0: the file is empty"),
         ("# nothing\n".into(), "there is no point in the file"),
-        ("ply\n".into(), "this is a surface or a cloud"),
-        ("\u{89}PNG\0\0".into(), "byte 0: no text"),
+        ("ply\n".into(), "it holds a cloud of points (PLY), and a list of points is needed"),
+        ("\u{89}PNG\0\0".into(), "byte 0: it is of no known format, and a list of points is needed"),
     ] {
         let said = said(&text);
         assert!(said.contains(expected), "{expected}\n{said}");

@@ -433,7 +433,8 @@ impl<'a> Places<'a> {
 mod tests {
     use crate::{
         FileError,
-        pose_log::{Columns, LogFormat, LogOptions, PoseLog, log_format, read_log},
+        pose_log::{Columns, LogFormat, LogOptions, PoseLog, read_log},
+        probe::{Kind, probe},
     };
     use nalgebra::Vector3;
 
@@ -558,6 +559,6 @@ mod tests {
         }
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), NDI).unwrap();
-        assert_eq!(log_format(file.path()).unwrap(), Some(LogFormat::Ndi));
+        assert_eq!(probe(file.path()).unwrap().kind, Kind::Poses(LogFormat::Ndi));
     }
 }

@@ -131,14 +131,17 @@ impl Ndi {
 
 #[cfg(test)]
 mod tests {
-    use crate::pose_log::{LogFormat, LogOptions, PoseLog, log_format, read_log};
+    use crate::{
+        pose_log::{LogFormat, LogOptions, PoseLog, read_log},
+        probe::{Kind, probe},
+    };
     use nalgebra::Vector3;
     use osteoflow_geometry::StampNs;
 
     fn read(text: &str, rate_hz: Option<f64>) -> Result<PoseLog, String> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        assert_eq!(log_format(file.path()).unwrap(), Some(LogFormat::Ndi), "{text}");
+        assert_eq!(probe(file.path()).unwrap().kind, Kind::Poses(LogFormat::Ndi), "{text}");
         read_log(file.path(), &LogOptions { rate_hz, ..LogOptions::default() }).map_err(|error| error.to_string())
     }
 

@@ -15,7 +15,7 @@ use std::{collections::BTreeMap, io::BufReader, path::Path};
 const FRAME: &str = "Seq_Frame";
 
 /// Whether the header of a MetaImage has transforms of frames.
-pub(super) fn is_sequence(head: &[u8]) -> bool {
+pub(crate) fn is_sequence(head: &[u8]) -> bool {
     let has = |word: &[u8]| head.windows(word.len()).any(|window| window == word);
     has(b"Seq_Frame") && has(b"Transform")
 }
@@ -133,13 +133,16 @@ impl Name {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pose_log::{LogFormat, LogOptions, PoseLog, log_format, read_log};
+    use crate::{
+        pose_log::{LogFormat, LogOptions, PoseLog, read_log},
+        probe::{Kind, probe},
+    };
     use nalgebra::Point3;
 
     fn read_text(text: &str) -> Result<PoseLog, FileError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        assert_eq!(log_format(file.path()).unwrap(), Some(LogFormat::IgsMha));
+        assert_eq!(probe(file.path()).unwrap().kind, Kind::Poses(LogFormat::IgsMha));
         read_log(file.path(), &LogOptions::default())
     }
 

@@ -6,8 +6,9 @@
 use super::{Log, LogFormat, LogOptions, Sample, Turn, ndi, poses_csv, stamp::nanoseconds};
 use crate::{
     FileError,
-    columns::Row,
-    cursor::{Cursor, is_text},
+    cloud_text::is_heading,
+    columns::{Row, heading_names, place},
+    cursor::Cursor,
     input,
     scalar::number,
 };
@@ -34,25 +35,32 @@ const TUM: [&[&str]; 8] = [
 
 /// The format of a text; `is_whole` says whether `head` is all of the file, so that its last line is complete.
 ///
-/// Nine rows of ten decide: a row that is none of the format is refused by its line, not the file by another format.
-pub(super) fn format_of(head: &[u8], is_whole: bool) -> Option<LogFormat> {
-    if !is_text(head) {
-        return None;
-    }
+/// Nine rows of ten decide: a row that is none of the format is refused by its line, not the file by another format. Rows below a
+/// heading of other names are a table, which has to be described, and points if these begin with x, y and z.
+///
+/// # Errors
+/// A message, if there is no heading and the stamps are whole nanoseconds, but w may be the first or the last of the quaternion.
+pub(super) fn format_of(head: &[u8], is_whole: bool) -> Result<Option<LogFormat>, String> {
     let text = String::from_utf8_lossy(head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head));
     let all: Vec<&str> = text.lines().collect();
     let lines = &all[..all.len() - usize::from(!is_whole && !all.is_empty())];
     let lines = lines.iter().map(|line| line.trim()).filter(|line| !line.is_empty());
     if lines.clone().find(|line| !is_comment(line)).is_some_and(poses_csv::is_heading) {
-        return Some(LogFormat::Poses);
+        return Ok(Some(LogFormat::Poses));
     }
     if lines.clone().take(ndi::N_HEAD_LINES).any(ndi::is_heading) {
-        return Some(LogFormat::Ndi);
+        return Ok(Some(LogFormat::Ndi));
     }
-    let mut heads = lines.clone().take_while(|line| is_comment(line) || !begins_with_a_number(line));
-    if let Some(format) = heads.find_map(|line| Some(Names::of(line)?.format)) {
-        return Some(format);
+    let heads = lines.clone().take_while(|line| is_comment(line) || !begins_with_a_number(line));
+    if let Some(format) = heads.clone().find_map(|line| Some(Names::of(line)?.format)) {
+        return Ok(Some(format));
     }
+    let heads = || heads.clone().map(|line| (heading_names(line.trim_start_matches(['#', '%', '/']).trim()), line));
+    let is_of_poses = |names: &[String]| ["qx", "qy", "qz", "qw"].iter().all(|name| place(names, name).is_some());
+    if heads().any(|(names, _)| is_heading(&names) && !is_of_poses(&names)) {
+        return Ok(None);
+    }
+    let has_heading = heads().any(|(_, line)| !is_comment(line));
     let lines: Vec<&str> = lines.filter(|line| !is_comment(line)).take(N_LOOKED_AT).collect();
     let rows: Vec<Vec<Cow<str>>> = lines.iter().map(|line| cells(line)).collect();
     let number = |cell: &Cow<str>| if cell.is_empty() { Some(f64::NAN) } else { number(cell) };
@@ -69,20 +77,24 @@ pub(super) fn format_of(head: &[u8], is_whole: bool) -> Option<LogFormat> {
         let norm = row[4..8].iter().map(|c| c * c).sum::<f64>().sqrt();
         (norm.is_finite() && norm > 0.0).then_some((norm - 1.0).abs() <= ROUNDED_ROTATION)
     };
-    let is_whole_ns = |row: &&Vec<Cow<str>>| row[0].len() >= 16 && row[0].bytes().all(|b| b.is_ascii_digit());
-    let has_separators = lines.iter().all(|line| line.contains([',', ';']));
-    if has_separators
-        && most(rows.iter().filter(is_whole_ns).count(), rows.len())
-        && are(&|n| (8..=64).contains(&n), &unit)
-    {
-        return Some(LogFormat::Euroc);
-    }
     let first: Vec<f64> = numbers.iter().filter_map(|row| row.first().copied()).collect();
     let n_in_order = first.windows(2).filter(|pair| pair[0] <= pair[1]).count();
     // No coordinate is as large as a stamp since 1970.
     let are_stamps = first.len() < 2 || most(n_in_order, first.len() - 1) || first.iter().all(|c| *c > FARTHEST_MM);
+    let is_whole = |row: &&Vec<Cow<str>>| !row[0].is_empty() && row[0].bytes().all(|b| b.is_ascii_digit());
+    if are_stamps && most(rows.iter().filter(is_whole).count(), rows.len()) && are(&|n| (8..=64).contains(&n), &unit) {
+        let is_since_1970 = lines.iter().all(|line| line.contains([',', ';'])) && first.iter().all(|ns| *ns >= 1e15);
+        // Stamps that many seconds apart are no tracker's.
+        let step = first.last().map_or(0.0, |last| (last - first[0]) / (first.len() - 1).max(1) as f64);
+        match () {
+            () if has_heading => return Ok(Some(LogFormat::Table)),
+            () if is_since_1970 => return Ok(Some(LogFormat::Euroc)),
+            () if step >= LEAST_STEP_NS => return w_is_first(&numbers).map(|()| Some(LogFormat::Euroc)),
+            () => {}
+        }
+    }
     if are_stamps && are(&|n| n == 8, &unit) {
-        return Some(LogFormat::Tum);
+        return Ok(Some(if has_heading { LogFormat::Table } else { LogFormat::Tum }));
     }
     let orthonormal = |row: &[f64]| {
         if row.len() == 16 && row[12..] != LAST_ROW {
@@ -93,8 +105,34 @@ pub(super) fn format_of(head: &[u8], is_whole: bool) -> Option<LogFormat> {
         (off.is_finite() && m != Matrix3::zeros()).then_some(off <= 2.0 * ROUNDED_ROTATION)
     };
     // One line of 16 numbers is a pose.
-    are(&|n| n == 12 || (n == 16 && numbers.len() > 1), &orthonormal).then_some(LogFormat::Kitti)
+    if are(&|n| n == 12 || (n == 16 && numbers.len() > 1), &orthonormal) {
+        return Ok(Some(LogFormat::Kitti));
+    }
+    Ok(heads().any(|(names, _)| is_of_poses(&names)).then_some(LogFormat::Table))
 }
+
+/// Stamps in whole numbers that are farther apart are no seconds; in nanoseconds they are a microsecond apart.
+const LEAST_STEP_NS: f64 = 1000.0;
+
+/// Checks that the first number of the quaternions is w: with it they are near the identity, and not with the last.
+fn w_is_first(rows: &[Vec<f64>]) -> Result<(), String> {
+    let rows: Vec<&Vec<f64>> =
+        rows.iter().filter(|row| row.len() >= 8 && row[4..8].iter().all(|c| c.is_finite())).collect();
+    let mean = |place: usize| rows.iter().map(|row| row[place].abs()).sum::<f64>() / rows.len() as f64;
+    if mean(4) >= NEAR_IDENTITY && mean(7) < FAR_FROM_IDENTITY {
+        return Ok(());
+    }
+    Err(format!(
+        "these are poses with stamps in whole numbers, but whether w is the first number of the quaternion, as EuRoC has it, or the last, \
+         nothing says; write a heading above them, as timestamp[ns],tx,ty,tz,qw,qx,qy,qz or timestamp[ns],tx,ty,tz,qx,qy,qz,qw; if these are \
+         points, name the columns in a first line that begins with x,y,z"
+    ))
+}
+
+/// Mean of |w| of rotations by less than 50 degrees.
+const NEAR_IDENTITY: f64 = 0.9;
+/// Mean of |w| of rotations by more than 120 degrees.
+const FAR_FROM_IDENTITY: f64 = 0.5;
 
 /// The last row of a 4 x 4 matrix, which some write behind KITTI's twelve numbers.
 const LAST_ROW: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
@@ -207,6 +245,13 @@ pub(super) fn read(
             })?
         }
     };
+    if format == LogFormat::Euroc && names.is_none() && !rows.iter().all(|(row, _)| row.find([',', ';']) >= Some(16)) {
+        log.notes.push(
+            "there is no heading: the stamps, whole numbers too far apart for seconds, are taken for nanoseconds, and the first number of \
+             the quaternion for w, as EuRoC has them, since the rotations are small so"
+                .into(),
+        );
+    }
     let stated = names.as_ref().and_then(|(names, _)| names.units[0].as_deref());
     let clock = Clock::of(path, format, options, rows.len(), stated)?;
     for (k, (row, line)) in rows.iter().enumerate() {
@@ -351,7 +396,7 @@ impl Clock {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pose_log::{PoseLog, log_format, read_log};
+    use crate::pose_log::{PoseLog, read_log};
     use std::path::PathBuf;
 
     fn options() -> LogOptions {
@@ -365,9 +410,7 @@ mod tests {
     }
 
     fn found(text: &str) -> Option<LogFormat> {
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), text).unwrap();
-        log_format(file.path()).unwrap()
+        format_of(text.as_bytes(), true).unwrap()
     }
 
     /// Half a radian about z, at 1, 2, 3.

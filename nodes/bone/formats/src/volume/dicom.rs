@@ -17,7 +17,11 @@ mod pixels;
 mod series;
 mod syntax;
 
-use super::grid::{Volume, VolumeRead, VoxelUnit, affine, assumed_unit};
+use super::{
+    format_of,
+    grid::{Volume, VolumeRead, VoxelUnit, affine, assumed_unit},
+    start_of,
+};
 use crate::{FileError, input};
 use image::{Found, Image};
 use layers::Layers;
@@ -115,11 +119,7 @@ fn search(path: &Path, notes: &mut Vec<String>) -> Result<Vec<Series>, FileError
         }
     }
     if all.is_empty() {
-        let is_volume = |p: &PathBuf| {
-            let name = p.to_string_lossy().to_ascii_lowercase();
-            [".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd"].iter().any(|end| name.ends_with(end))
-        };
-        let remedy = match others.iter().find(|p| is_volume(p)) {
+        let remedy = match others.iter().find(|file| start_of(file).is_ok_and(|start| format_of(&start).is_some())) {
             Some(file) => format!("give the file {} itself", file.display()),
             None => "give the folder of a CT series, or a NIfTI, NRRD or MetaImage file".into(),
         };

@@ -31,12 +31,6 @@ pub(super) fn data_files(path: &Path) -> Vec<PathBuf> {
 }
 
 /// The number of frames of a sequence, whose header has fields of each; none for a volume.
-pub(super) fn n_frames(path: &Path) -> Option<usize> {
-    let mut reader = BufReader::new(input::open(path).ok()?);
-    let header = Header::read(path, &mut reader).ok()?;
-    frames_of(&header)
-}
-
 fn frames_of(header: &Header<'_>) -> Option<usize> {
     let of_frame = |key: &str| Some(key.strip_prefix("Seq_Frame")?.split('_').next()?.parse::<usize>().ok()? + 1);
     header.fields().iter().filter_map(|field| of_frame(&field.key)).max()

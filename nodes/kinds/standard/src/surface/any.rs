@@ -7,7 +7,8 @@ use osteoflow_formats::{
     Space,
     input::{self, sha256_of},
     mesh_or_cloud::{MeshOrCloud, read_mesh, read_mesh_or_cloud},
-    volume::{data_files, is_volume},
+    probe::is_ct,
+    volume::data_files,
 };
 use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
 use osteoflow_node::{
@@ -205,7 +206,7 @@ impl Constant for Any {
 
     fn check(params: &Params) -> Result<(), ParamError> {
         let path = params.path.as_ref();
-        if is_volume(path) {
+        if is_ct(path) {
             let stated = [("space", params.space.is_some()), ("unit_mm", params.unit_mm != 1.0)];
             return match stated.iter().find(|(_, is_given)| *is_given) {
                 Some((name, _)) => Err(ParamError::new(*name, "a CT states its unit and its axes; leave it out")),
@@ -230,7 +231,7 @@ impl Constant for Any {
     }
 
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
-        if !is_volume(params.path.as_ref()) {
+        if !is_ct(params.path.as_ref()) {
             let bytes = input::read(params.path.as_ref())?;
             let read = read_mesh_or_cloud(params.path.as_ref(), &bytes, params.unit_mm, params.frame.as_str())?;
             return Ok(Out::of(params.taken(read, ctx)?, Some(sha256_of(&bytes))));
