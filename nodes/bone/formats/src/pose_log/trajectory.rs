@@ -122,11 +122,10 @@ fn w_is_first(rows: &[Vec<f64>]) -> Result<(), String> {
     if mean(4) >= NEAR_IDENTITY && mean(7) < FAR_FROM_IDENTITY {
         return Ok(());
     }
-    Err(format!(
-        "these are poses with stamps in whole numbers, but whether w is the first number of the quaternion, as EuRoC has it, or the last, \
+    Err("these are poses with stamps in whole numbers, but whether w is the first number of the quaternion, as EuRoC has it, or the last, \
          nothing says; write a heading above them, as timestamp[ns],tx,ty,tz,qw,qx,qy,qz or timestamp[ns],tx,ty,tz,qx,qy,qz,qw; if these are \
          points, name the columns in a first line that begins with x,y,z"
-    ))
+        .to_owned())
 }
 
 /// Mean of |w| of rotations by less than 50 degrees.
