@@ -6,7 +6,8 @@ use super::{
     topics::{FrameNames, TransformFilter},
 };
 use osteoflow_formats::{
-    pose_log::{Columns, LogFormat, LogOptions, log_format, read_log},
+    pose_log::{Columns, LogFormat, LogOptions, read_log},
+    probe::{Kind, probe},
     without_slash,
 };
 use osteoflow_geometry::{Corrections, Frame, Pose, StampNs, TransformTree};
@@ -107,8 +108,11 @@ impl Source for Poses {
     fn is_timed(&self, _port: &DeclaredPort) -> bool {
         let Params { path, format, columns, .. } = &self.params;
         let by_columns = columns.as_ref().map(|_| LogFormat::Table);
-        let format = format.or(by_columns).or_else(|| log_format(path.as_ref()).ok().flatten());
-        format.is_some_and(|format| format != LogFormat::Poses)
+        let found = || match probe(path.as_ref()).ok()?.kind {
+            Kind::Poses(format) => Some(format),
+            _ => None,
+        };
+        format.or(by_columns).or_else(found).is_some_and(|format| format != LogFormat::Poses)
     }
 
     fn next(&mut self, ctx: &mut Context) -> Result<Option<Self::Outputs>, NodeError> {
