@@ -105,8 +105,8 @@ fn broken_graphs_whose_kinds_and_parameters_are_wrong_do_not_fit() {
     let validator = validator();
     let registry = osteoflow_standard::registry();
     let base = osteoflow_engine::check(&root().join("graphs/fibula.toml"), &[], &registry).unwrap().plan;
-    // Keys of the extended graph and misspelt kinds cannot be seen.
-    let elsewhere = ["parameter_of_the_other_kind", "parameters_missing"];
+    // Keys of the extended graph, misspelt kinds and parameters that exclude each other cannot be seen.
+    let elsewhere = ["parameter_of_the_other_kind", "parameters_missing", "parameters_that_exclude_each_other"];
     let (mut n_seen, mut unseen) = (0, Vec::new());
     for entry in fs::read_dir(root().join("tests/broken")).unwrap() {
         let path = entry.unwrap().path();

@@ -94,14 +94,22 @@ impl Process {
 impl Browser {
     /// Starts it with an empty page; prints a message and returns `None` if there is no browser.
     pub(crate) fn start(test: &str) -> Option<Self> {
-        let idle = IDLE.lock().unwrap().pop();
-        let Some(process) = idle.or_else(Process::start) else {
-            eprintln!("skipped: {test}: no browser (chromium, or OSTEOFLOW_BROWSER)");
-            return None;
-        };
-        let mut browser =
-            Self { process: Some(process), target: Value::Null, session: String::new(), events: Vec::new() };
-        browser.target = browser.call("Target.createTarget", json!({ "url": "about:blank" }))["targetId"].clone();
+        let mut browser = Self { process: None, target: Value::Null, session: String::new(), events: Vec::new() };
+        // One that dies before it has a page, as on a machine short of memory, is started again.
+        let mut said = Err(String::new());
+        for _ in 0..3 {
+            let idle = IDLE.lock().unwrap().pop();
+            let Some(process) = idle.or_else(Process::start) else {
+                eprintln!("skipped: {test}: no browser (chromium, or OSTEOFLOW_BROWSER)");
+                return None;
+            };
+            browser.process = Some(process);
+            said = browser.ask("Target.createTarget", &json!({ "url": "about:blank" }));
+            if said.is_ok() {
+                break;
+            }
+        }
+        browser.target = said.unwrap_or_else(|message| panic!("{message}"))["targetId"].clone();
         let attached = browser.call("Target.attachToTarget", json!({ "targetId": browser.target, "flatten": true }));
         browser.session = attached["sessionId"].as_str().unwrap().to_owned();
         for domain in ["Page", "Runtime", "Log", "Network"] {
@@ -121,6 +129,11 @@ impl Browser {
 
     /// Sends a command and waits for its answer.
     pub(crate) fn call(&mut self, method: &str, params: Value) -> Value {
+        self.ask(method, &params).unwrap_or_else(|message| panic!("{message}"))
+    }
+
+    fn ask(&mut self, method: &str, params: &Value) -> Result<Value, String> {
+        let silent = || format!("the browser did not answer {method} {params}");
         let process = self.process.as_mut().expect("it is open");
         let id = process.next;
         process.next += 1;
@@ -128,16 +141,16 @@ impl Browser {
         if !self.session.is_empty() {
             message["sessionId"] = self.session.as_str().into();
         }
-        process.to.write_all(format!("{message}\0").as_bytes()).unwrap();
-        process.to.flush().unwrap();
+        process.to.write_all(format!("{message}\0").as_bytes()).map_err(|_| silent())?;
+        process.to.flush().map_err(|_| silent())?;
         let until = Instant::now() + PATIENCE;
         loop {
             let message = process.from.recv_timeout(until.saturating_duration_since(Instant::now()));
-            let message = message.unwrap_or_else(|_| panic!("the browser did not answer {method} {params}"));
+            let message = message.map_err(|_| silent())?;
             match message["id"].as_u64() {
                 Some(answer) if answer == id => {
                     assert!(message["error"].is_null(), "{method}: {}", message["error"]);
-                    return message["result"].clone();
+                    return Ok(message["result"].clone());
                 }
                 None if message["sessionId"] == self.session.as_str() => self.events.push(message),
                 // Of another page, before.

@@ -134,7 +134,7 @@ fn files_that_were_two_things_to_two_commands_are_one() {
         ("answers/euroc_no_heading.csv", Kind::Poses(LogFormat::Euroc)),
         ("programs/scan.ptx", Kind::Unread("PTX")),
         ("programs/brp_planes.mrk.json", Kind::Points),
-        ("programs/meshlab_ncoff.off", Kind::Mesh),
+        ("programs/meshlab_ncoff.off", Kind::Cloud),
         ("text/index_first.xyz", Kind::Cloud),
     ] {
         let file = cases.join(name);

@@ -325,6 +325,7 @@ mod tests {
             ("label,x,y,z\nP1,1,2,3\n".into(), Kind::Points),
             ("0,1,2,3\n1,4,5,6\n2,7,8,10\n".into(), Kind::Points),
             ("some words\nof a reader\n".into(), Kind::Unknown),
+            ("some words\non the columns qx, qy, qz and qw\nof a log\n".into(), Kind::Unknown),
         ] {
             assert_eq!(kind(text.as_bytes()), expected, "{text}");
         }

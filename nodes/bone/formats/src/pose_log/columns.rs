@@ -172,7 +172,8 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
     let of_ndi = Ndi::find(Cursor::text(path, &bytes)?);
     let described = options.columns.as_ref();
     let Some(columns) = described.or(of_ndi.as_ref().map(|ndi| &ndi.columns)) else {
-        let message = "a table needs columns, which say what is in its heading: time, time_unit, parent and tools";
+        let message =
+            "a table of poses needs columns, which say what is in its heading: time, time_unit, parent and tools";
         return Err(FileError::content(path, "columns", message));
     };
     let fault = |message| FileError::content(path, "columns", message);

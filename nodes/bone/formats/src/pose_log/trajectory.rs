@@ -108,7 +108,9 @@ pub(super) fn format_of(head: &[u8], is_whole: bool) -> Result<Option<LogFormat>
     if are(&|n| n == 12 || (n == 16 && numbers.len() > 1), &orthonormal) {
         return Ok(Some(LogFormat::Kitti));
     }
-    Ok(heads().any(|(names, _)| is_of_poses(&names)).then_some(LogFormat::Table))
+    // A text may name them, too, and has no rows of them.
+    let has_rows = rows.iter().any(|row| row.len() >= 7 && row.iter().filter_map(number).count() >= 4);
+    Ok((has_rows && heads().any(|(names, _)| is_of_poses(&names))).then_some(LogFormat::Table))
 }
 
 /// Stamps in whole numbers that are farther apart are no seconds; in nanoseconds they are a microsecond apart.
