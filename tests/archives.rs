@@ -303,6 +303,28 @@ fn inputs_travel_with_a_sweep_or_are_found_by_their_contents() {
 }
 
 #[test]
+fn an_export_is_the_same_archive_from_any_folder() {
+    let places = Places::new(None);
+    let graph = "[graph]\nformat = 1\nframes = [\"camera\"]\n[node.scan]\nkind = \"acquire.cloud\"\npath = \"s.xyz\"\n\
+                 frame = \"camera\"\n[node.keep]\nkind = \"output.ply\"\nin = { cloud = \"scan.cloud\" }\n";
+    places.write("here/a/g.toml", graph);
+    places.write("here/a/s.xyz", "1.0 2.0 3.0\n4.0 5.0 6.0\n");
+    places.ends_well("here", &["run", "a/g.toml", "--out", "r", "--quiet"]);
+    let archive = |place: &str, run: &str, name: &str| {
+        let to = places.path(name);
+        places.ends_well(place, &["export", run, to.to_str().unwrap(), "--quiet"]);
+        fs::read(to).unwrap()
+    };
+    let absolute = places.path("here/r");
+    let here = archive("here", "r", "one.zip");
+    assert!(here == archive("there", "../here/r", "two.zip") && here == archive("here/a", "../r", "three.zip"));
+    assert!(here == archive("there", absolute.to_str().unwrap(), "four.zip"));
+    // A graph of the same name in the current folder is another one.
+    places.write("there/a/g.toml", graph);
+    assert!(here == archive("there", "../here/r", "five.zip"));
+}
+
+#[test]
 fn a_folder_that_is_read_as_a_whole_travels_with_the_files_of_it_that_are_named_too() {
     let places = Places::new(None);
     fs::create_dir_all(places.path("here/tests/data")).unwrap();

@@ -103,6 +103,10 @@ struct Pack {
     /// `sweep.json` or `manifest.json`.
     about: Json,
     dir: PathBuf,
+    /// The folder that the run began in, absolute.
+    began_in: PathBuf,
+    /// The graph, absolute.
+    graph_file: PathBuf,
     renamed: Renamed,
     files: BTreeMap<String, (Role, Source)>,
     notes: Vec<String>,
@@ -165,10 +169,22 @@ impl Pack {
                 );
             }
         }
-        let graph_file = PathBuf::from(about["graph"]["file"].as_str().unwrap_or_default());
+        let graph_file = Path::new(about["graph"]["file"].as_str().unwrap_or_default());
+        let began_in = began_in(dir, graph_file);
+        let graph_file = plain(&began_in.join(graph_file));
         let renamed = Renamed::of(graph_file.parent().unwrap_or(Path::new("")));
         let temporary = tempfile::tempdir().context("no temporary folder")?;
-        Ok(Self { what, about, dir: dir.into(), renamed, files: BTreeMap::new(), notes: Vec::new(), temporary })
+        Ok(Self {
+            what,
+            about,
+            dir: dir.into(),
+            began_in,
+            graph_file,
+            renamed,
+            files: BTreeMap::new(),
+            notes: Vec::new(),
+            temporary,
+        })
     }
 
     fn add(&mut self, path: &str, role: Role, source: Source) {
@@ -324,15 +340,14 @@ impl Pack {
 
     /// The files that the graph was written in, as far as they are still there.
     fn sources(&mut self) {
-        let file = PathBuf::from(self.about["graph"]["file"].as_str().unwrap_or_default());
-        let dir = plain(file.parent().unwrap_or(Path::new("")));
-        for place in [Some(dir.clone()), std::env::current_dir().ok()].into_iter().flatten() {
+        let dir = self.graph_file.parent().unwrap_or(Path::new("")).to_owned();
+        for place in [&dir, &self.began_in] {
             if place.parent().is_some() {
                 self.renamed.add_text(format!("{}/", place.display()), String::new());
             }
         }
         let mut texts = Vec::new();
-        for path in check::files(&file, &[], &registry()).iter().map(|path| plain(path)) {
+        for path in check::files(&self.graph_file, &[], &registry()).iter().map(|path| plain(path)) {
             let Ok(text) = fs::read_to_string(&path) else { continue };
             if path.extension().is_none_or(|end| end != "toml") {
                 continue;
@@ -503,6 +518,12 @@ impl Write for Counted<'_> {
     fn flush(&mut self) -> io::Result<()> {
         self.to.flush()
     }
+}
+
+/// The folder that relative paths of a run begin in: the next above the run's folder that has the graph, or the current one.
+fn began_in(dir: &Path, graph_file: &Path) -> PathBuf {
+    let (here, dir) = (plain(Path::new("")), plain(dir));
+    dir.ancestors().find(|place| place.join(graph_file).is_file()).unwrap_or(&here).into()
 }
 
 fn base_name(path: &Path) -> String {

@@ -43,6 +43,7 @@
 mod cloud_text;
 mod columns;
 mod cursor;
+mod cut;
 mod error;
 pub mod folder;
 mod foreign_recording;

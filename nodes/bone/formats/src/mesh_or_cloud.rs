@@ -18,7 +18,7 @@ pub use crate::shape::{CloudFileRead, MeshRead};
 use crate::{
     FileError, Space, cloud_text,
     cursor::without_byte_order_mark,
-    input,
+    cut, input,
     kind::{TEXT, is_binary_stl},
     obj, off, pcd, ply,
     probe::{self, Kind},
@@ -105,6 +105,7 @@ fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     // The 80 bytes that a binary STL begins with may hold anything.
     let bytes = if is_binary { bytes } else { without_byte_order_mark(bytes) };
     let mut shape = read(path, bytes)?;
+    shape.notes.extend(cut::last_number(path, bytes)?);
     if probe.kind == Kind::Points {
         shape.notes.push("these are picked points, which are taken for a cloud".into());
     }

@@ -23,7 +23,7 @@ pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_
 use crate::{
     FileError,
     cursor::{is_text, without_byte_order_mark},
-    input,
+    cut, input,
     kind::{Kind, Probe, TEXT, marked},
     pose_file::is_pose,
 };
@@ -83,7 +83,8 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
     if let Some(other) = other {
         return Err(other.refusal(path, "a list of points"));
     }
-    let picked = match start.first() {
+    let open = cut::last_number(path, bytes)?;
+    let mut picked = match start.first() {
         Some(b'{') => slicer::markups(path, bytes)?,
         Some(b'<') => text::meshlab(path, bytes)?,
         Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, bytes)?,
@@ -96,6 +97,7 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
         };
         return Err(FileError::content(path, "points", format!("there is no point in the file{skipped}")));
     }
+    picked.notes.extend(open);
     Ok(picked)
 }
 

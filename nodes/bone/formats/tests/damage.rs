@@ -679,3 +679,51 @@ fn every_reader_refuses_devices_pipes_sockets_and_folders_by_name() {
         }
     }
 }
+
+#[test]
+fn a_number_cut_at_the_end_of_a_text_is_not_read_as_another_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let row = |k: usize, separator: &str| format!("{k}.2500{separator}-1.5000{separator}41.3000");
+    let rows = |separator: &str| (0..8).map(|k| row(k, separator) + "\n").collect::<String>();
+    let labelled = |k: usize| format!("P{k},{}\n", row(k, ","));
+    let pose = |k: usize| format!("{k}.0500 {} 0.0000 0.0000 0.0000 1.0000\n", row(k, " "));
+    let named = |k: usize| format!("{k}0000000,world,bone,{},0.0000,0.0000,0.0000,1.0000\n", row(k, ","));
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let pcd =
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 8\nHEIGHT 1\nPOINTS 8\nDATA ascii\n";
+    type Read = fn(&std::path::Path) -> Result<Vec<String>, osteoflow_formats::FileError>;
+    let cloud: Read = |path| Ok(mesh_or_cloud::read_cloud(path, 1.0, "scan")?.notes);
+    let picked: Read = |path| Ok(osteoflow_formats::picked_points::read_picked_points(path)?.notes);
+    let poses: Read = |path| {
+        use osteoflow_formats::pose_log::{LogOptions, read_log};
+        let names = LogOptions { parent: Some("world".into()), child: Some("bone".into()), ..LogOptions::default() };
+        Ok(read_log(path, &names)?.notes)
+    };
+    for (name, text, read) in [
+        ("a.xyz", rows(" "), cloud),
+        ("a.csv", format!("x,y,z\n{}", rows(",")), cloud),
+        ("a.asc", format!("//X;Y;Z\n{}", rows(";")), cloud),
+        ("a.pts", format!("8\n{}", rows(" ")), cloud),
+        ("a.ply", format!("{header}{}", rows(" ")), cloud),
+        ("a.pcd", format!("{pcd}{}", rows(" ")), cloud),
+        ("picked.csv", format!("name,x,y,z\n{}", (0..3).map(labelled).collect::<String>()), picked),
+        ("a.tum", (0..8).map(pose).collect(), poses),
+        ("poses.csv", format!("t_ns,parent,child,x,y,z,qx,qy,qz,qw\n{}", (0..8).map(named).collect::<String>()), poses),
+    ] {
+        let file = folder.path().join(name);
+        let of = |text: &str| {
+            std::fs::write(&file, text).unwrap();
+            read(&file)
+        };
+        let open = "the last line has no end; was the file cut short?";
+        assert!(!of(&text).unwrap().contains(&open.into()), "{name}");
+        let ended = text.trim_end();
+        assert!(of(ended).unwrap().contains(&open.into()), "{name}: {:?}", of(ended));
+        for n_less in 1..=4 {
+            let said = of(&ended[..ended.len() - n_less]).map_err(|error| error.to_string());
+            let said = said.expect_err(name);
+            assert!(said.contains("the last line has no end, and its last number, "), "{name}: {said}");
+        }
+    }
+}

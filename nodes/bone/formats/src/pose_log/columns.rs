@@ -5,7 +5,7 @@ use super::{
     ndi::{self, Ndi},
     stamp::nanoseconds,
 };
-use crate::{FileError, LostPose, columns::quoted_cells, cursor::Cursor, input, scalar};
+use crate::{FileError, LostPose, columns::quoted_cells, cursor::Cursor, cut, input, scalar};
 use nalgebra::{Matrix3, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::StampNs;
 use schemars::JsonSchema;
@@ -206,6 +206,7 @@ pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Lo
             return Err(row.fault(message));
         }
     }
+    log.notes.extend(cut::last_number(path, &bytes)?);
     Ok(())
 }
 

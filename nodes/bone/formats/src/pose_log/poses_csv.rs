@@ -12,7 +12,7 @@
 
 use super::{Log, LogFormat, PoseLog, Sample, Turn};
 use crate::{
-    FileError, LostPose, input,
+    FileError, LostPose, cut, input,
     table::{self, Row, Table},
 };
 use nalgebra::Quaternion;
@@ -65,6 +65,7 @@ pub(crate) fn read(path: &Path, unit_mm: f64, log: &mut Log) -> Result<Vec<u64>,
         log.push(pose(&row, columns, unit_mm)?, || format!("line {}", row.line()));
         lines.push(row.line());
     }
+    log.notes.extend(cut::last_number(path, &bytes)?);
     Ok(lines)
 }
 

@@ -9,7 +9,7 @@ use crate::{
     cloud_text::is_heading,
     columns::{Row, heading_names, place},
     cursor::Cursor,
-    input,
+    cut, input,
     scalar::number,
 };
 use nalgebra::{Matrix3, Quaternion, Vector3};
@@ -297,9 +297,7 @@ pub(super) fn read(
         let sample = Sample { to: to.into(), from: from.into(), stamp_ns, translation_mm, turn };
         log.push(sample.pose().map_err(fault)?, || format!("line {line}"));
     }
-    if !bytes.ends_with(b"\n") && !rows.is_empty() {
-        log.notes.push("the last line has no end; was the file cut short?".into());
-    }
+    log.notes.extend(cut::last_number(path, &bytes)?);
     Ok(())
 }
 
