@@ -25,19 +25,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let path = env::args().nth(1).map_or_else(written, |path| Ok(path.into()))?;
     let mut topics = Topics::default();
     let end = Reader::open(&path)?.read(&mut topics)?;
-    println!("{}: {:?}, {end:?}", path.display(), topics.0);
-    Ok(())
+    Ok(println!("{}: {:?}, {end:?}", path.display(), topics.0))
 }
 
-/// A recording of one message.
 fn written() -> Result<PathBuf, Box<dyn Error>> {
-    let path = env::temp_dir().join(format!("read_mcap_{}.mcap", std::process::id()));
+    let path = env::temp_dir().join("read_mcap.mcap");
     let mut writer = Writer::new(File::create(&path)?, WriteOptions::default())?;
     let channel_id = writer.add_channel(0, "/hello", "json", &BTreeMap::new())?;
-    writer.write_message(
-        MessageHeader { channel_id, sequence: 0, log_time: 1, publish_time: 1 },
-        b"{}".to_vec().into(),
-    )?;
+    let header = MessageHeader { channel_id, sequence: 0, log_time: 1, publish_time: 1 };
+    writer.write_message(header, b"{}".to_vec().into())?;
     writer.finish()?;
     Ok(path)
 }
