@@ -24,8 +24,8 @@ impl Visitor for Topics {
 fn main() -> Result<(), Box<dyn Error>> {
     let path = env::args().nth(1).map_or_else(written, |path| Ok(path.into()))?;
     let mut topics = Topics::default();
-    let end = Reader::open(&path)?.read(&mut topics)?;
-    Ok(println!("{}: {:?}, {end:?}", path.display(), topics.0))
+    println!("{}: {:?} {:?}", path.display(), Reader::open(&path)?.read(&mut topics)?, topics.0);
+    Ok(())
 }
 
 fn written() -> Result<PathBuf, Box<dyn Error>> {
