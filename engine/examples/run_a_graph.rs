@@ -1,5 +1,5 @@
-// Checks a graph, runs it and reads its results. Its kinds are those of the tests of this crate, in a `Registry`; the page of
-// `osteoflow_node` shows how to write and register one.
+//! Checks a graph, runs it and reads its results. Its kinds are those of the tests of this crate, in a `Registry`; the page of
+//! `osteoflow_node` shows how to write and register one.
 use osteoflow_engine::{check_text, run, run::RunOptions};
 use std::{error::Error, path::Path};
 

@@ -1,4 +1,4 @@
-// Counts the messages of each topic of an MCAP file, whole or damaged: `cargo run --example read_mcap FILE`.
+//! Counts the messages of each topic of an MCAP file, whole or damaged: `cargo run --example read_mcap FILE`.
 use osteoflow_container::{Damage, Location, MessageHeader, Reader, Record, Visitor, WriteOptions, Writer};
 use std::{collections::BTreeMap, env, error::Error, fs::File, ops::ControlFlow, path::PathBuf};
 

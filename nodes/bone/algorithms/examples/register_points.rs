@@ -1,4 +1,4 @@
-// Registers the points of one file onto those of another, x y z in mm by line: `cargo run --example register_points TARGET SOURCE`.
+//! Registers the points of one file onto those of another, x y z in mm by line: `cargo run --example register_points TARGET SOURCE`.
 use osteoflow_algorithms::{icp, normals, target::Target};
 use osteoflow_geometry::{
     SurfaceOrigin,
