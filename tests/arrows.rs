@@ -10,7 +10,7 @@ use std::{
 };
 
 /// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
-const ARROWS: [(&str, &str, &[&str]); 19] = [
+pub(crate) const ARROWS: [(&str, &str, &[&str]); 19] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
     ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),

@@ -109,7 +109,7 @@ fn cargo_packages_the_published_crates_without_a_fault() {
 }
 
 #[test]
-fn a_package_holds_sources_readme_and_licences_alone() {
+fn a_package_holds_sources_examples_readme_and_licences_alone() {
     for (name, _) in PUBLISHED {
         let mut list = Command::new(env!("CARGO"));
         list.args(["package", "--list", "--allow-dirty", "--locked", "--offline", "--package", name]);
@@ -122,6 +122,7 @@ fn a_package_holds_sources_readme_and_licences_alone() {
                 || file.starts_with("LICENSE-")
                 || (file.starts_with("src/") && file.ends_with(".rs"))
                 || file.starts_with("include/")
+                || file.starts_with("examples/")
         };
         let others: Vec<_> = files.lines().filter(|file| !is_wanted(file)).collect();
         assert!(others.is_empty(), "{name}: {others:?}");

@@ -87,9 +87,9 @@ fn files_below(folders: &[&str], ends: &[&str]) -> Vec<PathBuf> {
     files
 }
 
-/// The pages for people: docs/ and the four beside it.
+/// The pages for people: docs/ and the five beside it.
 fn pages() -> Vec<PathBuf> {
-    let beside = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "nodes/python/README.md"];
+    let beside = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "nodes/python/README.md"];
     beside.into_iter().map(|page| root().join(page)).chain(files_below(&["docs"], &[".md"])).collect()
 }
 
@@ -159,6 +159,30 @@ fn pages_that_code_and_messages_name_are_there() {
         }
     }
     assert!(n_named > 30, "{n_named} names of pages");
+    assert!(missing.is_empty(), "{missing:#?}");
+}
+
+#[test]
+fn files_that_the_documentation_names_are_there() {
+    let folders = ["engine/", "nodes/", "graphs/", "tests/", "docs/", ".ci/", ".github/"];
+    // Of the folder of a plugin, as `osteoflow new plugin` writes it.
+    let of_a_plugin = ["graphs/study.toml"];
+    let (mut n_named, mut missing) = (0, Vec::new());
+    // The changelog and superseded decisions speak of what was there.
+    for page in pages().iter().filter(|page| !page.ends_with("CHANGELOG.md")) {
+        let text = prose(&fs::read_to_string(page).unwrap());
+        for name in text.split('`').filter(|_| !text.contains("\n**Superseded** by")) {
+            let is_path = |c: char| c.is_ascii_alphanumeric() || "/-_.".contains(c);
+            if !folders.iter().any(|folder| name.starts_with(folder)) || !name.chars().all(is_path) {
+                continue;
+            }
+            n_named += 1;
+            if !root().join(name).exists() && !of_a_plugin.contains(&name) {
+                missing.push(format!("{}: {name}", page.strip_prefix(root()).unwrap().display()));
+            }
+        }
+    }
+    assert!(n_named > 200, "{n_named} names of files");
     assert!(missing.is_empty(), "{missing:#?}");
 }
 

@@ -80,6 +80,8 @@ mod run_folder;
 mod schema;
 mod simulate;
 mod simulated;
+#[cfg(unix)]
+mod size;
 mod store;
 mod studies;
 mod surroundings;

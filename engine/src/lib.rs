@@ -14,6 +14,9 @@
 //! | input and output | [`check()`], `record`, [`repro`] |
 //! | whole tasks on files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
 //! | repeated runs | `partial`, [`inputs`], [`replay()`], [`watch`], [`sweep`] |
+//!
+//! A graph that is checked and run:
+#![doc = concat!("```\n", include_str!("../examples/run_a_graph.rs"), "```")]
 
 mod answer_cache;
 pub mod check;

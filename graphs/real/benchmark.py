@@ -14,7 +14,6 @@ import argparse
 import collections
 import csv
 import json
-import math
 import os
 import statistics
 import subprocess

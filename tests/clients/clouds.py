@@ -2,9 +2,7 @@
 
 import contextlib
 import io
-import re
 import shutil
-import struct
 
 import numpy as np
 from client import Missing, Row, client, compiled, converted, debian, folder, osteoflow, recorded, run

@@ -1,7 +1,7 @@
 """Volumes, transforms and segmentations: what SimpleITK, nibabel and slicerio write is read here, and the transform by them."""
 
 import numpy as np
-from client import Row, client, converted, folder, items, osteoflow, recorded
+from client import Row, client, folder, items, osteoflow, recorded
 
 # A ball in LPS mm, as HU that fall by 50 a millimetre: at 0 HU its surface is RADIUS from CENTRE.
 CENTRE = np.array([12.5, -40.25, 101.0])

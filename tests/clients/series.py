@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 from client import Missing, Row, client, debian, folder, osteoflow, run
-from images import ORIGIN, SAMPLED_MM, SIZE, SPACING, ball, oblique, surface_off
+from images import SAMPLED_MM, SIZE, SPACING, ball, oblique, surface_off
 
 # Whole HU of 0.02 mm each.
 TOLERANCE_MM = SAMPLED_MM + 0.02
@@ -183,7 +183,7 @@ def of_openjph():
         ("high-throughput JPEG 2000, lossy", HTJ2K, ["-qstep", "0.0001"], 0.2),
     ):
 
-        def compress(d):
+        def compress(d, options=options, syntax=syntax):
             of_12_bits(d)
             picture, stream = folder() / "layer.pgm", folder() / "layer.j2c"
             cells = np.frombuffer(d.PixelData, "<u2").astype(">u2").tobytes()

@@ -4,6 +4,9 @@
 //! CRC of every chunk and attachment, and resumes at the next record behind damage. [`Writer`] appends whole chunks and
 //! never seeks, so a process that is killed leaves every chunk that was finished; the `mcap` crate makes its records
 //! (`docs/decisions/0010`).
+//!
+//! The topics of a file:
+#![doc = concat!("```\n", include_str!("../examples/read_mcap.rs"), "```")]
 
 mod allowance;
 mod chunk;

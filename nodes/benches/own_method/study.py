@@ -1,10 +1,8 @@
 """A study of registrations: starts, two methods of others, and the error of a pose."""
-import weakref
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-from osteoflow_node import Cloud, NodeError, Pose, Surface, node, param, payload, port, source
+from osteoflow_node import Cloud, Pose, node, param, payload, source
 
 
 @dataclass

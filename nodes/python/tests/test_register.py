@@ -36,7 +36,7 @@ def test_two_files_give_the_bits_verdict_and_report_of_the_command(files, fit, c
     same(fit.report, told)
     assert fit.n_pairs == told["n_pairs"] and fit.workers == os.cpu_count()
     with pytest.raises(AttributeError, match="no 'pairs'"):
-        fit.pairs
+        _ = fit.pairs
 
 
 @pytest.mark.parametrize("method", ["point_to_plane", "point_to_point", "symmetric", "generalized", "point_to_mesh", "published"])

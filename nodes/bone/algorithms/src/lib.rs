@@ -13,33 +13,8 @@
 //! Results do not depend on the number of threads: sums run over chunks of fixed size in order, and ties go to the
 //! lowest index. Work is spread over the current rayon pool.
 //!
-//! ```
-//! use nalgebra::{Isometry3, Point3, Vector3};
-//! use osteoflow_algorithms::{icp, target::Target};
-//! use osteoflow_geometry::SurfaceOrigin;
-//! use std::ops::ControlFlow;
-//!
-//! // A bowl with its normals, and a scan of it from a camera in another pose.
-//! let height = |x: f64, y: f64| 0.01 * x * x + 0.02 * y * y + 0.3 * (x / 5.0).sin() * (y / 7.0).cos();
-//! let grid = || (0..10_000).map(|k| (f64::from(k % 100) * 0.4 - 20.0, f64::from(k / 100) * 0.4 - 20.0));
-//! let slope = |x: f64, y: f64| (height(x + 1e-4, y) - height(x - 1e-4, y), height(x, y + 1e-4) - height(x, y - 1e-4));
-//! let points: Vec<_> = grid().map(|(x, y)| Point3::new(x, y, height(x, y))).collect();
-//! let normals: Vec<_> = grid()
-//!     .map(|(x, y)| Vector3::new(-slope(x, y).0, -slope(x, y).1, 2e-4).normalize())
-//!     .collect();
-//! let target = Target::new("ct", SurfaceOrigin::Exact, points.clone(), Some(normals.into()))?;
-//!
-//! let t_ct_camera = Isometry3::new(Vector3::new(1.0, -0.5, 0.8), Vector3::new(0.02, 0.03, -0.02));
-//! let scan: Vec<_> = points.iter().map(|p| t_ct_camera.inverse() * p).collect();
-//! let (method, start) = (icp::Method::PointToPlane, Isometry3::identity());
-//! let fit = icp::register(method, &target, &scan, &start, &Default::default(), &mut |step| {
-//!     println!("{} RMS {:.3} mm", step.iteration, step.rms_mm);
-//!     ControlFlow::Continue(())
-//! })?;
-//! assert!(fit.report.converged);
-//! assert!((fit.t_target_source.translation.vector - t_ct_camera.translation.vector).norm() < 0.01);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
+//! The points of one file onto those of another:
+#![doc = concat!("```\n", include_str!("../examples/register_points.rs"), "```")]
 
 /// The level of optimization with which this crate, which computes, is compiled: `3`, `s`, `0`.
 pub const OPT_LEVEL: &str = env!("OSTEOFLOW_ALGORITHMS_OPT_LEVEL");

@@ -16,11 +16,11 @@ const SHAPES = {
 
 /** @param {string} text @returns {Record<string, any>} */
 function json(text) {
-  let read = null;
+  let read;
   try {
     read = JSON.parse(text);
   } catch (error) {
-    throw new Error(`it is no JSON: ${error instanceof Error ? error.message : error}`);
+    throw new Error(`it is no JSON: ${error instanceof Error ? error.message : error}`, { cause: error });
   }
   if (typeof read !== "object" || read === null || Array.isArray(read)) throw new Error("an object is expected");
   return read;

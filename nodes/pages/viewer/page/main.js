@@ -251,7 +251,7 @@ const address = new URL(".", location.href);
 address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
 const connection = new Connection(address.href, {
   info: (info) => setRange(info),
-  wants: ({ topic, encoding, schemaName }) =>
+  wants: ({ topic, schemaName }) =>
     [STATE, LOG, GRAPH, NODES].includes(topic) || topic.startsWith(EXACT) ||
     (topic.startsWith(VIEW) && schemaName === "foxglove.FrameTransform"),
   message: (channel, _time, data) => {

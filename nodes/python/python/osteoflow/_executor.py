@@ -30,7 +30,7 @@ class _Task(NamedTuple):
     #: Options of the command.
     common: list[str]
     folder: str
-    index: int
+    shard: int
     of: int
     #: Of this submission alone: Dask takes a task with the arguments of an earlier one for the same, also if that has failed.
     ticket: str
@@ -78,7 +78,7 @@ def _unpack(answer: Any, task: _Task, runs: list[int], design: Path, shard: Path
     worker = f"worker {answer['host']}"
     if answer["version"] != _core.__version__:
         raise _core.UsageError(f"{worker} has osteoflow {answer['version']}, but here is {_core.__version__}; install the same")
-    if (answer["index"], answer["of"]) != (task.index, task.of):
+    if (answer["index"], answer["of"]) != (task.shard, task.of):
         raise _Damaged(f"{worker} answered for task {answer['index']} of {answer['of']}")
     if "error" in answer:
         raise (_core.UsageError if answer["is_usage"] else _core.OsteoflowError)(f"{worker}: {answer['error']}")

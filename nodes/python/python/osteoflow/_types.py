@@ -61,7 +61,7 @@ class Cloud:
         return self.points, self.normals, self.extras, self.space or ""
 
     def _item(self, frame: Optional[str]) -> tuple:
-        head = {"frame": frame, "stamp_ns": int(self.stamp_ns)}
+        head: dict[str, Any] = {"frame": frame, "stamp_ns": int(self.stamp_ns)}
         if self.label is not None:
             head["label"] = self.label
         if self.viewpoint is not None:

@@ -138,7 +138,7 @@ def _registered(fit: Any, folder: Path) -> tuple[list[str], list[str]]:
     else:
         # A start without points: that which takes four points onto four others.
         points = [os.fspath(folder / f"{name}_points.csv") for name in ("bone", "scan")]
-        in_scan = [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0), (0.0, 100.0, 0.0), (0.0, 0.0, 100.0)]
+        in_scan = [[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, 100.0]]
         rows = fit.report["init"]["matrix"][:3]
         in_bone = [[sum(row[k] * point[k] for k in range(3)) + row[3] for row in rows] for point in in_scan]
         for file, places in zip(points, (in_bone, in_scan)):

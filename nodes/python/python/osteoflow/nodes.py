@@ -60,7 +60,8 @@ class Function:
         if unknown:
             have = ", ".join(self.inputs)
             raise _core.UsageError(f'nodes: "{node}" has no input {", ".join(unknown)}; it has {have}')
-        self.made = function() if self.kind.is_class else function
+        made: _Any = function() if self.kind.is_class else function
+        self.fires = made.process if self.kind.is_class else made
         self.types = {kind.payload[0]: kind for kind in _module.BUILT_IN}
         self.types.update({port.type.payload[0]: port.type for port in self.kind.inputs if port.type.payload})
         self.order = [self._output(port, outputs) for port in self.kind.outputs]
@@ -99,7 +100,7 @@ class Function:
         except _module.NodeError as error:
             return _json.dumps(context.done()), str(error), []
         except Exception as error:
-            code = getattr(self.made.process if self.kind.is_class else self.made, "__code__", None)
+            code = getattr(self.fires, "__code__", None)
             return _json.dumps(context.done()), _module.where(error, code.co_filename if code else ""), []
         return _json.dumps(context.done()), None, given
 
@@ -114,8 +115,7 @@ class Function:
             if not items and not port.many and not port.optional:
                 raise _module.NodeError(f'input "{port.name}" has no value')
             arguments.append(items if port.many else items[0] if items else None)
-        fires = self.made.process if self.kind.is_class else self.made
-        return fires(*arguments)
+        return self.fires(*arguments)
 
     def _value(self, item: tuple) -> _Any:
         _, _, payload, _, head, columns = item
