@@ -126,6 +126,45 @@ fn a_change_runs_the_graph_again_and_is_written_into_its_file_alone() {
 }
 
 #[test]
+fn the_page_adds_no_code_and_no_file_from_outside_of_the_graphs_folder() {
+    let (bench, elsewhere) = (Bench::new(), tempfile::tempdir().unwrap());
+    let outside = |name: &str| elsewhere.path().join(name).display().to_string();
+    let mark = elsewhere.path().join("MARK");
+    let plugin = format!("open({:?}, 'w').write('run')\n", mark.display().to_string());
+    let module = "plugins = [\"mark.py\"]\n[graph]\nformat = 1\nname = \"m\"\nframes = [\"ct\"]\n[module]\ndoc = \"x\"\n\
+                  [node.a]\nkind = \"surface.simulated\"\n[module.outputs]\nmesh = { from = \"a.mesh\", doc = \"x\" }\n";
+    for folder in [elsewhere.path(), bench.folder.path()] {
+        fs::write(folder.join("mark.py"), &plugin).unwrap();
+        fs::write(folder.join("mod.toml"), module).unwrap();
+        fs::write(folder.join("secret.txt"), "root:x:0:0\n").unwrap();
+    }
+    #[cfg(unix)]
+    std::os::unix::fs::symlink(elsewhere.path(), bench.path("link")).unwrap();
+    let served = bench.view("fibula.toml", &[]);
+    let out = "leads out of the graph's folder";
+    let up = format!("../{}/secret.txt", elsewhere.path().file_name().unwrap().to_str().unwrap());
+    let module = |file: &str| json!({ "extra.kind": "module", "extra.file": file });
+    let surface = |file: &str| json!({ "bone.kind": "surface.file", "bone.path": file });
+    for (values, expected) in [
+        (module(&outside("mod.toml")), out),
+        (module("mod.toml"), "SHA-256"),
+        (surface(&outside("secret.txt")), out),
+        (surface(&up), out),
+        (surface("variants/../link/secret.txt"), if cfg!(unix) { out } else { "bone" }),
+        (json!({ "bone.kind": "surface.file", "bone.path": [outside("secret.txt")] }), out),
+        (json!({ "bone.kind": "surface.file", "bone.more": { "path": outside("secret.txt") } }), out),
+        (json!({ "keep.kind": "output.ply", "keep.path": outside("new.ply") }), out),
+    ] {
+        let (status, message) = post(&served, "set", &json!({ "values": values }));
+        assert!(status == 422 && message.contains(expected), "{values}: {status} {message}");
+        assert!(!message.contains("root:x"), "{message}");
+    }
+    assert!(!mark.exists(), "the plugin was run");
+    let (status, message) = post(&served, "set", &json!({ "values": { "icp.max_iterations": 50 } }));
+    assert_eq!(status, 200, "{message}");
+}
+
+#[test]
 fn a_change_that_the_graph_refuses_changes_nothing_and_says_why() {
     let bench = Bench::new();
     let served = bench.view("fibula.toml", &[]);

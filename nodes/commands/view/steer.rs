@@ -84,7 +84,7 @@ impl Steering {
                 let values =
                     request["values"].as_object().ok_or("\"values\" is missing: an object of keys and values")?;
                 let values: Vec<_> = values.iter().map(|(key, value)| (key.clone(), value.clone())).collect();
-                self.changes.set(&values)
+                self.changes.ask(&values)
             }
             "revert" => self.changes.revert(),
             "write" => self.changes.write(),
@@ -213,7 +213,7 @@ impl App for Steering {
     }
 
     fn set_parameters(&self, values: &[(String, Value)]) -> Result<(), String> {
-        self.changes.set(values).map(drop)
+        self.changes.ask(values).map(drop)
     }
 
     fn services(&self) -> &'static [&'static str] {
@@ -237,7 +237,7 @@ pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
     let stream = Arc::new(Stream::default());
     let built_in = request.two_files.as_ref();
     let no_file = built_in.map(|_| "this graph is built in; show graphs/two_files.toml to change a file");
-    let changes = Changes::new(request.graph.clone(), no_file);
+    let changes = Changes::new(request.graph.clone(), no_file, request.picks.folder().into());
     let steering =
         Arc::new(Steering { changes, shown: Mutex::default(), picks: request.picks, two_files: request.two_files });
     let name = request.graph.graph.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());

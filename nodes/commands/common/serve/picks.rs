@@ -68,6 +68,11 @@ impl Picks {
         Self { folder: folder.into() }
     }
 
+    /// The folder.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// The answer to a request of the page, if it is one for picks: `save/plan` and `save/pairs`.
     pub(crate) fn post(&self, path: &str, body: &[u8], known: Known<'_>) -> Option<Response> {
         let what = path.strip_prefix("save/").filter(|what| ["plan", "pairs"].contains(what))?;

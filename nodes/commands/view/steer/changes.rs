@@ -2,11 +2,11 @@
 
 use super::write_back;
 use crate::app::{GraphArgs, with_causes};
-use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text};
+use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plugin::Kinds};
 use osteoflow_report::format::shell_word;
 use serde_json::{Value, json};
 use std::{
-    path::Path,
+    path::{Component, Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
@@ -19,6 +19,8 @@ pub(super) struct Changes {
     graph: GraphArgs,
     /// Why nothing can be written into the graph file.
     no_file: Option<&'static str>,
+    /// Where the page saves what is picked on it.
+    picks: PathBuf,
     edits: Mutex<Edits>,
 }
 
@@ -35,8 +37,8 @@ struct Edits {
 }
 
 impl Changes {
-    pub(super) fn new(graph: GraphArgs, no_file: Option<&'static str>) -> Self {
-        Self { graph, no_file, edits: Mutex::default() }
+    pub(super) fn new(graph: GraphArgs, no_file: Option<&'static str>, picks: PathBuf) -> Self {
+        Self { graph, no_file, picks, edits: Mutex::default() }
     }
 
     fn edits(&self) -> MutexGuard<'_, Edits> {
@@ -69,10 +71,48 @@ impl Changes {
         graph
     }
 
-    fn check_with(&self, edits: &Edits) -> Result<Checked, Problem> {
-        let GraphArgs { graph, sets, plugins } = self.graph_with(edits);
-        let kinds = plugins.kinds_apart().map_err(Problem::Other)?;
-        check(&graph, &sets, &kinds).map_err(Problem::Faults)
+    fn kinds(&self) -> Result<Kinds, Problem> {
+        self.graph.plugins.kinds_apart().map_err(Problem::Other)
+    }
+
+    fn check_with(&self, edits: &Edits, kinds: &Kinds) -> Result<Checked, Problem> {
+        let GraphArgs { graph, sets, .. } = self.graph_with(edits);
+        check(&graph, &sets, kinds).map_err(Problem::Faults)
+    }
+
+    /// Sets keys as the page asks, which anybody may do who has its address: no path outside of the graph's folder and of that of the
+    /// picks, and no code but that of the plugins that the graph names without the page.
+    ///
+    /// # Errors
+    /// As [`Self::set`].
+    pub(super) fn ask(&self, values: &[(String, Value)]) -> Result<Value, String> {
+        for (key, value) in values {
+            self.check_place(key, value)?;
+        }
+        let kinds = self.kinds().map_err(|problem| problem.to_string())?;
+        let by_itself = check(&self.graph.graph, &self.graph.sets, &kinds).map(|checked| checked.plan.plugins);
+        self.set_of(values, &kinds.recorded_by(&by_itself.unwrap_or_default()))
+    }
+
+    /// Refuses a text that leads outside of the folders of the graph and of the picks.
+    fn check_place(&self, key: &str, value: &Value) -> Result<(), String> {
+        match value {
+            Value::String(text) => {
+                let folder = self.graph.graph.parent().unwrap_or(Path::new("")).to_owned();
+                let path = real(&folder.join(text));
+                if [&folder, &self.picks].into_iter().any(|allowed| path.starts_with(real(allowed))) {
+                    return Ok(());
+                }
+                let folder = real(&folder).display().to_string();
+                Err(format!(
+                    "{key}: {text} leads out of the graph's folder, {folder}, which the page may not; write it into the graph file, or start \
+                     with --set"
+                ))
+            }
+            Value::Array(items) => items.iter().try_for_each(|item| self.check_place(key, item)),
+            Value::Object(entries) => entries.values().try_for_each(|item| self.check_place(key, item)),
+            _ => Ok(()),
+        }
     }
 
     /// Sets keys, all of them or none. A value of null takes a change back. Keys that a new kind does not have are taken away.
@@ -80,6 +120,10 @@ impl Changes {
     /// # Errors
     /// A sentence for the user; nothing has changed then.
     pub(super) fn set(&self, values: &[(String, Value)]) -> Result<Value, String> {
+        self.set_of(values, &self.kinds().map_err(|problem| problem.to_string())?)
+    }
+
+    fn set_of(&self, values: &[(String, Value)], kinds: &Kinds) -> Result<Value, String> {
         let mut edits = self.edits();
         if let Some(why) = &edits.fixed {
             return Err(why.clone());
@@ -90,7 +134,7 @@ impl Changes {
         }
         trial.removed.clear();
         for _ in 0..MAX_ATTEMPTS {
-            let faults = match self.check_with(&trial) {
+            let faults = match self.check_with(&trial, kinds) {
                 Ok(_) => {
                     trial.count += 1;
                     *edits = trial;
@@ -133,9 +177,9 @@ impl Changes {
         if edits.values.is_empty() {
             return Err("nothing was changed".into());
         }
-        let wanted = self.check_with(&edits).map_err(|problem| problem.to_string())?.plan.resolved;
+        let kinds = self.kinds().map_err(|problem| problem.to_string())?;
+        let wanted = self.check_with(&edits, &kinds).map_err(|problem| problem.to_string())?.plan.resolved;
         let path = &self.graph.graph;
-        let kinds = self.graph.plugins.kinds_apart().map_err(|error| with_causes(&error))?;
         let before =
             std::fs::read_to_string(path).map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
         let text = write_back::edited(&before, path, &edits.values, &edits.removed)?;
@@ -179,6 +223,20 @@ impl Changes {
     pub(super) fn path(&self) -> &Path {
         &self.graph.graph
     }
+}
+
+/// A path without links, `.` and `..`, as far as it is there.
+fn real(path: &Path) -> PathBuf {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.into());
+    let mut out = PathBuf::new();
+    for part in absolute.components() {
+        match part {
+            Component::ParentDir => drop(out.pop()),
+            part => out.push(part),
+        }
+        out = out.canonicalize().unwrap_or(out);
+    }
+    out
 }
 
 impl Edits {
