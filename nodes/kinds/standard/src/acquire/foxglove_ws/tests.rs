@@ -1,3 +1,5 @@
+mod as_recorded;
+
 use super::*;
 use crate::acquire::network::{
     NetworkSource,
@@ -357,7 +359,8 @@ fn addresses_and_ports_that_cannot_be_read_are_refused() {
     for (port, expected) in [
         (("a", "geometry/Pose", json!({})), "neither topic nor topics"),
         (("a", "report/Flag", json!({})), "default is not given"),
-        (("a", "geometry/Region", json!({ "topic": "/r" })), "but not geometry/Region"),
+        (("a", "geometry/Region", json!({ "topic": "/r" })), "no topic states a region or a flag; remove it"),
+        (("a", "geometry/Planes", json!({ "topic": "/r" })), "but not geometry/Planes"),
     ] {
         let error = take_all("ws://127.0.0.1:1", &[port], |_| {}).error.unwrap();
         assert!(error.contains(expected), "{error}");
