@@ -24,14 +24,9 @@ pub enum Unstamped {
     PublishTime,
 }
 
-/// The message as it is read here, so that a missing stamp shows.
+/// The message as it is read here, so that a missing stamp is [`NONE`].
 pub(super) fn without_publish_time<'a>(message: impl Into<Encoded<'a>>) -> Encoded<'a> {
     Encoded { publish_time_ns: NONE, ..message.into() }
-}
-
-/// Whether a stamp that was read so is missing.
-pub(super) fn is_missing(stamp_ns: StampNs) -> bool {
-    stamp_ns == NONE
 }
 
 /// What the ports of a source met.
@@ -63,7 +58,7 @@ impl MissingStamps {
     ) -> StampNs {
         let of = self.topics.entry(topic.into()).or_default();
         of.n += 1;
-        if !is_missing(read_ns) {
+        if read_ns != NONE {
             return read_ns;
         }
         of.n_missing += 1;
