@@ -88,6 +88,9 @@ impl Port<Content> {
             }
             _ => return Ok(()),
         };
+        if self.has_begun {
+            return Ok(());
+        }
         self.at_first = vec![(params.present.clone().unwrap_or_default(), stated)];
         Ok(())
     }
@@ -259,17 +262,17 @@ impl Port<Content> {
                     let (what, stamp_ns) = (format!("t_{}_{}", pose.to, pose.from), pose.stamp_ns);
                     let is_on_path = |step: &Step| (&step.parent, &step.child) == (&pose.to, &pose.from);
                     let is_late = self.content.joined_ns.is_some_and(|joined_ns| stamp_ns <= joined_ns);
-                    if is_late && self.content.path.iter().any(is_on_path) {
+                    if stamp_ns != 0 && is_late && self.content.path.iter().any(is_on_path) {
                         let late = format!("{what} of {stamp_ns} ns comes after it was needed");
                         out.items.push((stamp_ns, Emission::Empty(late)));
                     } else if !self.is_repeat(&what, &pose, out)
                         && let Some(pose) = self.sifted(&what, pose, correction, ROTATION_NOISE, out)
                     {
                         sifted::add(&mut self.content.tree, &pose);
-                        self.content.tree.forget(stamp_ns - KEPT_NS);
+                        self.content.tree.forget(stamp_ns.saturating_sub(KEPT_NS));
                     }
                 }
-                Item::NotRigid(error) => out.notes.push(format!("{topic}: {error}")),
+                Item::NotRigid(error) => out.notes.push(error.to_string()),
                 Item::Scan(..) | Item::Tip(..) => {}
             }
         }

@@ -12,6 +12,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Point3},
 };
 use osteoflow_node::{FilePath, Outputs, View};
+use osteoflow_payloads::Flag;
 use std::path::{Path, PathBuf};
 
 #[path = "../../../../../../bone/formats/tests/layouts.rs"]
@@ -317,4 +318,24 @@ fn a_topic_that_comes_late_or_twice_or_with_another_schema_is_said() {
     ran.warned("/tf is advertised twice; the first channel is read");
     ran.warned("/tf has foxglove.Log, but geometry/Pose is read from");
     assert_eq!(ran.poses(0), [(STAMP, Ok(500.0))]);
+}
+
+#[test]
+fn a_server_that_comes_back_does_not_contradict_the_flag_of_its_topic() {
+    let client = |stamp_ns: StampNs| -> Treat {
+        Box::new(move |client: &mut Client| {
+            client.text(&json!({ "op": "serverInfo", "name": "test", "capabilities": [] }));
+            let id = client.tf();
+            client.data(id, &transform(stamp_ns, 0.5));
+        })
+    };
+    let params =
+        Params { address: format!("ws://{}", server(vec![client(STAMP), client(STAMP + MS)])), ..Params::default() };
+    let ports = [marker(), ("tracked", "report/Flag", json!({ "present": "/tf" }))];
+    let is_last = |ran: &Outcome| ran.poses(0).last() == Some(&(STAMP + MS, Ok(500.0)));
+    let ran = take_until(&mut NetworkSource::<FoxgloveWs>::new(params).unwrap(), &mut context(&ports), is_last);
+    assert_eq!(ran.error, None);
+    let flags = ran.of_port(1);
+    let (stamp_ns, Emission::Value(flag)) = flags[0] else { panic!("{flags:?}") };
+    assert_eq!((flags.len(), stamp_ns, flag.get::<Flag>().map(|flag| flag.0)), (1, STAMP, Some(true)));
 }
