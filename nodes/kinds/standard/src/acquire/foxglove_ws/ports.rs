@@ -10,7 +10,7 @@ use crate::acquire::{
 };
 use osteoflow_formats::{
     mcap_read::{Message, Recording},
-    message_read::{is_calibration, procedure_region},
+    message_read::{is_calibration, is_image, procedure_region},
 };
 use osteoflow_geometry::{Nearest, ROTATION_NOISE, StampNs, Step, TransformTree};
 use osteoflow_node::{DeclaredPort, Emission, ParamError};
@@ -120,25 +120,18 @@ impl Port<Content> {
     pub(super) fn check(&self, channel: &Channel) -> Result<(), String> {
         let Channel { topic, encoding, schema_name, .. } = channel;
         let (name, payload, port) = (&self.name, self.payload, &self.content.topic_port);
-        let calibration = port.params.calibration.as_ref();
-        let is_image = port.has_image(schema_name);
-        let (is_read, needed) = match payload {
-            _ if calibration == Some(topic) => {
-                (is_calibration(schema_name), "foxglove.CameraCalibration or sensor_msgs/msg/CameraInfo")
+        let is_image = port.has_image(schema_name) && is_image(schema_name);
+        let is_of_camera = port.params.calibration.as_ref() == Some(topic);
+        let is_read =
+            if is_of_camera { is_calibration(schema_name) } else { is_image || topics::reads(payload, schema_name) };
+        let needed = match payload {
+            _ if is_of_camera => "foxglove.CameraCalibration or sensor_msgs/msg/CameraInfo",
+            "geometry/Cloud" => "foxglove.PointCloud, sensor_msgs/msg/PointCloud2 or, with calibration, a depth image",
+            "geometry/Image" => "foxglove.RawImage or CompressedImage, sensor_msgs/msg/Image or CompressedImage",
+            "geometry/Pose" => {
+                "foxglove.FrameTransform(s), tf2_msgs/msg/TFMessage, geometry_msgs/msg/TransformStamped or a pose in a frame"
             }
-            "geometry/Cloud" => (
-                topics::reads(payload, schema_name) || is_image,
-                "foxglove.PointCloud, sensor_msgs/msg/PointCloud2 or, with calibration, a depth image",
-            ),
-            "geometry/Image" => (
-                is_image,
-                "foxglove.RawImage, foxglove.CompressedImage, sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage",
-            ),
-            "geometry/Pose" => (
-                topics::reads(payload, schema_name),
-                "foxglove.FrameTransform(s), tf2_msgs/msg/TFMessage, geometry_msgs/msg/TransformStamped or a pose in a frame",
-            ),
-            _ => (topics::reads(payload, schema_name), "foxglove.PoseInFrame or geometry_msgs/msg/PoseStamped"),
+            _ => "foxglove.PoseInFrame or geometry_msgs/msg/PoseStamped",
         };
         if !is_read {
             return Err(format!("port \"{name}\": {topic} has {schema_name}, but {payload} is read from {needed}"));

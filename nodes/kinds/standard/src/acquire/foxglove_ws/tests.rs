@@ -76,6 +76,13 @@ impl Client {
         rows.map(|row| (row["id"].as_u64().unwrap(), row["channelId"].as_u64().unwrap())).collect()
     }
 
+    /// The next subscription; none of a client that has left.
+    fn subscription(&mut self) -> Option<u64> {
+        let Ok(Message::Text(text)) = self.0.read() else { return None };
+        let message: Value = serde_json::from_str(&text).unwrap();
+        message["subscriptions"][0]["id"].as_u64()
+    }
+
     fn data(&mut self, subscription: u64, data: &[u8]) {
         let bytes = [&[1][..], &(subscription as u32).to_le_bytes(), &(STAMP as u64).to_le_bytes(), data].concat();
         self.0.send(Message::binary(bytes)).unwrap();

@@ -66,7 +66,8 @@ fn bridged(metadata: BTreeMap<String, String>, sent: Vec<Sent>, ports: &[PortSpe
             if !subscriptions.contains_key(topic) {
                 let id = subscriptions.len() as u64 + 1;
                 client.advertise(&[(id, topic, &message.message_encoding, &message.schema_name)]);
-                subscriptions.insert(topic.clone(), client.subscribed()[0].0);
+                let Some(subscription) = client.subscription() else { return };
+                subscriptions.insert(topic.clone(), subscription);
             }
             let head = [&[1][..], &(subscriptions[topic] as u32).to_le_bytes()].concat();
             let time = (message.publish_time_ns as u64).to_le_bytes();
@@ -119,6 +120,10 @@ fn images_depths_and_points_of_a_bridge_are_those_of_its_recording_also_before_t
     // Each image before its calibration.
     sent.sort_by_key(|(topic, _)| topic.ends_with("info"));
     assert_same(&bridged(BTreeMap::new(), sent.clone(), &ports), &expected, &ports);
+    // A topic that has something else is refused at once.
+    let cloud = recording.messages("/pinhole/points")[0].clone();
+    let refused = bridged(BTreeMap::new(), vec![("/rgb8".into(), cloud)], &ports).error.unwrap();
+    assert!(refused.contains("/rgb8 has sensor_msgs/msg/PointCloud2, but geometry/Image is read from"), "{refused}");
     // The camera changes.
     let other = recording.messages("/brown/info")[0].clone();
     sent.push(("/pinhole/info".into(), other));
