@@ -407,18 +407,21 @@ impl RegisterRequest {
         let began = Instant::now();
         let start = self.read_start(&mut notes)?;
         let init_ms = began.elapsed().as_secs_f64() * 1e3;
-        let mut sets = match start {
+        let removed = self.removed(&start, has_output(kind, REPORT));
+        let mut sets = self.graph_sets(&kind_name, &params);
+        sets.extend(self.region_sets());
+        sets.extend((!removed.is_empty()).then(|| format!("remove={removed:?}")));
+        self.choose_parts(&mut notes)?;
+        let mut of_start = match start {
             ReadStart::Landmarks { .. } => two_files::from_pairs()?,
             ReadStart::Shape | ReadStart::Pose(_) => Vec::new(),
         };
-        sets.push(format!("remove={:?}", self.removed(&start, has_output(kind, REPORT))));
-        sets.extend(self.graph_sets(&kind_name, &params));
-        sets.extend(self.region_sets());
-        self.choose_parts(&mut notes)?;
-        let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &sets, kinds)?;
-        // Without the files, which a caller of the settings names.
-        sets.retain(|set| !set.starts_with("bone.path=") && !set.starts_with("scan.path="));
-        Ok(Register { request: self, checked, sets, kind_name, params: params.all, files, start, init_ms, notes })
+        // The files of a registration are those that it names.
+        of_start.push("remove=[\"node.export\"]".into());
+        let all = [&*of_start, &sets].concat();
+        let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &all, kinds)?;
+        let params = params.all;
+        Ok(Register { request: self, checked, of_start, sets, kind_name, params, files, start, init_ms, notes })
     }
 
     /// The options that set a parameter of the method: option, key and value.
@@ -482,8 +485,7 @@ impl RegisterRequest {
 
     /// What the graph lacks under this request.
     fn removed(&self, start: &ReadStart, has_report: bool) -> Vec<&'static str> {
-        // The files of a registration are those that it names.
-        let mut removed = vec!["node.export"];
+        let mut removed = Vec::new();
         if let ReadStart::Pose(_) = start {
             removed.extend(["node.verdict.in.start", "results.start"]);
         }
@@ -630,8 +632,10 @@ enum ReadStart {
 pub struct Register {
     pub(crate) request: RegisterRequest,
     checked: Checked,
-    /// What is set of the graph of two files, but for the two.
-    sets: Vec<String>,
+    /// What is set of the graph of two files for the start and the files of the answer.
+    of_start: Vec<String>,
+    /// What else is set of it.
+    pub(crate) sets: Vec<String>,
     /// The kind that registers.
     kind_name: String,
     /// Its parameters.

@@ -2,6 +2,8 @@
 
 use crate::app::register::two_files::{BY_SHAPE, FROM_PAIRS};
 use anyhow::{Context, Result};
+use osteoflow_formats::{Space, picked_points::write_mrk_json};
+use osteoflow_geometry::NamedPoint;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -32,6 +34,18 @@ impl TwoFiles {
     /// The graph file.
     pub(crate) fn graph(&self) -> PathBuf {
         self.0.path().join(GRAPH)
+    }
+
+    /// Starts the registration from pairs of points in bone and scan.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    pub(crate) fn start_from(&self, pairs: [&[NamedPoint]; 2]) -> Result<(), String> {
+        let files = ["bone_points.mrk.json", "scan_points.mrk.json"].map(|name| self.0.path().join(name));
+        for (file, points) in files.iter().zip(pairs) {
+            write_mrk_json(file, points, Space::Lps).map_err(|error| error.to_string())?;
+        }
+        self.start_from_pairs(&files[0], &files[1])
     }
 
     /// Starts the registration from two files of picked points, matched by name.
