@@ -646,7 +646,16 @@ fn a_page_of_two_files_takes_the_options_of_register_and_has_its_pose_to_the_bit
     let picks = ["tests/data/picks/bone_points.mrk.json", "tests/data/picks/scan_points.mrk.json"];
     let options: [&[&str]; 3] = [
         &["--camera", "0,0,0"],
-        &["--method", "point_to_point", "--max-pair-distance-mm", "4", "--source-component", "largest", "--max-points", "900"],
+        &[
+            "--method",
+            "point_to_point",
+            "--max-pair-distance-mm",
+            "4",
+            "--source-component",
+            "largest",
+            "--max-points",
+            "900",
+        ],
         &["--landmarks", picks[0], picks[1], "--seed", "7", "--target-points", "20000", "--sphere", "0,0,0,100000"],
     ];
     for of in options {

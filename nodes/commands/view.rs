@@ -65,22 +65,6 @@ pub(crate) struct View {
 
 /// Options of `register` that are about its answer, or that no graph can state.
 const OF_REGISTER: [&str; 4] = ["init", "repeat", "write_source", "trace"];
-/// Options of `register` that graphs take, too, and those of the page.
-const OF_ANY: [&str; 13] = [
-    "plugins",
-    "no_plugins",
-    "python",
-    "workers",
-    "no_cache",
-    "sets",
-    "out",
-    "target",
-    "address",
-    "plan",
-    "picks",
-    "serve_public",
-    "allow_origin",
-];
 
 /// An option of `register` as `view` takes it.
 fn of_view(arg: Arg) -> Arg {
@@ -101,7 +85,9 @@ fn of_view(arg: Arg) -> Arg {
              Default: runs/GRAPH-TIME",
         ),
         id if OF_REGISTER.contains(&id) => arg.hide(true),
-        id if OF_ANY.contains(&id) => arg,
+        // Those that graphs take, too, and those of the page.
+        "plugins" | "no_plugins" | "python" | "workers" | "no_cache" => arg,
+        "address" | "plan" | "picks" | "serve_public" | "allow_origin" => arg,
         _ => arg.requires("source"),
     }
 }
