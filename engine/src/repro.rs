@@ -110,12 +110,10 @@ pub fn repro(
     drop(under);
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected.filter(|_| !is_exchanged));
     // Files that the node writes go to a temporary folder.
-    let scratch = bundle.out_dir.as_ref().map(|_| TemporaryFolder::new("osteoflow-repro")).transpose();
     let no_folder = |error| ReproError::Files(format!("no folder can be made for what the node writes: {error}"));
-    let scratch = scratch.map_err(no_folder)?;
-    let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.path()));
-    let mut context =
-        Context::new(node.name.clone(), bundle.seed, Arc::default(), declared.clone()).with_out_dir(out_dir);
+    let scratch = TemporaryFolder::new("osteoflow-repro").map_err(no_folder)?;
+    let context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared.clone());
+    let mut context = context.with_out_dir(Some(Arc::from(scratch.path())));
     if backtrace {
         panics::show();
     }
@@ -123,7 +121,7 @@ pub fn repro(
     let began = Instant::now();
     let mut n_calls = 0;
     let _under = activity::begin(name, Doing::Firing, bundle.item);
-    let failed = match built {
+    let mut failed = match built {
         Built::Node(mut built) => {
             let mut joined = joined(&bundle, dir, kind, registry, &mut context)?;
             let mut out = vec![Emission::Silent; outputs.len()];
@@ -158,9 +156,8 @@ pub fn repro(
         }
     };
     let took = began.elapsed();
-    let mut failed = failed;
-    if let (Some(failed), Some(scratch), Some(out_dir)) = (&mut failed, &scratch, &bundle.out_dir) {
-        let (here, there) = (scratch.path().display().to_string(), out_dir.display().to_string());
+    if let Some(failed) = &mut failed {
+        let (here, there) = (scratch.path().display().to_string(), bundle.out_dir.display().to_string());
         failed.reason = failed.reason.replace(&here, &there);
     }
     let mut differences = bundle.program.differences(&program);

@@ -25,8 +25,8 @@ use steer::{SteerRequest, TwoFiles};
 /// With GRAPH: runs it, and runs it again whenever its files change, or a parameter or kind is changed on the page, from where the
 /// changes can be written into the file. Each run is a whole one in a folder of its own. With a run or a recording: play, stop, go to
 /// any time. With BONE and SCAN: registers the scan by the shape of the bone alone, as graphs/two_files.toml does, shows how sure it
-/// is, and writes the pose as a run does, with export/ for 3D Slicer. All options of `register` apply to them, but for a start that is
-/// known and for the files of its answer.
+/// is, and writes the pose as a run does, with export/ for 3D Slicer. All options of `register` apply to them, but for the files of its
+/// answer.
 ///
 /// Prints the address of a page that needs nothing but this program, and one for Foxglove and Lichtblick. Both end with Ctrl-C.
 /// Only this machine reaches them, and only with the token in the address.
@@ -63,9 +63,6 @@ pub(crate) struct View {
     admission: Admission,
 }
 
-/// Options of `register` that are about its answer, or that no graph can state.
-const OF_REGISTER: [&str; 4] = ["init", "repeat", "write_source", "trace"];
-
 /// An option of `register` as `view` takes it.
 fn of_view(arg: Arg) -> Arg {
     match arg.get_id().as_str() {
@@ -84,7 +81,8 @@ fn of_view(arg: Arg) -> Arg {
             "The folder to write the first run of GRAPH or SCAN into; those after a change are written into DIR-2, DIR-3 and so on. \
              Default: runs/GRAPH-TIME",
         ),
-        id if OF_REGISTER.contains(&id) => arg.hide(true),
+        // What is about the answer of `register`.
+        "repeat" | "write_source" | "trace" => arg.hide(true),
         // Those that graphs take, too, and those of the page.
         "plugins" | "no_plugins" | "python" | "workers" | "no_cache" => arg,
         "address" | "plan" | "picks" | "serve_public" | "allow_origin" => arg,
@@ -116,11 +114,11 @@ impl View {
     }
 
     fn register(&self, global: &Global) -> Result<Exit> {
-        let RegisterRequest { init, repeat, write_source, trace, .. } = &self.request;
-        if init.is_some() || *repeat != 1 || write_source.is_some() || trace.is_some() {
+        let RegisterRequest { repeat, write_source, trace, .. } = &self.request;
+        if *repeat != 1 || write_source.is_some() || trace.is_some() {
             usage!(
-                "--init, --repeat, --write-source and --trace are for register; view starts by the shape of the bone, from \
-                 --landmarks or --fiducials, or from what is picked on the page, and writes a run"
+                "--repeat, --write-source and --trace are for register; view writes a run, with each step in run.mcap and the moved scan \
+                 in export/"
             );
         }
         let request = RegisterRequest { sets: Vec::new(), out: None, ..self.request.clone() };
@@ -128,6 +126,9 @@ impl View {
         let two_files = TwoFiles::new()?;
         if let Some(pairs) = checked.pairs() {
             two_files.start_from(pairs).map_err(|why| anyhow!("{why}"))?;
+        }
+        if let Some(pose) = checked.given_start() {
+            two_files.start_at(pose).map_err(|why| anyhow!("{why}"))?;
         }
         let sets = checked.sets.iter().chain(&self.request.sets).cloned().collect();
         self.steer(two_files.graph(), sets, Some(two_files), global)

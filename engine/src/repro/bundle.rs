@@ -44,8 +44,8 @@ pub struct Bundle {
     /// How the failure was injected, if it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub injected: Option<Injected>,
-    /// The run's folder, if any: nodes that write files write them there.
-    pub out_dir: Option<PathBuf>,
+    /// The run's folder, where nodes that write files write them.
+    pub out_dir: PathBuf,
     /// The program that failed.
     pub program: Program,
 }

@@ -165,7 +165,7 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
         inputs,
         failure: Failure { reason: failed.reason.into(), panicked: failed.panicked },
         injected: failed.injected,
-        out_dir: Some(std::path::absolute(out_dir).unwrap_or_else(|_| out_dir.into())),
+        out_dir: std::path::absolute(out_dir).unwrap_or_else(|_| out_dir.into()),
         program,
     }
 }

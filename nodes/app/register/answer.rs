@@ -289,8 +289,7 @@ impl Registration {
         put("params", of.params.clone());
         // Without the files, which a caller of the settings names.
         let is_file = |set: &&String| set.starts_with("bone.path=") || set.starts_with("scan.path=");
-        let settings = of.of_start.iter().chain(&of.sets).filter(|set| !is_file(set));
-        put("settings", json!(settings.collect::<Vec<_>>()));
+        put("settings", of.all.iter().filter(|set| !is_file(set)).cloned().collect());
         put("target", self.target_json(&request.target));
         put("source", self.source_json(&request.source));
         if let Some(init) = self.init.filter(|_| self.has_ended()) {

@@ -47,6 +47,14 @@ impl Register {
         }
     }
 
+    /// The pose from which it starts, if one is given.
+    pub(crate) fn given_start(&self) -> Option<Pose> {
+        match &self.start {
+            ReadStart::Pose(pose) => Some(Pose::new(FRAMES[0], FRAMES[1], *pose)),
+            ReadStart::Shape | ReadStart::Landmarks { .. } => None,
+        }
+    }
+
     /// As [`Self::run`], and gives the answer of the command as JSON, with every step if `with_trace`.
     ///
     /// # Errors
