@@ -278,10 +278,7 @@ fn references_and_optional_types_are_followed() {
     let optional = "x: v takes a number of at most 0.5 or true or false, found the text \"a\" [none of these]";
     check(&[
         (json!({ "$ref": "#/$defs/Alias" }), &[("0.5", "0.5"), ("1", too_large)]),
-        (
-            json!({ "anyOf": [{ "$ref": "#/$defs/Half" }, { "type": "null" }] }),
-            &[("0.5", "0.5"), ("1", "x: v takes a number of at most 0.5, found 1 [too large]")],
-        ),
+        (json!({ "anyOf": [{ "$ref": "#/$defs/Half" }, { "type": "null" }] }), &[("0.5", "0.5"), ("1", too_large)]),
         (
             json!({ "anyOf": [{ "$ref": "#/$defs/Half" }, { "type": "boolean" }, { "type": "null" }] }),
             &[("\"a\"", optional)],
