@@ -169,7 +169,10 @@ fn an_error_returned_by_a_node_is_repeated_alone_with_the_same_message() {
     // With a parameter that lets it succeed, it does not fail, which differs.
     let path = bundle.join("repro.json");
     let mut description = json(&path);
-    description["node"]["params"]["max_pair_distance_mm"] = 5.0.into();
+    let table = description["node"]["table"].as_str().unwrap();
+    let wider = table.replace("max_pair_distance_mm = 0.0001", "max_pair_distance_mm = 5.0");
+    assert_ne!(wider, table);
+    description["node"]["table"] = wider.into();
     std::fs::write(&path, description.to_string()).unwrap();
     let (code, printed) = repro(&bundle);
     assert_eq!((code, &printed["same"], &printed["failed_now"]), (4, &Value::Bool(false), &Value::Null), "{printed:#}");
@@ -201,9 +204,9 @@ fn a_damaged_bundle_is_refused_with_the_reason() {
     let path = bundle.join("repro.json");
     let text = std::fs::read_to_string(&path).unwrap();
     for (from, to, code, words) in [
-        ("\"icp.point_to_plane\"", "\"icp.no_such\"", 2, "there is no kind \"icp.no_such\" here"),
-        ("\"format_version\": 2", "\"format_version\": 3", 1, "it has version 3, this program reads version 2"),
-        ("\"min_pairs\": 10", "\"min_pairs\": \"x\"", 2, "cannot be built from the bundle's parameters"),
+        ("icp.point_to_plane", "icp.no_such", 2, "there is no kind \"icp.no_such\""),
+        ("\"format_version\": 3", "\"format_version\": 2", 1, "it has version 2, this program reads version 3"),
+        ("min_pairs = 10", "min_pairs = \\\"x\\\"", 2, "min_pairs takes a whole number"),
         ("{", "[", 1, "describes no failed firing"),
     ] {
         std::fs::write(&path, text.replacen(from, to, if from == "{" { 1 } else { usize::MAX })).unwrap();

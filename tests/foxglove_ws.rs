@@ -1,6 +1,6 @@
 //! The Foxglove WebSocket protocol from the command line: the whole method from the topics of a server.
 
-use crate::common::{isometry, root, run_whole};
+use crate::common::{isometry, osteoflow, root, run_whole};
 use osteoflow_formats::mcap_read::{Message, Recording};
 use osteoflow_formats::message_read::procedure_region;
 use serde_json::{Value, json};
@@ -37,6 +37,8 @@ fn bridge() -> SocketAddr {
                 })
             })
             .collect();
+        let hello = json!({ "op": "serverInfo", "name": "test", "capabilities": [], "metadata": recording.metadata["procedure"] });
+        socket.send(tungstenite::Message::text(hello.to_string())).unwrap();
         let advertise = json!({ "op": "advertise", "channels": channels });
         socket.send(tungstenite::Message::text(advertise.to_string())).unwrap();
         let subscribe: Value = serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
@@ -87,4 +89,31 @@ fn the_whole_method_from_a_bridge_gives_the_results_of_the_same_procedure_from_f
         assert_eq!(live.results["verdict"]["answer"], recorded.results["verdict"]["answer"]);
         assert!(!live.stderr.contains("late") && !live.stderr.contains("not advertised"), "{}", live.stderr);
     }
+}
+
+#[test]
+fn the_shipped_recorded_graph_runs_on_a_bridge_by_another_kind_and_address_and_gives_the_bits_of_the_recording() {
+    // What a bridge cannot know: how a motion goes on, and how long a silence lasts.
+    let markers = ["camera_marker", "phantom_marker", "bone_marker"];
+    let free = markers.map(|name| format!("recording.out.{name}.motion={{hand_mm_s=0.0}}"));
+    let mut settings = vec!["--set", r#"remove=["node.recording.out.bone_marker.lost_after_ms"]"#];
+    settings.extend(free.iter().flat_map(|setting| ["--set", setting]));
+    let recorded = run_whole(RECORDED, &settings);
+    let dir = tempfile::tempdir().unwrap();
+    let graph = dir.path().join("bridge.toml");
+    let text = format!(
+        "extends = \"{}\"\nremove = [\"node.recording.path\"]\n\n[node.recording]\nkind = \"acquire.foxglove_ws\"\naddress = \"ws://{}\"\nreconnect = \
+         false\n",
+        root().join(RECORDED).display(),
+        bridge()
+    );
+    std::fs::write(&graph, text).unwrap();
+    let live = run_whole(graph.to_str().unwrap(), &settings);
+    assert_eq!(live.results["poses"], recorded.results["poses"], "{}", live.stderr);
+    let [a, b] = [&recorded, &live].map(|run| run.path("run.mcap"));
+    let output =
+        osteoflow().arg("diff").args([&a, &b]).args(["--wires", "recording.*", "to_*", "icp.*"]).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    assert!(text.contains("recording.scan") || text.contains("equal"), "{text}");
 }

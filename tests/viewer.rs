@@ -637,7 +637,63 @@ fn a_bone_and_a_scan_are_registered_shown_and_the_pose_is_that_of_register() {
     assert_eq!(refused.status.code(), Some(2), "--out is for a registration");
     let missing = osteoflow().args(["view", files[0], "no-scan.ply"]).output().unwrap();
     let stderr = String::from_utf8_lossy(&missing.stderr).into_owned();
-    assert!(missing.status.code() == Some(2) && stderr.contains("no-scan.ply"), "{stderr}");
+    assert!(missing.status.code() == Some(1) && stderr.contains("no-scan.ply"), "{stderr}");
+}
+
+#[test]
+fn a_page_of_two_files_takes_the_options_of_register_and_has_its_pose_to_the_bit() {
+    let files = ["tests/data/folder/bone.stl", "tests/data/folder/scan.ply"];
+    let picks = ["tests/data/picks/bone_points.mrk.json", "tests/data/picks/scan_points.mrk.json"];
+    let folder = tempfile::tempdir().unwrap();
+    let start = folder.path().join("start.txt");
+    let start = start.to_str().unwrap();
+    osteoflow().arg("register").args(files).args(["--no-verdict", "--out", start]).assert().success();
+    let options: [&[&str]; 4] = [
+        &["--init", start, "--no-verdict"],
+        &["--camera", "0,0,0"],
+        &[
+            "--method",
+            "point_to_point",
+            "--max-pair-distance-mm",
+            "4",
+            "--source-component",
+            "largest",
+            "--max-points",
+            "900",
+        ],
+        &["--landmarks", picks[0], picks[1], "--seed", "7", "--target-points", "20000", "--sphere", "0,0,0,100000"],
+    ];
+    for of in options {
+        let out = tempfile::tempdir().unwrap();
+        let run = out.path().join("run");
+        let view = [&["view", files[0], files[1], "--out", run.to_str().unwrap()], of].concat();
+        let served = Served::start(&view);
+        let until = Instant::now() + LIMIT;
+        while !run.join("results.json").exists() {
+            assert!(Instant::now() < until, "{of:?}: the registration does not end");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        drop(served);
+        let results: Value = serde_json::from_slice(&fs::read(run.join("results.json")).unwrap()).unwrap();
+        let registered = osteoflow().arg("register").args(files).args(of).args(["--format", "json"]).output().unwrap();
+        let registered: Value = serde_json::from_slice(&registered.stdout).unwrap();
+        let rows: Vec<Vec<f64>> = serde_json::from_value(results["t_ct_camera"]["matrix"].clone()).unwrap();
+        let row_by_row: Vec<f64> = serde_json::from_value(registered["T"].clone()).unwrap();
+        // A given start is rounded on its way into the graph.
+        let tolerance = if of.contains(&"--init") { 1e-9 } else { 0.0 };
+        let is_same = rows.concat().iter().zip(&row_by_row).all(|(a, b)| (a - b).abs() <= tolerance);
+        assert!(is_same && row_by_row.len() == 16, "{of:?}: {rows:?} {row_by_row:?}");
+        assert_eq!(results["verdict"]["answer"], registered["verdict"]["answer"], "{of:?}");
+    }
+    for (arguments, words) in [
+        (&["view", files[0], files[1], "--repeat", "2"][..], "are for register"),
+        (&["view", files[0], files[1], "--cmaera", "0,0,0"], "--camera"),
+        (&["view", "graphs/two_files.toml", "--camera", "0,0,0"], "SCAN"),
+    ] {
+        let refused = osteoflow().args(arguments).output().unwrap();
+        let stderr = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(refused.status.code() == Some(2) && stderr.contains(words), "{arguments:?}: {stderr}");
+    }
 }
 
 /// The scripts say the types of what they take and give in their comments; a compiler checks that all calls fit them.

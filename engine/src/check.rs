@@ -36,6 +36,8 @@ use crate::{
 };
 use context::Check;
 use osteoflow_node::{DeclaredPort, Place, Registry};
+#[cfg(test)]
+pub(crate) use resolved::pairs;
 use schema::Files;
 use std::path::{Path, PathBuf};
 

@@ -15,7 +15,7 @@ mod save;
 mod tests;
 
 pub use bundle::{BUNDLE, INPUTS};
-pub use bundle::{Bundle, Declared, Failure, Input, Node, PortItems, Program, ReproError, Shown};
+pub use bundle::{Bundle, Failure, Given, Input, Node, Program, ReproError, Shown};
 pub(crate) use save::Saver;
 pub use save::{FOLDER, Saved, SavedBundle};
 
@@ -33,7 +33,7 @@ use crate::{
     runtime::{self, emission_fault, planned_failure},
 };
 use osteoflow_node::{
-    BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, Place, PortPayload, Registry,
+    Body, BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry,
     Role, Slot, StampNs,
 };
 use std::{
@@ -92,47 +92,28 @@ pub fn repro(
     if let Some(refused) = known.refused.iter().find(|refused| refused.is_asked()) {
         return Err(ReproError::Unfit(format!("plugin {} is refused: {}", refused.path.display(), refused.why)));
     }
-    let changed = if sets.is_empty() { None } else { Some(changed(node, sets, is_exchanged, &known)?) };
-    let kind_name = changed.as_ref().map_or(&*node.kind, |changed| changed.kind);
-    let kind = registry.kind(kind_name).ok_or_else(|| not_here("kind", kind_name))?;
+    let CheckedNode { kind: kind_name, params, declared, place } = checked(node, sets, is_exchanged, &known)?;
+    let unfit = |message: String| ReproError::Unfit(format!("node \"{}\" cannot be built here: {message}", node.name));
+    let kind = registry.kind(kind_name).ok_or_else(|| unfit(format!("there is no kind \"{kind_name}\"")))?;
     if kind.description.role != node.role {
         let role = if node.role == Role::Node { "a node with inputs" } else { "a source" };
-        return Err(ReproError::Unfit(format!("\"{}\" was {role}, which {kind_name} is not", node.name)));
+        return Err(unfit(format!("it was {role}, which {kind_name} is not")));
     }
-    let build = |message: String| {
-        ReproError::Unfit(format!("node \"{}\" cannot be built from the bundle's parameters: {message}", node.name))
-    };
-    let declared = node.declared.iter().map(|port| {
-        let payload = registry.payload_type(&port.payload).ok_or_else(|| not_here("payload", &port.payload))?;
-        Ok(DeclaredPort { name: port.name.clone(), payload, params: port.params.clone() })
-    });
-    let declared = match &changed {
-        Some(changed) => changed.declared.clone(),
-        None => declared.collect::<Result<Vec<_>, ReproError>>()?,
-    };
     let declared: Arc<[DeclaredPort]> = declared.into();
     let outputs: Vec<_> = kind.description.outputs.payloads(&declared).collect();
     let joins = kind.description.inputs.iter().map(|port| port.join).collect();
-    let stop_after = node.stop_after_s.and_then(|s| Duration::try_from_secs_f64(s).ok());
-    let place = Place { process: node.process, stop_after, pool: None };
-    let place = changed.as_ref().map_or(place, |changed| changed.place);
-    let params = changed.as_ref().map_or(&node.params, |changed| &changed.params);
     let (full_name, name) = (node.name.as_str().into(), Name::of(&node.name));
     let build_context = BuildContext { node: full_name, seed: bundle.seed, declared: declared.clone(), joins, place };
     let under = activity::begin(name, Doing::Building, 0);
-    let built = match panics::catch(|| registry.build(kind, params, &build_context)) {
-        Ok(built) => built.map_err(|error| build(error.to_string()))?,
-        Err(panic) => return Err(build(panic)),
-    };
+    let built = panics::catch(|| registry.build(kind, &params, &build_context)).map_err(unfit)?;
+    let built = built.map_err(|error| unfit(error.to_string()))?;
     drop(under);
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected.filter(|_| !is_exchanged));
     // Files that the node writes go to a temporary folder.
-    let scratch = bundle.out_dir.as_ref().map(|_| TemporaryFolder::new("osteoflow-repro")).transpose();
     let no_folder = |error| ReproError::Files(format!("no folder can be made for what the node writes: {error}"));
-    let scratch = scratch.map_err(no_folder)?;
-    let out_dir = scratch.as_ref().map(|scratch| Arc::from(scratch.path()));
-    let mut context =
-        Context::new(node.name.clone(), bundle.seed, Arc::default(), declared.clone()).with_out_dir(out_dir);
+    let scratch = TemporaryFolder::new("osteoflow-repro").map_err(no_folder)?;
+    let context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared.clone());
+    let mut context = context.with_out_dir(Some(Arc::from(scratch.path())));
     if backtrace {
         panics::show();
     }
@@ -140,7 +121,7 @@ pub fn repro(
     let began = Instant::now();
     let mut n_calls = 0;
     let _under = activity::begin(name, Doing::Firing, bundle.item);
-    let failed = match built {
+    let mut failed = match built {
         Built::Node(mut built) => {
             let mut joined = joined(&bundle, dir, kind, registry, &mut context)?;
             let mut out = vec![Emission::Silent; outputs.len()];
@@ -175,9 +156,8 @@ pub fn repro(
         }
     };
     let took = began.elapsed();
-    let mut failed = failed;
-    if let (Some(failed), Some(scratch), Some(out_dir)) = (&mut failed, &scratch, &bundle.out_dir) {
-        let (here, there) = (scratch.path().display().to_string(), out_dir.display().to_string());
+    if let Some(failed) = &mut failed {
+        let (here, there) = (scratch.path().display().to_string(), bundle.out_dir.display().to_string());
         failed.reason = failed.reason.replace(&here, &there);
     }
     let mut differences = bundle.program.differences(&program);
@@ -191,21 +171,12 @@ pub fn repro(
     let same = at_call && failed.as_ref().is_some_and(|failed| failed.is(&bundle.failure, same_program));
     let warnings = context.take_warnings();
     let kind = kind_name.to_owned();
-    Ok(ReproReport {
-        bundle,
-        kind,
-        is_changed: changed.is_some(),
-        failure: failed,
-        same,
-        n_calls,
-        warnings,
-        differences,
-        took,
-    })
+    let is_changed = !sets.is_empty();
+    Ok(ReproReport { bundle, kind, is_changed, failure: failed, same, n_calls, warnings, differences, took })
 }
 
 /// The node of a bundle with settings; of one whose kind is exchanged, what its user did not write goes with the kind.
-fn changed(node: &Node, sets: &[String], is_exchanged: bool, known: &Known) -> Result<CheckedNode, ReproError> {
+fn checked(node: &Node, sets: &[String], is_exchanged: bool, known: &Known) -> Result<CheckedNode, ReproError> {
     let name = &node.name;
     let own = format!("\"node.{name}.");
     let is_of_node = |set: &&String| {
@@ -225,11 +196,7 @@ fn changed(node: &Node, sets: &[String], is_exchanged: bool, known: &Known) -> R
         remove_unwritten(own, &node.written);
     }
     check_node(format!("{table}\n[graph]\nformat = 1\n"), sets, known)
-        .map_err(|faults| ReproError::Unfit(format!("the node cannot be set so\n{faults}")))
-}
-
-fn not_here(what: &str, name: &str) -> ReproError {
-    ReproError::Unfit(format!("there is no {what} \"{name}\" here; run the bundle with the program that saved it"))
+        .map_err(|faults| ReproError::Unfit(format!("node \"{name}\" cannot be built here\n{faults}")))
 }
 
 /// Items that the ports brought, in the order of the kind's ports, and the stamp of the firing.
@@ -260,13 +227,8 @@ fn joined(
             return Err(ReproError::Unfit(format!("{kind} has an input \"{name}\" here, {hint}")));
         };
         let mut came = items.remove(port.name).unwrap_or_default();
-        let expected = match &input.given {
-            PortItems::Item => 1,
-            PortItems::Items { n, .. } => *n,
-            PortItems::Absent { .. } => came.len(),
-        };
-        if came.len() != expected {
-            let n = came.len();
+        if came.len() != input.items.len() {
+            let (n, expected) = (came.len(), input.items.len());
             let fault =
                 format!("input \"{name}\" has {n} items in inputs.mcap, {expected} expected; the bundle is damaged");
             return Err(ReproError::Files(fault));
@@ -276,17 +238,16 @@ fn joined(
             let takes = port.payload.name();
             return Err(ReproError::Unfit(format!("input \"{name}\" of {kind} takes {takes}, but got {}", other.name)));
         }
-        slots.push(match &input.given {
-            PortItems::Item => Slot::Item(came.remove(0)),
-            PortItems::Items { absent, .. } => {
-                absent.iter().for_each(|empty| context.note_absent(port.name, Arc::new(empty.clone())));
-                Slot::Items(came)
-            }
-            PortItems::Absent { empty } => {
-                let empty: Arc<Empty> = Arc::new(empty.clone());
-                context.note_absent(port.name, empty.clone());
-                Slot::Absent(empty)
-            }
+        let empty = came.iter().find_map(|item| match &item.body {
+            Body::Empty(empty) => Some(empty.clone()),
+            Body::Value(_) => None,
+        });
+        empty.iter().for_each(|empty| context.note_absent(port.name, empty.clone()));
+        slots.push(match (input.given, empty) {
+            (Given::Items, _) => Slot::Items(came),
+            (Given::Absent, Some(empty)) => Slot::Absent(empty),
+            _ if came.len() == 1 => Slot::Item(came.remove(0)),
+            _ => return Err(ReproError::Files(format!("input \"{name}\" has no item; the bundle is damaged"))),
         });
     }
     Ok(Joined { slots, is_spent: false })

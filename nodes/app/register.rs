@@ -407,18 +407,21 @@ impl RegisterRequest {
         let began = Instant::now();
         let start = self.read_start(&mut notes)?;
         let init_ms = began.elapsed().as_secs_f64() * 1e3;
-        let mut sets = match start {
-            ReadStart::Landmarks { .. } => two_files::from_pairs()?,
-            ReadStart::Shape | ReadStart::Pose(_) => Vec::new(),
-        };
-        sets.push(format!("remove={:?}", self.removed(&start, has_output(kind, REPORT))));
-        sets.extend(self.graph_sets(&kind_name, &params));
+        let removed = self.removed(has_output(kind, REPORT));
+        let mut sets = self.graph_sets(&kind_name, &params);
         sets.extend(self.region_sets());
+        sets.extend((!removed.is_empty()).then(|| format!("remove={removed:?}")));
         self.choose_parts(&mut notes)?;
-        let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &sets, kinds)?;
-        // Without the files, which a caller of the settings names.
-        sets.retain(|set| !set.starts_with("bone.path=") && !set.starts_with("scan.path="));
-        Ok(Register { request: self, checked, sets, kind_name, params: params.all, files, start, init_ms, notes })
+        let of_start = match start {
+            ReadStart::Landmarks { .. } => two_files::from_pairs()?,
+            ReadStart::Pose(_) => vec![r#"remove=["node.verdict.in.start", "results.start"]"#.into()],
+            ReadStart::Shape => Vec::new(),
+        };
+        // The files of a registration are those that it names.
+        let all = [&*of_start, &sets, &["remove=[\"node.export\"]".into()]].concat();
+        let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &all, kinds)?;
+        let params = params.all;
+        Ok(Register { request: self, checked, all, sets, kind_name, params, files, start, init_ms, notes })
     }
 
     /// The options that set a parameter of the method: option, key and value.
@@ -481,20 +484,16 @@ impl RegisterRequest {
     }
 
     /// What the graph lacks under this request.
-    fn removed(&self, start: &ReadStart, has_report: bool) -> Vec<&'static str> {
-        // The files of a registration are those that it names.
-        let mut removed = vec!["node.export"];
-        if let ReadStart::Pose(_) = start {
-            removed.extend(["node.verdict.in.start", "results.start"]);
-        }
+    fn removed(&self, has_report: bool) -> Vec<&'static str> {
+        let mut removed = Vec::new();
         if !has_report {
-            removed.extend(["node.verdict.in.icp", "results.icp"]);
+            removed.extend(["node.verdict.in.icp", "node.export.in.icp", "results.icp"]);
         } else if self.stop == Stop::Fixed {
             // A fixed number of steps need not converge.
             removed.push("node.verdict.in.icp");
         }
         if self.no_verdict {
-            removed.extend(["node.verdict", "results.verdict"]);
+            removed.extend(["node.verdict", "node.export.in.verdict", "results.verdict"]);
         }
         removed
     }
@@ -630,8 +629,10 @@ enum ReadStart {
 pub struct Register {
     pub(crate) request: RegisterRequest,
     checked: Checked,
-    /// What is set of the graph of two files, but for the two.
-    sets: Vec<String>,
+    /// What is set of the graph of two files.
+    all: Vec<String>,
+    /// That of it which does not concern the start and the files of the answer.
+    pub(crate) sets: Vec<String>,
     /// The kind that registers.
     kind_name: String,
     /// Its parameters.

@@ -67,7 +67,7 @@ pub(crate) enum Command {
     Sweep(Box<sweep::Sweep>),
     Export(export::Export),
     Report(report::Report),
-    View(view::View),
+    View(Box<view::View>),
     Compare(compare::Compare),
     Simulate(simulate::Simulate),
     New(new::New),

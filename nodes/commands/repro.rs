@@ -3,7 +3,7 @@ use crate::app::{Plugins, UsageError};
 use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
-    repro::{self, Bundle, PortItems, Program, ReproError, ReproReport, Shown},
+    repro::{self, Bundle, Given, Input, Program, ReproError, ReproReport, Shown},
     run::Injected,
 };
 use osteoflow_node::Role;
@@ -102,74 +102,35 @@ fn print_text(report: &ReproReport, backtrace: bool, global: &Global) -> Result<
         writeln!(out, "RUST_BACKTRACE=1 shows the backtrace")?;
     }
     if !report.same && !report.is_changed {
-        writeln!(out, "{}", why_not(bundle))?;
+        writeln!(out, "{}", bundle.why_not_again())?;
     }
     Ok(())
-}
-
-/// Possible causes if a failure does not recur.
-fn why_not(bundle: &Bundle) -> String {
-    match bundle.node.role {
-        Role::Node if bundle.item > 0 => {
-            "a node that remembers earlier items may need them; run the graph again from the \
-                                          recording of its run: osteoflow replay RUN/run.mcap"
-                .into()
-        }
-        Role::Node => "its files, the program or the machine may have changed".into(),
-        Role::Source => "the files that it reads may have changed".into(),
-        Role::LiveSource => "a live source reads the outside world, which gave other data this time".into(),
-    }
 }
 
 /// A row for each port, or for each of the first items of a list.
 fn inputs(bundle: &Bundle) -> String {
     let mut table = TextTable::new("inputs", &["join", "item", "stamp s", "bytes"]);
-    for input in &bundle.inputs {
-        let join = || input.join.clone();
-        match &input.given {
-            PortItems::Absent { empty } => {
-                let dash = || "-".to_owned();
-                table.row(&input.port, [join(), dash(), dash(), dash(), format!("absent: {}", empty.reason)]);
-            }
-            PortItems::Item | PortItems::Items { .. } => {
-                const SHOWN: usize = 5;
-                for item in input.items.iter().take(SHOWN) {
-                    table.row(
-                        &input.port,
-                        [join(), item.number.to_string(), stamp(item), item.bytes.to_string(), about(item)],
-                    );
-                }
-                if input.items.len() > SHOWN {
-                    let rest: u64 = input.items[SHOWN..].iter().map(|item| item.bytes).sum();
-                    let more = format!("... {} more", input.items.len() - SHOWN);
-                    table.row(&input.port, [join(), more, String::new(), rest.to_string()]);
-                }
-                if input.items.is_empty() {
-                    table.row(&input.port, [join(), "none".into(), String::new(), String::new()]);
-                }
-            }
+    for Input { port, join, given, items, .. } in &bundle.inputs {
+        const SHOWN: usize = 5;
+        for Shown { number, stamp_ns, bytes, about } in items.iter().take(SHOWN) {
+            let numbers = match given {
+                Given::Absent => ["-".into(), "-".into(), "-".into()],
+                _ => [number.to_string(), format!("{:.6}", *stamp_ns as f64 / 1e9), bytes.to_string()],
+            };
+            let [number, stamp, bytes] = numbers;
+            let about = if *given == Given::Absent { about.replacen("empty", "absent", 1) } else { about.clone() };
+            table.row(port, [join.clone(), number, stamp, bytes, about]);
+        }
+        if items.len() > SHOWN {
+            let rest: u64 = items[SHOWN..].iter().map(|item| item.bytes).sum();
+            let more = format!("... {} more", items.len() - SHOWN);
+            table.row(port, [join.clone(), more, String::new(), rest.to_string()]);
+        }
+        if items.is_empty() {
+            table.row(port, [join.clone(), "none".into(), String::new(), String::new()]);
         }
     }
     table.lines()
-}
-
-fn stamp(item: &Shown) -> String {
-    format!("{:.6}", item.stamp_ns as f64 / 1e9)
-}
-
-/// The payload, its sizes, and its texts, which include the names of frames.
-fn about(item: &Shown) -> String {
-    let Some(payload) = &item.payload else {
-        return format!("empty: {}", item.empty.as_deref().unwrap_or_default());
-    };
-    let columns = item.columns.iter().map(|(name, rows)| format!("{rows} {name}"));
-    let texts = item
-        .texts
-        .iter()
-        .filter(|(_, text)| !text.is_empty())
-        .map(|(name, text)| format!("{name} {}", text.replace('\n', " ")));
-    let parts: Vec<_> = columns.chain(texts).collect();
-    if parts.is_empty() { payload.clone() } else { format!("{payload}: {}", parts.join(", ")) }
 }
 
 fn as_json(report: &ReproReport, exit: Exit) -> Value {

@@ -126,7 +126,8 @@ fn milliseconds(ns: i64) -> String {
     format!("{:?}", ns as f64 / 1e6)
 }
 
-fn pairs(table: &Json) -> Vec<String> {
+/// The entries of a table as lines of TOML.
+pub(crate) fn pairs(table: &Json) -> Vec<String> {
     let entries = table.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
     entries.map(|(key, value)| format!("{} = {}", bare(key), toml(value))).collect()
 }

@@ -1,7 +1,7 @@
 //! `repro.json`: description of a failed firing.
 
 use crate::{plan::PlanPlugin, recording::RecordingError, runtime::Injected};
-use osteoflow_node::{Empty, Role, StampNs};
+use osteoflow_node::{Role, StampNs};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::{
@@ -9,8 +9,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Version of the bundle; increased when older readers cannot read it. No release wrote version 1.
-pub(super) const FORMAT_VERSION: u32 = 2;
+/// Version of the bundle; increased when older readers cannot read it. No release wrote versions 1 and 2.
+pub(super) const FORMAT_VERSION: u32 = 3;
 /// The file that describes the failed firing.
 pub const BUNDLE: &str = "repro.json";
 /// The recording of the items that the ports had joined.
@@ -44,8 +44,8 @@ pub struct Bundle {
     /// How the failure was injected, if it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub injected: Option<Injected>,
-    /// The run's folder, if any: nodes that write files write them there.
-    pub out_dir: Option<PathBuf>,
+    /// The run's folder, where nodes that write files write them.
+    pub out_dir: PathBuf,
     /// The program that failed.
     pub program: Program,
 }
@@ -59,37 +59,13 @@ pub struct Node {
     pub kind: String,
     /// Whether it is a source.
     pub role: Role,
-    /// `stop` or `skip`.
-    pub on_error: String,
-    /// Whether it fired in a process of its own, where the graph says so.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub process: Option<bool>,
-    /// The time limit of a firing, s.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub stop_after_s: Option<f64>,
-    /// Its table in the resolved graph, in the text of a graph file; informative.
+    /// Its table in the resolved graph, in the text of a graph file, with all parameters and absolute paths.
     pub table: String,
     /// The parameters that the user wrote.
     pub written: BTreeSet<String>,
     /// The plugin that provides its kind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plugin: Option<PlanPlugin>,
-    /// Its parameters as built; paths are absolute.
-    pub params: Json,
-    /// Outputs that the graph declared.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub declared: Vec<Declared>,
-}
-
-/// An output that the graph declared.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Declared {
-    /// Its name.
-    pub name: String,
-    /// The payload's name.
-    pub payload: String,
-    /// Its parameters.
-    pub params: Json,
 }
 
 /// What a port brought.
@@ -101,33 +77,22 @@ pub struct Input {
     pub join: String,
     /// The wire that feeds it, if any.
     pub wire: Option<String>,
-    /// Items, or the reason why there are none.
-    #[serde(flatten)]
-    pub given: PortItems,
-    /// Summary of the items, informative; the items themselves are in `inputs.mcap`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    /// What it brought.
+    pub given: Given,
+    /// Summary of the items; the items themselves are in `inputs.mcap`.
     pub items: Vec<Shown>,
 }
 
-/// Items that a port brought.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "given", rename_all = "snake_case")]
-pub enum PortItems {
+/// What a port brought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Given {
     /// One item.
     Item,
     /// A list.
-    Items {
-        /// Number of items.
-        n: usize,
-        /// The first one without a value, if any.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        absent: Option<Empty>,
-    },
-    /// No items.
-    Absent {
-        /// Why.
-        empty: Empty,
-    },
+    Items,
+    /// No value; the only item says why.
+    Absent,
 }
 
 /// Summary of an item.
@@ -137,19 +102,10 @@ pub struct Shown {
     pub number: u64,
     /// Its stamp.
     pub stamp_ns: StampNs,
-    /// The payload's name; `None` for an empty.
-    pub payload: Option<String>,
-    /// Why it is empty.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub empty: Option<String>,
     /// Its size in `inputs.mcap`.
     pub bytes: u64,
-    /// Its columns, as name and number of rows.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub columns: Vec<(String, u64)>,
-    /// Its texts, such as the names of frames.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub texts: Vec<(String, String)>,
+    /// The payload with its sizes and texts, such as the names of frames; or why there is no value.
+    pub about: String,
 }
 
 /// How a firing failed.
@@ -245,6 +201,19 @@ impl Bundle {
             None => return Err(foreign("it has no format_version".into())),
         }
         serde_json::from_value(json).map_err(|error| foreign(error.to_string()))
+    }
+
+    /// Possible causes if the failure does not recur.
+    pub fn why_not_again(&self) -> &'static str {
+        match self.node.role {
+            Role::Node if self.item > 0 => {
+                "a node that remembers earlier items may need them; run the graph again from the recording of its run: \
+                 osteoflow replay RUN/run.mcap"
+            }
+            Role::Node => "its files, the program or the machine may have changed",
+            Role::Source => "the files that it reads may have changed",
+            Role::LiveSource => "a live source reads the outside world, which gave other data this time",
+        }
     }
 }
 

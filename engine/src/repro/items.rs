@@ -1,87 +1,102 @@
 //! `inputs.mcap`: the items that the ports of a firing had joined.
 
-use crate::recording::{
-    Gathered, Gathering, RecordingError, codec,
-    format::{EXACT_ENCODING, EXACT_SCHEMA_ENCODING, REPRO_PROFILE, Topic, WireHeader},
-    scan::{Scanned, scan},
-    typed,
-    wires::Wire,
+use super::bundle::{Given, Input, Shown};
+use crate::{
+    plan::Plan,
+    recording::{
+        Gathered, Gathering, RecordingError, codec,
+        format::{EXACT_ENCODING, EXACT_SCHEMA_ENCODING, REPRO_PROFILE, Topic, WireHeader},
+        scan::{Scanned, scan},
+        typed,
+        wires::Wire,
+    },
+    runtime::Failed,
 };
 use osteoflow_container::{Compression, MessageHeader, WriteOptions, Writer};
-use osteoflow_node::{Body, DisplayContext, FrameEdge, Item, PayloadType, PortPayload, Registry, StampNs};
-use std::{collections::BTreeMap, fs::File, io, path::Path};
+use osteoflow_node::{Body, DisplayContext, Field, FrameEdge, Item, Joined, PayloadType, Registry, Slot, Value};
+use std::{borrow::Cow, collections::BTreeMap, fs::File, io, path::Path};
 
-/// Writes the items of a firing, one at a time, so that they are not copied all at once.
-pub(super) struct Items {
-    writer: Writer<File>,
-}
-
-/// The channels of one port.
-pub(super) struct Port {
-    payload: PortPayload,
-    exact: u16,
-    view: Option<u16>,
-}
-
-impl Items {
-    pub(super) fn create(path: &Path, node: &str, item: u64) -> io::Result<Self> {
-        let options = WriteOptions {
-            profile: REPRO_PROFILE.into(),
-            library: concat!("osteoflow ", env!("CARGO_PKG_VERSION")).into(),
-            // Compression would cost time and gain little.
-            compression: Compression::None,
-            ..WriteOptions::default()
+/// Writes the items of a firing, with pictures for viewers, and returns what each port brought.
+pub(super) fn write(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) -> io::Result<Vec<Input>> {
+    let node = &plan.nodes[failed.node];
+    let options = WriteOptions {
+        profile: REPRO_PROFILE.into(),
+        library: concat!("osteoflow ", env!("CARGO_PKG_VERSION")).into(),
+        // Compression would cost time and gain little.
+        compression: Compression::None,
+        ..WriteOptions::default()
+    };
+    let mut file = Writer::new(File::create(path)?, options)?;
+    let firing = [("node", node.name.to_string()), ("item", failed.item.to_string())];
+    file.write_metadata("osteoflow.repro", &firing.map(|(key, value)| (key.to_owned(), value)).into())?;
+    let mut inputs = Vec::new();
+    for (input, slot) in node.inputs.iter().zip(&joined.slots) {
+        let (given, items): (Given, Cow<'_, [Item]>) = match slot {
+            Slot::Item(item) => (Given::Item, std::slice::from_ref(item).into()),
+            Slot::Items(items) => (Given::Items, items.into()),
+            Slot::Absent(empty) => {
+                let body = Body::Empty(empty.clone());
+                (Given::Absent, vec![Item { number: 0, stamp_ns: failed.stamp_ns, body }].into())
+            }
         };
-        let mut writer = Writer::new(File::create(path)?, options)?;
-        let firing = [("node", node.to_owned()), ("item", item.to_string())];
-        writer.write_metadata("osteoflow.repro", &firing.map(|(key, value)| (key.to_owned(), value)).into())?;
-        Ok(Self { writer })
-    }
-
-    /// Adds the channels of a port; `ty` is the type of its items.
-    pub(super) fn port(&mut self, name: &str, payload: PortPayload, ty: Option<&PayloadType>) -> io::Result<Port> {
+        let (name, payload) = (input.port.name, input.port.payload);
         let version = payload.ty().map_or(0, |ty| ty.version);
         let header = WireHeader { payload: payload.name().into(), version, ..WireHeader::default() };
-        let schema =
-            self.writer.add_schema(&header.schema_name(), EXACT_SCHEMA_ENCODING, codec::schema_text().as_bytes())?;
-        let exact =
-            self.writer.add_channel(schema, &Topic::Exact(name).name(), EXACT_ENCODING, &header.to_metadata())?;
-        let view = match ty.and_then(PayloadType::display) {
-            Some(d) => {
-                let schema = self.writer.add_schema(&d.schema_name, &d.schema_encoding, &d.schema_data)?;
+        let schema = file.add_schema(&header.schema_name(), EXACT_SCHEMA_ENCODING, codec::schema_text().as_bytes())?;
+        let exact = file.add_channel(schema, &Topic::Exact(name).name(), EXACT_ENCODING, &header.to_metadata())?;
+        // Where the port takes any payload, that of the first value.
+        let first = || items.iter().find_map(|item| item.body.value()).map(Value::ty);
+        let view = match payload.ty().or_else(first).and_then(PayloadType::display) {
+            Some(display) => {
+                let schema = file.add_schema(&display.schema_name, &display.schema_encoding, &display.schema_data)?;
                 let topic = Topic::View(name).name();
-                Some(self.writer.add_channel(schema, &topic, &d.message_encoding, &BTreeMap::new())?)
+                Some(file.add_channel(schema, &topic, &display.message_encoding, &BTreeMap::new())?)
             }
             None => None,
         };
-        Ok(Port { payload, exact, view })
-    }
-
-    /// Writes an item of the port, and its picture for viewers; returns its size in bytes.
-    pub(super) fn item(&mut self, port: &Port, item: &Item, log_time_ns: StampNs) -> io::Result<u64> {
-        // Viewers take no time before the first nanosecond.
-        let log_time_ns = item.stamp_ns.max(log_time_ns).max(1);
-        let (sequence, log_time) = (item.number as u32, log_time_ns as u64);
-        let header = |channel_id| MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
-        let message = codec::parts_on(port.payload, item);
-        let n_bytes = message.len() as u64;
-        self.writer.write_message(header(port.exact), codec::framed(message))?;
-        if let (Some(view), Body::Value(value)) = (port.view, &item.body)
-            && let Some(picture) = value.to_display(&unplanned(log_time_ns))
-        {
-            self.writer.write_message(header(view), picture.into())?;
+        let mut shown = Vec::new();
+        for item in &*items {
+            // Viewers take no time before the first nanosecond.
+            let stamp_ns = item.stamp_ns.max(failed.stamp_ns).max(1);
+            let (sequence, log_time) = (item.number as u32, stamp_ns as u64);
+            let head = |channel_id| MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+            let message = codec::parts_on(payload, item);
+            shown.push(show(item, message.len() as u64));
+            file.write_message(head(exact), codec::framed(message))?;
+            // The items of one firing have no tree of frames.
+            let context = DisplayContext { stamp_ns, wire: "", edge: FrameEdge::Unplanned, anchored: false };
+            if let (Some(view), Body::Value(value)) = (view, &item.body)
+                && let Some(picture) = value.to_display(&context)
+            {
+                file.write_message(head(view), picture.into())?;
+            }
         }
-        Ok(n_bytes)
+        let (port, join) = (name.into(), input.port.join.name().into());
+        inputs.push(Input { port, join, wire: plan.wires_of(input), given, items: shown });
     }
-
-    pub(super) fn finish(self) -> io::Result<()> {
-        self.writer.finish().map(drop)
-    }
+    file.finish()?;
+    Ok(inputs)
 }
 
-/// The items of one firing have no tree of frames.
-fn unplanned(stamp_ns: StampNs) -> DisplayContext<'static> {
-    DisplayContext { stamp_ns, wire: "", edge: FrameEdge::Unplanned, anchored: false }
+fn show(item: &Item, bytes: u64) -> Shown {
+    const MAX_TEXT: usize = 80;
+    let about = match &item.body {
+        Body::Value(value) => {
+            let view = value.to_view();
+            let columns = view.columns.iter().map(|column| format!("{} {}", column.rows(), column.name));
+            let texts = view.head.iter().filter_map(|(name, field)| match field {
+                Field::Text(text) if (1..=MAX_TEXT).contains(&text.len()) => {
+                    Some(format!("{name} {}", text.replace('\n', " ")))
+                }
+                _ => None,
+            });
+            let parts = columns.chain(texts).collect::<Vec<_>>().join(", ");
+            let payload = value.ty().name;
+            if parts.is_empty() { payload.into() } else { format!("{payload}: {parts}") }
+        }
+        Body::Empty(empty) => format!("empty: {}", empty.reason),
+    };
+    Shown { number: item.number, stamp_ns: item.stamp_ns, bytes, about }
 }
 
 /// Reads the items of each port, in the order in which they were written.

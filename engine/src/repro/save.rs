@@ -1,18 +1,16 @@
 //! Saves failed firings during a run.
 
 use super::{
-    bundle::{self, Bundle, Declared, Failure, Input, Node, PortItems, Program, Shown},
-    items::Items,
+    bundle::{self, Bundle, Failure, Input, Node, Program},
+    items,
 };
 use crate::{
     options::RunOptions,
     panics,
-    plan::{OnError, Plan, PlanNode},
+    plan::{Plan, PlanNode},
     runtime::{Failed, Tap},
 };
-use osteoflow_node::{Body, Empty, Field, Item, Joined, PayloadType, PortPayload, Role, Slot};
 use std::{
-    fmt::Write as _,
     io,
     path::{Path, PathBuf},
     sync::{
@@ -107,7 +105,7 @@ impl<'a> Saver<'a> {
         std::fs::create_dir_all(&self.folder)?;
         let (part, dir) = self.free(&plan.nodes[failed.node].name, failed.item)?;
         let inputs = match failed.joined {
-            Some(joined) => write_inputs(&part.join(bundle::INPUTS), plan, failed, joined)?,
+            Some(joined) => items::write(&part.join(bundle::INPUTS), plan, failed, joined)?,
             None => Vec::new(),
         };
         let program = self.program.get_or_init(|| Program::current(self.command.clone())).clone();
@@ -147,89 +145,8 @@ impl Tap for Saver<'_> {
     }
 }
 
-fn write_inputs(path: &Path, plan: &Plan, failed: &Failed<'_>, joined: &Joined) -> io::Result<Vec<Input>> {
-    let node = &plan.nodes[failed.node];
-    let mut items = Items::create(path, &node.name, failed.item)?;
-    let mut inputs = Vec::new();
-    for (input, slot) in node.inputs.iter().zip(&joined.slots) {
-        let came: &[Item] = match slot {
-            Slot::Item(item) => std::slice::from_ref(item),
-            Slot::Items(items) => items,
-            Slot::Absent(_) => &[],
-        };
-        let given = match slot {
-            Slot::Item(_) => PortItems::Item,
-            Slot::Items(items) => PortItems::Items { n: items.len(), absent: items.iter().find_map(empty).cloned() },
-            Slot::Absent(empty) => PortItems::Absent { empty: (**empty).clone() },
-        };
-        let mut shown = Vec::new();
-        if !came.is_empty() {
-            let port = items.port(input.port.name, input.port.payload, payload_type(input.port.payload, came))?;
-            for item in came {
-                let bytes = items.item(&port, item, failed.stamp_ns)?;
-                shown.push(show(item, bytes));
-            }
-        }
-        inputs.push(Input {
-            port: input.port.name.into(),
-            join: input.port.join.name().into(),
-            wire: plan.wires_of(input),
-            given,
-            items: shown,
-        });
-    }
-    items.finish()?;
-    Ok(inputs)
-}
-
-/// Type of the wire's items; where the port takes any, that of the first value.
-fn payload_type(port: PortPayload, items: &[Item]) -> Option<&'static PayloadType> {
-    port.ty().or_else(|| items.iter().find_map(|item| item.body.value()).map(|value| value.ty()))
-}
-
-fn empty(item: &Item) -> Option<&Empty> {
-    match &item.body {
-        Body::Empty(empty) => Some(empty),
-        Body::Value(_) => None,
-    }
-}
-
-fn show(item: &Item, bytes: u64) -> Shown {
-    let mut shown = Shown {
-        number: item.number,
-        stamp_ns: item.stamp_ns,
-        payload: None,
-        empty: None,
-        bytes,
-        columns: Vec::new(),
-        texts: Vec::new(),
-    };
-    match &item.body {
-        Body::Value(value) => {
-            let view = value.to_view();
-            shown.payload = Some(value.ty().name.into());
-            shown.columns = view.columns.iter().map(|column| (column.name.to_string(), column.rows() as u64)).collect();
-            shown.texts = view
-                .head
-                .into_iter()
-                .filter_map(|(name, field)| match field {
-                    Field::Text(text) if text.len() <= 80 => Some((name.to_string(), text.to_string())),
-                    _ => None,
-                })
-                .collect();
-        }
-        Body::Empty(empty) => shown.empty = Some(empty.reason.clone()),
-    }
-    shown
-}
-
 fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path, program: Program) -> Bundle {
     let node = &plan.nodes[failed.node];
-    let declared = node.declared.iter().map(|port| Declared {
-        name: port.name.clone(),
-        payload: port.payload.name.into(),
-        params: port.params.clone(),
-    });
     Bundle {
         format_version: bundle::FORMAT_VERSION,
         graph: plan.name.clone(),
@@ -238,14 +155,9 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
             name: node.name.to_string(),
             kind: node.kind.clone(),
             role: node.role,
-            on_error: if node.on_error == OnError::Skip { "skip" } else { "stop" }.into(),
-            process: node.place.process,
-            stop_after_s: node.place.stop_after.map(|limit| limit.as_secs_f64()),
             table: table(plan, node),
             written: node.written(),
             plugin: plan.plugins.iter().find(|plugin| plugin.kinds.iter().any(|kind| **kind == *node.kind)).cloned(),
-            params: node.params.clone(),
-            declared: declared.collect(),
         },
         item: failed.item,
         stamp_ns: failed.stamp_ns,
@@ -253,7 +165,7 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
         inputs,
         failure: Failure { reason: failed.reason.into(), panicked: failed.panicked },
         injected: failed.injected,
-        out_dir: Some(std::path::absolute(out_dir).unwrap_or_else(|_| out_dir.into())),
+        out_dir: std::path::absolute(out_dir).unwrap_or_else(|_| out_dir.into()),
         program,
     }
 }
@@ -263,48 +175,28 @@ fn table(plan: &Plan, node: &PlanNode) -> String {
     let header = |line: &str| line.starts_with('[') && line.ends_with(']');
     let own = [format!("[node.{}]", node.name), format!("[node.\"{}\"]", node.name)];
     let mut lines = plan.resolved.lines().skip_while(|line| !own.iter().any(|own| own == line));
-    let mut text: String = lines.next().map(|line| format!("{line}\n")).unwrap_or_default();
-    lines.take_while(|line| !header(line) && !line.is_empty()).for_each(|line| {
-        let _ = writeln!(text, "{line}");
-    });
-    text
+    let first = lines.next();
+    let lines = first.into_iter().chain(lines.take_while(|line| !header(line) && !line.is_empty()));
+    lines.map(|line| format!("{line}\n")).collect()
 }
 
 fn readme(bundle: &Bundle, dir: &Path) -> String {
-    let node = &bundle.node;
-    let how = if bundle.failure.panicked { "panicked" } else { "failed" };
-    let mut text = format!(
-        "Node \"{}\" ({}) of graph \"{}\" {how} at item {}, {}:\n\n    {}\n\n",
+    let Bundle { node, graph, item, location, failure, .. } = bundle;
+    let how = if failure.panicked { "panicked" } else { "failed" };
+    let injected = bundle
+        .injected
+        .map(|how| format!("The failure was injected for a test (run --inject ...={}).\n\n", how.name()));
+    format!(
+        "Node \"{}\" ({}) of graph \"{graph}\" {how} at item {item}, {location}:\n\n    {}\n\n{}\
+         To see it fail again, alone:\n\n    osteoflow repro {}\n\n\
+         repro.json   the node, its parameters, the firing, the failure\n\
+         inputs.mcap  the items that its ports had joined, exactly; /view/... shows them in viewers; a source has none\n\n\
+         If it does not fail again: {}.\n",
         node.name,
         node.kind,
-        bundle.graph,
-        bundle.item,
-        bundle.location,
-        bundle.failure.reason.replace('\n', "\n    "),
-    );
-    if let Some(how) = bundle.injected {
-        let _ = writeln!(text, "The failure was injected for a test (run --inject ...={}).\n", how.name());
-    }
-    let _ = writeln!(text, "To see it fail again, alone:\n\n    osteoflow repro {}\n", dir.display());
-    if node.role == Role::Node {
-        text.push_str(
-            "repro.json   the node, its parameters, the firing, the failure\n\
-             inputs.mcap  the items that its ports had joined, exactly; /view/... shows them in viewers\n",
-        );
-        if bundle.item > 0 {
-            text.push_str(
-                "\nA node that remembers earlier items may need them to fail. The bundle holds this item alone; then run the\n\
-                 graph again from the recording of its run:\n\n    ",
-            );
-            text.push_str("osteoflow replay run.mcap\n");
-        }
-    } else {
-        text.push_str("repro.json   the source, its parameters, at which call it failed\n\n");
-        let n = bundle.item;
-        let _ = writeln!(text, "It is a source: it is called from its start until call {n}, and reads the same files.");
-        if node.role == Role::LiveSource {
-            text.push_str("It is live: what it read from the world then is not here, so it may not fail again.\n");
-        }
-    }
-    text
+        failure.reason.replace('\n', "\n    "),
+        injected.unwrap_or_default(),
+        dir.display(),
+        bundle.why_not_again(),
+    )
 }

@@ -1,8 +1,9 @@
 //! Plans for the unit tests of the engine.
 #![allow(clippy::unwrap_used)]
 
-use crate::plan::{
-    Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, Require, ResultEntry,
+use crate::{
+    check::pairs,
+    plan::{Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, Require, ResultEntry},
 };
 use osteoflow_node::{
     DeclaredPort, Join, OutputPorts, Payload, PortPayload, Source,
@@ -177,7 +178,16 @@ impl PlanBuilder {
         self
     }
 
-    pub(crate) fn plan(self) -> Plan {
+    /// The plan, with the tables of its nodes as the resolved graph.
+    pub(crate) fn plan(mut self) -> Plan {
+        for node in &self.plan.nodes {
+            let declared = node
+                .declared
+                .iter()
+                .map(|port| format!("out.{} = {{ type = \"{}\", calls = [] }}", port.name, port.payload.name));
+            let lines: Vec<_> = declared.chain(pairs(&node.params)).collect();
+            self.plan.resolved += &format!("\n[node.{}]\nkind = \"{}\"\n{}\n", node.name, node.kind, lines.join("\n"));
+        }
         self.plan
     }
 }

@@ -287,7 +287,9 @@ impl Registration {
         put("pairing", of.pairing().into());
         put("stop", if request.stop == Stop::Fixed { "fixed" } else { "converge" }.into());
         put("params", of.params.clone());
-        put("settings", json!(of.sets));
+        // Without the files, which a caller of the settings names.
+        let is_file = |set: &&String| set.starts_with("bone.path=") || set.starts_with("scan.path=");
+        put("settings", of.all.iter().filter(|set| !is_file(set)).cloned().collect());
         put("target", self.target_json(&request.target));
         put("source", self.source_json(&request.source));
         if let Some(init) = self.init.filter(|_| self.has_ended()) {

@@ -39,6 +39,22 @@ impl Register {
         &self.checked.plan
     }
 
+    /// The points in target and source from which it starts, if it starts from points.
+    pub(crate) fn pairs(&self) -> Option<[&[NamedPoint]; 2]> {
+        match &self.start {
+            ReadStart::Landmarks { target, source } => Some([target, source]),
+            ReadStart::Shape | ReadStart::Pose(_) => None,
+        }
+    }
+
+    /// The pose from which it starts, if one is given.
+    pub(crate) fn given_start(&self) -> Option<Pose> {
+        match &self.start {
+            ReadStart::Pose(pose) => Some(Pose::new(FRAMES[0], FRAMES[1], *pose)),
+            ReadStart::Shape | ReadStart::Landmarks { .. } => None,
+        }
+    }
+
     /// As [`Self::run`], and gives the answer of the command as JSON, with every step if `with_trace`.
     ///
     /// # Errors
@@ -184,10 +200,7 @@ impl Register {
         let target: Option<Target> = value(wires, "ct_surface.target");
         let source: Option<Cloud> = value(wires, "scan.cloud");
         let pose = pose(wires).map(|pose| pose.isometry);
-        let (picked, in_source): (&[NamedPoint], &[NamedPoint]) = match &self.start {
-            ReadStart::Landmarks { target, source } => (target, source),
-            ReadStart::Shape | ReadStart::Pose(_) => (&[], &[]),
-        };
+        let [picked, in_source] = self.pairs().unwrap_or_default();
         let is_done = report.outcome == Outcome::Complete;
         let method_report = last(wires, &format!("{NODE}.{REPORT}")).map(Value::to_result);
         let moved = match (&target, &source, &pose, &self.files.source) {

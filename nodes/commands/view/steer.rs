@@ -35,7 +35,7 @@ use serde_json::{Value, json};
 use std::{
     io::Write,
     net::SocketAddr,
-    path::{Path, PathBuf},
+    path::Path,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Instant,
 };
@@ -46,7 +46,8 @@ const ACTIONS: [&str; 4] = ["set", "revert", "write", "region"];
 /// A graph to show and change.
 pub(crate) struct SteerRequest {
     pub(crate) graph: GraphArgs,
-    pub(crate) out: Option<PathBuf>,
+    pub(crate) leave: Leave,
+    pub(crate) keep: Keep,
     pub(crate) address: SocketAddr,
     pub(crate) admission: Admission,
     /// The graph of a bone and a scan, which is not the user's.
@@ -229,10 +230,10 @@ impl App for Steering {
 pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
     let cancelled = Arc::default();
     let options = RunOptions {
-        store: Keep::default().store()?,
+        store: request.keep.store()?,
         record: true,
         latency: true,
-        ..running::options(None, &cancelled)?
+        ..running::options(request.leave.workers, &cancelled)?
     };
     let stream = Arc::new(Stream::default());
     let built_in = request.two_files.as_ref();
@@ -242,8 +243,7 @@ pub(crate) fn execute(request: SteerRequest, global: &Global) -> Result<Exit> {
         Arc::new(Steering { changes, shown: Mutex::default(), picks: request.picks, two_files: request.two_files });
     let name = request.graph.graph.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let server = request.admission.serve(request.address, &name, stream.clone(), steering.clone(), global)?;
-    let leave = Leave { out: request.out, force: false, workers: None };
-    let runs = Runs { options, global: global.clone(), leave, n: 0 };
+    let runs = Runs { options, global: global.clone(), leave: request.leave, n: 0 };
     let mut session = Session { steering, stream, runs, before: None };
     let (until, global) = (Arc::clone(&cancelled), global.clone());
     let exit = running::watch(Progress::hidden(), cancelled, move |_| {

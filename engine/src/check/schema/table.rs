@@ -12,9 +12,8 @@ use serde_json::{Map, Value as Json};
 /// The keys of a node's table that are no parameters.
 const OF_NODE: [&str; 7] = ["kind", "in", "env", "on_error", "process", "pool", "stop_after_s"];
 
-/// Extension of a struct's schema: parameters of earlier versions, each as `name: { default, help }`. The default is ignored,
-/// as recordings spell it out; any other value is refused with the help. With `warning` instead of `help` it is ignored, too,
-/// with that warning.
+/// Extension of a struct's schema: parameters of earlier versions, each as `name: { default, warning }`. They are ignored; any value but
+/// the default, which recordings spell out, with the warning.
 const REMOVED: &str = "x-removed";
 
 impl<'a> Walker<'a> {
@@ -100,18 +99,10 @@ impl<'a> Walker<'a> {
     }
 
     fn removed(&mut self, entry: &Entry, removed: &Json, prefix: &str) {
-        let name = format!("{prefix}{}", entry.key);
-        let value = self.any(&entry.value, &Quantity { name: name.clone(), doc: None });
-        if value.as_ref() == removed.get("default") {
-            return;
-        }
-        if let Some(warning) = removed.get("warning").and_then(Json::as_str) {
+        let value = self.any(&entry.value, &Quantity { name: format!("{prefix}{}", entry.key), doc: None });
+        if let Some(warning) = removed["warning"].as_str().filter(|_| value.as_ref() != removed.get("default")) {
             self.faults.push(Fault::new(warning).at(&entry.key_at, "ignored").warning());
-            return;
         }
-        let fault = Fault::new(format!("{}: {} has no parameter \"{name}\" any more", self.owner, self.kind));
-        let help = removed.get("help").and_then(Json::as_str).map(String::from);
-        self.faults.push(fault.at(&entry.key_at, "removed").help_if(help));
     }
 
     fn unknown(&mut self, entry: &Entry, known: &[&str], prefix: &str, table: &Table) {

@@ -371,8 +371,6 @@ fn a_table_has_its_defaults_its_required_parameters_and_no_others() {
         },
         "required": ["gap_mm"],
         "x-removed": {
-            "old": { "default": 1, "help": "it is always 1" },
-            "older": {},
             "idle": { "default": 1, "warning": "idle is ignored" },
         },
         "additionalProperties": false,
@@ -386,12 +384,9 @@ fn a_table_has_its_defaults_its_required_parameters_and_no_others() {
     for (text, expected) in [
         ("gap_mm = 2", all.to_owned()),
         ("gap_mm = 2\nskipped = \"anything\"", all.to_owned()),
-        ("gap_mm = 2\nold = 1", all.to_owned()),
         ("", missing.to_owned()),
-        ("gap_mm = 2\nold = 2", "x: toy has no parameter \"old\" any more [removed] help: it is always 1".to_owned()),
         ("gap_mm = 2\nidle = 1", all.to_owned()),
         ("gap_mm = 2\nidle = 2", format!("{all}\nidle is ignored [ignored]")),
-        ("gap_mm = 2\nolder = 2", "x: toy has no parameter \"older\" any more [removed]".to_owned()),
         ("skipped = 1\nother = 1", format!("{missing}\nx: toy has no parameter \"other\" [unknown] {known}")),
         // One fault for a misspelt name, or one in another unit.
         ("gap_mn = 2", format!("x: toy has no parameter \"gap_mn\" [unknown] {known} help: did you mean \"gap_mm\"?")),

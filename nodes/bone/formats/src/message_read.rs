@@ -17,7 +17,7 @@ mod raw_pixels;
 #[cfg(test)]
 mod tests;
 
-pub use calibration::{Calibration, read_calibration};
+pub use calibration::{Calibration, is_calibration, read_calibration};
 pub use fault::MessageError;
 pub use image::{is_image, read_depth, read_image, read_image_head};
 

@@ -4,6 +4,9 @@ use crate::{Frame, Pose, StampNs};
 use nalgebra::Isometry3;
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Time by which samples of one moment arrive apart at most.
+const LATE_NS: StampNs = 200_000_000;
+
 /// Transforms over time between frames of which each has one parent, as tf of ROS keeps them.
 ///
 /// # Source
@@ -41,6 +44,9 @@ pub struct Chain {
     /// The motion at each stamp at which one of them was measured, or why there is none; if all are static, at
     /// each stamp from which one of them holds.
     pub samples: Vec<(StampNs, Result<Isometry3<f64>, String>)>,
+    /// Stamp up to which the motion is settled while samples arrive: each transform has a later sample, or has had none for the longest
+    /// gap, and 0.2 s.
+    pub settled_ns: StampNs,
 }
 
 /// Two frames have no one path between them.
@@ -134,7 +140,20 @@ impl TransformTree {
             Ok(product)
         };
         let samples = stamps.into_iter().map(|stamp_ns| (stamp_ns, at(stamp_ns))).collect();
-        Ok(Some(Chain { steps, samples }))
+        let moving = edges.iter().filter(|edge| !edge.is_static);
+        let lasts = moving.map(|edge| edge.samples.last().map_or(StampNs::MIN, |(stamp, _)| *stamp));
+        let (first, last) = (lasts.clone().min(), lasts.max().unwrap_or(StampNs::MAX));
+        let settled_ns = first.map_or(StampNs::MAX, |first| first.max(last.saturating_sub(max_gap_ns.max(LATE_NS))));
+        Ok(Some(Chain { steps, samples, settled_ns }))
+    }
+
+    /// Forgets the samples before a stamp but the last of each transform, which later stamps need; static ones stay.
+    pub fn forget(&mut self, before_ns: StampNs) {
+        for edge in self.edges.values_mut().filter(|edge| !edge.is_static) {
+            edge.samples.sort_by_key(|(stamp_ns, _)| *stamp_ns);
+            let n_before = edge.samples.partition_point(|(stamp_ns, _)| *stamp_ns < before_ns);
+            edge.samples.drain(..n_before.saturating_sub(1));
+        }
     }
 
     /// The transforms from `to` up to the nearest common ancestor, and down to `from`.

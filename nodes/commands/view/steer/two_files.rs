@@ -2,6 +2,8 @@
 
 use crate::app::register::two_files::{BY_SHAPE, FROM_PAIRS};
 use anyhow::{Context, Result};
+use osteoflow_formats::{Space, picked_points::write_mrk_json, pose_log::poses_csv::write_poses};
+use osteoflow_geometry::{NamedPoint, Pose};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -10,6 +12,15 @@ use tempfile::TempDir;
 
 const BASE: &str = "two_files.toml";
 const GRAPH: &str = "graph.toml";
+/// The graph that starts at the pose of a file.
+const AT_POSE: &str = r#"
+extends = "two_files.toml"
+remove = ["node.coarse.in", "node.verdict.in.start", "results.start"]
+[node.coarse]
+kind = "acquire.poses"
+path = "start.csv"
+out.t_target_source = { type = "geometry/Pose", to = "ct", from = "camera" }
+"#;
 
 /// The graph in a temporary folder.
 #[derive(Debug)]
@@ -34,6 +45,18 @@ impl TwoFiles {
         self.0.path().join(GRAPH)
     }
 
+    /// Starts the registration from pairs of points in bone and scan.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    pub(crate) fn start_from(&self, pairs: [&[NamedPoint]; 2]) -> Result<(), String> {
+        let files = ["bone_points.mrk.json", "scan_points.mrk.json"].map(|name| self.0.path().join(name));
+        for (file, points) in files.iter().zip(pairs) {
+            write_mrk_json(file, points, Space::Lps).map_err(|error| error.to_string())?;
+        }
+        self.start_from_pairs(&files[0], &files[1])
+    }
+
     /// Starts the registration from two files of picked points, matched by name.
     ///
     /// # Errors
@@ -44,9 +67,22 @@ impl TwoFiles {
         for (node, path) in [("bone_points", bone), ("scan_points", scan)] {
             graph["node"][node]["path"] = path.display().to_string().into();
         }
-        // In one step, as the graph is watched.
+        self.change(&graph.to_string())
+    }
+
+    /// Starts the registration at a pose.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    pub(crate) fn start_at(&self, pose: Pose) -> Result<(), String> {
+        write_poses(&self.0.path().join("start.csv"), &[pose]).map_err(|error| error.to_string())?;
+        self.change(AT_POSE)
+    }
+
+    /// Replaces the graph in one step, as it is watched.
+    fn change(&self, graph: &str) -> Result<(), String> {
         let next = self.0.path().join("next.toml");
-        let written = fs::write(&next, graph.to_string()).and_then(|()| fs::rename(&next, self.graph()));
+        let written = fs::write(&next, graph).and_then(|()| fs::rename(&next, self.graph()));
         written.map_err(|error| format!("the graph cannot be changed: {error}"))
     }
 }

@@ -8,7 +8,6 @@ mod live_marker;
 pub mod mcap;
 mod mcap_events;
 pub mod mcap_live;
-mod mcap_ports;
 pub mod network;
 mod one_stamp;
 pub mod openigtlink;
@@ -19,6 +18,8 @@ mod procedure_ports;
 mod sifted;
 pub mod simulated;
 pub mod simulated_stream;
+mod topic_params;
+mod topic_port;
 mod topics;
 mod unstamped;
 

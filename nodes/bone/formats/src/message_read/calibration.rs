@@ -46,6 +46,13 @@ struct Numbers {
     p: Vec<f64>,
 }
 
+const SCHEMAS: [&str; 2] = [CAMERA_CALIBRATION, CAMERA_INFO];
+
+/// Whether messages of this schema are calibrations.
+pub fn is_calibration(schema_name: &str) -> bool {
+    SCHEMAS.contains(&schema_name)
+}
+
 /// The calibration in a `foxglove.CameraCalibration` or `sensor_msgs/msg/CameraInfo`: `K` and `D` for images as the camera takes
 /// them, or, where they are `rectified`, `P` without distortion.
 ///
@@ -55,7 +62,7 @@ struct Numbers {
 /// is another.
 pub fn read_calibration<'a>(message: impl Into<Encoded<'a>>, rectified: bool) -> Result<Calibration, MessageError> {
     let message = message.into();
-    check(&message, "a camera's calibration", &[CAMERA_CALIBRATION, CAMERA_INFO])?;
+    check(&message, "a camera's calibration", &SCHEMAS)?;
     let refuse = |reason: String| no_such(&message, reason);
     let read = if message.schema_name == CAMERA_INFO { ros2(&message)? } else { foxglove(&message)? };
     let intrinsics = if rectified { read.rectified() } else { read.as_taken() }.map_err(refuse)?;

@@ -3,18 +3,18 @@
 mod ports;
 mod protocol;
 
-pub use ports::PortParams;
-
 use super::{
     network::{Inbox, Incoming, NetworkParams, OpenError, Peer, Port, Protocol, Role, is_waiting},
-    topics::{Constants, FrameNames},
+    topic_params::PortParams,
+    topic_port::Findings,
+    topics::FrameNames,
 };
-use osteoflow_formats::message_read::Encoded;
+use osteoflow_formats::mcap_read;
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{
     Context, DeclaredPort, Describe, NodeError, ParamError, params, schemars::JsonSchema, serde::Deserialize, tracing,
 };
-use ports::{Content, TopicMessage};
+use ports::Content;
 use protocol::{Channel, FromServer, SUBPROTOCOLS, shortened};
 use std::{
     collections::BTreeMap,
@@ -36,12 +36,13 @@ const N_NAMED: usize = 20;
 /// Form of an address.
 const ADDRESS: &str = "ws://HOST:PORT, such as ws://127.0.0.1:8765";
 
-/// Topics of a running Foxglove bridge: clouds, transforms and points of a ROS 2 system.
+/// Topics of a running Foxglove bridge: clouds, images, transforms and points of a ROS 2 system.
 ///
 /// A client of the Foxglove WebSocket protocol that only reads: it subscribes to the topics that its ports name, and to nothing else.
-/// Each entry of `out` is a port with a `type` and a topic. Protobuf, JSON and CDR; metres become millimetres. A topic of another schema or
-/// encoding, and one that is not advertised, is reported with the topics that are there. Stamps are the sender's; the offset of its
-/// clock is reported. A lost tool is an empty that says why. TLS (`wss://`) is not supported. docs/use/live.md has the rest.
+/// Each entry of `out` is a port with a `type` and a topic, as those of `acquire.mcap`, so that a graph for a recording reads the bridge by
+/// another kind and an address. Protobuf, JSON and CDR; metres become millimetres. A topic of another schema or encoding, and one that
+/// is not advertised, is reported with the topics that are there. Stamps are the sender's; the offset of its clock is reported. A
+/// lost tool is an empty that says why. TLS (`wss://`) is not supported. docs/use/live.md has the rest.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.foxglove_ws"
@@ -51,8 +52,7 @@ out.bone_marker = { type = "geometry/Pose", topic = "/tf", parent = "world", chi
 "#)]
 pub struct FoxgloveWs {
     socket: WebSocket<TcpStream>,
-    /// Frames of the server that have other names in the graph.
-    frames: FrameNames,
+    found: Findings,
     timeout_s: f64,
     channels: BTreeMap<u64, Channel>,
     /// The channel of each subscription.
@@ -114,7 +114,7 @@ impl Protocol for FoxgloveWs {
     }
 
     fn is_timed(port: &DeclaredPort) -> bool {
-        Content::port(port).is_ok_and(|port| !port.streams.iter().any(|topic| Constants::are_on(topic)))
+        PortParams::is_timed(port)
     }
 
     fn open(stream: TcpStream, params: &Params, ctx: &Context) -> Result<Self, OpenError> {
@@ -144,9 +144,9 @@ impl Protocol for FoxgloveWs {
                 }
             }
         };
-        let (frames, timeout_s) = (FrameNames::new(&params.frames), params.network.timeout_s);
-        let (channels, subscriptions) = Default::default();
-        Ok(Self { socket, frames, timeout_s, channels, subscriptions, next_subscription: 1 })
+        let found = Findings { frames: FrameNames::new(&params.frames), ..Findings::default() };
+        let (timeout_s, channels, subscriptions) = (params.network.timeout_s, BTreeMap::new(), BTreeMap::new());
+        Ok(Self { socket, found, timeout_s, channels, subscriptions, next_subscription: 1 })
     }
 
     fn receive(&mut self, inbox: &mut Inbox<Content>, ctx: &mut Context) -> Result<Incoming, NodeError> {
@@ -201,7 +201,12 @@ fn end(reason: String) -> Incoming {
 impl FoxgloveWs {
     fn message(&mut self, message: FromServer, inbox: &mut Inbox<Content>, ctx: &mut Context) -> Result<(), NodeError> {
         match message {
-            FromServer::Info(name) => tracing::info!(name, "a server of the Foxglove WebSocket protocol"),
+            FromServer::Info(name, metadata) => {
+                tracing::info!(name, "a server of the Foxglove WebSocket protocol");
+                for port in &mut inbox.ports {
+                    port.inform(&metadata).map_err(|error| NodeError::new(error.message))?;
+                }
+            }
             FromServer::Advertise(channels, n_unread) => {
                 if n_unread > 0 {
                     let message = format!("{n_unread} advertised channels lack id, topic, encoding or schemaName");
@@ -227,11 +232,18 @@ impl FoxgloveWs {
             }
             FromServer::Data { subscription, log_time_ns, data } => match self.subscriptions.get(&subscription) {
                 Some(Channel { topic, schema_name, encoding, .. }) => {
-                    let publish_time_ns = StampNs::try_from(log_time_ns).unwrap_or(0);
-                    let encoded = Encoded { schema_name, message_encoding: encoding, publish_time_ns, data };
-                    let mut message = TopicMessage { topic, encoded, frames: &mut self.frames };
+                    let time_ns = StampNs::try_from(log_time_ns).unwrap_or(0);
+                    let message = mcap_read::Message {
+                        log_time_ns: time_ns,
+                        publish_time_ns: time_ns,
+                        sequence: 0,
+                        schema_name: schema_name.clone(),
+                        message_encoding: encoding.clone(),
+                        data,
+                    };
                     inbox.arrive(ctx);
-                    let newest_ns = inbox.offer(topic, ctx, |port| Some(port.read(&mut message)));
+                    let found = &mut self.found;
+                    let newest_ns = inbox.offer(topic, ctx, |port| Some(port.read(topic, &message, found)));
                     // Constants have no time.
                     if let Some(sent_ns) = newest_ns.filter(|ns| *ns > 0) {
                         inbox.stamp(Some(sent_ns), ctx);
@@ -262,12 +274,18 @@ impl FoxgloveWs {
                 inbox.warn("channels", message, ctx);
                 continue;
             }
+            for port in 0..inbox.ports.len() {
+                let late = inbox.ports[port].advertised(&channel.topic).map_err(NodeError::new)?;
+                late.into_iter().for_each(|late| inbox.warn("advertised late", late, ctx));
+            }
             let readers = inbox.ports.iter().filter(|port| port.reads(&channel.topic));
             let checks: Vec<_> = readers.map(|port| port.check(&channel)).collect();
             let is_known = self.channels.insert(channel.id, channel.clone()).is_some_and(|known| known == channel);
             if checks.is_empty() || (is_known && self.subscriptions.values().any(|s| s.id == channel.id)) {
                 continue;
             }
+            // Its messages are those of another channel now.
+            self.subscriptions.retain(|_, s| s.id != channel.id);
             if let Some(fault) = checks.into_iter().find_map(Result::err) {
                 if !inbox.has_items() {
                     return Err(NodeError::new(format!("{fault}; {}", self.others())));
@@ -275,12 +293,11 @@ impl FoxgloveWs {
                 inbox.warn("schema", fault, ctx);
                 continue;
             }
-            if self.subscriptions.values().any(|s| s.topic == channel.topic && s.id != channel.id) {
+            if self.subscriptions.values().any(|s| s.topic == channel.topic) {
                 let message = format!("{} is advertised twice; the first channel is read", channel.topic);
                 inbox.warn("twice", message, ctx);
                 continue;
             }
-            self.subscriptions.retain(|_, s| s.id != channel.id);
             inbox.note_present(&channel.topic);
             wanted.push((self.next_subscription, channel.id));
             self.subscriptions.insert(self.next_subscription, channel);

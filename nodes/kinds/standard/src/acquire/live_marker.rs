@@ -1,9 +1,8 @@
 //! A marker whose poses arrive one by one.
 
-use super::sifted::{Sign, jump_words};
+use super::sifted::{Sifted, Sign, jump_words};
 use osteoflow_algorithms::marker_stream::{Kind, MotionLimits, Sample, judge};
 use osteoflow_geometry::{Pose, StampNs};
-use osteoflow_node::Emission;
 use std::collections::VecDeque;
 
 /// Samples by which the next is judged: of this time, and no nearer to each other than this, so that a fast tracker's are few and reach as far back.
@@ -24,17 +23,17 @@ pub(crate) struct LiveMarker {
 }
 
 impl LiveMarker {
-    /// What to give for the next pose of the marker called `what`: nothing if it is left out, and an empty if it has been for too long.
+    /// The next pose of the marker called `what`: nothing if it is left out, and why it is unknown if it has been for too long.
     pub(crate) fn take(
         &mut self,
         what: &str,
         pose: Pose,
         limits: &MotionLimits,
         signs: &mut Vec<Sign>,
-    ) -> Option<Emission> {
+    ) -> Option<Sifted> {
         let stamp_ns = pose.stamp_ns;
         if stamp_ns == 0 || !limits.are_set() {
-            return Some(Emission::value(pose));
+            return Some((pose, None));
         }
         let n = self.samples.len();
         if n > 1 && self.samples[n - 1].0 - self.samples[n - 2].0 < APART_NS {
@@ -52,7 +51,7 @@ impl LiveMarker {
                 judged.jumps.last().filter(|(k, _)| self.is_told && self.samples[*k].0 > self.last_ns.unwrap_or(0));
             signs.extend(jump.map(|(k, jump)| ("marker_jump", jump_words(what, self.samples[*k].0, jump))));
             (self.last_ns, self.is_told) = (Some(stamp_ns), false);
-            return Some(Emission::value(pose));
+            return Some((pose, None));
         };
         let reason = format!("{what} is left out: {}", cause.words());
         let is_start =
@@ -62,7 +61,7 @@ impl LiveMarker {
             signs.push((cause.kind.rule(), format!("{reason}, at {stamp_ns} ns")));
         }
         let is_bridged = self.last_ns.is_some_and(|ns| stamp_ns - ns <= UNKNOWN_AFTER_NS);
-        (!is_bridged).then_some(Emission::Empty(reason))
+        (!is_bridged).then_some((pose, Some(reason)))
     }
 }
 
@@ -90,19 +89,13 @@ mod tests {
                 "bone_marker",
                 Isometry3::new(Vector3::new(300.0 + x(k) + noise, noise, 0.0), Vector3::z()),
             );
-            let emission = marker.take(
+            let (pose, reason) = marker.take(
                 "t",
                 pose.at(1000 * MS + period_ns * k as StampNs),
                 &MotionLimits::default(),
                 &mut signs,
             )?;
-            Some(match emission {
-                Emission::Value(value) => {
-                    Ok(value.get::<Pose>().expect("a pose").isometry.translation.x - 300.0 - noise)
-                }
-                Emission::Empty(reason) => Err(reason),
-                _ => panic!("a pose or an empty"),
-            })
+            Some(reason.map_or_else(|| Ok(pose.isometry.translation.x - 300.0 - noise), Err))
         };
         let given = (0..n).map(one).collect();
         (given, signs.into_iter().map(|(rule, _)| rule).collect())

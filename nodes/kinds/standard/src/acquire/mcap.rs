@@ -1,21 +1,18 @@
 //! The kind `acquire.mcap`.
 
 use super::{
-    mcap_events::{Findings, Port},
-    mcap_ports::PortParams,
+    mcap_events::Port,
     playback::{Event, Playback, in_order},
+    topic_params::PortParams,
+    topic_port::{Findings, Scan, TopicPort},
     topics::{self, FrameNames},
 };
-use osteoflow_formats::{
-    mcap_read::{Message, Recording},
-    message_read::{Calibration, read_depth, read_image},
-};
-use osteoflow_geometry::Frame;
+use osteoflow_formats::mcap_read::Recording;
 use osteoflow_node::{
     Context, Declared, DeclaredPort, Describe, Emission, FilePath, NodeError, ParamError, Source, params,
     schemars::JsonSchema, serde::Deserialize,
 };
-use std::{collections::BTreeMap, sync::Arc};
+use std::collections::BTreeMap;
 
 pub use topics::reads;
 
@@ -54,9 +51,7 @@ pub struct Params {
 
 /// The body of an event. Clouds and images are decoded when they are due.
 pub(super) enum EventBody {
-    Cloud { message: Message, label: Arc<str>, frame: Option<Frame> },
-    Image { message: Message, calibration: Arc<Calibration>, label: Arc<str>, frame: Option<Frame> },
-    Depth { message: Message, camera: (Arc<Calibration>, Option<f64>), label: Arc<str>, frame: Option<Frame> },
+    Scan(Scan),
     Ready(Emission),
 }
 
@@ -105,39 +100,23 @@ impl Mcap {
     }
 
     fn decoded(event: Event<EventBody>, ctx: &mut Context) -> Result<Emission, NodeError> {
-        match event.body {
-            EventBody::Ready(emission) => Ok(emission),
-            EventBody::Cloud { message, label, frame } => {
-                let port = &ctx.declared()[event.port].name;
-                let (cloud, notes) = topics::cloud(&message, &label, |_| frame)
-                    .map_err(|error| NodeError::new(format!("port \"{port}\": {error}")))?;
-                notes.into_iter().for_each(|note| ctx.warn(format!("{label}: {note}")));
-                Ok(Emission::value(cloud))
-            }
-            EventBody::Depth { message, camera: (calibration, unit_mm), label, frame } => {
-                let port = &ctx.declared()[event.port].name;
-                let (cloud, notes) = read_depth(&message, &calibration, unit_mm)
-                    .map(|read| topics::named(read, &label, |_| frame))
-                    .map_err(|error| NodeError::new(format!("port \"{port}\", {label}: {error}")))?;
-                notes.into_iter().for_each(|note| ctx.warn(format!("{label}: {note}")));
-                Ok(Emission::value(cloud))
-            }
-            EventBody::Image { message, calibration, label, frame } => {
-                let port = &ctx.declared()[event.port].name;
-                let read = read_image(&message, &calibration)
-                    .map_err(|error| NodeError::new(format!("port \"{port}\", {label}: {error}")))?;
-                let mut image = read.labelled(label);
-                if let Some(frame) = frame {
-                    image.frame = frame;
-                }
-                Ok(Emission::value(image))
-            }
-        }
+        let scan = match event.body {
+            EventBody::Ready(emission) => return Ok(emission),
+            EventBody::Scan(scan) => scan,
+        };
+        let label = scan.label.clone();
+        let (emission, notes) = scan.emission().map_err(|error| {
+            let port = &ctx.declared()[event.port].name;
+            NodeError::new(format!("port \"{port}\", {label}: {error}"))
+        })?;
+        notes.into_iter().for_each(|note| ctx.warn(format!("{label}: {note}")));
+        Ok(emission)
     }
 
     fn open(&self, ctx: &mut Context) -> Result<Vec<Event<EventBody>>, NodeError> {
         let ports = ctx.declared();
-        let params = ports.iter().map(PortParams::of).collect::<Result<Vec<_>, _>>()?;
+        let topic_ports = ports.iter().map(TopicPort::new).collect::<Result<Vec<_>, _>>()?;
+        let params: Vec<_> = topic_ports.iter().map(|port| port.params.clone()).collect();
         let wanted = |topic: &str| {
             let is_named = |p: &PortParams| {
                 [&p.present, &p.calibration].into_iter().any(|name| name.as_deref() == Some(topic))
@@ -161,9 +140,9 @@ impl Mcap {
         let (mut events, mut found) = (Vec::new(), Findings { frames, ..Findings::default() });
         let path = self.params.path.as_ref();
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
-        for (port, (declared, params)) in ports.iter().zip(&params).enumerate() {
-            let mut stream = Port { recording: &recording, name: &name, declared, params, found: &mut found };
-            events.extend(stream.events()?.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
+        for (port, topic_port) in topic_ports.into_iter().enumerate() {
+            let mut of_port = Port { recording: &recording, name: &name, port: topic_port, found: &mut found };
+            events.extend(of_port.events()?.into_iter().map(|(stamp_ns, body)| Event { stamp_ns, port, body }));
         }
         for (topic, corrections) in found.corrections {
             corrections.note().into_iter().for_each(|note| ctx.warn(format!("topic {topic}: {note}")));

@@ -2,8 +2,8 @@
 
 use super::{
     mcap::{self, EventBody, Mcap},
-    mcap_ports::PortParams,
     playback::Event,
+    topic_params::PortParams,
 };
 use osteoflow_geometry::StampNs;
 use osteoflow_node::{

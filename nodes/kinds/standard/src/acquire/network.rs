@@ -326,7 +326,7 @@ impl<P: Protocol> Run<P> {
             return Err(NodeError::new(faults.join("; ")));
         }
         let mut is_listed = false;
-        for port in self.inbox.ports.iter().filter(|port| port.default.is_none()) {
+        for port in self.inbox.ports.iter().filter(|port| port.at_first.is_empty()) {
             let missing = port.missing();
             if !missing.is_empty() {
                 let (name, others) = (&port.name, conversation.others());

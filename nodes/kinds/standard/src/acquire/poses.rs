@@ -259,18 +259,14 @@ impl PortLog<'_> {
         for ((to, from), stream) in self.streams {
             let (poses, more) = sifted(stream.poses.clone(), &self.params.stream);
             signs.extend(more);
-            for (pose, reason) in poses {
-                let motion =
-                    reason.map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));
-                tree.add(to, from, pose.stamp_ns, motion);
-            }
+            poses.iter().for_each(|pose| sifted::add(&mut tree, pose));
             for (stamp_ns, reason) in &stream.lost {
                 tree.add(to, from, *stamp_ns, Err(format!("has no pose: {reason}")));
             }
         }
         match sifted::through(&tree, (parent, child), self.params.stream.max_gap_ms)? {
-            Some((poses, note)) => {
-                notes.push(format!("port \"{}\": {note}", self.declared.name));
+            Some((poses, joined)) => {
+                notes.push(format!("port \"{}\": {}", self.declared.name, joined.note));
                 Ok(poses)
             }
             None => Err(format!("no transforms lead from {child} to {parent}; there are {}", tree.pairs().join(", "))),

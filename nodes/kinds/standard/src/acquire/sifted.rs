@@ -3,7 +3,7 @@
 use super::{frozen::Frozen, one_stamp::OneStamp};
 use osteoflow_algorithms::marker_stream::{Arrival, Cause, Kind, MotionLimits, Sample, judge};
 pub(super) use osteoflow_formats::Sign;
-use osteoflow_geometry::{Pose, StampNs, TransformTree, nalgebra::Isometry3};
+use osteoflow_geometry::{Pose, StampNs, Step, TransformTree, nalgebra::Isometry3};
 use osteoflow_node::{Emission, schemars::JsonSchema, serde::Deserialize};
 use std::collections::BTreeMap;
 
@@ -123,8 +123,31 @@ pub(super) fn emission((pose, reason): Sifted) -> (StampNs, Emission) {
     (pose.stamp_ns, reason.map_or_else(|| Emission::value(pose), Emission::Empty))
 }
 
-/// What a port gives that reads `t_parent_child` as a product of transforms of `tree`, and a note that says so; none if they do not
-/// lead from one to the other.
+/// Adds a pose to the transforms of a tree.
+pub(super) fn add(tree: &mut TransformTree, (pose, reason): &Sifted) {
+    let motion = reason.as_ref().map_or_else(|| Ok(pose.isometry), |reason| Err(format!("has no new pose: {reason}")));
+    tree.add(&pose.to, &pose.from, pose.stamp_ns, motion);
+}
+
+/// Adds a transform that holds for good, and gives a sign if the tree has it over time.
+pub(super) fn add_static(tree: &mut TransformTree, pose: &Pose) -> Option<Sign> {
+    let Pose { to, from, stamp_ns, isometry, .. } = pose;
+    let message =
+        || format!("t_{to}_{from} is static on one topic and moves on another, whose poses are used; remove one");
+    (!tree.add_static(to, from, *stamp_ns, *isometry)).then(|| ("static_moves", message()))
+}
+
+/// How a port reads transforms that are joined.
+pub(super) struct Joined {
+    /// The sentence that says so.
+    pub(super) note: String,
+    /// The transforms.
+    pub(super) steps: Vec<Step>,
+    /// Later samples, in order, change no pose up to this stamp.
+    pub(super) settled_ns: StampNs,
+}
+
+/// What a port gives that reads `t_parent_child` as a product of transforms of `tree`; none if they do not lead from one to the other.
 ///
 /// # Errors
 /// A message, if the frames are no tree.
@@ -132,7 +155,7 @@ pub(super) fn through(
     tree: &TransformTree,
     (parent, child): (&str, &str),
     max_gap_ms: Option<f64>,
-) -> Result<Option<(Vec<Sifted>, String)>, String> {
+) -> Result<Option<(Vec<Sifted>, Joined)>, String> {
     let max_gap_ns = (max_gap_ms.unwrap_or(MAX_GAP_MS) * 1e6).round() as StampNs;
     let chain = tree.chain(&parent.into(), &child.into(), max_gap_ns).map_err(|error| error.to_string())?;
     let Some(chain) = chain else { return Ok(None) };
@@ -146,5 +169,6 @@ pub(super) fn through(
         };
         (Pose::new(parent, child, motion).at(stamp_ns), reason)
     };
-    Ok(Some((chain.samples.into_iter().map(pose).collect(), note)))
+    let joined = Joined { note, steps: chain.steps, settled_ns: chain.settled_ns };
+    Ok(Some((chain.samples.into_iter().map(pose).collect(), joined)))
 }

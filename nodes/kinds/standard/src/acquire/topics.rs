@@ -2,13 +2,10 @@
 
 use osteoflow_formats::{
     PoseError, Spellings,
-    message_read::{
-        CloudRead, Encoded, MessageError, MessageKind, TipRead, is_sensor_frame, read_cloud, read_pose_in_frame,
-        read_transforms,
-    },
+    message_read::{Encoded, MessageError, MessageKind, read_pose_in_frame, read_transforms},
     without_slash,
 };
-use osteoflow_geometry::{Cloud, Frame, NamedPoint, Nearest, Points, Pose};
+use osteoflow_geometry::{Frame, Nearest, Pose};
 use osteoflow_node::{NodeError, schemars::JsonSchema, serde::Deserialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -23,7 +20,7 @@ pub fn reads(payload: &str, schema: &str) -> bool {
 }
 
 /// Frames of a source that have other names in the graph, and those of them that were met. A leading slash is none of a name.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct FrameNames {
     names: BTreeMap<String, String>,
     met: BTreeSet<String>,
@@ -86,9 +83,10 @@ impl TransformFilter {
             let child = self.child.as_deref().unwrap_or(last_part(topic));
             return Ok(vec![read_pose_in_frame(message)?.pose(child)]);
         }
-        let mut poses = named_transforms(message, spellings)?;
+        let mut poses = read_transforms(message)?;
         poses.retain_mut(|pose| {
             let [to, from] = frames_mut(pose);
+            (*to, *from) = (spellings.take(to), spellings.take(from));
             self.wants(to, from)
         });
         Ok(poses)
@@ -106,18 +104,8 @@ impl TransformFilter {
 /// A transform of a message, or why it gives no pose.
 pub(super) type TransformRead = Result<Nearest<Pose>, PoseError>;
 
-/// The transforms of a message, between frames without a leading slash.
-pub(super) fn named_transforms<'a>(
-    message: impl Into<Encoded<'a>>,
-    spellings: &mut Spellings,
-) -> Result<Vec<TransformRead>, MessageError> {
-    let mut read = read_transforms(message)?;
-    read.iter_mut().flat_map(frames_mut).for_each(|frame| *frame = spellings.take(frame));
-    Ok(read)
-}
-
 /// The frames to and from of a transform.
-pub(super) fn frames_mut(read: &mut TransformRead) -> [&mut Frame; 2] {
+fn frames_mut(read: &mut TransformRead) -> [&mut Frame; 2] {
     match read {
         Ok(pose) => [&mut pose.value.to, &mut pose.value.from],
         Err(PoseError::Lost(lost)) => [&mut lost.to, &mut lost.from],
@@ -164,40 +152,6 @@ impl Constants {
         self.0.push(pose.clone());
         Some(pose)
     }
-}
-
-/// The cloud of a message, and what the user should know of it; `renamed` is a frame's name in the graph, if that is another.
-pub(super) fn cloud<'a>(
-    message: impl Into<Encoded<'a>>,
-    label: &str,
-    renamed: impl FnOnce(&Frame) -> Option<Frame>,
-) -> Result<(Cloud, Vec<String>), MessageError> {
-    Ok(named(read_cloud(message)?, label, renamed))
-}
-
-/// The cloud that was read of a message, as [`cloud`].
-pub(super) fn named(
-    read: CloudRead,
-    label: &str,
-    renamed: impl FnOnce(&Frame) -> Option<Frame>,
-) -> (Cloud, Vec<String>) {
-    let dropped = (read.n_dropped > 0).then(|| {
-        let (n, all) = (read.n_dropped, read.n_points_in_message);
-        format!("{n} of {all} points are NaN or infinite and were left out")
-    });
-    let mut cloud = read.cloud.labelled(label);
-    if let Some(frame) = renamed(&cloud.frame) {
-        cloud.viewpoint = cloud.viewpoint.filter(|_| is_sensor_frame(frame.as_str()));
-        cloud.frame = frame;
-    }
-    (cloud, dropped.into_iter().chain(read.notes).collect())
-}
-
-/// A located point as a list of one, in `frame`.
-pub(super) fn point(tip: &TipRead, name: String, frame: Frame) -> Points {
-    let mut point = NamedPoint::new(name, tip.position);
-    point.stamp_ns = tip.stamp_ns;
-    Points::new(frame, vec![point])
 }
 
 /// `camera_marker` of `/tracker/camera_marker`.

@@ -24,18 +24,13 @@ pub enum Unstamped {
     PublishTime,
 }
 
-/// The message as it is read here, so that a missing stamp shows.
+/// The message as it is read here, so that a missing stamp is [`NONE`].
 pub(super) fn without_publish_time<'a>(message: impl Into<Encoded<'a>>) -> Encoded<'a> {
     Encoded { publish_time_ns: NONE, ..message.into() }
 }
 
-/// Whether a stamp that was read so is missing.
-pub(super) fn is_missing(stamp_ns: StampNs) -> bool {
-    stamp_ns == NONE
-}
-
 /// What the ports of a source met.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct MissingStamps {
     topics: BTreeMap<String, Topic>,
     /// The first pose of each marker, and how far the others are from it, by its topic.
@@ -43,11 +38,12 @@ pub(super) struct MissingStamps {
 }
 
 /// The messages of a topic.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Topic {
     n: usize,
     n_missing: usize,
     is_allowed: bool,
+    is_told: bool,
     port: String,
 }
 
@@ -62,7 +58,7 @@ impl MissingStamps {
     ) -> StampNs {
         let of = self.topics.entry(topic.into()).or_default();
         of.n += 1;
-        if !is_missing(read_ns) {
+        if read_ns != NONE {
             return read_ns;
         }
         of.n_missing += 1;
@@ -79,12 +75,11 @@ impl MissingStamps {
         (*mm, *rad) = (mm.max(between.translation.vector.norm()), rad.max(between.rotation.angle()));
     }
 
-    /// Notes on messages without a stamp.
+    /// Notes on messages without a stamp, once for each topic.
     ///
     /// # Errors
     /// They are joined with poses that move: the sentence that says so.
-    pub(super) fn notes(&self) -> Result<Vec<String>, String> {
-        let missing = self.topics.iter().filter(|(_, of)| of.n_missing > 0);
+    pub(super) fn notes(&mut self) -> Result<Vec<String>, String> {
         let is_moving = |(_, (_, mm, rad)): &(_, &(_, f64, f64))| *mm > MOVES_MM || *rad > MOVES_RAD;
         let moves = self.moved.iter().find(is_moving);
         // A pose that stays where it is holds at any time.
@@ -94,19 +89,25 @@ impl MissingStamps {
         };
         // Something else has to be there to be joined with.
         let moves = moves.filter(|_| self.topics.len() > 1);
-        let note = |(topic, of): (&String, &Topic)| {
-            let Topic { n, n_missing, is_allowed, port } = of;
+        let mut notes = Vec::new();
+        for (topic, of) in self.topics.iter_mut().filter(|(_, of)| of.n_missing > 0) {
+            let Topic { n, n_missing, is_allowed, is_told, port } = of;
             let what = format!("topic {topic}: {n_missing} of {n} messages have no stamp");
             match moves {
-                Some(((moving, pose), (_, mm, rad))) if !is_allowed && !is_constant(topic) => Err(format!(
-                    "port \"{port}\": {what}, and {pose} of {moving} moves by {mm:.1} mm and {:.1} degrees: paired by the time at which \
-                     they were published they may be off by as much; record them with the sensor's stamps, or, if that time is \
-                     the sensor's, set out.{port}.unstamped = \"publish_time\"",
-                    rad.to_degrees()
-                )),
-                _ => Ok(format!("{what}; the time at which they were published is used")),
+                Some(((moving, pose), (_, mm, rad))) if !*is_allowed && !is_constant(topic) => {
+                    return Err(format!(
+                        "port \"{port}\": {what}, and {pose} of {moving} moves by {mm:.1} mm and {:.1} degrees: paired by the time at which \
+                         they were published they may be off by as much; record them with the sensor's stamps, or, if that time is \
+                         the sensor's, set out.{port}.unstamped = \"publish_time\"",
+                        rad.to_degrees()
+                    ));
+                }
+                _ if !std::mem::replace(is_told, true) => {
+                    notes.push(format!("{what}; the time at which they were published is used"));
+                }
+                _ => {}
             }
-        };
-        missing.map(note).collect()
+        }
+        Ok(notes)
     }
 }

@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use serde_json::{Value, json};
+use std::{collections::BTreeMap, sync::Arc};
 
 /// The subprotocols, the preferred one first.
 pub(super) const SUBPROTOCOLS: &str = "foxglove.sdk.v1, foxglove.websocket.v1";
@@ -20,14 +21,15 @@ const N_CHARS: usize = 300;
 pub(super) struct Channel {
     pub(super) id: u64,
     pub(super) topic: String,
-    pub(super) encoding: String,
-    pub(super) schema_name: String,
+    pub(super) encoding: Arc<str>,
+    pub(super) schema_name: Arc<str>,
 }
 
 /// A message of the server.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum FromServer {
-    Info(String),
+    /// Its name, and what it states of what it plays.
+    Info(String, BTreeMap<String, String>),
     /// Channels, and the number of those that could not be read.
     Advertise(Vec<Channel>, usize),
     Unadvertise(Vec<u64>),
@@ -52,12 +54,18 @@ impl FromServer {
         let ids = |key: &str| message[key].as_array().map(|all| all.iter().filter_map(Value::as_u64).collect());
         let lacks = |what: &str| format!("a message lacks {what}: \"{}\"", shortened(text));
         Ok(match message["op"].as_str().ok_or_else(|| lacks("its op"))? {
-            "serverInfo" => Self::Info(shortened(&words(&message, "name").unwrap_or_default())),
+            "serverInfo" => {
+                let metadata = message["metadata"].as_object().into_iter().flatten();
+                let metadata = metadata.filter_map(|(key, value)| Some((key.clone(), value.as_str()?.to_owned())));
+                Self::Info(shortened(&words(&message, "name").unwrap_or_default()), metadata.collect())
+            }
             "advertise" => {
                 let all = message["channels"].as_array().ok_or_else(|| lacks("its channels"))?;
                 let channel = |of: &Value| {
-                    let (topic, encoding) = (words(of, "topic")?, words(of, "encoding")?);
-                    Some(Channel { id: of["id"].as_u64()?, topic, encoding, schema_name: words(of, "schemaName")? })
+                    let (topic, [encoding, schema_name]) =
+                        (words(of, "topic")?, ["encoding", "schemaName"].map(|key| words(of, key)));
+                    let (encoding, schema_name) = (encoding?.into(), schema_name?.into());
+                    Some(Channel { id: of["id"].as_u64()?, topic, encoding, schema_name })
                 };
                 let channels: Vec<Channel> = all.iter().filter_map(channel).collect();
                 let n_unread = all.len() - channels.len();

@@ -1,3 +1,5 @@
+mod as_recorded;
+
 use super::*;
 use crate::acquire::network::{
     NetworkSource,
@@ -72,6 +74,13 @@ impl Client {
         assert_eq!(message["op"], "subscribe");
         let rows = message["subscriptions"].as_array().unwrap().iter();
         rows.map(|row| (row["id"].as_u64().unwrap(), row["channelId"].as_u64().unwrap())).collect()
+    }
+
+    /// The next subscription; none of a client that has left.
+    fn subscription(&mut self) -> Option<u64> {
+        let Ok(Message::Text(text)) = self.0.read() else { return None };
+        let message: Value = serde_json::from_str(&text).unwrap();
+        message["subscriptions"][0]["id"].as_u64()
     }
 
     fn data(&mut self, subscription: u64, data: &[u8]) {
@@ -357,7 +366,8 @@ fn addresses_and_ports_that_cannot_be_read_are_refused() {
     for (port, expected) in [
         (("a", "geometry/Pose", json!({})), "neither topic nor topics"),
         (("a", "report/Flag", json!({})), "default is not given"),
-        (("a", "geometry/Region", json!({ "topic": "/r" })), "but not geometry/Region"),
+        (("a", "geometry/Region", json!({ "topic": "/r" })), "no topic states a region or a flag; remove it"),
+        (("a", "geometry/Planes", json!({ "topic": "/r" })), "but not geometry/Planes"),
     ] {
         let error = take_all("ws://127.0.0.1:1", &[port], |_| {}).error.unwrap();
         assert!(error.contains(expected), "{error}");

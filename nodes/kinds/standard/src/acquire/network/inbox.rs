@@ -1,6 +1,12 @@
 //! The ports of a source over a network, and the items on their way to them.
 
-use crate::acquire::{frozen::Frozen, live_marker::LiveMarker, one_stamp::OneStamp, playback::Event, sifted::Sign};
+use crate::acquire::{
+    frozen::Frozen,
+    live_marker::LiveMarker,
+    one_stamp::OneStamp,
+    playback::Event,
+    sifted::{self, Sifted, Sign},
+};
 use osteoflow_algorithms::marker_stream::MotionLimits;
 use osteoflow_formats::openigtlink::{ClockNote, ClockOffset};
 use osteoflow_geometry::{Correction, Pose, StampNs};
@@ -40,7 +46,12 @@ pub(crate) struct Port<T> {
     pub(crate) payload: &'static str,
     /// The devices or topics that the port reads.
     pub(crate) streams: Vec<String>,
-    pub(crate) default: Option<bool>,
+    /// Topics that it reads beside them, which may be missing.
+    pub(crate) beside: Vec<String>,
+    /// What the port gives with the first item of another port, if it has given nothing before, by the topic that is missing till then.
+    pub(crate) at_first: Vec<(String, Emission)>,
+    /// Whether it has given it.
+    pub(crate) has_begun: bool,
     pub(crate) content: T,
     /// Number of messages so far.
     pub(crate) n_messages: usize,
@@ -116,7 +127,9 @@ impl<T> Port<T> {
             name: declared.name.clone(),
             payload: declared.payload.name,
             streams,
-            default: params.default,
+            beside: Vec::new(),
+            at_first: params.default.map(|flag| (String::new(), Emission::value(Flag(flag)))).into_iter().collect(),
+            has_begun: false,
             content,
             n_messages: 0,
             labels: params.labels,
@@ -132,7 +145,7 @@ impl<T> Port<T> {
     }
 
     pub(crate) fn reads(&self, stream: &str) -> bool {
-        self.streams.iter().any(|known| known == stream)
+        self.streams.iter().chain(&self.beside).any(|known| known == stream)
     }
 
     /// The label of the message that is read.
@@ -151,20 +164,32 @@ impl<T> Port<T> {
         is_repeat
     }
 
-    /// Adds a pose called `what`, unless it is no measurement; `correction` is reported if it is above `limit`.
-    pub(crate) fn put_pose(&mut self, what: &str, pose: Pose, correction: Correction, limit: f64, out: &mut PortItems) {
+    /// A pose called `what`, unless it is left out, and why it is no measurement, if it is none; `correction` is reported if it is above
+    /// `limit`.
+    pub(crate) fn sifted(
+        &mut self,
+        what: &str,
+        pose: Pose,
+        correction: Correction,
+        limit: f64,
+        out: &mut PortItems,
+    ) -> Option<Sifted> {
         if correction.deviation > limit {
             out.notes.push(format!("{what}: a rotation is rounded, and the nearest one is used: {correction}"));
         }
-        let stamp_ns = pose.stamp_ns;
         let mut notes = Vec::new();
-        let frozen = self.frozen.take(what, &pose.isometry, stamp_ns, &mut notes);
+        let frozen = self.frozen.take(what, &pose.isometry, pose.stamp_ns, &mut notes);
         out.signs.extend(notes.into_iter().map(|note| ("marker_frozen", note)));
-        let emission = match frozen {
-            Some(reason) => Some(Emission::Empty(reason)),
+        match frozen {
+            Some(reason) => Some((pose, Some(reason))),
             None => self.markers.entry(what.into()).or_default().take(what, pose, &self.motion, &mut out.signs),
-        };
-        out.items.extend(emission.map(|emission| (stamp_ns, emission)));
+        }
+    }
+
+    /// Adds the item of a pose, as [`Self::sifted`].
+    pub(crate) fn put_pose(&mut self, what: &str, pose: Pose, correction: Correction, limit: f64, out: &mut PortItems) {
+        let sifted = self.sifted(what, pose, correction, limit, out);
+        out.items.extend(sifted.map(sifted::emission));
     }
 
     /// The newest stamp, or a later one.
@@ -317,6 +342,7 @@ impl<T> Inbox<T> {
             newest_ns = newest_ns.max(out.items.iter().map(|(stamp_ns, _)| *stamp_ns).max().or(Some(0)));
             port.n_messages += 1;
             port.present.insert(stream.into());
+            port.at_first.retain(|(topic, _)| !topic.is_empty() && topic != stream);
             notes.extend(out.notes);
             signs.extend(out.signs);
             self.fault = self.fault.take().or(out.fault);
@@ -346,10 +372,11 @@ impl<T> Inbox<T> {
             let has_item = message.iter().any(|event| self.ports[event.port].payload != "report/Flag");
             let mut before = Vec::new();
             for (index, port) in self.ports.iter_mut().enumerate() {
-                if let Some(default) = port.default.filter(|_| has_item && port.last_ns.is_none()) {
-                    port.last_ns = Some(first_ns);
-                    let body = Emission::value(Flag(default));
-                    before.push(Event { stamp_ns: first_ns, port: index, body });
+                if has_item && !std::mem::replace(&mut port.has_begun, true) {
+                    for (_, body) in &port.at_first {
+                        port.last_ns = port.last_ns.max(Some(first_ns));
+                        before.push(Event { stamp_ns: first_ns, port: index, body: body.clone() });
+                    }
                 }
                 let (Some(lost_after_ns), Some(last_ns)) = (port.lost_after_ns, port.last_ns) else { continue };
                 let lost_ns = last_ns.saturating_add(lost_after_ns);

@@ -132,7 +132,12 @@ impl Port<Content> {
     }
 
     /// The picture of an image of 8 bits.
-    pub(super) fn picture(&self, image: &PixelImage, device: &str, stamp_ns: StampNs) -> Result<PortItems, Refusal> {
+    pub(super) fn picture(
+        &mut self,
+        image: &PixelImage,
+        device: &str,
+        stamp_ns: StampNs,
+    ) -> Result<PortItems, Refusal> {
         let form = image.form();
         let (8, 1 | 3 | 4, [width, height, 1], Some(intrinsics)) =
             (8 * image.scalar.n_bytes(), image.n_components, image.part_size, self.content.camera.intrinsics)

@@ -207,20 +207,17 @@ impl Port<Content> {
             ("geometry/Cloud", Body::Points(points)) => {
                 self.cloud(points.iter().map(|point| point.position), device, stamp_ns)
             }
-            ("geometry/Cloud", Body::Image(image)) => match self.image_cloud(image, device, stamp_ns) {
-                Ok(items) => Ok(items),
-                Err(Refusal::Graph(fault)) => {
-                    return Some(PortItems::fault(format!("port \"{}\": {fault}", self.name)));
+            ("geometry/Cloud" | "geometry/Image", Body::Image(image)) => {
+                let is_picture = self.payload == "geometry/Image";
+                let read = if is_picture { Self::picture } else { Self::image_cloud };
+                match read(self, image, device, stamp_ns) {
+                    Err(Refusal::Graph(fault)) => {
+                        return Some(PortItems::fault(format!("port \"{}\": {fault}", self.name)));
+                    }
+                    Err(Refusal::Message(reason)) => Err(reason),
+                    Ok(items) => Ok(items),
                 }
-                Err(Refusal::Message(reason)) => Err(reason),
-            },
-            ("geometry/Image", Body::Image(image)) => match self.picture(image, device, stamp_ns) {
-                Ok(items) => Ok(items),
-                Err(Refusal::Graph(fault)) => {
-                    return Some(PortItems::fault(format!("port \"{}\": {fault}", self.name)));
-                }
-                Err(Refusal::Message(reason)) => Err(reason),
-            },
+            }
             ("geometry/Mesh", Body::PolyData(data)) => self.mesh(data, stamp_ns),
             ("geometry/Points", Body::Points(points)) => self.points(points, device, stamp_ns),
             ("geometry/Points", Body::Positions(positions)) => {

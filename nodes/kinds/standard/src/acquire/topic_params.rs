@@ -4,25 +4,28 @@ use super::{
     unstamped::Unstamped,
 };
 use osteoflow_node::{DeclaredPort, ParamError, schemars::JsonSchema, serde::Deserialize};
+use std::collections::BTreeMap;
 
-/// The messages that one port of `acquire.mcap` and `acquire.mcap_live` reads; `type` is the payload it gives.
+/// The messages that one port of `acquire.mcap`, `acquire.mcap_live` and `acquire.foxglove_ws` reads; `type` is the payload it gives.
 ///
 /// `geometry/Cloud` from `foxglove.PointCloud` and `sensor_msgs/PointCloud2`; `geometry/Pose` from
 /// `foxglove.FrameTransform(s)`, `tf2_msgs/TFMessage`, `geometry_msgs/TransformStamped` and poses in a frame
 /// (`foxglove.PoseInFrame`, `geometry_msgs/PoseStamped`); `geometry/Points`, one point at a time, from poses in a frame;
 /// `geometry/Image` from `foxglove.RawImage`, `foxglove.CompressedImage` (JPEG, PNG), `sensor_msgs/Image` and `sensor_msgs/CompressedImage` with
 /// the `foxglove.CameraCalibration` or `sensor_msgs/CameraInfo` of `calibration`, and with it `geometry/Cloud` from a depth image, too;
-/// `geometry/Region` and `report/Flag` from `metadata` and `present`, a flag that no recording states from `default`.
+/// `geometry/Region` and `report/Flag` from `metadata`, which a bridge sends when it greets, and `present`; a flag that nothing states from
+/// `default`.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PortParams {
     /// The topic that the port reads.
     pub topic: Option<String>,
-    /// Several topics, merged in the order of sensor time.
+    /// Several topics, merged in the order of sensor time; of a bridge, in the order of arrival.
     pub topics: Vec<String>,
     /// Names: one for each of `topics`, or, with one topic, one for each message in order. Default: the topic's name.
     pub labels: Vec<String>,
-    /// Whether the topic may be missing, in which case the port gives one empty. false: a missing topic is an error.
+    /// Whether the topic may be missing, in which case the port gives one empty. false: a missing topic is an error, and a warning of a
+    /// bridge, which may advertise it later.
     pub optional: bool,
     /// The transforms that the port takes.
     #[serde(flatten)]
@@ -31,13 +34,14 @@ pub struct PortParams {
     #[serde(flatten)]
     pub stream: PoseStreamParams,
     /// What the stamp is of messages that have none: `refuse`, or `publish_time`, the time at which they were published. `refuse`: if
-    /// a pose of the recording moves, that time pairs them wrongly; where none does, it is used and told.
+    /// a pose moves, that time pairs them wrongly; where none does, it is used and told.
     pub unstamped: Unstamped,
     /// The metadata record that holds the region of interest, or the key named by `key`; such as `procedure`.
     pub metadata: Option<String>,
     /// The key of the metadata record whose value `true` means yes; anything else, or no such key, means no.
     pub key: Option<String>,
-    /// What a `report/Flag` gives that nothing in the recording states: neither `metadata` with `key` nor `present`. Unset: no.
+    /// What a `report/Flag` gives that nothing states: neither `metadata` with `key` nor `present`. Unset: no; of a bridge, a flag has one
+    /// of the three.
     pub default: Option<bool>,
     /// The topic with the calibration of the images' camera; it must be of their size and frame, and the same in all its messages. Its
     /// distortion is undone: `plumb_bob`, `rational_polynomial`, `equidistant`.
@@ -48,7 +52,7 @@ pub struct PortParams {
     /// The depth of one step of a depth image, mm. Unset: 1 for integers and 1000 for floats, as ROS has them (REP 118).
     #[schemars(range(min = 1e-6, max = 1000.0))]
     pub depth_unit_mm: Option<f64>,
-    /// A topic; the port gives whether the recording has messages on it.
+    /// A topic; the port gives whether the recording has messages on it, or the bridge advertises it.
     pub present: Option<String>,
 }
 
@@ -56,22 +60,30 @@ impl PortParams {
     /// The parameters of a port.
     ///
     /// # Errors
-    /// [`ParamError`] if no recording can fill it.
+    /// [`ParamError`] if no topic can fill it.
     pub(super) fn of(declared: &DeclaredPort) -> Result<Self, ParamError> {
         let params: Self = declared.params()?;
+        let topics = params.topics();
         match declared.payload.name {
+            "geometry/Region" | "report/Flag" if !topics.is_empty() => {
+                return Err(declared.refused("topic", "no topic states a region or a flag; remove it"));
+            }
             "geometry/Region" | "report/Flag" => return Ok(params),
             "geometry/Image" => drop(params.calibration(declared)?),
             "geometry/Cloud" | "geometry/Pose" | "geometry/Points" => {}
             other => {
-                let given = "a recording gives geometry/Cloud, Image, Pose, Points, Region and report/Flag";
+                let given = "topics give geometry/Cloud, Image, Pose, Points, Region and report/Flag";
                 return Err(declared.refused("type", format!("{given}, but not {other}")));
             }
         }
-        match params.topics().is_empty() {
-            true => Err(declared.refused("topic", "neither topic nor topics is given")),
-            false => Ok(params),
+        if topics.is_empty() {
+            return Err(declared.refused("topic", "neither topic nor topics is given"));
         }
+        if params.stream.lost_after_ms.is_some() && topics.iter().all(|(topic, _)| Constants::are_on(topic)) {
+            let message = format!("{} holds for good, so nothing on it is lost; remove lost_after_ms", topics[0].0);
+            return Err(declared.refused("lost_after_ms", message));
+        }
+        Ok(params)
     }
 
     /// The topic of the camera of images.
@@ -85,6 +97,30 @@ impl PortParams {
     pub(super) fn is_timed(declared: &DeclaredPort) -> bool {
         let params = declared.params::<Self>();
         params.is_ok_and(|params| !params.read_topics().iter().any(|topic| Constants::are_on(topic)))
+    }
+
+    /// The label of the message of `topic` that comes after `index` others on it.
+    pub(super) fn label(&self, topic: &str, index: usize) -> Option<&str> {
+        let by_topic = self.topics().into_iter().find(|(named, _)| *named == topic).and_then(|(_, label)| label);
+        by_topic.or_else(|| self.labels.get(index).map(String::as_str))
+    }
+
+    /// Whether a topic is one of those that the port names.
+    pub(super) fn names(&self, topic: &str) -> bool {
+        self.topics().iter().any(|(named, _)| *named == topic)
+    }
+
+    /// Whether a flag is set, from whether the topic of `present` is there and from a record of metadata.
+    pub(super) fn flag(
+        &self,
+        is_present: impl FnOnce(&str) -> bool,
+        record: Option<&BTreeMap<String, String>>,
+    ) -> bool {
+        if let Some(topic) = &self.present {
+            return is_present(topic);
+        }
+        let value = self.key.as_ref().and_then(|key| record?.get(key));
+        value.map_or(self.default.unwrap_or(false), |value| value == "true")
     }
 
     /// All topics of the port, each with the label of its messages if labels are by topic.
