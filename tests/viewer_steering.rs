@@ -147,7 +147,9 @@ fn the_page_adds_no_code_and_no_file_from_outside_of_the_graphs_folder() {
     let surface = |file: &str| json!({ "bone.kind": "surface.file", "bone.path": file });
     for (values, expected) in [
         (module(&outside("mod.toml")), out),
-        (module("mod.toml"), "SHA-256"),
+        (module(&bench.path("mod.toml").display().to_string()), "SHA-256"),
+        (surface("Cargo.toml"), out),
+        (json!({ "bone.kind": "surface.ct", "bone.path": "nodes" }), out),
         (surface(&outside("secret.txt")), out),
         (surface(&up), out),
         (surface("variants/../link/secret.txt"), if cfg!(unix) { out } else { "bone" }),

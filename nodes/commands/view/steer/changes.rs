@@ -2,7 +2,7 @@
 
 use super::write_back;
 use crate::app::{GraphArgs, with_causes};
-use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plugin::Kinds};
+use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plan::Plan, plugin::Kinds};
 use osteoflow_report::format::shell_word;
 use serde_json::{Value, json};
 use std::{
@@ -80,39 +80,56 @@ impl Changes {
         check(&graph, &sets, kinds).map_err(Problem::Faults)
     }
 
-    /// Sets keys as the page asks, which anybody may do who has its address: no path outside of the graph's folder and of that of the
-    /// picks, and no code but that of the plugins that the graph names without the page.
+    /// Sets keys as the page asks, which anybody may do who has its address: no path outside of the folders of the graph and of the picks
+    /// that the graph does not name without the page, and no code but that of its plugins.
     ///
     /// # Errors
     /// As [`Self::set`].
     pub(super) fn ask(&self, values: &[(String, Value)]) -> Result<Value, String> {
-        for (key, value) in values {
-            self.check_place(key, value)?;
-        }
+        // A module is read to check it, so a text that may lead to one is looked at before.
+        values.iter().try_for_each(|(key, value)| self.check_texts(key, value))?;
         let kinds = self.kinds().map_err(|problem| problem.to_string())?;
-        let by_itself = check(&self.graph.graph, &self.graph.sets, &kinds).map(|checked| checked.plan.plugins);
-        self.set_of(values, &kinds.recorded_by(&by_itself.unwrap_or_default()))
+        let by_itself = check(&self.graph.graph, &self.graph.sets, &kinds).map(|checked| checked.plan);
+        let (plugins, files) = by_itself.map(|plan| (plan.plugins, plan.input_files)).unwrap_or_default();
+        let permit = |plan: &Plan| {
+            let mut named = plan.nodes.iter().flat_map(|node| node.files.iter().map(|file| (&node.name, file)));
+            let outside = named.find(|(_, file)| !files.contains(file) && !self.is_inside(file));
+            outside.map_or(Ok(()), |(node, file)| Err(self.outside(node, file)))
+        };
+        self.set_of(values, &kinds.recorded_by(&plugins), &permit)
     }
 
-    /// Refuses a text that leads outside of the folders of the graph and of the picks.
-    fn check_place(&self, key: &str, value: &Value) -> Result<(), String> {
+    /// Refuses a text that leads out of the folders of the graph and of the picks, from the graph or from the current folder.
+    fn check_texts(&self, key: &str, value: &Value) -> Result<(), String> {
         match value {
             Value::String(text) => {
-                let folder = self.graph.graph.parent().unwrap_or(Path::new("")).to_owned();
-                let path = real(&folder.join(text));
-                if [&folder, &self.picks].into_iter().any(|allowed| path.starts_with(real(allowed))) {
+                let (from_graph, from_here) = (self.folder().join(text), Path::new(text));
+                if self.is_inside(&from_graph) && (!from_here.is_file() || self.is_inside(from_here)) {
                     return Ok(());
                 }
-                let folder = real(&folder).display().to_string();
-                Err(format!(
-                    "{key}: {text} leads out of the graph's folder, {folder}, which the page may not; write it into the graph file, or start \
-                     with --set"
-                ))
+                Err(self.outside(key, from_here))
             }
-            Value::Array(items) => items.iter().try_for_each(|item| self.check_place(key, item)),
-            Value::Object(entries) => entries.values().try_for_each(|item| self.check_place(key, item)),
+            Value::Array(items) => items.iter().try_for_each(|item| self.check_texts(key, item)),
+            Value::Object(entries) => entries.values().try_for_each(|item| self.check_texts(key, item)),
             _ => Ok(()),
         }
+    }
+
+    fn folder(&self) -> &Path {
+        self.graph.graph.parent().unwrap_or(Path::new(""))
+    }
+
+    fn is_inside(&self, path: &Path) -> bool {
+        let path = real(path);
+        [self.folder(), &self.picks].into_iter().any(|allowed| path.starts_with(real(allowed)))
+    }
+
+    fn outside(&self, what: &str, path: &Path) -> String {
+        let (path, folder) = (path.display(), real(self.folder()));
+        format!(
+            "{what}: {path} leads out of the graph's folder, {}, which the page may not; write it into the graph file, or start with --set",
+            folder.display()
+        )
     }
 
     /// Sets keys, all of them or none. A value of null takes a change back. Keys that a new kind does not have are taken away.
@@ -120,10 +137,15 @@ impl Changes {
     /// # Errors
     /// A sentence for the user; nothing has changed then.
     pub(super) fn set(&self, values: &[(String, Value)]) -> Result<Value, String> {
-        self.set_of(values, &self.kinds().map_err(|problem| problem.to_string())?)
+        self.set_of(values, &self.kinds().map_err(|problem| problem.to_string())?, &|_| Ok(()))
     }
 
-    fn set_of(&self, values: &[(String, Value)], kinds: &Kinds) -> Result<Value, String> {
+    fn set_of(
+        &self,
+        values: &[(String, Value)],
+        kinds: &Kinds,
+        permit: &dyn Fn(&Plan) -> Result<(), String>,
+    ) -> Result<Value, String> {
         let mut edits = self.edits();
         if let Some(why) = &edits.fixed {
             return Err(why.clone());
@@ -135,7 +157,8 @@ impl Changes {
         trial.removed.clear();
         for _ in 0..MAX_ATTEMPTS {
             let faults = match self.check_with(&trial, kinds) {
-                Ok(_) => {
+                Ok(checked) => {
+                    permit(&checked.plan)?;
                     trial.count += 1;
                     *edits = trial;
                     return Ok(self.describe_with(&edits));
