@@ -69,9 +69,9 @@ fn a_sweep_is_not_continued_nor_merged_with_another_module_beside_the_plugin() {
     folder.ends_well(&["sweep", "g.toml", "--out", "s", "--resume"]);
     assert_eq!(results.numbers("s"), ["1.0"; 4]);
     // A changed line of the graph is named, too.
-    folder.write("g.toml", &GRAPH.replace("name = \"imports\"", "name = \"other\""));
+    folder.write("g.toml", &GRAPH.replace("name = \"imports\"", "name = \"imports\"\nseed = 7"));
     let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
-    assert!(code == Some(2) && text.contains("`name = \"imports\"` in [graph]"), "{code:?} {text}");
+    assert!(code == Some(2) && text.contains("[graph] seed: the first 7, this one 0"), "{code:?} {text}");
 }
 
 #[test]

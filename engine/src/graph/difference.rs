@@ -22,6 +22,29 @@ pub(crate) fn differences(a: &str, b: &str) -> Vec<EntryDifference> {
     differences
 }
 
+/// Longest value of an entry, in characters.
+const MAX_CHARACTERS: usize = 80;
+
+/// The differences of two graphs in words, in which `names` are theirs. A graph names the folder of its plugins, which are compared by
+/// themselves, and its own name is no setting.
+pub(crate) fn in_words(a: &str, b: &str, [first, second]: [&str; 2]) -> impl Iterator<Item = String> {
+    let differences = differences(a, b).into_iter();
+    let differences =
+        differences.filter(|entry| entry.table != "[plugins]" && (&*entry.table, &*entry.key) != ("[graph]", "name"));
+    let shown = |value: Option<String>| match value {
+        Some(value) if value.chars().count() > MAX_CHARACTERS => {
+            format!("{}..", value.chars().take(MAX_CHARACTERS).collect::<String>())
+        }
+        Some(value) => value,
+        None => "none".into(),
+    };
+    differences.map(move |entry| match (entry.key.as_str(), entry.values) {
+        ("", [Some(_), None]) => format!("{}: only in {first}", entry.table),
+        ("", [None, Some(_)]) => format!("{}: only in {second}", entry.table),
+        (key, [a, b]) => format!("{} {key}: {first} {}, {second} {}", entry.table, shown(a), shown(b)),
+    })
+}
+
 /// The lines in which two graphs differ, where one has a number that TOML cannot hold: parameters may be greater than its integers.
 fn by_lines(a: &str, b: &str) -> Vec<EntryDifference> {
     let (mut table, mut out) = ("", Vec::new());

@@ -10,7 +10,7 @@ use super::{
     scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
-use crate::plan::PlanPlugin;
+use crate::{plan::PlanPlugin, provenance::Provenance};
 use osteoflow_container::{ReadError, TooLarge};
 use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
 use std::{
@@ -50,6 +50,8 @@ pub struct Recording {
     pub unsound: Option<String>,
     /// The SHA-256 of each input file, by its path, or why there is none.
     pub inputs: BTreeMap<String, String>,
+    /// What made it.
+    pub(crate) provenance: Provenance,
     /// The plugins of the graph, with the SHA-256 of their libraries.
     pub plugins: Vec<PlanPlugin>,
     /// The text of plugins and of their modules, by SHA-256.
@@ -202,6 +204,7 @@ impl Recording {
             unsound,
             wires,
             inputs,
+            provenance: Provenance::of_recording(metadata),
             plugins,
             plugin_texts,
             drops: reading.drops,

@@ -4,7 +4,7 @@ use super::unpack::results;
 use crate::app::error::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_engine::{
-    diff::Provenance,
+    Provenance,
     hash::Digest,
     recording::digest::{DigestReport, digest},
     run::files,

@@ -1,7 +1,7 @@
 //! What was set otherwise in runs or sweeps: the entries of their graphs, and what made them.
 
 use crate::commands::common::text_table::TextTable;
-use osteoflow_engine::diff::{Provenance, entries_that_differ};
+use osteoflow_engine::{Provenance, diff::entries_that_differ};
 use serde_json::Value;
 use std::collections::BTreeMap;
 

@@ -1,16 +1,15 @@
 //! What made a recording, a run or a sweep: program, seed, plugins and input files, beside its graph.
 
-use super::index::Index;
 use crate::{
-    graph::difference,
-    plan::PlanPlugin,
-    recording::format::{INPUT_HASHES, PROGRAM, plugins as plugins_of},
+    hash::files::sha256,
+    plan::{Loads, PlanPlugin},
+    recording::format::{INPUT_HASHES, MetadataRecords, PROGRAM, plugins as plugins_of},
 };
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Entries of the program that may decide numbers; the others tell of the machine and the command line.
-const PROGRAM_KEYS: [&str; 10] = [
+const PROGRAM_KEYS: [&str; 11] = [
     "version",
     "git_revision",
     "sha256",
@@ -20,11 +19,9 @@ const PROGRAM_KEYS: [&str; 10] = [
     "rustflags",
     "opt_level",
     "cpu_features",
+    "libraries",
     "seed",
 ];
-
-/// Longest value of an entry, in characters.
-const MAX_CHARACTERS: usize = 80;
 
 /// What made a recording, a run or a sweep.
 #[derive(Debug, Clone)]
@@ -38,11 +35,12 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    /// Of a run or a sweep, by its `manifest.json` or `sweep.json`.
+    /// Of a run, a sweep or a failure, by its `manifest.json`, `sweep.json` or `repro.json`.
     pub fn of(about: &Json) -> Self {
         let word = |json: &Json| json.as_str().map_or_else(|| json.to_string(), str::to_owned);
         let command = about["command"].as_object().into_iter().flatten();
-        let others = [("sha256", &about["program_sha256"]), ("seed", &about["graph"]["seed"])];
+        let (version, sha256) = (("version", &about["engine_version"]), ("sha256", &about["program_sha256"]));
+        let others = [version, sha256, ("seed", &about["graph"]["seed"])];
         let others = others.into_iter().filter(|(_, value)| !value.is_null());
         let entries = command.map(|(key, value)| (key.as_str(), value)).chain(others);
         let inputs = about["inputs"].as_array().into_iter().flatten();
@@ -54,7 +52,8 @@ impl Provenance {
         }
     }
 
-    pub(super) fn of_recording(Index { metadata, .. }: &Index) -> Self {
+    /// Of the run that made a recording.
+    pub(crate) fn of_recording(metadata: &MetadataRecords) -> Self {
         let entries = |name| metadata.entries(name).cloned().unwrap_or_default();
         let (plugins, texts) = plugins_of(metadata).unwrap_or_default();
         Self { program: entries(PROGRAM), inputs: entries(INPUT_HASHES), plugins, texts }
@@ -62,16 +61,47 @@ impl Provenance {
 
     /// What differs in `other`, each in words, in which `names` are those of both.
     pub fn differences(&self, other: &Self, names: [&str; 2]) -> Vec<String> {
-        let [first, second] = names;
+        let mut found = self.program_differences(other, names);
+        found.extend(self.plugin_differences(other, names));
+        found.extend(self.late_differences(other, names));
+        found.extend(self.input_differences(other, names));
+        found
+    }
+
+    /// How the programs and their machines differ.
+    pub(crate) fn program_differences(&self, other: &Self, [first, second]: [&str; 2]) -> Vec<String> {
+        let both = |key: &&'static str| Some((*key, self.program.get(*key)?, other.program.get(*key)?));
+        let differ = PROGRAM_KEYS.iter().filter_map(both).filter(|(_, a, b)| a != b);
+        // Of lists what the other lacks.
+        let list = |text: &str| serde_json::from_str(text).unwrap_or_else(|_| vec![text.to_owned()]);
+        let shown = |a, b| lacks(&list(a), &list(b));
+        differ.map(|(key, a, b)| format!("program, {key}: {first} {}, {second} {}", shown(a, b), shown(b, a))).collect()
+    }
+
+    /// How what firings loaded or opened differs.
+    pub(crate) fn late_differences(&self, other: &Self, names: [&str; 2]) -> Vec<String> {
+        self.loads_differences(other, |a, b| a.late_differences(b, names))
+    }
+
+    fn loads_differences(&self, other: &Self, between: impl Fn(&Loads, &Loads) -> Vec<String>) -> Vec<String> {
+        let both = self.plugins.iter().filter_map(|a| Some((a, other.plugins.iter().find(|b| b.name == a.name)?)));
+        let differ = both.flat_map(|(a, b)| between(&a.loads, &b.loads).into_iter().map(|what| (&a.name, what)));
+        differ.map(|(name, what)| format!("plugin {name}: {what}")).collect()
+    }
+
+    /// The files that firings loaded or opened, which hold something else by now; those that are gone are not told.
+    pub(crate) fn changed_files(&self) -> Vec<String> {
+        let all = self.plugins.iter().flat_map(|plugin| {
+            let late = plugin.loads.files.iter().filter(|file| plugin.loads.late.contains(&file.name));
+            late.chain(&plugin.loads.opened).map(|file| (&plugin.name, file))
+        });
+        let changed = all.filter(|(_, file)| sha256(&file.path).is_ok_and(|(_, now)| now.to_string() != file.sha256));
+        changed.map(|(plugin, file)| format!("plugin {plugin}: {} has changed since", file.path.display())).collect()
+    }
+
+    /// How the input files differ; equal files may have other paths.
+    pub(crate) fn input_differences(&self, other: &Self, [first, second]: [&str; 2]) -> Vec<String> {
         let mut found = Vec::new();
-        for key in PROGRAM_KEYS {
-            if let (Some(a), Some(b)) = (self.program.get(key), other.program.get(key))
-                && a != b
-            {
-                found.push(format!("program, {key}: {first} {a}, {second} {b}"));
-            }
-        }
-        self.plugin_differences(other, names, &mut found);
         let lacks = |made: &Self, sha256: &str| made.inputs.values().all(|other| other != sha256);
         for file in self.inputs.keys().chain(other.inputs.keys()).collect::<BTreeSet<_>>() {
             let only = match (self.inputs.get(file), other.inputs.get(file)) {
@@ -85,8 +115,10 @@ impl Provenance {
         found
     }
 
-    /// Adds how the plugins differ: their files, what they load, and the first line of a text that both recordings carry.
-    fn plugin_differences(&self, other: &Self, [first, second]: [&str; 2], found: &mut Vec<String>) {
+    /// How the plugins differ: their files, what they load before the first firing, and the first line of a text that both
+    /// recordings carry.
+    pub(crate) fn plugin_differences(&self, other: &Self, names: [&str; 2]) -> Vec<String> {
+        let ([first, second], mut found) = (names, Vec::new());
         let line = |a: &str, b: &str| first_line([self.texts.get(a)?, other.texts.get(b)?], [first, second]);
         for a in &self.plugins {
             let Some(b) = other.plugins.iter().find(|b| b.name == a.name) else {
@@ -99,7 +131,6 @@ impl Provenance {
                 let line = line(&a.sha256, &b.sha256).map_or_else(String::new, |line| format!("; {line}"));
                 found.push(format!("plugin {name}: {first} {}, {second} {}{line}", shown(a), shown(b)));
             }
-            found.extend(a.loads.differences(&b.loads).into_iter().map(|what| format!("plugin {name}: {what}")));
             for a in &a.loads.files {
                 let b = b.loads.files.iter().find(|b| b.name == a.name);
                 let line = b.and_then(|b| line(&a.sha256, &b.sha256));
@@ -108,32 +139,15 @@ impl Provenance {
         }
         let only = other.plugins.iter().filter(|b| self.plugins.iter().all(|a| a.name != b.name));
         found.extend(only.map(|b| format!("plugin {}: only in {second}", b.name)));
+        found.extend(self.loads_differences(other, |a, b| a.differences(b, names)));
+        found
     }
 }
 
-/// The entries in which the graphs of two recordings differ, each in words.
-pub(super) fn graph_differences(a: &Index, b: &Index) -> Vec<String> {
-    let (Some(a), Some(b)) = (&a.run, &b.run) else { return Vec::new() };
-    let name = (a.name != b.name).then(|| format!("graph: A {}, B {}", a.name, b.name));
-    // A graph names the folder of its plugins, which are compared by themselves.
-    let entries = difference::differences(&a.graph, &b.graph)
-        .into_iter()
-        .filter(|entry| entry.table != "[plugins]" && (&*entry.table, &*entry.key) != ("[graph]", "name"));
-    let entries = entries.map(|entry| match (entry.key.as_str(), entry.values) {
-        ("", [Some(_), None]) => format!("{}: only in A", entry.table),
-        ("", [None, Some(_)]) => format!("{}: only in B", entry.table),
-        (key, [a, b]) => {
-            let shown = |value: Option<String>| match value {
-                Some(value) if value.chars().count() > MAX_CHARACTERS => {
-                    format!("{}..", value.chars().take(MAX_CHARACTERS).collect::<String>())
-                }
-                Some(value) => value,
-                None => "none".into(),
-            };
-            format!("{} {key}: A {}, B {}", entry.table, shown(a), shown(b))
-        }
-    });
-    name.into_iter().chain(entries).collect()
+/// What `one` has and `other` lacks.
+pub(crate) fn lacks(one: &[String], other: &[String]) -> String {
+    let more: Vec<_> = one.iter().filter(|entry| !other.contains(entry)).map(String::as_str).collect();
+    if more.is_empty() { "no more".into() } else { more.join(", ") }
 }
 
 /// The first line in which two texts differ.
