@@ -172,7 +172,7 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
         }
         _ => Vec::new(),
     };
-    let [of_a, of_b] = [&a, &b].map(|index| Provenance::of_recording(&index.metadata));
+    let [of_a, of_b] = [&a, &b].map(|index| Provenance::of_recording(&index.metadata).unwrap_or_default());
     made.extend(of_a.differences(&of_b, ["A", "B"]));
     Ok(DiffReport {
         same_graph: both(|i| Some(i.run.as_ref()?.graph.clone())).map(|(a, b)| a == b),
@@ -191,9 +191,7 @@ fn side(index: &Index) -> Side {
         graph: run.map(|run| run.name.clone()),
         seed: run.map(|run| run.seed),
         version: run.map(|run| run.version.clone()),
-        incomplete: index
-            .incomplete()
-            .or_else(|| index.is_recovered().then(|| "it was recovered from a damaged file".into())),
+        incomplete: index.incomplete(),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::{
     hash::files::sha256,
+    names::shortened,
     plan::{Loads, PlanPlugin},
     recording::format::{INPUT_HASHES, MetadataRecords, PROGRAM, plugins as plugins_of},
 };
@@ -23,15 +24,18 @@ const PROGRAM_KEYS: [&str; 11] = [
     "seed",
 ];
 
+/// Longest entry of a list, in characters.
+const MAX_CHARACTERS: usize = 100;
+
 /// What made a recording, a run or a sweep.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Provenance {
     program: BTreeMap<String, String>,
-    /// The SHA-256 of each input file.
-    inputs: BTreeMap<String, String>,
-    plugins: Vec<PlanPlugin>,
-    /// Texts of plugins, by SHA-256.
-    texts: BTreeMap<String, String>,
+    /// The SHA-256 of each input file, by its path, or why there is none.
+    pub(crate) inputs: BTreeMap<String, String>,
+    pub(crate) plugins: Vec<PlanPlugin>,
+    /// The text of plugins and of their modules, by SHA-256.
+    pub(crate) texts: BTreeMap<String, String>,
 }
 
 impl Provenance {
@@ -53,10 +57,13 @@ impl Provenance {
     }
 
     /// Of the run that made a recording.
-    pub(crate) fn of_recording(metadata: &MetadataRecords) -> Self {
+    ///
+    /// # Errors
+    /// Which record of plugins cannot be read.
+    pub(crate) fn of_recording(metadata: &MetadataRecords) -> Result<Self, String> {
         let entries = |name| metadata.entries(name).cloned().unwrap_or_default();
-        let (plugins, texts) = plugins_of(metadata).unwrap_or_default();
-        Self { program: entries(PROGRAM), inputs: entries(INPUT_HASHES), plugins, texts }
+        let (plugins, texts) = plugins_of(metadata)?;
+        Ok(Self { program: entries(PROGRAM), inputs: entries(INPUT_HASHES), plugins, texts })
     }
 
     /// What differs in `other`, each in words, in which `names` are those of both.
@@ -146,8 +153,8 @@ impl Provenance {
 
 /// What `one` has and `other` lacks.
 pub(crate) fn lacks(one: &[String], other: &[String]) -> String {
-    let more: Vec<_> = one.iter().filter(|entry| !other.contains(entry)).map(String::as_str).collect();
-    if more.is_empty() { "no more".into() } else { more.join(", ") }
+    let more = one.iter().filter(|entry| !other.contains(entry)).map(|entry| shortened(entry, MAX_CHARACTERS));
+    more.reduce(|all, entry| format!("{all}, {entry}")).unwrap_or_else(|| "no more".into())
 }
 
 /// The first line in which two texts differ.

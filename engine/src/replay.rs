@@ -255,10 +255,10 @@ pub fn replay(
     let kinds = match changes.graph {
         // The user names this graph.
         Some(_) => kinds,
-        None => kinds.recorded_by(&recording.plugins),
+        None => kinds.recorded_by(&recording.provenance.plugins),
     };
-    let kinds = kinds.over(recording.registry(kinds.registry())).with_moved(&recording.plugins);
-    let (plugins, texts) = (&recording.plugins, &recording.plugin_texts);
+    let kinds = kinds.over(recording.registry(kinds.registry())).with_moved(&recording.provenance.plugins);
+    let Provenance { plugins, texts, .. } = &recording.provenance;
     // Holds the files for as long as the run.
     let (kinds, _folder) = match changes.allows_plugins {
         true if plugin::carried(plugins, texts).next().is_none() => {
@@ -502,10 +502,10 @@ fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayE
     for input in crate::hash::files::hashes(&plan.input_files) {
         let text = |key: &str| input[key].as_str().unwrap_or_default().to_owned();
         let (path, hash) = (text("path"), text("sha256"));
-        let expected = match recording.inputs.get(&path) {
+        let expected = match recording.provenance.inputs.get(&path) {
             Some(expected) => expected.clone(),
             // The file has moved: any file with that hash is accepted.
-            None if recording.inputs.values().any(|expected| *expected == hash) => continue,
+            None if recording.provenance.inputs.values().any(|expected| *expected == hash) => continue,
             None => "of one of the recorded files".into(),
         };
         if expected != hash {

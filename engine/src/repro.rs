@@ -186,8 +186,8 @@ pub fn repro(
         now.loads.add_variables_of(&then.loads);
         now
     });
-    let failed_in = bundle.program.provenance(then.filter(|_| now.is_some()));
-    let differences = failed_in.differences(&program.provenance(now.as_ref()), ["the bundle", "this program"]);
+    let (then, now) = (bundle.program.provenance(then), program.provenance(now.as_ref()));
+    let differences = then.differences(&now, ["the bundle", "this program"]);
     let same_program = bundle.program.sha256 == program.sha256 && program.sha256.is_some();
     let at_call = node.role == Role::Node || n_calls == bundle.item;
     let same = at_call && failed.as_ref().is_some_and(|failed| failed.is(&bundle.failure, same_program));

@@ -214,10 +214,10 @@ impl Sweep {
         if let Some(what) = difference(&about, &self.plan.resolved, &folder)? {
             return Err(FolderError::Other { path, what });
         }
+        let then = Provenance::of(&folder.about);
         let now = Provenance::of(&self.about(None, &options.run.command));
-        let mut otherwise = Provenance::of(&folder.about).changed_files();
-        otherwise.extend(Provenance::of(&folder.about).program_differences(&now, ["its runs", "this program"]));
-        for what in otherwise {
+        let program = then.program_differences(&now, ["its runs", "this program"]);
+        for what in program.into_iter().chain(then.changed_files()) {
             tracing::warn!("{path} is made otherwise from here on: {what}");
         }
         if is_smaller {

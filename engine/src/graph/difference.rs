@@ -1,5 +1,6 @@
 //! The entries in which two graphs differ.
 
+use crate::names::shortened;
 use std::collections::BTreeSet;
 use toml::{Table, Value};
 
@@ -31,13 +32,7 @@ pub(crate) fn in_words(a: &str, b: &str, [first, second]: [&str; 2]) -> impl Ite
     let differences = differences(a, b).into_iter();
     let differences =
         differences.filter(|entry| entry.table != "[plugins]" && (&*entry.table, &*entry.key) != ("[graph]", "name"));
-    let shown = |value: Option<String>| match value {
-        Some(value) if value.chars().count() > MAX_CHARACTERS => {
-            format!("{}..", value.chars().take(MAX_CHARACTERS).collect::<String>())
-        }
-        Some(value) => value,
-        None => "none".into(),
-    };
+    let shown = |value: Option<String>| value.map_or_else(|| "none".into(), |value| shortened(&value, MAX_CHARACTERS));
     differences.map(move |entry| match (entry.key.as_str(), entry.values) {
         ("", [Some(_), None]) => format!("{}: only in {first}", entry.table),
         ("", [None, Some(_)]) => format!("{}: only in {second}", entry.table),

@@ -78,10 +78,10 @@ pub fn digest(path: &Path, progress: Progress<'_>) -> Result<DigestReport, Recor
     let unread = ["belong to channels that nothing in the file describes", "on exact channels are no items"];
     let unread = index.n_unread.iter().zip(unread).filter(|(n, _)| **n > 0);
     notes.extend(unread.map(|(n, what)| format!("{n} messages {what}")));
-    if notes.is_empty() {
+    let recovered = index.is_recovered();
+    if notes.is_empty() && !recovered {
         notes.extend(index.incomplete());
     }
-    let recovered = index.is_recovered();
     let wires: Vec<WireDigest> = index.wires.values().map(WireDigest::of).collect();
     for wire in &wires {
         if let Some(number) = wire.doubled {

@@ -89,10 +89,13 @@ impl Index {
         self.metadata.has::<Recovered>()
     }
 
-    /// Why it is not whole, if it is not, but for a recovery.
+    /// Why it is not whole, if it is not.
     pub(crate) fn incomplete(&self) -> Option<String> {
-        let is_unfinished = !self.is_recovered() && !self.metadata.has::<WireCounts>();
-        self.damage.clone().or_else(|| is_unfinished.then(|| "the run did not finish it".into()))
+        let why = match (self.is_recovered(), self.metadata.has::<WireCounts>()) {
+            (true, _) => Some("it was recovered from a damaged file".into()),
+            (false, has_ended) => (!has_ended).then(|| "the run did not finish it".into()),
+        };
+        self.damage.clone().or(why)
     }
 
     pub(crate) fn n_bytes(&self) -> u64 {

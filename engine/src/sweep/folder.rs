@@ -10,7 +10,7 @@ use super::{
     times::{OF_TIMES, RunTimes},
 };
 use crate::{
-    check::sweep::{Factor, Spec},
+    check::sweep::Spec,
     durable,
     graph::difference,
     plan::PlanPlugin,
@@ -625,11 +625,11 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
     Ok((!differences.is_empty()).then(|| differences.join("; ")))
 }
 
-/// The repeats, and the settings of each factor.
+/// The repeats, and each value of each factor with what it sets.
 fn lines(spec: &Spec) -> Vec<String> {
-    let settings = |factor: &Factor| factor.levels.iter().map(|level| level.sets.join(" ")).collect::<Vec<_>>();
-    let factors = spec.factors.iter().map(|factor| format!("{}: {}", factor.name, settings(factor).join(", ")));
-    [format!("repeat = {}", spec.repeat)].into_iter().chain(factors).collect()
+    let values = spec.factors.iter().flat_map(|factor| factor.levels.iter().map(move |level| (&factor.name, level)));
+    let values = values.map(|(name, level)| format!("{name} = {} by {}", level.label, json!(level)));
+    [format!("repeat = {}", spec.repeat)].into_iter().chain(values).collect()
 }
 
 /// Not in the file of the run, whose content is the same each time.
