@@ -166,7 +166,7 @@ fn a_missing_shard_and_one_of_another_graph_are_named_by_the_merge() {
     desk.ran("bash sweep.sbatch study.toml study", Some(2));
     let message = merge("other");
     assert!(
-        message.contains("2 holds another sweep: [node.plan] bone.edge_mm: the first 5.0, this one 4.0; its hash is "),
+        message.contains("2 holds another sweep: [node.plan] bone.edge_mm: it 4.0, the other 5.0; its hash is "),
         "{message}"
     );
     let json = fs::read_to_string(desk.path("study.parts/2/sweep.json")).unwrap();
@@ -174,11 +174,11 @@ fn a_missing_shard_and_one_of_another_graph_are_named_by_the_merge() {
     about["program_sha256"] = "0".into();
     fs::write(desk.path("study.parts/2/sweep.json"), about.to_string()).unwrap();
     let message = merge("build");
-    assert!(message.contains("program, sha256: the first ") && message.contains(", this one 0;"), "{message}");
+    assert!(message.contains("program, sha256: it 0, the other "), "{message}");
     about["engine_version"] = "0.0.9".into();
     fs::write(desk.path("study.parts/2/sweep.json"), about.to_string()).unwrap();
     let message = merge("version");
-    assert!(message.contains("program, version: the first 0.2.0, this one 0.0.9;"), "{message}");
+    assert!(message.contains("program, version: it 0.0.9, the other 0.2.0;"), "{message}");
 }
 
 #[test]

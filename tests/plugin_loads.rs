@@ -71,7 +71,7 @@ fn a_sweep_is_not_continued_nor_merged_with_another_module_beside_the_plugin() {
     // A changed line of the graph is named, too.
     folder.write("g.toml", &GRAPH.replace("name = \"imports\"", "name = \"imports\"\nseed = 7"));
     let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
-    assert!(code == Some(2) && text.contains("[graph] seed: the first 7, this one 0"), "{code:?} {text}");
+    assert!(code == Some(2) && text.contains("[graph] seed: it 0, the other 7"), "{code:?} {text}");
 }
 
 #[test]

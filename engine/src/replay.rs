@@ -20,7 +20,7 @@ use crate::{
     hash::Digest,
     options::RunOptions,
     partial::{self, Failing, NodeMode, Pace, Player},
-    plan::{OutputId, Plan, PlanPlugin, Sources},
+    plan::{OutputId, Plan, Sources},
     plugin::{self, Kinds},
     provenance::Provenance,
     recording::{Recording, RecordingError},
@@ -366,12 +366,14 @@ pub(crate) fn replay_plan(
     differences.iter().for_each(|difference| tracing::warn!("{difference}"));
     let report = run::run_with(&reduced, registry, &options, observer, replayed, Some(&compare))?;
 
-    // Of a plugin, some of whose nodes are played, nobody knows what their firings would have loaded.
-    let fires = |plugin: &PlanPlugin| {
-        let mut of_plugin = reduced.nodes.iter().enumerate().filter(|(_, node)| plugin.kinds.contains(&node.kind));
-        of_plugin.all(|(index, _)| is_computed(index))
-    };
-    let plugins: Vec<_> = plugin::with_late_loads(&plan.plugins).into_iter().filter(fires).collect();
+    let mut plugins = plugin::with_late_loads(&plan.plugins);
+    for (_, node) in reduced.nodes.iter().enumerate().filter(|(index, _)| !is_computed(*index)) {
+        // What nodes that are played would have loaded is taken for what they had.
+        for plugin in plugins.iter_mut().filter(|plugin| plugin.kinds.contains(&node.kind)) {
+            let then = recording.provenance.plugins.iter().find(|then| then.name == plugin.name);
+            then.map(|then| plugin.loads.add(&then.loads));
+        }
+    }
     let now = Provenance::of(&json!({ "plugins": plugins }));
     let late_differences = recording.provenance.late_differences(&now, NAMES);
 

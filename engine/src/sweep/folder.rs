@@ -584,13 +584,13 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     Ok(folder)
 }
 
-/// Names of a sweep and of another folder of it in what differs between them.
-const NAMES: [&str; 2] = ["the first", "this one"];
+/// Names of the sweep in a folder and of the one that it is compared with.
+const NAMES: [&str; 2] = ["it", "the other"];
 
 /// In what else the runs of `folder` may have been made otherwise than by this description: program, machine, and what firings loaded
 /// and opened. The sweep is the same.
 pub(super) fn made_otherwise(about: &Json, folder: &Folder) -> Vec<String> {
-    let [ours, other] = [about, &folder.about].map(Provenance::of);
+    let [ours, other] = [&folder.about, about].map(Provenance::of);
     [ours.program_differences(&other, NAMES), ours.late_differences(&other, NAMES)].concat()
 }
 
@@ -601,16 +601,15 @@ pub(super) fn made_otherwise(about: &Json, folder: &Folder) -> Vec<String> {
 pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<Option<String>, FolderError> {
     let hash = |about: &Json| about["hash"].as_str().unwrap_or("unknown").to_owned();
     let (hash, other_hash) = (hash(about), hash(&folder.about));
-    let [ours, other] = [about, &folder.about].map(Provenance::of);
+    let [ours, other] = [&folder.about, about].map(Provenance::of);
     let mut differences = Vec::new();
     if hash != other_hash || hash == "unknown" {
         differences.extend(ours.program_differences(&other, NAMES));
         differences.extend(ours.input_differences(&other, NAMES));
-        let (ours, other) = (graph, folder.graph()?);
-        differences.extend(difference::in_words(ours, &other, NAMES).next());
+        differences.extend(difference::in_words(&folder.graph()?, graph, NAMES).next());
         if about["sweep"] != folder.about["sweep"] {
             let of = |about: &Json| serde_json::from_value(about["sweep"].clone()).ok().map(|spec| lines(&spec));
-            let [ours, other] = [about, &folder.about].map(|about| of(about).unwrap_or_default());
+            let [ours, other] = [&folder.about, about].map(|about| of(about).unwrap_or_default());
             let [(first, ours), (second, other)] = [(NAMES[0], lacks(&ours, &other)), (NAMES[1], lacks(&other, &ours))];
             differences.push(format!("its table [sweep] differs: {first} {ours}, {second} {other}"));
         }
