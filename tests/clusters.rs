@@ -165,17 +165,20 @@ fn a_missing_shard_and_one_of_another_graph_are_named_by_the_merge() {
     fs::write(desk.path("study.toml"), STUDY.replace("5.0", "4.0")).unwrap();
     desk.ran("bash sweep.sbatch study.toml study", Some(2));
     let message = merge("other");
-    assert!(message.contains("2 holds another sweep: its graph has `bone.edge_mm = 4.0` in [node.plan], the other `bone.edge_mm = 5.0`; its hash is "), "{message}");
+    assert!(
+        message.contains("2 holds another sweep: [node.plan] bone.edge_mm: it 4.0, the other 5.0; its hash is "),
+        "{message}"
+    );
     let json = fs::read_to_string(desk.path("study.parts/2/sweep.json")).unwrap();
     let mut about: serde_json::Value = serde_json::from_str(&json).unwrap();
     about["program_sha256"] = "0".into();
     fs::write(desk.path("study.parts/2/sweep.json"), about.to_string()).unwrap();
     let message = merge("build");
-    assert!(message.contains("it is of another build of version 0.2.0 of the program"), "{message}");
+    assert!(message.contains("program, sha256: it 0, the other "), "{message}");
     about["engine_version"] = "0.0.9".into();
     fs::write(desk.path("study.parts/2/sweep.json"), about.to_string()).unwrap();
     let message = merge("version");
-    assert!(message.contains("it is of version 0.0.9 of the program, the first of 0.2.0"), "{message}");
+    assert!(message.contains("program, version: it 0.0.9, the other 0.2.0;"), "{message}");
 }
 
 #[test]

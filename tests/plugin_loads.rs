@@ -69,9 +69,9 @@ fn a_sweep_is_not_continued_nor_merged_with_another_module_beside_the_plugin() {
     folder.ends_well(&["sweep", "g.toml", "--out", "s", "--resume"]);
     assert_eq!(results.numbers("s"), ["1.0"; 4]);
     // A changed line of the graph is named, too.
-    folder.write("g.toml", &GRAPH.replace("name = \"imports\"", "name = \"other\""));
+    folder.write("g.toml", &GRAPH.replace("name = \"imports\"", "name = \"imports\"\nseed = 7"));
     let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
-    assert!(code == Some(2) && text.contains("`name = \"imports\"` in [graph]"), "{code:?} {text}");
+    assert!(code == Some(2) && text.contains("[graph] seed: it 0, the other 7"), "{code:?} {text}");
 }
 
 #[test]
@@ -89,6 +89,56 @@ fn a_module_that_only_a_firing_imports_is_named_and_held_to() {
     let (code, text) = folder.says(&["sweep", "g.toml", "--out", "s", "--resume"]);
     assert!(code != Some(0) && text.contains("helper.py) differs"), "{code:?} {text}");
     assert!(!folder.path("s/runs/000003.json").exists());
+}
+
+/// Runs both parts of a sweep and a run, with a change before the second part; what merging, replaying and comparing say.
+fn said_of_a_change(folder: &Folder, change: impl Fn()) -> [String; 3] {
+    folder.ends_well(&["sweep", "g.toml", "--shard", "1/2", "--out", "p1"]);
+    folder.ends_well(&["run", "g.toml", "--out", "r1"]);
+    change();
+    folder.ends_well(&["sweep", "g.toml", "--shard", "2/2", "--out", "p2"]);
+    folder.ends_well(&["run", "g.toml", "--out", "r2"]);
+    let says = |arguments: &[&str]| folder.says(arguments).1;
+    [says(&["sweep", "--merge", "p1", "p2", "--out", "m"]), says(&["replay", "r1"]), says(&["compare", "r1", "r2"])]
+}
+
+#[test]
+fn what_a_plugin_loads_or_opens_in_addition_is_named_by_merge_replay_and_compare() {
+    let here = "import os, sys\nHERE = os.path.dirname(os.path.abspath(__file__))\n";
+    let at_import = |code: &str| format!("{here}{}", HELPED.replace("import helper\n", code));
+    let firing = |code: &str| {
+        let node = HELPED.replace("import helper\n", "").replace("    return R", &format!("    {code}\n    return R"));
+        format!("{here}{}", node.replace("helper.SCALE", "scale"))
+    };
+    let backend = "class helper:\n    SCALE = 1.0\ntry:\n    import fast as helper\nexcept ImportError:\n    pass\n";
+    let run_text = "exec(open(HERE + '/text.txt').read())\n";
+    let scale = "scale = float(open(HERE + '/scale.txt').read())";
+    let late = "scale = 1.0\n    try:\n        from fast import SCALE as scale\n    except ImportError:\n        pass";
+    let text = |number: &str| format!("class helper:\n    SCALE = {number}\n");
+    let cases = [
+        ("a backend", at_import(backend), "fast.py", None, "SCALE = 2.0\n".into(), "alone loads fast ("),
+        ("a text that is run", at_import(run_text), "text.txt", Some(text("1.0")), text("2.0"), "text.txt) differs"),
+        ("data", firing(scale), "scale.txt", Some("1.0".into()), "2.0".into(), "scale.txt), which it opens, differs"),
+        ("a backend of a firing", firing(late), "fast.py", None, "SCALE = 2.0\n".into(), "alone loads fast ("),
+    ];
+    for (name, plugin, file, before, after, expected) in cases {
+        let Some(folder) = Folder::new(name, &[("st.py", &plugin), ("g.toml", GRAPH)]) else { return };
+        before.iter().for_each(|text| folder.write(file, text));
+        let [merge, replay, compare] = said_of_a_change(&folder, || folder.write(file, &after));
+        assert!(merge.contains(expected) && compare.contains(expected), "{name}: {merge}\n{compare}");
+        let changed = format!("{file} has changed since");
+        assert!(replay.contains(expected) || replay.contains(&changed), "{name}: {replay}");
+    }
+}
+
+#[test]
+fn nothing_is_named_of_two_parts_that_load_the_same() {
+    let files = [("st.py", HELPED), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.0\n")];
+    let Some(folder) = Folder::new("two equal parts", &files) else { return };
+    let [merge, replay, compare] = said_of_a_change(&folder, || folder.write("other.txt", "nobody reads this"));
+    for said in [merge, replay, compare] {
+        assert!(!said.contains("plugin st") && !said.contains("otherwise:") && !said.contains("differs"), "{said}");
+    }
 }
 
 #[test]

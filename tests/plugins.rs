@@ -152,8 +152,9 @@ fn a_manifest_lists_the_libraries_and_a_replay_reports_changed_ones() {
     let named = ["replay", "--quiet", recording.to_str().unwrap(), "--plugin", library.to_str().unwrap()];
     let (code, out, err) = folder.says(folder.command(&named).current_dir("/"));
     assert_eq!(code, 4, "{out}{err}");
-    let said = format!("plugin toy 1.2.3 was another library: sha256 {first}, here is 1.2.3 {other} (DIR/");
-    assert!(err.contains(&said), "{err}");
+    let shown = |sha256: &str| format!("libtoy{DLL_SUFFIX} (sha256 {sha256})");
+    assert!(err.contains("plugin toy: the recording DIR/") && err.contains(&shown(&first)), "{err}");
+    assert!(err.contains(&format!("{}\n", shown(&other))), "{err}");
     assert!(out.contains("first divergence: wire add.sum, item 0"), "{out}");
     // The library is missing.
     fs::remove_file(&library).unwrap();
@@ -185,7 +186,7 @@ fn repro_repeats_a_failed_item_of_a_plugin() {
     assert!(code == 2 && err.contains("its SHA-256 is"), "{err}");
     let (code, out, err) = folder.says(&mut folder.command(&["repro", "out/repro/add-0", "--plugin", &library]));
     assert_eq!(code, 4, "{out}{err}");
-    assert!(err.contains("plugin toy 1.2.3 was another library"), "{err}");
+    assert!(err.contains("plugin toy: the bundle DIR/"), "{err}");
     // It has moved into a folder of plugins, where another of its name is not taken for it.
     fs::remove_file(folder.path(&library)).unwrap();
     for (folder_name, add, expected) in [("moved", "1", 0), ("other", "3", 2)] {

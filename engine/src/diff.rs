@@ -5,21 +5,22 @@
 //! run, do not matter.
 
 mod compare;
-mod index;
 mod numbers;
 mod order;
-mod provenance;
 
 pub use compare::{Difference, Largest};
-pub use provenance::Provenance;
 
 use crate::{
     graph::difference,
     names::glob,
-    recording::{RecordingError, codec, format::Outcome},
+    provenance::Provenance,
+    recording::{
+        RecordingError, codec,
+        format::Outcome,
+        index::{Index, IndexEntry, Indexed},
+    },
 };
 use compare::{Compare, ItemDifference, Units};
-use index::{Index, IndexEntry, Indexed};
 use osteoflow_container::Progress;
 use serde::Serialize;
 use std::{cmp::Ordering, collections::BTreeSet, path::Path};
@@ -141,9 +142,9 @@ pub(crate) fn first_difference(a: &[u8], b: &[u8], units: &[(&str, &str)]) -> Op
 /// [`RecordingError`] if a recording cannot be read, has no exact channel, or has a number twice.
 pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -> Result<DiffReport, RecordingError> {
     let n_b = std::fs::metadata(b).map_or(0, |m| m.len());
-    let mut a = Index::of(a, &mut |at, of| progress(at, of + n_b))?;
+    let mut a = Index::of(a, &mut |at, of| progress(at, of + n_b))?.without_doubles()?;
     let n_a = a.n_bytes();
-    let mut b = Index::of(b, &mut |at, of| progress(n_a + at, n_a + of))?;
+    let mut b = Index::of(b, &mut |at, of| progress(n_a + at, n_a + of))?.without_doubles()?;
     let wires = compared(&a, &b, options);
     let mut diffs: Vec<WireDiff> = wires.iter().map(|wire| missing(wire, &a, &b)).collect();
     let mut pairs = Vec::new();
@@ -164,8 +165,15 @@ pub fn diff(a: &Path, b: &Path, options: &DiffOptions, progress: Progress<'_>) -
         Some(Divergence { wire: diff.wire.clone(), item, what })
     });
     let both = |get: fn(&Index) -> Option<String>| Some((get(&a)?, get(&b)?));
-    let mut made = provenance::graph_differences(&a, &b);
-    made.extend(Provenance::of_recording(&a).differences(&Provenance::of_recording(&b), ["A", "B"]));
+    let mut made = match (&a.run, &b.run) {
+        (Some(of_a), Some(of_b)) => {
+            let name = (of_a.name != of_b.name).then(|| format!("graph: A {}, B {}", of_a.name, of_b.name));
+            name.into_iter().chain(difference::in_words(&of_a.graph, &of_b.graph, ["A", "B"])).collect()
+        }
+        _ => Vec::new(),
+    };
+    let [of_a, of_b] = [&a, &b].map(|index| Provenance::of_recording(&index.metadata).unwrap_or_default());
+    made.extend(of_a.differences(&of_b, ["A", "B"]));
     Ok(DiffReport {
         same_graph: both(|i| Some(i.run.as_ref()?.graph.clone())).map(|(a, b)| a == b),
         same_results: both(|i| Some(i.metadata.sound::<Outcome>()?.results.to_string())).map(|(a, b)| a == b),
@@ -183,7 +191,7 @@ fn side(index: &Index) -> Side {
         graph: run.map(|run| run.name.clone()),
         seed: run.map(|run| run.seed),
         version: run.map(|run| run.version.clone()),
-        incomplete: index.incomplete.clone(),
+        incomplete: index.incomplete(),
     }
 }
 

@@ -5,6 +5,7 @@ pub(crate) mod container;
 pub mod digest;
 pub(crate) mod findings;
 pub mod format;
+pub(crate) mod index;
 pub(crate) mod number_set;
 mod read;
 pub(crate) mod scan;

@@ -22,6 +22,7 @@ use crate::{
     partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
     plugin::{self, Kinds},
+    provenance::Provenance,
     recording::{Recording, RecordingError},
     run::{self, NOTHING_CAME, RunError, RunReport, Verdict},
     runtime::{Observer, Replayed, Sign, Substitutes},
@@ -32,6 +33,7 @@ pub use map::Mapping;
 use osteoflow_node::{Body, ClockReading, Item, Registry, Role, StampNs};
 use range::{is_constant, play_what_does_not_change};
 use serde::Deserialize;
+use serde_json::json;
 use std::{
     borrow::Cow,
     collections::{BTreeMap, BTreeSet},
@@ -155,8 +157,10 @@ pub struct ReplayReport {
     pub computed_too: Vec<String>,
     /// Sources of another graph that no recorded wire plays, so that they were run.
     pub own_sources: Vec<String>,
-    /// How the libraries of plugins differ from those of the run.
+    /// How program, machine and plugins differ from those of the run, as said before this one began.
     pub differences: Vec<String>,
+    /// How what firings loaded and opened differs.
+    pub late_differences: Vec<String>,
     /// Warnings about the graph.
     pub warnings: Vec<Fault>,
 }
@@ -251,10 +255,10 @@ pub fn replay(
     let kinds = match changes.graph {
         // The user names this graph.
         Some(_) => kinds,
-        None => kinds.recorded_by(&recording.plugins),
+        None => kinds.recorded_by(&recording.provenance.plugins),
     };
-    let kinds = kinds.over(recording.registry(kinds.registry())).with_moved(&recording.plugins);
-    let (plugins, texts) = (&recording.plugins, &recording.plugin_texts);
+    let kinds = kinds.over(recording.registry(kinds.registry())).with_moved(&recording.provenance.plugins);
+    let Provenance { plugins, texts, .. } = &recording.provenance;
     // Holds the files for as long as the run.
     let (kinds, _folder) = match changes.allows_plugins {
         true if plugin::carried(plugins, texts).next().is_none() => {
@@ -358,15 +362,20 @@ pub(crate) fn replay_plan(
         // A paced player occupies a worker while it waits.
         options.workers += replayed.substitutes.len();
     }
+    let differences = made_otherwise(plan, recording, changes, &options);
+    differences.iter().for_each(|difference| tracing::warn!("{difference}"));
     let report = run::run_with(&reduced, registry, &options, observer, replayed, Some(&compare))?;
 
-    // A node may have loaded more while it fired.
-    let plugins = plugin::with_late_loads(&plan.plugins);
-    let differences = recording.plugins.iter().filter_map(|then| {
-        let now = plugins.iter().find(|now| now.name == then.name)?;
-        then.difference(now)
-    });
-    let differences = differences.collect();
+    let mut plugins = plugin::with_late_loads(&plan.plugins);
+    for (_, node) in reduced.nodes.iter().enumerate().filter(|(index, _)| !is_computed(*index)) {
+        // What nodes that are played would have loaded is taken for what they had.
+        for plugin in plugins.iter_mut().filter(|plugin| plugin.kinds.contains(&node.kind)) {
+            let then = recording.provenance.plugins.iter().find(|then| then.name == plugin.name);
+            then.map(|then| plugin.loads.add(&then.loads));
+        }
+    }
+    let now = Provenance::of(&json!({ "plugins": plugins }));
+    let late_differences = recording.provenance.late_differences(&now, NAMES);
 
     // Part of a recording gives other results than the whole.
     let partial = recording.interrupted || recording.truncated.is_some();
@@ -385,8 +394,27 @@ pub(crate) fn replay_plan(
         computed_too,
         own_sources,
         differences,
+        late_differences,
         warnings: Vec::new(),
     })
+}
+
+/// Names of recording and replay in what differs between them.
+const NAMES: [&str; 2] = ["the recording", "this replay"];
+
+/// How program, machine and plugins differ from those of the recording, and the files that its firings opened.
+fn made_otherwise(plan: &Plan, recording: &Recording, changes: &ReplayOptions, options: &RunOptions) -> Vec<String> {
+    let then = &recording.provenance;
+    let version = env!("CARGO_PKG_VERSION");
+    let now = json!({ "command": options.command, "engine_version": version, "plugins": plan.plugins });
+    let now = Provenance::of(&now);
+    let mut differences = then.program_differences(&now, NAMES);
+    // Another graph may use others.
+    if changes.graph.is_none() {
+        differences.extend(then.plugin_differences(&now, NAMES));
+        differences.extend(then.changed_files());
+    }
+    differences
 }
 
 /// The recorded signs of nodes that are played. To whom nothing came is judged anew.
@@ -476,10 +504,10 @@ fn inputs_are_the_same(plan: &Plan, recording: &Recording) -> Result<(), ReplayE
     for input in crate::hash::files::hashes(&plan.input_files) {
         let text = |key: &str| input[key].as_str().unwrap_or_default().to_owned();
         let (path, hash) = (text("path"), text("sha256"));
-        let expected = match recording.inputs.get(&path) {
+        let expected = match recording.provenance.inputs.get(&path) {
             Some(expected) => expected.clone(),
             // The file has moved: any file with that hash is accepted.
-            None if recording.inputs.values().any(|expected| *expected == hash) => continue,
+            None if recording.provenance.inputs.values().any(|expected| *expected == hash) => continue,
             None => "of one of the recorded files".into(),
         };
         if expected != hash {

@@ -160,12 +160,14 @@ pub fn repro(
         let (here, there) = (scratch.path().display().to_string(), bundle.out_dir.display().to_string());
         failed.reason = failed.reason.replace(&here, &there);
     }
-    let mut differences = bundle.program.differences(&program);
-    if let (Some(then), Some(now)) = (&node.plugin, known.of_kind(&node.kind).filter(|_| !is_exchanged)) {
+    let then = node.plugin.as_ref().filter(|_| !is_exchanged);
+    let now = then.zip(known.of_kind(&node.kind)).map(|(then, now)| {
         let mut now = now.in_plan(Vec::new());
         now.loads.add_variables_of(&then.loads);
-        differences.extend(then.difference(&now));
-    }
+        now
+    });
+    let (then, now) = (bundle.program.provenance(then), program.provenance(now.as_ref()));
+    let differences = then.differences(&now, ["the bundle", "this program"]);
     let same_program = bundle.program.sha256 == program.sha256 && program.sha256.is_some();
     let at_call = node.role == Role::Node || n_calls == bundle.item;
     let same = at_call && failed.as_ref().is_some_and(|failed| failed.is(&bundle.failure, same_program));

@@ -29,8 +29,7 @@ mod tests;
 pub use entry::StoreEntry;
 pub use key::{Key, KeyBuilder};
 pub(crate) use payload::{decode, message, payload_of};
-pub use program::cpu_features;
-pub(crate) use program::note_program;
+pub use program::{cpu_features, libraries};
 pub use settings::{Settings, SettingsError};
 
 use crate::hash::Digest;

@@ -37,6 +37,7 @@ use crate::{
     options::RunOptions,
     plan::{Plan, PlanPlugin},
     plugin::with_late_loads,
+    provenance::Provenance,
     watch::Stamps,
 };
 use osteoflow_node::Registry;
@@ -212,6 +213,12 @@ impl Sweep {
         let about = if is_smaller { self.about_repeats(n_repeats) } else { self.about(None, &Json::Null) };
         if let Some(what) = difference(&about, &self.plan.resolved, &folder)? {
             return Err(FolderError::Other { path, what });
+        }
+        let then = Provenance::of(&folder.about);
+        let now = Provenance::of(&self.about(None, &options.run.command));
+        let program = then.program_differences(&now, ["its runs", "this program"]);
+        for what in program.into_iter().chain(then.changed_files()) {
+            tracing::warn!("{path} is made otherwise from here on: {what}");
         }
         if is_smaller {
             self.grow(&mut folder, n_repeats, &options.run.command)?;

@@ -64,6 +64,7 @@ pub(crate) fn about_command() -> serde_json::Value {
         "os": std::env::consts::OS,
         "architecture": std::env::consts::ARCH,
         "cpu_features": store::cpu_features().into_iter().filter(|name| CPU_FEATURES.contains(name)).collect::<Vec<_>>(),
+        "libraries": store::libraries(),
         "cpus": n_workers(None),
     })
 }

@@ -140,7 +140,9 @@ fn print_text(report: &ReplayReport, exit: Exit, global: &Global) -> Result<()> 
     if let Some(reason) = &report.truncated {
         global.say("warning", format!("the recording ends early ({reason}); everything before is compared"))?;
     }
-    for difference in report.unsound.iter().chain(&report.differences) {
+    // The log says these before the run, unless it is quiet.
+    let before = report.differences.iter().filter(|_| global.quiet);
+    for difference in report.unsound.iter().chain(before).chain(&report.late_differences) {
         global.say("warning", difference)?;
     }
     if let Some(reason) = &report.not_compared {
@@ -258,7 +260,7 @@ fn as_json(report: &ReplayReport, exit: Exit) -> Value {
         "unsound": report.unsound,
         "computed_too": report.computed_too,
         "own_sources": report.own_sources,
-        "differences": report.differences,
+        "differences": (report.differences.iter().chain(&report.late_differences).collect::<Vec<_>>()),
         "wires": wires.collect::<Value>(),
         "results": report.run.results,
     })

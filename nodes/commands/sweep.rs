@@ -72,6 +72,12 @@ impl Sweep {
         let mut request = self.request.clone();
         if let (None, Some(out)) = (&request.graph, &request.out) {
             let folder = merge(&self.merge, out)?;
+            for part in folder.about["merged"].as_array().into_iter().flatten() {
+                let (dir, otherwise) = (part["dir"].as_str().unwrap_or_default(), part["otherwise"].as_array());
+                for what in otherwise.into_iter().flatten().filter_map(Value::as_str) {
+                    global.say("warning", format!("the runs of {dir} were made otherwise: {what}"))?;
+                }
+            }
             let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
             return print_end(&folder, &swept, Duration::ZERO, global);
         }

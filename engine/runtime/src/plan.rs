@@ -71,22 +71,6 @@ pub struct PlanPlugin {
     pub loads: Loads,
 }
 
-impl PlanPlugin {
-    /// Describes how the library `now`, or what it loads, differs; `None` if it is the same.
-    pub fn difference(&self, now: &Self) -> Option<String> {
-        let (was, is) = (&self.sha256, &now.sha256);
-        let (name, then, path) = (&self.name, &self.version, now.path.display());
-        if was != is {
-            let now = &now.version;
-            return Some(format!(
-                "plugin {name} {then} was another library: sha256 {was}, here is {now} {is} ({path})"
-            ));
-        }
-        let differences = self.loads.differences(&now.loads);
-        (!differences.is_empty()).then(|| format!("plugin {name} loads something else: {}", differences.join(", ")))
-    }
-}
-
 fn as_text<S: Serializer>(path: &std::path::Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
 }

@@ -1,5 +1,6 @@
 //! The entries in which two graphs differ.
 
+use crate::names::shortened;
 use std::collections::BTreeSet;
 use toml::{Table, Value};
 
@@ -20,6 +21,23 @@ pub(crate) fn differences(a: &str, b: &str) -> Vec<EntryDifference> {
     let mut differences = Vec::new();
     compare(&mut Vec::new(), Some(&Value::Table(a)), Some(&Value::Table(b)), &mut differences);
     differences
+}
+
+/// Longest value of an entry, in characters.
+const MAX_CHARACTERS: usize = 80;
+
+/// The differences of two graphs in words, in which `names` are theirs. A graph names the folder of its plugins, which are compared by
+/// themselves, and its own name is no setting.
+pub(crate) fn in_words(a: &str, b: &str, [first, second]: [&str; 2]) -> impl Iterator<Item = String> {
+    let differences = differences(a, b).into_iter();
+    let differences =
+        differences.filter(|entry| entry.table != "[plugins]" && (&*entry.table, &*entry.key) != ("[graph]", "name"));
+    let shown = |value: Option<String>| value.map_or_else(|| "none".into(), |value| shortened(&value, MAX_CHARACTERS));
+    differences.map(move |entry| match (entry.key.as_str(), entry.values) {
+        ("", [Some(_), None]) => format!("{}: only in {first}", entry.table),
+        ("", [None, Some(_)]) => format!("{}: only in {second}", entry.table),
+        (key, [a, b]) => format!("{} {key}: {first} {}, {second} {}", entry.table, shown(a), shown(b)),
+    })
 }
 
 /// The lines in which two graphs differ, where one has a number that TOML cannot hold: parameters may be greater than its integers.

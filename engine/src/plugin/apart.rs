@@ -238,7 +238,7 @@ impl Worker {
     /// Compares what the process has loaded with what was loaded when the plugin was looked at, and by other processes since.
     fn take_loads(&mut self, loads: Option<Loads>) {
         let (Some(loads), Some((path, known))) = (loads, &mut self.plugin) else { return };
-        let mut differences = known.differences(&loads);
+        let mut differences = known.changed(&loads);
         if known.add(&loads) {
             differences.extend(late::add(path, &loads));
         }

@@ -132,10 +132,23 @@ struct Look {
 }
 
 impl Look {
-    /// The stamps of the files beside the plugin's own; `None` for one that is not there.
+    /// The stamps of the files beside the plugin's own, and the modules of folders; `None` for one that is not there.
     fn stamps(description: &PluginDescription) -> Vec<Option<String>> {
+        let is_module = |path: &Path| match path.extension() {
+            Some(ending) => ["py", "so", "pyd", "pth", "zip", "egg"].iter().any(|other| ending == *other),
+            None => path.join("__init__.py").is_file(),
+        };
+        let modules = |folder: &Path| -> Option<String> {
+            let entries = fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
+            let names: BTreeSet<_> = entries.filter(|path| is_module(path)).collect();
+            Some(Digest::of(format!("{names:?}").as_bytes()).to_string())
+        };
         let files = description.loads.files.iter().map(|file| &file.path).chain(&description.watched);
-        files.map(|file| Some(stamp(&fs::metadata(file).ok()?))).collect()
+        let stamp_of = |file: &PathBuf| match fs::metadata(file).ok()? {
+            about if about.is_dir() => modules(file),
+            about => Some(stamp(&about)),
+        };
+        files.map(stamp_of).collect()
     }
 
     fn is_current(&self) -> bool {
@@ -464,6 +477,10 @@ impl Finder {
             format!("{program} {:?} {:?}", scripts.interpreter.environment, THREAD_LIMITS.map(limit))
         });
         let key = key.text("interpreter", &interpreter.unwrap_or_default());
+        // What the dynamic linker and the interpreter read decides what is loaded.
+        let is_read = |name: &str| ["LD_", "DYLD_", "PYTHON"].iter().any(|start| name.starts_with(start));
+        let variables: BTreeSet<_> = std::env::vars_os().filter(|(name, _)| is_read(&name.to_string_lossy())).collect();
+        let key = key.text("variables", &format!("{variables:?}"));
         Some(key.number("abi", u64::from(abi::MAJOR) << 32 | u64::from(abi::MINOR)).done())
     }
 

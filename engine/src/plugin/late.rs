@@ -16,15 +16,16 @@ pub(super) fn add(plugin: &std::path::Path, loads: &Loads) -> Vec<String> {
     let mut late = LATE.lock().unwrap_or_else(PoisonError::into_inner);
     let late = late.entry(plugin.into()).or_default();
     late.add(loads);
-    late.differences(loads)
+    late.changed(loads)
 }
 
 /// How what plugins have loaded meanwhile in this process differs from what they had loaded before.
 pub(crate) fn late_difference(plugins: &[PlanPlugin]) -> Option<String> {
     let late = LATE.lock().unwrap_or_else(PoisonError::into_inner);
-    plugins
-        .iter()
-        .find_map(|plugin| plugin.difference(&PlanPlugin { loads: late.get(&plugin.path)?.clone(), ..plugin.clone() }))
+    plugins.iter().find_map(|plugin| {
+        let changed = plugin.loads.changed(late.get(&plugin.path)?);
+        (!changed.is_empty()).then(|| format!("plugin {} loads something else: {}", plugin.name, changed.join(", ")))
+    })
 }
 
 /// The plugins, with what their nodes have loaded meanwhile in this process.

@@ -5,7 +5,6 @@ use crate::{
     durable::TemporaryFolder,
     hash::{Digest, files::sha256, mapped::mapped},
     plan::{LoadedFile, Loads},
-    store,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -33,8 +32,6 @@ struct Loaded {
 /// library again only from another path. A library that searches for others in its own folder is loaded from its own
 /// path.
 pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
-    // Libraries loaded from here on belong to plugins, not to the program.
-    store::note_program();
     let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(library) = loaded.libraries.get(&plugin.sha256) {
         return Ok(library);

@@ -4,13 +4,13 @@ use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
     format::{
-        self, Drops, Entries, FORMAT_VERSION, INPUT_HASHES, Live, MetadataRecord, MetadataRecords, Outcome,
-        RecordedFailure, Recovered, RunRecord, WireCounts,
+        Drops, Entries, FORMAT_VERSION, Live, MetadataRecord, MetadataRecords, Outcome, RecordedFailure, Recovered,
+        RunRecord, WireCounts,
     },
     scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
-use crate::plan::PlanPlugin;
+use crate::provenance::Provenance;
 use osteoflow_container::{ReadError, TooLarge};
 use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
 use std::{
@@ -48,12 +48,8 @@ pub struct Recording {
     /// What is not sound of a file whose items are all there, such as changed bytes outside of chunks: results, graph or
     /// hashes may not be those of the run.
     pub unsound: Option<String>,
-    /// The SHA-256 of each input file, by its path, or why there is none.
-    pub inputs: BTreeMap<String, String>,
-    /// The plugins of the graph, with the SHA-256 of their libraries.
-    pub plugins: Vec<PlanPlugin>,
-    /// The text of plugins and of their modules, by SHA-256.
-    pub(crate) plugin_texts: BTreeMap<String, String>,
+    /// What made it.
+    pub(crate) provenance: Provenance,
     /// Numbers of the items that policies dropped, by wire and input.
     pub drops: BTreeMap<(String, String), BTreeSet<u64>>,
     /// Clock readings of firings, by node and number of the firing.
@@ -181,9 +177,7 @@ impl Recording {
             .or_else(|| recovered.is_some().then(|| "it was recovered from a damaged file".into()))
             .or_else(|| (!metadata.has::<WireCounts>()).then(|| "the run did not finish it".into()));
         let limits = recovered.map(|recovered| recovered.before_damage);
-        let (plugins, plugin_texts) =
-            format::plugins(metadata).map_err(|error| RecordingError::foreign(path, error))?;
-        let inputs = metadata.entries(INPUT_HASHES).cloned().unwrap_or_default();
+        let provenance = Provenance::of_recording(metadata).map_err(|error| RecordingError::foreign(path, error))?;
         let (mut wires, mut types) = (BTreeMap::new(), RecordedTypes::default());
         for (name, gathered) in reading.wires {
             types.add(&gathered.about);
@@ -201,9 +195,7 @@ impl Recording {
             truncated,
             unsound,
             wires,
-            inputs,
-            plugins,
-            plugin_texts,
+            provenance,
             drops: reading.drops,
             readings: reading.readings,
             failures: outcome.map(|outcome| outcome.failures).unwrap_or_default(),

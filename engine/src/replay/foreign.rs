@@ -171,6 +171,7 @@ pub(super) fn replay(
         computed_too: Vec::new(),
         own_sources: own_sources(&plan, &reader.kind),
         differences: Vec::new(),
+        late_differences: Vec::new(),
         warnings: first.warnings,
         run: report,
     })

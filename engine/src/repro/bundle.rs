@@ -1,9 +1,9 @@
 //! `repro.json`: description of a failed firing.
 
-use crate::{plan::PlanPlugin, recording::RecordingError, runtime::Injected};
+use crate::{plan::PlanPlugin, provenance::Provenance, recording::RecordingError, runtime::Injected};
 use osteoflow_node::{Role, StampNs};
 use serde::{Deserialize, Serialize};
-use serde_json::Value as Json;
+use serde_json::{Value as Json, json};
 use std::{
     collections::BTreeSet,
     path::{Path, PathBuf},
@@ -157,21 +157,14 @@ impl Program {
         Self { engine_version: env!("CARGO_PKG_VERSION").into(), sha256, command }
     }
 
-    /// Differences of `now`, formatted.
-    pub(super) fn differences(&self, now: &Self) -> Vec<String> {
-        let mut out = Vec::new();
-        if self.engine_version != now.engine_version {
-            out.push(format!("it failed in version {}, this is version {}", self.engine_version, now.engine_version));
-        } else if self.sha256 != now.sha256 {
-            out.push("it failed in another build of this version".into());
-        }
-        for (key, what) in [("architecture", "on"), ("cpu_features", "with the CPU features")] {
-            let (was, is) = (&self.command[key], &now.command[key]);
-            if was != is && !was.is_null() && !is.is_null() {
-                out.push(format!("it failed {what} {was}, here is {is}"));
-            }
-        }
-        out
+    /// What made the failure: this program, and the node's plugin.
+    pub(super) fn provenance(&self, plugin: Option<&PlanPlugin>) -> Provenance {
+        Provenance::of(&json!({
+            "engine_version": self.engine_version,
+            "program_sha256": self.sha256,
+            "command": self.command,
+            "plugins": plugin.into_iter().collect::<Vec<_>>(),
+        }))
     }
 }
 

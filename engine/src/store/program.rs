@@ -6,7 +6,12 @@
 
 use super::{Key, Store};
 use crate::hash::{Digest, file_stamp::stamp, files::sha256, mapped::mapped, program};
-use std::{fs::File, io, path::PathBuf, sync::OnceLock, time::SystemTime};
+use std::{
+    fs::File,
+    io,
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
 
 pub(super) fn digest(store: &Store) -> Option<Digest> {
     // Program and processor do not change while the process runs.
@@ -14,7 +19,7 @@ pub(super) fn digest(store: &Store) -> Option<Digest> {
     *DIGEST.get_or_init(|| match own_file(store) {
         Ok(own) => {
             let mut all = Key::of("program").digest("file", own).text("machine", &machine());
-            for library in LIBRARIES.get_or_init(libraries) {
+            for library in libraries() {
                 all = all.text("library", library);
             }
             Some(all.done().digest())
@@ -40,23 +45,22 @@ fn own_file(store: &Store) -> io::Result<Digest> {
     Ok(digest)
 }
 
-/// The libraries mapped as code besides the program's own file, each with its size and time; on Linux only.
-fn libraries() -> Vec<String> {
-    let own = program::file().unwrap_or_default();
-    let describe = |path: PathBuf| {
-        let metadata = path.metadata().ok();
-        let time = metadata.as_ref().and_then(|m| m.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok());
-        format!("{}, {:?} bytes, {time:?}", path.display(), metadata.map(|m| m.len()))
-    };
-    mapped().into_iter().filter(|path| *path != own).map(describe).collect()
-}
-
-/// The libraries loaded before the first plugin.
-static LIBRARIES: OnceLock<Vec<String>> = OnceLock::new();
-
-/// Records the program's libraries before a plugin loads its own.
-pub(crate) fn note_program() {
-    LIBRARIES.get_or_init(libraries);
+/// The libraries of the system that decide numbers, and those that are loaded before all others by the user's wish, each with its
+/// SHA-256; on Linux only.
+pub fn libraries() -> &'static [String] {
+    static LIBRARIES: OnceLock<Vec<String>> = OnceLock::new();
+    LIBRARIES.get_or_init(|| {
+        let asked = std::env::var("LD_PRELOAD").unwrap_or_default() + "\n";
+        let preloaded = asked + &std::fs::read_to_string("/etc/ld.so.preload").unwrap_or_default();
+        let preloaded: Vec<_> = preloaded.split([':', ' ', '\n']).map(Path::new).filter_map(Path::file_name).collect();
+        let decides =
+            |name: &str| ["libm.so", "libm-", "libc.so", "libc-", "libgcc_s"].iter().any(|own| name.starts_with(own));
+        let describe = |path: PathBuf| {
+            let name = path.file_name().filter(|name| preloaded.contains(name) || decides(&name.to_string_lossy()))?;
+            Some(format!("{} {}", name.to_string_lossy(), sha256(&path).ok()?.1))
+        };
+        mapped().into_iter().filter_map(describe).collect()
+    })
 }
 
 /// Operating system, architecture, and [`cpu_features`].
@@ -108,7 +112,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     fn the_mathematics_library_is_part_of_the_digest() {
         let libraries = libraries();
-        assert!(libraries.iter().any(|library| library.contains("libc.so")), "{libraries:?}");
-        assert!(libraries.iter().all(|library| library.contains("Some(")), "{libraries:?}");
+        assert!(libraries.iter().any(|library| library.starts_with("libc.so")), "{libraries:?}");
+        assert!(libraries.iter().all(|library| library.split(' ').next_back().unwrap().len() == 64), "{libraries:?}");
     }
 }

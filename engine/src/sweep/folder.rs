@@ -10,10 +10,11 @@ use super::{
     times::{OF_TIMES, RunTimes},
 };
 use crate::{
-    check::sweep::{Factor, Level, Spec},
+    check::sweep::Spec,
     durable,
-    graph::difference::{self, EntryDifference},
+    graph::difference,
     plan::PlanPlugin,
+    provenance::{Provenance, lacks},
     replay::exchange::without_old_defaults,
     run::{Answer, Verdict},
 };
@@ -558,7 +559,10 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
         }
     }
     let mut about = first.about.clone();
-    let of_shard = |shard: &Folder| json!({ "dir": shard.dir.display().to_string(), "shard": shard.about["shard"], "command": shard.about["command"] });
+    let of_shard = |shard: &Folder| {
+        let (dir, otherwise) = (shard.dir.display().to_string(), made_otherwise(&first.about, shard));
+        json!({ "dir": dir, "shard": shard.about["shard"], "command": shard.about["command"], "otherwise": otherwise })
+    };
     about["merged"] = shards.iter().map(of_shard).collect();
     about["shard"] = Json::Null;
     let mut from = BTreeMap::new();
@@ -580,43 +584,37 @@ pub fn merge(shards: &[Folder], dir: &Path) -> Result<Folder, FolderError> {
     Ok(folder)
 }
 
+/// Names of the sweep in a folder and of the one that it is compared with.
+const NAMES: [&str; 2] = ["it", "the other"];
+
+/// In what else the runs of `folder` may have been made otherwise than by this description: program, machine, and what firings loaded
+/// and opened. The sweep is the same.
+pub(super) fn made_otherwise(about: &Json, folder: &Folder) -> Vec<String> {
+    let [ours, other] = [&folder.about, about].map(Provenance::of);
+    [ours.program_differences(&other, NAMES), ours.late_differences(&other, NAMES)].concat()
+}
+
 /// What makes `folder` another sweep than the one of this description and frozen graph; `None` if it is the same.
 ///
 /// # Errors
 /// If the folder's graph cannot be read.
 pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<Option<String>, FolderError> {
-    let text = |about: &Json, key: &str| about[key].as_str().unwrap_or("unknown").to_owned();
-    let both = |key: &str| (text(about, key), text(&folder.about, key));
+    let hash = |about: &Json| about["hash"].as_str().unwrap_or("unknown").to_owned();
+    let (hash, other_hash) = (hash(about), hash(&folder.about));
+    let [ours, other] = [&folder.about, about].map(Provenance::of);
     let mut differences = Vec::new();
-    let (hash, other_hash) = both("hash");
     if hash != other_hash || hash == "unknown" {
-        let (version, other) = both("engine_version");
-        let (program, other_program) = both("program_sha256");
-        if version != other {
-            differences.push(format!("it is of version {other} of the program, the first of {version}"));
-        } else if program != other_program {
-            differences.push(format!("it is of another build of version {version} of the program"));
-        }
-        for (key, what) in [("inputs", "input file"), ("plugins", "plugin")] {
-            let of = |about: &Json| about[key].as_array().cloned().unwrap_or_default();
-            let (ours, others) = (of(about), of(&folder.about));
-            // Equal files may have other paths.
-            let lacks = |all: &[Json], entry: &Json| all.iter().all(|other| other["sha256"] != entry["sha256"]);
-            let differs: Vec<_> = others.iter().filter(|entry| lacks(&ours, entry)).map(shown).collect();
-            differences.extend(differs.iter().map(|name| format!("its {what} {name} is another")));
-            let missing = ours.iter().filter(|entry| lacks(&others, entry)).map(shown);
-            differences
-                .extend(missing.filter(|name| !differs.contains(name)).map(|name| format!("it has no {what} {name}")));
-        }
-        differences.extend(graph_difference(&folder.graph()?, graph));
+        differences.extend(ours.program_differences(&other, NAMES));
+        differences.extend(ours.input_differences(&other, NAMES));
+        differences.extend(difference::in_words(&folder.graph()?, graph, NAMES).next());
         if about["sweep"] != folder.about["sweep"] {
-            let of = |about: &Json| serde_json::from_value::<Spec>(about["sweep"].clone()).ok();
-            let named = of(about).zip(of(&folder.about)).map(|(ours, other)| spec_differences(&ours, &other));
-            let named = named.filter(|named| !named.is_empty()).map(|named| format!(": {}", named.join(", ")));
-            differences.push(format!("its table [sweep] differs{}", named.unwrap_or_default()));
+            let of = |about: &Json| serde_json::from_value(about["sweep"].clone()).ok().map(|spec| lines(&spec));
+            let [ours, other] = [&folder.about, about].map(|about| of(about).unwrap_or_default());
+            let [(first, ours), (second, other)] = [(NAMES[0], lacks(&ours, &other)), (NAMES[1], lacks(&other, &ours))];
+            differences.push(format!("its table [sweep] differs: {first} {ours}, {second} {other}"));
         }
     }
-    differences.extend(plugin_differences(&folder.about, about));
+    differences.extend(ours.plugin_differences(&other, NAMES));
     if hash != other_hash || hash == "unknown" {
         if differences.is_empty() {
             differences.push("its settings differ".into());
@@ -626,62 +624,11 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
     Ok((!differences.is_empty()).then(|| differences.join("; ")))
 }
 
-/// By what number of repeats and by which values of factors another table `[sweep]` differs.
-fn spec_differences(ours: &Spec, other: &Spec) -> Vec<String> {
-    let mut differences = Vec::new();
-    if ours.repeat != other.repeat {
-        differences.push(format!("its repeat is {}, not {}", other.repeat, ours.repeat));
-    }
-    for factor in &ours.factors {
-        let Some(same) = other.factors.iter().find(|same| same.name == factor.name) else {
-            differences.push(format!("it has no factor {}", factor.name));
-            continue;
-        };
-        for level in &factor.levels {
-            match same.levels.iter().find(|other| other.label == level.label) {
-                None => differences.push(format!("its factor {} has no value {}", factor.name, level.label)),
-                Some(other) if other != level => {
-                    differences.push(format!("its factor {} has another value {}", factor.name, level.label));
-                }
-                Some(_) => {}
-            }
-        }
-        let is_more = |level: &&Level| factor.levels.iter().all(|known| known.label != level.label);
-        let more = same.levels.iter().filter(is_more);
-        differences.extend(more.map(|level| format!("its factor {} has the value {}", factor.name, level.label)));
-    }
-    let is_more = |factor: &&Factor| ours.factors.iter().all(|known| known.name != factor.name);
-    differences.extend(other.factors.iter().filter(is_more).map(|factor| format!("it has the factor {}", factor.name)));
-    differences
-}
-
-fn plugin_differences(then: &Json, now: &Json) -> Vec<String> {
-    let of = |about: &Json| serde_json::from_value::<Vec<PlanPlugin>>(about["plugins"].clone()).unwrap_or_default();
-    let now = of(now);
-    let is_same = |now: &PlanPlugin, then: &PlanPlugin| now.name == then.name && now.sha256 == then.sha256;
-    let difference = |then: &PlanPlugin| then.difference(now.iter().find(|now| is_same(now, then))?);
-    of(then).iter().filter_map(difference).collect()
-}
-
-/// The first entry by which two frozen graphs differ, with its table.
-fn graph_difference(graph: &str, other: &str) -> Option<String> {
-    if graph == other {
-        return None;
-    }
-    let first = difference::differences(graph, other).into_iter().next();
-    let Some(EntryDifference { table, key, values }) = first else { return Some("its graph is another text".into()) };
-    let shown = |value: &Option<String>| match value {
-        Some(value) if !key.is_empty() => format!("`{key} = {value}`"),
-        Some(_) => "it".into(),
-        None => "nothing".into(),
-    };
-    Some(format!("its graph has {} in {table}, the other {}", shown(&values[0]), shown(&values[1])))
-}
-
-/// Name of an input file or a plugin in `sweep.json`.
-fn shown(entry: &Json) -> String {
-    let name = ["path", "file", "name"].iter().find_map(|key| entry[*key].as_str());
-    name.map_or_else(|| entry.to_string(), str::to_owned)
+/// The repeats, and each value of each factor with what it sets.
+fn lines(spec: &Spec) -> Vec<String> {
+    let values = spec.factors.iter().flat_map(|factor| factor.levels.iter().map(move |level| (&factor.name, level)));
+    let values = values.map(|(name, level)| format!("{name} = {} by {}", level.label, json!(level)));
+    [format!("repeat = {}", spec.repeat)].into_iter().chain(values).collect()
 }
 
 /// Not in the file of the run, whose content is the same each time.

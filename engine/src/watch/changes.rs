@@ -1,7 +1,10 @@
 //! Differences between two plans of a graph that affect what its nodes compute.
 
 use super::{Memory, Stamps};
-use crate::plan::{Plan, PlanInput, PlanNode, Policy};
+use crate::{
+    names::shortened,
+    plan::{Plan, PlanInput, PlanNode, Policy},
+};
 use serde_json::Value as Json;
 use std::collections::BTreeSet;
 
@@ -92,14 +95,10 @@ fn params(name: &str, before: &Json, now: &Json, why: &mut Vec<String>) {
 }
 
 fn format_value(value: &Json) -> String {
-    let text = match value {
+    match value {
         Json::Null => "none".into(),
-        Json::String(text) => text.clone(),
-        other => other.to_string(),
-    };
-    match text.char_indices().nth(MAX_CHARACTERS) {
-        Some((at, _)) => format!("{}..", &text[..at]),
-        None => text,
+        Json::String(text) => shortened(text, MAX_CHARACTERS),
+        other => shortened(&other.to_string(), MAX_CHARACTERS),
     }
 }
 

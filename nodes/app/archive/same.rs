@@ -4,8 +4,9 @@ use super::unpack::results;
 use crate::app::error::UsageError;
 use anyhow::{Context, Result};
 use osteoflow_engine::{
-    diff::Provenance,
+    Provenance,
     hash::Digest,
+    names::shortened,
     recording::digest::{DigestReport, digest},
     run::files,
     sweep::{self, Column},
@@ -69,7 +70,7 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
             for table in [sweep::RUNS, sweep::POINTS] {
                 tables(&a.join(table), &b.join(table), table, &times, &mut same)?;
             }
-            same.causes = causes([&about[0], &about[1]]);
+            same.causes = Provenance::of(&about[0]).differences(&Provenance::of(&about[1]), ["first", "second"]);
         }
         (false, false) => {
             let of = |dir: &Path, shown: &Path| {
@@ -80,17 +81,11 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
             };
             let (about_a, about_b) = (of(&a, first)?, of(&b, second)?);
             runs(&a, &b, &mut same)?;
-            same.causes = causes([&about_a, &about_b]);
+            same.causes = Provenance::of(&about_a).differences(&Provenance::of(&about_b), ["first", "second"]);
         }
         _ => return Err(UsageError("a run and a sweep cannot be compared with each other".into()).into()),
     }
     Ok(same)
-}
-
-/// What differs of how two runs or sweeps came about, by their manifests or designs.
-fn causes(about: [&Json; 2]) -> Vec<String> {
-    let [a, b] = about.map(Provenance::of);
-    a.differences(&b, ["first", "second"])
 }
 
 fn json(path: &Path) -> Result<Json> {
@@ -163,14 +158,6 @@ fn is_renamed(a: &str, b: &str) -> bool {
     (a.contains('/') || b.contains('/')) && name(a).is_some() && name(a) == name(b)
 }
 
-/// The beginning of a long value.
-fn shortened(text: &str) -> String {
-    match text.char_indices().nth(MAX_CHARACTERS) {
-        Some((at, _)) => format!("{}\u{2026}", &text[..at]),
-        None => text.into(),
-    }
-}
-
 fn difference(a: &str, b: &str) -> String {
     match (a.parse::<f64>(), b.parse::<f64>()) {
         (Ok(a), Ok(b)) => format!(" ({:+e})", b - a),
@@ -238,6 +225,7 @@ fn values_of(a: &Json, b: &Json, at: &str, same: &mut Sameness) {
         }
         (a, b) if a != b => {
             let (a, b) = (a.to_string(), b.to_string());
+            let shortened = |text| shortened(text, MAX_CHARACTERS);
             same.differs(format!("{at}: {} and {}{}", shortened(&a), shortened(&b), difference(&a, &b)));
         }
         _ => {}

@@ -1,7 +1,7 @@
 //! What was set otherwise in runs or sweeps: the entries of their graphs, and what made them.
 
 use crate::commands::common::text_table::TextTable;
-use osteoflow_engine::diff::{Provenance, entries_that_differ};
+use osteoflow_engine::{Provenance, diff::entries_that_differ, names::shortened};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -39,10 +39,7 @@ pub(super) fn shown(value: Option<String>) -> String {
     match value.as_deref().map(|value| value.trim_matches('"')) {
         None => "-".into(),
         Some("") => "there".into(),
-        Some(bare) => match bare.char_indices().nth(MAX_CHARACTERS) {
-            Some((at, _)) => format!("{}..", &bare[..at]),
-            None => bare.to_owned(),
-        },
+        Some(bare) => shortened(bare, MAX_CHARACTERS),
     }
 }
 

@@ -112,7 +112,7 @@ fn fewer_repeats_and_other_changes_are_refused_by_name_and_parts_grow() {
     let refused =
         |out: &str, options: &SweepOptions| desk.check().resume(&desk.path(out), options).unwrap_err().to_string();
     let message = refused("whole", &options(1, true));
-    assert!(message.contains("its repeat is 3, not 2"), "{message}");
+    assert!(message.contains("its table [sweep] differs: it repeat = 3, the other repeat = 2;"), "{message}");
     desk.set_repeats(5);
     // The runs of a part get their new numbers, too.
     let n_runs = Folder::open(&desk.path("part")).unwrap().runs().unwrap().len();
@@ -122,5 +122,5 @@ fn fewer_repeats_and_other_changes_are_refused_by_name_and_parts_grow() {
     assert!(refused("whole", &options(1, true)).contains("its table [sweep] differs"), "{message}");
     fs::write(&desk.graph, repeats(5).replace("kind  = \"toy.add\"", "kind  = \"toy.add\"\nsleep_us = 1")).unwrap();
     let message = refused("whole", &options(1, true));
-    assert!(message.contains("sleep_us = 0") && !message.contains("[sweep]"), "{message}");
+    assert!(message.contains("sleep_us: it 0, the other 1") && !message.contains("[sweep]"), "{message}");
 }

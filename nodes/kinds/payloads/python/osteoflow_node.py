@@ -12,6 +12,8 @@ shares: read-only, and valid as long as somebody holds them. docs/extend/python-
 """
 
 import array
+import base64
+import csv
 import dataclasses
 import hashlib
 import importlib.machinery
@@ -22,6 +24,7 @@ import logging
 import mmap
 import os
 import platform
+import shutil
 import site
 import socket
 import struct
@@ -632,40 +635,147 @@ class FewProcessors:
             self.all = None
 
 
+class Watched:
+    """What code of the plugin's author opens, calls and loads, which no list of modules has: its hook sees each event."""
+
+    MAX_FILES, MAX_BYTES = 256, 256 << 20
+
+    def __init__(self):
+        self.files, self.written, self.at_import, self.given, self.is_new = {}, set(), None, set(), False
+        self.of_path = self.real = None
+
+    def event(self, event, args):
+        """Must raise nothing: an audit hook that raises would stop what it sees."""
+        try:
+            if event == "open":
+                self.opened(*args)
+            elif event == "ctypes.dlopen":
+                self.is_new = True
+            elif event in ("subprocess.Popen", "os.exec", "os.posix_spawn"):
+                self.read(shutil.which(os.fsdecode(args[0] or args[1][0])))
+            elif event == "os.system":
+                self.read(shutil.which(os.fsdecode(args[0]).split()[0]))
+        except Exception:
+            pass
+
+    def opened(self, path, mode, flags):
+        if isinstance(path, int):
+            return
+        path = os.path.abspath(os.fsdecode(path))
+        if (mode and set(mode) & set("wax+")) or flags & (os.O_WRONLY | os.O_RDWR):
+            self.written.add(path)
+        elif path not in self.written and path not in self.given:
+            self.read(path)
+
+    def read(self, path):
+        if path is None or not os.path.isfile(path):
+            return
+        path = os.path.abspath(path)
+        stat = os.stat(path)
+        stamp = stat.st_mtime_ns, stat.st_size
+        is_wanted = path in self.files or len(self.files) < self.MAX_FILES and stat.st_size <= self.MAX_BYTES
+        if is_wanted and self.files.get(path) != stamp and self.is_authors(path):
+            self.files[path], self.is_new = stamp, True
+
+    def is_authors(self, path):
+        """Whether code of the plugin's author asks for this file of nobody else, itself or by a library; no import of a package."""
+        frame, known = sys._getframe(2), None
+        while frame is not None:
+            file = frame.f_code.co_filename
+            if file.startswith("<frozen importlib"):
+                return False
+            if not file.startswith("<") and file != load.__code__.co_filename:
+                known = known or sum(self.folders(), SYSTEM)
+                if not os.path.realpath(file).startswith(known):
+                    return not os.path.realpath(path).startswith(known)
+            frame = frame.f_back
+        return False
+
+    def folders(self):
+        """The folders of installed packages, and those of the interpreter's own modules, each with the separator at its end."""
+        if self.of_path != (of_path := tuple(sys.path)):
+            paths = sysconfig.get_paths()
+            packages_in = {paths["purelib"], paths["platlib"], *getattr(site, "getsitepackages", list)()}
+            if getattr(site, "ENABLE_USER_SITE", False):
+                packages_in.add(site.getusersitepackages())
+            packages_in.update(path for path in of_path if path and _holds_packages(path))
+            of_python = (paths[key] for key in ("stdlib", "platstdlib"))
+            real = [tuple(sorted({os.path.realpath(path) + os.sep for path in of})) for of in (packages_in, of_python)]
+            self.of_path, self.real = of_path, real
+        return self.real
+
+    def imported(self):
+        """The plugin is imported: what is opened from now on is data of its firings."""
+        self.at_import = set(self.files)
+
+    def give(self, params):
+        """Files that are parameters are inputs of the run by themselves."""
+        for value in params.values():
+            self.given.update({os.path.abspath(value)} if isinstance(value, str) else ())
+
+
+SYSTEM = ("/lib", "/usr/lib", "/usr/bin", "/usr/share", "/bin", "/etc/", "/proc/", "/sys/", "/dev/", "/System/")
+WATCHED = Watched()
+
+
 def loads():
-    """What is loaded beside the file of the plugin: modules and libraries of its author by content, packages by version, the
-    interpreter, the limits of threads; and the files whose change makes another look necessary."""
-    paths = sysconfig.get_paths()
-    packages_in = {paths["purelib"], paths["platlib"], *getattr(site, "getsitepackages", list)()}
-    if getattr(site, "ENABLE_USER_SITE", False):
-        packages_in.add(site.getusersitepackages())
-    packages_in.update(path for path in sys.path if path and _holds_packages(path))
-    of_packages = tuple(os.path.realpath(path) + os.sep for path in packages_in)
-    of_python = tuple(os.path.realpath(paths[key]) + os.sep for key in ("stdlib", "platstdlib"))
-    files, names = {}, set()
+    """What is loaded beside the file of the plugin: modules and libraries of its author by content, packages by version and by their
+    lists of files, the interpreter, the limits of threads, and what the author's code opened and called; and the files and folders
+    whose change makes another look necessary."""
+    of_packages, of_python = WATCHED.folders()
+    files, named, module_files = {}, {}, set()
+
+    def add_packaged(name, file):
+        """By the first name of its path, which is that of the package: `numpy/..`, `numpy.libs/..`, `six.py`."""
+        real = os.path.realpath(file)
+        inside = next(real[len(folder):] for folder in of_packages if real.startswith(folder))
+        named.setdefault(inside.split(os.sep)[0].split(".")[0], []).append((name, os.path.abspath(file)))
+
     for name, module in sorted(sys.modules.items()):
-        file = getattr(getattr(module, "__spec__", None), "origin", None) or getattr(module, "__file__", None)
+        spec = getattr(module, "__spec__", None)
+        loader = getattr(spec, "loader", None)
+        file = getattr(loader, "archive", None) or getattr(spec, "origin", None) or getattr(module, "__file__", None)
         # What setuptools loads into each interpreter computes nothing.
         own = ("__plugin__", "__main__", "osteoflow_node", "_distutils_hack")
         if name in own or not isinstance(file, str) or not os.path.isfile(file):
             continue
-        real = os.path.realpath(file)
-        if real.startswith(of_packages):
-            names.add(name.partition(".")[0])
-        elif not real.startswith(of_python):
-            loader = getattr(module.__spec__, "loader", None) if module.__spec__ else None
+        real, is_archive = os.path.realpath(file), hasattr(loader, "archive")
+        module_files.add(os.path.abspath(file))
+        if real.startswith(of_packages) and not is_archive:
+            add_packaged(name, file)
+        elif not real.startswith(of_python) or name in ("sitecustomize", "usercustomize"):
+            name = os.path.basename(file) if is_archive else name
             files[os.path.abspath(file)] = (name, getattr(loader, "sha256", None) or _sha256(file))
+    preloaded = {os.path.basename(word) for word in os.environ.get("LD_PRELOAD", "").replace(":", " ").split()}
     system = (*of_packages, *of_python, os.path.realpath(sys.base_prefix) + os.sep, "/lib", "/usr/lib", "/System/", os.path.realpath(sys.executable))
     for file in _mapped():
-        if file not in files and not os.path.realpath(file).startswith(system):
+        real = os.path.realpath(file)
+        if real.startswith(of_packages):
+            add_packaged(os.path.basename(file), file)
+        elif file not in files and (not real.startswith(system) or os.path.basename(file) in preloaded):
             files[file] = (os.path.basename(file), _sha256(file))
-    found, watched = _packages(names)
-    environment = [f"{platform.python_implementation()} {platform.python_version()}"]
+    found, builds, watched, edited = _packages(named)
+    files.update({file: (name, _sha256(file)) for name, file in edited})
+    opened = {}
+    for file in list(WATCHED.files):
+        if os.path.isfile(file) and file not in module_files and file not in WATCHED.given and file not in WATCHED.written:
+            is_data = WATCHED.at_import is not None and file not in WATCHED.at_import
+            (opened if is_data else files).setdefault(file, (_short(file), _sha256(file)))
+    environment = [f"{platform.python_implementation()} {platform.python_version()}", *builds]
     environment += [f"{name}={os.environ[name]}" for name in THREAD_LIMITS if name in os.environ]
-    about = {"files": [{"name": name, "path": path, "sha256": digest} for path, (name, digest) in sorted(files.items())],
-             "packages": found, "environment": environment}
+    listed = lambda files: [{"name": name, "path": path, "sha256": digest} for path, (name, digest) in sorted(files.items())]
+    about = {"files": listed(files), "packages": found, "environment": environment, "opened": listed(opened)}
     config = os.path.join(sys.prefix, "pyvenv.cfg")
-    return about, [os.path.realpath(sys.executable), *([config] if os.path.isfile(config) else []), *watched]
+    folders = [os.path.abspath(path) for path in sys.path if os.path.isdir(path)]
+    return about, [os.path.realpath(sys.executable), *([config] if os.path.isfile(config) else []), *watched, *folders]
+
+
+def _short(file):
+    """The name of a file that is opened: below the plugin's folder or the user's, which are other ones on another machine."""
+    for folder, name in ((os.path.dirname(os.path.abspath(getattr(sys.modules.get("__plugin__"), "__file__", file))), ""), (os.path.expanduser("~"), "~/")):
+        if file.startswith(folder + os.sep):
+            return name + file[len(folder) + 1:]
+    return file
 
 
 def _holds_packages(path):
@@ -676,9 +786,16 @@ def _holds_packages(path):
         return False
 
 
+DIGESTS = {}
+
+
 def _sha256(file):
-    with open(file, "rb") as opened:
-        return hashlib.sha256(opened.read()).hexdigest()
+    stat = os.stat(file)
+    stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns)
+    if DIGESTS.get(file, (None,))[0] != stamp:
+        with open(file, "rb") as opened:
+            DIGESTS[file] = (stamp, hashlib.sha256(opened.read()).hexdigest())
+    return DIGESTS[file][1]
 
 
 def _mapped():
@@ -691,24 +808,57 @@ def _mapped():
     return sorted({part[5] for part in parts if len(part) == 6 and "x" in part[1] and os.path.isfile(part[5])})
 
 
-def _packages(names):
-    """Name and version of the distributions of modules, and the files that say so."""
+def _packages(named):
+    """Name and version of the distributions of modules, the digests of their lists of files, the files that say so, and the modules
+    and libraries that are not as their distribution has them, or that no distribution has. `named` has the modules by first name."""
     import importlib.metadata as metadata
 
     found, unknown = {}, []
-    for name in sorted(names):
+    for name in sorted(named):
         try:
-            found[name] = metadata.distribution(name)
+            found[name] = [metadata.distribution(name)]
         except metadata.PackageNotFoundError:
             unknown.append(name)
-    if unknown:
-        providers = metadata.packages_distributions() if hasattr(metadata, "packages_distributions") else {}
-        for name in unknown:
-            for provider in providers.get(name, ()):
-                found[provider] = metadata.distribution(provider)
-    about = {f"{of.metadata['Name']} {of.version}" for of in found.values()}
-    said = [os.path.join(str(getattr(of, "_path", "")), name) for of in found.values() for name in ("METADATA", "PKG-INFO")]
-    return sorted(about), sorted({file for file in said if os.path.isfile(file)})
+    providers = metadata.packages_distributions() if unknown and hasattr(metadata, "packages_distributions") else {}
+    found.update({name: [metadata.distribution(provider) for provider in set(providers.get(name, ()))] for name in unknown})
+    about, builds, said, edited = set(), set(), [], []
+    for name, modules in named.items():
+        listed, made = {}, 0.0
+        for of in found[name]:
+            about.add(f"{of.metadata['Name']} {of.version}")
+            folder = str(getattr(of, "_path", ""))
+            said += [os.path.join(folder, file) for file in ("METADATA", "PKG-INFO", "RECORD")]
+            record = os.path.join(folder, "RECORD")
+            if os.path.isfile(record):
+                digest, hashes = _record(record)
+                builds.add(f"files of {of.metadata['Name']}={digest}")
+                listed.update({os.path.join(os.path.dirname(folder), path): said for path, said in hashes.items()})
+                made = max(made, os.stat(record).st_mtime)
+        is_edited = lambda file: made and os.stat(file).st_mtime > made and not _is_as_listed(file, listed.get(file, ""))
+        edited += [(module, file) for module, file in modules if not found[name] or is_edited(file)]
+    said = {file for file in said if os.path.isfile(file)}
+    return sorted(about), sorted(builds), sorted(said | {file for modules in named.values() for _, file in modules}), edited
+
+
+RECORDS = {}
+
+
+def _record(file):
+    """The digest of the files of a distribution, without those that an installation makes, and their hashes by path."""
+    if file not in RECORDS:
+        with open(file, encoding="utf-8", newline="") as opened:
+            rows = [row for row in csv.reader(opened) if len(row) > 1 and row[1]]
+        listed = {row[0]: row[1] for row in rows if not row[0].startswith("..") and ".dist-info" not in row[0] and not os.path.isabs(row[0])}
+        text = "".join(f"{path} {digest}\n" for path, digest in sorted(listed.items()))
+        RECORDS[file] = hashlib.sha256(text.encode()).hexdigest()[:16], listed
+    return RECORDS[file]
+
+
+def _is_as_listed(file, said):
+    """Whether a module or a library has the content that its distribution says, if it says one."""
+    if not said.startswith("sha256="):
+        return True
+    return base64.urlsafe_b64encode(bytes.fromhex(_sha256(file))).rstrip(b"=").decode() == said[len("sha256="):]
 
 
 def where(error, file):
@@ -1205,6 +1355,9 @@ class Loaded:
                 raise NodeError(f"the program speaks version {build['version']} of the protocol, this module {PROTOCOL}")
             if self.n_modules is None and load(file, copies) != build["plugin"]["sha256"]:
                 raise NodeError(f"plugin {file}: it has changed since it was looked at; run again")
+            if self.n_modules is None:
+                WATCHED.imported()
+            WATCHED.give(build["params"])
             SCHEMAS.update({described["name"]: described["schema"] for described in build["payloads"]})
             kind = next(kind for kind in KINDS if kind.kind == build["kind"])
             server = Server(self.connection, build, self.stop_page, kind, memory)
@@ -1216,9 +1369,9 @@ class Loaded:
 
     def news(self):
         """What is loaded, if it is more than when this was last asked; else None."""
-        if self.n_modules == len(sys.modules):
+        if self.n_modules == len(sys.modules) and not WATCHED.is_new:
             return None
-        self.n_modules = len(sys.modules)
+        self.n_modules, WATCHED.is_new = len(sys.modules), False
         about, _ = loads()
         if about == self.said:
             return None
@@ -1228,6 +1381,7 @@ class Loaded:
 
 def main(arguments):
     sys.modules["osteoflow_node"] = sys.modules[__name__]
+    sys.addaudithook(WATCHED.event)
     what, file, *copies = arguments
     if what == "serve":
         return serve(file, *copies)

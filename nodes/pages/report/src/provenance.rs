@@ -92,9 +92,9 @@ fn again(page: &mut Page, command: &Json) {
 
 /// A table of inputs and plugins with their hashes and licences; relative paths are those of the graph's folder `base`.
 fn inputs(page: &mut Page, base: &Path, inputs: &Json, plugins: &Json) {
-    let rows: Vec<_> = entries(inputs)
-        .into_iter()
-        .map(|(path, hash)| vec![Cell::Code(path.clone()), Cell::Code(hash), Cell::word(licence(&base.join(&path)))])
+    let inputs = inputs.as_array().into_iter().flatten().map(|input| [&input["path"], &input["sha256"]].map(word));
+    let rows: Vec<_> = inputs
+        .map(|[path, hash]| vec![Cell::Code(path.clone()), Cell::Code(hash), Cell::word(licence(&base.join(&path)))])
         .chain(plugins.as_array().into_iter().flatten().map(|plugin| {
             let hash = word(&plugin["sha256"]);
             vec![
@@ -112,16 +112,6 @@ fn inputs(page: &mut Page, base: &Path, inputs: &Json, plugins: &Json) {
     }
     let head = ["file", "SHA-256", "licence, according to a file in its folder or above"];
     page.table("Input files and plugins.", &head, &rows);
-}
-
-/// Path and hash of each input, from a list of objects or an object by path.
-fn entries(inputs: &Json) -> Vec<(String, String)> {
-    let of_item = |item: &Json| (word(&item["path"]), word(&item["sha256"]));
-    match inputs {
-        Json::Array(items) => items.iter().map(of_item).collect(),
-        Json::Object(items) => items.iter().map(|(path, hash)| (path.clone(), word(hash))).collect(),
-        _ => Vec::new(),
-    }
 }
 
 /// Number of folders above an input that are searched for a README or a licence file.
