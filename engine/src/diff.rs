@@ -13,7 +13,7 @@ pub use compare::{Difference, Largest};
 use crate::{
     graph::difference,
     names::glob,
-    provenance::Provenance,
+    recording::provenance::Provenance,
     recording::{
         RecordingError, codec,
         format::Outcome,

@@ -7,6 +7,7 @@ pub(crate) mod findings;
 pub mod format;
 pub(crate) mod index;
 pub(crate) mod number_set;
+pub(crate) mod provenance;
 mod read;
 pub(crate) mod scan;
 mod types;

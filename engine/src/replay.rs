@@ -22,7 +22,7 @@ use crate::{
     partial::{self, Failing, NodeMode, Pace, Player},
     plan::{OutputId, Plan, Sources},
     plugin::{self, Kinds},
-    provenance::Provenance,
+    recording::provenance::Provenance,
     recording::{Recording, RecordingError},
     run::{self, NOTHING_CAME, RunError, RunReport, Verdict},
     runtime::{Observer, Replayed, Sign, Substitutes},

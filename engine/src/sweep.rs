@@ -37,7 +37,7 @@ use crate::{
     options::RunOptions,
     plan::{Plan, PlanPlugin},
     plugin::with_late_loads,
-    provenance::Provenance,
+    recording::provenance::Provenance,
     watch::Stamps,
 };
 use osteoflow_node::Registry;

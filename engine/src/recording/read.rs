@@ -1,5 +1,6 @@
 //! Reads `run.mcap`: the graph that ran, and the items of every recorded wire.
 
+use super::provenance::Provenance;
 use super::{
     RecordedTypes,
     codec::{self, CodecError, RecordedItem},
@@ -10,7 +11,6 @@ use super::{
     scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
-use crate::provenance::Provenance;
 use osteoflow_container::{ReadError, TooLarge};
 use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
 use std::{

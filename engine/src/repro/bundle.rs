@@ -1,6 +1,10 @@
 //! `repro.json`: description of a failed firing.
 
-use crate::{plan::PlanPlugin, provenance::Provenance, recording::RecordingError, runtime::Injected};
+use crate::{
+    plan::PlanPlugin,
+    recording::{RecordingError, provenance::Provenance},
+    runtime::Injected,
+};
 use osteoflow_node::{Role, StampNs};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value as Json, json};

@@ -14,7 +14,7 @@ use crate::{
     durable,
     graph::difference,
     plan::PlanPlugin,
-    provenance::{Provenance, lacks},
+    recording::provenance::{Provenance, lacks},
     replay::exchange::without_old_defaults,
     run::{Answer, Verdict},
 };
