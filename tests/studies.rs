@@ -237,7 +237,7 @@ fn a_sweep_that_gets_more_repeats_has_the_files_of_one_that_had_them_at_once() {
     desk.assert_same("whole", "merged");
     let other = ["g.toml", "--out", "grown", "--resume", "--set", "sweep.repeat=9", "--set", "graph.seed=4"];
     let (_, err, code) = desk.sweep(&other);
-    assert!(code == 2 && err.contains("seed = 3") && !err.contains("its repeat"), "{err}");
+    assert!(code == 2 && err.contains("seed: it 3, the other 4") && !err.contains("its repeat"), "{err}");
     let (_, err, code) = desk.sweep(&["g.toml", "--out", "grown", "--resume"]);
     assert!(code == 2 && err.contains("its repeat is 5, not 2"), "{err}");
 }

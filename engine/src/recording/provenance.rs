@@ -152,7 +152,7 @@ impl Provenance {
 }
 
 /// What `one` has and `other` lacks.
-pub(crate) fn lacks(one: &[String], other: &[String]) -> String {
+fn lacks(one: &[String], other: &[String]) -> String {
     let more = one.iter().filter(|entry| !other.contains(entry)).map(|entry| shortened(entry, MAX_CHARACTERS));
     more.reduce(|all, entry| format!("{all}, {entry}")).unwrap_or_else(|| "no more".into())
 }

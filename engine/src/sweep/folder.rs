@@ -10,11 +10,11 @@ use super::{
     times::{OF_TIMES, RunTimes},
 };
 use crate::{
-    check::sweep::Spec,
+    check::sweep::{Factor, Level, Spec},
     durable,
     graph::difference,
     plan::PlanPlugin,
-    recording::provenance::{Provenance, lacks},
+    recording::provenance::Provenance,
     replay::exchange::without_old_defaults,
     run::{Answer, Verdict},
 };
@@ -604,14 +604,16 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
     let [ours, other] = [&folder.about, about].map(Provenance::of);
     let mut differences = Vec::new();
     if hash != other_hash || hash == "unknown" {
-        differences.extend(ours.program_differences(&other, NAMES));
+        // The graph tells of the seed.
+        let program = ours.program_differences(&other, NAMES).into_iter();
+        differences.extend(program.filter(|told| !told.starts_with("program, seed:")));
         differences.extend(ours.input_differences(&other, NAMES));
         differences.extend(difference::in_words(&folder.graph()?, graph, NAMES).next());
         if about["sweep"] != folder.about["sweep"] {
-            let of = |about: &Json| serde_json::from_value(about["sweep"].clone()).ok().map(|spec| lines(&spec));
-            let [ours, other] = [&folder.about, about].map(|about| of(about).unwrap_or_default());
-            let [(first, ours), (second, other)] = [(NAMES[0], lacks(&ours, &other)), (NAMES[1], lacks(&other, &ours))];
-            differences.push(format!("its table [sweep] differs: {first} {ours}, {second} {other}"));
+            let of = |about: &Json| serde_json::from_value::<Spec>(about["sweep"].clone()).ok();
+            let named = of(about).zip(of(&folder.about)).map(|(ours, other)| spec_differences(&ours, &other));
+            let named = named.filter(|named| !named.is_empty()).map(|named| format!(": {}", named.join(", ")));
+            differences.push(format!("its table [sweep] differs{}", named.unwrap_or_default()));
         }
     }
     differences.extend(ours.plugin_differences(&other, NAMES));
@@ -624,11 +626,33 @@ pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<O
     Ok((!differences.is_empty()).then(|| differences.join("; ")))
 }
 
-/// The repeats, and each value of each factor with what it sets.
-fn lines(spec: &Spec) -> Vec<String> {
-    let values = spec.factors.iter().flat_map(|factor| factor.levels.iter().map(move |level| (&factor.name, level)));
-    let values = values.map(|(name, level)| format!("{name} = {} by {}", level.label, json!(level)));
-    [format!("repeat = {}", spec.repeat)].into_iter().chain(values).collect()
+/// By what number of repeats and by which values of factors another table `[sweep]` differs.
+fn spec_differences(ours: &Spec, other: &Spec) -> Vec<String> {
+    let mut differences = Vec::new();
+    if ours.repeat != other.repeat {
+        differences.push(format!("its repeat is {}, not {}", other.repeat, ours.repeat));
+    }
+    for factor in &ours.factors {
+        let Some(same) = other.factors.iter().find(|same| same.name == factor.name) else {
+            differences.push(format!("it has no factor {}", factor.name));
+            continue;
+        };
+        for level in &factor.levels {
+            match same.levels.iter().find(|other| other.label == level.label) {
+                None => differences.push(format!("its factor {} has no value {}", factor.name, level.label)),
+                Some(other) if other != level => {
+                    differences.push(format!("its factor {} has another value {}", factor.name, level.label));
+                }
+                Some(_) => {}
+            }
+        }
+        let is_more = |level: &&Level| factor.levels.iter().all(|known| known.label != level.label);
+        let more = same.levels.iter().filter(is_more);
+        differences.extend(more.map(|level| format!("its factor {} has the value {}", factor.name, level.label)));
+    }
+    let is_more = |factor: &&Factor| ours.factors.iter().all(|known| known.name != factor.name);
+    differences.extend(other.factors.iter().filter(is_more).map(|factor| format!("it has the factor {}", factor.name)));
+    differences
 }
 
 /// Not in the file of the run, whose content is the same each time.

@@ -94,7 +94,7 @@ def test_what_cannot_be_asked_for_and_what_has_changed_is_refused_by_name(tmp_pa
     del study
     with pytest.raises(osteoflow.UsageError, match="holds a sweep already"):
         osteoflow.Study(graph, out=tmp_path / "s")
-    with pytest.raises(osteoflow.UsageError, match=r"edge_mm = 5\.0(?!.*\[sweep\])"):
+    with pytest.raises(osteoflow.UsageError, match=r"edge_mm: it 5\.0(?!.*\[sweep\])"):
         osteoflow.Study(graph, out=tmp_path / "s", resume=True)
     resumed = command("sweep", graph, "--out", tmp_path / "s", "--resume")
     assert resumed.returncode == 2 and "asked for one by one" in resumed.stderr
