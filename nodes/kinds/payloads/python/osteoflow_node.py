@@ -834,8 +834,7 @@ def _packages(named):
                 builds.add(f"files of {of.metadata['Name']}={digest}")
                 listed.update({os.path.join(os.path.dirname(folder), path): said for path, said in hashes.items()})
                 made = max(made, os.stat(record).st_mtime)
-        is_edited = lambda file: made and os.stat(file).st_mtime > made and not _is_as_listed(file, listed.get(file, ""))
-        edited += [(module, file) for module, file in modules if not found[name] or is_edited(file)]
+        edited += [(module, file) for module, file in modules if not found[name] or _is_edited(file, made, listed)]
     said = {file for file in said if os.path.isfile(file)}
     return sorted(about), sorted(builds), sorted(said | {file for modules in named.values() for _, file in modules}), edited
 
@@ -854,11 +853,12 @@ def _record(file):
     return RECORDS[file]
 
 
-def _is_as_listed(file, said):
-    """Whether a module or a library has the content that its distribution says, if it says one."""
-    if not said.startswith("sha256="):
-        return True
-    return base64.urlsafe_b64encode(bytes.fromhex(_sha256(file))).rstrip(b"=").decode() == said[len("sha256="):]
+def _is_edited(file, made, listed):
+    """Whether a module or a library was changed after its distribution was made, and has not the content that that says, if it says one."""
+    said = listed.get(file, "")
+    if not made or os.stat(file).st_mtime <= made or not said.startswith("sha256="):
+        return False
+    return base64.urlsafe_b64encode(bytes.fromhex(_sha256(file))).rstrip(b"=").decode() != said[len("sha256="):]
 
 
 def where(error, file):
