@@ -248,8 +248,9 @@ impl Changes {
     }
 }
 
-/// A path without links, `.` and `..`, as far as it is there.
+/// A path without links, `.` and `..`, as far as it is there. The folder of `graph.toml` is the current one.
 fn real(path: &Path) -> PathBuf {
+    let path = if path == Path::new("") { Path::new(".") } else { path };
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.into());
     let mut out = PathBuf::new();
     for part in absolute.components() {
@@ -319,4 +320,25 @@ pub(super) fn sentence(faults: &Faults) -> String {
         fault.message.clone() + &more.collect::<String>()
     };
     errors(faults).map(one).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::Plugins;
+
+    #[test]
+    fn the_folder_of_a_graph_in_the_current_one_does_not_hold_all_files() {
+        let here = std::env::current_dir().unwrap().canonicalize().unwrap();
+        for graph in ["graph.toml", "./graph.toml"] {
+            let graph = GraphArgs { graph: graph.into(), sets: Vec::new(), plugins: Plugins::default() };
+            let changes = Changes::new(graph, None, "picks".into());
+            for inside in ["", "x.stl", "a/../x.stl", "picks/plan.json"] {
+                assert!(changes.is_inside(Path::new(inside)) && changes.is_inside(&here.join(inside)), "{inside}");
+            }
+            for outside in ["/", "/etc/passwd", "..", "../x.stl", "a/../../x.stl"] {
+                assert!(!changes.is_inside(Path::new(outside)), "{outside}");
+            }
+        }
+    }
 }
