@@ -126,9 +126,33 @@ fn what_a_plugin_loads_or_opens_in_addition_is_named_by_merge_replay_and_compare
         before.iter().for_each(|text| folder.write(file, text));
         let [merge, replay, compare] = said_of_a_change(&folder, || folder.write(file, &after));
         assert!(merge.contains(expected) && compare.contains(expected), "{name}: {merge}\n{compare}");
+        // Changed code is not run, and changed data named.
+        let refused = format!("{file}, which it loads, is not as in the recorded run");
         let changed = format!("{file} has changed since");
-        assert!(replay.contains(expected) || replay.contains(&changed), "{name}: {replay}");
+        let is_named = [expected, &refused, &changed].into_iter().any(|said| replay.contains(said));
+        assert!(is_named, "{name}: {replay}");
     }
+}
+
+#[test]
+fn a_changed_module_beside_a_plugin_is_not_run_by_a_replay_unless_the_user_names_the_plugin() {
+    let files = [("st.py", HELPED), ("g.toml", GRAPH), ("helper.py", "SCALE = 1.0\n")];
+    let Some(folder) = Folder::new("a changed module in a replay", &files) else { return };
+    folder.ends_well(&["run", "g.toml", "--out", "r"]);
+    folder.write("helper.py", "SCALE = 1.0\nopen('MARK', 'w').write('run')\n");
+    for run in ["r", "r/run.mcap"] {
+        let (code, text) = folder.says(&["replay", run]);
+        assert!(
+            code == Some(2) && text.contains("helper.py, which it loads, is not as in the recorded run"),
+            "{code:?} {text}"
+        );
+        assert!(text.contains("--plugin ") && text.contains("--allow-plugins"), "{text}");
+    }
+    assert!(!folder.path("MARK").exists(), "the changed module was run");
+    folder.ends_well(&["replay", "r", "--allow-plugins"]);
+    assert!(!folder.path("MARK").exists(), "the text that the recording carries is run instead");
+    folder.ends_well(&["replay", "r", "--plugin", "st.py"]);
+    assert!(folder.path("MARK").exists());
 }
 
 #[test]

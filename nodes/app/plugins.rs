@@ -85,6 +85,7 @@ impl Plugins {
             launcher,
             scripts,
             only,
+            recorded: Vec::new(),
             carried: Default::default(),
             plugins_apart,
             held: None,

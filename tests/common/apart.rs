@@ -43,6 +43,7 @@ pub(crate) fn measure(n_firings: u64) -> Option<[Case; 2]> {
         launcher: Some(own("worker")),
         scripts: None,
         only: None,
+        recorded: Vec::new(),
         carried: Default::default(),
         plugins_apart: false,
         held: None,

@@ -60,6 +60,8 @@ pub struct Finder {
     /// The SHA-256 of the files that a graph may name; `None` for all. Of the files that a recording names, only those that
     /// the run had loaded may be, since loading one runs its code. The command line and the folders are the user's.
     pub only: Option<BTreeSet<String>>,
+    /// The plugins that the run had loaded: of these no module or library is run, either, that is another by now.
+    pub recorded: Vec<PlanPlugin>,
     /// Files of plugins whose text the recording carries, which a refusal of one of them says.
     pub carried: BTreeSet<PathBuf>,
     /// Whether the kinds of plugins fire in processes of their own where the graph does not say.
@@ -217,7 +219,10 @@ impl Kinds {
     #[must_use]
     pub fn recorded_by(&self, plugins: &[PlanPlugin]) -> Self {
         let only = plugins.iter().map(|plugin| plugin.sha256.clone()).collect();
-        let finder = self.finder.as_ref().map(|finder| Arc::new(Finder { only: Some(only), ..(**finder).clone() }));
+        let finder = self
+            .finder
+            .as_ref()
+            .map(|finder| Arc::new(Finder { only: Some(only), recorded: plugins.to_vec(), ..(**finder).clone() }));
         Self { registry: self.registry.clone(), finder }
     }
 
@@ -331,13 +336,33 @@ impl Scripts {
     }
 }
 
+/// The first module or library that a recorded plugin loaded and that is another beside the file that is found now, or where it was.
+fn changed_beside(plugin: &PlanPlugin, found: &Path) -> Option<PathBuf> {
+    let folder = |path: &Path| path.parent().unwrap_or(Path::new("")).to_owned();
+    let places = |file: &LoadedFile| {
+        let beside = file.path.strip_prefix(folder(&plugin.path)).map(|name| folder(found).join(name));
+        [beside.ok(), Some(file.path.clone())].into_iter().flatten().find(|place| place.is_file())
+    };
+    let files = plugin.loads.files.iter().filter_map(|file| Some((places(file)?, &file.sha256)));
+    let mut changed = files.filter(|(place, then)| sha256(place).is_ok_and(|(_, now)| now.to_string() != **then));
+    changed.next().map(|(place, _)| place)
+}
+
 impl Finder {
     /// Whether a file that a graph names may be loaded.
     fn permits(&self, path: &Path) -> Result<(), String> {
         let Some(only) = &self.only else { return Ok(()) };
         let found = sha256(path).map_err(|error| format!("it cannot be read: {error}"))?.1.to_string();
         match only.contains(&found) {
-            true => Ok(()),
+            true => self.recorded.iter().filter(|plugin| plugin.sha256 == found).try_for_each(|plugin| {
+                let Some(file) = changed_beside(plugin, path) else { return Ok(()) };
+                Err(format!(
+                    "{}, which it loads, is not as in the recorded run, and what a recording names is not run without that; if you trust it, \
+                     name the plugin yourself: --plugin {}",
+                    file.display(),
+                    path.display()
+                ))
+            }),
             false => Err(format!(
                 "its SHA-256 is {found}, not that of the recorded run, and a file that a recording names is not loaded \
                  without that; if you trust it, name it yourself: --plugin {}",
