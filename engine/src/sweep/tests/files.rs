@@ -108,9 +108,9 @@ fn variants_are_merged_over_the_graph_frozen_and_told_apart_when_a_sweep_is_resu
     fs::remove_file(desk.path("v/none.toml")).unwrap();
     let message = desk.check().resume(&desk.path("out"), &options(1, true)).unwrap_err().to_string();
     for expected in [
-        "its table [sweep] differs: it method = \"none\" by ",
-        ", the other method = \"slow\" by ",
-        ", method = \"third\" by ",
+        "its table [sweep] differs: its factor method has another value \"slow\", ",
+        "its factor method has no value \"third\", ",
+        "its factor method has the value \"none\"; ",
     ] {
         assert!(message.contains(expected), "{expected}\n---\n{message}");
     }

@@ -112,7 +112,7 @@ fn fewer_repeats_and_other_changes_are_refused_by_name_and_parts_grow() {
     let refused =
         |out: &str, options: &SweepOptions| desk.check().resume(&desk.path(out), options).unwrap_err().to_string();
     let message = refused("whole", &options(1, true));
-    assert!(message.contains("its table [sweep] differs: it repeat = 3, the other repeat = 2;"), "{message}");
+    assert!(message.contains("its table [sweep] differs: its repeat is 3, not 2;"), "{message}");
     desk.set_repeats(5);
     // The runs of a part get their new numbers, too.
     let n_runs = Folder::open(&desk.path("part")).unwrap().runs().unwrap().len();
