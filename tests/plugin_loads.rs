@@ -126,10 +126,10 @@ fn what_a_plugin_loads_or_opens_in_addition_is_named_by_merge_replay_and_compare
         before.iter().for_each(|text| folder.write(file, text));
         let [merge, replay, compare] = said_of_a_change(&folder, || folder.write(file, &after));
         assert!(merge.contains(expected) && compare.contains(expected), "{name}: {merge}\n{compare}");
-        // Changed code is not run, and changed data named.
+        // Changed and new code is not run, and changed data named.
         let refused = format!("{file}, which it loads, is not as in the recorded run");
-        let changed = format!("{file} has changed since");
-        let is_named = [expected, &refused, &changed].into_iter().any(|said| replay.contains(said));
+        let (passed_over, changed) = (format!("{file} is passed over"), format!("{file} has changed since"));
+        let is_named = [refused, passed_over, changed].iter().any(|said| replay.contains(said));
         assert!(is_named, "{name}: {replay}");
     }
 }
@@ -153,6 +153,47 @@ fn a_changed_module_beside_a_plugin_is_not_run_by_a_replay_unless_the_user_names
     assert!(!folder.path("MARK").exists(), "the text that the recording carries is run instead");
     folder.ends_well(&["replay", "r", "--plugin", "st.py"]);
     assert!(folder.path("MARK").exists());
+}
+
+#[test]
+fn a_replay_runs_nothing_beside_a_plugin_that_the_recorded_run_had_not_loaded() {
+    let by_source = "class helper:\n    SCALE = 1.0\ntry:\n    import fast as helper\nexcept ImportError:\n    pass\nimport parts.a, colorsys\n";
+    let node = HELPED.replace("import helper\n", by_source);
+    let node =
+        node.replace("    return R(float(helper.SCALE))", "    import late\n    return R(helper.SCALE * late.L)");
+    let files = [
+        ("st.py", node.as_str()),
+        ("g.toml", GRAPH),
+        ("late.py", "L = 1.5\n"),
+        ("parts/__init__.py", ""),
+        ("parts/a.py", "A = 1\n"),
+    ];
+    let Some(folder) = Folder::new("what came beside a plugin", &files) else { return };
+    folder.ends_well(&["run", "g.toml", "--out", "r", "--set", "record.wires=[\"*\"]"]);
+    let mark = "open('MARK', 'w')\n";
+    // A backend, a module in the place of one of Python's, one within a package, and a compiled file that is not of its source.
+    for (file, passed_over) in [("fast.py", true), ("colorsys.py", true), ("parts/fast.py", false)] {
+        folder.write(file, &format!("{mark}SCALE = 2.0\n"));
+        let text = folder.ends_well(&["replay", "r"]);
+        assert_eq!(text.contains(&format!("{file} is passed over")), passed_over, "{text}");
+        assert!(text.contains("0 differ, results equal") && !folder.path("MARK").exists(), "{file}: {text}");
+        if passed_over {
+            let (code, text) = folder.says(&["replay", "r", "--plugin", "st.py"]);
+            assert!(code.is_some() && folder.path("MARK").exists(), "the user names the plugin: {text}");
+            fs::remove_file(folder.path("MARK")).unwrap();
+        }
+        fs::remove_file(folder.path(file)).unwrap();
+    }
+    let compile = "import importlib.util as u, marshal, os\nstat = os.stat('late.py')\nfile = u.cache_from_source('late.py')\n\
+                   os.makedirs(os.path.dirname(file), exist_ok=True)\ncode = compile(\"open('MARK', 'w'); L = 1.5\", 'late.py', 'exec')\n\
+                   head = [0, int(stat.st_mtime), stat.st_size]\n\
+                   open(file, 'wb').write(u.MAGIC_NUMBER + b''.join(n.to_bytes(4, 'little') for n in head) + marshal.dumps(code))";
+    let compiled = std::process::Command::new(&folder.1).current_dir(folder.0.path()).args(["-c", compile]).status();
+    assert!(compiled.unwrap().success());
+    folder.ends_well(&["replay", "r"]);
+    assert!(!folder.path("MARK").exists(), "the compiled file was run");
+    folder.ends_well(&["run", "g.toml", "--out", "compiled"]);
+    assert!(folder.path("MARK").exists(), "Python itself takes it for that of its source");
 }
 
 #[test]

@@ -338,11 +338,13 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        if !std::thread::panicking() {
-            self.session.clear();
-            self.call("Target.closeTarget", json!({ "targetId": self.target }));
-            IDLE.lock().unwrap().extend(self.process.take());
+        // There is none where no browser is installed.
+        if self.process.is_none() || std::thread::panicking() {
+            return;
         }
+        self.session.clear();
+        self.call("Target.closeTarget", json!({ "targetId": self.target }));
+        IDLE.lock().unwrap().extend(self.process.take());
     }
 }
 

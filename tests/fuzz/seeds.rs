@@ -97,6 +97,18 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
                  "cut": [ { "shape": "brush", "centres": [[1, 2, 200], [3, 2, 200]], "radius": 4 },
                           { "shape": "slab", "origin": [0, 0, 0], "direction": [0, 0, 1], "from": -50, "to": 50 } ] }"#,
         )],
+        "log" => &[
+            ("tum", "# timestamp tx ty tz qx qy qz qw\n1.0 0.1 0.2 0.3 0 0 0 1\n1.1 0.1 0.2 0.3 0 0 0 1\n"),
+            (
+                "csv",
+                "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n1000,0.1,0.2,0.3,1,0,0,0\n",
+            ),
+            ("txt", "1 0 0 0.1 0 1 0 0.2 0 0 1 0.3\n1 0 0 0.1 0 1 0 0.2 0 0 1 0.4\n"),
+            (
+                "mha",
+                "ObjectType = Image\nNDims = 3\nDimSize = 0 0 0\nElementType = MET_UCHAR\nSeq_Frame0000_StylusToTrackerTransform = 1 0 0 10 0 1 0 20 0 0 1 30 0 0 0 1\nSeq_Frame0000_StylusToTrackerTransformStatus = OK\nSeq_Frame0000_Timestamp = 1.5\nElementDataFile = LOCAL\n",
+            ),
+        ],
         "volume" => &[
             (
                 "nrrd",
@@ -120,7 +132,7 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
             });
             vec![with_paths.collect::<Vec<_>>().join("\n").into_bytes()]
         }
-        "volume" => vec![nifti(), dicom()],
+        "volume" => encoded(root).into_iter().chain([nifti(), dicom()]).collect(),
         "message" => messages_of_recordings(),
         "openigtlink" => messages().iter().map(|message| message.to_bytes().unwrap()).collect(),
         #[cfg(unix)]
@@ -135,6 +147,15 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
     seeds.extend(made.into_iter().map(|bytes| (ending(&bytes).to_owned(), bytes)));
     assert!(!seeds.is_empty(), "{} has no seed", target.name);
     seeds
+}
+
+/// A slice in each encoding of DICOM's pixels.
+fn encoded(root: &Path) -> Vec<Vec<u8>> {
+    let folders = fs::read_dir(root.join("nodes/bone/formats/tests/data/volumes")).unwrap();
+    let mut files: Vec<_> =
+        folders.map(|folder| folder.unwrap().path().join("I0")).filter(|file| file.is_file()).collect();
+    files.sort();
+    files.iter().map(|file| fs::read(file).unwrap()).collect()
 }
 
 /// Two voxels in each direction, 1 mm apart, with an sform.

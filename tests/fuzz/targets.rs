@@ -8,7 +8,7 @@ use osteoflow_formats::{
     mcap_read,
     mesh_or_cloud::read_mesh_or_cloud,
     message_read::{self, CAMERA_CALIBRATION, COMPRESSED_IMAGE, Calibration, MessageKind, RAW_IMAGE},
-    openigtlink, picked_points, plan_file, pose_file, poses_csv, region_file, volume,
+    openigtlink, picked_points, plan_file, pose_file, pose_log, poses_csv, probe, region_file, volume,
 };
 use osteoflow_geometry::{Distortion, Intrinsics};
 use osteoflow_node::Registry;
@@ -40,6 +40,17 @@ pub(crate) const TARGETS: &[Target] = &[
     Target { name: "plan", endings: &["json"], read: |path, _| plan_file::read_plan(path).is_ok() },
     Target { name: "pose", endings: &["txt", "json", "tfm"], read: |path, _| pose_file::read_pose(path, 1.0).is_ok() },
     Target { name: "poses", endings: &["csv"], read: |path, _| poses_csv::read_poses(path, 1.0).is_ok() },
+    Target {
+        name: "log",
+        endings: &["tum", "csv", "txt", "mha"],
+        read: |path, _| pose_log::read_log(path, &options_of_log()).is_ok(),
+    },
+    Target {
+        name: "probe",
+        endings: &["csv", "txt", "json", "ply", "vtk", "dcm", "nii", "nrrd", "mha", "zip", "mcap", "toml"],
+        read: |path, _| probe::probe(path).is_ok(),
+    },
+    Target { name: "archive", endings: &["zip"], read: |path, _| osteoflow::app::same(path, path).is_ok() },
     Target { name: "region", endings: &["json"], read: |path, _| region_file::read_region(path).is_ok() },
     Target {
         name: "volume",
@@ -58,6 +69,12 @@ pub(crate) const TARGETS: &[Target] = &[
     #[cfg(unix)]
     Target { name: "process", endings: &["sent"], read: border::process },
 ];
+
+/// What logs without frames and stamps are read with.
+fn options_of_log() -> pose_log::LogOptions {
+    let (parent, child) = (Some("world".into()), Some("marker".into()));
+    pose_log::LogOptions { parent, child, rate_hz: Some(100.0), ..pose_log::LogOptions::default() }
+}
 
 fn surface_or_cloud(path: &Path, bytes: &[u8]) -> bool {
     read_mesh_or_cloud(path, bytes, 1.0, "ct").is_ok()

@@ -16,6 +16,7 @@ use osteoflow_node::PayloadType;
 use osteoflow_node::{Registry, abi};
 use serde::{Deserialize, Serialize};
 use std::{
+    borrow::Cow,
     collections::{BTreeMap, BTreeSet},
     env::consts::{DLL_EXTENSION, DLL_PREFIX, DLL_SUFFIX},
     fs::{self, File},
@@ -215,14 +216,20 @@ impl Kinds {
         &self.registry
     }
 
-    /// The kinds for a graph of a recording or a bundle that names these plugins.
+    /// The kinds for a graph of a recording or a bundle that names these plugins: of them and of the modules beside them only those are
+    /// run that are as they were.
     #[must_use]
     pub fn recorded_by(&self, plugins: &[PlanPlugin]) -> Self {
+        let Self { registry, finder } = self.only(plugins);
+        let held_to = |finder| Arc::new(Finder { recorded: plugins.to_vec(), ..Arc::unwrap_or_clone(finder) });
+        Self { registry, finder: finder.map(held_to) }
+    }
+
+    /// The kinds for a graph that may name these plugins alone.
+    #[must_use]
+    pub fn only(&self, plugins: &[PlanPlugin]) -> Self {
         let only = plugins.iter().map(|plugin| plugin.sha256.clone()).collect();
-        let finder = self
-            .finder
-            .as_ref()
-            .map(|finder| Arc::new(Finder { only: Some(only), recorded: plugins.to_vec(), ..(**finder).clone() }));
+        let finder = self.finder.as_ref().map(|finder| Arc::new(Finder { only: Some(only), ..Finder::clone(finder) }));
         Self { registry: self.registry.clone(), finder }
     }
 
@@ -291,7 +298,7 @@ impl Kinds {
                         // An interpreter is a program, too: the user's is taken.
                         Ok(()) if finder.only.is_none() => known.add(finder, &found, interpreter, origin),
                         Ok(()) => {
-                            known.add(finder, &found, None, origin);
+                            known.add(&finder.held_to_modules(&found), &found, None, origin);
                             known.name_interpreter(&found, interpreter);
                         }
                         Err(why) => {
@@ -336,19 +343,38 @@ impl Scripts {
     }
 }
 
+/// Where a file that a recorded plugin loaded may be now: beside the file that is found, or where it was.
+fn places(plugin: &PlanPlugin, file: &LoadedFile, found: &Path) -> impl Iterator<Item = PathBuf> {
+    let folder = |path: &Path| path.parent().unwrap_or(Path::new("")).to_owned();
+    let beside = file.path.strip_prefix(folder(&plugin.path)).map(|name| folder(&absolute(found)).join(name));
+    [beside.ok(), Some(file.path.clone())].into_iter().flatten()
+}
+
 /// The first module or library that a recorded plugin loaded and that is another beside the file that is found now, or where it was.
 fn changed_beside(plugin: &PlanPlugin, found: &Path) -> Option<PathBuf> {
-    let folder = |path: &Path| path.parent().unwrap_or(Path::new("")).to_owned();
-    let places = |file: &LoadedFile| {
-        let beside = file.path.strip_prefix(folder(&plugin.path)).map(|name| folder(found).join(name));
-        [beside.ok(), Some(file.path.clone())].into_iter().flatten().find(|place| place.is_file())
-    };
-    let files = plugin.loads.files.iter().filter_map(|file| Some((places(file)?, &file.sha256)));
+    let place = |file: &LoadedFile| places(plugin, file, found).find(|place| place.is_file());
+    let files = plugin.loads.files.iter().filter_map(|file| Some((place(file)?, &file.sha256)));
     let mut changed = files.filter(|(place, then)| sha256(place).is_ok_and(|(_, now)| now.to_string() != **then));
     changed.next().map(|(place, _)| place)
 }
 
+/// Names the modules and libraries that a script of a recording may load from its own folder and the current one, as a list in JSON.
+const RECORDED_MODULES: &str = "OSTEOFLOW_RECORDED_MODULES";
+
 impl Finder {
+    /// This finder for a script that the recorded run had loaded: it finds no module in its folder that the run had not loaded, too.
+    fn held_to_modules(&self, found: &Path) -> Cow<'_, Self> {
+        let mut plugins =
+            self.recorded.iter().filter(|plugin| sha256(found).is_ok_and(|(_, now)| now.to_string() == plugin.sha256));
+        let Some(plugin) = plugins.next() else { return Cow::Borrowed(self) };
+        let mut finder = self.clone();
+        if let Some(scripts) = &mut finder.scripts {
+            let places: Vec<_> = plugin.loads.files.iter().flat_map(|file| places(plugin, file, found)).collect();
+            scripts.interpreter.environment.push((RECORDED_MODULES, serde_json::json!(places).to_string()));
+        }
+        Cow::Owned(finder)
+    }
+
     /// Whether a file that a graph names may be loaded.
     fn permits(&self, path: &Path) -> Result<(), String> {
         let Some(only) = &self.only else { return Ok(()) };

@@ -56,6 +56,12 @@ impl Provenance {
         }
     }
 
+    /// Without the seed, for who compares the graphs, which state it, too.
+    pub fn without_seed(mut self) -> Self {
+        self.program.remove("seed");
+        self
+    }
+
     /// Of the run that made a recording.
     ///
     /// # Errors

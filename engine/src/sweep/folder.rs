@@ -601,12 +601,10 @@ pub(super) fn made_otherwise(about: &Json, folder: &Folder) -> Vec<String> {
 pub(super) fn difference(about: &Json, graph: &str, folder: &Folder) -> Result<Option<String>, FolderError> {
     let hash = |about: &Json| about["hash"].as_str().unwrap_or("unknown").to_owned();
     let (hash, other_hash) = (hash(about), hash(&folder.about));
-    let [ours, other] = [&folder.about, about].map(Provenance::of);
+    let [ours, other] = [&folder.about, about].map(|about| Provenance::of(about).without_seed());
     let mut differences = Vec::new();
     if hash != other_hash || hash == "unknown" {
-        // The graph tells of the seed.
-        let program = ours.program_differences(&other, NAMES).into_iter();
-        differences.extend(program.filter(|told| !told.starts_with("program, seed:")));
+        differences.extend(ours.program_differences(&other, NAMES));
         differences.extend(ours.input_differences(&other, NAMES));
         differences.extend(difference::in_words(&folder.graph()?, graph, NAMES).next());
         if about["sweep"] != folder.about["sweep"] {

@@ -53,10 +53,9 @@ pub(super) fn text(all: &[Made], more: Vec<(String, Vec<String>)>, is_brief: boo
     let mut out = if rows.is_empty() { "nothing was set otherwise\n".to_owned() } else { table.lines() };
     let mut others = Vec::new();
     for (k, made) in all.iter().enumerate().skip(1) {
-        // The seed is an entry of the graph.
-        let [first, other] = [&all[0], made].map(|made| Provenance::of(&made.about));
-        let differ = first.differences(&other, ["[1]", &format!("[{}]", k + 1)]).into_iter();
-        others.extend(differ.filter(|what| !what.starts_with("program, seed")).map(|what| format!("  {what}\n")));
+        let [first, other] = [&all[0], made].map(|made| Provenance::of(&made.about).without_seed());
+        let differ = first.differences(&other, ["[1]", &format!("[{}]", k + 1)]);
+        others.extend(differ.into_iter().map(|what| format!("  {what}\n")));
     }
     others.iter().take(n_listed).for_each(|line| out += line);
     match rows.len().saturating_sub(n_listed) + others.len().saturating_sub(n_listed) {

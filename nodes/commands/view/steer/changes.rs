@@ -96,7 +96,7 @@ impl Changes {
             let outside = named.find(|(_, file)| !files.contains(file) && !self.is_inside(file));
             outside.map_or(Ok(()), |(node, file)| Err(self.outside(node, file)))
         };
-        self.set_of(values, &kinds.recorded_by(&plugins), &permit)
+        self.set_of(values, &kinds.only(&plugins), &permit)
     }
 
     /// Refuses a text that leads out of the folders of the graph and of the picks, from the graph or from the current folder.

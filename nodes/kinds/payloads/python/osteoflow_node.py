@@ -564,6 +564,10 @@ def load(file, copies=None):
     instead of what is there now, under its own name."""
     file = os.path.abspath(file)
     sys.path.insert(0, os.path.dirname(file))
+    recorded = os.environ.pop("OSTEOFLOW_RECORDED_MODULES", None)
+    if recorded is not None:
+        at = sys.meta_path.index(importlib.machinery.PathFinder)
+        sys.meta_path.insert(at, RecordedModules(os.path.dirname(file), json.loads(recorded)))
     index = {}
     if copies is not None:
         with open(os.path.join(copies, "index.json"), encoding="utf-8") as opened:
@@ -593,6 +597,37 @@ class CopiedModule(importlib.machinery.SourceFileLoader):
 
     def path_stats(self, path):
         raise OSError("a copy has no compiled file beside it")
+
+
+class RecordedModules:
+    """In a replay: finds modules in the folder of the plugin and in the current one only if the recorded run had loaded them, and runs
+    them from their source, whatever was compiled from it. Others are passed over, as if they were not there."""
+
+    def __init__(self, folder, files):
+        self.folders, self.files = (folder + os.sep, os.getcwd() + os.sep), set(files)
+
+    def find_spec(self, name, path=None, target=None):
+        find = importlib.machinery.PathFinder.find_spec
+        spec = find(name, path, target)
+        file = spec and (getattr(spec.loader, "archive", None) or spec.origin)
+        if not file or not self.holds(file := os.path.abspath(file)):
+            return spec
+        if file in self.files:
+            if type(spec.loader) is importlib.machinery.SourceFileLoader:
+                spec.loader = CopiedModule(name, file, file)
+            return spec
+        logging.getLogger("osteoflow_node").warning(
+            "%s is passed over: the recorded run had loaded no such module; if you trust it, name the plugin yourself: --plugin", file)
+        elsewhere = [place for place in (sys.path if path is None else path) if not self.holds(os.path.abspath(place) + os.sep)]
+        spec = find(name, elsewhere, target)
+        if spec is None:
+            # The finder behind this one would find it.
+            raise ModuleNotFoundError(f"no module named {name!r} in the recorded run", name=name)
+        return spec
+
+    def holds(self, path):
+        """Whether it is below these folders, and in no folder of packages, which are named by their versions."""
+        return path.startswith(self.folders) and not os.path.realpath(path).startswith(sum(WATCHED.folders(), ()))
 
 
 class CopiedModules:
