@@ -3,7 +3,7 @@
 #[cfg(unix)]
 use super::border;
 use super::layouts::{Encoding, Layout, recording_bytes};
-use super::targets::{IMAGE_SIZE, MESSAGES, Target};
+use super::targets::{IMAGE_SIZE, MESSAGES, TARGETS, Target};
 use foxglove::{
     Encode,
     messages::{CameraCalibration, CompressedImage, RawImage},
@@ -30,6 +30,12 @@ pub(crate) const MAX_SEED_BYTES: usize = 60_000;
 
 /// Files of the repository that a target reads, with their endings.
 pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
+    if target.name == "probe" {
+        // What the others read.
+        let others = TARGETS.iter().filter(|other| other.name != target.name);
+        let all = others.flat_map(|other| seeds(other, root));
+        return all.filter(|(ending, _)| target.endings.contains(&&**ending)).collect();
+    }
     let mut folders: Vec<PathBuf> = ["tests/data", "graphs"].iter().map(|folder| root.join(folder)).collect();
     let mut files = Vec::new();
     while let Some(folder) = folders.pop() {
