@@ -1,6 +1,6 @@
 //! Colour images in recordings: the same landmarks as from the simulated camera, and images that do not fit are refused by name.
 
-use crate::common::{Ran, python::python_with, root, run, run_whole};
+use crate::common::{Ran, is_slow_run, python::python_with, root, run, run_whole};
 use foxglove::{
     Encode,
     messages::{CameraCalibration, RawImage, Timestamp},
@@ -152,11 +152,13 @@ fn pictures_that_opencv_bends_give_the_landmarks_of_straight_ones() {
         let at = |p: &serde_json::Value| [0, 1, 2].map(|c| first(p)["position_mm"][c].as_f64().unwrap());
         points.iter().map(at).collect()
     };
-    for (model, d) in [
-        ("plumb_bob", &[-0.28, 0.09, 0.0011, -0.0007, -0.012][..]),
-        ("rational_polynomial", &[0.52, -0.26, 0.0006, -0.0002, 0.015, 0.39, -0.024, 0.0144]),
+    let models = [
+        ("rational_polynomial", &[0.52, -0.26, 0.0006, -0.0002, 0.015, 0.39, -0.024, 0.0144][..]),
+        ("plumb_bob", &[-0.28, 0.09, 0.0011, -0.0007, -0.012]),
         ("equidistant", &[-0.0125, 0.0034, -0.0011, 0.0002]),
-    ] {
+    ];
+    // Each model's formula has known answers of its own (nodes/bone/geometry).
+    for (model, d) in models.into_iter().take(if is_slow_run() { 3 } else { 1 }) {
         let dir = tempfile::tempdir().unwrap();
         let mut bend = std::process::Command::new(&python);
         bend.arg(root().join("tests/python/bend_images.py")).arg(dir.path().join("bag"));

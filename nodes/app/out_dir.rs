@@ -1,6 +1,9 @@
 //! The folder that a run writes its files into: new or empty, except with `--force`, and of this process alone.
 
-use super::folder_lock::{FolderLock, HOLDER};
+use super::{
+    error::UsageError,
+    folder_lock::{FolderLock, HOLDER},
+};
 use anyhow::{Context, Result};
 use jiff::Timestamp;
 use osteoflow_engine::run::files;
@@ -42,17 +45,31 @@ impl Deref for OutDir {
 /// the message.
 pub(crate) fn make_plain(dir: &Path, force: bool, remedy: &str) -> Result<()> {
     make_folder(dir)?;
+    if force { Ok(()) } else { check_empty(dir, remedy) }
+}
+
+/// Refuses a folder that is not empty, with the remedy in the message, and a file.
+pub(crate) fn check_empty(dir: &Path, remedy: &str) -> Result<()> {
+    check_no_file(dir)?;
+    if !dir.exists() {
+        return Ok(());
+    }
     let mut entries = fs::read_dir(dir).with_context(|| format!("{} cannot be read", dir.display()))?;
-    if entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)) && !force {
+    if entries.any(|entry| entry.is_ok_and(|entry| entry.file_name() != HOLDER)) {
         usage!("{} is not empty; {remedy}", dir.display());
     }
     Ok(())
 }
 
-fn make_folder(dir: &Path) -> Result<()> {
-    if let Some(file) = dir.ancestors().find(|above| above.is_file()) {
-        usage!("{} is a file; name a folder", file.display());
+fn check_no_file(dir: &Path) -> Result<()> {
+    match dir.ancestors().find(|above| above.is_file()) {
+        Some(file) => Err(UsageError(format!("{} is a file; name a folder", file.display())).into()),
+        None => Ok(()),
     }
+}
+
+fn make_folder(dir: &Path) -> Result<()> {
+    check_no_file(dir)?;
     fs::create_dir_all(dir).with_context(|| format!("{} cannot be made a folder", dir.display()))
 }
 

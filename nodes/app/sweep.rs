@@ -357,13 +357,19 @@ pub(crate) fn folder_error(error: FolderError) -> anyhow::Error {
 
 /// Creates the folder, or takes an empty one; for a folder with a sweep the error suggests --resume.
 pub(crate) fn new_dir(out: Option<&Path>, graph: &str) -> Result<OutDir> {
-    let Some(dir) = out else { return out_dir::make(None, graph, false) };
-    let shown = dir.display();
-    if dir.join(sweep::DESIGN).is_file() {
-        usage!("{shown} holds a sweep already; continue it with --resume, or name another folder");
-    }
-    out_dir::make_plain(dir, false, "name another folder")?;
+    out.map_or(Ok(()), check_new)?;
     out_dir::make(out, graph, false)
+}
+
+/// Whether a sweep may begin in a folder.
+///
+/// # Errors
+/// It holds a sweep, or other files.
+pub(crate) fn check_new(dir: &Path) -> Result<()> {
+    if dir.join(sweep::DESIGN).is_file() {
+        usage!("{} holds a sweep already; continue it with --resume, or name another folder", dir.display());
+    }
+    out_dir::check_empty(dir, "name another folder")
 }
 
 /// Why the folder of a shard cannot be used.

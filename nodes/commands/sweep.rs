@@ -7,7 +7,7 @@ use super::common::{
 };
 use crate::app::{
     ArchiveArgs, OneRun, SweepRequest, run_error,
-    sweep::{folder_error, merge, summary},
+    sweep::{check_new, folder_error, merge, summary},
 };
 use anyhow::Result;
 use clap::Args;
@@ -80,6 +80,10 @@ impl Sweep {
             }
             let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
             return print_end(&folder, &swept, Duration::ZERO, global);
+        }
+        // Before all runs are checked.
+        if let (Some(dir), false, false) = (&request.out, request.resume, self.dry_run) {
+            check_new(dir)?;
         }
         // Before the plugins are looked at, which starts interpreters.
         let began = Instant::now();

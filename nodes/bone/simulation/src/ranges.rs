@@ -4,10 +4,20 @@ use crate::error::SimulationError;
 use schemars::{JsonSchema, Schema};
 use serde::Serialize;
 use serde_json::Value;
+use std::{
+    any::TypeId,
+    collections::BTreeMap,
+    sync::{Arc, Mutex, PoisonError},
+};
 
 /// Checks every number of `params` against its declared range; `table` is the name of the parameters' table.
-pub(crate) fn check<P: Serialize + JsonSchema>(table: &str, params: &P) -> Result<(), SimulationError> {
-    let schema = schemars::schema_for!(P).to_value();
+pub(crate) fn check<P: Serialize + JsonSchema + 'static>(table: &str, params: &P) -> Result<(), SimulationError> {
+    // Made once for each type: a sweep checks thousands of graphs.
+    static SCHEMAS: Mutex<BTreeMap<TypeId, Arc<Value>>> = Mutex::new(BTreeMap::new());
+    let mut schemas = SCHEMAS.lock().unwrap_or_else(PoisonError::into_inner);
+    let schema =
+        schemas.entry(TypeId::of::<P>()).or_insert_with(|| Arc::new(schemars::schema_for!(P).to_value())).clone();
+    drop(schemas);
     let values = serde_json::to_value(params).expect("parameters are tables of numbers and words");
     within(&schema, &schema, table, &values)
 }
