@@ -194,6 +194,12 @@ fn a_replay_runs_nothing_beside_a_plugin_that_the_recorded_run_had_not_loaded() 
     assert!(!folder.path("MARK").exists(), "the compiled file was run");
     folder.ends_well(&["run", "g.toml", "--out", "compiled"]);
     assert!(folder.path("MARK").exists(), "Python itself takes it for that of its source");
+    // A bundle knows what the failed firing had loaded.
+    folder.write("st.py", &node.replace("    import late\n", "    import late\n    raise ValueError(late.L)\n"));
+    let (code, text) = folder.says(&["run", "g.toml", "--out", "failed"]);
+    assert_eq!(code, Some(3), "{text}");
+    let text = folder.ends_well(&["repro", "failed/repro/f-0"]);
+    assert!(text.contains("failed now:  the same"), "{text}");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use crate::{
     options::RunOptions,
     panics,
     plan::{Plan, PlanNode},
+    plugin,
     runtime::{Failed, Tap},
 };
 use std::{
@@ -157,7 +158,9 @@ fn describe(plan: &Plan, failed: &Failed<'_>, inputs: Vec<Input>, out_dir: &Path
             role: node.role,
             table: table(plan, node),
             written: node.written(),
-            plugin: plan.plugins.iter().find(|plugin| plugin.kinds.iter().any(|kind| **kind == *node.kind)).cloned(),
+            plugin: plugin::with_late_loads(&plan.plugins)
+                .into_iter()
+                .find(|plugin| plugin.kinds.iter().any(|kind| **kind == *node.kind)),
         },
         item: failed.item,
         stamp_ns: failed.stamp_ns,
