@@ -214,3 +214,107 @@ fn a_small_file_system_is_full_as_a_full_disk_is() {
     let listed = text(&output.stdout);
     assert!(listed.contains("run.mcap") && !listed.contains(".part"), "{listed}");
 }
+
+/// The names in a folder.
+fn names(dir: &Path) -> Vec<String> {
+    let mut names: Vec<_> =
+        fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+fn convert(from: &str, to: &Path) -> Command {
+    let mut command = osteoflow_to_spawn();
+    command.arg("convert").arg(crate::common::shared_folder().join(from)).arg(to);
+    command
+}
+
+#[test]
+fn a_converted_file_is_whole_or_not_there_on_a_full_disk_and_after_a_kill() {
+    let Some(library) = failing_disk() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let cases = [
+        ("scan.ply", "out.csv"),
+        ("scan.ply", "out.pcd"),
+        ("scan.ply", "out.vtk"),
+        ("bone.stl", "out.ply"),
+        ("bone.stl", "out.obj"),
+        ("poses.csv", "out.mcap"),
+        ("stylus_init.csv", "out.mrk.json"),
+    ];
+    for (from, to) in cases {
+        let out = dir.path().join(to);
+        let mut full = convert(from, &out);
+        let output = full.env("LD_PRELOAD", library).env("OSTEOFLOW_TEST_DISK_BYTES", "200").output().unwrap();
+        let err = text(&output.stderr);
+        assert!(output.status.code() == Some(1) && err.contains("No space left on device"), "{to}: {err}");
+        assert_eq!(names(dir.path()), [""; 0], "{to}");
+    }
+    let out = dir.path().join("out.csv");
+    let mut waits = convert("scan.ply", &out);
+    let mut waits = waits.env("LD_PRELOAD", library).env("OSTEOFLOW_TEST_SYNC_WAITS", "1").spawn().unwrap();
+    while names(dir.path()).is_empty() {
+        assert!(waits.try_wait().unwrap().is_none(), "it ended before it wrote");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    waits.kill().unwrap();
+    waits.wait().unwrap();
+    let left = names(dir.path());
+    assert!(left.len() == 1 && left[0].ends_with(".part"), "{left:?}");
+    assert!(convert("scan.ply", &dir.path().join("other.csv")).status().unwrap().success());
+    assert_eq!(names(dir.path()), ["other.csv"], "the next call removes what a killed one left");
+}
+
+#[test]
+fn a_registration_that_cannot_be_written_is_refused_before_it_is_computed_or_printed_all_the_same() {
+    let Some(library) = failing_disk() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let folder = crate::common::shared_folder();
+    let register = |out: &Path| {
+        let mut command = osteoflow_to_spawn();
+        command
+            .arg("register")
+            .args([folder.join("bone.stl"), folder.join("scan.ply")])
+            .arg("--no-verdict")
+            .arg("--out");
+        command.arg(out);
+        command
+    };
+    fs::write(dir.path().join("file"), "").unwrap();
+    for nowhere in ["no/such/pose.txt", "file/pose", "file/pose.json"] {
+        let output = register(&dir.path().join(nowhere)).output().unwrap();
+        let (out, err) = (text(&output.stdout), text(&output.stderr));
+        assert!(output.status.code() != Some(0) && out.is_empty() && err.contains("cannot be written"), "{out}{err}");
+    }
+    let out = dir.path().join("pose.json");
+    let mut full = register(&out);
+    let output = full
+        .env("LD_PRELOAD", library)
+        .env("OSTEOFLOW_TEST_DISK_BYTES", "0")
+        .env("OSTEOFLOW_CACHE", "off")
+        .output()
+        .unwrap();
+    let (said, err) = (text(&output.stdout), text(&output.stderr));
+    assert!(output.status.code() == Some(1) && err.contains("the pose is printed, and not written"), "{err}");
+    assert!(said.lines().count() > 4 && !out.exists(), "{said}");
+    assert_eq!(names(dir.path()), ["file"]);
+}
+
+#[test]
+fn a_sweep_that_is_interrupted_before_its_first_run_says_so() {
+    let Some(library) = failing_disk() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("swept");
+    let mut sweep = osteoflow_to_spawn();
+    sweep.args(["sweep", "graphs/paper/sensitivity.toml", "--out"]).arg(&out);
+    sweep.env("LD_PRELOAD", library).env("OSTEOFLOW_TEST_SYNC_WAITS", "1").stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut sweep = sweep.spawn().unwrap();
+    while !out.is_dir() || names(&out).is_empty() {
+        assert!(sweep.try_wait().unwrap().is_none(), "it ended before it wrote");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-INT", &sweep.id().to_string()]).status().unwrap().success());
+    let output = sweep.wait_with_output().unwrap();
+    let err = text(&output.stderr);
+    assert!(output.status.code() == Some(130) && err.contains("interrupted: before the first run"), "{err}");
+}

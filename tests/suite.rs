@@ -30,6 +30,8 @@ mod graphs;
 mod guides;
 mod images;
 mod info;
+#[cfg(unix)]
+mod irregular_files;
 mod kept;
 mod live;
 mod live_joins;

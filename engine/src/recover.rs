@@ -14,11 +14,12 @@ use crate::recording::{
     wires::{Carries, Wire},
 };
 use osteoflow_container::{
-    Channel, Damage, End, Message, MessageHeader, Progress, Record, Segments, WriteOptions, Writer,
+    Channel, Damage, End, Message, MessageHeader, Progress, Record, Segments, WriteOptions, Writer, durable::Part,
+    regular,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs::{self, File},
+    fs::File,
     io,
     ops::{ControlFlow, RangeInclusive},
     path::{Path, PathBuf},
@@ -106,13 +107,13 @@ fn copy(
     mut recovery: Recovery<'_>,
     progress: Progress<'_>,
 ) -> Result<RecoverReport, RecoverError> {
-    File::open(from).map_err(|error| RecordingError::read(from, error))?;
+    regular(from).and_then(std::fs::File::open).map_err(|error| RecordingError::read(from, error))?;
     let write_error = |error| RecoverError::Write(format!("{}: {error}", to.display()));
-    let file = File::options().write(true).create_new(true).open(to).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => RecoverError::Exists(to.into()),
-        _ => write_error(error),
-    })?;
-    recovery.output.file = Some(file);
+    if to.symlink_metadata().is_ok() {
+        return Err(RecoverError::Exists(to.into()));
+    }
+    let mut part = Part::new(to).map_err(write_error)?;
+    recovery.output.file = Some(part.file().try_clone().map_err(write_error)?);
     let passed = pass(from, &mut recovery, progress).and_then(|passed| {
         // Nothing would read what is written.
         passed.metadata.entries(RunRecord::NAME).map_or(Ok(()), |entries| check_version(from, entries))?;
@@ -127,11 +128,12 @@ fn copy(
         }
         false => Ok(report),
     });
-    if report.is_err() {
-        // Nothing else has written the file: it did not exist.
-        let _ = fs::remove_file(to);
-    }
-    report
+    let report = report?;
+    part.keep_new().map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists => RecoverError::Exists(to.into()),
+        _ => write_error(error),
+    })?;
+    Ok(report)
 }
 
 /// Copies a sound recording to `to`, which must not exist, with the texts of its metadata changed by `rename`: what the run was,
@@ -144,7 +146,7 @@ pub fn copy_renamed(from: &Path, to: &Path, rename: &dyn Fn(&str) -> String) -> 
     match copy(from, to, recovery, &mut |_, _| {})? {
         report if report.is_whole() => Ok(()),
         report => {
-            let _ = fs::remove_file(to);
+            let _ = std::fs::remove_file(to);
             let damage = report.damages.first().map_or("it is not whole".into(), ToString::to_string);
             Err(RecoverError::Nothing(format!(
                 "{} is copied as it is damaged: {damage}; recover it first",

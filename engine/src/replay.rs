@@ -278,7 +278,7 @@ pub fn replay(
     let sets = &changes.sets;
     let checked = match &changes.graph {
         // Files of played sources need not exist; a graph file that cannot be read is a fault.
-        Some(graph) => match std::fs::read_to_string(graph) {
+        Some(graph) => match crate::regular(graph).and_then(std::fs::read_to_string) {
             Ok(text) => check_recorded(&text, graph, sets, kinds),
             Err(_) => check(graph, sets, kinds),
         },

@@ -22,7 +22,6 @@ pub use save::{FOLDER, Saved, SavedBundle};
 use crate::{
     activity::{self, Doing, Name},
     check::{CheckedNode, check_node},
-    durable::TemporaryFolder,
     graph::{
         plugins::NamedPlugin,
         written::{self, remove_unwritten, sets_kind},
@@ -31,6 +30,7 @@ use crate::{
     plan::PlanPlugin,
     plugin::{Kinds, Known},
     runtime::{self, emission_fault, planned_failure},
+    temporary,
 };
 use osteoflow_node::{
     Body, BuildContext, Built, Context, DeclaredPort, Emission, Empty, Joined, PayloadType, PortPayload, Registry,
@@ -111,7 +111,7 @@ pub fn repro(
     let built = planned_failure(built, &node.name, bundle.item, bundle.injected.filter(|_| !is_exchanged));
     // Files that the node writes go to a temporary folder.
     let no_folder = |error| ReproError::Files(format!("no folder can be made for what the node writes: {error}"));
-    let scratch = TemporaryFolder::new("osteoflow-repro").map_err(no_folder)?;
+    let scratch = temporary::folder("repro").map_err(no_folder)?;
     let context = Context::new(node.name.clone(), bundle.seed, Arc::default(), declared.clone());
     let mut context = context.with_out_dir(Some(Arc::from(scratch.path())));
     if backtrace {

@@ -32,15 +32,12 @@ pub(crate) use payload::{decode, message, payload_of};
 pub use program::{cpu_features, libraries};
 pub use settings::{Settings, SettingsError};
 
-use crate::hash::Digest;
+use crate::{durable::Part, hash::Digest};
 use std::{
     fs::{self, File},
     io::{self, Write},
     path::{Path, PathBuf},
-    sync::{
-        Mutex, PoisonError,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Mutex, PoisonError},
     time::SystemTime,
 };
 
@@ -129,28 +126,13 @@ impl Store {
 
     /// Writes the entry to a temporary file and renames it.
     fn write(&self, key: &Key, pieces: &[&[u8]]) -> io::Result<()> {
-        let (mut file, temporary) = self.temporary()?;
-        let written = entry::header(key, pieces).and_then(|header| {
-            file.write_all(&header)?;
-            pieces.iter().try_for_each(|piece| file.write_all(piece))?;
-            drop(file);
-            fs::rename(&temporary, self.path(key))
+        let written = Part::new(&self.path(key)).and_then(|mut part| {
+            part.file().write_all(&entry::header(key, pieces)?)?;
+            pieces.iter().try_for_each(|piece| part.file().write_all(piece))?;
+            part.swap()
         });
-        if written.is_err() {
-            let _ = fs::remove_file(&temporary);
-        }
         // Some platforms cannot replace an open file; a reader of that file has the same bytes.
         written.or_else(|error| if self.get(key).is_some() { Ok(()) } else { Err(error) })
-    }
-
-    /// Creates a temporary file with a unique name.
-    fn temporary(&self) -> io::Result<(File, PathBuf)> {
-        static N_MADE: AtomicU64 = AtomicU64::new(0);
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        // Two machines that share the folder may have processes with the same id.
-        let own = format!("{}-{:x}", std::process::id(), now.as_nanos());
-        let path = self.dir().join(evict::temporary_name(&own, N_MADE.fetch_add(1, Ordering::Relaxed)));
-        Ok((File::create_new(&path)?, path))
     }
 
     /// Removes the least recently used entries if the store is too large.

@@ -2,7 +2,7 @@
 
 use super::error::{Error, UsageError};
 use anyhow::{Context, Result, anyhow};
-use osteoflow_engine::{Fault, Faults, run, sweep};
+use osteoflow_engine::{Fault, Faults, durable, run, sweep};
 use osteoflow_formats::{
     Space, input,
     mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
@@ -201,17 +201,10 @@ pub(crate) fn check_new(file: &Path) -> Result<()> {
 
 /// Writes a file that is whole or not there; nothing is overwritten.
 pub(crate) fn write_new(out: &Path, text: &str) -> Result<()> {
-    let folder = out.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let cannot = || format!("{} cannot be written", out.display());
-    #[cfg_attr(not(unix), allow(unused_mut, reason = "only Unix has permissions to set"))]
-    let mut builder = tempfile::Builder::new();
-    // As any other file: who may read it is the user's umask.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).with_context(cannot)?;
-    file.write_all(text.as_bytes()).and_then(|()| file.as_file().sync_all()).with_context(cannot)?;
-    file.persist_noclobber(out).with_context(cannot)?;
-    Ok(())
+    let mut part = durable::Part::new(out).with_context(cannot)?;
+    part.file().write_all(text.as_bytes()).with_context(cannot)?;
+    part.keep_new().with_context(cannot)
 }
 
 /// Writes a surface as PLY, STL or OBJ, by the ending of the file, and returns what its reader should know; nothing is overwritten.

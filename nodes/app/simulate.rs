@@ -21,7 +21,6 @@ use serde_json::{Value, json};
 use set::Parameters;
 use std::{
     collections::BTreeMap,
-    fs,
     ops::RangeInclusive,
     path::{Path, PathBuf},
 };
@@ -179,7 +178,7 @@ impl SimulateRequest {
 }
 
 fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
-    fs::write(path, content).with_context(|| format!("{} cannot be written", path.display()))
+    osteoflow_formats::durable::write(path, content).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// The number of the landmark of a laser scan: a scan with another's label is in the other's stream.

@@ -79,7 +79,8 @@ impl Graph {
 fn of_run(run: &Path) -> Result<Diagram> {
     let path = if run.is_dir() { run.join(files::MANIFEST) } else { run.to_owned() };
     let shown = path.display();
-    let text = std::fs::read_to_string(&path)
+    let text = osteoflow_engine::regular(&path)
+        .and_then(std::fs::read_to_string)
         .with_context(|| format!("{shown} cannot be read; --run takes the folder of a run that has ended"))?;
     let manifest = serde_json::from_str(&text).with_context(|| format!("{shown} is not the manifest of a run"))?;
     diagram::of_manifest(&manifest).map_err(|why| anyhow::anyhow!("{shown} is not the manifest of a run: {why}"))

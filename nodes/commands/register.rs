@@ -64,7 +64,11 @@ impl Register {
         let cancelled = Arc::default();
         let (work, until) = (checked.clone(), Arc::clone(&cancelled));
         let registration = running::watch(progress, cancelled, move |progress| work.run(progress, &until))?;
-        registration.map_or(Ok(Exit::Interrupted), |registration| self.print(&registration, &checked, global))
+        let Some(mut registration) = registration else { return Ok(Exit::Interrupted) };
+        let not_written = registration.not_written.take();
+        let exit = self.print(&registration, &checked, global)?;
+        // The pose took a while, and the disk may be full only now.
+        not_written.map_or(Ok(exit), |error| Err(error.context("the pose is printed, and not written")))
     }
 
     /// Prints the answer, and returns the exit code.

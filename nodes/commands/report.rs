@@ -6,7 +6,6 @@ use osteoflow_engine::{plugin::Kinds, run::files, sweep};
 use serde_json::json;
 use std::{
     collections::BTreeSet,
-    fs,
     io::Write,
     path::{Path, PathBuf},
 };
@@ -76,7 +75,7 @@ impl Report {
 /// Refuses to write over a file that is no page: a recording is not made again.
 fn check_out(page: &Path) -> Result<(), UsageError> {
     let is_page = |bytes: Vec<u8>| bytes.trim_ascii_start().to_ascii_lowercase().starts_with(b"<!doctype html");
-    match page.exists() && !fs::read(page).is_ok_and(is_page) {
+    match page.exists() && !osteoflow_engine::regular(page).and_then(std::fs::read).is_ok_and(is_page) {
         true => Err(UsageError(format!("{} exists already and is no page; name another file", page.display()))),
         false => Ok(()),
     }

@@ -81,7 +81,7 @@ impl Row {
 /// The file as JSON, or null with the reason.
 fn json(file: &Path) -> (Value, Option<String>) {
     let problem = |error: &dyn std::fmt::Display| (Value::Null, Some(format!("{}: {error}", file.display())));
-    match fs::read(file) {
+    match osteoflow_engine::regular(file).and_then(fs::read) {
         Ok(bytes) => match serde_json::from_slice(&bytes) {
             Ok(value) => (value, None),
             Err(error) => problem(&error),

@@ -85,6 +85,13 @@ impl Sweep {
         if let (Some(dir), false, false) = (&request.out, request.resume, self.dry_run) {
             check_new(dir)?;
         }
+        running::on_interrupt(|| {
+            let _ = writeln!(
+                std::io::stderr(),
+                "interrupted: before the first run; start it again, with --resume if its folder is there already"
+            );
+            std::process::exit(Exit::Interrupted.code().into());
+        })?;
         // Before the plugins are looked at, which starts interpreters.
         let began = Instant::now();
         let opened =
@@ -107,13 +114,19 @@ impl Sweep {
         let shard = request.shard.map_or_else(String::new, |shard| format!(", part {shard}"));
         let what = format!("sweeping {}{shard}", run.sweep.plan.name);
         let bar = SweepProgress::begin(run.n_left()?, &what, run.options.workers, global);
-        let of_thread = run.clone();
+        let (of_thread, n_left) = (run.clone(), run.n_left()?);
         let ran = running::watch(Progress::hidden(), cancelled, move |_| {
             let swept = of_thread.make(&bar)?;
             bar.end();
             Ok(swept)
         })?;
-        ran.map_or(Ok(Exit::Interrupted), |swept| print_end(&run.folder, &swept, began.elapsed(), global))
+        let Some(swept) = ran else {
+            let (n_left, dir) = (run.n_left().unwrap_or(n_left), run.folder.dir().display());
+            let message = format!("{n_left} runs are missing; continue with --out {dir} --resume");
+            global.say("interrupted", message)?;
+            return Ok(Exit::Interrupted);
+        };
+        print_end(&run.folder, &swept, began.elapsed(), global)
     }
 
     /// Runs the runs of --only, each recorded in a folder of its own; the exit code is that of the first without results.

@@ -71,6 +71,8 @@ ssize_t writev(int fd, const struct iovec *slices, int n) {
 int fsync(int fd) {
     int (*real)(int) = dlsym(RTLD_NEXT, "fsync");
     note_fd("fsync", fd);
+    if (getenv("OSTEOFLOW_TEST_SYNC_WAITS") != NULL && is_file(fd))
+        for (;;) pause();
     if (getenv("OSTEOFLOW_TEST_SYNC_FAILS") != NULL && is_file(fd)) {
         errno = EIO;
         return -1;

@@ -1,4 +1,4 @@
-use super::{Fault, Severity, Span};
+use super::{Fault, Severity, SourceText, Span};
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Renderer, Snippet};
 use std::sync::Arc;
 
@@ -26,17 +26,25 @@ pub(super) fn render(fault: &Fault, colour: bool) -> String {
 fn snippets(fault: &Fault) -> Vec<Snippet<'_, Annotation<'_>>> {
     let places = fault.at.iter().map(|place| (place, AnnotationKind::Primary));
     let places = places.chain(fault.also.iter().map(|place| (place, AnnotationKind::Context)));
-    let mut texts: Vec<(&Span, Vec<Annotation<'_>>)> = Vec::new();
+    let mut texts: Vec<(&Arc<SourceText>, Vec<(&Span, &str, AnnotationKind)>)> = Vec::new();
     for ((span, label), kind) in places {
-        let annotation = kind.span(span.range.clone()).label(label.as_str());
-        match texts.iter_mut().find(|(first, _)| Arc::ptr_eq(&first.source, &span.source)) {
-            Some((_, annotations)) => annotations.push(annotation),
-            None => texts.push((span, vec![annotation])),
+        match texts.iter_mut().find(|(source, _)| Arc::ptr_eq(source, &span.source)) {
+            Some((_, places)) => places.push((span, label.as_str(), kind)),
+            None => texts.push((&span.source, vec![(span, label.as_str(), kind)])),
         }
     }
-    let snippet = |(span, annotations): (&Span, Vec<_>)| {
-        let path = span.source.name.display().to_string();
-        Snippet::source(span.source.text.clone()).path(path).annotations(annotations)
-    };
-    texts.into_iter().map(snippet).collect()
+    texts.into_iter().map(|(source, places)| snippet(source, places)).collect()
+}
+
+/// The lines of a text that are shown. Each fault of a large graph would copy all of them.
+fn snippet<'a>(source: &SourceText, places: Vec<(&Span, &'a str, AnnotationKind)>) -> Snippet<'a, Annotation<'a>> {
+    let ranges = places.iter().map(|(span, ..)| span.range.clone());
+    let (from, to) = (ranges.clone().map(|range| range.start).min(), ranges.map(|range| range.end).max());
+    let (first_line, lines) = source.lines(from.unwrap_or(0)..to.unwrap_or(0));
+    let annotations: Vec<_> = places
+        .into_iter()
+        .map(|(span, label, kind)| kind.span(span.range.start - lines.start..span.range.end - lines.start).label(label))
+        .collect();
+    let path = source.name.display().to_string();
+    Snippet::source(source.text[lines].to_owned()).line_start(first_line).path(path).annotations(annotations)
 }

@@ -23,6 +23,8 @@ pub struct SourceText {
     pub merged: OnceLock<usize>,
     /// The use of the module, if it is the file of a module or extended by one.
     pub used: Option<Use>,
+    /// Where its lines begin.
+    pub line_starts: OnceLock<Vec<usize>>,
 }
 
 /// A use of a module.
@@ -34,6 +36,24 @@ pub struct Use {
 }
 
 impl SourceText {
+    /// Index of the line that has a byte, and where it begins.
+    fn line(&self, offset: usize) -> (usize, usize) {
+        let starts = self.line_starts.get_or_init(|| {
+            let behind = self.text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
+            std::iter::once(0).chain(behind).collect()
+        });
+        let line = starts.partition_point(|start| *start <= offset) - 1;
+        (line, starts[line])
+    }
+
+    /// The bytes of the lines of a range, with those around it, and the number of the first.
+    pub(super) fn lines(&self, range: Range<usize>) -> (usize, Range<usize>) {
+        let (line, start) = self.line(range.start.min(self.text.len()));
+        let end =
+            self.text[range.end.min(self.text.len())..].find('\n').map_or(self.text.len(), |at| range.end + at + 1);
+        (line + 1, start..end)
+    }
+
     /// Whether it has the settings of a run of a sweep.
     pub(crate) fn is_sweep(&self) -> bool {
         self.command_line && self.name.to_string_lossy().starts_with("[sweep]")
@@ -89,9 +109,9 @@ impl Span {
 
     fn position(&self, offset: usize) -> (usize, usize) {
         let text = &self.source.text;
-        let before = text.get(..offset.min(text.len())).unwrap_or(text);
-        let line_start = before.rfind('\n').map_or(0, |at| at + 1);
-        (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
+        let offset = if text.is_char_boundary(offset) { offset } else { text.len() };
+        let (line, start) = self.source.line(offset);
+        (line + 1, text[start..offset].chars().count() + 1)
     }
 
     /// Sort key for the order in which faults are shown.

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     fault::{Fault, SourceText, Span, Use},
-    hash::files::irregular,
+    irregular,
     names::nearest,
 };
 use serde::{Deserialize, Serialize};
@@ -113,8 +113,8 @@ impl<'f> Chain<'f> {
         self.n_read += 1;
         self.read.insert(canonical(path));
         let dir = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
-        let (name, merged) = (tidy(path), OnceLock::new());
-        Arc::new(SourceText { name, dir, text, order, command_line: false, merged, used })
+        let (name, merged, line_starts) = (tidy(path), OnceLock::new(), OnceLock::new());
+        Arc::new(SourceText { name, dir, text, order, command_line: false, merged, used, line_starts })
     }
 
     fn merge(&mut self, base: &mut Table, mut over: Table, source: &SourceText) {
@@ -227,8 +227,8 @@ impl Variant {
     /// The content as a table.
     pub(super) fn table(&self, path: &Path, faults: &mut Vec<Fault>) -> Table {
         let (name, dir, text) = (tidy(path), PathBuf::new(), self.text.clone());
-        let merged = OnceLock::new();
-        let source = SourceText { name, dir, text, order: 0, command_line: false, merged, used: None };
+        let (merged, line_starts) = (OnceLock::new(), OnceLock::new());
+        let source = SourceText { name, dir, text, order: 0, command_line: false, merged, used: None, line_starts };
         let mut table = parse(&Arc::new(source), faults);
         results::flatten(&mut table, faults);
         table

@@ -99,8 +99,8 @@ fn source<'l>(
         text.push_str(value);
     }
     let (name, dir, order) = (name.into(), dir.into(), usize::MAX);
-    let merged = OnceLock::new();
-    (Arc::new(SourceText { name, dir, text, order, command_line: true, merged, used: None }), ranges)
+    let (merged, line_starts) = (OnceLock::new(), OnceLock::new());
+    (Arc::new(SourceText { name, dir, text, order, command_line: true, merged, used: None, line_starts }), ranges)
 }
 
 /// A parameter of a node that is not in a graph file, as given on the command line.
@@ -286,6 +286,7 @@ pub(crate) fn setting_value(text: &str) -> serde_json::Value {
         command_line: true,
         merged: OnceLock::new(),
         used: None,
+        line_starts: OnceLock::new(),
     };
     value(&Arc::new(source), 0..text.len()).to_json()
 }

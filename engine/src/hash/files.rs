@@ -1,11 +1,11 @@
 //! SHA-256 of files and of the files in folders.
 
 use super::Digest;
+use crate::regular;
 use serde_json::{Value as Json, json};
 use sha2::{Digest as _, Sha256};
 use std::{
     collections::BTreeSet,
-    fs::File,
     io::{self, Read, Write},
     path::{Path, PathBuf},
     thread::{self, JoinHandle},
@@ -54,29 +54,6 @@ fn error(path: &Path, message: &str) -> Json {
     json!({ "path": path.display().to_string(), "error": message })
 }
 
-/// What the path leads to, if that is neither a regular file nor a folder: a device may never end, and a pipe or socket would be
-/// waited for.
-pub(crate) fn irregular(path: &Path) -> Option<&'static str> {
-    let file_type = std::fs::metadata(path).ok()?.file_type();
-    if file_type.is_file() || file_type.is_dir() {
-        return None;
-    }
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::FileTypeExt;
-        if file_type.is_char_device() || file_type.is_block_device() {
-            return Some("a device");
-        }
-        if file_type.is_fifo() {
-            return Some("a pipe");
-        }
-        if file_type.is_socket() {
-            return Some("a socket");
-        }
-    }
-    Some("no regular file")
-}
-
 /// Lists the file, or all files in the folder and its subfolders, sorted by name.
 pub(crate) fn list(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     if !path.is_dir() {
@@ -102,10 +79,7 @@ fn entry(path: &Path) -> Json {
 /// # Errors
 /// If it cannot be read, or is no regular file.
 pub fn sha256(path: &Path) -> io::Result<(u64, Digest)> {
-    if let Some(kind) = irregular(path) {
-        return Err(io::Error::other(format!("it is {kind}, but a regular file is needed")));
-    }
-    copy_hashed(File::open(path)?, &mut io::sink())
+    copy_hashed(regular(path).and_then(std::fs::File::open)?, &mut io::sink())
 }
 
 /// Copies what is read; its size and SHA-256.

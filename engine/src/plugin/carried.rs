@@ -2,9 +2,9 @@
 
 use super::{Finder, Kinds};
 use crate::{
-    durable::TemporaryFolder,
     hash::Digest,
     plan::{LoadedFile, PlanPlugin},
+    temporary,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -63,7 +63,7 @@ fn text(path: &Path, sha256: &str, n_left: u64) -> Result<String, String> {
     if n_bytes > n_left {
         return Err(format!("with it there would be more than {MAX_BYTES} bytes of text in the recording"));
     }
-    let bytes = fs::read(path).map_err(unread)?;
+    let bytes = crate::regular(path).and_then(fs::read).map_err(unread)?;
     if Digest::of(&bytes).to_string() != sha256 {
         return Err("it has changed since it was looked at".into());
     }
@@ -81,8 +81,8 @@ impl Kinds {
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub(crate) fn with_carried(&self, plugins: &[PlanPlugin], texts: &Texts) -> io::Result<(Self, TemporaryFolder)> {
-        let folder = TemporaryFolder::new("osteoflow-recorded-plugins")?;
+    pub(crate) fn with_carried(&self, plugins: &[PlanPlugin], texts: &Texts) -> io::Result<(Self, tempfile::TempDir)> {
+        let folder = temporary::folder("recorded-plugins")?;
         let Some(finder) = &self.finder else { return Ok((self.clone(), folder)) };
         let mut finder = Finder::clone(finder);
         for (number, plugin) in carried(plugins, texts).enumerate() {

@@ -2,7 +2,6 @@
 
 use super::{Launcher, PluginDescription, Prober, ProvideError, copies, load, probe, provide};
 use crate::{
-    durable::TemporaryFolder,
     fault::{Fault, Span},
     graph::plugins::NamedPlugin,
     hash::{Digest, file_stamp::stamp, files::sha256},
@@ -10,6 +9,7 @@ use crate::{
     plan::{LoadedFile, PlanPlugin},
     process::REFUSED_HERE,
     store::{Key, Store},
+    temporary,
 };
 #[cfg(unix)]
 use osteoflow_node::PayloadType;
@@ -74,7 +74,7 @@ pub struct Finder {
 /// Plugins, with copies of their files and of the modules beside them.
 #[derive(Debug)]
 pub struct Held {
-    folder: TemporaryFolder,
+    folder: tempfile::TempDir,
     plugins: Mutex<BTreeMap<PathBuf, Plugin>>,
 }
 
@@ -241,7 +241,7 @@ impl Kinds {
     pub fn held(&self) -> io::Result<Self> {
         let hold = |finder: &Arc<Finder>| -> io::Result<_> {
             let mut finder = Finder::clone(finder);
-            let held = Held { folder: TemporaryFolder::new("osteoflow-plugins")?, plugins: Mutex::default() };
+            let held = Held { folder: temporary::folder("plugins")?, plugins: Mutex::default() };
             finder.held = Some(Arc::new(held));
             if let Some(scripts) = &mut finder.scripts {
                 let unset = THREAD_LIMITS.into_iter().filter(|name| std::env::var_os(name).is_none());
@@ -694,7 +694,7 @@ fn libraries(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut files: Vec<_> = entries.map(|entry| entry.path()).collect();
     files.retain(|file| {
-        file.extension().is_some_and(|e| e == DLL_EXTENSION) && File::open(file).is_ok() && file.is_file()
+        file.extension().is_some_and(|e| e == DLL_EXTENSION) && file.is_file() && File::open(file).is_ok()
     });
     files.sort();
     files

@@ -2,9 +2,9 @@
 
 use super::{Library, Plugin, Why};
 use crate::{
-    durable::TemporaryFolder,
     hash::{Digest, files::sha256, mapped::mapped},
     plan::{LoadedFile, Loads},
+    temporary,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -42,7 +42,8 @@ pub(super) fn load(plugin: &Plugin) -> Result<&'static Library, String> {
         return Err(message(&"it is a script, whose nodes fire in processes of their own; take process = false out"));
     }
     let file = plugin.copy.as_deref().unwrap_or(path);
-    let bytes = fs::read(file).map_err(|error| message(&format!("it cannot be read: {error}")))?;
+    let bytes =
+        crate::regular(file).and_then(fs::read).map_err(|error| message(&format!("it cannot be read: {error}")))?;
     if Digest::of(&bytes).to_string() != *plugin.sha256 {
         return Err(message(&"it has changed since it was looked at; run again"));
     }
@@ -102,8 +103,8 @@ fn in_place(plugin: &Plugin, loaded: &mut Loaded) -> Result<Library, String> {
 }
 
 /// A copy of the library in a folder that is deleted on drop; the mapped pages of the file stay valid.
-fn copy(path: &Path, bytes: &[u8]) -> io::Result<(TemporaryFolder, PathBuf)> {
-    let folder = TemporaryFolder::new("osteoflow-plugin")?;
+fn copy(path: &Path, bytes: &[u8]) -> io::Result<(tempfile::TempDir, PathBuf)> {
+    let folder = temporary::folder("plugin")?;
     let file = folder.path().join(path.file_name().unwrap_or_default());
     fs::write(&file, bytes)?;
     Ok((folder, file))

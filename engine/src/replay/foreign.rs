@@ -116,7 +116,8 @@ pub(super) fn replay(
             return Err(unfit(format!("{option} needs the wires of a run; leave it out")));
         }
     }
-    let text = std::fs::read_to_string(graph)
+    let text = crate::regular(graph)
+        .and_then(std::fs::read_to_string)
         .map_err(|error| ReplayError::Unfit(format!("cannot read {}: {error}", graph.display())))?;
     let of_graph = |faults| ReplayError::Graph { faults, recorded: false };
     let first = check_recorded(&text, graph, &changes.sets, kinds).map_err(of_graph)?;

@@ -188,8 +188,8 @@ impl Bundle {
         if std::fs::metadata(&path).map_err(read)?.len() > MAX_BYTES {
             return Err(foreign("it is too long".into()));
         }
-        let json: Json =
-            serde_json::from_slice(&std::fs::read(&path).map_err(read)?).map_err(|error| foreign(error.to_string()))?;
+        let json: Json = serde_json::from_slice(&crate::regular(&path).and_then(std::fs::read).map_err(read)?)
+            .map_err(|error| foreign(error.to_string()))?;
         match json.get("format_version").and_then(Json::as_u64) {
             Some(version) if version == u64::from(FORMAT_VERSION) => {}
             Some(found) => {

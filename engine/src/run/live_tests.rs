@@ -129,6 +129,49 @@ fn items_later_than_promised_become_empties() {
     assert_eq!(stamps, [(4, 4, 0), (3, 3, 0), (4, 4, 0)]);
 }
 
+/// A stamp of the year 2106, which a flipped bit makes of one of today.
+const YEAR_2106_NS: i64 = 4_294_000_000_000_000_000;
+
+#[test]
+fn a_stamp_ahead_of_its_time_costs_its_own_item_and_is_told_at_once() {
+    for at in [0, 4, 9] {
+        let mut given: Vec<_> = (0..10).flat_map(|i| [(i * 10 + 10, 0, i as f64), (i * 10 + 10, 1, 0.5)]).collect();
+        given[2 * at].0 = YEAR_2106_NS;
+        let plan = live("devices", 2, &given, json!({}))
+            .node("add", "toy.add", json!({}), &[("a", "devices.p0", None), ("b", "devices.p1", None)])
+            .record(&["add.out", "devices.p0"])
+            .result("all", "add.out", true, false)
+            .plan();
+        let report = check(&plan);
+        let all = report.results["all"].as_array().unwrap();
+        for (i, sum) in all.iter().enumerate().filter(|(i, _)| *i != at) {
+            assert_eq!(*sum, json!(i as f64 + 0.5), "bad at {at}: {all:?}");
+        }
+        let reason = all[at]["unknown"].as_str().unwrap();
+        assert!(
+            reason.starts_with("its stamp 4294000000000000000 ns is ") && reason.contains("no other item"),
+            "{reason}"
+        );
+        let told: Vec<_> = report.warnings.iter().map(|w| (w.item, w.message.as_str())).collect();
+        assert_eq!(told, [(2 * at as u64, reason)]);
+        assert_eq!((all.len(), report.links.iter().map(|link| link.late).sum::<u64>()), (10, 0));
+    }
+}
+
+#[test]
+fn a_clock_that_was_set_forward_is_followed() {
+    let given: Vec<_> = (0..10).map(|i| (if i < 4 { i } else { YEAR_2106_NS + i }, 0, i as f64)).collect();
+    let plan = live("device", 1, &given, json!({}))
+        .node("one", "toy.add", json!({}), &[("a", "device.p0", None)])
+        .record(&["one.out"])
+        .result("all", "one.out", true, false)
+        .plan();
+    let report = check(&plan);
+    assert_eq!(report.results["all"], json!((0..10).map(f64::from).collect::<Vec<_>>()));
+    let [told] = &report.warnings[..] else { panic!("{:?}", report.warnings) };
+    assert!(told.item == 6 && told.message.contains("3 items in a row agree"), "{told:?}");
+}
+
 #[test]
 fn a_live_source_that_fails_or_panics_refuses_the_run() {
     let failing = json!({ "stamp_ns": 2, "give": [], "fail": "the cable is out" });

@@ -6,12 +6,13 @@ use super::{
 };
 use crate::{
     graph::grammar::{REASONS, VERDICT},
+    hash::Digest,
     options::RunOptions,
     plan::{OutputId, Plan, PlanInput, Require, ResultEntry},
     runtime::{Failure, Refusal, Sign, refusal as refusal_of},
     shown_paths::ShownPaths,
 };
-use osteoflow_node::{Body, Role};
+use osteoflow_node::{Body, Role, Value};
 use serde_json::{Map, Value as Json, json};
 
 /// Prefix of the names of payloads that say how the run went. Of refused results, only these are given.
@@ -208,16 +209,40 @@ fn refuses(plan: &Plan, failure: &Failure) -> bool {
 fn value(run: &Finished, entry: &ResultEntry) -> Option<Json> {
     let items = &run.outputs[entry.from.node][entry.from.port].items;
     if !entry.all {
-        return items.last()?.body.value().map(|value| value.to_result());
+        return items.last()?.body.value().map(shown);
     }
     let has_value = items.iter().any(|item| matches!(item.body, Body::Value(_)));
     has_value.then(|| {
         let values = items.iter().map(|item| match &item.body {
-            Body::Value(value) => value.to_result(),
+            Body::Value(value) => shown(value),
             Body::Empty(empty) => json!({ "unknown": empty.reason, "node": empty.node }),
         });
         values.collect()
     })
+}
+
+/// Most values of a list within a result: a table of 100 columns and 100 rows. A column of an image has millions.
+const MAX_IN_LIST: usize = 10_000;
+
+fn shown(value: &Value) -> Json {
+    let mut result = value.to_result();
+    bound(&mut result);
+    result
+}
+
+/// Replaces each list of more than [`MAX_IN_LIST`] values by their number and digest; the number of values that are left.
+fn bound(json: &mut Json) -> usize {
+    let n = match json {
+        Json::Array(values) => values.iter_mut().map(bound).sum(),
+        Json::Object(values) => return values.values_mut().map(bound).sum(),
+        _ => return 1,
+    };
+    if n <= MAX_IN_LIST {
+        return n;
+    }
+    let (note, text) = ("too long to be repeated here; record its wire to have it", json.to_string());
+    *json = json!({ "n_values": n, "sha256": Digest::of(text.as_bytes()).to_string(), "note": note });
+    1
 }
 
 /// Why a wire has no value: the failure or empty that caused it, or the wire that carried no item.
@@ -294,6 +319,28 @@ fn insert(results: &mut Map<String, Json>, key: &str, value: Json) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_long_list_is_its_number_and_digest_and_all_else_stays() {
+        let rows = |n: usize, x: f64| vec![json!([x, 2.0, 3.0]); n];
+        let mut short = json!({ "points": rows(3333, 1.0), "name": "a" });
+        let before = short.clone();
+        bound(&mut short);
+        assert_eq!(short, before);
+        let bounded = |x: f64| {
+            let mut long = json!({ "points": rows(3334, x), "name": "a", "nested": [{ "hits": vec![7; 20_000] }, 5] });
+            bound(&mut long);
+            long
+        };
+        let long = bounded(1.0);
+        assert_eq!(long["points"]["n_values"], json!(10_002));
+        assert_eq!(
+            (&long["nested"][0]["hits"]["n_values"], &long["nested"][1], &long["name"]),
+            (&json!(20_000), &json!(5), &json!("a"))
+        );
+        assert_ne!(long["points"]["sha256"], bounded(1.5)["points"]["sha256"], "another value is another digest");
+        assert!(long.to_string().len() < 1000);
+    }
 
     #[test]
     fn dotted_keys_nest_in_order() {

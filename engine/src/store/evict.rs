@@ -5,15 +5,11 @@ use std::{
     ffi::OsStr,
     fs, io,
     path::{Path, PathBuf},
-    time::{Duration, SystemTime},
+    time::SystemTime,
 };
 
 /// Suffix of an entry's file.
 const ENTRY_SUFFIX: &str = ".entry";
-/// Prefix of a file that is still being written.
-const TEMPORARY_PREFIX: &str = ".osteoflow-";
-/// A temporary file of this age was left by a killed process: no write takes an hour.
-const STALE_AGE: Duration = Duration::from_secs(3600);
 /// Files occupy whole disk blocks.
 const BLOCK_BYTES: u64 = 4096;
 /// Number of hexadecimal digits of a digest.
@@ -21,10 +17,6 @@ const N_DIGITS: usize = 64;
 
 pub(super) fn entry_name(key: &Key) -> String {
     format!("{key}{ENTRY_SUFFIX}")
-}
-
-pub(super) fn temporary_name(own: &str, n: u64) -> String {
-    format!("{TEMPORARY_PREFIX}{own}-{n}.part")
 }
 
 /// Disk space of a file with `n_bytes`.
@@ -41,20 +33,13 @@ struct StoredFile {
 /// Removes the least recently used entries until at most `max_bytes` are left, and returns the bytes that are left.
 /// Other files are neither counted nor removed.
 pub(super) fn make_room(dir: &Path, max_bytes: u64) -> io::Result<u64> {
-    let now = SystemTime::now();
     let mut entries = Vec::new();
     for file in fs::read_dir(dir)? {
         let file = file?;
-        let name = file.file_name();
-        let (is_entry, is_temporary) = (is_entry(&name), is_temporary(&name));
         // Another process may have removed it in the meantime.
-        let Some(metadata) = (is_entry || is_temporary).then(|| file.metadata().ok()).flatten() else { continue };
+        let Some(metadata) = is_entry(&file.file_name()).then(|| file.metadata().ok()).flatten() else { continue };
         let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-        if is_entry {
-            entries.push(StoredFile { used, path: file.path(), n_bytes: on_disk(metadata.len()) });
-        } else if now.duration_since(used).is_ok_and(|age| age > STALE_AGE) {
-            let _ = fs::remove_file(file.path());
-        }
+        entries.push(StoredFile { used, path: file.path(), n_bytes: on_disk(metadata.len()) });
     }
     let mut left: u64 = entries.iter().map(|entry| entry.n_bytes).sum();
     entries.sort_unstable_by(|a, b| (a.used, &a.path).cmp(&(b.used, &b.path)));
@@ -74,8 +59,4 @@ pub(super) fn make_room(dir: &Path, max_bytes: u64) -> io::Result<u64> {
 fn is_entry(name: &OsStr) -> bool {
     let parts = name.to_str().and_then(|name| name.strip_suffix(ENTRY_SUFFIX)?.split_once('-'));
     parts.is_some_and(|(_, digits)| digits.len() == N_DIGITS && digits.bytes().all(|b| b.is_ascii_hexdigit()))
-}
-
-fn is_temporary(name: &OsStr) -> bool {
-    name.to_str().is_some_and(|name| name.starts_with(TEMPORARY_PREFIX) && name.ends_with(".part"))
 }

@@ -119,21 +119,6 @@ fn a_store_stays_below_its_maximum_and_refuses_larger_entries() {
 }
 
 #[test]
-fn files_of_a_killed_process_are_removed_after_an_hour() {
-    let (store, _dir) = store(1 << 20);
-    store.put(&key("a"), &[b"a"]).unwrap();
-    let left = |name: &str, hours: u64| {
-        let file = File::create(store.dir().join(evict::temporary_name(name, 0))).unwrap();
-        file.set_modified(SystemTime::now() - Duration::from_secs(3600 * hours)).unwrap();
-    };
-    left("old", 2);
-    left("young", 0);
-    evict::make_room(store.dir(), 1 << 20).unwrap();
-    let names: Vec<_> = files(&store).iter().map(|f| f.file_name().unwrap().to_str().unwrap().to_owned()).collect();
-    assert_eq!(names, [evict::temporary_name("young", 0), evict::entry_name(&key("a"))]);
-}
-
-#[test]
 fn concurrent_writers_and_readers_of_one_key_see_whole_entries() {
     let (first, dir) = store(400_000);
     let bytes = |n: u8| vec![n; 50_000];

@@ -15,6 +15,7 @@ use crate::{
     graph::difference,
     plan::PlanPlugin,
     recording::provenance::Provenance,
+    regular,
     replay::exchange::without_old_defaults,
     run::{Answer, Verdict},
 };
@@ -133,7 +134,7 @@ impl FolderError {
 }
 
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, FolderError> {
-    let text = fs::read_to_string(path).map_err(|source| FolderError::read(path, source))?;
+    let text = regular(path).and_then(fs::read_to_string).map_err(|source| FolderError::read(path, source))?;
     serde_json::from_str(&text).map_err(|error| FolderError::form(path, error))
 }
 
@@ -387,7 +388,7 @@ impl Folder {
     /// If it cannot be read.
     pub fn graph(&self) -> Result<String, FolderError> {
         let path = self.dir.join(GRAPH);
-        fs::read_to_string(&path).map_err(|source| FolderError::read(&path, source))
+        regular(&path).and_then(fs::read_to_string).map_err(|source| FolderError::read(&path, source))
     }
 
     /// The frozen graph to run again with the settings of the rows: nodes that rows give another kind state what the user wrote

@@ -12,16 +12,19 @@ use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use osteoflow_engine::{
     check,
+    durable::Part,
     hash::{Digest, copy_hashed, sha256},
     plan::PlanPlugin,
     recover::copy_renamed,
+    regular,
     run::files,
     sweep::{self, Folder},
+    temporary,
 };
 use serde_json::Value as Json;
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs::{self, File},
+    fs,
     io::{self, Write},
     path::{Path, PathBuf},
 };
@@ -155,7 +158,7 @@ impl Pack {
                     "{dir} is not the folder of a run ({manifest} is missing) or of a sweep ({design} is missing)"
                 ))
             };
-            let text = fs::read(&path).map_err(|_| message())?;
+            let text = regular(&path).and_then(fs::read).map_err(|_| message())?;
             (What::Run, serde_json::from_slice(&text).with_context(|| format!("{} is no JSON", path.display()))?)
         };
         for (key, why) in
@@ -173,7 +176,7 @@ impl Pack {
         let began_in = began_in(dir, graph_file);
         let graph_file = plain(&began_in.join(graph_file));
         let renamed = Renamed::of(graph_file.parent().unwrap_or(Path::new("")));
-        let temporary = tempfile::tempdir().context("no temporary folder")?;
+        let temporary = temporary::folder("export").context("no temporary folder")?;
         Ok(Self {
             what,
             about,
@@ -348,7 +351,7 @@ impl Pack {
         }
         let mut texts = Vec::new();
         for path in check::files(&self.graph_file, &[], &registry()).iter().map(|path| plain(path)) {
-            let Ok(text) = fs::read_to_string(&path) else { continue };
+            let Ok(text) = regular(&path).and_then(fs::read_to_string) else { continue };
             if path.extension().is_none_or(|end| end != "toml") {
                 continue;
             }
@@ -389,7 +392,7 @@ impl Pack {
 
     /// A text without paths of the machine; the file as it is where there are none.
     fn text_of(&self, path: &Path) -> Result<Source> {
-        let bytes = fs::read(path).with_context(|| format!("{} cannot be read", path.display()))?;
+        let bytes = regular(path).and_then(fs::read).with_context(|| format!("{} cannot be read", path.display()))?;
         let Ok(text) = std::str::from_utf8(&bytes) else { return Ok(Source::File(path.into())) };
         let renamed = self.renamed_text(text);
         Ok(if renamed == text { Source::File(path.into()) } else { Source::Bytes(renamed.into_bytes()) })
@@ -463,11 +466,10 @@ impl Pack {
     /// Writes the archive beside its name, then gives it its name. The same files give the same bytes.
     fn write(&self, index: &Index, to: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<u64> {
         let cannot = || format!("{} cannot be written", to.display());
-        let folder = to.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-        let mut file = tempfile::NamedTempFile::new_in(folder).with_context(cannot)?;
+        let mut part = Part::new(to).with_context(cannot)?;
         let all = index.files.iter().filter(|entry| entry.included).map(|entry| entry.bytes).sum();
         let mut done = 0;
-        let mut zip = ZipWriter::new(file.as_file_mut());
+        let mut zip = ZipWriter::new(part.file());
         let list = format!("{}\n", serde_json::to_string_pretty(index)?);
         let options = |bytes: u64| {
             let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
@@ -480,7 +482,9 @@ impl Pack {
             match &self.files[&entry.path].1 {
                 Source::Bytes(bytes) => zip.write_all(bytes).with_context(cannot)?,
                 Source::File(path) | Source::Known(path, ..) => {
-                    let from = File::open(path).with_context(|| format!("{} cannot be read", path.display()))?;
+                    let from = regular(path)
+                        .and_then(fs::File::open)
+                        .with_context(|| format!("{} cannot be read", path.display()))?;
                     let mut to = Counted { to: &mut zip, n: done, progress: &mut |n| progress(n, all) };
                     let (bytes, digest) = copy_hashed(from, &mut to).with_context(cannot)?;
                     if (bytes, digest.to_string()) != (entry.bytes, entry.sha256.clone()) {
@@ -493,9 +497,8 @@ impl Pack {
             progress(done, all);
         }
         zip.finish().with_context(cannot)?;
-        file.as_file().sync_all().with_context(cannot)?;
-        let bytes = file.as_file().metadata().with_context(cannot)?.len();
-        file.persist_noclobber(to).with_context(cannot)?;
+        let bytes = part.file().metadata().with_context(cannot)?.len();
+        part.keep_new().with_context(cannot)?;
         Ok(bytes)
     }
 }

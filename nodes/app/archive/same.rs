@@ -8,14 +8,15 @@ use osteoflow_engine::{
     hash::Digest,
     names::shortened,
     recording::digest::{DigestReport, digest},
+    regular,
     run::files,
     sweep::{self, Column},
+    temporary,
 };
 use serde::Serialize;
 use serde_json::Value as Json;
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs,
     path::Path,
 };
 
@@ -58,7 +59,7 @@ impl Sameness {
 /// # Errors
 /// One of them is neither, or cannot be read.
 pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
-    let temporary = tempfile::tempdir().context("no temporary folder")?;
+    let temporary = temporary::folder("compare").context("no temporary folder")?;
     let a = results(first, &temporary.path().join("1"))?;
     let b = results(second, &temporary.path().join("2"))?;
     let mut same = Sameness::default();
@@ -89,14 +90,16 @@ pub fn same(first: &Path, second: &Path) -> Result<Sameness> {
 }
 
 fn json(path: &Path) -> Result<Json> {
-    let text = fs::read(path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let text = regular(path).and_then(std::fs::read).with_context(|| format!("{} cannot be read", path.display()))?;
     serde_json::from_slice(&text).with_context(|| format!("{} is no JSON", path.display()))
 }
 
 /// Two tables, cell by cell, but for times.
 fn tables(a: &Path, b: &Path, name: &str, times: &[String], same: &mut Sameness) -> Result<()> {
     let read = |path: &Path| {
-        fs::read_to_string(path).with_context(|| format!("{} cannot be read; is the sweep finished?", path.display()))
+        regular(path)
+            .and_then(std::fs::read_to_string)
+            .with_context(|| format!("{} cannot be read; is the sweep finished?", path.display()))
     };
     let (a, b) = (read(a)?, read(b)?);
     same.files.push((name.into(), a == b));
@@ -167,7 +170,9 @@ fn difference(a: &str, b: &str) -> String {
 
 fn runs(a: &Path, b: &Path, same: &mut Sameness) -> Result<()> {
     let read = |dir: &Path| {
-        fs::read(dir.join(files::RESULTS)).with_context(|| format!("{} has no {}", dir.display(), files::RESULTS))
+        regular(dir.join(files::RESULTS))
+            .and_then(std::fs::read)
+            .with_context(|| format!("{} has no {}", dir.display(), files::RESULTS))
     };
     let (bytes_a, bytes_b) = (read(a)?, read(b)?);
     same.files.push((files::RESULTS.into(), bytes_a == bytes_b));

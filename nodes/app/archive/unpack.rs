@@ -9,7 +9,9 @@ use crate::app::{error::UsageError, plugins::Plugins, sweep::folder_error};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use osteoflow_engine::{
+    durable,
     hash::copy_hashed,
+    regular,
     sweep::{Folder, Spec},
 };
 use std::{
@@ -26,6 +28,9 @@ const MAX_INDEX: u64 = 256 << 20;
 const FREE: u64 = 1 << 30;
 /// Bytes for each of the archive's own that it may unpack to beyond: tables of numbers shrink to a tenth.
 const RATIO: u64 = 100;
+
+/// Begin of the name of a folder that is being unpacked into.
+const UNPACKING: &str = ".osteoflow-unpacking-";
 
 /// How an archive is run again.
 #[derive(Debug, Clone, Default, Args)]
@@ -49,7 +54,8 @@ pub(crate) fn is_archive(path: &Path) -> bool {
         return path.join(INDEX).is_file();
     }
     let mut begin = [0; 4];
-    File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == *b"PK\x03\x04"
+    regular(path).and_then(fs::File::open).and_then(|mut file| file.read_exact(&mut begin)).is_ok()
+        && begin == *b"PK\x03\x04"
 }
 
 impl ArchiveArgs {
@@ -75,7 +81,7 @@ impl ArchiveArgs {
             };
         }
         let (index, dir) = if graph.is_dir() {
-            (read_index(&graph.join(INDEX), File::open(graph.join(INDEX))?)?, graph.to_owned())
+            (read_index(&graph.join(INDEX), regular(graph.join(INDEX)).and_then(fs::File::open)?)?, graph.to_owned())
         } else {
             let mut archive = Archive::open(graph)?;
             self.check_plugins(&archive.index, graph, plugins)?;
@@ -176,7 +182,7 @@ pub(crate) fn results(path: &Path, dir: &Path) -> Result<PathBuf> {
 /// The archive is not sound.
 pub(crate) fn index_of(path: &Path) -> Result<Option<Index>> {
     let is_ours = |file: File| ZipArchive::new(file).is_ok_and(|zip| zip.index_for_name(INDEX).is_some());
-    let is_archive = !path.is_dir() && is_archive(path) && File::open(path).is_ok_and(is_ours);
+    let is_archive = !path.is_dir() && is_archive(path) && regular(path).and_then(fs::File::open).is_ok_and(is_ours);
     is_archive.then(|| Ok(Archive::open(path)?.index)).transpose()
 }
 
@@ -190,7 +196,7 @@ struct Archive {
 impl Archive {
     fn open(path: &Path) -> Result<Self> {
         let shown = path.display();
-        let file = File::open(path).with_context(|| format!("{shown} cannot be read"))?;
+        let file = regular(path).and_then(fs::File::open).with_context(|| format!("{shown} cannot be read"))?;
         let n_bytes = file.metadata()?.len();
         let mut zip = ZipArchive::new(file).with_context(|| format!("{shown} is no sound zip"))?;
         if zip.has_duplicate_names() || zip.has_overlapping_files()? {
@@ -242,7 +248,9 @@ impl Archive {
                 |entry: &Entry| !entry.included || has_content(&dir.join(&entry.path), entry.bytes, &entry.sha256);
             let mut list = Vec::new();
             self.zip.by_name(INDEX)?.read_to_end(&mut list)?;
-            if fs::read(dir.join(INDEX)).is_ok_and(|there| there == list) && self.index.files.iter().all(is_ours) {
+            if regular(dir.join(INDEX)).and_then(fs::read).is_ok_and(|there| there == list)
+                && self.index.files.iter().all(is_ours)
+            {
                 return Ok(());
             }
             usage!(
@@ -254,7 +262,9 @@ impl Archive {
         let cannot = || format!("{} cannot be made a folder", dir.display());
         let parent = dir.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));
         fs::create_dir_all(parent).with_context(cannot)?;
-        let part = tempfile::Builder::new().prefix(".osteoflow-unpacking").tempdir_in(parent).with_context(cannot)?;
+        durable::remove_leftovers(parent, UNPACKING);
+        let mut part = tempfile::Builder::new();
+        let part = part.prefix(UNPACKING).suffix(&durable::suffix()).tempdir_in(parent).with_context(cannot)?;
         self.extract(part.path(), |_| true)?;
         let mut list = File::create_new(part.path().join(INDEX)).with_context(cannot)?;
         io::copy(&mut self.zip.by_name(INDEX)?, &mut list).with_context(cannot)?;

@@ -60,6 +60,8 @@ pub struct Registration {
     pub(super) cropped: Vec<String>,
     /// What the readers of these should know.
     pub(super) notes_of_files: Vec<String>,
+    /// Why a file could not be written.
+    pub(crate) not_written: Option<anyhow::Error>,
     pub(crate) timings: Timings,
     /// Whether all repeats gave the same bits.
     pub(super) same_bits: bool,

@@ -8,7 +8,7 @@ use crate::app::{
 use anyhow::{Context, Result};
 use osteoflow_algorithms::target::Target;
 use osteoflow_formats::{
-    Space,
+    Space, durable,
     pose_file::itk_text,
     write::{Precision, ending, write_cloud},
 };
@@ -72,8 +72,19 @@ impl OutFiles {
             let message = format!("{} cannot be written: end it with .ply, .pcd or .csv", file.display());
             usage!("--write-source: {message}");
         }
-        all.all().try_for_each(|file| check_new(file))?;
+        all.all().try_for_each(|file| check_new(file).and_then(|()| all.check_writable(file)))?;
         Ok(all)
+    }
+
+    /// Makes and removes a file where `file` is to be, before anything is computed.
+    fn check_writable(&self, file: &Path) -> Result<()> {
+        let mut folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        if self.folder.as_deref() == Some(folder) {
+            // It is made, with those above it.
+            folder = folder.ancestors().find(|above| above.exists()).unwrap_or(Path::new("."));
+        }
+        let there = folder.join(file.file_name().unwrap_or_default());
+        durable::Part::new(&there).map(drop).with_context(|| format!("{} cannot be written", file.display()))
     }
 
     /// The files that can be written: without the transform of a folder if the space of a file is not known.

@@ -65,7 +65,10 @@ impl Register {
         cancelled: &Arc<AtomicBool>,
         with_trace: bool,
     ) -> Result<serde_json::Value, Error> {
-        let registration = self.run(observer, cancelled)?;
+        let mut registration = self.run(observer, cancelled)?;
+        if let Some(error) = registration.not_written.take() {
+            return Err(error.into());
+        }
         if registration.is_interrupted() {
             return Err(Error::Interrupted);
         }
@@ -81,7 +84,7 @@ impl Register {
     /// Registers, as often as the request says, and writes the files that it names.
     ///
     /// # Errors
-    /// A node cannot be built, or a file cannot be written. That there is no pose is part of the answer.
+    /// A node cannot be built. That there is no pose, or that a file cannot be written, is part of the answer.
     pub(crate) fn run(&self, observer: &dyn Observer, cancelled: &Arc<AtomicBool>) -> anyhow::Result<Registration> {
         let request = &self.request;
         let options = RunOptions { store: request.keep.store()?, ..program::options(request.workers, cancelled) };
@@ -123,7 +126,7 @@ impl Register {
             name_as_stated(&mut report, &input.path);
         }
         let mut registration = self.registration(report, &wires, timings, same_bits)?;
-        registration.write(self)?;
+        registration.not_written = registration.write(self).err();
         Ok(registration)
     }
 
@@ -237,6 +240,7 @@ impl Register {
             cropped: self.cropped(wires),
             written: Vec::new(),
             notes_of_files: Vec::new(),
+            not_written: None,
             timings,
             same_bits,
             run: report,

@@ -1,10 +1,10 @@
 //! The simulated procedure as a folder of plain files, for `acquire.folder`.
 
 use anyhow::{Context, Result};
-use osteoflow_formats::{folder::FILE_NAME, poses_csv::write_poses, write::write_ply};
+use osteoflow_formats::{durable, folder::FILE_NAME, poses_csv::write_poses, write::write_ply};
 use osteoflow_geometry::{Cloud, Points};
 use osteoflow_simulation::Procedure;
-use std::{fmt::Write as _, fs, path::Path};
+use std::{fmt::Write as _, path::Path};
 
 /// PLY scans, `poses.csv`, stylus points as CSV, and the `procedure.toml` that assigns their roles; millimetres.
 pub(super) fn write(dir: &Path, procedure: &Procedure) -> Result<()> {
@@ -31,7 +31,7 @@ pub(super) fn write(dir: &Path, procedure: &Procedure) -> Result<()> {
     for (role, points) in touched {
         let file = format!("stylus_{role}.csv");
         let path = dir.join(&file);
-        fs::write(&path, tips(points)).with_context(|| format!("{} cannot be written", path.display()))?;
+        durable::write(&path, tips(points)).with_context(|| format!("{} cannot be written", path.display()))?;
         let frame = points.frame.as_str();
         let _ = write!(toml, "\n[[stylus]]\nrole  = \"{role}\"\nfile  = \"{file}\"\nframe = \"{frame}\"\n");
     }
@@ -43,7 +43,7 @@ pub(super) fn write(dir: &Path, procedure: &Procedure) -> Result<()> {
         let _ = write!(toml, "\n[{role}]\nfile = \"{file}\"\n");
     }
     let path = dir.join(FILE_NAME);
-    fs::write(&path, toml).with_context(|| format!("{} cannot be written", path.display()))
+    durable::write(&path, toml).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 fn scan(dir: &Path, toml: &mut String, table: &str, file: &str, cloud: &Cloud) -> Result<()> {

@@ -15,7 +15,6 @@ use osteoflow_engine::{
     watch::Stamps,
 };
 use std::{
-    fs,
     path::PathBuf,
     sync::atomic::{AtomicBool, Ordering},
     time::Instant,
@@ -62,7 +61,7 @@ pub(crate) fn rerun(graph: &mut impl Rerun, cancelled: &AtomicBool) -> Result<Ex
                 Some(exit) => Turn::End(exit),
                 None => {
                     // A missing file may be created.
-                    let text = fs::read_to_string(&path).unwrap_or_default();
+                    let text = osteoflow_engine::regular(&path).and_then(std::fs::read_to_string).unwrap_or_default();
                     let checked = check_recorded(&text, &path, &sets, &kinds);
                     Turn::Wait(checked.map(|checked| Stamps::of_plan(&checked.plan)).unwrap_or_default())
                 }

@@ -86,7 +86,7 @@ fn listen<T: Send + 'static>(
     busy: Arc<Mutex<Busy>>,
 ) -> Result<()> {
     let presses = AtomicUsize::new(0);
-    ctrlc::set_handler(move || {
+    on_interrupt(move || {
         if presses.fetch_add(1, Ordering::Relaxed) == 0 {
             cancelled.store(true, Ordering::Relaxed);
             let mut busy = busy.lock().unwrap_or_else(PoisonError::into_inner);
@@ -98,7 +98,21 @@ fn listen<T: Send + 'static>(
             let _ = sender.try_send(News::SecondInterrupt);
         }
     })
-    .context("the handler of Ctrl-C cannot be installed")
+}
+
+/// What Ctrl-C does from now on.
+pub(crate) fn on_interrupt(act: impl Fn() + Send + 'static) -> Result<()> {
+    static ACT: Mutex<Option<Box<dyn Fn() + Send>>> = Mutex::new(None);
+    let was_set = ACT.lock().unwrap_or_else(PoisonError::into_inner).replace(Box::new(act)).is_some();
+    if was_set {
+        return Ok(());
+    }
+    let handler = || {
+        if let Some(act) = &*ACT.lock().unwrap_or_else(PoisonError::into_inner) {
+            act();
+        }
+    };
+    ctrlc::set_handler(handler).context("the handler of Ctrl-C cannot be installed")
 }
 
 /// Shows the progress of a run, and on stderr at once that a live source is silent.

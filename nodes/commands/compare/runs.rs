@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use osteoflow_engine::run::files;
 use osteoflow_report::summary::in_degrees;
 use serde_json::{Value, json};
-use std::{collections::BTreeMap, fs, io::Write, path::Path};
+use std::{collections::BTreeMap, io::Write, path::Path};
 
 /// The key of matrices, such as those of poses, in the paths of their numbers.
 const MATRIX: &str = "matrix.";
@@ -131,13 +131,17 @@ fn read(dir: &Path) -> Result<Value> {
             files::RESULTS
         );
     }
-    let text = fs::read_to_string(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let text = osteoflow_engine::regular(&path)
+        .and_then(std::fs::read_to_string)
+        .with_context(|| format!("{} cannot be read", path.display()))?;
     serde_json::from_str(&text).with_context(|| format!("{} holds no results", path.display()))
 }
 
 /// How a run came about, where its manifest is there.
 fn made(dir: &Path) -> Option<Made> {
-    let about: Value = serde_json::from_slice(&fs::read(dir.join(files::MANIFEST)).ok()?).ok()?;
+    let about: Value =
+        serde_json::from_slice(&osteoflow_engine::regular(dir.join(files::MANIFEST)).and_then(std::fs::read).ok()?)
+            .ok()?;
     Some(Made { graph: about["resolved_graph"].as_str()?.to_owned(), about })
 }
 

@@ -3,14 +3,14 @@
 use super::Convert;
 use anyhow::Result;
 use osteoflow_formats::{
-    LostPose,
+    LostPose, durable,
     pose_log::{LogFormat, read_log, write_tum},
     poses_csv::write_rows,
     recording_write::log_bytes,
     write::ending,
 };
 use osteoflow_geometry::{Corrections, Pose};
-use std::{collections::BTreeMap, fs};
+use std::collections::BTreeMap;
 
 /// The topic of the poses in a recording: each message names its frames.
 const TOPIC: &str = "/tf";
@@ -48,7 +48,7 @@ impl Convert {
                 let about = [("file", name.as_ref()), ("format", &log.format.to_string())];
                 let about = about.map(|(key, value)| (key.to_owned(), value.to_owned()));
                 let metadata = BTreeMap::from([("pose_log".to_owned(), about.into())]);
-                fs::write(&self.output, log_bytes(TOPIC, &poses, &metadata)?)?;
+                durable::write(&self.output, log_bytes(TOPIC, &poses, &metadata)?)?;
             }
             "csv" => write_rows(&self.output, poses.iter().map(Result::as_ref))?,
             _ => {

@@ -26,7 +26,7 @@ use osteoflow_geometry::{Frame, NamedPoint, Nearest, Pose, nalgebra::Point3};
 use osteoflow_standard::parts::of_bone;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use std::{collections::BTreeSet, fs, path::Path};
+use std::{collections::BTreeSet, path::Path};
 
 /// What a file or folder holds.
 #[derive(Debug, Default)]
@@ -584,10 +584,12 @@ fn folder_of(folder: &Path, series: Option<&str>) -> Result<Contents> {
             .used_by([format!("osteoflow run graphs/fibula_folder.toml --set recording.path={name}")]));
     }
     if folder.join("manifest.json").is_file() {
-        let results = fs::read(folder.join("results.json")).ok();
+        let results = osteoflow_engine::regular(folder.join("results.json")).and_then(std::fs::read).ok();
         let results: Option<Value> = results.and_then(|bytes| serde_json::from_slice(&bytes).ok());
         let mut problems = Vec::from_iter(results.is_none().then(|| "there is no readable results.json".to_owned()));
-        let manifest = fs::read(folder.join("manifest.json")).map_err(|error| error.to_string());
+        let manifest = osteoflow_engine::regular(folder.join("manifest.json"))
+            .and_then(std::fs::read)
+            .map_err(|error| error.to_string());
         let manifest = manifest.and_then(|bytes| serde_json::from_slice::<Value>(&bytes).map_err(|e| e.to_string()));
         let mut used_by = Vec::new();
         match manifest {

@@ -8,11 +8,16 @@ const SHORT: usize = 14;
 /// Maximum number of names listed without a suggestion.
 const LONG: usize = 40;
 
+/// Number of known names from which only those are compared that one slip makes of the found one: faults times names are many.
+const MANY: usize = 512;
+
 /// The known name that was probably meant.
 pub fn name<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let found_lower = found.to_lowercase();
     let mut best: Option<(usize, &str)> = None;
-    for name in known {
+    let known: Vec<&str> = known.into_iter().collect();
+    let is_many = known.len() > MANY;
+    for name in known.into_iter().filter(|name| !is_many || is_one_slip(found, name)) {
         let distance = if is_end_of(&found_lower, name) {
             1
         } else {
@@ -24,6 +29,15 @@ pub fn name<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option
         }
     }
     best.map(|(_, name)| name)
+}
+
+/// Whether the names are equal but for at most two letters in one place, or end alike.
+fn is_one_slip(found: &str, name: &str) -> bool {
+    let (a, b) = (found.as_bytes(), name.as_bytes());
+    let alike = |(a, b): &(&u8, &u8)| a.eq_ignore_ascii_case(b);
+    let from_begin = a.iter().zip(b).take_while(alike).count();
+    let from_end = a.iter().rev().zip(b.iter().rev()).take_while(alike).count();
+    from_begin + from_end + 2 >= a.len().max(b.len()) || from_end == a.len()
 }
 
 /// Whether `found` is `name` without its first words: `point_to_plane` for `icp.point_to_plane`.

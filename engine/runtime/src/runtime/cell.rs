@@ -2,6 +2,7 @@
 
 mod live;
 mod output;
+mod source_clock;
 
 pub use output::emission_fault;
 pub(crate) use {
@@ -83,7 +84,7 @@ pub(crate) enum Core {
 
 impl Core {
     pub(crate) fn live(max_delay_ns: StampNs) -> Self {
-        Self::Live(LiveCore { max_delay_ns, newest_ns: StampNs::MIN, waits: false })
+        Self::Live(LiveCore::new(max_delay_ns))
     }
 
     /// The node and its joins.

@@ -179,7 +179,7 @@ impl Server<'_, '_> {
             let message = format!("it gave something again after {}", seconds(asked.elapsed()));
             self.run.warn(node, answer.item(), vec![message]);
         }
-        self.scheduler.outside(|turn| self.run.cell(node).answered(answer, self.run, turn));
+        self.run.cell(node).answered(answer, self.run);
         self.ask(node);
     }
 

@@ -14,6 +14,7 @@ fn text(name: &str, order: usize, used: Option<(&str, &Span)>) -> Arc<SourceText
         command_line: false,
         merged: Default::default(),
         used,
+        line_starts: Default::default(),
     })
 }
 

@@ -1,5 +1,5 @@
 use super::{Files, Quantity, Walker};
-use crate::{fault::Fault, graph::Spanned, hash::files::irregular, names::nearest};
+use crate::{fault::Fault, graph::Spanned, irregular, names::nearest};
 use serde_json::Value as Json;
 use std::path::{Path, PathBuf};
 

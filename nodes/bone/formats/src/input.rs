@@ -4,9 +4,10 @@
 //! opened.
 
 use crate::{FileError, kind::marked};
+use osteoflow_container::irregular;
 use sha2::{Digest as _, Sha256};
 use std::{
-    fs::{self, File, FileType},
+    fs::{self, File},
     io::Read as _,
     path::Path,
 };
@@ -16,11 +17,10 @@ use std::{
 /// # Errors
 /// [`FileError::Io`] if it is missing, [`FileError::Kind`] if it is a folder, device, pipe or socket.
 pub fn check(path: &Path) -> Result<(), FileError> {
-    let file_type = fs::metadata(path).map_err(FileError::read(path))?.file_type();
-    if file_type.is_file() {
+    if fs::metadata(path).map_err(FileError::read(path))?.is_file() {
         return Ok(());
     }
-    Err(FileError::Kind { path: path.into(), kind: kind(file_type) })
+    Err(FileError::Kind { path: path.into(), kind: irregular(path).unwrap_or("a folder") })
 }
 
 /// Opens a regular file.
@@ -84,21 +84,4 @@ pub fn sha256_of(bytes: &[u8]) -> String {
 
 fn hexadecimal(digest: &[u8]) -> String {
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-#[cfg(unix)]
-fn kind(file_type: FileType) -> &'static str {
-    use std::os::unix::fs::FileTypeExt;
-    match file_type {
-        t if t.is_dir() => "a folder",
-        t if t.is_char_device() || t.is_block_device() => "a device",
-        t if t.is_fifo() => "a pipe",
-        t if t.is_socket() => "a socket",
-        _ => "no regular file",
-    }
-}
-
-#[cfg(not(unix))]
-fn kind(file_type: FileType) -> &'static str {
-    if file_type.is_dir() { "a folder" } else { "no regular file" }
 }

@@ -87,6 +87,7 @@ pub mod write;
 
 pub use error::FileError;
 pub use lost::{LostPose, PoseError};
+pub use osteoflow_container::durable;
 pub use pose_log::poses_csv;
 pub use space::Space;
 pub use spellings::{Spellings, without_slash};

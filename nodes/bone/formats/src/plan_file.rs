@@ -201,7 +201,7 @@ fn is_remark(key: &str) -> bool {
 pub fn write_plan(path: &Path, plan: &SurgicalPlan) -> Result<(), FileError> {
     let mut text = serde_json::to_string_pretty(&plan_json(plan)).expect("a plan is made of numbers and text");
     text.push('\n');
-    std::fs::write(path, text).map_err(FileError::write(path))
+    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))
 }
 
 /// A plan as [`write_plan`] writes it.

@@ -17,7 +17,7 @@ use crate::{FileError, input};
 use nalgebra::Point3;
 use osteoflow_geometry::{DrawnOn, DrawnRegion, FARTHEST_MM, Shape, direction};
 use serde::{Deserialize, Serialize};
-use std::{fs, path::Path};
+use std::path::Path;
 
 pub(crate) const FORMAT: &str = "osteoflow-region";
 const VERSION: u32 = 1;
@@ -107,7 +107,7 @@ pub fn write_region(path: &Path, region: &DrawnRegion) -> Result<(), FileError> 
     };
     let mut text = serde_json::to_string_pretty(&document).expect("a region is made of numbers and text");
     text.push('\n');
-    fs::write(path, text).map_err(FileError::write(path))
+    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))
 }
 
 /// The shape with a direction of length 1.

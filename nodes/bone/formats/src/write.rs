@@ -58,7 +58,7 @@ pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space, precision: Precision) 
         }
         other => return Err(unknown(path, other, MESH_ENDINGS)),
     };
-    std::fs::write(path, bytes).map_err(FileError::write(path))?;
+    osteoflow_container::durable::write(path, bytes).map_err(FileError::write(path))?;
     Ok(notes)
 }
 
@@ -94,7 +94,7 @@ pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space, precision: Precisio
         }
         other => return Err(unknown(path, other, CLOUD_ENDINGS)),
     };
-    std::fs::write(path, bytes).map_err(FileError::write(path))?;
+    osteoflow_container::durable::write(path, bytes).map_err(FileError::write(path))?;
     Ok(notes)
 }
 
@@ -103,7 +103,7 @@ pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space, precision: Precisio
 /// # Errors
 /// [`FileError::Io`] if the file cannot be written.
 pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
-    std::fs::write(path, stl(mesh, Space::of(&mesh.frame), None)).map_err(FileError::write(path))
+    osteoflow_container::durable::write(path, stl(mesh, Space::of(&mesh.frame), None)).map_err(FileError::write(path))
 }
 
 /// Writes a cloud's points, and its normals and further columns if it has them, as little-endian PLY in double precision, so
@@ -113,7 +113,7 @@ pub fn write_stl(path: &Path, mesh: &Mesh) -> Result<(), FileError> {
 /// [`FileError`] if the file cannot be written, or a further column has the name of a coordinate.
 pub fn write_ply(path: &Path, cloud: &Cloud, unit_mm: f64) -> Result<(), FileError> {
     let doubles = Packing::doubles(cloud);
-    std::fs::write(path, cloud_ply(path, cloud, unit_mm, Space::Unknown, None, &doubles)?)
+    osteoflow_container::durable::write(path, cloud_ply(path, cloud, unit_mm, Space::Unknown, None, &doubles)?)
         .map_err(FileError::write(path))
 }
 

@@ -203,8 +203,9 @@ impl Changes {
         let kinds = self.kinds().map_err(|problem| problem.to_string())?;
         let wanted = self.check_with(&edits, &kinds).map_err(|problem| problem.to_string())?.plan.resolved;
         let path = &self.graph.graph;
-        let before =
-            std::fs::read_to_string(path).map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
+        let before = osteoflow_engine::regular(path)
+            .and_then(std::fs::read_to_string)
+            .map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
         let text = write_back::edited(&before, path, &edits.values, &edits.removed)?;
         let written = check_text(&text, path, &self.graph.sets, &kinds);
         let written = written.map_err(|faults| format!("the file would have a fault: {}", sentence(&faults)))?;

@@ -1,5 +1,6 @@
 //! Changes written into the text of a graph file, whose comments and order stay.
 
+use osteoflow_engine::durable;
 use std::{fs, io::Write, path::Path};
 use toml_edit::{Array, DocumentMut, Item, Table, TableLike};
 
@@ -89,19 +90,17 @@ pub(super) fn replace(path: &Path, before: &str, text: &str) -> Result<(), Strin
     let fault = |error: std::io::Error| format!("{} cannot be written: {error}", path.display());
     // A link is followed: the file itself is replaced, and keeps its permissions.
     let path = path.canonicalize().map_err(fault)?;
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(fault)?;
-    file.write_all(text.as_bytes()).map_err(fault)?;
-    file.as_file().sync_all().map_err(fault)?;
+    let mut part = durable::Part::new(&path).map_err(fault)?;
+    part.file().write_all(text.as_bytes()).map_err(fault)?;
     let permissions = fs::metadata(&path).map_err(fault)?.permissions();
     if permissions.readonly() {
         return Err(format!("{} is read-only", path.display()));
     }
-    file.as_file().set_permissions(permissions).map_err(fault)?;
+    part.file().set_permissions(permissions).map_err(fault)?;
     if fs::read_to_string(&path).map_err(fault)? != before {
         return Err(format!("{} was changed by another program meanwhile; write again", path.display()));
     }
-    file.persist(&path).map(drop).map_err(|error| fault(error.error))
+    part.replace().map_err(fault)
 }
 
 #[cfg(test)]

@@ -36,7 +36,8 @@ pub(crate) fn of_sweep(page: &mut Page, dir: &Path, about: &Json) {
     page.table("Provenance of this sweep.", &HEADS, &rows);
     again(page, &about["command"]);
     inputs(page, Path::new(""), &about["inputs"], &about["plugins"]);
-    if let Ok(graph) = fs::read_to_string(dir.join(osteoflow_engine::sweep::GRAPH)) {
+    if let Ok(graph) = osteoflow_engine::regular(dir.join(osteoflow_engine::sweep::GRAPH)).and_then(fs::read_to_string)
+    {
         page.folded("The frozen graph (sweep.toml), without the settings of any run", &graph);
     }
 }
@@ -164,7 +165,7 @@ fn is_readme(path: &Path) -> bool {
 
 /// The first line of a file that satisfies `wanted`, with the file's name.
 fn first(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Option<String> {
-    let text = fs::read_to_string(path).ok()?;
+    let text = osteoflow_engine::regular(path).and_then(fs::read_to_string).ok()?;
     let lines = text.lines().map(|line| line.trim_matches([' ', '#', '|', '*', '\t']));
     let line = lines.filter(|line| !line.is_empty()).find(|line| wanted(line))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();

@@ -4,7 +4,7 @@ use crate::ReportError;
 use osteoflow_engine::{Recording, run::files};
 use osteoflow_node::Registry;
 use serde_json::Value as Json;
-use std::{fs, path::Path};
+use std::path::Path;
 
 /// The folder of a run to report on.
 pub(crate) struct RunFolder {
@@ -18,7 +18,9 @@ pub(crate) struct RunFolder {
 /// Reads a JSON file of a folder.
 pub(crate) fn json(path: &Path) -> Result<Json, ReportError> {
     let shown = || path.display().to_string();
-    let text = fs::read_to_string(path).map_err(|source| ReportError::Read { path: shown(), source })?;
+    let text = osteoflow_engine::regular(path)
+        .and_then(std::fs::read_to_string)
+        .map_err(|source| ReportError::Read { path: shown(), source })?;
     serde_json::from_str(&text).map_err(|e| ReportError::Form { path: shown(), what: e.to_string() })
 }
 

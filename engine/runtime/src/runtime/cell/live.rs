@@ -3,6 +3,7 @@
 use super::{
     Cell, Core, Firing, Phase, call_node,
     output::{Late, Output},
+    source_clock::{Judged, SourceClock},
     stamp_or_zero,
 };
 use crate::{
@@ -13,7 +14,10 @@ use crate::{
     scheduler::Turn,
 };
 use osteoflow_node::{AnySource, Context, Emission, NodeError, StampNs};
-use std::time::Instant;
+use std::{
+    collections::VecDeque,
+    time::{Instant, SystemTime, UNIX_EPOCH},
+};
 
 /// The cell's state of a live source.
 pub(crate) struct LiveCore {
@@ -23,6 +27,45 @@ pub(crate) struct LiveCore {
     pub(crate) newest_ns: StampNs,
     /// It is not asked, because an output has no room.
     pub(crate) waits: bool,
+    /// What its stamps follow.
+    clock: SourceClock<Reply>,
+    /// Answers that wait for room.
+    ready: VecDeque<Reply>,
+}
+
+impl LiveCore {
+    pub(crate) fn new(max_delay_ns: StampNs) -> Self {
+        let (clock, ready) = (SourceClock::default(), VecDeque::new());
+        Self { max_delay_ns, newest_ns: StampNs::MIN, waits: false, clock, ready }
+    }
+
+    /// Makes an answer ready, unless it is held back by its stamp; what the user should know, with the number of the item.
+    fn take(&mut self, answer: Reply) -> Vec<(u64, String)> {
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let today_ns = StampNs::try_from(since_1970.as_nanos()).unwrap_or(StampNs::MAX);
+        let Firing { item, stamp_ns, timed } = answer.firing;
+        let is_silent = answer.emissions.iter().all(|emission| matches!(emission, Emission::Silent));
+        let judged = match (&answer.answered, is_silent) {
+            (Ok(Ok(true)), false) => {
+                let at = timed.map_or_else(Instant::now, |(began, took)| began + took);
+                self.clock.take(stamp_ns, answer, (at, today_ns))
+            }
+            (Ok(Ok(true)), true) => vec![Judged::Fits(answer)],
+            _ => self.clock.end(today_ns).into_iter().chain([Judged::Fits(answer)]).collect(),
+        };
+        let mut notes = Vec::new();
+        for judged in judged {
+            match judged {
+                Judged::Fits(reply) => self.ready.push_back(reply),
+                Judged::Refused(reply, stamp_ns, reason) => {
+                    notes.push((reply.item(), reason.clone()));
+                    self.ready.push_back(reply.refused(stamp_ns, &reason));
+                }
+                Judged::Note(note) => notes.push((item, note)),
+            }
+        }
+        notes
+    }
 }
 
 /// An answer of a live source.
@@ -54,6 +97,14 @@ impl Reply {
     /// Whether the source has ended without an item, or was stopped.
     pub(crate) fn is_end(&self) -> bool {
         matches!(self.answered, Ok(Ok(false)))
+    }
+
+    /// The answer with empties in place of its items.
+    fn refused(mut self, stamp_ns: StampNs, reason: &str) -> Self {
+        self.firing.stamp_ns = stamp_ns;
+        let given = self.emissions.iter_mut().filter(|emission| !matches!(emission, Emission::Silent));
+        given.for_each(|emission| *emission = Emission::Empty(reason.to_owned()));
+        self
     }
 
     /// The failure of a source whose thread panicked.
@@ -93,48 +144,59 @@ impl Cell {
         }
     }
 
-    /// Sends an answer of a live source.
-    pub(crate) fn answered(&mut self, answer: Reply, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+    /// Takes an answer of a live source, to be sent as soon as its stamp fits and there is room.
+    pub(crate) fn answered(&mut self, mut answer: Reply, run: &Runtime<'_>) {
         self.started(run);
-        answer.warnings.into_iter().for_each(|warning| self.context.warn(warning));
-        if matches!(answer.answered, Ok(Ok(false))) {
+        run.warn(self.index, answer.item(), std::mem::take(&mut answer.warnings));
+        self.item += u64::from(!answer.is_end());
+        let Core::Live(live) = &mut self.core else { return };
+        for (item, note) in live.take(answer) {
+            run.warn(self.index, item, vec![note]);
+        }
+    }
+
+    /// Sends an answer of a live source.
+    fn send_answer(&mut self, answer: Reply, run: &Runtime<'_>, turn: &mut Turn<'_>) {
+        if answer.is_end() {
             if run.cancelled() {
                 // It ended because it was asked to.
                 run.note_interrupted();
             }
-            self.pass_warnings_on(answer.firing.item, run);
             return self.end(run, turn);
         }
-        self.item += 1;
         self.emissions = answer.emissions;
         self.after(answer.firing, answer.answered.map(|answer| answer.map(drop)), run, turn);
     }
 
-    /// Whether a live source can be asked for its next answer; ends it where it has to end.
+    /// Sends what is ready, and whether a live source can be asked for its next answer; ends it where it has to end.
     pub(crate) fn ask(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) -> NextRequest {
-        if !self.is_live() {
-            return NextRequest::Never;
-        }
-        let has_room = self.has_room(run);
-        if let Core::Live(live) = &mut self.core
-            && !has_room
-        {
-            live.waits = true;
-            return NextRequest::WhenThereIsRoom;
-        }
-        match &self.phase {
-            Phase::Failing(empty) => {
-                let empty = empty.clone();
-                self.send_empties(empty, run, turn);
-                self.end(run, turn);
-                NextRequest::Never
+        loop {
+            let has_room = self.has_room(run);
+            let Core::Live(live) = &mut self.core else { return NextRequest::Never };
+            // The end is not an item and needs no room.
+            if !has_room && !live.ready.front().is_some_and(Reply::is_end) {
+                live.waits = true;
+                return NextRequest::WhenThereIsRoom;
             }
-            Phase::Open if !run.cancelled() => {
-                NextRequest::Next { item: self.item, stamp_ns: stamp_or_zero(self.stamp_ns) }
-            }
-            _ => {
-                self.interrupt(run, turn);
-                NextRequest::Never
+            match &self.phase {
+                Phase::Failing(empty) => {
+                    let empty = empty.clone();
+                    self.send_empties(empty, run, turn);
+                    self.end(run, turn);
+                    return NextRequest::Never;
+                }
+                Phase::Open => {
+                    if let Some(answer) = live.ready.pop_front() {
+                        self.send_answer(answer, run, turn);
+                    } else if run.cancelled() {
+                        self.interrupt(run, turn);
+                        return NextRequest::Never;
+                    } else {
+                        let stamp_ns = live.clock.held_ns().unwrap_or(self.stamp_ns);
+                        return NextRequest::Next { item: self.item, stamp_ns: stamp_or_zero(stamp_ns) };
+                    }
+                }
+                _ => return NextRequest::Never,
             }
         }
     }
@@ -165,6 +227,8 @@ impl Cell {
             }
             let late_ns = output.floor.saturating_sub(stamp_ns);
             if output.late.n_items == 0 {
+                let (node, late) = (self.context.node(), milliseconds(late_ns));
+                tracing::warn!(node, "an item came {late} late and is an empty; further ones are counted");
                 output.late.first = (output.n_items(), stamp_ns, output.floor);
             }
             output.late.n_items += 1;

@@ -1,5 +1,6 @@
 //! An output of a node: numbers its items and sends them over each link.
 
+use super::source_clock::MAX_STAMP_NS;
 use crate::{
     channel::{LinkState, SendEnd},
     plan::OutputId,
@@ -116,9 +117,6 @@ impl Output {
         }
     }
 }
-
-/// Largest distance of a stamp from 1970; what lies farther is no time, and leaves no room for tolerances.
-const MAX_STAMP_NS: u64 = 1 << 62;
 
 /// Checks what every node promises of its emissions: one answer on each output, of its type, in the order of time.
 /// Returns the violation.

@@ -48,7 +48,7 @@ impl Bag {
         if n_bytes > MAX_METADATA_BYTES {
             return Err(fault(format!("metadata.yaml has {n_bytes} bytes, at most {MAX_METADATA_BYTES} are read")));
         }
-        let text = fs::read_to_string(&path).map_err(FileError::read(&path))?;
+        let text = osteoflow_container::regular(&path).and_then(fs::read_to_string).map_err(FileError::read(&path))?;
         let metadata = Metadata::of(&text).map_err(|reason| fault(format!("metadata.yaml: {reason}")))?;
         if let Some(storage) = metadata.storage.filter(|storage| storage != "mcap") {
             return Err(fault(format!("the bag is stored as {storage}, and MCAP is read; {}", advice(folder))));

@@ -11,6 +11,8 @@ const N_WINDOW: usize = 100;
 const JUMP_NS: StampNs = 250_000_000;
 /// Jumps within [`N_STEADY`] messages after which the clock is taken to run at another rate, as that of a recording played fast.
 const N_JUMPS: usize = 3;
+/// Messages after a jump forward by which a damaged stamp is told from a clock that was set.
+const N_DOUBTED: usize = 3;
 /// Messages within which jumps count together.
 const N_STEADY: usize = 300;
 
@@ -27,6 +29,8 @@ pub struct ClockOffset {
     jumps: VecDeque<usize>,
     /// Whether the clock runs at another rate, which has been reported.
     is_played: bool,
+    /// The window and the offset before a jump forward, and the number of messages that may contradict it.
+    before_jump: Option<(VecDeque<StampNs>, StampNs, usize)>,
 }
 
 /// What is worth reporting of a sender's clock.
@@ -43,11 +47,23 @@ pub enum ClockNote {
 impl ClockOffset {
     /// Takes a message into account.
     pub fn add(&mut self, stamp_ns: StampNs, arrived_ns: StampNs) -> Option<ClockNote> {
+        let (delay_ns, mut damaged) = (arrived_ns.saturating_sub(stamp_ns), None);
+        if let (Some((window, before, n)), Some(now)) = (self.before_jump.take(), self.reported_ns) {
+            if delay_ns.saturating_sub(now) > JUMP_NS {
+                (self.window, self.reported_ns, damaged) = (window, Some(before), Some(ClockNote::Jump(now, before)));
+                self.jumps.pop_back();
+            } else if n > 1 {
+                self.before_jump = Some((window, before, n - 1));
+            }
+        }
         if self.window.len() == N_WINDOW {
             self.window.pop_front();
         }
-        self.window.push_back(arrived_ns.saturating_sub(stamp_ns));
+        self.window.push_back(delay_ns);
         self.n += 1;
+        if damaged.is_some() {
+            return damaged;
+        }
         let (first_stamp_ns, first_arrived_ns) = *self.first_ns.get_or_insert((stamp_ns, arrived_ns));
         let now = self.offset_ns()?;
         let Some(before) = self.reported_ns else {
@@ -59,6 +75,10 @@ impl ClockOffset {
             return None;
         }
         self.reported_ns = Some(now);
+        if now < before && self.before_jump.is_none() {
+            let window = self.window.iter().copied().filter(|delay| delay - before >= -JUMP_NS).collect();
+            self.before_jump = Some((window, before, N_DOUBTED));
+        }
         self.window.retain(|delay| delay - now <= JUMP_NS);
         self.jumps.push_back(self.n);
         self.jumps.retain(|n| self.n - n < N_STEADY);
@@ -128,6 +148,20 @@ mod tests {
             assert_eq!(sentences[0], ClockNote::Offset(0));
             let is_near = |now: StampNs| (now + by).abs() < S / 30;
             assert!(matches!(sentences[1..], [ClockNote::Jump(0, now)] if is_near(now)), "{sentences:?}");
+        }
+    }
+
+    #[test]
+    fn a_damaged_stamp_shifts_no_message_after_it() {
+        for n_bad in 1..3 {
+            let mut clock = ClockOffset::default();
+            for i in 0..100 {
+                let stamp_ns =
+                    if (50..50 + n_bad).contains(&i) { 4_294_000_000 * S } else { 1_750_000_000 * S + i * S / 20 };
+                clock.add(stamp_ns, 1_750_000_000 * S + i * S / 20 + S);
+                let is_bad = (50..50 + n_bad).contains(&i);
+                assert!(i < 20 || (clock.offset_ns() == Some(S)) != is_bad, "{i}: {:?}", clock.offset_ns());
+            }
         }
     }
 

@@ -117,7 +117,7 @@ fn merged(mut object: Value, other: Value) -> Value {
 fn write_markups(path: &Path, markups: Vec<Value>) -> Result<(), FileError> {
     let whole = json!({ "@schema": SCHEMA, "markups": markups });
     let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
-    std::fs::write(path, text).map_err(FileError::write(path))
+    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))
 }
 
 /// Writes points as a fiducial list of 3D Slicer in its older text form; `points` are mm, LPS, and the file states `space`.
@@ -136,7 +136,7 @@ pub fn write_fcsv(path: &Path, points: &[NamedPoint], space: Space) -> Result<()
         writeln!(text, "vtkMRMLMarkupsFiducialNode_{k},{x},{y},{z},0,0,0,1,1,1,0,{name},,")
             .expect("a string takes any text");
     }
-    std::fs::write(path, text).map_err(FileError::write(path))
+    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))
 }
 
 /// Writes points as CSV with the heading `label,x,y,z`; the numbers as they are. A known space is stated in a comment.
@@ -151,7 +151,7 @@ pub fn write_points_csv(path: &Path, points: &[NamedPoint], space: Space) -> Res
         let (name, p) = (quoted(path, &point.name)?, point.position);
         writeln!(text, "{name},{},{},{}", sign * p.x, sign * p.y, p.z).expect("a string takes any text");
     }
-    std::fs::write(path, text).map_err(FileError::write(path))
+    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))
 }
 
 /// The name as a cell of CSV.

@@ -133,7 +133,7 @@ pub fn write_rows<'a>(
         row([stamp_ns.to_string(), to.to_string(), from.to_string()].into_iter().chain(numbers).collect());
     }
     let bytes = writer.into_inner().expect("memory is always flushed");
-    std::fs::write(path, bytes).map_err(FileError::write(path))
+    osteoflow_container::durable::write(path, bytes).map_err(FileError::write(path))
 }
 
 #[cfg(test)]

@@ -26,6 +26,6 @@ pub fn write_tum(path: &Path, poses: &[Result<Pose, LostPose>]) -> Result<usize,
         let (whole, fraction) = (ns / 1_000_000_000, ns % 1_000_000_000);
         let _ = writeln!(text, "{sign}{whole}.{fraction:09} {} {} {} {} {} {} {}", t.x, t.y, t.z, q.i, q.j, q.k, q.w);
     }
-    std::fs::write(path, text).map_err(FileError::write(path))?;
+    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))?;
     Ok(poses.iter().filter(|pose| pose.is_err()).count())
 }

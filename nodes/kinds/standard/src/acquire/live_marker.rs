@@ -35,6 +35,9 @@ impl LiveMarker {
         if stamp_ns == 0 || !limits.are_set() {
             return Some((pose, None));
         }
+        // Samples of a stamp ahead of its time, or of a clock that was set back, say nothing of this one.
+        self.samples.retain(|(ns, _)| *ns <= stamp_ns);
+        self.last_ns = self.last_ns.filter(|ns| *ns <= stamp_ns);
         let n = self.samples.len();
         if n > 1 && self.samples[n - 1].0 - self.samples[n - 2].0 < APART_NS {
             self.samples.pop_back();
@@ -122,6 +125,22 @@ mod tests {
         assert!((80..=82).contains(&first) && (first..120).all(|k| matches!(jump[k], Some(Ok(_)))), "{first}");
         assert_eq!(signs, ["marker_unconfirmed", "marker_jump"]);
     }
+
+    #[test]
+    fn a_stamp_ahead_of_its_time_is_no_neighbour_of_what_follows() {
+        let (mut marker, mut signs) = (LiveMarker::default(), Vec::new());
+        let mut take = |k: i64, stamp_ns: StampNs, x: f64| {
+            let pose = Pose::new("world", "bone_marker", Isometry3::translation(x + 0.01 * (k % 7) as f64, 300.0, 0.0));
+            marker
+                .take("t", pose.at(stamp_ns), &MotionLimits::default(), &mut signs)
+                .map(|(_, reason)| reason.is_none())
+        };
+        let mut given =
+            |k: i64, x: f64| take(k, if k == 60 { 4_294_000_000_000 * MS } else { 1000 * MS + 50 * MS * k }, x);
+        assert!((0..100).filter(|k| *k != 60).all(|k| given(k, 0.0) == Some(true)));
+        assert_eq!((given(100, 20.0), given(101, 0.0)), (None, Some(true)), "a spike is found as before");
+    }
+
     #[test]
     fn a_fast_tracker_is_judged_by_as_long_a_time_as_a_slow_one() {
         // 1000 Hz: a jump after 3 s.

@@ -124,7 +124,7 @@ fn write_scan(
     let notes = write_cloud(&file("scan.ply")?, &coloured, space, Precision::Single)?;
     write_cloud(&file("scan.vtk")?, &on_ct, space, Precision::Single)?;
     let frames = format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.frame);
-    std::fs::write(file("scan_to_ct.tfm")?, itk_text(t_ct_scan, &[frames, NOTICE.into()]))?;
+    osteoflow_formats::durable::write(file("scan_to_ct.tfm")?, itk_text(t_ct_scan, &[frames, NOTICE.into()]))?;
     Ok(notes)
 }
 

@@ -36,7 +36,7 @@ impl Transform {
         if let Some(path) = file_of(ctx, "tfm")? {
             let (to, from) = (&i.pose.to, &i.pose.from);
             let frames = format!("moves frame {from} to frame {to}, mm, LPS; the parameters are those of the inverse");
-            std::fs::write(path, itk_text(&i.pose.isometry, &[frames, NOTICE.into()]))?;
+            osteoflow_formats::durable::write(path, itk_text(&i.pose.isometry, &[frames, NOTICE.into()]))?;
         }
         Ok(NoOutputs {})
     }
