@@ -99,6 +99,8 @@ mod viewer;
 #[cfg(unix)]
 mod viewer_bones;
 #[cfg(unix)]
+mod viewer_doors;
+#[cfg(unix)]
 mod viewer_hands;
 #[cfg(unix)]
 mod viewer_layout;

@@ -16,12 +16,12 @@ use tungstenite::{ClientRequestBuilder, Message, WebSocket};
 const LIMIT: Duration = Duration::from_secs(60);
 
 /// A copy of the shipped graphs that may be written, and the folder of the runs.
-struct Bench {
+pub(crate) struct Bench {
     folder: tempfile::TempDir,
 }
 
 impl Bench {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         for name in ["fibula.toml", "variants/fibula_point_to_point.toml"] {
             let to = folder.path().join(name);
@@ -31,16 +31,16 @@ impl Bench {
         Self { folder }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    fn text(&self, name: &str) -> String {
+    pub(crate) fn text(&self, name: &str) -> String {
         fs::read_to_string(self.path(name)).unwrap()
     }
 
     /// Serves a graph of the folder and waits for its first run.
-    fn view(&self, graph: &str, arguments: &[&str]) -> Served {
+    pub(crate) fn view(&self, graph: &str, arguments: &[&str]) -> Served {
         let (graph, out, picks) = (self.path(graph), self.path("run"), self.path("picks"));
         let mut all = vec!["view", graph.to_str().unwrap(), "--out", out.to_str().unwrap(), "--picks"];
         all.push(picks.to_str().unwrap());
@@ -51,12 +51,12 @@ impl Bench {
     }
 
     /// The folder of the n-th run.
-    fn run(&self, n: usize) -> PathBuf {
+    pub(crate) fn run(&self, n: usize) -> PathBuf {
         self.path(&if n == 1 { "run".to_owned() } else { format!("run-{n}") })
     }
 
     /// The results of the n-th run, once it has ended.
-    fn results(&self, n: usize) -> Value {
+    pub(crate) fn results(&self, n: usize) -> Value {
         let (file, until) = (self.run(n).join("results.json"), Instant::now() + LIMIT);
         // The manifest is written last.
         while !self.run(n).join("manifest.json").exists() {

@@ -29,7 +29,7 @@ use steer::{SteerRequest, TwoFiles};
 /// answer.
 ///
 /// Prints the address of a page that needs nothing but this program, and one for Foxglove and Lichtblick. Both end with Ctrl-C.
-/// Only this machine reaches them, and only with the token in the address.
+/// Only this machine reaches them, and only with the token in the address, which says what its holder may do: see, steer or write.
 #[derive(Debug, Clone, Args)]
 #[command(
     mut_args(of_view),
@@ -38,6 +38,7 @@ Examples:
   osteoflow view graphs/fibula.toml
   osteoflow view runs/fibula-20260314-092653
   osteoflow view run.mcap --address 8765
+  osteoflow view graphs/fibula.toml --address 0.0.0.0:8765 --serve-public --role see,write    one address for others, one for you
   osteoflow view bone.stl scan.ply
   osteoflow view bone.stl scan.ply --camera 0,0,0 --box=-60,-40,150,60,40,250
   osteoflow view ct.nrrd scan.ply --set bone.threshold_hu=250 --out DIR
@@ -85,7 +86,7 @@ fn of_view(arg: Arg) -> Arg {
         "repeat" | "write_source" | "trace" => arg.hide(true),
         // Those that graphs take, too, and those of the page.
         "plugins" | "no_plugins" | "python" | "workers" | "no_cache" => arg,
-        "address" | "plan" | "picks" | "serve_public" | "allow_origin" => arg,
+        "address" | "plan" | "picks" | "serve_public" | "role" | "allow_origin" => arg,
         _ => arg.requires("source"),
     }
 }

@@ -15,7 +15,9 @@ const LIMIT: Duration = Duration::from_secs(60);
 /// A command that serves.
 pub(crate) struct Served {
     child: Child,
+    /// The last address of the page, and of all roles that were asked for.
     pub(crate) page: String,
+    pub(crate) pages: Vec<String>,
     pub(crate) stream: String,
     /// What it says after its addresses.
     rest: Option<JoinHandle<String>>,
@@ -36,9 +38,12 @@ impl Served {
             }
             panic!("no line begins with {what}: {said}");
         };
-        let (page, stream) = (find("page: "), find("stream: "));
+        let roles = arguments.iter().find_map(|word| word.strip_prefix("--role="));
+        let all = roles.unwrap_or_default().split(',').map(|_| (find("page: "), find("stream: ")));
+        let (pages, mut streams): (Vec<_>, Vec<_>) = all.unzip();
+        let (page, stream) = (pages[pages.len() - 1].clone(), streams.remove(streams.len() - 1));
         let rest = std::thread::spawn(move || lines.collect::<Vec<_>>().join("\n"));
-        Self { child, page, stream, rest: Some(rest) }
+        Self { child, page, pages, stream, rest: Some(rest) }
     }
 
     /// `127.0.0.1:PORT` and the token.

@@ -4,7 +4,7 @@ mod graph;
 pub(crate) mod known_plan;
 pub(crate) mod picks;
 
-pub(crate) use graph::as_json as graph_json;
+pub(crate) use graph::{as_json as graph_json, stage};
 
 use super::{global::Global, terminal};
 use crate::app::refusal_in_short;
@@ -15,8 +15,8 @@ use osteoflow_engine::{
     plan::Plan,
     run::{Outcome, RunReport},
 };
-use osteoflow_node::Role;
-use osteoflow_viewer::{App, ServeOptions, Server, Stream};
+use osteoflow_node::Role as NodeRole;
+use osteoflow_viewer::{App, Role, ServeOptions, Server, Stream};
 use serde_json::{Map, Value, json};
 use std::{
     io::Write,
@@ -40,13 +40,20 @@ const LOOK: Duration = Duration::from_millis(50);
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Admission {
     /// Serve on an address that other machines reach, without encryption: everyone in the network who has the address
-    /// with its token sees everything that is shown.
+    /// with its token may do what its role says.
     #[arg(long)]
     serve_public: bool,
 
+    /// What the printed address lets its holder do, each role what those before it may: see; steer (numbers, switches, words of a choice
+    /// and kinds of the graph, and playing a recording); write (paths below the graph's folder, and saving picks and the graph). Each has
+    /// a token of its own, and see,steer prints two addresses. Default: write, with --serve-public see.
+    #[arg(long, value_name = "ROLE", value_delimiter = ',', value_parser = |word: &str| word.parse::<Role>())]
+    role: Vec<Role>,
+
     /// Let pages of this origin connect, such as https://app.foxglove.dev or https://lichtblick.example, and show the page in a frame,
-    /// as a notebook does; may be given again. Desktop viewers and the page itself need no such permission.
-    #[arg(long, value_name = "ORIGIN")]
+    /// as a notebook does; may be given again. They may see; ORIGIN=steer and ORIGIN=write let them do as much as the address that
+    /// they are given. Desktop viewers and the page itself need no such permission.
+    #[arg(long, value_name = "ORIGIN[=ROLE]")]
     allow_origin: Vec<String>,
 }
 
@@ -67,17 +74,31 @@ impl Admission {
                 address.ip()
             );
         }
-        for origin in &self.allow_origin {
+        let mut allowed_origins = Vec::new();
+        for given in &self.allow_origin {
+            let (origin, role) = given.split_once('=').unwrap_or((given, "see"));
             let rest = origin.split_once("://").map_or("", |(_, rest)| rest);
             if rest.is_empty() || rest.contains(['/', '*', ' ', ';', ',', '\r', '\n']) {
-                usage!("--allow-origin {origin}: an origin is a scheme and a host, such as https://app.foxglove.dev");
+                usage!("--allow-origin {given}: an origin is a scheme and a host, such as https://app.foxglove.dev");
+            }
+            match role.parse() {
+                Ok(role) => allowed_origins.push((origin.to_owned(), role)),
+                Err(why) => usage!("--allow-origin {given}: {why}"),
             }
         }
-        let options = ServeOptions { address, allowed_origins: self.allow_origin.clone(), name: name.to_owned() };
+        let options = ServeOptions { address, allowed_origins, name: name.to_owned() };
         let server = Server::start(options, stream, app).with_context(|| format!("{address} cannot be served"))?;
-        global.say("page", server.page())?;
-        let viewers = "for Foxglove and Lichtblick on the desktop; for their web pages add --allow-origin ORIGIN";
-        global.say("stream", format!("{} {viewers}", server.stream_address()))?;
+        let default = [if self.serve_public { Role::See } else { Role::Write }];
+        for role in if self.role.is_empty() { &default[..] } else { &self.role } {
+            let may = match role {
+                Role::See => " may see; --role steer or write prints one that may more",
+                Role::Steer => " may see and steer",
+                Role::Write => "",
+            };
+            global.say("page", format!("{}{may}", server.page(*role)))?;
+            let viewers = "for Foxglove and Lichtblick on the desktop; for their web pages add --allow-origin ORIGIN";
+            global.say("stream", format!("{} {viewers}", server.stream_address(*role)))?;
+        }
         Ok(server)
     }
 }
@@ -104,7 +125,7 @@ pub(crate) struct Serving {
 impl Serving {
     /// Says that the run begins.
     pub(crate) fn begin(stream: Arc<Stream>, plan: &Plan, graph: &Value) -> Self {
-        let is_live = plan.nodes.iter().any(|node| node.role == Role::LiveSource);
+        let is_live = plan.nodes.iter().any(|node| node.role == NodeRole::LiveSource);
         let of_results =
             plan.results.iter().find(|entry| entry.key == "verdict").map(|entry| plan.wire_name(entry.from));
         let origin = if is_live { "live" } else { "recorded" };

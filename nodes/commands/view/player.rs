@@ -1,6 +1,7 @@
 use crate::commands::common::serve::picks::{Known, Picks};
 use osteoflow_geometry::SurgicalPlan;
-use osteoflow_viewer::{App, Playback, Response};
+use osteoflow_viewer::{App, Door, Playback, Role};
+use serde_json::Value;
 
 /// A recording on the page: it is played, and what is picked on it is saved.
 pub(super) struct Player {
@@ -10,12 +11,15 @@ pub(super) struct Player {
 }
 
 impl App for Player {
-    fn get(&self, path: &str) -> Option<Response> {
-        self.picks.get(path, self.plan.as_ref(), &[])
+    fn doors(&self) -> &'static [Door] {
+        &[Door::Picks, Door::SavePlan, Door::SavePairs]
     }
 
-    fn post(&self, path: &str, body: &[u8]) -> Option<Response> {
-        self.picks.post(path, body, Known { plan: self.plan.as_ref(), made_for: None })
+    fn act(&self, door: Door, _: Role, request: &[u8]) -> Result<Value, String> {
+        match door {
+            Door::Picks => Ok(self.picks.describe(self.plan.as_ref(), &[])),
+            _ => self.picks.save(door, request, Known { plan: self.plan.as_ref(), made_for: None }),
+        }
     }
 
     fn playback(&self) -> Option<&Playback> {

@@ -29,8 +29,8 @@ use osteoflow_engine::{
     watch::Stamps,
 };
 use osteoflow_geometry::SurgicalPlan;
-use osteoflow_node::Role;
-use osteoflow_viewer::{App, Response, Stream};
+use osteoflow_node::Role as NodeRole;
+use osteoflow_viewer::{App, Door, Role, Stream};
 use serde_json::{Value, json};
 use std::{
     io::Write,
@@ -40,8 +40,9 @@ use std::{
     time::Instant,
 };
 
-/// What the page may do to the graph.
-const ACTIONS: [&str; 4] = ["set", "revert", "write", "region"];
+/// What the page may do.
+const DOORS: [Door; 7] =
+    [Door::Set, Door::Revert, Door::Write, Door::Region, Door::Picks, Door::SavePlan, Door::SavePairs];
 
 /// A graph to show and change.
 pub(crate) struct SteerRequest {
@@ -75,23 +76,38 @@ struct Shown {
 }
 
 impl Steering {
-    /// Does what the page asks for.
+    /// Sets what the page asks for.
     ///
     /// # Errors
     /// A sentence for the user.
-    fn act(&self, action: &str, request: &Value) -> Result<Value, String> {
-        match action {
-            "set" => {
-                let values =
-                    request["values"].as_object().ok_or("\"values\" is missing: an object of keys and values")?;
-                let values: Vec<_> = values.iter().map(|(key, value)| (key.clone(), value.clone())).collect();
-                self.changes.ask(&values)
-            }
-            "revert" => self.changes.revert(),
-            "write" => self.changes.write(),
-            "region" => self.save_region(request),
-            _ => Err(format!("there is no action {action}")),
-        }
+    fn set(&self, request: &Value, role: Role) -> Result<Value, String> {
+        let values = request["values"].as_object().ok_or("\"values\" is missing: an object of keys and values")?;
+        let values: Vec<_> = values.iter().map(|(key, value)| (key.clone(), value.clone())).collect();
+        self.changes.ask(&values, role)
+    }
+
+    /// Saves what was picked, and lets the graph use it.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn save(&self, door: Door, body: &[u8]) -> Result<Value, String> {
+        let (plan, made_for) = {
+            let shown = self.shown();
+            (shown.plan.clone(), shown.made_for.clone())
+        };
+        let known = Known { plan: plan.as_ref(), made_for: made_for.as_ref() };
+        let mut saved = self.picks.save(door, body, known)?;
+        let more = self.use_picks(door, &saved)?;
+        saved["message"] = format!("{}{more}", saved["message"].as_str().unwrap_or_default()).into();
+        Ok(saved)
+    }
+
+    /// Where picks are saved, and which the graph is run with.
+    fn picks(&self) -> Value {
+        let plans = self.plan_nodes();
+        let runs = [(!plans.is_empty(), "plan"), (self.two_files.is_some(), "pairs")];
+        let runs: Vec<&str> = runs.into_iter().filter_map(|(is, what)| is.then_some(what)).collect();
+        self.picks.describe(self.shown().plan.as_ref(), &runs)
     }
 
     fn shown(&self) -> MutexGuard<'_, Shown> {
@@ -140,13 +156,13 @@ impl Steering {
     ///
     /// # Errors
     /// A sentence for the user.
-    fn use_picks(&self, what: &str, saved: &Value) -> Result<&'static str, String> {
+    fn use_picks(&self, door: Door, saved: &Value) -> Result<&'static str, String> {
         let file = |name: &str| {
             let files = saved["files"].as_array().into_iter().flatten().filter_map(Value::as_str).map(Path::new);
             let mut of_name = files.filter(|file| file.file_name().is_some_and(|known| known == name));
             of_name.next().ok_or(format!("{name} was not saved")).and_then(picks::absolute)
         };
-        if what == "pairs" {
+        if door == Door::SavePairs {
             let Some(graph) = &self.two_files else { return Ok("") };
             let (bone, scan) = (file("bone_points.mrk.json")?, file("scan_points.mrk.json")?);
             return graph.start_from_pairs(&bone, &scan).map(|()| "; the registration starts from them");
@@ -172,29 +188,22 @@ impl Steering {
 }
 
 impl App for Steering {
-    fn get(&self, path: &str) -> Option<Response> {
-        let plans = self.plan_nodes();
-        let runs = [(!plans.is_empty(), "plan"), (self.two_files.is_some(), "pairs")];
-        let runs: Vec<&str> = runs.into_iter().filter_map(|(is, what)| is.then_some(what)).collect();
-        self.picks.get(path, self.shown().plan.as_ref(), &runs)
+    fn doors(&self) -> &'static [Door] {
+        &DOORS
     }
 
-    fn post(&self, path: &str, body: &[u8]) -> Option<Response> {
-        if let Some(what) = path.strip_prefix("save/") {
-            let (plan, made_for) = {
-                let shown = self.shown();
-                (shown.plan.clone(), shown.made_for.clone())
-            };
-            let saved = self.picks.save(what, body, Known { plan: plan.as_ref(), made_for: made_for.as_ref() });
-            return Some(picks::reply(saved.and_then(|mut saved| {
-                let more = self.use_picks(what, &saved)?;
-                saved["message"] = format!("{}{more}", saved["message"].as_str().unwrap_or_default()).into();
-                Ok(saved)
-            })));
+    fn act(&self, door: Door, role: Role, body: &[u8]) -> Result<Value, String> {
+        let request = || -> Result<Value, String> {
+            serde_json::from_slice(body).map_err(|error| format!("the request is no JSON: {error}"))
+        };
+        match door {
+            Door::Set => self.set(&request()?, role),
+            Door::Revert => self.changes.revert(),
+            Door::Write => self.changes.write(),
+            Door::Region => self.save_region(&request()?),
+            Door::Picks => Ok(self.picks()),
+            _ => self.save(door, body),
         }
-        let action = ACTIONS.iter().find(|action| **action == path)?;
-        let request = serde_json::from_slice(body).map_err(|error| format!("the request is no JSON: {error}"));
-        Some(picks::reply(request.and_then(|request| self.act(action, &request))))
     }
 
     fn parameters(&self) -> Vec<(String, Value)> {
@@ -213,16 +222,8 @@ impl App for Steering {
         all
     }
 
-    fn set_parameters(&self, values: &[(String, Value)]) -> Result<(), String> {
-        self.changes.ask(values).map(drop)
-    }
-
-    fn services(&self) -> &'static [&'static str] {
-        &ACTIONS
-    }
-
-    fn call(&self, service: &str, request: &Value) -> Result<Value, String> {
-        self.act(service, request)
+    fn set_parameters(&self, values: &[(String, Value)], role: Role) -> Result<(), String> {
+        self.changes.ask(values, role).map(drop)
     }
 }
 
@@ -306,7 +307,7 @@ impl Rerun for Session {
             return Ok(Turn::Wait(stamps));
         }
         graph_args::warn(&warnings, &global)?;
-        if let Some(node) = plan.nodes.iter().find(|node| node.role == Role::LiveSource) {
+        if let Some(node) = plan.nodes.iter().find(|node| node.role == NodeRole::LiveSource) {
             changes.fix(format!(
                 "node \"{}\" is a live source, whose items cannot be repeated; change the graph, and start again",
                 node.name

@@ -37,7 +37,7 @@ fn node_json(plan: &Plan, registry: &Registry, node: &PlanNode) -> Value {
 }
 
 /// The part of a kind before the dot: kinds of one stage can often replace each other.
-fn stage(kind: &str) -> &str {
+pub(crate) fn stage(kind: &str) -> &str {
     kind.split('.').next().unwrap_or(kind)
 }
 

@@ -8,7 +8,7 @@ use osteoflow_formats::{
     region_file::{parse_region, write_region},
 };
 use osteoflow_geometry::{NamedPoint, Points, Shape, SurgicalPlan};
-use osteoflow_viewer::Response;
+use osteoflow_viewer::Door;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use std::{
@@ -73,34 +73,26 @@ impl Picks {
         &self.folder
     }
 
-    /// The answer to a request of the page, if it is one for picks: `save/plan` and `save/pairs`.
-    pub(crate) fn post(&self, path: &str, body: &[u8], known: Known<'_>) -> Option<Response> {
-        let what = path.strip_prefix("save/").filter(|what| ["plan", "pairs"].contains(what))?;
-        Some(reply(self.save(what, body, known)))
-    }
-
     /// The answer to the page's question where picks are saved, what is known of the plan that it does not see, and which picks
     /// (`plan`, `pairs`) the graph is run with once they are saved.
-    pub(crate) fn get(&self, path: &str, known: Option<&SurgicalPlan>, runs: &[&str]) -> Option<Response> {
-        let folder = self.folder.display().to_string();
-        let answer = || Response::json(&json!({ "folder": folder, "plan": known.map(plan_json), "runs": runs }));
-        (path == "picks").then(answer)
+    pub(crate) fn describe(&self, known: Option<&SurgicalPlan>, runs: &[&str]) -> Value {
+        json!({ "folder": self.folder.display().to_string(), "plan": known.map(plan_json), "runs": runs })
     }
 
-    /// Writes what was picked (`what` is `plan` or `pairs`) into a new folder. What the plan of the page lacks is taken from the
-    /// one that is known.
+    /// Writes the plan or the pairs that were picked into a new folder. What the plan of the page lacks is taken from the one that is
+    /// known.
     ///
     /// # Errors
     /// A sentence for the user: what is wrong with the picks, or why they cannot be written.
-    pub(crate) fn save(&self, what: &str, body: &[u8], known: Known<'_>) -> Result<Value, String> {
+    pub(crate) fn save(&self, what: Door, body: &[u8], known: Known<'_>) -> Result<Value, String> {
         if body.len() > MAX_BYTES {
             return Err(format!("{} bytes are too long for picks; at most {MAX_BYTES} are taken", body.len()));
         }
         let text = std::str::from_utf8(body).map_err(|_| "the picks are no UTF-8".to_owned())?;
         match what {
-            "plan" => self.save_plan(text, known),
-            "pairs" => self.save_pairs(text),
-            _ => Err(format!("\"{what}\" cannot be saved; there are plan and pairs")),
+            Door::SavePlan => self.save_plan(text, known),
+            Door::SavePairs => self.save_pairs(text),
+            _ => Err("this cannot be saved; there are plan and pairs".into()),
         }
     }
 
@@ -250,14 +242,6 @@ impl Picks {
             return Err(message);
         }
         Ok(folder)
-    }
-}
-
-/// The reply to a request of the page.
-pub(crate) fn reply(outcome: Result<Value, String>) -> Response {
-    match outcome {
-        Ok(value) => Response::json(&value),
-        Err(message) => Response::refused(422, &message),
     }
 }
 

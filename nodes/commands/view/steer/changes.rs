@@ -2,8 +2,14 @@
 
 use super::write_back;
 use crate::app::{GraphArgs, with_causes};
-use osteoflow_engine::{Checked, Fault, Faults, Severity, check, check_text, plan::Plan, plugin::Kinds};
+use crate::commands::common::serve;
+use osteoflow_engine::{
+    Checked, Fault, Faults, Severity, check, check_text,
+    plan::{Plan, PlanNode},
+    plugin::Kinds,
+};
 use osteoflow_report::format::shell_word;
+use osteoflow_viewer::Role;
 use serde_json::{Value, json};
 use std::{
     path::{Component, Path, PathBuf},
@@ -81,18 +87,23 @@ impl Changes {
     }
 
     /// Sets keys as the page asks, which anybody may do who has its address: no path outside of the folders of the graph and of the picks
-    /// that the graph does not name without the page, and no code but that of its plugins.
+    /// that the graph does not name without the page, and no code but that of its plugins. Of a role that only steers less, see
+    /// [`steers`].
     ///
     /// # Errors
     /// As [`Self::set`].
-    pub(super) fn ask(&self, values: &[(String, Value)]) -> Result<Value, String> {
+    pub(super) fn ask(&self, values: &[(String, Value)], role: Role) -> Result<Value, String> {
         // A module is read to check it, so a text that may lead to one is looked at before.
         values.iter().try_for_each(|(key, value)| self.check_texts(key, value))?;
         let kinds = self.kinds().map_err(|problem| problem.to_string())?;
-        let by_itself = check(&self.graph.graph, &self.graph.sets, &kinds).map(|checked| checked.plan);
-        let (plugins, files) = by_itself.map(|plan| (plan.plugins, plan.input_files)).unwrap_or_default();
-        let permit = |plan: &Plan| {
-            let mut named = plan.nodes.iter().flat_map(|node| node.files.iter().map(|file| (&node.name, file)));
+        let by_itself = check(&self.graph.graph, &self.graph.sets, &kinds).map(|checked| checked.plan).ok();
+        let (plugins, files) =
+            by_itself.as_ref().map(|plan| (plan.plugins.clone(), plan.input_files.clone())).unwrap_or_default();
+        let permit = |checked: &Checked| {
+            if role < Role::Write {
+                steers(by_itself.as_ref(), checked, values)?;
+            }
+            let mut named = checked.plan.nodes.iter().flat_map(|node| node.files.iter().map(|file| (&node.name, file)));
             let outside = named.find(|(_, file)| !files.contains(file) && !self.is_inside(file));
             outside.map_or(Ok(()), |(node, file)| Err(self.outside(node, file)))
         };
@@ -144,7 +155,7 @@ impl Changes {
         &self,
         values: &[(String, Value)],
         kinds: &Kinds,
-        permit: &dyn Fn(&Plan) -> Result<(), String>,
+        permit: &dyn Fn(&Checked) -> Result<(), String>,
     ) -> Result<Value, String> {
         let mut edits = self.edits();
         if let Some(why) = &edits.fixed {
@@ -158,7 +169,7 @@ impl Changes {
         for _ in 0..MAX_ATTEMPTS {
             let faults = match self.check_with(&trial, kinds) {
                 Ok(checked) => {
-                    permit(&checked.plan)?;
+                    permit(&checked)?;
                     trial.count += 1;
                     *edits = trial;
                     return Ok(self.describe_with(&edits));
@@ -246,6 +257,45 @@ impl Changes {
 
     pub(super) fn path(&self) -> &Path {
         &self.graph.graph
+    }
+}
+
+/// Refuses what is more than steering: of the nodes that the graph has by itself, numbers, switches, words of a choice, and kinds of the
+/// same stage and role. A text that is free may be a path, an address or a wire.
+fn steers(by_itself: Option<&Plan>, after: &Checked, values: &[(String, Value)]) -> Result<(), String> {
+    let shown = serve::graph_json(&after.plan, &after.registry);
+    let of =
+        |list: &Value, name: &str| list.as_array().and_then(|all| all.iter().find(|row| row["name"] == name).cloned());
+    for (key, value) in values.iter().filter(|(_, value)| has_text(value)) {
+        let key_of = |node: &PlanNode| {
+            let key = key.strip_prefix("node.").unwrap_or(key);
+            key.strip_prefix(&*node.name)?.strip_prefix('.').map(str::to_owned)
+        };
+        let is_offered = |node: &PlanNode, param: &str| {
+            let row = of(&shown["nodes"], &node.name)?;
+            let words =
+                if param == "kind" { row["kinds"].clone() } else { of(&row["params"], param)?["words"].clone() };
+            let before = by_itself?.nodes.iter().find(|before| before.name == node.name)?;
+            let is_alike = before.role == node.role && serve::stage(&before.kind) == serve::stage(&node.kind);
+            Some(is_alike && words.as_array()?.contains(value))
+        };
+        let node = after.plan.nodes.iter().find_map(|node| Some((node, key_of(node)?)));
+        if !node.is_some_and(|(node, param)| is_offered(node, &param) == Some(true)) {
+            return Err(format!(
+                "{key}: {value} is no number, switch, word of a choice or kind that the page offers for a node, and needs the role write; \
+                 this address may only steer; start again with --role write for one that may"
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn has_text(value: &Value) -> bool {
+    match value {
+        Value::String(_) => true,
+        Value::Array(items) => items.iter().any(has_text),
+        Value::Object(entries) => entries.values().any(has_text),
+        _ => false,
     }
 }
 

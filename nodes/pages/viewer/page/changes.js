@@ -1,7 +1,7 @@
 // What was changed on the page and is not in the graph file yet.
 
 import { change } from "./graph.js";
-import { post } from "./request.js";
+import { may, post } from "./request.js";
 
 /**
  * @typedef {{values: [string, unknown][], removed: string[], settings: string, fixed: string | null, no_file: string | null, file: string | null}} Made
@@ -17,9 +17,10 @@ export function showChanges(holder, made, say) {
   section.hidden = !made || (made.values.length === 0 && !made.fixed);
   if (!made || section.hidden) return;
   const act = (/** @type {Promise<unknown>} */ done) => done.catch((error) => say(error.message));
-  const button = (/** @type {string} */ text, /** @type {() => void} */ onclick) => {
+  const button = (/** @type {string} */ text, /** @type {() => void} */ onclick, needs = "steer") => {
     const made = document.createElement("button");
     made.textContent = text;
+    made.disabled = !may(needs);
     made.onclick = onclick;
     return made;
   };
@@ -44,7 +45,7 @@ export function showChanges(holder, made, say) {
     const buttons = document.createElement("div");
     // A graph that is built in has no file of the user's.
     if (made.no_file === null) {
-      const write = button(`write into ${made.file}`, () => act(post("write", {}).then(() => say(`written into ${made.file}`))));
+      const write = button(`write into ${made.file}`, () => act(post("write", {}).then(() => say(`written into ${made.file}`))), "write");
       write.id = "write";
       buttons.append(write, " ");
     }

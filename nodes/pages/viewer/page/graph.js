@@ -1,6 +1,6 @@
 // The nodes of the graph: how often each has fired, how long it took, what it is for, and its parameters, which may be changed.
 
-import { post } from "./request.js";
+import { may, post } from "./request.js";
 import { duration } from "./times.js";
 
 /**
@@ -148,6 +148,8 @@ function field(node, param) {
     if (maximum !== null) input.max = String(maximum);
   }
   put();
+  // A free text may be a path.
+  input.disabled = !may("write") && !(words.length > 0 || typeof value === "number" || typeof value === "boolean");
   input.onchange = async () => {
     fault.textContent = "";
     try {

@@ -10,6 +10,7 @@ import { LayerList, showItem } from "./layers.js";
 import { payloadOf, readItem, readTransform } from "./message.js";
 import { Picking } from "./pick.js";
 import { RegionTool } from "./region.js";
+import { may, setRole, whatNot } from "./request.js";
 import { Scene } from "./scene.js";
 import { clock } from "./times.js";
 import { showVerdict } from "./verdict.js";
@@ -89,11 +90,21 @@ function showState() {
   const problem = state.problem ?? (state.verdict ? null : state.refusal) ?? "";
   element("problem").hidden = problem === "";
   element("problem").textContent = problem;
-  graph.allow(Boolean(state.changes) && !state.changes.fixed);
+  graph.allow(Boolean(state.changes) && !state.changes.fixed && may("steer"));
   showChanges(element("changes"), state.changes ?? null, log);
   showRegionButton();
   showNumbers();
   judge();
+}
+
+/** What this page may not do is said, and its buttons are disabled. @param {string | undefined} role */
+function showRole(role) {
+  setRole(role);
+  element("role").textContent = whatNot();
+  element("role").hidden = may("write");
+  for (const id of ["play", "time", "speed"]) /** @type {HTMLButtonElement} */ (element(id)).disabled = !may("steer");
+  picking.changed();
+  showState();
 }
 
 /** The crops of the graph and their clouds. */
@@ -103,7 +114,7 @@ function crops() {
 }
 
 function showRegionButton() {
-  element("draw").hidden = !graph.mayChange || crops().length === 0;
+  element("draw").hidden = !graph.mayChange || !may("write") || crops().length === 0;
 }
 
 function showNumbers() {
@@ -250,7 +261,10 @@ function noticeSilence() {
 const address = new URL(".", location.href);
 address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
 const connection = new Connection(address.href, {
-  info: (info) => setRange(info),
+  info: (info) => {
+    showRole(info.metadata?.role);
+    setRange(info);
+  },
   wants: ({ topic, schemaName }) =>
     [STATE, LOG, GRAPH, NODES].includes(topic) || topic.startsWith(EXACT) ||
     (topic.startsWith(VIEW) && schemaName === "foxglove.FrameTransform"),
@@ -417,7 +431,7 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "c" && !element("own").hidden) element("own").click();
   // A button or the head of a node has the space bar for itself.
   const isPressed = event.target instanceof HTMLElement && event.target.matches("button, summary");
-  if (event.key === " " && range && !isPressed) {
+  if (event.key === " " && range && may("steer") && !isPressed) {
     event.preventDefault();
     element("play").click();
   }

@@ -3,6 +3,7 @@
 import { fileField } from "./load.js";
 import { MAX_DEG, N_NEEDED, height, placing, sides } from "./picks.js";
 import { norm, minus } from "./surface.js";
+import { may, whatNot } from "./request.js";
 
 /** @typedef {import("./pick.js").Picking} Picking */
 /** @typedef {import("./picks.js").Group} Group */
@@ -96,9 +97,10 @@ export class Panel {
     this.redo.disabled = history.after.length === 0;
     this.remove.disabled = picking.selected === null && picking.selectedPlane === null;
     this.next.textContent = this.whatNext();
+    this.save.disabled = !may("write");
     this.save.textContent = picking.runsWith() ? "save and run" : mode === "pairs" ? "save the pairs" : "save the plan";
     const { known } = picking;
-    this.where.textContent = known?.folder ? `a new folder in ${known.folder} each time` : known === null ? "nothing can be saved here; open the run with osteoflow view" : "";
+    this.where.textContent = !may("write") ? whatNot() : known?.folder ? `a new folder in ${known.folder} each time` : known === null ? "nothing can be saved here; open the run with osteoflow view" : "";
     this.updateAdds();
     // What is typed or moved now is not replaced under the hand.
     const active = document.activeElement;

@@ -1,8 +1,9 @@
-//! Who may connect: the token in the address, the `Host` and the `Origin` of a request.
+//! Who may connect, and with which role: the token in the address, the `Host` and the `Origin` of a request.
 //!
 //! A page of another site that is open in the user's browser can send requests to the loopback. It does not know the token,
 //! its `Origin` is not on the list, and if it made its own name resolve to the loopback, the `Host` is that name.
 
+use crate::door::{Door, Role};
 use std::{
     io,
     net::{IpAddr, SocketAddr},
@@ -13,9 +14,37 @@ use std::{
 pub(crate) struct Access {
     /// The address that the server listens at.
     pub(crate) address: SocketAddr,
-    pub(crate) token: String,
-    /// Origins besides the server's own page, such as `https://app.foxglove.dev`.
-    pub(crate) allowed_origins: Vec<String>,
+    /// A token for each role.
+    pub(crate) tokens: [String; 3],
+    /// Origins besides the server's own page, such as `https://app.foxglove.dev`, with the most that their pages may.
+    pub(crate) allowed_origins: Vec<(String, Role)>,
+}
+
+/// What the sender of a request may do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Pass {
+    pub(crate) role: Role,
+    /// The origin of another site that limits the role of the token.
+    limited_by: Option<String>,
+}
+
+impl Pass {
+    /// # Errors
+    /// A sentence for the sender: which role the door needs, and how to get it.
+    pub(crate) fn admits(&self, door: Door) -> Result<(), String> {
+        let (needs, role) = (door.needs(), self.role);
+        if needs <= role {
+            return Ok(());
+        }
+        Err(match &self.limited_by {
+            Some(origin) => format!(
+                "this needs the role {needs}, and pages of {origin} may only {role}; start again with --allow-origin {origin}={needs}"
+            ),
+            None => format!(
+                "this needs the role {needs}, and this address may only {role}; start again with --role {needs} for one that may"
+            ),
+        })
+    }
 }
 
 /// What a request says of its sender.
@@ -32,31 +61,40 @@ pub(crate) struct Credentials<'a> {
 pub(crate) struct Refusal(pub(crate) u16, pub(crate) String);
 
 impl Access {
-    /// The path behind the token.
+    /// The path behind the token, and what its sender may do.
     ///
     /// # Errors
     /// [`Refusal`] if the host, the origin or the token is not right.
-    pub(crate) fn check<'a>(&self, credentials: &Credentials<'a>) -> Result<&'a str, Refusal> {
+    pub(crate) fn check<'a>(&self, credentials: &Credentials<'a>) -> Result<(&'a str, Pass), Refusal> {
         let [host] = credentials.hosts[..] else { return Err(Refusal(400, "one Host is needed".into())) };
         if !self.is_own_host(host) {
             return Err(Refusal(403, "this server answers only to its own address".into()));
         }
-        match credentials.origins[..] {
+        let limit = match credentials.origins[..] {
             // A program, or a page that the user opened by its address.
-            [] => {}
-            [origin] if self.is_own_origin(origin, host) => {}
-            _ => {
-                let origin = credentials.origins.join(", ");
-                let remedy = format!("restart it with --allow-origin {origin} if you trust that page");
-                return Err(Refusal(403, format!("pages of {origin} may not connect; {remedy}")));
-            }
-        }
+            [] => Some(Role::Write),
+            [origin] => self.limit_of(origin, host),
+            _ => None,
+        };
+        let origin = credentials.origins.join(", ");
+        let Some(limit) = limit else {
+            let remedy = format!("restart it with --allow-origin {origin} if you trust that page");
+            return Err(Refusal(403, format!("pages of {origin} may not connect; {remedy}")));
+        };
         let rest = credentials.path.strip_prefix('/').unwrap_or_default();
         let (token, rest) = rest.split_once('/').unwrap_or((rest, ""));
-        if !is_same(token.as_bytes(), self.token.as_bytes()) {
+        // All are compared, so that the time does not tell which is near.
+        let of_role = |role: &Role| is_same(token.as_bytes(), self.token(*role).as_bytes());
+        let Some(role) =
+            Role::ALL.into_iter().fold(None, |found, role| if of_role(&role) { Some(role) } else { found })
+        else {
             return Err(Refusal(403, "the address lacks the right token; use the one that the command printed".into()));
-        }
-        Ok(rest)
+        };
+        Ok((rest, Pass { role: role.min(limit), limited_by: (limit < role).then_some(origin) }))
+    }
+
+    pub(crate) fn token(&self, role: Role) -> &str {
+        &self.tokens[role as usize]
     }
 
     /// Whether a `Host` names this server. A name other than `localhost` may be anybody's that resolves to this address.
@@ -75,9 +113,13 @@ impl Access {
         }
     }
 
-    fn is_own_origin(&self, origin: &str, host: &str) -> bool {
-        let own = origin.strip_prefix("http://").is_some_and(|of| of.eq_ignore_ascii_case(host));
-        own || self.allowed_origins.iter().any(|allowed| allowed.trim_end_matches('/').eq_ignore_ascii_case(origin))
+    /// The most that pages of an origin may do; `None` if they may not connect.
+    fn limit_of(&self, origin: &str, host: &str) -> Option<Role> {
+        if origin.strip_prefix("http://").is_some_and(|of| of.eq_ignore_ascii_case(host)) {
+            return Some(Role::Write);
+        }
+        let is_it = |allowed: &str| allowed.trim_end_matches('/').eq_ignore_ascii_case(origin);
+        self.allowed_origins.iter().filter(|(allowed, _)| is_it(allowed)).map(|(_, role)| *role).max()
     }
 }
 
@@ -102,8 +144,8 @@ mod tests {
     fn access(address: &str) -> Access {
         Access {
             address: address.parse().unwrap(),
-            token: "0123456789abcdef".into(),
-            allowed_origins: vec!["https://app.foxglove.dev".into()],
+            tokens: ["abc", "abcdef", "0123456789abcdef"].map(Into::into),
+            allowed_origins: vec![("https://app.foxglove.dev".into(), Role::See)],
         }
     }
 
@@ -116,11 +158,28 @@ mod tests {
         let access = access(HOST);
         for (path, rest) in [("/0123456789abcdef", ""), ("/0123456789abcdef/", ""), ("/0123456789abcdef/a/b", "a/b")] {
             for origin in [None, Some("http://127.0.0.1:8765"), Some("https://app.foxglove.dev")] {
-                assert_eq!(access.check(&credentials(path, HOST, origin)), Ok(rest));
+                assert_eq!(access.check(&credentials(path, HOST, origin)).unwrap().0, rest);
             }
         }
         let by_name = credentials("/0123456789abcdef", "localhost:8765", Some("http://localhost:8765"));
-        assert_eq!(access.check(&by_name), Ok(""));
+        assert_eq!(access.check(&by_name).unwrap().1.role, Role::Write);
+    }
+
+    #[test]
+    fn the_token_has_the_role_and_another_origin_limits_it() {
+        let mut access = access(HOST);
+        let foxglove = Some("https://app.foxglove.dev");
+        let role = |access: &Access, path: &str, origin| access.check(&credentials(path, HOST, origin)).unwrap().1;
+        for (path, own) in [("/abc/", Role::See), ("/abcdef/x", Role::Steer), ("/0123456789abcdef", Role::Write)] {
+            assert_eq!(role(&access, path, None), Pass { role: own, limited_by: None });
+            assert_eq!(role(&access, path, foxglove).role, Role::See);
+        }
+        let refusal = role(&access, "/0123456789abcdef", foxglove).admits(Door::Set).unwrap_err();
+        assert!(refusal.contains("--allow-origin https://app.foxglove.dev=steer"), "{refusal}");
+        access.allowed_origins.push(("https://app.foxglove.dev/".into(), Role::Steer));
+        assert_eq!(role(&access, "/0123456789abcdef", foxglove).role, Role::Steer);
+        let refusal = role(&access, "/abc", foxglove).admits(Door::Set).unwrap_err();
+        assert!(refusal.contains("may only see") && refusal.contains("--role steer"), "{refusal}");
     }
 
     #[test]

@@ -39,13 +39,13 @@ impl Request {
         self.all(name).into_iter().flat_map(|value| value.split(',')).map(str::trim)
     }
 
-    /// Reads a request.
+    /// Reads the head of a request, and what comes with it of the body.
     ///
     /// # Errors
     /// A status and a sentence; `None` if the connection ended or was silent.
     pub(crate) fn read(from: &mut impl Read) -> Result<Self, Option<(u16, &'static str)>> {
         let mut bytes = Vec::new();
-        let head = loop {
+        loop {
             let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
             let mut request = httparse::Request::new(&mut headers);
             match request.parse(&bytes) {
@@ -57,7 +57,7 @@ impl Request {
                     let path = request.path.unwrap_or_default().into();
                     let headers = headers.map_err(|_| Some((400, "a header is no UTF-8")))?;
                     bytes.drain(..n);
-                    break Self { method, path, headers, body: Vec::new() };
+                    return Ok(Self { method, path, headers, body: bytes });
                 }
                 Ok(httparse::Status::Partial) if bytes.len() > MAX_HEAD_BYTES => {
                     return Err(Some((431, "the headers are too long")));
@@ -65,23 +65,34 @@ impl Request {
                 Ok(httparse::Status::Partial) => read_more(from, &mut bytes)?,
                 Err(_) => return Err(Some((400, "this is no request of HTTP/1.1"))),
             }
-        };
-        let n_body = match head.all("content-length")[..] {
+        }
+    }
+
+    /// Reads the rest of the body. Of a sender who may not send it only as much as lets the refusal reach it.
+    ///
+    /// # Errors
+    /// As of [`Self::read`].
+    pub(crate) fn read_body(
+        &mut self,
+        from: &mut impl Read,
+        is_admitted: bool,
+    ) -> Result<(), Option<(u16, &'static str)>> {
+        let n_body = match self.all("content-length")[..] {
             [] => 0,
             [n] => n.parse().map_err(|_| Some((400, "Content-Length is no number")))?,
             _ => return Err(Some((400, "Content-Length is there twice"))),
         };
-        if !head.all("transfer-encoding").is_empty() {
+        if !self.all("transfer-encoding").is_empty() {
             return Err(Some((411, "a Content-Length is needed")));
         }
-        if n_body > MAX_BODY_BYTES {
+        if n_body > if is_admitted { MAX_BODY_BYTES } else { MAX_HEAD_BYTES } {
             return Err(Some((413, "the body is too long")));
         }
-        while bytes.len() < n_body {
-            read_more(from, &mut bytes)?;
+        while self.body.len() < n_body {
+            read_more(from, &mut self.body)?;
         }
-        bytes.truncate(n_body);
-        Ok(Self { body: bytes, ..head })
+        self.body.truncate(n_body);
+        Ok(())
     }
 }
 
@@ -158,7 +169,9 @@ mod tests {
     }
 
     fn read(text: &str) -> Result<Request, Option<(u16, &'static str)>> {
-        Request::read(&mut Slow(text.as_bytes()))
+        let mut from = Slow(text.as_bytes());
+        let mut request = Request::read(&mut from)?;
+        request.read_body(&mut from, true).map(|()| request)
     }
 
     #[test]

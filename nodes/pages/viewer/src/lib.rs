@@ -6,6 +6,7 @@
 //! and the `Origin` are checked before a request becomes a stream (docs/decisions/0032).
 
 mod access;
+mod door;
 mod http;
 mod indexed;
 mod page;
@@ -15,7 +16,7 @@ mod server;
 mod still;
 mod stream;
 
-pub use http::Response;
+pub use door::{Door, Role};
 pub use page::{THREE_LICENSE, script};
 pub use playback::Playback;
 pub use server::{App, NoApp, ServeOptions, Server};

@@ -1,6 +1,6 @@
 //! The files of the page, which are part of the program.
 
-use crate::{access::token, http::Response};
+use crate::{access::token, door::Role, http::Response};
 
 /// A file: its path below the page, its content type and its content.
 type File = (&'static str, &'static str, &'static str);
@@ -61,7 +61,7 @@ pub fn script(path: &str) -> Option<&'static str> {
 pub const THREE_LICENSE: &str = include_str!("../page/three/LICENSE");
 
 /// The file at a path; pages of `origins` may show it in a frame, as a notebook does.
-pub(crate) fn file(path: &str, origins: &[String]) -> Option<Response> {
+pub(crate) fn file(path: &str, origins: &[(String, Role)]) -> Option<Response> {
     if path.is_empty() {
         return Some(index(origins));
     }
@@ -70,13 +70,14 @@ pub(crate) fn file(path: &str, origins: &[String]) -> Option<Response> {
 }
 
 /// The page itself. It may load nothing but what this server has.
-fn index(origins: &[String]) -> Response {
+fn index(origins: &[(String, Role)]) -> Response {
     let Ok(nonce) = token() else { return Response::refused(500, "the system gives no random numbers") };
+    let names: Vec<&str> = origins.iter().map(|(origin, _)| origin.as_str()).collect();
     let mut page = Response::new(200, HTML, INDEX.replace(NONCE, &nonce).into_bytes());
     page.headers = format!(
         "Content-Security-Policy: default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self'; img-src 'self' \
          data: blob:; connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {}\r\n",
-        if origins.is_empty() { "'none'".to_owned() } else { origins.join(" ") }
+        if origins.is_empty() { "'none'".to_owned() } else { names.join(" ") }
     );
     page
 }

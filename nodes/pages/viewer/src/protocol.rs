@@ -3,6 +3,7 @@
 //! Only what this server needs: channels, subscriptions, parameters, services, status and playback control. JSON messages
 //! have an `op`; binary ones begin with their opcode, numbers are little-endian.
 
+use crate::door::{Door, Role};
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use osteoflow_engine::run::ListenedChannel;
 use serde_json::{Value, json};
@@ -37,6 +38,23 @@ pub(crate) enum FromClient {
     Playback(PlaybackRequest),
     /// Valid, but not for this server.
     Other,
+}
+
+impl FromClient {
+    /// The door that it is for; `services` are those of the server.
+    pub(crate) fn door(&self, services: &[Door]) -> Result<Door, String> {
+        Ok(match self {
+            Self::Subscribe(_) | Self::Unsubscribe(_) => Door::Subscribe,
+            Self::GetParameters { .. } => Door::GetParameters,
+            Self::SetParameters { .. } => Door::SetParameters,
+            Self::Service(call) => {
+                let door = (call.service as usize).checked_sub(1).and_then(|index| services.get(index));
+                *door.ok_or_else(|| "there is no such service".to_owned())?
+            }
+            Self::Playback(_) => Door::Playback,
+            Self::Other => Door::Stream,
+        })
+    }
 }
 
 /// A call of a service.
@@ -77,14 +95,25 @@ pub(crate) enum Level {
     Error = 2,
 }
 
-pub(crate) fn server_info(name: &str, session: &str, services: bool, range_ns: Option<(u64, u64)>) -> String {
+pub(crate) fn server_info(
+    name: &str,
+    session: &str,
+    role: Role,
+    services: bool,
+    range_ns: Option<(u64, u64)>,
+) -> String {
     let mut capabilities = vec!["parameters", "parametersSubscribe"];
     if services {
         capabilities.push("services");
     }
-    let mut info = json!({ "op": "serverInfo", "name": name, "sessionId": session, "supportedEncodings": ["json"] });
+    let mut info = json!({
+        "op": "serverInfo", "name": name, "sessionId": session, "supportedEncodings": ["json"],
+        "metadata": { "role": role.word() },
+    });
     if let Some((start, end)) = range_ns {
-        capabilities.push("playbackControl");
+        if Door::Playback.needs() <= role {
+            capabilities.push("playbackControl");
+        }
         let time = |ns: u64| json!({ "sec": ns / 1_000_000_000, "nsec": ns % 1_000_000_000 });
         info["dataStartTime"] = time(start);
         info["dataEndTime"] = time(end);
@@ -117,13 +146,15 @@ pub(crate) fn unadvertise(channels: &[u32]) -> String {
     json!({ "op": "unadvertise", "channelIds": channels }).to_string()
 }
 
-/// Services are numbered from 1.
-pub(crate) fn advertise_services(services: &[&str]) -> String {
-    let row = |(id, name): (u32, &&str)| {
+/// The services of a role. They are numbered from 1, those of all roles alike.
+pub(crate) fn advertise_services(services: &[Door], role: Role) -> String {
+    let row = |(id, door): (u32, &Door)| {
+        let name = door.service().filter(|_| door.needs() <= role)?;
         let schema = json!({ "encoding": "json", "schemaName": name, "schemaEncoding": "jsonschema", "schema": "{}" });
-        json!({ "id": id, "name": name, "type": name, "request": schema, "response": schema })
+        Some(json!({ "id": id, "name": name, "type": name, "request": schema, "response": schema }))
     };
-    json!({ "op": "advertiseServices", "services": (1..).zip(services).map(row).collect::<Vec<_>>() }).to_string()
+    json!({ "op": "advertiseServices", "services": (1..).zip(services).filter_map(row).collect::<Vec<_>>() })
+        .to_string()
 }
 
 pub(crate) fn parameter_values(values: &[(String, Value)], id: Option<&str>) -> String {

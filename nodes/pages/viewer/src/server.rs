@@ -1,7 +1,8 @@
 //! The server: the page, and the stream to viewers, at one address.
 
 use crate::{
-    access::{Access, Credentials, Refusal, token},
+    access::{Access, Credentials, Pass, Refusal, token},
+    door::{Door, Role},
     http::{PATIENCE, Request, Response},
     page,
     playback::Playback,
@@ -23,7 +24,7 @@ use std::{
 use tungstenite::{
     Message, WebSocket,
     handshake::derive_accept_key,
-    protocol::{Role, WebSocketConfig},
+    protocol::{Role as Side, WebSocketConfig},
 };
 
 /// Connections at a time; a browser opens six to one address.
@@ -34,6 +35,8 @@ const MAX_MESSAGE_BYTES: usize = 1 << 20;
 const STUCK: Duration = Duration::from_secs(30);
 /// How long a viewer's thread waits for a message before it looks whether to end.
 const LOOK: Duration = Duration::from_millis(500);
+/// What is said where no door is.
+const NOTHING: &str = "there is nothing at this address";
 /// Time for viewers to receive the end of the stream.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
@@ -42,8 +45,8 @@ const LAST_WORDS: Duration = Duration::from_secs(2);
 pub struct ServeOptions {
     /// Where to listen; port 0 for a free one.
     pub address: SocketAddr,
-    /// Origins whose pages may connect besides the server's own.
-    pub allowed_origins: Vec<String>,
+    /// Origins whose pages may connect besides the server's own, with the most that they may do.
+    pub allowed_origins: Vec<(String, Role)>,
     /// What is served: the name of a graph or a file.
     pub name: String,
 }
@@ -57,14 +60,17 @@ impl ServeOptions {
 
 /// What is behind the page and the stream. All of it is optional.
 pub trait App: Send + Sync {
-    /// The response to a request of the page for `path`.
-    fn get(&self, _path: &str) -> Option<Response> {
-        None
+    /// The doors that it answers, besides those of the page and the stream. Viewers of the protocol may call some as services.
+    fn doors(&self) -> &'static [Door] {
+        &[]
     }
 
-    /// The response to a request of the page that changes something.
-    fn post(&self, _path: &str, _body: &[u8]) -> Option<Response> {
-        None
+    /// Does what a request at one of its doors says; the role of its sender is at least the one that the door needs.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn act(&self, door: Door, _role: Role, _request: &[u8]) -> Result<Value, String> {
+        Err(format!("there is no {}", door.action().unwrap_or_default()))
     }
 
     /// Parameters of nodes, `icp.max_iterations`.
@@ -76,22 +82,9 @@ pub trait App: Send + Sync {
     ///
     /// # Errors
     /// A sentence for the user.
-    fn set_parameters(&self, values: &[(String, Value)]) -> Result<(), String> {
+    fn set_parameters(&self, values: &[(String, Value)], _role: Role) -> Result<(), String> {
         let names: Vec<&str> = values.iter().map(|(name, _)| name.as_str()).collect();
         Err(format!("{} cannot be changed here", names.join(", ")))
-    }
-
-    /// Names of the actions that viewers may call.
-    fn services(&self) -> &'static [&'static str] {
-        &[]
-    }
-
-    /// Does what a service says.
-    ///
-    /// # Errors
-    /// A sentence for the user.
-    fn call(&self, service: &str, _request: &Value) -> Result<Value, String> {
-        Err(format!("there is no service {service}"))
     }
 
     /// The recording that is played, if one is.
@@ -136,8 +129,8 @@ impl Server {
     /// The address cannot be listened at, or the system gives no random numbers for the token.
     pub fn start(options: ServeOptions, stream: Arc<Stream>, app: Arc<dyn App>) -> io::Result<Self> {
         let listener = TcpListener::bind(options.address)?;
-        let access =
-            Access { address: listener.local_addr()?, token: token()?, allowed_origins: options.allowed_origins };
+        let tokens = [token()?, token()?, token()?];
+        let access = Access { address: listener.local_addr()?, tokens, allowed_origins: options.allowed_origins };
         let (is_ending, n_connections) = (AtomicBool::new(false), AtomicUsize::new(0));
         let session = token()?;
         let shared = Arc::new(Shared { access, name: options.name, session, stream, app, is_ending, n_connections });
@@ -146,14 +139,14 @@ impl Server {
         Ok(Self { shared, acceptor: Some(acceptor) })
     }
 
-    /// The address of the page, with the token.
-    pub fn page(&self) -> String {
-        format!("http://{}/{}/", self.host(), self.shared.access.token)
+    /// The address of the page, with the token of a role.
+    pub fn page(&self, role: Role) -> String {
+        format!("http://{}/{}/", self.host(), self.shared.access.token(role))
     }
 
-    /// The address for viewers of the protocol, with the token.
-    pub fn stream_address(&self) -> String {
-        format!("ws://{}/{}", self.host(), self.shared.access.token)
+    /// The address for viewers of the protocol, with the token of a role.
+    pub fn stream_address(&self, role: Role) -> String {
+        format!("ws://{}/{}", self.host(), self.shared.access.token(role))
     }
 
     fn host(&self) -> SocketAddr {
@@ -227,47 +220,72 @@ impl Read for Deadline<'_> {
 fn serve(mut connection: TcpStream, shared: &Arc<Shared>) {
     let _ = connection.set_nodelay(true);
     let _ = connection.set_write_timeout(Some(STUCK));
-    let request = match Request::read(&mut Deadline(&connection, Instant::now() + PATIENCE)) {
-        Ok(request) => request,
-        Err(fault) => {
-            if let Some((status, message)) = fault {
-                let _ = Response::refused(status, message).write(&mut connection);
-            }
-            return;
-        }
-    };
-    let path = request.path.split('?').next().unwrap_or_default();
-    let credentials = Credentials { path, hosts: request.all("host"), origins: request.all("origin") };
-    let response = match shared.access.check(&credentials) {
-        Err(Refusal(status, message)) => Response::refused(status, &message),
-        Ok(_) if request.lists("upgrade", "websocket") => match upgrade(&request) {
-            Err(message) => Response::refused(400, message),
-            Ok(head) => {
-                if connection.write_all(head.as_bytes()).is_ok() {
-                    let plays = request.words("sec-websocket-protocol").any(|word| word == SUBPROTOCOLS[0]);
-                    view(connection, shared, plays);
-                }
-                return;
-            }
+    let by = Instant::now() + PATIENCE;
+    let response = match Request::read(&mut Deadline(&connection, by)) {
+        Ok(request) => match answer(&connection, request, by, shared) {
+            Some(response) => response,
+            None => return,
         },
-        Ok(rest) => respond(&request, rest, shared),
+        Err(Some((status, message))) => Response::refused(status, message),
+        Err(None) => return,
     };
     let _ = response.write(&mut connection);
 }
 
-fn respond(request: &Request, rest: &str, shared: &Shared) -> Response {
-    let response = match &*request.method {
-        // Relative addresses of the page need the slash.
-        "GET" if rest.is_empty() && !request.path.ends_with('/') => {
-            let mut moved = Response::refused(308, "the page is one slash further");
-            moved.headers = format!("Location: {}/\r\n", request.path);
-            Some(moved)
+/// The response to a request, whose body is read once its sender is known to be admitted; `None` if none is due any more.
+fn answer(mut connection: &TcpStream, mut request: Request, by: Instant, shared: &Arc<Shared>) -> Option<Response> {
+    let path = request.path.split('?').next().unwrap_or_default().to_owned();
+    let credentials = Credentials { path: &path, hosts: request.all("host"), origins: request.all("origin") };
+    let is_stream = request.lists("upgrade", "websocket");
+    let admitted = shared.access.check(&credentials).and_then(|(rest, pass)| {
+        if !is_stream && !["GET", "POST"].contains(&&*request.method) {
+            return Err(Refusal(405, "GET and POST are served".into()));
         }
-        "GET" => page::file(rest, &shared.access.allowed_origins).or_else(|| shared.app.get(rest)),
-        "POST" => shared.app.post(rest, &request.body),
-        _ => return Response::refused(405, "GET and POST are served"),
+        let door = if is_stream { Some(Door::Stream) } else { Door::of_request(&request.method, rest) };
+        let door = door.ok_or_else(|| Refusal(404, NOTHING.into()))?;
+        pass.admits(door).map_err(|message| Refusal(403, message))?;
+        Ok((rest.to_owned(), pass, door))
+    });
+    let body = request.read_body(&mut Deadline(connection, by), admitted.is_ok());
+    let (rest, pass, door) = match admitted {
+        Ok(admitted) => admitted,
+        Err(Refusal(status, message)) => return Some(Response::refused(status, &message)),
     };
-    response.unwrap_or_else(|| Response::refused(404, "there is nothing at this address"))
+    if let Err(fault) = body {
+        return fault.map(|(status, message)| Response::refused(status, message));
+    }
+    if door != Door::Stream {
+        return Some(respond(&request, &rest, door, pass.role, shared));
+    }
+    match upgrade(&request) {
+        Err(message) => Some(Response::refused(400, message)),
+        Ok(head) => {
+            let plays = request.words("sec-websocket-protocol").any(|word| word == SUBPROTOCOLS[0]);
+            if connection.write_all(head.as_bytes()).is_ok()
+                && let Ok(connection) = connection.try_clone()
+            {
+                view(connection, shared, plays, &pass);
+            }
+            None
+        }
+    }
+}
+
+fn respond(request: &Request, rest: &str, door: Door, role: Role, shared: &Shared) -> Response {
+    if door != Door::Page {
+        return match shared.app.doors().contains(&door).then(|| shared.app.act(door, role, &request.body)) {
+            Some(Ok(value)) => Response::json(&value),
+            Some(Err(message)) => Response::refused(422, &message),
+            None => Response::refused(404, NOTHING),
+        };
+    }
+    // Relative addresses of the page need the slash.
+    if rest.is_empty() && !request.path.ends_with('/') {
+        let mut moved = Response::refused(308, "the page is one slash further");
+        moved.headers = format!("Location: {}/\r\n", request.path);
+        return moved;
+    }
+    page::file(rest, &shared.access.allowed_origins).unwrap_or_else(|| Response::refused(404, NOTHING))
 }
 
 /// The head of the answer that makes a connection a WebSocket.
@@ -309,21 +327,23 @@ impl Write for Duplex {
 }
 
 /// Serves a viewer until it leaves; `plays` if its subprotocol has the control of playback.
-fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool) {
+fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool, pass: &Pass) {
     let (Ok(for_writer), Ok(to_close)) = (connection.try_clone(), connection.try_clone()) else { return };
     let (Ok(a), Ok(b)) = (connection.try_clone(), connection.try_clone()) else { return };
     let _ = connection.set_read_timeout(None);
     let both = Arc::new(Mutex::new(for_writer));
     let config =
         WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE_BYTES)).max_frame_size(Some(MAX_MESSAGE_BYTES));
-    let mut reader = WebSocket::from_raw_socket(Duplex(a, both.clone()), Role::Server, Some(config));
-    let mut writer = WebSocket::from_raw_socket(Duplex(b, both), Role::Server, None);
+    let mut reader = WebSocket::from_raw_socket(Duplex(a, both.clone()), Side::Server, Some(config));
+    let mut writer = WebSocket::from_raw_socket(Duplex(b, both), Side::Server, None);
 
-    let services = shared.app.services();
+    let services = shared.services();
+    let offers = services.iter().any(|door| pass.admits(*door).is_ok());
     let info = protocol::server_info(
         &shared.name,
         &shared.session,
-        !services.is_empty(),
+        pass.role,
+        offers,
         shared.app.playback().map(Playback::range_ns),
     );
     if writer.send(Message::text(info)).is_err() {
@@ -336,8 +356,8 @@ fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool) {
     if let Some(state) = shared.app.playback().map(Playback::state) {
         viewer.send(Out::Binary(protocol::playback_state(&state, false, "")));
     }
-    if !services.is_empty() {
-        viewer.send(Out::Text(protocol::advertise_services(services)));
+    if offers {
+        viewer.send(Out::Text(protocol::advertise_services(&services, pass.role)));
     }
     let of_writer = viewer.clone();
     let ending = shared.clone();
@@ -368,7 +388,7 @@ fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool) {
                 Message::Binary(bytes) => protocol::read_binary(bytes),
                 _ => continue,
             };
-            if let Err(fault) = request.and_then(|request| shared.reply(&viewer, request)) {
+            if let Err(fault) = request.and_then(|request| shared.reply(&viewer, pass, &services, request)) {
                 viewer.send(Out::Text(protocol::status(Level::Error, &fault, "request")));
             }
         }
@@ -377,11 +397,23 @@ fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool) {
 }
 
 impl Shared {
+    /// The doors that viewers of the protocol may call.
+    fn services(&self) -> Vec<Door> {
+        self.app.doors().iter().copied().filter(|door| door.service().is_some()).collect()
+    }
+
     /// Replies to a message of a viewer.
     ///
     /// # Errors
     /// A sentence for the viewer.
-    fn reply(&self, viewer: &Viewer, request: FromClient) -> Result<(), String> {
+    fn reply(&self, viewer: &Viewer, pass: &Pass, services: &[Door], request: FromClient) -> Result<(), String> {
+        let door = request.door(services);
+        let admitted = door.and_then(|door| pass.admits(door).map(|()| door));
+        match request {
+            // These are answered in a way of their own where they are refused.
+            FromClient::SetParameters { .. } | FromClient::Service(_) => {}
+            _ => drop(admitted.clone()?),
+        }
         match request {
             FromClient::Subscribe(pairs) => {
                 pairs.into_iter().try_for_each(|(id, channel)| self.stream.subscribe(viewer, id, channel))?;
@@ -394,7 +426,7 @@ impl Shared {
                 viewer.send(Out::Text(protocol::parameter_values(&values, id.as_deref())));
             }
             FromClient::SetParameters { values, id } => {
-                let set = self.app.set_parameters(&values);
+                let set = admitted.and_then(|_| self.app.set_parameters(&values, pass.role));
                 // Of a refused one the viewer is sent what it still is.
                 let now = self.app.parameters().into_iter();
                 let now: Vec<_> = now.filter(|(name, _)| values.iter().any(|(set, _)| set == name)).collect();
@@ -403,9 +435,8 @@ impl Shared {
                 self.stream.publish_parameters(&now);
             }
             FromClient::Service(call) => {
-                let named = (call.service as usize).checked_sub(1).and_then(|index| self.app.services().get(index));
-                let name = named.ok_or("there is no such service".to_owned());
-                viewer.send(match name.and_then(|name| self.app.call(name, &call.request)) {
+                let request = call.request.to_string();
+                viewer.send(match admitted.and_then(|door| self.app.act(door, pass.role, request.as_bytes())) {
                     Ok(reply) => Out::Binary(protocol::service_response(&call, &reply)),
                     Err(message) => Out::Text(protocol::service_failure(&call, &message)),
                 });

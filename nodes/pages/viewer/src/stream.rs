@@ -14,6 +14,8 @@ use std::{
 
 /// Bytes that may wait for a viewer: two seconds of 20,000 points with normals at 20 Hz, twice.
 const MAX_WAITING_BYTES: usize = 64 << 20;
+/// Bytes of replies that may wait for a viewer; one that asks and does not read is left.
+const MAX_WAITING_REPLIES: usize = 16 << 20;
 /// How long a bulky message may wait where a newer one of its channel does, too.
 const MAX_WAIT: Duration = Duration::from_secs(1);
 /// Bytes of a bulky message. Smaller ones, such as poses and warnings, do not keep a viewer from the present.
@@ -253,6 +255,7 @@ pub(crate) struct Viewer {
 #[derive(Debug, Default)]
 struct Queue {
     control: VecDeque<Out>,
+    n_control_bytes: usize,
     /// With the time since when they wait.
     messages: VecDeque<(Instant, Arc<Message>)>,
     n_bytes: usize,
@@ -282,16 +285,29 @@ impl Viewer {
 
     pub(crate) fn send(&self, message: Out) {
         let mut queue = self.queue();
+        if queue.is_closed {
+            return;
+        }
         if queue.takes_playback
             || !matches!(&message, Out::Binary(bytes) if bytes.first() == Some(&protocol::PLAYBACK_STATE))
         {
+            queue.n_control_bytes += match &message {
+                Out::Text(text) => text.len(),
+                Out::Binary(bytes) => bytes.len(),
+            };
+            queue.is_closed |= queue.n_control_bytes > MAX_WAITING_REPLIES;
             queue.control.push_back(message);
             self.filled.notify_one();
         }
     }
 
     fn subscribe(&self, subscription: u32, channel: u32) -> Result<(), String> {
-        match self.queue().subscriptions.insert(subscription, channel) {
+        let mut queue = self.queue();
+        // Each would be sent every message.
+        if queue.subscriptions.iter().any(|(id, subscribed)| *subscribed == channel && *id != subscription) {
+            return Err(format!("channel {channel} is subscribed already; once is enough"));
+        }
+        match queue.subscriptions.insert(subscription, channel) {
             None => Ok(()),
             Some(_) => Err(format!("subscription {subscription} is used twice")),
         }
@@ -337,6 +353,7 @@ impl Viewer {
         }
         queue.leave_out_late(Instant::now());
         let mut out: Vec<Out> = queue.control.drain(..).collect();
+        queue.n_control_bytes = 0;
         if let Some((_, message)) = queue.messages.pop_front() {
             queue.took(&message);
             let of_channel = |(_, channel): &(&u32, &u32)| **channel == message.channel;
@@ -539,6 +556,17 @@ mod tests {
         stream.restart();
         stream.channel(channel(1));
         assert!(stream.subscribe(&viewer, 4, 4).is_ok());
+    }
+
+    #[test]
+    fn a_viewer_that_asks_and_does_not_read_is_left() {
+        let stream = Stream::default();
+        let (asks, reads) = (stream.join(), stream.join());
+        for _ in 0..17 {
+            [&asks, &reads].into_iter().for_each(|viewer| viewer.send(Out::Binary(vec![0; 1 << 20])));
+            assert!(reads.take(NOW).is_some());
+        }
+        assert_eq!(asks.take(NOW), None);
     }
 
     #[test]
