@@ -139,7 +139,7 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
             vec![with_paths.collect::<Vec<_>>().join("\n").into_bytes()]
         }
         "volume" => encoded(root).into_iter().chain([nifti(), dicom()]).collect(),
-        "message" => messages_of_recordings(),
+        "message" => messages_of_recordings(root),
         "openigtlink" => messages().iter().map(|message| message.to_bytes().unwrap()).collect(),
         #[cfg(unix)]
         "payload" => border::items(root),
@@ -222,7 +222,7 @@ fn dicom() -> Vec<u8> {
 }
 
 /// A message of each schema in each encoding that other programs write.
-fn messages_of_recordings() -> Vec<Vec<u8>> {
+fn messages_of_recordings(root: &Path) -> Vec<Vec<u8>> {
     let at = 1_750_000_000_000_000_000;
     let points = [[0.0, 0.0, 200.0], [1.0, 0.0, 201.0], [0.0, 1.0, 202.0]].map(Point3::from);
     let normals = vec![-Vector3::z(); 3];
@@ -250,7 +250,7 @@ fn messages_of_recordings() -> Vec<Vec<u8>> {
         }
     }
     // Of the pictures that rosbags and OpenCV wrote, those that are read.
-    let written = Recording::open(&crate::common::root().join("tests/data/ros2_images.mcap"), false).unwrap();
+    let written = Recording::open(&root.join("tests/data/ros2_images.mcap"), false).unwrap();
     for topic in ["/rgb8", "/bgra8", "/mono16", "/jpeg", "/png", "/brown/info", "/fisheye/info"] {
         let message = &written.messages(topic)[0];
         all.push((message.schema_name.to_string(), message.message_encoding.to_string(), message.data.to_vec()));

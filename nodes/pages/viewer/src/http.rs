@@ -109,30 +109,30 @@ fn read_more(from: &mut impl Read, bytes: &mut Vec<u8>) -> Result<(), Option<(u1
 
 /// A response.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Response {
+pub(crate) struct Response {
     /// The status, such as 200.
-    pub status: u16,
+    pub(crate) status: u16,
     /// The content type, such as `application/json`.
-    pub content_type: &'static str,
+    pub(crate) content_type: &'static str,
     /// The content.
-    pub body: Vec<u8>,
+    pub(crate) body: Vec<u8>,
     /// Further headers, each with its line end.
     pub(crate) headers: String,
 }
 
 impl Response {
     /// JSON.
-    pub fn json(value: &serde_json::Value) -> Self {
+    pub(crate) fn json(value: &serde_json::Value) -> Self {
         Self::new(200, "application/json", value.to_string().into_bytes())
     }
 
     /// A sentence on what went wrong.
-    pub fn refused(status: u16, message: &str) -> Self {
+    pub(crate) fn refused(status: u16, message: &str) -> Self {
         Self::new(status, "text/plain; charset=utf-8", format!("{message}\n").into_bytes())
     }
 
     /// Any content.
-    pub fn new(status: u16, content_type: &'static str, body: Vec<u8>) -> Self {
+    pub(crate) fn new(status: u16, content_type: &'static str, body: Vec<u8>) -> Self {
         Self { status, content_type, body, headers: String::new() }
     }
 

@@ -69,14 +69,18 @@ fn what_the_page_does_not_see_comes_from_the_known_plan_and_a_picked_tip_replace
     let dir = tempfile::tempdir().unwrap();
     let picks = Picks::new(dir.path());
     let read = |saved: Value| read_plan(Path::new(saved["plan"].as_str().unwrap())).unwrap().plan;
-    let whole =
-        picks.save("plan", plan().to_string().as_bytes(), Known { plan: Some(&known()), made_for: None }).unwrap();
+    let whole = picks
+        .save(Door::SavePlan, plan().to_string().as_bytes(), Known { plan: Some(&known()), made_for: None })
+        .unwrap();
     assert!(!whole["message"].as_str().unwrap().contains("anatomy"), "{whole}");
     assert_eq!(read(whole).anatomy, known().anatomy);
     let mut moved = plan();
     moved["malleolus_tip"] = json!([1.0, 0.0, -1001.0]);
-    let saved =
-        read(picks.save("plan", moved.to_string().as_bytes(), Known { plan: Some(&known()), made_for: None }).unwrap());
+    let saved = read(
+        picks
+            .save(Door::SavePlan, moved.to_string().as_bytes(), Known { plan: Some(&known()), made_for: None })
+            .unwrap(),
+    );
     let expected = Anatomy { malleolus_tip: Point3::new(1.0, 0.0, -1001.0), ..known().anatomy.unwrap() };
     assert_eq!(saved.anatomy, Some(expected));
     // A tip alone is kept in the file, and the message says that the anatomy is not whole.
@@ -117,16 +121,18 @@ fn wrong_plans_are_refused_with_the_reason_and_leave_nothing() {
         assert!(message.contains(expected), "{message} lacks {expected}");
     }
     for (what, body, expected) in [
-        ("plan", &b"{"[..], "this is no JSON"),
-        ("plan", b"\xff", "no UTF-8"),
-        ("plan", br#"{"landmarks": {"P1": [1e999, 0, 0]}}"#, "out of range"),
-        ("region", b"{}", "\"region\" cannot be saved"),
-        ("pairs", b"[]", "these are no picked pairs"),
+        (Door::SavePlan, &b"{"[..], "this is no JSON"),
+        (Door::SavePlan, b"\xff", "no UTF-8"),
+        (Door::SavePlan, br#"{"landmarks": {"P1": [1e999, 0, 0]}}"#, "out of range"),
+        (Door::Region, b"{}", "this cannot be saved"),
+        (Door::SavePairs, b"[]", "these are no picked pairs"),
     ] {
         let message = picks.save(what, body, Known::default()).unwrap_err();
         assert!(message.contains(expected), "{message} lacks {expected}");
     }
-    assert!(picks.save("plan", &vec![b' '; MAX_BYTES + 1], Known::default()).unwrap_err().contains("are too long"));
+    assert!(
+        picks.save(Door::SavePlan, &vec![b' '; MAX_BYTES + 1], Known::default()).unwrap_err().contains("are too long")
+    );
     assert!(!folder.exists(), "nothing is left");
     // A folder that cannot be written: it is a file.
     fs::write(&folder, "").unwrap();
