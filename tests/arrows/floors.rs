@@ -188,7 +188,13 @@ const CRATES: &[(&str, Floors)] = &[
     ),
     (
         "nodes/pages/viewer/src",
-        &[&["access", "http", "indexed", "protocol"], &["page", "still", "stream"], &["playback"], &["server"]],
+        &[
+            &["door"],
+            &["access", "http", "indexed", "protocol"],
+            &["page", "still", "stream"],
+            &["playback"],
+            &["server"],
+        ],
     ),
     (
         "nodes/bone/formats/src",

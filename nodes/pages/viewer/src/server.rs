@@ -391,6 +391,11 @@ fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool, pass: &Pass) {
             if let Err(fault) = request.and_then(|request| shared.reply(&viewer, pass, &services, request)) {
                 viewer.send(Out::Text(protocol::status(Level::Error, &fault, "request")));
             }
+            if viewer.is_closed() {
+                // Its thread may wait for it to read.
+                let _ = connection.shutdown(Shutdown::Both);
+                break;
+            }
         }
     }
     shared.stream.leave(&viewer);

@@ -379,6 +379,11 @@ impl Viewer {
         self.filled.notify_one();
     }
 
+    /// Whether it is left, as one that asks and does not read.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.queue().is_closed
+    }
+
     fn close(&self) {
         self.queue().is_closed = true;
         self.filled.notify_one();
