@@ -250,7 +250,7 @@ fn write_files(
     let write = |name: &str, value: &serde_json::Value| {
         let mut text = serde_json::to_string_pretty(value)?;
         text.push('\n');
-        durable::write(&dir.join(name), text.as_bytes())
+        durable::write(dir.join(name), text.as_bytes())
     };
     let mut failed: Vec<(&'static str, std::io::Error)> =
         to_write.iter().filter_map(|(name, value)| Some((*name, write(name, value).err()?))).collect();

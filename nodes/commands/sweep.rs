@@ -85,6 +85,8 @@ impl Sweep {
         if let (Some(dir), false, false) = (&request.out, request.resume, self.dry_run) {
             check_new(dir)?;
         }
+        // Nothing is written before the first run but the folder, and checks do not ask whether they should end.
+        #[allow(clippy::disallowed_methods, reason = "as above")]
         running::on_interrupt(|| {
             let _ = writeln!(
                 std::io::stderr(),

@@ -189,7 +189,7 @@ mod tests {
             write(&path, text.as_bytes()).unwrap();
             assert_eq!(fs::read_to_string(&path).unwrap(), text);
         }
-        assert!(write(&dir.path().join("none/results.json"), b"x").is_err());
+        assert!(write(dir.path().join("none/results.json"), b"x").is_err());
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
@@ -228,7 +228,7 @@ mod tests {
                 .join("a"),
         )
         .unwrap();
-        write(&at("new".into()), b"whole").unwrap();
+        write(at("new".into()), b"whole").unwrap();
         let mut names: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
         names.sort();
         let mut expected = vec![alive, other, mine, at("new".into())];

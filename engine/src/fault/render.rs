@@ -22,11 +22,14 @@ pub(super) fn render(fault: &Fault, colour: bool) -> String {
     renderer.render(&[group])
 }
 
+/// A part of a text, what is said of it, and whether it is the fault.
+type Place<'a> = (&'a Span, &'a str, AnnotationKind);
+
 /// One snippet per text; the text of the fault itself comes first.
 fn snippets(fault: &Fault) -> Vec<Snippet<'_, Annotation<'_>>> {
     let places = fault.at.iter().map(|place| (place, AnnotationKind::Primary));
     let places = places.chain(fault.also.iter().map(|place| (place, AnnotationKind::Context)));
-    let mut texts: Vec<(&Arc<SourceText>, Vec<(&Span, &str, AnnotationKind)>)> = Vec::new();
+    let mut texts: Vec<(&Arc<SourceText>, Vec<Place<'_>>)> = Vec::new();
     for ((span, label), kind) in places {
         match texts.iter_mut().find(|(source, _)| Arc::ptr_eq(source, &span.source)) {
             Some((_, places)) => places.push((span, label.as_str(), kind)),
@@ -37,7 +40,7 @@ fn snippets(fault: &Fault) -> Vec<Snippet<'_, Annotation<'_>>> {
 }
 
 /// The lines of a text that are shown. Each fault of a large graph would copy all of them.
-fn snippet<'a>(source: &SourceText, places: Vec<(&Span, &'a str, AnnotationKind)>) -> Snippet<'a, Annotation<'a>> {
+fn snippet<'a>(source: &SourceText, places: Vec<Place<'a>>) -> Snippet<'a, Annotation<'a>> {
     let ranges = places.iter().map(|(span, ..)| span.range.clone());
     let (from, to) = (ranges.clone().map(|range| range.start).min(), ranges.map(|range| range.end).max());
     let (first_line, lines) = source.lines(from.unwrap_or(0)..to.unwrap_or(0));

@@ -536,7 +536,7 @@ impl Folder {
     /// If it cannot be written.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), FolderError> {
         // Two processes may resume the same sweep: each has a side file of its own.
-        durable::write(&self.dir.join(name), bytes).map_err(|source| self.cannot_write(name, source))
+        durable::write(self.dir.join(name), bytes).map_err(|source| self.cannot_write(name, source))
     }
 
     pub(super) fn cannot_write(&self, name: &str, source: impl Into<io::Error>) -> FolderError {

@@ -280,7 +280,7 @@ fn steers(by_itself: Option<&Plan>, after: &Checked, values: &[(String, Value)])
             Some(is_alike && words.as_array()?.contains(value))
         };
         let node = after.plan.nodes.iter().find_map(|node| Some((node, key_of(node)?)));
-        if !node.is_some_and(|(node, param)| is_offered(node, &param) == Some(true)) {
+        if node.is_none_or(|(node, param)| is_offered(node, &param) != Some(true)) {
             return Err(format!(
                 "{key}: {value} is no number, switch, word of a choice or kind that the page offers for a node, and needs the role write; \
                  this address may only steer; start again with --role write for one that may"
