@@ -225,7 +225,7 @@ fn names(dir: &Path) -> Vec<String> {
 
 fn convert(from: &str, to: &Path) -> Command {
     let mut command = osteoflow_to_spawn();
-    command.arg("convert").arg(crate::common::shared_folder().join(from)).arg(to);
+    command.arg("convert").arg(crate::common::root().join("tests/data/folder").join(from)).arg(to);
     command
 }
 
@@ -240,7 +240,6 @@ fn a_converted_file_is_whole_or_not_there_on_a_full_disk_and_after_a_kill() {
         ("bone.stl", "out.ply"),
         ("bone.stl", "out.obj"),
         ("poses.csv", "out.mcap"),
-        ("stylus_init.csv", "out.mrk.json"),
     ];
     for (from, to) in cases {
         let out = dir.path().join(to);
@@ -269,7 +268,7 @@ fn a_converted_file_is_whole_or_not_there_on_a_full_disk_and_after_a_kill() {
 fn a_registration_that_cannot_be_written_is_refused_before_it_is_computed_or_printed_all_the_same() {
     let Some(library) = failing_disk() else { return };
     let dir = tempfile::tempdir().unwrap();
-    let folder = crate::common::shared_folder();
+    let folder = crate::common::root().join("tests/data/folder");
     let register = |out: &Path| {
         let mut command = osteoflow_to_spawn();
         command

@@ -98,12 +98,16 @@ fn a_pipe_in_the_place_of_any_file_is_refused_by_its_name_and_waited_for_by_no_c
     let mut n = 0;
     for (command, n_files) in commands().into_iter().filter(|(_, n_files)| *n_files > 0) {
         for file in pipes.iter().chain([&text(folder.clone())]) {
+            // The page of a graph shows its faults until the file is mended.
+            if command == "view" && (file.ends_with(".toml") || *file == text(folder.clone())) {
+                continue;
+            }
             let mut arguments = vec![command.clone()];
             arguments.extend(std::iter::repeat_n(file.clone(), n_files));
             match command.as_str() {
                 "record" => arguments.extend(["--wires=*".into(), format!("--out={}", text(at("out.mcap")))]),
                 "recover" | "export" | "convert" => arguments.push(text(at("out.ply"))),
-                "view" => arguments.push("--port=0".into()),
+                "view" => arguments.push("--address=0".into()),
                 _ => {}
             }
             let (code, err) = ended(&arguments);

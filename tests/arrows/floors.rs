@@ -33,7 +33,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "engine/container/src",
         &[
-            &["allowance", "compression", "damage", "fields", "input", "op", "segments"],
+            &["allowance", "compression", "damage", "durable", "fields", "input", "op", "regular", "segments"],
             &["record"],
             &["chunk", "descriptions", "resync", "write"],
             &["read"],
@@ -64,8 +64,8 @@ const CRATES: &[(&str, Floors)] = &[
         "engine/src",
         &[
             // The crate `osteoflow-runtime`, by the names under which the engine hands it on.
-            &["activity", "durable", "names", "panics", "plan", "runtime"],
-            &["cpu_time", "fault", "hash"],
+            &["activity", "durable", "irregular", "names", "panics", "plan", "regular", "runtime"],
+            &["cpu_time", "fault", "hash", "temporary"],
             &["graph", "recording"],
             &["store"],
             &["process"],

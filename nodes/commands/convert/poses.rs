@@ -1,7 +1,7 @@
 //! A log of poses as a recording, a table or a trajectory.
 
 use super::Convert;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use osteoflow_formats::{
     LostPose, durable,
     pose_log::{LogFormat, read_log, write_tum},
@@ -48,7 +48,8 @@ impl Convert {
                 let about = [("file", name.as_ref()), ("format", &log.format.to_string())];
                 let about = about.map(|(key, value)| (key.to_owned(), value.to_owned()));
                 let metadata = BTreeMap::from([("pose_log".to_owned(), about.into())]);
-                durable::write(&self.output, log_bytes(TOPIC, &poses, &metadata)?)?;
+                let written = durable::write(&self.output, log_bytes(TOPIC, &poses, &metadata)?);
+                written.with_context(|| format!("{} cannot be written", self.output.display()))?;
             }
             "csv" => write_rows(&self.output, poses.iter().map(Result::as_ref))?,
             _ => {
