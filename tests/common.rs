@@ -269,3 +269,26 @@ pub(crate) fn point(xyz: &Value) -> Point3<f64> {
 pub(crate) fn json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))).unwrap()
 }
+
+/// The names of all commands, and how many files or folders each takes by place.
+pub(crate) fn commands() -> Vec<(String, usize)> {
+    let help = |arguments: &[&str]| {
+        let output = osteoflow_to_spawn().args(arguments).arg("--help").output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let all = help(&[]);
+    let listed = all.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let names =
+        listed.filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next().filter(|_| &line[2..3] != " "));
+    let names: Vec<&str> = names.filter(|name| *name != "help").collect();
+    assert!(names.len() > 20, "{names:?}");
+    let places = |name: &str| {
+        let help = help(&[name]);
+        let usage = help.lines().find_map(|line| line.strip_prefix("Usage: ")).unwrap().replace("[OPTIONS]", "");
+        let words = usage.split_whitespace().filter(|word| word.starts_with(['<', '[']));
+        words
+            .filter(|word| !["GLOB", "OUT", "KIND", "SHELL", "COMMAND", ".mcap"].iter().any(|no| word.contains(no)))
+            .count()
+    };
+    names.into_iter().map(|name| (name.to_owned(), places(name))).collect()
+}

@@ -1,6 +1,6 @@
 //! Pipes in the place of files: a command that opened one would wait for a writer for ever.
 
-use crate::common::{osteoflow_to_spawn, root};
+use crate::common::{commands, osteoflow_to_spawn, root};
 use std::{
     fs,
     io::Read as _,
@@ -41,29 +41,6 @@ fn ended(arguments: &[String]) -> (Option<i32>, String) {
 fn pipe(path: &Path) -> String {
     assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
     path.display().to_string()
-}
-
-/// The names of all commands, and how many files or folders each takes by place.
-fn commands() -> Vec<(String, usize)> {
-    let help = |arguments: &[&str]| {
-        let output = osteoflow_to_spawn().args(arguments).arg("--help").output().unwrap();
-        String::from_utf8(output.stdout).unwrap()
-    };
-    let all = help(&[]);
-    let listed = all.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    let names =
-        listed.filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next().filter(|_| &line[2..3] != " "));
-    let names: Vec<&str> = names.filter(|name| *name != "help").collect();
-    assert!(names.len() > 20, "{names:?}");
-    let places = |name: &str| {
-        let help = help(&[name]);
-        let usage = help.lines().find_map(|line| line.strip_prefix("Usage: ")).unwrap().replace("[OPTIONS]", "");
-        let words = usage.split_whitespace().filter(|word| word.starts_with(['<', '[']));
-        words
-            .filter(|word| !["GLOB", "OUT", "KIND", "SHELL", "COMMAND", ".mcap"].iter().any(|no| word.contains(no)))
-            .count()
-    };
-    names.into_iter().map(|name| (name.to_owned(), places(name))).collect()
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Files of strangers: what they make a command load, print, write or unpack.
 
-use crate::common::{TOY_GRAPH, build, json, osteoflow_to_spawn, root};
+use crate::common::{TOY_GRAPH, build, commands, json, osteoflow_to_spawn, root};
 use osteoflow_container::{Compression, MessageHeader, WriteOptions, Writer};
 use std::{
     collections::BTreeMap,
@@ -108,6 +108,61 @@ fn commands_that_read_load_no_library_and_those_that_check_a_graph_do_unless_tol
     assert!(err.contains("its SHA-256 is") && err.contains("--plugin"), "{err}");
     let (loaded, (code, _, err)) = folder.loads(&["replay", recording, "--plugin", &library]);
     assert!(loaded && code == 4, "{err}");
+}
+
+/// The commands of each row of the page's table of what runs code, by their first words.
+fn rows_of_what_runs_code() -> Vec<Vec<String>> {
+    let page = fs::read_to_string(root().join("docs/use/security.md")).unwrap();
+    let table = page.split("| Command | Loads code that a file names |\n|---|---|\n").nth(1).unwrap();
+    let heads = table.lines().map_while(|line| line.strip_prefix("| ")?.split(" | ").next());
+    let command = |words: &str| words.split(' ').next().unwrap_or_default().to_owned();
+    heads.map(|head| head.split('`').skip(1).step_by(2).map(command).collect()).collect()
+}
+
+#[test]
+fn each_command_has_a_row_in_the_table_of_what_runs_code_and_loads_none_that_it_denies() {
+    let folder = Folder::new();
+    let sweep = "[sweep]\nrepeat = 2\n";
+    fs::write(folder.path("graph.toml"), format!("plugins = [\"toy\"]\n{TOY_GRAPH}{sweep}")).unwrap();
+    if !folder.plugin("1") {
+        return;
+    }
+    let made = [
+        &["run", "graph.toml", "--out", "run"][..],
+        &["sweep", "graph.toml", "--out", "sweep"],
+        &["export", "sweep", "sweep.zip"],
+    ];
+    for arguments in made {
+        let (code, out, err) = folder.says(arguments);
+        assert_eq!(code, 0, "{arguments:?}: {out}{err}");
+    }
+    let files = ["graph.toml", "run/run.mcap", "run", "sweep", "sweep.zip"];
+    let rows = rows_of_what_runs_code();
+    let mut n_tried = 0;
+    for (name, n_places) in commands() {
+        let is_in = |row: &Vec<String>| row.contains(&name);
+        assert!(
+            rows.iter().any(is_in),
+            "{name} has no row in docs/use/security.md: does it load code that a file names?"
+        );
+        let never = rows[0].contains(&name) && !rows[1..].iter().any(is_in);
+        // Its page stays up.
+        for (k, file) in files.iter().enumerate().take(if name == "view" { 0 } else { files.len() }) {
+            let others = (1..n_places).map(|at| match &*name {
+                "diff" | "compare" | "register" => (*file).to_owned(),
+                _ => format!("{name}-{k}-{at}.txt"),
+            });
+            let mut arguments: Vec<String> = [name.clone()].into_iter().collect();
+            arguments.extend((n_places > 0).then(|| (*file).to_owned()));
+            arguments.extend(others);
+            arguments.extend((!never).then(|| "--no-plugins".to_owned()));
+            let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+            let (loaded, (code, out, err)) = folder.loads(&arguments);
+            assert!(!loaded, "{arguments:?}, {code}: {out}{err}");
+            n_tried += 1;
+        }
+    }
+    assert!(n_tried > 100, "{n_tried}");
 }
 
 #[test]
