@@ -170,13 +170,16 @@ fn archived(file: &Path, index: Index) -> Contents {
     let shown = file.display();
     let used_by =
         [format!("osteoflow {what} {shown}{plugins}{data} --out again"), format!("osteoflow compare {shown} again")];
-    Contents::new("archive", format!("a {what} of the graph {name}, as one file of osteoflow {version}"))
-        .with_count("n_files", n_files, "files")
-        .with("bytes", bytes, "unpacked", format!("{:.1} MB", bytes as f64 / 1e6))
-        .with_list("code", code, "code")
-        .with_list("inputs", inputs, "inputs")
-        .with_list("inputs_left_out", inputs_left_out, "without")
-        .used_by(used_by)
+    Contents::new(
+        "archive",
+        format!("an archive of osteoflow export: a {what} of the graph {name}, by version {version}"),
+    )
+    .with_count("n_files", n_files, "files")
+    .with("bytes", bytes, "unpacked", format!("{:.1} MB", bytes as f64 / 1e6))
+    .with_list("code", code, "code")
+    .with_list("inputs", inputs, "inputs")
+    .with_list("inputs_left_out", inputs_left_out, "without")
+    .used_by(used_by)
 }
 
 /// The contents of a file or folder.

@@ -140,6 +140,7 @@ pub(crate) const POINTS: &str = "export the points as PLY, PCD or text";
 pub(crate) const PICTURE: &str = "a picture shows a surface and does not hold it; export it as STL, PLY or OBJ";
 pub(crate) const CSV: &str = "save the table as CSV";
 const UNPACK: &str = "unpack it, and give the file that is needed";
+const ARCHIVE: &str = "osteoflow run or sweep runs what is in it again; unpack it, and give the file that is needed";
 const NUMPY: &str = "write its points by numpy.savetxt(\"points.xyz\", array)";
 const PANDAS: &str = "write it by to_csv(\"points.csv\", index=False) of pandas";
 const MATLAB: &str = "write its points by writematrix(points, \"points.csv\")";
@@ -153,6 +154,7 @@ const UNREAD: &[Unread] = &[
     (&[b"LASF"], "", "LAS or LAZ", POINTS),
     (&[b"\x1f\x8b"], "", "gzip data", UNPACK),
     (&[b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"7z\xbc\xaf"], "", "compressed data", UNPACK),
+    (&[b"PK\x03\x04"], "experiment.json", "an archive of osteoflow export", ARCHIVE),
     (&[b"PK\x03\x04"], "xl/", "an Excel workbook", CSV),
     (&[b"PK\x03\x04"], "3dmodel.model", "3MF (a ZIP archive)", SURFACE),
     (&[b"PK\x03\x04"], "[Content_Types].xml", "3MF (a ZIP archive)", SURFACE),

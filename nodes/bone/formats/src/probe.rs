@@ -171,6 +171,7 @@ mod tests {
             (at(0, b"PK\x03\x04[Content_Types].xml xl/workbook.xml"), "an Excel workbook", CSV),
             (at(0, b"PK\x03\x04....3D/3dmodel.model"), "3MF (a ZIP archive)", SURFACE),
             (at(0, b"PK\x03\x04"), "a ZIP archive", "unpack it"),
+            (at(0, b"PK\x03\x04....experiment.json inputs/1/a.npy"), "an archive of osteoflow export", "run or sweep"),
             (at(0, b"\x1f\x8b\x08"), "", "gzip of nothing is taken for a damaged volume"),
             (at(0, b"7z\xbc\xaf"), "compressed data", "unpack it"),
             (at(0, b"\xff\xd8\xff\xe0"), "a picture", PICTURE),
