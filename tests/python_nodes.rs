@@ -652,3 +652,30 @@ def other(
     """Registers."""
     return Alone(Pose(target.frame, source.frame, init.matrix, source.stamp_ns))
 "#;
+
+#[test]
+fn arrays_and_texts_that_are_no_payload_are_refused_by_their_cause() {
+    let node = "import numpy as np\nfrom osteoflow_node import Cloud, NodeError, node, source\nGOOD = np.arange(30.0).reshape(10, 3)\n\n\n\
+                @source(\"p.src\", output=\"cloud\")\ndef src() -> Cloud:\n    \"\"\"One cloud.\"\"\"\n    yield 0, Cloud(\"camera\", GOOD)\n\n\n\
+                @node(\"p.f\", output=\"cloud\")\ndef f(cloud: Cloud) -> Cloud:\n    \"\"\"A cloud.\"\"\"\n    return ANSWER\n";
+    let graph = "plugins = [\"p.py\"]\n[graph]\nformat = 1\n[node.src]\nkind = \"p.src\"\n[node.f]\nkind = \"p.f\"\n\
+                 in = { cloud = \"src.cloud\" }\n[node.crop]\nkind = \"crop.box\"\nin = { cloud = \"f.cloud\" }\n[results]\nc = \"crop.cloud\"\n";
+    let Some(folder) = Folder::new("arrays and texts of a plugin", &[("g.toml", graph)]) else { return };
+    let raised = |text: &str| format!("(_ for _ in ()).throw(NodeError({text}))");
+    for (answer, expected) in [
+        ("Cloud(\"camera\", np.ma.masked_less(GOOD, 5))", "points has 5 masked values"),
+        ("Cloud(\"camera\", GOOD + 0j)", "points holds complex numbers (complex128)"),
+        ("Cloud(\"camera\", GOOD.astype(str))", "points holds texts"),
+        ("Cloud(\"camera\", GOOD[:0])", "there are no points to crop"),
+        ("Cloud(\"\", GOOD)", "\"frame\" is empty"),
+        ("Cloud(5, GOOD)", "a text is expected, found 5"),
+        ("Cloud(\"cam\\ud800\", GOOD)", "is no text, as it has half of a character"),
+        ("Cloud(\"camera\", GOOD, stamp_ns=2**70)", "\"stamp_ns\" is 1180591620717411303424, which no 64 bits hold"),
+        (&raised("\"half \\ud800 of it\""), "half ? of it"),
+        (&raised("\"x\" * 100_000_000"), "xxxx"),
+    ] {
+        folder.write("p.py", &node.replace("ANSWER", answer));
+        let (code, text) = folder.says(&["run", "g.toml", "--out", "r", "--force"]);
+        assert!(code == Some(3) && text.contains(expected) && text.len() < 100_000, "{answer}: {code:?} {text:.2000}");
+    }
+}

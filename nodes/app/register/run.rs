@@ -7,7 +7,10 @@ use super::{
     landmarks::off_surface,
     method::{POSE, REPORT},
 };
-use crate::app::{error::Error, program};
+use crate::app::{
+    error::{Error, UsageError},
+    program,
+};
 use anyhow::{Context, anyhow};
 use osteoflow_algorithms::{icp::IcpTrace, target::Target};
 use osteoflow_engine::{
@@ -126,7 +129,11 @@ impl Register {
             name_as_stated(&mut report, &input.path);
         }
         let mut registration = self.registration(report, &wires, timings, same_bits)?;
-        registration.not_written = registration.write(self).err();
+        registration.not_written = match registration.write(self) {
+            // What was asked for was wrong, which the files say only when they are read.
+            Err(error) if error.is::<UsageError>() => return Err(error),
+            written => written.err(),
+        };
         Ok(registration)
     }
 

@@ -98,7 +98,15 @@ def _column(name, doc):
     return property(lambda self: self.columns.get(name), doc=doc)
 
 
+NO_NUMBERS = {"c": "complex numbers", "U": "texts", "S": "bytes", "M": "dates", "m": "spans of time", "V": "records"}
+
+
 def _rows(name, values, width, dtype=np.float64):
+    values = np.asanyarray(values)
+    if np.ma.is_masked(values):
+        raise NodeError(f"{name} has {np.ma.count_masked(values)} masked values, which would become numbers; leave their rows out, or fill them")
+    if values.dtype.kind in NO_NUMBERS:
+        raise NodeError(f"{name} holds {NO_NUMBERS[values.dtype.kind]} ({values.dtype}); give real numbers")
     values = np.ascontiguousarray(values, dtype=dtype)
     if width == 1 and values.ndim == 1:
         return values
@@ -1015,7 +1023,8 @@ class Connection:
         return taken
 
     def send(self, message, fds=()):
-        data = json.dumps(message).encode()
+        # Half a character, which an error text may have, is none in JSON.
+        data = json.dumps(message, ensure_ascii=False).encode(errors="replace")
         data = len(data).to_bytes(4, "little") + data
         with self.lock:
             if fds:
@@ -1159,7 +1168,12 @@ def encode(value):
     out = bytearray()
 
     def text(of):
-        data = of.encode()
+        if not isinstance(of, str):
+            raise NodeError(f"{name}: a text is expected, found {of!r}")
+        try:
+            data = of.encode()
+        except UnicodeEncodeError as error:
+            raise NodeError(f"{name}: {of!r} is no text, as it has half of a character (a lone surrogate)") from error
         out.extend(len(data).to_bytes(4, "little") + data)
 
     text(name)
@@ -1182,6 +1196,8 @@ def encode(value):
         if kind == "bool":
             out.append(bool(given))
         elif kind == "int":
+            if not -2**63 <= given < 2**63:
+                raise NodeError(f"{name}: \"{field}\" is {given}, which no 64 bits hold")
             out += struct.pack("<q", given)
         elif kind == "float":
             out += struct.pack("<d", given)
@@ -1197,7 +1213,8 @@ def encode(value):
         if entry is None:
             raise NodeError(f"{name} has no column \"{field}\"")
         rows = _rows(field, rows, entry["width"], DTYPES[entry["column"]])
-        label, data = field.encode(), memoryview(rows).cast("B")
+        # Of no rows there is no view of bytes.
+        label, data = field.encode(), memoryview(rows).cast("B") if rows.size else memoryview(b"")
         code = next(code for code, kind in CODES.items() if kind == entry["column"])
         about = len(label).to_bytes(4, "little") + label + struct.pack("<BIQ", code, entry["width"], len(data))
         about += bytes(-(n_bytes + len(about)) % 8)
@@ -1227,6 +1244,10 @@ class Memory:
 
     def __init__(self):
         self.views, self.pool, self.constants = Views(), Pool(), {}
+
+
+#: Characters of a reason that are sent: as many as a graph's texts have.
+LONGEST_REASON = 16_384
 
 
 class Server:
@@ -1261,10 +1282,10 @@ class Server:
         try:
             ended, outputs = self.fire(fire)
         except NodeError as error:
-            ended = {"failed": str(error)}
+            ended = {"failed": str(error)[:LONGEST_REASON]}
         except (Exception, SystemExit) as error:
             logging.getLogger("osteoflow_node").debug("%s", traceback.format_exc())
-            ended = {"failed": where(error, file)}
+            ended = {"failed": where(error, file)[:LONGEST_REASON]}
         new, fds = self.pool.news()
         answer = {"item": fire["context"]["item"], "ended": ended, "outputs": outputs, "context": self.context.done(), "new": new,
                   "held": self.views.held(), "cpu_ns": time.process_time_ns() - began, "loads": loaded.news()}

@@ -57,7 +57,15 @@ fn stamp_ns(view: &View) -> Result<i64, ViewError> {
 }
 
 fn frame(view: &View) -> Result<Frame, ViewError> {
-    view.shared_text("frame").map(Frame::from)
+    frame_of(view, "frame")
+}
+
+fn frame_of(view: &View, field: &str) -> Result<Frame, ViewError> {
+    let name = view.shared_text(field)?;
+    let is_name = !name.trim().is_empty();
+    is_name
+        .then(|| Frame::from(name))
+        .ok_or_else(|| invalid(format!("\"{field}\" is empty; it names a frame of the graph")))
 }
 
 impl Payload<Table> for Cloud {
@@ -216,7 +224,7 @@ impl Payload<Table> for Pose {
     }
 
     fn from_view(view: &View) -> Result<Self, ViewError> {
-        let (to, from) = (view.shared_text("to")?, view.shared_text("from")?);
+        let (to, from) = (frame_of(view, "to")?, frame_of(view, "from")?);
         let isometry = isometry(&view.floats("isometry")?);
         let isometry = isometry.map_err(|error| invalid(format!("t_{to}_{from} is no rigid motion: {error}")))?;
         Ok(Pose::new(to, from, isometry).at(stamp_ns(view)?))
