@@ -140,6 +140,10 @@ def test_what_is_wrong_with_an_array_is_said(files):
     points = osteoflow.read(files / "scan.ply").points.copy()
     with pytest.raises(ValueError, match=r"points has shape \(4000, 2\), but must be \(n, 3\)|shape"):
         osteoflow.register(bone, points[:, :2])
+    with pytest.raises(ValueError, match="points has 3 masked values"):
+        osteoflow.register(bone, np.ma.masked_array(points, np.arange(len(points))[:, None] * np.ones((1, 3)) == 7))
+    with pytest.raises(ValueError, match="points holds complex128, but must be real numbers"):
+        osteoflow.register(bone, points + 0j)
     points[7, 1] = np.nan
     with pytest.raises(ValueError, match="point 7 is not finite.*isfinite"):
         osteoflow.register(bone, points)

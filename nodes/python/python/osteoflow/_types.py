@@ -12,9 +12,19 @@ import numpy as np
 from . import _core
 
 
+def _numbers(values: Any, what: str) -> np.ndarray:
+    """A C-contiguous float64 array; the given one where it is such."""
+    given = np.asanyarray(values)
+    if np.ma.is_masked(given):
+        raise ValueError(f"{what} has {np.ma.count_masked(given)} masked values, which would become numbers; leave their rows out")
+    if given.dtype.kind not in "biufO":
+        raise ValueError(f"{what} holds {given.dtype}, but must be real numbers")
+    return np.ascontiguousarray(given, dtype=np.float64)
+
+
 def _rows(values: Any, what: str, width: int = 3) -> np.ndarray:
     """An (n, width) float64 array, C-contiguous; the given one where it is such."""
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    array = _numbers(values, what)
     if array.ndim != 2 or array.shape[1] != width:
         raise ValueError(f"{what} has shape {array.shape}, but must be (n, {width})")
     return array
@@ -49,7 +59,7 @@ class Cloud:
         self.points = _rows(self.points, "points")
         if self.normals is not None:
             self.normals = _rows(self.normals, "normals")
-        self.extras = {name: np.ascontiguousarray(v, dtype=np.float64) for name, v in self.extras.items()}
+        self.extras = {name: _numbers(v, name) for name, v in self.extras.items()}
 
     def __len__(self) -> int:
         return len(self.points)
