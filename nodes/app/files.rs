@@ -53,13 +53,13 @@ impl fmt::Display for Data {
 }
 
 impl Data {
-    /// What a file or folder holds; `None` if it cannot be read, is of no known format, or a graph or an archive by its name.
+    /// What a file or folder holds; `None` if it cannot be read, is of no known format, or a graph by its name.
     pub(crate) fn of(path: &Path) -> Option<Self> {
         let holds = |name: &str| path.join(name).is_file();
         match path.extension().and_then(OsStr::to_str) {
             _ if holds(sweep::DESIGN) => Some(Self::Sweep),
             _ if holds(run::files::MANIFEST) => Some(Self::Run),
-            Some("toml" | "zip") => None,
+            Some("toml") => None,
             _ => probe(path)
                 .ok()
                 .filter(|found| found.kind != Kind::Unknown && !(found.kind == Kind::Ct && path.is_dir()))
