@@ -1,4 +1,4 @@
-//! Pipes in the place of files: a command that opened one would wait for a writer for ever.
+//! Pipes instead of files: a command that opened one would wait for a writer for ever.
 
 use crate::common::{commands, osteoflow_to_spawn, root};
 use std::{

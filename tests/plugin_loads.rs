@@ -171,7 +171,7 @@ fn a_replay_runs_nothing_beside_a_plugin_that_the_recorded_run_had_not_loaded() 
     let Some(folder) = Folder::new("what came beside a plugin", &files) else { return };
     folder.ends_well(&["run", "g.toml", "--out", "r", "--set", "record.wires=[\"*\"]"]);
     let mark = "open('MARK', 'w')\n";
-    // A backend, a module in the place of one of Python's, one within a package, and a compiled file that is not of its source.
+    // A backend, a module that shadows one of Python's, one within a package, and a compiled file that is not of its source.
     for (file, passed_over) in [("fast.py", true), ("colorsys.py", true), ("parts/fast.py", false)] {
         folder.write(file, &format!("{mark}SCALE = 2.0\n"));
         let text = folder.ends_well(&["replay", "r"]);

@@ -151,17 +151,17 @@ impl Sender {
     }
 }
 
-/// What is said to a message of the stream, until a later one is answered.
-fn said_to(socket: &mut WebSocket<TcpStream>, message: Message) -> String {
+/// Replies to a message of the stream, until a later one is answered.
+fn reply_to(socket: &mut WebSocket<TcpStream>, message: Message) -> String {
     socket.send(message).unwrap();
     socket.send(Message::text(r#"{"op":"getParameters","parameterNames":["none.none"],"id":"after"}"#)).unwrap();
-    let mut said = String::new();
+    let mut reply = String::new();
     loop {
         if let Message::Text(text) = socket.read().unwrap() {
             if text.contains(r#""id":"after""#) {
-                return said;
+                return reply;
             }
-            said += &text;
+            reply += &text;
         }
     }
 }
@@ -183,25 +183,25 @@ fn each_door_opens_to_its_role_and_to_nobody_else_from_wherever_they_come() {
             let (needs, ways) = row(door);
             let is_admitted = sender.role.is_some_and(|role| role >= needs);
             for way in ways {
-                let said = match (way, &mut socket) {
+                let reply = match (way, &mut socket) {
                     (Way::Http(method, path, headers, body, admitted), _) => {
                         let body = if body.is_null() { String::new() } else { body.to_string() };
-                        let (status, said) = sender.ask(&served, method, path, headers, &body);
+                        let (status, reply) = sender.ask(&served, method, path, headers, &body);
                         let expected = if is_admitted { admitted } else { &[403] };
                         assert!(expected.contains(&status), "{door:?} by {who}: {status}, not {expected:?}");
-                        said
+                        reply
                     }
-                    (Way::Text(message), Some(socket)) => said_to(socket, Message::text(message.to_string())),
-                    (Way::Binary(message), Some(socket)) => said_to(socket, Message::binary(message)),
+                    (Way::Text(message), Some(socket)) => reply_to(socket, Message::text(message.to_string())),
+                    (Way::Binary(message), Some(socket)) => reply_to(socket, Message::binary(message)),
                     (_, None) => continue,
                 };
-                let says_so = said.contains(&format!("this needs the role {needs}"));
-                assert_eq!(says_so, sender.role.is_some() && !is_admitted, "{door:?} by {who}: {said}");
+                let says_so = reply.contains(&format!("this needs the role {needs}"));
+                assert_eq!(says_so, sender.role.is_some() && !is_admitted, "{door:?} by {who}: {reply}");
                 if says_so {
                     let origin = sender.origin.as_deref().filter(|origin| [SEES, STEERS].contains(origin));
                     let remedy = origin.filter(|_| sender.token.len() == 32 && sender.token == senders[13].token);
                     let remedy = remedy.map_or(format!("--role {needs}"), |o| format!("--allow-origin {o}={needs}"));
-                    assert!(said.contains(&remedy), "{door:?} by {who}: {said} lacks {remedy}");
+                    assert!(reply.contains(&remedy), "{door:?} by {who}: {reply} lacks {remedy}");
                 }
             }
         }
@@ -234,20 +234,20 @@ fn who_steers_sets_numbers_and_words_of_the_graphs_nodes_and_nothing_that_may_be
         json!({ "record.wires": ["*"] }),
         json!({ "recording.kind": "acquire.openigtlink", "recording.address": "192.0.2.1:18944" }),
     ] {
-        let (status, said) = set(&values);
-        assert_eq!(status, 422, "{values}: {said}");
+        let (status, reply) = set(&values);
+        assert_eq!(status, 422, "{values}: {reply}");
     }
-    let (_, said) = set(&json!({ "graph.name": "another" }));
-    assert!(said.contains("graph.name") && said.contains("--role write"), "{said}");
+    let (_, reply) = set(&json!({ "graph.name": "another" }));
+    assert!(reply.contains("graph.name") && reply.contains("--role write"), "{reply}");
     assert!(!bench.run(2).exists());
-    let (status, said) = set(&json!({ "icp.kind": "icp.point_to_point", "icp.trim_fraction": 0.1, "graph.seed": 7 }));
-    assert_eq!(status, 200, "{said}");
+    let (status, reply) = set(&json!({ "icp.kind": "icp.point_to_point", "icp.trim_fraction": 0.1, "graph.seed": 7 }));
+    assert_eq!(status, 200, "{reply}");
     bench.results(2);
-    let (status, said) = set(&json!({ "icp.kind": null }));
-    assert_eq!(status, 200, "{said}");
+    let (status, reply) = set(&json!({ "icp.kind": null }));
+    assert_eq!(status, 200, "{reply}");
     // Who may write sets a text, too.
-    let (status, said) = sender_set(&senders(&served)[13], &served, &json!({ "graph.name": "another" }));
-    assert_eq!(status, 200, "{said}");
+    let (status, reply) = sender_set(&senders(&served)[13], &served, &json!({ "graph.name": "another" }));
+    assert_eq!(status, 200, "{reply}");
 }
 
 fn sender_set(sender: &Sender, served: &Served, values: &Value) -> (u16, String) {
@@ -274,8 +274,8 @@ fn no_path_leads_out_of_the_page_and_what_is_too_long_or_too_much_is_refused_to_
             "three/",
             "save/plan",
         ] {
-            let (status, said) = sender.ask(&served, "GET", path, "", "");
-            assert!([400, 404].contains(&status) && !said.contains("root:"), "{path}: {said}");
+            let (status, reply) = sender.ask(&served, "GET", path, "", "");
+            assert!([400, 404].contains(&status) && !reply.contains("root:"), "{path}: {reply}");
         }
         assert_eq!(sender.ask(&served, "PUT", "set", "", "{}").0, 405);
         assert_eq!(sender.ask(&served, "POST", "save/../../x", "", "{}").0, 404);
@@ -311,8 +311,8 @@ fn no_path_leads_out_of_the_page_and_what_is_too_long_or_too_much_is_refused_to_
     let mut socket = all[7].connect(&served).unwrap();
     let twice = json!([{ "id": 1, "channelId": 1 }, { "id": 2, "channelId": 1 }]);
     let twice = json!({ "op": "subscribe", "subscriptions": twice }).to_string();
-    let said = said_to(&mut socket, Message::text(twice));
-    assert!(said.contains("subscribed already"), "{said}");
+    let reply = reply_to(&mut socket, Message::text(twice));
+    assert!(reply.contains("subscribed already"), "{reply}");
     assert_eq!(all[7].ask(&served, "GET", "", "", "").0, 200);
 }
 
@@ -389,15 +389,15 @@ fn names_from_files_are_text_on_the_page_and_a_page_that_may_less_says_so() {
     open(&mut browser, &served.pages[2]);
     is_text(&mut browser, "document.title");
     let write = &senders(&served)[13];
-    let (status, said) = sender_set(write, &served, &json!({ "icp.max_iterations": 50, "graph.name": SCRIPT }));
-    assert_eq!(status, 200, "{said}");
+    let (status, reply) = sender_set(write, &served, &json!({ "icp.max_iterations": 50, "graph.name": SCRIPT }));
+    assert_eq!(status, 200, "{reply}");
     browser.wait_until("osteoflow.state.run === 'run-2' && osteoflow.state.state === 'complete'");
     is_text(&mut browser, "document.getElementById('changes').textContent");
     is_text(&mut browser, "document.getElementById('write').textContent");
     // A file's name and the text in it, in the reason why the graph cannot run.
     let file = bench.path(&format!("{SCRIPT}.dcm")).display().to_string();
-    let (status, said) = sender_set(write, &served, &json!({ "bone.kind": "surface.ct", "bone.path": file }));
-    assert_eq!(status, 200, "{said}");
+    let (status, reply) = sender_set(write, &served, &json!({ "bone.kind": "surface.ct", "bone.path": file }));
+    assert_eq!(status, 200, "{reply}");
     browser.wait_until("document.getElementById('verdict').textContent.includes('data set')");
     is_text(&mut browser, "document.getElementById('verdict').textContent");
     assert_eq!(sender_set(write, &served, &json!({ "bone.kind": null, "bone.path": null })).0, 200);
@@ -418,9 +418,9 @@ fn names_from_files_are_text_on_the_page_and_a_page_that_may_less_says_so() {
         assert_eq!(enabled(&mut browser, "field-icp.max_iterations"), fields);
         assert_eq!(enabled(&mut browser, "write"), write);
         assert_eq!(browser.evaluate("!document.getElementById('draw').hidden"), json!(write));
-        let said = browser.evaluate("document.getElementById('role').textContent");
-        let said = said.as_str().unwrap();
-        assert!(said.contains(sentence) && said.is_empty() == sentence.is_empty(), "{said}");
+        let reply = browser.evaluate("document.getElementById('role').textContent");
+        let reply = reply.as_str().unwrap();
+        assert!(reply.contains(sentence) && reply.is_empty() == sentence.is_empty(), "{reply}");
         assert_eq!(browser.evaluate("document.getElementById('role').hidden"), json!(sentence.is_empty()));
     }
 }

@@ -107,7 +107,7 @@ fn copy(
     mut recovery: Recovery<'_>,
     progress: Progress<'_>,
 ) -> Result<RecoverReport, RecoverError> {
-    regular(from).and_then(std::fs::File::open).map_err(|error| RecordingError::read(from, error))?;
+    regular(from).and_then(File::open).map_err(|error| RecordingError::read(from, error))?;
     let write_error = |error| RecoverError::Write(format!("{}: {error}", to.display()));
     if to.symlink_metadata().is_ok() {
         return Err(RecoverError::Exists(to.into()));

@@ -81,12 +81,11 @@ impl Sweep {
             let swept = SweepCounts { n_before: folder.n_runs(), ..SweepCounts::default() };
             return print_end(&folder, &swept, Duration::ZERO, global);
         }
-        // Before all runs are checked.
+        // Checking all runs may take seconds.
         if let (Some(dir), false, false) = (&request.out, request.resume, self.dry_run) {
             check_new(dir)?;
         }
-        // Nothing is written before the first run but the folder, and checks do not ask whether they should end.
-        #[allow(clippy::disallowed_methods, reason = "as above")]
+        #[allow(clippy::disallowed_methods, reason = "nothing is written yet, and a check cannot be cancelled")]
         running::on_interrupt(|| {
             let _ = writeln!(
                 std::io::stderr(),

@@ -296,9 +296,9 @@ impl Kinds {
                 None => match find(text, &places) {
                     Some(found) => match finder.permits(&found) {
                         // An interpreter is a program, too: the user's is taken.
-                        Ok(()) if finder.only.is_none() => known.add(finder, &found, interpreter, origin),
-                        Ok(()) => {
-                            known.add(&finder.held_to_modules(&found), &found, None, origin);
+                        Ok(finder) if finder.only.is_none() => known.add(&finder, &found, interpreter, origin),
+                        Ok(finder) => {
+                            known.add(&finder, &found, None, origin);
                             known.name_interpreter(&found, interpreter);
                         }
                         Err(why) => {
@@ -362,39 +362,40 @@ fn changed_beside(plugin: &PlanPlugin, found: &Path) -> Option<PathBuf> {
 const RECORDED_MODULES: &str = "OSTEOFLOW_RECORDED_MODULES";
 
 impl Finder {
-    /// This finder for a script that the recorded run had loaded: it finds no module in its folder that the run had not loaded, too.
-    fn held_to_modules(&self, found: &Path) -> Cow<'_, Self> {
-        let mut plugins =
-            self.recorded.iter().filter(|plugin| sha256(found).is_ok_and(|(_, now)| now.to_string() == plugin.sha256));
-        let Some(plugin) = plugins.next() else { return Cow::Borrowed(self) };
-        let mut finder = self.clone();
-        if let Some(scripts) = &mut finder.scripts {
-            let places: Vec<_> = plugin.loads.files.iter().flat_map(|file| places(plugin, file, found)).collect();
-            scripts.interpreter.environment.push((RECORDED_MODULES, serde_json::json!(places).to_string()));
-        }
-        Cow::Owned(finder)
-    }
-
-    /// Whether a file that a graph names may be loaded.
-    fn permits(&self, path: &Path) -> Result<(), String> {
-        let Some(only) = &self.only else { return Ok(()) };
+    /// The finder by which a file that a graph names may be loaded. That of a script which a recorded run had loaded finds, in the folder of
+    /// the script and the current one, only the modules that the run had loaded.
+    ///
+    /// # Errors
+    /// Why the file may not be loaded.
+    fn permits(&self, path: &Path) -> Result<Cow<'_, Self>, String> {
+        let Some(only) = &self.only else { return Ok(Cow::Borrowed(self)) };
         let found = sha256(path).map_err(|error| format!("it cannot be read: {error}"))?.1.to_string();
-        match only.contains(&found) {
-            true => self.recorded.iter().filter(|plugin| plugin.sha256 == found).try_for_each(|plugin| {
-                let Some(file) = changed_beside(plugin, path) else { return Ok(()) };
-                Err(format!(
-                    "{}, which it loads, is not as in the recorded run, and what a recording names is not run without that; if you trust it, \
-                     name the plugin yourself: --plugin {}",
-                    file.display(),
-                    path.display()
-                ))
-            }),
-            false => Err(format!(
+        if !only.contains(&found) {
+            return Err(format!(
                 "its SHA-256 is {found}, not that of the recorded run, and a file that a recording names is not loaded \
                  without that; if you trust it, name it yourself: --plugin {}",
                 path.display()
-            )),
+            ));
         }
+        let recorded: Vec<_> = self.recorded.iter().filter(|plugin| plugin.sha256 == found).collect();
+        if let Some(file) = recorded.iter().find_map(|plugin| changed_beside(plugin, path)) {
+            return Err(format!(
+                "{}, which it loads, is not as in the recorded run, and what a recording names is not run without that; if you trust it, \
+                 name the plugin yourself: --plugin {}",
+                file.display(),
+                path.display()
+            ));
+        }
+        if recorded.is_empty() {
+            return Ok(Cow::Borrowed(self));
+        }
+        let mut finder = self.clone();
+        if let Some(scripts) = &mut finder.scripts {
+            let loads = recorded.iter().flat_map(|plugin| plugin.loads.files.iter().map(move |file| (plugin, file)));
+            let modules: Vec<_> = loads.flat_map(|(plugin, file)| places(plugin, file, path)).collect();
+            scripts.interpreter.environment.push((RECORDED_MODULES, serde_json::json!(modules).to_string()));
+        }
+        Ok(Cow::Owned(finder))
     }
 
     /// The folders in which a path is searched.
