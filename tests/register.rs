@@ -14,6 +14,7 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4},
 };
 use osteoflow_simulation::{BoneParams, bone};
+use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde_json::Value;
 use std::{fmt::Write as _, fs, process::Output, sync::LazyLock};
@@ -844,6 +845,80 @@ fn register_and_the_graph_of_two_files_give_the_same_bits_reasons_and_assumption
     {
         the_same_both_ways(&case, ["points.ply", "scan.ply"], &[(option, value, set)]);
     }
+}
+
+/// The scan with the error of a depth camera towards the side that it is seen from: 0.3 mm of noise, and waves of 1 mm that are 20 to 30 mm
+/// long.
+fn coarse(case: &Case) -> String {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    // Uniform, of a standard deviation of 0.3 mm.
+    let mut noise = || rng.random_range(-0.52..0.52);
+    let towards = case.t_target_source.inverse() * bone::anatomy(&BoneParams::default()).lateral.into_inner();
+    let mut text = String::new();
+    for p in &case.scan {
+        let wave = (0.31 * p.x).sin() + (0.27 * p.y + 1.0).sin() + (0.23 * p.z + 2.0).sin();
+        let at = p + towards * (0.8 * wave + noise());
+        writeln!(text, "{:?} {:?} {:?}", at.x, at.y, at.z).unwrap();
+    }
+    text
+}
+
+#[test]
+fn a_scan_of_a_coarse_sensor_is_trusted_once_the_sensor_is_stated_as_the_message_advises() {
+    let case = Case::new();
+    case.write("coarse.xyz", &coarse(&case));
+    let unstated = case.register(&["bone.stl", "coarse.xyz", "--init", "init.txt", "--format", "json"]);
+    let unstated = last_line(&unstated);
+    let reasons = unstated["verdict"]["reasons"].to_string();
+    assert!(reasons.contains("as of a depth camera") || reasons.contains("coarser than structured light"), "{reasons}");
+    assert!(reasons.contains("(--sensor)"), "{reasons}");
+    let stated = [("--sensor", "depth_camera", "ct_surface.sensor.like=depth_camera")];
+    let answer = case.answer("bone.stl", "coarse.xyz", &["--sensor", "depth_camera"]);
+    assert_eq!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
+    assert!(case.off_mm(&answer) < 2.0, "{}", case.off_mm(&answer));
+    assert_eq!(answer["verdict"]["measured"]["sensor"]["name"], "depth_camera");
+    // By shape, the graph of two files takes the same.
+    the_same_both_ways(&case, ["bone.stl", "coarse.xyz"], &stated);
+    // A file states the same; its numbers count, and a wrong key is named with its line.
+    case.write("camera.toml", "like = \"depth_camera\"\n");
+    assert_eq!(case.answer("bone.stl", "coarse.xyz", &["--sensor", "camera.toml"])["T"], answer["T"]);
+    case.write("fine.toml", "patch_mm = 0.1\nnoise_mm = 0.1\n");
+    let fine =
+        case.register(&["bone.stl", "coarse.xyz", "--init", "init.txt", "--sensor", "fine.toml", "--format", "json"]);
+    assert_ne!(last_line(&fine)["verdict"]["answer"], "trusted");
+    case.write("wrong.toml", "like = \"depth_camera\"\npach_mm = 0.1\n");
+    let fault = case.fault(1, &["bone.stl", "coarse.xyz", "--sensor", "wrong.toml"]);
+    assert!(fault.contains("wrong.toml, line 2") && fault.contains("pach_mm"), "{fault}");
+    let fault = case.fault(2, &["bone.stl", "coarse.xyz", "--sensor", "kinect"]);
+    assert!(fault.contains("\"kinect\", which is no file and none of structured_light, laser"), "{fault}");
+    // What was measured finely is not excused, and another bone is none of the sensor's errors.
+    let fine = case.answer("bone.stl", "scan.ply", &["--sensor", "depth_camera"]);
+    let rules = fine["verdict"]["reasons"].to_string();
+    assert!(fine["verdict"]["answer"] == "doubtful" && rules.contains("\"sensor\""), "{rules}");
+}
+
+#[test]
+fn the_ball_of_a_tip_is_taken_off_where_it_is_stated() {
+    let case = Case::new();
+    let seen = sample::surface(&bone::fibula(&BoneParams::default()), 24_000, &mut ChaCha8Rng::seed_from_u64(2));
+    let height_mm = |p: &Point3<f64>| {
+        let anatomy = bone::anatomy(&BoneParams::default());
+        (p - anatomy.malleolus_tip).dot(&anatomy.proximal)
+    };
+    let mut text = String::new();
+    for (p, normal) in seen.points.iter().zip(&seen.normals).filter(|(p, _)| (0.0..150.0).contains(&height_mm(p))) {
+        let at = case.t_target_source.inverse() * (p + normal * 1.0);
+        writeln!(text, "{:?} {:?} {:?}", at.x, at.y, at.z).unwrap();
+    }
+    case.write("touched.xyz", &text);
+    let median = |tip: &str| {
+        let answer = case.answer("bone.stl", "touched.xyz", &["--sensor", "stylus", "--tip-radius-mm", tip]);
+        (answer["verdict"]["measured"]["median_mm"].as_f64().unwrap(), case.off_mm(&answer))
+    };
+    let (stated, off_mm) = median("1.0");
+    assert!(stated < 0.05 && off_mm < 0.2, "{stated}, {off_mm}");
+    let [(unstated, _), (inverse, _)] = ["0", "-1.0"].map(median);
+    assert!((unstated - 1.0).abs() < 0.1 && (inverse - 2.0).abs() < 0.2, "{unstated}, {inverse}");
 }
 
 #[test]

@@ -26,7 +26,10 @@ use clap::{
 use files::OutFiles;
 use landmarks::Picked;
 use method::{REPORT, has_output};
-use osteoflow_algorithms::parts::PartChoice;
+use osteoflow_algorithms::{
+    parts::PartChoice,
+    sensor::{SensorKind, SensorParams},
+};
 use osteoflow_engine::{
     Fault,
     check::{Checked, CommandLineParam, check_recorded, parameters},
@@ -201,6 +204,15 @@ pub struct RegisterRequest {
     /// Position of the camera in the source's frame, mm; points then pair only with the side of the target that faces it.
     #[arg(long, value_name = "X,Y,Z", value_parser = camera, allow_hyphen_values = true)]
     pub camera: Option<Point3<f64>>,
+
+    /// What SOURCE was measured with: structured_light, laser, depth_camera, ultrasound or stylus, or a file of `osteoflow sensor`. The
+    /// verdict then expects its errors. Default: structured_light, and the verdict says which other sensor the residuals look like.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub sensor: Option<PathBuf>,
+
+    /// Radius of the ball of the stylus' tip, mm: SOURCE's points are where its middle was, as far outside TARGET's surface.
+    #[arg(long, value_name = "MM", value_parser = number, allow_hyphen_values = true)]
+    pub tip_radius_mm: Option<f64>,
 
     /// Number of threads; the pose does not depend on it. Default: the number of cores.
     #[arg(long, value_name = "N")]
@@ -409,6 +421,8 @@ impl RegisterRequest {
         let init_ms = began.elapsed().as_secs_f64() * 1e3;
         let removed = self.removed(has_output(kind, REPORT));
         let mut sets = self.graph_sets(&kind_name, &params);
+        let sensor = toml::Table::try_from(self.stated_sensor()?).context("a sensor is a table")?;
+        sets.extend(sensor.into_iter().map(|(key, value)| format!("ct_surface.sensor.{key}={value}")));
         sets.extend(self.region_sets());
         sets.extend((!removed.is_empty()).then(|| format!("remove={removed:?}")));
         self.choose_parts(&mut notes)?;
@@ -527,6 +541,21 @@ impl RegisterRequest {
             .iter()
             .filter_map(|key| Some(format!("icp.{key}={}", toml::Value::try_from(params.all.get(key)?).ok()?)));
         keys.chain(of_method).collect()
+    }
+
+    /// What the scan was measured with, as stated by a name, a file, or both.
+    fn stated_sensor(&self) -> Result<SensorParams> {
+        let tip = SensorParams { tip_radius_mm: self.tip_radius_mm, ..SensorParams::default() };
+        let Some(given) = &self.sensor else { return Ok(tip) };
+        let name = SensorKind::ALL.into_iter().find(|kind| given.as_os_str() == kind.word());
+        if name.is_some() {
+            return Ok(SensorParams { like: name, ..tip });
+        }
+        if !given.exists() {
+            let names = SensorKind::ALL.map(SensorKind::word).join(", ");
+            usage!("the sensor is \"{}\", which is no file and none of {names}", given.display());
+        }
+        Ok(tip.or(&input::read_toml(given, "description of a sensor")?))
     }
 
     /// The nodes that crop the scan, in the order in which it passes them: their names, the options, and their settings.

@@ -52,6 +52,7 @@ mod refusal;
 pub mod roi;
 pub mod sample;
 pub mod section;
+pub mod sensor;
 mod sensor_noise;
 #[cfg(test)]
 #[path = "../tests/common/shapes.rs"]

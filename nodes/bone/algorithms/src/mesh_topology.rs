@@ -2,8 +2,8 @@
 
 use crate::iso_surface::compacted;
 use crate::union_find::UnionFind;
-use nalgebra::Point3;
-use osteoflow_geometry::Mesh;
+use nalgebra::{Point3, Vector3};
+use osteoflow_geometry::{Mesh, MeshError};
 
 /// The faces over vertices of which none is where another is, without those that have no area then. `O(n log n)`.
 pub(crate) fn welded(mesh: &Mesh) -> Vec<[u32; 3]> {
@@ -23,6 +23,28 @@ pub(crate) fn first_in_place(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Ve
         group.iter().for_each(|&(_, k)| first[k as usize] = group[0].1);
     }
     faces.iter().map(|face| face.map(|k| first[k as usize])).collect()
+}
+
+/// Outward unit normals of the vertices, with faces weighted by area; zero where there are none. `O(n)`.
+pub fn vertex_normals(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Vec<Vector3<f64>> {
+    let mut normals = vec![Vector3::zeros(); vertices.len()];
+    for face in faces {
+        let [a, b, c] = face.map(|v| vertices[v as usize]);
+        let area = (b - a).cross(&(c - a));
+        face.iter().for_each(|v| normals[*v as usize] += area);
+    }
+    normals.into_iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect()
+}
+
+/// The mesh with each vertex moved along its normal, mm; vertices in one place stay together. `O(n log n)`.
+///
+/// # Errors
+/// [`MeshError`] if a vertex then lies too far away.
+pub fn moved_outward(mesh: &Mesh, mm: f64) -> Result<Mesh, MeshError> {
+    let faces = first_in_place(mesh.vertices(), mesh.faces());
+    let normals = vertex_normals(mesh.vertices(), &faces);
+    let vertices: Vec<_> = mesh.vertices().iter().zip(normals).map(|(v, normal)| v + normal * mm).collect();
+    Mesh::new(&mesh.frame, mesh.origin, vertices, faces)
 }
 
 /// Number of edges that are not shared by exactly two faces running along them in opposite directions.

@@ -12,6 +12,7 @@ use crate::kabsch::centroid;
 use crate::mesh_query::MeshQuery;
 use crate::nearest::Nearest;
 use crate::point_grid::{All, Nearby, PointGrid, cell_mm};
+use crate::sensor::Sensor;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::{Column, Frame, SurfaceOrigin, TooFar};
 use std::{
@@ -39,6 +40,7 @@ pub struct Target {
     mesh: Option<MeshQuery>,
     index: Arc<OnceLock<Index>>,
     side: Arc<OnceLock<Side>>,
+    sensor: Option<Arc<Sensor>>,
 }
 
 impl Target {
@@ -75,12 +77,22 @@ impl Target {
             return Err(Refusal::of(format!("target point {index}: {far}")));
         }
         let index = Arc::new(OnceLock::new());
-        Ok(Self { frame, origin, points, normals, mesh: None, index, side: Arc::default() })
+        Ok(Self { frame, origin, points, normals, mesh: None, index, side: Arc::default(), sensor: None })
     }
 
     /// The target with the mesh that its points were drawn from, in the same frame.
     pub fn with_mesh(self, mesh: MeshQuery) -> Self {
         Self { mesh: Some(mesh), side: Arc::default(), ..self }
+    }
+
+    /// The target with what the scan is measured with, for whose tip it was moved.
+    pub fn for_sensor(self, sensor: Option<Sensor>) -> Self {
+        Self { sensor: sensor.map(Arc::new), ..self }
+    }
+
+    /// What the scan is measured with, if it is stated.
+    pub fn sensor(&self) -> Option<&Sensor> {
+        self.sensor.as_deref()
     }
 
     /// The mesh that the points were drawn from, if given.
@@ -161,6 +173,7 @@ impl PartialEq for Target {
             && self.origin == other.origin
             && self.points == other.points
             && self.normals == other.normals
+            && self.sensor == other.sensor
     }
 }
 

@@ -5,6 +5,7 @@
 
 use crate::{FileError, kind::marked};
 use osteoflow_container::irregular;
+use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 use std::{
     fs::{self, File},
@@ -59,6 +60,18 @@ pub fn read_text(path: &Path) -> Result<String, FileError> {
             Some(found) => found.refusal(path, "a text"),
             None => FileError::content(path, format!("byte {at}"), "the file is no text in UTF-8; save it as UTF-8"),
         }
+    })
+}
+
+/// A TOML file as what it describes: `what` in errors.
+///
+/// # Errors
+/// As [`read_text`], or [`FileError::Content`] with the line and what is wrong there.
+pub fn read_toml<T: DeserializeOwned>(path: &Path, what: &str) -> Result<T, FileError> {
+    let text = read_text(path)?;
+    toml::from_str(&text).map_err(|error| {
+        let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
+        FileError::content(path, format!("line {line}"), format!("no {what}: {}", error.message()))
     })
 }
 

@@ -6,7 +6,7 @@ use crate::ranges;
 use crate::waves::Waves;
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::iso_surface::{iso_surface, make_well_composed};
-use osteoflow_algorithms::mesh_topology::{largest_component, open_edges};
+use osteoflow_algorithms::mesh_topology::{largest_component, open_edges, vertex_normals};
 use osteoflow_geometry::{Mesh, SurfaceOrigin};
 use osteoflow_node_macros::params;
 use rand::{RngExt, SeedableRng};
@@ -171,17 +171,6 @@ fn smooth(vertices: &mut [Point3<f64>], faces: &[[u32; 3]], times: u32) {
             *vertex += (sum / n - vertex.coords) * step;
         }
     }
-}
-
-/// Outward unit normals of the vertices, with faces weighted by area.
-pub(crate) fn vertex_normals(vertices: &[Point3<f64>], faces: &[[u32; 3]]) -> Vec<Vector3<f64>> {
-    let mut normals = vec![Vector3::zeros(); vertices.len()];
-    for face in faces {
-        let [a, b, c] = face.map(|v| vertices[v as usize]);
-        let area = (b - a).cross(&(c - a));
-        face.iter().for_each(|v| normals[*v as usize] += area);
-    }
-    normals.into_iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect()
 }
 
 /// Number of layers of voxels per task.

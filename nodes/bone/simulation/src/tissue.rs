@@ -1,13 +1,12 @@
 //! Lumps of soft tissue on the stripped bone: a surface of its own, which the camera sees instead of the bone.
 
 use crate::bone::smoothstep;
-use crate::ct::vertex_normals;
 use crate::draws::{Term, stream};
 use crate::plan::section_centre;
 use crate::waves::Waves;
 use crate::{SimulationError, TissueParams};
 use nalgebra::{Point3, Unit, Vector3};
-use osteoflow_algorithms::mesh_query::MeshQuery;
+use osteoflow_algorithms::{mesh_query::MeshQuery, mesh_topology::vertex_normals};
 use osteoflow_geometry::{Anatomy, Mesh};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

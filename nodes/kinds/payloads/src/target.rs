@@ -18,6 +18,9 @@ use serde_json::{Value as Json, json};
 /// The head field that is present if the view has a grid.
 const CELL_MM: &str = "cell_mm";
 
+/// The head field that is present if the scan's sensor is stated.
+const SENSOR: &str = "sensor";
+
 fn has(view: &View, column: &str) -> bool {
     view.column(column).is_ok()
 }
@@ -32,6 +35,9 @@ impl Payload<Table> for Target {
         SchemaEntry::text("frame"),
         SchemaEntry::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
         SchemaEntry::float(CELL_MM).optional(),
+        SchemaEntry::text(SENSOR)
+            .optional()
+            .doc("what the scan is measured with, and how it errs, as JSON; the surface is moved for its tip"),
         SchemaEntry::column("points", ColumnType::F64, 3).unit("mm"),
         SchemaEntry::column("normals", ColumnType::F64, 3).optional(),
         SchemaEntry::column("cells/blocks", ColumnType::U32, 1).optional(),
@@ -52,6 +58,9 @@ impl Payload<Table> for Target {
             .with("origin", self.origin.to_string())
             .with(CELL_MM, cells.cell_mm)
             .with_column(to_column("points", ColumnType::F64, self.point_column()));
+        if let Some(sensor) = self.sensor() {
+            view = view.with(SENSOR, serde_json::to_string(sensor).unwrap_or_default());
+        }
         if let Some(normals) = self.normal_column() {
             view = view.with_column(to_column("normals", ColumnType::F64, normals));
         }
@@ -88,6 +97,10 @@ impl Payload<Table> for Target {
             let (vertices, faces) = (from_column(view, "mesh/vertices")?, from_column(view, "mesh/faces")?);
             let mesh = Mesh::new(frame, origin, vertices, faces).map_err(invalid)?;
             target = target.with_mesh(MeshQuery::new(&mesh));
+        }
+        if view.field(SENSOR).is_some() {
+            let sensor = serde_json::from_str(view.text(SENSOR)?).map_err(|error| invalid(error.to_string()))?;
+            target = target.for_sensor(Some(sensor));
         }
         if view.field(CELL_MM).is_some() {
             target.prepare();
@@ -128,7 +141,10 @@ impl Payload<Table> for Target {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_algorithms::icp::{self, IcpParams, Method, PairingKind};
+    use osteoflow_algorithms::{
+        icp::{self, IcpParams, Method, PairingKind},
+        sensor::SensorKind,
+    };
     use osteoflow_geometry::{
         SurfaceOrigin,
         nalgebra::{Isometry3, Point3},
@@ -172,6 +188,10 @@ mod tests {
         let back = Target::from_view(&target.to_view()).unwrap();
         assert_eq!(back.to_view(), target.to_view());
         assert_eq!(back, target);
+        let stated = target.clone().for_sensor(Some(SensorKind::Ultrasound.sensor()));
+        assert_ne!(stated, target);
+        assert_eq!(stated.to_view().check(Target::SCHEMA), Ok(()));
+        assert_eq!(Target::from_view(&stated.to_view()), Ok(stated));
         let t = Isometry3::new(Vector3::new(0.4, -0.3, 0.5), Vector3::new(0.02, 0.03, -0.01));
         let source: Vec<_> = target.points().iter().step_by(3).map(|p| t * p).collect();
         for (method, pairing) in [

@@ -217,6 +217,8 @@ def register(
     trace: bool = False,
     progress: bool = True,
     fiducials: Optional[tuple] = None,
+    sensor: Union[str, "_os.PathLike[str]", None] = None,
+    tip_radius_mm: Optional[float] = None,
 ) -> Registration:
     """Register `source`, which moves, onto `target`, which stays: `osteoflow register` with its defaults.
 
@@ -228,6 +230,9 @@ def register(
     fiducials : the same of points off the surface, such as screws, rings or skin markers; the verdict compares them with the surface.
     set : any parameter of the method, {"trim_fraction": 0.2}; `osteoflow inspect icp.point_to_plane` lists them.
     camera : (3,), position of the camera in the source's frame, mm.
+    sensor : what `source` was measured with: "structured_light" (the default), "laser", "depth_camera", "ultrasound" or "stylus", or a
+        file of `osteoflow sensor`; the verdict expects its errors.
+    tip_radius_mm : radius of the ball of a stylus' tip, whose middle the points are.
     component, source_component : which part of target and source: "largest", its number by size, or "nearest:X,Y,Z" (mm).
     box, sphere, region : (6,) two opposite corners, (4,) centre and radius in the source's frame, mm, or a file that the page saved;
         only the points of `source` that are in all of them are registered.
@@ -262,7 +267,7 @@ def register(
         source_component=source_component if source_component is None else str(source_component),
         target_points=target_points, max_points=max_points, seed=seed, unit_mm=unit_mm, target_unit_mm=target_unit_mm, source_unit_mm=source_unit_mm,
         init_unit_mm=init_unit_mm, camera=camera, keep=dict(no_cache=not cache), repeat=repeat, no_verdict=not verdict, require=require,
-        out=out, write_source=write_source,
+        out=out, write_source=write_source, sensor=None if sensor is None else str(sensor), tip_radius_mm=tip_radius_mm,
     )
     options = {name: value for name, value in options.items() if value is not None}
     answer = _core.register((target_name, target), (source_name, source), start, options, set, workers, space, trace, progress)

@@ -5,6 +5,7 @@ use super::spread::normal_matrix;
 use super::surface_error::CELL_MM;
 use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
 use crate::coarse::{GlobalReport, Searched};
+use crate::sensor::Sensor;
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::{Side, Target};
 use nalgebra::{Isometry3, Point3};
@@ -23,6 +24,9 @@ const SEARCH_MM: f64 = 8.0;
 /// it: soft tissue lies outside.
 const GATE_SIGMAS: f64 = 5.0;
 const OUTSIDE_SIGMAS: f64 = 2.5;
+
+/// What a stated sensor errs over patches is as often this many standard deviations as points are outliers.
+const OFF_SIGMAS: f64 = 2.5;
 
 /// The noise is estimated across the surface, and one at a slant has more: this share of it remains in the misfit.
 const NOISE_LEFT: f64 = 0.3;
@@ -101,6 +105,9 @@ pub struct Evidence {
     pub unsettled_mm: Option<f64>,
     /// The registration by shape alone, if it was made.
     pub shape: Option<ShapeEvidence>,
+    /// What the scan was measured with, if it is stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<Sensor>,
 }
 
 /// The evidence, and the spread that it rests on.
@@ -145,9 +152,11 @@ impl Evidence {
         let residuals = Residuals::new(target, source.points(), t_target_source, SEARCH_MM, N_EXAMINED)?;
         let noise_mm = sensor_noise_mm(source.points())?;
         let sigma_mm = (residuals.quantile_mm(0.25) / QUARTER_SIGMAS).max(noise_mm);
-        let gate = -GATE_SIGMAS * sigma_mm..=OUTSIDE_SIGMAS * sigma_mm;
+        // A sensor that errs by more than tissue is thick errs on both sides.
+        let outside = if target.sensor().is_some_and(Sensor::is_coarse) { GATE_SIGMAS } else { OUTSIDE_SIGMAS };
+        let gate = -GATE_SIGMAS * sigma_mm..=outside * sigma_mm;
         let on: Vec<Residual> = residuals.near.iter().filter(|near| gate.contains(&near.signed_mm)).copied().collect();
-        let off_mm = (4.0 * noise_mm).max(0.3);
+        let off_mm = (4.0 * noise_mm).max(0.3).max(target.sensor().map_or(0.0, |sensor| OFF_SIGMAS * sensor.patch_mm));
         let is_open = target.is_open();
         let mut misfit = Misfit::new(&on, noise_mm);
         if is_open {
@@ -192,6 +201,7 @@ impl Evidence {
             pattern,
             unsettled_mm: settled.as_ref().map(apart),
             shape: None,
+            sensor: target.sensor().cloned(),
         };
         evidence.shape = shape.map(|(pose, report)| {
             let [best, judged] = [&pose, t_target_source].map(|pose| Support::new(registered, pose, noise_mm));

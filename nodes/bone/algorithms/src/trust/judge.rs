@@ -14,7 +14,7 @@ use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, poin
 use super::extent::extent_reason;
 use super::inside::inside_reason;
 use super::landmarks::{Compared, LandmarkErrors, landmarks_contradict};
-use super::misfit::misfit_reason;
+use super::misfit::{misfit_reason, sensor_reason};
 use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::{self, Nuisance, Nuisances};
 use super::on_surface::{facing_away_reason, on_surface_reason};
@@ -47,6 +47,10 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let limited = if assessed.is_empty() { points_that_matter(&case.registered) } else { assessed };
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
     let order = landmark_order(case.landmarks, case.located);
+    let (rules, errors) = match case.registered.target.sensor() {
+        Some(sensor) => (&rules.of(sensor), &errors.of(sensor)),
+        None => (rules, errors),
+    };
     let judging = Judging { case, place, order, examine, rules, errors };
 
     let (takes, scan) = (judging.of_takes(), judging.of_scan());
@@ -251,6 +255,7 @@ impl Judging<'_> {
 /// The signs in the residuals, and in the registration by shape alone.
 fn data_reasons(evidence: &Evidence, rules: &RuleParams) -> Vec<Reason> {
     let signs = [
+        sensor_reason(evidence),
         misfit_reason(evidence, rules),
         inside_reason(&evidence.inside_patches, evidence.noise_mm, rules.max_inside),
         on_surface_reason(evidence, rules),

@@ -1,10 +1,10 @@
 //! The part of the residuals that noise does not explain.
 
 use super::{Evidence, Residual, RuleParams};
+use crate::sensor::{Sensor, SensorKind};
 use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Edge of a patch, mm: several patches around the visible side of a bone, a dozen points or more in each.
 const PATCH_MM: f64 = 4.0;
@@ -47,41 +47,72 @@ impl Misfit {
     }
 }
 
+/// A scan whose noise is this many times less than the stated sensor's was measured with another one.
+const FINER: f64 = 4.0;
+
+/// The sign that a scan is finer than the sensor that is stated for it: what that sensor's error would explain, this one's does not.
+pub(super) fn sensor_reason(evidence: &Evidence) -> Option<Reason> {
+    let sensor = evidence.sensor.as_ref().filter(|sensor| sensor.is_coarse())?;
+    (FINER * evidence.noise_mm < sensor.noise_mm).then(|| {
+        let reason = format!(
+            "the scan has noise of {:.2} mm, and {} is stated with {:.2} mm; likely cause: another sensor, or a scan that was smoothed",
+            evidence.noise_mm,
+            sensor.words(),
+            sensor.noise_mm
+        );
+        Reason::new("sensor", Answer::Doubtful, reason, "state the sensor that the scan was measured with (--sensor)")
+    })
+}
+
 /// The reason against a misfit that neither the noise nor the error of sensor and segmentation explains.
 ///
-/// The inside of the surface decides between doubt and refusal: beyond what any segmentation does, no sensor explains it.
+/// The inside of the surface decides between doubt and refusal: beyond what any segmentation and the stated sensor do, only another place
+/// explains it.
 pub(super) fn misfit_reason(evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
-    let (misfit, noise_mm) = (&evidence.misfit, evidence.noise_mm);
-    // Half of an error's squares lies inside. Zero, as someone asks for whom no scan may lie inside, is not widened by noise.
-    let stated_mm = rules.surface_error_mm.unwrap_or(0.0) * FRAC_1_SQRT_2;
-    let is_zero = rules.max_inward_misfit_mm == 0.0;
-    let inside_mm = rules.max_inward_misfit_mm.max(stated_mm);
-    let limit_mm = if is_zero { 0.0 } else { inside_mm.hypot(noise_mm) };
+    let (misfit, noise_mm, sensor) = (&evidence.misfit, evidence.noise_mm, evidence.sensor.as_ref());
+    let inside_mm = rules.max_inward_misfit_mm;
+    // Zero, as someone asks for whom no scan may lie inside, is not widened by noise.
+    let limit_mm = if inside_mm == 0.0 { 0.0 } else { inside_mm.hypot(noise_mm) };
     if misfit.inward_mm > limit_mm {
+        let unstated = if sensor.is_some() {
+            ""
+        } else {
+            "if the sensor is coarser than structured light, state it (--sensor), and "
+        };
         let reason = format!(
             "parts of the scan lie inside the bone's surface by {:.2} mm (RMS of patches of 4 mm), which neither noise ({noise_mm:.2} \
-             mm) nor the {inside_mm:.2} mm of a poor segmentation nor tissue explains; likely cause: another bone, its mirror image, or another \
-             place on it",
+             mm) nor the {inside_mm:.2} mm {} nor tissue explains; likely cause: another bone, its mirror image, or another place on it",
             misfit.inward_mm,
-        );
-        let remedy = "check that scan and CT are of the same bone, side and patient";
-        return Some(Reason::new("inward_misfit", Answer::Refused, reason, remedy));
-    }
-    let explained_mm = rules.surface_error_mm.unwrap_or(rules.max_misfit_mm);
-    (misfit.rms_mm > explained_mm + MISFIT_PER_NOISE * noise_mm).then(|| {
-        let reason = format!(
-            "scan and surface differ by {:.2} mm (RMS of patches of 4 mm; alike over {:.0} mm), beyond the noise of {noise_mm:.2} mm \
-             and the {explained_mm:.2} mm {}; likely cause: the sensor's own error, the CT's segmentation, film on the bone, or \
-             another bone of nearly this shape",
-            misfit.rms_mm,
-            evidence.surface_error.length_mm,
-            match rules.surface_error_mm {
-                Some(_) => "stated for sensor and segmentation",
-                None => "of a structured-light camera on a good segmentation",
+            match sensor {
+                Some(sensor) => format!("of {} on a poor segmentation", sensor.words()),
+                None => "of a poor segmentation".to_owned(),
             }
         );
-        let remedy = "state the error of sensor and segmentation if it is known (rules.surface_error_mm), clean the bone and scan again, \
-                      and check that CT and scan are of one bone";
+        let remedy = format!("{unstated}check that scan and CT are of the same bone, side and patient");
+        return Some(Reason::new("inward_misfit", Answer::Refused, reason, &remedy));
+    }
+    let explained_mm = rules.max_misfit_mm;
+    (misfit.rms_mm > explained_mm + MISFIT_PER_NOISE * noise_mm).then(|| {
+        let like = Sensor::nearest(noise_mm, misfit.rms_mm);
+        let reason = format!(
+            "scan and surface differ by {:.2} mm (RMS of patches of 4 mm; alike over {:.0} mm){}, beyond the noise of {noise_mm:.2} mm \
+             and the {explained_mm:.2} mm of {} on a good segmentation; likely cause: the sensor's own error, the CT's segmentation, film on \
+             the bone, or another bone of nearly this shape",
+            misfit.rms_mm,
+            evidence.surface_error.length_mm,
+            match (sensor, like) {
+                (None, SensorKind::DepthCamera | SensorKind::Ultrasound | SensorKind::Stylus) =>
+                    format!(", as of {}", like.sensor().words()),
+                _ => String::new(),
+            },
+            sensor.map_or_else(|| SensorKind::StructuredLight.sensor().words(), Sensor::words),
+        );
+        let remedy = match sensor {
+            Some(_) => "clean the bone and scan again, and check that CT and scan are of one bone",
+            None => {
+                "state the sensor if it is another one (--sensor), clean the bone and scan again, and check that CT and scan are of one bone"
+            }
+        };
         Reason::new("misfit", Answer::Doubtful, reason, remedy)
     })
 }

@@ -5,6 +5,7 @@ use super::nuisance::params::NuisanceParams;
 use super::{Limits, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
+use crate::sensor::Sensor;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
 use osteoflow_node_macros::params;
@@ -54,8 +55,25 @@ pub struct PredictParams {
     /// the scan is in the first already.
     #[param(0.1, 0.0..=10.0)]
     pub ct_bias_mm: f64,
+    /// Standard deviation, per axis, of a shift of the whole scan that no residual shows, mm, as of an ultrasound probe's calibration.
+    /// 0: markers and camera have their own. The `sensor` of the surface states it, too.
+    #[param(0.0, 0.0..=100.0)]
+    pub scan_mm: f64,
     /// What may be wrong beside the pose.
     pub nuisances: NuisanceParams,
+}
+
+impl PredictParams {
+    /// With the errors of a sensor that are stated.
+    pub(super) fn of(&self, sensor: &Sensor) -> Self {
+        let NuisanceParams { offset_mm, field_mm, .. } = self.nuisances;
+        let nuisances = NuisanceParams {
+            offset_mm: offset_mm.hypot(sensor.bias_mm),
+            field_mm: field_mm.max(sensor.bias_mm),
+            ..self.nuisances.clone()
+        };
+        Self { scan_mm: self.scan_mm.hypot(sensor.shift_mm), nuisances, ..self.clone() }
+    }
 }
 
 /// The poses by which the markers' places are carried to the target.
@@ -291,12 +309,13 @@ pub fn predict(
     let points = at.points;
     let cuts: Vec<NamedPoint> = at.cuts.iter().map(|cut| cut.middle.clone()).collect();
     let stated = tracking.map(|tracking| stated(tracking, &centre, params)).unwrap_or_default();
+    let scan = (params.scan_mm > 0.0).then(|| ("shift of the scan", isotropic(params.scan_mm, 0.0)));
     let fit = tracking.and_then(|tracking| tracking.phantom_fit.as_ref());
     let fit = fit.map(|(covariance, about)| ("phantom's fit", carried(covariance, about, &centre)));
     let motion = motion.map(|(covariance, about)| (SCAN_MOTION, carried(covariance, about, &centre)));
     let registration = deformation.is_none().then_some(("registration", spread.covariance));
     let terms: Vec<(&str, Matrix6<f64>)> =
-        registration.into_iter().chain(motion).chain(stated.iter().copied()).chain(fit).collect();
+        registration.into_iter().chain(scan).chain(motion).chain(stated.iter().copied()).chain(fit).collect();
     let settles = deformation.is_none();
     let shift = if settles { to_settled * centre - centre } else { Vector3::zeros() };
     let turn = if settles { to_settled.rotation.scaled_axis() } else { Vector3::zeros() };

@@ -4,14 +4,20 @@ use super::landmarks::LandmarkErrors;
 use super::limits::Limits;
 use super::stylus::StylusErrors;
 use crate::coarse::CLEAR;
+use crate::sensor::Sensor;
 use osteoflow_node_macros::params;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Thresholds of the rules.
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(extend("x-removed" = {
+    "surface_error_mm": {
+        "default": null,
+        "warning": "surface_error_mm is ignored: the surface states the sensor and its errors (sensor of surface.prepare)",
+    },
     "max_scale_error": {
         "default": 0.025,
         "warning": "max_scale_error is ignored: a stretch is measured along the bone, across it and in all directions (errors.nuisances)",
@@ -28,18 +34,12 @@ pub struct RuleParams {
     /// sound scans from any side and of any part of a fibula are trusted.
     #[param(0.1, 0.0..=1.0)]
     pub max_beyond_limits: f64,
-    /// The error of scan and surface together over patches of some millimetres, as stated, mm (RMS): a misfit up to it is no sign
-    /// against the registration; what it does to the answer is in the predicted error. None: `max_misfit_mm`. Usual values:
-    /// structured light 0.03 to 0.1, laser triangulation 0.05 to 0.1, stereo 0.3, a stylus 0.3, tracked ultrasound 0.4 to 1, the
-    /// segmentation of a CT 0.2 to 0.8.
-    #[param(None, 0.0..=100.0)]
-    pub surface_error_mm: Option<f64>,
-    /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger by more than 0.15 times the noise, mm, where no
-    /// `surface_error_mm` is stated: what it does to the answer is in the predicted error, as long as it is an error of camera and
+    /// Doubtful if the misfit, the mean residual of patches of 4 mm, is larger by more than 0.15 times the noise, mm, or by that
+    /// of the sensor where it is stated and larger: what it does to the answer is in the predicted error, as long as it is an error of camera and
     /// segmentation and no other bone. 0.2: two segmentations of one CT differ by 0.21 mm, and a shaft from its mirror image by 0.25 mm.
     #[param(0.2, 0.0..=100.0)]
     pub max_misfit_mm: f64,
-    /// Refused if the misfit of the patches inside the surface is larger, mm, beside the scan's noise and `surface_error_mm`: soft
+    /// Refused if the misfit of the patches inside the surface is larger, mm, beside the scan's noise and the stated sensor's error: soft
     /// tissue lies outside, so this is another bone, its mirror image, or another place on it. 0.57: the half inside of 0.8 mm,
     /// by which seven groups' segmentations of one CT were off the bone (RMS; Soodmand 2018).
     #[param(0.57, 0.0..=100.0)]
@@ -91,4 +91,28 @@ pub struct RuleParams {
     /// time shears it. 2: longer than structured light takes (0.1 to 1), and a line that is swept by hand over 100 mm at 50 mm/s.
     #[param(2.0, 0.0..=60.0)]
     pub assumed_scan_s: f64,
+}
+
+impl RuleParams {
+    /// With the errors of a sensor that is stated: no registration is expected to be more exact than its scan.
+    pub(super) fn of(&self, sensor: &Sensor) -> Self {
+        let Limits { max_tre_mm, max_offset_mm, .. } = self.limits;
+        let attains_mm = sensor.attains_mm();
+        let limits = Limits {
+            max_tre_mm: max_tre_mm.max(attains_mm),
+            max_offset_mm: max_offset_mm.max(attains_mm),
+            ..self.limits.clone()
+        };
+        Self {
+            limits,
+            max_misfit_mm: self.max_misfit_mm.max(sensor.patch_mm),
+            max_inward_misfit_mm: match self.max_inward_misfit_mm {
+                0.0 => 0.0,
+                mm => mm.max(sensor.patch_mm * FRAC_1_SQRT_2),
+            },
+            max_inside: self.max_inside + sensor.outliers,
+            max_shape_apart_mm: self.max_shape_apart_mm.max(attains_mm),
+            ..self.clone()
+        }
+    }
 }

@@ -1,8 +1,13 @@
 //! The kinds `surface.prepare`, `surface.prepare_cloud`, and `surface.prepare_any`, which takes the inputs of both.
 
-use crate::params::NoParams;
-use osteoflow_algorithms::{mesh_query::MeshQuery, normals, sample, target::Target};
-use osteoflow_geometry::{Cloud, Mesh, SurfaceOrigin};
+use osteoflow_algorithms::{
+    mesh_query::MeshQuery,
+    mesh_topology::moved_outward,
+    normals, sample,
+    sensor::{Sensor, SensorParams},
+    target::Target,
+};
+use osteoflow_geometry::{Cloud, Column, Mesh, SurfaceOrigin, nalgebra::Vector3};
 use osteoflow_node::{
     CachePolicy, Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema,
     serde::Deserialize,
@@ -36,14 +41,21 @@ pub struct Params {
     /// 0: `n_points` decides.
     #[param(0.0, 0.0..=100.0)]
     pub spacing_mm: f64,
+    /// What the scan is measured with: the surface is moved to where its tip touches, and the verdict expects its errors. Without it the
+    /// scan is taken for one of structured light.
+    pub sensor: SensorParams,
 }
 
 impl Params {
     /// Samples a surface and prepares it.
     fn prepare(&self, mesh: &Mesh, ctx: &mut Context) -> Result<Target, NodeError> {
+        let sensor = self.sensor.sensor();
+        let tip_mm = sensor.as_ref().map_or(0.0, |sensor| sensor.tip_radius_mm);
+        let moved = (tip_mm != 0.0).then(|| moved_outward(mesh, tip_mm)).transpose()?;
+        let mesh = moved.as_ref().unwrap_or(mesh);
         let samples = sample::surface(mesh, self.n_points_on(mesh.area_mm2())?, &mut ctx.rng());
         let target = Target::new(&mesh.frame, mesh.origin, samples.points, Some(samples.normals.into()))?;
-        let target = target.with_mesh(MeshQuery::new(mesh));
+        let target = target.with_mesh(MeshQuery::new(mesh)).for_sensor(sensor);
         target.prepare();
         Ok(target)
     }
@@ -108,6 +120,14 @@ in   = { cloud = "ct_points.cloud" }
 )]
 pub struct PrepareCloud;
 
+/// Parameters of [`PrepareCloud`].
+#[params]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+pub struct CloudParams {
+    /// What the scan is measured with, as of `surface.prepare`.
+    pub sensor: SensorParams,
+}
+
 /// Inputs of [`PrepareCloud`].
 #[derive(Inputs)]
 pub struct CloudIn {
@@ -130,19 +150,24 @@ pub struct CloudOut {
 impl PrepareCloud {
     const CACHE: CachePolicy = CachePolicy::ByInputs;
 
-    fn process(_: &NoParams, i: CloudIn, _ctx: &mut Context) -> Result<CloudOut, NodeError> {
-        let target = prepare_points(&i.cloud)?;
+    fn process(params: &CloudParams, i: CloudIn, _ctx: &mut Context) -> Result<CloudOut, NodeError> {
+        let target = prepare_points(&i.cloud, params.sensor.sensor())?;
         Ok(CloudOut { target, ct_surface: Text(SurfaceOrigin::User.to_string().into()) })
     }
 }
 
 /// Points of a surface, prepared; their normals are estimated where missing.
-fn prepare_points(points: &Cloud) -> Result<Target, NodeError> {
-    let normals = match points.normal_column() {
+fn prepare_points(points: &Cloud, sensor: Option<Sensor>) -> Result<Target, NodeError> {
+    let normals: Column<Vector3<f64>> = match points.normal_column() {
         Some(given) => given.clone(),
         None => normals::of_surface(points.points())?.into(),
     };
-    let target = Target::new(&points.frame, SurfaceOrigin::User, points.point_column().clone(), Some(normals))?;
+    let tip_mm = sensor.as_ref().map_or(0.0, |sensor| sensor.tip_radius_mm);
+    let at = match tip_mm {
+        0.0 => points.point_column().clone(),
+        _ => points.points().iter().zip(&*normals).map(|(p, normal)| p + normal * tip_mm).collect::<Vec<_>>().into(),
+    };
+    let target = Target::new(&points.frame, SurfaceOrigin::User, at, Some(normals))?.for_sensor(sensor);
     target.prepare();
     Ok(target)
 }
@@ -187,7 +212,7 @@ impl PrepareAny {
     fn process(params: &Params, i: AnyIn, ctx: &mut Context) -> Result<AnyOut, NodeError> {
         let target = match (&i.mesh, &i.points) {
             (Some(mesh), None) => params.prepare(mesh, ctx)?,
-            (None, Some(points)) => prepare_points(points)?,
+            (None, Some(points)) => prepare_points(points, params.sensor.sensor())?,
             (None, None) => return Err(NodeError::new("there is neither a surface nor points of one")),
             (Some(_), Some(_)) => {
                 return Err(NodeError::new("there are a surface and points of one; wire one of them"));
@@ -224,9 +249,20 @@ mod tests {
             Point3::from(Vector3::new(across * turn.cos(), across * turn.sin(), z) * 20.0)
         };
         let cloud = Cloud::new("ct", (0..4000).map(on_ball).collect::<Vec<_>>()).expect("a cloud");
-        let made =
-            PrepareCloud::process(&NoParams {}, CloudIn { cloud }, &mut Context::for_test("ct")).expect("a target");
-        let normals = made.target.normals().expect("estimated");
-        assert!(made.target.points().iter().zip(normals).all(|(p, n)| p.coords.dot(n) > 19.5), "outwards");
+        let prepared = |params: CloudParams| {
+            PrepareCloud::process(&params, CloudIn { cloud: cloud.clone() }, &mut Context::for_test("ct"))
+                .expect("a target")
+                .target
+        };
+        let target = prepared(CloudParams::default());
+        let normals = target.normals().expect("estimated");
+        assert!(target.points().iter().zip(normals).all(|(p, n)| p.coords.dot(n) > 19.5), "outwards");
+        // Where the middle of a tip is that touches it, outside or inside.
+        for tip_mm in [0.5, -0.5] {
+            let sensor = SensorParams { tip_radius_mm: Some(tip_mm), ..SensorParams::default() };
+            let touched = prepared(CloudParams { sensor: sensor.clone() });
+            assert!(touched.points().iter().all(|p| (p.coords.norm() - 20.0 - tip_mm).abs() < 0.01), "{tip_mm}");
+            assert_eq!(touched.sensor(), sensor.sensor().as_ref());
+        }
     }
 }

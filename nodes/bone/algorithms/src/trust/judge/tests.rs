@@ -1,5 +1,6 @@
 use super::*;
 use crate::coarse::{GlobalReport, RunnerUp};
+use crate::sensor::{SensorKind, SensorParams};
 use crate::trust::contrary::BETTER;
 use crate::trust::{Inside, Misfit, Pattern, ShapeEvidence, SurfaceError};
 
@@ -20,6 +21,7 @@ fn evidence() -> Evidence {
         pattern: None,
         unsettled_mm: Some(0.01),
         shape: Some(shape(0.1, 0.9, 0.9, 0.6)),
+        sensor: None,
     }
 }
 
@@ -69,18 +71,32 @@ fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
     // Beside noise of 0.4 mm, 0.57 mm are 0.696 mm.
     assert!(!has(&with(limit, 0.69), "misfit") && !has(&with(limit, 0.69), "inward_misfit"));
     assert!(has(&with(0.27, 0.69), "misfit") && has(&with(limit, 0.7), "inward_misfit"));
-    // A stated error takes the place of the limits that it exceeds; nobody's refusal at zero is widened.
-    let told = |rms_mm, inward_mm, surface_error_mm, max_inward_misfit_mm| {
-        let rules = RuleParams { surface_error_mm, max_inward_misfit_mm, ..RuleParams::default() };
-        misfit_reason(&with(rms_mm, inward_mm), &rules).map(|reason| reason.rule)
+    // A stated sensor's error takes the place of the limits that it exceeds; nobody's refusal at zero is widened.
+    let told = |rms_mm, inward_mm, patch_mm: Option<f64>, max_inward_misfit_mm| {
+        let rules = RuleParams { max_inward_misfit_mm, ..RuleParams::default() };
+        let sensor = SensorParams { patch_mm, ..SensorParams::default() }.sensor();
+        let rules = sensor.as_ref().map_or(rules.clone(), |sensor| rules.of(sensor));
+        misfit_reason(&Evidence { sensor, ..with(rms_mm, inward_mm) }, &rules).map(|reason| reason.rule)
     };
     assert_eq!(told(0.75, 0.5, Some(0.7), 0.57), None);
     assert_eq!(told(0.77, 0.5, Some(0.7), 0.57).as_deref(), Some("misfit"));
-    assert_eq!(told(0.13, 0.1, Some(0.05), 0.57).as_deref(), Some("misfit"));
+    assert_eq!(told(0.25, 0.1, Some(0.05), 0.57), None, "the segmentation's error is left");
+    assert_eq!(told(0.27, 0.1, Some(0.05), 0.57).as_deref(), Some("misfit"));
     // Half of 1.2 mm inside is 0.85 mm, with the noise 0.94 mm.
     assert_eq!(told(1.2, 0.93, Some(1.2), 0.57), None);
     assert_eq!(told(1.2, 0.95, Some(1.2), 0.57).as_deref(), Some("inward_misfit"));
-    assert_eq!(told(0.01, 0.01, None, 0.0).as_deref(), Some("inward_misfit"));
+    for patch_mm in [None, Some(1.2)] {
+        assert_eq!(told(0.01, 0.01, patch_mm, 0.0).as_deref(), Some("inward_misfit"));
+    }
+
+    // A fine scan is not excused by a coarse sensor; a fine sensor excuses nothing.
+    let stated = |kind: SensorKind, noise_mm| {
+        let all = Evidence { sensor: Some(kind.sensor()), noise_mm, ..evidence() };
+        data_reasons(&all, &RuleParams::default()).first().map(|reason| reason.rule.clone())
+    };
+    assert_eq!(stated(SensorKind::DepthCamera, 0.07).as_deref(), Some("sensor"));
+    assert_eq!(stated(SensorKind::DepthCamera, 0.08), None);
+    assert_eq!(stated(SensorKind::Laser, 0.001), None);
 
     let with = |share| Evidence { inside_patches: Inside { share, depth_mm: 1.0 }, ..evidence() };
     assert!(!has(&with(0.1), "inside") && has(&with(0.11), "inside"));
