@@ -178,14 +178,16 @@ class Run:
             os.replace(scratch, target)
         return target
 
-    def sweep(self, name, nodes, values, results):
-        """The results of each value's run, in order; None of a run without results. A sweep that is there goes on."""
+    def sweep(self, name, nodes, values, so_far=False):
+        """What each value's run wrote, in order. A sweep that is there goes on; or gives what is there so far, and None for the rest."""
+        file, out = self.out / f"{name}.toml", self.out / name
+        if so_far:
+            runs = [out / f"runs/{index:06d}.json" for index in range(len(values))]
+            return [json.loads(run.read_text()) if run.exists() else None for run in runs]
         if not values:
             return []
-        file, out = self.out / f"{name}.toml", self.out / name
         labels = [f"{index:04d}" for index in range(len(values))]
-        graph = [f"extends = {json.dumps(str(HERE / 'recover.toml'))}", *nodes, "[results]", *results,
-                 "[sweep]\nrepeat = 1\ntwice = 0.0\nunits = [\"pose\", \"repeat\"]", "[sweep.factor]",
+        graph = [f"extends = {json.dumps(str(HERE / 'recover.toml'))}", *nodes, "[sweep]\nrepeat = 1\ntwice = 0.0\nunits = [\"pose\", \"repeat\"]", "[sweep.factor]",
                  f"pose = {toml({'values': values, 'labels': labels})}"]
         write(file, "\n".join(graph) + "\n")
         if out.exists() and not (out / "sweep.json").exists():
@@ -193,9 +195,13 @@ class Run:
         words = [self.program, "sweep", str(file), "--out", str(out), "--workers", str(self.workers), "--quiet"]
         ended = subprocess.run(words + ["--resume"] * out.exists(), env={"OMP_NUM_THREADS": "1", **os.environ}, stdout=subprocess.DEVNULL)
         runs = sorted((out / "runs").glob("*.json")) if out.exists() else []
-        if len(runs) != len(values) or ended.returncode in (1, 2, 130):
+        # 3: no pose has results, as where all are refused.
+        if len(runs) != len(values) or ended.returncode not in (0, 3):
             sys.exit(f"{out}: the sweep ended with code {ended.returncode} and {len(runs)} of {len(values)} runs; the same command goes on")
-        return [json.loads(run.read_text()) for run in runs]
+        found = [json.loads(run.read_text()) for run in runs]
+        if [ran["values"]["pose"] for ran in found] != labels:
+            sys.exit(f"{out}: its runs are not in the order of {file}; give another --out")
+        return found
 
 
 def stl(path):
@@ -375,7 +381,7 @@ def registered(run, asked, how):
     graph = [f"remove = {toml(left_out + ['node.coarse'] * (how != 'shape'))}",
              f'[graph]\nname = "trustbench_{how}"\nseed = 1', "[node.perturb]\nmax_turn_deg = 0.0\nmax_shift_mm = 0.0",
              f'[node.icp]\nin = {{ init = "{begin}" }}']
-    for (_, one), ran in zip(chosen, run.sweep(f"registered_by_{how}", graph, values, [])):
+    for (_, one), ran in zip(chosen, run.sweep(f"registered_by_{how}", graph, values)):
         found = ((ran.get("results") or {}).get("poses") or {}).get("t_ct_camera")
         one["pose"] = None if found is None else np.array(found["matrix"], float).reshape(4, 4)
 
@@ -421,8 +427,10 @@ def judged_poses(run, pairs, n, seed):
 # --- ours -----------------------------------------------------------------------------------------
 
 
-def ask_us(run, pairs, rows):
-    """The answer, the chance of being wrong, the predicted interval, and the processor time of each pose."""
+def ask_us(run, pairs, rows, so_far):
+    """The answer, the chance of being wrong, the predicted interval, and the processor time of each pose; gives the rows that have them. They
+    are judged in a random order, so that those judged so far are a sample of all."""
+    rows = [rows[index] for index in np.random.default_rng(5).permutation(len(rows))]
     values = []
     for row in rows:
         pair, file = pairs[row["pair"]], run.out / "poses" / f"{row['id']}.txt"
@@ -435,19 +443,22 @@ def ask_us(run, pairs, rows):
              '[graph]\nname = "trustbench"\nseed = 1', "[node.perturb]\nmax_turn_deg = 0.0\nmax_shift_mm = 0.0",
              f'[node.targets]\nkind = "acquire.points"\nframe = "ct"\npath = {json.dumps(values[0]["targets.path"])}',
              '[node.verdict]\nin = { t_target_source = "perturb.pose", assessment = "targets.points" }']
-    runs = run.sweep("judged", graph, values, [])
-    with open(run.out / "judged/times.csv", newline="", encoding="utf-8") as times:
-        cpu_s = {int(t["run"]): float(t["cpu_ms"] or 0) / 1000 for t in csv.DictReader(times) if t["node"] == "verdict"}
-    for index, (row, ran) in enumerate(zip(rows, runs)):
+    judged = []
+    for index, (row, ran) in enumerate(zip(rows, run.sweep("judged", graph, values, so_far))):
+        if ran is None:
+            continue
+        times = json.loads((run.out / f"judged/runs/times/{index:06d}.json").read_text())["nodes"]
         verdict = (ran.get("results") or {}).get("judged") or {}
         predicted = verdict.get("predicted") or {}
         row["answer"] = verdict.get("answer", "refused")
-        row["reason"] = None if verdict else str(ran.get("reason") or ran.get("error") or "no verdict")
+        row["reason"] = None if verdict else ran.get("reason")
         row["rules"] = [reason["rule"] for reason in verdict.get("reasons", [])]
         row["stated_chance"] = verdict.get("chance_of_being_wrong")
         row["beyond_limits"] = predicted.get("beyond_limits")
         row["interval_mm"] = (predicted.get("assessment") or {}).get("interval_mm")
-        row["cpu_s"] = {OURS: cpu_s.get(index, 0.0)}
+        row["cpu_s"] = {OURS: sum(node["cpu_ms"] for node in times if node["node"] == "verdict") / 1000}
+        judged.append(row)
+    return sorted(judged, key=lambda row: row["id"])
 
 
 def our_order(row):
@@ -774,7 +785,7 @@ def figures(answers):
         f"Objects: {resampled.n_objects}. Scans: {resampled.n_scans}. Poses: {len(by['right'])} right, {len(by['wrong'])} wrong, "
         f"{len(by['twin'])} twins" + (f" ({twins})" if twins else "")
         + f". Left out: {len(by['between'])} too near the limit, or right of a wrong sensor; {answers['n_without_pose']} registrations without "
-        "a pose. "
+        + "a pose" + (f"; {answers['n_unjudged']} poses that are not judged yet, a random sample" if answers["n_unjudged"] else "") + ". "
         f"Open3D's measures by {answers['open3d']}. {answers['program']}, seed {answers['seed']}.",
         f"**Trusted and wrong: {n_false} of {len(by['wrong'])} ({100 * n_false / len(by['wrong']):.1f} %), upper 95 % limit "
         f"{100 * upper_limit(by['wrong'], is_false):.1f} % by objects. Of right poses {100 * given / len(by['right']):.0f} % are given, "
@@ -812,6 +823,7 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--program", default="osteoflow")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--so-far", action="store_true", help="draws the poses that are judged so far, a random sample, and judges no more")
     parser.add_argument("--page", type=Path, help="a page with the lines <!-- trustbench --> and <!-- end -->")
     parser.add_argument("--figures", type=Path, help="answers.json of a benchmark: draws its tables and nothing else")
     given = parser.parse_args()
@@ -835,15 +847,16 @@ def main():
         write_json(kept, asked)
         pairs = prepared(run, pairs)
         made = judged_poses(run, pairs, given.poses, given.seed)
-        rows = made["rows"]
-        ask_us(run, pairs, rows)
+        rows = ask_us(run, pairs, made["rows"], given.so_far)
         named = ask_others(run, pairs, rows)
         name_twins(pairs, rows)
         for row in rows:
             row.pop("pose")
             row["truth_mm"], row["limit_mm"] = pairs[row["pair"]]["truth_mm"], pairs[row["pair"]]["right_mm"]
         version = re.sub(r"\s+", " ", run.command("--version").stdout).strip()
-        answers = {"program": version, "seed": given.seed, "open3d": named, "n_without_pose": made["n_without_pose"], "rows": rows}
+        n_unjudged = len(made["rows"]) - len(rows)
+        answers = {"program": version, "seed": given.seed, "open3d": named, "n_without_pose": made["n_without_pose"],
+                   "n_unjudged": n_unjudged, "rows": rows}
         write_json(run.out / "answers.json", answers)
     text = figures(answers)
     print(text, end="")
