@@ -429,7 +429,7 @@ def judged_poses(run, pairs, n, seed):
 
 def ask_us(run, pairs, rows, so_far):
     """The answer, the chance of being wrong, the predicted interval, and the processor time of each pose; gives the rows that have them. They
-    are judged in a random order, so that those judged so far are a sample of all."""
+    are given in a random order, but a sweep takes those with one surface together: what is judged so far is no random sample."""
     rows = [rows[index] for index in np.random.default_rng(5).permutation(len(rows))]
     values = []
     for row in rows:
@@ -785,7 +785,7 @@ def figures(answers):
         f"Objects: {resampled.n_objects}. Scans: {resampled.n_scans}. Poses: {len(by['right'])} right, {len(by['wrong'])} wrong, "
         f"{len(by['twin'])} twins" + (f" ({twins})" if twins else "")
         + f". Left out: {len(by['between'])} too near the limit, or right of a wrong sensor; {answers['n_without_pose']} registrations without "
-        + "a pose" + (f"; {answers['n_unjudged']} poses that are not judged yet, a random sample" if answers["n_unjudged"] else "") + ". "
+        + "a pose" + (f"; {answers['n_unjudged']} poses that are not judged yet, by whole surfaces rather than at random" if answers["n_unjudged"] else "") + ". "
         f"Open3D's measures by {answers['open3d']}. {answers['program']}, seed {answers['seed']}.",
         f"**Trusted and wrong: {n_false} of {len(by['wrong'])} ({100 * n_false / len(by['wrong']):.1f} %), upper 95 % limit "
         f"{100 * upper_limit(by['wrong'], is_false):.1f} % by objects. Of right poses {100 * given / len(by['right']):.0f} % are given, "
@@ -823,7 +823,7 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--program", default="osteoflow")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--so-far", action="store_true", help="draws the poses that are judged so far, a random sample, and judges no more")
+    parser.add_argument("--so-far", action="store_true", help="draws the poses that are judged so far, and judges no more")
     parser.add_argument("--page", type=Path, help="a page with the lines <!-- trustbench --> and <!-- end -->")
     parser.add_argument("--figures", type=Path, help="answers.json of a benchmark: draws its tables and nothing else")
     given = parser.parse_args()
