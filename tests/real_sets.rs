@@ -136,3 +136,151 @@ fn the_benchmark_finds_the_pairs_of_each_layout_and_prints_a_row_for_each() {
     let (is_done, _, err) = benchmark(&set.join("preoperative"), &[]);
     assert!(!is_done && err.contains("no pair of preoperative/NAME.stl and intraoperative/NAME.xyz"), "{err}");
 }
+
+/// The page without the last column of its first table, which is processor time.
+#[cfg(unix)]
+fn without_times(page: &str) -> String {
+    let mut is_timed = false;
+    let lines = page.lines().map(|line| {
+        is_timed = line.starts_with("| Measure | Right |") || (is_timed && line.starts_with('|'));
+        if is_timed { line.trim_end_matches('|').rsplit_once('|').unwrap().0 } else { line }
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// The AUROC of the measure in the first table.
+#[cfg(unix)]
+fn auroc(page: &str, measure: &str) -> f64 {
+    let row = page.lines().find(|line| line.starts_with(&format!("| {measure}"))).unwrap_or_else(|| panic!("{page}"));
+    row.split('|').nth(5).unwrap().trim().parse().unwrap_or_else(|_| panic!("{row}"))
+}
+
+/// A folder with a bone that is simulated, a scan of it in a frame of its own, and the true pose.
+#[cfg(unix)]
+fn write_set(set: &Path) {
+    fs::create_dir_all(set).unwrap();
+    let points = write_pair(&set.join("bone.stl"), &set.join("in_place.xyz"), 1);
+    let t = Isometry3::new(Vector3::new(30.0, -20.0, 100.0), Vector3::new(0.3, 0.2, 2.0));
+    let scan: Vec<_> = points.iter().step_by(8).map(|p| t.inverse() * p / 1000.0).collect();
+    write_ply(&set.join("scan.ply"), &Cloud::new("camera", scan).unwrap(), 1.0).unwrap();
+    let pair = serde_json::json!({
+        "object": "fibula", "scan": "distal", "surface": "bone.stl", "source": "scan.ply", "source_unit_mm": 1000.0,
+        "t_surface_scan": [osteoflow_geometry::matrix_rows(&t)], "right_mm": 1.5, "truth_mm": 0.1,
+    });
+    fs::write(set.join("manifest.json"), serde_json::json!({ "pairs": [pair] }).to_string()).unwrap();
+}
+
+#[cfg(unix)]
+#[test]
+fn the_benchmark_of_verdicts_goes_on_after_an_interruption_and_computes_its_figures_from_the_poses() {
+    let Some(python) = python("the benchmark of verdicts") else { return };
+    let dir = tempfile::tempdir_in(shared_folder()).unwrap();
+    let (set, page, kept) = (dir.path().join("set"), dir.path().join("page.md"), dir.path().join("kept"));
+    write_set(&set);
+    let benchmark = |arguments: &[&std::ffi::OsStr]| {
+        let mut command = Command::new(&python);
+        command.arg(root().join("graphs/real/trustbench.py")).args(arguments);
+        let output = command.env("OSTEOFLOW_CACHE", dir.path().join("store")).output().unwrap();
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        (output.status.success(), text(&output.stdout), text(&output.stderr))
+    };
+    let program = crate::common::program();
+    let judge = |out: &Path, program: &Path, more: &[&str]| {
+        let mut arguments = vec![set.as_os_str(), "--out".as_ref(), out.as_os_str(), "--program".as_ref()];
+        arguments.extend([program.as_os_str(), "--poses".as_ref(), "2".as_ref()]);
+        arguments.extend(more.iter().map(std::ffi::OsStr::new));
+        benchmark(&arguments)
+    };
+    let figures = |answers: &Value| {
+        let file = dir.path().join("answers.json");
+        fs::write(&file, answers.to_string()).unwrap();
+        benchmark(&["--figures".as_ref(), file.as_os_str()])
+    };
+
+    // The sweep of the verdicts is killed, and the same command goes on; it writes what a run in one piece does.
+    let killed = dir.path().join("killed");
+    let script = format!(
+        "#!/bin/sh\ncase \"$*\" in *judged.toml*) timeout -s KILL 1 {program:?} \"$@\"; exit 1;; esac\nexec {program:?} \"$@\"\n"
+    );
+    fs::write(&killed, script).unwrap();
+    fs::set_permissions(&killed, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+    let (is_done, out, err) = judge(&kept, &killed, &[]);
+    assert!(!is_done && err.contains("judged: the sweep ended with code"), "{out}{err}");
+    fs::write(&page, "# Page\n<!-- trustbench -->\nold\n<!-- end -->\nrest\n").unwrap();
+    let (is_done, out, err) = judge(&kept, &program, &["--page", page.to_str().unwrap()]);
+    assert!(is_done, "{err}");
+    let written = fs::read_to_string(&page).unwrap();
+    assert_eq!(written, format!("# Page\n<!-- trustbench -->\n{out}<!-- end -->\nrest\n"));
+    let (is_done, again, err) = judge(&kept, &program, &[]);
+    assert!(is_done && again == out, "what is kept is drawn again, its times included: {err}");
+    let (_, in_one_piece, err) = judge(&dir.path().join("other"), &program, &["--workers", "2"]);
+    assert_eq!(without_times(&in_one_piece), without_times(&out), "{err}");
+
+    // The page: counts of what was asked for, each measure with an AUROC, each table of one width.
+    let answers: Value = serde_json::from_slice(&fs::read(kept.join("answers.json")).unwrap()).unwrap();
+    let labelled = |answers: &Value, label: &str| -> Vec<usize> {
+        let rows = answers["rows"].as_array().unwrap();
+        (0..rows.len()).filter(|row| rows[*row]["label"] == label).collect()
+    };
+    // Two right ones, and of each kind of wrong ones one, of which the search for a neighbouring minimum may end elsewhere.
+    let n_asked = answers["rows"].as_array().unwrap().len() as u64 + answers["n_without_pose"].as_u64().unwrap();
+    let (right, wrong) = (labelled(&answers, "right"), labelled(&answers, "wrong"));
+    assert!(n_asked == 7 && right.len() == 2 && wrong.len() >= 4, "{out}");
+    let n_wrong = wrong.len();
+    assert!(out.starts_with(&format!("Objects: 1. Scans: 1. Poses: 2 right, {n_wrong} wrong, 0 twins.")), "{out}");
+    let limit = format!("**Trusted and wrong: 0 of {n_wrong} (0.0 %), upper 95 % limit 95.0 % by objects.");
+    assert!(out.contains(&limit), "{out}");
+    for measure in ["osteoflow", "residual RMS", "Open3D fitness", "Open3D inlier RMSE", "CorAl: joint", "NDT score"] {
+        assert!((0.0..=1.0).contains(&auroc(&out, measure)), "{measure}: {out}");
+    }
+    let mut width = None;
+    for line in out.lines() {
+        let n = line.starts_with('|').then(|| line.matches('|').count());
+        assert!(width.is_none() || n.is_none() || n == width, "{line}");
+        width = n;
+    }
+    assert_eq!(auroc(&out, "osteoflow"), 1.0, "sound poses of a simulated bone, and gross errors: {out}");
+
+    // Figures follow the labels: a right pose that is called wrong has the lowest chance of being wrong.
+    assert_eq!(figures(&answers).1, out);
+    let mut mislabelled = answers.clone();
+    mislabelled["rows"][right[0]]["label"] = "wrong".into();
+    let (_, fewer, err) = figures(&mislabelled);
+    for measure in ["osteoflow", "residual RMS"] {
+        assert!(auroc(&fewer, measure) < auroc(&out, measure), "{measure}: {fewer}{err}");
+    }
+    assert!(fewer.contains(&format!("**Trusted and wrong: 1 of {} (", n_wrong + 1)), "{fewer}");
+    // A stated chance, where there is one, orders the answers, refused ones too.
+    let mut stated = answers.clone();
+    for row in stated["rows"].as_array_mut().unwrap() {
+        row["stated_chance"] = f64::from(u8::from(row["label"] == "right")).into();
+    }
+    let (_, reversed, err) = figures(&stated);
+    assert_eq!(auroc(&reversed, "osteoflow"), 0.0, "{reversed}{err}");
+    // Of two objects there are intervals, and the regressions, each trained on the other object.
+    let mut two = answers.clone();
+    let copies: Vec<Value> = answers["rows"].as_array().unwrap().clone();
+    two["rows"].as_array_mut().unwrap().extend(copies.into_iter().map(|mut row| {
+        row["object"] = "tibia".into();
+        row
+    }));
+    let (_, of_two, err) = figures(&two);
+    let twice = format!("Objects: 2. Scans: 2. Poses: 4 right, {} wrong", 2 * n_wrong);
+    assert!(of_two.starts_with(&twice), "{of_two}{err}");
+    assert!(of_two.contains("upper 95 % limit 77.6 % by objects"), "1 - 0.05^(1/2): {of_two}");
+    assert!(of_two.contains("| 1.000 | 1.000 to 1.000 |") && auroc(&of_two, "CorAl: logistic") >= 0.0, "{of_two}");
+
+    // A pose, a scan or a true pose that has changed is named.
+    let pose = kept.join("poses/0000.txt");
+    let text = fs::read_to_string(&pose).unwrap();
+    fs::write(&pose, format!("{text}\n")).unwrap();
+    let (is_done, out, err) = judge(&kept, &program, &[]);
+    assert!(!is_done && err.contains("poses/0000.txt: changed since it was made"), "{out}{err}");
+    fs::write(&pose, text).unwrap();
+    fs::OpenOptions::new().append(true).open(set.join("bone.stl")).unwrap().set_len(84 + 50 * 100).unwrap();
+    let (is_done, out, err) = judge(&kept, &program, &[]);
+    assert!(
+        !is_done && err.contains("made of other pairs, files, --poses or --seed; give another --out"),
+        "{out}{err}"
+    );
+}

@@ -37,6 +37,7 @@ pub(crate) const FILES: &[(&str, &str)] = files![
     "graphs/real/benchmark.py",
     "graphs/real/peers.py",
     "graphs/real/recover.toml",
+    "graphs/real/trustbench.py",
     "graphs/trust/check_piece.toml",
     "graphs/trust/curves.py",
     "graphs/trust/curves.toml",
