@@ -59,6 +59,7 @@ mod sensor_noise;
 mod shapes;
 pub mod slide;
 pub mod still_average;
+pub mod tables;
 pub mod target;
 pub mod track;
 pub mod trust;

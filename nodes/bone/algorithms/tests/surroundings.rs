@@ -1,7 +1,8 @@
 //! Scans of bones among what else a camera sees, registered by shape alone without cropping. With `SLOW_TESTS` all of them;
 //! `OSTEOFLOW_CASES` takes the bones whose names have one of these words, separated by commas.
 
-mod hips;
+pub(crate) mod hips;
+pub(crate) mod prints;
 
 use crate::common::{data, stl};
 use crate::compact::{Case, Counted, View, body, is_slow, radius_mm, target_of};
@@ -18,7 +19,7 @@ use std::f64::consts::{PI, TAU};
 
 /// What lies around the bone.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Around {
+pub(crate) enum Around {
     /// A plane behind the bone.
     Table,
     /// Two flaps along the bone, with a gap between them.
@@ -42,7 +43,7 @@ const SEEN: [Around; 4] = [Around::Table, Around::Skin, Around::Bone, Around::Tu
 const HELD_OUT: [Around; 4] = [Around::Drape, Around::Retractors, Around::Hand, Around::Vice];
 
 /// A scan's middle and directions: along it, across it and towards the camera; half its length and its width, mm.
-struct Frame {
+pub(crate) struct Frame {
     middle: Point3<f64>,
     axes: Matrix3<f64>,
     half: [f64; 2],

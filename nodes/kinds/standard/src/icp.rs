@@ -10,6 +10,7 @@ pub mod symmetric;
 
 use osteoflow_algorithms::{
     icp::{self, Halt, IcpError, IcpFit, IcpParams, IcpReport, IcpStep, IcpTrace, Method},
+    tables::off_tables,
     target::Target,
 };
 use osteoflow_geometry::{Cloud, Pose, nalgebra::Isometry3};
@@ -60,6 +61,14 @@ impl In {
         register: impl FnOnce(&Target, &Cloud, &Isometry3<f64>, &mut Observer<'_>) -> Result<IcpFit, IcpError>,
     ) -> Result<Out, NodeError> {
         let init = self.init.expect(&self.target.frame, &self.source.frame)?; // the one check of frames
+        let rest = off_tables(&self.target, &self.source);
+        if let Some(rest) = &rest {
+            let (n, all) = (self.source.len() - rest.len(), self.source.len());
+            ctx.warn(format!(
+                "{n} of {all} points are on a plane on which the scan is wider than the whole surface, such as a table, and are left out"
+            ));
+        }
+        let source = rest.as_ref().unwrap_or(&self.source);
         let limit = Some(stop_after_ms).filter(|ms| *ms > 0.0);
         let mut budget = limit.map(|ms| ctx.budget(Duration::from_secs_f64(ms / 1e3)));
         let mut observer = |_: &IcpStep| {
@@ -71,7 +80,7 @@ impl In {
                 ControlFlow::Continue(())
             }
         };
-        let fit = register(&self.target, &self.source, &init, &mut observer)?;
+        let fit = register(&self.target, source, &init, &mut observer)?;
         let pose = Pose::new(&self.target.frame, &self.source.frame, fit.t_target_source);
         Ok(Out { t_target_source: pose.at(ctx.stamp_ns()), report: fit.report, trace: fit.trace })
     }

@@ -10,8 +10,10 @@ pub(crate) use descent::{Placed, Points, descended, distinct, motion, thinned};
 use crate::Refusal;
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::kabsch::centroid;
+use crate::tables::off_tables;
 use crate::target::{NearMap, Side, Target};
 use anywhere::{Effort, Ground, Shape, radius_of};
+pub(crate) use axis::principal;
 use axis::{Scan, stations};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;
@@ -43,7 +45,8 @@ const SHAFT: f64 = 2.5;
 /// ...and its best place leaves less than this share of the reach. Where a shaft fits so well, it fits as well where more starts lead.
 const MISFIT: f64 = 0.25;
 
-/// The reach at the end is at least this many standard deviations of what the best place leaves, by its better quarter.
+/// The reach at the end is at least this many standard deviations of what the best place leaves, by its better quarter, if that holds
+/// nearly all.
 const REACH_SIGMAS: f64 = 3.0;
 
 /// A quarter of a Gaussian's absolute values are below this many standard deviations.
@@ -315,7 +318,9 @@ impl<'a> Search<'a> {
         let quarter = distances.len() / 4;
         let sigma_mm = *distances.select_nth_unstable_by(quarter, f64::total_cmp).1 / QUARTER_SIGMAS;
         let reach_mm = (REACH_SIGMAS * sigma_mm).min(MAX_REACH * least_mm);
-        if reach_mm > least_mm {
+        let beyond = distances.iter().filter(|mm| **mm >= reach_mm).count() as f64;
+        // Noise leaves next to nothing beyond; what does is surroundings, which must not be taken for noise.
+        if reach_mm > least_mm && beyond <= LEFT * distances.len() as f64 {
             self.score(ends, reach_mm);
         }
     }
@@ -388,7 +393,8 @@ impl End {
 /// turns about it. A scan that is less than 2.5 times as long as wide, and one that fits badly so, is laid in any orientation anywhere on the
 /// surface: points of it onto samples of the surface with their normals, in turns about these. Starts that score better than their
 /// neighbours are refined, and the best refined one of both searches is the answer, by one score. Where that leaves
-/// much of the scan off the surface, patches of it are laid anywhere, too. The side from which a long
+/// much of the scan off the surface, patches of it are laid anywhere, too. Planes on which the scan is wider than the whole
+/// surface are left out ([`off_tables`]). The side from which a long
 /// scan was seen (its viewpoint, else the way it bulges) is turned outward. A shaft is nearly a cylinder, so the answer
 /// may be wrong along or about it although it fits well; the report gives the score of the runner-up. The result does
 /// not depend on the number of threads.
@@ -416,6 +422,8 @@ pub(crate) fn global_by(
             "the scan has {n} points, {MIN_POINTS} are needed to tell its shape; is the region of interest around the bone?"
         )));
     }
+    let rest = off_tables(target, source);
+    let source = rest.as_ref().unwrap_or(source);
     let search = Search::new(target, source, params);
     let long = Scan::new(source).filter(|_| searched != Some(Searched::Anywhere));
     let (mut ends, mut n_tried) = long.as_ref().map_or_else(Default::default, |scan| search.along(scan));
@@ -582,8 +590,8 @@ mod tests {
         }
     }
 
-    /// One side of the bumpy shaft with a table behind it, 60 % of the points, and the shaft.
-    fn beside_a_table() -> (Target, Cloud, usize) {
+    /// One side of the bumpy shaft with a drape behind it, 60 % of the points, and the shaft.
+    fn before_a_drape() -> (Target, Cloud, usize) {
         let shaft = crate::shapes::shaft();
         let samples = crate::sample::surface(&shaft, 40_000, &mut ChaCha8Rng::seed_from_u64(1));
         let target = Target::new("ct", SurfaceOrigin::Exact, samples.points, Some(samples.normals.into())).unwrap();
@@ -594,14 +602,15 @@ mod tests {
         let n = 3 * n_bone / 2;
         // A sequence of low discrepancy.
         let at = |k: usize, by: f64| (k as f64 * by).fract() * 200.0 - 100.0;
-        points.extend((0..n).map(|k| Point3::new(-35.0, at(k, 0.754_877_666), 60.0 + at(k, 0.569_840_291))));
+        let wavy = |y: f64, z: f64| Point3::new(25.0 * (z / 30.0).sin() - 60.0, y, 60.0 + z);
+        points.extend((0..n).map(|k| wavy(at(k, 0.754_877_666), at(k, 0.569_840_291))));
         let t = Isometry3::new(Vector3::new(80.0, -300.0, 500.0), Vector3::new(1.0, -0.4, 2.0));
         (target, Cloud::new("scan", points.iter().map(|p| t * p).collect::<Vec<_>>()).unwrap(), n_bone)
     }
 
     #[test]
-    fn a_bone_before_a_table_is_found_by_a_patch_the_same_on_any_number_of_threads_and_anywhere_alone_misses_it() {
-        let (target, scan, n_bone) = beside_a_table();
+    fn a_bone_before_a_drape_is_found_by_a_patch_the_same_on_any_number_of_threads_and_anywhere_alone_misses_it() {
+        let (target, scan, n_bone) = before_a_drape();
         let truth = Isometry3::new(Vector3::new(80.0, -300.0, 500.0), Vector3::new(1.0, -0.4, 2.0)).inverse();
         let off = |fit: &GlobalFit| {
             let moved = |p: &Point3<f64>| (fit.t_target_source * p - truth * p).norm();
@@ -624,8 +633,30 @@ mod tests {
     }
 
     #[test]
+    fn surroundings_are_not_taken_for_noise_and_noise_widens_the_reach() {
+        let (target, scan, n_bone) = before_a_drape();
+        let params = GlobalParams::default();
+        let truth = Isometry3::new(Vector3::new(80.0, -300.0, 500.0), Vector3::new(1.0, -0.4, 2.0)).inverse();
+        // Off the surface by up to 3 mm to either side.
+        let noisy = |(k, p): (usize, &Point3<f64>)| p + Vector3::repeat(((k as f64 * 0.618_034).fract() - 0.5) * 6.0);
+        let noisy: Vec<Point3<f64>> = scan.points()[..n_bone].iter().enumerate().map(noisy).collect();
+        let reach_mm = |points: Vec<Point3<f64>>| {
+            let cloud = Cloud::new("scan", points).unwrap();
+            let search = Search::new(&target, &cloud, &params);
+            let mut ends = [End { score_mm: 2.0, reach_mm: 2.0, pose: truth }];
+            search.sort(&mut ends);
+            ends[0].reach_mm
+        };
+        let with_drape = scan.points().to_vec();
+        // Of three quarters and more that is around, a quarter of all points is far off.
+        let more = [&with_drape[..], &with_drape[n_bone..]].concat();
+        let reaches = [noisy, with_drape, more].map(reach_mm);
+        assert!(reaches[0] > 2.5 && reaches[1..] == [2.0, 2.0], "{reaches:?} mm");
+    }
+
+    #[test]
     fn what_is_near_the_surface_at_neither_place_is_no_sign_that_the_best_is_unclear() {
-        let (target, scan, n_bone) = beside_a_table();
+        let (target, scan, n_bone) = before_a_drape();
         let params = GlobalParams::default();
         let search = Search::new(&target, &scan, &params);
         let truth = Isometry3::new(Vector3::new(80.0, -300.0, 500.0), Vector3::new(1.0, -0.4, 2.0)).inverse();

@@ -30,6 +30,7 @@ use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
 use crate::still_average::TakeMotion;
+use crate::tables::off_tables;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::NamedPoint;
 use osteoflow_verdict::{Answer, Reason};
@@ -40,10 +41,12 @@ const DATA: [&str; 8] =
 
 /// The verdict on a registration.
 pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, errors: &PredictParams) -> Verdict {
+    let rest = off_tables(case.registered.target, case.registered.source);
+    let source = rest.as_ref().unwrap_or(case.registered.source);
     let cuts = planned_cuts(case.registered.target, case.planes);
     let assessed: Vec<Point3<f64>> = case.assessment.iter().map(|p| p.position).collect();
     let at: Vec<Point3<f64>> = assessed.iter().copied().chain(cuts.iter().map(|cut| cut.middle.position)).collect();
-    let case = &Case { registered: Registered { at: &at, ..case.registered }, ..case.clone() };
+    let case = &Case { registered: Registered { at: &at, source, ..case.registered }, ..case.clone() };
     let limited = if assessed.is_empty() { points_that_matter(&case.registered) } else { assessed };
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
     let order = landmark_order(case.landmarks, case.located);

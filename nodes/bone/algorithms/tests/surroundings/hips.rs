@@ -20,21 +20,21 @@ use rand_distr::{Distribution, Normal, UnitSphere};
 use std::{ops::ControlFlow, path::PathBuf};
 
 /// What the search was not made with, and a second bone.
-const KINDS: [(Around, &str); 3] =
+pub(crate) const KINDS: [(Around, &str); 3] =
     [(Around::Drape, "drape"), (Around::Hand, "hand"), (Around::Bone, "a second hip bone")];
 
 /// Standard deviation of the points around, mm: about that of the ultrasound.
 const NOISE_MM: f64 = 0.7;
 
 /// A hip bone, the points of it that were measured, and the bone that lies beside it.
-struct Hip {
-    name: &'static str,
-    target: Target,
-    placed: Vec<Point3<f64>>,
+pub(crate) struct Hip {
+    pub(crate) name: &'static str,
+    pub(crate) target: Target,
+    pub(crate) placed: Vec<Point3<f64>>,
     other: Mesh,
 }
 
-fn hips(test: &str) -> Vec<Hip> {
+pub(crate) fn hips(test: &str) -> Vec<Hip> {
     let mesh = |name: &str| Some(stl(&data(test, &format!("real/hip/preoperative_{name}.stl"))?, "ct"));
     let hip = |k: usize| {
         let (name, mesh, other) = (HIPS[k], mesh(HIPS[k])?, mesh(HIPS[(k + 1) % HIPS.len()])?);
@@ -54,8 +54,8 @@ struct Outcome {
 }
 
 impl Hip {
-    /// The scan with this share of its points from around the bone, registered from a random pose.
-    fn outcome(&self, kind: Around, share: f64, seed: u64) -> Outcome {
+    /// The scan with this share of its points from around the bone at a random pose, and that pose.
+    pub(crate) fn scene(&self, kind: Around, share: f64, seed: u64) -> (Vec<Point3<f64>>, Isometry3<f64>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed * 17 + 3);
         let frame = Frame::new(&self.placed, &Vector3::from(UnitSphere.sample(&mut rng)));
         let n = (share / (1.0 - share) * self.placed.len() as f64) as usize;
@@ -64,7 +64,14 @@ impl Hip {
         let beside = around(kind, &frame, &self.other, n, &mut rng);
         points.extend(beside.into_iter().map(|p| p + Vector3::from_fn(|_, _| noise.sample(&mut rng))));
         let t_scan_truth = random_pose(&points, seed);
-        let cloud = Cloud::new("scan", points.iter().map(|p| t_scan_truth * p).collect::<Vec<_>>()).unwrap();
+        (points.iter().map(|p| t_scan_truth * p).collect(), t_scan_truth)
+    }
+
+    /// The scan among surroundings, registered.
+    fn outcome(&self, kind: Around, share: f64, seed: u64) -> Outcome {
+        let (moved, t_scan_truth) = self.scene(kind, share, seed);
+        let points: Vec<Point3<f64>> = moved.iter().map(|p| t_scan_truth.inverse() * p).collect();
+        let cloud = Cloud::new("scan", moved).unwrap();
         let centre = centroid(&self.placed);
         let off = |t: &Isometry3<f64>| {
             let off = t * t_scan_truth;

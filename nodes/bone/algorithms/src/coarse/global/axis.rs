@@ -51,7 +51,7 @@ impl Scan {
 }
 
 /// Centroid, axes and variances of points, the longest first.
-pub(super) fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
+pub(crate) fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
     let middle = centroid(points);
     let scatter: Matrix3<f64> = points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum();
     let (axes, variances) = largest_first(&(scatter / points.len().max(1) as f64));
