@@ -17,16 +17,23 @@ impl<'a> Fields<'a> {
         self.at
     }
 
+    #[inline]
     pub(super) fn take(&mut self, n: u64) -> Result<&'a [u8], String> {
         let left = self.bytes.len() - self.at;
         if n > left as u64 {
-            return Err(format!("a field of {n} bytes at its byte {} goes beyond its end, {left} are left", self.at));
+            return Err(self.beyond(n, left));
         }
         let field = &self.bytes[self.at..self.at + n as usize];
         self.at += n as usize;
         Ok(field)
     }
 
+    #[cold]
+    fn beyond(&self, n: u64, left: usize) -> String {
+        format!("a field of {n} bytes at its byte {} goes beyond its end, {left} are left", self.at)
+    }
+
+    #[inline]
     fn array<const N: usize>(&mut self) -> Result<[u8; N], String> {
         Ok(self.take(N as u64)?.try_into().expect("as many bytes were taken"))
     }

@@ -512,7 +512,7 @@ struct ChunkDescriptions {
 
 /// Checks all records of a chunk.
 fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions, Cause> {
-    let mut of_chunk = ChunkDescriptions::default();
+    let (mut of_chunk, mut last) = (ChunkDescriptions::default(), None);
     for entry in records(chunk) {
         let (at, opcode, content) = entry?;
         let at_byte = |cause: Cause| Cause::malformed("chunk")(format!("at its byte {at}: {cause}"));
@@ -528,8 +528,10 @@ fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions
                     of_chunk.unknown.schemas.insert(id);
                 }
             }
+            Record::Message(message) if last == Some(message.channel_id) => {}
             Record::Message(message) => {
                 let id = message.channel_id;
+                last = Some(id);
                 if !known.has_channel(id) && !of_chunk.described.has_channel(id) {
                     of_chunk.unknown.channels.insert(id);
                 }
