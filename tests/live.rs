@@ -1,6 +1,6 @@
 //! Live sources from the command line: the shipped recording, played as if its devices sent it.
 
-use crate::common::{is_slow_run, json, osteoflow, run, run_whole};
+use crate::common::{is_slow_run, json, osteoflow, osteoflow_to_spawn, run, run_whole};
 use osteoflow_formats::openigtlink::{Affine, Body, Message};
 use osteoflow_geometry::nalgebra::Isometry3;
 use serde_json::{Value, json};
@@ -135,7 +135,7 @@ fn a_stamp_of_2106_from_a_device_costs_its_own_item_and_is_said_while_the_device
              out.marker = {{ type = \"geometry/Pose\", {port} }}\n[results]\nmarker = {{ from = \"device.marker\", all = true }}\n"
         );
         std::fs::write(dir.path().join("g.toml"), graph).unwrap();
-        let mut command = osteoflow();
+        let mut command = osteoflow_to_spawn();
         command.current_dir(dir.path()).args(["run", "g.toml", "--out", "r"]);
         let mut child = command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);

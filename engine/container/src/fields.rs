@@ -21,16 +21,11 @@ impl<'a> Fields<'a> {
     pub(super) fn take(&mut self, n: u64) -> Result<&'a [u8], String> {
         let left = self.bytes.len() - self.at;
         if n > left as u64 {
-            return Err(self.beyond(n, left));
+            return Err(format!("a field of {n} bytes at its byte {} goes beyond its end, {left} are left", self.at));
         }
         let field = &self.bytes[self.at..self.at + n as usize];
         self.at += n as usize;
         Ok(field)
-    }
-
-    #[cold]
-    fn beyond(&self, n: u64, left: usize) -> String {
-        format!("a field of {n} bytes at its byte {} goes beyond its end, {left} are left", self.at)
     }
 
     #[inline]

@@ -512,7 +512,7 @@ struct ChunkDescriptions {
 
 /// Checks all records of a chunk.
 fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions, Cause> {
-    let (mut of_chunk, mut last) = (ChunkDescriptions::default(), None);
+    let mut of_chunk = ChunkDescriptions::default();
     for entry in records(chunk) {
         let (at, opcode, content) = entry?;
         let at_byte = |cause: Cause| Cause::malformed("chunk")(format!("at its byte {at}: {cause}"));
@@ -528,10 +528,8 @@ fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions
                     of_chunk.unknown.schemas.insert(id);
                 }
             }
-            Record::Message(message) if last == Some(message.channel_id) => {}
             Record::Message(message) => {
                 let id = message.channel_id;
-                last = Some(id);
                 if !known.has_channel(id) && !of_chunk.described.has_channel(id) {
                     of_chunk.unknown.channels.insert(id);
                 }
@@ -546,7 +544,8 @@ fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions
     Ok(of_chunk)
 }
 
-fn visit_chunk(location: Location, header: ChunkHeader, chunk: &[u8], visitor: &mut impl Visitor) -> ControlFlow<()> {
+/// Compiled here, whatever the visitor: other crates are compiled for their size.
+fn visit_chunk(location: Location, header: ChunkHeader, chunk: &[u8], visitor: &mut dyn Visitor) -> ControlFlow<()> {
     visitor.record(location, Record::Chunk(header))?;
     for (at, opcode, content) in records(chunk).filter_map(Result::ok) {
         if let Ok(record) = record::parse(opcode, content) {

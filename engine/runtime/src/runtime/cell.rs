@@ -543,8 +543,7 @@ impl Cell {
         Ok(())
     }
 
-    /// What is wrong with a frame that a plugin gives: the graph expects another, or names its frames and has none of this name,
-    /// nor does what came to the node.
+    /// What is wrong with a frame that a plugin gives: the graph expects another, or lists its frames without it.
     fn frame_fault(&self, expected: &PortFrames, emission: &Emission, plan: &Plan) -> Option<String> {
         let Emission::Value(value) = emission else { return None };
         plan.nodes[self.index].plugin.as_ref()?;
@@ -557,9 +556,8 @@ impl Cell {
             let mut values = joiner.joined().slots.iter().flat_map(Slot::items).filter_map(|item| item.body.value());
             values.any(|value| frames_of(&value.to_view()).any(|came| *came == *frame))
         };
-        let named = |frame: &str| plan.frames.iter().any(|name| name == frame);
         let planned = |frame: &str| plan.all_outputs().any(|id| plan.nodes[id.node].outputs[id.port].frames.has(frame));
-        let unknown = |frame: &Arc<str>| !named(frame) && !planned(frame) && !came(frame);
+        let unknown = |frame: &Arc<str>| !plan.frames.contains(&frame.to_string()) && !planned(frame) && !came(frame);
         let frame = frames_of(&view).find(unknown).filter(|_| !plan.frames.is_empty())?;
         let names = plan.frames.join(", ");
         Some(format!(
