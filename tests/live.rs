@@ -73,7 +73,7 @@ fn openigtlink(leave: Receiver<()>) -> String {
     thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         for (k, stamp_s) in STAMPS_S.into_iter().enumerate() {
-            let body = Body::Transform(Affine::of(&Isometry3::translation(k as f64, 0.0, 0.0)));
+            let body = Body::Transform(Affine::of(&Isometry3::translation(k as f64 + 1.0, 0.0, 0.0)));
             let message = Message::new("Marker", i64::from(stamp_s) * 1_000_000_000, body);
             stream.write_all(&message.to_bytes().unwrap()).unwrap();
         }
@@ -107,7 +107,7 @@ fn bridge(leave: Receiver<()>) -> String {
         for (k, stamp_s) in STAMPS_S.into_iter().enumerate() {
             let data = json!({
                 "timestamp": { "sec": stamp_s, "nsec": 0 }, "parent_frame_id": "world", "child_frame_id": "marker",
-                "translation": { "x": k as f64 / 1000.0, "y": 0.0, "z": 0.0 }, "rotation": { "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 },
+                "translation": { "x": (k as f64 + 1.0) / 1000.0, "y": 0.0, "z": 0.0 }, "rotation": { "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 },
             });
             let bytes = [&[1][..], &(id as u32).to_le_bytes(), &[0; 8], data.to_string().as_bytes()].concat();
             socket.send(tungstenite::Message::binary(bytes)).unwrap();
@@ -150,7 +150,11 @@ fn a_stamp_of_2106_from_a_device_costs_its_own_item_and_is_said_while_the_device
         assert_eq!(all.len(), 12, "{kind}: {all:?}");
         for (k, item) in all.iter().enumerate() {
             let (x, reason) = (item["matrix"][0][3].as_f64(), item["unknown"].as_str());
-            assert_eq!((x.map(f64::round), reason.is_some()), ((k != 4).then_some(k as f64), k == 4), "{kind}: {item}");
+            assert_eq!(
+                (x.map(f64::round), reason.is_some()),
+                ((k != 4).then_some(k as f64 + 1.0), k == 4),
+                "{kind}: {item}"
+            );
         }
         let manifest = json(&dir.path().join("r/manifest.json"));
         let warnings: Vec<&str> =
