@@ -609,6 +609,16 @@ fn what_a_plugin_gives_is_held_to_what_it_means_and_a_lie_is_refused_at_its_node
             assert!(err.contains("node \"liar\", item ") && err.contains(said), "{how}, port {port}: {err}");
         }
     }
+    // A frame that the graph does not name, of a library in the process of the run.
+    for port in 0..6 {
+        reported(&folder, "", port);
+        let graph = fs::read_to_string(folder.path("graph.toml")).unwrap();
+        fs::write(folder.path("graph.toml"), graph.replace("format = 1", "format = 1\nframes = [\"elsewhere\"]"))
+            .unwrap();
+        let (code, _, err) = folder.run(&["--quiet"]);
+        let said = "but the graph's are elsewhere; give one of them, or add it to frames in [graph]";
+        assert!(code == 3 && err.contains("node \"liar\", item 0") && err.contains(said), "port {port}: {err}");
+    }
 }
 
 #[test]

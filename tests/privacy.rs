@@ -27,8 +27,8 @@ fn element(out: &mut Vec<u8>, tag: u32, vr: &str, value: &[u8]) {
     out.extend(value);
 }
 
-/// One layer of a rod of 10 mm, in a field of 32 x 32 pixels of 1 mm.
-fn layer(k: usize) -> Vec<u8> {
+/// One layer of a rod of 10 mm, in a field of 32 x 32 pixels of 1 mm; further elements replace those of their tags.
+pub(crate) fn layer(k: usize, more: &[(u32, &'static str, &str)]) -> Vec<u8> {
     let cells: Vec<u8> = (0..32 * 32_i32)
         .flat_map(|i| {
             let (x, y) = (f64::from(i % 32) - 15.5, f64::from(i / 32) - 15.5);
@@ -41,7 +41,7 @@ fn layer(k: usize) -> Vec<u8> {
     bytes.extend(b"DICM");
     element(&mut bytes, 0x0002_0010, "UI", b"1.2.840.10008.1.2.1");
     let short = |v: u16| v.to_le_bytes().to_vec();
-    for (tag, vr, value) in [
+    let mut elements = vec![
         (0x0008_0016, "UI", b"1.2.840.10008.5.1.4.1.1.2".to_vec()),
         (0x0008_0060, "CS", b"CT".to_vec()),
         (0x0008_0080, "LO", b"ST. ELSEWHERE".to_vec()),
@@ -66,9 +66,11 @@ fn layer(k: usize) -> Vec<u8> {
         (0x0028_1053, "DS", b"1".to_vec()),
         (0x0028_1054, "LO", b"HU".to_vec()),
         (0x7fe0_0010, "OW", cells),
-    ] {
-        element(&mut bytes, tag, vr, &value);
-    }
+    ];
+    elements.retain(|(tag, ..)| more.iter().all(|(other, ..)| other != tag));
+    elements.extend(more.iter().map(|(tag, vr, text)| (*tag, *vr, text.as_bytes().to_vec())));
+    elements.sort_by_key(|(tag, ..)| *tag);
+    elements.iter().for_each(|(tag, vr, value)| element(&mut bytes, *tag, vr, value));
     bytes
 }
 
@@ -88,7 +90,7 @@ fn without_packed(text: &str) -> String {
 fn run_on_series(dir: &Path, out: &Path, sets: &[&str]) -> String {
     let series = dir.join("DOE_JOHN_4711").join("ct");
     fs::create_dir_all(&series).unwrap();
-    (0..30).for_each(|k| fs::write(series.join(format!("{k}.dcm")), layer(k)).unwrap());
+    (0..30).for_each(|k| fs::write(series.join(format!("{k}.dcm")), layer(k, &[])).unwrap());
     let graph = dir.join("graphs").join("ct.toml");
     fs::create_dir_all(graph.parent().unwrap()).unwrap();
     fs::write(

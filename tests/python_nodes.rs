@@ -679,3 +679,75 @@ fn arrays_and_texts_that_are_no_payload_are_refused_by_their_cause() {
         assert!(code == Some(3) && text.contains(expected) && text.len() < 100_000, "{answer}: {code:?} {text:.2000}");
     }
 }
+
+#[test]
+fn a_frame_that_a_plugin_gives_is_one_of_the_graph_and_the_declared_one() {
+    let node = "import numpy as np\nfrom typing import Annotated\nfrom osteoflow_node import Cloud, Pose, node, port, source\n\
+                GOOD = np.arange(30.0).reshape(10, 3)\n\n\n\
+                @source(\"p.src\", output=\"cloud\")\ndef src() -> Cloud:\n    \"\"\"One cloud.\"\"\"\n    yield 0, Cloud(\"SOURCE\", GOOD)\n\n\n\
+                @node(\"p.f\", output=\"out\")\ndef f(cloud: Cloud) -> TYPE:\n    \"\"\"An answer.\"\"\"\n    return ANSWER\n";
+    let graph = "plugins = [\"p.py\"]\n[graph]\nformat = 1\nFRAMES\n[node.src]\nkind = \"p.src\"\n[node.f]\nkind = \"p.f\"\n\
+                 in = { cloud = \"src.cloud\" }\n[results]\nc = \"f.out\"\n";
+    let Some(folder) = Folder::new("the frames of a plugin", &[]) else { return };
+    let declared = "Annotated[Cloud, port(\"A cloud.\", frame=\"@camera\")]";
+    let (cloud, pose) = ("Cloud", "Pose");
+    let listed = "frames = [\"camera\", \"ct\"]";
+    let of_graph = "but the graph's are camera, ct; give one of them, or add it to frames in [graph]";
+    for (frames, source, of_type, answer, said) in [
+        (
+            listed,
+            "camera",
+            cloud,
+            "Cloud(\"nowhere\", GOOD)",
+            Some(("f", format!("output out has frame \"nowhere\", {of_graph}"))),
+        ),
+        (
+            listed,
+            "camera",
+            pose,
+            "Pose(\"ct\", \"nowhere\", np.eye(4))",
+            Some(("f", format!("output out has frame \"nowhere\", {of_graph}"))),
+        ),
+        (listed, "away", cloud, "cloud", Some(("src", format!("output cloud has frame \"away\", {of_graph}")))),
+        (
+            "",
+            "camera",
+            declared,
+            "Cloud(\"nowhere\", GOOD)",
+            Some(("f", "output out has frame \"nowhere\", but the graph expects \"camera\"".into())),
+        ),
+        (listed, "camera", cloud, "Cloud(\"ct\", GOOD)", None),
+        (listed, "camera", pose, "Pose(\"ct\", cloud.frame, np.eye(4))", None),
+        ("", "anything", cloud, "Cloud(\"nowhere\", GOOD)", None),
+        ("", "anything", declared, "Cloud(\"camera\", GOOD)", None),
+    ] {
+        folder.write("p.py", &node.replace("SOURCE", source).replace("TYPE", of_type).replace("ANSWER", answer));
+        folder.write("g.toml", &graph.replace("FRAMES", frames));
+        let (code, text) = folder.says(&["run", "g.toml", "--out", "r", "--force"]);
+        match said {
+            Some((node, said)) => {
+                let is_said = text.contains(&format!("node \"{node}\"")) && text.contains(&said);
+                assert!(code == Some(3) && is_said, "{answer}: {code:?} {text:.2000}");
+            }
+            None => assert_eq!(code, Some(0), "{frames}, {answer}: {text:.2000}"),
+        }
+    }
+}
+
+#[test]
+fn a_column_of_a_million_values_is_a_number_and_a_digest_in_results_and_rows() {
+    let node = "import numpy as np\nfrom osteoflow_node import column, payload, source\n\n\n@payload(\"mine/Values\")\nclass Values:\n    \
+                \"\"\"A column.\"\"\"\n    values: np.ndarray = column(\"f64\", 1, unit=\"mm\")\n\n\n@source(\"p.src\", output=\"values\")\n\
+                def src() -> Values:\n    \"\"\"A million values.\"\"\"\n    yield 0, Values(np.random.default_rng(1).normal(size=1_000_000))\n";
+    let graph = "plugins = [\"p.py\"]\n[graph]\nformat = 1\n[node.src]\nkind = \"p.src\"\n[results]\nv = \"src.values\"\n[sweep]\nrepeat = 1\n";
+    let Some(folder) = Folder::new("a column of a million values", &[("p.py", node), ("g.toml", graph)]) else {
+        return;
+    };
+    for (command, file) in [("run", "results.json"), ("sweep", "runs/000000.json")] {
+        let (code, text) = folder.says(&[command, "g.toml", "--out", command]);
+        assert_eq!(code, Some(0), "{text}");
+        let written = fs::read_to_string(folder.path(command).join(file)).unwrap();
+        println!("{file}: {} bytes", written.len());
+        assert!(written.len() < 1000 && written.contains("1000000") && written.contains("sha256"), "{written:.2000}");
+    }
+}

@@ -1,11 +1,13 @@
 //! Everything that the page's server answers or takes, tried by each role, from each origin; and what a stranger sends there.
 
-use crate::common::browser::Browser;
-use crate::common::served::Served;
+use crate::common::{browser::Browser, osteoflow, served::Served};
+use crate::privacy::layer;
 use crate::viewer_steering::Bench;
+use osteoflow_container::{MessageHeader, WriteOptions, Writer};
 use osteoflow_viewer::{Door, Role};
 use serde_json::{Value, json};
 use std::{
+    collections::BTreeMap,
     fs,
     io::{Read, Write},
     net::TcpStream,
@@ -417,10 +419,115 @@ fn names_from_files_are_text_on_the_page_and_a_page_that_may_less_says_so() {
         };
         assert_eq!(enabled(&mut browser, "field-icp.max_iterations"), fields);
         assert_eq!(enabled(&mut browser, "write"), write);
+        // A free text may be a path.
+        let states = "[...document.querySelectorAll('[id^=\"field-\"]')].map((f) => [f.id, f.type, f.disabled])";
+        let states = browser.evaluate(states);
+        let (mut n_texts, mut n_others) = (0, 0);
+        for state in states.as_array().unwrap() {
+            let is_text = state[1] == "text";
+            assert_eq!(state[2], json!(!write && !(fields && !is_text)), "{page}: {state}");
+            *if is_text { &mut n_texts } else { &mut n_others } += 1;
+        }
+        // Who may see only has no fields.
+        assert_eq!((n_texts > 0, n_others > 10), (fields, fields), "{page}: {states}");
         assert_eq!(browser.evaluate("!document.getElementById('draw').hidden"), json!(write));
         let reply = browser.evaluate("document.getElementById('role').textContent");
         let reply = reply.as_str().unwrap();
         assert!(reply.contains(sentence) && reply.is_empty() == sentence.is_empty(), "{reply}");
         assert_eq!(browser.evaluate("document.getElementById('role').hidden"), json!(sentence.is_empty()));
     }
+}
+
+/// Another one, which would end an attribute or a script.
+const CLOSES: &str = "\"></script><script>window.struck=1</script>";
+
+/// Writes a recording of transforms whose topics, schemas and frames are scripts.
+fn bag(path: &std::path::Path) {
+    let mut writer = Writer::new(fs::File::create(path).unwrap(), WriteOptions::default()).unwrap();
+    let transform = |parent: &str, child: &str| {
+        json!({
+            "timestamp": { "sec": 1_767_225_600, "nsec": 0 }, "parent_frame_id": parent, "child_frame_id": child,
+            "translation": { "x": 0.1, "y": 0.0, "z": 0.0 }, "rotation": { "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 },
+        })
+    };
+    for (topic, schema, encoding, data) in [
+        (SCRIPT, "foxglove.FrameTransform", "json", transform("world", SCRIPT)),
+        ("/closes", "foxglove.FrameTransform", "json", transform("world", CLOSES)),
+        (CLOSES, CLOSES, "json", json!({})),
+        (&format!("/exact/{SCRIPT}"), SCRIPT, "osteoflow", json!({})),
+        (&format!("/view/{SCRIPT}"), "foxglove.FrameTransform", "json", transform(SCRIPT, CLOSES)),
+    ] {
+        let schema = writer.add_schema(schema, "jsonschema", b"{}").unwrap();
+        let channel = writer.add_channel(schema, topic, encoding, &BTreeMap::new()).unwrap();
+        let (log_time, publish_time) = (1_767_225_600_000_000_000, 1_767_225_600_000_000_000);
+        let header = MessageHeader { channel_id: channel, sequence: 0, log_time, publish_time };
+        writer.write_message(header, data.to_string().into_bytes().into()).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// Nothing ran, nothing became an element, and the page has complained of nothing.
+fn is_harmless(browser: &mut Browser, what: &str) {
+    let harm = "[window.struck === undefined, document.querySelectorAll('img[onerror], [src=x], iframe').length, \
+                [...document.scripts].filter((s) => s.textContent === 'window.struck=1').length]";
+    assert_eq!(browser.evaluate(harm), json!([true, 0, 0]), "{what}");
+    let thrown = browser.events.iter().find(|event| event["method"] == "Runtime.exceptionThrown");
+    assert!(thrown.is_none(), "{what}: {thrown:?}");
+}
+
+#[test]
+fn names_in_recordings_and_texts_in_dicom_are_text_for_view_report_and_info() {
+    let Some(mut browser) = Browser::start("names_in_recordings_and_texts_in_dicom_are_text") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let says = |arguments: &[&str]| {
+        let output = osteoflow().current_dir(dir.path()).args(arguments).output().unwrap();
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.success(), String::from_utf8(text).unwrap())
+    };
+    bag(&path("bag.mcap"));
+    // The channels of a recording, on the page of view.
+    let served = Served::start(&["view", path("bag.mcap").to_str().unwrap()]);
+    browser.events.clear();
+    browser.call("Page.navigate", json!({ "url": served.page }));
+    browser.wait_until(&format!("typeof osteoflow === 'object' && document.body.textContent.includes({SCRIPT:?})"));
+    is_harmless(&mut browser, "view of a recording");
+    drop(served);
+    // Topics and frames of the graph that reads it, in the report of its run.
+    let graph = format!(
+        "[graph]\nformat = 1\nname = {SCRIPT:?}\n[node.bag]\nkind = \"acquire.mcap\"\npath = \"bag.mcap\"\n\
+         out.a = {{ type = \"geometry/Pose\", topic = {SCRIPT:?}, to = \"world\", from = {SCRIPT:?} }}\n\
+         out.b = {{ type = \"geometry/Pose\", topic = \"/closes\", to = \"world\", from = {CLOSES:?} }}\n\
+         [results]\na = \"bag.a\"\nb = \"bag.b\"\n"
+    );
+    fs::write(path("g.toml"), graph).unwrap();
+    let (is_done, said) = says(&["run", "g.toml", "--out", "r"]);
+    assert!(is_done, "{said}");
+    let (is_done, said) = says(&["report", "r"]);
+    assert!(is_done, "{said}");
+    browser.open(&path("r/report.html"));
+    let shown = browser.evaluate("document.body.textContent");
+    let shown = shown.as_str().unwrap();
+    assert!(shown.contains(SCRIPT) && shown.contains(CLOSES), "the report shows the names");
+    is_harmless(&mut browser, "report of a run on a recording");
+    // A series whose texts are scripts.
+    let texts = [0x0008_0080, 0x0008_1030, 0x0008_103e, 0x0010_0020, 0x0018_1030].map(|tag| (tag, "LO", SCRIPT));
+    let texts = [&texts[..], &[(0x0010_0010, "PN", CLOSES), (0x0008_1010, "SH", CLOSES)]].concat();
+    fs::create_dir(path("ct")).unwrap();
+    (0..30).for_each(|k| fs::write(path("ct").join(format!("{k}.dcm")), layer(k, &texts)).unwrap());
+    let (is_done, said) = says(&["info", "ct"]);
+    assert!(is_done && !said.contains(CLOSES), "a patient's name is nobody's: {said}");
+    let graph = "[graph]\nformat = 1\n[node.bone]\nkind = \"surface.ct\"\npath = \"ct\"\nthreshold_hu = 600\n\
+                 [record]\nwires = [\"bone.*\"]\n[results]\nct = \"bone.report\"\n";
+    fs::write(path("ct.toml"), graph).unwrap();
+    let served = Served::start(&["view", path("ct.toml").to_str().unwrap(), "--out", path("c").to_str().unwrap()]);
+    browser.events.clear();
+    browser.call("Page.navigate", json!({ "url": served.page }));
+    browser.wait_until("typeof osteoflow === 'object' && osteoflow.state.state === 'complete'");
+    is_harmless(&mut browser, "view of a series");
+    drop(served);
+    let (is_done, said) = says(&["report", "c"]);
+    assert!(is_done, "{said}");
+    browser.open(&path("c/report.html"));
+    is_harmless(&mut browser, "report of a series");
 }

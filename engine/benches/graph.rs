@@ -66,6 +66,7 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
         require: Require::default(),
         input_files: Vec::new(),
         plugins: Vec::new(),
+        frames: Vec::new(),
         resolved: String::new(),
         recording: RecordSettings::default(),
     }

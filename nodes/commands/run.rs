@@ -143,7 +143,7 @@ impl Run {
         let progress = Progress::of_run(plan, options.workers, global);
         let (of_run, folder) = (global.clone(), dir.to_path_buf());
         let ran = running::watch(progress, cancelled, move |progress| {
-            let shown = running::WithSilence { progress, is_quiet: of_run.quiet };
+            let shown = running::WithUrgent { progress, is_quiet: of_run.quiet };
             let report = run(graph.plan(), graph.registry(), &options, &shown).map_err(run_error)?;
             progress.end();
             if let Some(serving) = &mut serving {

@@ -17,6 +17,7 @@ impl<'a> Fields<'a> {
         self.at
     }
 
+    #[inline]
     pub(super) fn take(&mut self, n: u64) -> Result<&'a [u8], String> {
         let left = self.bytes.len() - self.at;
         if n > left as u64 {
@@ -27,6 +28,7 @@ impl<'a> Fields<'a> {
         Ok(field)
     }
 
+    #[inline]
     fn array<const N: usize>(&mut self) -> Result<[u8; N], String> {
         Ok(self.take(N as u64)?.try_into().expect("as many bytes were taken"))
     }

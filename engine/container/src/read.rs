@@ -544,7 +544,8 @@ fn check_records(chunk: &[u8], known: &Descriptions) -> Result<ChunkDescriptions
     Ok(of_chunk)
 }
 
-fn visit_chunk(location: Location, header: ChunkHeader, chunk: &[u8], visitor: &mut impl Visitor) -> ControlFlow<()> {
+/// Compiled here, whatever the visitor: other crates are compiled for their size.
+fn visit_chunk(location: Location, header: ChunkHeader, chunk: &[u8], visitor: &mut dyn Visitor) -> ControlFlow<()> {
     visitor.record(location, Record::Chunk(header))?;
     for (at, opcode, content) in records(chunk).filter_map(Result::ok) {
         if let Ok(record) = record::parse(opcode, content) {

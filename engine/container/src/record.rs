@@ -182,8 +182,25 @@ pub struct Statistics {
     pub by_channel: BTreeMap<u16, u64>,
 }
 
+/// Inlined, as are the fields: a chunk can hold 34 million messages.
+#[inline]
+fn message(body: &[u8]) -> Result<Message<'_>, String> {
+    let mut fields = Fields::new(body);
+    let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
+    let (log_time, publish_time) = (fields.u64()?, fields.u64()?);
+    Ok(Message { channel_id, sequence, log_time, publish_time, data: fields.rest() })
+}
+
 /// Parses a record other than a chunk, and checks the CRC of an attachment.
+#[inline]
 pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, Cause> {
+    match opcode {
+        op::MESSAGE => message(body).map(Record::Message).map_err(Cause::malformed(op::name(opcode))),
+        _ => parse_other(opcode, body),
+    }
+}
+
+fn parse_other(opcode: u8, body: &[u8]) -> Result<Record<'_>, Cause> {
     let record = parse_fields(opcode, body).map_err(Cause::malformed(op::name(opcode)))?;
     if let (Record::Attachment(_), Some((checked, stored))) = (&record, body.split_last_chunk()) {
         check_crc("the attachment", u32::from_le_bytes(*stored), crc32fast::hash(checked))?;
@@ -219,11 +236,7 @@ fn parse_fields(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
             fields.end()?;
             Record::Channel(Channel { id, schema_id, topic, message_encoding, metadata })
         }
-        op::MESSAGE => {
-            let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
-            let (log_time, publish_time) = (fields.u64()?, fields.u64()?);
-            Record::Message(Message { channel_id, sequence, log_time, publish_time, data: fields.rest() })
-        }
+        op::MESSAGE => Record::Message(message(body)?),
         op::MESSAGE_INDEX => {
             let channel_id = fields.u16()?;
             let mut entries = Fields::new(fields.entries()?);

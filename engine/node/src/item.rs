@@ -70,6 +70,17 @@ pub enum Slot {
     Absent(Arc<Empty>),
 }
 
+impl Slot {
+    /// The items that the port brought.
+    pub fn items(&self) -> &[Item] {
+        match self {
+            Self::Item(item) => std::slice::from_ref(item),
+            Self::Items(items) => items,
+            Self::Absent(_) => &[],
+        }
+    }
+}
+
 /// The inputs of a firing, in the order of the declared ports. The node borrows them, so the items survive a firing that
 /// fails.
 #[derive(Debug, Default)]

@@ -5,7 +5,7 @@ mod loads;
 pub use loads::{LoadedFile, Loads, variable};
 
 use osteoflow_container::Compression;
-use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role};
+use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role, View};
 use serde::{Deserialize, Serialize, Serializer};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -39,6 +39,8 @@ pub struct Plan {
     pub input_files: Vec<PathBuf>,
     /// The plugins that the graph names, and other plugins whose kinds it uses.
     pub plugins: Vec<PlanPlugin>,
+    /// The frames that the graph may name; any if there are none.
+    pub frames: Vec<String>,
     /// The resolved graph as the text of a graph file: after `extends`, `--set` and defaults, with absolute paths.
     pub resolved: String,
 }
@@ -185,6 +187,34 @@ pub struct PortFrames {
     pub to: Option<String>,
     /// The `from` frame of a pose: the frame of the coordinates it takes.
     pub from: Option<String>,
+}
+
+/// A frame of a value that the graph expects otherwise.
+#[derive(Debug)]
+pub struct FrameDifference {
+    /// `frame`, `to` or `from`.
+    pub key: &'static str,
+    /// The frame of the value.
+    pub found: String,
+    /// The frame in the graph.
+    pub expected: String,
+}
+
+impl PortFrames {
+    /// The first frame of a value that differs, as far as they are known.
+    pub fn difference(&self, value: &View) -> Option<FrameDifference> {
+        let keys = [("frame", &self.frame), ("to", &self.to), ("from", &self.from)];
+        keys.into_iter().find_map(|(key, expected)| {
+            let (expected, found) = (expected.as_ref()?, value.shared_text(key).ok()?);
+            let differs = *found != **expected;
+            differs.then(|| FrameDifference { key, found: found.to_string(), expected: expected.clone() })
+        })
+    }
+
+    /// Whether a frame is among them.
+    pub(crate) fn has(&self, frame: &str) -> bool {
+        [&self.frame, &self.to, &self.from].into_iter().flatten().any(|known| known == frame)
+    }
 }
 
 /// An output of a node, by index: the wire `node.port`.

@@ -41,8 +41,8 @@ pub enum Event<'a> {
     },
     /// The node warned.
     Warned(&'a Warning),
-    /// A live source is silent now; the warning that says so has been given as well.
-    Silent(&'a Warning),
+    /// A live source is silent now, or its stamps jump; the warning that says so has been given as well.
+    Urgent(&'a Warning),
     /// The node failed.
     Failed(&'a Refusal),
     /// The node will not fire again.

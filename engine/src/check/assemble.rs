@@ -123,6 +123,7 @@ impl Net<'_> {
             require: self.results.require,
             input_files,
             plugins: self.plugins.clone(),
+            frames: self.header.frames.iter().flat_map(|(names, _)| names.clone()).collect(),
             resolved: resolved::text(self),
         }
     }

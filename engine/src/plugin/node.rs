@@ -189,12 +189,7 @@ impl PluginNode {
     /// Fills the argument lists with the joined items.
     fn fill_arguments(&mut self, joined: &Joined) {
         for (port, brought) in joined.slots.iter().enumerate() {
-            let items = match brought {
-                Slot::Item(item) => std::slice::from_ref(item),
-                Slot::Items(items) => items.as_slice(),
-                Slot::Absent(_) => &[],
-            };
-            for item in items {
+            for item in brought.items() {
                 if let Body::Value(value) = &item.body {
                     match self.constants.get_mut(port) {
                         Some(Some(Constant(known))) => {

@@ -21,9 +21,12 @@ pub(crate) struct Container {
     n_by_channel: BTreeMap<u16, u64>,
     n_attachments: u32,
     n_metadata: u32,
-    chunks: BTreeMap<u64, Chunk>,
+    chunks: BTreeMap<u64, ChunkHeader>,
     /// Offset of the chunk whose records are being read.
     open: Option<u64>,
+    /// Earliest and latest log time of its messages, and their number by channel.
+    times: Option<(u64, u64)>,
+    n_in_chunk: BTreeMap<u16, u64>,
     /// Number of messages by channel in the message indexes of the current chunk.
     indexed: BTreeMap<u16, u64>,
     damaged: bool,
@@ -38,16 +41,9 @@ pub(crate) struct Container {
     n_chunk_indexes: u64,
 }
 
-struct Chunk {
-    head: ChunkHeader,
-    /// Earliest and latest log time of its messages.
-    times: Option<(u64, u64)>,
-    n_by_channel: BTreeMap<u16, u64>,
-}
-
 impl Container {
     pub(crate) fn n_messages(&self) -> u64 {
-        self.n_by_channel.values().sum()
+        self.n_by_channel.values().chain(self.n_in_chunk.values()).sum()
     }
 
     pub(crate) fn n_chunks(&self) -> u64 {
@@ -90,16 +86,15 @@ impl Container {
                 }
             }
             Record::Message(message) => {
-                *self.n_by_channel.entry(message.channel_id).or_default() += 1;
-                if !self.channels.contains_key(&message.channel_id) {
-                    wrong(format!("a message of channel {}, which is not described before it", message.channel_id));
+                let (id, time) = (message.channel_id, message.log_time);
+                let of_chunk = place.in_chunk.is_some();
+                let n = if of_chunk { &mut self.n_in_chunk } else { &mut self.n_by_channel }.entry(id).or_default();
+                *n += 1;
+                if *n == 1 && !self.channels.contains_key(&id) {
+                    wrong(format!("a message of channel {id}, which is not described before it"));
                 }
-                if let Some(chunk) =
-                    self.open.filter(|_| place.in_chunk.is_some()).and_then(|at| self.chunks.get_mut(&at))
-                {
-                    let time = message.log_time;
-                    chunk.times = Some(chunk.times.map_or((time, time), |(a, b)| (a.min(time), b.max(time))));
-                    *chunk.n_by_channel.entry(message.channel_id).or_default() += 1;
+                if of_chunk {
+                    self.times = Some(self.times.map_or((time, time), |(a, b)| (a.min(time), b.max(time))));
                 }
             }
             _ => {}
@@ -122,8 +117,7 @@ impl Container {
             }
             Record::Chunk(head) => {
                 self.close_chunk(findings);
-                let chunk = Chunk { head: head.clone(), times: None, n_by_channel: BTreeMap::new() };
-                self.chunks.insert(place.offset, chunk);
+                self.chunks.insert(place.offset, head.clone());
                 self.open = Some(place.offset);
                 return;
             }
@@ -170,14 +164,13 @@ impl Container {
 
     fn message_index(&mut self, place: Location, channel: u16, entries: &[(u64, u64)], findings: &mut Findings) {
         let mut wrong = |what: String| findings.add("index", Finding::new(place, what));
-        let Some(chunk) = self.open.and_then(|at| self.chunks.get(&at)) else {
+        let Some(head) = self.open.and_then(|at| self.chunks.get(&at)) else {
             if !self.damaged {
                 wrong(format!("an index of channel {channel} follows no chunk"));
             }
             return;
         };
-        let outside =
-            entries.iter().find(|(_, offset)| offset.saturating_add(MESSAGE_HEADER_BYTES) > chunk.head.n_unpacked);
+        let outside = entries.iter().find(|(_, offset)| offset.saturating_add(MESSAGE_HEADER_BYTES) > head.n_unpacked);
         if let Some((_, offset)) = outside {
             wrong(format!("an index of channel {channel} points at byte {offset} of its chunk, beyond its end"));
         }
@@ -185,13 +178,16 @@ impl Container {
 
     /// Compares a chunk with its header and its message indexes.
     fn close_chunk(&mut self, findings: &mut Findings) {
-        let indexed = std::mem::take(&mut self.indexed);
+        let (indexed, counts) = (std::mem::take(&mut self.indexed), std::mem::take(&mut self.n_in_chunk));
+        for (id, n) in &counts {
+            *self.n_by_channel.entry(*id).or_default() += n;
+        }
+        let times = self.times.take();
         let Some(at) = self.open.take() else { return };
-        let Some(chunk) = self.chunks.get_mut(&at) else { return };
+        let Some(head) = self.chunks.get(&at) else { return };
         let place = Location { offset: at, in_chunk: None };
-        let (head, counts) = (&chunk.head, std::mem::take(&mut chunk.n_by_channel));
         let stored = (head.start_time, head.end_time);
-        if let Some(times) = chunk.times.filter(|times| *times != stored) {
+        if let Some(times) = times.filter(|times| *times != stored) {
             let what = format!(
                 "the chunk claims log times from {} to {}, its messages have {} to {}",
                 stored.0, stored.1, times.0, times.1
@@ -206,13 +202,12 @@ impl Container {
 
     fn chunk_index(&mut self, place: Location, index: &ChunkIndex, findings: &mut Findings) {
         let mut wrong = |what: String| findings.add("index", Finding::new(place, what));
-        let Some(chunk) = self.chunks.get(&index.offset) else {
+        let Some(head) = self.chunks.get(&index.offset) else {
             if !self.damaged {
                 wrong(format!("the summary names a chunk at byte {}, where none begins", index.offset));
             }
             return;
         };
-        let head = &chunk.head;
         let stored = (index.start_time, index.end_time, index.length, index.n_packed, index.n_unpacked);
         let found = (head.start_time, head.end_time, head.n_record, head.n_packed, head.n_unpacked);
         if stored != found || index.compression != head.compression {

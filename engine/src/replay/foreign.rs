@@ -1,16 +1,14 @@
 //! Plays the topics of another program's recording into a graph: the sources that they stand for become readers of the file.
 
 use super::{
-    Mapping, ReplayError, ReplayOptions, ReplayReport, TopicReader, WireComparison, WirePart,
-    map::{FrameDifference, listed},
-    select,
+    Mapping, ReplayError, ReplayOptions, ReplayReport, TopicReader, WireComparison, WirePart, map::listed, select,
 };
 use crate::{
     check::{Checked, check_recorded, check_text},
     graph::grammar,
     options::RunOptions,
     panics,
-    plan::{OutputId, Plan, PlanNode, PlanOutput},
+    plan::{FrameDifference, OutputId, Plan, PlanNode, PlanOutput},
     plugin::Kinds,
     recording::{
         format::{RunRecord, Topic},
@@ -201,7 +199,7 @@ fn other_frame(plan: &Plan, node: usize, registry: &Registry) -> Option<(String,
         for (port, emission) in out.iter().enumerate() {
             let Emission::Value(value) = emission else { continue };
             if let Some(difference) =
-                waiting.remove(&port).then(|| FrameDifference::of(&value.to_view(), &of.outputs[port].frames))
+                waiting.remove(&port).then(|| of.outputs[port].frames.difference(&value.to_view()))
                 && let Some(difference) = difference
             {
                 return Some((plan.wire_name(OutputId { node, port }), difference));

@@ -2,10 +2,10 @@
 
 use super::ReplayError;
 use crate::{
-    plan::{OutputId, Plan, PlanOutput, PortFrames},
+    plan::{FrameDifference, OutputId, Plan, PlanOutput, PortFrames},
     recording::{RecordedWire, Recording, codec},
 };
-use osteoflow_node::{Role, View};
+use osteoflow_node::Role;
 use std::{collections::BTreeMap, fmt, str::FromStr};
 
 /// Plays a recorded wire, or a topic of another program's recording, as a wire of the graph: `NODE.PORT=TOPIC`.
@@ -84,7 +84,7 @@ pub(super) fn apply(recording: &mut Recording, plan: &Plan, maps: &[Mapping]) ->
         if !wire.is_of(output.payload) {
             return Err(unfit(format!("{name} was recorded with {}", wire.payload)));
         }
-        if let Some(FrameDifference { key, found, expected }) = FrameDifference::of_wire(wire, &output.frames) {
+        if let Some(FrameDifference { key, found, expected }) = difference(wire, &output.frames) {
             let (port, file) = (&map.port, recording.path.display());
             return Err(ReplayError::Unfit(format!(
                 "{map}: {key} is \"{found}\" in {file}, but \"{expected}\" on {port} of the graph; change it in the graph, or \
@@ -99,28 +99,10 @@ pub(super) fn apply(recording: &mut Recording, plan: &Plan, maps: &[Mapping]) ->
     Ok(())
 }
 
-/// A frame of a value that the graph expects otherwise.
-pub(super) struct FrameDifference {
-    pub(super) key: &'static str,
-    pub(super) found: String,
-    pub(super) expected: String,
-}
-
-impl FrameDifference {
-    /// The first one of a value, as far as the graph knows its frames.
-    pub(super) fn of(value: &View, expected: &PortFrames) -> Option<Self> {
-        let keys = [("frame", &expected.frame), ("to", &expected.to), ("from", &expected.from)];
-        keys.into_iter().find_map(|(key, expected)| {
-            let (expected, found) = (expected.as_ref()?, value.shared_text(key).ok()?);
-            (*found != **expected).then(|| Self { key, found: found.to_string(), expected: expected.clone() })
-        })
-    }
-
-    /// That of a wire's first value.
-    fn of_wire(wire: &RecordedWire, expected: &PortFrames) -> Option<Self> {
-        let items = wire.messages.iter().filter_map(|bytes| codec::decode(bytes).ok());
-        Self::of(&items.filter_map(|item| item.body.ok()).next()?, expected)
-    }
+/// The first frame of a wire's first value that the graph expects otherwise.
+fn difference(wire: &RecordedWire, expected: &PortFrames) -> Option<FrameDifference> {
+    let items = wire.messages.iter().filter_map(|bytes| codec::decode(bytes).ok());
+    expected.difference(&items.filter_map(|item| item.body.ok()).next()?)
 }
 
 #[cfg(test)]

@@ -264,7 +264,7 @@ struct StopAtSilence(Arc<AtomicBool>);
 
 impl Observer for StopAtSilence {
     fn event(&self, event: &Event<'_>) {
-        if let Event::Silent(warning) = event
+        if let Event::Urgent(warning) = event
             && warning.item == 1
         {
             assert_eq!(warning.node, "scan");

@@ -115,15 +115,15 @@ pub(crate) fn on_interrupt(act: impl Fn() + Send + 'static) -> Result<()> {
     ctrlc::set_handler(handler).context("the handler of Ctrl-C cannot be installed")
 }
 
-/// Shows the progress of a run, and on stderr at once that a live source is silent.
-pub(crate) struct WithSilence<'a> {
+/// Shows the progress of a run, and on stderr at once what is urgent of a live source.
+pub(crate) struct WithUrgent<'a> {
     pub(crate) progress: &'a Progress,
     pub(crate) is_quiet: bool,
 }
 
-impl Observer for WithSilence<'_> {
+impl Observer for WithUrgent<'_> {
     fn event(&self, event: &Event<'_>) {
-        if let (Event::Silent(warning), false) = (event, self.is_quiet) {
+        if let (Event::Urgent(warning), false) = (event, self.is_quiet) {
             self.progress.println(&format!("node \"{}\": {}", warning.node, warning.message));
         }
         self.progress.event(event);

@@ -17,14 +17,14 @@ use crate::{
     join::{Activation, Joiner, Step},
     outcome::discard,
     panics,
-    plan::{OnError, Plan},
+    plan::{FrameDifference, OnError, Plan, PortFrames},
     report::{Event, Failure, NodeStats, Warning},
     runtime::{CpuClock, Runtime},
     scheduler::{Stepped, Turn},
     tap::Failed,
 };
 use live::LiveCore;
-use osteoflow_node::{AnyNode, AnySource, Body, Built, Context, Emission, Empty, NodeError, StampNs};
+use osteoflow_node::{AnyNode, AnySource, Body, Built, Context, Emission, Empty, NodeError, Slot, StampNs, View};
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -123,6 +123,13 @@ enum Phase {
     /// The node has ended and discards what still arrives, so that no producer blocks.
     Draining,
     Done,
+}
+
+/// The frames of a payload that has one, or two as a pose.
+fn frames_of(view: &View) -> impl Iterator<Item = Arc<str>> {
+    let text = |field| view.shared_text(field).ok();
+    let (to, from) = text("to").zip(text("from")).unzip();
+    [text("frame"), to, from].into_iter().flatten()
 }
 
 impl Cell {
@@ -527,13 +534,35 @@ impl Cell {
         for (output, emission) in self.outputs.iter().zip(&self.emissions) {
             // Late items of a live source are handled where they are sent.
             let floor = if self.is_live() { StampNs::MIN } else { output.floor };
+            let planned = &run.plan.nodes[output.id.node].outputs[output.id.port];
             let fault = emission_fault(&output.payload, floor, emission, is_source, stamp_ns);
-            if let Some(fault) = fault {
-                let name = &run.plan.nodes[output.id.node].outputs[output.id.port].name;
-                return Err(format!("output {name} {fault}"));
+            if let Some(fault) = fault.or_else(|| self.frame_fault(&planned.frames, emission, run.plan)) {
+                return Err(format!("output {} {fault}", planned.name));
             }
         }
         Ok(())
+    }
+
+    /// What is wrong with a frame that a plugin gives: the graph expects another, or lists its frames without it.
+    fn frame_fault(&self, expected: &PortFrames, emission: &Emission, plan: &Plan) -> Option<String> {
+        let Emission::Value(value) = emission else { return None };
+        plan.nodes[self.index].plugin.as_ref()?;
+        let view = value.to_view();
+        if let Some(FrameDifference { key, found, expected }) = expected.difference(&view) {
+            return Some(format!("has {key} \"{found}\", but the graph expects \"{expected}\"; give that frame"));
+        }
+        let came = |frame: &str| {
+            let Core::Node(_, joiner) = &self.core else { return false };
+            let mut values = joiner.joined().slots.iter().flat_map(Slot::items).filter_map(|item| item.body.value());
+            values.any(|value| frames_of(&value.to_view()).any(|came| *came == *frame))
+        };
+        let planned = |frame: &str| plan.all_outputs().any(|id| plan.nodes[id.node].outputs[id.port].frames.has(frame));
+        let unknown = |frame: &Arc<str>| !plan.frames.contains(&frame.to_string()) && !planned(frame) && !came(frame);
+        let frame = frames_of(&view).find(unknown).filter(|_| !plan.frames.is_empty())?;
+        let names = plan.frames.join(", ");
+        Some(format!(
+            "has frame \"{frame}\", but the graph's are {names}; give one of them, or add it to frames in [graph]"
+        ))
     }
 
     fn send_all(&mut self, stamp_ns: StampNs, run: &Runtime<'_>, turn: &mut Turn<'_>) -> Result<(), String> {

@@ -219,7 +219,7 @@ impl Server<'_, '_> {
                 let item = self.run.cell(device.node).n_items();
                 self.run.warn(device.node, item, vec![message.clone()]);
                 let node = self.run.plan.nodes[device.node].name.to_string();
-                self.run.event(&Event::Silent(&Warning { node, item, message }));
+                self.run.event(&Event::Urgent(&Warning { node, item, message }));
             }
         }
     }

@@ -9,7 +9,7 @@ use super::{
 use crate::{
     activity::{Doing, Name},
     plan::Plan,
-    report::{Failure, Warning},
+    report::{Event, Failure, Warning},
     runtime::Runtime,
     scheduler::Turn,
 };
@@ -150,8 +150,9 @@ impl Cell {
         run.warn(self.index, answer.item(), std::mem::take(&mut answer.warnings));
         self.item += u64::from(!answer.is_end());
         let Core::Live(live) = &mut self.core else { return };
-        for (item, note) in live.take(answer) {
-            run.warn(self.index, item, vec![note]);
+        for (item, message) in live.take(answer) {
+            run.event(&Event::Urgent(&Warning { node: self.context.node().into(), item, message: message.clone() }));
+            run.warn(self.index, item, vec![message]);
         }
     }
 

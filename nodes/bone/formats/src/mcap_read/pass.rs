@@ -34,7 +34,8 @@ pub(super) struct Pass<'a> {
     allow_truncated: bool,
     keep: &'a dyn Fn(&str) -> bool,
     schemas: BTreeMap<u16, Schema>,
-    channels: BTreeMap<u16, (Channel, Arc<str>)>,
+    /// Each with its encoding and whether its messages are wanted.
+    channels: BTreeMap<u16, (Channel, Arc<str>, bool)>,
     channel_order: Vec<u16>,
     n_by_channel: BTreeMap<u16, usize>,
     pending: Vec<PendingMessage>,
@@ -141,7 +142,7 @@ impl<'a> Pass<'a> {
         for (id, stated) in statistics.by_channel {
             let n_read = self.n_by_channel.get(&id).copied().unwrap_or(0);
             if stated != n_read as u64 {
-                let topic = self.channels.get(&id).map_or("unknown", |(channel, _)| &channel.topic);
+                let topic = self.channels.get(&id).map_or("unknown", |(channel, ..)| &channel.topic);
                 let note = format!("the summary counts {stated} messages of \"{topic}\", but {n_read} could be read");
                 self.recording.notes.push(note);
             }
@@ -153,7 +154,7 @@ impl<'a> Pass<'a> {
         *self.n_by_channel.entry(channel_id).or_default() += 1;
         let last = &mut self.recording.last_publish_time_ns;
         *last = (*last).max(Some(stamp(message.publish_time)));
-        if self.channels.get(&channel_id).is_some_and(|(channel, _)| !(self.keep)(&channel.topic)) {
+        if self.channels.get(&channel_id).is_some_and(|(.., is_wanted)| !is_wanted) {
             return ControlFlow::Continue(());
         }
         let taken = self.allowance.take(message.data.len());
@@ -181,7 +182,7 @@ impl<'a> Pass<'a> {
     fn finish(mut self) -> Result<Recording, McapError> {
         let mut n_unknown = 0;
         for message in std::mem::take(&mut self.pending) {
-            let Some((channel, message_encoding)) = self.channels.get(&message.channel_id) else {
+            let Some((channel, message_encoding, is_wanted)) = self.channels.get(&message.channel_id) else {
                 if !self.allow_truncated {
                     let (location, channel) = (message.location, message.channel_id);
                     let reason =
@@ -191,7 +192,7 @@ impl<'a> Pass<'a> {
                 n_unknown += 1;
                 continue;
             };
-            if !(self.keep)(&channel.topic) {
+            if !is_wanted {
                 continue;
             }
             let message = Message {
@@ -215,7 +216,7 @@ impl<'a> Pass<'a> {
                 .push(format!("{n_unknown} messages were left out: their channels are described in a damaged part"));
         }
         for id in &self.channel_order {
-            let (channel, _) = &self.channels[id];
+            let (channel, ..) = &self.channels[id];
             let schema = self.schemas.get(&channel.schema_id);
             let topic = Topic {
                 name: channel.topic.clone(),
@@ -240,7 +241,8 @@ impl Visitor for Pass<'_> {
                 let id = channel.id;
                 if let Entry::Vacant(vacant) = self.channels.entry(id) {
                     let message_encoding = channel.message_encoding.as_str().into();
-                    vacant.insert((channel, message_encoding));
+                    let is_wanted = (self.keep)(&channel.topic);
+                    vacant.insert((channel, message_encoding, is_wanted));
                     self.channel_order.push(id);
                 }
             }
