@@ -70,8 +70,22 @@ fn normal(
     Some(if normal.dot(&(camera - point)) < 0.0 { -normal } else { normal })
 }
 
+/// Points that spread across a line by less than this share of their spread along it are a trace: the plane through them is that of its
+/// curve, not that of the surface.
+const TRACE: f64 = 0.2;
+
 /// The unit normal of the plane fitted to the points; `None` for points on a line.
 pub(crate) fn plane_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
+    normal_across(points, 1e-9)
+}
+
+/// The unit normal of the plane fitted to points of a surface; `None` for those of a trace along a line.
+pub(crate) fn area_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
+    normal_across(points, TRACE * TRACE)
+}
+
+/// `None` where the variance across a line is no more than this share of that along it.
+fn normal_across(points: &[Point3<f64>], share: f64) -> Option<Vector3<f64>> {
     if points.len() < 3 {
         return None;
     }
@@ -80,7 +94,7 @@ pub(crate) fn plane_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
     let eigen = scatter.symmetric_eigen();
     let mut order = [0, 1, 2];
     order.sort_by(|&i, &j| eigen.eigenvalues[i].total_cmp(&eigen.eigenvalues[j]));
-    let flat = eigen.eigenvalues[order[1]] > 1e-9 * eigen.eigenvalues[order[2]];
+    let flat = eigen.eigenvalues[order[1]] > share * eigen.eigenvalues[order[2]];
     flat.then(|| eigen.eigenvectors.column(order[0]).normalize())
 }
 

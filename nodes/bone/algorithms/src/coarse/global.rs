@@ -20,10 +20,20 @@ use patches::patches;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::ops::ControlFlow;
 
-/// Minimum number of points that tell the shape of a scan.
-const MIN_POINTS: usize = 200;
+/// Minimum number of points that tell the shape of a scan: twice as many as a pose has unknowns, which a step needs.
+const MIN_POINTS: usize = 12;
+
+/// Of fewer distinct points than this, and of a trace along a line, the normals are not known.
+const MIN_WITH_NORMALS: usize = 200;
+
+/// Points closer together than this are one reading, mm.
+const DISTINCT_MM: f64 = 1.0;
+
+/// Standard deviations by which chance may lower the score of a wrong place of few points against another's.
+const CHANCE_SIGMAS: f64 = 3.1;
 
 /// Number of scan points by which every start is scored, by which the better ones are refined on the map, and by which the
 /// best are registered.
@@ -119,7 +129,7 @@ pub struct GlobalReport {
     /// The best distinct registration, if there is one.
     pub runner_up: Option<RunnerUp>,
     /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up. Surroundings, which count
-    /// at both, lower it.
+    /// at both, lower it, and so do fewer than 80 points, by as much as chance may.
     pub clearness: f64,
     /// Where the scan was looked for; null in reports of older versions.
     #[serde(default)]
@@ -190,6 +200,8 @@ struct Search<'a> {
     radius_mm: f64,
     camera: Option<Point3<f64>>,
     reach: Reach,
+    /// Number of points that are apart.
+    n_distinct: usize,
     few: Points,
     some: Points,
     registered: Vec<Point3<f64>>,
@@ -212,6 +224,7 @@ impl<'a> Search<'a> {
             radius_mm,
             camera,
             reach: Reach::new(radius_mm),
+            n_distinct: n_distinct(points),
             few: Points::thinned(points, N_SCORED, &middle, camera),
             some: Points::thinned(points, N_MAPPED, &middle, camera),
             registered: thinned(points, N_REGISTERED),
@@ -249,7 +262,8 @@ impl<'a> Search<'a> {
 
     /// Registrations from the best starts anywhere, and the number of all.
     fn anywhere(&self, source: &Cloud) -> (Vec<End>, usize) {
-        let shape = Shape::new(source.points(), &self.middle, self.camera);
+        let shape =
+            Shape::new(source.points(), &self.middle, self.camera).with_normals(self.n_distinct >= MIN_WITH_NORMALS);
         let (starts, n_tried) = Ground::new(self.target, shape.radius_mm).laid(&shape, &Effort::WHOLE);
         (self.settled(&starts, shape.radius_mm), n_tried)
     }
@@ -377,9 +391,22 @@ struct End {
 
 impl End {
     /// Margin over a rival; see [`GlobalReport`].
-    fn clearness(&self, rival: &Self) -> f64 {
-        1.0 - self.score_mm / rival.score_mm.max(f64::MIN_POSITIVE)
+    fn clearness(&self, rival: &Self, n_distinct: usize) -> f64 {
+        (1.0 - by_chance(n_distinct) * self.score_mm / rival.score_mm.max(f64::MIN_POSITIVE)).max(0.0)
     }
+}
+
+/// Number of cells that the points are in.
+fn n_distinct(points: &[Point3<f64>]) -> usize {
+    let cell = |p: &Point3<f64>| p.coords.map(|c| (c / DISTINCT_MM).floor() as i64);
+    thinned(points, N_COMPARED).iter().map(cell).collect::<HashSet<_>>().len()
+}
+
+/// The factor by which chance may lower a score against another's: the upper 1 in 1000 of the ratio of two standard deviations, each of
+/// as many residuals as there are points less the unknowns, over that at which [`CLEAR`] answers were judged.
+fn by_chance(n_points: usize) -> f64 {
+    let n_free = (n_points as f64 - 6.0).max(1.0);
+    ((1.0 - CLEAR) * (CHANCE_SIGMAS / n_free.sqrt()).exp()).max(1.0)
 }
 
 /// Registers a scan to a surface by shape alone.
@@ -453,7 +480,7 @@ pub(crate) fn global_by(
     };
     let middle = search.middle;
     let rival = search.rival(&ends);
-    let clearness = rival.map_or(1.0, |rival| best.clearness(rival));
+    let clearness = rival.map_or(1.0, |rival| best.clearness(rival, search.n_distinct));
     let runner_up = rival.map(|end| RunnerUp {
         score_mm: end.score_mm,
         middle_mm: (end.pose * middle).into(),

@@ -99,6 +99,7 @@ impl Judging<'_> {
     fn of_plan_and_readings(&self) -> Vec<Reason> {
         let Case { registered, landmarks, assessment, planes, .. } = *self.case;
         let on_surface = if self.case.on_surface { landmarks } else { &[] };
+        let assessment = if self.case.assessment_on_surface { assessment } else { &[] };
         let points: Vec<NamedPoint> = on_surface.iter().chain(assessment).cloned().collect();
         let mut reasons = registered.target.mesh().map(|mesh| plan_faults(mesh, &points, planes)).unwrap_or_default();
         reasons.extend(extent_reason(registered.source, registered.target.points(), self.case.start.is_some()));
@@ -133,7 +134,7 @@ impl Judging<'_> {
         let Some(mut examined) = Evidence::examine(registered, self.examine, self.case.start) else {
             return self.unexamined();
         };
-        let nuisances = self.nuisances(&examined.evidence);
+        let nuisances = self.nuisances(examined.sensor_mm);
         let smear = self.case.takes.scan.and_then(|take| Smear::new(take, registered, &self.place, self.rules));
         let predicted = self.predicted(&examined, nuisances.as_ref(), smear.as_ref());
         let known = nuisances.as_ref().zip(predicted.as_ref()).map(|(n, p)| n.known(p, &self.place, self.rules));
@@ -178,7 +179,7 @@ impl Judging<'_> {
 
     /// What is said of a scan that cannot be examined.
     fn unexamined(&self) -> OfScan {
-        let text = "the surface has no normals or the scan too few points, so nothing could be examined";
+        let text = "the surface has no normals, so nothing could be examined";
         let unexamined = Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals");
         let start = self.case.start.and_then(|start| start_reason(start, self.rules.min_shape_clearness, false));
         let converged = self.case.icp.and_then(|ended| convergence_reason(ended, None));
@@ -217,10 +218,10 @@ impl Judging<'_> {
     }
 
     /// What may be wrong beside the pose.
-    fn nuisances(&self, evidence: &Evidence) -> Option<Nuisances> {
+    fn nuisances(&self, sensor_mm: f64) -> Option<Nuisances> {
         let (registered, priors) = (&self.case.registered, &self.errors.nuisances);
         let has_markers = self.case.tracking.is_some();
-        nuisance::examine(registered, &self.place, evidence.noise_mm, has_markers, self.rules, priors)
+        nuisance::examine(registered, &self.place, sensor_mm, has_markers, self.rules, priors)
     }
 
     fn predicted(

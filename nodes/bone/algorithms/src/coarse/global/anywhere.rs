@@ -3,7 +3,8 @@
 use super::descent::{Placed, Points, descended, distinct, thinned};
 use crate::kabsch::centroid;
 use crate::morton::order_by_index;
-use crate::normals::without_side;
+use crate::nearest::Nearest;
+use crate::normals::{area_normal, without_side};
 use crate::target::{NearMap, Sample, Target};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -29,6 +30,14 @@ const N_ANCHORS: usize = 16;
 const N_PATCH_ANCHORS: usize = 3;
 const N_SPINS: usize = 24;
 
+/// Number of points, itself included, whose plane tells whether a point is one of a trace.
+const N_AROUND: usize = 20;
+
+/// Number of directions, evenly over the sphere, that are tried for the normal of a scan that does not tell it, and every how many of
+/// the surface's samples it is then laid on.
+const N_DIRECTIONS: usize = 96;
+const EVERY: usize = 4;
+
 /// Maximum number of starts.
 const MAX_STARTS: usize = 3_000_000;
 
@@ -49,8 +58,8 @@ const KEPT: [usize; 4] = [20_000, 4000, 800, 200];
 /// A scan about its centroid, thinned evenly in space, in an order of which any beginning is spread evenly.
 pub(crate) struct Shape {
     points: Vec<Vector3<f64>>,
-    /// Unit normals of either sign, towards the camera if it is known; zero where there is none.
-    normals: Vec<Vector3<f64>>,
+    /// Unit normals of either sign, towards the camera if it is known; zero where there is none. None of a scan of few points.
+    normals: Option<Vec<Vector3<f64>>>,
     camera: Option<Vector3<f64>>,
     /// RMS distance of its points from the centroid, mm.
     pub(crate) radius_mm: f64,
@@ -75,7 +84,32 @@ impl Shape {
             normals.iter_mut().zip(&points).filter(|(n, p)| n.dot(&(camera - *p)) < 0.0).for_each(|(n, _)| *n = -*n);
         }
         let radius_mm = radius_mm(&points);
-        Self { points, normals, camera, radius_mm }
+        Self { points, normals: Some(normals), camera, radius_mm }
+    }
+
+    /// The shape without its normals if they are not known, or those of a trace: the planes are those of its curve.
+    pub(super) fn with_normals(mut self, are_known: bool) -> Self {
+        let places: Vec<Point3<f64>> = self.points.iter().map(|p| (*p).into()).collect();
+        let tree = Nearest::new(&places);
+        let on_area = |p: &Point3<f64>| {
+            let around: Vec<Point3<f64>> = tree.nearest_n(p, N_AROUND).into_iter().map(|(k, _)| places[k]).collect();
+            area_normal(&around).is_some()
+        };
+        let looked_at = places.len().min(N_SECOND);
+        if !are_known || 2 * places[..looked_at].iter().filter(|p| on_area(p)).count() < looked_at {
+            self.normals = None;
+        }
+        self
+    }
+
+    /// Up to `n` points to lay on a surface, each with a direction to lay along its normal.
+    fn anchors(&self, n: usize, signs: &[f64]) -> Vec<(Vector3<f64>, Vector3<f64>)> {
+        let Some(normals) = &self.normals else {
+            let nearest = self.points.iter().min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
+            return nearest.into_iter().flat_map(|p| directions().map(|direction| (*p, direction))).collect();
+        };
+        let told = self.points.iter().zip(normals).filter(|(_, normal)| **normal != Vector3::zeros()).take(n);
+        told.flat_map(|(p, normal)| signs.iter().map(move |sign| (*p, normal * *sign))).collect()
     }
 
     fn first(&self, n: usize, camera: Option<Vector3<f64>>) -> Points {
@@ -126,6 +160,14 @@ fn spread(points: &[Vector3<f64>], n: usize) -> Vec<Vector3<f64>> {
     let bits = kept.len().next_power_of_two().trailing_zeros();
     let reversed = (0..1_usize << bits).map(|k| k.reverse_bits().checked_shr(usize::BITS - bits).unwrap_or(0));
     reversed.filter_map(|k| along.get(k)).map(|&k| kept[k as usize]).collect()
+}
+
+/// Directions evenly over the sphere, by the golden angle.
+fn directions() -> impl Iterator<Item = Vector3<f64>> {
+    (0..N_DIRECTIONS).map(|k| {
+        let (z, turn) = (1.0 - (2 * k + 1) as f64 / N_DIRECTIONS as f64, 2.399_963 * k as f64);
+        Vector3::new(turn.cos(), turn.sin(), 0.0) * (1.0 - z * z).sqrt() + Vector3::z() * z
+    })
 }
 
 /// Two directions across a unit vector.
@@ -229,16 +271,18 @@ impl Ground {
 
     /// Starts of a shape that lie well on the surface after a few steps on a coarse map, best first, and the number of those tried.
     pub(super) fn laid(&self, shape: &Shape, effort: &Effort) -> (Vec<Placed>, usize) {
-        let Self { map, field, places, reach_mm, .. } = self;
+        let Self { map, field, reach_mm, .. } = self;
         let reach_mm = *reach_mm;
+        let every = if shape.normals.is_some() { 1 } else { EVERY };
+        let places: Vec<&Sample> = self.places.iter().step_by(every).collect();
         let camera = shape.camera.filter(|_| self.has_sides);
         let signs: &[f64] = if camera.is_some() { &[1.0] } else { &[1.0, -1.0] };
         let n_anchors = effort.max_starts / (places.len() * N_SPINS * signs.len()).max(1);
         let n_anchors = n_anchors.clamp(effort.min_anchors, effort.max_anchors);
         let first: Vec<&Vector3<f64>> = shape.points.iter().take(N_FIRST).collect();
-        let anchors = (0..shape.points.len()).filter(|&k| shape.normals[k] != Vector3::zeros()).take(n_anchors);
-        let sides: Vec<Side> = anchors
-            .flat_map(|k| signs.iter().map(move |sign| (shape.points[k], shape.normals[k] * *sign)))
+        let sides: Vec<Side> = shape
+            .anchors(n_anchors, signs)
+            .into_iter()
             .map(|(anchor, normal)| {
                 let [x, y] = across(&normal);
                 let frame = Rotation3::from_basis_unchecked(&[x, y, normal]);
@@ -268,12 +312,12 @@ impl Ground {
                         }
                     }
                 };
-                for (place, sums) in places.iter().zip(&mut costs) {
+                for (place, sums) in places.iter().copied().zip(&mut costs) {
                     add(place, &side.points[..half], sums, u16::MAX);
                 }
                 let limit = quantile(costs.as_flattened(), SECOND_SHARE);
                 let mut best = Vec::with_capacity(places.len());
-                for ((place, index), sums) in places.iter().zip(0..).zip(&mut costs) {
+                for ((place, index), sums) in places.iter().copied().zip(0..).zip(&mut costs) {
                     let before = *sums;
                     add(place, &side.points[half..], sums, limit);
                     let cost = |k: usize| if before[k] <= limit { sums[k] } else { u16::MAX };
@@ -291,7 +335,7 @@ impl Ground {
         let starts: Vec<Placed> = scored
             .iter()
             .map(|start| {
-                let (side, place) = (&sides[usize::from(start.side)], &places[start.sample as usize]);
+                let (side, place) = (&sides[usize::from(start.side)], places[start.sample as usize]);
                 let ([x, y], (sin, cos)) = (across(&place.normal), spin(usize::from(start.spin)));
                 let to = Rotation3::from_basis_unchecked(&[x * cos + y * sin, y * cos - x * sin, place.normal]);
                 let turn = to * side.frame.inverse();
@@ -331,16 +375,16 @@ fn lowest(mut scored: Vec<(u16, Start)>, n: usize) -> Vec<Start> {
 /// The starts at which most points lie on the surface with its normal, whatever its sign unless sides are known.
 fn agreeing(map: &NearMap, shape: &Shape, has_sides: bool, starts: &[Placed], reach_mm: f64, n: usize) -> Vec<Placed> {
     let cost = |placed: &Placed| -> f64 {
-        let points = shape.points.iter().zip(&shape.normals).take(N_SECOND);
-        let one = |(p, normal): (&Vector3<f64>, &Vector3<f64>)| {
+        let one = |(k, p): (usize, &Vector3<f64>)| {
             let moved = placed.rotation * p + placed.translation.vector;
             let Some(sample) = map.near(&moved) else { return 1.0 };
             let share = (moved - sample.point).norm_squared() / (reach_mm * reach_mm);
-            let cos = (placed.rotation * normal).dot(&sample.normal);
+            let Some(normals) = &shape.normals else { return share.min(1.0) };
+            let cos = (placed.rotation * normals[k]).dot(&sample.normal);
             let cos = if has_sides { cos.max(0.0) } else { cos.abs() };
             (share + 1.0 - cos).min(1.0)
         };
-        points.map(one).sum()
+        shape.points.iter().enumerate().take(N_SECOND).map(one).sum()
     };
     let mut scored: Vec<(f64, &Placed)> = starts.par_iter().map(|start| (cost(start), start)).collect();
     scored.sort_by(|a, b| a.0.total_cmp(&b.0));
