@@ -610,7 +610,10 @@ fn coherent_point_drift_ends_beside_the_built_in_method_and_refuses_a_start_far_
     let middle: Vec<f64> = serde_json::from_value(built_in["start"]["report"]["middle_mm"].clone()).unwrap();
     let middle = Point3::from_slice(&middle);
     let off_mm = (off.transform_point(&middle) - middle).norm();
-    assert!(off_mm < 0.5, "{off_mm} mm: a mixture of 1500 points knows the surface to a share of their distance of 2 mm");
+    assert!(
+        off_mm < 0.5,
+        "{off_mm} mm: a mixture of 1500 points knows the surface to a share of their distance of 2 mm"
+    );
     let sigma_mm = answer["report"]["sigma_mm"].as_f64().unwrap();
     assert!(answer["converged"] == json!(true) && (0.05..1.5).contains(&sigma_mm), "{}", answer["report"]);
     // Without an outlier's share and far from the surface nothing is explained, which is said and no pose.

@@ -706,7 +706,8 @@ fn the_error_is_predicted_at_targets_near_and_far_and_on_the_surface_or_not() {
     let at = [0.0, 25.0, 400.0].map(|mm| centre + Vector3::new(0.0, mm, 0.0));
     case.write("targets.csv", &picks(&["near", "beside", "far"], &at));
     case.write("near.csv", &picks(&["near"], &at[..1]));
-    let register = |file: &str| last_line(&case.register(&["bone.stl", "scan.ply", "--targets", file, "--format", "json"]));
+    let register =
+        |file: &str| last_line(&case.register(&["bone.stl", "scan.ply", "--targets", file, "--format", "json"]));
     let answer = register("targets.csv");
     let predicted = &answer["verdict"]["predicted"];
     let of = |k: usize, key: &str| predicted["points"][k][key].clone();
@@ -720,7 +721,11 @@ fn the_error_is_predicted_at_targets_near_and_far_and_on_the_surface_or_not() {
     // The true error of each, from the pose that made the scan, is within three times its RMS.
     let off = pose(&answer) * case.t_target_source.inverse();
     for (p, rms_mm) in at.iter().zip(rms) {
-        assert!((off * p - p).norm() < 3.0 * rms_mm, "{:.3} mm off, {rms_mm:.3} mm (RMS) predicted", (off * p - p).norm());
+        assert!(
+            (off * p - p).norm() < 3.0 * rms_mm,
+            "{:.3} mm off, {rms_mm:.3} mm (RMS) predicted",
+            (off * p - p).norm()
+        );
     }
     // The limits hold at the targets: what is right at the scan may be wrong far away.
     let near = register("near.csv");
@@ -760,7 +765,8 @@ fn a_trace_of_few_points_is_registered_from_landmarks_and_by_shape_and_its_mirro
     let file = |name: &str| folder.join(name).display().to_string();
     let (face, planned, touched) = (file("face.ply"), file("planned.txt"), file("touched.txt"));
     let trace = file("trace2.xyz");
-    let from_landmarks = [&*face, &*trace, "--fiducials", &*planned, &*touched, "--targets", &*planned, "--format", "json"];
+    let from_landmarks =
+        [&*face, &*trace, "--fiducials", &*planned, &*touched, "--targets", &*planned, "--format", "json"];
     let answer = last_line(&case.register(&from_landmarks));
     assert!(answer["T"].is_array(), "{answer}");
     let points = answer["verdict"]["predicted"]["points"].as_array().expect("a prediction");
@@ -770,8 +776,9 @@ fn a_trace_of_few_points_is_registered_from_landmarks_and_by_shape_and_its_mirro
         text.lines().map(|line| Point3::from(row(line))).collect()
     };
     // Up to 145 mm away; a touch has an error of 0.5 mm of its own.
-    let held = points.iter().zip(read("planned.txt").iter().zip(read("touched.txt"))).filter(|(point, (planned, touched))| {
-        let error = (pose(&answer) * touched - **planned).norm();
+    let (planned_mm, touched_mm) = (read("planned.txt"), read("touched.txt"));
+    let held = points.iter().zip(planned_mm.iter().zip(&touched_mm)).filter(|(point, (planned, touched))| {
+        let error = (pose(&answer) * **touched - **planned).norm();
         let interval = &point["interval_mm"];
         error < interval[1].as_f64().unwrap() + 0.5 && error > interval[0].as_f64().unwrap() - 0.5
     });

@@ -104,6 +104,23 @@ mod tests {
     use nalgebra::Isometry3;
 
     #[test]
+    fn a_trace_along_a_curve_has_a_plane_and_no_normal_of_a_surface() {
+        // Around a shaft of 8 mm: the plane of the arc is across the shaft, its normal along it.
+        let arc = |k: i32, aside_mm: f64| {
+            let turn = 0.02 * f64::from(k);
+            Point3::new(8.0 * turn.cos(), 8.0 * turn.sin(), aside_mm)
+        };
+        let trace: Vec<_> = (-20..=20).map(|k| arc(k, 0.0)).collect();
+        let plane = plane_normal(&trace).unwrap();
+        assert!(plane.x.abs() < 1e-9 && plane.z.abs() > 0.999, "{plane}");
+        assert_eq!(area_normal(&trace), None);
+        let strokes: Vec<_> = (-20..=20).flat_map(|k| [-1.5, 0.0, 1.5].map(|z| arc(k, z))).collect();
+        let normal = area_normal(&strokes).unwrap();
+        assert!(normal.x.abs() > 0.999, "{normal}");
+        assert_eq!(plane_normal(&strokes), Some(normal));
+    }
+
+    #[test]
     fn a_ball_has_normals_along_its_radius_towards_the_camera() {
         let camera = Point3::new(0.0, 0.0, 50.0);
         let points: Vec<Point3<f64>> = (0..4000)

@@ -396,6 +396,11 @@ impl End {
     }
 }
 
+/// Whether so few points are apart that no normals are known, and a place and its mirror image look alike on many bones.
+pub(crate) fn is_sparse(points: &[Point3<f64>]) -> bool {
+    n_distinct(points) < MIN_WITH_NORMALS
+}
+
 /// Number of cells that the points are in.
 fn n_distinct(points: &[Point3<f64>]) -> usize {
     let cell = |p: &Point3<f64>| p.coords.map(|c| (c / DISTINCT_MM).floor() as i64);
@@ -558,6 +563,20 @@ mod tests {
         let n = |rad: f64| distinct(vec![at(0.1, 0.0), turned(rad)], &points, 4, 2.0, 9).len();
         let limit = 2.0 * (2.0 / 2.0 / 24.0_f64.sqrt()).asin();
         assert_eq!([n(limit - 1e-6), n(limit + 1e-6)], [1, 2], "{limit} rad");
+    }
+
+    #[test]
+    fn fewer_points_need_a_wider_margin_and_a_pointer_at_rest_is_one_reading() {
+        let factors = [7, 20, 50, 80, 1000].map(by_chance);
+        assert!(factors.is_sorted_by(|a, b| a >= b) && factors[3..] == [1.0, 1.0], "{factors:?}");
+        // The ratio of two standard deviations of 14 residuals each is above 2.4 at 1 in 1000, over the 1 / 0.7 of a clear answer: 1.7.
+        assert!((factors[1] - 1.65).abs() < 0.1, "{factors:?}");
+        let rest = |k: i32| Point3::new(20.0 * f64::from(k % 5) + 0.5, 0.5 + 1e-3 * f64::from(k), 0.5);
+        assert_eq!(n_distinct(&(0..400).map(rest).collect::<Vec<_>>()), 5);
+        let best = End { score_mm: 0.1, reach_mm: 2.0, pose: Isometry3::identity() };
+        let rival = End { score_mm: 0.2, reach_mm: 2.0, pose: Isometry3::identity() };
+        assert_eq!(best.clearness(&rival, 100), 0.5);
+        assert!(best.clearness(&rival, 20) < CLEAR && best.clearness(&rival, 5) == 0.0);
     }
 
     #[test]

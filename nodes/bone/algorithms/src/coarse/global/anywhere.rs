@@ -405,6 +405,22 @@ mod tests {
     use osteoflow_geometry::SurfaceOrigin;
 
     #[test]
+    fn directions_are_even_and_a_trace_or_few_points_have_no_normals() {
+        let all: Vec<Vector3<f64>> = directions().collect();
+        let nearest = |d: &Vector3<f64>| all.iter().map(|other| other.angle(d)).fold(f64::MAX, f64::min);
+        let farthest = [[1.0, 0.0, 0.0], [0.3, -0.8, 0.5], [0.0, 0.0, -1.0], [-0.6, 0.6, -0.5]];
+        let widest = farthest.iter().map(|d| nearest(&Vector3::from(*d))).fold(0.0, f64::max);
+        assert!(all.len() == N_DIRECTIONS && widest < 0.3, "{widest} rad");
+        let origin = Point3::origin();
+        let shape = |points: &[Point3<f64>], are_known| Shape::new(points, &origin, None).with_normals(are_known);
+        let sheet: Vec<_> = (0..400).map(|k| Point3::new(f64::from(k % 20), f64::from(k / 20), 0.0)).collect();
+        assert!(shape(&sheet, true).normals.is_some() && shape(&sheet, false).normals.is_none());
+        let line: Vec<_> =
+            (0..400).map(|k| 0.05 * f64::from(k)).map(|s| Point3::new(20.0 * s.cos(), 20.0 * s.sin(), 10.0 * s)).collect();
+        assert!(shape(&line, true).normals.is_none());
+    }
+
+    #[test]
     fn any_beginning_of_thinned_points_is_spread_over_all() {
         let grid: Vec<Vector3<f64>> =
             (0..40_000).map(|k| Vector3::new(f64::from(k % 200), f64::from(k / 200), 0.0)).collect();
