@@ -415,8 +415,10 @@ mod tests {
         let shape = |points: &[Point3<f64>], are_known| Shape::new(points, &origin, None).with_normals(are_known);
         let sheet: Vec<_> = (0..400).map(|k| Point3::new(f64::from(k % 20), f64::from(k / 20), 0.0)).collect();
         assert!(shape(&sheet, true).normals.is_some() && shape(&sheet, false).normals.is_none());
-        let line: Vec<_> =
-            (0..400).map(|k| 0.05 * f64::from(k)).map(|s| Point3::new(20.0 * s.cos(), 20.0 * s.sin(), 10.0 * s)).collect();
+        let line: Vec<_> = (0..400)
+            .map(|k| 0.05 * f64::from(k))
+            .map(|s| Point3::new(20.0 * s.cos(), 20.0 * s.sin(), 10.0 * s))
+            .collect();
         assert!(shape(&line, true).normals.is_none());
     }
 
