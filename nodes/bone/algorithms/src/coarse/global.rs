@@ -26,8 +26,11 @@ use std::ops::ControlFlow;
 /// Minimum number of points that tell the shape of a scan: twice as many as a pose has unknowns, which a step needs.
 const MIN_POINTS: usize = 12;
 
-/// Of fewer points than this, and of a trace along a line, the normals are not known.
-const MIN_WITH_NORMALS: usize = 250;
+/// Of fewer points than this the normals are not known.
+const MIN_WITH_NORMALS: usize = 200;
+
+/// Fewer points than this may not tell a scan from its mirror image.
+const MIN_TO_TELL_SIDE: usize = 250;
 
 /// Points closer together than this are one reading, mm.
 const DISTINCT_MM: f64 = 1.0;
@@ -262,7 +265,10 @@ impl<'a> Search<'a> {
 
     /// Registrations from the best starts anywhere, and the number of all.
     fn anywhere(&self, source: &Cloud) -> (Vec<End>, usize) {
-        let shape = Shape::new(source.points(), &self.middle, self.camera).with_normals(!is_sparse(source.points()));
+        let mut shape = Shape::new(source.points(), &self.middle, self.camera);
+        if source.points().len() < MIN_WITH_NORMALS {
+            shape = shape.without_normals();
+        }
         let (starts, n_tried) = Ground::new(self.target, shape.radius_mm).laid(&shape, &Effort::WHOLE);
         (self.settled(&starts, shape.radius_mm), n_tried)
     }
@@ -395,9 +401,9 @@ impl End {
     }
 }
 
-/// Whether there are so few points that no normals are known, and a place and its mirror image look alike on many bones.
+/// Whether there are so few points that a place and its mirror image look alike on many bones.
 pub(crate) fn is_sparse(points: &[Point3<f64>]) -> bool {
-    points.len() < MIN_WITH_NORMALS
+    points.len() < MIN_TO_TELL_SIDE
 }
 
 /// Number of cells that the points are in.

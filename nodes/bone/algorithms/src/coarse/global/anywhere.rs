@@ -3,8 +3,7 @@
 use super::descent::{Placed, Points, descended, distinct, thinned};
 use crate::kabsch::centroid;
 use crate::morton::order_by_index;
-use crate::nearest::Nearest;
-use crate::normals::{area_normal, without_side};
+use crate::normals::without_side;
 use crate::target::{NearMap, Sample, Target};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -29,9 +28,6 @@ const N_THIRD: usize = 128;
 const N_ANCHORS: usize = 16;
 const N_PATCH_ANCHORS: usize = 3;
 const N_SPINS: usize = 24;
-
-/// Number of points, itself included, whose plane tells whether a point is one of a trace.
-const N_AROUND: usize = 20;
 
 /// Number of directions, evenly over the sphere, that are tried for the normal of a scan that does not tell it, and every how many of
 /// the surface's samples it is then laid on.
@@ -87,19 +83,9 @@ impl Shape {
         Self { points, normals: Some(normals), camera, radius_mm }
     }
 
-    /// The shape without its normals if they are not known, or those of a trace: the planes are those of its curve.
-    pub(super) fn with_normals(mut self, are_known: bool) -> Self {
-        let places: Vec<Point3<f64>> = self.points.iter().map(|p| (*p).into()).collect();
-        let tree = Nearest::new(&places);
-        let on_area = |p: &Point3<f64>| {
-            let around: Vec<Point3<f64>> = tree.nearest_n(p, N_AROUND).into_iter().map(|(k, _)| places[k]).collect();
-            area_normal(&around).is_some()
-        };
-        let looked_at = places.len().min(N_SECOND);
-        if !are_known || 2 * places[..looked_at].iter().filter(|p| on_area(p)).count() < looked_at {
-            self.normals = None;
-        }
-        self
+    /// The shape without its normals: the planes through few points are none of a surface.
+    pub(super) fn without_normals(self) -> Self {
+        Self { normals: None, ..self }
     }
 
     /// Up to `n` points to lay on a surface, each with a direction to lay along its normal.
@@ -405,21 +391,12 @@ mod tests {
     use osteoflow_geometry::SurfaceOrigin;
 
     #[test]
-    fn directions_are_even_and_a_trace_or_few_points_have_no_normals() {
+    fn directions_are_even_over_the_sphere() {
         let all: Vec<Vector3<f64>> = directions().collect();
         let nearest = |d: &Vector3<f64>| all.iter().map(|other| other.angle(d)).fold(f64::MAX, f64::min);
         let farthest = [[1.0, 0.0, 0.0], [0.3, -0.8, 0.5], [0.0, 0.0, -1.0], [-0.6, 0.6, -0.5]];
         let widest = farthest.iter().map(|d| nearest(&Vector3::from(*d))).fold(0.0, f64::max);
         assert!(all.len() == N_DIRECTIONS && widest < 0.3, "{widest} rad");
-        let origin = Point3::origin();
-        let shape = |points: &[Point3<f64>], are_known| Shape::new(points, &origin, None).with_normals(are_known);
-        let sheet: Vec<_> = (0..400).map(|k| Point3::new(f64::from(k % 20), f64::from(k / 20), 0.0)).collect();
-        assert!(shape(&sheet, true).normals.is_some() && shape(&sheet, false).normals.is_none());
-        let line: Vec<_> = (0..400)
-            .map(|k| 0.05 * f64::from(k))
-            .map(|s| Point3::new(20.0 * s.cos(), 20.0 * s.sin(), 10.0 * s))
-            .collect();
-        assert!(shape(&line, true).normals.is_none());
     }
 
     #[test]
