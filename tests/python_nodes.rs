@@ -593,6 +593,37 @@ fn register_with_a_plugin_gives_its_pose_and_judges_it() {
 }
 
 #[test]
+fn coherent_point_drift_ends_beside_the_built_in_method_and_refuses_a_start_far_away() {
+    let text = std::fs::read_to_string(root().join("graphs/plugins/cpd.py")).unwrap();
+    let Some(folder) = Folder::new("coherent point drift", &[("cpd.py", &text)]) else { return };
+    // Fewer points than by default, for the time.
+    let few = ["--set", "n_source=300", "--set", "n_target=1500"];
+    let (code, answer, stderr) = folder.register("cpd.py", &few);
+    assert_eq!(code, Some(0), "{stderr}");
+    let built_in = osteoflow().arg("register").args(bone_and_scan()).args(["--format", "json"]).output().unwrap();
+    let built_in: Value = serde_json::from_slice(&built_in.stdout).unwrap();
+    let pose = |answer: &Value| -> Matrix4<f64> {
+        let numbers: Vec<f64> = serde_json::from_value(answer["T"].clone()).unwrap();
+        Matrix4::from_row_slice(&numbers)
+    };
+    let off = pose(&answer) * pose(&built_in).try_inverse().unwrap();
+    let middle: Vec<f64> = serde_json::from_value(built_in["start"]["report"]["middle_mm"].clone()).unwrap();
+    let middle = Point3::from_slice(&middle);
+    let off_mm = (off.transform_point(&middle) - middle).norm();
+    assert!(
+        off_mm < 0.5,
+        "{off_mm} mm: a mixture of 1500 points knows the surface to a share of their distance of 2 mm"
+    );
+    let sigma_mm = answer["report"]["sigma_mm"].as_f64().unwrap();
+    assert!(answer["converged"] == json!(true) && (0.05..1.5).contains(&sigma_mm), "{}", answer["report"]);
+    // Without an outlier's share and far from the surface nothing is explained, which is said and no pose.
+    folder.write("far.txt", "1 0 0 9000\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
+    let far = folder.path("far.txt");
+    let (code, _, stderr) = folder.register("cpd.py", &["--init", far.to_str().unwrap()]);
+    assert!(code == Some(3) && stderr.contains("is init right?"), "{code:?} {stderr}");
+}
+
+#[test]
 fn register_believes_no_plugin() {
     let cases = [
         // 8 mm along the bone, and a quarter turn about it.

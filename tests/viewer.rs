@@ -661,7 +661,19 @@ fn a_page_of_two_files_takes_the_options_of_register_and_has_its_pose_to_the_bit
             "--max-points",
             "900",
         ],
-        &["--landmarks", picks[0], picks[1], "--seed", "7", "--target-points", "20000", "--sphere", "0,0,0,100000"],
+        &[
+            "--landmarks",
+            picks[0],
+            picks[1],
+            "--seed",
+            "7",
+            "--target-points",
+            "20000",
+            "--sphere",
+            "0,0,0,100000",
+            "--targets",
+            picks[0],
+        ],
     ];
     for of in options {
         let out = tempfile::tempdir().unwrap();
@@ -684,6 +696,9 @@ fn a_page_of_two_files_takes_the_options_of_register_and_has_its_pose_to_the_bit
         let is_same = rows.concat().iter().zip(&row_by_row).all(|(a, b)| (a - b).abs() <= tolerance);
         assert!(is_same && row_by_row.len() == 16, "{of:?}: {rows:?} {row_by_row:?}");
         assert_eq!(results["verdict"]["answer"], registered["verdict"]["answer"], "{of:?}");
+        let predicted = [&results, &registered].map(|of| of["verdict"]["predicted"]["points"].clone());
+        assert_eq!(predicted[0], predicted[1], "{of:?}");
+        assert_eq!(predicted[0].is_array(), of.contains(&"--targets"), "{of:?}");
     }
     for (arguments, words) in [
         (&["view", files[0], files[1], "--repeat", "2"][..], "are for register"),

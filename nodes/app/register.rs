@@ -18,7 +18,7 @@ use super::{
     plugins::Plugins,
     program, shipped,
 };
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::{
     Args, Command, FromArgMatches, ValueEnum,
     builder::{PathBufValueParser, PossibleValue, PossibleValuesParser, TypedValueParser},
@@ -59,6 +59,9 @@ use std::{
 /// The word for a start at the identity.
 const IDENTITY: &str = "identity";
 
+/// The node of the points at which the error is predicted.
+pub(crate) const TARGETS: &str = "targets";
+
 /// Frames of target and source in the graph.
 const FRAMES: [&str; 2] = ["ct", "camera"];
 
@@ -95,6 +98,11 @@ pub struct RegisterRequest {
     /// verdict compares them with the surface. Files and names as of --landmarks.
     #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with_all = ["init", "landmarks"])]
     pub fiducials: Option<Vec<PathBuf>>,
+
+    /// Named points in TARGET's frame at which the error is predicted, such as a tumour or screws, near the scan or far from it; the limits of
+    /// the verdict then hold for them. Files as of --landmarks.
+    #[arg(long, value_name = "FILE", conflicts_with = "no_verdict")]
+    pub targets: Option<PathBuf>,
 
     /// The residual to minimise.
     #[arg(long, default_value = method::BUILT_IN[0].0, value_name = "METHOD", conflicts_with = "plugins",
@@ -418,6 +426,7 @@ impl RegisterRequest {
         let mut notes: Vec<String> = warnings.into_iter().map(|warning| warning.message).collect();
         let began = Instant::now();
         let start = self.read_start(&mut notes)?;
+        let targets = self.read_targets(&mut notes)?;
         let init_ms = began.elapsed().as_secs_f64() * 1e3;
         let removed = self.removed(has_output(kind, REPORT));
         let mut sets = self.graph_sets(&kind_name, &params);
@@ -435,7 +444,7 @@ impl RegisterRequest {
         let all = [&*of_start, &sets, &["remove=[\"node.export\"]".into()]].concat();
         let checked = check_recorded(two_files::BY_SHAPE, Path::new(two_files::NAME), &all, kinds)?;
         let params = params.all;
-        Ok(Register { request: self, checked, all, sets, kind_name, params, files, start, init_ms, notes })
+        Ok(Register { request: self, checked, all, sets, kind_name, params, files, start, targets, init_ms, notes })
     }
 
     /// The options that set a parameter of the method: option, key and value.
@@ -492,6 +501,20 @@ impl RegisterRequest {
         })
     }
 
+    fn read_targets(&mut self, notes: &mut Vec<String>) -> Result<Vec<NamedPoint>> {
+        let Some(file) = self.targets.clone() else { return Ok(Vec::new()) };
+        if self.no_verdict {
+            usage!("targets are where the verdict predicts the error; leave out no_verdict");
+        }
+        let unit_mm = self.units_mm()[0];
+        let stated = self.target.stated_space(unit_mm, FRAMES[0], notes)?;
+        let (points, _) = landmarks::points(&Picked { file: &file, stated }, unit_mm, self.space, notes)?;
+        if points.is_empty() {
+            bail!("--targets: {} holds no points", file.display());
+        }
+        Ok(points)
+    }
+
     /// The units of TARGET and SOURCE in mm.
     fn units_mm(&self) -> [f64; 2] {
         [self.target_unit_mm, self.source_unit_mm].map(|unit_mm| unit_mm.unwrap_or(self.unit_mm))
@@ -540,7 +563,18 @@ impl RegisterRequest {
             .set
             .iter()
             .filter_map(|key| Some(format!("icp.{key}={}", toml::Value::try_from(params.all.get(key)?).ok()?)));
-        keys.chain(of_method).collect()
+        let mut sets: Vec<String> = keys.chain(of_method).collect();
+        if let Some(file) = &self.targets {
+            let path = toml::Value::from(file.display().to_string());
+            sets.extend([
+                format!("node.{TARGETS}.kind=\"acquire.points\""),
+                format!("node.{TARGETS}.frame={:?}", FRAMES[0]),
+                format!("node.{TARGETS}.path={path}"),
+                format!("node.verdict.in.assessment=\"{TARGETS}.points\""),
+                "verdict.assessment_on_surface=false".to_owned(),
+            ]);
+        }
+        sets
     }
 
     /// What the scan was measured with, as stated by a name, a file, or both.
@@ -668,6 +702,8 @@ pub struct Register {
     params: Value,
     files: OutFiles,
     start: ReadStart,
+    /// Where the error is predicted.
+    pub(crate) targets: Vec<NamedPoint>,
     init_ms: f64,
     notes: Vec<String>,
 }

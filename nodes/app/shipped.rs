@@ -34,6 +34,7 @@ pub(crate) const FILES: &[(&str, &str)] = files![
     "graphs/paper/sensitivity.toml",
     "graphs/paper/variants.toml",
     "graphs/plan.schema.json",
+    "graphs/plugins/cpd.py",
     "graphs/real/benchmark.py",
     "graphs/real/peers.py",
     "graphs/real/recover.toml",

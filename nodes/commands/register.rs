@@ -25,6 +25,7 @@ Examples:
   osteoflow register bone.stl scan.ply                        starts by the shape of the bone alone
   osteoflow register bone.stl scan.ply --out DIR              and writes pose and moved scan
   osteoflow register bone.stl scan.ply --landmarks plan.mrk.json picked.txt
+  osteoflow register bone.stl scan.ply --targets screws.mrk.json         and predicts the error there
   osteoflow register bone.stl scan.ply --init init.txt
   osteoflow register bone.stl scan.ply --init coarse.tfm --method point_to_point -v
   osteoflow register bone.stl scan.xyz --source-unit-mm 1000 --camera 0,0,0 --out pose.txt

@@ -131,7 +131,8 @@ impl View {
         if let Some(pose) = checked.given_start() {
             two_files.start_at(pose).map_err(|why| anyhow!("{why}"))?;
         }
-        let sets = checked.sets.iter().chain(&self.request.sets).cloned().collect();
+        let of_targets = two_files.targets(&checked.targets).map_err(|why| anyhow!("{why}"))?;
+        let sets = checked.sets.iter().chain(&of_targets).chain(&self.request.sets).cloned().collect();
         self.steer(two_files.graph(), sets, Some(two_files), global)
     }
 

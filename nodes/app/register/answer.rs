@@ -56,7 +56,7 @@ pub struct Registration {
     pub(super) moved: Option<Cloud>,
     /// The files that were written.
     pub(crate) written: Vec<PathBuf>,
-    /// How many points are in each region.
+    /// How many points are in each region, and a target that is far from the surface.
     pub(super) cropped: Vec<String>,
     /// What the readers of these should know.
     pub(super) notes_of_files: Vec<String>,

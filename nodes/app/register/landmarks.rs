@@ -70,7 +70,7 @@ pub(super) fn read(
 }
 
 /// The points in the coordinates of the file in which they were picked, and whether they have names.
-fn points(
+pub(super) fn points(
     picked: &Picked<'_>,
     unit_mm: f64,
     option: Option<Space>,
@@ -105,6 +105,19 @@ fn points(
         }
     }
     Ok((points, is_named))
+}
+
+/// Targets farther from the surface than its own size, which are hardly of this patient.
+pub(super) fn far_targets(target: &Target, targets: &[NamedPoint]) -> Option<String> {
+    let (min, max) =
+        target.points().iter().fold((target.points()[0], target.points()[0]), |(a, b), p| (a.inf(p), b.sup(p)));
+    let size_mm = (max - min).norm();
+    let far_mm = |p: &NamedPoint| target.nearest(&p.position, f64::INFINITY).map_or(f64::INFINITY, |(_, mm)| mm);
+    let (name, mm) = targets.iter().map(|p| (&p.name, far_mm(p))).max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (mm > size_mm).then(|| {
+        format!("--targets: {name} lies {mm:.0} mm from the surface, which is {size_mm:.0} mm long; is it in the target's frame, in mm, and in \
+                 LPS as the target?")
+    })
 }
 
 /// A change of coordinates that is tried.

@@ -1,10 +1,10 @@
 //! The runs of a registration, and what is taken from their wires.
 
 use super::{
-    FRAMES, ReadStart, Register, RegisterInput,
+    FRAMES, ReadStart, Register, RegisterInput, TARGETS,
     answer::{Registration, Timings},
     files::moved_source,
-    landmarks::off_surface,
+    landmarks::{far_targets, off_surface},
     method::{POSE, REPORT},
 };
 use crate::app::{
@@ -164,6 +164,9 @@ impl Register {
             let (out, _) = cloud::Out::of(content, request.camera.map(|camera| camera.coords.into()));
             bodies("scan", out).into_iter().for_each(|(wire, body)| put(&wire, body));
         }
+        if !self.targets.is_empty() {
+            put(&format!("{TARGETS}.points"), body(Points::new(FRAMES[0], self.targets.clone())));
+        }
         match &self.start {
             ReadStart::Shape => {}
             ReadStart::Pose(pose) => put("coarse.t_target_source", body(Pose::new(FRAMES[0], FRAMES[1], *pose))),
@@ -226,6 +229,8 @@ impl Register {
         };
         let [bone_report, scan_report] =
             ["bone.report", "scan.report"].map(|wire| value::<Json>(wires, wire).map(|json| (*json.0).clone()));
+        let mut cropped = self.cropped(wires);
+        cropped.extend(target.as_ref().and_then(|target| far_targets(target, &self.targets)));
         Ok(Registration {
             pose,
             init: value::<Pose>(wires, "coarse.t_target_source").map(|pose| pose.isometry),
@@ -244,7 +249,7 @@ impl Register {
             bone_report: bone_report.unwrap_or_default(),
             scan_report: scan_report.unwrap_or_default(),
             moved,
-            cropped: self.cropped(wires),
+            cropped,
             written: Vec::new(),
             notes_of_files: Vec::new(),
             not_written: None,

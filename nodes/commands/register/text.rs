@@ -13,6 +13,7 @@ use crate::{
 use osteoflow_algorithms::{
     coarse::{CoarseReport, GlobalReport},
     icp::{IcpReport, IcpStep},
+    trust::PredictedPoint,
 };
 use osteoflow_geometry::matrix_rows;
 use osteoflow_report::summary::word;
@@ -44,6 +45,7 @@ pub(super) fn text(registration: &Registration, checked: &Register, global: &Glo
             let _ = writeln!(out, "  {:>11.8} {:>11.8} {:>11.8} {:>13.6}", row[0], row[1], row[2], row[3]);
         }
         out.push('\n');
+        out += &predicted(&registration.run.results["verdict"]["predicted"]["points"]);
     }
     let _ = writeln!(out, "{}", result(registration, checked));
     out += &times(registration, checked, start.is_some(), global);
@@ -51,6 +53,17 @@ pub(super) fn text(registration: &Registration, checked: &Register, global: &Glo
         let _ = writeln!(out, "\n{} written", file.display());
     }
     out
+}
+
+/// The predicted error at each target, as a table; nothing without targets.
+fn predicted(points: &Value) -> String {
+    let points: Vec<PredictedPoint> = serde_json::from_value(points.clone()).unwrap_or_default();
+    let mut table = TextTable::new("predicted, mm", &["RMS", "90 % from", "to", "ellipsoid of 90 %"]);
+    for PredictedPoint { name, tre_mm, interval_mm: [from, to], semi_axes_mm: [a, b, c], .. } in &points {
+        let axes = format!("{a:.2} x {b:.2} x {c:.2}");
+        table.row(name, [*tre_mm, *from, *to].map(|mm| format!("{mm:.2}")).into_iter().chain([axes]));
+    }
+    if points.is_empty() { String::new() } else { format!("{}\n", table.lines()) }
 }
 
 /// What the parts took: a line, or with --verbose or --repeat a table.

@@ -29,6 +29,15 @@ def fit(files):
     return osteoflow.register(files / "bone.stl", files / "scan.ply")
 
 
+def test_the_error_is_predicted_at_targets_as_the_command_does(files, fit, command_json, tmp_path):
+    points = tmp_path / "targets.csv"
+    points.write_text("label,x,y,z\nnear,0,0,-900\nfar,0,200,-900\n")
+    here = osteoflow.register(files / "bone.stl", files / "scan.ply", targets=points)
+    told = command_json("register", files / "bone.stl", files / "scan.ply", "--targets", points)
+    assert here.t_target_source.tobytes() == fit.t_target_source.tobytes()
+    assert here.verdict == told["verdict"] and [p["name"] for p in here.verdict["predicted"]["points"]] == ["near", "far"]
+
+
 def test_two_files_give_the_bits_verdict_and_report_of_the_command(files, fit, command_json):
     told = command_json("register", files / "bone.stl", files / "scan.ply")
     assert fit.t_target_source.tobytes() == np.array(told["T"]).tobytes()

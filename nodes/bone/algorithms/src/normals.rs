@@ -70,8 +70,22 @@ fn normal(
     Some(if normal.dot(&(camera - point)) < 0.0 { -normal } else { normal })
 }
 
+/// Points that spread across a line by less than this share of their spread along it are a trace: the plane through them is that of its
+/// curve, not that of the surface.
+const TRACE: f64 = 0.2;
+
 /// The unit normal of the plane fitted to the points; `None` for points on a line.
 pub(crate) fn plane_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
+    normal_across(points, 1e-9)
+}
+
+/// The unit normal of the plane fitted to points of a surface; `None` for those of a trace along a line.
+pub(crate) fn area_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
+    normal_across(points, TRACE * TRACE)
+}
+
+/// `None` where the variance across a line is no more than this share of that along it.
+fn normal_across(points: &[Point3<f64>], share: f64) -> Option<Vector3<f64>> {
     if points.len() < 3 {
         return None;
     }
@@ -80,7 +94,7 @@ pub(crate) fn plane_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
     let eigen = scatter.symmetric_eigen();
     let mut order = [0, 1, 2];
     order.sort_by(|&i, &j| eigen.eigenvalues[i].total_cmp(&eigen.eigenvalues[j]));
-    let flat = eigen.eigenvalues[order[1]] > 1e-9 * eigen.eigenvalues[order[2]];
+    let flat = eigen.eigenvalues[order[1]] > share * eigen.eigenvalues[order[2]];
     flat.then(|| eigen.eigenvectors.column(order[0]).normalize())
 }
 
@@ -88,6 +102,23 @@ pub(crate) fn plane_normal(points: &[Point3<f64>]) -> Option<Vector3<f64>> {
 mod tests {
     use super::*;
     use nalgebra::Isometry3;
+
+    #[test]
+    fn a_trace_along_a_curve_has_a_plane_and_no_normal_of_a_surface() {
+        // Around a shaft of 8 mm: the plane of the arc is across the shaft, its normal along it.
+        let arc = |k: i32, aside_mm: f64| {
+            let turn = 0.02 * f64::from(k);
+            Point3::new(8.0 * turn.cos(), 8.0 * turn.sin(), aside_mm)
+        };
+        let trace: Vec<_> = (-20..=20).map(|k| arc(k, 0.0)).collect();
+        let plane = plane_normal(&trace).unwrap();
+        assert!(plane.x.abs() < 1e-9 && plane.z.abs() > 0.999, "{plane}");
+        assert_eq!(area_normal(&trace), None);
+        let strokes: Vec<_> = (-20..=20).flat_map(|k| [-1.5, 0.0, 1.5].map(|z| arc(k, z))).collect();
+        let normal = area_normal(&strokes).unwrap();
+        assert!(normal.x.abs() > 0.999, "{normal}");
+        assert_eq!(plane_normal(&strokes), Some(normal));
+    }
 
     #[test]
     fn a_ball_has_normals_along_its_radius_towards_the_camera() {

@@ -10,7 +10,11 @@ const N_PLACES: usize = 300;
 /// Number of neighbours that a patch is fitted to.
 const N_NEIGHBOURS: usize = 30;
 
-/// Noise across the surface, mm: the median RMS residual of quadratic patches; `None` of a scan with fewer points than a patch.
+/// A quadric describes a bone this far around, mm.
+const WIDE_MM: f64 = 6.0;
+
+/// Noise across the surface, mm: the median RMS residual of quadratic patches; `None` of a scan with fewer points than a patch, or with so
+/// few around most of them that a patch is wider than a quadric describes.
 pub(crate) fn sensor_noise_mm(points: &[Point3<f64>]) -> Option<f64> {
     if points.len() < N_NEIGHBOURS {
         return None;
@@ -19,7 +23,7 @@ pub(crate) fn sensor_noise_mm(points: &[Point3<f64>]) -> Option<f64> {
     let every = points.len().div_ceil(N_PLACES).max(1);
     let places: Vec<Point3<f64>> = points.iter().step_by(every).copied().collect();
     let mut squares: Vec<f64> = places.par_iter().filter_map(|p| patch_square(points, &tree, p)).collect();
-    if squares.is_empty() {
+    if 2 * squares.len() <= places.len() {
         return None;
     }
     squares.sort_by(f64::total_cmp);
@@ -39,6 +43,9 @@ fn patch_square(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>) -> 
         (eigen.eigenvectors.column((k + 1) % 3).into_owned(), eigen.eigenvectors.column((k + 2) % 3).into_owned());
     // Squares of small or large patches would spoil the conditioning of the normal equations.
     let scale = near.iter().map(|v| (v - mean).norm()).fold(0.0, f64::max).max(1e-9);
+    if scale > WIDE_MM {
+        return None;
+    }
     let a = DMatrix::from_fn(n, 6, |r, c| {
         let (u, v) = ((near[r] - mean).dot(&x) / scale, (near[r] - mean).dot(&y) / scale);
         [1.0, u, v, u * u, u * v, v * v][c]
@@ -73,11 +80,11 @@ mod tests {
     fn a_scan_in_another_unit_has_its_noise_in_that_unit() {
         let points = patch(400, 0.1);
         let noise = sensor_noise_mm(&points).unwrap();
-        for unit in [1e-4, 1e4] {
-            let scaled: Vec<_> = points.iter().map(|p| p * unit).collect();
-            let ratio = sensor_noise_mm(&scaled).map(|scaled| scaled / unit / noise);
-            assert!(ratio.is_some_and(|ratio| (ratio - 1.0).abs() < 1e-6), "{unit}: {ratio:?}");
-        }
+        let scaled = |unit: f64| sensor_noise_mm(&points.iter().map(|p| p * unit).collect::<Vec<_>>());
+        let ratio = scaled(1e-4).map(|scaled| scaled / 1e-4 / noise);
+        assert!(ratio.is_some_and(|ratio| (ratio - 1.0).abs() < 1e-6), "{ratio:?}");
+        // Thirty points of a trace are centimetres wide, and say nothing of the noise.
+        assert_eq!([20.0, 1e4].map(scaled), [None; 2]);
     }
 
     #[test]

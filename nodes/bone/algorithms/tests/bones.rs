@@ -329,6 +329,6 @@ fn a_long_scan_finds_its_place_by_shape_alone_and_a_short_one_says_that_it_may_n
         }
         let few = shaft(&bone, &CLEAN, 1).selected(&[0, 1, 2]);
         let error = global(&target, &few, &GlobalParams::default());
-        assert!(error.unwrap_err().to_string().starts_with("the scan has 3 points, 200 are needed"));
+        assert!(error.unwrap_err().to_string().starts_with("the scan has 3 points, 12 are needed"));
     }
 }

@@ -11,3 +11,4 @@ mod measured;
 mod one_target;
 mod real;
 mod surroundings;
+mod traces;

@@ -1,6 +1,9 @@
 //! The graph of a bone and a scan: by the shape of the bone, or from pairs that were picked on both.
 
-use crate::app::register::two_files::{BY_SHAPE, FROM_PAIRS};
+use crate::app::register::{
+    TARGETS,
+    two_files::{BY_SHAPE, FROM_PAIRS},
+};
 use anyhow::{Context, Result};
 use osteoflow_formats::{Space, picked_points::write_mrk_json, pose_log::poses_csv::write_poses};
 use osteoflow_geometry::{NamedPoint, Pose};
@@ -68,6 +71,19 @@ impl TwoFiles {
             graph["node"][node]["path"] = path.display().to_string().into();
         }
         self.change(&graph.to_string())
+    }
+
+    /// The setting by which the error is predicted at these points, if there are any.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    pub(crate) fn targets(&self, points: &[NamedPoint]) -> Result<Option<String>, String> {
+        let file = self.0.path().join("targets.mrk.json");
+        if points.is_empty() {
+            return Ok(None);
+        }
+        write_mrk_json(&file, points, Space::Lps).map_err(|error| error.to_string())?;
+        Ok(Some(format!("{TARGETS}.path={}", toml::Value::from(file.display().to_string()))))
     }
 
     /// Starts the registration at a pose.

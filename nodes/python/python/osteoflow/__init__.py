@@ -219,6 +219,7 @@ def register(
     fiducials: Optional[tuple] = None,
     sensor: Union[str, "_os.PathLike[str]", None] = None,
     tip_radius_mm: Optional[float] = None,
+    targets: Union[str, "_os.PathLike[str]", None] = None,
 ) -> Registration:
     """Register `source`, which moves, onto `target`, which stays: `osteoflow register` with its defaults.
 
@@ -228,6 +229,8 @@ def register(
     method : point_to_plane, point_to_point, symmetric, generalized, point_to_mesh or published.
     landmarks : two files of picked points, of target and source, to start from.
     fiducials : the same of points off the surface, such as screws, rings or skin markers; the verdict compares them with the surface.
+    targets : a file of named points in the target's frame, near the scan or far from it, at which the error is predicted:
+        `verdict["predicted"]["points"]`, each with its RMS, its interval of 90 % and its ellipsoid.
     set : any parameter of the method, {"trim_fraction": 0.2}; `osteoflow inspect icp.point_to_plane` lists them.
     camera : (3,), position of the camera in the source's frame, mm.
     sensor : what `source` was measured with: "structured_light" (the default), "laser", "depth_camera", "ultrasound" or "stylus", or a
@@ -261,7 +264,7 @@ def register(
             raise ValueError(f"init has shape {start.shape}, but must be (4, 4)")
         init, start = None, start.tolist()
     options = dict(
-        init=init, method=method, landmarks=landmarks, fiducials=fiducials, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm,
+        init=init, method=method, landmarks=landmarks, fiducials=fiducials, targets=targets, pairing=pairing, max_pair_distance_mm=max_pair_distance_mm,
         max_iterations=max_iterations, step_mm=step_mm, step_rad=step_rad, stop=stop, threshold_hu=threshold_hu, series=series,
         component=component if component is None else str(component), region=region, sphere=sphere, box=box,
         source_component=source_component if source_component is None else str(source_component),

@@ -22,10 +22,23 @@ use patches::patches;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::ops::ControlFlow;
 
-/// Minimum number of points that tell the shape of a scan.
-const MIN_POINTS: usize = 200;
+/// Minimum number of points that tell the shape of a scan: twice as many as a pose has unknowns, which a step needs.
+const MIN_POINTS: usize = 12;
+
+/// Of fewer points than this the normals are not known.
+const MIN_WITH_NORMALS: usize = 200;
+
+/// Fewer points than this may not tell a scan from its mirror image.
+const MIN_TO_TELL_SIDE: usize = 250;
+
+/// Points closer together than this are one reading, mm.
+const DISTINCT_MM: f64 = 1.0;
+
+/// Standard deviations by which chance may lower the score of a wrong place of few points against another's.
+const CHANCE_SIGMAS: f64 = 3.1;
 
 /// Number of scan points by which every start is scored, by which the better ones are refined on the map, and by which the
 /// best are registered.
@@ -122,7 +135,7 @@ pub struct GlobalReport {
     /// The best distinct registration, if there is one.
     pub runner_up: Option<RunnerUp>,
     /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up. Surroundings, which count
-    /// at both, lower it.
+    /// at both, lower it, and so do fewer than 80 points, by as much as chance may.
     pub clearness: f64,
     /// Where the scan was looked for; null in reports of older versions.
     #[serde(default)]
@@ -193,6 +206,8 @@ struct Search<'a> {
     radius_mm: f64,
     camera: Option<Point3<f64>>,
     reach: Reach,
+    /// Number of points that are apart.
+    n_distinct: usize,
     few: Points,
     some: Points,
     registered: Vec<Point3<f64>>,
@@ -215,6 +230,7 @@ impl<'a> Search<'a> {
             radius_mm,
             camera,
             reach: Reach::new(radius_mm),
+            n_distinct: n_distinct(points),
             few: Points::thinned(points, N_SCORED, &middle, camera),
             some: Points::thinned(points, N_MAPPED, &middle, camera),
             registered: thinned(points, N_REGISTERED),
@@ -252,7 +268,10 @@ impl<'a> Search<'a> {
 
     /// Registrations from the best starts anywhere, and the number of all.
     fn anywhere(&self, source: &Cloud) -> (Vec<End>, usize) {
-        let shape = Shape::new(source.points(), &self.middle, self.camera);
+        let mut shape = Shape::new(source.points(), &self.middle, self.camera);
+        if source.points().len() < MIN_WITH_NORMALS {
+            shape = shape.without_normals();
+        }
         let (starts, n_tried) = Ground::new(self.target, shape.radius_mm).laid(&shape, &Effort::WHOLE);
         (self.settled(&starts, shape.radius_mm), n_tried)
     }
@@ -382,9 +401,27 @@ struct End {
 
 impl End {
     /// Margin over a rival; see [`GlobalReport`].
-    fn clearness(&self, rival: &Self) -> f64 {
-        1.0 - self.score_mm / rival.score_mm.max(f64::MIN_POSITIVE)
+    fn clearness(&self, rival: &Self, n_distinct: usize) -> f64 {
+        (1.0 - by_chance(n_distinct) * self.score_mm / rival.score_mm.max(f64::MIN_POSITIVE)).max(0.0)
     }
+}
+
+/// Whether there are so few points that a place and its mirror image look alike on many bones.
+pub(crate) fn is_sparse(points: &[Point3<f64>]) -> bool {
+    points.len() < MIN_TO_TELL_SIDE
+}
+
+/// Number of cells that the points are in.
+fn n_distinct(points: &[Point3<f64>]) -> usize {
+    let cell = |p: &Point3<f64>| p.coords.map(|c| (c / DISTINCT_MM).floor() as i64);
+    thinned(points, N_COMPARED).iter().map(cell).collect::<HashSet<_>>().len()
+}
+
+/// The factor by which chance may lower a score against another's: the upper 1 in 1000 of the ratio of two standard deviations, each of
+/// as many residuals as there are points less the unknowns, over that at which [`CLEAR`] answers were judged.
+fn by_chance(n_points: usize) -> f64 {
+    let n_free = (n_points as f64 - 6.0).max(1.0);
+    ((1.0 - CLEAR) * (CHANCE_SIGMAS / n_free.sqrt()).exp()).max(1.0)
 }
 
 /// Registers a scan to a surface by shape alone.
@@ -461,7 +498,7 @@ pub(crate) fn global_by(
     };
     let middle = search.middle;
     let rival = search.rival(&ends);
-    let clearness = rival.map_or(1.0, |rival| best.clearness(rival));
+    let clearness = rival.map_or(1.0, |rival| best.clearness(rival, search.n_distinct));
     let runner_up = rival.map(|end| RunnerUp {
         score_mm: end.score_mm,
         middle_mm: (end.pose * middle).into(),
@@ -539,6 +576,20 @@ mod tests {
         let n = |rad: f64| distinct(vec![at(0.1, 0.0), turned(rad)], &points, 4, 2.0, 9).len();
         let limit = 2.0 * (2.0 / 2.0 / 24.0_f64.sqrt()).asin();
         assert_eq!([n(limit - 1e-6), n(limit + 1e-6)], [1, 2], "{limit} rad");
+    }
+
+    #[test]
+    fn fewer_points_need_a_wider_margin_and_a_pointer_at_rest_is_one_reading() {
+        let factors = [7, 20, 50, 80, 1000].map(by_chance);
+        assert!(factors.is_sorted_by(|a, b| a >= b) && factors[3..] == [1.0, 1.0], "{factors:?}");
+        // The ratio of two standard deviations of 14 residuals each is above 2.4 at 1 in 1000, over the 1 / 0.7 of a clear answer: 1.7.
+        assert!((factors[1] - 1.65).abs() < 0.1, "{factors:?}");
+        let rest = |k: i32| Point3::new(20.0 * f64::from(k % 5) + 0.5, 0.5 + 1e-3 * f64::from(k), 0.5);
+        assert_eq!(n_distinct(&(0..400).map(rest).collect::<Vec<_>>()), 5);
+        let best = End { score_mm: 0.1, reach_mm: 2.0, pose: Isometry3::identity() };
+        let rival = End { score_mm: 0.2, reach_mm: 2.0, pose: Isometry3::identity() };
+        assert_eq!(best.clearness(&rival, 100), 0.5);
+        assert!(best.clearness(&rival, 20) < CLEAR && best.clearness(&rival, 5) == 0.0);
     }
 
     #[test]
@@ -669,7 +720,7 @@ mod tests {
         let alone = Search::new(&target, &bone, &params);
         let [with, without] = [&search, &alone].map(|search| search.clearness_of_near(&right, &other));
         assert!((with - without).abs() < 0.05 && with > 0.5, "{with} among others, {without} alone");
-        assert!(right.clearness(&other) < 0.2);
+        assert!(right.clearness(&other, 1000) < 0.2);
         assert!(search.may_be_among_others(&[end(truth)]) && !alone.may_be_among_others(&[end(truth)]));
     }
 }

@@ -95,6 +95,17 @@ pub(super) fn another_bone_reason(evidence: &Evidence) -> Option<Reason> {
     })
 }
 
+/// The sign that few points do not tell the scan from its mirror image.
+pub(super) fn side_reason(evidence: &Evidence) -> Option<Reason> {
+    let shape = evidence.shape.as_ref().filter(|shape| !shape.is_mirror_better())?;
+    (shape.mirrored_support? > shape.support.max(shape.judged_support) - BETTER).then(|| {
+        let reason = "so few points do not tell the scan from its mirror image, which fits the surface as well";
+        let remedy =
+            "touch more points, and some across the bone; or start from four landmarks that do not lie in a plane";
+        Reason::new("mirrored", Answer::Doubtful, reason, remedy)
+    })
+}
+
 /// The sign that the scan's mirror image fits better.
 pub(super) fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
     let shape = evidence.shape.as_ref()?;

@@ -27,6 +27,8 @@ pub struct Case<'a> {
     pub on_surface: bool,
     /// The planned assessment points.
     pub assessment: &'a [NamedPoint],
+    /// Whether the assessment points lie on the surface; targets such as a tumour or a screw need not.
+    pub assessment_on_surface: bool,
     /// The planned cuts; none where cuts are of no concern.
     pub planes: Option<&'a Planes>,
     /// Where the markers were.
@@ -60,6 +62,7 @@ impl<'a> Case<'a> {
             carried: &[],
             on_surface: true,
             assessment: &[],
+            assessment_on_surface: true,
             planes: None,
             tracking: None,
             measured_tre_mm: None,

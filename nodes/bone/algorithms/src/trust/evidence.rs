@@ -27,6 +27,8 @@ const OUTSIDE_SIGMAS: f64 = 2.5;
 
 /// What a stated sensor errs over patches is as often this many standard deviations as points are outliers.
 const OFF_SIGMAS: f64 = 2.5;
+/// Half of a Gaussian's absolute values are below this many standard deviations.
+const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
 
 /// The noise is estimated across the surface, and one at a slant has more: this share of it remains in the misfit.
 const NOISE_LEFT: f64 = 0.3;
@@ -76,7 +78,7 @@ pub enum When {
 /// What the data of a registration say about it. Lengths in mm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// The sensor's noise across the surface, from the scan alone.
+    /// The sensor's noise across the surface, from the scan alone; from its residuals where its points are too sparse to tell.
     pub noise_mm: f64,
     /// Median distance of the scan from the surface.
     pub median_mm: f64,
@@ -122,6 +124,8 @@ pub struct Examined {
     supported: Option<Support>,
     /// Where the registration by shape alone was looked for.
     searched: Option<Searched>,
+    /// The sensor's noise from the scan alone; 0 where its points are too sparse to tell.
+    pub(super) sensor_mm: f64,
 }
 
 impl Examined {
@@ -138,7 +142,7 @@ impl Examined {
 impl Evidence {
     /// Examines a registration, which started by shape alone if there is a report of it.
     ///
-    /// `None` if the target has no normals or the scan fewer than 30 points. The result does not depend on the number of threads.
+    /// `None` if the target has no normals. The result does not depend on the number of threads.
     ///
     /// # Source
     /// Jackknife over groups: Quenouille 1956; the equivalent clustered sandwich: White 1980, Liang and Zeger 1986, with the
@@ -150,7 +154,10 @@ impl Evidence {
     ) -> Option<Examined> {
         let Registered { target, source, t_target_source, .. } = *registered;
         let residuals = Residuals::new(target, source.points(), t_target_source, SEARCH_MM, N_EXAMINED)?;
-        let noise_mm = sensor_noise_mm(source.points())?;
+        let sensor_mm = sensor_noise_mm(source.points());
+        let stated_mm = target.sensor().map(|sensor| sensor.noise_mm);
+        let noise_mm =
+            sensor_mm.or(stated_mm).unwrap_or_else(|| (residuals.quantile_mm(0.5) / MEDIAN_SIGMAS).min(SEARCH_MM));
         let sigma_mm = (residuals.quantile_mm(0.25) / QUARTER_SIGMAS).max(noise_mm);
         // A sensor that errs by more than tissue is thick errs on both sides.
         let outside = if target.sensor().is_some_and(Sensor::is_coarse) { GATE_SIGMAS } else { OUTSIDE_SIGMAS };
@@ -218,7 +225,7 @@ impl Evidence {
             shape
         });
         let to_settled = settled.map(|settled| settled * t_target_source.inverse());
-        Some(Examined { evidence, spread, to_settled, supported, searched })
+        Some(Examined { evidence, spread, to_settled, supported, searched, sensor_mm: sensor_mm.unwrap_or(0.0) })
     }
 }
 

@@ -3,7 +3,8 @@
 use super::assumptions::assumptions;
 use super::attitude::{marker_place_reason, untested_attitude};
 use super::by_shape::{
-    another_bone_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason, start_reason,
+    another_bone_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason, side_reason,
+    start_reason,
 };
 use super::case::Case;
 use super::checked::check_reason;
@@ -29,11 +30,16 @@ use super::spread::Spread;
 use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
+use crate::coarse;
+use crate::kabsch::kabsch;
 use crate::still_average::TakeMotion;
 use crate::tables::off_tables;
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::NamedPoint;
 use osteoflow_verdict::{Answer, Reason};
+
+/// Landmarks exclude a mirror image if it leaves them by more than this many standard deviations (RMS).
+const TELLS_SIDE: f64 = 4.0;
 
 /// The rules on scan and surface.
 const DATA: [&str; 8] =
@@ -106,6 +112,7 @@ impl Judging<'_> {
     fn of_plan_and_readings(&self) -> Vec<Reason> {
         let Case { registered, landmarks, assessment, planes, .. } = *self.case;
         let on_surface = if self.case.on_surface { landmarks } else { &[] };
+        let assessment = if self.case.assessment_on_surface { assessment } else { &[] };
         let points: Vec<NamedPoint> = on_surface.iter().chain(assessment).cloned().collect();
         let mut reasons = registered.target.mesh().map(|mesh| plan_faults(mesh, &points, planes)).unwrap_or_default();
         reasons.extend(extent_reason(registered.source, registered.target.points(), self.case.start.is_some()));
@@ -140,7 +147,7 @@ impl Judging<'_> {
         let Some(mut examined) = Evidence::examine(registered, self.examine, self.case.start) else {
             return self.unexamined();
         };
-        let nuisances = self.nuisances(&examined.evidence);
+        let nuisances = self.nuisances(examined.sensor_mm);
         let smear = self.case.takes.scan.and_then(|take| Smear::new(take, registered, &self.place, self.rules));
         let predicted = self.predicted(&examined, nuisances.as_ref(), smear.as_ref());
         let known = nuisances.as_ref().zip(predicted.as_ref()).map(|(n, p)| n.known(p, &self.place, self.rules));
@@ -159,7 +166,8 @@ impl Judging<'_> {
         }
         reasons.extend(data_reasons(&examined.evidence, self.rules));
         reasons.extend(self.landmarks(examined.spread.as_ref()));
-        if self.is_mirror_due(&reasons, cause.is_some()) {
+        let is_side_open = coarse::is_sparse(registered.source.points()) && !self.is_side_told();
+        if self.is_mirror_due(&reasons, cause.is_some() || is_side_open) {
             examined.examine_mirrored(registered);
             // A gross mistake is named before the cause that would explain it.
             let at = cause.as_ref().and_then(|cause| reasons.iter().position(|reason| reason.rule == *cause));
@@ -167,6 +175,7 @@ impl Judging<'_> {
                 reasons.insert(at, another);
             }
             reasons.extend(mirror_reason(&examined.evidence));
+            reasons.extend(side_reason(&examined.evidence).filter(|_| is_side_open));
         }
         name_surroundings_first(&mut reasons, has_surroundings(&examined.evidence));
         // What else is wrong follows from it.
@@ -185,7 +194,7 @@ impl Judging<'_> {
 
     /// What is said of a scan that cannot be examined.
     fn unexamined(&self) -> OfScan {
-        let text = "the surface has no normals or the scan too few points, so nothing could be examined";
+        let text = "the surface has no normals, so nothing could be examined";
         let unexamined = Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals");
         let start = self.case.start.and_then(|start| start_reason(start, self.rules.min_shape_clearness, false));
         let converged = self.case.icp.and_then(|ended| convergence_reason(ended, None));
@@ -224,10 +233,10 @@ impl Judging<'_> {
     }
 
     /// What may be wrong beside the pose.
-    fn nuisances(&self, evidence: &Evidence) -> Option<Nuisances> {
+    fn nuisances(&self, sensor_mm: f64) -> Option<Nuisances> {
         let (registered, priors) = (&self.case.registered, &self.errors.nuisances);
         let has_markers = self.case.tracking.is_some();
-        nuisance::examine(registered, &self.place, evidence.noise_mm, has_markers, self.rules, priors)
+        nuisance::examine(registered, &self.place, sensor_mm, has_markers, self.rules, priors)
     }
 
     fn predicted(
@@ -242,6 +251,17 @@ impl Judging<'_> {
         let (tracking, limits) = (self.case.tracking, &self.rules.limits);
         let spread = examined.spread.as_ref()?;
         Some(predict(spread, &to_settled, deformation.as_ref(), tracking, motion, &self.place, limits, self.errors))
+    }
+
+    /// Whether the landmarks tell the scan from its mirror image: mirrored, they would lie off by more than their errors.
+    fn is_side_told(&self) -> bool {
+        let Case { landmarks, carried, on_surface, .. } = *self.case;
+        let of = |p: &NamedPoint| carried.iter().find(|q| q.name == p.name).map(|q| (p.position, q.position));
+        let (planned, located): (Vec<_>, Vec<_>) = landmarks.iter().filter_map(of).unzip();
+        let image: Vec<Point3<f64>> = located.iter().map(|p| Point3::new(-p.x, p.y, p.z)).collect();
+        let LandmarkErrors { landmark_mm, fiducial_mm } = self.rules.landmarks;
+        let sd_mm = if on_surface { landmark_mm } else { fiducial_mm };
+        kabsch(&planned, &image).is_ok_and(|t| coarse::rms(&t, &planned, &image) > TELLS_SIDE * sd_mm)
     }
 
     /// Whether the scan's mirror image is registered, too.

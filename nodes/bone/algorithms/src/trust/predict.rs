@@ -24,7 +24,8 @@ const N_LEAST: usize = 100;
 const TAIL: f64 = 0.05;
 
 /// Standard deviation of the factor by which the predicted errors may be larger or smaller as a whole. 0.2: the errors of
-/// trackers and prints are stated to about a fifth, and a spread from a few dozen patches of a scan is known no better.
+/// trackers and prints are stated to about a fifth, and a spread from a few dozen patches of a scan is known no better. From fewer
+/// it is larger.
 const SCALE_SIGMA: f64 = 0.2;
 
 /// Semi-axes of the ellipsoid that holds 90 % of a three-dimensional Gaussian, in standard deviations.
@@ -340,7 +341,9 @@ pub fn predict(
     terms.push(Term { name: "stated bias of the CT".to_owned(), tre_mm: rms(&bias) });
     let outputs = Outputs::new(at, &centre, deformation);
     let numbers = Numbers::new(deformation);
-    let draws = |covariance: &Matrix6<f64>| outputs.draws(&mean, covariance, &numbers);
+    // A standard deviation from so many cells, less the six numbers of a pose.
+    let scale_sigma = SCALE_SIGMA.max((2.0 * (spread.n_cells as f64 - 6.0).max(1.0)).sqrt().recip());
+    let draws = |covariance: &Matrix6<f64>| Draws { scale_sigma, ..outputs.draws(&mean, covariance, &numbers) };
     let (given, biased) = (draws(&total), draws(&(total + bias)));
     let set = |rows: &[usize]| {
         let (mean_tre_mm, interval_mm) = given.mean_error(rows)?;
@@ -448,7 +451,8 @@ impl Outputs {
         let mut pose = &self.of_pose * root * &numbers.of_pose;
         let at_mean = &self.of_pose * mean;
         pose.column_iter_mut().for_each(|mut column| column += &at_mean);
-        let mut draws = Draws { columns: DMatrix::zeros(pose.nrows(), 0), weights: Vec::new(), of: Vec::new() };
+        let columns = DMatrix::zeros(pose.nrows(), 0);
+        let mut draws = Draws { columns, weights: Vec::new(), of: Vec::new(), scale_sigma: SCALE_SIGMA };
         let mut parts = Vec::new();
         for (k, (component, root, n)) in numbers.components.iter().enumerate() {
             let mut part = pose.columns(0, *n).into_owned();
@@ -503,6 +507,8 @@ struct Draws {
     weights: Vec<f64>,
     /// The component of each.
     of: Vec<usize>,
+    /// Standard deviation of the factor by which all of them may be larger or smaller.
+    scale_sigma: f64,
 }
 
 impl Draws {
@@ -521,8 +527,11 @@ impl Draws {
         }
         let errors = self.means(rows);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let mut scaled: Vec<(f64, f64)> =
-            errors.iter().map(|e| e * (1.0 + SCALE_SIGMA * normal(&mut rng)).abs()).zip(self.weights.clone()).collect();
+        let mut scaled: Vec<(f64, f64)> = errors
+            .iter()
+            .map(|e| e * (1.0 + self.scale_sigma * normal(&mut rng)).abs())
+            .zip(self.weights.clone())
+            .collect();
         scaled.sort_by(|a, b| a.0.total_cmp(&b.0));
         let at = |share: f64| {
             let mut sum = 0.0;

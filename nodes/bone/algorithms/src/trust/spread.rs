@@ -3,7 +3,7 @@
 use super::residuals::Residual;
 use crate::kabsch::centroid;
 use crate::nearest::Nearest;
-use crate::normals::plane_normal;
+use crate::normals::area_normal;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -11,6 +11,9 @@ use std::collections::BTreeMap;
 /// Number of points that a plane of the scan is fitted to: 1.5 mm around in a scan of 5,000 points, whose noise of 0.05 mm then
 /// tilts it by half a degree.
 const N_PLANE: usize = 40;
+
+/// No plane is fitted to points this far around, mm: a bone bends away.
+const WIDE_MM: f64 = 5.0;
 
 /// Cosine of 30 degrees. A point of the scan whose own normal is farther from the surface's lies on something else that passes
 /// the bone there: its bed, or the edge of a film.
@@ -107,12 +110,16 @@ pub(super) fn normal_matrix(pairs: &[Residual]) -> Matrix6<f64> {
     pairs.iter().map(row).map(|row| row * row.transpose()).sum()
 }
 
-/// The outward unit normals of the scan itself, each of the plane through the points around, or else the surface's.
+/// The outward unit normals of the scan itself, each of the plane through the points around; the surface's where these lie along a line, or
+/// so far apart that the bone is no plane there: points of a trace have no normals of their own.
 fn scan_normals(pairs: &[Residual], points: &[Point3<f64>]) -> Vec<Vector3<f64>> {
     let tree = Nearest::new(points);
     let of = |pair: &Residual| {
-        let around = tree.nearest_n(&pair.point, N_PLANE).into_iter().map(|(i, _)| points[i]);
-        let normal = plane_normal(&around.collect::<Vec<_>>()).unwrap_or(pair.normal);
+        let around: Vec<Point3<f64>> =
+            tree.nearest_n(&pair.point, N_PLANE).into_iter().map(|(i, _)| points[i]).collect();
+        let is_narrow = around.iter().all(|p| (p - pair.point).norm() < WIDE_MM);
+        let own = if is_narrow { area_normal(&around) } else { None };
+        let normal = own.unwrap_or(pair.normal);
         if normal.dot(&pair.normal) < 0.0 { -normal } else { normal }
     };
     pairs.par_iter().map(of).collect()

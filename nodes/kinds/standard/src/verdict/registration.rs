@@ -58,6 +58,10 @@ pub struct Params {
     /// `rules.landmarks.fiducial_mm`, and their distance from the surface is no sign.
     #[param(true)]
     pub on_surface: bool,
+    /// Whether the assessment points lie on the surface. false: they are targets, such as a tumour or screws, whose distance from the surface
+    /// is no sign.
+    #[param(true)]
+    pub assessment_on_surface: bool,
     /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone
     /// probably do not belong together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is
     /// 90 mm wide.
@@ -227,6 +231,7 @@ impl Registration {
             carried: &carried,
             on_surface: params.on_surface,
             assessment: &assessment,
+            assessment_on_surface: params.assessment_on_surface,
             planes: i.planes.as_ref(),
             tracking: tracking.as_ref(),
             measured_tre_mm: i.measured.as_ref().map(|report| report.mean_abs.norm),

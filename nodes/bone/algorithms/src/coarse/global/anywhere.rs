@@ -29,6 +29,11 @@ const N_ANCHORS: usize = 16;
 const N_PATCH_ANCHORS: usize = 3;
 const N_SPINS: usize = 24;
 
+/// Number of directions, evenly over the sphere, that are tried for the normal of a scan that does not tell it, and every how many of
+/// the surface's samples it is then laid on.
+const N_DIRECTIONS: usize = 96;
+const EVERY: usize = 4;
+
 /// Maximum number of starts.
 const MAX_STARTS: usize = 3_000_000;
 
@@ -49,8 +54,8 @@ const KEPT: [usize; 4] = [20_000, 4000, 800, 200];
 /// A scan about its centroid, thinned evenly in space, in an order of which any beginning is spread evenly.
 pub(crate) struct Shape {
     points: Vec<Vector3<f64>>,
-    /// Unit normals of either sign, towards the camera if it is known; zero where there is none.
-    normals: Vec<Vector3<f64>>,
+    /// Unit normals of either sign, towards the camera if it is known; zero where there is none. None of a scan of few points.
+    normals: Option<Vec<Vector3<f64>>>,
     camera: Option<Vector3<f64>>,
     /// RMS distance of its points from the centroid, mm.
     pub(crate) radius_mm: f64,
@@ -75,7 +80,22 @@ impl Shape {
             normals.iter_mut().zip(&points).filter(|(n, p)| n.dot(&(camera - *p)) < 0.0).for_each(|(n, _)| *n = -*n);
         }
         let radius_mm = radius_mm(&points);
-        Self { points, normals, camera, radius_mm }
+        Self { points, normals: Some(normals), camera, radius_mm }
+    }
+
+    /// The shape without its normals: the planes through few points are none of a surface.
+    pub(super) fn without_normals(self) -> Self {
+        Self { normals: None, ..self }
+    }
+
+    /// Up to `n` points to lay on a surface, each with a direction to lay along its normal.
+    fn anchors(&self, n: usize, signs: &[f64]) -> Vec<(Vector3<f64>, Vector3<f64>)> {
+        let Some(normals) = &self.normals else {
+            let nearest = self.points.iter().min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
+            return nearest.into_iter().flat_map(|p| directions().map(|direction| (*p, direction))).collect();
+        };
+        let told = self.points.iter().zip(normals).filter(|(_, normal)| **normal != Vector3::zeros()).take(n);
+        told.flat_map(|(p, normal)| signs.iter().map(move |sign| (*p, normal * *sign))).collect()
     }
 
     fn first(&self, n: usize, camera: Option<Vector3<f64>>) -> Points {
@@ -126,6 +146,14 @@ fn spread(points: &[Vector3<f64>], n: usize) -> Vec<Vector3<f64>> {
     let bits = kept.len().next_power_of_two().trailing_zeros();
     let reversed = (0..1_usize << bits).map(|k| k.reverse_bits().checked_shr(usize::BITS - bits).unwrap_or(0));
     reversed.filter_map(|k| along.get(k)).map(|&k| kept[k as usize]).collect()
+}
+
+/// Directions evenly over the sphere, by the golden angle.
+fn directions() -> impl Iterator<Item = Vector3<f64>> {
+    (0..N_DIRECTIONS).map(|k| {
+        let (z, turn) = (1.0 - (2 * k + 1) as f64 / N_DIRECTIONS as f64, 2.399_963 * k as f64);
+        Vector3::new(turn.cos(), turn.sin(), 0.0) * (1.0 - z * z).sqrt() + Vector3::z() * z
+    })
 }
 
 /// Two directions across a unit vector.
@@ -229,16 +257,18 @@ impl Ground {
 
     /// Starts of a shape that lie well on the surface after a few steps on a coarse map, best first, and the number of those tried.
     pub(super) fn laid(&self, shape: &Shape, effort: &Effort) -> (Vec<Placed>, usize) {
-        let Self { map, field, places, reach_mm, .. } = self;
+        let Self { map, field, reach_mm, .. } = self;
         let reach_mm = *reach_mm;
+        let every = if shape.normals.is_some() { 1 } else { EVERY };
+        let places: Vec<&Sample> = self.places.iter().step_by(every).collect();
         let camera = shape.camera.filter(|_| self.has_sides);
         let signs: &[f64] = if camera.is_some() { &[1.0] } else { &[1.0, -1.0] };
         let n_anchors = effort.max_starts / (places.len() * N_SPINS * signs.len()).max(1);
         let n_anchors = n_anchors.clamp(effort.min_anchors, effort.max_anchors);
         let first: Vec<&Vector3<f64>> = shape.points.iter().take(N_FIRST).collect();
-        let anchors = (0..shape.points.len()).filter(|&k| shape.normals[k] != Vector3::zeros()).take(n_anchors);
-        let sides: Vec<Side> = anchors
-            .flat_map(|k| signs.iter().map(move |sign| (shape.points[k], shape.normals[k] * *sign)))
+        let sides: Vec<Side> = shape
+            .anchors(n_anchors, signs)
+            .into_iter()
             .map(|(anchor, normal)| {
                 let [x, y] = across(&normal);
                 let frame = Rotation3::from_basis_unchecked(&[x, y, normal]);
@@ -268,12 +298,12 @@ impl Ground {
                         }
                     }
                 };
-                for (place, sums) in places.iter().zip(&mut costs) {
+                for (place, sums) in places.iter().copied().zip(&mut costs) {
                     add(place, &side.points[..half], sums, u16::MAX);
                 }
                 let limit = quantile(costs.as_flattened(), SECOND_SHARE);
                 let mut best = Vec::with_capacity(places.len());
-                for ((place, index), sums) in places.iter().zip(0..).zip(&mut costs) {
+                for ((place, index), sums) in places.iter().copied().zip(0..).zip(&mut costs) {
                     let before = *sums;
                     add(place, &side.points[half..], sums, limit);
                     let cost = |k: usize| if before[k] <= limit { sums[k] } else { u16::MAX };
@@ -291,7 +321,7 @@ impl Ground {
         let starts: Vec<Placed> = scored
             .iter()
             .map(|start| {
-                let (side, place) = (&sides[usize::from(start.side)], &places[start.sample as usize]);
+                let (side, place) = (&sides[usize::from(start.side)], places[start.sample as usize]);
                 let ([x, y], (sin, cos)) = (across(&place.normal), spin(usize::from(start.spin)));
                 let to = Rotation3::from_basis_unchecked(&[x * cos + y * sin, y * cos - x * sin, place.normal]);
                 let turn = to * side.frame.inverse();
@@ -331,16 +361,16 @@ fn lowest(mut scored: Vec<(u16, Start)>, n: usize) -> Vec<Start> {
 /// The starts at which most points lie on the surface with its normal, whatever its sign unless sides are known.
 fn agreeing(map: &NearMap, shape: &Shape, has_sides: bool, starts: &[Placed], reach_mm: f64, n: usize) -> Vec<Placed> {
     let cost = |placed: &Placed| -> f64 {
-        let points = shape.points.iter().zip(&shape.normals).take(N_SECOND);
-        let one = |(p, normal): (&Vector3<f64>, &Vector3<f64>)| {
+        let one = |(k, p): (usize, &Vector3<f64>)| {
             let moved = placed.rotation * p + placed.translation.vector;
             let Some(sample) = map.near(&moved) else { return 1.0 };
             let share = (moved - sample.point).norm_squared() / (reach_mm * reach_mm);
-            let cos = (placed.rotation * normal).dot(&sample.normal);
+            let Some(normals) = &shape.normals else { return share.min(1.0) };
+            let cos = (placed.rotation * normals[k]).dot(&sample.normal);
             let cos = if has_sides { cos.max(0.0) } else { cos.abs() };
             (share + 1.0 - cos).min(1.0)
         };
-        points.map(one).sum()
+        shape.points.iter().enumerate().take(N_SECOND).map(one).sum()
     };
     let mut scored: Vec<(f64, &Placed)> = starts.par_iter().map(|start| (cost(start), start)).collect();
     scored.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -359,6 +389,15 @@ fn places(samples: &[Sample], spacing_mm: f64) -> Vec<Sample> {
 mod tests {
     use super::*;
     use osteoflow_geometry::SurfaceOrigin;
+
+    #[test]
+    fn directions_are_even_over_the_sphere() {
+        let all: Vec<Vector3<f64>> = directions().collect();
+        let nearest = |d: &Vector3<f64>| all.iter().map(|other| other.angle(d)).fold(f64::MAX, f64::min);
+        let farthest = [[1.0, 0.0, 0.0], [0.3, -0.8, 0.5], [0.0, 0.0, -1.0], [-0.6, 0.6, -0.5]];
+        let widest = farthest.iter().map(|d| nearest(&Vector3::from(*d))).fold(0.0, f64::max);
+        assert!(all.len() == N_DIRECTIONS && widest < 0.3, "{widest} rad");
+    }
 
     #[test]
     fn any_beginning_of_thinned_points_is_spread_over_all() {

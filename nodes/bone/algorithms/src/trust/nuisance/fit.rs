@@ -272,7 +272,8 @@ impl Problem<'_> {
         }
         let n_determined = N_BEFORE as f64 - inverse.diagonal().dot(&prior.rows(0, N_BEFORE));
         let n_cells = cells.len() as f64;
-        let correction = (n_cells > n_determined + 1.0).then(|| n_cells / (n_cells - n_determined))?;
+        // Of as few cells as unknowns, one is left to tell it.
+        let correction = (n_cells > 7.0).then(|| n_cells / (n_cells - n_determined).max(1.0))?;
         let mut variances = DVector::zeros(6);
         for score in cells.values() {
             let moved = inverse.rows(0, 6) * score;

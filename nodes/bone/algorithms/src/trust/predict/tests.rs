@@ -177,7 +177,8 @@ fn a_draw_is_beyond_the_limits_if_it_exceeds_one_of_them() {
     let share = |draws: &[[f64; 6]]| {
         let poses = DMatrix::from_fn(6, draws.len(), |row, column| draws[column][row]);
         let weights = vec![1.0 / draws.len() as f64; draws.len()];
-        let draws = Draws { columns: &outputs.of_pose * poses, weights, of: vec![0; draws.len()] };
+        let draws =
+            Draws { columns: &outputs.of_pose * poses, weights, of: vec![0; draws.len()], scale_sigma: SCALE_SIGMA };
         draws.beyond_limits(&outputs, &limits)[0]
     };
     let shifted = |x: f64, z: f64| [x, 0.0, z, 0.0, 0.0, 0.0];
