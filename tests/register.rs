@@ -14,8 +14,10 @@ use osteoflow_geometry::{
     nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4},
 };
 use osteoflow_simulation::{BoneParams, bone};
-use rand::RngExt;
-use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use rand_chacha::{
+    ChaCha8Rng,
+    rand_core::{Rng as _, SeedableRng},
+};
 use serde_json::Value;
 use std::{fmt::Write as _, fs, process::Output, sync::LazyLock};
 
@@ -945,7 +947,7 @@ fn register_and_the_graph_of_two_files_give_the_same_bits_reasons_and_assumption
 fn coarse(case: &Case) -> String {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     // Uniform, of a standard deviation of 0.3 mm.
-    let mut noise = || rng.random_range(-0.52..0.52);
+    let mut noise = || (f64::from(rng.next_u32()) / f64::from(u32::MAX) - 0.5) * 1.04;
     let towards = case.t_target_source.inverse() * bone::anatomy(&BoneParams::default()).lateral.into_inner();
     let mut text = String::new();
     for p in &case.scan {

@@ -32,6 +32,7 @@ impl PlanBuilder {
                 require: Require::default(),
                 input_files: Vec::new(),
                 plugins: Vec::new(),
+                frames: Vec::new(),
                 resolved: "[graph]\nname = \"toy\"\n".into(),
             },
         }
