@@ -123,35 +123,35 @@ def rows_of(path):
 
 
 def known_sets(folder, out):
-    """The pairs of hip, range, prints and skull, as far as they are there. Limits are those of the sets' authors where they state one; what
-    each sensor is off by is the usual value of `rules.surface_error_mm`."""
+    """The pairs of hip, range, prints and skull, as far as they are there. Limits are those of the sets' authors where they state one, and each
+    scan states its sensor."""
     pairs, eye = [], np.eye(4).tolist()
 
-    def add(kind, scan, surface, source, poses, right_mm, truth_mm, surface_error_mm, **more):
+    def add(kind, scan, surface, source, poses, right_mm, truth_mm, sensor, **more):
         pairs.append({"object": kind, "scan": scan, "surface": str(surface.resolve()), "source": str(source.resolve()), "t_surface_scan": poses,
-                      "right_mm": right_mm, "truth_mm": truth_mm, "settings": {"verdict.rules.surface_error_mm": surface_error_mm}, **more})
+                      "right_mm": right_mm, "truth_mm": truth_mm, "settings": {"ct_surface.sensor.like": sensor}, **more})
 
     for surface in sorted((folder / "hip").glob("preoperative_*.stl")):
         name = surface.stem.split("operative_")[1]
         source = surface.with_name(f"intraoperative_{name}.xyz")
         if source.exists():
-            add(name.replace("_", " "), "tracked ultrasound", surface, source, [eye], 4.0, 2.0, 0.7)
+            add(name.replace("_", " "), "tracked ultrasound", surface, source, [eye], 4.0, 2.0, "ultrasound")
     if (folder / "range/bun.conf").exists():
         (out / "truth").mkdir(parents=True, exist_ok=True)
         for name, surface, source, truth in range_pairs(folder / "range", out / "truth"):
             pose = np.loadtxt(truth).tolist()
-            add("bunny", name, surface, source, [pose], 1.5, 0.2, 0.1, unit_mm=1000.0, source_unit_mm=1000.0)
+            add("bunny", name, surface, source, [pose], 1.5, 0.2, "laser", unit_mm=1000.0, source_unit_mm=1000.0)
     for source in sorted((folder / "prints").glob("*_*.xyz")):
         part = source.stem.rsplit("_", 1)[0]
         known = json.loads(source.with_suffix(".json").read_text())["t_scan_part_mm"]
-        add(part, source.stem, folder / "prints" / f"{part}.stl", source, [np.linalg.inv(pose).tolist() for pose in known], 10.0, 2.0, 1.5)
+        add(part, source.stem, folder / "prints" / f"{part}.stl", source, [np.linalg.inv(pose).tolist() for pose in known], 10.0, 2.0, "depth_camera")
     skull = folder / "skull"
     if (skull / "face.ply").exists():
         planned, touched = rows_of(skull / "planned.txt"), rows_of(skull / "touched.txt")
         # Every other landmark has the truth, and the rest are those of the rule of landmarks.
         on_face = kabsch(planned[::2], touched[::2]).tolist()
         for source in sorted(skull.glob("trace*.xyz")):
-            add("skull", source.stem, skull / "face.ply", source, [on_face], 3.0, 1.0, 0.5,
+            add("skull", source.stem, skull / "face.ply", source, [on_face], 3.0, 1.0, "stylus",
                 landmarks={"planned": planned[1::2].tolist(), "touched": touched[1::2].tolist()})
     return pairs
 

@@ -1,7 +1,16 @@
 //! Principal axes of a bone.
 
+use crate::kabsch::centroid;
 use nalgebra::{Matrix3, Point3, Vector3};
 use osteoflow_geometry::{Axes, Mesh};
+
+/// Centroid, axes and variances of points, the longest first.
+pub(crate) fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
+    let middle = centroid(points);
+    let scatter: Matrix3<f64> = points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum();
+    let (axes, variances) = largest_first(&(scatter / points.len().max(1) as f64));
+    (middle, axes, variances)
+}
 
 /// The principal axes of a surface through its centroid, with faces weighted by area.
 ///

@@ -6,6 +6,11 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 
+/// About `n` points, evenly through their order.
+pub(crate) fn thinned(points: &[Point3<f64>], n: usize) -> Vec<Point3<f64>> {
+    points.iter().step_by(points.len().div_ceil(n).max(1)).copied().collect()
+}
+
 /// One point of each occupied cell of a grid of `cell_mm`: the one closest to the mean of the cell's points, the lowest
 /// index in case of a tie. Indices are in the cloud's order; no point is moved, so normals and extra columns stay
 /// valid.

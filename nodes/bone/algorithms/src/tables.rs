@@ -1,6 +1,7 @@
 //! Planes in a scan on which it is wider than the whole surface: a table under the part, or a wall behind it.
 
-use crate::coarse::{principal, thinned};
+use crate::axes::principal;
+use crate::downsample::thinned;
 use crate::target::Target;
 use nalgebra::{Point3, Vector3};
 use osteoflow_geometry::Cloud;

@@ -5,15 +5,15 @@ mod axis;
 mod descent;
 mod patches;
 
-pub(crate) use descent::{Placed, Points, descended, distinct, motion, thinned};
+pub(crate) use descent::{Placed, Points, descended, distinct, motion};
 
 use crate::Refusal;
+use crate::downsample::thinned;
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::kabsch::centroid;
 use crate::tables::off_tables;
 use crate::target::{NearMap, Side, Target};
 use anywhere::{Effort, Ground, Shape, radius_of};
-pub(crate) use axis::principal;
 use axis::{Scan, stations};
 use nalgebra::{Isometry3, Point3};
 use osteoflow_geometry::Cloud;

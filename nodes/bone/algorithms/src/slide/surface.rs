@@ -1,6 +1,6 @@
 //! Distances of scan points from the surface, and their robust cost.
 
-use crate::coarse::thinned;
+use crate::downsample::thinned;
 use crate::kabsch::centroid;
 use crate::target::{Side, Target};
 use nalgebra::{Isometry3, Point3, Vector3};

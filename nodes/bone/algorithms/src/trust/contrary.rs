@@ -1,7 +1,8 @@
 //! What an independent registration says: by shape alone, and of the scan's mirror image.
 
 use super::evidence::{N_EXAMINED, Registered};
-use crate::coarse::{self, GlobalParams, Searched, thinned};
+use crate::coarse::{self, GlobalParams, Searched};
+use crate::downsample::thinned;
 
 use crate::icp::{self, IcpParams, Method, Source};
 use crate::kabsch::centroid;

@@ -2,6 +2,7 @@
 
 use osteoflow_algorithms::trust::{EvidenceParams, RuleParams, When};
 use serde_json::Value;
+use std::collections::HashMap;
 
 /// Thresholds whose names do not say which way is laxer.
 const LAXER_IF_SMALLER: [&str; 1] = ["max_latency_s"];
@@ -14,12 +15,12 @@ pub(super) fn loosened(rules: &RuleParams, examine: &EvidenceParams) -> Option<S
         collect("rules", &serde_json::to_value(rules).unwrap_or_default(), &mut all);
         all
     };
-    let (set, default) = (numbers(rules), numbers(&RuleParams::default()));
-    let mut laxer: Vec<String> = set
+    let default: HashMap<String, f64> = numbers(&RuleParams::default()).into_iter().collect();
+    let mut laxer: Vec<String> = numbers(rules)
         .into_iter()
-        .zip(default)
-        .filter(|((name, value), (_, default))| is_laxer(name, *value, *default))
-        .map(|((name, value), (_, default))| format!("{name} = {value} (default {default})"))
+        .filter_map(|(name, value)| default.get(&name).map(|default| (name, value, *default)))
+        .filter(|(name, value, default)| is_laxer(name, *value, *default))
+        .map(|(name, value, default)| format!("{name} = {value} (default {default})"))
         .collect();
     if !examine.shape {
         laxer.push("examine.shape = false (default true)".into());

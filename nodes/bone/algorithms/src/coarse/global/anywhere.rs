@@ -1,6 +1,7 @@
 //! Starts of a scan of any shape: in any orientation, anywhere on the surface.
 
-use super::descent::{Placed, Points, descended, distinct, thinned};
+use super::descent::{Placed, Points, descended, distinct};
+use crate::downsample::thinned;
 use crate::kabsch::centroid;
 use crate::morton::order_by_index;
 use crate::normals::without_side;

@@ -1,12 +1,11 @@
 //! Long axes of scan and bone.
 
 use super::descent::Placed;
-use crate::axes::largest_first;
-use crate::kabsch::centroid;
+use crate::axes::principal;
 use crate::nearest::Nearest;
 use crate::target::NearMap;
 use crate::union_find::UnionFind;
-use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use osteoflow_geometry::Cloud;
 use std::collections::BTreeMap;
 
@@ -48,14 +47,6 @@ impl Scan {
         let (min, max) = heights.fold((f64::MAX, f64::MIN), |(a, b), h| (a.min(h), b.max(h)));
         Some(Self { along, outward, half_length_mm: (max - min) / 2.0, elongation })
     }
-}
-
-/// Centroid, axes and variances of points, the longest first.
-pub(crate) fn principal(points: &[Point3<f64>]) -> (Point3<f64>, [Vector3<f64>; 3], [f64; 3]) {
-    let middle = centroid(points);
-    let scatter: Matrix3<f64> = points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum();
-    let (axes, variances) = largest_first(&(scatter / points.len().max(1) as f64));
-    (middle, axes, variances)
 }
 
 /// A position on the bone's centre line where a scan's centroid may lie, about the map's centre.
@@ -171,6 +162,7 @@ fn along(points: &[Point3<f64>], half_length_mm: f64, slide_mm: f64) -> Vec<Stat
 mod tests {
     use super::super::motion;
     use super::*;
+    use crate::kabsch::centroid;
     use crate::target::Target;
     use nalgebra::Isometry3;
     use osteoflow_geometry::SurfaceOrigin;

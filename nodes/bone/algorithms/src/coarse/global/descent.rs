@@ -1,5 +1,6 @@
 //! Point-to-plane steps on a [`NearMap`].
 
+use crate::downsample::thinned;
 use crate::target::NearMap;
 use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
@@ -27,11 +28,6 @@ impl Points {
         let points = thinned(points, n).iter().map(|p| p - centroid).collect();
         Self { points, camera: camera.map(|camera| camera - centroid) }
     }
-}
-
-/// About `n` points, evenly through their order.
-pub(crate) fn thinned(points: &[Point3<f64>], n: usize) -> Vec<Point3<f64>> {
-    points.iter().step_by(points.len().div_ceil(n).max(1)).copied().collect()
 }
 
 /// A pose that takes points about their centroid to positions about the map's centre.

@@ -1,7 +1,8 @@
 //! Patches of a scan, small enough that some hold nothing but the bone.
 
-use super::axis::{connected, principal};
-use super::descent::thinned;
+use super::axis::connected;
+use crate::axes::principal;
+use crate::downsample::thinned;
 use nalgebra::Point3;
 
 /// Number of scan points, evenly through their order, that patches are made of.
