@@ -10,6 +10,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_1_SQRT_2;
 
+/// Least share on the surface of a scan of a coarse sensor: what its error excuses on the surface tells another shape by what is off it.
+const MIN_ON_COARSE: f64 = 0.8;
+
 /// Thresholds of the rules.
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -111,6 +114,10 @@ impl RuleParams {
                 mm => mm.max(sensor.patch_mm * FRAC_1_SQRT_2),
             },
             max_inside: self.max_inside + sensor.outliers,
+            min_on_surface: match sensor.is_coarse() {
+                true => self.min_on_surface.max(MIN_ON_COARSE),
+                false => self.min_on_surface,
+            },
             max_shape_apart_mm: self.max_shape_apart_mm.max(attains_mm),
             ..self.clone()
         }

@@ -89,6 +89,12 @@ fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
         assert_eq!(told(0.01, 0.01, patch_mm, 0.0).as_deref(), Some("inward_misfit"));
     }
 
+    // With a coarse sensor less may be off the surface.
+    let off = |kind: SensorKind, on_surface| {
+        let rules = RuleParams::default().of(&kind.sensor());
+        data_reasons(&Evidence { on_surface, ..evidence() }, &rules).iter().any(|reason| reason.rule == "on_surface")
+    };
+    assert!(off(SensorKind::DepthCamera, 0.79) && !off(SensorKind::DepthCamera, 0.81) && !off(SensorKind::Laser, 0.36));
     // A fine scan is not excused by a coarse sensor; a fine sensor excuses nothing.
     let stated = |kind: SensorKind, noise_mm| {
         let all = Evidence { sensor: Some(kind.sensor()), noise_mm, ..evidence() };
