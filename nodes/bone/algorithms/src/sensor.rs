@@ -71,7 +71,7 @@ impl SensorKind {
             Self::Laser => [0.05, 0.1, 6.0, 0.05, 0.0, 0.02],
             Self::DepthCamera => [0.3, 1.5, 8.0, 1.0, 0.0, 0.05],
             Self::Ultrasound => [0.6, 1.2, 8.0, 0.5, 1.2, 0.05],
-            Self::Stylus => [0.3, 0.3, 3.0, 0.1, 0.2, 0.01],
+            Self::Stylus => [0.1, 0.3, 3.0, 0.1, 0.2, 0.01],
         };
         let name = self.word().into();
         Sensor { name, noise_mm, patch_mm, length_mm, bias_mm, shift_mm, outliers, tip_radius_mm: 0.0 }
