@@ -234,7 +234,7 @@ def register(
     set : any parameter of the method, {"trim_fraction": 0.2}; `osteoflow inspect icp.point_to_plane` lists them.
     camera : (3,), position of the camera in the source's frame, mm.
     sensor : what `source` was measured with: "structured_light" (the default), "laser", "depth_camera", "ultrasound" or "stylus", or a
-        file of `osteoflow sensor`; the verdict expects its errors.
+        file (TOML) with the keys of `sensor` of surface.prepare; the verdict expects its errors.
     tip_radius_mm : radius of the ball of a stylus' tip, whose middle the points are.
     component, source_component : which part of target and source: "largest", its number by size, or "nearest:X,Y,Z" (mm).
     box, sphere, region : (6,) two opposite corners, (4,) centre and radius in the source's frame, mm, or a file that the page saved;
