@@ -632,7 +632,7 @@ fn register_believes_no_plugin() {
         ("t[:3, :3] = -t[:3, :3]", "pose", "scales, shears or mirrors"),
         ("t[:3, :3] = 1.05 * t[:3, :3]", "pose", "scales, shears or mirrors"),
         ("t[0, 3] = np.nan", "pose", "finite"),
-        ("to, from_ = from_, to", "pose", "a pose camera -> ct is needed here"),
+        ("to, from_ = from_, to", "pose", "output t_target_source has to \"camera\", but the graph expects \"ct\""),
         ("raise NodeError('no overlap')", "pose", "no overlap"),
         ("os._exit(0)", "pose", "exit code 0"),
         ("os.abort()", "pose", "SIGABRT"),
@@ -656,7 +656,10 @@ fn register_believes_no_plugin() {
     let swapped = cases.iter().position(|(pose, ..)| pose.starts_with("to, from_")).unwrap();
     let (code, answer, stderr) = folder.register(&files[swapped], &["--no-verdict"]);
     assert_eq!((code, &answer["T"]), (Some(3), &Value::Null), "{answer}");
-    assert!(stderr.contains("refused: claims.fit: a pose camera -> ct is needed here"), "{stderr}");
+    assert!(
+        stderr.contains("refused: claims.fit: output t_target_source has to \"camera\", but the graph expects \"ct\""),
+        "{stderr}"
+    );
     folder.write("two.py", &format!("{}{TWO}", texts[0]));
     let (code, _, stderr) = folder.register("two.py", &[]);
     assert!(code == Some(2) && stderr.contains("claims.fit, claims.other; name one with --kind"), "{stderr}");

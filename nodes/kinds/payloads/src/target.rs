@@ -18,7 +18,7 @@ use serde_json::{Value as Json, json};
 /// The head field that is present if the view has a grid.
 const CELL_MM: &str = "cell_mm";
 
-/// The head field that is present if the scan's sensor is stated.
+/// The column that is present if the scan's sensor is stated.
 const SENSOR: &str = "sensor";
 
 fn has(view: &View, column: &str) -> bool {
@@ -35,9 +35,6 @@ impl Payload<Table> for Target {
         SchemaEntry::text("frame"),
         SchemaEntry::text("origin").doc("where the surface comes from: exact, simulated_ct or user"),
         SchemaEntry::float(CELL_MM).optional(),
-        SchemaEntry::text(SENSOR)
-            .optional()
-            .doc("what the scan is measured with, and how it errs, as JSON; the surface is moved for its tip"),
         SchemaEntry::column("points", ColumnType::F64, 3).unit("mm"),
         SchemaEntry::column("normals", ColumnType::F64, 3).optional(),
         SchemaEntry::column("cells/blocks", ColumnType::U32, 1).optional(),
@@ -45,6 +42,10 @@ impl Payload<Table> for Target {
         SchemaEntry::column("cells/items", ColumnType::U32, 1).optional(),
         SchemaEntry::column("mesh/vertices", ColumnType::F64, 3).optional().unit("mm"),
         SchemaEntry::column("mesh/faces", ColumnType::U32, 3).optional(),
+        // A column, as plugins of earlier versions know the head.
+        SchemaEntry::column(SENSOR, ColumnType::U8, 1)
+            .optional()
+            .doc("what the scan is measured with, as JSON; the surface is moved for its tip"),
         // Of recordings by earlier versions, whose closest-point field is not read.
         SchemaEntry::column("field/head", ColumnType::F64, 1).optional(),
         SchemaEntry::column("field/index", ColumnType::U32, 1).optional(),
@@ -59,7 +60,8 @@ impl Payload<Table> for Target {
             .with(CELL_MM, cells.cell_mm)
             .with_column(to_column("points", ColumnType::F64, self.point_column()));
         if let Some(sensor) = self.sensor() {
-            view = view.with(SENSOR, serde_json::to_string(sensor).unwrap_or_default());
+            let text = Column::from(serde_json::to_vec(sensor).unwrap_or_default());
+            view = view.with_column(to_column(SENSOR, ColumnType::U8, &text));
         }
         if let Some(normals) = self.normal_column() {
             view = view.with_column(to_column("normals", ColumnType::F64, normals));
@@ -98,8 +100,9 @@ impl Payload<Table> for Target {
             let mesh = Mesh::new(frame, origin, vertices, faces).map_err(invalid)?;
             target = target.with_mesh(MeshQuery::new(&mesh));
         }
-        if view.field(SENSOR).is_some() {
-            let sensor = serde_json::from_str(view.text(SENSOR)?).map_err(|error| invalid(error.to_string()))?;
+        if has(view, SENSOR) {
+            let text: Column<u8> = from_column(view, SENSOR)?;
+            let sensor = serde_json::from_slice(&text).map_err(|error| invalid(error.to_string()))?;
             target = target.for_sensor(Some(sensor));
         }
         if view.field(CELL_MM).is_some() {

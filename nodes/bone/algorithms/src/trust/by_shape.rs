@@ -31,6 +31,9 @@ pub(super) fn shape_reason(evidence: &Evidence, rules: &RuleParams) -> Option<Re
 /// tissue leave less.
 const SURROUNDINGS_MM: f64 = 5.0;
 
+/// Clearness below which two places among surroundings are equally good.
+const ANY_PLACE: f64 = 0.02;
+
 /// Whether much of the scan is far from the surface.
 pub(super) fn has_surroundings(evidence: &Evidence) -> bool {
     evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM)
@@ -63,16 +66,17 @@ pub(super) fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroun
 }
 
 /// Names surroundings first, where they hide the bone from a search by shape or leave little of the scan on it: what else is wrong
-/// with the answer follows from it.
-pub(super) fn name_surroundings_first(reasons: &mut [Reason], has_surroundings: bool) {
+/// with the answer follows from it. Where little is on the bone and another place is as good, nothing speaks for this one, and it is refused.
+pub(super) fn name_surroundings_first(reasons: &mut [Reason], has_surroundings: bool, start: Option<&GlobalReport>) {
     if !has_surroundings {
         return;
     }
     let is_refused = reasons.iter().any(|reason| reason.answer == Answer::Refused);
     let at = |rule: &str| reasons.iter().position(|reason| reason.rule == rule);
+    let is_any_place = at("on_surface").is_some() && start.is_some_and(|start| start.clearness < ANY_PLACE);
     let start = at("start");
     let Some(first) = start.or_else(|| at("on_surface")) else { return };
-    if is_refused && start.is_some() {
+    if (is_refused || is_any_place) && start.is_some() {
         reasons[first].answer = Answer::Refused;
     }
     reasons[..=first].rotate_right(1);

@@ -177,7 +177,7 @@ impl Judging<'_> {
             reasons.extend(mirror_reason(&examined.evidence));
             reasons.extend(side_reason(&examined.evidence).filter(|_| is_side_open));
         }
-        name_surroundings_first(&mut reasons, has_surroundings(&examined.evidence));
+        name_surroundings_first(&mut reasons, has_surroundings(&examined.evidence), self.case.start);
         // What else is wrong follows from it.
         if let Some(size) = size_reason(registered, &examined.evidence) {
             reasons.insert(0, size);
