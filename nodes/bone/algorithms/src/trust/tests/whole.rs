@@ -73,7 +73,9 @@ fn the_mirror_image_is_not_tried_without_a_sign_or_where_it_is_not_wanted() {
 
 #[test]
 fn what_is_taken_for_granted_depends_on_what_is_known() {
-    let (target, scan) = (target_of(&shaft()), Cloud::new("scan", vec![Point3::origin(); 3]).unwrap());
+    // A surface without normals cannot be examined.
+    let target = Target::new("ct", SurfaceOrigin::User, shaft().vertices().to_vec(), None).unwrap();
+    let scan = Cloud::new("scan", vec![Point3::origin(); 3]).unwrap();
     let pose = Isometry3::identity();
     let tracking = Tracking { camera_marker: Point3::origin(), phantom_marker: None, phantom_fit: None };
     let piece = [NamedPoint::new("working_1", Point3::origin())];
