@@ -971,6 +971,11 @@ fn a_scan_of_a_coarse_sensor_is_trusted_once_the_sensor_is_stated_as_the_message
     assert_eq!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
     assert!(case.off_mm(&answer) < 2.0, "{}", case.off_mm(&answer));
     assert_eq!(answer["verdict"]["measured"]["sensor"]["name"], "depth_camera");
+    // What is believed of it is told, and nothing of a sensor that changes nothing.
+    let assumption = "the scan was measured with a depth camera, as stated: errors of 1.5 mm";
+    assert!(answer["verdict"]["assumptions"].to_string().contains(assumption), "{}", answer["verdict"]);
+    let laser = case.answer("bone.stl", "scan.ply", &["--sensor", "laser"]);
+    assert!(!laser["verdict"]["assumptions"].to_string().contains("as stated"), "{}", laser["verdict"]);
     // By shape, the graph of two files takes the same.
     the_same_both_ways(&case, ["bone.stl", "coarse.xyz"], &stated);
     // A file states the same; its numbers count, and a wrong key is named with its line.

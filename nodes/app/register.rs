@@ -213,8 +213,9 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "X,Y,Z", value_parser = camera, allow_hyphen_values = true)]
     pub camera: Option<Point3<f64>>,
 
-    /// What SOURCE was measured with: structured_light, laser, depth_camera, ultrasound or stylus, or a file (TOML) with the keys of `sensor` of surface.prepare. The
-    /// verdict then expects its errors. Default: structured_light, and the verdict says which other sensor the residuals look like.
+    /// What SOURCE was measured with: structured_light, laser, depth_camera, ultrasound or stylus, or a file (TOML) with the keys of
+    /// `sensor` of surface.prepare. The verdict then expects its errors. Default: structured_light, and the verdict says which other
+    /// sensor the residuals look like.
     #[arg(long, value_name = "NAME|FILE")]
     pub sensor: Option<PathBuf>,
 

@@ -21,8 +21,6 @@ pub struct Sensor {
     pub noise_mm: f64,
     /// Error that neighbours share.
     pub patch_mm: f64,
-    /// Distance over which what they share falls to 37 %.
-    pub length_mm: f64,
     /// Error that the whole scan shares along the surface's normal.
     pub bias_mm: f64,
     /// Shift of the whole scan along each axis, which no residual shows.
@@ -64,17 +62,17 @@ impl SensorKind {
         }
     }
 
-    /// How it errs, as published.
+    /// How it errs, rounded: of the order that is published for it.
     pub fn sensor(self) -> Sensor {
-        let [noise_mm, patch_mm, length_mm, bias_mm, shift_mm, outliers] = match self {
-            Self::StructuredLight => [0.05, 0.1, 4.0, 0.0, 0.0, 0.01],
-            Self::Laser => [0.05, 0.1, 6.0, 0.05, 0.0, 0.02],
-            Self::DepthCamera => [0.3, 1.5, 8.0, 1.0, 0.0, 0.05],
-            Self::Ultrasound => [0.6, 1.2, 8.0, 0.5, 1.2, 0.05],
-            Self::Stylus => [0.1, 0.3, 3.0, 0.1, 0.2, 0.01],
+        let [noise_mm, patch_mm, bias_mm, shift_mm, outliers] = match self {
+            Self::StructuredLight => [0.05, 0.1, 0.0, 0.0, 0.01],
+            Self::Laser => [0.05, 0.1, 0.05, 0.0, 0.02],
+            Self::DepthCamera => [0.3, 1.5, 1.0, 0.0, 0.05],
+            Self::Ultrasound => [0.6, 1.2, 0.5, 1.2, 0.05],
+            Self::Stylus => [0.1, 0.3, 0.1, 0.2, 0.01],
         };
         let name = self.word().into();
-        Sensor { name, noise_mm, patch_mm, length_mm, bias_mm, shift_mm, outliers, tip_radius_mm: 0.0 }
+        Sensor { name, noise_mm, patch_mm, bias_mm, shift_mm, outliers, tip_radius_mm: 0.0 }
     }
 }
 
@@ -82,7 +80,7 @@ impl SensorKind {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SensorParams {
-    /// The sensor by its name; what else is stated counts instead of what is published for it.
+    /// The sensor by its name; what else is stated counts instead of what is taken for it.
     pub like: Option<SensorKind>,
     /// Error of single points across the surface, which neighbours do not share, mm (standard deviation).
     #[param(None, 0.0..=100.0)]
@@ -90,9 +88,6 @@ pub struct SensorParams {
     /// Error that neighbours share, mm (standard deviation).
     #[param(None, 0.0..=100.0)]
     pub patch_mm: Option<f64>,
-    /// Distance over which what neighbours share falls to 37 %, mm.
-    #[param(None, 0.0..=1000.0)]
-    pub length_mm: Option<f64>,
     /// Error that the whole scan shares along the surface's normal, mm (standard deviation).
     #[param(None, 0.0..=100.0)]
     pub bias_mm: Option<f64>,
@@ -117,7 +112,6 @@ impl SensorParams {
         for (stated, of) in [
             (self.noise_mm, &mut sensor.noise_mm),
             (self.patch_mm, &mut sensor.patch_mm),
-            (self.length_mm, &mut sensor.length_mm),
             (self.bias_mm, &mut sensor.bias_mm),
             (self.shift_mm, &mut sensor.shift_mm),
             (self.outliers, &mut sensor.outliers),
@@ -134,7 +128,6 @@ impl SensorParams {
             like: self.like.or(other.like),
             noise_mm: self.noise_mm.or(other.noise_mm),
             patch_mm: self.patch_mm.or(other.patch_mm),
-            length_mm: self.length_mm.or(other.length_mm),
             bias_mm: self.bias_mm.or(other.bias_mm),
             shift_mm: self.shift_mm.or(other.shift_mm),
             outliers: self.outliers.or(other.outliers),

@@ -2,7 +2,7 @@
 
 use super::contrary::{self, Support};
 use super::spread::normal_matrix;
-use super::surface_error::CELL_MM;
+use super::surface_error::{CELL_MM, MEDIAN_SIGMAS};
 use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
 use crate::coarse::{GlobalReport, Searched};
 use crate::sensor::Sensor;
@@ -27,9 +27,6 @@ const OUTSIDE_SIGMAS: f64 = 2.5;
 
 /// What a stated sensor errs over patches is as often this many standard deviations as points are outliers.
 const OFF_SIGMAS: f64 = 2.5;
-/// Half of a Gaussian's absolute values are below this many standard deviations.
-const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
-
 /// The noise is estimated across the surface, and one at a slant has more: this share of it remains in the misfit.
 const NOISE_LEFT: f64 = 0.3;
 

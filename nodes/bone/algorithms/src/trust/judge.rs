@@ -15,7 +15,7 @@ use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, poin
 use super::extent::extent_reason;
 use super::inside::inside_reason;
 use super::landmarks::{Compared, LandmarkErrors, landmarks_contradict};
-use super::misfit::{misfit_reason, sensor_reason};
+use super::misfit::{misfit_reason, sensor_assumption, sensor_reason};
 use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::{self, Nuisance, Nuisances};
 use super::on_surface::{facing_away_reason, on_surface_reason};
@@ -67,8 +67,10 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
     let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
-    let assumed = assumed
+    let sensor = case.registered.target.sensor().and_then(|sensor| sensor_assumption(sensor, &rules.limits));
+    let assumed = sensor
         .into_iter()
+        .chain(assumed)
         .chain(takes.assumptions)
         .chain(takes.trust_ends.clone())
         .chain(devices)

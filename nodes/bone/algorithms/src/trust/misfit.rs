@@ -1,6 +1,6 @@
 //! The part of the residuals that noise does not explain.
 
-use super::{Evidence, Residual, RuleParams};
+use super::{Evidence, Limits, Residual, RuleParams};
 use crate::sensor::{Sensor, SensorKind};
 use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
@@ -61,6 +61,19 @@ pub(super) fn sensor_reason(evidence: &Evidence) -> Option<Reason> {
             sensor.noise_mm
         );
         Reason::new("sensor", Answer::Doubtful, reason, "state the sensor that the scan was measured with (--sensor)")
+    })
+}
+
+/// What is taken for granted of a coarse sensor: nothing but the scan's noise confirms it.
+pub(super) fn sensor_assumption(sensor: &Sensor, limits: &Limits) -> Option<String> {
+    sensor.is_coarse().then(|| {
+        format!(
+            "the scan was measured with {}, as stated: errors of {:.1} mm over patches are no sign against the answer, and an error of up to \
+             {:.1} mm counts as right",
+            sensor.words(),
+            sensor.patch_mm,
+            limits.max_tre_mm
+        )
     })
 }
 

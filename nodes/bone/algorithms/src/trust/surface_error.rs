@@ -23,7 +23,7 @@ const MIN_PRODUCTS: usize = 50;
 const CLIP_SIGMAS: f64 = 4.0;
 
 /// Half of a Gaussian's absolute values are below this many standard deviations.
-const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
+pub(super) const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
 
 /// The error between a registered scan and the surface, of camera and CT together, by an exponential variogram.
 ///
