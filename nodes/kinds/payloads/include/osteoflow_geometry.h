@@ -145,6 +145,7 @@ typedef struct osteoflow_axes {
  * cells/items: uint32_t[1]; optional
  * mesh/vertices: double[3], mm, of the mesh that the points were drawn from; optional
  * mesh/faces: uint32_t[3]; optional
+ * sensor: uint8_t[1], a JSON text, what measured the scans; optional
  * field/head: double[1]; optional
  * field/index: uint32_t[1]; optional
  * field/nodes: float[1]; optional
