@@ -243,7 +243,7 @@ fn the_benchmark_of_verdicts_goes_on_after_an_interruption_and_computes_its_figu
 
     // Figures follow the labels: a right pose that is called wrong has the lowest chance of being wrong.
     assert_eq!(figures(&answers).1, out);
-    for (measure, number) in [("osteoflow", "/beyond_limits"), ("residual RMS", "/scores/residual RMS")] {
+    for (measure, number) in [("osteoflow", "/stated_chance"), ("residual RMS", "/scores/residual RMS")] {
         let of = |row: &&usize| answers["rows"][**row].pointer(number).and_then(Value::as_f64).unwrap();
         let best = *right.iter().min_by(|a, b| of(a).total_cmp(&of(b))).unwrap();
         let mut mislabelled = answers.clone();
@@ -252,7 +252,10 @@ fn the_benchmark_of_verdicts_goes_on_after_an_interruption_and_computes_its_figu
         assert!(auroc(&fewer, measure) < auroc(&out, measure), "{measure}: {fewer}{err}");
         assert!(fewer.contains(&format!("**Trusted and wrong: 1 of {} (", n_wrong + 1)), "{fewer}");
     }
-    // A stated chance, where there is one, orders the answers, refused ones too.
+    // A stated chance orders the answers, refused ones too; without one the answer does.
+    let mut unstated = answers.clone();
+    unstated["rows"].as_array_mut().unwrap().iter_mut().for_each(|row| row["stated_chance"] = Value::Null);
+    assert_eq!(auroc(&figures(&unstated).1, "osteoflow"), 1.0);
     let mut stated = answers.clone();
     for row in stated["rows"].as_array_mut().unwrap() {
         row["stated_chance"] = f64::from(u8::from(row["label"] == "right")).into();
@@ -285,4 +288,66 @@ fn the_benchmark_of_verdicts_goes_on_after_an_interruption_and_computes_its_figu
         !is_done && err.contains("made of other pairs, files, --poses or --seed; give another --out"),
         "{out}{err}"
     );
+}
+
+#[cfg(unix)]
+#[test]
+fn weights_of_the_chance_are_fitted_to_scans_that_lie_on_their_surface_and_no_sign_speaks_for_an_answer() {
+    let Some(python) = python("the weights of the chance of being wrong") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let chance = |task: &str, path: &Path, more: &[&Path]| {
+        let mut command = Command::new(&python);
+        command.arg(root().join("graphs/real/chance.py")).arg(task).arg(path).args(more).args(["--shapes", "1"]);
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let (set, bone) = (dir.path().join("set"), dir.path().join("bone.stl"));
+    write_pair(&bone, &dir.path().join("scan.xyz"), 1);
+    chance("make", &set, &[&bone]);
+    let manifest: Value = serde_json::from_slice(&fs::read(set.join("manifest.json")).unwrap()).unwrap();
+    let pairs = manifest["pairs"].as_array().unwrap();
+    let objects: Vec<_> = pairs.iter().map(|pair| pair["object"].as_str().unwrap()).collect();
+    assert!(pairs.len() == 10 && objects[..5] == ["bone"; 5] && objects[5..] == ["shape_0"; 5], "{objects:?}");
+    for pair in pairs {
+        let at = |key: &str| set.join(pair[key].as_str().unwrap());
+        let corners = read_mesh(&at("surface"), 1.0).unwrap().vertices;
+        let pose: Vec<f64> =
+            serde_json::from_value::<Vec<Vec<f64>>>(pair["t_surface_scan"][0].clone()).unwrap().concat();
+        let text = fs::read_to_string(at("source")).unwrap();
+        let points = text.lines().map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect::<Vec<f64>>());
+        let mut far_mm: Vec<f64> = points
+            .map(|p| {
+                std::array::from_fn(|k| {
+                    pose[4 * k..][..3].iter().zip(&p).map(|(a, b)| a * b).sum::<f64>() + pose[4 * k + 3]
+                })
+            })
+            .map(|p: [f64; 3]| corners.iter().map(|c| (c - Point3::from(p)).norm()).fold(f64::MAX, f64::min))
+            .collect();
+        far_mm.sort_by(f64::total_cmp);
+        let median_mm = far_mm[far_mm.len() / 2];
+        assert!(far_mm.len() >= 100 && median_mm < 6.0, "{}: {median_mm}", pair["source"]);
+    }
+
+    // What tells has a weight, what speaks for wrong answers has none, and what was not examined has no part.
+    let row = |index: usize, signs: Value| {
+        let label = if index % 2 == 0 { "right" } else { "wrong" };
+        serde_json::json!({ "object": format!("{}", index % 3), "label": label, "signs": signs })
+    };
+    let signs = |index: usize| {
+        let wrong = f64::from(u8::from(index % 2 == 1));
+        serde_json::json!({ "far": wrong + 0.01 * index as f64, "refused": 1.0 - wrong, "doubtful": 0.0 })
+    };
+    let mut rows: Vec<Value> = (0..60).map(|index| row(index, signs(index))).collect();
+    rows.push(row(61, serde_json::json!({ "refused": 1.0 })));
+    let answers = dir.path().join("answers.json");
+    fs::write(&answers, serde_json::json!({ "rows": rows }).to_string()).unwrap();
+    let told = chance("fit", &answers, &[]);
+    let weight = |name: &str| -> f64 {
+        let (_, rest) = told.split_once(&format!("(\"{name}\", ")).unwrap_or_else(|| panic!("{told}"));
+        rest.split(')').next().unwrap().parse().unwrap()
+    };
+    assert!(told.starts_with("30 right and 30 wrong answers of 3 objects\n"), "{told}");
+    assert!(weight("far") > 1.0 && weight("refused") == 0.0 && weight("doubtful") == 0.0, "{told}");
+    assert!(told.contains("AUROC of objects left out: 1.000"), "{told}");
 }

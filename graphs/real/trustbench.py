@@ -454,6 +454,7 @@ def ask_us(run, pairs, rows, so_far):
         row["reason"] = None if verdict else ran.get("reason")
         row["rules"] = [reason["rule"] for reason in verdict.get("reasons", [])]
         row["stated_chance"] = verdict.get("chance_of_being_wrong")
+        row["signs"] = verdict.get("signs")
         row["beyond_limits"] = predicted.get("beyond_limits")
         row["interval_mm"] = (predicted.get("assessment") or {}).get("interval_mm")
         row["cpu_s"] = {OURS: sum(node["cpu_ms"] for node in times if node["node"] == "verdict") / 1000}

@@ -96,6 +96,11 @@ impl Verdict {
         self.json.get("predicted").unwrap_or(&Json::Null)
     }
 
+    /// The chance that the answer is wrong, if the node states one.
+    pub fn chance_of_being_wrong(&self) -> Option<f64> {
+        self.json.get("chance_of_being_wrong").and_then(Json::as_f64)
+    }
+
     /// Whether a node judged the results. If not, the run failed or was stopped.
     pub fn is_judged(&self) -> bool {
         !matches!(self.reasons.as_slice(), [only] if only.rule == FAILURE || only.rule == INTERRUPTED)

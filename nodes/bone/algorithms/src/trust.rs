@@ -8,6 +8,7 @@ mod attitude;
 mod bound;
 mod by_shape;
 mod case;
+mod chance;
 mod checked;
 mod contradiction;
 mod contrary;

@@ -6,8 +6,8 @@ use super::rules::RuleParams;
 use crate::coarse::{CROP, GlobalReport};
 use osteoflow_verdict::{Answer, Reason};
 
-/// The sign that by its shape alone the scan fits elsewhere better, or as well and clearly.
-pub(super) fn shape_reason(evidence: &Evidence, rules: &RuleParams) -> Option<Reason> {
+/// The sign that by its shape alone the scan fits elsewhere better; or as well, and clearly or where no landmark tells the place.
+pub(super) fn shape_reason(evidence: &Evidence, rules: &RuleParams, is_placed: bool) -> Option<Reason> {
     let shape = evidence.shape.as_ref().filter(|shape| shape.apart_mm > rules.max_shape_apart_mm)?;
     let mm = shape.apart_mm;
     if shape.is_better() {
@@ -20,10 +20,17 @@ pub(super) fn shape_reason(evidence: &Evidence, rules: &RuleParams) -> Option<Re
         let remedy = "check the landmarks, and that plan and CT are of this bone";
         return Some(Reason::new("shape", Answer::Refused, reason, remedy));
     }
-    let is_as_good = shape.clearness >= rules.min_shape_clearness && shape.support + BETTER > shape.judged_support;
-    is_as_good.then(|| {
-        let reason = format!("by its shape alone the scan fits as well {mm:.0} mm away");
-        Reason::new("shape", Answer::Doubtful, reason, "scan a longer stretch, or one with more shape")
+    let is_clear = shape.clearness >= rules.min_shape_clearness;
+    let is_as_good = shape.support + BETTER > shape.judged_support;
+    (is_as_good && (is_clear || !is_placed)).then(|| {
+        let landmarks = if is_placed { "" } else { ", and no landmarks tell which place is right" };
+        let reason = format!("by its shape alone the scan fits as well {mm:.0} mm away{landmarks}");
+        Reason::new(
+            "shape",
+            Answer::Doubtful,
+            reason,
+            "scan a longer stretch, or one with more shape, or locate landmarks",
+        )
     })
 }
 
@@ -99,15 +106,24 @@ pub(super) fn another_bone_reason(evidence: &Evidence) -> Option<Reason> {
     })
 }
 
-/// The sign that few points do not tell the scan from its mirror image.
-pub(super) fn side_reason(evidence: &Evidence) -> Option<Reason> {
+/// The sign that few points, or a coarse sensor, do not tell the scan from its mirror image. A coarse sensor's error excuses much of a mirror
+/// image, so that one is doubted which fits better at all; of few points, one that fits as well.
+pub(super) fn side_reason(evidence: &Evidence, is_sparse: bool) -> Option<Reason> {
     let shape = evidence.shape.as_ref().filter(|shape| !shape.is_mirror_better())?;
-    (shape.mirrored_support? > shape.support.max(shape.judged_support) - BETTER).then(|| {
-        let reason = "so few points do not tell the scan from its mirror image, which fits the surface as well";
-        let remedy =
-            "touch more points, and some across the bone; or start from four landmarks that do not lie in a plane";
-        Reason::new("mirrored", Answer::Doubtful, reason, remedy)
-    })
+    let (best, mirrored) = (shape.support.max(shape.judged_support), shape.mirrored_support?);
+    let (than, what, remedy) = match is_sparse {
+        true => (
+            best - BETTER,
+            "so few points do not tell the scan from its mirror image, which fits the surface as well",
+            "touch more points, and some across the bone; or start from four landmarks that do not lie in a plane",
+        ),
+        false => (
+            best + shape.mirrored_margin_sd.unwrap_or(0.0),
+            "within the error of this sensor the scan's mirror image fits better than the scan",
+            "check the side; scan more of the bone, or start from four landmarks that do not lie in a plane",
+        ),
+    };
+    (mirrored > than).then(|| Reason::new("mirrored", Answer::Doubtful, what, remedy))
 }
 
 /// The sign that the scan's mirror image fits better.

@@ -7,6 +7,7 @@ use super::by_shape::{
     start_reason,
 };
 use super::case::Case;
+use super::chance::{chance_of_being_wrong, signs};
 use super::checked::check_reason;
 use super::contradiction::contradiction_reason;
 use super::convergence::convergence_reason;
@@ -32,6 +33,7 @@ use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
 use crate::coarse;
 use crate::kabsch::kabsch;
+use crate::sensor::Sensor;
 use crate::still_average::TakeMotion;
 use crate::tables::off_tables;
 use nalgebra::{Isometry3, Point3};
@@ -77,7 +79,14 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
         .chain(last)
         .collect();
     let trust_ends = takes.trust_ends;
-    Verdict { trust_ends, ..Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances) }
+    let signs = signs(scan.measured.as_ref(), scan.beyond_limits, &reasons, rules);
+    let chance_of_being_wrong = Some(chance_of_being_wrong(&signs));
+    Verdict {
+        trust_ends,
+        chance_of_being_wrong,
+        signs,
+        ..Verdict::new(reasons, assumed, scan.predicted, scan.measured, scan.nuisances)
+    }
 }
 
 /// What the markers' motions say.
@@ -93,6 +102,8 @@ struct OfTakes {
 struct OfScan {
     reasons: Vec<Reason>,
     predicted: Option<Predicted>,
+    /// The predicted chance of an error beyond the limits, also where no error is told.
+    beyond_limits: Option<f64>,
     measured: Option<Evidence>,
     nuisances: Vec<Nuisance>,
     /// The causes that the data do not limit, each with whether it is of camera or markers.
@@ -166,9 +177,12 @@ impl Judging<'_> {
             Some(smeared) => reasons.push(smeared),
             None => reasons.extend(spread_reason(predicted.as_ref(), &examined.evidence, self.rules)),
         }
-        reasons.extend(data_reasons(&examined.evidence, self.rules));
+        let is_placed = !self.case.located.is_empty();
+        reasons.extend(data_reasons(&examined.evidence, self.rules, is_placed));
         reasons.extend(self.landmarks(examined.spread.as_ref()));
-        let is_side_open = coarse::is_sparse(registered.source.points()) && !self.is_side_told();
+        let is_sparse = coarse::is_sparse(registered.source.points());
+        let is_coarse = registered.target.sensor().is_some_and(Sensor::is_coarse);
+        let is_side_open = (is_sparse || is_coarse) && !self.is_side_told();
         if self.is_mirror_due(&reasons, cause.is_some() || is_side_open) {
             examined.examine_mirrored(registered);
             // A gross mistake is named before the cause that would explain it.
@@ -177,13 +191,14 @@ impl Judging<'_> {
                 reasons.insert(at, another);
             }
             reasons.extend(mirror_reason(&examined.evidence));
-            reasons.extend(side_reason(&examined.evidence).filter(|_| is_side_open));
+            reasons.extend(side_reason(&examined.evidence, is_sparse).filter(|_| is_side_open));
         }
         name_surroundings_first(&mut reasons, has_surroundings(&examined.evidence), self.case.start);
         // What else is wrong follows from it.
         if let Some(size) = size_reason(registered, &examined.evidence) {
             reasons.insert(0, size);
         }
+        let beyond_limits = predicted.as_ref().map(|predicted| predicted.beyond_limits);
         // The error is told where points or cuts are planned.
         let mut predicted = predicted.filter(|_| !registered.at.is_empty());
         if let Some(predicted) = &mut predicted {
@@ -191,7 +206,7 @@ impl Judging<'_> {
             predicted.last =
                 predict_last(predicted, self.place.cuts, takes, *planes, registered.t_target_source, self.errors);
         }
-        OfScan { reasons, predicted, measured: Some(examined.evidence), nuisances, unseen }
+        OfScan { reasons, predicted, beyond_limits, measured: Some(examined.evidence), nuisances, unseen }
     }
 
     /// What is said of a scan that cannot be examined.
@@ -277,15 +292,15 @@ impl Judging<'_> {
     }
 }
 
-/// The signs in the residuals, and in the registration by shape alone.
-fn data_reasons(evidence: &Evidence, rules: &RuleParams) -> Vec<Reason> {
+/// The signs in the residuals, and in the registration by shape alone. `is_placed` says whether landmarks tell where on the bone the scan is.
+fn data_reasons(evidence: &Evidence, rules: &RuleParams, is_placed: bool) -> Vec<Reason> {
     let signs = [
         sensor_reason(evidence),
         misfit_reason(evidence, rules),
         inside_reason(&evidence.inside_patches, evidence.noise_mm, rules.max_inside),
         on_surface_reason(evidence, rules),
         facing_away_reason(evidence),
-        shape_reason(evidence, rules),
+        shape_reason(evidence, rules, is_placed),
     ];
     signs.into_iter().flatten().collect()
 }

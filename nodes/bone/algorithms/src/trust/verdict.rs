@@ -3,6 +3,7 @@
 use super::{Evidence, Nuisance, Predicted};
 use osteoflow_verdict::{Answer, Reason};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// The verdict on a result: the answer, its reasons, and what it rests on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -19,6 +20,13 @@ pub struct Verdict {
     pub predicted: Option<Predicted>,
     /// The quantities behind the answer, where there was a registration.
     pub measured: Option<Evidence>,
+    /// Chance that the answer is wrong, beyond the limits: of simulated answers with such signs, half of all being wrong. Refused answers
+    /// have one, too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub chance_of_being_wrong: Option<f64>,
+    /// What that chance is of: what speaks against the answer, by name, each 0 where nothing does.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub signs: BTreeMap<String, f64>,
     /// What may be wrong beside the pose: measured, bounded by the data, or unseen by them.
     #[serde(default)]
     pub nuisances: Vec<Nuisance>,
@@ -43,6 +51,18 @@ impl Verdict {
             ([], None) => "no sign against it was found".to_owned(),
             ([first, others @ ..], _) => first.sentence(others.len()),
         };
-        Self { answer, sentence, reasons, assumptions, predicted, measured, nuisances, trust_ends: None }
+        let (chance_of_being_wrong, signs, trust_ends) = (None, BTreeMap::new(), None);
+        Self {
+            answer,
+            sentence,
+            reasons,
+            assumptions,
+            predicted,
+            measured,
+            chance_of_being_wrong,
+            signs,
+            nuisances,
+            trust_ends,
+        }
     }
 }

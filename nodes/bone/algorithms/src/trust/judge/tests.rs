@@ -32,7 +32,7 @@ fn shape(apart_mm: f64, support: f64, judged_support: f64, clearness: f64) -> Sh
 
 /// The signs in evidence, as text.
 fn signs(evidence: &Evidence) -> Vec<String> {
-    text(&data_reasons(evidence, &RuleParams::default()))
+    text(&data_reasons(evidence, &RuleParams::default(), true))
 }
 
 fn text(reasons: &[Reason]) -> Vec<String> {
@@ -40,7 +40,7 @@ fn text(reasons: &[Reason]) -> Vec<String> {
 }
 
 fn has(evidence: &Evidence, rule: &str) -> bool {
-    let reasons = data_reasons(evidence, &RuleParams::default());
+    let reasons = data_reasons(evidence, &RuleParams::default(), true);
     reasons.iter().any(|reason| reason.rule == rule)
 }
 
@@ -92,13 +92,15 @@ fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
     // With a coarse sensor less may be off the surface.
     let off = |kind: SensorKind, on_surface| {
         let rules = RuleParams::default().of(&kind.sensor());
-        data_reasons(&Evidence { on_surface, ..evidence() }, &rules).iter().any(|reason| reason.rule == "on_surface")
+        data_reasons(&Evidence { on_surface, ..evidence() }, &rules, true)
+            .iter()
+            .any(|reason| reason.rule == "on_surface")
     };
     assert!(off(SensorKind::DepthCamera, 0.79) && !off(SensorKind::DepthCamera, 0.81) && !off(SensorKind::Laser, 0.36));
     // A fine scan is not excused by a coarse sensor; a fine sensor excuses nothing.
     let stated = |kind: SensorKind, noise_mm| {
         let all = Evidence { sensor: Some(kind.sensor()), noise_mm, ..evidence() };
-        data_reasons(&all, &RuleParams::default()).first().map(|reason| reason.rule.clone())
+        data_reasons(&all, &RuleParams::default(), true).first().map(|reason| reason.rule.clone())
     };
     assert_eq!(stated(SensorKind::DepthCamera, 0.07).as_deref(), Some("sensor"));
     assert_eq!(stated(SensorKind::DepthCamera, 0.08), None);
@@ -114,10 +116,11 @@ fn a_quantity_at_its_limit_is_no_sign_and_one_beyond_is() {
 
 #[test]
 fn a_registration_by_shape_contradicts_if_it_fits_better_or_as_well_and_clearly() {
-    let answer = |apart_mm, support, judged, clearness| {
+    let told = |apart_mm, support, judged, clearness, is_placed| {
         let evidence = Evidence { shape: Some(shape(apart_mm, support, judged, clearness)), ..evidence() };
-        data_reasons(&evidence, &RuleParams::default()).first().map(|reason| reason.answer)
+        data_reasons(&evidence, &RuleParams::default(), is_placed).first().map(|reason| reason.answer)
     };
+    let answer = |apart_mm, support, judged, clearness| told(apart_mm, support, judged, clearness, true);
     assert_eq!(answer(1.5, 0.9, 0.5, 0.6), None);
     assert_eq!(answer(1.6, 0.9, 0.5, 0.0), Some(Answer::Refused));
     // Better by 0.1 at most: as well, if it is clear.
@@ -127,6 +130,9 @@ fn a_registration_by_shape_contradicts_if_it_fits_better_or_as_well_and_clearly(
     assert_eq!(answer(1.6, 0.45, 0.5, 0.3), Some(Answer::Doubtful));
     assert_eq!(answer(1.6, 0.0, BETTER, 0.3), None);
     assert_eq!(answer(1.6, 0.3, 0.5, 0.3), None);
+    // Without landmarks nothing tells which of two places is right, clear or not.
+    assert_eq!(told(1.6, 0.55, 0.5, 0.0, false), Some(Answer::Doubtful));
+    assert_eq!([told(1.6, 0.3, 0.5, 0.0, false), told(1.5, 0.55, 0.5, 0.0, false)], [None, None]);
 }
 
 #[test]
@@ -186,6 +192,15 @@ fn the_mirror_image_is_named_if_it_fits_better_by_a_tenth() {
     let shape =
         |sd| ShapeEvidence { mirrored_support: Some(0.8), mirrored_margin_sd: Some(sd), ..shape(5.0, 0.5, 0.4, 0.5) };
     assert!(shape(0.09).is_mirror_better() && !shape(0.11).is_mirror_better());
+    // Better by one standard deviation, of a coarse sensor; of few points, no worse by a tenth.
+    let told = |mirrored_support: f64, is_sparse| {
+        let mirrored_support = Some(mirrored_support);
+        let evidence = Evidence { shape: Some(ShapeEvidence { mirrored_support, ..shape(0.15) }), ..evidence() };
+        side_reason(&evidence, is_sparse).map(|reason| (reason.answer, reason.rule))
+    };
+    let doubt = Some((Answer::Doubtful, "mirrored".to_owned()));
+    assert_eq!([told(0.64, false), told(0.66, false)], [None, doubt.clone()]);
+    assert_eq!([told(0.39, true), told(0.41, true)], [None, doubt]);
     let shape = |sd| ShapeEvidence { support: 0.7, margin_sd: sd, ..shape(0.0) };
     assert!(shape(0.09).is_better() && !shape(0.11).is_better());
 }
