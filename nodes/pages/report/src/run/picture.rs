@@ -79,7 +79,8 @@ impl Picture {
         let mut thinned = Vec::new();
         let layers: Vec<_> = items.iter().map(|item| item.json(page, residuals.as_ref(), &mut thinned)).collect();
         let transforms: Vec<_> = transforms.iter().map(Transform::json).collect();
-        Ok(Self { json: json!({ "transforms": transforms, "items": layers }), thinned })
+        let targets = run.node_of_kind("verdict.registration").and_then(|node| run.wire_into(node, "assessment"));
+        Ok(Self { json: json!({ "transforms": transforms, "items": layers, "targets": targets }), thinned })
     }
 }
 
