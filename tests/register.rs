@@ -965,7 +965,7 @@ fn a_scan_of_a_coarse_sensor_is_trusted_once_the_sensor_is_stated_as_the_message
     let unstated = case.register(&["bone.stl", "coarse.xyz", "--init", "init.txt", "--format", "json"]);
     let unstated = last_line(&unstated);
     let reasons = unstated["verdict"]["reasons"].to_string();
-    assert!(reasons.contains("as of a ") && reasons.contains("(--sensor)"), "{reasons}");
+    assert!(reasons.contains("as of a ") && reasons.contains("(register: --sensor;"), "{reasons}");
     let stated = [("--sensor", "depth_camera", "ct_surface.sensor.like=depth_camera")];
     let answer = case.answer("bone.stl", "coarse.xyz", &["--sensor", "depth_camera"]);
     assert_eq!(answer["verdict"]["answer"], "trusted", "{}", answer["verdict"]);
@@ -990,6 +990,15 @@ fn a_scan_of_a_coarse_sensor_is_trusted_once_the_sensor_is_stated_as_the_message
     assert!(fault.contains("wrong.toml: line 2") && fault.contains("pach_mm"), "{fault}");
     let fault = case.fault(2, &["bone.stl", "coarse.xyz", "--sensor", "kinect"]);
     assert!(fault.contains("\"kinect\", which is no file and none of structured_light, laser"), "{fault}");
+    // Limits that a graph sets to less than the sensor attains make it doubtful by name; `register` sets none.
+    let files = [("bone", "bone.stl"), ("scan", "coarse.xyz")];
+    let path = |name: &str| toml::Value::from(case.path(name).display().to_string());
+    let mut sets: Vec<String> = files.map(|(node, name)| format!("{node}.path={}", path(name))).to_vec();
+    sets.extend(["ct_surface.sensor.like=depth_camera".into(), "verdict.rules.limits.max_tre_mm=3.0".into()]);
+    let (_, _, results) = run_two_files(&case, &sets);
+    let reasons = results["verdict"]["reasons"].to_string();
+    assert!(reasons.contains("the limits ask for 3.0 mm, and a depth camera errs by 5.0 mm (95 %)"), "{reasons}");
+    assert_eq!(results["verdict"]["answer"], "doubtful", "{reasons}");
     // What was measured finely is not excused, and another bone is none of the sensor's errors.
     let fine = case.answer("bone.stl", "scan.ply", &["--sensor", "depth_camera"]);
     let rules = fine["verdict"]["reasons"].to_string();

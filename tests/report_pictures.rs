@@ -39,10 +39,10 @@ fn small_view(browser: &mut Browser) {
 fn layers(browser: &mut Browser, scene: &str) -> Value {
     browser.evaluate(&format!(
         "[...{scene}.drawn].map(([wire, {{ payload, shown, object, frame }}]) => {{ let nPlanes = 0, nHatched = 0; \
-         object.traverse((part) => {{ if (part.userData.isPlane) {{ nPlanes++; nHatched += part.userData.isHatched ? 1 : 0; }} }}); \
+         const ellipsoids = []; object.traverse((part) => {{ if (part.userData.isEllipsoid) ellipsoids.push(part.matrix.elements); if (part.userData.isPlane) {{ nPlanes++; nHatched += part.userData.isHatched ? 1 : 0; }} }}); \
          const nPoints = payload === 'geometry/Cloud' ? object.children[0].geometry.getAttribute('position').count : \
          [...(object.userData.places ?? [])].length; return {{ wire, payload, frame, shown, visible: object.visible, \
-         why: object.userData.why ?? null, nPoints, nPlanes, nHatched }}; }}).sort((a, b) => (a.wire < b.wire ? -1 : 1))"
+         why: object.userData.why ?? null, nPoints, nPlanes, nHatched, ellipsoids }}; }}).sort((a, b) => (a.wire < b.wire ? -1 : 1))"
     ))
 }
 
@@ -120,6 +120,16 @@ fn a_report_shows_the_layers_the_verdict_and_the_residuals_of_the_live_page() {
     };
     let (_dir, run) = reported_as_it_is();
     compare(&mut browser, &run, "trusted");
+    let layers_of = layers(&mut browser, "osteoflow.views[0].scene");
+    let drawn =
+        layers_of.as_array().unwrap().iter().filter(|layer| !layer["ellipsoids"].as_array().unwrap().is_empty());
+    let drawn: Vec<_> = drawn.map(|layer| (&layer["wire"], layer["ellipsoids"].as_array().unwrap().len())).collect();
+    let n_predicted =
+        crate::common::json(&run.join("results.json"))["verdict"]["predicted"]["points"].as_array().unwrap().len();
+    assert_eq!(drawn, [(&json!("plan.assessment"), n_predicted)]);
+    let words =
+        "document.querySelector('figure:has(.judged) .legend').textContent.includes('holds the point with 90 %')";
+    assert_eq!(browser.evaluate(words), true, "the legend names the ellipsoid");
     let planes = "osteoflow.views[0].scene.drawn.get('planes.planes').object.visible";
     assert_eq!(browser.evaluate(planes), true);
     // Points just inside the bone are blue, and the bone does not cover them.
@@ -157,6 +167,8 @@ fn a_report_hatches_planes_of_a_doubtful_answer_and_draws_none_of_a_refused_one(
     let drawn = layers(&mut browser, "osteoflow.views[0].scene");
     let of_planes: Vec<_> =
         drawn.as_array().unwrap().iter().filter(|layer| layer["payload"] == "geometry/Planes").collect();
+    let with_errors = |layer: &Value| layer["ellipsoids"] != json!([]);
+    assert!(!drawn.as_array().unwrap().iter().any(with_errors), "a refused answer has no predicted error: {drawn}");
     assert!(!of_planes.is_empty() && of_planes.iter().all(|layer| layer["visible"] == false), "{of_planes:?}");
     assert_eq!(browser.evaluate("document.querySelectorAll('.view').length"), 1, "no other picture of refused results");
 }

@@ -3,6 +3,7 @@
 //! A file beside this one is a module here; `arrows` holds that none is left out.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test, with its line")]
 
+mod advice;
 mod archives;
 mod arrows;
 mod bound_plans;

@@ -6,7 +6,7 @@ use crate::common::{WHITE, copied_run, osteoflow, shared_run, skips_slow};
 use crate::viewers::{DRAWN_MM, file::File, off_its_place_mm, place_of_scan};
 use osteoflow_geometry::{
     isometry_from_matrix,
-    nalgebra::{Matrix4, Point3},
+    nalgebra::{Matrix4, Point3, Vector3},
 };
 use rand_chacha::{
     ChaCha8Rng,
@@ -638,6 +638,92 @@ fn a_bone_and_a_scan_are_registered_shown_and_the_pose_is_that_of_register() {
     let missing = osteoflow().args(["view", files[0], "no-scan.ply"]).output().unwrap();
     let stderr = String::from_utf8_lossy(&missing.stderr).into_owned();
     assert!(missing.status.code() == Some(1) && stderr.contains("no-scan.ply"), "{stderr}");
+}
+
+/// The ellipsoids that a page draws: where each is, and its semi-axes as vectors, the longest first, in the frame of the points, mm.
+fn ellipsoids(browser: &mut Browser) -> Vec<([f64; 3], [[f64; 3]; 3])> {
+    let all = browser.evaluate(
+        "[...osteoflow.scene.drawn.values()].flatMap(({ object }) => object.children.filter((part) => part.userData.isEllipsoid \
+         && object.visible)).map((part) => { part.updateMatrix(); const e = part.matrix.elements; \
+         return [e.slice(12, 15), [0, 4, 8].map((k) => e.slice(k, k + 3))]; })",
+    );
+    serde_json::from_value(all).unwrap()
+}
+
+#[test]
+fn targets_are_drawn_with_the_ellipsoids_of_the_verdict_on_the_page_and_none_without_a_prediction() {
+    let Some(mut browser) = Browser::start("targets_are_drawn_with_the_ellipsoids") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let at = [("near", [-87.0, -87.0, -900.0]), ("far", [-87.0, 63.0, -900.0])];
+    let rows = at.map(|(name, [x, y, z])| format!("{name},{x},{y},{z}\n")).concat();
+    let targets = dir.path().join("targets.csv");
+    fs::write(&targets, format!("label,x,y,z\n{rows}")).unwrap();
+    let files = ["tests/data/folder/bone.stl", "tests/data/folder/scan.ply"];
+    for has_targets in [true, false] {
+        let run = dir.path().join(format!("run-{has_targets}"));
+        let view = ["view", files[0], files[1], "--out", run.to_str().unwrap(), "--targets", targets.to_str().unwrap()];
+        let served = Served::start(if has_targets { &view } else { &view[..5] });
+        open(&mut browser, &served);
+        browser.wait_until("['trusted', 'doubtful'].includes(osteoflow.state.verdict?.answer)");
+        browser.wait_until("osteoflow.scene.drawn.get('bone.mesh')?.object.visible");
+        browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+        if !has_targets {
+            assert_eq!(ellipsoids(&mut browser), []);
+            assert_eq!(browser.evaluate("document.getElementById('errors').hidden"), true);
+            continue;
+        }
+        browser.wait_until("osteoflow.scene.drawn.get('targets.points')?.object.visible");
+        browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+        let check = |browser: &mut Browser| {
+            let drawn = ellipsoids(browser);
+            let results: Value = serde_json::from_slice(&fs::read(run.join("results.json")).unwrap()).unwrap();
+            let predicted = results["verdict"]["predicted"]["points"].as_array().unwrap();
+            assert_eq!((drawn.len(), predicted.len()), (2, 2), "{predicted:?}");
+            for ((place, axes), (point, (name, position))) in drawn.iter().zip(predicted.iter().zip(at)) {
+                assert_eq!((&point["name"], *place), (&json!(name), position));
+                let semi_axes_mm: [f64; 3] = serde_json::from_value(point["semi_axes_mm"].clone()).unwrap();
+                let directions: [[f64; 3]; 3] = serde_json::from_value(point["directions"].clone()).unwrap();
+                for ((axis, mm), direction) in axes.iter().zip(semi_axes_mm).zip(directions) {
+                    let [axis, direction] = [axis, &direction].map(|v| Vector3::from(*v));
+                    // An axis has no sense.
+                    let off_mm = (axis - direction * mm).norm().min((axis + direction * mm).norm());
+                    assert!(
+                        mm > 0.0 && off_mm < 1e-6 * mm.max(1.0),
+                        "{name}: {axis:?} is not {mm} mm along {direction:?}"
+                    );
+                }
+            }
+            let longest = [0, 1].map(|k| Vector3::from(drawn[k].1[0]).norm());
+            assert!(longest[1] > 2.0 * longest[0], "far away it is larger: {longest:?} mm");
+            predicted.clone()
+        };
+        let predicted = check(&mut browser);
+        let cell = |row: usize, column: usize| {
+            format!("document.querySelector('#errors tbody').rows[{row}].cells[{column}].textContent")
+        };
+        for (row, point) in predicted.iter().enumerate() {
+            let axes: [f64; 3] = serde_json::from_value(point["semi_axes_mm"].clone()).unwrap();
+            assert_eq!(browser.evaluate(&cell(row, 0)), point["name"]);
+            assert_eq!(browser.evaluate(&cell(row, 3)), json!(axes.map(|mm| format!("{mm:.2}")).join(" \u{d7} ")));
+        }
+        let legend = browser.evaluate("document.getElementById('errors').textContent").to_string();
+        assert!(legend.contains("ellipsoid that holds the point with 90 %"), "{legend}");
+        // Of an answer that is refused, or not there, nothing is predicted; what the layer hides is hidden with it.
+        for (judge, n) in [("judge('refused', null)", 0), ("choose('targets.points', false)", 0)] {
+            browser.evaluate(&format!("osteoflow.scene.{judge}"));
+            browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+            assert_eq!(ellipsoids(&mut browser).len(), n, "{judge}");
+        }
+        assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
+        drop(served);
+        // The recording shows the same.
+        let served = Served::start(&["view", run.to_str().unwrap()]);
+        open(&mut browser, &served);
+        browser.wait_until(
+            "osteoflow.scene.drawn.get('targets.points')?.object.children.some((part) => part.userData.isEllipsoid)",
+        );
+        check(&mut browser);
+    }
 }
 
 #[test]

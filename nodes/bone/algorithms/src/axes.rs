@@ -53,6 +53,14 @@ pub fn towards(axes: &Axes, proximal: &Vector3<f64>) -> Axes {
     Axes { columns, ..axes.clone() }
 }
 
+/// Directions evenly over the sphere, by the golden angle, from the pole of z on.
+pub(crate) fn directions(n: usize) -> impl Iterator<Item = Vector3<f64>> {
+    (0..n).map(move |k| {
+        let (z, turn) = (1.0 - (2 * k + 1) as f64 / n as f64, 2.399_963 * k as f64);
+        Vector3::new(turn.cos(), turn.sin(), 0.0) * (1.0 - z * z).sqrt() + Vector3::z() * z
+    })
+}
+
 /// Eigenvectors and eigenvalues of a symmetric matrix, largest first.
 pub(crate) fn largest_first(matrix: &Matrix3<f64>) -> ([Vector3<f64>; 3], [f64; 3]) {
     let eigen = matrix.symmetric_eigen();

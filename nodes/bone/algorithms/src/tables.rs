@@ -1,6 +1,6 @@
 //! Planes in a scan on which it is wider than the whole surface: a table under the part, or a wall behind it.
 
-use crate::axes::principal;
+use crate::axes::{directions, principal};
 use crate::downsample::thinned;
 use crate::target::Target;
 use nalgebra::{Point3, Vector3};
@@ -79,18 +79,16 @@ fn extent(points: &[Point3<f64>]) -> Vector3<f64> {
 /// The largest distance between points along any of some directions, but for some outermost ones at either end; the height of their
 /// middle along it, and the direction.
 fn width(points: &[Point3<f64>], n_stray: usize) -> (f64, f64, Vector3<f64>) {
-    const N: u32 = 96;
-    let along = |k: u32| {
-        let (z, turn) = ((f64::from(k) + 0.5) / f64::from(N), 2.399_963 * f64::from(k));
-        let across = (1.0 - z * z).sqrt();
-        let way = Vector3::new(across * turn.cos(), across * turn.sin(), z);
+    // Of the whole sphere the upper half.
+    const N: usize = 96;
+    let along = |way: Vector3<f64>| {
         let mut heights: Vec<f64> = points.iter().map(|p| p.coords.dot(&way)).collect();
         let last = heights.len().checked_sub(1 + n_stray).filter(|last| *last > n_stray)?;
         let high = *heights.select_nth_unstable_by(last, f64::total_cmp).1;
         let low = *heights.select_nth_unstable_by(n_stray, f64::total_cmp).1;
         Some((high - low, (high + low) / 2.0, way))
     };
-    (0..N).filter_map(along).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default()
+    directions(2 * N).take(N).filter_map(along).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default()
 }
 
 /// A point and the normal of the plane that most of the points are on, and the distance within which they are; `None` if those are few.

@@ -45,8 +45,9 @@ function meshItem(frame, data) {
  * @param {any} picture
  * @param {Record<string, any>} shared
  */
-export function showPicture(view, { transforms, items }, shared) {
+export function showPicture(view, { transforms, items, origin }, shared) {
   const { scene, frames, devices } = view;
+  frames.origin = origin;
   for (const { wire, ...transform } of transforms) frames.place(wire, transform);
   for (const { wire, payload, message, frame, own, shared: name } of items) {
     let item;

@@ -6,7 +6,7 @@ import { Frames } from "./frames.js";
 import { LayerList } from "./layers.js";
 import { Scene } from "./scene.js";
 import { showParts, showPicture } from "./shown.js";
-import { showVerdict } from "./verdict.js";
+import { errorsOf, showVerdict } from "./verdict.js";
 
 /** What a key or a button does: radians to the right and down, or a factor of what is seen. */
 const TURN = 0.1, NEARER = 0.8;
@@ -21,7 +21,7 @@ class View {
     this.frames = new Frames();
     this.devices = new Devices(this.scene);
     this.list = new LayerList(/** @type {HTMLElement} */ (box.parentElement?.querySelector(".layers ul")), this.scene);
-    this.scene.judge(content.answer ?? data.verdict?.answer ?? null);
+    this.scene.judge(content.answer ?? data.verdict?.answer ?? null, errorsOf(data.verdict, content.picture?.targets ?? null));
     if (content.picture) showPicture(this, content.picture, data.shared);
     showParts(this, content.layers ?? [], data.shared);
     const judged = /** @type {HTMLElement | null} */ (box.parentElement?.querySelector(".judged") ?? null);

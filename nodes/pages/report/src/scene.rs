@@ -19,6 +19,8 @@ const DIVERGING: [&str; 7] = ["#0073b2", "#529fc7", "#a5cbdd", "#f7f7f2", "#ecc4
 pub(crate) const BLUE: &str = "#0072b2";
 /// Measured or executed.
 pub(crate) const ORANGE: &str = "#d55e00";
+/// Predicted errors, as on the live page.
+pub(crate) const ELLIPSOID: &str = "#005f73";
 /// The bone.
 pub(crate) const BONE: &str = "#d9cfbb";
 

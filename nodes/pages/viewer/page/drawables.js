@@ -4,6 +4,7 @@ import * as THREE from "three";
 
 /** @typedef {import("./message.js").Item} Item */
 /** @typedef {import("./scene.js").Drawn} Drawn */
+/** @typedef {import("./verdict.js").PredictedPoint} PredictedPoint */
 
 /** Millimetres in the scene's metres. */
 export const MM = 0.001;
@@ -12,7 +13,7 @@ export const PLANE_MM = 18;
 /** How far what is on a surface is drawn before it, mm. */
 export const FORTH_MM = 1;
 /** Colours that differ in lightness too, for those who cannot tell red from green. */
-export const BONE = 0xd9cfbb, PLANE = 0x8a3ffc, POINT = 0xd55e00;
+export const BONE = 0xd9cfbb, PLANE = 0x8a3ffc, POINT = 0xd55e00, ELLIPSOID = 0x005f73;
 
 /** The grey of points whose distance from the bone is not known. */
 export const UNKNOWN = 0x8c9199;
@@ -98,6 +99,45 @@ export function addPoints(group, item) {
     for (const part of pair) part.position.set(rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]);
   }
   return group;
+}
+
+const SPHERE = new THREE.SphereGeometry(1, 32, 24);
+/** A ball in an ellipsoid has at most this share of its shortest semi-axis. */
+const SMALL = 0.3;
+
+/**
+ * Draws the ellipsoid of the predicted error about each point that has one, true to scale and seen through the bone, and takes others away.
+ * @param {THREE.Object3D} group points
+ * @param {readonly PredictedPoint[]} errors
+ */
+export function ellipsoids(group, errors) {
+  const { userData } = group;
+  /** @type {Map<string, THREE.Object3D[]>} */
+  const parts = userData.parts ?? new Map();
+  if (userData.errors === errors && userData.nWithErrors === parts.size) return;
+  Object.assign(userData, { errors, nWithErrors: parts.size });
+  for (const [name, all] of parts) {
+    const [ball] = all;
+    for (const old of all.splice(2)) {
+      group.remove(old);
+      dispose(old);
+    }
+    const { semi_axes_mm: axes, directions } = errors.find((error) => error.name === name) ?? { semi_axes_mm: [], directions: [] };
+    const isKnown = axes.length === 3 && axes.every((mm) => mm > 0);
+    ball.scale.setScalar(isKnown ? Math.min(1, (SMALL * Math.min(...axes)) / BALL.parameters.radius) : 1);
+    if (!isKnown) continue;
+    const material = new THREE.MeshLambertMaterial({ color: ELLIPSOID, transparent: true, opacity: 0.45, depthTest: false, depthWrite: false });
+    const ellipsoid = new THREE.Mesh(SPHERE, material);
+    const [longest, middle] = directions.map((direction) => new THREE.Vector3(...direction));
+    // The third direction may be the opposite one, which is the same ellipsoid.
+    ellipsoid.quaternion.setFromRotationMatrix(new THREE.Matrix4().makeBasis(longest, middle, longest.clone().cross(middle)));
+    ellipsoid.scale.fromArray(axes);
+    ellipsoid.position.copy(ball.position);
+    ellipsoid.renderOrder = 1;
+    ellipsoid.userData.isEllipsoid = true;
+    all.push(ellipsoid);
+    group.add(ellipsoid);
+  }
 }
 
 /** @param {Item} item */

@@ -13,7 +13,7 @@ import { RegionTool } from "./region.js";
 import { may, setRole, whatNot } from "./request.js";
 import { Scene } from "./scene.js";
 import { clock } from "./times.js";
-import { showVerdict } from "./verdict.js";
+import { errorsOf, showErrors, showVerdict } from "./verdict.js";
 
 /** @typedef {import("./connection.js").Channel} Channel */
 
@@ -76,7 +76,16 @@ function judge() {
   const now = verdict();
   // What the last run gave is no answer of a graph that has a fault since.
   showVerdict(element("verdict"), now, waiting, state.outdated ? OUTDATED : null);
-  scene.judge(state.outdated ? null : now?.answer ?? null);
+  const errors = state.outdated ? null : errorsOf(now, targets());
+  showErrors(element("errors"), errors);
+  scene.judge(state.outdated ? null : now?.answer ?? null, errors);
+}
+
+/** The wire of the points at which the verdict predicts the error: of several verdicts that of the results. */
+function targets() {
+  const from = graph.all.filter(({ kind }) => kind.startsWith("verdict.")).map(({ name, inputs }) => ({ name, wire: inputs.find((input) => input.name === "assessment")?.from ?? null }));
+  const ofResults = from.find(({ name }) => `${name}.verdict` === state.verdict_wire);
+  return (ofResults ?? from.find(({ wire }) => wire !== null))?.wire ?? null;
 }
 
 function showState() {
@@ -191,6 +200,7 @@ function receive(channel, data) {
       scene.takeDerived(derivedClouds(message.nodes));
       picking.graph(message);
       showRegionButton();
+      judge();
     } else graph.count(message);
     return;
   }

@@ -1,7 +1,7 @@
 // The view: surfaces, clouds, points, planes and frames, drawn where the frames are now.
 
 import * as THREE from "three";
-import { MM, addPoints, dispose, hatch, make, move } from "./drawables.js";
+import { MM, addPoints, dispose, ellipsoids, hatch, make, move } from "./drawables.js";
 import { Eye } from "./eye.js";
 import { ResidualColours, hasOwnColours, ownColours } from "./residual_colours.js";
 import { longAxis } from "./shapes.js";
@@ -9,6 +9,7 @@ import { Trackball } from "./trackball.js";
 
 /** @typedef {import("./message.js").Item} Item */
 /** @typedef {import("./frames.js").Frames} Frames */
+/** @typedef {import("./verdict.js").Errors} Errors */
 /** @typedef {"trusted" | "doubtful" | "refused" | null} Answer */
 
 /** How much more than what is looked at a view shows. */
@@ -17,6 +18,8 @@ const ROOM = 1.12;
 const ON_IT_MM = 5;
 /** How near to a point of a cloud the pointer must be to take hold of it, pixels. */
 const REACH_PX = 6;
+/** What is predicted of points that no verdict is about. @type {import("./verdict.js").PredictedPoint[]} */
+const NOTHING_PREDICTED = [];
 
 /**
  * What is drawn of a wire.
@@ -57,6 +60,8 @@ export class Scene {
     this.axes = null;
     /** @type {Answer} */
     this.answer = null;
+    /** @type {Errors | null} */
+    this.errors = null;
     this.isLookedAt = false;
     /** Whether it chooses what to look at. */
     this.looksItself = true;
@@ -213,9 +218,10 @@ export class Scene {
   /** The distances of the points of each cloud from the surface, mm. */
   get residuals() { return this.colours.known; }
 
-  /** @param {Answer} answer */
-  judge(answer) {
+  /** @param {Answer} answer @param {Errors | null} errors */
+  judge(answer, errors) {
     this.answer = answer;
+    this.errors = errors;
     this.redraw();
   }
 
@@ -236,6 +242,7 @@ export class Scene {
       drawn.object.visible = drawn.shown && why === null && this.solo === null;
       drawn.object.matrix.copy(place.matrix).multiply(new THREE.Matrix4().makeScale(MM, MM, MM));
       if (drawn.payload === "geometry/Planes") hatch(drawn.object, this.answer === "doubtful");
+      if (drawn.payload === "geometry/Points") ellipsoids(drawn.object, this.errors?.wire === wire ? this.errors.points : NOTHING_PREDICTED);
     }
     this.colours.ask(frames);
     this.lookAtFirst(frames, root);

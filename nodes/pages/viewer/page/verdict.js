@@ -1,4 +1,34 @@
-// The verdict at the top: in words, colour and shape.
+// The verdict at the top: in words, colour and shape; and the errors that it predicts.
+
+/**
+ * @typedef {{name: string, tre_mm: number, interval_mm: number[], semi_axes_mm: number[], directions: number[][]}} PredictedPoint
+ * @typedef {{wire: string, points: PredictedPoint[]}} Errors of the points of a wire
+ */
+
+/**
+ * The errors that a verdict predicts; none if it is refused.
+ * @param {any} verdict as in results.json, or null
+ * @param {string | null} wire of its assessment points
+ * @returns {Errors | null}
+ */
+export function errorsOf(verdict, wire) {
+  const points = verdict?.predicted?.points ?? [];
+  return wire === null || verdict?.answer === "refused" || points.length === 0 ? null : { wire, points };
+}
+
+/** A row for each point: its error, the interval and the semi-axes of the ellipsoid. @param {HTMLElement} holder @param {Errors | null} errors */
+export function showErrors(holder, errors) {
+  holder.hidden = errors === null;
+  const rows = (errors?.points ?? []).map(({ name, tre_mm, interval_mm, semi_axes_mm }) => {
+    const row = document.createElement("tr");
+    const mm = (/** @type {number | null} */ value) => value?.toFixed(2) ?? "unknown";
+    for (const text of [name, mm(tre_mm), interval_mm.map(mm).join(" to "), semi_axes_mm.map(mm).join(" \u00d7 ")]) {
+      row.append(Object.assign(document.createElement("td"), { textContent: text }));
+    }
+    return row;
+  });
+  holder.querySelector("tbody")?.replaceChildren(...rows);
+}
 
 /** Circle, triangle, octagon; a dashed circle where nothing is judged. */
 const SHAPES = {

@@ -16,7 +16,7 @@ use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, poin
 use super::extent::extent_reason;
 use super::inside::inside_reason;
 use super::landmarks::{Compared, LandmarkErrors, landmarks_contradict};
-use super::misfit::{misfit_reason, sensor_assumption, sensor_reason};
+use super::misfit::{limits_reason, misfit_reason, sensor_assumption, sensor_reason};
 use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::{self, Nuisance, Nuisances};
 use super::on_surface::{facing_away_reason, on_surface_reason};
@@ -58,18 +58,20 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let limited = if assessed.is_empty() { points_that_matter(&case.registered) } else { assessed };
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
     let order = landmark_order(case.landmarks, case.located);
-    let (rules, errors) = match case.registered.target.sensor() {
+    let sensor = case.registered.target.sensor();
+    let asked = sensor.and_then(|sensor| limits_reason(sensor, &rules.limits)).into_iter().collect();
+    let (rules, errors) = match sensor {
         Some(sensor) => (&rules.of(sensor), &errors.of(sensor)),
         None => (rules, errors),
     };
     let judging = Judging { case, place, order, examine, rules, errors };
 
     let (takes, scan) = (judging.of_takes(), judging.of_scan());
-    let reasons = [case.reasons.to_vec(), judging.of_plan_and_readings(), takes.reasons, scan.reasons].concat();
+    let reasons = [case.reasons.to_vec(), judging.of_plan_and_readings(), takes.reasons, scan.reasons, asked].concat();
     let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
     let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
-    let sensor = case.registered.target.sensor().and_then(|sensor| sensor_assumption(sensor, &rules.limits));
+    let sensor = sensor.and_then(|sensor| sensor_assumption(sensor, &rules.limits));
     let assumed = sensor
         .into_iter()
         .chain(assumed)

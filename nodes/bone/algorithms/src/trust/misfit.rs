@@ -50,6 +50,9 @@ impl Misfit {
 /// A scan whose noise is this many times less than the stated sensor's was measured with another one.
 const FINER: f64 = 4.0;
 
+/// How a sensor is stated.
+const STATE: &str = "(register: --sensor; in a graph: ct_surface.sensor.like)";
+
 /// The sign that a scan is finer than the sensor that is stated for it: what that sensor's error would explain, this one's does not.
 pub(super) fn sensor_reason(evidence: &Evidence) -> Option<Reason> {
     let sensor = evidence.sensor.as_ref().filter(|sensor| sensor.is_coarse())?;
@@ -60,8 +63,27 @@ pub(super) fn sensor_reason(evidence: &Evidence) -> Option<Reason> {
             sensor.words(),
             sensor.noise_mm
         );
-        Reason::new("sensor", Answer::Doubtful, reason, "state the sensor that the scan was measured with (--sensor)")
+        let remedy = format!("state the sensor that the scan was measured with {STATE}");
+        Reason::new("sensor", Answer::Doubtful, reason, remedy)
     })
+}
+
+/// The sign that limits were stated, other than by default, below what the stated sensor attains, by which the answer is judged instead.
+pub(super) fn limits_reason(sensor: &Sensor, stated: &Limits) -> Option<Reason> {
+    let (usual, attains_mm) = (Limits::default(), sensor.attains_mm());
+    let limits = [(stated.max_tre_mm, usual.max_tre_mm), (stated.max_offset_mm, usual.max_offset_mm)];
+    let below = limits.into_iter().filter(|(mm, usual_mm)| mm != usual_mm && *mm < attains_mm).map(|(mm, _)| mm);
+    let asked_mm = below.reduce(f64::min)?;
+    let reason = format!(
+        "the limits ask for {asked_mm:.1} mm, and {} errs by {attains_mm:.1} mm (95 %), so an answer that is right by the one may be \
+         wrong by the other",
+        sensor.words()
+    );
+    let remedy = format!(
+        "measure with a finer sensor, state the errors that were measured of this one {STATE}, or ask for no less than it attains \
+         (in a graph: verdict.rules.limits)"
+    );
+    Some(Reason::new("sensor", Answer::Doubtful, reason, remedy))
 }
 
 /// What is taken for granted of a coarse sensor: nothing but the scan's noise confirms it.
@@ -87,10 +109,9 @@ pub(super) fn misfit_reason(evidence: &Evidence, rules: &RuleParams) -> Option<R
     // Zero, as someone asks for whom no scan may lie inside, is not widened by noise.
     let limit_mm = if inside_mm == 0.0 { 0.0 } else { inside_mm.hypot(noise_mm) };
     if misfit.inward_mm > limit_mm {
-        let unstated = if sensor.is_some() {
-            ""
-        } else {
-            "if the sensor is coarser than structured light, state it (--sensor), and "
+        let unstated = match sensor {
+            Some(_) => String::new(),
+            None => format!("if the sensor is coarser than structured light, state it {STATE}, and "),
         };
         let reason = format!(
             "parts of the scan lie inside the bone's surface by {:.2} mm (RMS of patches of 4 mm), which neither noise ({noise_mm:.2} \
@@ -121,11 +142,37 @@ pub(super) fn misfit_reason(evidence: &Evidence, rules: &RuleParams) -> Option<R
             sensor.map_or_else(|| SensorKind::StructuredLight.sensor().words(), Sensor::words),
         );
         let remedy = match sensor {
-            Some(_) => "clean the bone and scan again, and check that CT and scan are of one bone",
-            None => {
-                "state the sensor if it is another one (--sensor), clean the bone and scan again, and check that CT and scan are of one bone"
-            }
-        };
+            Some(_) => String::new(),
+            None => format!("state the sensor if it is another one {STATE}, "),
+        } + "clean the bone and scan again, and check that CT and scan are of one bone";
         Reason::new("misfit", Answer::Doubtful, reason, remedy)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_other_than_by_default_below_what_the_sensor_attains_are_doubtful_and_the_default_ones_are_not() {
+        let camera = SensorKind::DepthCamera.sensor();
+        let attains_mm = camera.attains_mm();
+        let reason = |limits: Limits| limits_reason(&camera, &limits);
+        let usual = Limits::default();
+        assert!(usual.max_tre_mm < attains_mm && reason(usual.clone()).is_none());
+        let mm = |max_tre_mm, max_offset_mm| Limits { max_tre_mm, max_offset_mm, ..Limits::default() };
+        for limits in [mm(attains_mm, attains_mm), mm(attains_mm + 1.0, 1.5), Limits { max_tilt_deg: 0.1, ..usual }] {
+            assert_eq!(reason(limits.clone()), None, "{limits:?}");
+        }
+        // Laxer than by default and stricter, the strictest of both.
+        for (limits, asked) in
+            [(mm(3.0, 1.5), "3.0"), (mm(1.5, 1.0), "1.0"), (mm(3.0, 0.5), "0.5"), (mm(9.0, 2.0), "2.0")]
+        {
+            let found = reason(limits.clone()).unwrap_or_else(|| panic!("{limits:?} is no sign"));
+            let words = format!("the limits ask for {asked} mm, and a depth camera errs by {attains_mm:.1} mm (95 %)");
+            assert!(found.reason.starts_with(&words) && found.answer == Answer::Doubtful, "{found:?}");
+        }
+        let fine = SensorKind::Laser.sensor();
+        assert_eq!(limits_reason(&fine, &mm(0.5, 0.5)), None, "a laser attains {} mm", fine.attains_mm());
+    }
 }

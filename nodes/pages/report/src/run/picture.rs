@@ -57,11 +57,12 @@ impl Picture {
             is_exact(&channel.topic, &channel.encoding)
                 || (channel.topic.starts_with(VIEW) && channel.schema_name == "foxglove.FrameTransform")
         });
-        let (mut transforms, mut items) = (Vec::new(), Vec::new());
+        let (mut transforms, mut items, mut origin) = (Vec::new(), Vec::new(), None);
         for (channel, data) in wanted.map_err(|error| error.to_string())? {
             let topic = &channel.topic;
             if let Some(wire) = topic.strip_prefix(VIEW) {
                 let read = Transform::read(wire, &data);
+                origin = channel.metadata.get("origin").cloned().or(origin);
                 transforms.push(read.ok_or_else(|| format!("the transform of the wire {wire} is damaged"))?);
             } else if let Some(wire) = topic.strip_prefix(EXACT) {
                 let data = item_bytes(&channel.encoding, &data).unwrap_or_default().to_vec();
@@ -79,7 +80,9 @@ impl Picture {
         let mut thinned = Vec::new();
         let layers: Vec<_> = items.iter().map(|item| item.json(page, residuals.as_ref(), &mut thinned)).collect();
         let transforms: Vec<_> = transforms.iter().map(Transform::json).collect();
-        Ok(Self { json: json!({ "transforms": transforms, "items": layers }), thinned })
+        let targets = run.node_of_kind("verdict.registration").and_then(|node| run.wire_into(node, "assessment"));
+        let json = json!({ "transforms": transforms, "items": layers, "targets": targets, "origin": origin });
+        Ok(Self { json, thinned })
     }
 }
 

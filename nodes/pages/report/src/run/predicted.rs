@@ -2,6 +2,7 @@
 
 use crate::{
     cell::Cell,
+    format::number,
     html::Page,
     summary::{TableRow, from_to},
 };
@@ -34,6 +35,7 @@ fn row(name: String, of: &Json) -> Option<TableRow> {
         ("TRE (mm)", single(&of["tre_mm"]).or_else(|| single(&of["mean_tre_mm"]))),
         ("interval (mm)", interval(&of["interval_mm"])),
         ("interval with the bias of the CT (mm)", interval(&of["interval_with_ct_bias_mm"])),
+        ("semi-axes of 90 % (mm)", semi_axes(&of["semi_axes_mm"])),
         ("tilt (\u{b0})", single(&of["tilt_deg"])),
     ];
     let cells: TableRow = numbers.into_iter().filter_map(|(head, cell)| Some((head.to_owned(), cell?))).collect();
@@ -47,6 +49,11 @@ fn single(value: &Json) -> Option<Cell> {
 fn interval(value: &Json) -> Option<Cell> {
     let (low, high) = (value.get(0)?.as_f64()?, value.get(1)?.as_f64()?);
     Some(Cell::word(from_to(low, high)))
+}
+
+fn semi_axes(value: &Json) -> Option<Cell> {
+    let axes: Option<Vec<String>> = value.as_array()?.iter().map(|mm| mm.as_f64().map(number)).collect();
+    Some(Cell::word(axes?.join("\u{a0}\u{d7}\u{a0}")))
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use crate::{
     format::number,
     html::Page,
     run_folder::RunFolder,
-    scene::{self, BLUE, BONE, ORANGE, Scene, packed},
+    scene::{self, BLUE, BONE, ELLIPSOID, ORANGE, Scene, packed},
 };
 use nalgebra::{Point3, Vector3};
 use osteoflow_algorithms::{
@@ -60,7 +60,8 @@ pub(super) fn scan(page: &mut Page, run: &RunFolder, refused: Option<&str>) {
         Ok(picture) => {
             picture.thinned.iter().for_each(|thinned| words += &format!(" {thinned}"));
             let drawing = registered.as_ref().ok().map(|scan| ("residuals", &scan.drawing));
-            page.picture(picture.json, drawing, residual_key(), &words);
+            let has_errors = refused.is_none() && run.results.pointer("/verdict/predicted/points/0").is_some();
+            page.picture(picture.json, drawing, key_of_picture(has_errors), &words);
         }
         Err(why) => page.missing(PICTURE, &why),
     }
@@ -73,10 +74,16 @@ pub(super) fn scan(page: &mut Page, run: &RunFolder, refused: Option<&str>) {
 const PICTURE: &str = "What the live page shows of the run";
 const AT_ITS_END: &str = "The run at its end, as the live page shows it.";
 
-/// The colours of scans.
-fn residual_key() -> String {
+/// The colours of scans, and of the ellipsoids of predicted errors.
+fn key_of_picture(has_errors: bool) -> String {
     let mut key = Scene::looking(&[], Vector3::x(), Vector3::z());
     key.ramp("distance of the scan from the bone, grey: none within 5 mm", RESIDUAL_MM);
+    if has_errors {
+        key.key(
+            ELLIPSOID,
+            "predicted error: ellipsoid that holds the point with 90 %, true to scale, seen through the bone",
+        );
+    }
     key.legend_html()
 }
 

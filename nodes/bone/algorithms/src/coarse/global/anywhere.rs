@@ -1,6 +1,7 @@
 //! Starts of a scan of any shape: in any orientation, anywhere on the surface.
 
 use super::descent::{Placed, Points, descended, distinct};
+use crate::axes::directions;
 use crate::downsample::thinned;
 use crate::kabsch::centroid;
 use crate::morton::order_by_index;
@@ -93,7 +94,10 @@ impl Shape {
     fn anchors(&self, n: usize, signs: &[f64]) -> Vec<(Vector3<f64>, Vector3<f64>)> {
         let Some(normals) = &self.normals else {
             let nearest = self.points.iter().min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
-            return nearest.into_iter().flat_map(|p| directions().map(|direction| (*p, direction))).collect();
+            return nearest
+                .into_iter()
+                .flat_map(|p| directions(N_DIRECTIONS).map(|direction| (*p, direction)))
+                .collect();
         };
         let told = self.points.iter().zip(normals).filter(|(_, normal)| **normal != Vector3::zeros()).take(n);
         told.flat_map(|(p, normal)| signs.iter().map(move |sign| (*p, normal * *sign))).collect()
@@ -147,14 +151,6 @@ fn spread(points: &[Vector3<f64>], n: usize) -> Vec<Vector3<f64>> {
     let bits = kept.len().next_power_of_two().trailing_zeros();
     let reversed = (0..1_usize << bits).map(|k| k.reverse_bits().checked_shr(usize::BITS - bits).unwrap_or(0));
     reversed.filter_map(|k| along.get(k)).map(|&k| kept[k as usize]).collect()
-}
-
-/// Directions evenly over the sphere, by the golden angle.
-fn directions() -> impl Iterator<Item = Vector3<f64>> {
-    (0..N_DIRECTIONS).map(|k| {
-        let (z, turn) = (1.0 - (2 * k + 1) as f64 / N_DIRECTIONS as f64, 2.399_963 * k as f64);
-        Vector3::new(turn.cos(), turn.sin(), 0.0) * (1.0 - z * z).sqrt() + Vector3::z() * z
-    })
 }
 
 /// Two directions across a unit vector.
@@ -393,7 +389,7 @@ mod tests {
 
     #[test]
     fn directions_are_even_over_the_sphere() {
-        let all: Vec<Vector3<f64>> = directions().collect();
+        let all: Vec<Vector3<f64>> = directions(N_DIRECTIONS).collect();
         let nearest = |d: &Vector3<f64>| all.iter().map(|other| other.angle(d)).fold(f64::MAX, f64::min);
         let farthest = [[1.0, 0.0, 0.0], [0.3, -0.8, 0.5], [0.0, 0.0, -1.0], [-0.6, 0.6, -0.5]];
         let widest = farthest.iter().map(|d| nearest(&Vector3::from(*d))).fold(0.0, f64::max);
