@@ -89,6 +89,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["app::options"],
             &["app::run", "app::simulate", "app::sweep"],
             &["app::archive", "app::register"],
+            &["app::sensor"],
             &["app"],
             // What subcommands share.
             &["commands::common::terminal"],
@@ -278,6 +279,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["calibrate", "coarse", "track"],
             &["slide"],
             &["trust"],
+            &["sensor_error"],
         ],
     ),
 ];
