@@ -64,7 +64,9 @@ fn a_profile_holds_the_errors_of_the_device_and_is_read_as_a_sensor() {
     near("scale", CAMERA.scale, 0.02);
     assert!(errors["by_tilt"].as_array().unwrap().len() > 2 && errors["by_distance"].as_array().unwrap().len() > 2);
     let profile = fs::read_to_string(dir.path().join("me.toml")).unwrap();
-    for word in ["SHA-256", "3 scans", "noise_mm = 0.1", "[", "By: sensor scans", "shift_mm = 0.0  # not measured"] {
+    for word in
+        ["SHA-256", "3 scans", "noise_mm = 0.1", "[", "osteoflow sensor scans", "shift_mm = 0.0000  # not measured"]
+    {
         assert!(profile.contains(word), "{word} is missing:\n{profile}");
     }
     let page = fs::read_to_string(dir.path().join("me.html")).unwrap();
@@ -90,8 +92,10 @@ fn a_ball_shows_the_tip_of_a_stylus_and_a_plane_no_offset() {
     let dir = folder(Shape::Ball, &stylus, 6, |p| *p);
     let ball = format!("ball:{BALL_MM}");
     let (code, out, err) = sensor(dir.path(), &["scans", "--part", &ball, "--like", "stylus"]);
-    let tip =
-        out.lines().find_map(|line| line.trim().strip_prefix("tip_radius_mm")).unwrap_or_else(|| panic!("{out}{err}"));
+    let tip = out
+        .lines()
+        .find_map(|line| line.trim().strip_prefix("tip_radius_mm = "))
+        .unwrap_or_else(|| panic!("{out}{err}"));
     let tip_mm: f64 = tip.split_whitespace().next().unwrap().parse().unwrap();
     assert!(code == 0 && (tip_mm - 1.5).abs() < 0.15, "{out}{err}");
     let dir = folder(Shape::Plane, &CAMERA, 3, |p| *p);
@@ -109,10 +113,10 @@ fn scans_that_are_not_of_the_part_are_left_out_by_name_with_the_reason() {
     };
     let of_knob = ["scans", "--part", "knob.off", "--out", "never.toml"];
     let dir = folder(Shape::Knob, &CAMERA, 2, |p| *p);
-    fails(&dir, &["nothing", "--part", "plane"], &["nothing cannot be read: a folder of scans is expected"]);
+    fails(&dir, &["nothing", "--part", "plane"], &["nothing is no folder of scans"]);
     fails(&dir, &["scans", "--part", "nothing.stl"], &["nothing.stl"]);
     fails(&dir, &["scans", "--part", "ball:0"], &["ball:0: a radius in mm is expected"]);
-    fails(&dir, &["scans", "--part", "plane", "--out", "never.toml"], &["knob_1.xyz: it is off by", "another shape"]);
+    fails(&dir, &["scans", "--part", "plane", "--out", "never.toml"], &["knob_1.xyz", "another shape"]);
     // A copy tells nothing of how scans differ.
     fs::copy(dir.path().join("scans/knob_1.xyz"), dir.path().join("scans/knob_2.xyz")).unwrap();
     fails(&dir, &of_knob, &["1 scan can be measured by", "knob_2.xyz: it is a copy of knob_1.xyz"]);
@@ -121,7 +125,7 @@ fn scans_that_are_not_of_the_part_are_left_out_by_name_with_the_reason() {
     fails(&dir, &of_knob, &["0 scans can be measured by, and two are needed"]);
     // Another unit, a mirror image, another part.
     let dir = folder(Shape::Knob, &CAMERA, 2, |p| p / 1000.0);
-    fails(&dir, &of_knob, &["knob_1.xyz", "knob.off", "is it in another unit? try", "--unit-mm 1000"]);
+    fails(&dir, &of_knob, &["knob_1.xyz", "knob.off", "is it of this part, and in mm? --unit-mm 1000"]);
     let (code, ..) = sensor(dir.path(), &["scans", "--part", "knob.off", "--unit-mm", "1000"]);
     assert_eq!(code, 0);
     let dir = folder(Shape::Knob, &CAMERA, 2, |p| p / 25.4);
@@ -161,13 +165,13 @@ fn readings_of_divots_have_their_precision_and_the_errors_of_their_distances() {
         assert!((number(path) - value).abs() < 1e-9, "{path}: {} instead of {value}", number(path));
     }
     let (_, _, err) = sensor(dir.path(), &arguments);
-    assert!(err.contains("1 divot of the reference") && err.contains("no test by that standard"), "{err}");
-    write("readings.csv", "A,0,0,0\nA,0,0,0\nE,1,2,3\n");
+    assert!(err.contains("3 divots (4 in the reference)") && err.contains("are not told apart"), "{err}");
+    write("readings.csv", "name,x,y,z\nA,0,0,0\nA,0,0,0\nE,1,2,3\n");
     let (code, _, err) = sensor(dir.path(), &arguments);
     assert!(code != 0 && err.contains("no divot is named E"), "{err}");
-    write("readings.csv", "A,0,0,0\nB,1,2\n");
+    write("readings.csv", "name,x,y,z\nA,0,0,0\nB,1,2,far\n");
     let (code, _, err) = sensor(dir.path(), &arguments);
-    assert!(code != 0 && err.contains("readings.csv:2: NAME,x,y,z in mm is expected"), "{err}");
+    assert!(code != 0 && err.contains("readings.csv: a heading, then NAME,x,y,z in mm are expected"), "{err}");
 }
 
 #[test]

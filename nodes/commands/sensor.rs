@@ -1,6 +1,6 @@
 //! `sensor`: how a sensor errs, from scans of parts whose shape is known.
 
-use super::common::{Exit, Format, Global, print_json, progress::Progress, running, terminal, text_table::TextTable};
+use super::common::{Exit, Format, Global, print_json, progress::Progress, running, terminal};
 use crate::app::SensorRequest;
 use anyhow::Result;
 use clap::Args;
@@ -29,16 +29,14 @@ impl Sensor {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         let (request, cancelled) = (self.request.clone(), Arc::default());
         let until = Arc::clone(&cancelled);
-        let progress = Progress::begin("measuring", None, global);
+        let progress = Progress::begin("", None, global);
         let work = move |progress: &Progress| request.run(progress, &until);
         let Some(measured) = running::watch(progress, cancelled, work)? else { return Ok(Exit::Interrupted) };
         if global.format == Format::Json {
             print_json(&measured.json)?;
             return Ok(Exit::Done);
         }
-        let mut table = TextTable::new("", &[""]);
-        measured.rows.iter().for_each(|(name, value)| table.row(name, [String::new(), value.clone()]));
-        write!(terminal::stdout(), "{}", table.lines())?;
+        measured.lines.iter().try_for_each(|line| writeln!(terminal::stdout(), "{line}"))?;
         measured.notes.iter().filter(|_| !global.quiet).try_for_each(|note| global.say("note", note))?;
         Ok(Exit::Done)
     }

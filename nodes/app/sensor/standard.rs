@@ -1,7 +1,7 @@
 //! Numbers of ASTM F2554, by its published abstract: precision at a point, and distances between points.
 
 use super::Measured;
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use osteoflow_algorithms::kabsch::centroid;
 use osteoflow_formats::{input, picked_points::read_picked_points};
 use osteoflow_geometry::nalgebra::Point3;
@@ -38,49 +38,36 @@ pub(super) fn f2554(files: &[PathBuf], reference: &Path) -> Result<Measured> {
         errors.extend(means[..k].iter().map(|(b, from)| (at - from).norm() - (known[*a] - known[*b]).norm()));
     }
     let (precision, distances) = (Summary::of(&repeats.concat())?, Summary::of(&errors)?);
-    let absolute = distances.max.max(-distances.min);
-    let mm = |value: f64| format!("{value:.3} mm");
-    let rows = [
+    let lines = [
         ("single point, RMS", precision.rms),
         ("single point, maximum", precision.max),
         ("distance, bias", distances.mean),
         ("distance, mean absolute", distances.mean_abs),
         ("distance, SD", distances.sd.unwrap_or(f64::NAN)),
         ("distance, RMS", distances.rms),
-        ("distance, maximum absolute", absolute),
+        ("distance, maximum absolute", distances.max.max(-distances.min)),
     ];
-    let mut rows: Vec<(String, String)> = rows.map(|(name, value)| (name.into(), mm(value))).into();
-    let n = format!(
-        "{} of {}, {}",
-        counted(precision.n, "reading"),
-        counted(means.len(), "divot"),
-        counted(errors.len(), "distance")
-    );
-    rows.push(("n".into(), n));
-    let notes = [
-        "names and procedure are those of the published abstract of ASTM F2554, not of its text",
-        "it is no test by that standard: the rotations about each axis, the extremes of the working volume and the reference phantom are not stated",
+    let lines = lines.map(|(name, mm)| format!("{name:<27} {mm:.3} mm")).into();
+    let (n, of, pairs) =
+        (counted(precision.n, "reading"), counted(means.len(), "divot"), counted(errors.len(), "distance"));
+    let notes = vec![
+        format!("{n} of {of} ({} in the reference), {pairs}", known.len()),
+        "names and procedure are by the published abstract of ASTM F2554, not by its text".into(),
+        "the pointer's orientations, its visible range and places in the working volume are not told apart".into(),
     ];
-    let lost = known.len() - means.len();
-    let unread =
-        (lost > 0).then(|| format!("{} of the reference were not read twice and do not count", counted(lost, "divot")));
-    let json = serde_json::json!({
-        "standard": "ASTM F2554", "n_divots": means.len(), "single_point_mm": precision, "distance_mm": distances,
-    });
-    Ok(Measured { rows, notes: notes.map(String::from).into_iter().chain(unread).collect(), json })
+    let json = serde_json::json!({ "n_divots": means.len(), "single_point_mm": precision, "distance_mm": distances });
+    Ok(Measured { lines, notes, json })
 }
 
-/// Adds the readings of a file: NAME,x,y,z on each line, in mm; a heading and lines that begin with # are passed over.
+/// Adds the readings of a file: a heading, and NAME,x,y,z in mm on each line.
 fn read(file: &Path, readings: &mut Readings) -> Result<()> {
-    for (k, line) in input::read_text(file)?.lines().enumerate() {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        let numbers: Vec<f64> =
-            cells.iter().skip(1).filter_map(|cell| cell.parse().ok()).filter(|x: &f64| x.is_finite()).collect();
-        match numbers[..] {
-            [x, y, z] if cells.len() == 4 => readings.entry(cells[0].into()).or_default().push(Point3::new(x, y, z)),
-            _ if line.trim().is_empty() || line.starts_with('#') || (k == 0 && numbers.is_empty()) => {}
-            _ => bail!("{}:{}: NAME,x,y,z in mm is expected, such as D1,10.5,-3.2,40", file.display(), k + 1),
-        }
+    let bytes = input::read(file)?;
+    let mut rows = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(&bytes[..]);
+    for row in rows.deserialize() {
+        let expected =
+            || format!("{}: a heading, then NAME,x,y,z in mm are expected, such as D1,10.5,-3.2,40", file.display());
+        let (name, [x, y, z]): (String, [f64; 3]) = row.with_context(expected)?;
+        readings.entry(name).or_default().push(Point3::new(x, y, z));
     }
     Ok(())
 }

@@ -1,96 +1,68 @@
 //! The page of a sensor: how it errs, with pictures of each scan.
 
 use crate::{
-    cell::Cell,
     chart::{Axis, Chart, Mark, Series},
     html::Page,
 };
 use osteoflow_algorithms::{
-    sensor_error::{ScanErrors, SensorErrors, TableRow},
+    sensor_error::{ScanErrors, SensorErrors},
     trust::Residual,
 };
 
-/// Number of points of a picture.
+/// Number of points of a picture, and of bars of a histogram.
 const N_SHOWN: usize = 600;
-/// Number of bars of a histogram.
 const N_BARS: usize = 40;
 
-/// The page of a sensor's errors by its scans, with the keys of the profile and what is known of each, and the head of the profile.
-pub fn of_sensor(
-    errors: &SensorErrors,
-    scans: &[(&str, &ScanErrors)],
-    keys: &[(&'static str, String, String)],
-    head: &[String],
-) -> String {
+/// The page of a sensor's errors by its scans, with the text of its profile.
+pub fn of_sensor(errors: &SensorErrors, scans: &[(&str, &ScanErrors)], profile: &str) -> String {
     let mut page = Page::new("How a sensor errs", false);
-    page.section("Values");
-    head.iter().for_each(|line| page.text(line));
-    let rows: Vec<Vec<Cell>> =
-        keys.iter().map(|(key, value, about)| vec![Cell::word(*key), Cell::word(value), Cell::word(about)]).collect();
-    page.table("Keys of the profile, mm, with 90 % intervals.", &["key", "value", "measured"], &rows);
-    for (name, unit, of) in [("distance", "mm", &errors.by_distance), ("tilt", "deg", &errors.by_tilt)] {
-        if of.is_empty() {
-            page.missing(&format!("The noise against the {name}"), "it is unknown where the sensor stood");
+    page.section("Profile");
+    page.code(profile);
+    for (name, of) in [("distance (mm)", &errors.by_distance), ("tilt (deg)", &errors.by_tilt)] {
+        let at: Vec<(f64, f64)> = of.iter().map(|[from, to, mm]| ((from + to) / 2.0, *mm)).collect();
+        if at.is_empty() {
+            page.missing(&format!("The noise against {name}"), "where the sensor stood is unknown");
             continue;
         }
-        let at = |row: &TableRow| ((row.from + row.to) / 2.0, row.noise_mm);
-        let dots = of.iter().map(|row| (at(row).0, row.noise_mm, format!("{} places", row.n))).collect();
-        let marks =
-            vec![Mark::Line(of.iter().map(at).collect()), Mark::Dots(dots), Mark::Reach(vec![(of[0].from, 0.0)])];
-        let svg = chart(
-            &format!("Noise against {name}"),
-            [&format!("{name} ({unit})"), "noise (mm)"],
-            vec![Series::unnamed(0, marks)],
-        );
-        page.figure(name, svg, &format!("Noise of single points against the {name}, medians of classes."));
+        let dots = at.iter().map(|(x, mm)| (*x, *mm, format!("{mm:.3} mm"))).collect();
+        let marks = vec![Mark::Line(at), Mark::Dots(dots), Mark::Reach(vec![(of[0][0], 0.0)])];
+        draw(&mut page, &format!("noise against {name}"), [name, "noise (mm)"], vec![Series::unnamed(0, marks)]);
     }
     page.section("Scans");
     for (name, scan) in scans {
-        let mut sizes: Vec<f64> = scan.on.iter().map(|at| at.signed_mm.abs()).collect();
-        let reach_mm = osteoflow_statistics::quantile(&mut sizes, 0.98).max(1e-6);
-        let span = |k: usize| {
-            scan.on.iter().fold((f64::MAX, f64::MIN), |(low, high), at| (at.point[k].min(low), at.point[k].max(high)))
-        };
+        let on = || scan.residuals.iter().filter(|(_, is_off)| !is_off).map(|(at, _)| at);
+        let span = |k: usize| on().fold((f64::MAX, f64::MIN), |(a, b), at| (a.min(at.point[k]), b.max(at.point[k])));
         let mut axes = [0, 1, 2];
         axes.sort_by(|a, b| (span(*b).1 - span(*b).0).total_cmp(&(span(*a).1 - span(*a).0)));
-        let dot = |at: &Residual| (at.point[axes[0]], at.point[axes[1]], format!("{:.2} mm", at.signed_mm));
-        let class = |name: &str, colour, low: f64, high: f64| {
-            let is_in = |at: &&Residual| at.signed_mm >= low * reach_mm && at.signed_mm < high * reach_mm;
-            let every = scan.on.len().div_ceil(N_SHOWN);
-            let dots = scan.on.iter().step_by(every).filter(is_in).map(dot).collect();
-            Series { name: name.into(), colour, marks: vec![Mark::Dots(dots)] }
+        let reach_mm = on().map(|at| at.signed_mm.abs()).fold(1e-6, f64::max);
+        let class = |name: &str, colour, is_in: &dyn Fn(f64, bool) -> bool| {
+            let every = scan.residuals.len().div_ceil(N_SHOWN);
+            let shown = scan.residuals.iter().step_by(every).filter(|(at, off)| is_in(at.signed_mm / reach_mm, *off));
+            let dot =
+                |(at, _): &(Residual, bool)| (at.point[axes[0]], at.point[axes[1]], format!("{:.2} mm", at.signed_mm));
+            Series { name: name.into(), colour, marks: vec![Mark::Dots(shown.map(dot).collect())] }
         };
         let series = vec![
-            class("inside", 0, f64::MIN, -0.4),
-            class("slightly inside", 5, -0.4, 0.0),
-            class("slightly outside", 4, 0.0, 0.4),
-            class("outside", 1, 0.4, f64::MAX),
-            Series {
-                name: "outliers".into(),
-                colour: 6,
-                marks: vec![Mark::Dots(scan.off.iter().take(N_SHOWN).map(dot).collect())],
-            },
+            class("inside", 0, &|r, off| !off && r < -0.25),
+            class("slightly inside", 5, &|r, off| !off && (-0.25..0.0).contains(&r)),
+            class("slightly outside", 4, &|r, off| !off && (0.0..0.25).contains(&r)),
+            class("outside", 1, &|r, off| !off && r >= 0.25),
+            class("outliers", 6, &|_, off| off),
         ];
-        let labels = axes.map(|k| format!("{} (mm)", ["x", "y", "z"][k]));
-        let svg = chart(name, [&labels[0], &labels[1]], series);
-        let middle = 0.4 * reach_mm;
-        page.figure(name, svg, &format!("{name}: residuals in the part's frame; slight: within {middle:.2} mm."));
+        let title = format!("{name}: residuals in the part's frame; slight: up to {:.2} mm", 0.25 * reach_mm);
+        draw(&mut page, &title, [axes[0], axes[1]].map(|k| ["x (mm)", "y (mm)", "z (mm)"][k]), series);
         let mut bars = [0.0; N_BARS];
-        let place = |mm: f64| ((mm / reach_mm + 1.0) / 2.0 * N_BARS as f64).clamp(0.0, N_BARS as f64 - 1.0) as usize;
-        scan.on.iter().for_each(|at| bars[place(at.signed_mm)] += 1.0);
+        on().for_each(|at| bars[((at.signed_mm / reach_mm + 1.0) / 2.0 * (N_BARS as f64 - 1e-6)) as usize] += 1.0);
         let edge = |k: usize| (2.0 * k as f64 / N_BARS as f64 - 1.0) * reach_mm;
         let bars = bars.iter().enumerate().flat_map(|(k, n)| [(edge(k), 0.0, *n), (edge(k + 1), 0.0, *n)]).collect();
-        let svg = chart(name, ["residual (mm)", "points"], vec![Series::unnamed(0, vec![Mark::Band(bars)])]);
-        page.figure(
-            &format!("{name}-histogram"),
-            svg,
-            &format!("{name}: residuals; the outermost bars hold all beyond."),
-        );
+        let series = vec![Series::unnamed(0, vec![Mark::Band(bars)])];
+        draw(&mut page, &format!("{name}: distances from the part"), ["residual (mm)", "points"], series);
     }
-    page.finish("Residuals of scans of a known part.").0
+    page.finish("Scans of a known part.").0
 }
 
-fn chart(title: &str, [x, y]: [&str; 2], series: Vec<Series>) -> String {
+fn draw(page: &mut Page, title: &str, [x, y]: [&str; 2], series: Vec<Series>) {
     let (x, y) = (Axis::Linear(x.into()), Axis::Linear(y.into()));
-    Chart { title: title.into(), about: title.into(), x, y, series, note: String::new() }.svg(false)
+    let chart = Chart { title: title.into(), about: title.into(), x, y, series, note: String::new() };
+    page.figure(title, chart.svg(false), title);
 }

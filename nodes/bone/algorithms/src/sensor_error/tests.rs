@@ -55,7 +55,7 @@ fn coverage(shape: Shape, device: &Device, n_scans: usize, n_draws: u64) -> BTre
 
 #[test]
 fn errors_of_known_devices_are_within_their_intervals() {
-    let n_draws = if std::env::var_os("SLOW_TESTS").is_some() { 100 } else { 12 };
+    let n_draws = if std::env::var_os("SLOW_TESTS").is_some() { 100 } else { 4 };
     let ball = Device { scale: 1.0, ..CAMERA };
     let mut all = Vec::new();
     for n_scans in [2, 3, 6] {
@@ -65,27 +65,4 @@ fn errors_of_known_devices_are_within_their_intervals() {
     }
     let share = all.iter().sum::<f64>() / all.len() as f64;
     assert!(share > 0.85, "{share:.2} of the intervals hold the truth");
-}
-
-#[test]
-fn debug_knob() {
-    let none = Device {
-        noise_mm: 0.001,
-        patch_mm: 0.0,
-        length_mm: 5.0,
-        mean_bias_mm: 0.0,
-        bias_mm: 0.0,
-        scale: 1.0,
-        outliers: 0.0,
-    };
-    for (name, device) in [
-        ("bias", Device { mean_bias_mm: 0.4, ..none }),
-        ("scale", Device { scale: 1.01, ..none }),
-        ("patch", Device { patch_mm: 0.3, ..none }),
-        ("noise", Device { noise_mm: 0.15, ..none }),
-        ("outliers", Device { noise_mm: 0.15, outliers: 0.03, ..none }),
-    ] {
-        let found = measured(Shape::Knob, &device, 6, 1);
-        println!("{name}: {:?} {:?}", found.mean_bias_mm, found.scale);
-    }
 }
