@@ -22,7 +22,7 @@ use osteoflow_geometry::{
     Cloud,
     nalgebra::{Isometry3, Point3},
 };
-use osteoflow_statistics::counted;
+use osteoflow_statistics::{bland_altman, counted};
 use serde_json::{Value, json};
 use std::{
     fs,
@@ -179,38 +179,38 @@ impl SensorRequest {
         // A part that lies among its scans is none.
         files
             .retain(|file| parts.iter().all(|known| fs::canonicalize(&known.name).ok() != fs::canonicalize(file).ok()));
-        let mut scans: Vec<(String, Cloud, ScanErrors)> = Vec::new();
+        let mut scans: Vec<(String, Cloud, ScanErrors, &str)> = Vec::new();
         let mut left_out = Vec::new();
         for path in files {
             let name = name_of(&path);
             let mut of_name: Vec<&Known> = parts.iter().filter(|known| name.starts_with(&known.prefix)).collect();
             of_name.sort_by_key(|known| known.prefix.len());
-            let read = || -> Result<Result<(Cloud, ScanErrors), String>> {
+            let read = || -> Result<Result<(Cloud, ScanErrors, &str), String>> {
                 let Some(known) = of_name.last().copied().or(parts.first().filter(|_| parts.len() == 1)) else {
                     return Ok(Err("its name begins with that of no --part".into()));
                 };
                 let (read, notes) =
                     read_mesh_or_cloud(&path, &input::read(&path)?, self.unit_mm, "camera")?.into_cloud();
                 let scan = read.cloud.clone();
-                if let Some((other, ..)) = scans.iter().find(|(_, other, _)| other.points() == scan.points()) {
+                if let Some((other, ..)) = scans.iter().find(|(_, other, ..)| other.points() == scan.points()) {
                     return Ok(Err(format!("it is a copy of {other}, which says nothing new")));
                 }
                 let mut request = RegisterRequest::new("part", &path);
                 request.sensor = Some(self.like.as_deref().unwrap_or(SensorKind::DepthCamera.word()).into());
                 request.source.content = Some(MeshOrCloud::Cloud(read, notes));
-                Ok(known.errors(request, (observer, cancelled))?.map(|errors| (scan, errors)))
+                Ok(known.errors(request, (observer, cancelled))?.map(|errors| (scan, errors, known.name.as_str())))
             };
             match read().unwrap_or_else(|error| Err(super::with_causes(&error))) {
-                Ok((scan, errors)) => scans.push((name, scan, errors)),
+                Ok((scan, errors, part)) => scans.push((name, scan, errors, part)),
                 Err(why) => left_out.push(format!("left out: {name}: {why}")),
             }
         }
-        let all: Vec<ScanErrors> = scans.iter().map(|(.., errors)| errors.clone()).collect();
+        let all: Vec<ScanErrors> = scans.iter().map(|(_, _, errors, _)| errors.clone()).collect();
         let Some(errors) = SensorErrors::of(&all) else {
             let (n, of) = (counted(all.len(), "scan"), self.folder.display());
             bail!("{of}: {n} can be measured by, and two are needed at least\n  {}", left_out.join("\n  "));
         };
-        let n_points = counted(scans.iter().map(|(_, scan, _)| scan.len()).sum(), "point");
+        let n_points = counted(scans.iter().map(|(_, scan, ..)| scan.len()).sum(), "point");
         let (n, date) = (counted(errors.n_scans, "scan"), jiff::Zoned::now().date());
         let mut head = vec![
             format!(
@@ -229,19 +229,26 @@ impl SensorRequest {
         }
         let mut notes = notes(&errors);
         notes.extend(left_out);
-        let lines = self.lines(&errors, &parts);
+        let of_part = |known: &Known| {
+            let of: Vec<ScanErrors> =
+                scans.iter().filter(|(.., part)| *part == known.name).map(|(_, _, errors, _)| errors.clone()).collect();
+            SensorErrors::of(&of).map(|of| of.patch_mm.value.powi(2))
+        };
+        let patch_mm = new_patch_mm(&errors, &parts.iter().filter_map(of_part).collect::<Vec<_>>());
+        let lines = self.lines(&errors, patch_mm, &parts);
         let comments = head.iter().chain(&notes).map(|line| format!("# {}\n", line.replace(char::is_control, " ")));
         let profile = comments.chain(lines.iter().map(|line| format!("{line}\n"))).collect::<String>();
         self.out.as_deref().map_or(Ok(()), |out| write_new(out, &profile))?;
         if let Some(page) = &self.page {
-            let shown: Vec<_> = scans.iter().map(|(name, _, errors)| (name.as_str(), errors)).collect();
+            let shown: Vec<_> = scans.iter().map(|(name, _, errors, _)| (name.as_str(), errors)).collect();
             write_new(page, &osteoflow_report::of_sensor(&errors, &shown, &profile))?;
         }
-        Ok(Measured { lines, json: json!({ "errors": errors, "notes": notes }), notes })
+        let json = json!({ "errors": errors, "profile": lines, "notes": notes });
+        Ok(Measured { lines, notes, json })
     }
 
     /// The keys of the profile as TOML, with what is known of each.
-    fn lines(&self, errors: &SensorErrors, parts: &[Known]) -> Vec<String> {
+    fn lines(&self, errors: &SensorErrors, patch_mm: f64, parts: &[Known]) -> Vec<String> {
         let stated = SensorKind::ALL.into_iter().find(|kind| self.like.as_deref() == Some(kind.word()));
         let like = stated.unwrap_or_else(|| Sensor::nearest(errors.noise_mm.value, errors.patch_mm.value));
         let is_stylus = like == SensorKind::Stylus;
@@ -255,8 +262,13 @@ impl SensorRequest {
             line("noise_mm", errors.noise_mm.value, brackets(&errors.noise_mm)),
             line(
                 "patch_mm",
-                errors.patch_mm.value,
-                format!("{}, over {:.1} mm", brackets(&errors.patch_mm), errors.length_mm),
+                patch_mm,
+                format!(
+                    "95 % of new scans; mean {:.3} {}, over {:.1} mm",
+                    errors.patch_mm.value,
+                    brackets(&errors.patch_mm),
+                    errors.length_mm
+                ),
             ),
         ];
         let bias = errors.bias_mm.zip(errors.mean_bias_mm);
@@ -279,6 +291,18 @@ impl SensorRequest {
         ]);
         lines
     }
+}
+
+/// What the shared error of 95 % of new scans stays below, mm, since the verdict judges each by it: of new parts, if several were scanned, by
+/// the squares of theirs.
+fn new_patch_mm(errors: &SensorErrors, of_parts: &[f64]) -> f64 {
+    let n_units = if errors.by == "scans" { errors.n_scans } else { 6 * errors.n_scans };
+    let (mean, high, n) = match bland_altman(of_parts, 0.9) {
+        Ok(parts) => (parts.bias, parts.bias_interval.high, of_parts.len()),
+        Err(_) => (errors.patch_mm.value.powi(2), errors.patch_mm.high.powi(2), n_units),
+    };
+    // An interval of the mean is narrower than one of a new value by this.
+    (mean + (high - mean) * (n as f64 + 1.0).sqrt()).sqrt()
 }
 
 fn brackets(told: &Told) -> String {

@@ -182,7 +182,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["scene", "summary"],
             &["html"],
             &["citations", "methods", "provenance", "tables"],
-            &["report"],
+            &["report", "sensor"],
             &["run"],
             &["sweep"],
         ],
