@@ -16,6 +16,7 @@ mod plugins;
 pub(crate) mod program;
 pub(crate) mod register;
 pub(crate) mod run;
+pub(crate) mod sensor;
 pub(crate) mod shipped;
 pub(crate) mod simulate;
 pub(crate) mod sweep;
@@ -34,6 +35,7 @@ pub use osteoflow_formats::{
 pub use plugins::{PYTHON_HELPER, Plugins};
 pub use register::{Register, RegisterInput, RegisterRequest, Registration, Require, Stop};
 pub use run::{Functions, Graph, GraphRun, RunRequest};
+pub use sensor::SensorRequest;
 pub use simulate::{SimulateRequest, StreamFormat};
 pub use sweep::{OneRun, OpenStudy, ShardFault, SweepRequest, SweepRun, check_shard, merge, summary};
 

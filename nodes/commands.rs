@@ -23,6 +23,7 @@ mod repro;
 pub(crate) mod run;
 mod runs;
 mod schema;
+mod sensor;
 pub(crate) mod simulate;
 pub(crate) mod sweep;
 mod validate;

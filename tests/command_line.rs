@@ -6,6 +6,7 @@ use crate::common::osteoflow;
 const COMMANDS: &[(&str, &str)] = &[
     ("run", "--no-record"),
     ("register", "--init"),
+    ("sensor", "--part"),
     ("check", "--set"),
     ("expand", "extends"),
     ("inspect", "--write-docs"),

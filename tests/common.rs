@@ -8,6 +8,9 @@ pub(crate) mod browser;
 #[path = "../engine/tests/plugins/build.rs"]
 pub(crate) mod build;
 pub(crate) mod case;
+/// Simulated devices whose errors are known.
+#[path = "../nodes/bone/algorithms/tests/common/devices.rs"]
+pub(crate) mod devices;
 /// Surfaces of several parts.
 #[path = "../nodes/bone/algorithms/tests/common/joined.rs"]
 pub(crate) mod joined;

@@ -85,6 +85,7 @@ fn a_pipe_in_the_place_of_any_file_is_refused_by_its_name_and_waited_for_by_no_c
                 "record" => arguments.extend(["--wires=*".into(), format!("--out={}", text(at("out.mcap")))]),
                 "recover" | "export" | "convert" => arguments.push(text(at("out.ply"))),
                 "view" => arguments.push("--address=0".into()),
+                "sensor" => arguments.push("--part=plane".into()),
                 _ => {}
             }
             let (code, err) = ended(&arguments);

@@ -81,6 +81,7 @@ mod ros2;
 mod ros2_images;
 mod run_folder;
 mod schema;
+mod sensor;
 mod simulate;
 mod simulated;
 #[cfg(unix)]

@@ -299,7 +299,8 @@ impl From<PathBuf> for RegisterInput {
     }
 }
 
-fn unit(text: &str) -> Result<f64, String> {
+/// The unit of a file, mm.
+pub(crate) fn unit(text: &str) -> Result<f64, String> {
     let unit: f64 =
         text.parse().map_err(|_| "a number is expected: 1 for millimetres, 10 for centimetres, 1000 for metres")?;
     let usable = (1e-6..=1e6).contains(&unit);

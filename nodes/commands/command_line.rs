@@ -3,7 +3,7 @@
 use super::common::{Exit, Global};
 use super::{
     check, compare, completions, convert, diff, digest, expand, export, graph, info, inspect, new, record, recover,
-    register, replay, report, repro, run, runs, schema, simulate, sweep, validate, view, worker,
+    register, replay, report, repro, run, runs, schema, sensor, simulate, sweep, validate, view, worker,
 };
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -70,6 +70,7 @@ pub(crate) enum Command {
     View(Box<view::View>),
     Compare(compare::Compare),
     Simulate(simulate::Simulate),
+    Sensor(sensor::Sensor),
     New(new::New),
     Completions(completions::Completions),
     PluginProbe(worker::PluginProbe),
@@ -107,6 +108,7 @@ impl Command {
             Self::View(command) => command.execute(global),
             Self::Compare(command) => command.execute(global),
             Self::Simulate(command) => command.execute(global),
+            Self::Sensor(command) => command.execute(global),
             Self::New(command) => command.execute(global),
             Self::Completions(command) => command.execute(Cli::command()),
             Self::PluginProbe(command) => command.execute(),

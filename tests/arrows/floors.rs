@@ -89,6 +89,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["app::options"],
             &["app::run", "app::simulate", "app::sweep"],
             &["app::archive", "app::register"],
+            &["app::sensor"],
             &["app"],
             // What subcommands share.
             &["commands::common::terminal"],
@@ -181,7 +182,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["scene", "summary"],
             &["html"],
             &["citations", "methods", "provenance", "tables"],
-            &["report"],
+            &["report", "sensor"],
             &["run"],
             &["sweep"],
         ],
@@ -278,6 +279,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["calibrate", "coarse", "track"],
             &["slide"],
             &["trust"],
+            &["sensor_error"],
         ],
     ),
 ];

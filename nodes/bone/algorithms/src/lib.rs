@@ -24,6 +24,9 @@ mod bvh;
 pub mod calibrate;
 pub mod coarse;
 pub mod ct_surface;
+#[cfg(test)]
+#[path = "../tests/common/devices.rs"]
+mod devices;
 pub mod downsample;
 pub mod fragment;
 pub mod hole;
@@ -53,6 +56,7 @@ pub mod roi;
 pub mod sample;
 pub mod section;
 pub mod sensor;
+pub mod sensor_error;
 mod sensor_noise;
 #[cfg(test)]
 #[path = "../tests/common/shapes.rs"]

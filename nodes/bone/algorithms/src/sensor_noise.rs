@@ -16,23 +16,37 @@ const WIDE_MM: f64 = 6.0;
 /// Noise across the surface, mm: the median RMS residual of quadratic patches; `None` of a scan with fewer points than a patch, or with so
 /// few around most of them that a patch is wider than a quadric describes.
 pub(crate) fn sensor_noise_mm(points: &[Point3<f64>]) -> Option<f64> {
-    if points.len() < N_NEIGHBOURS {
+    let patches = noise_patches(points, N_NEIGHBOURS)?;
+    let mut squares: Vec<f64> = patches.iter().map(|patch| patch.square).collect();
+    squares.sort_by(f64::total_cmp);
+    Some(squares[squares.len() / 2].sqrt())
+}
+
+/// The scan around a place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct NoisePatch {
+    pub(crate) place: Point3<f64>,
+    /// Distance of its farthest point.
+    pub(crate) reach_mm: f64,
+    /// Mean square of what a quadric leaves, mm².
+    pub(crate) square: f64,
+}
+
+/// Patches of this many neighbours at places evenly through the order of the points; `None` as of [`sensor_noise_mm`].
+pub(crate) fn noise_patches(points: &[Point3<f64>], n_neighbours: usize) -> Option<Vec<NoisePatch>> {
+    if points.len() < n_neighbours {
         return None;
     }
     let tree = Nearest::new(points);
     let every = points.len().div_ceil(N_PLACES).max(1);
     let places: Vec<Point3<f64>> = points.iter().step_by(every).copied().collect();
-    let mut squares: Vec<f64> = places.par_iter().filter_map(|p| patch_square(points, &tree, p)).collect();
-    if 2 * squares.len() <= places.len() {
-        return None;
-    }
-    squares.sort_by(f64::total_cmp);
-    Some(squares[squares.len() / 2].sqrt())
+    let patches: Vec<NoisePatch> =
+        places.par_iter().filter_map(|p| noise_patch(points, &tree, p, n_neighbours)).collect();
+    (2 * patches.len() > places.len()).then_some(patches)
 }
 
-fn patch_square(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>) -> Option<f64> {
-    let near: Vec<Vector3<f64>> =
-        tree.nearest_n(place, N_NEIGHBOURS).into_iter().map(|(i, _)| points[i].coords).collect();
+fn noise_patch(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>, n: usize) -> Option<NoisePatch> {
+    let near: Vec<Vector3<f64>> = tree.nearest_n(place, n).into_iter().map(|(i, _)| points[i].coords).collect();
     let n = near.len();
     let mean = near.iter().sum::<Vector3<f64>>() / n as f64;
     let scatter: Matrix3<f64> = near.iter().map(|v| (v - mean) * (v - mean).transpose()).sum();
@@ -54,7 +68,7 @@ fn patch_square(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>) -> 
     let h = a.transpose() * &a;
     let x = h.cholesky()?.solve(&(a.transpose() * &b));
     let rest = a * x - b;
-    Some(rest.norm_squared() / (n as f64 - 6.0))
+    Some(NoisePatch { place: *place, reach_mm: scale, square: rest.norm_squared() / (n as f64 - 6.0) })
 }
 
 #[cfg(test)]

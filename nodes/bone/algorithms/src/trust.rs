@@ -71,6 +71,7 @@ pub use rules::RuleParams;
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
 pub use spread::Spread;
 pub use stylus::StylusErrors;
+pub(crate) use surface_error::MEDIAN_SIGMAS;
 pub use surface_error::SurfaceError;
 pub use takes::Takes;
 pub use verdict::Verdict;

@@ -23,7 +23,7 @@ const MIN_PRODUCTS: usize = 50;
 const CLIP_SIGMAS: f64 = 4.0;
 
 /// Half of a Gaussian's absolute values are below this many standard deviations.
-pub(super) const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
+pub(crate) const MEDIAN_SIGMAS: f64 = 0.674_489_750_196_081_7;
 
 /// The error between a registered scan and the surface, of camera and CT together, by an exponential variogram.
 ///
@@ -47,7 +47,7 @@ impl SurfaceError {
     ///
     /// # Source
     /// Matheron 1963 for the variogram, in its covariance form; winsorised as in Huber 1964.
-    pub(super) fn new(on: &[Residual]) -> Self {
+    pub(crate) fn new(on: &[Residual]) -> Self {
         let some: Vec<&Residual> = on.iter().step_by(on.len().div_ceil(N_POINTS).max(1)).collect();
         let mut sizes: Vec<f64> = some.iter().map(|near| near.signed_mm.abs()).collect();
         sizes.sort_by(f64::total_cmp);
