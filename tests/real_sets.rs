@@ -2,9 +2,12 @@
 
 use crate::common::{osteoflow, python::python, root, shared_folder};
 use osteoflow_algorithms::sample;
-use osteoflow_formats::write::{write_ply, write_stl};
+use osteoflow_formats::{
+    mesh_or_cloud::read_mesh,
+    write::{write_ply, write_stl},
+};
 use osteoflow_geometry::{
-    Cloud,
+    Cloud, SurfaceOrigin,
     nalgebra::{Isometry3, Point3, Vector3},
 };
 use osteoflow_simulation::{BoneParams, bone};
@@ -311,7 +314,7 @@ fn weights_of_the_chance_are_fitted_to_scans_that_lie_on_their_surface_and_no_si
     assert!(pairs.len() == 10 && objects[..5] == ["bone"; 5] && objects[5..] == ["shape_0"; 5], "{objects:?}");
     for pair in pairs {
         let at = |key: &str| set.join(pair[key].as_str().unwrap());
-        let corners = read_mesh(&at("surface"), 1.0).unwrap().vertices;
+        let corners = read_mesh(&at("surface"), 1.0, "ct", SurfaceOrigin::User).unwrap().mesh;
         let pose: Vec<f64> =
             serde_json::from_value::<Vec<Vec<f64>>>(pair["t_surface_scan"][0].clone()).unwrap().concat();
         let text = fs::read_to_string(at("source")).unwrap();
@@ -322,7 +325,7 @@ fn weights_of_the_chance_are_fitted_to_scans_that_lie_on_their_surface_and_no_si
                     pose[4 * k..][..3].iter().zip(&p).map(|(a, b)| a * b).sum::<f64>() + pose[4 * k + 3]
                 })
             })
-            .map(|p: [f64; 3]| corners.iter().map(|c| (c - Point3::from(p)).norm()).fold(f64::MAX, f64::min))
+            .map(|p: [f64; 3]| corners.vertices().iter().map(|c| (c - Point3::from(p)).norm()).fold(f64::MAX, f64::min))
             .collect();
         far_mm.sort_by(f64::total_cmp);
         let median_mm = far_mm[far_mm.len() / 2];

@@ -11,7 +11,7 @@ use clap::{Args, builder::PossibleValuesParser};
 use osteoflow_algorithms::{
     mesh_query::MeshQuery,
     sensor::{Sensor, SensorKind},
-    sensor_error::{Part, ScanErrors, SensorErrors, Told},
+    sensor_error::{KnownPart, ScanErrors, SensorErrors, Told},
 };
 use osteoflow_engine::run::Observer;
 use osteoflow_formats::{
@@ -86,7 +86,7 @@ pub(crate) struct Measured {
 struct Known {
     name: String,
     prefix: String,
-    part: Part,
+    part: KnownPart,
     surface: Option<MeshOrCloud>,
 }
 
@@ -95,16 +95,16 @@ impl Known {
         let (name, path) = (given.clone(), Path::new(given));
         let simple = |part| Self { name: given.clone(), prefix: String::new(), part, surface: None };
         match given.strip_prefix("ball:").map(str::parse::<f64>) {
-            Some(Ok(radius_mm)) if (0.1..=1e5).contains(&radius_mm) => return Ok(simple(Part::Ball(radius_mm))),
+            Some(Ok(radius_mm)) if (0.1..=1e5).contains(&radius_mm) => return Ok(simple(KnownPart::Ball(radius_mm))),
             Some(_) => usage!("--part {given}: a radius in mm is expected, such as ball:25.4"),
-            None if given == "plane" => return Ok(simple(Part::Plane)),
+            None if given == "plane" => return Ok(simple(KnownPart::Plane)),
             None => {}
         }
         let surface = read_mesh_or_cloud(path, &input::read(path)?, 1.0, "ct")?;
         let MeshOrCloud::Mesh(of) = &surface else {
             usage!("--part {given}: it holds points, and a surface is needed, such as an STL of the part");
         };
-        let (part, prefix) = (Part::Mesh(MeshQuery::new(&of.mesh)), path.file_stem().unwrap_or_default());
+        let (part, prefix) = (KnownPart::Mesh(MeshQuery::new(&of.mesh)), path.file_stem().unwrap_or_default());
         Ok(Self { name, prefix: prefix.to_string_lossy().into(), part, surface: Some(surface) })
     }
 
@@ -277,7 +277,7 @@ impl SensorRequest {
             lines.push(line("bias_mm", if is_stylus { sd.value } else { sd.value.hypot(mean.value) }, both));
             lines.extend(is_stylus.then(|| line("tip_radius_mm", mean.value, brackets(&mean))));
         } else {
-            let is_plane = parts.iter().any(|known| matches!(known.part, Part::Plane));
+            let is_plane = parts.iter().any(|known| matches!(known.part, KnownPart::Plane));
             let sides = "the sides that were seen do not hold it; scan more of them, or a ball";
             let why = if is_plane { "a plane does not show it" } else { sides };
             lines.push(line("bias_mm", like.sensor().bias_mm, format!("not measured, but usual: {why}")));

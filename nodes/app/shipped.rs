@@ -36,6 +36,7 @@ pub(crate) const FILES: &[(&str, &str)] = files![
     "graphs/plan.schema.json",
     "graphs/plugins/cpd.py",
     "graphs/real/benchmark.py",
+    "graphs/real/chance.py",
     "graphs/real/peers.py",
     "graphs/real/recover.toml",
     "graphs/real/trustbench.py",

@@ -29,15 +29,18 @@ fn lines(verdict: &Verdict, n_assumed: usize, paint: impl Fn(&str, &str) -> Stri
     let mut out = format!("verdict  {}: {shown}\n", paint(answer.name(), style));
     let others = verdict.against().filter(|reason| !first.is_some_and(|first| std::ptr::eq(first, *reason)));
     others.for_each(|reason| out += &format!("  - {reason}\n"));
-    if let Some(chance) = verdict.chance_of_being_wrong() {
-        let percent = 100.0 * chance;
-        out += &format!("  chance of being wrong: {percent:.0} % (simulated, with every second answer wrong)\n");
-    }
     verdict.assumptions().take(n_assumed).for_each(|assumption| out += &format!("  assumed: {assumption}\n"));
-    match verdict.assumptions().count().saturating_sub(n_assumed) {
-        0 => {}
-        1 => out += "  1 more assumption with --verbose\n",
-        n => out += &format!("  {n} more assumptions with --verbose\n"),
+    let chance = verdict
+        .chance_of_being_wrong()
+        .map(|chance| format!("chance of being wrong: {:.0} % (simulated)", 100.0 * chance));
+    let more = match verdict.assumptions().count().saturating_sub(n_assumed) {
+        0 => None,
+        1 => Some("1 more assumption with --verbose".to_owned()),
+        n => Some(format!("{n} more assumptions with --verbose")),
+    };
+    let last: Vec<String> = chance.into_iter().chain(more).collect();
+    if !last.is_empty() {
+        out += &format!("  {}\n", last.join("; "));
     }
     out
 }
@@ -82,7 +85,7 @@ mod tests {
         assert_eq!(shown(assumed.clone(), 3), all);
         let stated =
             json!({ "answer": "trusted", "sentence": "it holds", "reasons": [], "chance_of_being_wrong": 0.034 });
-        let chance = "  chance of being wrong: 3 % (simulated, with every second answer wrong)\n";
+        let chance = "  chance of being wrong: 3 % (simulated)\n";
         assert_eq!(shown(stated, 3), format!("verdict  <1;32>trusted</>: it holds\n{chance}"));
         let two =
             "verdict  <1;32>trusted</>: it holds\n  assumed: a\n  assumed: b\n  1 more assumption with --verbose\n";

@@ -45,7 +45,7 @@ type Row = SVector<f64, 8>;
 type Square = SMatrix<f64, 8, 8>;
 
 /// What is scanned.
-pub enum Part {
+pub enum KnownPart {
     /// Any shape.
     Mesh(MeshQuery),
     /// A plane, whose offset is a shift.
@@ -54,7 +54,7 @@ pub enum Part {
     Ball(f64),
 }
 
-impl Part {
+impl KnownPart {
     fn residual(&self, point: Point3<f64>) -> Option<Residual> {
         let (foot, normal) = match self {
             Self::Mesh(mesh) => mesh.closest_point(&point).map(|closest| (closest.point, closest.normal))?,
@@ -121,7 +121,7 @@ impl ScanErrors {
     /// Least squares with correlated errors: the covariance of the fit is `(X'X)⁻¹ X'ΣX (X'X)⁻¹`, that of the errors Gaussian.
     pub fn of(
         points: &[Point3<f64>],
-        part: &Part,
+        part: &KnownPart,
         start: &Isometry3<f64>,
         viewpoint: Option<Point3<f64>>,
     ) -> Result<Self, Refusal> {
@@ -152,7 +152,7 @@ impl ScanErrors {
                 break;
             }
         }
-        let is_bent = !matches!(part, Part::Mesh(_)) && sigma_mm > MAX_BENT * radius_mm;
+        let is_bent = !matches!(part, KnownPart::Mesh(_)) && sigma_mm > MAX_BENT * radius_mm;
         if on.len() < N_FITTED[0] || is_bent {
             let (n, of) = (on.len(), "over a scan of a radius of");
             return Err(Refusal::of(format!(
@@ -176,7 +176,7 @@ impl ScanErrors {
         let covariance = covariance * shared * covariance * level + white;
         let unit = |k: usize, by: f64| (held[k] > 0.999).then(|| [x[k] / by, covariance[(k, k)].max(0.0).sqrt() / by]);
         let bias = unit(6, 1.0);
-        let scale = if let Part::Ball(ball_mm) = part { unit(6, *ball_mm) } else { unit(7, radius_mm) };
+        let scale = if let KnownPart::Ball(ball_mm) = part { unit(6, *ball_mm) } else { unit(7, radius_mm) };
         if let Some([scale, _]) = scale.filter(|[scale, sd]| scale.abs() - 2.0 * sd > MAX_SCALED) {
             let times = 1.0 + scale;
             return Err(Refusal::of(format!(

@@ -1,16 +1,16 @@
 //! The errors of simulated devices.
 
-use super::{Part, ScanErrors, SensorErrors, Told};
+use super::{KnownPart, ScanErrors, SensorErrors, Told};
 use crate::devices::{BALL_MM, CAMERA, Device, Rng, Shape, knob, scan};
 use crate::mesh_query::MeshQuery;
 use nalgebra::{Isometry3, Vector3};
 use std::collections::BTreeMap;
 
-fn part(shape: Shape) -> Part {
+fn part(shape: Shape) -> KnownPart {
     match shape {
-        Shape::Knob => Part::Mesh(MeshQuery::new(&knob())),
-        Shape::Ball => Part::Ball(BALL_MM),
-        Shape::Plane => Part::Plane,
+        Shape::Knob => KnownPart::Mesh(MeshQuery::new(&knob())),
+        Shape::Ball => KnownPart::Ball(BALL_MM),
+        Shape::Plane => KnownPart::Plane,
     }
 }
 
