@@ -197,6 +197,8 @@ pub(crate) fn turn_by_hand(browser: &mut Browser, case: &Case) {
     // A quarter of the height is an eighth of a turn: what was seen from the front is seen by that angle from aside.
     let seen =
         browser.evaluate("osteoflow.scene.camera.getWorldDirection(osteoflow.scene.camera.position.clone()).toArray()");
+    // Seen from aside, another part of the bone may be in front of what was held, and is held then.
+    let held = under(browser, BONE, at);
     browser.drag(at, [at[0] - height / 4.0, at[1]]);
     let back =
         browser.evaluate("osteoflow.scene.camera.getWorldDirection(osteoflow.scene.camera.position.clone()).toArray()");
@@ -205,6 +207,7 @@ pub(crate) fn turn_by_hand(browser: &mut Browser, case: &Case) {
     assert!(px(projected(browser, &held), at) < PIXEL, "{axis}: {:?} {at:?}", projected(browser, &held));
 
     // Down and up again tips it, and holds the same.
+    let held = under(browser, BONE, at);
     let long = px(apart(browser, case.ends), [0.0; 2]);
     browser.drag(at, [at[0], at[1] + 120.0]);
     assert!(px(projected(browser, &held), at) < PIXEL, "{axis}: {:?} {at:?}", projected(browser, &held));

@@ -79,11 +79,5 @@ export function showVerdict(holder, verdict, waiting, old = null) {
     }
     words.append(list);
   }
-  if (typeof verdict?.chance_of_being_wrong === "number") {
-    const chance = document.createElement("p");
-    chance.className = "chance";
-    chance.textContent = `chance of being wrong: ${(100 * verdict.chance_of_being_wrong).toFixed(0)} % (simulated, with every second answer wrong)`;
-    words.append(chance);
-  }
   holder.replaceChildren(shape, words);
 }
