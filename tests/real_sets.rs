@@ -334,7 +334,7 @@ fn weights_of_the_chance_are_fitted_to_scans_that_lie_on_their_surface_and_no_si
 
     // What tells has a weight, what speaks for wrong answers has none, and what was not examined has no part.
     let row = |index: usize, signs: Value| {
-        let label = if index % 2 == 0 { "right" } else { "wrong" };
+        let label = if index.is_multiple_of(2) { "right" } else { "wrong" };
         serde_json::json!({ "object": format!("{}", index % 3), "label": label, "signs": signs })
     };
     let signs = |index: usize| {
