@@ -1,7 +1,10 @@
 //! The benchmark on public sets, on pairs that are generated in their layouts.
 
 use crate::common::{osteoflow, python::python, root, shared_folder};
-use osteoflow_algorithms::sample;
+use osteoflow_algorithms::{
+    sample,
+    sensor::{Sensor, SensorKind},
+};
 use osteoflow_formats::{
     mesh_or_cloud::read_mesh,
     write::{write_ply, write_stl},
@@ -305,6 +308,17 @@ fn weights_of_the_chance_are_fitted_to_scans_that_lie_on_their_surface_and_no_si
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         String::from_utf8(output.stdout).unwrap()
     };
+    // The sensors are those of the program, there and on their page.
+    let [script, page] =
+        ["graphs/real/chance.py", "docs/method/sensors.md"].map(|file| fs::read_to_string(root().join(file)).unwrap());
+    for kind in SensorKind::ALL {
+        let Sensor { noise_mm, patch_mm, bias_mm, shift_mm, outliers, .. } = kind.sensor();
+        let (word, errors) = (kind.word(), [noise_mm, patch_mm, bias_mm, shift_mm, outliers]);
+        let drawn = errors.map(|number| format!("{number:?}, ")).concat();
+        assert!(script.contains(&format!("\"{word}\": ({drawn}")), "chance.py has {word} other than ({drawn}");
+        let row = errors.map(|number| format!("{number} | ")).concat();
+        assert!(page.contains(&format!("| `{word}` | {row}")), "sensors.md has {word} other than {row}");
+    }
     let (set, bone) = (dir.path().join("set"), dir.path().join("bone.stl"));
     write_pair(&bone, &dir.path().join("scan.xyz"), 1);
     chance("make", &set, &[&bone]);

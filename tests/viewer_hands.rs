@@ -197,8 +197,11 @@ pub(crate) fn turn_by_hand(browser: &mut Browser, case: &Case) {
     // A quarter of the height is an eighth of a turn: what was seen from the front is seen by that angle from aside.
     let seen =
         browser.evaluate("osteoflow.scene.camera.getWorldDirection(osteoflow.scene.camera.position.clone()).toArray()");
-    // Seen from aside, another part of the bone may be in front of what was held, and is held then.
-    let held = under(browser, BONE, at);
+    // Seen from aside, a part of the bone that has come in front of what was held is held then, and nothing else.
+    let [former, held] = [held, under(browser, BONE, at)];
+    let eye: [f64; 3] = serde_json::from_value(browser.evaluate("osteoflow.scene.camera.position.toArray()")).unwrap();
+    let [before_mm, now_mm] = [former, held].map(|p| (p - Point3::from(eye) * 1000.0).norm());
+    assert!((held - former).norm() < 0.01 || now_mm < before_mm, "{axis}: {before_mm} mm, {now_mm} mm away");
     browser.drag(at, [at[0] - height / 4.0, at[1]]);
     let back =
         browser.evaluate("osteoflow.scene.camera.getWorldDirection(osteoflow.scene.camera.position.clone()).toArray()");

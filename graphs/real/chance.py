@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from trustbench import about, moved, stl, turned, write, write_points, write_stl
+from trustbench import about, drawn_on, moved, stl, turned, write, write_points, write_stl
 
 # How each sensor errs as osteoflow knows it: noise, patches, shared along the normal and along the axes, mm; outliers; what counts as right, mm; points.
 SENSORS = {
@@ -25,6 +25,7 @@ SENSORS = {
     "depth_camera": (0.3, 1.5, 1.0, 0.0, 0.05, 6.0, 3000),
     "ultrasound": (0.6, 1.2, 0.5, 1.2, 0.05, 5.0, 3000),
 }
+
 
 def drawn_shape(rng):
     """A closed surface: an ellipsoid with smooth bumps, as bones have, of 40 to 250 mm."""
@@ -41,7 +42,7 @@ def drawn_shape(rng):
         face += [np.stack([a, a + 120, b], axis=1), np.stack([b, a + 120, b + 120], axis=1)]
     face = np.concatenate(face)
     points = corners.reshape(-1, 3)
-    ends = [np.stack([np.full(120, points[rows].mean(axis=0) @ np.eye(3)[k]) for k in range(3)], axis=1) for rows in (ring, 7080 + ring)]
+    ends = [np.tile(points[rows].mean(axis=0), (120, 1)) for rows in (ring, 7080 + ring)]
     top = np.stack([points[ring], points[(ring + 1) % 120], ends[0]], axis=1)
     bottom = np.stack([points[7080 + (ring + 1) % 120], points[7080 + ring], ends[1]], axis=1)
     return np.concatenate([points[face], top, bottom])
@@ -50,13 +51,7 @@ def drawn_shape(rng):
 def drawn_scan(rng, corners, sensor):
     """Points that the sensor sees from one or several sides, in its own coordinates, with the pose that brings them back."""
     noise, patch, bias, shift, outliers, _, n = SENSORS[sensor]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    face = rng.choice(len(corners), 40_000, p=area / area.sum())
-    a, b = rng.random((2, len(face), 1))
-    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-    points = corners[face, 0] + a * (corners[face, 1] - corners[face, 0]) + b * (corners[face, 2] - corners[face, 0])
-    normals = cross[face] / area[face, None]
+    points, normals = drawn_on(rng, corners, 40_000)
     middle, size = points.mean(axis=0), np.linalg.norm(np.ptp(points, axis=0))
     seen = np.zeros(len(points), bool)
     for _ in range(rng.integers(1, 4)):

@@ -223,21 +223,25 @@ def write_stl(path, corners):
     os.replace(scratch, path)
 
 
+def drawn_on(rng, corners, n):
+    """Points drawn on triangles by area, and their normals."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    face = rng.choice(len(corners), n, p=area / area.sum())
+    a, b = rng.random((2, len(face), 1))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    of = corners[face]
+    return of[:, 0] + a * (of[:, 1] - of[:, 0]) + b * (of[:, 2] - of[:, 0]), cross[face] / area[face, None]
+
+
 class Surface:
-    """A surface's file, and points drawn on it by area with their normals."""
+    """A surface's file, and points drawn on it."""
 
     known = {}
 
     def __init__(self, path):
-        self.path, corners = path, stl(path)
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(cross, axis=1)
-        rng = np.random.default_rng(7)
-        face = rng.choice(len(corners), 150_000, p=area / area.sum())
-        a, b = rng.random((2, len(face), 1))
-        a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-        of = corners[face]
-        self.corners, self.points = corners, of[:, 0] + a * (of[:, 1] - of[:, 0]) + b * (of[:, 2] - of[:, 0])
+        self.path, self.corners = path, stl(path)
+        self.points, _ = drawn_on(np.random.default_rng(7), self.corners, 150_000)
         self.tree = cKDTree(self.points)
         self.centre, self.axes = principal(self.points)
         self.radius = float(np.sqrt(np.mean(np.sum((self.points - self.centre) ** 2, axis=1))))

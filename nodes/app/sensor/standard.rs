@@ -26,8 +26,8 @@ pub(super) fn f2554(files: &[PathBuf], reference: &Path) -> Result<Measured> {
     }
     readings.retain(|_, points| points.len() > 1);
     if readings.len() < 2 {
-        let found = counted(readings.len(), "divot");
-        bail!("{found} of {} were read more than once, and two are needed at least", known.len());
+        let n_divots = counted(readings.len(), "divot");
+        bail!("{n_divots} of {} were read more than once, and two are needed at least", known.len());
     }
     let means: Vec<(&str, Point3<f64>)> = readings.iter().map(|(name, of)| (name.as_str(), centroid(of))).collect();
     let spread =

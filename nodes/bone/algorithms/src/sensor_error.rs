@@ -35,7 +35,8 @@ const EDGE_COS: f64 = 0.94;
 /// Mean distance of the pairs that tell the shared error, and its least length, mm.
 const APART_MM: f64 = 1.0;
 const MIN_LENGTH_MM: f64 = 2.0;
-/// At the border of a scan the middle of so many neighbours lies aside by this share of their mean distance; near it, within 3 spacings.
+/// A point is at the border of a scan if the centroid of its neighbours is off it by this share of their mean distance; points within three
+/// spacings of one are near the border.
 const N_AROUND: usize = 24;
 const ASIDE: f64 = 0.45;
 const NEAR_SPACINGS: f64 = 3.0;

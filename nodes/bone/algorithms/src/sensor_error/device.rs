@@ -8,7 +8,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 
 /// Probability below either end of an interval: 90 %.
 const TAIL: f64 = 0.05;
-/// Fewer scans than this say little of each other, and so many stretches of each are compared instead.
+/// Fewer scans than this are too few for a standard deviation; then stretches of each scan are compared, as many as the second number.
 const MIN_SCANS: usize = 3;
 const N_STRETCHES: usize = 6;
 /// Number of classes of distance; ends of the classes of tilt, degrees; fewest places of a class.

@@ -1,6 +1,6 @@
 //! The chance that an answer is wrong.
 
-use super::evidence::Evidence;
+use super::evidence::{Evidence, SEARCH_MM};
 use super::rules::RuleParams;
 use crate::sensor::{Sensor, SensorKind};
 use osteoflow_verdict::{Answer, Reason};
@@ -8,9 +8,6 @@ use std::collections::BTreeMap;
 
 /// Error between a bone and its CT's surface, mm: less of a sensor shows nothing.
 const SURFACE_MM: f64 = 0.2;
-
-/// A tenth of the scan that is farther than residuals are searched is as far, mm.
-const BEYOND_SEARCH_MM: f64 = 8.0;
 
 /// More reasons than these say no more.
 const MAX_REASONS: usize = 3;
@@ -38,7 +35,7 @@ pub(super) fn signs(
     if let Some(evidence) = evidence {
         let Sensor { noise_mm, patch_mm, .. } =
             evidence.sensor.clone().unwrap_or_else(|| SensorKind::StructuredLight.sensor());
-        let far_mm = evidence.p90_mm.unwrap_or(BEYOND_SEARCH_MM);
+        let far_mm = evidence.p90_mm.unwrap_or(SEARCH_MM);
         let limit_mm = rules.limits.max_tre_mm.max(f64::MIN_POSITIVE);
         signs.extend([
             ("beyond_limits", beyond_limits.unwrap_or(1.0)),

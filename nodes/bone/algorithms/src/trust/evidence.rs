@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const N_EXAMINED: usize = 5000;
 
 /// Residuals are searched within this distance, mm.
-const SEARCH_MM: f64 = 8.0;
+pub(super) const SEARCH_MM: f64 = 8.0;
 
 /// Points inside the surface by more than this many robust standard deviations, and outside by more than that many, are not on
 /// it: soft tissue lies outside.

@@ -59,7 +59,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let place = Where { points: case.assessment, cuts: &cuts, limited: &limited };
     let order = landmark_order(case.landmarks, case.located);
     let sensor = case.registered.target.sensor();
-    let asked = sensor.and_then(|sensor| limits_reason(sensor, &rules.limits)).into_iter().collect();
+    let limits = sensor.and_then(|sensor| limits_reason(sensor, &rules.limits)).into_iter().collect();
     let (rules, errors) = match sensor {
         Some(sensor) => (&rules.of(sensor), &errors.of(sensor)),
         None => (rules, errors),
@@ -67,7 +67,7 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let judging = Judging { case, place, order, examine, rules, errors };
 
     let (takes, scan) = (judging.of_takes(), judging.of_scan());
-    let reasons = [case.reasons.to_vec(), judging.of_plan_and_readings(), takes.reasons, scan.reasons, asked].concat();
+    let reasons = [case.reasons.to_vec(), judging.of_plan_and_readings(), takes.reasons, scan.reasons, limits].concat();
     let assumed = assumptions(case, rules, scan.predicted.is_some(), &scan.unseen);
     let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());

@@ -261,7 +261,7 @@ pub(super) fn read(
         let width = match format {
             LogFormat::Kitti if cells.len() == 16 => 16,
             LogFormat::Kitti => 12,
-            _ => 8,
+            _ => order.into_iter().fold(8, |width, place| width.max(place + 1)),
         };
         // EuRoC's poses are followed by velocities and biases.
         if cells.len() < width || (cells.len() > width && format != LogFormat::Euroc) {
@@ -276,21 +276,19 @@ pub(super) fn read(
                 number(cell).ok_or_else(|| fault(format!("\"{cell}\" is not a number")))
             }
         };
-        let mut v = [0.0; 16];
-        // A stamp is read from its digits.
-        let first = usize::from(format != LogFormat::Kitti);
-        for (place, number) in v.iter_mut().enumerate().take(width).skip(first) {
-            *number = value(place)?;
-        }
         let stamp_ns = clock.stamp_ns(k, &cells[0]).map_err(fault)?;
         let (translation, turn) = if format == LogFormat::Kitti {
+            let mut v = [0.0; 16];
+            v.iter_mut().enumerate().take(width).try_for_each(|(place, number)| value(place).map(|v| *number = v))?;
             let [a, b, c, x, d, e, f, y, g, h, i, z, last @ ..] = v;
             if width == 16 && last != LAST_ROW {
                 return Err(fault("a 4 x 4 matrix row by row ends with 0 0 0 1".into()));
             }
             (Vector3::new(x, y, z), Turn::Matrix(Matrix3::new(a, b, c, d, e, f, g, h, i)))
         } else {
-            let [x, y, z, qx, qy, qz, qw] = order.map(|place| v[place]);
+            let mut v = [0.0; 7];
+            v.iter_mut().zip(order).try_for_each(|(number, place)| value(place).map(|v| *number = v))?;
+            let [x, y, z, qx, qy, qz, qw] = v;
             (Vector3::new(x, y, z), Turn::Quaternion(Quaternion::new(qw, qx, qy, qz)))
         };
         let translation_mm = (translation * unit_mm).into();
@@ -448,6 +446,15 @@ mod tests {
             assert_eq!((log.format, &log.notes[..]), (format, &[][..]), "{text}");
             check(&log, 0, ns);
         }
+        // Of a heading with other columns first the named ones count, however far to the right.
+        let v = ",v [m]".repeat(20);
+        let far =
+            format!("#timestamp{v}, p_RS_R_x, p_RS_R_y, p_RS_R_z, q_RS_x, q_RS_y, q_RS_z, q_RS_w\n1403636579763555584");
+        let nines = ",9".repeat(20);
+        let log = read_with(&format!("{far}{nines},1,2,3,0,0,0.247404,0.968912\n"), &options()).unwrap();
+        check(&log, 0, ns);
+        let error = read_with(&format!("{far}{nines},1,2,3\n"), &options()).unwrap_err().to_string();
+        assert!(error.contains("28 numbers are expected in a EuRoC trajectory, this line has 24"), "{error}");
         let kitti = LogOptions { rate_hz: Some(10.0), ..options() };
         let log = read_with(&format!("{KITTI_ROW}\n{KITTI_ROW}\n"), &kitti).unwrap();
         assert_eq!(log.format, LogFormat::Kitti);
