@@ -340,6 +340,42 @@ fn rows_of_a_table_that_contradict_each_other_at_one_stamp_are_told_and_doubtful
     assert!(answer != "trusted" && rules.contains(&"contradiction".into()), "{answer}: {said}");
 }
 
+#[test]
+fn a_pose_of_a_table_or_a_recording_whose_stamp_was_damaged_is_left_out_by_itself_and_nothing_else_changes() {
+    let dir = tempfile::tempdir().unwrap();
+    let shipped = crate::common::root().join("tests/data/folder");
+    let table = fs::read_to_string(shipped.join("poses.csv")).unwrap();
+    let rows: Vec<&str> = table.lines().collect();
+    let of_bone: Vec<usize> = (0..rows.len()).filter(|k| rows[*k].contains(",bone_marker,")).collect();
+    let at = of_bone[of_bone.len() / 2];
+    let (_, pose) = rows[at].split_once(',').unwrap();
+    let ran = |rows: &[&str]| {
+        let folder = dir.path().join("folder");
+        crate::common::copy_folder(&shipped, &folder);
+        fs::write(folder.join("poses.csv"), rows.join("\n")).unwrap();
+        let ran = run(
+            "graphs/fibula_folder.toml",
+            &["--no-record", "--set", &format!("recording.path={}", folder.display())],
+        );
+        fs::remove_dir_all(&folder).unwrap();
+        ran
+    };
+    // The years 2106 and 1970, in the middle of the file.
+    let sound = ran(&rows);
+    for stamp_ns in ["4292000000000000000", "1000000000"] {
+        let damaged = format!("{stamp_ns},{pose}");
+        let mut rows = rows.clone();
+        rows[at] = &damaged;
+        let ran = ran(&rows);
+        let told = format!("t_world_bone_marker: 1 pose is left out, the stamp {stamp_ns} ns of the first is far from");
+        assert!(ran.stderr.contains(&told) && ran.stderr.contains("stray_stamps"), "{}", ran.stderr);
+        assert_eq!(ran.results["planes_at_scan"], sound.results["planes_at_scan"]);
+        // What is said of the last planes rests on the last pose.
+        let last = |ran: &Ran| ran.stderr.lines().find(|line| line.contains("the last planes")).map(str::to_owned);
+        assert!(last(&ran).is_some() && last(&ran) == last(&sound), "{}", ran.stderr);
+    }
+}
+
 /// The shipped recording with the stamps of these topics left out.
 fn without_stamps(topics: &[&str]) -> (TempDir, Case) {
     let all = streams();

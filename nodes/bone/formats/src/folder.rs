@@ -90,10 +90,10 @@ pub struct ProcedureFolder {
     manifest: Manifest,
 }
 
-/// The streams of a folder, in order of sensor time.
+/// The streams of a folder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FolderStreams {
-    /// The items by stamp; equal stamps in the order of `procedure.toml`.
+    /// The items in the order of `procedure.toml` and of the lines of its files.
     pub items: Vec<FolderItem>,
     /// Data that were left out or corrected, one sentence each.
     pub notes: Vec<String>,
@@ -401,8 +401,6 @@ impl ProcedureFolder {
                 items.push(FolderItem { role: role.into(), stamp_ns: tip.stamp_ns, body });
             }
         }
-        // The sort is stable, so equal stamps keep the order in which the files are named.
-        items.sort_by_key(|item| item.stamp_ns);
         Ok(FolderStreams { items, notes, signs })
     }
 
@@ -553,10 +551,11 @@ mod tests {
     }
 
     #[test]
-    fn the_documented_example_streams_in_order_of_sensor_time() {
+    fn the_documented_example_has_its_streams() {
         let folder = folder();
         let procedure = ProcedureFolder::open(folder.path()).unwrap();
-        let streams = procedure.streams().unwrap();
+        let mut streams = procedure.streams().unwrap();
+        streams.items.sort_by_key(|item| item.stamp_ns);
         assert_eq!(streams.notes, [""; 0]);
         let roles: Vec<(&str, StampNs)> =
             streams.items.iter().map(|i| (i.role.as_str(), i.stamp_ns / 100_000_000)).collect();

@@ -10,6 +10,13 @@ use std::collections::BTreeMap;
 /// Time between two samples up to which a transform of a chain is interpolated, ms: four periods of a slow tracker (20 Hz).
 const MAX_GAP_MS: f64 = 200.0;
 
+/// Time by which a stamp may be ahead of the next pose's or behind the last one's, as of a live source: longer than a network or a buffer
+/// delays a pose.
+const STRAY_NS: i128 = 10_000_000_000;
+
+/// One of this many poses, or a single one, may have a damaged stamp.
+const ONE_IN: usize = 20;
+
 /// When poses of a recording or a log are lost.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default)]
@@ -37,24 +44,51 @@ pub struct PoseStreamParams {
 pub(super) type Sifted = (Pose, Option<String>);
 
 /// The poses of markers in the order of their stamps, equal ones of one stamp once, those that are no measurements with the reason, or
-/// left out where their neighbours are near enough to be interpolated; and the signs.
-pub(super) fn sifted(mut poses: Vec<Pose>, params: &PoseStreamParams) -> (Vec<Sifted>, Vec<Sign>) {
-    poses.sort_by_key(|pose| pose.stamp_ns);
-    let mut one_stamp = OneStamp::default();
-    let mut streams: BTreeMap<String, Vec<Pose>> = BTreeMap::new();
+/// left out where their neighbours are near enough to be interpolated; and the signs. `poses` are in the order in which they were sent.
+pub(super) fn sifted(poses: Vec<Pose>, params: &PoseStreamParams) -> (Vec<Sifted>, Vec<Sign>) {
+    let mut sent: BTreeMap<String, Vec<Pose>> = BTreeMap::new();
     for pose in poses {
-        let what = format!("t_{}_{}", pose.to, pose.from);
-        if !one_stamp.is_repeat(&what, &pose) {
-            streams.entry(what).or_default().push(pose);
-        }
+        sent.entry(format!("t_{}_{}", pose.to, pose.from)).or_default().push(pose);
     }
     let (mut sifted, mut signs) = (Vec::new(), Vec::new());
-    for (what, poses) in streams {
+    let mut one_stamp = OneStamp::default();
+    for (what, mut poses) in sent {
+        let strays = strays(&poses);
+        if let Some(k) = strays.iter().position(|is_stray| *is_stray) {
+            let (n, stamp_ns, before_ns) =
+                (strays.iter().filter(|stray| **stray).count(), poses[k].stamp_ns, poses[k - 1].stamp_ns);
+            let are = if n == 1 { "1 pose is" } else { &format!("{n} poses are") };
+            let text = format!(
+                "{what}: {are} left out, the stamp {stamp_ns} ns of the first is far from those of the poses before and after it \
+                 ({before_ns} ns): it was damaged"
+            );
+            signs.push(("stray_stamps", text));
+        }
+        let mut strays = strays.into_iter();
+        poses.retain(|_| !strays.next().unwrap_or_default());
+        poses.sort_by_key(|pose| pose.stamp_ns);
+        poses.retain(|pose| !one_stamp.is_repeat(&what, pose));
         sifted.extend(of_marker(&what, poses, params, &mut signs));
     }
     signs.extend(one_stamp.notes().into_iter().map(|note| ("stamps_contradict", note)));
     sifted.sort_by_key(|(pose, _)| pose.stamp_ns);
     (sifted, signs)
+}
+
+/// Which poses have a stamp that is far ahead of both neighbours' or far behind them, while these follow each other. Of two clocks whose
+/// poses take turns none is the stray.
+fn strays(poses: &[Pose]) -> Vec<bool> {
+    let stamp_ns = |k: usize| poses.get(k).map(|pose| i128::from(pose.stamp_ns)).filter(|ns| *ns != 0);
+    let is_far = |k: usize| {
+        let (before, after) = k.checked_sub(1).and_then(stamp_ns).zip(stamp_ns(k + 1))?;
+        let at = stamp_ns(k)?;
+        Some(before <= after && (at > after + STRAY_NS || at < before - STRAY_NS))
+    };
+    let far: Vec<bool> = (0..poses.len()).map(|k| is_far(k).unwrap_or_default()).collect();
+    let strays: Vec<bool> = (0..far.len()).map(|k| far[k] && !far[k - 1] && !far[k + 1]).collect();
+    // More of them is an order of some other kind.
+    let are_few = strays.iter().filter(|stray| **stray).count() <= (poses.len() / ONE_IN).max(1);
+    strays.into_iter().map(|stray| stray && are_few).collect()
 }
 
 /// The poses of one marker.
@@ -171,4 +205,30 @@ pub(super) fn through(
     };
     let joined = Joined { note, steps: chain.steps, settled_ns: chain.settled_ns };
     Ok(Some((chain.samples.into_iter().map(pose).collect(), joined)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_stamp_far_from_its_neighbours_is_a_stray_and_two_clocks_a_reset_a_pause_or_a_buffer_are_not() {
+        const YEAR_MS: StampNs = 31_536_000_000;
+        let left_out = |ms: &[StampNs]| {
+            let pose = |ms: &StampNs| {
+                Pose::new("world", "bone", Isometry3::identity()).at(1_750_000_000_000_000_000 + ms * 1_000_000)
+            };
+            let strays = strays(&ms.iter().map(pose).collect::<Vec<_>>());
+            (0..ms.len()).filter(|k| strays[*k]).collect::<Vec<_>>()
+        };
+        assert_eq!(left_out(&[0, 50, 100, 80 * YEAR_MS, 200, 250]), [3]);
+        assert_eq!(left_out(&[0, 50, 100, -40 * YEAR_MS, 200, 250]), [3]);
+        assert_eq!(left_out(&[0, 60_000, 120_000, 180_000]), [0; 0], "stations");
+        assert_eq!(left_out(&[0, 50, 100, 150, 20_000]), [0; 0], "a pause before the last");
+        assert_eq!(left_out(&[60_000, 60_050, 60_100, 0, 50, 100]), [0; 0], "a clock that was set back");
+        assert_eq!(left_out(&[0, 60_000, 50, 60_050, 100, 60_100]), [0; 0], "two clocks");
+        assert_eq!(left_out(&[0, 50, 9_000, 150, 200]), [0; 0], "a buffer");
+        assert_eq!(left_out(&[0, 50, 60_000, 100, 150, 60_000, 200, 250]), [0; 0], "a quarter of all");
+        assert_eq!(left_out(&[]), [0; 0]);
+    }
 }
