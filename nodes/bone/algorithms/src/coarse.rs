@@ -6,7 +6,7 @@ mod global;
 pub use doubtful::{DoubtParams, confirm};
 pub(crate) use global::CROP;
 pub use global::{CLEAR, GlobalFit, GlobalParams, GlobalReport, RunnerUp, Searched, global};
-pub(crate) use global::{Placed, Points, descended, distinct, global_by, is_sparse, motion};
+pub(crate) use global::{Placed, Points, descended, distinct, global_by, is_sparse, motion, symmetry};
 
 use crate::Refusal;
 use crate::kabsch::{centroid, kabsch};

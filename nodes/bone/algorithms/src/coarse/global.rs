@@ -4,8 +4,10 @@ mod anywhere;
 mod axis;
 mod descent;
 mod patches;
+mod symmetry;
 
 pub(crate) use descent::{Placed, Points, descended, distinct, motion};
+pub(crate) use symmetry::symmetry;
 
 use crate::Refusal;
 use crate::downsample::thinned;
@@ -132,8 +134,11 @@ pub struct GlobalReport {
     /// The scan's centroid there, in the target's frame, mm.
     #[serde(default)]
     pub middle_mm: [f64; 3],
-    /// The best distinct registration, if there is one.
+    /// The best distinct registration, if there is one; none of the surface's symmetries.
     pub runner_up: Option<RunnerUp>,
+    /// The best distinct registration where the surface looks the same, by one of its symmetries.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub twin: Option<RunnerUp>,
     /// Margin over the runner-up: `1 - score / runner-up's score`; 0 is ambiguous, 1 if there is no runner-up. Surroundings, which count
     /// at both, lower it, and so do fewer than about 80 points, by as much as chance may.
     pub clearness: f64,
@@ -385,6 +390,28 @@ impl<'a> Search<'a> {
         others.iter().find(|end| self.apart_mm(&end.pose, &best.pose) > self.reach.apart)
     }
 
+    /// The best of the sorted ends that is another place than the first and that no symmetry of the surface leads to, and the best that one
+    /// leads to. What is clearly worse is not asked.
+    fn rival_and_twin<'b>(&self, ends: &'b [End]) -> [Option<&'b End>; 2] {
+        let mut twin = None;
+        let Some((best, others)) = ends.split_first() else { return [None; 2] };
+        let is_apart = |end: &&End| self.apart_mm(&end.pose, &best.pose) > self.reach.apart;
+        let is_rival = |end: &&'b End| {
+            let is_twin = best.clearness(end, self.n_distinct) < CLEAR && self.is_twin(best, end);
+            twin = twin.or_else(|| is_twin.then_some(*end));
+            !is_twin
+        };
+        [others.iter().filter(is_apart).find(is_rival), twin]
+    }
+
+    fn is_twin(&self, best: &End, other: &End) -> bool {
+        symmetry(self.target, &(other.pose * best.pose.inverse())).is_some_and(|symmetry| {
+            let image = symmetry * best.pose;
+            self.apart_mm(&image, &other.pose) <= self.reach.apart
+                && self.apart_mm(&image, &best.pose) > self.reach.apart
+        })
+    }
+
     fn apart_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
         let squares: f64 = self.registered.iter().map(|p| (a * p - b * p).norm_squared()).sum();
         (squares / self.registered.len() as f64).sqrt()
@@ -443,7 +470,16 @@ fn by_chance(n_points: usize) -> f64 {
 /// Multi-start ICP, as Besl and McKay 1992, section IV-B, with starts along the principal axes. Oriented points as bases: Drost
 /// et al. 2010; theirs vote for pairs of points, ours are scored by the distance of the others from the surface.
 pub fn global(target: &Target, source: &Cloud, params: &GlobalParams) -> Result<GlobalFit, Refusal> {
-    global_by(target, source, params, None)
+    let fit = global_by(target, source, params, None)?;
+    if fit.report.twin.is_none() || fit.report.runner_up.is_some() {
+        return Ok(fit);
+    }
+    // Images of one place took the room of its rivals.
+    let more =
+        GlobalParams { n_refined: MORE * params.n_refined, n_registered: MORE * params.n_registered, ..params.clone() };
+    let mut fit = global_by(target, source, &more, None)?;
+    fit.report.t_target_source = (*params == GlobalParams::default()).then_some(fit.t_target_source);
+    Ok(fit)
 }
 
 /// [`global()`], by the searches that are named if any are.
@@ -497,20 +533,21 @@ pub(crate) fn global_by(
         )));
     };
     let middle = search.middle;
-    let rival = search.rival(&ends);
+    let [rival, twin] = search.rival_and_twin(&ends);
     let clearness = rival.map_or(1.0, |rival| best.clearness(rival, search.n_distinct));
-    let runner_up = rival.map(|end| RunnerUp {
+    let told = |end: &End| RunnerUp {
         score_mm: end.score_mm,
         middle_mm: (end.pose * middle).into(),
         shift_mm: (end.pose * middle - pose * middle).norm(),
         turn_rad: (end.pose.rotation * pose.rotation.inverse()).angle(),
-    });
+    };
     let report = GlobalReport {
         n_tried,
         n_refined: ends.len(),
         score_mm,
         middle_mm: (pose * middle).into(),
-        runner_up,
+        runner_up: rival.map(told),
+        twin: twin.map(told),
         clearness,
         searched: Some(searched),
         t_target_source: (*params == GlobalParams::default()).then_some(pose),

@@ -3,7 +3,7 @@
 use super::contrary::BETTER;
 use super::evidence::Evidence;
 use super::rules::RuleParams;
-use crate::coarse::{CROP, GlobalReport};
+use crate::coarse::{CROP, GlobalReport, RunnerUp};
 use osteoflow_verdict::{Answer, Reason};
 
 /// The sign that by its shape alone the scan fits elsewhere better; or as well, and clearly or where no landmark tells the place.
@@ -46,9 +46,17 @@ pub(super) fn has_surroundings(evidence: &Evidence) -> bool {
     evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM)
 }
 
-/// The sign in a start by shape alone that another place would have served as well.
-pub(super) fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroundings: bool) -> Option<Reason> {
-    let other = start.runner_up.as_ref().filter(|_| start.clearness < min_clearness)?;
+/// The sign in a start by shape alone that another place would have served as well. `is_planned` says whether it matters, on a surface
+/// that looks the same from several sides, which of them the scan is of.
+pub(super) fn start_reason(
+    start: &GlobalReport,
+    min_clearness: f64,
+    has_surroundings: bool,
+    is_planned: bool,
+) -> Option<Reason> {
+    let is_as_good = |twin: &&RunnerUp| 1.0 - start.score_mm / twin.score_mm.max(f64::MIN_POSITIVE) < min_clearness;
+    let twin = start.twin.as_ref().filter(|_| is_planned).filter(is_as_good);
+    let other = start.runner_up.as_ref().filter(|_| start.clearness < min_clearness).or(twin)?;
     let place = |[x, y, z]: &[f64; 3]| format!("({x:.0}, {y:.0}, {z:.0})");
     let reason = format!(
         "it started by shape alone, and the scan fits nearly as well {:.0} mm and {:.0} degrees away, with its middle at {} mm \
@@ -70,6 +78,18 @@ pub(super) fn start_reason(start: &GlobalReport, min_clearness: f64, has_surroun
         return Some(Reason::new("start", Answer::Doubtful, reason, &remedy));
     }
     Some(Reason::new("start", Answer::Doubtful, reason, remedy))
+}
+
+/// What is assumed where the surface looks the same from several sides.
+pub(super) fn twin_assumption(start: &GlobalReport) -> Option<String> {
+    start.twin.as_ref().map(|twin| {
+        format!(
+            "it does not matter which of the sides that look alike was scanned: the surface is the same {:.0} mm and {:.0} degrees away, by a \
+             symmetry of it; landmarks tell them apart",
+            twin.shift_mm,
+            twin.turn_rad.to_degrees()
+        )
+    })
 }
 
 /// Names surroundings first, where they hide the bone from a search by shape or leave little of the scan on it: what else is wrong

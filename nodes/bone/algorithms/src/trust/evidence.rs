@@ -4,7 +4,7 @@ use super::contrary::{self, Support};
 use super::spread::normal_matrix;
 use super::surface_error::{CELL_MM, MEDIAN_SIGMAS};
 use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
-use crate::coarse::{GlobalReport, Searched};
+use crate::coarse::{self, GlobalReport, Searched};
 use crate::sensor::Sensor;
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::{Side, Target};
@@ -29,6 +29,9 @@ const OUTSIDE_SIGMAS: f64 = 2.5;
 const OFF_SIGMAS: f64 = 2.5;
 /// The noise is estimated across the surface, and one at a slant has more: this share of it remains in the misfit.
 const NOISE_LEFT: f64 = 0.3;
+
+/// Two answers no farther apart than this, mm, are one place.
+const TWINS_MM: f64 = 1.0;
 
 /// A quarter of a Gaussian's absolute values are below this many standard deviations.
 const QUARTER_SIGMAS: f64 = 0.318_639_363_964_375_15;
@@ -207,10 +210,17 @@ impl Evidence {
             shape: None,
             sensor: target.sensor().cloned(),
         };
+        // A surface that looks the same from there is not another place.
+        let nearest_image = |pose: &Isometry3<f64>, has_twin: bool| {
+            let is_asked = has_twin && registered.at.is_empty() && apart(pose) > TWINS_MM;
+            let symmetry = is_asked.then(|| coarse::symmetry(target, &(pose * t_target_source.inverse()))).flatten()?;
+            Some(symmetry.inverse() * pose)
+        };
         evidence.shape = shape.map(|(pose, report)| {
             let [best, judged] = [&pose, t_target_source].map(|pose| Support::new(registered, pose, noise_mm));
             let shape = ShapeEvidence {
-                apart_mm: apart(&pose),
+                apart_mm: nearest_image(&pose, report.twin.is_some())
+                    .map_or_else(|| apart(&pose), |image| apart(&image)),
                 support: best.share(),
                 judged_support: judged.share(),
                 margin_sd: best.margin_sd(&judged, source.points()),

@@ -4,7 +4,7 @@ use super::assumptions::assumptions;
 use super::attitude::{marker_place_reason, untested_attitude};
 use super::by_shape::{
     another_bone_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason, side_reason,
-    start_reason,
+    start_reason, twin_assumption,
 };
 use super::case::Case;
 use super::chance::{chance_of_being_wrong, signs};
@@ -31,7 +31,7 @@ use super::spread::Spread;
 use super::stylus::stylus_reason;
 use super::uncertainty::spread_reason;
 use super::verdict::Verdict;
-use crate::coarse;
+use crate::coarse::{self, GlobalReport};
 use crate::kabsch::kabsch;
 use crate::sensor::Sensor;
 use crate::still_average::TakeMotion;
@@ -72,8 +72,10 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let devices = scan.predicted.as_ref().and_then(|predicted| predicted.devices_assumption(errors));
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
     let sensor = sensor.and_then(|sensor| sensor_assumption(sensor, &rules.limits));
+    let twin = case.start.filter(|_| at.is_empty()).and_then(twin_assumption);
     let assumed = sensor
         .into_iter()
+        .chain(twin)
         .chain(assumed)
         .chain(takes.assumptions)
         .chain(takes.trust_ends.clone())
@@ -215,7 +217,7 @@ impl Judging<'_> {
     fn unexamined(&self) -> OfScan {
         let text = "the surface has no normals, so nothing could be examined";
         let unexamined = Reason::new("unexamined", Answer::Doubtful, text, "prepare the surface with normals");
-        let start = self.case.start.and_then(|start| start_reason(start, self.rules.min_shape_clearness, false));
+        let start = self.case.start.and_then(|start| self.start(start, false));
         let converged = self.case.icp.and_then(|ended| convergence_reason(ended, None));
         let reasons = [self.stylus(None), start, converged, self.landmarks(None), Some(unexamined)]
             .into_iter()
@@ -226,10 +228,15 @@ impl Judging<'_> {
 
     /// The signs in where the registration started and ended.
     fn of_end(&self, evidence: &Evidence) -> Vec<Reason> {
-        let start = |start| start_reason(start, self.rules.min_shape_clearness, has_surroundings(evidence));
+        let start = |start| self.start(start, has_surroundings(evidence));
         let converged = |ended| convergence_reason(ended, evidence.unsettled_mm);
         let (start, converged) = (self.case.start.and_then(start), self.case.icp.and_then(converged));
         start.into_iter().chain(converged).collect()
+    }
+
+    fn start(&self, start: &GlobalReport, has_surroundings: bool) -> Option<Reason> {
+        let is_planned = !self.case.registered.at.is_empty();
+        start_reason(start, self.rules.min_shape_clearness, has_surroundings, is_planned)
     }
 
     fn stylus(&self, predicted: Option<&Predicted>) -> Option<Reason> {

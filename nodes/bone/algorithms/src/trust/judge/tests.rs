@@ -157,12 +157,13 @@ fn a_start_by_shape_is_doubtful_below_its_clearness() {
         middle_mm: [9.0, -1.0, 7.0],
         t_target_source: None,
         runner_up,
+        twin: None,
         clearness: 0.2,
         searched: None,
     };
     let words = "it started by shape alone, and the scan fits nearly as well 31 mm and 29 degrees away, with its middle at (40, -1, 7) mm \
                  instead of (9, -1, 7) mm (0.25 mm RMS against 0.20 mm)";
-    let said = |has_surroundings| start_reason(&start, 0.3, has_surroundings).unwrap();
+    let said = |has_surroundings| start_reason(&start, 0.3, has_surroundings, false).unwrap();
     assert_eq!(text(&[said(false)]), [format!("start Doubtful: {words}")]);
     assert!(said(false).remedy.starts_with("start from landmarks"), "{:?}", said(false));
     let cluttered = said(true);
@@ -172,9 +173,17 @@ fn a_start_by_shape_is_doubtful_below_its_clearness() {
         "{cluttered:?}"
     );
     assert!(cluttered.remedy.starts_with("crop the scan to the bone"), "{cluttered:?}");
-    assert_eq!(start_reason(&start, 0.2, true), None);
-    assert_eq!(start_reason(&start, 0.1, true), None);
-    assert_eq!(start_reason(&GlobalReport { runner_up: None, ..start }, 0.3, true), None);
+    assert_eq!(start_reason(&start, 0.2, true, true), None);
+    assert_eq!(start_reason(&start, 0.1, true, true), None);
+    assert_eq!(start_reason(&GlobalReport { runner_up: None, ..start.clone() }, 0.3, true, true), None);
+    // Where the surface looks the same from there, it is doubtful if something is planned on it, and else assumed.
+    let symmetric = GlobalReport { twin: start.runner_up.clone(), runner_up: None, clearness: 1.0, ..start };
+    assert_eq!(start_reason(&symmetric, 0.3, false, false), None);
+    assert!(
+        start_reason(&symmetric, 0.3, false, true).unwrap().reason.contains("nearly as well 31 mm and 29 degrees away")
+    );
+    assert_eq!(start_reason(&symmetric, 0.1, false, true), None);
+    assert!(twin_assumption(&symmetric).unwrap().contains("the same 31 mm and 29 degrees away, by a symmetry of it"));
 }
 
 #[test]
