@@ -99,11 +99,15 @@ pub(crate) struct Convert {
     #[arg(long, value_name = "BONE")]
     bind: Option<PathBuf>,
 
-    /// What a plane, a list of points or a point of IN is in the plan OUT (.json): landmarks, assessment, plane (its normal leads out of the
-    /// piece that is kept), plane_inward (into it) or ignored. Default: by the names of BoneReconstructionPlanner, of the lists landmarks and
+    /// What a plane, a list of points or a point of IN is in the plan OUT (.json): landmarks, assessment, plane (two by two they bound a
+    /// segment, both normals from the first to the second), plane_reversed (with its normal to the other side) or ignored. Default: by the names of BoneReconstructionPlanner, of the lists landmarks and
     /// assessment, and of points P1, P2 .. and M1, M2 ..
     #[arg(long = "map", value_name = "NAME=ROLE", value_parser = role, conflicts_with = "bind")]
     map: Vec<(String, PlanRole)>,
+
+    /// A plan that has what 3D Slicer does not draw, for the plan OUT: axes, anatomy and poses of markers.
+    #[arg(long, value_name = "PLAN", conflicts_with = "bind")]
+    rest: Option<PathBuf>,
 
     /// The topic of the cloud, if IN is a recording with clouds on several.
     #[arg(long, value_name = "TOPIC")]
@@ -121,6 +125,10 @@ impl Convert {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         check_new(&self.output)?;
         if let Some(bone) = &self.bind {
+            if self.log.kind(&self.input)? == Kind::Points {
+                let file = self.input.display();
+                usage!("{file}: a plan (.json) is bound; make one by osteoflow convert {file} plan.json first");
+            }
             return self.bound(bone, global);
         }
         let (done, notes) = self.converted()?;
@@ -134,8 +142,9 @@ impl Convert {
         let writes_list = name.ends_with(".mrk.json") || name.ends_with(".fcsv");
         let is_plan = name.ends_with(".json") && !writes_list;
         match found {
-            _ if !self.map.is_empty() && !(is_plan && found == Kind::Points) => {
-                self.leave_out("--map", "points and planes that become a plan (.json)", found)
+            _ if (!self.map.is_empty() || self.rest.is_some()) && !(is_plan && found == Kind::Points) => {
+                let option = if self.map.is_empty() { "--rest" } else { "--map" };
+                self.leave_out(option, "points and planes that become a plan (.json)", found)
             }
             Kind::Recording => self.recorded(),
             Kind::Poses(format) => self.poses(format),
@@ -233,6 +242,7 @@ impl Convert {
     fn plan(&self, read: PickedPoints) -> Result<(String, Vec<String>)> {
         let (picked, space) = self.picked(read)?;
         let read = plan_of_picked(&self.input, &PickedPoints { space, ..picked }, &self.map)?;
+        let read = read.completed_by(self.rest.as_deref())?;
         write_plan(&self.output, &read.plan)?;
         let plan = read.plan;
         let n = [plan.planes.planes.len(), plan.landmarks.points.len(), plan.assessment.points.len()];

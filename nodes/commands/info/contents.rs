@@ -328,7 +328,7 @@ fn points(file: &Path, read: PickedPoints) -> Contents {
     let planes = read.planes.iter().map(|plane| format!("plane {}", plane.name));
     let labels = planes.chain(read.rois.iter().map(|roi| format!("box {}", roi.name))).chain(names(&read.points));
     let lists =
-        read.lists.iter().map(|list| format!("{} {} of {} points", list.kind, list.name, list.n_points)).collect();
+        read.lists.iter().map(|list| format!("{} {:?} of {} points", list.kind, list.name, list.n_points)).collect();
     let contents = Contents::new("points", Kind::Points)
         .with_count("n_points", read.points.len(), "points")
         .with_box(read.points.iter().map(|point| point.position))

@@ -58,6 +58,21 @@ pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
     parse_plan(path, &input::text_of(path, bytes)?)
 }
 
+impl PlanRead {
+    /// With what the plan in a file has and this one lacks, see [`SurgicalPlan::completed_by`].
+    ///
+    /// # Errors
+    /// As [`read_plan`].
+    pub fn completed_by(mut self, file: Option<&Path>) -> Result<Self, FileError> {
+        if let Some(file) = file {
+            let other = read_plan(file)?;
+            self.notes.extend(other.notes);
+            self.plan = self.plan.completed_by(other.plan);
+        }
+        Ok(self)
+    }
+}
+
 /// Reads the plan of one bone: from the object under the key `bone` if the file has one, else as [`read_plan`].
 ///
 /// # Errors

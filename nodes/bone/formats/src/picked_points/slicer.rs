@@ -88,7 +88,7 @@ pub(super) fn markups(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileErr
                     }
                 }
                 let points = begin..collected.points.len();
-                let name = item.name(String::new())?.into();
+                let name = item.name()?.unwrap_or_default().into();
                 lists.push(PickedList { name, kind: kind.into(), n_points: points.len(), points });
             }
             "Plane" => match item.plane(space, planes.len(), &mut collected.notes)? {
@@ -216,7 +216,7 @@ impl<'a> Item<'a> {
     }
 
     /// Its name: its own, or what the label of its first control point begins with.
-    fn name(&self, otherwise: String) -> Result<String, FileError> {
+    fn name(&self) -> Result<Option<String>, FileError> {
         let text = |key: &str| self.value.get(key).and_then(Value::as_str);
         let own = text("name").filter(|name| !name.trim().is_empty());
         let first = self.control_points()?.first().map(|point| point.label()).filter(|label| !label.trim().is_empty());
@@ -224,8 +224,13 @@ impl<'a> Item<'a> {
             Some("%N-%d") => label.rsplit_once('-').filter(|(_, number)| number.parse::<u64>().is_ok()),
             _ => None,
         };
-        let first = first.map(|label| before_number(label).map_or(label, |(name, _)| name));
-        Ok(own.or(first).map_or(otherwise, |name| name.trim().to_owned()))
+        Ok(own.or(first.and_then(before_number).map(|(name, _)| name)).map(|name| name.trim().to_owned()))
+    }
+
+    /// The name of a plane or box: its own, or that of its first control point.
+    fn name_or_label(&self, otherwise: String) -> Result<String, FileError> {
+        let first = self.control_points()?.first().map(|point| point.label().trim().to_owned());
+        Ok(self.name()?.or(first.filter(|label| !label.is_empty())).unwrap_or(otherwise))
     }
 
     /// Three coordinates.
@@ -270,7 +275,7 @@ impl<'a> Item<'a> {
 
     /// The plane; none if it was not placed.
     fn plane(&self, space: Space, k: usize, notes: &mut Vec<String>) -> Result<Option<Plane>, FileError> {
-        let name = self.name(format!("plane_{}", k + 1))?;
+        let name = self.name_or_label(format!("plane_{}", k + 1))?;
         let unit = |key: &str, vector| direction(vector).map_err(|error| self.fault(key, error));
         let points = self.control_points()?;
         let positions = points.iter().map(Item::position).collect::<Result<Vec<_>, _>>()?;
@@ -335,7 +340,7 @@ impl<'a> Item<'a> {
     }
 
     fn roi(&self, space: Space, k: usize, notes: &mut Vec<String>) -> Result<PickedRoi, FileError> {
-        let name: std::sync::Arc<str> = self.name(format!("roi_{}", k + 1))?.into();
+        let name: std::sync::Arc<str> = self.name_or_label(format!("roi_{}", k + 1))?.into();
         let axes = if self.has("orientation") {
             self.axes(space)?
         } else {

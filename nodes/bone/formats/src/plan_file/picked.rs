@@ -7,9 +7,9 @@
 
 use super::PlanRead;
 use crate::{FileError, Space, picked_points::PickedPoints};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3};
 use osteoflow_geometry::{NamedPoint, Plane, Planes, Points, SurgicalPlan};
-use std::{collections::BTreeMap, f64::consts::PI, path::Path, str::FromStr, sync::Arc};
+use std::{collections::BTreeMap, ops::RangeInclusive, path::Path, str::FromStr, sync::Arc};
 
 /// What a plane, a point or a list of points is in a plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,10 +18,10 @@ pub enum PlanRole {
     Landmarks,
     /// Assessment points.
     Assessment,
-    /// A cutting plane whose normal leads out of the piece that is kept.
+    /// A cutting plane. Two by two they bound a segment, and both normals lead from the first to the second.
     Plane,
-    /// A cutting plane whose normal leads into the piece that is kept; it is turned over.
-    PlaneInward,
+    /// A cutting plane with its normal to the other side.
+    PlaneReversed,
     /// No part of the plan.
     Ignored,
 }
@@ -31,7 +31,7 @@ const ROLES: [(&str, PlanRole); 5] = [
     ("landmarks", PlanRole::Landmarks),
     ("assessment", PlanRole::Assessment),
     ("plane", PlanRole::Plane),
-    ("plane_inward", PlanRole::PlaneInward),
+    ("plane_reversed", PlanRole::PlaneReversed),
     ("ignored", PlanRole::Ignored),
 ];
 
@@ -46,8 +46,8 @@ impl FromStr for PlanRole {
 
 /// The plan of points and planes in LPS.
 ///
-/// A name in `roles` is that of a plane, a list of points or a point. Without a role, planes of BoneReconstructionPlanner on the
-/// fibula are taken with their normals out of the segment, or else all planes but those on the jaw, as they are; landmarks are the
+/// A name in `roles` is that of a plane, a list of points or a point; planes come in their order. Without a role, planes of
+/// BoneReconstructionPlanner on the fibula are taken by segment, or else all planes but those on the jaw, in the file's order; landmarks are the
 /// points of a list `landmarks` and points `P1`, `P2` .., assessment points those of `assessment` and `M1`, `M2` ... What is left out is noted.
 ///
 /// # Errors
@@ -105,7 +105,7 @@ fn end_of_segment(name: &str) -> Option<(u32, usize)> {
 
 /// A plane with the normal to the other side.
 fn turned_over(plane: &Plane) -> Plane {
-    let half_turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    let half_turn = UnitQuaternion::new_unchecked(Quaternion::new(0.0, 1.0, 0.0, 0.0));
     let pose = plane.isometry().map(|pose| pose * half_turn);
     pose.map_or_else(|| plane.clone(), |pose| Plane::new(plane.name.clone(), pose))
 }
@@ -129,7 +129,7 @@ impl Drawn<'_> {
         let points = self.picked.points.iter().map(|point| (&point.name, false));
         let names: Vec<(&Arc<str>, bool)> = planes.chain(lists).chain(points).collect();
         for (k, (name, role)) in self.roles.iter().enumerate() {
-            let is_of_plane = matches!(role, PlanRole::Plane | PlanRole::PlaneInward);
+            let is_of_plane = matches!(role, PlanRole::Plane | PlanRole::PlaneReversed);
             let fits = |is_plane: bool| *role == PlanRole::Ignored || is_plane == is_of_plane;
             let found: Vec<_> = names.iter().filter(|(other, _)| ***other == **name).collect();
             if self.roles[..k].iter().any(|(before, _)| before == name) {
@@ -149,11 +149,10 @@ impl Drawn<'_> {
 
     fn planes(&self, notes: &mut Vec<String>, left_out: &mut Vec<String>) -> Result<Vec<Plane>, FileError> {
         let mut segments: BTreeMap<u32, [Option<&Plane>; 2]> = BTreeMap::new();
-        let (mut mapped, mut others) = (Vec::new(), Vec::new());
+        let mut others = Vec::new();
         for plane in &self.picked.planes {
             match (self.role(&plane.name), end_of_segment(&plane.name)) {
-                (Some(PlanRole::Plane), _) => mapped.push(plane.clone()),
-                (Some(PlanRole::PlaneInward), _) => mapped.push(turned_over(plane)),
+                (Some(PlanRole::Plane | PlanRole::PlaneReversed), _) => {}
                 (Some(_), _) => left_out.push(plane.name.to_string()),
                 (None, Some((segment, end))) => {
                     let place = &mut segments.entry(segment).or_default()[end];
@@ -171,62 +170,71 @@ impl Drawn<'_> {
         }
         let mut planes = Vec::new();
         for (segment, ends) in segments {
-            match ends {
-                [Some(a), Some(b)] => {
-                    self.check_sides(a, b, notes)?;
-                    planes.extend([turned_over(a), b.clone()]);
-                }
-                [Some(only), None] | [None, Some(only)] => {
-                    let message = format!(
-                        "segment {segment} has no other plane, so that it is not known which side of this one is kept; say --map {0}=plane if its \
-                         normal leads out of the piece that is kept, --map {0}=plane_inward if into it",
-                        only.name
-                    );
-                    return Err(self.fault(&only.name, message));
-                }
-                [None, None] => {}
+            if let [Some(a), Some(b)] = ends {
+                planes.extend([a.clone(), b.clone()]);
+            } else if let Some(only) = ends.into_iter().flatten().next() {
+                let message = format!(
+                    "segment {segment} has no other plane, so that it is not known which side of this one is kept; name the two planes of the segment \
+                     by --map NAME=plane, both normals from the first to the second"
+                );
+                return Err(self.fault(&only.name, message));
             }
         }
-        planes.extend(mapped);
-        let takes_all = planes.is_empty();
-        for plane in others {
-            if !takes_all || plane.name.starts_with("mandibularPlane") {
-                left_out.push(plane.name.to_string());
-                continue;
+        for (name, role) in self.roles {
+            if let Some(plane) = self.picked.planes.iter().find(|plane| *plane.name == **name) {
+                match role {
+                    PlanRole::Plane => planes.push(plane.clone()),
+                    PlanRole::PlaneReversed => planes.push(turned_over(plane)),
+                    _ => {}
+                }
             }
+        }
+        let (taken, more) = match planes.is_empty() {
+            true => others.into_iter().partition(|plane| !plane.name.starts_with("mandibularPlane")),
+            false => (Vec::new(), others),
+        };
+        left_out.extend(more.iter().map(|plane| plane.name.to_string()));
+        if !taken.is_empty() {
+            let names: Vec<&str> = taken.iter().map(|plane: &&Plane| &*plane.name).collect();
             notes.push(format!(
-                "{}: which side of \"{}\" is kept is not stated; its normal is taken as it is (--map {1}=plane or plane_inward of osteoflow convert says it)",
+                "{}: {} are taken in the order of the file, two to a segment, as nothing says which side of them is kept; osteoflow convert --map says it",
                 self.path.display(),
-                plane.name
+                names.join(", ")
             ));
-            planes.push(plane.clone());
         }
+        planes.extend(taken.into_iter().cloned());
+        planes.chunks_exact(2).try_for_each(|pair| self.check_sides(&pair[0], &pair[1], notes))?;
         Ok(planes)
     }
 
-    /// Both normals of a segment lead from A to B, or the extension would have cut nothing out.
+    /// Both normals of a segment lead from the first plane to the second, as in the extension, which would cut nothing out otherwise.
     fn check_sides(&self, a: &Plane, b: &Plane, notes: &mut Vec<String>) -> Result<(), FileError> {
         let between = pose(b) * Point3::origin() - pose(a) * Point3::origin();
         let is_against = |plane: &Plane| (pose(plane) * Vector3::z()).dot(&between) <= 0.0;
-        let why = match (is_against(a), is_against(b)) {
+        let (first, second, mm) = (&a.name, &b.name, between.norm());
+        let (plane, why) = match (is_against(a), is_against(b)) {
             (false, false) => {
-                if between.norm() < SHORTEST_MM {
-                    notes.push(format!(
-                        "{}: \"{}\" and \"{}\" are {:.3} mm apart, which is no segment; are the lengths metres? --scale 1000 of osteoflow convert makes them mm",
-                        self.path.display(), a.name, b.name, between.norm()
-                    ));
+                let why = if mm < *SEGMENT_MM.start() {
+                    "are the lengths metres? --scale 1000 of osteoflow convert makes them mm"
+                } else {
+                    "does the file of each plane state its unit and coordinate system rightly?"
+                };
+                if !SEGMENT_MM.contains(&mm) {
+                    let apart = format!("\"{first}\" and \"{second}\" are {mm:.3} mm apart");
+                    notes.push(format!("{}: {apart}, which is no segment of a fibula; {why}", self.path.display()));
                 }
                 return Ok(());
             }
-            (true, true) => "both normals lead from B to A; are A and B swapped, or both turned over?",
-            (true, false) => "its normal leads away from B; is it turned over?",
-            (false, true) => "its normal leads towards A; is it turned over?",
+            (true, true) => (
+                a,
+                format!("both normals lead from \"{second}\" to \"{first}\"; are they swapped, or both turned over?"),
+            ),
+            (true, false) => (a, format!("its normal leads away from \"{second}\"; is it turned over?")),
+            (false, true) => (b, format!("its normal leads towards \"{first}\"; is it turned over?")),
         };
-        let plane = if is_against(a) { a } else { b };
         let message = format!(
-            "{why} Normals of a segment lead from A to B in BoneReconstructionPlanner; make the plan there again, or say of each of both \
-             --map {}=plane or --map {}=plane_inward, {}",
-            a.name, b.name, "as its normal leads out of or into the piece that is kept"
+            "{why} The normals of the two planes of a segment lead from the first to the second; make the plan again, or name both by --map in their \
+             order, one that is turned over as plane_reversed"
         );
         Err(self.fault(&plane.name, message))
     }
@@ -257,5 +265,5 @@ impl Drawn<'_> {
     }
 }
 
-/// A segment is longer than this, mm.
-const SHORTEST_MM: f64 = 3.0;
+/// Lengths of segments of a fibula, mm: those of a jaw take 15 to 80.
+const SEGMENT_MM: RangeInclusive<f64> = 3.0..=150.0;
