@@ -75,6 +75,7 @@ pub mod recording_write;
 pub mod region_file;
 mod ros2;
 mod scalar;
+mod scene_header;
 mod shape;
 pub mod space;
 mod spellings;

@@ -14,7 +14,7 @@
 //! unless a comment says `SPACE=LPS` or `SPACE=RAS`, and their numbers are taken as they are. All lengths are mm.
 
 mod collected;
-pub(crate) mod scene;
+mod scene;
 mod slicer;
 mod text;
 mod write;
@@ -28,6 +28,7 @@ use crate::{
     cut, input,
     kind::{Kind, Probe, TEXT, marked},
     pose_file::is_pose,
+    scene_header::{is_bundle, is_scene},
 };
 use std::path::Path;
 
@@ -74,11 +75,7 @@ pub fn read_picked_points(path: &Path) -> Result<PickedPoints, FileError> {
 /// # Errors
 /// As [`read_picked_points`], or with the file or node of the scene.
 pub fn read_scene(path: &Path) -> Result<PickedPoints, FileError> {
-    if scene::is_scene(&input::head(path, 4096)?) {
-        filled(path, scene::beside(path)?)
-    } else {
-        read_picked_points(path)
-    }
+    if is_scene(&input::head(path, 4096)?) { filled(path, scene::beside(path)?) } else { read_picked_points(path) }
 }
 
 /// The points in the bytes of a file; `path` is used in messages only.
@@ -89,10 +86,10 @@ pub fn read_scene(path: &Path) -> Result<PickedPoints, FileError> {
 pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
     let bytes = without_byte_order_mark(bytes);
     let start = bytes.trim_ascii_start();
-    if scene::is_bundle(bytes) {
+    if is_bundle(bytes) {
         return filled(path, scene::bundle(path, bytes)?);
     }
-    if scene::is_scene(bytes) {
+    if is_scene(bytes) {
         let shown = path.display();
         let message = format!(
             "a scene names further files, which are no part of what is read here; save it as .mrb, or take what osteoflow convert {shown} OUT writes"

@@ -24,7 +24,7 @@ pub use picked::{PlanRole, plan_of_picked};
 use crate::{
     FileError, input, json,
     picked_points::parse_picked_points,
-    probe::{self, Kind},
+    scene_header::{is_bundle, is_scene},
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Unit, Vector3};
 use osteoflow_geometry::{
@@ -45,17 +45,20 @@ pub struct PlanRead {
     pub unread: Vec<String>,
 }
 
-/// Reads a plan: its own JSON, or points and planes of other programs as [`plan_of_picked`] takes them. Its rotations may be
+/// Reads a plan: its own JSON, or markups and scenes of 3D Slicer as [`plan_of_picked`] takes them. Its rotations may be
 /// rounded: the nearest ones are taken, and a note says how far they are.
 ///
 /// # Errors
 /// [`FileError`] naming the key: a unit other than mm, a number that is none, a matrix that mirrors or scales.
 pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
     let bytes = input::read(path)?;
-    if probe::of(path, &bytes).is_ok_and(|found| found.kind == Kind::Points) {
-        return plan_of_picked(path, &parse_picked_points(path, &bytes)?, &[]);
+    let drawn = |bytes: &[u8]| plan_of_picked(path, &parse_picked_points(path, bytes)?, &[]);
+    if is_bundle(&bytes) || is_scene(&bytes) {
+        return drawn(&bytes);
     }
-    parse_plan(path, &input::text_of(path, bytes)?)
+    let text = input::text_of(path, bytes)?;
+    let root = parse_root(path, &text)?;
+    if root.contains_key("markups") && !has_keys(&root) { drawn(text.as_bytes()) } else { noted(path, &root) }
 }
 
 impl PlanRead {
@@ -688,7 +691,7 @@ mod tests {
             (json!({"frame": "RAS", "planes": []}), "key \"frame\": a plan is in LPS, found \"RAS\"; negate x and y"),
             (json!({"frame": "world", "planes": []}), "key \"frame\": a plan is in \"ct\" (LPS), found \"world\""),
             (json!({"a": 1}), "the outermost object: none of a plan's keys is there (landmarks, "),
-            (json!({"markups": []}), "these are markups of 3D Slicer, points or planes without their meaning"),
+            (json!({"markups": []}), "these are markups of 3D Slicer; osteoflow convert makes a plan of them"),
             (json!({"landmarks": {"P1": [1, 2]}}), "key \"landmarks.P1\": 3 numbers are expected, found [1,2]"),
             (json!({"landmarks": {"P1": [1, 2, null]}}), "key \"landmarks.P1\": 3 numbers are expected"),
             (json!({"landmarks": [[1, 2, 3]]}), "key \"landmarks\": an object of named points is expected"),

@@ -10,7 +10,7 @@ use super::{
     slicer,
     text::MOST_NODES,
 };
-use crate::{FileError, Space, input, kind::has, pose_file::parse_pose};
+use crate::{FileError, Space, input, pose_file::parse_pose, scene_header::scene_in};
 use nalgebra::{Isometry3, Matrix4};
 use osteoflow_geometry::nearest_isometry;
 use roxmltree::Node;
@@ -25,23 +25,6 @@ use zip::ZipArchive;
 const MAX_BYTES: u64 = 256 << 20;
 
 type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;
-
-/// The name of the scene in an archive; none if it is no `.mrb`.
-fn scene_in(archive: &Archive<'_>) -> Option<String> {
-    let is_scene = |name: &&str| name.to_lowercase().ends_with(".mrml");
-    archive.file_names().flatten().find(|name| is_scene(&&**name)).map(|name| name.into_owned())
-}
-
-/// Whether the bytes of a file are a scene that holds its files.
-pub(crate) fn is_bundle(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"PK\x03\x04") && ZipArchive::new(Cursor::new(bytes)).is_ok_and(|zip| scene_in(&zip).is_some())
-}
-
-/// Whether the bytes of a file are a scene that names its files.
-pub(crate) fn is_scene(bytes: &[u8]) -> bool {
-    let bytes = bytes.trim_ascii_start();
-    bytes.starts_with(b"<") && has(&bytes[..bytes.len().min(4096)], "<MRML")
-}
 
 /// What is picked in a scene that holds its files.
 pub(super) fn bundle(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
