@@ -251,7 +251,7 @@ impl<'a> Scene<'a, '_> {
             self.note(format!("{}: {note}", name_of(node)));
         });
         self.all.n_skipped += read.n_skipped;
-        let motion = self.to_shapes(node)?;
+        let motion = self.motion_above(node)?;
         Ok(Some(read.transformed(&motion, 1.0)))
     }
 
@@ -263,7 +263,7 @@ impl<'a> Scene<'a, '_> {
     }
 
     /// The motion from the coordinates of a node's file to those of the files of volumes and surfaces, in LPS.
-    fn to_shapes(&mut self, node: Node<'a, 'a>) -> Result<Isometry3<f64>, FileError> {
+    fn motion_above(&mut self, node: Node<'a, 'a>) -> Result<Isometry3<f64>, FileError> {
         let (mut motion, mut seen, mut below) = (Isometry3::identity(), HashSet::new(), node);
         while let Some(id) = reference(below, "transform") {
             let Some(&transform) = self.by_id.get(id) else {
@@ -272,7 +272,7 @@ impl<'a> Scene<'a, '_> {
             if !seen.insert(id) {
                 return Err(self.fault(below, "its transforms are below each other in a ring"));
             }
-            let to_parent = self.to_parent(transform)?;
+            let to_parent = self.own_motion(transform)?;
             let name = name_of(transform);
             match self.moved_with.get(id) {
                 _ if to_parent == Isometry3::identity() => {}
@@ -291,7 +291,7 @@ impl<'a> Scene<'a, '_> {
     }
 
     /// A transform, in LPS: of its file, which is exact, or else as the scene has it.
-    fn to_parent(&mut self, node: Node<'a, 'a>) -> Result<Isometry3<f64>, FileError> {
+    fn own_motion(&mut self, node: Node<'a, 'a>) -> Result<Isometry3<f64>, FileError> {
         let stated = ["matrixTransformToParent", "matrixTransformFromParent"].map(|key| node.attribute(key));
         let is_linear = matches!(node.tag_name().name(), "LinearTransform" | "Transform");
         if let Some((place, bytes)) = self.stored(node)?.filter(|_| is_linear) {
