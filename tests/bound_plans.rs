@@ -221,7 +221,7 @@ fn binding_keeps_the_plan_and_refuses_what_it_does_not_fit() {
     refused("plan.json", &plans.case.phantom, "other.json", "planned points lie off the surface");
     refused("plan.json", &plans.case.plan, "other.json", "plan.json");
     fs::write(at("markups.json"), json!({ "markups": [] }).to_string()).unwrap();
-    refused("markups.json", bone, "other.json", "none of a plan's keys is there");
+    refused("markups.json", bone, "other.json", "a plan (.json) is bound; make one by osteoflow convert");
     assert!(!at("other.json").exists() && !at("bound.toml").exists());
 }
 

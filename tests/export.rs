@@ -43,9 +43,10 @@ fn the_exported_files_lie_on_each_other_in_lps_and_hold_what_the_results_say() {
         // The matrix, the normal and the control point say the same.
         let numbers: Vec<f64> = markup["baseToNode"].as_array().unwrap().iter().map(|c| c.as_f64().unwrap()).collect();
         let pose = isometry_from_matrix(&Matrix4::from_row_slice(&numbers)).unwrap();
-        assert!((pose.translation.vector - plane.origin.coords).norm() < 1e-9);
+        let read = plane.isometry().unwrap();
+        assert!((pose.translation.vector - read.translation.vector).norm() < 1e-9);
         let axis = pose.rotation.to_rotation_matrix().matrix().column(2).into_owned();
-        assert!((axis - plane.normal.into_inner()).norm() < 1e-9);
+        assert!((axis - plane.normal().unwrap()).norm() < 1e-9);
         assert_eq!(markup["controlPoints"][0]["position"], markup["center"]);
     }
     let transform = read_pose(&at("export_transform.tfm"), 1.0).unwrap().isometry;

@@ -134,12 +134,21 @@ impl Files {
         let points = Ok("points");
         let csv = self.of("picked.csv", "# SPACE=LPS\nlabel,x,y,z\nP1,1,2,3\nP2,4,5,6\nP3,7,8,10\n");
         let pp = "<!DOCTYPE PickedPoints>\n<PickedPoints><point x=\"1\" y=\"2\" z=\"3\" active=\"1\" name=\"P1\"/></PickedPoints>\n";
+        self.converted(&csv, "in_scene.mrk.json", &[]);
+        let scene = "<MRML><MarkupsFiducial id=\"a\" name=\"F\" references=\"storage:b;\"/>\
+                     <MarkupsJsonStorage id=\"b\" fileName=\"in_scene.mrk.json\"/></MRML>";
         let own = "name,frame,x_mm,y_mm,z_mm,stamp_ns\nP1,ct,10.5,-20.25,300.125,0\nP2,ct,-4.5,30.75,280.5,0\n";
         vec![
             Line {
                 format: "3D Slicer markups `.mrk.json`",
                 files: vec![(self.converted(&csv, "read.mrk.json", &[]), points)],
                 written: Some((".mrk.json", csv.clone())),
+                confirmed: &[],
+            },
+            Line {
+                format: "3D Slicer scene `.mrb`, `.mrml`",
+                files: vec![(self.of("scene.mrml", scene), points)],
+                written: None,
                 confirmed: &[],
             },
             Line {

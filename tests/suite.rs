@@ -86,6 +86,7 @@ mod simulate;
 mod simulated;
 #[cfg(unix)]
 mod size;
+mod slicer_plans;
 mod store;
 mod studies;
 mod surroundings;

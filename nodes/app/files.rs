@@ -6,7 +6,7 @@ use osteoflow_engine::{Fault, Faults, durable, run, sweep};
 use osteoflow_formats::{
     Space, input,
     mesh_or_cloud::{MeshOrCloud, MeshRead, read_mesh_or_cloud},
-    picked_points::{PickedPoints, read_picked_points, write_fcsv, write_mrk_json, write_points_csv},
+    picked_points::{PickedPoints, read_scene, write_fcsv, write_mrk_json, write_points_csv},
     pose_file::{itk_text, read_pose},
     probe::{Kind, Probe, probe},
     write::{self, Precision},
@@ -156,7 +156,7 @@ pub fn read(
     Ok(match kind {
         Kind::Recording => Content::Recording,
         Kind::Points => {
-            let mut picked = read_picked_points(file)?;
+            let mut picked = read_scene(file)?;
             if picked.space == Space::Unknown {
                 picked.points.iter_mut().for_each(|point| point.position *= unit_mm);
             }

@@ -14,13 +14,14 @@ use clap::Args;
 use osteoflow_formats::{
     Space, input,
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
-    picked_points::{PickedPoints, read_picked_points},
+    picked_points::{PickedPoints, read_picked_points, read_scene},
+    plan_file::{PlanRole, plan_of_picked, write_plan},
     pose_file::read_pose,
     probe::Kind,
     write::{Precision, ending, write_cloud, write_mesh},
 };
 use osteoflow_geometry::{
-    NamedPoint, matrix_rows,
+    matrix_rows,
     nalgebra::{Isometry3, Translation3, UnitQuaternion},
 };
 use osteoflow_standard::{
@@ -33,11 +34,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Convert a file of points, a surface, picked points, a CT, a rigid motion, a log of poses or a recorded cloud into another format, or bind a plan to
-/// its bone.
+/// Convert a file of points, a surface, picked points, a CT, a rigid motion, a log of poses or a recorded cloud into another format, make a plan of
+/// what was drawn in 3D Slicer, or bind a plan to its bone.
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd
-/// or .csv; clouds to .ply, .pcd, .vtk, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv;
+/// or .csv; clouds to .ply, .pcd, .vtk, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv,
+/// and with planes, such as a scene of 3D Slicer planned with BoneReconstructionPlanner, to .json, a plan;
 /// a CT to the surface of its largest part; a rigid motion to .txt (the matrix), .json or .tfm; a log of poses (.igs.mha of PLUS, TUM, EuRoC, KITTI, a table) to .mcap, .csv or .tum; a cloud
 /// of a recording to what clouds are written as; a plan, with --bind, to the same plan that says which surface it was drawn on.
 /// Lengths are millimetres after --scale. Files that state RAS are turned to LPS; where a file states no space its numbers stay as
@@ -52,6 +54,7 @@ Examples:
   osteoflow convert legs.stl left.stl --component nearest:80,0,-400
   osteoflow convert plan.mrk.json plan.csv
   osteoflow convert plan.json bound.json --bind bone.stl
+  osteoflow convert planned.mrb plan.json --map screws=landmarks
   osteoflow convert pivot.igs.mha pivot.mcap
   osteoflow convert polaris.csv polaris.mcap --columns polaris.toml
   osteoflow convert bag scan.ply --topic /camera/points
@@ -96,6 +99,16 @@ pub(crate) struct Convert {
     #[arg(long, value_name = "BONE")]
     bind: Option<PathBuf>,
 
+    /// What a plane, a list of points or a point of IN is in the plan OUT (.json): landmarks, assessment, plane (two by two they bound a
+    /// segment, both normals from the first to the second), plane_reversed (with its normal to the other side) or ignored. Default: by the names of BoneReconstructionPlanner, of the lists landmarks and
+    /// assessment, and of points P1, P2 .. and M1, M2 ..
+    #[arg(long = "map", value_name = "NAME=ROLE", value_parser = role, conflicts_with = "bind")]
+    map: Vec<(String, PlanRole)>,
+
+    /// A plan that has what 3D Slicer does not draw, for the plan OUT: axes, anatomy and poses of markers.
+    #[arg(long, value_name = "PLAN", conflicts_with = "bind")]
+    rest: Option<PathBuf>,
+
     /// The topic of the cloud, if IN is a recording with clouds on several.
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
@@ -112,6 +125,10 @@ impl Convert {
     pub(crate) fn execute(&self, global: &Global) -> Result<Exit> {
         check_new(&self.output)?;
         if let Some(bone) = &self.bind {
+            if self.log.kind(&self.input)? == Kind::Points {
+                let file = self.input.display();
+                usage!("{file}: a plan (.json) is bound; make one by osteoflow convert {file} plan.json first");
+            }
             return self.bound(bone, global);
         }
         let (done, notes) = self.converted()?;
@@ -123,7 +140,12 @@ impl Convert {
         let found = self.log.kind(&self.input)?;
         let name = self.output.to_string_lossy().to_lowercase();
         let writes_list = name.ends_with(".mrk.json") || name.ends_with(".fcsv");
+        let is_plan = name.ends_with(".json") && !writes_list;
         match found {
+            _ if (!self.map.is_empty() || self.rest.is_some()) && !(is_plan && found == Kind::Points) => {
+                let option = if self.map.is_empty() { "--rest" } else { "--map" };
+                self.leave_out(option, "points and planes that become a plan (.json)", found)
+            }
             Kind::Recording => self.recorded(),
             Kind::Poses(format) => self.poses(format),
             Kind::Ct => self.ct(),
@@ -134,7 +156,8 @@ impl Convert {
             }
             Kind::Pose if self.space.is_some() => self.leave_out("--space", "points and surfaces", found),
             Kind::Pose => self.pose(),
-            Kind::Points => self.points(read_picked_points(&self.input)?),
+            Kind::Points if is_plan => self.plan(read_scene(&self.input)?),
+            Kind::Points => self.points(read_scene(&self.input)?),
             Kind::Cloud | Kind::Unknown if writes_list => self.points(read_picked_points(&self.input)?),
             _ => self.shape(&input::read(&self.input)?),
         }
@@ -209,17 +232,32 @@ impl Convert {
         Ok((Kind::Pose.to_string(), read.notes))
     }
 
+    /// What was picked, in LPS and mm, and the space that it is in then.
+    fn picked(&self, read: PickedPoints) -> Result<(PickedPoints, Space)> {
+        let (turn, space) = self.to_lps(read.space)?;
+        Ok((read.transformed(&Isometry3::from_parts(Translation3::identity(), turn), self.scale), space))
+    }
+
+    /// A plan of what was drawn in another program.
+    fn plan(&self, read: PickedPoints) -> Result<(String, Vec<String>)> {
+        let (picked, space) = self.picked(read)?;
+        let read = plan_of_picked(&self.input, &PickedPoints { space, ..picked }, &self.map)?;
+        let read = read.completed_by(self.rest.as_deref())?;
+        write_plan(&self.output, &read.plan)?;
+        let plan = read.plan;
+        let n = [plan.planes.planes.len(), plan.landmarks.points.len(), plan.assessment.points.len()];
+        let done = format!("a surgical plan: {} planes, {} landmarks, {} assessment points", n[0], n[1], n[2]);
+        let begin = format!("{}: ", self.input.display());
+        Ok((done, read.notes.iter().map(|note| note.strip_prefix(&begin).unwrap_or(note).to_owned()).collect()))
+    }
+
     fn points(&self, read: PickedPoints) -> Result<(String, Vec<String>)> {
-        let PickedPoints { mut points, planes, rois, space, mut notes, .. } = read;
+        let (PickedPoints { points, planes, rois, mut notes, .. }, space) = self.picked(read)?;
         if !planes.is_empty() || !rois.is_empty() {
             notes.push(format!("{} planes and {} boxes are not points, and were left out", planes.len(), rois.len()));
         }
         if points.is_empty() {
             bail!("{}: there are no points in it, only planes or boxes", self.input.display());
-        }
-        let (turn, space) = self.to_lps(space)?;
-        for NamedPoint { position, .. } in &mut points {
-            *position = turn * *position * self.scale;
         }
         let message = "states no space, and the format to write claims one; give --space LPS or --space RAS";
         write_list(&self.output, &points, space, &format!("{} {message}", self.input.display()))?;
@@ -289,6 +327,11 @@ fn with(mut notes: Vec<String>, more: Vec<String>) -> Vec<String> {
 
 fn in_space(space: Space) -> &'static str {
     if space == Space::Unknown { ", in the space of the file that was read, which it does not state" } else { ", LPS" }
+}
+
+fn role(text: &str) -> Result<(String, PlanRole), String> {
+    let (name, role) = text.rsplit_once('=').ok_or("NAME=ROLE is expected, such as screws=landmarks")?;
+    Ok((name.into(), role.parse()?))
 }
 
 fn factor(text: &str) -> Result<f64, String> {

@@ -15,8 +15,8 @@ use osteoflow_formats::{
     mcap_read::{Message, Recording, Topic as RecordedTopic},
     mesh_or_cloud::{MeshOrCloud, read_mesh_or_cloud},
     message_read::{MessageKind, read_cloud_head, read_pose_in_frame, read_transforms},
-    picked_points::{PickedPoints, read_picked_points},
-    plan_file::read_plan,
+    picked_points::{PickedPoints, read_scene},
+    plan_file::{plan_of_picked, read_plan},
     pose_file::read_pose,
     probe::{Kind, probe},
     region_file::read_region,
@@ -205,7 +205,7 @@ pub(super) fn of(file: &Path, series: Option<&str>, log: &LogArgs) -> Result<Con
         }
         Kind::Recording => recording(file)?,
         Kind::Pose => pose(file)?,
-        Kind::Points => points(file, read_picked_points(file)?),
+        Kind::Points => points(file, read_scene(file)?),
         Kind::Plan => plan(file)?,
         Kind::Region => region(file)?,
         Kind::Results => {
@@ -324,18 +324,30 @@ fn shape(file: &Path, bytes: &[u8]) -> Result<Contents> {
 
 fn points(file: &Path, read: PickedPoints) -> Contents {
     let name = file.display();
+    let plan = plan_of_picked(file, &read, &[]);
     let planes = read.planes.iter().map(|plane| format!("plane {}", plane.name));
     let labels = planes.chain(read.rois.iter().map(|roi| format!("box {}", roi.name))).chain(names(&read.points));
-    Contents::new("points", Kind::Points)
+    let lists =
+        read.lists.iter().map(|list| format!("{} {:?} of {} points", list.kind, list.name, list.n_points)).collect();
+    let contents = Contents::new("points", Kind::Points)
         .with_count("n_points", read.points.len(), "points")
         .with_box(read.points.iter().map(|point| point.position))
         .with_space(read.space)
         .with_list("labels", labels.collect(), "named")
-        .noted(read.notes)
-        .used_by([
-            format!("osteoflow register BONE SCAN --landmarks {name} POINTS_IN_SCAN"),
-            format!("osteoflow convert {name} points.csv"),
-        ])
+        .with_list("lists", lists, "lists");
+    let points = [
+        format!("osteoflow register BONE SCAN --landmarks {name} POINTS_IN_SCAN"),
+        format!("osteoflow convert {name} points.csv"),
+    ];
+    let (notes, mut used_by) = match plan {
+        Ok(plan) => (plan.notes, vec![format!("osteoflow convert {name} plan.json")]),
+        Err(error) if !read.planes.is_empty() => {
+            (read.notes.into_iter().chain([format!("no plan yet: {error}")]).collect(), Vec::new())
+        }
+        Err(_) => (read.notes, Vec::new()),
+    };
+    used_by.extend(points.into_iter().filter(|_| !read.points.is_empty()));
+    Contents { used_by, ..contents.noted(notes) }
 }
 
 fn names(points: &[NamedPoint]) -> impl Iterator<Item = String> {

@@ -54,7 +54,12 @@ pub(crate) fn head(path: &Path, n: u64) -> Result<Vec<u8>, FileError> {
 /// # Errors
 /// As [`open`], or [`FileError::Content`] with the first byte that is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String, FileError> {
-    String::from_utf8(read(path)?).map_err(|error| {
+    text_of(path, read(path)?)
+}
+
+/// The text in the bytes of a file.
+pub(crate) fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String, FileError> {
+    String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         match marked(path, error.as_bytes()) {
             Some(found) => found.refusal(path, "a text"),

@@ -1,6 +1,6 @@
 //! What a file may be: the kinds, their names, and the formats that a mark at their beginning tells.
 
-use crate::{FileError, foreign_recording, metaimage_header::is_metaimage};
+use crate::{FileError, foreign_recording, metaimage_header::is_metaimage, scene_header};
 use osteoflow_geometry::MM_PER_M;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -199,6 +199,7 @@ pub(crate) fn marked(path: &Path, bytes: &[u8]) -> Option<Probe> {
         () if at(0, b"NRRD") => (Kind::Ct, "NRRD"),
         () if at(128, b"DICM") => (Kind::Ct, "DICOM"),
         () if is_metaimage(bytes) => (Kind::Ct, "MetaImage"),
+        () if scene_header::is_scene(bytes) || scene_header::is_bundle(bytes) => (Kind::Points, "scene of 3D Slicer"),
         () => {
             if let Some(name) = foreign_recording::kind(bytes) {
                 let advice = foreign_recording::advice(path);

@@ -11,8 +11,8 @@
 //! | [`recording_write`] | | recordings of Foxglove's messages |
 //! | [`mesh_or_cloud`] | a surface or a cloud: PLY, STL, PCD, OBJ, OFF, VTK, text | |
 //! | [`write`] | | surfaces and clouds: PLY, STL, PCD, OBJ, CSV |
-//! | [`picked_points`] | named points of 3D Slicer, MeshLab, CloudCompare, CSV | markups of 3D Slicer, CSV |
-//! | [`plan_file`] | surgical plans in JSON | surgical plans in JSON |
+//! | [`picked_points`] | named points of 3D Slicer, MeshLab, CloudCompare, CSV; planes, boxes and scenes of 3D Slicer | markups of 3D Slicer, CSV |
+//! | [`plan_file`] | surgical plans in JSON, or of what was drawn in 3D Slicer | surgical plans in JSON |
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`region_file`] | regions of interest drawn by hand, JSON | the same |
 //! | [`poses_csv`] | poses over time | poses over time |
@@ -75,6 +75,7 @@ pub mod recording_write;
 pub mod region_file;
 mod ros2;
 mod scalar;
+mod scene_header;
 mod shape;
 pub mod space;
 mod spellings;

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | 3D Slicer `.mrk.json` | control points of fiducials, lines, curves and angles; planes; boxes (ROI) |
 //! | 3D Slicer `.fcsv` | fiducials |
+//! | 3D Slicer `.mrb`, `.mrml` | the same of a whole scene, moved by its linear transforms |
 //! | MeshLab `.pp` | active points |
 //! | CloudCompare's picking list | `x,y,z`, an index or a label before them |
 //! | CSV with the heading `label,x,y,z` | points |
@@ -13,11 +14,12 @@
 //! unless a comment says `SPACE=LPS` or `SPACE=RAS`, and their numbers are taken as they are. All lengths are mm.
 
 mod collected;
+mod scene;
 mod slicer;
 mod text;
 mod write;
 
-pub use collected::{PickedPlane, PickedPoints, PickedRoi};
+pub use collected::{PickedList, PickedPoints, PickedRoi};
 pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_csv, write_roi_mrk_json};
 
 use crate::{
@@ -26,6 +28,7 @@ use crate::{
     cut, input,
     kind::{Kind, Probe, TEXT, marked},
     pose_file::is_pose,
+    scene_header::{is_bundle, is_scene},
 };
 use std::path::Path;
 
@@ -67,6 +70,14 @@ pub fn read_picked_points(path: &Path) -> Result<PickedPoints, FileError> {
     parse_picked_points(path, &input::read(path)?)
 }
 
+/// Reads a file of [these formats](self), also a scene that names files beside it.
+///
+/// # Errors
+/// As [`read_picked_points`], or with the file or node of the scene.
+pub fn read_scene(path: &Path) -> Result<PickedPoints, FileError> {
+    if is_scene(&input::head(path, 4096)?) { filled(path, scene::beside(path)?) } else { read_picked_points(path) }
+}
+
 /// The points in the bytes of a file; `path` is used in messages only.
 ///
 /// # Errors
@@ -75,6 +86,16 @@ pub fn read_picked_points(path: &Path) -> Result<PickedPoints, FileError> {
 pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {
     let bytes = without_byte_order_mark(bytes);
     let start = bytes.trim_ascii_start();
+    if is_bundle(bytes) {
+        return filled(path, scene::bundle(path, bytes)?);
+    }
+    if is_scene(bytes) {
+        let shown = path.display();
+        let message = format!(
+            "a scene names further files, which are no part of what is read here; save it as .mrb, or take what osteoflow convert {shown} OUT writes"
+        );
+        return Err(FileError::content(path, "byte 0", message));
+    }
     let other = match start.first() {
         Some(b'{' | b'<') => None,
         _ if is_pose(bytes) => Some(Probe::new(Kind::Pose, "", path)),
@@ -90,6 +111,12 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
         Some(b'#') if slicer::is_fcsv(start) => slicer::fcsv(path, bytes)?,
         _ => text::list(path, bytes)?,
     };
+    picked.notes.extend(open);
+    filled(path, picked)
+}
+
+/// Refuses a file in which nothing is picked.
+fn filled(path: &Path, picked: PickedPoints) -> Result<PickedPoints, FileError> {
     if picked.points.is_empty() && picked.planes.is_empty() && picked.rois.is_empty() {
         let skipped = match picked.n_skipped {
             0 => String::new(),
@@ -97,7 +124,6 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
         };
         return Err(FileError::content(path, "points", format!("there is no point in the file{skipped}")));
     }
-    picked.notes.extend(open);
     Ok(picked)
 }
 

@@ -1,4 +1,4 @@
-//! The surgical plan as JSON, mm, in the CT's coordinates.
+//! The surgical plan as JSON, mm, in the CT's coordinates; also [of what was drawn in 3D Slicer](plan_of_picked).
 //!
 //! ```json
 //! { "units": "mm",
@@ -17,7 +17,15 @@
 //! `proximal`, `lateral` and `posterior` are directions of any length. Every key may be missing, but not all of them; keys that are not
 //! read are noted. `surface` binds the plan to the surface that it was drawn on; one of its keys suffices. A file for several bones has such an object under each bone's name, as [`read_plan_of`] takes it.
 
-use crate::{FileError, input, json};
+mod picked;
+
+pub use picked::{PlanRole, plan_of_picked};
+
+use crate::{
+    FileError, input, json,
+    picked_points::parse_picked_points,
+    scene_header::{is_bundle, is_scene},
+};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Unit, Vector3};
 use osteoflow_geometry::{
     Anatomy, Axes, Corrections, NamedPoint, Plane, Planes, Points, Pose, SurfaceKey, SurgicalPlan, TooFar, direction,
@@ -37,13 +45,35 @@ pub struct PlanRead {
     pub unread: Vec<String>,
 }
 
-/// Reads a plan. Its rotations may be rounded: the nearest ones are taken, and a note says how far they are.
+/// Reads a plan: its own JSON, or markups and scenes of 3D Slicer as [`plan_of_picked`] takes them. Its rotations may be
+/// rounded: the nearest ones are taken, and a note says how far they are.
 ///
 /// # Errors
 /// [`FileError`] naming the key: a unit other than mm, a number that is none, a matrix that mirrors or scales.
 pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
-    let text = input::read_text(path)?;
-    parse_plan(path, &text)
+    let bytes = input::read(path)?;
+    let drawn = |bytes: &[u8]| plan_of_picked(path, &parse_picked_points(path, bytes)?, &[]);
+    if is_bundle(&bytes) || is_scene(&bytes) {
+        return drawn(&bytes);
+    }
+    let text = input::text_of(path, bytes)?;
+    let root = parse_root(path, &text)?;
+    if root.contains_key("markups") && !has_keys(&root) { drawn(text.as_bytes()) } else { noted(path, &root) }
+}
+
+impl PlanRead {
+    /// With what the plan in a file has and this one lacks, see [`SurgicalPlan::completed_by`].
+    ///
+    /// # Errors
+    /// As [`read_plan`].
+    pub fn completed_by(mut self, file: Option<&Path>) -> Result<Self, FileError> {
+        if let Some(file) = file {
+            let other = read_plan(file)?;
+            self.notes.extend(other.notes);
+            self.plan = self.plan.completed_by(other.plan);
+        }
+        Ok(self)
+    }
 }
 
 /// Reads the plan of one bone: from the object under the key `bone` if the file has one, else as [`read_plan`].
@@ -154,7 +184,7 @@ pub(crate) fn is_plan(root: &Map<String, Value>) -> bool {
 fn plan_of(path: &Path, root: &Map<String, Value>) -> Result<PlanRead, FileError> {
     if !has_keys(root) {
         let advice = if root.contains_key("markups") {
-            "these are markups of 3D Slicer, points or planes without their meaning; write them as a plan"
+            "these are markups of 3D Slicer; osteoflow convert makes a plan of them"
         } else {
             "is this a plan?"
         };
@@ -661,7 +691,7 @@ mod tests {
             (json!({"frame": "RAS", "planes": []}), "key \"frame\": a plan is in LPS, found \"RAS\"; negate x and y"),
             (json!({"frame": "world", "planes": []}), "key \"frame\": a plan is in \"ct\" (LPS), found \"world\""),
             (json!({"a": 1}), "the outermost object: none of a plan's keys is there (landmarks, "),
-            (json!({"markups": []}), "these are markups of 3D Slicer, points or planes without their meaning"),
+            (json!({"markups": []}), "these are markups of 3D Slicer; osteoflow convert makes a plan of them"),
             (json!({"landmarks": {"P1": [1, 2]}}), "key \"landmarks.P1\": 3 numbers are expected, found [1,2]"),
             (json!({"landmarks": {"P1": [1, 2, null]}}), "key \"landmarks.P1\": 3 numbers are expected"),
             (json!({"landmarks": [[1, 2, 3]]}), "key \"landmarks\": an object of named points is expected"),

@@ -45,11 +45,15 @@ pub struct PoseRead {
 /// [`FileError`] if the file cannot be read, holds no 16 numbers, or the matrix projects, mirrors, or is farther than
 /// [`ROUNDED_ROTATION`](osteoflow_geometry::ROUNDED_ROTATION) from a rotation.
 pub fn read_pose(path: &Path, unit_mm: f64) -> Result<PoseRead, FileError> {
-    let bytes = input::read(path)?;
-    if let Some(found) = marked(path, &bytes) {
+    parse_pose(path, &input::read(path)?, unit_mm)
+}
+
+/// The motion in the bytes of a file, as [`read_pose`].
+pub(crate) fn parse_pose(path: &Path, bytes: &[u8], unit_mm: f64) -> Result<PoseRead, FileError> {
+    if let Some(found) = marked(path, bytes) {
         return Err(found.refusal(path, "a rigid motion"));
     }
-    let text = std::str::from_utf8(&bytes)
+    let text = std::str::from_utf8(bytes)
         .map_err(|error| fault(path, format!("byte {}", error.valid_up_to()), "no text; a 4 x 4 matrix is expected"))?;
     let text = text.trim_start_matches('\u{feff}');
     let (mut notes, mut stated) = (Vec::new(), Correction::default());

@@ -616,6 +616,15 @@ fn no_damage_to_picked_points_makes_their_reader_panic_or_ask_for_absurd_memory(
     ] {
         files.push(text.into());
     }
+    let scene = "<MRML><MarkupsFiducial id=\"a\" name=\"a\" references=\"storage:b;transform:t;\"/><MarkupsJsonStorage id=\"b\" fileName=\"a\"/>\
+                 <LinearTransform id=\"t\" matrixTransformToParent=\"1 0 0 5 0 1 0 6 0 0 1 7 0 0 0 1\"/></MRML>";
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, bytes) in [("s/s.mrml", scene.as_bytes()), ("s/a", &files[0])] {
+        let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        zip.start_file(name, stored).unwrap();
+        std::io::Write::write_all(&mut zip, bytes).unwrap();
+    }
+    files.push(zip.finish().unwrap().into_inner());
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     for whole in files {
         let name = String::from_utf8_lossy(&whole).into_owned();

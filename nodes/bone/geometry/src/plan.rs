@@ -23,6 +23,21 @@ pub struct SurgicalPlan {
     pub surface: Option<SurfaceKey>,
 }
 
+impl SurgicalPlan {
+    /// With the axes, the anatomy and the poses of markers of another plan, where this one has none.
+    pub fn completed_by(self, other: Self) -> Self {
+        Self {
+            axes: self.axes.or(other.axes),
+            anatomy: self.anatomy.or(other.anatomy),
+            t_phantom_phantom_marker: self.t_phantom_phantom_marker.or(other.t_phantom_phantom_marker),
+            t_camera_camera_marker_nominal: self
+                .t_camera_camera_marker_nominal
+                .or(other.t_camera_camera_marker_nominal),
+            ..self
+        }
+    }
+}
+
 /// What identifies the surface that a plan was drawn on; each part that is there suffices alone.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]

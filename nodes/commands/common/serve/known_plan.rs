@@ -66,7 +66,10 @@ pub(crate) fn made_for(plan: &Plan) -> Option<SurgicalPlan> {
 /// The plan that a node gives.
 fn again(node: &PlanNode) -> Option<SurgicalPlan> {
     match &*node.kind {
-        "plan.file" => Some(read_plan(Path::new(node.params["path"].as_str()?)).ok()?.plan),
+        "plan.file" => {
+            let read = read_plan(Path::new(node.params["path"].as_str()?)).ok()?;
+            Some(read.completed_by(node.params["rest"].as_str().map(Path::new)).ok()?.plan)
+        }
         "plan.simulated" => simulated_plan(&node.params),
         _ => None,
     }

@@ -1,9 +1,9 @@
 //! The content of a file of picked points.
 
 use crate::Space;
-use nalgebra::{Point3, Rotation3, Unit, Vector3};
-use osteoflow_geometry::{Frame, NamedPoint, TooFar};
-use std::{collections::HashSet, sync::Arc};
+use nalgebra::{Isometry3, Point3, Rotation3, Vector3};
+use osteoflow_geometry::{Frame, NamedPoint, Plane, TooFar};
+use std::{collections::HashSet, ops::Range, sync::Arc};
 
 /// The points, planes and boxes of a file; mm, LPS if the file states its space.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,10 +12,12 @@ pub struct PickedPoints {
     pub points: Vec<NamedPoint>,
     /// Whether the file names every point; those without a name are called by their place in the list, from "1" on.
     pub is_named: bool,
-    /// Planes; only Slicer's JSON has them.
-    pub planes: Vec<PickedPlane>,
+    /// Planes, `t_lps_plane`, the plane's own z axis being its normal; only Slicer's JSON has them.
+    pub planes: Vec<Plane>,
     /// Boxes; only Slicer's JSON has them.
     pub rois: Vec<PickedRoi>,
+    /// The lists of points that Slicer's JSON and scenes consist of.
+    pub lists: Vec<PickedList>,
     /// The space that the file states.
     pub space: Space,
     /// The frame that a column `frame` states, as in the files of `output.csv`.
@@ -26,15 +28,17 @@ pub struct PickedPoints {
     pub notes: Vec<String>,
 }
 
-/// A plane by a point on it and its normal.
+/// A list of points of 3D Slicer.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PickedPlane {
-    /// Its name; `plane_1` and so on if the file gives none.
+pub struct PickedList {
+    /// Its name; empty if the file gives none.
     pub name: Arc<str>,
-    /// A point on it, mm.
-    pub origin: Point3<f64>,
-    /// The direction of its normal.
-    pub normal: Unit<Vector3<f64>>,
+    /// `Fiducial`, `Line`, `Curve`, `ClosedCurve` or `Angle`.
+    pub kind: String,
+    /// Number of points that are placed.
+    pub n_points: usize,
+    /// Which of [`points`](PickedPoints::points) are its own; of a scene those of fiducials only.
+    pub points: Range<usize>,
 }
 
 /// A box, in general not along the axes.
@@ -48,6 +52,25 @@ pub struct PickedRoi {
     pub axes: Rotation3<f64>,
     /// Its edges along its axes, mm.
     pub size_mm: Vector3<f64>,
+}
+
+impl PickedPoints {
+    /// Multiplies all lengths, then moves everything.
+    pub fn transformed(mut self, motion: &Isometry3<f64>, scale: f64) -> Self {
+        self.points.iter_mut().for_each(|point| point.position = motion * (point.position * scale));
+        for plane in &mut self.planes {
+            if let Some(mut pose) = plane.isometry().copied() {
+                pose.translation.vector *= scale;
+                *plane = Plane::new(plane.name.clone(), motion * pose);
+            }
+        }
+        for roi in &mut self.rois {
+            roi.center = motion * (roi.center * scale);
+            roi.axes = motion.rotation.to_rotation_matrix() * roi.axes;
+            roi.size_mm *= scale;
+        }
+        self
+    }
 }
 
 /// Points as they are read, with unique names.
@@ -110,7 +133,8 @@ impl Collected {
         }
         let is_named = self.n_unnamed == 0;
         let Self { points, frame, n_skipped, notes, .. } = self;
-        PickedPoints { points, is_named, planes: Vec::new(), rois: Vec::new(), space, frame, n_skipped, notes }
+        let (planes, rois, lists) = Default::default();
+        PickedPoints { points, is_named, planes, rois, lists, space, frame, n_skipped, notes }
     }
 }
 

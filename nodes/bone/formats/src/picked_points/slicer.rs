@@ -1,18 +1,21 @@
 //! Markups of 3D Slicer.
 //!
 //! # Source
-//! The JSON schema "markups-schema-v1.0.3" of 3D Slicer, and its storage nodes for the fields that the schema leaves open:
-//! coordinate system 0 is RAS and 1 is LPS; position status 2 is defined.
+//! The JSON schema "markups-schema-v1.0.3" of 3D Slicer, and its storage nodes for the fields that the schema leaves open, at 583e9b37:
+//! coordinate system 0 is RAS and 1 is LPS; position status 2 is defined; a coded unit is of two or three texts, the second `UCUM`
+//! (`vtkMRMLMarkupsJsonStorageNode.cxx`, `vtkMRMLJsonElement.cxx`). A plane is `baseToNode` times `objectToBase`, in LPS with two
+//! rows of both negated, and `threePoints` span it from the first (`vtkMRMLMarkupsPlaneNode.cxx`). A name is not written; labels
+//! begin with it, by `labelFormat`.
 
-use super::collected::{Collected, PickedPlane, PickedPoints, PickedRoi, to_lps};
+use super::collected::{Collected, PickedList, PickedPoints, PickedRoi, to_lps};
 use crate::{
     FileError, Space,
     columns::{quoted_cells, twice},
     cursor::Cursor,
     json, scalar,
 };
-use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
-use osteoflow_geometry::{TooFar, direction, nearest_isometry};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Rotation3, UnitQuaternion, Vector3, Vector4};
+use osteoflow_geometry::{MM_PER_M, Plane, TooFar, direction, nearest_isometry};
 use serde_json::Value;
 use std::path::Path;
 
@@ -32,6 +35,10 @@ fn space_of(value: &str) -> Result<Space, String> {
     }
 }
 
+/// How far the statements about a plane may be apart, mm and rad: beyond what six digits leave.
+const CONTRADICTION_MM: f64 = 0.01;
+const CONTRADICTION_RAD: f64 = 1e-3;
+
 const UNSTATED: &str = "the file states no coordinate system; its numbers are taken as they are";
 
 /// The markups in a `.mrk.json` file.
@@ -46,10 +53,10 @@ pub(super) fn markups(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileErr
         return Err(fault("markups", "there is no list \"markups\"; is it a markups file of 3D Slicer?"));
     };
     let mut collected = Collected::default();
-    let (mut planes, mut rois) = (Vec::new(), Vec::new());
+    let (mut planes, mut rois, mut lists) = (Vec::new(), Vec::new(), Vec::new());
     let mut spaces: Vec<Space> = Vec::new();
     for (k, markup) in markups.iter().enumerate() {
-        let item = Item { path, place: format!("markups[{k}]"), value: markup };
+        let mut item = Item { path, place: format!("markups[{k}]"), value: markup, unit_mm: 1.0 };
         let space = match markup.get("coordinateSystem") {
             None | Some(Value::Null) => Space::Unknown,
             Some(value) => space_of(&plain(value)).map_err(|message| item.fault("coordinateSystem", message))?,
@@ -62,10 +69,16 @@ pub(super) fn markups(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileErr
             );
         }
         spaces.push(space);
-        item.check_units()?;
+        item.unit_mm = item.stated_unit()?;
+        if item.unit_mm != 1.0 {
+            collected
+                .notes
+                .push(format!("{}: its lengths were multiplied by {}, which gives mm", item.place, item.unit_mm));
+        }
         let kind = markup.get("type").and_then(Value::as_str).unwrap_or_default();
         match kind {
             "Fiducial" | "Line" | "Curve" | "ClosedCurve" | "Angle" => {
+                let begin = collected.points.len();
                 for point in item.control_points()? {
                     match point.position()? {
                         Some(position) => collected
@@ -74,6 +87,9 @@ pub(super) fn markups(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileErr
                         None => collected.n_skipped += 1,
                     }
                 }
+                let points = begin..collected.points.len();
+                let name = item.name()?.unwrap_or_default().into();
+                lists.push(PickedList { name, kind: kind.into(), n_points: points.len(), points });
             }
             "Plane" => match item.plane(space, planes.len(), &mut collected.notes)? {
                 Some(plane) => planes.push(plane),
@@ -87,13 +103,13 @@ pub(super) fn markups(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileErr
         }
     }
     for names in [
-        planes.iter().map(|plane: &PickedPlane| &*plane.name).collect::<Vec<_>>(),
+        planes.iter().map(|plane: &Plane| &*plane.name).collect::<Vec<_>>(),
         rois.iter().map(|roi: &PickedRoi| &*roi.name).collect(),
     ] {
         if let Some((k, name)) = names.iter().enumerate().find(|(k, name)| names[..*k].contains(name)) {
             return Err(fault(
                 "markups",
-                &format!("name \"{name}\" is given twice, at last to plane or ROI {}", k + 1),
+                &format!("name \"{name}\" is given twice, at last to plane or ROI {}; name each once", k + 1),
             ));
         }
     }
@@ -101,7 +117,7 @@ pub(super) fn markups(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileErr
     if space == Space::Unknown && !markups.is_empty() {
         collected.notes.push(UNSTATED.into());
     }
-    Ok(PickedPoints { planes, rois, ..collected.finish(space) })
+    Ok(PickedPoints { planes, rois, lists, ..collected.finish(space) })
 }
 
 /// Text or number as text.
@@ -114,6 +130,8 @@ struct Item<'a> {
     path: &'a Path,
     place: String,
     value: &'a Value,
+    /// The unit of its lengths.
+    unit_mm: f64,
 }
 
 impl<'a> Item<'a> {
@@ -121,15 +139,36 @@ impl<'a> Item<'a> {
         FileError::content(self.path, format!("{}.{key}", self.place), message)
     }
 
-    fn check_units(&self) -> Result<(), FileError> {
-        let units = match self.value.get("coordinateUnits") {
-            None | Some(Value::Null) => return Ok(()),
-            Some(Value::Array(units)) => units.iter().map(plain).collect(),
-            Some(unit) => vec![plain(unit)],
+    /// The unit of length that `coordinateUnits` states, mm: a text, or a code, its scheme and perhaps its meaning.
+    fn stated_unit(&self) -> Result<f64, FileError> {
+        let texts =
+            |list: &Vec<Value>| list.iter().map(|text| text.as_str().map(str::to_owned)).collect::<Option<Vec<_>>>();
+        let unit = match self.value.get("coordinateUnits") {
+            None | Some(Value::Null) => return Ok(1.0),
+            Some(Value::String(unit)) => unit.clone(),
+            Some(Value::Array(list)) => match texts(list).as_deref() {
+                Some([code, scheme] | [code, scheme, _]) if scheme == "UCUM" => code.clone(),
+                _ => {
+                    let message =
+                        format!("{}: a code, \"UCUM\" and a meaning are expected", Value::Array(list.clone()));
+                    return Err(self.fault("coordinateUnits", message));
+                }
+            },
+            Some(other) => {
+                let message = format!("{other}: a text, or a list of code, \"UCUM\" and meaning is expected");
+                return Err(self.fault("coordinateUnits", message));
+            }
         };
-        match units.iter().find(|unit| !matches!(unit.as_str(), "mm" | "millimeter" | "millimetre")) {
-            Some(unit) => Err(self.fault("coordinateUnits", format!("the unit is \"{unit}\"; save the markups in mm"))),
-            None => Ok(()),
+        match unit.as_str() {
+            "mm" | "millimeter" | "millimetre" => Ok(1.0),
+            "um" => Ok(1e-3),
+            "cm" => Ok(10.0),
+            "m" => Ok(MM_PER_M),
+            _ => {
+                let message =
+                    format!("the unit is \"{unit}\", which is none of mm, um, cm and m; save the markups in mm");
+                Err(self.fault("coordinateUnits", message))
+            }
         }
     }
 
@@ -139,7 +178,7 @@ impl<'a> Item<'a> {
             Some(Value::Array(points)) => Ok(points
                 .iter()
                 .enumerate()
-                .map(|(k, value)| Item { path: self.path, place: format!("{}.controlPoints[{k}]", self.place), value })
+                .map(|(k, value)| Item { value, place: format!("{}.controlPoints[{k}]", self.place), ..*self })
                 .collect()),
             Some(_) => Err(self.fault("controlPoints", "a list is expected")),
         }
@@ -159,7 +198,7 @@ impl<'a> Item<'a> {
                 return Err(self.fault("positionStatus", message));
             }
         }
-        self.numbers::<3>("position").map(Some)
+        self.lengths("position").map(Some)
     }
 
     fn numbers<const N: usize>(&self, key: &str) -> Result<[f64; N], FileError> {
@@ -167,20 +206,36 @@ impl<'a> Item<'a> {
         numbers.ok_or_else(|| self.fault(key, format!("{N} finite numbers are expected")))
     }
 
+    /// Three lengths, mm.
+    fn lengths(&self, key: &str) -> Result<[f64; 3], FileError> {
+        Ok(self.numbers(key)?.map(|length: f64| length * self.unit_mm))
+    }
+
     fn has(&self, key: &str) -> bool {
         self.value.get(key).is_some_and(|value| !value.is_null())
     }
 
-    /// The name of a plane or box: its own, or that of its first control point.
-    fn name(&self, otherwise: String) -> Result<String, FileError> {
-        let own = self.value.get("name").and_then(Value::as_str).filter(|name| !name.trim().is_empty());
+    /// Its name: its own, or what the label of its first control point begins with.
+    fn name(&self) -> Result<Option<String>, FileError> {
+        let text = |key: &str| self.value.get(key).and_then(Value::as_str);
+        let own = text("name").filter(|name| !name.trim().is_empty());
         let first = self.control_points()?.first().map(|point| point.label()).filter(|label| !label.trim().is_empty());
-        Ok(own.or(first).map_or(otherwise, |name| name.trim().to_owned()))
+        let before_number = |label: &'a str| match text("labelFormat") {
+            Some("%N-%d") => label.rsplit_once('-').filter(|(_, number)| number.parse::<u64>().is_ok()),
+            _ => None,
+        };
+        Ok(own.or(first.and_then(before_number).map(|(name, _)| name)).map(|name| name.trim().to_owned()))
+    }
+
+    /// The name of a plane or box: its own, or that of its first control point.
+    fn name_or_label(&self, otherwise: String) -> Result<String, FileError> {
+        let first = self.control_points()?.first().map(|point| point.label().trim().to_owned());
+        Ok(self.name()?.or(first.filter(|label| !label.is_empty())).unwrap_or(otherwise))
     }
 
     /// Three coordinates.
     fn place(&self, key: &str, space: Space) -> Result<Point3<f64>, FileError> {
-        let numbers = self.numbers(key)?;
+        let numbers = self.lengths(key)?;
         TooFar::check(&numbers).map_err(|far| self.fault(key, far.to_string()))?;
         Ok(to_lps(numbers, space))
     }
@@ -199,43 +254,93 @@ impl<'a> Item<'a> {
         Ok(nearest.value.rotation.to_rotation_matrix())
     }
 
+    /// A 4 x 4 matrix, its lengths in mm.
+    fn matrix(&self, key: &str) -> Result<Matrix4<f64>, FileError> {
+        let mut matrix = Matrix4::from_row_slice(&self.numbers::<16>(key)?);
+        matrix.fixed_view_mut::<3, 1>(0, 3).scale_mut(self.unit_mm);
+        Ok(matrix)
+    }
+
+    /// The plane's pose by its matrices, in LPS.
+    fn by_matrices(&self, space: Space) -> Result<Isometry3<f64>, FileError> {
+        let turned = Matrix4::from_diagonal(&Vector4::new(-1.0, -1.0, 1.0, 1.0));
+        let base = self.matrix("baseToNode")?;
+        let object = if self.has("objectToBase") { self.matrix("objectToBase")? } else { turned };
+        let pose = if space == Space::Ras { turned * base * object } else { base * turned * object };
+        let nearest = nearest_isometry(&pose).map_err(|error| self.fault("baseToNode", error.to_string()))?;
+        TooFar::check(nearest.value.translation.vector.as_slice())
+            .map_err(|far| self.fault("baseToNode", far.to_string()))?;
+        Ok(nearest.value)
+    }
+
     /// The plane; none if it was not placed.
-    fn plane(&self, space: Space, k: usize, notes: &mut Vec<String>) -> Result<Option<PickedPlane>, FileError> {
-        let name = self.name(format!("plane_{}", k + 1))?.into();
-        let (origin, normal) = if self.has("center") || self.has("origin") {
-            let normal = if self.has("normal") {
-                to_lps(self.numbers("normal")?, space).coords
-            } else {
-                self.axes(space)? * Vector3::z()
-            };
-            (self.center(space)?, normal)
+    fn plane(&self, space: Space, k: usize, notes: &mut Vec<String>) -> Result<Option<Plane>, FileError> {
+        let name = self.name_or_label(format!("plane_{}", k + 1))?;
+        let unit = |key: &str, vector| direction(vector).map_err(|error| self.fault(key, error));
+        let points = self.control_points()?;
+        let positions = points.iter().map(Item::position).collect::<Result<Vec<_>, _>>()?;
+        let defined: Vec<Point3<f64>> = positions.into_iter().flatten().map(|p| to_lps(p, space)).collect();
+        if let Some(far) = defined.iter().find_map(|p| TooFar::check(p.coords.as_slice()).err()) {
+            return Err(self.fault("controlPoints", far.to_string()));
+        }
+        let kind = self.value.get("planeType").and_then(Value::as_str);
+        let is_of_points = kind.is_none_or(|kind| kind == "threePoints");
+        let by_points = match defined[..] {
+            [a, b, c] if is_of_points => Some((a, unit("controlPoints", (b - a).cross(&(c - a)))?)),
+            _ => None,
+        };
+        let by_matrices = if self.has("baseToNode") { Some(self.by_matrices(space)?) } else { None };
+        let axes = if self.has("orientation") { Some(self.axes(space)?) } else { None };
+        let normal = if self.has("normal") {
+            Some(unit("normal", to_lps(self.numbers("normal")?, space).coords)?)
         } else {
-            // Before version 5 a plane was three points.
-            let points = self.control_points()?;
-            let positions = points.iter().map(Item::position).collect::<Result<Vec<_>, _>>()?;
-            let defined: Vec<Point3<f64>> = positions.into_iter().flatten().map(|p| to_lps(p, space)).collect();
-            if let Some(far) = defined.iter().find_map(|p| TooFar::check(p.coords.as_slice()).err()) {
-                return Err(self.fault("controlPoints", far.to_string()));
+            None
+        };
+        let center = if self.has("center") || self.has("origin") { Some(self.center(space)?) } else { None };
+        let rotation = axes.map(UnitQuaternion::from).or(by_matrices.map(|pose| pose.rotation));
+        let stated = normal.or(rotation.map(|rotation| rotation * Vector3::z_axis()));
+        let (origin, normal) = match (center.or(by_matrices.map(|pose| pose * Point3::origin())), stated, by_points) {
+            (Some(origin), Some(normal), _) => (origin, normal),
+            (.., Some(of_points)) => {
+                notes.push(format!("plane \"{name}\" has no normal; it is taken through its three points"));
+                of_points
             }
-            match defined[..] {
-                [] => return Ok(None),
-                [a, b, c] => {
-                    notes.push(format!("plane \"{name}\" has no normal; it is taken through its three points"));
-                    (a, (b - a).cross(&(c - a)))
-                }
-                _ => {
-                    let message =
-                        format!("neither center and normal nor three points are given, but {} points", defined.len());
-                    return Err(self.fault("center", message));
-                }
+            _ if defined.is_empty() && center.is_none() => return Ok(None),
+            _ => {
+                let message =
+                    format!("neither center and normal nor three points are given, but {} points", defined.len());
+                return Err(self.fault("center", message));
             }
         };
-        let normal: Unit<Vector3<f64>> = direction(normal).map_err(|error| self.fault("normal", error))?;
-        Ok(Some(PickedPlane { name, origin, normal }))
+        // What a program reads must not depend on which of the statements it takes.
+        let on_it: &[Point3<f64>] = if is_of_points {
+            &defined
+        } else {
+            &defined[..usize::from(kind == Some("pointNormal")).min(defined.len())]
+        };
+        let others = [by_points, by_matrices.map(|pose| (pose * Point3::origin(), pose * Vector3::z_axis()))];
+        let off = others.iter().flatten().map(|(point, _)| *point).chain(on_it.iter().copied());
+        let off_mm = off.map(|point| (point - origin).dot(&normal).abs()).fold(0.0, f64::max);
+        let other_normals =
+            others.iter().flatten().map(|(_, other)| *other).chain(rotation.map(|r| r * Vector3::z_axis()));
+        let off_rad = other_normals.map(|other| other.angle(&normal)).fold(0.0, f64::max);
+        if off_mm > CONTRADICTION_MM || off_rad > CONTRADICTION_RAD {
+            let message = format!(
+                "center and normal are not those of its matrices, orientation and control points: {off_mm:.3} mm and {:.3} degrees off; \
+                 which is meant? Load it in 3D Slicer, look, and save it again",
+                off_rad.to_degrees()
+            );
+            return Err(self.fault("normal", message));
+        }
+        let leaning = rotation.unwrap_or_else(UnitQuaternion::identity);
+        let z = leaning * Vector3::z();
+        let half_turn = || UnitQuaternion::from_axis_angle(&(leaning * Vector3::x_axis()), std::f64::consts::PI);
+        let rotation = UnitQuaternion::rotation_between(&z, &normal).unwrap_or_else(half_turn) * leaning;
+        Ok(Some(Plane::new(name, Isometry3::from_parts(origin.into(), rotation))))
     }
 
     fn roi(&self, space: Space, k: usize, notes: &mut Vec<String>) -> Result<PickedRoi, FileError> {
-        let name: std::sync::Arc<str> = self.name(format!("roi_{}", k + 1))?.into();
+        let name: std::sync::Arc<str> = self.name_or_label(format!("roi_{}", k + 1))?.into();
         let axes = if self.has("orientation") {
             self.axes(space)?
         } else {

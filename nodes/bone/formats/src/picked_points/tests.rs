@@ -1,7 +1,7 @@
 use super::*;
 use crate::Space;
 use nalgebra::{Point3, Rotation3, Vector3};
-use osteoflow_geometry::NamedPoint;
+use osteoflow_geometry::{NamedPoint, Plane};
 
 fn read(text: &str) -> Result<PickedPoints, FileError> {
     parse_picked_points("a.file".as_ref(), text.as_bytes())
@@ -17,6 +17,10 @@ fn named(content: &PickedPoints) -> Vec<(&str, [f64; 3])> {
 
 fn markups(inner: &str) -> String {
     format!(r#"{{"markups":[{{{inner}}}]}}"#)
+}
+
+fn at(plane: &Plane) -> Point3<f64> {
+    plane.isometry().unwrap() * Point3::origin()
 }
 
 const TWO: [(&str, [f64; 3]); 2] = [("P1", [1.0, 2.5, -3.0]), ("P 2", [4.0, 5.0, 6.0])];
@@ -97,20 +101,20 @@ fn points_that_are_not_placed_or_inactive_are_passed_over_and_counted() {
 #[test]
 fn planes_and_boxes_are_read_and_turned_to_lps() {
     let text = markups(
-        r#""type":"Plane","name":"cut","coordinateSystem":"RAS","coordinateUnits":["mm","mm","mm"],
+        r#""type":"Plane","name":"cut","coordinateSystem":"RAS","coordinateUnits":["mm","UCUM","millimeter"],
            "center":[1,2,3],"normal":[0,2,0],"controlPoints":[{"label":"a","position":[1,2,3]}]"#,
     );
     let content = read(&text).unwrap();
     assert_eq!(content.points, []);
     let plane = &content.planes[0];
-    assert_eq!((&*plane.name, plane.origin), ("cut", Point3::new(-1.0, -2.0, 3.0)));
-    assert_eq!(plane.normal.into_inner(), -Vector3::y());
+    assert_eq!((&*plane.name, at(plane)), ("cut", Point3::new(-1.0, -2.0, 3.0)));
+    assert!((plane.normal().unwrap() + Vector3::y()).norm() < 1e-12);
     let text = markups(
         r#""type":"Plane","coordinateSystem":"LPS","controlPoints":[{"label":"a","position":[0,0,5]},
            {"label":"b","position":[1,0,5]},{"label":"c","position":[0,1,5]}]"#,
     );
     let content = read(&text).unwrap();
-    assert_eq!((&*content.planes[0].name, content.planes[0].normal.into_inner()), ("a", Vector3::z()));
+    assert_eq!((&*content.planes[0].name, content.planes[0].normal()), ("a", Some(Vector3::z())));
     assert_eq!(content.notes, ["plane \"a\" has no normal; it is taken through its three points"]);
     let text = markups(
         r#""type":"ROI","roiType":"Box","coordinateSystem":"RAS","center":[1,2,3],"size":[10,20,30],
@@ -132,8 +136,8 @@ fn a_broken_file_says_where_and_why() {
     for (text, expected) in [
         (fiducial(r#""coordinateSystem":"LAS""#), "markups[0].coordinateSystem: \"LAS\" is no coordinate system"),
         (
-            fiducial(r#""coordinateUnits":"cm""#),
-            "markups[0].coordinateUnits: the unit is \"cm\"; save the markups in mm",
+            fiducial(r#""coordinateUnits":"in""#),
+            "markups[0].coordinateUnits: the unit is \"in\", which is none of mm, um, cm and m; save the markups in mm",
         ),
         (
             fiducial(r#""controlPoints":[{"label":"a","position":[1,2]}]"#),

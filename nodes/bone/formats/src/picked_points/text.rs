@@ -10,7 +10,7 @@ use crate::{
 use std::path::Path;
 
 /// The most elements of an XML file that are read.
-const MOST_NODES: u32 = 1 << 20;
+pub(super) const MOST_NODES: u32 = 1 << 20;
 
 /// The points in a `.pp` file of MeshLab.
 pub(super) fn meshlab(path: &Path, bytes: &[u8]) -> Result<PickedPoints, FileError> {

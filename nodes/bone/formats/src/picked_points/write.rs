@@ -1,7 +1,7 @@
 //! Lists of points for other programs.
 
 use crate::{FileError, Space, write::NOTICE};
-use nalgebra::{Isometry3, Matrix4, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4};
 use osteoflow_geometry::NamedPoint;
 use serde_json::{Value, json};
 use std::{fmt::Write as _, path::Path, sync::Arc};
@@ -69,6 +69,10 @@ const PLANE_MM: f64 = 50.0;
 
 /// Writes planes, by name and pose, as plane markups of 3D Slicer in JSON; mm, LPS. A plane's own z axis is its normal.
 ///
+/// # Source
+/// `vtkMRMLMarkupsPlaneJsonStorageNode.cxx` of 3D Slicer at 583e9b37: `size` has three numbers, and the first two rows of both
+/// matrices change their sign in LPS, so that an `objectToBase` of no effect is -1, -1, 1, 1 in an LPS file.
+///
 /// # Errors
 /// [`FileError`] if the file cannot be written.
 pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)]) -> Result<(), FileError> {
@@ -84,10 +88,10 @@ pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)])
             "autoScalingSizeFactor": 1.0,
             "center": center,
             "normal": (pose.rotation * Vector3::z()).as_slice(),
-            "objectToBase": rows(&Matrix4::identity()),
+            "objectToBase": rows(&Matrix4::from_diagonal(&Vector4::new(-1.0, -1.0, 1.0, 1.0))),
             "baseToNode": rows(&pose.to_homogeneous()),
             "orientation": rotation,
-            "size": [PLANE_MM, PLANE_MM],
+            "size": [PLANE_MM, PLANE_MM, 0.0],
             "planeBounds": [-half, half, -half, half],
             "controlPoints": [control_point(1, name, json!({ "position": center, "orientation": rotation }))],
         });

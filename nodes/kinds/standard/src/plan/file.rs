@@ -6,7 +6,8 @@ use crate::moved::Moved;
 use osteoflow_formats::plan_file::read_plan;
 use osteoflow_node::{Context, Describe, FilePath, NodeError, params, schemars::JsonSchema, serde::Deserialize};
 
-/// A surgical plan from a JSON file, in millimetres and the CT frame.
+/// A surgical plan from a file, in millimetres and the CT frame: JSON, or planes and points of 3D Slicer (`.mrb`, `.mrk.json`), as
+/// `osteoflow convert` makes a plan of them.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "plan.file"
@@ -23,6 +24,8 @@ pub struct Params {
     /// Whether you have looked at plan and surface together and found that they belong to each other. The verdict then takes a
     /// shift of all landmarks for aiming, as with a plan that is bound to its surface (its key `surface`), and says so.
     pub confirm: bool,
+    /// A plan that has what `path` lacks of axes, anatomy and poses of markers, which 3D Slicer does not draw. Default: `path` has all.
+    pub rest: Option<FilePath>,
     /// The plan that the procedure was made for, if it is another one than `path`, as after a change on the page: assessment points
     /// that are elsewhere now were not touched where they are planned, so their measurements are left out, and the truths of a
     /// simulation are taken from its true registration; landmarks that are elsewhere now were located where they were planned then,
@@ -36,7 +39,8 @@ impl Constant for File {
     type Outputs = Out;
 
     fn read(params: &Params, ctx: &mut Context) -> Result<Out, NodeError> {
-        let mut read = read_plan(params.path.as_ref())?;
+        let rest = params.rest.as_ref().map(AsRef::as_ref);
+        let mut read = read_plan(params.path.as_ref())?.completed_by(rest)?;
         read.notes.into_iter().for_each(|note| ctx.warn(note));
         if read.plan.planes.planes.is_empty() {
             ctx.warn(format!("{}: the plan has no planes, so no cut can be shown", params.path.0.display()));
