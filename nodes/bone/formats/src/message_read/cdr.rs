@@ -9,7 +9,10 @@
 use super::{Encoded, MessageError, no_such};
 use crate::{
     foxglove_json::{JsonPose, JsonPoseInFrame, JsonTransform, Time},
-    ros2::{NUMERIC_TYPES, PointCloud2, PoseStamped, TransformStamped},
+    ros2::{
+        NUMERIC_TYPES, ODOMETRY, Odometry, POSE_WITH_COVARIANCE, PointCloud2, PoseStamped, PoseWithCovariance,
+        TransformStamped,
+    },
 };
 use bytes::Bytes;
 use foxglove::messages::{PackedElementField, PointCloud, Quaternion, Vector3, packed_element_field::NumericType};
@@ -58,14 +61,20 @@ pub(super) fn transforms(message: &Encoded) -> Result<Vec<JsonTransform>, Messag
     Ok(read.into_iter().map(JsonTransform::from).collect())
 }
 
-/// The transform of a `geometry_msgs/msg/TransformStamped`.
+/// The transform of a `geometry_msgs/msg/TransformStamped`, or of the pose of a `nav_msgs/msg/Odometry`.
 pub(super) fn transform(message: &Encoded) -> Result<JsonTransform, MessageError> {
-    Ok(decode::<TransformStamped>(message)?.into())
+    Ok(match message.schema_name {
+        ODOMETRY => decode::<Odometry>(message)?.pose.into(),
+        _ => decode::<TransformStamped>(message)?.into(),
+    })
 }
 
-/// The pose of a `geometry_msgs/msg/PoseStamped`.
+/// The pose of a `geometry_msgs/msg/PoseStamped` or `PoseWithCovarianceStamped`.
 pub(super) fn pose(message: &Encoded) -> Result<JsonPoseInFrame, MessageError> {
-    let read: PoseStamped = decode(message)?;
+    let read: PoseStamped = match message.schema_name {
+        POSE_WITH_COVARIANCE => decode::<PoseWithCovariance>(message)?.pose,
+        _ => decode(message)?,
+    };
     let pose = JsonPose { position: vector(read.position), orientation: quaternion(read.orientation) };
     Ok(JsonPoseInFrame {
         timestamp: Time::from(read.header.stamp.timestamp()),
