@@ -164,3 +164,23 @@ impl Numbers {
         Ok(Intrinsics::pinhole(fx, fy, cx, cy))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intrinsics_of_images_of_another_size_are_refused_with_the_factor() {
+        let check = |size, cx, cy| check_size(size, &Intrinsics::pinhole(600.0, 600.0, cx, cy));
+        for (cx, cy) in [(320.0, 240.0), (300.0, 260.0), (420.0, 180.0), (200.0, 240.0)] {
+            assert_eq!(check([640, 480], cx, cy), Ok(()), "{cx} {cy}");
+        }
+        for (cx, cy, factor) in [(640.0, 480.0, "2.00"), (160.0, 120.0, "0.50"), (480.0, 362.0, "1.50")] {
+            let said = check([640, 480], cx, cy).unwrap_err();
+            assert!(
+                said.contains("images have 640 x 480 pixels") && said.contains(&format!("about {factor} times")),
+                "{said}"
+            );
+        }
+    }
+}

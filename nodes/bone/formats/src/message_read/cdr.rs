@@ -235,6 +235,26 @@ mod tests {
     }
 
     #[test]
+    fn poses_with_covariance_are_those_without() {
+        let covariance = [[7.0; 6]; 6];
+        let odometry =
+            Odometry { pose: transform_to("base", 1.0), covariance, twist: [9.0; 6], twist_covariance: covariance };
+        let bytes = little(&odometry);
+        let read = read_transforms(message(ODOMETRY, bytes.clone())).unwrap();
+        let [Ok(pose)] = &read[..] else { panic!("{read:?}") };
+        assert_eq!((pose.value.to.as_str(), pose.value.from.as_str()), ("world", "base"));
+        assert!((pose.value.isometry.translation.vector - nalgebra::Vector3::new(100.0, 200.0, 300.0)).norm() < 1e-9);
+        // What follows the pose is part of the message: a shorter one is damaged.
+        assert!(read_transforms(message(ODOMETRY, bytes[..bytes.len() - 8].to_vec())).is_err());
+        assert!(read_transforms(message(TRANSFORM_STAMPED, bytes)).is_err(), "another schema");
+        let position =
+            PoseStamped { header: header("map"), position: [1.0, 2.0, 3.0], orientation: [0.0, 0.0, 0.0, 1.0] };
+        let whole = little(&PoseWithCovariance { pose: position, covariance });
+        let tip = read_pose_in_frame(message(POSE_WITH_COVARIANCE, whole)).unwrap();
+        assert_eq!((tip.frame.as_str(), tip.position.z), ("map", 3000.0));
+    }
+
+    #[test]
     fn a_quaternion_of_zeros_is_a_marker_that_was_not_seen() {
         let both = message(TF_MESSAGE, little(&vec![transform_to("a", 1.0), transform_to("b", 0.0)]));
         let read = read_transforms(both).unwrap();
