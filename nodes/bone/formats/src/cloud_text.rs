@@ -29,7 +29,12 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let cursor = Cursor::text(path, bytes)?;
     // Only the count of points may precede a heading.
     let is_count = |(row, _): &Row| row.parse::<usize>().is_ok();
-    let mut lines = Lines::read(cursor, |_| false, |names, rows| is_heading(names) && rows.iter().all(is_count))?;
+    // A value that Excel has not is no comment.
+    let mut lines = Lines::read(
+        cursor,
+        |comment| comment.starts_with("N/A"),
+        |names, rows| is_heading(names) && rows.iter().all(is_count),
+    )?;
     let mut stated = std::mem::take(&mut lines.stated);
     let Head { rows, heading, count } = Head::of(&lines);
     let Some((first, first_line)) = rows.first() else {

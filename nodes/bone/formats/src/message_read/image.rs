@@ -298,7 +298,7 @@ mod tests {
         assert!((tenths.cloud.points()[0].z - 20.0).abs() < 1e-12);
         let zeros = depth(&raw("16UC1", 8, [0_u16, 1, 0, 1, 0, 1, 0, 1].map(u16::to_le_bytes).concat()), None).unwrap();
         assert_eq!(zeros.cloud.len(), 4, "a depth of 0 is none");
-        let floats = |values: [f32; 8]| raw("32FC1", 8, values.map(f32::to_le_bytes).concat());
+        let floats = |values: [f32; 8]| raw("32FC1", 16, values.map(f32::to_le_bytes).concat());
         let in_mm = floats([0.0, 300.0, 812.0, 3000.0, 500.0, 0.0, 700.0, f32::NAN]);
         let said = depth(&in_mm, None).unwrap_err().to_string();
         assert!(said.contains("mostly beyond 100 m") && said.contains("give depth_unit_mm = 1"), "{said}");
