@@ -135,7 +135,8 @@ impl StatedSpace {
     pub(crate) fn check_unit(&self, unit_mm: f64) -> Result<(), String> {
         match &self.unit {
             Some((text, stated_mm)) if !is_same(*stated_mm, unit_mm) => Err(format!(
-                "the file states {text}, but is read in units of {unit_mm} mm; give unit_mm = {stated_mm} (register: --unit-mm, convert: --scale)"
+                "the file states {text}, but is read in units of {unit_mm} mm; give unit_mm = {stated_mm} (register: --unit-mm, convert: --scale times {})",
+                stated_mm / unit_mm
             )),
             _ => Ok(()),
         }
@@ -186,6 +187,30 @@ mod tests {
         assert_eq!(of("COLORSPACE=RAS, SPACED"), Ok((Space::Unknown, false)));
         assert_eq!(of("SPACE=scanner"), Ok((Space::Unknown, true)));
         assert_eq!(of("SPACE=RAS SPACE=LPS"), Err("SPACE=LPS contradicts SPACE=RAS before it".into()));
+    }
+
+    #[test]
+    fn comments_of_logs_and_matrices_state_their_unit_wherever_they_begin() {
+        let check = |text: &str, unit_mm| {
+            check_comments("a.txt".as_ref(), text.as_bytes(), unit_mm).map_err(|error| error.to_string())
+        };
+        for text in ["time,Tx,Tx#2,x y\n1,2,3,4\n", "# poses of a tool\n1 2 3\n", "# units: mm\n1 2 3 # unit: mm\n", ""]
+        {
+            assert_eq!(check(text, 1.0), Ok(()), "{text}");
+        }
+        for (text, place) in [
+            ("# units: m\n1 2 3\n", "line 1: the file states units: m,"),
+            ("1 0 0 10 # units: m\n", "line 1: the file states units: m,"),
+            ("\n// Units: inches\n1 2 3\n", "line 2: the file states Units: inches,"),
+            ("% 1 unit = 10 mm\n1 2 3\n", "line 1: the file states 1 unit=10 mm,"),
+            ("# units: mm\n# units: m\n", "line 2: units: m contradicts units: mm before it"),
+            ("# units: lightyears\n", "line 1: the file states units=lightyears, which is not mm"),
+        ] {
+            let said = check(text, 1.0).unwrap_err();
+            assert!(said.starts_with(&format!("a.txt: {place}")), "{said}");
+        }
+        let said = check("# units: mm\n1 2 3 4\n", 1000.0).unwrap_err();
+        assert!(said.ends_with("give unit_mm = 1 (register: --unit-mm, convert: --scale times 0.001)"), "{said}");
     }
 
     #[test]
