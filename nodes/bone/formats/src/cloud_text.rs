@@ -2,16 +2,13 @@
 
 use crate::{
     FileError,
-    columns::{Heading, Lines, Row, Split, axes, has_words, heading_names, name_axes, place, twice},
+    columns::{Heading, Lines, Row, Split, axes, has_words, heading_names, is_missing, name_axes, place, twice},
     cursor::Cursor,
     scalar,
-    shape::{Places, Shape, normal_columns},
+    shape::{Places, Shape, UNIT, normal_columns},
 };
 use nalgebra::Vector3;
 use std::path::Path;
-
-/// Lengths of unit normals written with few digits.
-const UNIT: std::ops::Range<f64> = 0.99..1.01;
 
 /// Reads points from a text of one point a line.
 ///
@@ -19,7 +16,9 @@ const UNIT: std::ops::Range<f64> = 0.99..1.01;
 /// If the first line holds words, or a comment before it is `# x y z` or `//X,Y,Z`, they name the columns: `x`, `y`, `z`,
 /// and optionally `nx`, `ny`, `nz`, in any order and case. Otherwise the first three columns are the coordinates, and three
 /// more are the normals if each is of unit length. Further columns of numbers are kept, under their name or as `column_4`;
-/// columns of words are left out with a note. Without a heading a first of four or more columns that counts the lines is an index.
+/// columns of words are left out with a note, and so are columns without a name, as of row names that pandas and R write, also where R
+/// leaves them out of the heading. Without a heading a first of four or more columns that counts the lines is an index. Cells that are
+/// empty, `NA`, `N/A` or `null` are NaN.
 /// `x_mm` and the like state the unit. A first line of a single number is the count of points, as in PTS, and is
 /// checked. Blank lines and lines that begin with `#` or `//` are passed over, but for a `SPACE=` in them. `O(n)`.
 ///
@@ -30,7 +29,12 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let cursor = Cursor::text(path, bytes)?;
     // Only the count of points may precede a heading.
     let is_count = |(row, _): &Row| row.parse::<usize>().is_ok();
-    let mut lines = Lines::read(cursor, |_| false, |names, rows| is_heading(names) && rows.iter().all(is_count))?;
+    // A value that Excel has not is no comment.
+    let mut lines = Lines::read(
+        cursor,
+        |comment| comment.starts_with("N/A"),
+        |names, rows| is_heading(names) && rows.iter().all(is_count),
+    )?;
     let mut stated = std::mem::take(&mut lines.stated);
     let Head { rows, heading, count } = Head::of(&lines);
     let Some((first, first_line)) = rows.first() else {
@@ -42,8 +46,13 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let index = if heading.is_none() { index_note(rows, &split) } else { None };
     let unnamed = || unnamed(cells.len(), *first_line, usize::from(index.is_some()));
     let (has_heading, (mut names, line)) = (heading.is_some(), heading.unwrap_or_else(unnamed));
+    if has_heading && names.len() + 1 == cells.len() && has_row_names(rows, &split) {
+        names.insert(0, String::new());
+    }
     name_axes(&mut names, &mut stated).map_err(|message| cursor.fault_at(line, message))?;
-    twice(&names, str::eq_ignore_ascii_case).map_err(|message| cursor.fault_at(line, message))?;
+    name_colours(&mut names);
+    let is_same = |a: &str, b: &str| !a.is_empty() && a.eq_ignore_ascii_case(b);
+    twice(&names, is_same).map_err(|message| cursor.fault_at(line, message))?;
     if names.len() != cells.len() {
         let comma = decimal_commas(names.len(), cells.len());
         let message =
@@ -65,9 +74,12 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         return Err(cursor.fault_at(line, message));
     }
     let (mut notes, mut named) = (Vec::from_iter(index), Vec::new());
-    for (name, column) in names.into_iter().zip(columns) {
+    for (k, (name, column)) in names.into_iter().zip(columns).enumerate() {
         match column.word {
             None if name == INDEX => {}
+            _ if is_unnamed(&name) => {
+                notes.push(format!("column {} has no name, as the row names of pandas and R, and was left out", k + 1));
+            }
             None => named.push((name, column.values)),
             Some((word, line)) => {
                 notes.push(format!("column \"{name}\" holds words (\"{word}\" on line {line}) and was left out"));
@@ -78,6 +90,11 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         let is_axis = |(name, _): &(String, Vec<f64>)| name.eq_ignore_ascii_case(axis);
         named.iter().position(is_axis).expect("coordinates are numbers")
     });
+    if !has_heading && colours_may_be_first(&named) {
+        let message = "the first three columns may be colours, and the next three coordinates; name the columns in a first line: \
+                       red green blue x y z, or x y z and names of the others";
+        return Err(cursor.fault_at(*first_line, message));
+    }
     if !has_heading && named.len() == 6 {
         let is_unit = |k: usize| UNIT.contains(&Vector3::new(named[3].1[k], named[4].1[k], named[5].1[k]).norm());
         if (0..rows.len()).filter(|&k| named[..3].iter().all(|(_, c)| c[k].is_finite())).all(is_unit) {
@@ -94,7 +111,7 @@ pub(crate) fn begins_with_points(bytes: &[u8]) -> bool {
     let of_points = |line: &str| {
         let names = heading_names(line.trim_start_matches(['#', '/']).trim());
         let words = line.split([' ', '\t', ',', ';']).filter(|word| !word.is_empty()).take(3);
-        let n_numbers = words.filter(|word| scalar::number(word.trim()).is_some()).count();
+        let n_numbers = words.filter(|word| scalar::number(word.trim()).is_some() || is_missing(word.trim())).count();
         n_numbers == 3 || ["x", "y", "z"].iter().all(|axis| place(&names, axis).is_some())
     };
     text.lines().any(of_points)
@@ -169,10 +186,44 @@ fn index_note(rows: &[Row], split: &Split) -> Option<String> {
     })
 }
 
+/// Whether rows that have one cell more than the heading begin with names of rows, as R writes them: in quotes, or as a count.
+fn has_row_names(rows: &[Row], split: &Split) -> bool {
+    rows.iter().all(|(row, _)| row.starts_with('"')) || index_note(rows, split).is_some()
+}
+
+/// Whether a column has no name, or the one that pandas gives to such.
+fn is_unnamed(name: &str) -> bool {
+    name.is_empty() || name.starts_with("Unnamed: ")
+}
+
+/// Calls columns of colours by their names in other formats.
+fn name_colours(names: &mut [String]) {
+    for short in [["r", "g", "b"], ["rf", "gf", "bf"]] {
+        let places = short.map(|name| names.iter().position(|other| other.eq_ignore_ascii_case(name)));
+        let ([Some(r), Some(g), Some(b)], None) = (places, place(names, "red")) else { continue };
+        for (k, name) in [(r, "red"), (g, "green"), (b, "blue")] {
+            names[k] = name.into();
+        }
+    }
+}
+
+/// Whether the first three of six or seven unnamed columns look like colours (whole numbers up to 255, or numbers from 0 to 1), and the
+/// next three like neither colours nor unit normals.
+fn colours_may_be_first(columns: &[(String, Vec<f64>)]) -> bool {
+    let finite = |k: usize| columns[k].1.iter().copied().filter(|value| value.is_finite());
+    let are = |is_it: fn(f64) -> bool, from: usize| (from..from + 3).all(|k| finite(k).all(is_it));
+    let is_byte = |value: f64| value.fract() == 0.0 && (0.0..=255.0).contains(&value);
+    let is_share = |value: f64| (0.0..=1.0).contains(&value);
+    matches!(columns.len(), 6 | 7)
+        && (3..6).all(|k| finite(k).any(|value| value.fract() != 0.0))
+        && (are(is_byte, 0) || are(is_share, 0))
+        && !are(|value| value.abs() <= 1.0, 3)
+}
+
 /// Whether names are those of columns: x, y and z come first, alone or with further words.
 pub(crate) fn is_heading(names: &[String]) -> bool {
-    let first = &names[..names.len().min(3)];
-    ["x", "y", "z"].iter().all(|axis| place(first, axis).is_some())
+    let first = names.iter().skip_while(|name| is_unnamed(name)).take(3).cloned().collect::<Vec<_>>();
+    ["x", "y", "z"].iter().all(|axis| place(&first, axis).is_some())
 }
 
 /// A column as it is read.
@@ -202,7 +253,7 @@ fn columns(
         for (k, (cell, column)) in cells.iter().zip(&mut columns).enumerate() {
             let value = match split.number(cell) {
                 Some(value) => value,
-                None if cell.is_empty() && !is_needed(k) => f64::NAN,
+                None if is_missing(cell) => f64::NAN,
                 None if is_needed(k) || !has_heading => {
                     let message = format!("\"{cell}\" is not a number{}", split.advice(cell));
                     return Err(cursor.fault_at(*line, message));
@@ -316,6 +367,97 @@ mod tests {
         let content = read("2\n1 2 3 -500 10 20 30\n1 2 3 -600 11 21 31\n").unwrap();
         assert_eq!(extra(&content.cloud, 0), ("column_4", &[-500.0, -600.0][..]));
         assert_eq!(content.cloud.extras().len(), 4);
+    }
+
+    #[test]
+    fn row_names_of_pandas_and_r_are_left_out() {
+        let expected = [Point3::new(1.5, 2.5, -3.5), Point3::new(4.5, 5.5, 6.5), Point3::new(7.5, 8.5, 9.5)];
+        let rows = |begin: [&str; 3], separator: &str| {
+            let row = |(begin, p): (&str, &Point3<f64>)| format!("{begin},{},{},{}\n", p.x, p.y, p.z);
+            begin.into_iter().zip(&expected).map(row).collect::<String>().replace(',', separator)
+        };
+        let quoted = ["\"1\"", "\"2\"", "\"3\""];
+        for text in [
+            String::from(",x,y,z\n") + &rows(["0", "1", "2"], ","),
+            String::from("Unnamed: 0,x,y,z\n") + &rows(["0", "5", "7"], ","),
+            String::from("\"\",\"x\",\"y\",\"z\"\n") + &rows(quoted, ","),
+            String::from("\"\";\"x\";\"y\";\"z\"\n") + &rows(["\"a\"", "\"b\"", "\"c\""], ";"),
+            String::from("\"x\" \"y\" \"z\"\n") + &rows(quoted, " "),
+            String::from("\"x\"\t\"y\"\t\"z\"\n") + &rows(["\"a\"", "\"b\"", "\"c\""], "\t"),
+            String::from("x y z\n") + &rows(["1", "2", "3"], " "),
+        ] {
+            let read = read(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_eq!(read.cloud.points(), expected, "{text}");
+            assert_eq!(
+                read.notes,
+                ["column 1 has no name, as the row names of pandas and R, and was left out"],
+                "{text}"
+            );
+            assert!(read.cloud.extras().is_empty(), "{text}");
+            let probe = crate::probe::of("a.csv".as_ref(), text.as_bytes()).unwrap();
+            assert_eq!(probe.kind, crate::probe::Kind::Cloud, "{text}");
+        }
+        // A further value is no row name.
+        for text in ["x,y,z\n1.5,2,3,4\n2.5,2,3,4\n3.5,2,3,4\n", "x,y,z\n3,2.5,3.5,4.5\n4,2.5,3.5,4.5\n5,2.5,3.5,4.5\n"]
+        {
+            assert!(read(text).unwrap_err().to_string().contains("names 3 columns, this line has 4"), "{text}");
+        }
+    }
+
+    #[test]
+    fn values_that_are_missing_leave_their_row_out() {
+        for word in ["NA", "N/A", "nan", "null", "NULL", "", "#N/A", "<NA>", "None", "NaN"] {
+            for separator in [",", ";", "\t", " "] {
+                // Blanks alone are a blank line.
+                if word.is_empty() && [" ", "\t"].contains(&separator) {
+                    continue;
+                }
+                for missing in [format!("{word},{word},{word}"), format!("1.5,{word},2.5")] {
+                    for heading in ["x,y,z\n", ""] {
+                        let text = format!("{heading}4.5,5.5,6.5\n{missing}\n7.5,8.5,9.5\n").replace(',', separator);
+                        let read = read(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+                        assert_eq!((read.n_points_in_file, read.n_dropped), (3, 1), "{text}");
+                        assert_eq!(read.cloud.points()[1], Point3::new(7.5, 8.5, 9.5), "{text}");
+                    }
+                }
+            }
+        }
+        let first = read("NA NA NA\n1 2 3\n").unwrap();
+        assert_eq!((first.n_dropped, first.cloud.len()), (1, 1), "no heading");
+        let labelled = read("x,y,z,nx,ny,nz,part\n1,2,3,0,0,1,bone\n4,5,6,0,0,1,skin\n").unwrap();
+        assert_eq!(labelled.cloud.normals().unwrap(), [Vector3::z(); 2]);
+        assert_eq!(labelled.notes, ["column \"part\" holds words (\"bone\" on line 2) and was left out"]);
+    }
+
+    #[test]
+    fn colours_before_coordinates_are_asked_about_and_named_ones_are_colours() {
+        for text in [
+            "255 0 128 10.5 20.25 30.75\n254 3 120 11.5 21.25 31.75\n",
+            "1,0,0.5,10.5,20.25,30.75\n0.25,0,0.5,11.5,21.25,31.75\n",
+            "255 0 128 10.5 20.25 30.75 9\n254 3 120 11.5 21.25 31.75 8\n",
+        ] {
+            let said = read(text).unwrap_err().to_string();
+            assert!(
+                said.contains("line 1: the first three columns may be colours")
+                    && said.contains("red green blue x y z"),
+                "{said}"
+            );
+        }
+        for text in [
+            "10.5 20.25 30.75 255 0 128\n11.5 21.25 31.75 254 3 120\n",
+            "//X;Y;Z;R;G;B\n10.5;20.25;30.75;255;0;128\n11.5;21.25;31.75;254;3;120\n",
+            "red green blue x y z\n255 0 128 10.5 20.25 30.75\n254 3 120 11.5 21.25 31.75\n",
+            "//X,Y,Z,Rf,Gf,Bf\n10.5,20.25,30.75,1,0,0.50196\n11.5,21.25,31.75,0.99608,0.011765,0.470588\n",
+        ] {
+            let read = read(text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_eq!(read.cloud.points()[1], Point3::new(11.5, 21.25, 31.75), "{text}");
+            let colours: Vec<_> = read.cloud.extras().iter().map(|(_, values)| values[1]).collect();
+            assert_eq!(colours, [254.0, 3.0, 120.0], "{text}");
+            let is_named = read.cloud.extras()[0].0.as_ref() == "red";
+            assert_eq!(is_named, text.contains(['R', 'r']), "{text}");
+        }
+        // Whole coordinates beside normals are no colours.
+        assert_eq!(read("1 2 3 0.6 0 0.8\n4 5 6 0 0.6 0.8\n").unwrap().cloud.normals().unwrap().len(), 2);
     }
 
     #[test]

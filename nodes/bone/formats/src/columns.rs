@@ -1,6 +1,6 @@
 //! Columns of numbers in a text: their rows, their heading, and how a line is cut into cells.
 
-use crate::{FileError, cursor::Cursor, scalar, space::StatedSpace};
+use crate::{FileError, cursor::Cursor, scalar, space::StatedSpace, unit};
 use std::borrow::Cow;
 
 /// Number of rows that are looked at to tell a separator from a decimal comma.
@@ -81,8 +81,9 @@ pub(crate) fn quoted_cells(line: &str, separator: char) -> Vec<String> {
 /// The axis and the unit of a name such as `x_mm`, `X [m]` or `z(mm)`.
 fn axis_and_unit(name: &str) -> Option<(&str, &str)> {
     let (axis, unit) = name.split_at_checked(1)?;
-    let unit = unit.trim_matches([' ', '_', '[', ']', '(', ')']);
-    (["mm", "cm", "m", "um"].contains(&unit) && !unit.is_empty()).then_some((axis, unit))
+    let bare = unit.trim_matches([' ', '_', '[', ']', '(', ')']);
+    let is_apart = bare.len() < unit.len() || ["mm", "cm", "m", "um"].contains(&bare);
+    (is_apart && unit::length_mm(bare).is_some()).then_some((axis, bare))
 }
 
 /// Calls columns with a unit in their names, such as `x_mm`, by their axes, and takes that unit for stated.
@@ -139,7 +140,12 @@ pub(crate) fn heading_names(heading: &str) -> Vec<String> {
 
 pub(crate) fn has_words(line: &str) -> bool {
     let is_separator = |c: char| c.is_whitespace() || c == ',' || c == ';';
-    line.split(is_separator).filter(|word| !word.is_empty()).any(|word| scalar::number(word).is_none())
+    line.split(is_separator).filter(|word| !is_missing(word)).any(|word| scalar::number(word).is_none())
+}
+
+/// Whether a cell stands for a value that is not there, as pandas, R, Excel and SQL write it.
+pub(crate) fn is_missing(cell: &str) -> bool {
+    ["", "na", "n/a", "#n/a", "<na>", "null", "none", "nan"].iter().any(|word| cell.eq_ignore_ascii_case(word))
 }
 
 /// How lines are cut into numbers.
@@ -210,7 +216,7 @@ impl Split {
     pub(crate) fn cells<'a>(&self, line: &'a str, cells: &mut Vec<&'a str>) {
         cells.clear();
         let Some(separator) = self.separator else {
-            cells.extend(line.split_ascii_whitespace());
+            cells.extend(line.split_ascii_whitespace().map(|cell| cell.trim_matches('"')));
             return;
         };
         cells.extend(self.without_trailing(line).split(separator).map(|cell| cell.trim().trim_matches('"')));

@@ -465,6 +465,7 @@ impl ProcedureFolder {
 /// [`FileError`], naming the line: a missing column, a word instead of a number, a point that is not finite or too far.
 pub fn read_tips(path: &Path, unit_mm: f64) -> Result<(Vec<NamedPoint>, Option<String>), FileError> {
     let bytes = input::read(path)?;
+    crate::space::check_comments(path, &bytes, unit_mm)?;
     let table = crate::table::Table::parse(path, &bytes)?;
     let [name, x, y, z] = [table.column("name")?, table.column("x")?, table.column("y")?, table.column("z")?];
     let t_ns = table.column("t_ns").ok();

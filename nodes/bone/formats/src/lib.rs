@@ -82,6 +82,7 @@ mod spellings;
 mod stamp_order;
 mod stl;
 mod table;
+mod unit;
 pub mod volume;
 mod vtk;
 pub mod write;

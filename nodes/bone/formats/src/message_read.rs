@@ -28,8 +28,8 @@ use crate::{
     mcap_read::{Message, Recording},
     normals::unit_normals,
     ros2::{
-        CAMERA_INFO, COMPRESSED_IMAGE as ROS2_COMPRESSED_IMAGE, IMAGE as ROS2_IMAGE, POINT_CLOUD_2, POSE_STAMPED,
-        TF_MESSAGE, TRANSFORM_STAMPED,
+        CAMERA_INFO, COMPRESSED_IMAGE as ROS2_COMPRESSED_IMAGE, IMAGE as ROS2_IMAGE, ODOMETRY, POINT_CLOUD_2,
+        POSE_STAMPED, POSE_WITH_COVARIANCE, TF_MESSAGE, TRANSFORM_STAMPED,
     },
     shape::retain,
 };
@@ -67,11 +67,11 @@ pub const POSE_IN_FRAME: &str = "foxglove.PoseInFrame";
 pub enum MessageKind {
     /// A point cloud: `foxglove.PointCloud`, `sensor_msgs/msg/PointCloud2`.
     Cloud,
-    /// One transform: `foxglove.FrameTransform`, `geometry_msgs/msg/TransformStamped`.
+    /// One transform: `foxglove.FrameTransform`, `geometry_msgs/msg/TransformStamped`, the pose in `nav_msgs/msg/Odometry`.
     Transform,
     /// Several transforms: `foxglove.FrameTransforms`, `tf2_msgs/msg/TFMessage`.
     Transforms,
-    /// A pose in a frame, such as a stylus tip: `foxglove.PoseInFrame`, `geometry_msgs/msg/PoseStamped`.
+    /// A pose in a frame, such as a stylus tip: `foxglove.PoseInFrame`, `geometry_msgs/msg/PoseStamped` and `PoseWithCovarianceStamped`.
     Pose,
 }
 
@@ -80,9 +80,9 @@ impl MessageKind {
     pub fn of(schema_name: &str) -> Option<Self> {
         Some(match schema_name {
             POINT_CLOUD | POINT_CLOUD_2 => Self::Cloud,
-            FRAME_TRANSFORM | TRANSFORM_STAMPED => Self::Transform,
+            FRAME_TRANSFORM | TRANSFORM_STAMPED | ODOMETRY => Self::Transform,
             FRAME_TRANSFORMS | TF_MESSAGE => Self::Transforms,
-            POSE_IN_FRAME | POSE_STAMPED => Self::Pose,
+            POSE_IN_FRAME | POSE_STAMPED | POSE_WITH_COVARIANCE => Self::Pose,
             _ => return None,
         })
     }

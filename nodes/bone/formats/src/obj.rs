@@ -87,7 +87,7 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
             shape.normals = Some(normals);
         }
         if is_whole(colours.len(), "colours") {
-            shape.extras = of_colours(&colours);
+            shape.extras = of_colours(&colours, &mut shape.notes);
         }
     }
     shape.points = points;
@@ -182,6 +182,23 @@ mod tests {
     use crate::{Space, shape::MeshRead};
     use osteoflow_geometry::SurfaceOrigin;
 
+    #[test]
+    fn colours_from_0_to_1_are_scaled_and_others_kept() {
+        let colours = |text: &str| {
+            let path = "a.obj".as_ref();
+            let read = shape(path, text.as_bytes()).unwrap().into_cloud(path, 1.0, "ct".into()).unwrap();
+            let values: Vec<_> = read.cloud.extras().iter().flat_map(|(_, values)| values.to_vec()).collect();
+            (values, read.notes.len())
+        };
+        assert_eq!(
+            colours("v 1 2 3 1 0 0.996078\nv 4 5 6 0.003922 0 0\n"),
+            (vec![255.0, 1.0, 0.0, 0.0, 254.0, 0.0], 1)
+        );
+        assert_eq!(colours("v 1 2 3 1 0 0\n"), (vec![255.0, 0.0, 0.0], 1), "pure red");
+        assert_eq!(colours("v 1 2 3 1 0 200\n"), (vec![1.0, 0.0, 200.0], 0), "bytes");
+        assert_eq!(colours("v 1 2 3 0 0 0\n"), (vec![0.0; 3], 0), "black");
+    }
+
     const SQUARE: &str = "mtllib a.mtl\no bone\nv 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nvt 0 0\nvn 0 0 1\n";
 
     fn mesh(text: &str) -> Result<MeshRead, FileError> {
@@ -225,7 +242,7 @@ mod tests {
         let result = read(text);
         assert_eq!((result.cloud.len(), result.n_dropped), (2, 1));
         assert_eq!(result.cloud.normals().unwrap(), [Vector3::z(), Vector3::x()]);
-        assert_eq!(&*result.cloud.extras()[1].1, [0.25, 0.0]);
+        assert_eq!(&*result.cloud.extras()[1].1, [64.0, 0.0]);
         let result = read("v 1 2 3\nv 1 2 4 1 1 1\nvn 0 0 1\np 1\n");
         assert_eq!(result.notes.len(), 3, "{:?}", result.notes);
     }

@@ -3,7 +3,7 @@
 use crate::{
     FileError,
     cursor::{Cursor, first_line},
-    shape::{Places, Shape, fan, of_colours},
+    shape::{Places, Shape, UNIT, fan, of_colours},
     space::StatedSpace,
 };
 use nalgebra::{Point3, Vector3};
@@ -19,6 +19,8 @@ pub(crate) fn is_off(bytes: &[u8]) -> bool {
 }
 
 /// The surface in an OFF file, or the cloud if it has no faces.
+///
+/// Of normals and colours Geomview has the normals first and MeshLab the colours: those are normals that are of unit length.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut cursor = Cursor::text(path, bytes)?;
     let mut stated = StatedSpace::default();
@@ -62,13 +64,24 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         }
         points.push(Point3::from_slice(&numbers[..3]));
         places.push(cursor.line);
+        let last = numbers.len() - 3;
         if has_normals {
-            normals.push(Vector3::from_column_slice(&numbers[3..6]));
+            normals.push([3, last].map(|k| Vector3::from_column_slice(&numbers[k..k + 3])));
         }
         if has_colours {
-            colours.push([0, 1, 2].map(|k| numbers[fixed + k]));
+            colours.push([fixed, 3].map(|k| [0, 1, 2].map(|of| numbers[k + of])));
         }
     }
+    let n_units = |k: usize| normals.iter().filter(|both| UNIT.contains(&both[k].norm())).count();
+    let colours_first = usize::from(has_colours && has_normals && n_units(1) > n_units(0));
+    let mut notes = Vec::new();
+    if colours_first == 1 {
+        notes.push(
+            "colours come before the normals, as MeshLab writes them: only the last numbers are of unit length".into(),
+        );
+    }
+    let normals = normals.into_iter().map(|both| both[colours_first]).collect();
+    let colours: Vec<_> = colours.into_iter().map(|both| both[colours_first]).collect();
     let (mut faces, mut corners) = (Vec::with_capacity(n_faces), Vec::new());
     for k in 0..n_faces {
         let line = next(&mut cursor, k, n_faces, "faces")?;
@@ -78,9 +91,12 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     if cursor.uncommented_line(&mut stated)?.is_some() {
         return Err(cursor.more("more lines"));
     }
-    let (faces, extras) = if n_faces > 0 { (Some(faces), Vec::new()) } else { (None, of_colours(&colours)) };
+    let (faces, extras) = match n_faces {
+        0 => (None, of_colours(&colours, &mut notes)),
+        _ => (Some(faces), Vec::new()),
+    };
     let normals = has_normals.then_some(normals);
-    Ok(Shape { points, normals, extras, faces, stated, notes: Vec::new(), places: Places::Lines(places) })
+    Ok(Shape { points, normals, extras, faces, stated, notes, places: Places::Lines(places) })
 }
 
 /// The corners of a face; colours behind them are passed over.
@@ -113,6 +129,24 @@ mod tests {
     fn mesh(text: &str) -> Result<MeshRead, FileError> {
         let path = "a.off".as_ref();
         shape(path, text.as_bytes())?.into_mesh(path, 1.0, "ct".into(), SurfaceOrigin::User)
+    }
+
+    #[test]
+    fn normals_and_colours_are_told_apart_in_both_orders() {
+        for vertex in ["0 0 255 255 -0.6 0.8 0", "-0.6 0.8 0 0 0 255 255", "0 0 255 -0.6 0.8 0", "-0.6 0.8 0 0 0 1 1"] {
+            let text = format!("NCOFF\n2 0 0\n1 2 3 {vertex}\n4 5 6 {vertex}\n");
+            let path = "a.off".as_ref();
+            let read = shape(path, text.as_bytes()).unwrap().into_cloud(path, 1.0, "ct".into()).unwrap();
+            assert_eq!(read.cloud.normals().unwrap(), [Vector3::new(-0.6, 0.8, 0.0); 2], "{vertex}");
+            let colours: Vec<_> = read.cloud.extras().iter().map(|(_, values)| values[1]).collect();
+            assert_eq!(colours, [0.0, 0.0, 255.0], "{vertex}");
+            assert_eq!(
+                read.notes.len(),
+                usize::from(vertex.starts_with('0') || vertex.ends_with("1 1")),
+                "{:?}",
+                read.notes
+            );
+        }
     }
 
     #[test]

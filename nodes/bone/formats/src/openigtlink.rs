@@ -42,7 +42,7 @@ mod image;
 mod metadata;
 mod poly_data;
 
-pub use crate::scalar::Scalar;
+pub use crate::scalar::{NO_DEPTH_16, Scalar};
 pub use bytes::EncodeError;
 pub use clock::{ClockNote, ClockOffset};
 pub use content::{Affine, Body, Fiducial, Position, Status, TrackedTool};

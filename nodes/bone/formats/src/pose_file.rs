@@ -10,7 +10,7 @@
 //! An ITK transform takes points of the fixed image to the moving one, and 3D Slicer writes the inverse of the transform
 //! it shows; so the motion of a model onto another is the inverse of its file. Such files are LPS, as CT is here.
 
-use crate::{FileError, input, json, kind::marked};
+use crate::{FileError, input, json, kind::marked, space::check_comments};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::{Correction, Nearest, nearest_isometry, nearest_rotation};
 use serde_json::Value;
@@ -56,6 +56,9 @@ pub(crate) fn parse_pose(path: &Path, bytes: &[u8], unit_mm: f64) -> Result<Pose
     let text = std::str::from_utf8(bytes)
         .map_err(|error| fault(path, format!("byte {}", error.valid_up_to()), "no text; a 4 x 4 matrix is expected"))?;
     let text = text.trim_start_matches('\u{feff}');
+    if !text.trim_start().starts_with('{') {
+        check_comments(path, text.as_bytes(), unit_mm)?;
+    }
     let (mut notes, mut stated) = (Vec::new(), Correction::default());
     let mut matrix = match text.trim_start() {
         itk if itk.starts_with(ITK_MARK) => {

@@ -33,6 +33,7 @@ use crate::{
     input,
     kind::{Kind, Probe, marked},
     metaimage_header::is_metaimage,
+    space::check_comments,
 };
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3};
 use osteoflow_geometry::{
@@ -110,6 +111,9 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
     };
     let unit_mm = options.unit_mm.unwrap_or_else(|| format.unit_mm());
     let mut log = Log::default();
+    if !matches!(format, LogFormat::IgsMha | LogFormat::Poses) {
+        check_comments(path, &input::read(path)?, unit_mm)?;
+    }
     match format {
         LogFormat::IgsMha => sequence::read(path, unit_mm, &mut log)?,
         LogFormat::Tum | LogFormat::Euroc | LogFormat::Kitti => {

@@ -21,6 +21,11 @@ pub(crate) const CAMERA_INFO: &str = "sensor_msgs/msg/CameraInfo";
 /// A pose in a frame.
 pub(crate) const POSE_STAMPED: &str = "geometry_msgs/msg/PoseStamped";
 
+/// A pose in a frame with its covariance, which is not read.
+pub(crate) const POSE_WITH_COVARIANCE: &str = "geometry_msgs/msg/PoseWithCovarianceStamped";
+/// The pose of a child frame with its covariance and velocity, which are not read.
+pub(crate) const ODOMETRY: &str = "nav_msgs/msg/Odometry";
+
 /// Codes of `sensor_msgs/msg/PointField` and the same types of Foxglove, whose codes differ.
 pub(crate) const NUMERIC_TYPES: [(u8, NumericType); 8] = [
     (1, NumericType::Int8),
@@ -132,6 +137,24 @@ pub(crate) struct PoseStamped<'a> {
     pub(crate) header: Header<'a>,
     pub(crate) position: [f64; 3],
     pub(crate) orientation: [f64; 4],
+}
+
+type Covariance = [[f64; 6]; 6];
+
+#[derive(Serialize, Deserialize)]
+pub(crate) struct PoseWithCovariance<'a> {
+    #[serde(borrow)]
+    pub(crate) pose: PoseStamped<'a>,
+    pub(crate) covariance: Covariance,
+}
+
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Odometry<'a> {
+    #[serde(borrow)]
+    pub(crate) pose: TransformStamped<'a>,
+    pub(crate) covariance: Covariance,
+    pub(crate) twist: [f64; 6],
+    pub(crate) twist_covariance: Covariance,
 }
 
 impl Stamp {

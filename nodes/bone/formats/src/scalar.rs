@@ -25,6 +25,9 @@ pub enum Scalar {
     F64,
 }
 
+/// What depth images of 16 bits have where nothing was measured, besides 0.
+pub const NO_DEPTH_16: f64 = 65535.0;
+
 /// Rows of equal length, one after the other.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rows<'a> {

@@ -14,6 +14,9 @@ use std::path::Path;
 /// A surface this small or this large (mm, the box's diagonal) is hardly a bone or a phantom: the unit is in doubt.
 const PLAUSIBLE_MM: std::ops::Range<f64> = 3.0..3000.0;
 
+/// Lengths of unit normals written with few digits.
+pub(crate) const UNIT: std::ops::Range<f64> = 0.99..1.01;
+
 /// A surface read from a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeshRead {
@@ -193,6 +196,7 @@ impl Shape {
             let message = "there is no point in the file; was it exported from an empty selection?";
             return Err(FileError::content(path, "points", message));
         }
+        self.notes.extend(scale_colours(&mut self.extras, false));
         let (space, mut notes) = self.place(unit_mm);
         let mut cloud = Cloud::new(frame, self.points)
             .map_err(|error| FileError::content(path, "points", format!("{error} (unit_mm = {unit_mm})")))?;
@@ -267,13 +271,33 @@ pub(crate) fn fan(faces: &mut Vec<[u32; 3]>, corners: &[u32]) {
     }
 }
 
-/// Columns of red, green and blue.
-pub(crate) fn of_colours(colours: &[[f64; 3]]) -> Vec<(String, Vec<f64>)> {
+/// Scales colours from 0 to 1, as of MeshLab's OBJ, to whole numbers up to 255; with a note. Unless `may_be_whole`, one of them has a
+/// fraction: where whole numbers are bytes, 1 is nearly black.
+fn scale_colours(columns: &mut [(String, Vec<f64>)], may_be_whole: bool) -> Option<String> {
+    let is_colour = |name: &str| ["red", "green", "blue"].iter().any(|colour| name.eq_ignore_ascii_case(colour));
+    let mut colours: Vec<_> =
+        columns.iter_mut().filter(|(name, _)| is_colour(name)).map(|(_, values)| values).collect();
+    let values = || colours.iter().flat_map(|values| values.iter().copied());
+    let is_scaled = colours.len() == 3
+        && values().all(|value| (0.0..=1.0).contains(&value))
+        && values().any(|value| if may_be_whole { value > 0.0 } else { value.fract() != 0.0 });
+    if !is_scaled {
+        return None;
+    }
+    colours.iter_mut().for_each(|values| values.iter_mut().for_each(|value| *value = (*value * 255.0).round()));
+    Some("colours from 0 to 1 were scaled to 0 to 255".into())
+}
+
+/// Columns of red, green and blue, with a note if they were from 0 to 1.
+pub(crate) fn of_colours(colours: &[[f64; 3]], notes: &mut Vec<String>) -> Vec<(String, Vec<f64>)> {
     let column = |k: usize| colours.iter().map(|colour| colour[k]).collect();
     if colours.is_empty() {
         return Vec::new();
     }
-    ["red", "green", "blue"].into_iter().enumerate().map(|(k, name)| (name.into(), column(k))).collect()
+    let mut columns: Vec<_> =
+        ["red", "green", "blue"].into_iter().enumerate().map(|(k, name)| (name.into(), column(k))).collect();
+    notes.extend(scale_colours(&mut columns, true));
+    columns
 }
 
 /// A note on an implausible size; `what` names the surface or cloud.

@@ -1,8 +1,9 @@
 //! The anatomical axes that a file states for its coordinates.
 
+use crate::{FileError, unit};
 use nalgebra::{Isometry3, Quaternion, Translation3, Unit, UnitQuaternion};
 use osteoflow_geometry::Frame;
-use std::fmt;
+use std::{fmt, path::Path};
 
 /// The axes of a patient's coordinates, as a file states them.
 ///
@@ -76,12 +77,13 @@ impl Space {
     }
 }
 
-/// The statements `SPACE=LPS`, `SPACE=RAS` and `UNIT=mm` in the comments of a file, as 3D Slicer writes them.
+/// The statements `SPACE=LPS`, `SPACE=RAS` and `UNIT=mm` in the comments of a file, as 3D Slicer writes them, and units [in other
+/// words](unit::stated).
 #[derive(Debug, Default)]
 pub(crate) struct StatedSpace {
     pub(crate) space: Space,
     /// The unit of length.
-    pub(crate) unit: Option<String>,
+    pub(crate) unit: Option<unit::Statement>,
     pub(crate) note: Option<String>,
 }
 
@@ -96,13 +98,16 @@ impl StatedSpace {
     /// Takes a comment into account.
     ///
     /// # Errors
-    /// A message if it contradicts an earlier one.
+    /// A message if it contradicts an earlier one, or states a unit of an unknown name.
     pub(crate) fn take(&mut self, comment: &str) -> Result<(), String> {
-        for unit in values(comment, "UNIT").chain(values(comment, "UNITS")) {
-            if let Some(first) = self.unit.as_ref().filter(|first| *first != unit) {
-                return Err(format!("UNIT={unit} contradicts UNIT={first} before it"));
+        for (text, mm) in unit::stated(comment)? {
+            match &self.unit {
+                Some((first, first_mm)) if !is_same(mm, *first_mm) => {
+                    return Err(format!("{text} contradicts {first} before it"));
+                }
+                Some(_) => {}
+                None => self.unit = Some((text, mm)),
             }
-            self.unit = Some(unit.into());
         }
         for value in values(comment, "SPACE") {
             let space = match value {
@@ -128,16 +133,35 @@ impl StatedSpace {
     /// # Errors
     /// A message, if it is another or unknown.
     pub(crate) fn check_unit(&self, unit_mm: f64) -> Result<(), String> {
-        let Some(unit) = &self.unit else { return Ok(()) };
-        let known = [("mm", 1.0), ("cm", 10.0), ("m", 1000.0), ("um", 0.001)];
-        match known.into_iter().find(|(name, _)| name == unit) {
-            Some((_, stated_mm)) if stated_mm == unit_mm => Ok(()),
-            Some((_, stated_mm)) => Err(format!(
-                "the file states UNIT={unit}, but is read in units of {unit_mm} mm; give unit_mm = {stated_mm}"
+        match &self.unit {
+            Some((text, stated_mm)) if !is_same(*stated_mm, unit_mm) => Err(format!(
+                "the file states {text}, but is read in units of {unit_mm} mm; give unit_mm = {stated_mm} (register: --unit-mm, convert: --scale times {})",
+                stated_mm / unit_mm
             )),
-            None => Err(format!("the file states UNIT={unit}, which is not mm, cm, m or um; write it in mm")),
+            _ => Ok(()),
         }
     }
+}
+
+/// Checks what the comments of a text, which begin with `#`, `//` or `%`, state of its unit against the one that it is read in.
+///
+/// # Errors
+/// [`FileError`], naming the line: another unit, or an unknown one.
+pub(crate) fn check_comments(path: &Path, text: &[u8], unit_mm: f64) -> Result<(), FileError> {
+    let mut stated = StatedSpace::default();
+    for (k, line) in text.split(|b| *b == b'\n').enumerate() {
+        let begins = |at: usize| matches!(line[at], b'#' | b'%') || line[at..].starts_with(b"//");
+        let Some(at) = (0..line.len()).find(|at| begins(*at)) else { continue };
+        let comment = String::from_utf8_lossy(&line[at..]);
+        let taken = stated.take(comment.trim_start_matches('/')).and_then(|()| stated.check_unit(unit_mm));
+        taken.map_err(|message| FileError::content(path, format!("line {}", k + 1), message))?;
+    }
+    Ok(())
+}
+
+/// Whether two units are one, up to rounding.
+pub(crate) fn is_same(a_mm: f64, b_mm: f64) -> bool {
+    (a_mm / b_mm - 1.0).abs() < 1e-9
 }
 
 /// The words behind each `key` that is a word of its own, and the equals sign after it, with or without blanks.
@@ -166,15 +190,44 @@ mod tests {
     }
 
     #[test]
+    fn comments_of_logs_and_matrices_state_their_unit_wherever_they_begin() {
+        let check = |text: &str, unit_mm| {
+            check_comments("a.txt".as_ref(), text.as_bytes(), unit_mm).map_err(|error| error.to_string())
+        };
+        for text in ["time,Tx,Tx#2,x y\n1,2,3,4\n", "# poses of a tool\n1 2 3\n", "# units: mm\n1 2 3 # unit: mm\n", ""]
+        {
+            assert_eq!(check(text, 1.0), Ok(()), "{text}");
+        }
+        for (text, place) in [
+            ("# units: m\n1 2 3\n", "line 1: the file states units: m,"),
+            ("1 0 0 10 # units: m\n", "line 1: the file states units: m,"),
+            ("\n// Units: inches\n1 2 3\n", "line 2: the file states Units: inches,"),
+            ("% 1 unit = 10 mm\n1 2 3\n", "line 1: the file states 1 unit=10 mm,"),
+            ("# units: mm\n# units: m\n", "line 2: units: m contradicts units: mm before it"),
+            ("# units: lightyears\n", "line 1: the file states units=lightyears, which is not mm"),
+        ] {
+            let said = check(text, 1.0).unwrap_err();
+            assert!(said.starts_with(&format!("a.txt: {place}")), "{said}");
+        }
+        let said = check("# units: mm\n1 2 3 4\n", 1000.0).unwrap_err();
+        assert!(said.ends_with("give unit_mm = 1 (register: --unit-mm, convert: --scale times 0.001)"), "{said}");
+    }
+
+    #[test]
     fn a_stated_unit_is_that_of_the_reader_or_refused() {
         let of = |text, unit_mm| StatedSpace::of(text).and_then(|stated| stated.check_unit(unit_mm));
         assert_eq!(of("3D Slicer output. SPACE=RAS;UNIT=mm", 1.0), Ok(()));
         assert_eq!(of("UNIT=m", 1000.0), Ok(()));
         assert_eq!(of("no unit; LASTUNIT=m", 1.0), Ok(()));
         let message = |text, unit_mm| of(text, unit_mm).unwrap_err();
-        assert!(message("UNIT=m", 1.0).ends_with("read in units of 1 mm; give unit_mm = 1000"));
-        assert!(message("UNIT=mm", 1000.0).ends_with("give unit_mm = 1"));
-        assert!(message("UNIT=inch", 1.0).contains("not mm, cm, m or um"));
-        assert_eq!(message("UNIT=m UNITS=mm", 1.0), "UNIT=mm contradicts UNIT=m before it");
+        assert!(message("UNIT=m", 1.0).contains("read in units of 1 mm; give unit_mm = 1000 ("));
+        assert!(message("UNIT=mm", 1000.0).contains("give unit_mm = 1 ("));
+        assert!(
+            message("# 1 unit = 10 mm", 1.0)
+                .contains("states 1 unit=10 mm, but is read in units of 1 mm; give unit_mm = 10 (")
+        );
+        assert!(message("UNIT=inch", 1.0).contains("give unit_mm = 25.4 ("));
+        assert!(message("UNIT=furlong", 1.0).contains("not mm, cm, m, um"));
+        assert_eq!(message("UNIT=m UNITS=mm", 1.0), "UNITS=mm contradicts UNIT=m before it");
     }
 }

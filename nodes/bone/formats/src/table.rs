@@ -1,6 +1,9 @@
 //! CSV with a header; errors name line and column.
 
-use crate::{FileError, columns::twice};
+use crate::{
+    FileError,
+    columns::{is_missing, twice},
+};
 use std::{borrow::Cow, path::Path};
 
 /// A CSV file: between commas, or between semicolons or tabs with a decimal point or comma; columns found by name, blank lines and
@@ -93,11 +96,11 @@ impl<'a> Row<'a> {
         text.parse().map_err(|_| self.fault(format!("{name} is \"{text}\", a whole number is expected")))
     }
 
-    /// A number; NaN if the cell is empty or `NaN`.
+    /// A number; NaN if the cell is empty or says that there is none.
     pub(crate) fn number(&self, column: usize) -> Result<f64, FileError> {
         let text = self.text(column);
         let name = &self.table.header[column];
-        if text.is_empty() {
+        if is_missing(text) {
             return Ok(f64::NAN);
         }
         self.decimal(text).parse().map_err(|_| self.fault(format!("{name} is \"{text}\", a number is expected")))

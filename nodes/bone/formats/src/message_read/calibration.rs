@@ -66,7 +66,22 @@ pub fn read_calibration<'a>(message: impl Into<Encoded<'a>>, rectified: bool) ->
     let refuse = |reason: String| no_such(&message, reason);
     let read = if message.schema_name == CAMERA_INFO { ros2(&message)? } else { foxglove(&message)? };
     let intrinsics = if rectified { read.rectified() } else { read.as_taken() }.map_err(refuse)?;
+    check_size(read.size, &intrinsics).map_err(refuse)?;
     Ok(Calibration { frame: read.frame, size: read.size, intrinsics })
+}
+
+/// Refuses intrinsics of images of another size: their principal point is off the middle in both directions by one factor.
+fn check_size([width, height]: [u32; 2], intrinsics: &Intrinsics) -> Result<(), String> {
+    let (u, v) = (intrinsics.cx / f64::from(width), intrinsics.cy / f64::from(height));
+    let factor = u + v;
+    if (u - v).abs() < 0.1 && !(0.6..=1.4).contains(&factor) {
+        return Err(format!(
+            "its principal point is at {:.1}, {:.1}, but its images have {width} x {height} pixels: its numbers are of images about \
+             {factor:.2} times as large; record the calibration that the driver publishes for this resolution",
+            intrinsics.cx, intrinsics.cy
+        ));
+    }
+    Ok(())
 }
 
 fn foxglove(message: &Encoded) -> Result<Numbers, MessageError> {
@@ -147,5 +162,25 @@ impl Numbers {
             ));
         }
         Ok(Intrinsics::pinhole(fx, fy, cx, cy))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intrinsics_of_images_of_another_size_are_refused_with_the_factor() {
+        let check = |size, cx, cy| check_size(size, &Intrinsics::pinhole(600.0, 600.0, cx, cy));
+        for (cx, cy) in [(320.0, 240.0), (300.0, 260.0), (420.0, 180.0), (200.0, 240.0)] {
+            assert_eq!(check([640, 480], cx, cy), Ok(()), "{cx} {cy}");
+        }
+        for (cx, cy, factor) in [(640.0, 480.0, "2.00"), (160.0, 120.0, "0.50"), (480.0, 362.0, "1.50")] {
+            let said = check([640, 480], cx, cy).unwrap_err();
+            assert!(
+                said.contains("images have 640 x 480 pixels") && said.contains(&format!("about {factor} times")),
+                "{said}"
+            );
+        }
     }
 }

@@ -9,7 +9,10 @@
 use super::{Encoded, MessageError, no_such};
 use crate::{
     foxglove_json::{JsonPose, JsonPoseInFrame, JsonTransform, Time},
-    ros2::{NUMERIC_TYPES, PointCloud2, PoseStamped, TransformStamped},
+    ros2::{
+        NUMERIC_TYPES, ODOMETRY, Odometry, POSE_WITH_COVARIANCE, PointCloud2, PoseStamped, PoseWithCovariance,
+        TransformStamped,
+    },
 };
 use bytes::Bytes;
 use foxglove::messages::{PackedElementField, PointCloud, Quaternion, Vector3, packed_element_field::NumericType};
@@ -58,14 +61,20 @@ pub(super) fn transforms(message: &Encoded) -> Result<Vec<JsonTransform>, Messag
     Ok(read.into_iter().map(JsonTransform::from).collect())
 }
 
-/// The transform of a `geometry_msgs/msg/TransformStamped`.
+/// The transform of a `geometry_msgs/msg/TransformStamped`, or of the pose of a `nav_msgs/msg/Odometry`.
 pub(super) fn transform(message: &Encoded) -> Result<JsonTransform, MessageError> {
-    Ok(decode::<TransformStamped>(message)?.into())
+    Ok(match message.schema_name {
+        ODOMETRY => decode::<Odometry>(message)?.pose.into(),
+        _ => decode::<TransformStamped>(message)?.into(),
+    })
 }
 
-/// The pose of a `geometry_msgs/msg/PoseStamped`.
+/// The pose of a `geometry_msgs/msg/PoseStamped` or `PoseWithCovarianceStamped`.
 pub(super) fn pose(message: &Encoded) -> Result<JsonPoseInFrame, MessageError> {
-    let read: PoseStamped = decode(message)?;
+    let read: PoseStamped = match message.schema_name {
+        POSE_WITH_COVARIANCE => decode::<PoseWithCovariance>(message)?.pose,
+        _ => decode(message)?,
+    };
     let pose = JsonPose { position: vector(read.position), orientation: quaternion(read.orientation) };
     Ok(JsonPoseInFrame {
         timestamp: Time::from(read.header.stamp.timestamp()),
@@ -223,6 +232,26 @@ mod tests {
             translation: [0.1, 0.2, 0.3],
             rotation: [0.0, 0.0, 0.0, w],
         }
+    }
+
+    #[test]
+    fn poses_with_covariance_are_those_without() {
+        let covariance = [[7.0; 6]; 6];
+        let odometry =
+            Odometry { pose: transform_to("base", 1.0), covariance, twist: [9.0; 6], twist_covariance: covariance };
+        let bytes = little(&odometry);
+        let read = read_transforms(message(ODOMETRY, bytes.clone())).unwrap();
+        let [Ok(pose)] = &read[..] else { panic!("{read:?}") };
+        assert_eq!((pose.value.to.as_str(), pose.value.from.as_str()), ("world", "base"));
+        assert!((pose.value.isometry.translation.vector - nalgebra::Vector3::new(100.0, 200.0, 300.0)).norm() < 1e-9);
+        // What follows the pose is part of the message: a shorter one is damaged.
+        assert!(read_transforms(message(ODOMETRY, bytes[..bytes.len() - 8].to_vec())).is_err());
+        assert!(read_transforms(message(TRANSFORM_STAMPED, bytes)).is_err(), "another schema");
+        let position =
+            PoseStamped { header: header("map"), position: [1.0, 2.0, 3.0], orientation: [0.0, 0.0, 0.0, 1.0] };
+        let whole = little(&PoseWithCovariance { pose: position, covariance });
+        let tip = read_pose_in_frame(message(POSE_WITH_COVARIANCE, whole)).unwrap();
+        assert_eq!((tip.frame.as_str(), tip.position.z), ("map", 3000.0));
     }
 
     #[test]

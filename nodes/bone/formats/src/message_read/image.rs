@@ -284,18 +284,26 @@ mod tests {
 
     #[test]
     fn a_depth_image_is_a_cloud_along_the_rays_of_its_camera() {
-        let millimetres = [0_u16, 200, 210, 220, 230, 240, 250, 65_535];
+        let millimetres = [65_535_u16, 200, 210, 220, 230, 240, 250, 65_534];
         let bytes: Vec<u8> = millimetres.iter().flat_map(|v| v.to_le_bytes()).collect();
         let depth = |message: &RawImage, unit_mm| read_depth(encoded(RAW_IMAGE, message), &calibration(), unit_mm);
         let of_integers = depth(&raw("16UC1", 8, bytes.clone()), None).unwrap();
         // Column 3 of the second row, where fx is 100, fy 110, cx 1.5 and cy 0.5.
-        let last = Point3::new(1.5 / 100.0 * 65_535.0, 0.5 / 110.0 * 65_535.0, 65_535.0);
-        assert_eq!((of_integers.cloud.len(), of_integers.n_points_in_message), (7, 8), "a depth of 0 is none");
+        let last = Point3::new(1.5 / 100.0 * 65_534.0, 0.5 / 110.0 * 65_534.0, 65_534.0);
+        assert_eq!((of_integers.cloud.len(), of_integers.n_points_in_message), (7, 8), "65535 is no depth");
         assert!((of_integers.cloud.points()[6] - last).norm() < 1e-9);
         assert_eq!(of_integers.cloud.points()[0].z, 200.0);
         assert_eq!(of_integers.cloud.viewpoint, Some(Isometry3::identity()));
         let tenths = depth(&raw("mono16", 8, bytes), Some(0.1)).unwrap();
         assert!((tenths.cloud.points()[0].z - 20.0).abs() < 1e-12);
+        let zeros = depth(&raw("16UC1", 8, [0_u16, 1, 0, 1, 0, 1, 0, 1].map(u16::to_le_bytes).concat()), None).unwrap();
+        assert_eq!(zeros.cloud.len(), 4, "a depth of 0 is none");
+        let floats = |values: [f32; 8]| raw("32FC1", 16, values.map(f32::to_le_bytes).concat());
+        let in_mm = floats([0.0, 300.0, 812.0, 3000.0, 500.0, 0.0, 700.0, f32::NAN]);
+        let said = depth(&in_mm, None).unwrap_err().to_string();
+        assert!(said.contains("mostly beyond 100 m") && said.contains("give depth_unit_mm = 1"), "{said}");
+        assert_eq!(depth(&in_mm, Some(1.0)).unwrap().cloud.points()[0].z, 300.0);
+        assert!(depth(&floats([0.3, 0.8, 0.9, 3000.0, 0.7, 0.6, 0.0, 0.5]), None).is_ok(), "one far value is noise");
         let metres = [f32::NAN, 0.2, f32::INFINITY, f32::NEG_INFINITY, 0.23, -0.1, 0.0, 0.25];
         let bytes: Vec<u8> = metres.iter().flat_map(|v| v.to_le_bytes()).collect();
         let of_floats = depth(&raw("32FC1", 16, bytes), None).unwrap();
@@ -303,7 +311,7 @@ mod tests {
         let refused = |message: &RawImage| depth(message, None).unwrap_err().to_string();
         assert!(refused(&raw("rgb8", 12, vec![9; 24])).contains("\"rgb8\" is no depth"));
         assert!(refused(&raw("16UC1", 8, vec![0; 16])).contains("none of its 8 pixels has a depth"));
-        let far: Vec<u8> = [1e6_f32; 8].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let far: Vec<u8> = [1e6_f32, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2].iter().flat_map(|v| v.to_le_bytes()).collect();
         assert!(refused(&raw("32FC1", 16, far)).contains("pixel 0, 0: "));
     }
 

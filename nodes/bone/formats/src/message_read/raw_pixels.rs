@@ -1,12 +1,15 @@
 //! Pixels without compression, by the encodings of ROS and Foxglove.
 
 use crate::pixels::Pixels;
-use crate::scalar::Scalar;
+use crate::scalar::{NO_DEPTH_16, Scalar};
 use bytes::Bytes;
 use osteoflow_geometry::MM_PER_M;
 
 /// Encodings of a picture that are read.
 const PICTURES: &str = "rgb8, bgr8, rgba8, bgra8, 8UC3, mono8, 8UC1 and mono16 are";
+
+/// Depth images farther than this in half of their pixels are in another unit.
+const FARTHEST_SEEN_MM: f64 = 100.0 * MM_PER_M;
 
 /// Pixels as a message has them.
 pub(super) struct RawPixels {
@@ -49,7 +52,10 @@ impl RawPixels {
     }
 
     /// Depth along the optical axis, mm, of each pixel; `None` where the camera measured none. `unit_mm` is the depth of one step;
-    /// without it 16 bits are millimetres and floats metres.
+    /// without it 16 bits are millimetres and floats metres. The highest value of 16 bits is no measurement.
+    ///
+    /// # Errors
+    /// Another encoding, bytes that do not fill the image, or floats in metres of which half are beyond [`FARTHEST_SEEN_MM`].
     ///
     /// # Source
     /// REP 118 for the units, REP 117 for values that are no depth.
@@ -63,11 +69,24 @@ impl RawPixels {
                 ));
             }
         };
-        let unit_mm = unit_mm.unwrap_or(default_mm);
+        let stated_mm = unit_mm.unwrap_or(default_mm);
         let n_bytes = scalar.n_bytes();
-        let depth = |bytes: &[u8]| Some(self.number(scalar, bytes) * unit_mm).filter(|mm| *mm > 0.0 && mm.is_finite());
+        let depth = |bytes: &[u8]| {
+            let steps = Some(self.number(scalar, bytes)).filter(|steps| scalar != Scalar::U16 || *steps != NO_DEPTH_16);
+            steps.map(|steps| steps * stated_mm).filter(|mm| *mm > 0.0 && mm.is_finite())
+        };
         let rows = self.rows(n_bytes)?;
-        Ok(rows.flat_map(|row| row.chunks_exact(n_bytes).map(depth).collect::<Vec<_>>()).collect())
+        let depths: Vec<_> = rows.flat_map(|row| row.chunks_exact(n_bytes).map(depth).collect::<Vec<_>>()).collect();
+        let n = depths.iter().flatten().count();
+        let is_far = |mm: &&f64| **mm > FARTHEST_SEEN_MM;
+        if unit_mm.is_none() && scalar == Scalar::F32 && 2 * depths.iter().flatten().filter(is_far).count() > n {
+            return Err(format!(
+                "its 32-bit floats, in metres by REP 118, are mostly beyond {} m, where no depth camera sees; if they are in mm, give \
+                 depth_unit_mm = 1",
+                FARTHEST_SEEN_MM / MM_PER_M
+            ));
+        }
+        Ok(depths)
     }
 
     fn number(&self, scalar: Scalar, bytes: &[u8]) -> f64 {

@@ -13,6 +13,7 @@
 use super::{Log, LogFormat, PoseLog, Sample, Turn};
 use crate::{
     FileError, LostPose, cut, input,
+    space::check_comments,
     table::{self, Row, Table},
 };
 use nalgebra::Quaternion;
@@ -54,6 +55,7 @@ pub fn read_poses(path: &Path, unit_mm: f64) -> Result<PosesRead, FileError> {
 /// Reads the rows into a log, and gives the line of each.
 pub(crate) fn read(path: &Path, unit_mm: f64, log: &mut Log) -> Result<Vec<u64>, FileError> {
     let bytes = input::read(path)?;
+    check_comments(path, &bytes, unit_mm)?;
     let table = Table::parse(path, &bytes)?;
     let mut columns = [0; COLUMNS.len()];
     for (column, name) in columns.iter_mut().zip(COLUMNS) {

@@ -11,6 +11,8 @@ use crate::{
     cursor::Cursor,
     cut, input,
     scalar::number,
+    space::is_same,
+    unit::length_mm,
 };
 use nalgebra::{Matrix3, Quaternion, Vector3};
 use osteoflow_geometry::{FARTHEST_MM, MM_PER_M, ROUNDED_ROTATION, StampNs};
@@ -301,12 +303,8 @@ pub(super) fn read(
 
 /// Refuses a unit of length in a heading that is another than the one that is read.
 fn check_unit(stated: Option<&str>, unit_mm: f64) -> Result<(), String> {
-    let Some((name, stated_mm)) =
-        [("mm", 1.0), ("cm", 10.0), ("m", MM_PER_M)].into_iter().find(|(name, _)| stated == Some(name))
-    else {
-        return Ok(());
-    };
-    if (stated_mm / unit_mm - 1.0).abs() < 1e-9 {
+    let Some((name, stated_mm)) = stated.and_then(|name| Some((name, length_mm(name)?))) else { return Ok(()) };
+    if is_same(stated_mm, unit_mm) {
         return Ok(());
     }
     Err(format!(

@@ -2,7 +2,7 @@
 
 use super::ports::{Content, finite};
 use crate::acquire::network::{Port, PortItems};
-use osteoflow_formats::openigtlink::{PixelImage, Scalar};
+use osteoflow_formats::openigtlink::{NO_DEPTH_16, PixelImage, Scalar};
 use osteoflow_geometry::{
     Distortion, Image, Intrinsics, StampNs,
     nalgebra::{Matrix3, Point3},
@@ -198,6 +198,7 @@ fn depths(image: &PixelImage, intrinsics: Intrinsics, unit_mm: f64) -> impl Iter
     image.values().into_iter().enumerate().map(move |(k, depth)| {
         let pixel = [f64::from(u0) + (k % width) as f64, f64::from(v0) + (k / width) as f64];
         let z_mm = depth * unit_mm;
-        Some(Point3::from(intrinsics.ray(pixel)? * z_mm)).filter(|_| depth > 0.0 && z_mm.is_finite())
+        let is_depth = depth > 0.0 && z_mm.is_finite() && !(image.scalar == Scalar::U16 && depth == NO_DEPTH_16);
+        Some(Point3::from(intrinsics.ray(pixel)? * z_mm)).filter(|_| is_depth)
     })
 }
