@@ -109,8 +109,11 @@ fn every_node_of_a_graph_apart_gives_the_same_bits() {
     let (here, apart) = (run("here", &[]), run("apart", &sets));
     assert_eq!(here.0, apart.0);
     assert_eq!(here.1, apart.1);
-    // What the runs say is the same, but for the folder.
-    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).replace("/apart", "/here");
+    // What the runs say is the same, but for the folder, and for how far one is that takes long.
+    let said = |bytes: &[u8]| {
+        let text = String::from_utf8_lossy(bytes).replace("/apart", "/here");
+        text.lines().filter(|line| !line.contains(" nodes have worked")).map(str::to_owned).collect::<Vec<_>>()
+    };
     assert_eq!(said(&here.2), said(&apart.2));
 }
 

@@ -77,12 +77,17 @@ fn check(path: &Path) {
     let refused = |topic: &str| read_image(first(&bag, topic), &pinhole).unwrap_err().to_string();
     assert!(refused("/bayer").contains("encoding \"bayer_rggb8\" is not read"), "{}", refused("/bayer"));
     assert!(refused("/depth16").contains("a port of type = \"geometry/Cloud\""));
-    let half = camera(&bag, "/half/info");
+    let half = Calibration { size: [8, 6], ..pinhole.clone() };
     let error = read_image(first(&bag, "/rgb8"), &half).unwrap_err().to_string();
     assert!(error.contains("16 x 12 pixels, but its camera's calibration is for 8 x 6"), "{error}");
     let error = read_depth(first(&bag, "/depth16"), &half, None).unwrap_err().to_string();
     assert!(error.contains("16 x 12 pixels, but its camera's calibration is for 8 x 6"), "{error}");
-    for (topic, part) in [("/binned/info", "(binning 2 x 2)"), ("/part/info", "(roi 8 x 12 at 4, 0)")] {
+    // K of the whole images, with half of their size.
+    for (topic, part) in [
+        ("/binned/info", "(binning 2 x 2)"),
+        ("/part/info", "(roi 8 x 12 at 4, 0)"),
+        ("/half/info", "its images have 8 x 6 pixels: its numbers are of images about 1.90 times as large"),
+    ] {
         let error = read_calibration(first(&bag, topic), false).unwrap_err().to_string();
         assert!(error.contains(part), "{error}");
     }
@@ -133,7 +138,7 @@ fn a_graph_takes_clouds_from_a_depth_image_and_says_what_a_calibration_lacks() {
             "",
             "images need calibration, the topic of their camera's foxglove.CameraCalibration or sensor_msgs/CameraInfo",
         ),
-        (", calibration = \"/half/info\"", "its camera's calibration is for 8 x 6"),
+        (", calibration = \"/half/info\"", "its principal point is at 7.3, 5.9, but its images have 8 x 6 pixels"),
         (", calibration = \"/nothing\"", "the recording ros2_images.mcap has no messages on /nothing"),
         (
             ", calibration = \"/rgb8\"",
