@@ -1,6 +1,6 @@
 //! Nodes in processes of their own: the same bits as in the program, and what goes wrong there stays there and is named.
 
-use crate::common::{build, osteoflow, osteoflow_to_spawn, root};
+use crate::common::{build, osteoflow, osteoflow_to_spawn, page::without_progress, root};
 use serde_json::Value;
 use std::{
     fs,
@@ -110,10 +110,7 @@ fn every_node_of_a_graph_apart_gives_the_same_bits() {
     assert_eq!(here.0, apart.0);
     assert_eq!(here.1, apart.1);
     // What the runs say is the same, but for the folder, and for how far one is that takes long.
-    let said = |bytes: &[u8]| {
-        let text = String::from_utf8_lossy(bytes).replace("/apart", "/here");
-        text.lines().filter(|line| !line.contains(" nodes have worked")).map(str::to_owned).collect::<Vec<_>>()
-    };
+    let said = |bytes: &[u8]| without_progress(&String::from_utf8_lossy(bytes).replace("/apart", "/here"));
     assert_eq!(said(&here.2), said(&apart.2));
 }
 

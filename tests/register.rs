@@ -117,6 +117,44 @@ impl Case {
     }
 }
 
+#[test]
+fn a_part_that_looks_the_same_from_several_sides_is_told_and_doubtful_where_a_target_is_on_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let corner = |k: usize| {
+        let [x, y, z] = [0, 1, 2].map(|axis| ((k >> axis) & 1) as f64 - 0.5);
+        Point3::new(20.0 * x, 20.0 * y, 60.0 * z)
+    };
+    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let faces: Vec<[u32; 3]> = faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    let block = Mesh::new("ct", SurfaceOrigin::Exact, (0..8).map(corner).collect::<Vec<_>>(), faces).unwrap();
+    write_stl(&dir.path().join("block.stl"), &block).unwrap();
+    let motion = Isometry3::new(Vector3::new(100.0, -40.0, 300.0), Vector3::new(0.3, -0.7, 0.2));
+    let samples = sample::surface(&block, 4000, &mut ChaCha8Rng::seed_from_u64(2));
+    let seen = samples.points.iter().zip(&samples.normals).filter(|(_, normal)| normal.sum() > 0.5);
+    let scan = Cloud::new("scan", seen.map(|(p, _)| motion * p).collect::<Vec<_>>()).unwrap();
+    write_ply(&dir.path().join("scan.ply"), &scan, 1.0).unwrap();
+    fs::write(dir.path().join("targets.csv"), "label,x,y,z\nT1,5,5,20\n").unwrap();
+    let answer = |arguments: &[&str]| {
+        let output = osteoflow()
+            .current_dir(dir.path())
+            .args(["register", "block.stl", "scan.ply", "--format", "json"])
+            .args(arguments)
+            .output()
+            .unwrap();
+        assert!(stderr_of(&output).contains("degrees away, by a symmetry of it, so its shape does not tell which"));
+        last_line(&output)["verdict"].clone()
+    };
+    let alone = answer(&[]);
+    assert_eq!(alone["answer"], "trusted", "{alone}");
+    assert!(alone["assumptions"][0].as_str().unwrap().starts_with("it does not matter which of the sides"), "{alone}");
+    let planned = answer(&["--targets", "targets.csv"]);
+    assert_eq!(
+        (&planned["answer"], &planned["reasons"][0]["rule"]),
+        (&"doubtful".into(), &"start".into()),
+        "{planned}"
+    );
+}
+
 fn mean(points: &[Point3<f64>]) -> Vector3<f64> {
     points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64
 }

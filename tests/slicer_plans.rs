@@ -481,6 +481,10 @@ fn a_plan_of_a_scene_drives_a_procedure_to_the_planes_of_the_same_plan_in_json()
     assert!(done.contains("plan.json: a surgical plan: 2 planes, 3 landmarks, 5 assessment points"), "{done}{notes}");
     assert!(notes.contains("\"1\" is a label in several lists; their points are called LIST:LABEL"), "{notes}");
     assert!(
+        notes.contains("taken from it: axes, ") && notes.contains("axes and anatomy are right on the same CT only"),
+        "{notes}"
+    );
+    assert!(
         notes.contains("not part of the plan: mandibularPlane, teeth:1, fibulaLine, S0, S0; --map NAME=ROLE"),
         "{notes}"
     );

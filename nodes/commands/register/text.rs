@@ -104,15 +104,20 @@ fn times(registration: &Registration, checked: &Register, has_start: bool, globa
 /// Where the start is from, by its report.
 fn start(report: &Value) -> Option<String> {
     if let Ok(report) = serde_json::from_value::<GlobalReport>(report.clone()) {
-        return Some(match &report.runner_up {
-            Some(other) => format!(
+        return Some(match (&report.runner_up, &report.twin) {
+            (Some(other), _) => format!(
                 "by shape alone: the next best place, {:.0} mm and {:.0} degrees away, fits {:.0} % worse (clearness {:.2})",
                 other.shift_mm,
                 other.turn_rad.to_degrees(),
                 100.0 * (other.score_mm / report.score_mm.max(f64::MIN_POSITIVE) - 1.0),
                 report.clearness
             ),
-            None => "by shape alone: the scan fits in one place only".into(),
+            (None, Some(twin)) => format!(
+                "by shape alone: the scan fits where the surface looks the same only, such as {:.0} mm and {:.0} degrees away",
+                twin.shift_mm,
+                twin.turn_rad.to_degrees()
+            ),
+            (None, None) => "by shape alone: the scan fits in one place only".into(),
         });
     }
     let report: CoarseReport = serde_json::from_value(report.clone()).ok()?;

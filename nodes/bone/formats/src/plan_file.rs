@@ -62,7 +62,7 @@ pub fn read_plan(path: &Path) -> Result<PlanRead, FileError> {
 }
 
 impl PlanRead {
-    /// With what the plan in a file has and this one lacks, see [`SurgicalPlan::completed_by`].
+    /// With what the plan in a file has and this one lacks, see [`SurgicalPlan::completed_by`]; a note says what that is.
     ///
     /// # Errors
     /// As [`read_plan`].
@@ -70,10 +70,32 @@ impl PlanRead {
         if let Some(file) = file {
             let other = read_plan(file)?;
             self.notes.extend(other.notes);
+            let before = parts_of_rest(&self.plan);
+            let taken: Vec<&str> =
+                parts_of_rest(&other.plan).into_iter().filter(|part| !before.contains(part)).collect();
             self.plan = self.plan.completed_by(other.plan);
+            self.notes.push(match &taken[..] {
+                [] => format!("{}: it has nothing that the plan lacks, so nothing of it is taken", file.display()),
+                _ => {
+                    let is_of_patient = taken.iter().any(|part| ["axes", "anatomy"].contains(part));
+                    let whose = if is_of_patient { "; axes and anatomy are right on the same CT only" } else { "" };
+                    format!("{}: taken from it: {}{whose}", file.display(), taken.join(", "))
+                }
+            });
         }
         Ok(self)
     }
+}
+
+/// What a plan has of that which another may be completed by.
+fn parts_of_rest(plan: &SurgicalPlan) -> Vec<&'static str> {
+    let parts = [
+        ("axes", plan.axes.is_some()),
+        ("anatomy", plan.anatomy.is_some()),
+        ("pose of the phantom's marker", plan.t_phantom_phantom_marker.is_some()),
+        ("nominal pose of the camera's marker", plan.t_camera_camera_marker_nominal.is_some()),
+    ];
+    parts.into_iter().filter(|(_, is_there)| *is_there).map(|(name, _)| name).collect()
 }
 
 /// Reads the plan of one bone: from the object under the key `bone` if the file has one, else as [`read_plan`].

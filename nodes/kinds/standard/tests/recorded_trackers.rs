@@ -260,6 +260,23 @@ fn play_log(text: &str, params: serde_json::Value, port: serde_json::Value) -> P
     play(Poses::new(params).unwrap(), port).map_err(|error| NodeError::new(error.message.replace(&name, "LOG")))
 }
 
+#[test]
+fn a_damaged_stamp_in_a_log_is_no_silence_of_its_tool_or_of_another() {
+    let text: String = (0..40)
+        .map(|k| {
+            let s = if k == 20 { "4292000000.0".into() } else { format!("1750000000.{:03}", 25 * k) };
+            format!("{s} {} 0 1 0 0 0 1\n", f64::from(k) * 0.001)
+        })
+        .collect();
+    let params = json!({ "path": "", "parent": "world", "child": "bone" });
+    let (items, warnings) = play_log(&text, params, json!({ "lost_after_ms": 500.0 })).unwrap();
+    assert_eq!(items.iter().filter(|(_, emission)| pose_of(emission).is_some()).count(), 39, "{warnings:?}");
+    assert_eq!(items.len(), 39, "no empty at the end: {:?}", items.last());
+    assert!(
+        warnings.iter().any(|said| said.contains("t_world_bone: 1 pose is left out, the stamp 4292000000000000000 ns"))
+    );
+}
+
 /// A sequence of PLUS: the stylus on a reference, the reference in the tracker, which is not seen in frame 2.
 fn sequence() -> String {
     let mut text = "ObjectType = Image\nNDims = 3\nDimSize = 0 0 5\n".to_owned();

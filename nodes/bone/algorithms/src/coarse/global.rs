@@ -51,7 +51,8 @@ const N_REGISTERED: usize = 1000;
 /// Number of scan points by which the ends are compared.
 const N_COMPARED: usize = 2500;
 
-/// As many times the starts that are refined are first looked at more closely with few points.
+/// As many times the starts that are refined are first looked at more closely with few points; and as many times are refined and registered
+/// where symmetries of the surface take the room of other places.
 const MORE: usize = 5;
 
 /// A scan is looked for along the bone alone if it is at least this many times as long as wide...
@@ -225,8 +226,7 @@ impl<'a> Search<'a> {
         let middle = centroid(points);
         // An open surface may be inside out, and its side does not matter here.
         let camera = source.viewpoint.filter(|_| target.side() == Side::Outward).map(|t| t * Point3::origin());
-        let squares = points.iter().map(|p| (p - middle).norm_squared()).sum::<f64>();
-        let radius_mm = (squares / points.len() as f64).sqrt();
+        let radius_mm = radius_about(&middle, points);
         Self {
             target,
             map: target.index().near_map(target),
@@ -436,6 +436,12 @@ impl End {
 /// Whether there are so few points that a place and its mirror image look alike on many bones.
 pub(crate) fn is_sparse(points: &[Point3<f64>]) -> bool {
     points.len() < MIN_TO_TELL_SIDE
+}
+
+/// RMS distance of points from their centroid, mm.
+fn radius_about(middle: &Point3<f64>, points: &[Point3<f64>]) -> f64 {
+    let squares: f64 = points.iter().map(|p| (p - middle).norm_squared()).sum();
+    (squares / points.len().max(1) as f64).sqrt()
 }
 
 /// Number of cells that the points are in.

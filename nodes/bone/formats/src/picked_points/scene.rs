@@ -312,7 +312,7 @@ impl<'a> Scene<'a, '_> {
                 return Err(self.fault(node, message));
             }
         };
-        let numbers: Vec<f64> = text.split_whitespace().map_while(|word| word.parse().ok()).collect();
+        let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>().unwrap_or_default();
         if numbers.len() != 16 {
             return Err(self.fault(node, format!("16 numbers are expected in its matrix, found \"{text}\"")));
         }

@@ -234,7 +234,7 @@ impl PortLog<'_> {
             let all = self
                 .streams
                 .values()
-                .flat_map(|of| of.poses.iter().map(|pose| pose.stamp_ns).chain(of.lost.iter().map(|l| l.0)));
+                .flat_map(|of| sifted::last_ns(&of.poses).into_iter().chain(of.lost.iter().map(|l| l.0)));
             let end_ns = all.max().unwrap_or(0);
             events.extend(silences(
                 &stamps,

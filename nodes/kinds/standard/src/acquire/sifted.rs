@@ -91,6 +91,11 @@ fn strays(poses: &[Pose]) -> Vec<bool> {
     strays.into_iter().map(|stray| stray && are_few).collect()
 }
 
+/// The newest stamp of poses in the order in which they were sent, strays left out.
+pub(super) fn last_ns(poses: &[Pose]) -> Option<StampNs> {
+    poses.iter().zip(strays(poses)).filter(|(_, is_stray)| !is_stray).map(|(pose, _)| pose.stamp_ns).max()
+}
+
 /// The poses of one marker.
 fn of_marker(what: &str, poses: Vec<Pose>, params: &PoseStreamParams, signs: &mut Vec<Sign>) -> Vec<Sifted> {
     let frozen = Frozen::of(what, &poses, params.frozen_after_ms, signs);

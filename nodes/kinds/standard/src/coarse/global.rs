@@ -71,6 +71,14 @@ impl Global {
                 other.turn_rad.to_degrees()
             ));
         }
+        if let Some(twin) = &fit.report.twin {
+            ctx.warn(format!(
+                "the surface looks the same {:.0} mm and {:.0} degrees away, by a symmetry of it, so its shape does not tell which of the two \
+                 was scanned; where that matters, use landmarks (coarse.three_point)",
+                twin.shift_mm,
+                twin.turn_rad.to_degrees()
+            ));
+        }
         let pose = Pose::new(&i.surface.frame, &i.cloud.frame, fit.t_target_source).at(ctx.stamp_ns());
         Ok(Out { t_target_source: pose, report: fit.report })
     }

@@ -1,6 +1,6 @@
 //! Motions after which a surface lies on itself.
 
-use super::{Reach, distance_mm, refined};
+use super::{Reach, distance_mm, radius_about, refined};
 use crate::downsample::thinned;
 use crate::kabsch::centroid;
 use crate::target::Target;
@@ -18,12 +18,10 @@ const OF_RADIUS: f64 = 0.02;
 /// Pairs are up to this many times farther apart than at the end of a search: where a noisy scan came to lie is off by as much.
 const REACHES: f64 = 3.0;
 
-/// The symmetry of a surface that a motion is near to.
+/// The symmetry of a surface that a motion is near to, which may be none at all: the identity.
 pub(crate) fn symmetry(target: &Target, near: &Isometry3<f64>) -> Option<Isometry3<f64>> {
     let points = thinned(target.points(), N_POINTS);
-    let middle = centroid(&points);
-    let squares: f64 = points.iter().map(|p| (p - middle).norm_squared()).sum();
-    let radius_mm = (squares / points.len().max(1) as f64).sqrt();
+    let radius_mm = radius_about(&centroid(&points), &points);
     let reach_mm = Reach::new(radius_mm).end;
     let near = refined(target, &points, near, None, REACHES * reach_mm)?;
     let motion = refined(target, &points, &near, None, reach_mm)?;
