@@ -295,3 +295,24 @@ pub(crate) fn commands() -> Vec<(String, usize)> {
     };
     names.into_iter().map(|name| (name.to_owned(), places(name))).collect()
 }
+
+/// Refuses a schema of JSON messages that Foxglove's parser of the time when Lichtblick came from it refuses, which shows an alert: each
+/// object lists its properties, each property has a type, and a list is one of objects or of plain values.
+///
+/// # Source
+/// `packages/mcap-support/src/parseJsonSchema.ts` of foxglove/studio, 9abf66535509.
+pub(crate) fn read_by_viewers(schema: &serde_json::Value) -> Result<(), String> {
+    let (kind, properties) = (&schema["type"], schema["properties"].as_object());
+    let Some(properties) = properties.filter(|_| kind == "object") else {
+        return Err(format!("an object with properties is expected: {schema}"));
+    };
+    properties.iter().try_for_each(|(name, property)| {
+        let (is_list, value) = (property["type"] == "array", &property["items"]);
+        let value = if is_list { value } else { property };
+        match value["type"].as_str() {
+            Some("boolean" | "string" | "number" | "integer") => Ok(()),
+            Some("object") => read_by_viewers(value),
+            other => Err(format!("{name}: {other:?} in {schema}")),
+        }
+    })
+}

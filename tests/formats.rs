@@ -55,6 +55,10 @@ impl Files {
         let (mesh, cloud) = (Ok("mesh"), Ok("cloud"));
         let ascii = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 40 0 0\nvertex 0 40 0\nendloop\nendfacet\nendsolid a\n";
         let off = "OFF\n3 1 0\n0 0 0\n40 0 0\n0 40 0\n3 0 1 2\n";
+        let vtp = "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"3\" NumberOfPolys=\"1\">\
+                   <Points><DataArray type=\"Float32\" format=\"ascii\">0 0 0 40 0 0 0 40 0</DataArray></Points>\
+                   <Polys><DataArray type=\"Int32\" Name=\"connectivity\" format=\"ascii\">0 1 2</DataArray>\
+                   <DataArray type=\"Int32\" Name=\"offsets\" format=\"ascii\">3</DataArray></Polys></Piece></PolyData></VTKFile>";
         let read = |name: &str| self.converted(&bone, name, &[]);
         let surfaces = [
             Line {
@@ -99,6 +103,12 @@ impl Files {
                 files: vec![(self.converted(&scan, "scan.vtk", &[]), cloud)],
                 written: Some((".vtk", scan.clone())),
                 confirmed: &["VTK", "PyVista"],
+            },
+            Line {
+                format: "VTK XML `.vtp`",
+                files: vec![(self.of("a.vtp", vtp), mesh)],
+                written: None,
+                confirmed: &["VTK"],
             },
             Line {
                 format: "PCD",
@@ -209,7 +219,8 @@ impl Files {
         };
         let frames: String = (0..3).map(frame).collect();
         let sequence = format!("ObjectType = Image\nNDims = 3\nDimSize = 0 0 3\n{frames}ElementDataFile = LOCAL\n");
-        let sequence = self.of("log.igs.mha", sequence);
+        let in_nrrd = format!("NRRD0004\nsizes: 0 0 3\n{}\n", frames.replace(" = ", ":="));
+        let [sequence, in_nrrd] = [self.of("log.igs.mha", sequence), self.of("log.igs.nrrd", in_nrrd)];
         let tum: String = (0..5).map(|k| format!("{k}.5 0.1 0.2 0.3 0 0 0.6 0.8\n")).collect();
         let euroc = "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n\
                      1403636579763555584,1,2,3,0.8,0,0,0.6\n";
@@ -217,11 +228,15 @@ impl Files {
         let ndi = "Tools,Port 1: Probe,Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n1,Port 1,7,1.5,1,OK,1,0,0,0,1,2,3,0.1\n";
         let tool = "ToolInfo,Frame#,PortHandle,Face#,timespec_s,timespec_ns,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,#Markers";
         let sample = format!("#Tools,{tool}\n1,A s/n:1,7,Port:10,0,1700000000,5,Enabled,1,0,0,0,1,2,3,0.1,0\n");
+        let motive = "Format Version,1.23,Rotation Type,Quaternion,Length Units,Meters\n,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body\n\
+                      ,Name,A,A,A,A,A,A,A\n,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z\n0,0.5,0,0,0,1,1,2,3\n";
+        let vicon =
+            "Objects\n100\n,,A:A,,,,,,\nFrame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n,,,,,,mm,mm,mm\n1,0,0,0,0,1,1,2,3\n";
         let csv = "t_ns,parent,child,x,y,z,qx,qy,qz,qw\n10,world,marker,1,2,3,0,0,0,1\n20,world,marker,,,,,,,\n";
         vec![
             Line {
-                format: "tracked sequence `.igs.mha` of PLUS",
-                files: poses(sequence.clone()),
+                format: "tracked sequence `.igs.mha`, `.igs.nrrd` of PLUS",
+                files: vec![(sequence.clone(), Ok("poses")), (in_nrrd, Ok("poses"))],
                 written: None,
                 confirmed: &["SimpleITK"],
             },
@@ -247,6 +262,12 @@ impl Files {
             Line {
                 format: "NDI, sample program of the Combined API, CSV",
                 files: poses(self.of("sample.csv", sample)),
+                written: None,
+                confirmed: &[],
+            },
+            Line {
+                format: "OptiTrack Motive, Vicon Tracker, CSV",
+                files: vec![(self.of("motive.csv", motive), Ok("poses")), (self.of("vicon.csv", vicon), Ok("poses"))],
                 written: None,
                 confirmed: &[],
             },

@@ -1,9 +1,9 @@
 //! `osteoflow info` and `osteoflow runs`: what files and folders hold.
 
-use crate::common::{WHITE, copied_run, osteoflow, root, shared_run};
+use crate::common::{WHITE, copied_run, json as json_of, osteoflow, root, shared_run};
 use osteoflow_formats::{
     mcap_read::Recording,
-    message_read::read_cloud,
+    message_read::{read_cloud, read_transforms},
     recording_write::{Stream, recording_bytes},
 };
 use osteoflow_geometry::{Pose, nalgebra::Isometry3};
@@ -87,6 +87,45 @@ fn a_recording_is_given_a_command_that_works_on_what_it_holds_and_all_its_pairs_
     // Without any one of what the graph needs, it is not recommended.
     needed.retain(|topic| !topic.is_empty());
     assert!(needed.len() == 7 && needed.contains(&"/camera/scan".to_owned()), "{needed:?}");
+}
+
+#[test]
+fn the_command_for_a_procedure_fits_the_frames_of_its_recording() {
+    let recorded = Recording::open(&root().join("tests/data/procedure/procedure.mcap"), false).unwrap();
+    let transforms = |topic: &str, child: &str| {
+        let read = recorded.messages(topic).iter().flat_map(|message| read_transforms(message).unwrap());
+        let pose = read.map(|pose| pose.unwrap().value);
+        Stream::Transforms(pose.map(|pose| Pose { to: "tracker_base".into(), from: child.into(), ..pose }).collect())
+    };
+    let clouds = |topic: &str| {
+        let read = recorded.messages(topic).iter().map(|message| read_cloud(message).unwrap().cloud);
+        Stream::Clouds(read.map(|cloud| cloud.transformed("optical", &Isometry3::identity())).collect())
+    };
+    let mut streams: Vec<(String, Stream)> = ["calibration", "scan", "laser_p1", "laser_p2", "laser_p3"]
+        .map(|name| format!("/camera/{name}"))
+        .map(|topic| (topic.clone(), clouds(&topic)))
+        .into();
+    for (name, child) in
+        [("camera_marker", "camera_marker"), ("phantom_marker", "tool_2"), ("bone_marker", "bone_marker")]
+    {
+        let topic = format!("/tracker/{name}");
+        streams.push((topic.clone(), transforms(&topic, child)));
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("renamed.mcap");
+    fs::write(&path, recording_bytes(&streams, &recorded.metadata, &[]).unwrap()).unwrap();
+    let command = found(&path)["use"][0].as_str().unwrap().to_owned();
+    let out = dir.path().join("run");
+    let words = command.split(' ').skip(1);
+    let done = osteoflow().current_dir(root()).args(words).arg("--out").arg(&out).output().unwrap();
+    assert_eq!(done.status.code(), Some(0), "{command}\n{}", String::from_utf8_lossy(&done.stderr));
+    let origins = |dir: &Path| -> Vec<f64> {
+        let planes = json_of(&dir.join("results.json"))["planes_at_scan"].as_array().unwrap().clone();
+        planes.iter().flat_map(|plane| (0..3).map(|k| plane["matrix"][k][3].as_f64().unwrap())).collect()
+    };
+    let (found, expected) = (origins(&out), origins(shared_run("graphs/fibula_recorded.toml", &[]).dir.path()));
+    assert_eq!((found.len(), expected.len()), (6, 6));
+    assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-3), "{found:?}, not {expected:?}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::served::Served;
-use crate::common::{WHITE, copied_run, osteoflow, shared_run, skips_slow};
+use crate::common::{WHITE, copied_run, osteoflow, read_by_viewers, shared_run, skips_slow};
 use crate::viewers::{DRAWN_MM, file::File, off_its_place_mm, place_of_scan};
 use osteoflow_geometry::{
     isometry_from_matrix,
@@ -27,6 +27,8 @@ use tungstenite::{ClientRequestBuilder, Message, WebSocket};
 const LIMIT: Duration = Duration::from_secs(60);
 /// Opcode of a message of a channel.
 const MESSAGE: u8 = 1;
+/// Opcode of the state of a playback.
+const PLAYBACK_STATE: u8 = 5;
 
 impl Served {
     fn view(&self) -> Viewer {
@@ -42,6 +44,8 @@ struct Viewer {
     channels: BTreeMap<String, Value>,
     /// Topic of each subscription.
     topics: BTreeMap<u32, String>,
+    /// Opcodes of the binary messages so far.
+    opcodes: BTreeSet<u8>,
 }
 
 impl Viewer {
@@ -55,7 +59,13 @@ impl Viewer {
         }
         let (socket, answer) = tungstenite::client(request, connection).map_err(|error| error.to_string())?;
         assert_eq!(answer.headers()["sec-websocket-protocol"], protocol);
-        let mut viewer = Self { socket, info: Value::Null, channels: BTreeMap::new(), topics: BTreeMap::new() };
+        let mut viewer = Self {
+            socket,
+            info: Value::Null,
+            channels: BTreeMap::new(),
+            topics: BTreeMap::new(),
+            opcodes: BTreeSet::new(),
+        };
         viewer.info = viewer.text("serverInfo");
         viewer.text("advertise");
         Ok(viewer)
@@ -64,10 +74,17 @@ impl Viewer {
     /// Next message; channels that are advertised are noted.
     fn next(&mut self) -> Option<Message> {
         let message = self.socket.read().ok()?;
+        if let Message::Binary(bytes) = &message {
+            self.opcodes.extend(bytes.first());
+        }
         if let Message::Text(text) = &message {
             let message: Value = serde_json::from_str(text).unwrap();
             if message["op"] == "advertise" {
                 for channel in message["channels"].as_array().unwrap() {
+                    if channel["schemaEncoding"] == "jsonschema" {
+                        let schema = serde_json::from_str(channel["schema"].as_str().unwrap()).unwrap();
+                        assert_eq!(read_by_viewers(&schema), Ok(()), "{channel}");
+                    }
                     self.channels.insert(channel["topic"].as_str().unwrap().to_owned(), channel.clone());
                 }
             }
@@ -502,6 +519,41 @@ fn the_page_shows_a_recording_as_it_ended_and_as_it_was_before() {
         "JSON.stringify(osteoflow.scene.drawn.get('planes.planes').object.children[0].position.toArray()) === JSON.stringify({first})"
     ));
     assert_eq!(browser.complaints(&served.page), Vec::<String>::new());
+}
+
+/// A viewer that has not asked for it takes the state of a playback for an error, whichever subprotocol it offers.
+#[test]
+fn the_state_of_a_playback_goes_to_who_asks_for_it() {
+    let ran = shared_run(GRAPH, &[]);
+    let served = Served::start(&["view", ran.dir.path().to_str().unwrap()]);
+    for protocol in ["foxglove.sdk.v1", "foxglove.websocket.v1"] {
+        for (query, expected) in [("", false), ("?playback", true)] {
+            let mut viewer = Viewer::connect(&format!("{}{query}", served.stream), None, protocol).unwrap();
+            viewer.subscribe(|topic| topic.starts_with("/view/"));
+            viewer.data().unwrap();
+            assert_eq!(viewer.opcodes.contains(&PLAYBACK_STATE), expected, "{protocol} {query}");
+        }
+    }
+}
+
+#[test]
+fn a_page_without_webgl_shows_verdict_numbers_graph_and_messages_and_says_what_is_missing() {
+    let Some(mut browser) = Browser::start("a_page_without_webgl") else { return };
+    let ran = shared_run(GRAPH, &WHITE);
+    let served = Served::start(&["view", ran.dir.path().to_str().unwrap()]);
+    let none = "HTMLCanvasElement.prototype.getContext = () => null";
+    browser.call("Page.addScriptToEvaluateOnNewDocument", json!({ "source": none }));
+    open(&mut browser, &served);
+    let answer = ran.results["verdict"]["answer"].as_str().unwrap();
+    browser.wait_until(&format!("document.getElementById('verdict').className === 'verdict {answer}'"));
+    browser.wait_until("document.querySelectorAll('#graph details').length > 10 && document.querySelectorAll('#numbers dd').length > 3");
+    let said = browser.evaluate("document.querySelector('#view .missing').textContent");
+    assert!(said.as_str().unwrap().starts_with("No view in three dimensions: this browser has no WebGL"), "{said}");
+    // The planes are in the list, and nothing is thrown by a click that would draw.
+    browser.evaluate("[...document.querySelectorAll('#sides button')].filter((b) => !b.hidden && b.id !== 'full').forEach((b) => b.click())");
+    browser.wait_until("document.getElementById('shown').textContent.includes('planes')");
+    let thrown = browser.complaints(&served.page);
+    assert!(thrown.iter().all(|said| said.contains("WebGL context")), "{thrown:?}");
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! A graph that is changed on the page: parameters, kinds, the region of interest; what is refused, and what is written back.
 
 use crate::common::browser::Browser;
-use crate::common::osteoflow;
 use crate::common::served::Served;
 use crate::common::skips_slow;
+use crate::common::{osteoflow, read_by_viewers};
 use serde_json::{Value, json};
 use std::{
     fs,
@@ -449,6 +449,12 @@ impl Client {
         let request = ClientRequestBuilder::new(address.parse().unwrap()).with_sub_protocol("foxglove.websocket.v1");
         let mut client = Self { socket: tungstenite::client(request, connection).unwrap().0, services: Value::Null };
         client.services = client.text("advertiseServices")["services"].clone();
+        for service in client.services.as_array().unwrap() {
+            for part in ["request", "response"] {
+                let schema = serde_json::from_str(service[part]["schema"].as_str().unwrap()).unwrap();
+                assert_eq!(read_by_viewers(&schema), Ok(()), "{service}");
+            }
+        }
         client
     }
 

@@ -2,7 +2,7 @@
 
 pub(crate) mod file;
 
-use crate::common::{WHITE, isometry, json, point, run, run_whole, shared_run};
+use crate::common::{WHITE, isometry, json, point, read_by_viewers, run, run_whole, shared_run};
 use file::{Edge, File, median};
 use osteoflow_algorithms::mesh_query::MeshQuery;
 use osteoflow_formats::mesh_or_cloud::read_cloud;
@@ -178,6 +178,10 @@ fn the_registered_scan_stays_on_its_place_on_the_bone_at_every_second_of_the_rec
         assert!(["protobuf", "json", "cdr"].contains(&encoding), "{}: viewers do not know {encoding}", channel.topic);
         let schema = channel.schema.as_ref().unwrap();
         assert_eq!(encoding == "cdr", schema.encoding == "ros2msg", "{}", channel.topic);
+        if schema.encoding == "jsonschema" {
+            let read = read_by_viewers(&serde_json::from_slice(&schema.data).unwrap());
+            assert_eq!(read, Ok(()), "{}", channel.topic);
+        }
     }
 }
 

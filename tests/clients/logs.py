@@ -116,11 +116,12 @@ def of_simple_itk():
             image[field + "StylusToTrackerTransform"] = " ".join(repr(float(value)) for value in matrix.ravel())
             image[field + "StylusToTrackerTransformStatus"] = "MISSING" if k == 7 else "OK"
             image[field + "Timestamp"] = f"{10 + 0.05 * k:.6f}"
-        path = folder() / f"{name.replace(' ', '-')}.igs.mha"
-        sitk.WriteImage(image, str(path), name == "compressed")
-        stamps, found, lost = read(path)
-        assert lost == [10_350_000_000] and stamps[0] == 10_000_000_000, (lost, stamps)
-        yield Row(f".igs.mha {name}, its poses read here, one of them lost", difference(found, np.delete(expected, 7, axis=0)))
+        for ending in ("mha", "nrrd"):
+            path = folder() / f"{name.replace(' ', '-')}.igs.{ending}"
+            sitk.WriteImage(image, str(path), name == "compressed")
+            stamps, found, lost = read(path)
+            assert lost == [10_350_000_000] and stamps[0] == 10_000_000_000, (lost, stamps)
+            yield Row(f".igs.{ending} {name}, its poses read here, one of them lost", difference(found, np.delete(expected, 7, axis=0)))
     euler = sitk.Euler3DTransform((1, 2, 3), 0.3, -0.2, 0.9, (12.5, -3, 900))
     versor = sitk.VersorRigid3DTransform()
     versor.SetRotation((0, 0, 1), 0.4)

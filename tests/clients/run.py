@@ -16,6 +16,7 @@ except ImportError:
     sys.exit(2)
 
 import clouds  # noqa: F401 (each module registers its tests)
+import firefox  # noqa: F401
 import images  # noqa: F401
 import links  # noqa: F401
 import logs  # noqa: F401

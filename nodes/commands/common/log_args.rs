@@ -42,9 +42,11 @@ impl LogArgs {
         });
         let columns: Option<_> = columns.transpose().map_err(|error: anyhow::Error| error)?;
         let format = if columns.is_some() { LogFormat::Table } else { format };
+        // A table of motion capture states its unit.
+        let is_stated = format == LogFormat::MotionCapture && scale == 1.0;
         Ok(LogOptions {
             format: Some(format),
-            unit_mm: Some(format.unit_mm() * scale),
+            unit_mm: (!is_stated).then(|| format.unit_mm() * scale),
             parent: self.parent.clone(),
             child: self.child.clone(),
             rate_hz: self.rate,

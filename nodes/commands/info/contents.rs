@@ -499,6 +499,27 @@ pub(super) const PROCEDURE: [(&str, MessageKind); 7] = [
     ("/tracker/phantom_marker", MessageKind::Transform),
 ];
 
+/// What says where the frames of a procedure have other names than in its graph.
+fn renamed(read: &Recording) -> Vec<String> {
+    let first = |topic: &str| read.messages(topic).iter().find_map(|message| frames(message).into_iter().next());
+    let camera = first("/camera/scan").filter(|frame| frame != "camera");
+    let mut sets: Vec<String> = camera.iter().map(|frame| format!("frames.{frame}=camera")).collect();
+    for port in ["camera_marker", "phantom_marker", "bone_marker"] {
+        let pair = first(&format!("/tracker/{port}"));
+        let Some((to, from)) = pair.as_ref().and_then(|pair| pair.split_once(" -> ")) else { continue };
+        if to != "world" {
+            // What is touched is in this frame, too.
+            let world = format!("frames.{to}=world");
+            sets.extend((!sets.contains(&world)).then_some(world));
+            sets.push(format!("out.{port}.parent={to}"));
+        }
+        if from != port {
+            sets.extend([format!("frames.{from}={port}"), format!("out.{port}.child={from}")]);
+        }
+    }
+    sets
+}
+
 /// Commands that can use a recording that is none of a run: all of a procedure, or else its clouds, or else its poses.
 fn uses_of(read: &Recording, name: &str, is_damaged: bool) -> Vec<String> {
     let kind = |topic: &&RecordedTopic| MessageKind::of(&topic.schema_name).filter(|_| topic.n_messages > 0);
@@ -507,7 +528,8 @@ fn uses_of(read: &Recording, name: &str, is_damaged: bool) -> Vec<String> {
     };
     if PROCEDURE.iter().all(is_there) {
         let allow = if is_damaged { " --set recording.allow_truncated=true" } else { "" };
-        return vec![format!("osteoflow run graphs/fibula_recorded.toml --set recording.path={name}{allow}")];
+        let renamed: String = renamed(read).iter().map(|set| format!(" --set recording.{set}")).collect();
+        return vec![format!("osteoflow run graphs/fibula_recorded.toml --set recording.path={name}{allow}{renamed}")];
     }
     let cloud = read.topics().iter().find(|topic| kind(topic) == Some(MessageKind::Cloud));
     let mut uses = Vec::new();

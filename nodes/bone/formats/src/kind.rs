@@ -72,7 +72,7 @@ pub struct Probe {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LogFormat {
-    /// A MetaImage with a transform for each frame of a sequence.
+    /// A MetaImage or NRRD with a transform for each frame of a sequence.
     IgsMha,
     /// TUM: `timestamp x y z qx qy qz qw`.
     Tum,
@@ -84,6 +84,8 @@ pub enum LogFormat {
     Poses,
     /// A table of NDI's Track, whose heading begins with `Tools,Port`, or of the sample program of NDI's API, with `ToolInfo`.
     Ndi,
+    /// A table of OptiTrack's Motive, or of Vicon's Tracker, whose heading is several lines.
+    MotionCapture,
     /// A table whose heading is described.
     Table,
 }
@@ -93,7 +95,7 @@ impl LogFormat {
     pub fn unit_mm(self) -> f64 {
         match self {
             Self::Tum | Self::Euroc | Self::Kitti => MM_PER_M,
-            Self::IgsMha | Self::Poses | Self::Ndi | Self::Table => 1.0,
+            Self::IgsMha | Self::Poses | Self::Ndi | Self::MotionCapture | Self::Table => 1.0,
         }
     }
 
@@ -106,12 +108,13 @@ impl LogFormat {
 impl fmt::Display for LogFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::IgsMha => "a tracked sequence (.igs.mha)",
+            Self::IgsMha => "a tracked sequence (.igs.mha, .igs.nrrd)",
             Self::Tum => "a TUM trajectory",
             Self::Euroc => "a EuRoC trajectory",
             Self::Kitti => "a KITTI trajectory",
             Self::Poses => "poses (t_ns, parent, child, ..)",
             Self::Ndi => "a table of NDI's programs",
+            Self::MotionCapture => "a table of motion capture (Motive, Vicon)",
             Self::Table => "a table of poses",
         })
     }
@@ -123,10 +126,11 @@ pub(crate) const TEXT: &str = "text";
 /// A surface or a cloud: its name, whether bytes are of it, whether they have faces.
 type Shaped = (&'static str, fn(&[u8]) -> bool, fn(&[u8]) -> bool);
 
-const SHAPES: [Shaped; 4] = [
+const SHAPES: [Shaped; 5] = [
     ("PLY", |bytes| bytes.starts_with(b"ply"), has_ply_faces),
     ("STL", is_binary_stl, |_| true),
     ("VTK", |bytes| bytes.starts_with(b"# vtk DataFile"), |bytes| has_line(bytes, &["POLYGONS ", "TRIANGLE_STRIPS "])),
+    ("VTK XML", is_vtp, has_vtp_faces),
     ("PCD", is_pcd, |_| false),
 ];
 
@@ -181,10 +185,14 @@ const UNREAD: &[Unread] = &[
     (&[b"999"], "SECTION", "DXF", SURFACE),
     (&[b"AC10"], "", "DWG", SURFACE),
     (&[b"\x02P"], "", "C3D", BODIES),
-    (&[b"Format Version,"], "", "a table of OptiTrack's Motive", BODIES),
     (&[b"NO_OF_FRAMES"], "", "a table of Qualisys", BODIES),
     (&[b"\xff\xfe", b"\xfe\xff"], "", "UTF-16 text", "save it as UTF-8"),
-    (&[b"<"], "<VTKFile", "XML of VTK (.vtp, .vtu)", "write the surface as legacy .vtk, PLY or STL"),
+    (
+        &[b"<"],
+        "<VTKFile",
+        "XML of VTK that is no poly data (.vtu, .vti)",
+        "extract the surface and write it as .vtp, PLY or STL",
+    ),
     (&[b"<"], "<GIFTI", "GIFTI", FREESURFER),
     (&[b"<"], "<COLLADA", "COLLADA", SURFACE),
     (&[b"<"], "", "XML or HTML", SURFACE),
@@ -270,6 +278,20 @@ fn is_pcd(bytes: &[u8]) -> bool {
     let mut lines = bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii).take(50);
     let first = lines.find(|line| line.starts_with(b"# .PCD") || !(line.is_empty() || line.starts_with(b"#")));
     first.is_some_and(|line| [&b"# .PCD"[..], b"VERSION ", b"FIELDS "].iter().any(|word| line.starts_with(word)))
+}
+
+/// Whether a file begins as poly data of VTK in XML.
+pub(crate) fn is_vtp(bytes: &[u8]) -> bool {
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
+    head.trim_start().starts_with('<') && head.contains("<VTKFile") && head.contains("type=\"PolyData\"")
+}
+
+/// Whether a piece counts polygons or strips.
+pub(crate) fn has_vtp_faces(bytes: &[u8]) -> bool {
+    ["NumberOfPolys=\"", "NumberOfStrips=\""].iter().any(|name| {
+        let n = name.len();
+        bytes.windows(n + 1).any(|window| window.starts_with(name.as_bytes()) && window[n] != b'0')
+    })
 }
 
 /// Whether the header of a PLY counts faces.

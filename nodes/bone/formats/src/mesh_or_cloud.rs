@@ -7,6 +7,7 @@
 //! | PCD | ASCII, binary and compressed, any fields |
 //! | OBJ | vertices, normals, faces with polygons and negative indices |
 //! | VTK legacy | poly data, ASCII and binary, polygons and strips of both layouts |
+//! | VTK XML | poly data of one piece, numbers as text, in base64 and appended, also compressed by zlib |
 //! | OFF | also COFF, NOFF, CNOFF |
 //! | text (XYZ, ASC, PTS, CSV) | any separator, decimal commas, headings |
 //!
@@ -93,7 +94,7 @@ fn shape_of(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
         "PLY" => ply::shape,
         "STL" if is_binary => stl::binary,
         "STL" => stl::ascii,
-        "VTK" => vtk::shape,
+        "VTK" | "VTK XML" => vtk::shape,
         "PCD" => pcd::shape,
         "OBJ" => obj::shape,
         "OFF" => off::shape,

@@ -99,6 +99,38 @@ impl<'a> Header<'a> {
         Ok(header)
     }
 
+    /// Reads the `key:=value` and `field: value` of an NRRD up to the blank line that ends its header.
+    ///
+    /// # Errors
+    /// [`FileError`] with the line that is none of these, or gives a key twice.
+    ///
+    /// # Source
+    /// The NRRD file format, sections 3 and 5.
+    pub(crate) fn of_nrrd(path: &'a Path, reader: &mut impl BufRead) -> Result<Self, FileError> {
+        let mut header = Self { path, fields: Vec::new(), by_key: HashMap::new(), data_start: 0 };
+        let lines = reader.take(MAX_HEADER_BYTES as u64).split(b'\n').enumerate().skip(1);
+        for (k, bytes) in lines {
+            let (line, bytes) = (k + 1, bytes.map_err(FileError::read(path))?);
+            let text = String::from_utf8_lossy(bytes.trim_ascii());
+            if text.is_empty() {
+                break;
+            }
+            if text.starts_with('#') {
+                continue;
+            }
+            let fault = |message: &str| Err(FileError::content(path, format!("line {line}"), message));
+            let Some((key, value)) = text.split_once(":=").or_else(|| text.split_once(": ")) else {
+                return fault("neither \"field: value\", \"key:=value\" nor a comment; a blank line ends the header");
+            };
+            let [key, value] = [key, value].map(|part| part.trim().to_owned());
+            if header.by_key.insert(key.clone(), header.fields.len()).is_some() {
+                return fault("the field is given once more");
+            }
+            header.fields.push(Field { key, value, line });
+        }
+        Ok(header)
+    }
+
     pub(crate) fn path(&self) -> &'a Path {
         self.path
     }

@@ -29,6 +29,7 @@ use crate::{
     kind::{Kind, Probe, TEXT, marked},
     pose_file::is_pose,
     scene_header::{is_bundle, is_scene},
+    space::check_comments,
 };
 use std::path::Path;
 
@@ -105,6 +106,9 @@ pub fn parse_picked_points(path: &Path, bytes: &[u8]) -> Result<PickedPoints, Fi
         return Err(other.refusal(path, "a list of points"));
     }
     let open = cut::last_number(path, bytes)?;
+    if !matches!(start.first(), Some(b'{' | b'<')) {
+        check_comments(path, bytes, 1.0)?;
+    }
     let mut picked = match start.first() {
         Some(b'{') => slicer::markups(path, bytes)?,
         Some(b'<') => text::meshlab(path, bytes)?,

@@ -2,18 +2,20 @@
 //!
 //! | File | A pose is | Unit | Stamps |
 //! |---|---|---|---|
-//! | sequence of PLUS and SlicerIGSIO, `.igs.mha`, with or without pixels | `StylusToTrackerTransform`, `t_Tracker_Stylus`, a matrix row by row, with its status | mm | seconds |
+//! | sequence of PLUS and SlicerIGSIO, `.igs.mha` and `.igs.nrrd`, with or without pixels | `StylusToTrackerTransform`, `t_Tracker_Stylus`, a matrix row by row, with its status | mm | seconds |
 //! | TUM trajectory | `x y z qx qy qz qw`, the pose of the moving frame in the fixed one | m | seconds |
 //! | EuRoC MAV, CSV | `p_RS_R`, `q_RS` with w first, the pose of S in R | m | nanoseconds |
 //! | KITTI odometry | the upper three rows of `t_fixed_moving` | m | none: a rate, or a file of times |
 //! | [`poses_csv`](crate::poses_csv) | `t_parent_child`, the quaternion's w last | mm | nanoseconds |
 //! | table of NDI's Track, or of the sample program of its API, CSV | `Q0 Qx Qy Qz Tx Ty Tz` for each port, the pose of the tool in the tracker, with its state | mm | seconds, or frames |
+//! | table of OptiTrack's Motive, or of Vicon's Tracker, CSV | rotation and position of each rigid body, in the tracker | as stated | seconds, or frames of a rate |
 //! | any other table, as of Atracsys | as [`Columns`] describes its heading | mm | as described |
 //!
 //! A tool that the tracker did not see is a [`LostPose`]: a status other than `OK`, numbers that are missing or not finite, an
 //! all-zero quaternion. Stamps in text are taken digit by digit, not by a float, which has no nanoseconds left after 1970.
 
 mod columns;
+mod motion_capture;
 mod ndi;
 pub mod poses_csv;
 mod sequence;
@@ -120,7 +122,9 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<PoseLog, FileError>
             trajectory::read(path, format, unit_mm, options, &mut log)?
         }
         LogFormat::Poses => drop(poses_csv::read(path, unit_mm, &mut log)?),
-        LogFormat::Ndi | LogFormat::Table => columns::read(path, unit_mm, options, &mut log)?,
+        LogFormat::Ndi | LogFormat::MotionCapture | LogFormat::Table => {
+            columns::read(path, unit_mm, options, &mut log)?
+        }
     }
     if log.poses.is_empty() {
         return Err(no_pose(path, &log.notes));
@@ -139,7 +143,7 @@ fn found_format(path: &Path) -> Result<LogFormat, FileError> {
     const WANTED: &str = "a log of poses, .igs.mha with transforms, TUM (timestamp x y z qx qy qz qw), EuRoC, KITTI, \
                           t_ns,parent,child,x,y,z,qx,qy,qz,qw, or a table whose heading columns describe,";
     let head = input::head(path, N_HEAD as u64)?;
-    if is_metaimage(&head) && is_sequence(&head) {
+    if (is_metaimage(&head) || head.starts_with(b"NRRD")) && is_sequence(&head) {
         return Ok(LogFormat::IgsMha);
     }
     if let Some(found) = marked(path, &head) {

@@ -84,7 +84,7 @@ fn volume_or_recording(path: &Path, head: &[u8]) -> Option<Probe> {
     let Some(format) = volume::format_of(head) else {
         return marked(path, head).filter(|found| found.kind == Kind::Recording);
     };
-    let is_log = format == volume::METAIMAGE && is_sequence(head);
+    let is_log = [volume::METAIMAGE, volume::NRRD].contains(&format) && is_sequence(head);
     Some(Probe::new(if is_log { Kind::Poses(LogFormat::IgsMha) } else { Kind::Ct }, format, path))
 }
 
@@ -185,12 +185,11 @@ mod tests {
                 "mri_convert",
             ),
             (b"<?xml version=\"1.0\"?>\n<!DOCTYPE GIFTI>\n<GIFTI Version=\"1.0\">".into(), "GIFTI", "mris_convert"),
-            (b"<VTKFile type=\"PolyData\">".into(), "XML of VTK (.vtp, .vtu)", "legacy .vtk"),
+            (b"<VTKFile type=\"ImageData\">".into(), "XML of VTK that is no poly data (.vtu, .vti)", ".vtp"),
             (b"<html>".into(), "XML or HTML", SURFACE),
             (b"  0\r\nSECTION\r\n  2\r\nENTITIES\r\n".into(), "DXF", SURFACE),
             (ptx.into(), "PTX", "CloudCompare"),
             (at(0, b"\x02P\x01\0"), "C3D", "as CSV"),
-            (b"Format Version,1.23,Take Name,a\n".into(), "a table of OptiTrack's Motive", "one heading"),
             (at(0, b"\xff\xfe1\0"), "UTF-16 text", "save it as UTF-8"),
             (at(0, b"#ROSBAG V2.0\n"), "a ROS 1 bag", "rosbags-convert --src a.file"),
             (br#"{"asset":{"version":"2.0"}}"#.into(), "glTF", SURFACE),

@@ -43,9 +43,10 @@ pub fn data_files(path: &Path) -> Vec<PathBuf> {
 type Format = (&'static str, fn(&[u8]) -> bool, fn(&Path, Option<&str>) -> Result<VolumeRead, FileError>);
 
 pub(crate) const METAIMAGE: &str = "MetaImage";
+pub(crate) const NRRD: &str = "NRRD";
 
 const FORMATS: [Format; 4] = [
-    ("NRRD", |start| start.starts_with(b"NRRD"), |path, _| nrrd::read(path)),
+    (NRRD, |start| start.starts_with(b"NRRD"), |path, _| nrrd::read(path)),
     (METAIMAGE, is_metaimage, |path, _| metaimage::read(path)),
     ("DICOM", dicom::is_dicom, dicom::read_file),
     ("NIfTI", |start| nifti::is_nifti(start) || is_gzip_of_a_volume(start), |path, _| nifti::read(path)),

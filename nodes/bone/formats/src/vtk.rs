@@ -1,8 +1,11 @@
-//! Legacy VTK files of poly data, ASCII and binary, in the layouts before and since version 5.
+//! Legacy VTK files of poly data, ASCII and binary, in the layouts before and since version 5, and its XML files.
+
+mod xml;
 
 use crate::{
     FileError,
     cursor::Cursor,
+    kind::is_vtp,
     scalar::{self, Rows, Scalar},
     shape::{Places, Shape, fan},
     space::StatedSpace,
@@ -15,6 +18,14 @@ use std::path::Path;
 /// Vertices that are NaN are kept for the cloud to drop. Normals of the points are read, and for a cloud also the scalars
 /// and fields of one number a point. Lines are left out with a note.
 pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
+    let mut shape = if is_vtp(bytes) { xml::shape(path, bytes) } else { legacy(path, bytes) }?;
+    if shape.faces.is_some() {
+        shape.extras.clear();
+    }
+    Ok(shape)
+}
+
+fn legacy(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     let mut cursor = Cursor::new(path, bytes);
     let line = |cursor: &mut Cursor, what: &str| {
         let line = cursor.line().map(String::from);
@@ -34,14 +45,10 @@ pub(crate) fn shape(path: &Path, bytes: &[u8]) -> Result<Shape, FileError> {
     while let Some(line) = file.cursor.filled_line() {
         file.section(line.trim())?;
     }
-    let File { cursor, mut shape, has_points, .. } = file;
-    if !has_points {
-        return Err(cursor.fault("there is no section POINTS; was the file cut short?"));
+    match file.has_points {
+        true => Ok(file.shape),
+        false => file.fault("there is no section POINTS; was the file cut short?"),
     }
-    if shape.faces.is_some() {
-        shape.extras.clear();
-    }
-    Ok(shape)
 }
 
 /// Points or cells, and their number.
@@ -216,24 +223,12 @@ impl File<'_> {
         self.keep(name, key == "NORMALS", n_components, values)
     }
 
-    /// Keeps the normals of the points and their columns of one number each.
-    ///
-    /// # Errors
-    /// The points have other normals already.
+    /// Keeps numbers of the points; those of cells are passed over.
     fn keep(&mut self, name: &str, is_normal: bool, n_components: usize, values: Vec<f64>) -> Result<(), FileError> {
         if !self.attributes.is_some_and(|attributes| attributes.of_points) {
             return Ok(());
         }
-        if n_components == 1 {
-            self.shape.extras.push((name.to_owned(), values));
-        } else if is_normal && n_components == 3 {
-            let normals: Vec<_> = values.chunks_exact(3).map(Vector3::from_column_slice).collect();
-            let before = self.shape.normals.replace(normals);
-            if before.is_some() && before != self.shape.normals {
-                return self.fault("the points have other normals further up; keep one of the two");
-            }
-        }
-        Ok(())
+        keep(&mut self.shape, name, is_normal, n_components, values).map_err(|message| self.cursor.fault(message))
     }
 
     fn kind(&self, name: &str) -> Result<Scalar, FileError> {
@@ -331,6 +326,29 @@ impl File<'_> {
     fn skip_metadata(&mut self) {
         while self.cursor.line().is_some_and(|line| !line.trim().is_empty()) {}
     }
+}
+
+/// Keeps the normals of the points and their columns of one number each.
+///
+/// # Errors
+/// The points have other normals already.
+fn keep(
+    shape: &mut Shape,
+    name: &str,
+    is_normal: bool,
+    n_components: usize,
+    values: Vec<f64>,
+) -> Result<(), &'static str> {
+    if n_components == 1 {
+        shape.extras.push((name.to_owned(), values));
+    } else if is_normal && n_components == 3 {
+        let normals: Vec<_> = values.chunks_exact(3).map(Vector3::from_column_slice).collect();
+        let before = shape.normals.replace(normals);
+        if before.is_some() && before != shape.normals {
+            return Err("the points have other normals further up; keep one of the two");
+        }
+    }
+    Ok(())
 }
 
 /// Runs of indices: where each ends, and all of them.

@@ -862,6 +862,14 @@ fn a_single_file_an_mr_and_bright_padding_are_read_as_what_they_are() {
     let content = read(padded.folder(0..5).path()).unwrap();
     assert_eq!(content.volume.voxels[2], -1024.0);
     assert!(content.notes.iter().any(|n| n.contains("padding value (0028,0120)")), "{:?}", content.notes);
+    // A range, in either order.
+    let beyond = (stored + 20).to_le_bytes().to_vec();
+    for [first, last] in [[beyond.clone(), padded.more[0].2.clone()], [padded.more[0].2.clone(), beyond]] {
+        let more = vec![(0x0028_0120, "US", first), (0x0028_0121, "US", last)];
+        let ranged = read(Dicom { more, ..dicom() }.folder(0..5).path()).unwrap().volume.voxels;
+        let set = |voxels: &[f32]| voxels.iter().filter(|v| **v == -1024.0).count();
+        assert!(ranged[2] == -1024.0 && set(&ranged) > set(&content.volume.voxels));
+    }
 }
 
 /// Flips, cuts, doubles and inserts bytes of a file, `n` times; what is read or said must not be a panic.

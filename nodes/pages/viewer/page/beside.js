@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { shadeCloud, sideOf } from "./pick_view.js";
-import { Scene, places } from "./scene.js";
+import { Scene, places, rendererIn } from "./scene.js";
 import { longAxis } from "./shapes.js";
 
 /** @typedef {import("./message.js").Item} Item */
@@ -32,7 +32,7 @@ export class Beside {
   /** The view, which is made when it is needed first: a browser holds few drawings at a time. */
   get scene() {
     if (!this.made) {
-      this.made = new Scene(this.view, { worker: null, isOrthographic: false });
+      this.made = new Scene(this.view, { worker: null, isOrthographic: false, renderer: rendererIn(this.view) });
       this.made.looksItself = false;
     }
     return this.made;

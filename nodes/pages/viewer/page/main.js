@@ -11,7 +11,7 @@ import { payloadOf, readItem, readTransform } from "./message.js";
 import { Picking } from "./pick.js";
 import { RegionTool } from "./region.js";
 import { may, setRole, whatNot } from "./request.js";
-import { Scene } from "./scene.js";
+import { Scene, rendererIn } from "./scene.js";
 import { clock } from "./times.js";
 import { errorsOf, showErrors, showVerdict } from "./verdict.js";
 
@@ -34,7 +34,9 @@ const MAX_MESSAGES = 50;
 const element = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
 const frames = new Frames();
-const scene = new Scene(element("view"), { worker: new Worker("residual.js", { type: "module" }), isOrthographic: false });
+const scene = new Scene(element("view"), {
+  worker: new Worker("residual.js", { type: "module" }), isOrthographic: false, renderer: rendererIn(element("view")),
+});
 const layers = new LayerList(element("shown"), scene);
 const graph = new GraphList(element("graph"));
 const devices = new Devices(scene);
@@ -270,6 +272,7 @@ function noticeSilence() {
 
 const address = new URL(".", location.href);
 address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+address.search = "playback";
 const connection = new Connection(address.href, {
   info: (info) => {
     showRole(info.metadata?.role);

@@ -31,14 +31,34 @@ const NOTHING_PREDICTED = [];
  * @property {string | null} unknown why it is not drawn
  */
 
+/** @typedef {Pick<THREE.WebGLRenderer, "domElement" | "setPixelRatio" | "setSize" | "render">} Renderer */
+
+const renderer = () => new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
+
+/** What draws. Without WebGL nothing is drawn, which is said in its place, and the rest of the page works. @param {HTMLElement} holder @returns {Renderer} */
+export const rendererIn = (holder) => {
+  try {
+    return renderer();
+  } catch {
+    const said = document.createElement("p");
+    said.className = "missing";
+    said.textContent = "No view in three dimensions: this browser has no WebGL, as over some remote desktops or with a blocked graphics driver "
+      + "(chrome://gpu or about:support says why). Verdict, numbers, graph and messages are complete.";
+    holder.append(said);
+    return { domElement: document.createElement("canvas"), setPixelRatio: () => {}, setSize: () => {}, render: () => {} };
+  }
+};
+
 export class Scene {
   /**
    * @param {HTMLElement} holder
-   * @param {{worker: Worker | null, isOrthographic: boolean}} options the worker computes residuals; without one they come with the scans
+   * @param {{worker: Worker | null, isOrthographic: boolean, renderer?: Renderer}} options the worker computes residuals; without one they come with
+   * the scans; without a renderer it is made, or nothing is
    */
-  constructor(holder, { worker, isOrthographic }) {
+  constructor(holder, { worker, isOrthographic, renderer: given }) {
     this.holder = holder;
-    this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
+    /** @type {Renderer} */
+    this.renderer = given ?? renderer();
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     holder.append(this.renderer.domElement);
     this.scene = new THREE.Scene();

@@ -15,6 +15,8 @@ pub(crate) const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websock
 const MESSAGE: u8 = 1;
 const SERVICE_RESPONSE: u8 = 3;
 pub(crate) const PLAYBACK_STATE: u8 = 5;
+/// The schema of any object; viewers ask for its properties.
+pub(crate) const ANY_OBJECT: &str = r#"{"type":"object","properties":{}}"#;
 
 /// Opcodes of the client's binary messages.
 const SERVICE_REQUEST: u8 = 2;
@@ -150,7 +152,8 @@ pub(crate) fn unadvertise(channels: &[u32]) -> String {
 pub(crate) fn advertise_services(services: &[Door], role: Role) -> String {
     let row = |(id, door): (u32, &Door)| {
         let name = door.service().filter(|_| door.needs() <= role)?;
-        let schema = json!({ "encoding": "json", "schemaName": name, "schemaEncoding": "jsonschema", "schema": "{}" });
+        let schema =
+            json!({ "encoding": "json", "schemaName": name, "schemaEncoding": "jsonschema", "schema": ANY_OBJECT });
         Some(json!({ "id": id, "name": name, "type": name, "request": schema, "response": schema }))
     };
     json!({ "op": "advertiseServices", "services": (1..).zip(services).filter_map(row).collect::<Vec<_>>() })

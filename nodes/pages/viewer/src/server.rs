@@ -260,7 +260,8 @@ fn answer(mut connection: &TcpStream, mut request: Request, by: Instant, shared:
     match upgrade(&request) {
         Err(message) => Some(Response::refused(400, message)),
         Ok(head) => {
-            let plays = request.words("sec-websocket-protocol").any(|word| word == SUBPROTOCOLS[0]);
+            let query = request.path.split_once('?').map_or("", |(_, query)| query);
+            let plays = query.split('&').any(|word| word == "playback");
             if connection.write_all(head.as_bytes()).is_ok()
                 && let Ok(connection) = connection.try_clone()
             {
@@ -326,7 +327,7 @@ impl Write for Duplex {
     }
 }
 
-/// Serves a viewer until it leaves; `plays` if its subprotocol has the control of playback.
+/// Serves a viewer until it leaves; `plays` if its address asks for the state of a playback (`?playback`).
 fn view(connection: TcpStream, shared: &Arc<Shared>, plays: bool, pass: &Pass) {
     let (Ok(for_writer), Ok(to_close)) = (connection.try_clone(), connection.try_clone()) else { return };
     let (Ok(a), Ok(b)) = (connection.try_clone(), connection.try_clone()) else { return };

@@ -186,7 +186,7 @@ impl Hub {
                 encoding: "json".into(),
                 schema_name: topic.trim_start_matches('/').replace('/', "."),
                 schema_encoding: "jsonschema".into(),
-                schema: (*b"{\"type\":\"object\"}").into(),
+                schema: protocol::ANY_OBJECT.as_bytes().into(),
                 metadata: BTreeMap::new(),
             };
             self.add(id, channel);
@@ -263,7 +263,7 @@ struct Queue {
     n_of: BTreeMap<u32, usize>,
     /// Channel of each subscription.
     subscriptions: BTreeMap<u32, u32>,
-    /// Whether the viewer knows the state of a playback.
+    /// Whether the viewer has asked for the state of a playback.
     takes_playback: bool,
     n_sent: u64,
     n_dropped: u64,
@@ -278,7 +278,7 @@ impl Viewer {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends the state of a playback from now on. A viewer of the subprotocol before takes it for an error.
+    /// Sends the state of a playback from now on. Viewers that have not asked for it take it for an error.
     pub(crate) fn take_playback(&self) {
         self.queue().takes_playback = true;
     }

@@ -254,6 +254,21 @@ fn every_flipped_bit_of_a_body_is_found_and_the_next_message_is_read() {
 }
 
 #[test]
+fn a_sender_that_writes_no_crc_is_named_and_read_on_request() {
+    let message = Message::new("Device", STAMP, Body::Transform(Affine([1.0; 12])));
+    let mut bytes = message.to_bytes().unwrap();
+    bytes[50..58].fill(0);
+    let error = decode_all(&bytes)[0].clone().unwrap_err().to_string();
+    assert!(
+        error.ends_with("the CRC of its body is wrong (0; of a sender that writes none, set crc = false)"),
+        "{error}"
+    );
+    let mut decoder = Decoder::without_crc();
+    decoder.push(&bytes);
+    assert_eq!(decoder.next(), Some(Ok(message)));
+}
+
+#[test]
 fn a_flipped_bit_of_a_header_loses_at_most_that_message() {
     let next = Message::new("Next", STAMP, Body::Text("here".into()));
     let bytes = Message::new("Device", STAMP, Body::Transform(Affine([1.0; 12]))).to_bytes().unwrap();

@@ -26,6 +26,16 @@ fn at(plane: &Plane) -> Point3<f64> {
 const TWO: [(&str, [f64; 3]); 2] = [("P1", [1.0, 2.5, -3.0]), ("P 2", [4.0, 5.0, 6.0])];
 
 #[test]
+fn a_comment_that_states_another_unit_is_refused_by_its_line() {
+    let list = |unit: &str| format!("# units: {unit}\nlabel,x,y,z\nP1,1,2.5,-3\nP 2,4,5,6\n");
+    assert_eq!(named(&read(&list("mm")).unwrap()), TWO);
+    for (unit, mm) in [("m", "1000"), ("inches", "25.4")] {
+        let said = said(&list(unit));
+        assert!(said.contains("line 1: the file states") && said.contains(mm), "{said}");
+    }
+}
+
+#[test]
 fn the_same_points_are_read_from_every_format() {
     let point =
         |label: &str, p: [f64; 3]| format!(r#"{{"label":"{label}","position":{p:?},"positionStatus":"defined"}}"#);

@@ -2,10 +2,11 @@
 
 use super::{
     FARTHEST_MM, Log, LogOptions, Sample, Turn,
+    motion_capture::{self, Capture},
     ndi::{self, Ndi},
     stamp::nanoseconds,
 };
-use crate::{FileError, LostPose, columns::quoted_cells, cursor::Cursor, cut, input, scalar};
+use crate::{FileError, LostPose, columns::quoted_cells, cursor::Cursor, cut, input, scalar, space::is_same};
 use nalgebra::{Matrix3, Quaternion, Rotation3, Vector3};
 use osteoflow_geometry::StampNs;
 use schemars::JsonSchema;
@@ -169,17 +170,37 @@ impl Tool {
 /// Reads a table.
 pub(super) fn read(path: &Path, unit_mm: f64, options: &LogOptions, log: &mut Log) -> Result<(), FileError> {
     let bytes = input::read(path)?;
-    let of_ndi = Ndi::find(Cursor::text(path, &bytes)?);
+    let cursor = Cursor::text(path, &bytes)?;
+    let of_ndi = Ndi::find(cursor);
     let described = options.columns.as_ref();
-    let Some(columns) = described.or(of_ndi.as_ref().map(|ndi| &ndi.columns)) else {
+    let is_capture = described.is_none() && motion_capture::is_it(&String::from_utf8_lossy(&bytes));
+    let capture = is_capture.then(|| Capture::of(cursor).map_err(|(line, message)| cursor.fault_at(line, message)));
+    let capture = capture.transpose()?;
+    let found = of_ndi.as_ref().map(|ndi| &ndi.columns).or(capture.as_ref().map(|capture| &capture.columns));
+    let Some(columns) = described.or(found) else {
         let message =
             "a table of poses needs columns, which say what is in its heading: time, time_unit, parent and tools";
         return Err(FileError::content(path, "columns", message));
     };
     let fault = |message| FileError::content(path, "columns", message);
-    columns.check(options.rate_hz).map_err(|(_, message)| fault(message))?;
-    let exponent = columns.time_unit.exponent(options.rate_hz).map_err(fault)?;
-    let mut table = Table::open(Cursor::text(path, &bytes)?, columns)?;
+    let rate_hz = options.rate_hz.or(capture.as_ref().and_then(|capture| capture.rate_hz));
+    columns.check(rate_hz).map_err(|(_, message)| fault(message))?;
+    let exponent = columns.time_unit.exponent(rate_hz).map_err(fault)?;
+    let stated_mm = capture.as_ref().map(|capture| capture.unit_mm);
+    if let (Some(stated_mm), Some(unit_mm)) = (stated_mm, options.unit_mm)
+        && !is_same(stated_mm, unit_mm)
+    {
+        let message =
+            format!("it states a unit of {stated_mm} mm, and unit_mm is {unit_mm}; leave unit_mm (--scale) away");
+        return Err(FileError::content(path, "heading", message));
+    }
+    let unit_mm = stated_mm.unwrap_or(unit_mm);
+    let mut table = match &capture {
+        Some(Capture { names, cursor, .. }) => {
+            Table { cursor: *cursor, separator: ',', heading: names.clone(), heading_line: cursor.line }
+        }
+        None => Table::open(cursor, columns)?,
+    };
     let tools = columns.tools.iter().map(|tool| Places::of(tool, columns, &table)).collect::<Result<Vec<_>, _>>()?;
     while let Some((cells, line)) = table.row() {
         let row = Row { table: &table, cells: &cells, line };

@@ -1,7 +1,7 @@
-//! Tracked sequences of PLUS and SlicerIGSIO: a MetaImage whose header has fields for each frame.
+//! Tracked sequences of PLUS and SlicerIGSIO: a MetaImage or an NRRD whose header has fields for each frame.
 //!
 //! # Source
-//! `vtkIGSIOMetaImageSequenceIO`, `igsioTrackedFrame` and `igsioTransformName` of IGSIO.
+//! `vtkIGSIOMetaImageSequenceIO`, `vtkIGSIONrrdSequenceIO`, `igsioTrackedFrame` and `igsioTransformName` of IGSIO.
 
 use super::{Log, Sample, Turn, stamp::nanoseconds};
 use crate::{
@@ -9,12 +9,16 @@ use crate::{
     metaimage_header::{Field, Header},
 };
 use nalgebra::Matrix3;
-use std::{collections::BTreeMap, io::BufReader, path::Path};
+use std::{
+    collections::BTreeMap,
+    io::{BufRead, BufReader},
+    path::Path,
+};
 
 /// Before the number of a frame.
 const FRAME: &str = "Seq_Frame";
 
-/// Whether the header of a MetaImage has transforms of frames.
+/// Whether the header of a MetaImage or an NRRD has transforms of frames.
 pub(crate) fn is_sequence(head: &[u8]) -> bool {
     let has = |word: &[u8]| head.windows(word.len()).any(|window| window == word);
     has(b"Seq_Frame") && has(b"Transform")
@@ -30,7 +34,9 @@ struct FrameFields<'a> {
 
 /// Reads the poses of all frames; pixels are not read.
 pub(super) fn read(path: &Path, unit_mm: f64, log: &mut Log) -> Result<(), FileError> {
-    let header = Header::read(path, &mut BufReader::new(input::open(path)?))?;
+    let mut reader = BufReader::new(input::open(path)?);
+    let is_nrrd = reader.fill_buf().map_err(FileError::read(path))?.starts_with(b"NRRD");
+    let header = if is_nrrd { Header::of_nrrd(path, &mut reader) } else { Header::read(path, &mut reader) }?;
     let mut frames: BTreeMap<u64, FrameFields> = BTreeMap::new();
     for field in header.fields() {
         let Some((number, name)) = field.key.strip_prefix(FRAME).and_then(|rest| rest.split_once('_')) else {
@@ -46,9 +52,17 @@ pub(super) fn read(path: &Path, unit_mm: f64, log: &mut Log) -> Result<(), FileE
             frame.transforms.entry(name).or_default().0 = Some(field);
         }
     }
-    let size = header.get(&["DimSize"]).and_then(|size| size.value.split_whitespace().last()?.parse::<usize>().ok());
-    if let Some(size) = size.filter(|size| *size != frames.len()) {
-        log.notes.push(format!("DimSize states {size} frames, but the header has fields of {}", frames.len()));
+    if let Some(field) = header.get(&["DimSize", "sizes"]) {
+        // In an NRRD the axis of the frames may be the first.
+        let axes = || field.value.split_whitespace();
+        let [first, last] = [axes().next(), axes().last()].map(|n| n.and_then(|n| n.parse::<usize>().ok()));
+        if let Some(size) = last.filter(|size| *size != frames.len() && !(is_nrrd && first == Some(frames.len()))) {
+            log.notes.push(format!(
+                "{} states {size} frames, but the header has fields of {}",
+                field.key,
+                frames.len()
+            ));
+        }
     }
     let mut names: BTreeMap<&str, Name> = BTreeMap::new();
     for name in frames.values().flat_map(|frame| frame.transforms.keys()) {
@@ -169,6 +183,24 @@ mod tests {
         assert!((pose.isometry * Point3::new(1.0, 0.0, 0.0) - Point3::new(10.0, 21.0, 2.0)).norm() < 1e-12);
         let lost = log.poses[1].as_ref().unwrap_err();
         assert_eq!((lost.stamp_ns, lost.reason.as_str()), (1_250_000_000, "the status MISSING"));
+    }
+
+    #[test]
+    fn an_nrrd_has_the_same_poses_in_its_keys_and_is_no_ct() {
+        let frames = [frame(0, "OK"), frame(1, "MISSING"), frame(2, "OK")].concat();
+        let of = |head: &str, sizes: &str| {
+            format!("NRRD0004\n# poses\ntype: uchar\ndimension: 3\nsizes: {sizes}\n{head}\n\u{1}pixels = 3\n")
+        };
+        let keys = frames.replace(" = ", ":=");
+        let expected = read_text(&sequence(&frames)).unwrap();
+        for sizes in ["3 640 480", "640 480 3"] {
+            let log = read_text(&of(&keys, sizes)).unwrap();
+            assert_eq!((&log.poses, &log.notes), (&expected.poses, &expected.notes));
+        }
+        let log = read_text(&of(&keys, "640 480 4")).unwrap();
+        assert_eq!(log.notes, ["sizes states 4 frames, but the header has fields of 3"]);
+        let twice = read_text(&of(&keys.replace("Frame0001", "Frame0000"), "3 1 1")).unwrap_err().to_string();
+        assert!(twice.contains("line 9: the field is given once more"), "{twice}");
     }
 
     #[test]

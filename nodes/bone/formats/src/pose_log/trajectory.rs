@@ -3,7 +3,7 @@
 //! # Source
 //! The descriptions of the three data sets, and the readers of evo (`evo/tools/file_interface.py`).
 
-use super::{Log, LogFormat, LogOptions, Sample, Turn, ndi, poses_csv, stamp::nanoseconds};
+use super::{Log, LogFormat, LogOptions, Sample, Turn, motion_capture, ndi, poses_csv, stamp::nanoseconds};
 use crate::{
     FileError,
     cloud_text::is_heading,
@@ -52,6 +52,9 @@ pub(super) fn format_of(head: &[u8], is_whole: bool) -> Result<Option<LogFormat>
     }
     if lines.clone().take(ndi::N_HEAD_LINES).any(ndi::is_heading) {
         return Ok(Some(LogFormat::Ndi));
+    }
+    if motion_capture::is_it(&text) {
+        return Ok(Some(LogFormat::MotionCapture));
     }
     let heads = lines.clone().take_while(|line| is_comment(line) || !begins_with_a_number(line));
     if let Some(format) = heads.clone().find_map(|line| Some(Names::of(line)?.format)) {

@@ -20,6 +20,8 @@ const NORMAL_MM: f64 = 15.0;
 const POINT_MM: f64 = 2.0;
 /// Height of names.
 const TEXT_MM: f64 = 4.0;
+/// Size of names, pixels: as large from near as from far.
+const TEXT_PX: f64 = 14.0;
 /// Edge of the triangle that a point of a surface without a mesh is drawn as.
 const SURFEL_MM: f64 = 0.5;
 
@@ -159,8 +161,8 @@ fn text(at: &Point3<f64>, text: &str) -> TextPrimitive {
     TextPrimitive {
         pose: Some(pose(&Isometry3::translation(at.x, at.y, at.z))),
         billboard: true,
-        font_size: TEXT_MM / MM_PER_M,
-        scale_invariant: false,
+        font_size: TEXT_PX,
+        scale_invariant: true,
         color: Some(TEXT),
         text: text.into(),
     }

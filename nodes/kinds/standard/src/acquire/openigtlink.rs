@@ -94,6 +94,9 @@ pub struct Params {
     /// clock jumps. sender: one sender's stamps agree with each other, and the offset contains the shortest delay of a message.
     #[param(Clock::Sender)]
     pub clock: Clock,
+    /// Whether each body must have the CRC of its header. true: a damaged number is left out; false is for a sender that writes none.
+    #[param(true)]
+    pub crc: bool,
     /// What every source over a network has.
     #[serde(flatten)]
     pub network: NetworkParams,
@@ -151,7 +154,7 @@ impl Protocol for OpenIgtLink {
         Ok(Self {
             stream,
             buffer: vec![0; PIECE],
-            decoder: Decoder::default(),
+            decoder: if params.crc { Decoder::default() } else { Decoder::without_crc() },
             waits_since: None,
             end: None,
             unread: BTreeMap::new(),

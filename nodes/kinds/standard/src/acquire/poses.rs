@@ -42,9 +42,9 @@ pub struct Poses {
 pub struct Params {
     /// The log.
     pub path: FilePath,
-    /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses`, `ndi` or `table`. Unset: recognised by the content.
+    /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses`, `ndi`, `motion_capture` or `table`. Unset: recognised by the content.
     pub format: Option<LogFormat>,
-    /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, which are in metres, and 1 for the others.
+    /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, which are in metres, the stated one for motion capture, and 1 for the others.
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: Option<f64>,
     /// The frame that the poses lead to, in formats that name none: TUM, EuRoC, KITTI.

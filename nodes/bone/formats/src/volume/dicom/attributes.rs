@@ -3,7 +3,7 @@
 use super::elements::{Element, elements, items, text};
 
 /// Attributes of the geometry, the scaling and the place in a series. All others are passed over, patients' names among them.
-const USED: [u32; 31] = [
+const USED: [u32; 32] = [
     0x0008_0008,
     0x0008_0016,
     0x0008_0060,
@@ -30,6 +30,7 @@ const USED: [u32; 31] = [
     0x0028_0102,
     0x0028_0103,
     0x0028_0120,
+    0x0028_0121,
     0x0028_0301,
     0x0028_1052,
     0x0028_1053,

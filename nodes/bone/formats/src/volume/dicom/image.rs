@@ -76,8 +76,8 @@ pub(super) struct Bits {
     stored: u32,
     high: u32,
     is_signed: bool,
-    /// A stored value that stands for no data.
-    pub(super) padding: Option<i64>,
+    /// The least and the most stored value that stands for no data.
+    pub(super) padding: Option<[i64; 2]>,
 }
 
 /// What a file says about its pixels, before anything is made of it.
@@ -314,7 +314,12 @@ impl Bits {
         }
         let is_signed = attributes.u16(0x0028_0103) == Some(1);
         let mut bits = Self { allocated, stored, high, is_signed, padding: None };
-        bits.padding = attributes.u16(0x0028_0120).filter(|_| allocated == 16).map(|raw| bits.value(u32::from(raw)));
+        let value = |tag| attributes.u16(tag).filter(|_| allocated == 16).map(|raw| bits.value(u32::from(raw)));
+        // The limit of the range may be below its first value.
+        bits.padding = value(0x0028_0120).map(|first| {
+            let last = value(0x0028_0121).unwrap_or(first);
+            [first.min(last), first.max(last)]
+        });
         Ok(bits)
     }
 

@@ -96,7 +96,7 @@ impl Pixels {
             let stored = bits.value(cell);
             let value = (image.slope * stored as f64 + image.intercept) as f32;
             // Padding that would be bone is no tissue; lower padding does no harm.
-            if bits.padding == Some(stored) && value > 0.0 && is_hu {
+            if bits.padding.is_some_and(|[least, most]| (least..=most).contains(&stored)) && value > 0.0 && is_hu {
                 n_padded += 1;
                 return -1024.0;
             }
@@ -109,7 +109,9 @@ impl Pixels {
             }
         };
         if n_padded > 0 {
-            note("voxels of the padding value (0028,0120), which is as bright as bone, were set to air (-1024 HU)");
+            note(
+                "voxels of the padding value (0028,0120), or of its range to (0028,0121), which is as bright as bone, were set to air (-1024 HU)",
+            );
         }
         if self.compression == (Compression::Jpeg2000 { is_lossy: true }) {
             note(
