@@ -192,14 +192,14 @@ def vtk():
                 writer_of.Write()
                 kind = "binary" if is_binary else "ASCII"
                 yield Row(f"{name} written as {ending} ({kind}) read here", off(box(ours(written)), box(found)), tolerance=1e-4 if is_binary else DIGITS_MM)
-        if path.suffix == ".ply":
+        if path.suffix not in (".vtk", ".stl"):
             continue
+        worst = {"text": 0.0, "base64, appended and raw, compressed and not, both orders of bytes": 0.0}
         for mode in ["Ascii", "Binary", "Appended", "Raw"]:
             writer_of = vtk.vtkXMLPolyDataWriter()
             writer_of.SetInputData(data)
             getattr(writer_of, f"SetDataModeTo{mode.replace('Raw', 'Appended')}")()
             writer_of.SetEncodeAppendedData(mode != "Raw")
-            # Both orders of bytes and both widths of counts, compressed and not.
             for compressor, order, width in [("None", "LittleEndian", 32), ("ZLib", "BigEndian", 64)]:
                 written = folder() / f"vtk-{mode}-{compressor}-{name}.vtp"
                 writer_of.SetFileName(str(written))
@@ -207,7 +207,10 @@ def vtk():
                 getattr(writer_of, f"SetByteOrderTo{order}")()
                 writer_of.SetHeaderType(width)
                 writer_of.Write()
-                yield Row(f"{name} written as vtp ({mode}, {compressor}) read here", off(box(ours(written)), box(found)), tolerance=DIGITS_MM if mode == "Ascii" else 1e-4)
+                how = list(worst)[mode != "Ascii"]
+                worst[how] = max(worst[how], off(box(ours(written)), box(found)))
+        for how, difference in worst.items():
+            yield Row(f"{name} written as vtp ({how}) read here", difference, tolerance=DIGITS_MM if how == "text" else 1e-4)
 
 
 @client("PyVista", module="pyvista")
