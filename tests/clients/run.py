@@ -21,6 +21,7 @@ import links  # noqa: F401
 import logs  # noqa: F401
 import opencv  # noqa: F401
 import recordings  # noqa: F401
+import scenes  # noqa: F401
 import series  # noqa: F401
 import streams  # noqa: F401
 from client import ROOT, main

@@ -16,11 +16,15 @@ use osteoflow_algorithms::{
     trust,
 };
 use osteoflow_engine::run::{Outcome, RunReport};
-use osteoflow_formats::Space;
-use osteoflow_geometry::{Cloud, matrix_rows, nalgebra::Isometry3};
+use osteoflow_formats::{Space, scene_file::Scene};
+use osteoflow_geometry::{
+    Cloud, Mesh, Points, matrix_rows,
+    nalgebra::{Isometry3, Translation3},
+};
+use osteoflow_standard::output::export::{RegisteredScan, scene_bytes};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Error left by a `point_to_point` above which it is warned of, mm: the resolution of a tracker.
 const LEFT_MM: f64 = 0.1;
@@ -52,6 +56,9 @@ pub struct Registration {
     pub(super) has_estimated_normals: bool,
     /// Whether the prepared target is from the store.
     pub(super) is_stored: bool,
+    /// The surface of the target, and its points.
+    pub(super) bone: Option<Mesh>,
+    pub(super) bone_points: Option<Cloud>,
     /// The moved source with its residuals, if it is written.
     pub(super) moved: Option<Cloud>,
     /// The files that were written.
@@ -367,16 +374,19 @@ impl Registration {
         let [target, source] =
             names.map(|name| name.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()));
         self.notes_of_files = files.write(
-            |form| match form {
-                Form::Json => format!("{}\n", self.to_json(of, json!({ "status": "done", "exit_code": 0 }), false)),
+            |form, file| match form {
+                Form::Scene => self.scene(of, file, &pose, spaces),
+                Form::Json => {
+                    Ok(format!("{}\n", self.to_json(of, json!({ "status": "done", "exit_code": 0 }), false)).into())
+                }
                 Form::Text => {
                     let rows = matrix_rows(&pose).map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat();
-                    format!("# takes {source} to {target}: 4 x 4, row by row, mm\n# {made_by}\n{rows}")
+                    Ok(format!("# takes {source} to {target}: 4 x 4, row by row, mm\n# {made_by}\n{rows}").into())
                 }
                 Form::Itk => {
                     let motion =
                         format!("moves {source} to {target}, mm, LPS; the parameters are those of the inverse");
-                    itk_file(&pose, spaces, &[motion, made_by.clone()])
+                    Ok(itk_file(&pose, spaces, &[motion, made_by.clone()]).into())
                 }
             },
             self.moved.as_ref(),
@@ -384,6 +394,26 @@ impl Registration {
         )?;
         self.written = files.all().cloned().collect();
         Ok(())
+    }
+
+    /// A scene of 3D Slicer; `spaces` are those of the numbers of target and source.
+    fn scene(&self, of: &Register, file: &Path, pose: &Isometry3<f64>, spaces: [Space; 2]) -> Result<Vec<u8>> {
+        let [target, source] = spaces.map(|space| Isometry3::from_parts(Translation3::identity(), space.turn()));
+        let bone = self.bone.as_ref().map(|mesh| mesh.transformed("ct", &target));
+        let bone_points = self.bone_points.as_ref().map(|points| points.transformed("ct", &target));
+        let scan = self.source.as_ref().map(|scan| scan.transformed("scan", &source));
+        let scan =
+            scan.map(|scan| RegisteredScan::new(&scan, target * pose * source, bone.as_ref(), None)).transpose()?;
+        let lists = [("landmarks", of.pairs().map_or(&[][..], |[landmarks, _]| landmarks)), ("targets", &of.targets)];
+        let lists = lists.map(|(name, points)| (name, Points::new("ct", points.to_vec()).transformed("ct", &target)));
+        let lists: Vec<_> = lists
+            .iter()
+            .filter(|(_, list)| !list.points.is_empty())
+            .map(|(name, list)| (*name, &*list.points))
+            .collect();
+        let (bone, bone_points) = (bone.as_ref(), bone_points.as_ref());
+        let scene = Scene { bone, bone_points, scan: None, scale: None, lists: &lists, planes: &[] };
+        Ok(scene_bytes(file, scene, scan.as_ref())?)
     }
 }
 
