@@ -243,9 +243,8 @@ pub struct RegisterRequest {
     #[arg(long, value_enum, default_value_t = Require::Doubtful, value_name = "ANSWER", conflicts_with = "no_verdict")]
     pub require: Require,
 
-    /// Write the pose: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm (for 3D Slicer, with --space), .mrb (a scene of 3D Slicer
-    /// with both files and picked points, too), or, without an ending, a folder with the first three and the moved SOURCE. Nothing is
-    /// overwritten.
+    /// Write the pose: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm or .mrb (for 3D Slicer, with --space; .mrb has both files,
+    /// too), or, without an ending, a folder with the first three and the moved SOURCE. Nothing is overwritten.
     #[arg(long, value_name = "FILE|DIR")]
     pub out: Option<PathBuf>,
 

@@ -167,7 +167,9 @@ def paraview():
     )
     files = [export / "scan.vtk", export / "scan.ply"]
     quiet = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    run("xvfb-run", "-a", "pvpython", script, found, *files, env=quiet, cwd=ROOT)
+    # A display of its own: two that look for a free one at once take the same.
+    screen = ["xvfb-run", "-a", "-n", 1000 + os.getpid() % 30000]
+    run(*screen, "pvpython", script, found, *files, env=quiet, cwd=ROOT)
     scene, read = Scene(export / "scene.mrb"), json.loads(found.read_text())
     scan = scene.models["scan"]
     (colouring, points, values), (_, of_ply, _) = (read[str(file)] for file in files)

@@ -6,10 +6,9 @@ use crate::app::{
     files::{check_new, write_new},
 };
 use anyhow::{Context, Result};
-use osteoflow_algorithms::target::Target;
+use osteoflow_algorithms::{metrics::distance_outside, target::Target};
 use osteoflow_formats::{
     Space, durable,
-    pose_file::itk_text,
     write::{Precision, ending, write_cloud},
 };
 use osteoflow_geometry::{
@@ -103,8 +102,8 @@ impl OutFiles {
         if files.folder.is_some() {
             files.poses.retain(|(_, form)| *form != Form::Itk);
         }
-        let is_lps = |form: &Form| matches!(form, Form::Itk | Form::Scene);
-        let Some((file, _)) = files.poses.iter().find(|(_, form)| is_lps(form)) else { return Ok(files) };
+        let lps = |(_, form): &&(PathBuf, Form)| matches!(form, Form::Itk | Form::Scene);
+        let Some((file, _)) = files.poses.iter().find(lps) else { return Ok(files) };
         usage!(
             "{}: a .{} is always LPS, and {}; give --space LPS, as 3D Slicer takes such files, or --space RAS",
             file.display(),
@@ -159,12 +158,6 @@ fn form_of(file: &Path) -> Result<Form> {
     }
 }
 
-/// The pose as an ITK transform, in LPS; `spaces` are those of the numbers of target and source.
-pub(super) fn itk_file(t_target_source: &Isometry3<f64>, spaces: [Space; 2], comments: &[String]) -> String {
-    let [target, source] = spaces.map(Space::turn);
-    itk_text(&(target * t_target_source * source), comments)
-}
-
 /// The space in which the numbers of a file are once read, LPS where the file states one; `option` is for those that do not.
 pub(super) fn space_of(stated: Space, option: Option<Space>) -> Space {
     match stated {
@@ -195,9 +188,8 @@ pub(super) fn moved_source(
 }
 
 fn residual(target: &Target, point: &Point3<f64>) -> f64 {
-    if let Some(closest) = target.mesh().and_then(|mesh| mesh.closest_point(point)) {
-        let outward = (point - closest.point).dot(&closest.normal);
-        return closest.distance_mm.copysign(outward);
+    if let Some(distance_mm) = target.mesh().and_then(|mesh| distance_outside(point, mesh)) {
+        return distance_mm;
     }
     let Some((index, distance_mm)) = target.nearest(point, f64::INFINITY) else { return f64::NAN };
     // Across the surface where the normal is known: samples lie apart.

@@ -212,7 +212,6 @@ impl Register {
     ) -> anyhow::Result<Registration> {
         let target: Option<Target> = value(wires, "ct_surface.target");
         let source: Option<Cloud> = value(wires, "scan.cloud");
-        let bone_points: Option<Cloud> = value(wires, "bone.points");
         let pose = pose(wires).map(|pose| pose.isometry);
         let [picked, in_source] = self.pairs().unwrap_or_default();
         let is_done = report.outcome == Outcome::Complete;
@@ -243,9 +242,7 @@ impl Register {
                 .as_ref()
                 .filter(|_| self.request.fiducials.is_none())
                 .and_then(|target| off_surface(target, source.as_ref(), picked, in_source)),
-            has_estimated_normals: bone_points.as_ref().is_some_and(|cloud| cloud.normals().is_none()),
-            bone: value(wires, "bone.mesh"),
-            bone_points,
+            has_estimated_normals: value::<Cloud>(wires, "bone.points").is_some_and(|cloud| cloud.normals().is_none()),
             is_stored: report.cached_answers.iter().any(|answer| answer.node == "ct_surface"),
             target,
             source,

@@ -8,18 +8,14 @@ use osteoflow_algorithms::{
     trust::Verdict,
 };
 use osteoflow_formats::{
-    FileError, Space,
+    durable,
     picked_points::{write_mrk_json, write_planes_mrk_json},
     pose_file::itk_text,
     scene_file::Scene,
     write::{Precision, write_cloud, write_mesh},
 };
-use osteoflow_geometry::{
-    Cloud, CloudError, Mesh, Planes, Points, Pose,
-    nalgebra::{Isometry3, Point3},
-};
+use osteoflow_geometry::{Cloud, CloudError, Mesh, Planes, Points, Pose, nalgebra::Isometry3};
 use osteoflow_node::{Context, Describe, Inputs, NodeError, Value, function, schemars::JsonSchema, serde::Deserialize};
-use std::path::{Path, PathBuf};
 
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
 /// node.
@@ -40,8 +36,7 @@ pub struct Export;
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Also write `scene.mrb`: all of it as one scene of 3D Slicer, with the scan in its own frame under the motion that takes it onto
-    /// the bone.
+    /// Also write `scene.mrb`: all of it as one scene of 3D Slicer, the scan in its own frame under the motion onto the bone.
     pub scene: bool,
 }
 
@@ -106,117 +101,90 @@ impl Export {
             known.extend(planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))));
             write_planes_mrk_json(&file("planes.mrk.json")?, &known)?;
         }
-        let mut registered = None;
-        match (&i.scan, &i.t_ct_scan) {
-            (Some(scan), Some(t_ct_scan)) if !is_refused(i.verdict.as_ref(), ctx) => {
-                let t_ct_scan = t_ct_scan.clone().expect(frame, &scan.frame)?;
+        let registered = match i.scan.as_ref().zip(i.t_ct_scan) {
+            Some(_) if is_refused(i.verdict.as_ref(), ctx) => None,
+            Some((scan, t_ct_scan)) => {
+                let t_ct_scan = t_ct_scan.expect(frame, &scan.frame)?;
                 let inliers_mm =
                     i.icp.and_then(|report| serde_json::from_value(report.to_result()["inliers_mm"].take()).ok());
-                let scan = registered.insert(RegisteredScan::new(scan, t_ct_scan, i.bone.as_ref(), inliers_mm)?);
-                write_scan(&file, scan, space)?.into_iter().for_each(|note| ctx.warn(note));
+                let scan = with_distance(scan, &t_ct_scan, i.bone.as_ref(), inliers_mm)?;
+                let on_ct = scan.transformed("ct", &t_ct_scan);
+                let notes = write_cloud(&file("scan.ply")?, &for_cloudcompare(&on_ct)?, space, Precision::Single)?;
+                notes.into_iter().for_each(|note| ctx.warn(note));
+                write_cloud(&file("scan.vtk")?, &on_ct, space, Precision::Single)?;
+                let frames =
+                    format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.frame);
+                durable::write(file("scan_to_ct.tfm")?, itk_text(&t_ct_scan, &[frames, NOTICE.into()]))?;
+                Some((scan, t_ct_scan))
             }
-            (Some(_), Some(_)) => {}
-            _ => ctx.warn("the scan is not written, since it is not registered"),
-        }
+            None => {
+                ctx.warn("the scan is not written, since it is not registered");
+                None
+            }
+        };
         if params.scene {
-            let landmarks = i.landmarks.as_ref().map(|landmarks| ("landmarks", &*landmarks.points));
-            let (path, lists) = (file("scene.mrb")?, landmarks.as_slice());
-            let (bone, bone_points) = (i.bone.as_ref(), i.bone_points.as_ref());
-            let scene = Scene { bone, bone_points, scan: None, scale: None, lists, planes: &known };
-            osteoflow_formats::durable::write(&path, scene_bytes(&path, scene, registered.as_ref())?)?;
+            let (path, (end_mm, colours)) = (file("scene.mrb")?, distance_scale());
+            let scene = Scene {
+                bone: i.bone.as_ref(),
+                bone_points: i.bone_points.as_ref(),
+                scan: registered.as_ref().map(|(scan, t_ct_scan)| (scan, t_ct_scan)),
+                scale: (DISTANCE, end_mm, &colours),
+                lists: i.landmarks.map(|landmarks| ("landmarks", landmarks)).into_iter().collect(),
+                planes: &known,
+            };
+            durable::write(&path, scene.bytes(&path)?)?;
         }
         Ok(NoOutputs {})
     }
 }
 
-/// Writes the scan on the CT, and the motion that takes it there.
-fn write_scan(
-    file: &dyn Fn(&str) -> Result<PathBuf, NodeError>,
-    scan: &RegisteredScan,
-    space: Space,
-) -> Result<Vec<String>, NodeError> {
-    let on_ct = |cloud: &Cloud| cloud.transformed("ct", &scan.t_ct_scan);
-    let notes = write_cloud(&file("scan.ply")?, &on_ct(&scan.coloured()?), space, Precision::Single)?;
-    write_cloud(&file("scan.vtk")?, &on_ct(&scan.cloud), space, Precision::Single)?;
-    let frames =
-        format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.cloud.frame);
-    osteoflow_formats::durable::write(file("scan_to_ct.tfm")?, itk_text(&scan.t_ct_scan, &[frames, NOTICE.into()]))?;
-    Ok(notes)
-}
-
-/// The column of the distance from the bone, by which programs colour the scan.
-const DISTANCE: &str = "distance_mm";
-/// The same where CloudCompare reads it: it takes what begins so for a scalar field, and shows it without asking.
+/// The column of the distance from the bone, by which 3D Slicer and ParaView colour a scan.
+pub const DISTANCE: &str = "distance_mm";
+/// The same for CloudCompare, which takes what begins so for a scalar field, and shows it without asking.
 const SCALAR_DISTANCE: &str = "scalar_distance_mm";
 
-/// A scan in its own frame with its distances from the bone, where it was registered.
-pub struct RegisteredScan {
-    /// Its first column is the distance if that is known.
-    cloud: Cloud,
-    t_ct_scan: Isometry3<f64>,
-    distances: Option<Vec<f64>>,
-}
-
-impl RegisteredScan {
-    /// The scan; distances of an earlier registration are left out. `inliers_mm` are the distances of points that belong to the bone.
-    ///
-    /// # Errors
-    /// [`CloudError`] as of its columns.
-    pub fn new(
-        scan: &Cloud,
-        t_ct_scan: Isometry3<f64>,
-        bone: Option<&Mesh>,
-        inliers_mm: Option<[f64; 2]>,
-    ) -> Result<Self, CloudError> {
-        let surface = bone.map(MeshQuery::new);
-        let outside = |p: &Point3<f64>| distance_outside(&(t_ct_scan * p), surface.as_ref()?);
-        let distances: Option<Vec<f64>> = scan.points().iter().map(outside).collect();
-        let mut cloud = scan.clone().without_extras();
-        if let Some(distances) = &distances {
-            cloud = parts::with_on_bone(cloud.with_extra(DISTANCE, distances.clone())?, distances, inliers_mm)?;
-        }
-        let is_earlier =
-            |name: &str| [DISTANCE, SCALAR_DISTANCE, parts::ON_BONE].iter().any(|of| name.eq_ignore_ascii_case(of));
-        for (name, values) in scan.extras().iter().filter(|(name, _)| !is_earlier(name)) {
-            cloud = cloud.with_extra(name.clone(), values.clone())?;
-        }
-        Ok(Self { cloud, t_ct_scan, distances })
-    }
-
-    /// The scan with the colours of the page and the distance as CloudCompare shows it; colours that a camera saw are kept instead.
-    fn coloured(&self) -> Result<Cloud, CloudError> {
-        let Some(distances) = &self.distances else { return Ok(self.cloud.clone()) };
-        let mut cloud = self.cloud.clone().without_extras();
-        for (name, values) in self.cloud.extras() {
-            let name = if **name == *DISTANCE { SCALAR_DISTANCE.into() } else { name.clone() };
-            cloud = cloud.with_extra(name, values.clone())?;
-        }
-        let colours = ["red", "green", "blue"];
-        if colours.into_iter().any(|name| cloud.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(name))) {
-            return Ok(cloud);
-        }
-        for (k, name) in colours.into_iter().enumerate() {
-            let part: Vec<f64> = distances.iter().map(|&distance| distance_colour(distance)[k].into()).collect();
-            cloud = cloud.with_extra(name, part)?;
-        }
-        Ok(cloud)
-    }
-}
-
-/// The bytes of a scene for 3D Slicer, with the scan in the colours of the page; all in LPS.
+/// A registered scan in its own frame, with its distance from the bone as first column if that is known, and without those of an earlier
+/// registration. `inliers_mm` are the distances of points that belong to the bone.
 ///
 /// # Errors
-/// [`FileError`] as of [`Scene::bytes`].
-pub fn scene_bytes(path: &Path, scene: Scene<'_>, scan: Option<&RegisteredScan>) -> Result<Vec<u8>, FileError> {
-    let (end_mm, colours) = distance_scale();
-    let scale = scan.and_then(|scan| scan.distances.as_ref()).map(|_| (DISTANCE, end_mm, &colours[..]));
-    Scene { scan: scan.map(|scan| (&scan.cloud, &scan.t_ct_scan)), scale, ..scene }.bytes(path)
+/// [`CloudError`] as of [`Cloud::with_extra`].
+pub fn with_distance(
+    scan: &Cloud,
+    t_ct_scan: &Isometry3<f64>,
+    bone: Option<&Mesh>,
+    inliers_mm: Option<[f64; 2]>,
+) -> Result<Cloud, CloudError> {
+    let surface = bone.map(MeshQuery::new);
+    let distances = scan.points().iter().map(|point| distance_outside(&(t_ct_scan * point), surface.as_ref()?));
+    let mut cloud = scan.clone().without_extras();
+    if let Some(distances) = distances.collect::<Option<Vec<f64>>>() {
+        cloud = parts::with_on_bone(cloud.with_extra(DISTANCE, distances.clone())?, &distances, inliers_mm)?;
+    }
+    let earlier = [DISTANCE, SCALAR_DISTANCE, parts::ON_BONE];
+    let mut others = scan.extras().iter().filter(|(name, _)| !earlier.iter().any(|of| name.eq_ignore_ascii_case(of)));
+    others.try_fold(cloud, |cloud, (name, values)| cloud.with_extra(name.clone(), values.clone()))
+}
+
+/// Such a scan with the colours of the page, unless it has colours that a camera saw.
+fn for_cloudcompare(scan: &Cloud) -> Result<Cloud, CloudError> {
+    let colours = ["red", "green", "blue"];
+    let has_colours = scan.extras().iter().any(|(name, _)| colours.contains(&&*name.to_ascii_lowercase()));
+    let mut cloud = scan.clone().without_extras();
+    for (name, values) in scan.extras() {
+        let is_distance = **name == *DISTANCE;
+        cloud = cloud.with_extra(if is_distance { SCALAR_DISTANCE.into() } else { name.clone() }, values.clone())?;
+        for (k, colour) in colours.into_iter().enumerate().filter(|_| is_distance && !has_colours) {
+            let part: Vec<f64> = values.iter().map(|&mm| distance_colour(mm)[k].into()).collect();
+            cloud = cloud.with_extra(colour, part)?;
+        }
+    }
+    Ok(cloud)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use osteoflow_geometry::SurfaceOrigin;
+    use osteoflow_geometry::{SurfaceOrigin, nalgebra::Point3};
 
     #[test]
     fn a_distance_of_an_earlier_registration_is_never_shown_as_if_it_were_of_this_one() {
@@ -233,12 +201,15 @@ mod tests {
         let others = [column("red", [9.0; 2]), column("time", [5.0; 2])];
         // 1 mm along z from where it was scanned.
         let up = Isometry3::translation(0.0, 0.0, 1.0);
-        let placed = RegisteredScan::new(&scan, up, Some(&bone), Some([-1.0, 1.0])).unwrap();
+        let placed = with_distance(&scan, &up, Some(&bone), Some([-1.0, 1.0])).unwrap();
         let of_this = |name: &str| [column(name, [0.5, 1.25]), column("on_bone", [1.0, 0.0])];
-        assert_eq!(columns(&placed.cloud), [of_this("distance_mm"), others.clone()].concat());
-        assert_eq!(columns(&placed.coloured().unwrap()), [of_this("scalar_distance_mm"), others.clone()].concat());
-        assert_eq!(placed.cloud.points(), scan.points(), "in its own frame");
-        let of_points = RegisteredScan::new(&scan, up, None, Some([-1.0, 1.0])).unwrap();
-        assert_eq!(columns(&of_points.cloud), others, "an unknown distance is no column");
+        assert_eq!(columns(&placed), [of_this("distance_mm"), others.clone()].concat());
+        assert_eq!(
+            columns(&for_cloudcompare(&placed).unwrap()),
+            [of_this("scalar_distance_mm"), others.clone()].concat()
+        );
+        assert_eq!(placed.points(), scan.points(), "in its own frame");
+        let of_points = with_distance(&scan, &up, None, Some([-1.0, 1.0])).unwrap();
+        assert_eq!(columns(&of_points), others, "an unknown distance is no column");
     }
 }
