@@ -81,11 +81,11 @@ fn other_programs_read_the_folder_export_of_every_graph_with_a_ct_to_a_ten_thous
         assert!(checked.status.success(), "{graph}: {said}{}", String::from_utf8_lossy(&checked.stderr));
         // The script sees a scan that lies elsewhere.
         let scan = dir.path().join("export/scan.vtk");
-        let text = fs::read_to_string(&scan).unwrap();
-        let (head, points) = text.split_once("double\n").unwrap();
-        let (first, rest) = points.split_once(' ').unwrap();
-        let moved = first.parse::<f64>().unwrap() + 2e-4;
-        fs::write(&scan, format!("{head}double\n{moved} {rest}")).unwrap();
+        let mut bytes = fs::read(&scan).unwrap();
+        let first = bytes.windows(7).position(|part| part == b"double\n").unwrap() + 7;
+        let moved = f64::from_be_bytes(bytes[first..first + 8].try_into().unwrap()) + 2e-4;
+        bytes[first..first + 8].copy_from_slice(&moved.to_be_bytes());
+        fs::write(&scan, bytes).unwrap();
         let checked = std::process::Command::new(&python)
             .arg(crate::common::root().join("tests/python/check_export.py"))
             .arg(dir.path())

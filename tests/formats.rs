@@ -102,7 +102,7 @@ impl Files {
                 format: "VTK legacy",
                 files: vec![(self.converted(&scan, "scan.vtk", &[]), cloud)],
                 written: Some((".vtk", scan.clone())),
-                confirmed: &["VTK", "PyVista"],
+                confirmed: &["VTK", "PyVista", "ParaView"],
             },
             Line {
                 format: "VTK XML `.vtp`",

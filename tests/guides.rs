@@ -116,6 +116,7 @@ fn the_first_week_runs_as_it_is_written() {
         "week/bone.stl",
         "two/report.html",
         "two/export/scan.vtk",
+        "week.mrb",
         "scan.vtk",
         "registered/pose.tfm",
         "my_procedure/first/run.mcap",

@@ -581,7 +581,10 @@ fn two_files_need_no_start_and_what_comes_out_is_named_by_its_ending() {
     assert!(String::from_utf8_lossy(&text[..400]).contains("property float residual_mm"));
 
     for (file, expected) in [
-        ("pose.ply", "no pose is written so; end it with .txt (the matrix), .json (the whole answer) or .tfm"),
+        (
+            "pose.ply",
+            "no pose is written so; end it with .txt (the matrix), .json (the whole answer), .tfm or .mrb (3D",
+        ),
         (
             "pose.tfm",
             "pose.tfm: a .tfm is always LPS, and scan.ply does not state the space of its numbers; give --space",

@@ -59,7 +59,7 @@ fn list(kind: &str, labels: &[(&str, [f64; 3])]) -> Value {
 
 /// A scene: nodes of markups with the transforms above them, and other elements.
 #[derive(Clone, Default)]
-struct Scene {
+pub(crate) struct Scene {
     /// Name, transform and content.
     nodes: Vec<(String, Option<&'static str>, Value)>,
     others: String,
@@ -87,7 +87,7 @@ impl Scene {
     }
 
     /// The scene in a folder and as an archive beside it.
-    fn save(&self, dir: &Path) -> [std::path::PathBuf; 2] {
+    pub(crate) fn save(&self, dir: &Path) -> [std::path::PathBuf; 2] {
         fs::create_dir_all(dir.join("Data")).unwrap();
         let mut zip = zip::ZipWriter::new(fs::File::create(dir.join("planned.mrb")).unwrap());
         for (name, text) in self.files() {
@@ -445,7 +445,7 @@ fn a_scene_of_a_stranger_reads_nothing_outside_of_it_and_no_more_than_it_may() {
 /// The shipped plan as a scene: cuts, landmarks and assessment points, with what else such a scene has.
 ///
 /// Its landmarks are the list `screws`, with the labels `{before}1` to `{before}3`.
-fn shipped(before: &str) -> (Scene, Value) {
+pub(crate) fn shipped(before: &str) -> (Scene, Value) {
     let plan = json(&root().join("tests/data/procedure/plan.json"));
     let mut scene = planned(Space::Ras, MM());
     let points = |key: &str| {
@@ -464,6 +464,12 @@ fn shipped(before: &str) -> (Scene, Value) {
     add("S0", list("Line", &[("S0-1", [0.0; 3])]));
     add("S0", list("Line", &[("S0-1", [5.0; 3])]));
     (scene, plan)
+}
+
+/// What of a plan is not drawn in 3D Slicer, as a file.
+pub(crate) fn markers(plan: &Value) -> String {
+    let keys = ["phantom_marker_in_phantom", "camera_marker_nominal_C_T_Mc", "pca_axes_columns_xyz"];
+    Value::Object(keys.iter().map(|key| ((*key).to_owned(), plan[*key].clone())).collect()).to_string()
 }
 
 #[test]
@@ -591,9 +597,7 @@ fn the_page_for_users_of_the_planner_runs_as_it_is_written() {
     let at = folder.path();
     let (scene, plan) = shipped("P");
     scene.save(at);
-    let markers = ["phantom_marker_in_phantom", "camera_marker_nominal_C_T_Mc", "pca_axes_columns_xyz"];
-    let markers: serde_json::Map<_, _> = markers.iter().map(|key| ((*key).to_owned(), plan[*key].clone())).collect();
-    fs::write(at.join("markers.json"), Value::Object(markers).to_string()).unwrap();
+    fs::write(at.join("markers.json"), markers(&plan)).unwrap();
     let data = root().join("tests/data/procedure");
     fs::copy(data.join("bone.stl"), at.join("bone.stl")).unwrap();
     crate::common::copy_folder(&root().join("graphs"), &at.join("graphs"));
@@ -615,7 +619,7 @@ fn the_page_for_users_of_the_planner_runs_as_it_is_written() {
 }
 
 /// The rules of markups-schema-v1.0.3 of 3D Slicer (583e9b37) for what we write.
-fn rules() -> Value {
+pub(crate) fn rules() -> Value {
     let numbers = |n: usize| json!({ "type": "array", "items": { "type": "number" }, "minItems": n, "maxItems": n });
     let text = || json!({ "type": "string" });
     let flag = || json!({ "type": "boolean" });

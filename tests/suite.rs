@@ -87,6 +87,7 @@ mod simulated;
 #[cfg(unix)]
 mod size;
 mod slicer_plans;
+mod slicer_scenes;
 mod store;
 mod studies;
 mod surroundings;

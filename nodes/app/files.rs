@@ -200,10 +200,10 @@ pub(crate) fn check_new(file: &Path) -> Result<()> {
 }
 
 /// Writes a file that is whole or not there; nothing is overwritten.
-pub(crate) fn write_new(out: &Path, text: &str) -> Result<()> {
+pub(crate) fn write_new(out: &Path, content: impl AsRef<[u8]>) -> Result<()> {
     let cannot = || format!("{} cannot be written", out.display());
     let mut part = durable::Part::new(out).with_context(cannot)?;
-    part.file().write_all(text.as_bytes()).with_context(cannot)?;
+    part.file().write_all(content.as_ref()).with_context(cannot)?;
     part.keep_new().with_context(cannot)
 }
 

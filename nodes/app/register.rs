@@ -243,8 +243,8 @@ pub struct RegisterRequest {
     #[arg(long, value_enum, default_value_t = Require::Doubtful, value_name = "ANSWER", conflicts_with = "no_verdict")]
     pub require: Require,
 
-    /// Write the pose: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm (for 3D Slicer, with --space), or, without an
-    /// ending, a folder with all of them and the moved SOURCE. Nothing is overwritten.
+    /// Write the pose: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm or .mrb (for 3D Slicer, with --space; .mrb has both files,
+    /// too), or, without an ending, a folder with the first three and the moved SOURCE. Nothing is overwritten.
     #[arg(long, value_name = "FILE|DIR")]
     pub out: Option<PathBuf>,
 
@@ -254,7 +254,7 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 
-    /// The space of the numbers in TARGET and SOURCE where they do not state it, for a .tfm, which is always LPS.
+    /// The space of the numbers in TARGET and SOURCE where they do not state it, for a .tfm or .mrb, which is always LPS.
     #[serde(skip)]
     #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
     pub space: Option<Space>,

@@ -241,7 +241,7 @@ impl SensorRequest {
         self.out.as_deref().map_or(Ok(()), |out| write_new(out, &profile))?;
         if let Some(page) = &self.page {
             let shown: Vec<_> = scans.iter().map(|(name, _, errors, _)| (name.as_str(), errors)).collect();
-            write_new(page, &osteoflow_report::of_sensor(&errors, &shown, &profile))?;
+            write_new(page, osteoflow_report::of_sensor(&errors, &shown, &profile))?;
         }
         let json = json!({ "errors": errors, "profile": lines, "notes": notes });
         Ok(Measured { lines, notes, json })

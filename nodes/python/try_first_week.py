@@ -25,7 +25,7 @@ LIMIT_S = 300
 #: The one command of the page that is refused.
 REFUSED = "osteoflow register wound/bone.stl wound/scan.ply --camera 0,0,0"
 #: Files that the page says its commands leave.
-LEFT = """week/bone.stl two/report.html two/export/scan.vtk scan.vtk registered/pose.tfm my_procedure/first/run.mcap
+LEFT = """week/bone.stl two/report.html two/export/scan.vtk week.mrb scan.vtk registered/pose.tfm my_procedure/first/run.mcap
     my_procedure/first/report.html my_icp/S/report.html my_icp/S/citations.bib my_icp/S/runs.csv my_icp/study.zip""".split()
 
 

@@ -234,7 +234,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["cloud_text", "message_read", "table"],
             &["pose_file", "recording_write", "region_file"],
             &["picked_points", "pose_log"],
-            &["plan_file"],
+            &["plan_file", "scene_file"],
             &["probe"],
             &["mesh_or_cloud"],
             &["folder"],

@@ -24,9 +24,12 @@ def exports():
     """The exported scan and bone, and the same converted to every format that other programs read."""
     export = recorded() / "export"
     scan = {"scan.ply": export / "scan.ply", "scan.vtk": export / "scan.vtk"}
-    for ending in ["pcd", "obj", "csv"]:
-        source = export / ("scan.vtk" if ending == "obj" else "scan.ply")
-        scan[f"scan.{ending}"] = converted(source, f"scan.{ending}")
+    for ending in ["pcd", "csv"]:
+        scan[f"scan.{ending}"] = converted(export / "scan.ply", f"scan.{ending}")
+    # An OBJ holds no columns.
+    places = folder() / "places.csv"
+    np.savetxt(places, ours(export / "scan.vtk"), fmt="%.17g", delimiter=",", header="x,y,z", comments="")
+    scan["scan.obj"] = converted(places, "scan.obj")
     bone = {"bone.stl": export / "bone.stl"}
     for ending in ["ply", "obj"]:
         bone[f"bone.{ending}"] = converted(export / "bone.stl", f"bone.{ending}")

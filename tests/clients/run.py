@@ -22,6 +22,7 @@ import links  # noqa: F401
 import logs  # noqa: F401
 import opencv  # noqa: F401
 import recordings  # noqa: F401
+import scenes  # noqa: F401
 import series  # noqa: F401
 import streams  # noqa: F401
 from client import ROOT, main
@@ -38,7 +39,8 @@ UPDATE=1 cargo test --release --test suite clients:: -- --nocapture       writes
 ```
 
 Clouds and surfaces keep 1e-4 mm ([formats](use/formats.md)); streams are in single precision. A difference of up to 0.004 mm is of
-texts with six or seven digits, as their programs write them. Lichtblick itself cannot be had from a registry: its decoders of messages are tested, and
+texts with six or seven digits, as their programs write them. 3D Slicer was not run: files for it are held to the rules of its source
+(583e9b37) by tests/clients/scene.py and `tests/slicer_scenes.rs`, markups also to their schema (`tests/slicer_plans.rs`). Lichtblick itself cannot be had from a registry: its decoders of messages are tested, and
 the rule by which it places a cloud and the bone.
 
 One run, at its end, in CloudCompare, Rerun and the page (`tests/clients/screenshots.py` writes these pictures):

@@ -120,6 +120,7 @@ reader.SetFileName(str(export / "scan.vtk"))
 reader.Update()
 compare("scan.vtk (vtk)", vtk_to_numpy(reader.GetOutput().GetPoints().GetData()), scan)
 expect("every point of scan.vtk is drawn", reader.GetOutput().GetNumberOfVerts() == len(scan))
+expect("scan.vtk is coloured by its distance", reader.GetOutput().GetPointData().GetScalars().GetName() == "distance_mm")
 expect("scan.vtk says LPS", "SPACE=LPS" in reader.GetHeader())
 
 moves = sitk.ReadTransform(str(export / "scan_to_ct.tfm")).GetInverse()

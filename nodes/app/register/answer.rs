@@ -2,25 +2,29 @@
 
 use super::{
     IDENTITY, PART_KEY, ReadStart, Register, RegisterInput, SOURCE_PART, Stop, TARGET_PART,
-    files::{Form, itk_file, space_of},
+    files::{Form, space_of},
     steps,
     words::{converged, describe, short, stop_reason},
 };
 use crate::app::program::{NOTICE, about_command};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use osteoflow_algorithms::{
     icp::{IcpReport, IcpStep},
     mesh_query::MeshQuery,
-    metrics::rms_apart_mm,
+    metrics::{distance_scale, rms_apart_mm},
     target::Target,
     trust,
 };
 use osteoflow_engine::run::{Outcome, RunReport};
-use osteoflow_formats::Space;
-use osteoflow_geometry::{Cloud, matrix_rows, nalgebra::Isometry3};
+use osteoflow_formats::{Space, pose_file::itk_text, scene_file::Scene};
+use osteoflow_geometry::{
+    Cloud, NamedPoint, Points, matrix_rows,
+    nalgebra::{Isometry3, Translation3},
+};
+use osteoflow_standard::output::export::{DISTANCE, with_distance};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Error left by a `point_to_point` above which it is warned of, mm: the resolution of a tracker.
 const LEFT_MM: f64 = 0.1;
@@ -366,22 +370,37 @@ impl Registration {
         );
         let [target, source] =
             names.map(|name| name.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()));
-        self.notes_of_files = files.write(
-            |form| match form {
-                Form::Json => format!("{}\n", self.to_json(of, json!({ "status": "done", "exit_code": 0 }), false)),
-                Form::Text => {
-                    let rows = matrix_rows(&pose).map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat();
-                    format!("# takes {source} to {target}: 4 x 4, row by row, mm\n# {made_by}\n{rows}")
-                }
-                Form::Itk => {
-                    let motion =
-                        format!("moves {source} to {target}, mm, LPS; the parameters are those of the inverse");
-                    itk_file(&pose, spaces, &[motion, made_by.clone()])
-                }
-            },
-            self.moved.as_ref(),
-            || steps::csv(&self.steps),
-        )?;
+        let turns = spaces.map(|space| Isometry3::from_parts(Translation3::identity(), space.turn()));
+        let pose_lps = turns[0] * pose * turns[1];
+        let scene = |file: &Path| -> Result<Vec<u8>> {
+            let (bone, scan) = self.target.as_ref().zip(self.source.as_ref()).context("a pose is between two files")?;
+            let mesh = bone.mesh().map(|bone| bone.mesh().transformed("ct", &turns[0]));
+            let scan = with_distance(&scan.transformed("scan", &turns[1]), &pose_lps, mesh.as_ref(), None)?;
+            let in_ct = |points: &[NamedPoint]| Points::new("ct", points.to_vec()).transformed("ct", &turns[0]);
+            let (end_mm, colours) = distance_scale();
+            let scene = Scene {
+                bone: mesh.as_ref(),
+                bone_points: Some(&Cloud::new("ct", bone.point_column().clone())?.transformed("ct", &turns[0])),
+                scan: Some((&scan, &pose_lps)),
+                scale: (DISTANCE, end_mm, &colours),
+                lists: vec![("landmarks", in_ct(of.pairs().unwrap_or_default()[0])), ("targets", in_ct(&of.targets))],
+                planes: &[],
+            };
+            Ok(scene.bytes(file)?)
+        };
+        let text = |form| match form {
+            Form::Json => format!("{}\n", self.to_json(of, json!({ "status": "done", "exit_code": 0 }), false)),
+            Form::Itk => {
+                let motion = format!("moves {source} to {target}, mm, LPS; the parameters are those of the inverse");
+                itk_text(&pose_lps, &[motion, made_by.clone()])
+            }
+            Form::Text | Form::Scene => {
+                let rows = matrix_rows(&pose).map(|row| row.map(|c| format!("{c:?}")).join(" ") + "\n").concat();
+                format!("# takes {source} to {target}: 4 x 4, row by row, mm\n# {made_by}\n{rows}")
+            }
+        };
+        let bytes = |form, file: &Path| if form == Form::Scene { scene(file) } else { Ok(text(form).into()) };
+        self.notes_of_files = files.write(bytes, self.moved.as_ref(), || steps::csv(&self.steps))?;
         self.written = files.all().cloned().collect();
         Ok(())
     }

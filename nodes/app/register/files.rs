@@ -6,10 +6,9 @@ use crate::app::{
     files::{check_new, write_new},
 };
 use anyhow::{Context, Result};
-use osteoflow_algorithms::target::Target;
+use osteoflow_algorithms::{metrics::distance_outside, target::Target};
 use osteoflow_formats::{
     Space, durable,
-    pose_file::itk_text,
     write::{Precision, ending, write_cloud},
 };
 use osteoflow_geometry::{
@@ -31,6 +30,8 @@ pub(super) enum Form {
     Json,
     /// An ITK transform, as 3D Slicer opens.
     Itk,
+    /// A scene of 3D Slicer.
+    Scene,
 }
 
 /// The name of the column of residuals in the moved source.
@@ -101,10 +102,12 @@ impl OutFiles {
         if files.folder.is_some() {
             files.poses.retain(|(_, form)| *form != Form::Itk);
         }
-        let Some((file, _)) = files.poses.iter().find(|(_, form)| *form == Form::Itk) else { return Ok(files) };
+        let lps = |(_, form): &&(PathBuf, Form)| matches!(form, Form::Itk | Form::Scene);
+        let Some((file, _)) = files.poses.iter().find(lps) else { return Ok(files) };
         usage!(
-            "{}: a .tfm is always LPS, and {}; give --space LPS, as 3D Slicer takes such files, or --space RAS",
+            "{}: a .{} is always LPS, and {}; give --space LPS, as 3D Slicer takes such files, or --space RAS",
             file.display(),
+            ending(file),
             match &unknown[..] {
                 [one] => format!("{one} does not state the space of its numbers"),
                 both => format!("{} do not state the space of their numbers", both.join(" and ")),
@@ -117,11 +120,11 @@ impl OutFiles {
         self.poses.iter().map(|(file, _)| file).chain(&self.source).chain(&self.trace)
     }
 
-    /// Writes the poses, each with the text that `text_of` gives, the moved source and the steps; returns what their readers should
+    /// Writes the poses, each with the bytes that `bytes_of` gives, the moved source and the steps; returns what their readers should
     /// know.
     pub(super) fn write(
         &self,
-        text_of: impl Fn(Form) -> String,
+        bytes_of: impl Fn(Form, &Path) -> Result<Vec<u8>>,
         moved: Option<&Cloud>,
         steps: impl Fn() -> String,
     ) -> Result<Vec<String>> {
@@ -130,13 +133,13 @@ impl OutFiles {
         }
         let mut notes = Vec::new();
         for (file, form) in &self.poses {
-            write_new(file, &text_of(*form))?;
+            write_new(file, bytes_of(*form, file)?)?;
         }
         if let (Some(file), Some(moved)) = (&self.source, moved) {
             let told = write_cloud(file, moved, Space::Unknown, Precision::Single)?;
             notes.extend(told.into_iter().map(|note| format!("{}: {note}", file.display())));
         }
-        self.trace.iter().try_for_each(|file| write_new(file, &steps()))?;
+        self.trace.iter().try_for_each(|file| write_new(file, steps()))?;
         Ok(notes)
     }
 }
@@ -146,18 +149,13 @@ fn form_of(file: &Path) -> Result<Form> {
         "txt" => Ok(Form::Text),
         "json" => Ok(Form::Json),
         "tfm" => Ok(Form::Itk),
+        "mrb" => Ok(Form::Scene),
         other => {
-            let message = "no pose is written so; end it with .txt (the matrix), .json (the whole answer) or .tfm (3D Slicer), or \
-                           name a folder";
+            let message = "no pose is written so; end it with .txt (the matrix), .json (the whole answer), .tfm or .mrb (3D Slicer), \
+                           or name a folder";
             Err(UsageError(format!("{}: .{other}: {message}", file.display())).into())
         }
     }
-}
-
-/// The pose as an ITK transform, in LPS; `spaces` are those of the numbers of target and source.
-pub(super) fn itk_file(t_target_source: &Isometry3<f64>, spaces: [Space; 2], comments: &[String]) -> String {
-    let [target, source] = spaces.map(Space::turn);
-    itk_text(&(target * t_target_source * source), comments)
 }
 
 /// The space in which the numbers of a file are once read, LPS where the file states one; `option` is for those that do not.
@@ -190,9 +188,8 @@ pub(super) fn moved_source(
 }
 
 fn residual(target: &Target, point: &Point3<f64>) -> f64 {
-    if let Some(closest) = target.mesh().and_then(|mesh| mesh.closest_point(point)) {
-        let outward = (point - closest.point).dot(&closest.normal);
-        return closest.distance_mm.copysign(outward);
+    if let Some(distance_mm) = target.mesh().and_then(|mesh| distance_outside(point, mesh)) {
+        return distance_mm;
     }
     let Some((index, distance_mm)) = target.nearest(point, f64::INFINITY) else { return f64::NAN };
     // Across the surface where the normal is known: samples lie apart.

@@ -18,7 +18,7 @@ pub use cut_difference::{
     PlannedFragment, cut_difference, error_at_points, signed_distances,
 };
 pub use cuts::{CutReport, CutsReport, SegmentReport, achieved, cuts};
-pub use distance_colour::{distance_colour, distance_outside};
+pub use distance_colour::{distance_colour, distance_outside, distance_scale};
 pub use fre::{FrePoint, FreReport, fre};
 pub use laser_spot::{LaserSpotReport, laser_spot};
 pub use pose_error::{PoseErrorReport, pose_error, rms_apart_mm};

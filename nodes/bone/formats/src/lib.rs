@@ -10,8 +10,9 @@
 //! | [`message_read`] | point clouds, transforms, poses and images of Foxglove (protobuf, JSON) and ROS 2 (CDR) | |
 //! | [`recording_write`] | | recordings of Foxglove's messages |
 //! | [`mesh_or_cloud`] | a surface or a cloud: PLY, STL, PCD, OBJ, OFF, VTK, text | |
-//! | [`write`] | | surfaces and clouds: PLY, STL, PCD, OBJ, CSV |
+//! | [`write`] | | surfaces and clouds: PLY, STL, PCD, OBJ, VTK, CSV |
 //! | [`picked_points`] | named points of 3D Slicer, MeshLab, CloudCompare, CSV; planes, boxes and scenes of 3D Slicer | markups of 3D Slicer, CSV |
+//! | [`scene_file`] | | scenes of 3D Slicer (`.mrb`) |
 //! | [`plan_file`] | surgical plans in JSON, or of what was drawn in 3D Slicer | surgical plans in JSON |
 //! | [`pose_file`] | one rigid motion: a matrix as text or JSON, an ITK transform | |
 //! | [`region_file`] | regions of interest drawn by hand, JSON | the same |
@@ -75,6 +76,7 @@ pub mod recording_write;
 pub mod region_file;
 mod ros2;
 mod scalar;
+pub mod scene_file;
 mod scene_header;
 mod shape;
 pub mod space;

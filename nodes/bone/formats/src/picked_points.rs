@@ -20,6 +20,7 @@ mod text;
 mod write;
 
 pub use collected::{PickedList, PickedPoints, PickedRoi};
+pub(crate) use write::{planes_text, points_text};
 pub use write::{write_fcsv, write_mrk_json, write_planes_mrk_json, write_points_csv, write_roi_mrk_json};
 
 use crate::{

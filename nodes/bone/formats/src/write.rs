@@ -62,7 +62,7 @@ pub fn write_mesh(path: &Path, mesh: &Mesh, space: Space, precision: Precision) 
     Ok(notes)
 }
 
-/// Writes a cloud, mm: `.ply` and `.pcd` (binary), `.vtk` (legacy, text), `.csv` or `.obj`, and returns what the reader of the file
+/// Writes a cloud, mm: `.ply`, `.pcd` and `.vtk` (legacy; all binary), `.csv` or `.obj`, and returns what the reader of the file
 /// should know.
 ///
 /// 3D Slicer draws a `.vtk`, whose points are vertices, and nothing of a `.ply` without faces. Columns `red`, `green` and `blue` of
@@ -79,7 +79,7 @@ pub fn write_cloud(path: &Path, cloud: &Cloud, space: Space, precision: Precisio
     let mut packing = |format: &str| Packing::new(cloud, precision, format, &mut notes);
     let bytes = match ending(path).as_str() {
         "ply" => cloud_ply(path, cloud, 1.0, space, Some(NOTICE), &packing("a PLY"))?,
-        "vtk" => vtk(path, cloud, space)?.into_bytes(),
+        "vtk" => vtk(path, cloud, space)?,
         "pcd" => pcd(path, cloud, space, &packing("a PCD"))?,
         "csv" => csv(path, cloud, space)?.into_bytes(),
         "obj" => {
@@ -388,30 +388,34 @@ fn pcd(path: &Path, cloud: &Cloud, space: Space, packing: &Packing) -> Result<Ve
     Ok(bytes)
 }
 
-/// A cloud as legacy VTK poly data in text, each point a vertex; normals and further columns as attributes.
-fn vtk(path: &Path, cloud: &Cloud, space: Space) -> Result<String, FileError> {
+/// A cloud as legacy VTK poly data, each point a vertex; normals and further columns as attributes, of which programs show the first
+/// scalars.
+///
+/// Binary: readers of texts before VTK 9.3 take a NaN for 0, and lose what follows it.
+pub(crate) fn vtk(path: &Path, cloud: &Cloud, space: Space) -> Result<Vec<u8>, FileError> {
+    fn section(bytes: &mut Vec<u8>, head: &str, values: impl Iterator<Item = f64>) {
+        bytes.extend(head.bytes().chain([b'\n']));
+        bytes.extend(values.flat_map(f64::to_be_bytes).chain([b'\n']));
+    }
     let names = column_names(path, cloud)?;
     let tag = space.tag().map_or_else(String::new, |tag| format!(", {tag}"));
     let n = cloud.len();
-    let title = format!("osteoflow cloud, mm{tag}, {NOTICE}");
-    let mut text = format!("# vtk DataFile Version 3.0\n{title}\nASCII\nDATASET POLYDATA\nPOINTS {n} double\n");
-    let triple = |text: &mut String, [x, y, z]: [f64; 3]| writeln!(text, "{x} {y} {z}").expect(ANY_TEXT);
-    cloud.points().iter().for_each(|&p| triple(&mut text, placed(p, space)));
-    writeln!(text, "VERTICES {n} {}", 2 * n).expect(ANY_TEXT);
-    (0..n).for_each(|k| writeln!(text, "1 {k}").expect(ANY_TEXT));
+    let mut bytes = format!("# vtk DataFile Version 3.0\nosteoflow cloud, mm{tag}, {NOTICE}\n").into_bytes();
+    let points = cloud.points().iter().flat_map(|&p| placed(p, space));
+    section(&mut bytes, &format!("BINARY\nDATASET POLYDATA\nPOINTS {n} double"), points);
+    bytes.extend(format!("VERTICES {n} {}\n", 2 * n).bytes());
+    bytes.extend((0..n as u32).flat_map(|k| [1, k]).flat_map(u32::to_be_bytes).chain([b'\n']));
     if cloud.normals().is_some() || !cloud.extras().is_empty() {
-        writeln!(text, "POINT_DATA {n}").expect(ANY_TEXT);
+        bytes.extend(format!("POINT_DATA {n}\n").bytes());
     }
     if let Some(normals) = cloud.normals() {
-        text.push_str("NORMALS normals double\n");
-        normals.iter().for_each(|&normal| triple(&mut text, turned(normal, space)));
+        section(&mut bytes, "NORMALS normals double", normals.iter().flat_map(|&normal| turned(normal, space)));
     }
     let further = names.iter().skip(if cloud.normals().is_some() { 6 } else { 3 });
     for (name, (_, values)) in further.zip(cloud.extras()) {
-        writeln!(text, "SCALARS {name} double 1\nLOOKUP_TABLE default").expect(ANY_TEXT);
-        values.iter().for_each(|value| writeln!(text, "{value}").expect(ANY_TEXT));
+        section(&mut bytes, &format!("SCALARS {name} double 1\nLOOKUP_TABLE default"), values.iter().copied());
     }
-    Ok(text)
+    Ok(bytes)
 }
 
 fn csv(path: &Path, cloud: &Cloud, space: Space) -> Result<String, FileError> {
@@ -439,6 +443,16 @@ mod tests {
     fn cloud() -> Cloud {
         let points = vec![Point3::new(1.0 / 3.0, -2e-9, 210.123456789), Point3::new(-0.5, 5e3, 1.0)];
         Cloud::new("ct", points).unwrap()
+    }
+
+    #[test]
+    fn a_vtk_keeps_what_is_missing_in_a_column_and_the_column_behind_it() {
+        let file = tempfile::NamedTempFile::with_suffix(".vtk").unwrap();
+        let columns = cloud().with_extra("first", vec![f64::NAN, 1.5]).unwrap().with_extra("second", vec![2.0, 3.0]);
+        write_cloud(file.path(), &columns.unwrap(), Space::Lps, Precision::Single).unwrap();
+        let back = read_cloud(file.path(), 1.0, "ct").unwrap().cloud;
+        let [(_, first), (name, second)] = back.extras() else { panic!("{:?}", back.extras()) };
+        assert!(first[0].is_nan() && first[1] == 1.5 && (&**name, &second[..]) == ("second", &[2.0, 3.0]));
     }
 
     #[test]

@@ -87,6 +87,12 @@ impl Cloud {
         Ok(self)
     }
 
+    /// The cloud without its named columns.
+    pub fn without_extras(mut self) -> Self {
+        self.extras.clear();
+        self
+    }
+
     /// The points, `n`, mm.
     pub fn points(&self) -> &[Point3<f64>] {
         &self.points

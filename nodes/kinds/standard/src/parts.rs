@@ -100,7 +100,7 @@ pub fn of_scan(read: MeshOrCloud, choice: Option<PartChoice>) -> Result<(MeshOrC
 }
 
 /// The column that says which points belong to the bone.
-const ON_BONE: &str = "on_bone";
+pub(crate) const ON_BONE: &str = "on_bone";
 
 /// A cloud with the column `on_bone`: 1 for points whose distance from the bone, mm, is among those of the registration's inliers, 0 for
 /// the others. Without inliers, or with such a column, it stays as it is.

@@ -33,6 +33,12 @@ pub fn distance_colour(distance_mm: f64) -> [u8; 3] {
     std::array::from_fn(|k| (ON[k] + share.abs() * (end[k] - ON[k])).round() as u8)
 }
 
+/// The scale as a table for other programs: the distance at its ends, mm, and the colours in the middles of 255 equal parts from minus
+/// that to it.
+pub fn distance_scale() -> (f64, [[u8; 3]; 255]) {
+    (END_MM, std::array::from_fn(|k| distance_colour(END_MM * ((2 * k + 1) as f64 / 255.0 - 1.0))))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -51,5 +57,8 @@ mod tests {
         assert_eq!([distance_colour(-1.0), distance_colour(-4.9)], [[0, 115, 178]; 2]);
         assert_eq!([distance_colour(1.0), distance_colour(4.9)], [[214, 94, 0]; 2]);
         assert_eq!([distance_colour(5.1), distance_colour(f64::NAN)], [[140, 145, 153]; 2]);
+        let (end_mm, colours) = distance_scale();
+        assert_eq!((end_mm, colours[127]), (1.0, distance_colour(0.0)));
+        assert_eq!((colours[0], colours[254]), (distance_colour(-254.0 / 255.0), distance_colour(254.0 / 255.0)));
     }
 }

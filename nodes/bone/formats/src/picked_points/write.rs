@@ -37,12 +37,17 @@ fn stated(path: &Path, space: Space, point: &NamedPoint) -> Result<[f64; 3], Fil
 /// # Errors
 /// [`FileError`] if the space is unknown, a point is not finite, or the file cannot be written.
 pub fn write_mrk_json(path: &Path, points: &[NamedPoint], space: Space) -> Result<(), FileError> {
+    osteoflow_container::durable::write(path, points_text(path, points, space)?).map_err(FileError::write(path))
+}
+
+/// The text of such a list.
+pub(crate) fn points_text(path: &Path, points: &[NamedPoint], space: Space) -> Result<String, FileError> {
     check_stated(path, space)?;
     let control_point = |(k, point): (usize, &NamedPoint)| {
         Ok(control_point(k + 1, &point.name, json!({ "position": stated(path, space, point)? })))
     };
     let control_points = points.iter().enumerate().map(control_point).collect::<Result<Vec<_>, FileError>>()?;
-    write_markups(path, vec![markup("Fiducial", space, json!({ "controlPoints": control_points }))])
+    Ok(markups_text(&[markup("Fiducial", space, json!({ "controlPoints": control_points }))]))
 }
 
 /// Writes a box along the axes as a region of interest of 3D Slicer in JSON; mm, called LPS.
@@ -61,7 +66,8 @@ pub fn write_roi_mrk_json(path: &Path, name: &str, min: &Point3<f64>, max: &Poin
         "insideOut": false,
         "controlPoints": [control_point(1, name, json!({ "position": center.coords.as_slice() }))],
     });
-    write_markups(path, vec![markup("ROI", Space::Lps, roi)])
+    let text = markups_text(&[markup("ROI", Space::Lps, roi)]);
+    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))
 }
 
 /// The edge with which a plane is drawn, mm: wider than a fibula.
@@ -76,6 +82,11 @@ const PLANE_MM: f64 = 50.0;
 /// # Errors
 /// [`FileError`] if the file cannot be written.
 pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)]) -> Result<(), FileError> {
+    osteoflow_container::durable::write(path, planes_text(planes)).map_err(FileError::write(path))
+}
+
+/// The text of such planes.
+pub(crate) fn planes_text(planes: &[(Arc<str>, Isometry3<f64>)]) -> String {
     let half = PLANE_MM / 2.0;
     let rows = |matrix: &Matrix4<f64>| matrix.transpose().iter().copied().collect::<Vec<f64>>();
     let markups = planes.iter().map(|(name, pose)| {
@@ -97,7 +108,7 @@ pub fn write_planes_mrk_json(path: &Path, planes: &[(Arc<str>, Isometry3<f64>)])
         });
         markup("Plane", Space::Lps, plane)
     });
-    write_markups(path, markups.collect())
+    markups_text(&markups.collect::<Vec<_>>())
 }
 
 fn markup(kind: &str, space: Space, own: Value) -> Value {
@@ -118,10 +129,9 @@ fn merged(mut object: Value, other: Value) -> Value {
     object
 }
 
-fn write_markups(path: &Path, markups: Vec<Value>) -> Result<(), FileError> {
+fn markups_text(markups: &[Value]) -> String {
     let whole = json!({ "@schema": SCHEMA, "markups": markups });
-    let text = serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n";
-    osteoflow_container::durable::write(path, text).map_err(FileError::write(path))
+    serde_json::to_string_pretty(&whole).expect("numbers and texts can be written") + "\n"
 }
 
 /// Writes points as a fiducial list of 3D Slicer in its older text form; `points` are mm, LPS, and the file states `space`.

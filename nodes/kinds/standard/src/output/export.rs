@@ -4,34 +4,41 @@ use super::{NOTICE, NoOutputs, is_refused, lps, not_a_link};
 use crate::parts;
 use osteoflow_algorithms::{
     mesh_query::MeshQuery,
-    metrics::{distance_colour, distance_outside},
+    metrics::{distance_colour, distance_outside, distance_scale},
     trust::Verdict,
 };
 use osteoflow_formats::{
-    Space,
+    durable,
     picked_points::{write_mrk_json, write_planes_mrk_json},
     pose_file::itk_text,
+    scene_file::Scene,
     write::{Precision, write_cloud, write_mesh},
 };
-use osteoflow_geometry::{Cloud, Mesh, Planes, Points, Pose};
-use osteoflow_node::{Context, Describe, Inputs, NodeError, Value, function};
-use std::path::PathBuf;
+use osteoflow_geometry::{Cloud, CloudError, Mesh, Planes, Points, Pose, nalgebra::Isometry3};
+use osteoflow_node::{Context, Describe, Inputs, NodeError, Value, function, schemars::JsonSchema, serde::Deserialize};
 
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
 /// node.
 ///
 /// `bone.stl` (of a bone that is known by points only `bone.ply`), `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and
-/// the plan; `scan.vtk` (drawn by 3D Slicer),
-/// `scan.ply` (for CloudCompare, with the distance from the bone as scalar field, mm, positive outside, its colours as on the page, and a
-/// column `on_bone` that says which points belong to the bone) and `scan_to_ct.tfm` the scan on the CT and the motion
-/// that takes it there. If the registration is refused or missing, the last three are not written. Every file says that
-/// it is for research use only.
+/// the plan; `scan.vtk` (for 3D Slicer and ParaView, which colour it by the distance from the bone, mm, positive outside),
+/// `scan.ply` (for CloudCompare, with the distance as scalar field and its colours as on the page) and `scan_to_ct.tfm` the scan on the CT
+/// and the motion that takes it there. In both a column `on_bone` says which points belong to the bone. If the registration is refused or
+/// missing, these three are not written. Every file says that it is for research use only.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.export"
 in   = { bone = "bone.mesh", scan = "to_bone.cloud", t_ct_scan = "icp.t_target_source", landmarks = "plan.landmarks", planes = "plan.planes", icp = "icp.report", verdict = "verdict.verdict" }
 "#)]
 pub struct Export;
+
+/// Parameters of [`Export`].
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Also write `scene.mrb`: all of it as one scene of 3D Slicer, the scan in its own frame under the motion onto the bone.
+    pub scene: bool,
+}
 
 /// Inputs of [`Export`].
 #[derive(Inputs)]
@@ -63,7 +70,7 @@ pub struct In {
 
 #[function("output.export")]
 impl Export {
-    fn process(_: &crate::NoParams, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
+    fn process(params: &Params, i: In, ctx: &mut Context) -> Result<NoOutputs, NodeError> {
         let frame = match (&i.bone, &i.bone_points) {
             (Some(mesh), _) => &mesh.frame,
             (None, Some(points)) => &points.frame,
@@ -88,64 +95,121 @@ impl Export {
             landmarks.frame.expect(frame, "the landmarks")?;
             write_mrk_json(&file("landmarks.mrk.json")?, &landmarks.points, space)?;
         }
+        let mut known = Vec::new();
         if let Some(planes) = &i.planes {
             planes.frame.expect(frame, "the planes")?;
-            let known: Vec<_> = planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))).collect();
+            known.extend(planes.planes.iter().filter_map(|p| Some((p.name.clone(), *p.isometry()?))));
             write_planes_mrk_json(&file("planes.mrk.json")?, &known)?;
         }
-        let (Some(scan), Some(t_ct_scan)) = (&i.scan, &i.t_ct_scan) else {
-            ctx.warn("the scan is not written, since it is not registered");
-            return Ok(NoOutputs {});
+        let registered = match i.scan.as_ref().zip(i.t_ct_scan) {
+            Some(_) if is_refused(i.verdict.as_ref(), ctx) => None,
+            Some((scan, t_ct_scan)) => {
+                let t_ct_scan = t_ct_scan.expect(frame, &scan.frame)?;
+                let inliers_mm =
+                    i.icp.and_then(|report| serde_json::from_value(report.to_result()["inliers_mm"].take()).ok());
+                let scan = with_distance(scan, &t_ct_scan, i.bone.as_ref(), inliers_mm)?;
+                let on_ct = scan.transformed("ct", &t_ct_scan);
+                let notes = write_cloud(&file("scan.ply")?, &for_cloudcompare(&on_ct)?, space, Precision::Single)?;
+                notes.into_iter().for_each(|note| ctx.warn(note));
+                write_cloud(&file("scan.vtk")?, &on_ct, space, Precision::Single)?;
+                let frames =
+                    format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.frame);
+                durable::write(file("scan_to_ct.tfm")?, itk_text(&t_ct_scan, &[frames, NOTICE.into()]))?;
+                Some((scan, t_ct_scan))
+            }
+            None => {
+                ctx.warn("the scan is not written, since it is not registered");
+                None
+            }
         };
-        if !is_refused(i.verdict.as_ref(), ctx) {
-            let t_ct_scan = t_ct_scan.clone().expect(frame, &scan.frame)?;
-            let inliers_mm =
-                i.icp.and_then(|report| serde_json::from_value(report.to_result()["inliers_mm"].take()).ok());
-            let notes = write_scan(&file, scan, &t_ct_scan, i.bone.as_ref(), space, inliers_mm)?;
-            notes.into_iter().for_each(|note| ctx.warn(note));
+        if params.scene {
+            let (path, (end_mm, colours)) = (file("scene.mrb")?, distance_scale());
+            let scene = Scene {
+                bone: i.bone.as_ref(),
+                bone_points: i.bone_points.as_ref(),
+                scan: registered.as_ref().map(|(scan, t_ct_scan)| (scan, t_ct_scan)),
+                scale: (DISTANCE, end_mm, &colours),
+                lists: i.landmarks.map(|landmarks| ("landmarks", landmarks)).into_iter().collect(),
+                planes: &known,
+            };
+            durable::write(&path, scene.bytes(&path)?)?;
         }
         Ok(NoOutputs {})
     }
 }
 
-fn write_scan(
-    file: &dyn Fn(&str) -> Result<PathBuf, NodeError>,
+/// The column of the distance from the bone, by which 3D Slicer and ParaView colour a scan.
+pub const DISTANCE: &str = "distance_mm";
+/// The same for CloudCompare, which takes what begins so for a scalar field, and shows it without asking.
+const SCALAR_DISTANCE: &str = "scalar_distance_mm";
+
+/// A registered scan in its own frame, with its distance from the bone as first column if that is known, and without those of an earlier
+/// registration. `inliers_mm` are the distances of points that belong to the bone.
+///
+/// # Errors
+/// [`CloudError`] as of [`Cloud::with_extra`].
+pub fn with_distance(
     scan: &Cloud,
-    t_ct_scan: &osteoflow_geometry::nalgebra::Isometry3<f64>,
+    t_ct_scan: &Isometry3<f64>,
     bone: Option<&Mesh>,
-    space: Space,
     inliers_mm: Option<[f64; 2]>,
-) -> Result<Vec<String>, NodeError> {
-    let on_ct = scan.transformed("ct", t_ct_scan);
-    let coloured = match bone {
-        Some(bone) => coloured(on_ct.clone(), &MeshQuery::new(bone), inliers_mm)?,
-        None => on_ct.clone(),
-    };
-    let notes = write_cloud(&file("scan.ply")?, &coloured, space, Precision::Single)?;
-    write_cloud(&file("scan.vtk")?, &on_ct, space, Precision::Single)?;
-    let frames = format!("moves frame {} to frame ct, mm, LPS; the parameters are those of the inverse", scan.frame);
-    osteoflow_formats::durable::write(file("scan_to_ct.tfm")?, itk_text(t_ct_scan, &[frames, NOTICE.into()]))?;
-    Ok(notes)
+) -> Result<Cloud, CloudError> {
+    let surface = bone.map(MeshQuery::new);
+    let distances = scan.points().iter().map(|point| distance_outside(&(t_ct_scan * point), surface.as_ref()?));
+    let mut cloud = scan.clone().without_extras();
+    if let Some(distances) = distances.collect::<Option<Vec<f64>>>() {
+        cloud = parts::with_on_bone(cloud.with_extra(DISTANCE, distances.clone())?, &distances, inliers_mm)?;
+    }
+    let earlier = [DISTANCE, SCALAR_DISTANCE, parts::ON_BONE];
+    let mut others = scan.extras().iter().filter(|(name, _)| !earlier.iter().any(|of| name.eq_ignore_ascii_case(of)));
+    others.try_fold(cloud, |cloud, (name, values)| cloud.with_extra(name.clone(), values.clone()))
 }
 
-/// The column of the distance from the bone. CloudCompare takes what begins so for a scalar field, and shows it without asking.
-const DISTANCE: &str = "scalar_distance_mm";
-
-/// A cloud with its distance from a surface, whether it belongs to that, and the colours of that; those that a camera saw are kept instead.
-fn coloured(cloud: Cloud, surface: &MeshQuery, inliers_mm: Option<[f64; 2]>) -> Result<Cloud, NodeError> {
-    let distances: Vec<f64> = cloud.points().iter().map(|p| distance_outside(p, surface).unwrap_or(f64::NAN)).collect();
+/// Such a scan with the colours of the page, unless it has colours that a camera saw.
+fn for_cloudcompare(scan: &Cloud) -> Result<Cloud, CloudError> {
     let colours = ["red", "green", "blue"];
-    let has = |name: &str| cloud.extras().iter().any(|(column, _)| column.eq_ignore_ascii_case(name));
-    let (has_distance, has_colours) = (has(DISTANCE), colours.into_iter().any(has));
-    let mut cloud = cloud;
-    if !has_colours {
-        for (k, name) in colours.into_iter().enumerate() {
-            let part: Vec<f64> = distances.iter().map(|&distance| distance_colour(distance)[k].into()).collect();
-            cloud = cloud.with_extra(name, part)?;
+    let has_colours = scan.extras().iter().any(|(name, _)| colours.contains(&&*name.to_ascii_lowercase()));
+    let mut cloud = scan.clone().without_extras();
+    for (name, values) in scan.extras() {
+        let is_distance = **name == *DISTANCE;
+        cloud = cloud.with_extra(if is_distance { SCALAR_DISTANCE.into() } else { name.clone() }, values.clone())?;
+        for (k, colour) in colours.into_iter().enumerate().filter(|_| is_distance && !has_colours) {
+            let part: Vec<f64> = values.iter().map(|&mm| distance_colour(mm)[k].into()).collect();
+            cloud = cloud.with_extra(colour, part)?;
         }
     }
-    if !has_distance {
-        cloud = cloud.with_extra(DISTANCE, distances.clone())?;
+    Ok(cloud)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use osteoflow_geometry::{SurfaceOrigin, nalgebra::Point3};
+
+    #[test]
+    fn a_distance_of_an_earlier_registration_is_never_shown_as_if_it_were_of_this_one() {
+        let corners = [[-9.0, -9.0], [9.0, -9.0], [0.0, 9.0]].map(|[x, y]| Point3::new(x, y, 3.0));
+        let bone = Mesh::new("ct", SurfaceOrigin::User, corners.to_vec(), vec![[0, 1, 2]]).unwrap();
+        let scan = Cloud::new("camera", vec![Point3::new(0.0, 0.0, 2.5), Point3::new(0.5, 0.0, 3.25)]).unwrap();
+        let with = |cloud: Cloud, name: &str, value: f64| cloud.with_extra(name, vec![value; 2]).unwrap();
+        let earlier = ["distance_mm", "Scalar_Distance_mm", "on_bone"];
+        let scan =
+            with(earlier.into_iter().fold(with(scan, "red", 9.0), |scan, name| with(scan, name, 77.0)), "time", 5.0);
+        let columns =
+            |cloud: &Cloud| cloud.extras().iter().map(|(n, v)| (n.to_string(), v.to_vec())).collect::<Vec<_>>();
+        let column = |name: &str, values: [f64; 2]| (name.to_owned(), values.to_vec());
+        let others = [column("red", [9.0; 2]), column("time", [5.0; 2])];
+        // 1 mm along z from where it was scanned.
+        let up = Isometry3::translation(0.0, 0.0, 1.0);
+        let placed = with_distance(&scan, &up, Some(&bone), Some([-1.0, 1.0])).unwrap();
+        let of_this = |name: &str| [column(name, [0.5, 1.25]), column("on_bone", [1.0, 0.0])];
+        assert_eq!(columns(&placed), [of_this("distance_mm"), others.clone()].concat());
+        assert_eq!(
+            columns(&for_cloudcompare(&placed).unwrap()),
+            [of_this("scalar_distance_mm"), others.clone()].concat()
+        );
+        assert_eq!(placed.points(), scan.points(), "in its own frame");
+        let of_points = with_distance(&scan, &up, None, Some([-1.0, 1.0])).unwrap();
+        assert_eq!(columns(&of_points), others, "an unknown distance is no column");
     }
-    Ok(parts::with_on_bone(cloud, &distances, inliers_mm)?)
 }
