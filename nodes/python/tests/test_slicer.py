@@ -204,7 +204,7 @@ def test_the_test_of_the_module_itself_passes_with_the_program_that_is_found(mod
 def test_the_python_of_the_page_runs(case, monkeypatch, tmp_path, capsys):
     program_of(tmp_path, 'exec $REAL "$@"')
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
     assert f"it and what it has started {case.logic.GRACE_S:g} s later" in (ROOT / "docs/use/slicer.md").read_text()
     install, register = blocks("docs/use/slicer.md")
     if importlib.util.find_spec("osteoflow") is None:
@@ -472,6 +472,12 @@ def test_a_program_that_is_missing_is_named_with_what_to_do(case, monkeypatch):
     assert case.made() == []
 
 
+def test_a_temporary_folder_that_cannot_be_written_is_named(case, monkeypatch):
+    monkeypatch.setattr(case.double.slicer.app, "temporaryPath", "/nowhere")
+    with pytest.raises(case.logic.Fault, match="/nowhere: No such file"):
+        case.start()
+
+
 def test_the_program_of_the_wheel_runs_in_the_python_of_3d_slicer(case, monkeypatch, tmp_path):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: object() if name == "osteoflow" else None)
     python = tmp_path / "PythonSlicer"
@@ -586,6 +592,39 @@ def test_what_cannot_be_registered_is_refused_before_the_program_starts(case):
         with pytest.raises(case.logic.Fault, match=message):
             case.logic.Registration(Inputs(**given), COMMAND)
     assert case.made() == [] and double.errors == []
+
+
+def test_the_double_refuses_what_3d_slicer_refuses(case):
+    double, scene = case.double, case.scene
+    transform, plane, text = (scene.AddNewNodeByClass(kind) for kind in ("vtkMRMLLinearTransformNode", "vtkMRMLMarkupsPlaneNode", "vtkMRMLTextNode"))
+    for call in (
+        lambda: transform.SetMatrixTransformToParent(np.eye(4)),
+        lambda: case.scan.SetAndObserveTransformNodeID(transform),
+        lambda: case.scan.SetAndObservePolyData(vtk.vtkImageData()),
+        lambda: plane.SetOrigin([1.0, 2.0]),
+        lambda: text.SetAttribute("Osteoflow.run", 1),
+        lambda: double.vtkMRMLDisplayNode().SetScalarRange("low", "high"),
+    ):
+        with pytest.raises(TypeError):
+            call()
+    for call in (lambda: case.scan.GetTransform(), lambda: double.QLabel().setTexts("a"), lambda: setattr(double.QLabel(), "txt", "a")):
+        with pytest.raises(AttributeError):
+            call()
+    curved = scene.AddNewNodeByClass("vtkMRMLTransformNode")
+    curved.SetAndObserveTransformToParent(vtk.vtkThinPlateSplineTransform())
+    wrong = [
+        (lambda: scene.AddNewNodeByClass("vtkMRMLLinearTransform"), None, "failed to create"),
+        (lambda: curved.SetMatrixTransformToParent(vtk.vtkMatrix4x4()), 0, "non-linear"),
+        (lambda: curved.GetMatrixTransformToParent(vtk.vtkMatrix4x4()), 0, "not linear"),
+        (lambda: transform.SetAndObserveTransformNodeID(transform.GetID()), False, "self or a child"),
+        (lambda: plane.SetAxes([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]), None, "Invalid direction"),
+        (lambda: text.SetText("Prüfling"), None, "encoding"),
+        (lambda: double.vtkMRMLModelNode().CreateDefaultDisplayNodes(), None, "scene is invalid"),
+    ]
+    for call, returned, message in wrong:
+        assert call() == returned and message in double.errors[-1]
+    assert len(double.errors) == len(wrong)
+    double.errors.clear()
 
 
 @pytest.fixture

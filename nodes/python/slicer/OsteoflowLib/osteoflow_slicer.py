@@ -693,11 +693,17 @@ class Registration:
         self._cancelled = False
         self._sent = _digests(files)
         self._began = time.monotonic()
-        self.folder = Path(tempfile.mkdtemp(prefix="osteoflow-", dir=slicer.app.temporaryPath))
+        try:
+            self.folder = Path(tempfile.mkdtemp(prefix="osteoflow-", dir=slicer.app.temporaryPath))
+        except OSError as error:
+            raise Fault(f"{slicer.app.temporaryPath}: {error.strerror}", "choose another temporary folder in the settings of 3D Slicer") from error
         try:
             for name, content in files.items():
                 (self.folder / name).write_bytes(content)
             self._process = Process([*command, "run", "run.toml", "--out", "out", "--no-record"], self.folder, is_own_python)
+        except OSError as error:
+            self._clean()
+            raise Fault(f"{self.folder}: {error.strerror}", "is the disk full?") from error
         except BaseException:
             self._clean()
             raise
