@@ -291,6 +291,19 @@ def test_landmarks_that_are_swapped_are_refused(case):
     assert result.transform is None and case.made() == ["Osteoflow 1: verdict"]
 
 
+def test_screws_off_the_surface_are_refused_as_landmarks_and_taken_as_screws(case, right):
+    screws = {"S1": (-70.0, -75.0, -960.0), "S2": (-100.0, -90.0, -935.0), "S3": (-85.0, -60.0, -900.0)}
+    t_scan_bone = FLIP @ np.linalg.inv(right) @ FLIP
+    case.inputs.bone_points = case.points("screws", screws, "bone")
+    case.inputs.scan_points = case.points("touched", {name: moved(t_scan_bone, at) for name, at in screws.items()}, "scan")
+    refused = case.run()
+    assert refused.answer.answer == "refused" and "lie off the surface" in refused.text, refused.text
+    case.inputs.off_surface = True
+    result = case.run()
+    assert result.answer.answer == "trusted", result.text
+    assert off_mm(case, case.double.util.arrayFromTransformMatrix(result.transform), right) < SAME_MM
+
+
 def stretched(case):
     """A scan that is 3 % too long, of which the program doubts the answer."""
     case.scan.SetAndObservePolyData(Case.changed(case.scan.GetPolyData(), np.diag([1.03, 1.03, 1.03, 1.0])))
@@ -364,6 +377,17 @@ def test_a_scan_in_a_file_is_registered_and_shown(case, right, tmp_path):
     assert file.name in result.text and not any("where the camera was" in text for text in result.answer.assumptions)
 
 
+def test_a_file_in_metres_is_read_in_its_unit(case, right, tmp_path):
+    file = tmp_path / "scan.xyz"
+    points = moved(FLIP, [case.scan.GetPolyData().GetPoint(k) for k in range(10000)])
+    np.savetxt(file, points / 1000.0, fmt="%.9f")
+    case.inputs.scan, case.inputs.scan_file, case.inputs.scan_unit_mm = None, str(file), 1000.0
+    case.above["scan"] = np.eye(4)
+    result = case.run()
+    assert result.answer.answer == "trusted", result.text
+    assert off_mm(case, case.double.util.arrayFromTransformMatrix(result.transform), right) < SAME_MM
+
+
 def test_the_camera_is_where_the_origin_of_the_scan_is(case):
     case.inputs.camera_at_origin = True
     graph = case.logic.files_of(case.inputs)[0]["run.toml"].decode()
@@ -410,7 +434,10 @@ def test_a_volume_is_registered_where_its_voxels_lie(case, right):
     node = case.below(case.scene.AddNewNodeByClass("vtkMRMLScalarVolumeNode", "CT"), "bone")
     node.SetAndObserveImageData(smooth.GetOutput())
     node.SetIJKToRASMatrix(case.double.util.vtkMatrixFromArray(grid))
-    case.inputs.bone, case.inputs.threshold_hu = node, 550.0
+    case.inputs.bone = node
+    refused = case.run()
+    assert refused.answer.answer == "refused" and "threshold_hu is not given" in refused.text, "there is no air, by which HU are known"
+    case.inputs.threshold_hu = 550.0
     result = case.run()
     assert result.transform is not None, result.text
     # A voxel is 0.8 mm, and in or out of the bone.
@@ -438,10 +465,13 @@ def test_cancel_ends_the_program_and_leaves_nothing(case, tmp_path):
     finally:
         case.logic.GRACE_S = grace
     assert registration.state == "cancelled" and registration.result is None and case.made() == []
+    state = lambda pid: subprocess.run(["ps", "-o", "stat=", "-p", pid], capture_output=True, text=True).stdout.strip()
     for pid in begun.read_text().split():
-        # What is left of a process that was killed is a zombie until it is waited for.
-        state = subprocess.run(["ps", "-o", "stat=", "-p", pid], capture_output=True, text=True).stdout.strip()
-        assert state == "" or state.startswith("Z"), (pid, state)
+        # A process that was killed ends when it is next scheduled, and is a zombie until it is waited for.
+        end = time.monotonic() + 10.0
+        while state(pid)[:1] not in ("", "Z"):
+            assert time.monotonic() < end, (pid, state(pid))
+            time.sleep(0.02)
 
 
 def test_cancel_in_the_middle_of_the_real_program_leaves_nothing(case):
