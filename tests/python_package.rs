@@ -11,6 +11,8 @@ const PACKAGE: &str = "nodes/python";
 
 /// What the tests need beside the package and NumPy.
 const NEEDED: [&str; 2] = ["maturin>=1.7,<2", "pytest"];
+/// What the module for 3D Slicer needs beside them; its tests are left out without it.
+const VTK: &str = "vtk";
 /// What single tests need, which are left out without it: installed with `SLOW_TESTS`.
 const OPTIONAL: [&str; 6] = ["pandas", "matplotlib", "nbclient", "ipykernel", "dask[distributed]", "optuna"];
 
@@ -47,7 +49,7 @@ fn environment() -> Result<PathBuf, String> {
         if installed.status.success() { Ok(()) } else { Err(why()) }
     };
     install(&NEEDED)?;
-    for package in if is_slow_run() { &OPTIONAL[..] } else { &[] } {
+    for package in [VTK].iter().chain(if is_slow_run() { &OPTIONAL[..] } else { &[] }) {
         if let Err(why) = install(&[package]) {
             eprintln!("python package: {why}");
         }

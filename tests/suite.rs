@@ -8,6 +8,7 @@ mod archives;
 mod arrows;
 mod bound_plans;
 mod broken_graphs;
+mod cited;
 #[cfg(unix)]
 mod clients;
 mod clusters;
@@ -86,6 +87,7 @@ mod simulate;
 mod simulated;
 #[cfg(unix)]
 mod size;
+mod slicer_module;
 mod slicer_plans;
 mod slicer_scenes;
 mod store;

@@ -1,5 +1,6 @@
 mod examples;
 mod procedure;
+mod slicer;
 mod template;
 
 use super::common::{Exit, Format, Global, print_json, terminal};
@@ -15,7 +16,7 @@ use std::{
 };
 use template::{Lang, Like};
 
-/// Create a project from a template: a plugin, a procedure in files, or the shipped graphs with the example data.
+/// Create a project from a template: a plugin, a procedure in files, the module for 3D Slicer, or the shipped graphs with the example data.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -23,6 +24,7 @@ Examples:
   osteoflow new plugin my_crop --lang c
   osteoflow new plugin my_icp --lang python   one file that is not built; needs numpy and scipy
   osteoflow new procedure my_procedure        a procedure in files that runs, to replace by yours
+  osteoflow new slicer DIR                    the module for 3D Slicer
   osteoflow new examples DIR                  the shipped graphs and example data, as README and documentation name them")]
 pub(crate) struct New {
     #[command(subcommand)]
@@ -33,6 +35,7 @@ pub(crate) struct New {
 enum What {
     Plugin(Plugin),
     Procedure(procedure::Procedure),
+    Slicer(slicer::Slicer),
     Examples(examples::Examples),
 }
 
@@ -112,6 +115,7 @@ impl New {
         match &self.what {
             What::Plugin(plugin) => plugin.execute(global),
             What::Procedure(procedure) => procedure.execute(global),
+            What::Slicer(slicer) => slicer.execute(global),
             What::Examples(examples) => examples.execute(global),
         }
     }

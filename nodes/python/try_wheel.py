@@ -205,6 +205,14 @@ def files_of_the_current_folder_are_not_imported() -> None:
     run("run", EXAMPLES / "graphs/two_files.toml", *sets, "--out", "ran", cwd=trap)
 
 
+def the_module_of_3d_slicer_is_in_the_wheel() -> None:
+    module = HERE / "slicer"
+    run("new", "slicer", module)
+    written = sorted(str(file.relative_to(module).as_posix()) for file in module.rglob("*") if file.is_file())
+    graphs = ["graphs/two_files.toml", "graphs/variants/two_files_picked.toml"]
+    assert written == ["Osteoflow.py", "OsteoflowLib/__init__.py", "OsteoflowLib/osteoflow_slicer.py", *graphs], written
+
+
 def pages_are_served() -> None:
     served = [["view", "tests/data/folder/bone.stl", "tests/data/folder/scan.ply"], ["run", "graphs/two_files.toml", "--out", "served", "--serve"]]
     for words in served:
@@ -254,6 +262,7 @@ def main() -> None:
         nodes_in_python_fire_and_are_swept,
         another_build_is_not_answered_from_the_store_of_this_one,
         files_of_the_current_folder_are_not_imported,
+        the_module_of_3d_slicer_is_in_the_wheel,
         pages_are_served,
         ctrl_c_stops_a_run_in_order,
         a_reader_may_stop_reading,
