@@ -9,7 +9,7 @@ import shutil
 
 import numpy as np
 from client import ROOT, Missing, Row, client, debian, folder, osteoflow, recorded, run
-from clouds import off
+from clouds import box, off
 from scene import TURN, Scene, moved
 
 BACKGROUND = (255, 0, 255)
@@ -165,15 +165,16 @@ def paraview():
         "    out[name] = [list(shown.ColorArrayName), numpy(data.GetPoints().GetData()).tolist(), numpy(column).tolist() if column else []]\n"
         "json.dump(out, open(sys.argv[1], 'w'))\n"
     )
-    files = [export / "scan.vtk", export / "scan.ply"]
+    files = [export / name for name in ["scan.vtk", "scan.ply", "bone.stl"]]
     quiet = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     # A display of its own: two that look for a free one at once take the same.
     screen = ["xvfb-run", "-a", "-n", 1000 + os.getpid() % 30000]
     run(*screen, "pvpython", script, found, *files, env=quiet, cwd=ROOT)
     scene, read = Scene(export / "scene.mrb"), json.loads(found.read_text())
     scan = scene.models["scan"]
-    (colouring, points, values), (_, of_ply, _) = (read[str(file)] for file in files)
+    (colouring, points, values), (_, of_ply, _), (_, corners, _) = (read[str(file)] for file in files)
     assert colouring == ["POINTS", "distance_mm"], colouring
     yield Row("scan.vtk read", off(moved(TURN, points), scan["points"]))
     yield Row("scan.vtk coloured by distance_mm as it is opened", off(values, scan["scalars"]["distance_mm"]))
     yield Row("scan.ply read", off(moved(TURN, of_ply), scan["points"]))
+    yield Row("bone.stl read, extent", off(box(moved(TURN, corners)), box(scene.models["bone"]["points"])))

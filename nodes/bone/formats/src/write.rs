@@ -391,7 +391,7 @@ fn pcd(path: &Path, cloud: &Cloud, space: Space, packing: &Packing) -> Result<Ve
 /// A cloud as legacy VTK poly data, each point a vertex; normals and further columns as attributes, of which programs show the first
 /// scalars.
 ///
-/// Binary: readers of texts before VTK 9.3 take a NaN for 0, and lose what follows it.
+/// Binary: VTK up to 9.5 takes a NaN in a text for 0, and loses what follows it.
 pub(crate) fn vtk(path: &Path, cloud: &Cloud, space: Space) -> Result<Vec<u8>, FileError> {
     fn section(bytes: &mut Vec<u8>, head: &str, values: impl Iterator<Item = f64>) {
         bytes.extend(head.bytes().chain([b'\n']));
