@@ -167,9 +167,14 @@ def paraview():
     )
     files = [export / name for name in ["scan.vtk", "scan.ply", "bone.stl"]]
     quiet = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    # A display of its own: two that look for a free one at once take the same.
-    screen = ["xvfb-run", "-a", "-n", 1000 + os.getpid() % 30000]
-    run(*screen, "pvpython", script, found, *files, env=quiet, cwd=ROOT)
+    # A display of its own: two that look for a free one at once take the same. On a busy machine it is at times gone again at once.
+    for attempt in range(4):
+        screen = ["xvfb-run", "-a", "-n", 1000 + (os.getpid() + 10 * attempt) % 30000]
+        done = run(*screen, "pvpython", script, found, *files, env=quiet, cwd=ROOT, check=False)
+        if done.returncode == 0:
+            break
+    else:
+        raise AssertionError(f"pvpython ended with {done.returncode}: {done.stdout[-800:]}{done.stderr[-800:]}")
     scene, read = Scene(export / "scene.mrb"), json.loads(found.read_text())
     scan = scene.models["scan"]
     (colouring, points, values), (_, of_ply, _), (_, corners, _) = (read[str(file)] for file in files)
