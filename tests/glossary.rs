@@ -70,7 +70,7 @@ fn words_that_are_printed_or_asked_for_are_in_the_glossary() {
         wants(word, "register");
     }
     // The answers of a verdict, and what its lines begin with.
-    let trust = fs::read_to_string(root().join("docs/method/trust.md")).unwrap();
+    let trust = fs::read_to_string(root().join("docs/begin/can-i-trust-it.md")).unwrap();
     for answer in ["trusted", "doubtful", "refused"] {
         assert!(trust.contains(&format!("| {answer} |")), "{answer}");
         wants(answer, "a verdict");

@@ -35,17 +35,47 @@ pub(crate) fn pages(registry: &Registry) -> Vec<(String, String)> {
     for (stage, kinds) in &stages {
         let _ = write!(index, "\n## [{stage}]({stage}.md)\n\n| Kind | Gives |\n|---|---|\n");
         let mut page = format!("# {stage}\n");
+        let mut told = BTreeMap::new();
         for description in kinds {
             let anchor = description.kind.replace('.', "");
             let _ =
                 writeln!(index, "| [`{0}`]({stage}.md#{anchor}) | {1} |", description.kind, cell(&description.summary));
             page.push('\n');
-            page.push_str(&markdown(description));
+            page.push_str(&told_once(&mut told, description.kind, &markdown(description)));
         }
         pages.push((format!("{stage}.md"), page));
     }
     pages.insert(0, ("README.md".into(), index));
     pages
+}
+
+/// As many parameters of another kind of the page are named together, and told there alone.
+const MANY: usize = 3;
+
+/// A kind's text without the rows of parameters that a kind before it on the page has, too; `told` has the rows so far and their kinds.
+fn told_once<'a>(told: &mut BTreeMap<String, &'a str>, kind: &'a str, text: &str) -> String {
+    let is_parameter = |line: &&str| line.starts_with("| `") && line.matches(" | ").count() >= 5;
+    let mut shared: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for row in text.lines().filter(is_parameter) {
+        match told.get(row) {
+            Some(of) => shared.entry(of).or_default().push(row),
+            None => drop(told.insert(row.to_owned(), kind)),
+        }
+    }
+    shared.retain(|_, rows| rows.len() >= MANY);
+    let mut out = String::new();
+    for line in text.lines() {
+        match shared.iter().find(|(_, rows)| rows.contains(&line)) {
+            None => out += &format!("{line}\n"),
+            Some((of, rows)) if rows[0] == line => {
+                let names = rows.iter().filter_map(|row| row.split(" | ").next()).map(|name| &name[2..]);
+                let (names, anchor) = (names.collect::<Vec<_>>().join(", "), of.replace('.', ""));
+                out += &format!("| {names} |  |  |  |  | as of [`{of}`](#{anchor}) |\n");
+            }
+            Some(_) => {}
+        }
+    }
+    out
 }
 
 /// The kinds of each stage, in the order of the procedure.
@@ -286,6 +316,23 @@ pub(super) fn cell(text: &str) -> String {
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn parameters_of_an_earlier_kind_of_the_page_are_named_once_more_and_not_told_again() {
+        let row = |name: &str, default: u32| format!("| `{name}` | integer |  | `{default}` |  | Why. |\n");
+        let text = |rows: &[String]| format!("## kind\n\n{}\n**Example**\n", rows.concat());
+        let mut told = BTreeMap::new();
+        let of = |name: &str| row(name, 1);
+        let first = text(&["a", "b.c", "d", "e"].map(of));
+        assert_eq!(told_once(&mut told, "acquire.one", &first), first);
+        // One of its own, one with another default, and three as before.
+        let second = text(&[of("a"), of("own"), row("b.c", 2), of("d"), of("e")]);
+        let shared = "| `a`, `d`, `e` |  |  |  |  | as of [`acquire.one`](#acquireone) |\n".to_owned();
+        assert_eq!(told_once(&mut told, "acquire.two", &second), text(&[shared, of("own"), row("b.c", 2)]));
+        // Two are no list.
+        let third = text(&["a", "d"].map(of));
+        assert_eq!(told_once(&mut told, "acquire.three", &third), third);
+    }
 
     #[test]
     fn a_parameter_is_documented_with_type_unit_default_range_and_reason() {
