@@ -541,7 +541,8 @@ fn a_page_without_webgl_shows_verdict_numbers_graph_and_messages_and_says_what_i
     let Some(mut browser) = Browser::start("a_page_without_webgl") else { return };
     let ran = shared_run(GRAPH, &WHITE);
     let served = Served::start(&["view", ran.dir.path().to_str().unwrap()]);
-    let none = "HTMLCanvasElement.prototype.getContext = () => null";
+    let none = "const get = HTMLCanvasElement.prototype.getContext; HTMLCanvasElement.prototype.getContext = function (kind, ...rest) { \
+                return kind.startsWith('webgl') ? null : get.call(this, kind, ...rest); }";
     browser.call("Page.addScriptToEvaluateOnNewDocument", json!({ "source": none }));
     open(&mut browser, &served);
     let answer = ran.results["verdict"]["answer"].as_str().unwrap();
