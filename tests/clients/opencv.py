@@ -147,8 +147,8 @@ def hand_eye(cv2):
         ("of the camera in the target", markers, [inverse(m) for m in targets], "if the poses of the marker or of the target are inverted"),
         ("of the tracker in the marker", [inverse(m) for m in markers], targets, "if the poses of the marker or of the target are inverted"),
         ("that are exchanged", targets, markers, "hand_eye_arrangement"),
-        ("of a target in metres", markers, metres, "is its length in another unit"),
-        ("of other times", markers, targets[::-1], "or are poses of different times paired"),
+        ("of a target in metres", markers, metres, "multiply the size of the board by"),
+        ("of other times", markers, targets[::-1], "are poses of different times paired"),
     ):
         found, text = calibrated("hand-eye-" + what.replace(" ", "-"), marker, target)
         assert said in text, f"{what}: {text}"

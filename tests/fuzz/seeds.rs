@@ -79,6 +79,19 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
                 "vtk",
                 "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n0 0 0 1 0 0 0 1 0\nPOLYGONS 1 4\n3 0 1 2\n",
             ),
+            (
+                "vtp",
+                "<VTKFile type=\"PolyData\" byte_order=\"LittleEndian\" header_type=\"UInt32\" compressor=\"vtkZLibDataCompressor\"><PolyData>\
+                 <Piece NumberOfPoints=\"4\" NumberOfPolys=\"1\"><Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"binary\">\
+                 AQAAAACAAAAwAAAAEwAAAA==eF5jYEAGAo6obHQ+gz0AGLsBhA==</DataArray></Points><Polys>\
+                 <DataArray type=\"Int64\" Name=\"connectivity\" format=\"binary\">AQAAAACAAAAgAAAAEwAAAA==eF5jYIAARijNBKWZoTQAAHAABw==</DataArray>\
+                 <DataArray type=\"Int64\" Name=\"offsets\" format=\"binary\">AQAAAACAAAAIAAAACwAAAA==eF5jYYAAAAAoAAU=</DataArray></Polys></Piece></PolyData></VTKFile>",
+            ),
+            (
+                "vtp",
+                "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"1\"><Points><DataArray type=\"Float32\" format=\"appended\" \
+                 offset=\"0\"/></Points></Piece></PolyData><AppendedData encoding=\"raw\">_\u{c}\0\0\0abc?abc?abc?</AppendedData></VTKFile>",
+            ),
         ],
         "picked_points" => &[
             ("csv", "name,x,y,z\nP1,1,2,3\n"),
@@ -113,6 +126,18 @@ pub(crate) fn seeds(target: &Target, root: &Path) -> Vec<(String, Vec<u8>)> {
             (
                 "mha",
                 "ObjectType = Image\nNDims = 3\nDimSize = 0 0 0\nElementType = MET_UCHAR\nSeq_Frame0000_StylusToTrackerTransform = 1 0 0 10 0 1 0 20 0 0 1 30 0 0 0 1\nSeq_Frame0000_StylusToTrackerTransformStatus = OK\nSeq_Frame0000_Timestamp = 1.5\nElementDataFile = LOCAL\n",
+            ),
+            (
+                "nrrd",
+                "NRRD0004\nsizes: 0 0 1\nSeq_Frame0000_StylusToTrackerTransform:=1 0 0 10 0 1 0 20 0 0 1 30 0 0 0 1\nSeq_Frame0000_StylusToTrackerTransformStatus:=OK\nSeq_Frame0000_Timestamp:=1.5\n\n",
+            ),
+            (
+                "csv",
+                "Format Version,1.23,Rotation Type,Quaternion,Length Units,Meters\n,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body\n,Name,A,A,A,A,A,A,A\n,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z\n0,0.5,0,0,0,1,1,2,3\n",
+            ),
+            (
+                "csv",
+                "Objects\n100\n,,A:A,,,,,,\nFrame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n,,,,,,mm,mm,mm\n1,0,0,0,0,1,1,2,3\n",
             ),
         ],
         "volume" => &[

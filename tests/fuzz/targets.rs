@@ -29,7 +29,7 @@ pub(crate) struct Target {
 pub(crate) const TARGETS: &[Target] = &[
     Target {
         name: "surface_or_cloud",
-        endings: &["ply", "stl", "obj", "off", "vtk", "pcd", "csv", "xyz"],
+        endings: &["ply", "stl", "obj", "off", "vtk", "vtp", "pcd", "csv", "xyz"],
         read: surface_or_cloud,
     },
     Target {
@@ -42,12 +42,12 @@ pub(crate) const TARGETS: &[Target] = &[
     Target { name: "poses", endings: &["csv"], read: |path, _| poses_csv::read_poses(path, 1.0).is_ok() },
     Target {
         name: "log",
-        endings: &["tum", "csv", "txt", "mha"],
+        endings: &["tum", "csv", "txt", "mha", "nrrd"],
         read: |path, _| pose_log::read_log(path, &options_of_log()).is_ok(),
     },
     Target {
         name: "probe",
-        endings: &["csv", "txt", "json", "ply", "vtk", "dcm", "nii", "nrrd", "mha", "zip", "mcap", "toml"],
+        endings: &["csv", "txt", "json", "ply", "vtk", "vtp", "dcm", "nii", "nrrd", "mha", "zip", "mcap", "toml"],
         read: |path, _| probe::probe(path).is_ok(),
     },
     Target { name: "archive", endings: &["zip"], read: |path, _| osteoflow::app::same(path, path).is_ok() },
