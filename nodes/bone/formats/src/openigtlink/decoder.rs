@@ -17,8 +17,8 @@ pub struct Decoder {
     at: usize,
     /// Whether the bytes before `at` were damaged, which has been reported.
     is_lost: bool,
-    /// Whether bodies are taken whatever their CRC is.
-    takes_any_crc: bool,
+    /// Whether a body is taken whose header has 0 for its CRC.
+    takes_no_crc: bool,
 }
 
 /// Why bytes gave no message: they are no header, after which the next is looked for, or a body that is not the one that was
@@ -28,9 +28,10 @@ pub struct Decoder {
 pub struct Damage(String);
 
 impl Decoder {
-    /// Of a sender that writes no CRC: a damaged body is taken, if it has the form of its type.
+    /// Of a sender that writes no CRC, which is 0 in its headers: such a body is taken unchecked, if it has the form of its type. Any other
+    /// CRC is checked.
     pub fn without_crc() -> Self {
-        Self { takes_any_crc: true, ..Self::default() }
+        Self { takes_no_crc: true, ..Self::default() }
     }
 
     /// Adds bytes as they arrived.
@@ -85,7 +86,8 @@ impl Iterator for Decoder {
                 }
             };
             let body = self.buffer[self.at + HEADER_BYTES..].get(..header.n_body)?;
-            if !self.takes_any_crc && crc64(body) != header.crc {
+            let is_unchecked = self.takes_no_crc && header.crc == 0;
+            if !is_unchecked && crc64(body) != header.crc {
                 self.skip();
                 return Some(Err(Damage(format!(
                     "{}: the CRC of its body is wrong{}",

@@ -265,7 +265,12 @@ fn a_sender_that_writes_no_crc_is_named_and_read_on_request() {
     );
     let mut decoder = Decoder::without_crc();
     decoder.push(&bytes);
-    assert_eq!(decoder.next(), Some(Ok(message)));
+    assert_eq!(decoder.next(), Some(Ok(message.clone())));
+    // A CRC that is there is checked all the same.
+    let mut damaged = message.to_bytes().unwrap();
+    damaged[HEADER_BYTES] ^= 1;
+    decoder.push(&damaged);
+    assert!(decoder.next().unwrap().is_err());
 }
 
 #[test]

@@ -49,12 +49,18 @@ impl<'a> Capture<'a> {
         let Some((axes, above)) = lines.split_last().filter(|(axes, _)| axes[0] == "Frame") else {
             return Err(fault("no line begins with Frame".into()));
         };
-        if above[0][0] == "Format Version" {
-            Self::motive(axes, above, cursor)
-        } else {
-            Self::vicon(axes, above, cursor)
+        let is_motive = above[0][0] == "Format Version";
+        let read = if is_motive { Self::motive(axes, above, cursor) } else { Self::vicon(axes, above, cursor) };
+        let read = read.map_err(fault)?;
+        // The poses of one would be taken for the other's.
+        let n_of = |tool: &Tool| read.names.iter().filter(|name| **name == tool.translation[0]).count();
+        match read.columns.tools.iter().find(|tool| n_of(tool) > 1) {
+            Some(twice) => {
+                let name = twice.child.as_deref().unwrap_or_default();
+                Err(fault(format!("two bodies are called {name}; rename one, and export again")))
+            }
+            None => Ok(read),
         }
-        .map_err(fault)
     }
 
     fn motive(axes: &[String], above: &[Vec<String>], cursor: Cursor<'a>) -> Result<Self, String> {
@@ -246,6 +252,8 @@ mod tests {
             (MOTIVE.replace("Rigid Body", "Marker"), None, "it has no rigid body with rotations"),
             (MOTIVE.into(), Some(1.0), "it states a unit of 1000 mm, and unit_mm is 1"),
             (MOTIVE.replace("1,0.008333", "1,later"), None, "line 9"),
+            (MOTIVE.replace("\"Stylus 2\"", "Bone"), None, "two bodies are called Bone; rename one"),
+            (VICON.replace("Probe:Probe", "Bone:Bone"), None, "two bodies are called Bone:Bone; rename one"),
             (VICON.replace(",RW", ",RV"), None, "line 4: the rotations of Bone:Bone are angles"),
             (VICON.replace(",mm", ",px"), None, "line 4: the unit of TX is \"px\""),
             (VICON.replace("100\n", "fast\n"), None, "line 4: the second line is not the rate"),
