@@ -99,7 +99,7 @@ fn the_command_for_a_procedure_fits_the_frames_of_its_recording() {
     };
     let clouds = |topic: &str| {
         let read = recorded.messages(topic).iter().map(|message| read_cloud(message).unwrap().cloud);
-        Stream::Clouds(read.map(|cloud| cloud.transformed("optical", &Isometry3::identity())).collect())
+        Stream::Clouds(read.map(|cloud| cloud.transformed("optical.left", &Isometry3::identity())).collect())
     };
     let mut streams: Vec<(String, Stream)> = ["calibration", "scan", "laser_p1", "laser_p2", "laser_p3"]
         .map(|name| format!("/camera/{name}"))
@@ -116,7 +116,8 @@ fn the_command_for_a_procedure_fits_the_frames_of_its_recording() {
     fs::write(&path, recording_bytes(&streams, &recorded.metadata, &[]).unwrap()).unwrap();
     let command = found(&path)["use"][0].as_str().unwrap().to_owned();
     let out = dir.path().join("run");
-    let words = command.split(' ').skip(1);
+    assert!(command.contains("--set 'recording.frames.\"optical.left\"=camera'"), "{command}");
+    let words = command.split(' ').skip(1).map(|word| word.trim_matches('\''));
     let done = osteoflow().current_dir(root()).args(words).arg("--out").arg(&out).output().unwrap();
     assert_eq!(done.status.code(), Some(0), "{command}\n{}", String::from_utf8_lossy(&done.stderr));
     let origins = |dir: &Path| -> Vec<f64> {

@@ -503,18 +503,20 @@ pub(super) const PROCEDURE: [(&str, MessageKind); 7] = [
 fn renamed(read: &Recording) -> Vec<String> {
     let first = |topic: &str| read.messages(topic).iter().find_map(|message| frames(message).into_iter().next());
     let camera = first("/camera/scan").filter(|frame| frame != "camera");
-    let mut sets: Vec<String> = camera.iter().map(|frame| format!("frames.{frame}=camera")).collect();
+    // A dot would separate keys.
+    let key = |frame: &str| if frame.contains('.') { format!("frames.\"{frame}\"") } else { format!("frames.{frame}") };
+    let mut sets: Vec<String> = camera.iter().map(|frame| format!("{}=camera", key(frame))).collect();
     for port in ["camera_marker", "phantom_marker", "bone_marker"] {
         let pair = first(&format!("/tracker/{port}"));
         let Some((to, from)) = pair.as_ref().and_then(|pair| pair.split_once(" -> ")) else { continue };
         if to != "world" {
             // What is touched is in this frame, too.
-            let world = format!("frames.{to}=world");
+            let world = format!("{}=world", key(to));
             sets.extend((!sets.contains(&world)).then_some(world));
             sets.push(format!("out.{port}.parent={to}"));
         }
         if from != port {
-            sets.extend([format!("frames.{from}={port}"), format!("out.{port}.child={from}")]);
+            sets.extend([format!("{}={port}", key(from)), format!("out.{port}.child={from}")]);
         }
     }
     sets
@@ -528,7 +530,9 @@ fn uses_of(read: &Recording, name: &str, is_damaged: bool) -> Vec<String> {
     };
     if PROCEDURE.iter().all(is_there) {
         let allow = if is_damaged { " --set recording.allow_truncated=true" } else { "" };
-        let renamed: String = renamed(read).iter().map(|set| format!(" --set recording.{set}")).collect();
+        let quote = |set: &str| if set.contains(['"', ' ']) { "'" } else { "" };
+        let set = |set: &String| format!(" --set {0}recording.{set}{0}", quote(set));
+        let renamed: String = renamed(read).iter().map(set).collect();
         return vec![format!("osteoflow run graphs/fibula_recorded.toml --set recording.path={name}{allow}{renamed}")];
     }
     let cloud = read.topics().iter().find(|topic| kind(topic) == Some(MessageKind::Cloud));
