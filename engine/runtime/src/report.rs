@@ -1,6 +1,6 @@
 //! Events and statistics of a run.
 
-use crate::plan::Location;
+use crate::{histogram::Spread, plan::Location};
 use osteoflow_node::{Empty, ParamError, StampNs};
 use std::{fmt, sync::Arc, time::Duration};
 
@@ -153,6 +153,65 @@ pub struct LinkStats {
     pub highest_fill: usize,
     /// Capacity at the end of the run.
     pub capacity: usize,
+}
+
+/// How a contract of time was kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ContractStats {
+    /// The node.
+    pub node: String,
+    /// What it is about: the input or the wire `node.port`, or the node.
+    pub on: String,
+    /// What was asked.
+    pub kind: ContractKind,
+    /// The maximum.
+    pub limit_ns: StampNs,
+    /// Number of values, firings or gaps.
+    pub n: u64,
+    /// Number of those that broke it.
+    pub n_broken: u64,
+    /// The activation or item that broke it first.
+    pub first: Option<u64>,
+    /// The ages, durations or gaps. In a replay the ages are those by stamps, but for values that were too old by arrival, and
+    /// only durations that were too long are known.
+    pub spread: Spread,
+}
+
+/// What a contract of time asks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ContractKind {
+    /// The maximum age of an input's values.
+    MaxAge,
+    /// The maximum duration of a firing.
+    Deadline,
+    /// The longest silence of a wire.
+    Silence,
+}
+
+impl ContractKind {
+    /// `age`, `firing` or `silence`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::MaxAge => "age",
+            Self::Deadline => "firing",
+            Self::Silence => "silence",
+        }
+    }
+}
+
+impl ContractStats {
+    /// What the user should know where it was broken.
+    pub fn broken(&self) -> Option<String> {
+        let Self { on, limit_ns, n, n_broken, spread, .. } = self;
+        let span = |ns: u128| crate::join::span(ns as i128);
+        let (first, limit, most) = (self.first?, span(*limit_ns as u128), span(spread.max.as_nanos()));
+        let what = match self.kind {
+            ContractKind::MaxAge => format!("{n_broken} of {n} values were older than {limit}, the oldest {most}"),
+            ContractKind::Deadline => format!("{n_broken} of {n} firings took longer than {limit}, up to {most}"),
+            ContractKind::Silence => format!("it was silent for {limit} or longer {n_broken} times, up to {most}"),
+        };
+        Some(format!("{on}: {what}; the first at item {first}"))
+    }
 }
 
 /// A run that cannot start.

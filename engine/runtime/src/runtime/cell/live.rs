@@ -39,6 +39,11 @@ impl LiveCore {
         Self { max_delay_ns, newest_ns: StampNs::MIN, waits: false, clock, ready }
     }
 
+    /// Whether an answer waits for room.
+    pub(crate) fn has_ready(&self) -> bool {
+        !self.ready.is_empty()
+    }
+
     /// Makes an answer ready, unless it is held back by its stamp; what the user should know, with the number of the item.
     fn take(&mut self, answer: Reply) -> Vec<(u64, String)> {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -166,6 +171,9 @@ impl Cell {
             return self.end(run, turn);
         }
         self.emissions = answer.emissions;
+        if let Some((began, took)) = answer.firing.timed {
+            run.note_arrival(self.index, answer.firing.stamp_ns, began + took);
+        }
         self.after(answer.firing, answer.answered.map(|answer| answer.map(drop)), run, turn);
     }
 
