@@ -2,6 +2,8 @@
 
 mod closing_log;
 #[cfg(test)]
+mod contract_tests;
+#[cfg(test)]
 mod feedback_tests;
 pub mod files;
 mod finished;

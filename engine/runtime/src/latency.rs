@@ -101,7 +101,8 @@ impl Tap for Latency {
             answers.note(stamp_ns, ended);
         }
         for (source, times) in &self.sinks[node] {
-            let Some((_, answered)) = self.answers[*source].as_ref().and_then(|answers| answers.before(stamp_ns)) else {
+            let Some((_, answered)) = self.answers[*source].as_ref().and_then(|answers| answers.before(stamp_ns))
+            else {
                 continue;
             };
             locked(times).count(1, ended.saturating_sub(answered).as_nanos() as u64);

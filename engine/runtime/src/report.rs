@@ -200,17 +200,19 @@ impl ContractKind {
 }
 
 impl ContractStats {
-    /// What the user should know where it was broken.
-    pub fn broken(&self) -> Option<String> {
-        let Self { on, limit_ns, n, n_broken, spread, .. } = self;
-        let span = |ns: u128| crate::join::span(ns as i128);
-        let (first, limit, most) = (self.first?, span(*limit_ns as u128), span(spread.max.as_nanos()));
-        let what = match self.kind {
-            ContractKind::MaxAge => format!("{n_broken} of {n} values were older than {limit}, the oldest {most}"),
-            ContractKind::Deadline => format!("{n_broken} of {n} firings took longer than {limit}, up to {most}"),
-            ContractKind::Silence => format!("it was silent for {limit} or longer {n_broken} times, up to {most}"),
+    /// The sign that it was broken, which a replay gives again: without what was measured.
+    pub fn broken(&self) -> Option<Warning> {
+        let Self { node, on, limit_ns, n, n_broken, .. } = self;
+        let (item, limit) = (self.first?, crate::join::span((*limit_ns).into()));
+        let (rule, what) = match self.kind {
+            ContractKind::MaxAge => ("max_age", format!("{n_broken} of {n} values were older than {limit}")),
+            ContractKind::Deadline => {
+                ("missed_deadline", format!("{n_broken} of {n} firings took longer than {limit}"))
+            }
+            ContractKind::Silence => ("silent_wire", format!("nothing came for {limit} or longer, {n_broken} times")),
         };
-        Some(format!("{on}: {what}; the first at item {first}"))
+        let message = format!("{on}: {what}, the first at item {item} [{rule}]");
+        Some(Warning { node: node.clone(), item, message })
     }
 }
 
@@ -254,11 +256,19 @@ pub struct Failure {
     pub panicked: bool,
     /// Whether the node went on with the next item.
     pub skipped: bool,
+    /// Whether the run is refused, whatever depends on the node.
+    pub refuses: bool,
 }
 
 impl Failure {
     /// An error that ends the node.
     pub(crate) fn error(node: usize, item: u64, reason: String) -> Self {
-        Self { node, item, reason, panicked: false, skipped: false }
+        Self { node, item, reason, panicked: false, skipped: false, refuses: false }
+    }
+
+    /// A contract of time that was broken, by which the graph refuses the run.
+    pub(crate) fn of_contract(node: usize, item: u64, reason: &str) -> Self {
+        let reason = format!("{reason}, and otherwise = \"refuse\"");
+        Self { refuses: true, ..Self::error(node, item, reason) }
     }
 }

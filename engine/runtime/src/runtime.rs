@@ -15,7 +15,9 @@ use crate::{
     outcome::{Retired, RunOutcome},
     panics,
     plan::{OutputId, Plan, PlanInput, PlanNode, Policy},
-    report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning},
+    report::{
+        BuildError, BuildFault, ContractStats, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning,
+    },
     scheduler::{Scheduler, Stepped, Turn, Work},
     sign::Sign,
     sync::locked,
@@ -288,7 +290,6 @@ impl<'a> Runtime<'a> {
         let messages = self.messages.into_inner().unwrap_or_else(PoisonError::into_inner);
         let (failures, mut warnings, mut signs) = messages.finish(self.plan);
         signs.extend(self.signs);
-        signs.sort_by_cached_key(|sign| self.plan.node(&sign.node));
         if !interrupted {
             warnings.extend(self.planned.iter().enumerate().flat_map(|(node, planned)| {
                 planned.missed().map(move |injection| (node, missed_injection(injection)))
@@ -309,12 +310,13 @@ impl<'a> Runtime<'a> {
             let (node, item) = (link.from.node, cells[link.from.node].n_items());
             (node, Warning { node: self.plan.nodes[node].name.to_string(), item, message })
         }));
-        let contracts: Vec<_> = cells.iter().map(|cell| cell.contract_stats(self.plan)).collect();
-        for (node, stats) in contracts.iter().enumerate() {
-            let broken = stats.iter().filter_map(|stats| Some((stats.broken()?, stats.first?)));
-            let warning = |(message, item)| (node, Warning { node: self.plan.nodes[node].name.to_string(), item, message });
-            warnings.extend(broken.map(warning));
+        let contracts: Vec<_> = cells.iter().flat_map(|cell| cell.contract_stats(self.plan)).collect();
+        for broken in contracts.iter().filter_map(ContractStats::broken) {
+            // In a replay, those of what is played are among the recorded signs.
+            signs.extend(broken.sign().filter(|sign| !signs.contains(sign)).into_iter().collect::<Vec<_>>());
+            warnings.extend(self.plan.node(&broken.node).map(|node| (node, broken)));
         }
+        signs.sort_by_cached_key(|sign| self.plan.node(&sign.node));
         warnings.sort_by_key(|(node, warning)| (*node, warning.item));
         RunOutcome {
             interrupted,
@@ -326,7 +328,7 @@ impl<'a> Runtime<'a> {
             stall,
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
             signs,
-            contracts: contracts.into_iter().flatten().collect(),
+            contracts,
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
             retired: Retired::new(cells.into_iter().map(Cell::into_retired)),

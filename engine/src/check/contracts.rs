@@ -89,10 +89,13 @@ impl Check<'_> {
         }
         let rates = rates(nodes, inputs, order);
         for (node, inputs) in nodes.iter().zip(inputs) {
-            let by_number = |input: &&Input| !input.port.unused && (input.port.join == Join::Each || input.port.join.collects());
-            let wires = || inputs.iter().filter(by_number).flat_map(|input| input.known_wires().map(move |wire| (input, wire)));
+            let by_number =
+                |input: &&Input| !input.port.unused && (input.port.join == Join::Each || input.port.join.collects());
+            let wires =
+                || inputs.iter().filter(by_number).flat_map(|input| input.known_wires().map(move |wire| (input, wire)));
             let rate = |wire| rate_of(wire, nodes, &rates);
-            let silent = wires().find(|(_, (wire, _))| limited.iter().any(|limited| rate(*wire) == Rate::Items(*limited)));
+            let silent =
+                wires().find(|(_, (wire, _))| limited.iter().any(|limited| rate(*wire) == Rate::Items(*limited)));
             let Some((input, (wire, at))) = silent else { continue };
             let other = wires().find(|(_, (other, _))| rate(*other) != rate(wire) && rate(*other) != Rate::Unknown);
             let Some((other, (_, other_at))) = other else { continue };
@@ -105,7 +108,11 @@ impl Check<'_> {
                 wires::name(wire, nodes)
             );
             let fault = Fault::new(message).at(at, "may get an empty more").also(other_at, "gets none");
-            self.faults.push(fault.help("join one of them by \"stamp\" or \"latest\", or take max_age_ms and rate_hz of the wire away"));
+            self.faults.push(
+                fault.help(
+                    "join one of them by \"stamp\" or \"latest\", or take max_age_ms and rate_hz of the wire away",
+                ),
+            );
         }
     }
 }

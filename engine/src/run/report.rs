@@ -4,7 +4,9 @@ use crate::{
     answer_cache::CachedAnswer,
     record::RecordError,
     repro::Saved,
-    runtime::{BuildError, BuildFault, ContractStats, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning},
+    runtime::{
+        BuildError, BuildFault, ContractStats, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning,
+    },
 };
 use std::time::Duration;
 

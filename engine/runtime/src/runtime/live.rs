@@ -98,7 +98,7 @@ pub(crate) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) 
             let served = catch_unwind(AssertUnwindSafe(|| {
                 // If this thread panics, the workers must not wait for it.
                 let _guard = scheduler.guard();
-                Server { run, scheduler, devices: Vec::new(), stopped: None, looked: Instant::now() }.serve(sources);
+                Server { run, scheduler, devices: Vec::new(), stopped: None, looked: Duration::ZERO }.serve(sources);
             }));
             *panicked.lock().unwrap_or_else(PoisonError::into_inner) = served.err();
         });
@@ -130,7 +130,7 @@ struct Server<'a, 'r> {
     /// When the stop request was seen.
     stopped: Option<Instant>,
     /// When it last looked for wires that are silent.
-    looked: Instant,
+    looked: Duration,
 }
 
 impl Server<'_, '_> {
@@ -186,10 +186,11 @@ impl Server<'_, '_> {
 
     /// Looks for wires that are silent for longer than a contract allows.
     fn note_silence(&mut self) {
-        if self.look_every().is_none_or(|every| self.looked.elapsed() < every) {
+        let now = self.run.now();
+        if self.look_every().is_none_or(|every| now < self.looked + every) {
             return;
         }
-        self.looked = Instant::now();
+        self.looked = now;
         for device in self.devices.iter().filter(|device| device.look_every.is_some() && device.asks.is_some()) {
             self.scheduler.outside(|turn| self.run.cell(device.node).note_silence(self.run, turn));
         }

@@ -69,10 +69,14 @@ impl Contracts {
         let age = |(port, input): (usize, &PlanInput)| {
             let max_ns = input.contract.max_age_ns?;
             let is_live = |node: &usize| plan.nodes[*node].role == Role::LiveSource;
-            let mut sources: Vec<_> = input.links.iter().flat_map(|link| {
-                let upstream = plan.upstream(plan.links[*link].from.node);
-                (0..plan.nodes.len()).filter(move |node| upstream[*node]).filter(is_live)
-            }).collect();
+            let mut sources: Vec<_> = input
+                .links
+                .iter()
+                .flat_map(|link| {
+                    let upstream = plan.upstream(plan.links[*link].from.node);
+                    (0..plan.nodes.len()).filter(move |node| upstream[*node]).filter(is_live)
+                })
+                .collect();
             sources.sort_unstable();
             sources.dedup();
             let (name, optional) = (input.port.name, input.port.optional);
@@ -125,13 +129,17 @@ impl Cell {
             }
             let allowed = span(age.max_ns);
             let reason = if by_stamp > age.max_ns {
-                format!("input \"{}\": its value is {} older than the firing, {allowed} allowed", age.name, span(by_stamp))
+                format!(
+                    "input \"{}\": its value is {} older than the firing, {allowed} allowed",
+                    age.name,
+                    span(by_stamp)
+                )
             } else {
                 contracts.readings.push(ClockReading::Stale { port: age.port as u32, ns });
                 format!("input \"{}\": its value came {} ago, {allowed} allowed", age.name, span(ns))
             };
             if is_first && age.otherwise == Otherwise::Refuse {
-                run.fail(Failure::error(self.index, item, refused(&reason)));
+                run.fail(Failure::of_contract(self.index, item, &reason));
             }
             let empty = Arc::new(Empty { node: self.context.node().to_owned(), reason });
             if !age.optional || age.otherwise == Otherwise::Drop {
@@ -173,7 +181,7 @@ impl Cell {
         contracts.readings.push(ClockReading::Late { ns: took });
         let reason = format!("the firing took {}, {} allowed", span(took), span(deadline.ns));
         if is_first && deadline.otherwise == Otherwise::Refuse {
-            run.fail(Failure::error(self.index, item, refused(&reason)));
+            run.fail(Failure::of_contract(self.index, item, &reason));
         }
         let given = self.emissions.iter_mut().filter(|emission| matches!(emission, Emission::Value(_)));
         given.for_each(|emission| *emission = Emission::Empty(reason.clone()));
@@ -194,14 +202,15 @@ impl Cell {
     /// Says on the wires of a live source that they are silent, where a contract limits that.
     pub(crate) fn note_silence(&mut self, run: &Runtime<'_>, turn: &mut Turn<'_>) {
         let Core::Live(live) = &self.core else { return };
-        // What waits for room has come.
-        if !matches!(self.phase, Phase::Open) || live.has_ready() || !self.has_room(run) {
+        // A source that waits for room is not silent.
+        let Some(since) = live.asked_since().filter(|_| matches!(self.phase, Phase::Open)) else { return };
+        if !self.has_room(run) {
             return;
         }
         let now = run.now();
         for output in &mut self.outputs {
             let Some(silence) = &output.silence else { continue };
-            let Some((stamp_ns, is_first)) = silence.silent(now) else { continue };
+            let Some((stamp_ns, is_first)) = silence.silent(now, since) else { continue };
             let (stamp_ns, max_ns) = (stamp_ns.max(output.floor), silence.max_ns);
             if !is_first {
                 // Firings that other sources trigger do not wait for a silent one.
@@ -229,7 +238,7 @@ impl Cell {
             }));
         }
         let silences = self.outputs.iter().filter_map(|output| Some((output.id, output.silence.as_deref()?)));
-        all.extend(silences.map(|(id, silence)| {
+        all.extend(silences.filter(|(_, silence)| silence.is_rate).map(|(id, silence)| {
             silence.kept.stats(plan, self.index, plan.wire_name(id), ContractKind::Silence, silence.max_ns)
         }));
         all
@@ -239,6 +248,8 @@ impl Cell {
 /// The longest silence of a wire that its consumers allow.
 pub(crate) struct Silence {
     max_ns: StampNs,
+    /// Whether a rate limits it. A maximum age alone is broken by values, not by their absence.
+    is_rate: bool,
     refuses: bool,
     /// Stamp of the last item that does not say that the wire is silent, and when it came.
     last: Option<(StampNs, Duration)>,
@@ -248,15 +259,16 @@ pub(crate) struct Silence {
 }
 
 impl Silence {
-    /// Of an output of a source, by the contracts of its consumers. Without a rate, only a live source can be silent.
+    /// Of an output of a source, by the contracts of its consumers.
     pub(crate) fn of(plan: &Plan, id: OutputId) -> Option<Box<Self>> {
-        let role = plan.nodes[id.node].role;
-        let is_asked = |contract: &Contract| role == Role::LiveSource || contract.period_ns.is_some();
+        let is_source = plan.nodes[id.node].role != Role::Node;
         let contracts = plan.consumers(id).map(|link| plan.nodes[link.to_node].inputs[link.to_port].contract);
-        let contracts: Vec<_> = contracts.filter(|contract| role != Role::Node && is_asked(contract)).collect();
+        let contracts: Vec<_> = contracts.filter(|_| is_source).collect();
         let max_ns = contracts.iter().filter_map(Contract::silence_ns).min()?;
-        let refuses = contracts.iter().any(|contract| contract.otherwise == Otherwise::Refuse);
-        Some(Box::new(Self { max_ns, refuses, last: None, is_said: false, kept: Kept::default() }))
+        let mut rates = contracts.iter().filter(|contract| contract.period_ns.is_some()).peekable();
+        let is_rate = rates.peek().is_some();
+        let refuses = rates.any(|contract| contract.otherwise == Otherwise::Refuse);
+        Some(Box::new(Self { max_ns, is_rate, refuses, last: None, is_said: false, kept: Kept::default() }))
     }
 
     /// Notes an item; the reason to refuse the run, if there is one. By stamps alone, so that a replay finds the same: an
@@ -270,20 +282,16 @@ impl Silence {
         if !self.is_said {
             self.last = Some((item.stamp_ns, now));
         }
-        (is_first && self.refuses).then(|| refused(&format!("nothing came for {}", span(gap_ns))))
+        (is_first && self.refuses).then(|| format!("nothing came for {}", span(gap_ns)))
     }
 
     /// The stamp of now on a wire that is silent for too long, and whether nothing has said so yet.
-    fn silent(&self, now: Duration) -> Option<(StampNs, bool)> {
+    fn silent(&self, now: Duration, asked_since: Duration) -> Option<(StampNs, bool)> {
         let (stamp_ns, at) = self.last?;
-        let silent_ns = nanoseconds(now.saturating_sub(at));
+        let silent_ns = nanoseconds(now.saturating_sub(at.max(asked_since)));
         let at_ns = if self.is_said { silent_ns } else { self.max_ns };
         (silent_ns >= self.max_ns).then_some((stamp_ns.saturating_add(at_ns), !self.is_said))
     }
-}
-
-fn refused(reason: &str) -> String {
-    format!("{reason}, and otherwise = \"refuse\"")
 }
 
 fn nanoseconds(time: Duration) -> StampNs {

@@ -40,12 +40,7 @@ pub(crate) struct Late {
 }
 
 impl Output {
-    pub(crate) fn new(
-        id: OutputId,
-        payload: PortPayload,
-        links: Vec<SendEnd>,
-        silence: Option<Box<Silence>>,
-    ) -> Self {
+    pub(crate) fn new(id: OutputId, payload: PortPayload, links: Vec<SendEnd>, silence: Option<Box<Silence>>) -> Self {
         Self {
             id,
             payload,
@@ -98,7 +93,7 @@ impl Output {
         if let Some(silence) = &mut self.silence
             && let Some(reason) = silence.note(&item, run.now())
         {
-            run.fail(Failure::error(self.id.node, item.number, reason));
+            run.fail(Failure::of_contract(self.id.node, item.number, &reason));
         }
         self.listeners.iter().for_each(|tap| run.taps[*tap].item(self.id, &item));
         let Some((last, others)) = self.links.split_last_mut() else { return Ok(()) };
