@@ -19,7 +19,7 @@ pub mod progress {
 }
 
 use app::{UsageError, with_causes};
-use clap::{ColorChoice, Parser};
+use clap::{ColorChoice, Parser, error::ErrorKind};
 use commands::{
     command_line::Cli,
     common::{Exit, Format, Global, crash, log, usage},
@@ -43,6 +43,9 @@ fn code_of(arguments: Vec<OsString>) -> u8 {
         Ok(cli) => cli,
         // Help and version are results, anything else is a fault of the command line.
         Err(message) => {
+            // The list of commands by what one wants is made for whom it is shown.
+            let again = || Cli::grouped().try_get_matches_from(&arguments).err();
+            let message = if message.kind() == ErrorKind::DisplayHelp { again().unwrap_or(message) } else { message };
             let code = if message.use_stderr() { Exit::Usage } else { Exit::Done }.code();
             usage::print(message, &arguments);
             return code;

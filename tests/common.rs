@@ -55,6 +55,9 @@ wires = ["*"]
 sum = "add.sum"
 "#;
 
+/// For `fibula_live*`: no pose is too old, however long it waits on a busy machine.
+pub(crate) const OF_ANY_AGE: &str = "planes.in.t_world_bone_marker.max_age_ms=1e9";
+
 /// The command under test, in the workspace's folder, without the user's settings and store: a test never finds answers of
 /// another.
 pub(crate) fn osteoflow() -> Command {

@@ -19,7 +19,9 @@ fn printed(arguments: &[&str]) -> String {
 fn help() -> String {
     let all = printed(&["--help"]);
     let commands = all.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    let names = commands.filter(|line| !line.starts_with("   ")).filter_map(|line| line.split_whitespace().next());
+    let names = commands
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next());
     names.filter(|name| *name != "help").map(|name| printed(&[name, "--help"])).collect::<String>() + &all
 }
 

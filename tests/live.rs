@@ -1,6 +1,6 @@
 //! Live sources from the command line: the shipped recording, played as if its devices sent it.
 
-use crate::common::{is_slow_run, json, osteoflow, osteoflow_to_spawn, run, run_whole};
+use crate::common::{OF_ANY_AGE, is_slow_run, json, osteoflow, osteoflow_to_spawn, run, run_whole};
 use osteoflow_formats::openigtlink::{Affine, Body, Message};
 use osteoflow_geometry::nalgebra::Isometry3;
 use serde_json::{Value, json};
@@ -29,7 +29,7 @@ fn a_live_source_gives_the_results_of_the_recording_it_plays() {
     let jitter = ["recording.jitter_ms=20", "recording.max_delay_ms=20"];
     for (sets, all_workers) in [(&[][..], ["1", "8"]), (&jitter, ["8", "1"])] {
         for workers in all_workers.into_iter().take(if is_slow_run() { 2 } else { 1 }) {
-            let mut arguments = vec!["--no-record", "--workers", workers, "--set", AT_ONCE];
+            let mut arguments = vec!["--no-record", "--workers", workers, "--set", AT_ONCE, "--set", OF_ANY_AGE];
             arguments.extend(sets.iter().flat_map(|set| ["--set", set]));
             let live = run_whole(LIVE, &arguments);
             assert_eq!(live.results, recorded.results, "{sets:?} on {workers} workers");

@@ -1,6 +1,6 @@
 //! OpenIGTLink from the command line: the whole method from a simulated tracker and camera.
 
-use crate::common::{browser::Browser, isometry, osteoflow, root, run_whole, served::Served};
+use crate::common::{OF_ANY_AGE, browser::Browser, isometry, osteoflow, root, run_whole, served::Served};
 use osteoflow_formats::openigtlink::{Body, Decoder, Message};
 use serde_json::Value;
 use std::{
@@ -74,7 +74,8 @@ fn the_whole_method_over_openigtlink_gives_the_results_of_the_same_procedure_fro
         let rig = Rig::start(&["--points", "10000", "--rate", "1e6", "--scans", scans]);
         let address = format!("recording.address={}", rig.address);
         let navigation = format!("navigation.address={}", free_address());
-        let arguments = ["--no-record", "--workers", workers, "--set", &address, "--set", &navigation];
+        let arguments =
+            ["--no-record", "--workers", workers, "--set", &address, "--set", &navigation, "--set", OF_ANY_AGE];
         let live = run_whole(LIVE, &arguments);
         for key in ["poses", "planes", "planes_at_scan", "laser_points", "metrics"] {
             let (difference, at) = largest_difference(&live.results[key], &recorded.results[key], key);
@@ -113,7 +114,7 @@ fn a_receiver_gets_registration_and_planes_of_the_results_while_they_are_trusted
     let receiver = thread::spawn(move || receive(navigation));
     let [address, navigation] = [("recording", rig.address.clone()), ("navigation", navigation.to_string())]
         .map(|(node, address)| format!("{node}.address={address}"));
-    let live = run_whole(LIVE, &["--no-record", "--set", &address, "--set", &navigation]);
+    let live = run_whole(LIVE, &["--no-record", "--set", &address, "--set", &navigation, "--set", OF_ANY_AGE]);
     let messages = receiver.join().unwrap();
     // At the rate of a tracker all planes are sent; as fast as a file is read, a busy machine leaves some out.
     assert!(!live.stderr.contains("some are not sent"), "{}", live.stderr);

@@ -16,6 +16,7 @@ mod command_line;
 mod common;
 #[cfg(unix)]
 mod compared;
+mod contracts;
 mod dependencies;
 #[cfg(target_os = "linux")]
 mod disk;

@@ -2,7 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::served::Served;
-use crate::common::{WHITE, copied_run, osteoflow, read_by_viewers, shared_run, skips_slow};
+use crate::common::{OF_ANY_AGE, WHITE, copied_run, osteoflow, read_by_viewers, shared_run, skips_slow};
 use crate::viewers::{DRAWN_MM, file::File, off_its_place_mm, place_of_scan};
 use osteoflow_geometry::{
     isometry_from_matrix,
@@ -322,7 +322,7 @@ fn a_viewer_that_does_not_read_never_holds_up_the_run() {
     let out = tempfile::tempdir().unwrap();
     let run = out.path().join("run");
     let graph = "graphs/variants/fibula_live.toml";
-    let arguments = ["--set", "recording.rate=20", "--set", "record.wires=[\"*.*\"]"];
+    let arguments = ["--set", "recording.rate=20", "--set", "record.wires=[\"*.*\"]", "--set", OF_ANY_AGE];
     let served = Served::start(&[&["run", graph, "--out", run.to_str().unwrap(), "--serve"], &arguments[..]].concat());
     let mut slow = served.view();
     let all: BTreeSet<String> = slow.channels.keys().cloned().collect();
@@ -395,7 +395,7 @@ fn live_planes(sets: &[&str]) -> Vec<Received> {
     let out = tempfile::tempdir().unwrap();
     let run = out.path().join("run");
     let mut arguments = vec!["run", "graphs/variants/fibula_live.toml", "--serve", "--out", run.to_str().unwrap()];
-    sets.iter().for_each(|set| arguments.extend(["--set", set]));
+    sets.iter().chain(&[OF_ANY_AGE]).for_each(|set| arguments.extend(["--set", set]));
     let served = Served::start(&arguments);
     let mut viewer = served.view();
     let wanted = ["/view/planes.planes", "/exact/planes.planes", "/exact/verdict.verdict", "/viewer/state"];
@@ -620,6 +620,8 @@ fn a_live_run_shows_what_is_unknown_as_unknown_and_its_planes_once_it_is_trusted
         "graphs/variants/fibula_live.toml",
         "--set",
         "recording.rate=8",
+        "--set",
+        OF_ANY_AGE,
         "--out",
         run.to_str().unwrap(),
         "--serve",
@@ -636,6 +638,9 @@ fn a_live_run_shows_what_is_unknown_as_unknown_and_its_planes_once_it_is_trusted
          !document.getElementById('beside').hidden && document.getElementById('verdict').textContent === 'not judged yet' && \
          document.querySelector('#beside .caption').textContent === 'not registered: to_bone.cloud, in bone_marker'; })()",
     );
+    // How old the planes are is beside them while the run goes on.
+    browser
+        .wait_until("/ms old, .* allowed$/.test(document.querySelector('[data-age=\"planes.planes\"]')?.textContent)");
     browser.wait_until("osteoflow.state.state === 'complete'");
     browser.wait_until(
         "osteoflow.verdict.answer === 'trusted' && osteoflow.scene.drawn.get('planes.planes').object.visible",

@@ -31,8 +31,11 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
             });
             link
         });
-        let inputs =
-            description.inputs.iter().map(|port| PlanInput { port: port.clone(), links: link.into_iter().collect() });
+        let inputs = description.inputs.iter().map(|port| PlanInput {
+            port: port.clone(),
+            links: link.into_iter().collect(),
+            contract: Default::default(),
+        });
         let outputs = outputs.iter().map(|port| PlanOutput {
             name: port.name.into(),
             payload: port.payload,
@@ -53,6 +56,7 @@ pub(crate) fn plan(registry: &Registry, nodes: &[(&str, serde_json::Value, Optio
             outputs: outputs.collect(),
             on_error: OnError::Stop,
             place: Default::default(),
+            deadline: None,
         });
     }
     Plan {

@@ -12,7 +12,7 @@ use crate::{
 };
 use osteoflow_node::{Join, Role};
 use serde_json::Value as Json;
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, fmt, path::Path};
 
 /// What a run took: of each node, and between the items of each wire of a source.
 #[derive(Debug, Default)]
@@ -36,7 +36,26 @@ pub struct Predicted {
     /// The prediction; none where it grows without bound, for which `parts` says why.
     pub ns: Option<i64>,
     /// What it is made of, the longest first.
-    pub parts: Vec<(String, i64)>,
+    pub parts: Vec<(Part, i64)>,
+}
+
+/// A part of an age.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Part {
+    /// A firing of this node.
+    Firing(String),
+    /// What is waited for, or how far a stamp is behind.
+    Wait(String),
+    /// Why there is no bound.
+    Unbounded(String),
+}
+
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Firing(text) | Self::Wait(text) | Self::Unbounded(text) => f.write_str(text),
+        }
+    }
 }
 
 impl Predicted {
@@ -44,22 +63,34 @@ impl Predicted {
     pub fn is_kept(&self) -> bool {
         self.limit_ns.is_none_or(|limit_ns| self.ns.is_some_and(|ns| ns <= limit_ns))
     }
+
+    /// The part that breaks it: the slowest node if the firings alone take too long, else the longest part.
+    pub fn breaks(&self) -> Option<&Part> {
+        let firings = self.parts.iter().filter(|(part, _)| matches!(part, Part::Firing(_)));
+        let take_too_long = firings.clone().map(|(_, ns)| ns).sum::<i64>() > self.limit_ns.unwrap_or(i64::MAX);
+        let slowest = firings.max_by_key(|(_, ns)| *ns).filter(|_| take_too_long && self.ns.is_some());
+        slowest.or(self.parts.first()).map(|(part, _)| part)
+    }
 }
 
 /// A sum of parts.
 #[derive(Debug, Clone, Default)]
 struct Sum {
     ns: i64,
-    parts: Vec<(String, i64)>,
+    parts: Vec<(Part, i64)>,
     /// Why there is no bound.
     unbounded: Option<String>,
 }
 
 impl Sum {
-    fn and(mut self, what: impl Into<String>, ns: i64) -> Self {
+    fn and(self, wait: impl Into<String>, ns: i64) -> Self {
+        self.with(Part::Wait(wait.into()), ns)
+    }
+
+    fn with(mut self, part: Part, ns: i64) -> Self {
         self.ns = self.ns.saturating_add(ns);
         if ns > 0 {
-            self.parts.push((what.into(), ns));
+            self.parts.push((part, ns));
         }
         self
     }
@@ -119,7 +150,7 @@ impl Times {
                 all.push(predicted(on, ages.at(index, input), Some((contract, limit_ns))));
             }
             if let (Some(deadline), Some((ns, _))) = (node.deadline, self.firings.get(&*node.name)) {
-                let sum = Sum::default().and(node.name.to_string(), *ns);
+                let sum = Sum::default().with(Part::Firing(node.name.to_string()), *ns);
                 let contract = (index, "deadline_ms".to_owned(), "deadline_ms");
                 all.push(predicted(node.name.to_string(), sum, Some((contract, deadline.ns))));
             }
@@ -136,7 +167,7 @@ fn predicted(on: String, sum: Sum, limit: Option<((usize, String, &'static str),
     let Sum { ns, mut parts, unbounded } = sum;
     parts.sort_by_key(|(_, ns)| std::cmp::Reverse(*ns));
     let ns = if unbounded.is_none() { Some(ns) } else { None };
-    parts.splice(..0, unbounded.map(|why| (why, 0)));
+    parts.splice(..0, unbounded.map(|why| (Part::Unbounded(why), 0)));
     let (contract, limit_ns) = limit.unzip();
     Predicted { on, contract, limit_ns, ns, parts }
 }
@@ -168,7 +199,7 @@ impl<'a> Ages<'a> {
             let period = ages.firing_period(index);
             ages.periods.push(vec![period; node.outputs.len()]);
             let (ns, mean_ns) = times.firings.get(&*node.name).copied().unwrap_or_default();
-            let mut delay = ages.before(index).and(node.name.to_string(), ns);
+            let mut delay = ages.before(index).with(Part::Firing(node.name.to_string()), ns);
             if let Some(period) = period.filter(|period| mean_ns > *period as f64) {
                 let (takes, comes) = (mean_ns / 1e6, period as f64 / 1e6);
                 delay.unbounded =

@@ -4,7 +4,7 @@ use anyhow::Result;
 use clap::Args;
 use osteoflow_engine::{
     CheckedFile, Faults,
-    ages::{Predicted, Times},
+    ages::{Part, Predicted, Times},
     plan::{Location, Plan},
 };
 use osteoflow_report::format::duration;
@@ -90,8 +90,8 @@ fn table(predicted: &[Predicted]) -> String {
 
 /// The three longest parts.
 fn parts(predicted: &Predicted) -> String {
-    let part = |(what, ns): &(String, i64)| match ns {
-        0 => what.clone(),
+    let part = |(what, ns): &(Part, i64)| match ns {
+        0 => what.to_string(),
         ns => format!("{what} {}", duration(*ns as f64 / 1e6)),
     };
     predicted.parts.iter().take(3).map(part).collect::<Vec<_>>().join(", ")
@@ -102,11 +102,12 @@ fn cannot_keep(predicted: &Predicted) -> String {
     let key = contract.as_ref().map_or("max_age_ms", |(_, _, key)| key);
     let limit_ms = limit_ns.unwrap_or(0) as f64 / 1e6;
     let found = ns.map_or_else(|| "it has no bound".into(), |ns| format!("it needs {}", duration(ns as f64 / 1e6)));
-    let longest = predicted.parts.first().map(|(what, _)| what.clone()).unwrap_or_default();
-    format!(
-        "{on} cannot keep {key} = {limit_ms}: {found} ({}); allow more, or make this part shorter: {longest}",
-        parts(predicted)
-    )
+    let help = match predicted.breaks() {
+        Some(Part::Firing(node)) => format!("node \"{node}\" takes most of it; make it faster, or allow more"),
+        Some(part) => format!("allow more, or change what takes most: {part}"),
+        None => "allow more".into(),
+    };
+    format!("{on} cannot keep {key} = {limit_ms}: {found} ({}); {help}", parts(predicted))
 }
 
 /// Where the contract is set.
@@ -121,7 +122,8 @@ fn to_json(plan: &Plan, predicted: &Predicted) -> Json {
     let at = predicted.contract.as_ref().map(|_| place(plan, predicted));
     json!({
         "on": predicted.on, "kept": predicted.is_kept(), "limit_ms": predicted.limit_ns.map(ms), "predicted_ms": predicted.ns.map(ms),
-        "parts": predicted.parts.iter().map(|(what, ns)| json!({ "what": what, "ms": ms(*ns) })).collect::<Vec<_>>(),
+        "breaks": predicted.breaks().filter(|_| !predicted.is_kept()).map(ToString::to_string),
+        "parts": predicted.parts.iter().map(|(what, ns)| json!({ "what": what.to_string(), "ms": ms(*ns) })).collect::<Vec<_>>(),
         "file": at.map(|at| at.file.display().to_string()), "line": at.map(|at| at.line),
     })
 }

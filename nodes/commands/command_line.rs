@@ -77,6 +77,38 @@ pub(crate) enum Command {
     Worker(worker::Worker),
 }
 
+/// What one wants, and the commands that do it.
+const GROUPS: [(&str, &[&str]); 6] = [
+    ("To register:", &["register", "view", "info", "convert", "sensor"]),
+    ("To run a graph:", &["run", "check", "graph", "inspect", "expand", "schema"]),
+    ("To look at runs:", &["runs", "report", "compare"]),
+    ("To study:", &["sweep", "simulate"]),
+    ("To keep and repeat:", &["record", "replay", "digest", "diff", "validate", "recover", "repro", "export"]),
+    ("To begin:", &["new", "completions", "help"]),
+];
+
+impl Cli {
+    /// The command line, whose help lists the commands by what one wants.
+    pub(crate) fn grouped() -> clap::Command {
+        let mut command = Self::command();
+        command.build();
+        let mut list = String::from("Commands:\n");
+        for (title, names) in GROUPS {
+            list.push_str(&format!("{title}\n"));
+            for name in names {
+                let about = command.find_subcommand(name).and_then(|command| command.get_about());
+                // What comes after the colon is in the command's own help.
+                let about = about.map(ToString::to_string).unwrap_or_default();
+                let about = about.split(": ").next().unwrap_or_default();
+                list.push_str(&format!("  {name:<12} {about}\n"));
+            }
+        }
+        Self::command().help_template(format!(
+            "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{list}\n{{all-args}}{{after-help}}"
+        ))
+    }
+}
+
 impl Command {
     /// Whether it serves another process, which logs for it.
     pub(crate) fn is_worker(&self) -> bool {

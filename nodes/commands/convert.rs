@@ -34,7 +34,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Convert a file of points, a surface, picked points, a CT, a rigid motion, a log of poses or a recorded cloud into another format, make a plan of
+/// Convert a file into another format: points, a surface, picked points, a CT, a rigid motion, a log of poses or a recorded cloud; make a plan of
 /// what was drawn in 3D Slicer, or bind a plan to its bone.
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd

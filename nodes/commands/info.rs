@@ -9,7 +9,7 @@ use clap::Args;
 use contents::{Contents, Topic};
 use std::{io::Write, path::PathBuf};
 
-/// Say what a file or folder is, what it holds, and the command that would use it.
+/// Say what a file or folder is: what it holds, and the command that would use it.
 ///
 /// Surfaces, clouds, picked points, CTs, poses, logs of poses, plans, recordings, graphs, folders of a procedure, of a run or of a ROS 2 bag, archives of `osteoflow export`; recognised by content, not
 /// by name. A damaged file that can be read in part is read in part, and what is wrong with it is listed under problems; one

@@ -6,7 +6,7 @@ use osteoflow_engine::recover::{RecoverError, RecoverReport, RecoveredWire, reco
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf};
 
-/// Copy what is intact in a damaged recording into a new file, and report what is missing.
+/// Copy what is intact in a damaged recording into a new file: what is missing is reported.
 ///
 /// Every chunk with a valid CRC is kept, also behind damage. Items keep their numbers; gaps stay gaps. A replay of the new
 /// file computes everything before the first damage; `digest`, `diff` and `validate` accept all of it and report that it is

@@ -7,7 +7,7 @@ use clap::Args;
 use openigtlink::ScanType;
 use std::{io::Write, path::PathBuf};
 
-/// Write a simulated procedure, on the built-in bone or on your own, as files that other programs can read.
+/// Write a simulated procedure as files that other programs can read: on the built-in bone, or on your own.
 ///
 /// A recording in Foxglove's schemas (or a folder of plain files), the CT surface, the phantom, the plan, and the ground
 /// truth, with a README that explains how they were made; or the streams over OpenIGTLink, as their devices would send them.

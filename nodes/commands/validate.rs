@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Check a recording from its first byte to its last, and list everything that is wrong with it.
+/// Check a recording from its first byte to its last: everything that is wrong with it is listed.
 ///
 /// Checks CRCs of chunks and of the file, schemas, indexes and counts; for each wire that numbers have no gaps, stamps never
 /// decrease and items decode; and the metadata of the run. What damage takes with it is counted once. Exit code 0: sound; 1:

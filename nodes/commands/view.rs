@@ -20,7 +20,7 @@ use player::Player;
 use std::{net::SocketAddr, path::PathBuf, sync::Arc};
 use steer::{SteerRequest, TwoFiles};
 
-/// Show a graph, a run or a recording in the browser, or register a scan onto a bone and show that.
+/// Show a graph, a run or a recording in the browser: also a bone and a scan, which are registered there.
 ///
 /// With GRAPH: runs it, and runs it again whenever its files change, or a parameter or kind is changed on the page, from where the
 /// changes can be written into the file. Each run is a whole one in a folder of its own. With a run or a recording: play, stop, go to

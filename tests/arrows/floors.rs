@@ -43,7 +43,7 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "engine/tests/toy/src",
         &[
-            &["NoParams", "context", "number", "samples"],
+            &["NoParams", "context", "devices", "number", "samples"],
             &["judge", "script", "stages", "stream"],
             &["arithmetic", "wave"],
             &["cached"],

@@ -395,7 +395,7 @@ fn a_device_that_dies_is_unknown_within_the_time_allowed_and_one_that_comes_back
     let camera = (1..200).filter(|ms| !(40..90).contains(ms) && *ms < 150).map(|ms| given(CAMERA, ms));
     let mut all: Vec<_> = tracker.chain(camera).collect();
     all.sort_by_key(|given| (given.at_ns, given.device));
-    let world = World { given: all, ahead: Some(12), ..World::default() }.begin("dies");
+    let world = World { given: all, ahead: Some(16), ..World::default() }.begin("dies");
     let b = Contract { period_ns: Some(5 * MS), ..max_age(30 * MS, Otherwise::Unknown) };
     let asked = Asked { a: Contract::default(), b, deadline_ns: i64::MAX };
     let run_options = RunOptions { clock: Some(world.clock.clone()), ..options(2) };

@@ -14,7 +14,8 @@ fn node_json(plan: &Plan, registry: &Registry, node: &PlanNode) -> Value {
     let description = registry.kind(&node.kind).map(|kind| &kind.description);
     let inputs = node.inputs.iter().map(|input| {
         let from = plan.wires_of(input);
-        json!({ "name": input.port.name, "from": from, "doc": input.port.doc })
+        let max_age_ms = input.contract.max_age_ns.map(|ns| ns as f64 / 1e6);
+        json!({ "name": input.port.name, "from": from, "doc": input.port.doc, "max_age_ms": max_age_ms })
     });
     let outputs = node.outputs.iter().map(|output| json!({ "name": output.name, "payload": output.payload.name() }));
     let mut params = Vec::new();

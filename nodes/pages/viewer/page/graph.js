@@ -212,3 +212,22 @@ export function derivedClouds(nodes) {
   }
   return derived;
 }
+
+/**
+ * How old what a wire carries may be where the graph says so, ms: what feeds such an input, and what its node makes of it.
+ * @param {Node[]} nodes
+ * @returns {Map<string, number>}
+ */
+export function allowedAges(nodes) {
+  /** @type {Map<string, number>} */
+  const allowed = new Map();
+  const allow = (/** @type {string} */ wire, /** @type {number} */ ms) => allowed.set(wire, Math.min(ms, allowed.get(wire) ?? ms));
+  for (const { name, inputs, outputs } of nodes) {
+    for (const { from, max_age_ms: ms } of inputs) {
+      if (typeof ms !== "number") continue;
+      (from ?? "").split(", ").filter((/** @type {string} */ wire) => wire !== "").forEach((/** @type {string} */ wire) => allow(wire, ms));
+      outputs.forEach((output) => allow(`${name}.${output.name}`, ms));
+    }
+  }
+  return allowed;
+}

@@ -19,15 +19,19 @@ export function showItem({ scene, frames }, wire, payload, item) {
 
 /** The list of what can be shown, with why something is not. */
 export class LayerList {
-  /** @param {HTMLElement} holder @param {Scene} scene */
-  constructor(holder, scene) {
+  /** @param {HTMLElement} holder @param {Scene} scene @param {(wire: string) => string | null} ageOf */
+  constructor(holder, scene, ageOf = () => null) {
+    this.ageOf = ageOf;
     this.holder = holder;
     this.scene = scene;
     this.listed = "";
   }
 
   draw() {
-    const rows = [...this.scene.drawn].map(([wire, { shown, object }]) => ({ wire, shown, why: object.userData.why ?? null, note: object.userData.note ?? null }));
+    for (const age of /** @type {NodeListOf<HTMLElement>} */ (this.holder.querySelectorAll("[data-age]"))) age.textContent = this.ageOf(age.dataset.age ?? "");
+    const rows = [...this.scene.drawn].map(([wire, { shown, object }]) => ({
+      wire, shown, why: object.userData.why ?? null, note: object.userData.note ?? null, hasAge: this.ageOf(wire) !== null,
+    }));
     rows.sort((a, b) => (a.wire < b.wire ? -1 : 1));
     const key = JSON.stringify(rows);
     if (key === this.listed) return;
@@ -35,8 +39,8 @@ export class LayerList {
     this.holder.replaceChildren(...rows.map((row) => this.entry(row)));
   }
 
-  /** @param {{wire: string, shown: boolean, why: string | null, note: string | null}} row */
-  entry({ wire, shown, why, note }) {
+  /** @param {{wire: string, shown: boolean, why: string | null, note: string | null, hasAge: boolean}} row */
+  entry({ wire, shown, why, note, hasAge }) {
     const entry = document.createElement("li");
     const name = document.createElement("label");
     const box = document.createElement("input");
@@ -46,6 +50,11 @@ export class LayerList {
     box.onchange = () => this.scene.choose(wire, box.checked);
     name.append(box, ` ${wire}`);
     entry.append(name);
+    if (hasAge) {
+      const age = document.createElement("small");
+      age.dataset.age = wire;
+      entry.append(age);
+    }
     const said = note ?? why;
     if (said !== null) {
       entry.className = note === null ? "hidden" : "beside";

@@ -4,7 +4,7 @@ import { Beside } from "./beside.js";
 import { showChanges } from "./changes.js";
 import { Connection } from "./connection.js";
 import { Devices } from "./devices.js";
-import { GraphList, derivedClouds } from "./graph.js";
+import { GraphList, allowedAges, derivedClouds } from "./graph.js";
 import { Frames } from "./frames.js";
 import { LayerList, showItem } from "./layers.js";
 import { payloadOf, readItem, readTransform } from "./message.js";
@@ -12,7 +12,7 @@ import { Picking } from "./pick.js";
 import { RegionTool } from "./region.js";
 import { may, setRole, whatNot } from "./request.js";
 import { Scene, rendererIn } from "./scene.js";
-import { clock } from "./times.js";
+import { clock, duration } from "./times.js";
 import { errorsOf, showErrors, showVerdict } from "./verdict.js";
 
 /** @typedef {import("./connection.js").Channel} Channel */
@@ -37,7 +37,7 @@ const frames = new Frames();
 const scene = new Scene(element("view"), {
   worker: new Worker("residual.js", { type: "module" }), isOrthographic: false, renderer: rendererIn(element("view")),
 });
-const layers = new LayerList(element("shown"), scene);
+const layers = new LayerList(element("shown"), scene, ageOf);
 const graph = new GraphList(element("graph"));
 const devices = new Devices(scene);
 const beside = new Beside(scene, element("beside"));
@@ -56,6 +56,8 @@ const verdicts = new Map();
 /** Whether a recording was played to its end. */
 let isAtEnd = false;
 let isOpen = false;
+/** How old what a wire carries may be, ms. @type {Map<string, number>} */
+let allowed = new Map();
 /** Time of the last item of each stream, ms. @type {Map<string, {at: number, n: number}>} */
 const heard = new Map();
 
@@ -200,6 +202,7 @@ function receive(channel, data) {
     if (channel.topic === GRAPH) {
       graph.show(message);
       scene.takeDerived(derivedClouds(message.nodes));
+      allowed = allowedAges(message.nodes);
       picking.graph(message);
       showRegionButton();
       judge();
@@ -252,17 +255,29 @@ function forget() {
   graph.count({});
 }
 
+function isLive() {
+  return state.origin === "live" && state.state === "running";
+}
+
+/** How old what is shown of a wire is, where the graph limits it. @param {string} wire */
+function ageOf(wire) {
+  const [ms, last] = [allowed.get(wire), heard.get(wire)];
+  if (!isLive() || ms === undefined || last === undefined) return null;
+  return `${duration(performance.now() - last.at)} old, ${duration(ms)} allowed`;
+}
+
 /** In a live run, what a stream placed is not drawn once the stream is silent. */
 function noticeSilence() {
-  if (state.origin !== "live" || state.state !== "running") return;
+  if (!isLive()) return;
   const now = performance.now();
   for (const [wire, { at, n }] of heard) {
     // A wire that gave one item is a constant.
     if (n < 2) continue;
     const silentMs = now - at;
-    const reason = `nothing for ${(silentMs / 1000).toFixed(0)} s`;
+    const most = allowed.get(wire);
+    const reason = most === undefined ? `nothing for ${(silentMs / 1000).toFixed(0)} s` : `older than ${duration(most)}`;
     const drawn = scene.drawn.get(wire);
-    if (silentMs > STALE_MS) {
+    if (silentMs > (most ?? STALE_MS)) {
       if ([...frames.edges.values()].some((edge) => edge.wire === wire)) frames.unknown.set(wire, reason);
       if (drawn && drawn.payload === "geometry/Planes") drawn.unknown = reason;
       scene.redraw();
