@@ -454,6 +454,12 @@ pub(crate) fn crop_by_hand(browser: &mut Browser, case: &Case, n: usize, shape: 
     browser.wait_until("osteoflow.region.isOpen");
     let rows = browser.evaluate("osteoflow.region.on.rows.length / 3").as_u64();
     assert_eq!(rows, Some(all.len() as u64), "{axis}: it is drawn on what is cropped");
+    // Its shape is seen, in the colour of bone until something is drawn.
+    let tints = "(() => { const colours = osteoflow.region.on.object.geometry.getAttribute('color').array; const [lights, tints] = [new Set(), new Set()]; \
+                 for (let k = 0; k < colours.length; k += 3) { lights.add(Math.round(50 * colours[k])); tints.add(Math.round(10 * colours[k + 2] / Math.max(colours[k], 1e-9))); } \
+                 return [lights.size, tints.size]; })()";
+    let [lights, hues]: [usize; 2] = serde_json::from_value(browser.evaluate(tints)).unwrap();
+    assert!(lights > 10 && hues == 1, "{axis}: {lights} lights of {hues} colours");
     press(browser, &format!("#region-{shape}"));
     // The hand of the picking does nothing meanwhile.
     browser.key("p", false);
@@ -470,6 +476,8 @@ pub(crate) fn crop_by_hand(browser: &mut Browser, case: &Case, n: usize, shape: 
         _ => browser.stroke(&[[left, top], [right, bottom]]),
     }
     browser.screenshot(&format!("{shape}-{axis}"));
+    let [lights, hues]: [usize; 2] = serde_json::from_value(browser.evaluate(tints)).unwrap();
+    assert!(lights > 10 && hues == 2, "{axis}: {lights} lights of {hues} colours, inside and outside");
     let is_within = |[x, y]: &[f64; 2], px: f64| *x > left - px && *x < right + px && *y > top - px && *y < bottom + px;
     let said = text(browser, "region-count");
     press(browser, "#region-save");

@@ -358,6 +358,18 @@ mod tests {
     }
 
     #[test]
+    fn a_log_of_poses_whose_rotation_is_called_w_x_y_z_is_no_cloud() {
+        let log = read("time;px;py;pz;w;x;y;z\n0;1;2;3;1;0;0;0\n1;1;2;3;1;0;0;0\n").unwrap_err().to_string();
+        assert!(
+            log.contains("x, y and z beside w are a quaternion, and px, py, pz a place") && log.contains("--columns"),
+            "{log}"
+        );
+        for cloud in ["x,y,z,w\n1,2,3,4\n", "x,y,z,nx,ny,nz\n1,2,3,0,0,1\n"] {
+            assert_eq!(read(cloud).unwrap().cloud.points(), [Point3::new(1.0, 2.0, 3.0)], "{cloud}");
+        }
+    }
+
+    #[test]
     fn further_columns_of_numbers_are_kept_and_those_of_words_noted() {
         let content = read("label,x,y,z,q\nP1,1,2,3,\nP2,4,5,nan,9\nP3,4,5,6,8\n").unwrap();
         assert_eq!(content.notes, ["column \"label\" holds words (\"P1\" on line 2) and was left out"]);

@@ -110,12 +110,27 @@ pub(crate) fn name_axes(names: &mut [String], stated: &mut StatedSpace) -> Resul
 pub(crate) fn axes(cursor: &Cursor, names: &[String], line: usize) -> Result<[usize; 3], FileError> {
     // Names of trackers' tables for parts of a pose.
     let is_pose = ["tx", "qw", "qx", "q0", "r00", "rx"].iter().any(|name| place(names, name).is_some());
-    let log = if is_pose { "; is it a log of poses? --columns and acquire.poses describe its heading" } else { "" };
+    let log = if is_pose { LOG_OF_POSES } else { "" };
+    if let Some(prefix) = before_a_quaternion(names) {
+        let message =
+            format!("x, y and z beside w are a quaternion, and {prefix}x, {prefix}y, {prefix}z a place{LOG_OF_POSES}");
+        return Err(cursor.fault_at(line, message));
+    }
     let axis = |name: &str| {
         let message = || format!("no column is called \"{name}\"; there are: {}{log}", names.join(", "));
         place(names, name).ok_or_else(|| cursor.fault_at(line, message()))
     };
     Ok([axis("x")?, axis("y")?, axis("z")?])
+}
+
+const LOG_OF_POSES: &str = "; is it a log of poses? --columns and acquire.poses describe its heading";
+
+/// What the names of a place begin with, in a table in which `w`, `x`, `y` and `z` are those of a rotation.
+fn before_a_quaternion(names: &[String]) -> Option<&str> {
+    place(names, "w")?;
+    let is_there = |name: String| names.iter().any(|other| other.eq_ignore_ascii_case(&name));
+    let prefixes = names.iter().filter_map(|name| name.strip_suffix(['x', 'X'])).filter(|prefix| !prefix.is_empty());
+    prefixes.into_iter().find(|prefix| ["y", "z"].iter().all(|axis| is_there(format!("{prefix}{axis}"))))
 }
 
 /// A message on the first column with the name of one before it.

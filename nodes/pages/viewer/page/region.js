@@ -1,17 +1,20 @@
 // The region of interest, drawn by hand on a scan: lasso, box, slab, brush; kept or cut, with the points inside counted.
 
 import * as THREE from "three";
-import { MM } from "./drawables.js";
+import { BONE, MM } from "./drawables.js";
 import { fileField, readRegion } from "./load.js";
 import { isBeforeCamera, sideOf } from "./pick_view.js";
 import { post } from "./request.js";
+import { shade } from "./shade.js";
 import { boxAround, longAxis, within } from "./shapes.js";
 
 /** @typedef {import("./scene.js").Scene} Scene */
 /** @typedef {import("./shapes.js").Shape} Shape */
 /** @typedef {import("./shapes.js").Outline} Outline */
 
-const INSIDE = [0, 0.45, 0.7], OUTSIDE = [0.42, 0.44, 0.47];
+/** Colours of points in full light: of all before anything is drawn, then inside and outside. */
+const PLAIN = [(BONE >> 16) & 255, (BONE >> 8) & 255, BONE & 255].map((c) => c / 255);
+const INSIDE = [0.2, 0.75, 1], OUTSIDE = [0.55, 0.55, 0.55];
 /** How near the pointer must be to a point to touch it, pixels. */
 const TOUCH_PX = 16;
 /** What is drawn where, for the user. */
@@ -36,7 +39,7 @@ export class RegionTool {
     this.panel = panel;
     this.say = say;
     this.changed = changed;
-    /** The cloud that is drawn on. @type {{node: string, frame: string, rows: Float64Array, object: THREE.Points, box: THREE.LineSegments | null} | null} */
+    /** The cloud that is drawn on, with how light each point is. @type {{node: string, frame: string, rows: Float64Array, light: Float32Array, object: THREE.Points, box: THREE.LineSegments | null} | null} */
     this.on = null;
     /** @type {{shape: Shape, keeps: boolean}[]} */
     this.shapes = [];
@@ -82,7 +85,9 @@ export class RegionTool {
     const material = new THREE.PointsMaterial({ size: 2.5, sizeAttenuation: false, vertexColors: true });
     const object = new THREE.Points(geometry, material);
     object.scale.setScalar(MM);
-    this.on = { node, frame: drawn.frame, rows, object, box: null };
+    const { towards, up } = sideOf(/** @type {any} */ ({ fields: {}, columns: { points: { rows } } }));
+    const light = shade(rows, towards, up, 0xffffff);
+    this.on = { node, frame: drawn.frame, rows, light, object, box: null };
     this.shapes = [];
     this.restore = this.scene.alone(object);
     this.setMode("lasso");
@@ -246,8 +251,9 @@ export class RegionTool {
   count() {
     if (!this.on) return;
     const is = within(this.region(), this.on.rows);
-    const colours = new Float32Array(3 * is.length);
-    is.forEach((inside, k) => colours.set(inside ? INSIDE : OUTSIDE, 3 * k));
+    const { light } = this.on;
+    const full = (/** @type {number} */ inside) => (this.shapes.length === 0 ? PLAIN : inside ? INSIDE : OUTSIDE);
+    const colours = Float32Array.from(light, (share, k) => share * full(is[Math.floor(k / 3)])[k % 3]);
     this.on.object.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
     this.nInside = is.reduce((sum, inside) => sum + inside, 0);
     this.scene.redraw();
