@@ -4,6 +4,7 @@ mod assemble;
 mod build;
 mod command_line_params;
 mod context;
+mod contracts;
 mod declared;
 mod faults;
 mod feedback;
@@ -236,6 +237,7 @@ impl Check<'_> {
         let frames = order.as_ref().map(|order| self.frames(&parsed_nodes, &inputs, &header, &order.nodes));
         if let Some(order) = &order {
             self.feedback(&parsed_nodes, &inputs, order);
+            self.silences(&parsed_nodes, &inputs, order);
             self.faults.extend(starvation::faults(&parsed_nodes, &inputs, &order.nodes));
         }
         let record = self.record(graph, &parsed_nodes);

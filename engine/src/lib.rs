@@ -12,12 +12,13 @@
 //! | options of a run | `options` |
 //! | what a run uses | [`plugin`], `answer_cache` (answers of the store instead of firings) |
 //! | input and output | [`check()`], `record`, [`repro`] |
-//! | whole tasks on files | [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
+//! | whole tasks on files | [`ages`], [`run()`], [`validate`], [`diff`], [`recover`], [`schema`] |
 //! | repeated runs | `partial`, [`inputs`], [`replay()`], [`watch`], [`sweep`] |
 //!
 //! A graph that is checked and run:
 #![doc = concat!("```\n", include_str!("../examples/run_a_graph.rs"), "```")]
 
+pub mod ages;
 mod answer_cache;
 pub mod check;
 mod cpu_time;

@@ -5,7 +5,10 @@ use std::{
     collections::BTreeMap,
     fmt,
     path::PathBuf,
-    sync::{Arc, atomic::AtomicBool},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64},
+    },
 };
 
 /// Key of [`RunOptions::command`]: the names of nodes that are functions of the program that runs the graph.
@@ -21,6 +24,8 @@ pub struct RunOptions {
     /// For testing: seed for random delays, spurious wake-ups and another order of nodes; the results do not depend on
     /// it.
     pub shuffle: Option<u64>,
+    /// For testing: the time since the run began, ns, by which contracts of time are judged; `None` is this machine's.
+    pub clock: Option<Arc<AtomicU64>>,
     /// Where `run.mcap`, `results.json` and `manifest.json` are written; created if missing. `None` writes no files.
     pub out_dir: Option<PathBuf>,
     /// Whether the plan's recorded wires are written to `run.mcap`.

@@ -2,6 +2,8 @@
 
 mod closing_log;
 #[cfg(test)]
+mod contract_tests;
+#[cfg(test)]
 mod feedback_tests;
 pub mod files;
 mod finished;
@@ -106,6 +108,7 @@ pub(crate) fn run_part(
         cancelled: options.cancelled.clone(),
         inject: &options.inject,
         cpu_clock: CPU_CLOCK.filter(|_| options.cpu_time),
+        clock: options.clock.clone(),
     };
     let answers = StoredAnswers::new(plan, registry, options);
     let answer_cache = answers.as_ref().map(|answers| answers as &dyn AnswerCache);
@@ -232,6 +235,7 @@ fn report_of(plan: &Plan, finished: Finished, outcome: Outcome, results: serde_j
         nodes: ended.nodes,
         links: ended.links,
         latencies: Vec::new(),
+        contracts: ended.contracts,
         enlargements: ended.enlargements,
         warnings,
         elapsed: ended.elapsed,

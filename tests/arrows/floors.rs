@@ -74,7 +74,7 @@ const CRATES: &[(&str, Floors)] = &[
             &["answer_cache", "check", "record"],
             &["repro"],
             &["diff", "recover", "run", "schema", "validate"],
-            &["partial"],
+            &["ages", "partial"],
             &["inputs", "replay", "watch"],
             &["sweep"],
         ],

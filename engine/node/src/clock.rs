@@ -27,6 +27,25 @@ pub enum ClockReading {
         /// Whether a check found the time used up.
         over: bool,
     },
+    /// For the engine: the value of a port was too old by its arrival.
+    Stale {
+        /// The port's place among the inputs.
+        port: u32,
+        /// Its age.
+        ns: StampNs,
+    },
+    /// For the engine: the firing took longer than its deadline.
+    Late {
+        /// How long it took.
+        ns: StampNs,
+    },
+}
+
+impl ClockReading {
+    /// Whether the engine read the clock, not the node.
+    fn is_of_engine(&self) -> bool {
+        matches!(self, Self::Stale { .. } | Self::Late { .. })
+    }
 }
 
 /// A time budget of a firing, from [`crate::Context::budget`].
@@ -110,7 +129,7 @@ impl Readings {
     }
 
     pub(crate) fn replay(&mut self, recorded: &[ClockReading]) {
-        self.recorded = Some(recorded.iter().copied().collect());
+        self.recorded = Some(recorded.iter().filter(|reading| !reading.is_of_engine()).copied().collect());
     }
 
     /// What a replay has left to answer; none outside a replay.

@@ -216,6 +216,18 @@ impl Joiner {
             .map(|(_, empty)| empty.clone())
     }
 
+    /// Takes a port's items out of the current activation, for this reason.
+    pub(crate) fn make_absent(&mut self, port: usize, name: &'static str, empty: Arc<Empty>) {
+        self.joined.slots[port] = Slot::Absent(empty.clone());
+        self.absent.push((name, empty));
+    }
+
+    /// Releases the current activation, for which the node does not fire.
+    pub(crate) fn leave_out(&mut self) {
+        self.absent.clear();
+        self.release();
+    }
+
     /// Releases the current activation: drops its items.
     #[inline]
     pub(crate) fn release(&mut self) {
@@ -544,7 +556,7 @@ fn choice_of(item: Item) -> Choice {
 }
 
 /// Formats a duration: `2.05 s`, `0.2 s`, `12.5 ms` below a tenth of a second, `350 ns` below a microsecond.
-fn span(ns: i128) -> String {
+pub(crate) fn span(ns: i128) -> String {
     let rounded = |value: f64| format!("{}", (value * 1e3).round() / 1e3);
     match ns {
         ..1_000 => format!("{ns} ns"),

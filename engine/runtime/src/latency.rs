@@ -29,13 +29,34 @@ pub struct LatencyStats {
     pub spread: Spread,
 }
 
-/// Stamps and times, both ascending.
-type Answers = VecDeque<(StampNs, Duration)>;
+/// The newest answers of a source: their stamps and when they came, both ascending.
+#[derive(Default)]
+pub(crate) struct Answers(Mutex<VecDeque<(StampNs, Duration)>>);
+
+impl Answers {
+    pub(crate) fn note(&self, stamp_ns: StampNs, at: Duration) {
+        let mut answers = locked(&self.0);
+        // A late answer is no newer than the one before it.
+        if answers.back().is_none_or(|(newest, _)| *newest <= stamp_ns) {
+            if answers.len() == ANSWERS {
+                answers.pop_front();
+            }
+            answers.push_back((stamp_ns, at));
+        }
+    }
+
+    /// The newest answer at or before a stamp, or else the oldest that is remembered.
+    pub(crate) fn before(&self, stamp_ns: StampNs) -> Option<(StampNs, Duration)> {
+        let answers = locked(&self.0);
+        let n_before = answers.partition_point(|(stamp, _)| *stamp <= stamp_ns);
+        answers.get(n_before.saturating_sub(1)).copied()
+    }
+}
 
 /// Tap that measures latencies.
 pub struct Latency {
     /// Answers of each node that is a source.
-    answers: Vec<Option<Mutex<Answers>>>,
+    answers: Vec<Option<Answers>>,
     /// Sources upstream of each node that is a sink.
     sinks: Vec<Vec<(usize, Mutex<Histogram>)>>,
 }
@@ -43,7 +64,7 @@ pub struct Latency {
 impl Latency {
     /// A tap for a run of the plan.
     pub fn new(plan: &Plan) -> Self {
-        let answers = plan.nodes.iter().map(|node| (node.role != Role::Node).then(Mutex::default)).collect();
+        let answers = plan.nodes.iter().map(|node| (node.role != Role::Node).then(Answers::default)).collect();
         let is_sink = |index: usize| plan.nodes[index].outputs.iter().all(|output| output.links.is_empty());
         let sources = |index: usize| {
             let upstream = plan.upstream(index);
@@ -77,21 +98,14 @@ impl Tap for Latency {
     fn fired(&self, node: usize, _: u64, stamp_ns: StampNs, began: Duration, took: Duration) {
         let ended = began + took;
         if let Some(answers) = &self.answers[node] {
-            let mut answers = locked(answers);
-            // A late answer is no newer than the one before it.
-            if answers.back().is_none_or(|(newest, _)| *newest <= stamp_ns) {
-                if answers.len() == ANSWERS {
-                    answers.pop_front();
-                }
-                answers.push_back((stamp_ns, ended));
-            }
+            answers.note(stamp_ns, ended);
         }
         for (source, times) in &self.sinks[node] {
-            let Some(answers) = &self.answers[*source] else { continue };
-            let answers = locked(answers);
-            let n_before = answers.partition_point(|(stamp, _)| *stamp <= stamp_ns);
-            let Some((_, answered)) = answers.get(n_before.saturating_sub(1)) else { continue };
-            locked(times).count(1, ended.saturating_sub(*answered).as_nanos() as u64);
+            let Some((_, answered)) = self.answers[*source].as_ref().and_then(|answers| answers.before(stamp_ns))
+            else {
+                continue;
+            };
+            locked(times).count(1, ended.saturating_sub(answered).as_nanos() as u64);
         }
     }
 }

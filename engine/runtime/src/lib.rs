@@ -31,7 +31,8 @@ pub use inject::{Injected, Injection, planned_failure};
 pub use latency::{Latency, LatencyStats};
 pub use outcome::RunOutcome;
 pub use report::{
-    BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, NodeStats, Observer, Refusal, Warning,
+    BuildError, BuildFault, ContractKind, ContractStats, Enlargement, Event, Failure, LinkStats, NodeStats, Observer,
+    Refusal, Warning,
 };
 pub use runtime::{AnswerCache, CpuClock, RunSettings, Runtime, emission_fault, refusal, stamp_or_zero};
 pub use sign::Sign;

@@ -1,7 +1,7 @@
 use crate::{
     activity::{self, Doing, Name},
     panics,
-    report::{Enlargement, Failure, LinkStats, NodeStats, Warning},
+    report::{ContractStats, Enlargement, Failure, LinkStats, NodeStats, Warning},
     sign::Sign,
 };
 use osteoflow_node::Built;
@@ -27,6 +27,8 @@ pub struct RunOutcome {
     pub nodes: Vec<NodeStats>,
     /// Statistics, in the order of the plan.
     pub links: Vec<LinkStats>,
+    /// How the contracts of time were kept, in the order of the plan.
+    pub contracts: Vec<ContractStats>,
     /// Queues that were enlarged.
     pub enlargements: Vec<Enlargement>,
     /// Wall time of the run.

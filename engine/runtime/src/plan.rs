@@ -5,7 +5,7 @@ mod loads;
 pub use loads::{LoadedFile, Loads, variable};
 
 use osteoflow_container::Compression;
-use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role, View};
+use osteoflow_node::{DeclaredPort, InputPort, Place, PortPayload, Role, StampNs, View};
 use serde::{Deserialize, Serialize, Serializer};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -146,6 +146,8 @@ pub struct PlanNode {
     pub on_error: OnError,
     /// Where it fires.
     pub place: Place,
+    /// How long a firing may take.
+    pub deadline: Option<Deadline>,
 }
 
 impl PlanNode {
@@ -163,6 +165,59 @@ pub struct PlanInput {
     /// The links that feed it, as indices into [`Plan::links`], in the order of the graph: several where a port collects
     /// from several wires, none where an optional port is not wired.
     pub links: Vec<usize>,
+    /// What the graph asks of the time of its values.
+    pub contract: Contract,
+}
+
+/// What a graph asks of the time of an input's values.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Contract {
+    /// Maximum age of a value at the firing that it is brought to: by stamps, and by arrival where its source is live.
+    pub max_age_ns: Option<StampNs>,
+    /// Expected time between two items.
+    pub period_ns: Option<StampNs>,
+    /// What happens where it is broken.
+    pub otherwise: Otherwise,
+}
+
+/// How long a firing may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Deadline {
+    /// Maximum duration.
+    pub ns: StampNs,
+    /// What happens to a firing that takes longer.
+    pub otherwise: Otherwise,
+}
+
+/// What happens where a contract of time is broken.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Otherwise {
+    /// The value, or the answer of the firing, is unknown.
+    #[default]
+    Unknown,
+    /// The whole firing is left out.
+    Drop,
+    /// As [`Otherwise::Unknown`], and the run is refused.
+    Refuse,
+}
+
+impl Otherwise {
+    /// `unknown`, `drop` or `refuse`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::Drop => "drop",
+            Self::Refuse => "refuse",
+        }
+    }
+}
+
+impl Contract {
+    /// Silence of the wire after which its values are unknown: two periods, or the maximum age.
+    pub fn silence_ns(&self) -> Option<StampNs> {
+        let periods = self.period_ns.map(|ns| ns.saturating_mul(2));
+        periods.into_iter().chain(self.max_age_ns).min()
+    }
 }
 
 /// An output of a plan's node.

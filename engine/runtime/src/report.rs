@@ -1,6 +1,6 @@
 //! Events and statistics of a run.
 
-use crate::plan::Location;
+use crate::{histogram::Spread, plan::Location};
 use osteoflow_node::{Empty, ParamError, StampNs};
 use std::{fmt, sync::Arc, time::Duration};
 
@@ -155,6 +155,67 @@ pub struct LinkStats {
     pub capacity: usize,
 }
 
+/// How a contract of time was kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ContractStats {
+    /// The node.
+    pub node: String,
+    /// What it is about: the input or the wire `node.port`, or the node.
+    pub on: String,
+    /// What was asked.
+    pub kind: ContractKind,
+    /// The maximum.
+    pub limit_ns: StampNs,
+    /// Number of values, firings or gaps.
+    pub n: u64,
+    /// Number of those that broke it.
+    pub n_broken: u64,
+    /// The activation or item that broke it first.
+    pub first: Option<u64>,
+    /// The ages, durations or gaps. In a replay the ages are those by stamps, but for values that were too old by arrival, and
+    /// only durations that were too long are known.
+    pub spread: Spread,
+}
+
+/// What a contract of time asks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ContractKind {
+    /// The maximum age of an input's values.
+    MaxAge,
+    /// The maximum duration of a firing.
+    Deadline,
+    /// The longest silence of a wire.
+    Silence,
+}
+
+impl ContractKind {
+    /// `age`, `firing` or `silence`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::MaxAge => "age",
+            Self::Deadline => "firing",
+            Self::Silence => "silence",
+        }
+    }
+}
+
+impl ContractStats {
+    /// The sign that it was broken, which a replay gives again: without what was measured.
+    pub fn broken(&self) -> Option<Warning> {
+        let Self { node, on, limit_ns, n, n_broken, .. } = self;
+        let (item, limit) = (self.first?, crate::join::span((*limit_ns).into()));
+        let (rule, what) = match self.kind {
+            ContractKind::MaxAge => ("max_age", format!("{n_broken} of {n} values were older than {limit}")),
+            ContractKind::Deadline => {
+                ("missed_deadline", format!("{n_broken} of {n} firings took longer than {limit}"))
+            }
+            ContractKind::Silence => ("silent_wire", format!("nothing came for {limit} or longer, {n_broken} times")),
+        };
+        let message = format!("{on}: {what}, the first at item {item} [{rule}]");
+        Some(Warning { node: node.clone(), item, message })
+    }
+}
+
 /// A run that cannot start.
 #[derive(Debug)]
 pub enum BuildError {
@@ -195,11 +256,19 @@ pub struct Failure {
     pub panicked: bool,
     /// Whether the node went on with the next item.
     pub skipped: bool,
+    /// Whether the run is refused, whatever depends on the node.
+    pub refuses: bool,
 }
 
 impl Failure {
     /// An error that ends the node.
     pub(crate) fn error(node: usize, item: u64, reason: String) -> Self {
-        Self { node, item, reason, panicked: false, skipped: false }
+        Self { node, item, reason, panicked: false, skipped: false, refuses: false }
+    }
+
+    /// A contract of time that was broken, by which the graph refuses the run.
+    pub(crate) fn of_contract(node: usize, item: u64, reason: &str) -> Self {
+        let reason = format!("{reason}, and otherwise = \"refuse\"");
+        Self { refuses: true, ..Self::error(node, item, reason) }
     }
 }

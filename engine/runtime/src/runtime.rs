@@ -10,17 +10,20 @@ use crate::{
     channel::{self, Limits, LinkState, RecvEnd, SendEnd},
     inject::{Injection, Planned},
     join::{Joiner, PortSpec},
+    latency::Answers,
     messages::Messages,
     outcome::{Retired, RunOutcome},
     panics,
     plan::{OutputId, Plan, PlanInput, PlanNode, Policy},
-    report::{BuildError, BuildFault, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning},
+    report::{
+        BuildError, BuildFault, ContractStats, Enlargement, Event, Failure, LinkStats, Observer, Refusal, Warning,
+    },
     scheduler::{Scheduler, Stepped, Turn, Work},
     sign::Sign,
     sync::locked,
     tap::{Failed, Replayed, Tap},
 };
-use cell::{Cell, Core, Input, Output};
+use cell::{Cell, Contracts, Core, Input, Output, Silence};
 use live::{Live, LiveMessage, Mailbox};
 use osteoflow_node::{
     AnyNode, BuildContext, Built, ClockReading, Context, Emission, Joined, NodeError, ParamError, Registry, Role,
@@ -32,7 +35,7 @@ use std::{
     path::Path,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicBool, AtomicUsize, Ordering},
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
 };
@@ -52,6 +55,8 @@ pub struct RunSettings<'a> {
     pub inject: &'a [Injection],
     /// Measures the processor time of firings; `None` measures none.
     pub cpu_clock: Option<CpuClock>,
+    /// In a simulation: the time since the run began, ns, by which contracts of time are judged; `None`: this machine's.
+    pub clock: Option<Arc<AtomicU64>>,
 }
 
 /// The processor time that the calling thread has used so far, with what others used for it.
@@ -106,6 +111,9 @@ pub struct Runtime<'a> {
     /// The node that was being stepped when the engine itself panicked, plus 1.
     panicked: AtomicUsize,
     began: Instant,
+    clock: Option<Arc<AtomicU64>>,
+    /// The newest answers of live sources upstream of an input with a maximum age, and when they came.
+    arrivals: Vec<Option<Answers>>,
     elapsed: Duration,
     readings: Option<BTreeMap<(usize, u64), Vec<ClockReading>>>,
     /// Recorded signs of nodes that are played.
@@ -202,10 +210,13 @@ impl<'a> Runtime<'a> {
             let outputs = node.outputs.iter().enumerate().map(|(port, output)| {
                 let id = OutputId { node: index, port };
                 let links = output.links.iter().filter_map(|link| sends[*link].take());
-                Output::new(id, output.payload, links.collect())
+                Output::new(id, output.payload, links.collect(), Silence::of(plan, id))
             });
-            cells.push(Mutex::new(Cell::new(index, core, context(), inputs.collect(), outputs.collect())));
+            let mut cell = Cell::new(index, core, context(), inputs.collect(), outputs.collect());
+            cell.contracts = Contracts::of(plan, index);
+            cells.push(Mutex::new(cell));
         }
+        let arrivals = arrivals(&mut cells, &sources);
         Ok(Self {
             plan,
             registry,
@@ -228,6 +239,8 @@ impl<'a> Runtime<'a> {
             stall: Mutex::default(),
             panicked: AtomicUsize::new(0),
             began: Instant::now(),
+            clock: settings.clock.clone(),
+            arrivals,
             elapsed: Duration::ZERO,
             readings: replayed.readings,
             signs: replayed.signs,
@@ -277,7 +290,6 @@ impl<'a> Runtime<'a> {
         let messages = self.messages.into_inner().unwrap_or_else(PoisonError::into_inner);
         let (failures, mut warnings, mut signs) = messages.finish(self.plan);
         signs.extend(self.signs);
-        signs.sort_by_cached_key(|sign| self.plan.node(&sign.node));
         if !interrupted {
             warnings.extend(self.planned.iter().enumerate().flat_map(|(node, planned)| {
                 planned.missed().map(move |injection| (node, missed_injection(injection)))
@@ -298,6 +310,13 @@ impl<'a> Runtime<'a> {
             let (node, item) = (link.from.node, cells[link.from.node].n_items());
             (node, Warning { node: self.plan.nodes[node].name.to_string(), item, message })
         }));
+        let contracts: Vec<_> = cells.iter().flat_map(|cell| cell.contract_stats(self.plan)).collect();
+        for broken in contracts.iter().filter_map(ContractStats::broken) {
+            // In a replay, those of what is played are among the recorded signs.
+            signs.extend(broken.sign().filter(|sign| !signs.contains(sign)).into_iter().collect::<Vec<_>>());
+            warnings.extend(self.plan.node(&broken.node).map(|node| (node, broken)));
+        }
+        signs.sort_by_cached_key(|sign| self.plan.node(&sign.node));
         warnings.sort_by_key(|(node, warning)| (*node, warning.item));
         RunOutcome {
             interrupted,
@@ -309,6 +328,7 @@ impl<'a> Runtime<'a> {
             stall,
             warnings: warnings.into_iter().map(|(_, warning)| warning).collect(),
             signs,
+            contracts,
             enlargements: self.enlargements.into_inner().unwrap_or_else(PoisonError::into_inner),
             elapsed: self.elapsed,
             retired: Retired::new(cells.into_iter().map(Cell::into_retired)),
@@ -388,6 +408,32 @@ impl<'a> Runtime<'a> {
             let began = began.saturating_duration_since(self.began);
             self.taps.iter().for_each(|tap| tap.fired(node, item, stamp_ns, began, took));
         }
+    }
+
+    /// The time since the run began, by which contracts of time are judged.
+    pub(crate) fn now(&self) -> Duration {
+        self.time_of(Instant::now())
+    }
+
+    fn time_of(&self, at: Instant) -> Duration {
+        match &self.clock {
+            Some(clock) => Duration::from_nanos(clock.load(Ordering::SeqCst)),
+            None => at.saturating_duration_since(self.began),
+        }
+    }
+
+    /// An answer of a live source came.
+    pub(crate) fn note_arrival(&self, node: usize, stamp_ns: StampNs, at: Instant) {
+        if let Some(answers) = &self.arrivals[node] {
+            answers.note(stamp_ns, self.time_of(at));
+        }
+    }
+
+    /// Time since the newest answer of these live sources came that is not after the stamp.
+    pub(crate) fn age_by_arrival(&self, sources: &[usize], stamp_ns: StampNs) -> Option<StampNs> {
+        let answers = sources.iter().filter_map(|source| self.arrivals[*source].as_ref()?.before(stamp_ns));
+        let (_, at) = answers.max_by_key(|(newest_ns, _)| (*newest_ns <= stamp_ns, *newest_ns))?;
+        StampNs::try_from(self.now().saturating_sub(at).as_nanos()).ok()
     }
 
     /// Clock readings recorded for a firing, in a replay.
@@ -564,6 +610,16 @@ fn lanes(node: &PlanNode) -> impl Iterator<Item = (&PlanInput, Option<usize>)> {
         let unwired = input.links.is_empty().then_some((input, None));
         input.links.iter().map(move |link| (input, Some(*link))).chain(unwired)
     })
+}
+
+/// What is remembered of the live sources whose arrivals decide.
+fn arrivals(cells: &mut [Mutex<Cell>], sources: &[Live]) -> Vec<Option<Answers>> {
+    let mut decides = vec![false; cells.len()];
+    for cell in cells.iter_mut().map(|cell| cell.get_mut().unwrap_or_else(PoisonError::into_inner)) {
+        cell.contracts.iter().flat_map(|contracts| contracts.sources()).for_each(|source| decides[source] = true);
+    }
+    let live = |node: &usize| decides[*node] && sources.iter().any(|live| live.node == *node);
+    (0..decides.len()).map(|node| live(&node).then(Answers::default)).collect()
 }
 
 fn joiner(plan: &Plan, node: &PlanNode) -> Joiner {

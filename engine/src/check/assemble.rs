@@ -149,10 +149,14 @@ impl Net<'_> {
             param_places: param_places(parsed_node.table),
             files: parsed_node.input_files.clone(),
             declared: parsed_node.declared.clone().into(),
-            inputs: self.inputs[index].iter().map(|i| PlanInput { port: i.port.clone(), links: Vec::new() }).collect(),
+            inputs: self.inputs[index]
+                .iter()
+                .map(|i| PlanInput { port: i.port.clone(), links: Vec::new(), contract: i.contract })
+                .collect(),
             outputs: outputs.filter_map(output).collect(),
             on_error: parsed_node.on_error,
             place: parsed_node.place,
+            deadline: parsed_node.deadline,
         }
     }
 }

@@ -12,7 +12,7 @@ use osteoflow_node::{Join, Role};
 
 /// How often something comes.
 #[derive(Clone, Copy, PartialEq)]
-enum Rate {
+pub(super) enum Rate {
     /// Once for each item of an output of a source.
     Items(OutputIndex),
     /// Once for each firing of a node that fires at a rate of its own.
@@ -81,7 +81,7 @@ impl Rate {
 }
 
 /// How often each node fires.
-fn rates(parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>], order: &Order) -> Vec<Rate> {
+pub(super) fn rates(parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>], order: &Order) -> Vec<Rate> {
     let mut rates = vec![Rate::Unknown; parsed_nodes.len()];
     for &node in &order.nodes {
         if parsed_nodes[node].role() != Some(Role::Node) {
@@ -102,7 +102,7 @@ fn rates(parsed_nodes: &[ParsedNode<'_>], inputs: &[Vec<Input>], order: &Order) 
 }
 
 /// How often a wire carries an item: a node answers each firing on every output.
-fn rate_of(wire: OutputIndex, parsed_nodes: &[ParsedNode<'_>], rates: &[Rate]) -> Rate {
+pub(super) fn rate_of(wire: OutputIndex, parsed_nodes: &[ParsedNode<'_>], rates: &[Rate]) -> Rate {
     match parsed_nodes[wire.0].role() {
         Some(Role::Source | Role::LiveSource) => Rate::Items(wire),
         _ => rates[wire.0],

@@ -11,7 +11,7 @@ use crate::{
     fault::{Fault, Span},
     graph::{Entry, Spanned, Value, extract, header::Header},
     names::nearest,
-    plan::Policy,
+    plan::{Contract, Policy},
 };
 use osteoflow_node::{InputPort, Join, PortPayload};
 
@@ -24,6 +24,7 @@ pub(super) struct Input {
     pub(super) capacity: usize,
     pub(super) max_bytes: u64,
     pub(super) policy: Policy,
+    pub(super) contract: Contract,
 }
 
 /// A wire to an input.
@@ -84,6 +85,7 @@ impl Check<'_> {
             capacity: DEFAULT_CAPACITY,
             max_bytes: DEFAULT_MAX_BYTES,
             policy: Policy::Block,
+            contract: Contract::default(),
         };
         let mut inputs: Vec<_> = ports.iter().map(blank).collect();
         let Some(table) = parsed_node.table.get("in") else { return inputs };

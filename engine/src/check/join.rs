@@ -31,6 +31,7 @@ impl Check<'_> {
         input.capacity = table.whole("capacity", MAX_CAPACITY, &mut self.faults).unwrap_or(input.capacity);
         input.max_bytes = table.bytes("max_bytes", &mut self.faults).unwrap_or(input.max_bytes);
         self.policy(input, &table, owner, parsed_nodes, header);
+        self.contract(input, &table, owner, parsed_nodes);
     }
 
     fn join(&mut self, input: &mut Input, table: &Section<'_>, owner: &str, parsed_nodes: &[ParsedNode<'_>]) {

@@ -8,7 +8,7 @@ use crate::{
         header::Header,
     },
     names::nearest,
-    plan::{OnError, PortFrames, variable},
+    plan::{Deadline, OnError, PortFrames, variable},
     process::REFUSED_HERE,
 };
 use osteoflow_node::{DeclaredPort, FrameExpr, Kind, OutputPorts, Place, PortPayload, Role};
@@ -32,6 +32,7 @@ pub(super) struct ParsedNode<'a> {
     pub(super) outputs: Option<Vec<Output>>,
     pub(super) on_error: OnError,
     pub(super) place: Place,
+    pub(super) deadline: Option<Deadline>,
     /// The environment variables that decide what it computes, by name and as `NAME=VALUE` or `NAME unset`.
     pub(super) env: Vec<(String, String)>,
 }
@@ -135,6 +136,7 @@ impl<'r> Check<'r> {
             outputs: None,
             on_error: OnError::default(),
             place: Place::default(),
+            deadline: None,
             env: Vec::new(),
         };
         self.behaviour(&mut parsed_node);
@@ -184,6 +186,7 @@ impl<'r> Check<'r> {
         if table.word("on_error", &mut self.faults) == Some("skip") {
             parsed_node.on_error = OnError::Skip;
         }
+        parsed_node.deadline = self.deadline(&table, parsed_node);
         let process = table.flag_if_set("process", &mut self.faults);
         parsed_node.place = Place { process, stop_after: None, pool: table.flag_if_set("pool", &mut self.faults) };
         if let Some(entry) = table.get("env") {

@@ -1,7 +1,7 @@
 //! Writes the resolved graph as the text of a graph file.
 
 use super::{assemble::Net, inputs::Input, parsed_nodes::ParsedNode, wires};
-use crate::plan::{OnError, Policy, PortFrames, RecordSettings, Require, Sources};
+use crate::plan::{Contract, Deadline, OnError, Policy, PortFrames, RecordSettings, Require, Sources};
 use osteoflow_node::{Join, Place};
 use serde_json::Value as Json;
 use std::fmt::Write;
@@ -70,6 +70,10 @@ fn node(out: &mut String, parsed_node: &ParsedNode<'_>, inputs: &[Input], parsed
     if let Some(limit) = stop_after {
         line(out, &format!("stop_after_s = {:?}", limit.as_secs_f64()));
     }
+    if let Some(Deadline { ns, otherwise }) = parsed_node.deadline {
+        line(out, &format!("deadline_ms = {}", milliseconds(ns)));
+        line(out, &format!("otherwise = {}", quote(otherwise.name())));
+    }
     if !parsed_node.env.is_empty() {
         line(out, &format!("env = {}", list(parsed_node.env.iter().map(|(name, _)| quote(name)))));
     }
@@ -119,6 +123,12 @@ fn wired(input: &Input, from: &str) -> String {
         Policy::Sample(n) => format!("\"sample\", every = {n}"),
     };
     parts.push(format!("policy = {policy}"));
+    let Contract { max_age_ns, period_ns, otherwise } = input.contract;
+    parts.extend(max_age_ns.map(|ns| format!("max_age_ms = {}", milliseconds(ns))));
+    parts.extend(period_ns.map(|ns| format!("rate_hz = {:?}", 1e9 / ns as f64)));
+    if max_age_ns.or(period_ns).is_some() {
+        parts.push(format!("otherwise = {}", quote(otherwise.name())));
+    }
     format!("{{ {} }}", parts.join(", "))
 }
 

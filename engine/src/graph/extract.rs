@@ -126,10 +126,15 @@ impl<'t> Section<'t> {
 
     /// The number of seconds of a key, above 0 and at most what the grammar states.
     pub(crate) fn seconds(&self, key: &str, faults: &mut Vec<Fault>) -> Option<f64> {
+        self.positive(key, "seconds", faults)
+    }
+
+    /// The number of a key in this unit, above 0 and at most what the grammar states.
+    pub(crate) fn positive(&self, key: &str, unit: &str, faults: &mut Vec<Fault>) -> Option<f64> {
         let (value, most) = (&self.get(key)?.value, &self.schema(key)["maximum"]);
-        let seconds = value.as_number().filter(|s| *s > 0.0 && most.as_f64().is_some_and(|most| *s <= most));
-        let takes = format!("a number of seconds above 0 and at most {most}");
-        expected(seconds, value, &self.what(key), &takes, faults)
+        let number = value.as_number().filter(|s| *s > 0.0 && most.as_f64().is_some_and(|most| *s <= most));
+        let takes = format!("a number of {unit} above 0 and at most {most}");
+        expected(number, value, &self.what(key), &takes, faults)
     }
 
     /// The share of a key, from 0 to 1.

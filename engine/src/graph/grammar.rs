@@ -112,8 +112,17 @@ pub(crate) static NODE: Keys = LazyLock::new(|| {
             "type": "number", "exclusiveMinimum": 0, "maximum": 86400,
             "description": "The time limit of a firing, after which the process of the node is stopped.",
         },
+        "deadline_ms": { "type": "number", "exclusiveMinimum": 0, "description": "How long a firing may take; what takes longer is unknown." },
+        "otherwise": otherwise("With deadline_ms"),
     }))
 });
+
+/// What happens where a contract of time is broken.
+fn otherwise(with: &str) -> Value {
+    let doc = "what happens otherwise: the value is unknown, the firing is left out, or the run is refused as well.";
+    json!({ "enum": OTHERWISE, "default": "unknown", "description": format!("{with}: {doc}") })
+}
+const OTHERWISE: [&str; 3] = ["unknown", "drop", "refuse"];
 
 /// The inputs of a node of any kind.
 fn inputs() -> Value {
@@ -147,6 +156,9 @@ pub(crate) static INPUT: Keys = LazyLock::new(|| {
         "step": { "type": "integer", "minimum": 1, "description": "With n: how many items from one window to the next. Default: n." },
         "span_ms": { "type": "number", "exclusiveMinimum": 0, "description": "With collect: the length of a window in time." },
         "step_ms": { "type": "number", "exclusiveMinimum": 0, "description": "With span_ms: the time from one window to the next. Default: span_ms." },
+        "max_age_ms": { "type": "number", "exclusiveMinimum": 0, "description": "How old a value may be at the firing, by its stamp, and by its arrival where its source is live." },
+        "rate_hz": { "type": "number", "exclusiveMinimum": 0, "maximum": 1e6, "description": "How often an item of a source is expected; two periods without one are a silence." },
+        "otherwise": otherwise("With max_age_ms or rate_hz"),
     }))
 });
 /// The joins that a graph may choose.

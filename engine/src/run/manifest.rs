@@ -47,6 +47,12 @@ pub(crate) fn manifest(
             "p95_ms": ms(l.spread.p95), "p99_ms": ms(l.spread.p99), "max_ms": ms(l.spread.max),
         })
     });
+    let contracts = report.contracts.iter().map(|c| {
+        json!({
+            "on": c.on, "of": c.kind.name(), "limit_ms": c.limit_ns as f64 / 1e6, "n": c.n, "broken": c.n_broken, "first": c.first,
+            "p50_ms": ms(c.spread.p50), "p99_ms": ms(c.spread.p99), "max_ms": ms(c.spread.max),
+        })
+    });
     let enlargements =
         report.enlargements.iter().map(|e| json!({ "from": e.from, "to": e.to, "before": e.before, "after": e.after }));
     let warnings = report.warnings.iter().map(|w| json!({ "node": w.node, "item": w.item, "message": w.message }));
@@ -87,6 +93,7 @@ pub(crate) fn manifest(
         "nodes": nodes.collect::<Json>(),
         "links": links.collect::<Json>(),
         "latencies": latencies.collect::<Json>(),
+        "contracts": contracts.collect::<Json>(),
         "enlargements": enlargements.collect::<Json>(),
         "warnings": warnings.collect::<Json>(),
         "recording": recording,

@@ -4,7 +4,9 @@ use crate::{
     answer_cache::CachedAnswer,
     record::RecordError,
     repro::Saved,
-    runtime::{BuildError, BuildFault, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning},
+    runtime::{
+        BuildError, BuildFault, ContractStats, Enlargement, LatencyStats, LinkStats, NodeStats, Refusal, Warning,
+    },
 };
 use std::time::Duration;
 
@@ -43,6 +45,8 @@ pub struct RunReport {
     pub links: Vec<LinkStats>,
     /// Latency from each source to each sink, if [`RunOptions::latency`] is set.
     pub latencies: Vec<LatencyStats>,
+    /// How the contracts of time were kept, in the order of the plan.
+    pub contracts: Vec<ContractStats>,
     /// Enlarged queues, in the order in which they were enlarged.
     pub enlargements: Vec<Enlargement>,
     /// Warnings of nodes, in the order of the plan.

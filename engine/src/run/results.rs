@@ -194,7 +194,7 @@ fn is_report(run: &Finished, entry: &ResultEntry) -> bool {
 /// Whether a failure refuses the run. It does not if only optional results depend on the node. A panic is a bug and
 /// always refuses.
 fn refuses(plan: &Plan, failure: &Failure) -> bool {
-    if failure.panicked {
+    if failure.panicked || failure.refuses {
         return !failure.skipped;
     }
     let mut reached = vec![false; plan.nodes.len()];

@@ -3,7 +3,10 @@
 
 use crate::{
     check::pairs,
-    plan::{Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, Require, ResultEntry},
+    plan::{
+        Contract, Deadline, Link, Location, OnError, OutputId, Plan, PlanInput, PlanNode, PlanOutput, Policy, Require,
+        ResultEntry,
+    },
 };
 use osteoflow_node::{
     DeclaredPort, Join, OutputPorts, Payload, PortPayload, Source,
@@ -83,7 +86,7 @@ impl PlanBuilder {
                 let policy = Policy::Block;
                 self.plan.links.push(Link { from, to_node, to_port, capacity: 4, max_bytes: 1 << 20, policy });
             }
-            plan_inputs.push(PlanInput { port, links });
+            plan_inputs.push(PlanInput { port, links, contract: Contract::default() });
         }
         self.push(name, kind, params, Arc::from([]), outputs, plan_inputs);
         self
@@ -128,6 +131,7 @@ impl PlanBuilder {
             outputs,
             on_error: OnError::Stop,
             place: Default::default(),
+            deadline: None,
         });
     }
 
@@ -144,6 +148,20 @@ impl PlanBuilder {
         let node = self.plan.node(node).unwrap();
         let input = self.plan.nodes[node].inputs.iter().find(|i| i.port.name == port).unwrap();
         change(&mut self.plan.links[input.links[0]]);
+        self
+    }
+
+    /// Asks something of the time of an input's values.
+    pub(crate) fn contract(mut self, to: &str, contract: Contract) -> Self {
+        let (node, port) = to.split_once('.').unwrap();
+        let node = self.plan.node(node).unwrap();
+        self.plan.nodes[node].inputs.iter_mut().find(|i| i.port.name == port).unwrap().contract = contract;
+        self
+    }
+
+    pub(crate) fn deadline(mut self, node: &str, deadline: Deadline) -> Self {
+        let node = self.plan.node(node).unwrap();
+        self.plan.nodes[node].deadline = Some(deadline);
         self
     }
 

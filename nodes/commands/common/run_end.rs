@@ -81,6 +81,9 @@ pub(crate) fn print_text(report: &RunReport, table: &str, dir: &Path, global: &G
     if has_table(report) {
         writeln!(out, "{table}")?;
     }
+    if global.verbose == 0 && !report.contracts.is_empty() {
+        writeln!(out, "{}", run_table::contracts(report))?;
+    }
     let files = [files::RESULTS, files::MANIFEST, files::RECORDING].into_iter().filter(|f| dir.join(f).exists());
     let files = files.collect::<Vec<_>>().join(", ");
     writeln!(out, "{files} in {} after {:.2} s", dir.display(), report.elapsed.as_secs_f64())?;

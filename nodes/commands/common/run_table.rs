@@ -34,6 +34,9 @@ pub(crate) fn text(report: &RunReport) -> String {
         }
         text.push_str(&format!("\n{}", latencies.lines()));
     }
+    if !report.contracts.is_empty() {
+        text.push_str(&format!("\n{}", contracts(report)));
+    }
     // A queue grows in steps; only its final capacity matters.
     let mut grown: BTreeMap<(&str, &str), (usize, usize)> = BTreeMap::new();
     for e in &report.enlargements {
@@ -46,6 +49,18 @@ pub(crate) fn text(report: &RunReport) -> String {
         text.push_str(&format!("from the store: node \"{}\", item {}\n", r.node, r.item));
     }
     text
+}
+
+/// How the contracts of time were kept.
+pub(crate) fn contracts(report: &RunReport) -> String {
+    let mut contracts = TextTable::new("contracts of time", &["", "allowed", "broken", "of", "p50", "p99", "longest"]);
+    for c in &report.contracts {
+        let counts = [c.n_broken, c.n].map(counted);
+        let spread = [c.spread.p50, c.spread.p99, c.spread.max].map(time);
+        let limit = time(Duration::from_nanos(c.limit_ns.unsigned_abs()));
+        contracts.row(&c.on, [c.kind.name().to_owned(), limit].into_iter().chain(counts).chain(spread));
+    }
+    contracts.lines()
 }
 
 fn time(time: Duration) -> String {

@@ -1,11 +1,13 @@
 //! A node in a run: takes items from its inputs, fires, and sends the answers over its links.
 
+mod contracts;
 mod live;
 mod output;
 mod source_clock;
 
 pub use output::emission_fault;
 pub(crate) use {
+    contracts::{Contracts, Silence},
     live::{NextRequest, Reply},
     output::Output,
 };
@@ -65,6 +67,8 @@ pub(crate) struct Cell {
     /// Number of firings of this turn that are timed together, and the start of the first.
     together: Option<(u64, Instant)>,
     cheap: bool,
+    /// What the graph asks of the time of its inputs and firings.
+    pub(crate) contracts: Option<Box<Contracts>>,
 }
 
 /// Mean duration below which a firing is not worth handing to another worker, since that takes as long.
@@ -156,6 +160,7 @@ impl Cell {
             wall: Duration::ZERO,
             together: None,
             cheap: false,
+            contracts: None,
         }
     }
 
@@ -354,7 +359,11 @@ impl Cell {
         let (item, stamp_ns) = (self.item, activation.stamp_ns);
         self.item += 1;
         self.stamp_ns = stamp_ns;
-        if let Some(empty) = activation.skip {
+        let skip = match activation.skip {
+            None if self.contracts.is_some() => self.too_old(item, stamp_ns, run),
+            skip => skip,
+        };
+        if let Some(empty) = skip {
             self.skipped += 1;
             self.unfed = (self.unfed.0 + 1, Some(empty.clone()));
             run.event(&Event::Skipped { node: self.context.node(), item });
@@ -427,6 +436,9 @@ impl Cell {
         }
         // A tap may have blocked on the disk.
         let clock = turn.clock.filter(|_| !run.times_firings());
+        if self.contracts.is_some() {
+            self.begin_deadline(run);
+        }
         if !self.cheap || run.times_firings() {
             return Some(clock.unwrap_or_else(Instant::now));
         }
@@ -457,7 +469,13 @@ impl Cell {
             self.count(1, took, run);
             run.fired_to_taps(self.index, item, stamp_ns, began, took);
         }
-        if self.context.has_readings() {
+        if self.contracts.is_some() {
+            if matches!(answered, Ok(Ok(()))) {
+                self.keep_deadline(item, run);
+            }
+            let readings = [self.take_broken(), self.context.take_readings()].concat();
+            run.readings_to_taps(self.index, item, &readings);
+        } else if self.context.has_readings() {
             run.readings_to_taps(self.index, item, &self.context.take_readings());
         }
         self.pass_warnings_on(item, run);

@@ -80,6 +80,8 @@ struct Device {
     asks: Option<Sender<Ask>>,
     thread: JoinHandle<()>,
     silent_after: Duration,
+    /// Interval at which it is looked whether its wires are silent, if a contract limits that.
+    look_every: Option<Duration>,
     /// When it was asked; `None` while it is not pending.
     asked: Option<Instant>,
     reported_silent: bool,
@@ -96,7 +98,7 @@ pub(crate) fn run(run: &Runtime<'_>, scheduler: &Scheduler, sources: Vec<Live>) 
             let served = catch_unwind(AssertUnwindSafe(|| {
                 // If this thread panics, the workers must not wait for it.
                 let _guard = scheduler.guard();
-                Server { run, scheduler, devices: Vec::new(), stopped: None }.serve(sources);
+                Server { run, scheduler, devices: Vec::new(), stopped: None, looked: Duration::ZERO }.serve(sources);
             }));
             *panicked.lock().unwrap_or_else(PoisonError::into_inner) = served.err();
         });
@@ -127,6 +129,8 @@ struct Server<'a, 'r> {
     devices: Vec<Device>,
     /// When the stop request was seen.
     stopped: Option<Instant>,
+    /// When it last looked for wires that are silent.
+    looked: Duration,
 }
 
 impl Server<'_, '_> {
@@ -135,7 +139,7 @@ impl Server<'_, '_> {
             self.start(source);
         }
         loop {
-            match self.run.mailbox.rx.recv_timeout(TICK) {
+            match self.run.mailbox.rx.recv_timeout(self.look_every().unwrap_or(TICK)) {
                 Ok(LiveMessage::Answered(node, answer)) => self.answered(node, answer),
                 Ok(LiveMessage::Room(node)) => self.ask(node),
                 Ok(LiveMessage::Over) | Err(RecvTimeoutError::Disconnected) => break,
@@ -154,8 +158,18 @@ impl Server<'_, '_> {
         match thread.spawn(move || run_source(source, &asked, &answers)) {
             Ok(thread) => {
                 let asks = Some(asks);
+                let look_every = self.run.cell(node).look_every();
                 let (asked, reported_silent, left_behind) = (None, false, false);
-                self.devices.push(Device { node, asks, thread, silent_after, asked, reported_silent, left_behind });
+                self.devices.push(Device {
+                    node,
+                    asks,
+                    thread,
+                    silent_after,
+                    look_every,
+                    asked,
+                    reported_silent,
+                    left_behind,
+                });
                 self.ask(node);
             }
             Err(error) => {
@@ -163,6 +177,22 @@ impl Server<'_, '_> {
                 self.run.cell(node).fail_live(reason, self.run);
                 self.ask(node);
             }
+        }
+    }
+
+    fn look_every(&self) -> Option<Duration> {
+        self.devices.iter().filter_map(|device| device.look_every).min().map(|every| every.min(TICK))
+    }
+
+    /// Looks for wires that are silent for longer than a contract allows.
+    fn note_silence(&mut self) {
+        let now = self.run.now();
+        if self.look_every().is_none_or(|every| now < self.looked + every) {
+            return;
+        }
+        self.looked = now;
+        for device in self.devices.iter().filter(|device| device.look_every.is_some() && device.asks.is_some()) {
+            self.scheduler.outside(|turn| self.run.cell(device.node).note_silence(self.run, turn));
         }
     }
 
@@ -207,6 +237,7 @@ impl Server<'_, '_> {
     }
 
     fn check_clock(&mut self) {
+        self.note_silence();
         if self.run.cancelled() {
             let since = *self.stopped.get_or_insert_with(Instant::now);
             self.stop(since.elapsed() > GRACE);

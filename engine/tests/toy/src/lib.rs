@@ -7,6 +7,7 @@
 mod arithmetic;
 mod cached;
 pub mod context;
+pub mod devices;
 mod judge;
 mod number;
 mod samples;
@@ -47,6 +48,7 @@ pub fn registry() -> Registry {
     registry.payload::<Number, _>().payload::<Samples, _>().node::<Cached<false>>().node::<Cached<true>>();
     registry.payload::<Judgement, _>().payload::<Remark, _>().function::<Judge>();
     registry.source::<Script>().source::<LiveScript>().node::<Add>().function::<Sum>().function::<SumOfSome>();
+    registry.source::<devices::Device>().node::<devices::Follow>();
     registry
 }
 

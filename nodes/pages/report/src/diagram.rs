@@ -14,6 +14,7 @@ pub fn of_plan(plan: &Plan) -> Diagram {
         name: node.name.to_string(),
         kind: node.kind.clone(),
         is_source: node.role != Role::Node,
+        lines: node.deadline.iter().map(|deadline| format!("within {}", duration(deadline.ns as f64 / 1e6))).collect(),
         ..Node::default()
     });
     let links = plan.links.iter().map(|link| {
@@ -35,6 +36,9 @@ fn label(plan: &Plan, link: &plan::Link) -> Vec<String> {
         if output.name == input.name { output.name.clone() } else { format!("{} as {}", output.name, input.name) };
     let mut lines = vec![ports, output.payload.name().to_owned()];
     lines.extend(frames(output));
+    let contract = &plan.nodes[link.to_node].inputs[link.to_port].contract;
+    lines.extend(contract.max_age_ns.map(|ns| format!("at most {} old", duration(ns as f64 / 1e6))));
+    lines.extend(contract.period_ns.map(|ns| format!("every {}", duration(ns as f64 / 1e6))));
     lines
 }
 
@@ -65,7 +69,9 @@ pub fn of_manifest(manifest: &Json) -> Result<Diagram, String> {
     for entry in entries {
         let name = text(entry, "name")?;
         index.insert(name, nodes.len());
-        nodes.push(node(entry, name, busy_ms, refusal, &manifest["warnings"]));
+        let mut node = node(entry, name, busy_ms, refusal, &manifest["warnings"]);
+        node.lines.extend(contracts(manifest, name));
+        nodes.push(node);
     }
     // The names of nodes inside modules contain dots; the names of ports do not.
     let node_of = |end: &str| {
@@ -113,6 +119,19 @@ fn node(entry: &Json, name: &str, busy_ms: f64, refusal: Option<(&str, &str)>, w
         busy_share: Some(share),
         failure,
     }
+}
+
+/// How the contracts of time of a node and its inputs were kept.
+fn contracts<'a>(manifest: &'a Json, name: &'a str) -> impl Iterator<Item = String> + 'a {
+    let of_node = move |entry: &&Json| {
+        let on = entry["on"].as_str().unwrap_or_default();
+        on == name || entry["of"] == "age" && on.rsplit_once('.').is_some_and(|(node, _)| node == name)
+    };
+    manifest["contracts"].as_array().into_iter().flatten().filter(of_node).map(|entry| {
+        let ms = |key: &str| duration(entry[key].as_f64().unwrap_or(0.0));
+        let broken = entry["broken"].as_u64().filter(|n| *n > 0).map(|n| format!(", {n} above")).unwrap_or_default();
+        format!("{} p99 {} of {}{broken}", entry["of"].as_str().unwrap_or_default(), ms("p99_ms"), ms("limit_ms"))
+    })
 }
 
 fn link(entry: &Json, (from, from_node): (&str, usize), (to, to_node): (&str, usize)) -> Link {

@@ -16,7 +16,7 @@ use crate::{
 use osteoflow_node::{AnySource, Context, Emission, NodeError, StampNs};
 use std::{
     collections::VecDeque,
-    time::{Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
 /// The cell's state of a live source.
@@ -27,6 +27,8 @@ pub(crate) struct LiveCore {
     pub(crate) newest_ns: StampNs,
     /// It is not asked, because an output has no room.
     pub(crate) waits: bool,
+    /// When it was asked again after that; none while it is not.
+    pub(crate) resumed: Option<Duration>,
     /// What its stamps follow.
     clock: SourceClock<Reply>,
     /// Answers that wait for room.
@@ -36,7 +38,12 @@ pub(crate) struct LiveCore {
 impl LiveCore {
     pub(crate) fn new(max_delay_ns: StampNs) -> Self {
         let (clock, ready) = (SourceClock::default(), VecDeque::new());
-        Self { max_delay_ns, newest_ns: StampNs::MIN, waits: false, clock, ready }
+        Self { max_delay_ns, newest_ns: StampNs::MIN, waits: false, resumed: Some(Duration::ZERO), clock, ready }
+    }
+
+    /// Since when it has been asked without a break; none where it or an answer waits for room.
+    pub(crate) fn asked_since(&self) -> Option<Duration> {
+        self.resumed.filter(|_| self.ready.is_empty())
     }
 
     /// Makes an answer ready, unless it is held back by its stamp; what the user should know, with the number of the item.
@@ -166,6 +173,9 @@ impl Cell {
             return self.end(run, turn);
         }
         self.emissions = answer.emissions;
+        if let Some((began, took)) = answer.firing.timed {
+            run.note_arrival(self.index, answer.firing.stamp_ns, began + took);
+        }
         self.after(answer.firing, answer.answered.map(|answer| answer.map(drop)), run, turn);
     }
 
@@ -176,7 +186,7 @@ impl Cell {
             let Core::Live(live) = &mut self.core else { return NextRequest::Never };
             // The end is not an item and needs no room.
             if !has_room && !live.ready.front().is_some_and(Reply::is_end) {
-                live.waits = true;
+                (live.waits, live.resumed) = (true, None);
                 return NextRequest::WhenThereIsRoom;
             }
             match &self.phase {
@@ -193,6 +203,7 @@ impl Cell {
                         self.interrupt(run, turn);
                         return NextRequest::Never;
                     } else {
+                        live.resumed = live.resumed.or_else(|| Some(run.now()));
                         let stamp_ns = live.clock.held_ns().unwrap_or(self.stamp_ns);
                         return NextRequest::Next { item: self.item, stamp_ns: stamp_or_zero(stamp_ns) };
                     }

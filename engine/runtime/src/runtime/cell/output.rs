@@ -1,9 +1,10 @@
 //! An output of a node: numbers its items and sends them over each link.
 
-use super::source_clock::MAX_STAMP_NS;
+use super::{contracts::Silence, source_clock::MAX_STAMP_NS};
 use crate::{
     channel::{LinkState, SendEnd},
     plan::OutputId,
+    report::Failure,
     runtime::Runtime,
     scheduler::Turn,
     tap::Tap,
@@ -23,6 +24,8 @@ pub(crate) struct Output {
     /// No further item may have an earlier stamp.
     pub(crate) floor: StampNs,
     pub(crate) late: Late,
+    /// How long it may be silent.
+    pub(crate) silence: Option<Box<Silence>>,
 }
 
 /// Items that a live source gave later than promised.
@@ -37,7 +40,7 @@ pub(crate) struct Late {
 }
 
 impl Output {
-    pub(crate) fn new(id: OutputId, payload: PortPayload, links: Vec<SendEnd>) -> Self {
+    pub(crate) fn new(id: OutputId, payload: PortPayload, links: Vec<SendEnd>, silence: Option<Box<Silence>>) -> Self {
         Self {
             id,
             payload,
@@ -47,6 +50,7 @@ impl Output {
             n_values: 0,
             floor: StampNs::MIN,
             late: Late::default(),
+            silence,
         }
     }
 
@@ -86,6 +90,11 @@ impl Output {
         self.next_number += 1;
         self.n_values += u64::from(item.body.value().is_some());
         self.floor = stamp_ns;
+        if let Some(silence) = &mut self.silence
+            && let Some(reason) = silence.note(&item, run.now())
+        {
+            run.fail(Failure::of_contract(self.id.node, item.number, &reason));
+        }
         self.listeners.iter().for_each(|tap| run.taps[*tap].item(self.id, &item));
         let Some((last, others)) = self.links.split_last_mut() else { return Ok(()) };
         let mut full = None;
