@@ -120,4 +120,6 @@ mod viewer_soak;
 mod viewer_steering;
 mod viewers;
 mod watch;
+#[cfg(unix)]
+mod words;
 mod writing_a_node;

@@ -290,7 +290,8 @@ fn the_experiments_run_on_a_users_bone_and_the_page_has_their_n() {
     assert!(rows.lines().nth(1).unwrap().starts_with("0,bone,0,1,complete,"), "{rows}");
     let again =
         format!("graphs/paper/reproduce.py --bone {bone} --plan {plan} --only accuracy_camera --set sweep.repeat=2");
-    let row = page.lines().find(|line| line.contains("registered by camera") && line.contains("axis z")).unwrap();
-    assert!(row.contains(&format!("| `{again}` |")), "{again}: {row}");
+    let row = page.lines().find(|line| line.contains("registered by camera") && line.contains("axis x")).unwrap();
+    assert!(row.contains("axis x; y; z, mm | 0.5 ± 0.1; 0.4 ± 0.04; 0.9 ± 0.1 | "), "{row}");
+    assert!(page.contains(&format!("| accuracy_camera | `{again}` | 2 | 0 |")), "{again}: {page}");
     assert_eq!(page.matches("A run without results").count(), 0, "none was refused:\n{page}");
 }

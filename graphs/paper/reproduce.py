@@ -3,7 +3,8 @@
 
 Each graph is swept by `osteoflow sweep` into a folder of its own below --out, with the report of each. page.md is the page with a
 request in JSON instead of each number of ours: a number of a sweep's summary.json, the time of nodes, a table of all settings, or
-the comparison with another experiment by `osteoflow compare`. Nothing is computed here but spreads and shares of times.
+the comparison with another experiment by `osteoflow compare`. Rows that differ in one word are joined. Of all experiments the results
+and the details are two pages, else one. Nothing is computed here but spreads and shares of times.
 
 Exit code 3: an experiment has no result, or a row no number; both are listed. A bone that cannot be simulated is refused before
 anything is run, in the words of `osteoflow simulate`. It needs Python 3.9 and nothing else.
@@ -261,6 +262,19 @@ def table(heads, rows):
     return "\n".join([f"| {cells(heads)} |", "|" + " --- |" * len(heads)] + [f"| {cells(row)} |" for row in rows])
 
 
+def joined(words):
+    """Words of joined rows: once where they are all the same.
+
+    >>> joined(["5.5", "3.1"]), joined(["yes", "yes"]), joined(["points 100", "points 500"]), joined(["camera", "stylus"])
+    ('5.5; 3.1', 'yes', 'points 100; 500', 'camera; stylus')
+    """
+    if len(set(words)) == 1:
+        return words[0]
+    begin = words[0].rpartition(" ")[0]
+    shared = begin and not begin[0].isdigit() and all(word.rpartition(" ")[0] == begin for word in words)
+    return "; ".join([words[0], *(word.removeprefix(f"{begin} ") if shared else word for word in words[1:])])
+
+
 class Line:
     """A line of the template: what is before a request, the request, what is after it."""
 
@@ -274,7 +288,28 @@ class Line:
 
     def theirs(self):
         """The last cell before the request: what the paper gives."""
-        return self.before.removesuffix(" | ").split(" | ")[-1]
+        return self.cells()[-1]
+
+    def cells(self):
+        """The cells before the request."""
+        return self.before[2:].removesuffix(" | ").split(" | ")
+
+    def parts(self):
+        """What a number is of: all before the last semicolon, what is behind it, and the unit.
+
+        >>> Line('| 3.1 | TRE; camera; axis x, mm | 0.5 | {"of": "a", "path": "b"} |').parts()
+        ('TRE; camera', 'axis x', ', mm')
+        """
+        what = self.cells()[1]
+        unit = ", mm" if what.endswith(", mm") else ""
+        before, _, last = what.removesuffix(unit).rpartition("; ")
+        return before, last, unit
+
+    def key(self):
+        """Rows beside each other with the same key are joined. A line of another kind has a key of its own."""
+        is_row = self.request and "path" in self.request and self.before.startswith("| ") and len(self.cells()) == 3
+        section = self.cells()[0] if is_row else None
+        return (section, self.request["of"], *self.parts()[::2]) if is_row and self.parts()[0] else id(self)
 
 
 class Page:
@@ -326,14 +361,22 @@ class Page:
             own = [ran for line, ran in zip(section, was_run) if line.request and not line.before.startswith("- ")]
             if section[0].before.startswith("## ") and own and not any(own):
                 continue
-            for line in (line for line, ran in zip(section, was_run) if ran):
-                out.append(line.before + self.reply(line) + line.after if line.request else self.prose(line.before))
+            for _, lines in itertools.groupby((line for line, ran in zip(section, was_run) if ran), Line.key):
+                out += self.join(list(lines))
         return "\n".join(out).rstrip() + "\n"
+
+    def join(self, lines):
+        """The lines of one key: one row, if all have a number."""
+        if len(lines) > 1 and all(self.ours(line.request) for line in lines):
+            first, columns = lines[0], zip(*(self.number_cells(line) for line in lines))
+            before, _, unit = first.parts()
+            last = joined([line.parts()[1] for line in lines])
+            row = [first.cells()[0], f"{before}; {last}{unit}", joined([line.theirs() for line in lines]), *map(joined, columns)]
+            return [f"| {cells(row)} |"]
+        return [line.before + self.reply(line) + line.after if line.request else self.prose(line.before) for line in lines]
 
     def prose(self, line):
         """A line without a request. A word in braces stands for a list or the command."""
-        if line == "{outside}":
-            return "\n".join(f"- {line}" for line in self.outside()) or "None."
         return self.commands() if line == "{commands}" else line.replace("{command}", command(self.args, self.args.only))
 
     def reply(self, line):
@@ -347,8 +390,14 @@ class Page:
         ours = self.ours(request) or (None, f"**none**: the sweep has no {request['path']}", "0")
         if not line.before.startswith("|"):
             return f"{ours[1]}, n = {ours[2]}"
+        return cells(self.number_cells(line))
+
+    def number_cells(self, line):
+        """Our number as mean and SD, its n, and whether it is within the spread."""
+        request = line.request
+        ours = self.ours(request) or (None, f"**none**: the sweep has no {request['path']}", "0")
         judged = judgement(request, line.theirs(), ours[0])
-        return cells([ours[1], ours[2], judged[1] if judged else "-", f"`{command_of(self.args, request['of'])}`"])
+        return [re.sub(r" \(.*", "", ours[1]), ours[2], judged[1].split(" ")[0] if judged else "-"]
 
     def time(self, line):
         """What nodes took in one procedure, and its share of the time that the paper gives, such as `2.5 ± 0.4 min`."""
@@ -373,9 +422,9 @@ class Page:
         return f"```text\n{compared.replace(str(folders[0].parent), 'OUT')}\n```"
 
     def settings(self, line):
-        """A table with a row for each setting."""
+        """A table with a row for each setting; with `across` one for each number, with the values of this factor beside each other."""
         groups, columns = self.experiments[line.request["of"]].summary["groups"], line.request["columns"]
-        names = list(groups[0]["setting"]) if groups else []
+        names, across = list(groups[0]["setting"]) if groups else [], line.request.get("across")
 
         def mean(of):
             sd = f" \u00b1 {of['sd']:.2f}" if of.get("sd") is not None else ""
@@ -388,11 +437,24 @@ class Page:
         def word(value):
             return value if isinstance(value, str) else json.dumps(value)
 
-        rows = [
-            [word(group["setting"][name]) for name in names] + [mean(group["columns"].get(c, {})) for c in columns] + [n(group)]
-            for group in groups
-        ]
-        return table([*names, *columns, "n"], rows)
+        if across in names:
+            names.remove(across)
+            values = list(dict.fromkeys(word(group["setting"][across]) for group in groups))
+            at = {}
+            for column, group in itertools.product(columns, groups):
+                key = (column, *(word(group["setting"][name]) for name in names))
+                at.setdefault(key, {})[word(group["setting"][across])] = mean(group["columns"].get(column, {}))
+            heads, rows = ["", *names, f"{across} {values[0]}", *values[1:]], [[*key, *map(of.get, values)] for key, of in at.items()]
+        else:
+            heads = [*names, *columns]
+            rows = [
+                [word(group["setting"][name]) for name in names] + [mean(group["columns"].get(c, {})) for c in columns]
+                for group in groups
+            ]
+        of_rows = [n(group) for group in groups]
+        if across or len(set(of_rows)) == 1:
+            return f"{table(heads, rows)}\n\nn = {joined(list(dict.fromkeys(of_rows)))}."
+        return table([*heads, "n"], [[*row, n] for row, n in zip(rows, of_rows)])
 
     def commands(self):
         """The command of each experiment, and the reasons for runs without results."""
@@ -445,8 +507,12 @@ def main():
     page = Page(args, experiments, {name: busy_s(args, name) for name in names if name in TIMED})
     whole = not args.only and not args.sets and args.bone is None
     default = HERE.parents[1] / "docs/method/paper-reproduction.md" if whole else out / "paper-reproduction.md"
-    path = args.page or default
-    path.write_text(page.text(), encoding="utf-8")
+    path, (results, _, detail) = args.page or default, page.text().partition("{detail}\n")
+    if whole:
+        path.with_name(f"{path.stem}-detail.md").write_text(detail, encoding="utf-8")
+        path.write_text(results.rstrip() + "\n", encoding="utf-8")
+    else:
+        path.write_text(results + detail, encoding="utf-8")
     for line in page.outside():
         print(f"outside the paper's spread: {line}")
     for line in page.without_results():

@@ -7,6 +7,7 @@ OSTEOFLOW_PROGRAM names the program, target/release/osteoflow otherwise. `tests/
 target/clients, whose Python has them. Exit code 0: all that is here agrees; 1: something does not; 2: numpy is missing.
 """
 
+import itertools
 import sys
 
 try:
@@ -30,7 +31,7 @@ from client import ROOT, main
 HEAD = """# Clients
 
 Which programs of others read what is written here, and whose files and streams are read, with the largest difference of the numbers.
-Each row is a test of [tests/clients](../tests/clients), which is skipped by its name where its client is not installed:
+Each row is tests of [tests/clients](../tests/clients), which are skipped by name where their client is not installed:
 
 ```text
 tests/clients/install                                                     installs what can be had
@@ -39,9 +40,8 @@ UPDATE=1 cargo test --release --test suite clients:: -- --nocapture       writes
 ```
 
 Clouds and surfaces keep 1e-4 mm ([formats](use/formats.md)); streams are in single precision. A difference of up to 0.004 mm is of
-texts with six or seven digits, as their programs write them. 3D Slicer was not run: files for it are held to the rules of its source
-(583e9b37) by tests/clients/scene.py and `tests/slicer_scenes.rs`, markups also to their schema (`tests/slicer_plans.rs`). Lichtblick itself cannot be had from a registry: its decoders of messages are tested, and
-the rule by which it places a cloud and the bone.
+texts with six or seven digits. 3D Slicer was not run: tests hold files for it to the rules of its source (583e9b37) and to its schema. Of Lichtblick the decoders of messages are
+tested, and the rule by which it places a cloud and the bone.
 
 One run, at its end, in CloudCompare, Rerun and the page (`tests/clients/screenshots.py` writes these pictures):
 
@@ -54,13 +54,34 @@ One run, at its end, in CloudCompare, Rerun and the page (`tests/clients/screens
 """
 
 
+def end(what):
+    """What follows the last comma, outside of brackets."""
+    tail = what.rpartition(", ")[2] if ", " in what else ""
+    return "" if ")" in tail else tail
+
+
+def joined(whats):
+    """The things of a row; what ends them all alike is said once.
+
+    >>> joined(["bone.stl read, extent", "bone.ply read, extent"]), joined(["bone.stl read, extent"])
+    ('extent: bone.stl read; bone.ply read', 'bone.stl read, extent')
+    """
+    tail = end(whats[0])
+    if len(whats) == 1 or not tail:
+        return "; ".join(whats)
+    return f"{tail}: " + "; ".join(what.removesuffix(f", {tail}") for what in whats)
+
+
 def page(rows, skipped):
     text = HEAD
-    last = None
-    for name, version, row in rows:
-        difference = "" if not row.unit else "0" if row.difference == 0 else f"{row.difference:.0e} {row.unit}"
-        text += f"| {name} | {version if name != last else ''} | {row.what} | {difference} |\n"
-        last = name
+    for name, of in itertools.groupby(rows, key=lambda row: row[0]):
+        # A row for the things of one end and one difference.
+        by_row, version = {}, None
+        for _, version, row in of:
+            difference = "" if not row.unit else "0" if row.difference == 0 else f"{row.difference:.0e} {row.unit}"
+            by_row.setdefault((end(row.what), difference), []).append(row.what)
+        for k, ((_, difference), whats) in enumerate(by_row.items()):
+            text += f"| {name} | {'' if k else version} | {joined(whats)} | {difference} |\n"
     if skipped:
         text += "\nNot on the machine that wrote this page: " + "; ".join(f"{name} ({why})" for name, why in skipped) + ".\n"
     return text
