@@ -54,7 +54,7 @@ fn a_value_that_is_too_old_by_its_stamp_is_unknown_left_out_or_refuses_the_run()
         "without it the node adds nothing"
     );
     let told = ("max_age".to_owned(), "place.b: 2 of 6 values were older than 20 ns, the first at item 3".to_owned());
-    assert_eq!(reasons(&report), [told.clone()]);
+    assert_eq!(reasons(&report), std::slice::from_ref(&told));
     let kept = &report.contracts[0];
     assert_eq!(
         (&*kept.on, kept.kind, kept.n, kept.n_broken, kept.first),

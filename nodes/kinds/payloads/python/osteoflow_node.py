@@ -37,12 +37,21 @@ import types
 import typing
 import weakref
 
+
+
+def cannot_import(package, error):
+    """What to do where a package is missing."""
+    return (f"the interpreter {sys.executable} ({sys.version.split()[0]}) cannot import {package}: {error}; install it there, "
+            f"{sys.executable} -m pip install {NAMES_OF_PACKAGES.get(package, package)}, or name another interpreter: --python FILE, "
+            "OSTEOFLOW_PYTHON, or plugins = [{ file = \"..\", interpreter = \"..\" }] in the graph")
+
+
+# Packages that pip calls otherwise.
+NAMES_OF_PACKAGES = {"cv2": "opencv-python", "PIL": "pillow", "skimage": "scikit-image", "sklearn": "scikit-learn", "yaml": "pyyaml"}
 try:
     import numpy as np
 except ImportError as error:
-    WITHOUT_NUMPY = (f"the interpreter {sys.executable} ({sys.version.split()[0]}) cannot import numpy: {error}; install it there, "
-                     f"{sys.executable} -m pip install numpy, or name another interpreter: --python FILE, OSTEOFLOW_PYTHON, or "
-                     "plugins = [{ file = \"..\", interpreter = \"..\" }] in the graph")
+    WITHOUT_NUMPY = cannot_import("numpy", error)
     if __name__ != "__main__":
         raise ImportError(WITHOUT_NUMPY) from error
     print("\nosteoflow plugin: " + json.dumps({"refused": WITHOUT_NUMPY}))
@@ -450,6 +459,17 @@ class Kind:
         if self.params is not None and not dataclasses.is_dataclass(self.params):
             raise TypeError(f"{kind}: params must be a dataclass, found {self.params}")
         self.outputs, self.tuple = self._outputs(hints.get("return"), output)
+        self.fires = fires
+
+    def place(self):
+        """The file and line of the function, of its only `return` if it has one."""
+        code = self.fires.__code__
+        try:
+            text = inspect.getsource(self.fires)
+        except OSError:
+            text = ""
+        lines = [line for line, text in enumerate(text.splitlines(), code.co_firstlineno) if text.split()[:1] == ["return"]]
+        return f"{os.path.basename(code.co_filename)}:{lines[0] if len(lines) == 1 else code.co_firstlineno}: "
 
     def _outputs(self, given, output):
         if given in (None, type(None)):
@@ -911,6 +931,8 @@ def where(error, file):
         place = f"{os.path.basename(file)}:{error.lineno}: "
     else:
         place = f"{os.path.basename(file)}:{frames[-1].lineno}: " if frames else ""
+    if isinstance(error, ModuleNotFoundError) and str(error).startswith("No module named"):
+        return place + cannot_import(error.name.split(".")[0], error)
     said = str(error.msg if isinstance(error, SyntaxError) else error)
     return f"{place}{type(error).__name__}: {said}" if said else f"{place}{type(error).__name__}"
 
@@ -1357,6 +1379,9 @@ class Server:
                 raise NodeError(f"it returns a {type(answer).__name__}, but has no output; write -> and the payload")
         else:
             names = [port.name for port in ports]
+            if answer is not None and not all(hasattr(answer, name) for name in names):
+                name, values = self.kind.tuple.__name__, ", ".join(f"{name}=.." for name in names)
+                raise NodeError(f"{self.kind.place()}it returns a {type(answer).__name__}, and a {name} is expected; write return {name}({values})")
             answers = [None] * len(names) if answer is None else [getattr(answer, name) for name in names]
         for port, answer in zip(ports, answers):
             payload = getattr(answer, "payload", None)
