@@ -462,13 +462,14 @@ class Kind:
         self.fires = fires
 
     def place(self):
-        """The file and line of the function, of its only `return` if it has one."""
+        """The file and line of the function, of its `return` if there is but one of something else than what is expected."""
         code = self.fires.__code__
         try:
             text = inspect.getsource(self.fires)
         except OSError:
             text = ""
-        lines = [line for line, text in enumerate(text.splitlines(), code.co_firstlineno) if text.split()[:1] == ["return"]]
+        lines = [line for line, text in enumerate(text.splitlines(), code.co_firstlineno)
+                 if text.split()[:1] == ["return"] and f"return {self.tuple.__name__}(" not in text]
         return f"{os.path.basename(code.co_filename)}:{lines[0] if len(lines) == 1 else code.co_firstlineno}: "
 
     def _outputs(self, given, output):
