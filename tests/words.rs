@@ -11,7 +11,7 @@ const LONG: usize = 32;
 const FOLDER: &str = "docs/begin/";
 /// Maximum number of words of a page of this folder, code and tables included.
 const BEGIN: [(&str, usize); 8] = [
-    ("can-i-trust-it.md", 1000),
+    ("can-i-trust-it.md", 1150),
     ("first-week.md", 1700),
     ("frames-and-units.md", 2100),
     ("glossary.md", 2100),
