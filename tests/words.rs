@@ -12,13 +12,13 @@ const FOLDER: &str = "docs/begin/";
 /// Maximum number of words of a page of this folder, code and tables included.
 const BEGIN: [(&str, usize); 8] = [
     ("can-i-trust-it.md", 1150),
-    ("first-week.md", 1700),
+    ("first-week.md", 1850),
     ("frames-and-units.md", 2100),
     ("glossary.md", 2100),
     ("register.md", 1900),
     ("viewing.md", 2400),
     ("when-a-run-fails.md", 2400),
-    ("which-number.md", 1000),
+    ("which-number.md", 1100),
 ];
 /// Maximum number of words of all pages outside of tests/.
 const ALL: usize = 167_000;
