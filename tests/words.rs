@@ -15,7 +15,7 @@ const BEGIN: [(&str, usize); 8] = [
     ("first-week.md", 1850),
     ("frames-and-units.md", 2100),
     ("glossary.md", 2100),
-    ("register.md", 1900),
+    ("register.md", 2050),
     ("viewing.md", 2400),
     ("when-a-run-fails.md", 2400),
     ("which-number.md", 1100),
@@ -169,13 +169,13 @@ fn code_links_tables_and_numbers_end_no_sentence_and_a_long_one_is_seen() {
 fn a_page_that_grows_is_new_or_gone_is_a_fault() {
     let mut pages: BTreeMap<_, _> = BEGIN.map(|(name, n)| (format!("{FOLDER}{name}"), n)).into();
     assert!(faults(&pages).is_empty());
-    pages.insert(format!("{FOLDER}register.md"), 1901);
+    pages.insert(format!("{FOLDER}register.md"), 2051);
     pages.insert(format!("{FOLDER}new.md"), 1);
     pages.remove(&format!("{FOLDER}viewing.md"));
     pages.insert("docs/README.md".into(), ALL);
     pages.insert("tests/data/README.md".into(), ALL);
     let found = faults(&pages);
-    for fault in ["register.md has 1901 words of 1900", "new.md has no number", "viewing.md is gone", "all pages have"]
+    for fault in ["register.md has 2051 words of 2050", "new.md has no number", "viewing.md is gone", "all pages have"]
     {
         assert!(found.iter().any(|said| said.contains(fault)), "{fault}: {found:?}");
     }
