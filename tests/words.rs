@@ -16,7 +16,7 @@ const BEGIN: [(&str, usize); 8] = [
     ("frames-and-units.md", 2100),
     ("glossary.md", 2100),
     ("register.md", 2050),
-    ("viewing.md", 2400),
+    ("viewing.md", 2550),
     ("when-a-run-fails.md", 2400),
     ("which-number.md", 1100),
 ];
