@@ -22,17 +22,17 @@ pub const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow
 /// Plugins in addition to those of a graph.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Plugins {
-    /// A library with kinds of nodes, in addition to those that the graph names, or instead of one with the same file name;
-    /// may be given again. OSTEOFLOW_PLUGIN_PATH names folders whose libraries are all loaded.
+    /// A plugin: a library or Python file with kinds of nodes of your own, such as an ICP. It is loaded in addition to those that a graph
+    /// names, or instead of one with the same file name. May be given again. OSTEOFLOW_PLUGIN_PATH names folders whose plugins are all loaded.
     #[arg(id = "plugins", long = "plugin", value_name = "FILE")]
     pub files: Vec<PathBuf>,
 
-    /// Load no plugins, whatever the graph, the environment or a recording names; kinds of plugins are then unknown.
+    /// Load no plugins, not even those that a graph, the environment or a recording names. Their kinds of nodes are then unknown.
     #[arg(id = "no_plugins", long = "no-plugins", conflicts_with_all = ["plugins", "python"])]
     pub none: bool,
 
-    /// The interpreter for plugins in Python. Otherwise OSTEOFLOW_PYTHON, that of the active environment (VIRTUAL_ENV), the one that
-    /// this command was installed for by pip, or python3.
+    /// The Python that runs plugins. Default: the first of OSTEOFLOW_PYTHON, the Python of the active environment (VIRTUAL_ENV), the
+    /// one for which pip installed this command, and python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
 

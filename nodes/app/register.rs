@@ -79,8 +79,8 @@ pub struct RegisterRequest {
     #[arg(value_parser = PathBufValueParser::new().map(RegisterInput::from))]
     pub source: RegisterInput,
 
-    /// The start, source to target: 16 numbers row by row as text or JSON, an ITK transform (.tfm, whose inverse is taken, as
-    /// 3D Slicer shows it), a file of --out, or the word identity. Default: by the shape of the bone alone.
+    /// The start, source to target: 16 numbers row by row as text or JSON, a file of --out, or the word identity. A .tfm (ITK transform)
+    /// is read as 3D Slicer saves it: such a file holds the inverse, and the program inverts it. Default: by the shape of the bone alone.
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
 
@@ -94,17 +94,17 @@ pub struct RegisterRequest {
     #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with = "init")]
     pub landmarks: Option<Vec<PathBuf>>,
 
-    /// Start from fiducials that lie off the surface, such as screws, rings or skin markers, in TARGET and as touched in SOURCE's frame; the
-    /// verdict compares them with the surface. Files and names as of --landmarks.
+    /// Start from fiducials that lie off the surface, such as screws, rings or skin markers, in TARGET and as touched in SOURCE's frame. The
+    /// verdict compares them with the registration of the surface. Formats and names are those of --landmarks.
     #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with_all = ["init", "landmarks"])]
     pub fiducials: Option<Vec<PathBuf>>,
 
-    /// Named points in TARGET's frame at which the error is predicted, such as a tumour or screws, near the scan or far from it; the limits of
-    /// the verdict then hold for them. Files as of --landmarks.
+    /// Named points in TARGET's frame at which the error is predicted, such as a tumour or screws, near the scan or far from it. The verdict
+    /// then compares their mean error with its limit. Formats are those of --landmarks.
     #[arg(long, value_name = "FILE", conflicts_with = "no_verdict")]
     pub targets: Option<PathBuf>,
 
-    /// The residual to minimise.
+    /// The method: which residuals the registration makes small. docs/method/icp.md says which to use.
     #[arg(long, default_value = method::BUILT_IN[0].0, value_name = "METHOD", conflicts_with = "plugins",
           value_parser = PossibleValuesParser::new(method::BUILT_IN.map(|(name, about)| PossibleValue::new(name).help(about))))]
     pub method: String,
@@ -114,12 +114,12 @@ pub struct RegisterRequest {
     #[command(flatten)]
     pub plugins: Plugins,
 
-    /// Which kind of --plugin registers, if it has several.
+    /// Which kind of node in --plugin registers, if there are several.
     #[arg(long, value_name = "STAGE.KIND", requires = "plugins", conflicts_with = "method")]
     pub kind: Option<String>,
 
-    /// Correspondence search: cached (the nearest samples, kept while none can be nearer), or tree (the nearest samples,
-    /// searched at every step). Default: as the method's node.
+    /// How the nearest sample of TARGET is searched for each point: tree (anew at every step), or cached (again only if another sample
+    /// can be nearer). Default: that of the method; osteoflow inspect shows it.
     #[arg(long, value_name = "PAIRING")]
     pub pairing: Option<String>,
 
@@ -135,11 +135,11 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "MM", value_parser = number)]
     pub step_mm: Option<f64>,
 
-    /// And if the last turn is below this, rad.
+    /// Converged only if the last turn, too, is below this, rad.
     #[arg(long, value_name = "RAD", value_parser = number)]
     pub step_rad: Option<f64>,
 
-    /// Any parameter of the method, as in a node's table: KEY=VALUE; may be repeated.
+    /// Any parameter of the method, as osteoflow inspect lists them: KEY=VALUE; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
 
@@ -147,8 +147,8 @@ pub struct RegisterRequest {
     #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN", conflicts_with = "plugins")]
     pub stop: Stop,
 
-    /// Bone is above this in a TARGET that is a CT, HU. Default: half-way between soft tissue and bone in the volume, which the
-    /// verdict names among its assumptions.
+    /// If TARGET is a CT: bone is above this value, HU. Default: the value midway between soft tissue and bone in this CT. The
+    /// verdict then names it among its assumptions.
     #[arg(long, value_name = "HU", value_parser = number, allow_hyphen_values = true)]
     pub threshold_hu: Option<f64>,
 
@@ -156,17 +156,17 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "SERIES")]
     pub series: Option<String>,
 
-    /// Which part of TARGET: largest, its number by size, such as 2, or nearest:X,Y,Z, the part nearest to a point, mm; info lists
-    /// them. Default: of a CT the largest, else all of them, which is noted if some are about equal.
+    /// Which part of TARGET: largest, a number (2 is the second largest), or nearest:X,Y,Z, the part nearest to this point, mm. osteoflow
+    /// info lists the parts. Default: the largest of a CT, all of other files. A note says if some are about equally large.
     #[arg(long, value_name = "PART", value_parser = part, allow_hyphen_values = true)]
     pub component: Option<String>,
 
-    /// Which part of SOURCE, likewise. Of points a part is a cluster: gaps in it are at most five times the median distance to the
-    /// nearest other point. Default: all of it.
+    /// Which part of SOURCE, written as for --component. A part of a cloud is a cluster: gaps in it are at most five times the median
+    /// distance to the nearest other point. Default: all parts.
     #[arg(long, value_name = "PART", value_parser = part, allow_hyphen_values = true)]
     pub source_component: Option<String>,
 
-    /// Only the points of SOURCE in this box, two opposite corners in its frame, mm. Of several regions, what is in all of them.
+    /// Only the points of SOURCE in this box: two opposite corners in its frame, mm. With several regions, a point must be in all of them.
     #[serde(rename = "box")]
     #[arg(long = "box", value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = box_mm, allow_hyphen_values = true)]
     pub box_mm: Option<[f64; 6]>,
@@ -184,8 +184,8 @@ pub struct RegisterRequest {
     #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
     pub target_points: u64,
 
-    /// Maximum number of points of SOURCE that are registered: of more, every n-th is. 0: all. 100000: more would move the pose by less
-    /// than its standard error.
+    /// Maximum number of points of SOURCE that are registered. If it has more, only every second, third or n-th is used. 0: no limit. The
+    /// default is enough: more points would move the pose by less than its standard error.
     #[arg(long, default_value_t = 100_000, value_name = "N", value_parser = clap::value_parser!(u64).range(..=100_000_000))]
     pub max_points: u64,
 
@@ -213,13 +213,13 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "X,Y,Z", value_parser = camera, allow_hyphen_values = true)]
     pub camera: Option<Point3<f64>>,
 
-    /// What SOURCE was measured with: structured_light, laser, depth_camera, ultrasound or stylus, or a file (TOML) with the keys of
-    /// `sensor` of surface.prepare. The verdict then expects its errors. Default: structured_light, and the verdict says which other
-    /// sensor the residuals look like.
+    /// What SOURCE was measured with: structured_light, laser, depth_camera, ultrasound or stylus, or a TOML file with the errors of your
+    /// own sensor, as osteoflow sensor writes it. The verdict then expects these errors. Default: structured_light. The verdict says if the
+    /// residuals look like those of another sensor.
     #[arg(long, value_name = "NAME|FILE")]
     pub sensor: Option<PathBuf>,
 
-    /// Radius of the ball of the stylus' tip, mm: SOURCE's points are where its middle was, as far outside TARGET's surface.
+    /// Radius of the ball at the stylus' tip, mm. The points of SOURCE are then middles of this ball, one radius outside of the surface.
     #[arg(long, value_name = "MM", value_parser = number, allow_hyphen_values = true)]
     pub tip_radius_mm: Option<f64>,
 
@@ -231,7 +231,7 @@ pub struct RegisterRequest {
     #[command(flatten)]
     pub keep: Keep,
 
-    /// Prepare and register this many times, for the timings.
+    /// Prepare and register this many times, to measure the times; the pose is the same.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub repeat: u32,
 
@@ -239,22 +239,24 @@ pub struct RegisterRequest {
     #[arg(long)]
     pub no_verdict: bool,
 
-    /// The worst verdict with which a pose is given.
+    /// The lowest verdict with which a pose is still given.
     #[arg(long, value_enum, default_value_t = Require::Doubtful, value_name = "ANSWER", conflicts_with = "no_verdict")]
     pub require: Require,
 
-    /// Write the pose: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm or .mrb (for 3D Slicer, with --space; .mrb has both files,
-    /// too), or, without an ending, a folder with the first three and the moved SOURCE. Nothing is overwritten.
+    /// Write the pose. The ending decides the format: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm (for 3D Slicer), or .mrb (a scene
+    /// of 3D Slicer with TARGET, SOURCE and pose); the last two need --space. Without an ending: a folder with .txt, .json, .tfm and the moved
+    /// SOURCE. Nothing is overwritten.
     #[arg(long, value_name = "FILE|DIR")]
     pub out: Option<PathBuf>,
 
-    /// Write SOURCE as registered (.ply, .pcd, .csv), with the distance of each point from the surface in the column residual_mm, positive
-    /// outside, and in the column on_bone 1 for the points that belong to the bone, which are in the regions and no farther from it
-    /// than the inliers of the registration, 0 for the others.
+    /// Write SOURCE as registered (.ply, .pcd, .csv). The column residual_mm is the distance of each point from the surface, positive
+    /// outside. The column on_bone is 1 for points of the bone and 0 for the others. Points of the bone are in all regions, and no farther from the
+    /// surface than the inliers of the registration.
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 
-    /// The space of the numbers in TARGET and SOURCE where they do not state it, for a .tfm or .mrb, which is always LPS.
+    /// The anatomical axes of the coordinates in TARGET and SOURCE, where the files do not state them. A .tfm or .mrb needs them, and is
+    /// always written in LPS.
     #[serde(skip)]
     #[arg(long, value_parser = space(), ignore_case = true, value_name = "LPS|RAS")]
     pub space: Option<Space>,
@@ -270,7 +272,7 @@ pub struct RegisterRequest {
 pub enum Stop {
     /// At convergence.
     Converge,
-    /// After --max-iterations steps on all points, for timings; earlier only if no step lowers the cost.
+    /// After --max-iterations steps on all points, to measure times; earlier only if no step makes the residuals smaller.
     Fixed,
 }
 

@@ -8,10 +8,12 @@ use super::{
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 
-/// Register a bone surface by running a graph of nodes.
+/// Register a bone surface, seen by a camera, onto the same bone in CT.
 ///
-/// A graph file names nodes (acquire, calibrate, crop, find the laser spots, fit, ICP, planes, metrics) and wires them.
-/// It is checked before anything runs; a run writes its results, their provenance, and a recording of its wires.
+/// `register` needs only two files. A whole procedure is a graph: a text file that lists the steps, called nodes (acquire,
+/// calibrate, crop, find the laser spots, fit, ICP, planes, metrics), and says which output goes into which input. It is checked
+/// before anything runs. A run writes its results, how they came about, and a recording of the data between the nodes.
+/// docs/begin/glossary.md explains each word.
 #[derive(Debug, Parser)]
 #[command(
     name = "osteoflow",
@@ -28,10 +30,10 @@ Examples:
 
 Exit codes:
     0  done
-    1  a file could not be read or written or is not sound, or there was an internal error
+    1  a file could not be read or written or is damaged, or there was an internal error
     2  the command line or the graph has a fault; nothing was run
     3  the run was refused or a node failed, or a registration has no answer; the reason is printed
-    4  a replay, a recording or a rerun differs from another, or a repro from the original failure
+    4  a difference was found: of two recordings, or of a replay, rerun or repro from its original
     5  runs of a sweep failed; its tables lack them, and --resume --retry-failed runs them again
   130  interrupted; everything written until then is valid
 

@@ -4,7 +4,7 @@ use clap::{Args, Command};
 use clap_complete::Shell;
 use std::io::Write;
 
-/// Write a completion script for a shell to stdout.
+/// Print a completion script: with it, the Tab key of your shell completes commands and options.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -35,7 +35,7 @@ use std::{
 };
 
 /// Convert a file into another format: points, a surface, picked points, a CT, a rigid motion, a log of poses or a recorded cloud; make a plan of
-/// what was drawn in 3D Slicer, or bind a plan to its bone.
+/// what was drawn in 3D Slicer, or write into a plan on which surface it was drawn (--bind).
 ///
 /// The format of IN is recognised by its content, that of OUT by its ending: surfaces to .ply, .stl, .obj, their vertices to .pcd
 /// or .csv; clouds to .ply, .pcd, .vtk, .obj or .csv (x,y,z with a heading); picked points to .csv (label,x,y,z), .mrk.json or .fcsv,

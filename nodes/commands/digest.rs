@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Print one digest of all recorded wires, and one for each wire.
+/// Print the digest (checksum) of a recording: one of all its wires, and one for each wire.
 ///
 /// SHA-256 over each wire's items by number, then over the wires by name: independent of the order of messages in the file,
 /// of chunks, compression and log times. Equal digests mean equal bits on every recorded wire. The definition is in

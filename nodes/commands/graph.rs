@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Draw a graph, or a run with its times, item counts and drops.
+/// Draw a graph, or a run: its times, and how many items went over each wire or were lost.
 ///
 /// In the drawing of a run, nodes are coloured by their share of the time, wires are labelled with their numbers of items,
 /// dropped items are red, and a failed node has a red frame, with the reason as its tooltip. Only the run's folder is needed.

@@ -14,7 +14,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// List nodes and payloads, or describe a kind or a module: ports, parameters and literature.
+/// List the kinds of nodes and of data, or describe one: inputs, outputs, parameters and literature.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

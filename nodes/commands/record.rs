@@ -6,7 +6,7 @@ use osteoflow_engine::run::{Outcome, RunOptions, files};
 use serde_json::json;
 use std::{fs, io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
 
-/// Run a graph and record the given wires into one MCAP file.
+/// Run a graph and write only a recording: one MCAP file with the wires (outputs of nodes) that you name.
 ///
 /// The outputs of sources are always recorded, so the file alone can be replayed.
 #[derive(Debug, Args)]

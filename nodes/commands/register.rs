@@ -10,46 +10,46 @@ use std::{io::Write, sync::Arc};
 
 /// Register one file onto another, without a graph: the SOURCE moves, the TARGET stays.
 ///
-/// The same methods, parameters and defaults as the nodes `icp.*`. TARGET is a surface, from which points are sampled as by
-/// surface.prepare, or points; PLY, STL, OBJ, OFF, VTK, PCD and text are read, and
-/// as TARGET a CT: NIfTI, NRRD, MetaImage, or a folder with a DICOM series (docs/use/formats.md). Normals that the method needs and the file does not
-/// have are estimated. SOURCE is points, or the vertices of a surface. Lengths are millimetres; each file has a frame of its
-/// own, and the pose takes coordinates in the source's frame to the target's.
+/// TARGET is the bone: a surface, from which points are sampled, or points of one, or a CT. SOURCE is the scan: points, or a surface,
+/// whose vertices are taken. Surfaces and points are PLY, STL, OBJ, OFF, VTK, PCD or text. A CT is NIfTI, NRRD, MetaImage, or a folder
+/// with a DICOM series (docs/use/formats.md). Normals that the method needs are estimated if a file has none. Lengths are
+/// millimetres. Each file has a frame of its own, and the pose takes coordinates in the source's frame to the target's. Methods,
+/// parameters and defaults are those of the nodes `icp.*`.
 ///
-/// The first line is the verdict: trusted, doubtful or refused, by the rules of the node verdict.registration, with reasons. A
-/// refused pose is not given. Missing convergence and undetermined motions are warnings, too, on stderr and in the JSON. Exit
-/// code 3 if there is no pose: it is refused, or there are too few pairs, no points, or no surface to estimate normals from.
+/// The first line is the verdict: trusted, doubtful or refused, with reasons (docs/begin/can-i-trust-it.md). A refused pose is not
+/// given. A warning says if the registration has not converged, or if the scan can slide or turn without a change of the residuals
+/// (undetermined). The exit code is 3 if there is no pose: it is refused, or there are too few pairs, no points, or no surface to estimate normals from.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   osteoflow register bone.stl scan.ply                        starts by the shape of the bone alone
   osteoflow register bone.stl scan.ply --out DIR              and writes pose and moved scan
   osteoflow register bone.stl scan.ply --landmarks plan.mrk.json picked.txt
-  osteoflow register bone.stl scan.ply --targets screws.mrk.json         and predicts the error there
+  osteoflow register bone.stl scan.ply --targets screws.mrk.json   predicts the error there
   osteoflow register bone.stl scan.ply --init init.txt
   osteoflow register bone.stl scan.ply --init coarse.tfm --method point_to_point -v
   osteoflow register bone.stl scan.xyz --source-unit-mm 1000 --camera 0,0,0 --out pose.txt
   osteoflow register bone.stl scan.ply --init pose.json --set trim_fraction=0.2 --trace steps.csv
-  osteoflow register bone.stl scan.ply --plugin my_icp/my_icp.py       with the registration of a plugin
+  osteoflow register bone.stl scan.ply --plugin my_icp/my_icp.py   registers by your own method
   osteoflow register legs.stl scan.ply --component 2 --box=-60,-40,150,60,40,250
-  osteoflow register bone.stl scan.ply --region region.json              drawn on the page of osteoflow view
+  osteoflow register bone.stl scan.ply --region region.json        a region drawn by hand
   osteoflow register bone.stl scan.ply --repeat 10 --workers 1 --format json | jq .align_ms
 
 The parameters for --set: osteoflow inspect icp.point_to_plane
 
 Timings:
   load         reading and parsing the files
-  prep_target  sampling a surface and preparing it: estimated normals, trees, cells; or reading it from the store
+  prep_target  sampling a surface, its normals and search structures; or reading all from the store
   start        finding the start by shape or from picked points, once
-  prep_source  preparing the source
+  prep_source  zero: part of align
   align        the registration; cpu is its processor time
   verdict      judging the pose; --no-verdict saves it
 
 Exit codes:
     0  there is a pose; heed the verdict and the warnings
-    1  a file is missing or cannot be written, or a file of the start is damaged
+    1  a file is missing or cannot be written, or that of --init, --landmarks, --fiducials is damaged
     2  a fault of the command line
-    3  the pose is refused, or no registration is possible, with the reason
+    3  the pose is refused, or no registration is possible; the reason is printed
   130  interrupted")]
 pub(crate) struct Register {
     #[command(flatten)]

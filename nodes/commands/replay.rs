@@ -17,7 +17,7 @@ use osteoflow_standard::acquire::mcap::{self, Mcap};
 use serde_json::{Value, json};
 use std::{io::Write, path::PathBuf, sync::Arc};
 
-/// Run again from a recording alone: every recorded wire that is computed is compared, bit for bit.
+/// Run again from a recording alone: each result is computed again and compared with the recorded one, bit for bit.
 ///
 /// The recorded items of sources replace their nodes; everything downstream is computed again. The files that the graph names
 /// need not exist, unless it says `[record] sources = "hash"`: these are read again if they are unchanged. The first divergence

@@ -10,7 +10,7 @@ use osteoflow_node::Role;
 use serde_json::{Value, json};
 use std::{io::Write, num::NonZeroUsize, path::PathBuf, sync::Arc};
 
-/// Run a failed node again, alone, on the item at which it failed.
+/// Run a failed node again, alone, on the data (the item) at which it failed.
 ///
 /// A run saves the items of a failing node in its folder under repro/NODE-ITEM, at most five for each node. A source is
 /// called from its start to the call that failed. With RUST_BACKTRACE=1 a panic prints its backtrace.

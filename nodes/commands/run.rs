@@ -25,7 +25,7 @@ use std::{
     sync::{Arc, atomic::Ordering},
 };
 
-/// Run a graph: check it, run it, write results, their provenance and a recording of its wires.
+/// Run a graph: check it, run it, write the results, how they came about, and a recording of the data between its nodes.
 ///
 /// Without --out the files are written to runs/GRAPH-TIME in the current folder.
 #[derive(Debug, Clone, Args)]

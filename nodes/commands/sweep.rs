@@ -23,7 +23,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Run a graph many times as its table [sweep] says: the results are written as tables.
+/// Run a graph many times with different settings: those of its section [sweep]; the results are written as tables.
 ///
 /// Writes runs.csv (one row per run), points.csv (one row per run, point and axis), summary.json, and the results of each
 /// run. A run that fails is a row with its reason. An interrupted sweep continues with --resume.

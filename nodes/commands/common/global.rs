@@ -18,7 +18,7 @@ pub(crate) struct Global {
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub(crate) quiet: bool,
 
-    /// Print more: tables of nodes and wires, then (-vv, -vvv) log lines; OSTEOFLOW_LOG=debug sets a level.
+    /// Print more: tables of nodes and wires; with -vv and -vvv also messages for programmers (OSTEOFLOW_LOG=debug sets their level).
     #[arg(short, long, global = true, action = ArgAction::Count)]
     pub(crate) verbose: u8,
 
