@@ -14,7 +14,7 @@ const BEGIN: [(&str, usize); 8] = [
     ("can-i-trust-it.md", 1150),
     ("first-week.md", 1850),
     ("frames-and-units.md", 2100),
-    ("glossary.md", 2100),
+    ("glossary.md", 2150),
     ("register.md", 2050),
     ("viewing.md", 2550),
     ("when-a-run-fails.md", 2400),
