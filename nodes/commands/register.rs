@@ -47,7 +47,7 @@ Timings:
 
 Exit codes:
     0  there is a pose; heed the verdict and the warnings
-    1  a file is missing or cannot be written, or that of --init, --landmarks, --fiducials is damaged
+    1  a file is missing or cannot be written, or that of --init or --landmarks is damaged
     2  a fault of the command line
     3  the pose is refused, or no registration is possible; the reason is printed
   130  interrupted")]
