@@ -10,9 +10,10 @@ use std::{
 };
 
 /// Every crate of the workspace, its folder, and the crates of the workspace that it may depend on.
-pub(crate) const ARROWS: [(&str, &str, &[&str]); 19] = [
+pub(crate) const ARROWS: [(&str, &str, &[&str]); 20] = [
     ("osteoflow-node-macros", "engine/node/macros", &[]),
-    ("osteoflow-node", "engine/node", &["osteoflow-node-macros"]),
+    ("osteoflow-libm", "engine/libm", &[]),
+    ("osteoflow-node", "engine/node", &["osteoflow-libm", "osteoflow-node-macros"]),
     ("osteoflow-container", "engine/container", &[]),
     ("osteoflow-runtime", "engine/runtime", &["osteoflow-container", "osteoflow-node"]),
     ("osteoflow-verdict", "engine/verdict", &[]),
@@ -23,7 +24,7 @@ pub(crate) const ARROWS: [(&str, &str, &[&str]); 19] = [
     ),
     ("osteoflow-draw", "engine/draw", &[]),
     ("osteoflow-toy", "engine/tests/toy", &["osteoflow-node"]),
-    ("osteoflow-geometry", "nodes/bone/geometry", &[]),
+    ("osteoflow-geometry", "nodes/bone/geometry", &["osteoflow-libm"]),
     (
         "osteoflow-algorithms",
         "nodes/bone/algorithms",
@@ -35,7 +36,7 @@ pub(crate) const ARROWS: [(&str, &str, &[&str]); 19] = [
         "nodes/bone/simulation",
         &["osteoflow-algorithms", "osteoflow-geometry", "osteoflow-node-macros"],
     ),
-    ("osteoflow-statistics", "nodes/bone/statistics", &[]),
+    ("osteoflow-statistics", "nodes/bone/statistics", &["osteoflow-libm"]),
     (
         "osteoflow-report",
         "nodes/pages/report",

@@ -9,7 +9,8 @@ use source::Crate;
 use std::process::Command;
 
 /// The crates that are published, with their folders: each after those that it needs.
-const PUBLISHED: [(&str, &str); 8] = [
+const PUBLISHED: [(&str, &str); 9] = [
+    ("osteoflow-libm", "engine/libm"),
     ("osteoflow-verdict", "engine/verdict"),
     ("osteoflow-geometry", "nodes/bone/geometry"),
     ("osteoflow-algorithms", "nodes/bone/algorithms"),
@@ -24,7 +25,8 @@ const PUBLISHED: [(&str, &str); 8] = [
 fn the_public_items_of_the_published_crates_are_those_that_were_read_last() {
     for (name, folder) in PUBLISHED {
         let items = Crate::read(&root().join(folder).join("src")).public_items();
-        assert!(items.len() >= 3, "{name}: {items:?}");
+        // One has symbols alone.
+        assert!(items.len() >= 3 || name == "osteoflow-libm", "{name}: {items:?}");
         assert_golden(&root().join(format!("tests/golden/public/{name}.txt")), &(items.join("\n") + "\n"));
     }
 }

@@ -65,7 +65,7 @@ fn environment() -> Result<PathBuf, String> {
 
 /// The wheel that nodes/python/wheel.py builds, and the Python of the environment; made once. What cargo has compiled for the program is
 /// used again.
-fn wheel() -> Result<(PathBuf, PathBuf), String> {
+pub(crate) fn wheel() -> Result<(PathBuf, PathBuf), String> {
     static WHEEL: OnceLock<Result<(PathBuf, PathBuf), String>> = OnceLock::new();
     let built = WHEEL.get_or_init(|| {
         let python = environment()?;

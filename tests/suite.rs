@@ -62,6 +62,8 @@ mod printed;
 mod privacy;
 #[cfg(unix)]
 mod processes;
+#[cfg(all(target_os = "linux", target_env = "gnu", target_arch = "x86_64"))]
+mod processors;
 mod public_items;
 #[cfg(unix)]
 mod python_live;

@@ -47,7 +47,7 @@ pub(crate) fn options(workers: Option<NonZeroUsize>, cancelled: &Arc<AtomicBool>
     }
 }
 
-/// The manifest's entries about program and machine; determinism is promised for equal CPU features.
+/// The manifest's entries about program and machine; plugins, and all nodes off GNU/Linux, may compute by the processor's features.
 pub(crate) fn about_command() -> serde_json::Value {
     let revision = env!("OSTEOFLOW_BUILD_GIT_REVISION");
     json!({

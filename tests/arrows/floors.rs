@@ -43,8 +43,8 @@ const CRATES: &[(&str, Floors)] = &[
     (
         "engine/tests/toy/src",
         &[
-            &["NoParams", "context", "devices", "number", "samples"],
-            &["judge", "script", "stages", "stream"],
+            &["NoParams", "context", "number", "samples"],
+            &["devices", "judge", "script", "stages", "stream"],
             &["arithmetic", "wave"],
             &["cached"],
         ],

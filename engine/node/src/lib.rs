@@ -66,6 +66,8 @@
 // The derives use the public name of this crate, also within it.
 extern crate self as osteoflow_node;
 
+// Linked for its symbols alone: the functions of C are the same on every processor.
+use osteoflow_libm as _;
 pub use osteoflow_node_macros::{Describe, Inputs, Outputs, function, params};
 pub use {rand, rand_chacha, schemars, serde, serde_json, tracing};
 

@@ -1,8 +1,8 @@
 //! Digest of what computes: this program, the libraries it has loaded, and the processor's features.
 //!
 //! A revision does not distinguish a modified tree from a clean one, so the program's file is hashed. The hash is
-//! cached in the store by the file's path, size and times. The system's mathematics library differs between versions
-//! and selects its code by processor when the program starts, so both are part of the digest.
+//! cached in the store by the file's path, size and times. The system's mathematics library, by which plugins compute, and off GNU/Linux
+//! the program, differs between versions and selects its code by processor, so both are part of the digest.
 
 use super::{Key, Store};
 use crate::hash::{Digest, file_stamp::stamp, files::sha256, mapped::mapped, program};

@@ -51,6 +51,7 @@ pub mod perturb;
 mod point_blocks;
 mod point_grid;
 pub mod point_times;
+mod product;
 mod refusal;
 pub mod roi;
 pub mod sample;

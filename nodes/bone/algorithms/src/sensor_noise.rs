@@ -1,6 +1,7 @@
 //! Noise of a sensor, from a scan alone.
 
 use crate::nearest::Nearest;
+use crate::product::gram;
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 
@@ -65,7 +66,7 @@ fn noise_patch(points: &[Point3<f64>], tree: &Nearest, place: &Point3<f64>, n: u
         [1.0, u, v, u * u, u * v, v * v][c]
     });
     let b = DVector::from_fn(n, |r, _| (near[r] - mean).dot(&normal));
-    let h = a.transpose() * &a;
+    let h = gram(&a);
     let x = h.cholesky()?.solve(&(a.transpose() * &b));
     let rest = a * x - b;
     Some(NoisePatch { place: *place, reach_mm: scale, square: rest.norm_squared() / (n as f64 - 6.0) })

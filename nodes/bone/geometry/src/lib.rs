@@ -14,6 +14,8 @@
 //! ```
 
 pub use nalgebra;
+// Linked for its symbols alone: the functions of C are the same on every processor.
+use osteoflow_libm as _;
 
 mod axes;
 mod cloud;

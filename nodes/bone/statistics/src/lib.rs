@@ -25,8 +25,8 @@
 //! has no error in mm; it counts in a share, as a row that is not below the limit.
 //!
 //! Nothing here reads a file or a clock. Random draws come from ChaCha8 with the given seed, and sums do not depend on the
-//! order of the rows, so the same table gives the same answer; p-values pass through the platform's `ln` and `exp`, which may
-//! differ in the last digit. Distributions are those of the crate `statrs`; the known answers of the tests come from scipy
+//! order of the rows, so the same table gives the same answer; where the C library is not GNU's, its `ln` and `exp` may differ in the
+//! last digit. Distributions are those of the crate `statrs`; the known answers of the tests come from scipy
 //! and statsmodels (`tests/golden.py`).
 //!
 //! ```
@@ -58,6 +58,9 @@
 //! assert_eq!(share.interval, Err(NoInterval::OneUnit { unit: "bone".into() }));
 //! # Ok::<(), osteoflow_statistics::StatisticsError>(())
 //! ```
+
+// Linked for its symbols alone: the functions of C are the same on every processor.
+use osteoflow_libm as _;
 
 mod anova;
 mod bland_altman;

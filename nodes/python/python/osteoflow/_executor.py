@@ -167,8 +167,8 @@ def sweep_on(
     if not other_processors:
         return []
     return [
-        f"{len(other_processors)} of {len(runs)} tasks ran on a processor with other features than this one, where the same bits are "
-        "not promised; sweep.json has the features of each"
+        f"{len(other_processors)} of {len(runs)} tasks ran on a processor with other features than this one, where plugins, "
+        "and off Linux all nodes, may give other bits; sweep.json has the features of each"
     ]
 
 

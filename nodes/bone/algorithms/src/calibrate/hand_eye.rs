@@ -7,6 +7,7 @@ mod signs;
 use super::inliers::{N_OF_START, inliers, selected};
 use super::interval::radius_90;
 use crate::Refusal;
+use crate::product::gram;
 pub use late::{hand_eye_late, hand_eye_pairs};
 use misfit::{GATE, in_scale, offsets_mm};
 use nalgebra::{
@@ -353,7 +354,7 @@ fn daniilidis(motions: &[Motion]) -> Option<Isometry3<f64>> {
         put(3, 0, a_dual.vector() - b_dual.vector(), a_dual.vector() + b_dual.vector());
     }
     // The nullspace has two dimensions: the eigenvectors of the two least eigenvalues.
-    let normal = equations.transpose() * &equations;
+    let normal = gram(&equations);
     let eigen = normal.symmetric_eigen();
     let mut order: Vec<usize> = (0..8).collect();
     order.sort_by(|i, j| eigen.eigenvalues[*i].total_cmp(&eigen.eigenvalues[*j]));

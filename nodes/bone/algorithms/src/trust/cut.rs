@@ -1,5 +1,6 @@
 //! A planned cut, and what a displacement of the bone does to it.
 
+use crate::product::product;
 use crate::section;
 use crate::target::Target;
 use nalgebra::{DMatrix, Point3, Vector3};
@@ -51,7 +52,7 @@ impl Cut {
     /// What parameters do to the cut, whose levers on a point have three rows: along the normal, mm, and both slopes.
     pub(super) fn levers(&self, at: &dyn Fn(&Point3<f64>) -> DMatrix<f64>) -> [DMatrix<f64>; 2] {
         let [middle, u_plus, u_minus, v_plus, v_minus] =
-            self.probes().map(|p| DMatrix::from_row_slice(1, 3, self.normal.as_slice()) * at(&p));
+            self.probes().map(|p| product(&DMatrix::from_row_slice(1, 3, self.normal.as_slice()), &at(&p)));
         let [u, v] = self.arms().map(|arm| 2.0 * arm.norm());
         let mut slopes = DMatrix::zeros(2, middle.ncols());
         slopes.row_mut(0).copy_from(&((u_plus - u_minus) / u).row(0));

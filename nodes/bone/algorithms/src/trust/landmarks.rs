@@ -2,6 +2,7 @@
 
 use super::Spread;
 use crate::kabsch::kabsch;
+use crate::product::product;
 use nalgebra::{DMatrix, DVector, Matrix3x6, Point3, Vector3};
 use osteoflow_geometry::NamedPoint;
 use osteoflow_node_macros::params;
@@ -144,7 +145,8 @@ fn misfit(pairs: &[&Pair<'_>], spread: Option<&Spread>, sd_mm: f64) -> Option<Mi
                 lever.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(pair.carried - spread.centre).cross_matrix());
                 levers.fixed_view_mut::<3, 6>(3 * k, 0).copy_from(&lever);
             }
-            let shared = &levers * spread.covariance * levers.transpose();
+            let covariance = DMatrix::from_column_slice(6, 6, spread.covariance.as_slice());
+            let shared = product(&product(&levers, &covariance), &levers.transpose());
             (pairs.iter().map(|pair| pair.off()).collect::<Vec<_>>(), shared, 3 * n)
         }
         None if n < N_ALONE - 1 => return None,

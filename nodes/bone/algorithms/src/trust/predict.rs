@@ -5,6 +5,7 @@ use super::nuisance::params::NuisanceParams;
 use super::{Limits, PredictedLast, Spread};
 use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
+use crate::product::product;
 use crate::sensor::Sensor;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
@@ -177,7 +178,7 @@ impl Deformation<'_> {
         let Some(first) = self.components.first() else { return Matrix3::zeros() };
         let lever = (self.at)(p);
         let mean = &lever * first.mean;
-        let moment = &lever * first.covariance * lever.transpose() + &mean * mean.transpose();
+        let moment = product(&product(&lever, first.covariance), &lever.transpose()) + &mean * mean.transpose();
         Matrix3::from_fn(|row, column| moment[(row, column)])
     }
 }
@@ -448,7 +449,7 @@ impl Outputs {
         let root = eigen.eigenvectors * Matrix6::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
         let root = DMatrix::from_column_slice(6, 6, root.as_slice());
         let mean = DVector::from_column_slice(mean.as_slice());
-        let mut pose = &self.of_pose * root * &numbers.of_pose;
+        let mut pose = product(&product(&self.of_pose, &root), &numbers.of_pose);
         let at_mean = &self.of_pose * mean;
         pose.column_iter_mut().for_each(|mut column| column += &at_mean);
         let columns = DMatrix::zeros(pose.nrows(), 0);
@@ -456,7 +457,8 @@ impl Outputs {
         let mut parts = Vec::new();
         for (k, (component, root, n)) in numbers.components.iter().enumerate() {
             let mut part = pose.columns(0, *n).into_owned();
-            part += &self.of_numbers * root * numbers.standard.columns(0, *n);
+            let standard = numbers.standard.columns(0, *n).into_owned();
+            part += product(&product(&self.of_numbers, root), &standard);
             let at_mean = &self.of_numbers * component.mean;
             part.column_iter_mut().for_each(|mut column| column += &at_mean);
             draws.weights.extend(vec![component.weight / *n as f64; *n]);

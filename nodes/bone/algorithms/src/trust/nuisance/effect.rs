@@ -2,6 +2,7 @@
 
 use super::axes::Axes;
 use super::cause::{Mode, Spot};
+use crate::product::gram;
 use crate::trust::Limits;
 use crate::trust::predict::Where;
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3, Vector6};
@@ -102,7 +103,7 @@ impl Levers {
         }
         maps.push(points);
         let top = |map: DMatrix<f64>| {
-            let eigen = (map.transpose() * &map).symmetric_eigen();
+            let eigen = gram(&map).symmetric_eigen();
             let mut whole = DVector::zeros(self.modes.len());
             whole.rows_mut(first, k).copy_from(&eigen.eigenvectors.column(eigen.eigenvalues.imax()));
             whole

@@ -3,6 +3,7 @@
 use super::axes::Axes;
 use super::cause::{Mode, Spot};
 use super::field::{Field, N_FIELD};
+use crate::product::gram;
 use crate::target::Target;
 use crate::trust::surface_error::CELL_MM;
 use crate::trust::{Residual, SurfaceError};
@@ -288,11 +289,11 @@ impl Step {
     /// Normal matrix and right-hand side.
     fn normal_equations(&self) -> (DMatrix<f64>, DVector<f64>) {
         let mut weighted = self.rows.clone();
-        weighted.row_iter_mut().zip(&self.weights).for_each(|(mut row, weight)| row *= *weight);
+        weighted.row_iter_mut().zip(&self.weights).for_each(|(mut row, weight)| row *= weight.sqrt());
         let residuals = self.pairs.iter().map(|pair| pair.as_ref().map_or(0.0, |pair| pair.residual_mm));
+        let residuals = residuals.zip(&self.weights).map(|(mm, weight)| mm * weight.sqrt());
         let residuals = DVector::from_iterator(self.pairs.len(), residuals);
-        let weighted = weighted.transpose();
-        (&weighted * &self.rows, weighted * residuals)
+        (gram(&weighted), weighted.tr_mul(&residuals))
     }
 
     /// The residuals of the pairs that have weight.

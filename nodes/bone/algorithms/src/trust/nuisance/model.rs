@@ -7,6 +7,7 @@ use super::fit::{Fit, GATES_MM, Information, N_BEFORE, Problem};
 use super::params::NuisanceParams;
 use super::report::{Nuisance, NuisanceState};
 use super::words::{self, Unseen};
+use crate::product::product;
 use crate::trust::predict::{Component, Deformation, Predicted, Where};
 use crate::trust::{Limits, RuleParams};
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
@@ -368,9 +369,9 @@ fn hypotheses(
             let columns = all_covariance.columns(N_BEFORE + first, k).into_owned();
             let whole = &whole - &columns * moved;
             let (joint_mean, joint_covariance) =
-                joint(&whole, &(&all_covariance - &columns * &gain * columns.transpose()));
+                joint(&whole, &(&all_covariance - product(&product(&columns, &gain), &columns.transpose())));
             let columns = columns.rows(N_BEFORE, n).into_owned();
-            let covariance = &covariance - &columns * gain * columns.transpose();
+            let covariance = &covariance - product(&product(&columns, &gain), &columns.transpose());
             let mean = whole.rows(N_BEFORE, n).into_owned();
             let fault = Some((f, first..first + k));
             all.push((log, Hypothesis { fault, weight: 0.0, whole, mean, covariance, joint_mean, joint_covariance }));
