@@ -119,8 +119,7 @@ fn no_crate_multiplies_matrices_by_a_kernel_of_the_processor() {
         .collect();
     let multiply = |name: &str| -> Option<BTreeSet<String>> {
         let file = files.iter().find(|file| file.ends_with(&format!("/lib{name}.rlib")));
-        let names =
-            symbols(Path::new(file.unwrap_or_else(|| panic!("no library {name}"))), &["--undefined-only"])?;
+        let names = symbols(Path::new(file.unwrap_or_else(|| panic!("no library {name}"))), &["--undefined-only"])?;
         Some(names.into_iter().filter(|name| name.contains("matrixmultiply")).collect())
     };
     for (name, folder, _) in ARROWS.iter().filter(|(name, ..)| !["osteoflow-python", "my_plugin"].contains(name)) {
